@@ -1,0 +1,136 @@
+"""Stiction Workbench: estimate, simulate, analyze and tune control loops whose valve sticks.
+
+`import workbench as wb` gives the public names below; each is loaded when it is first used.
+"""
+
+from __future__ import annotations
+
+import sys
+from importlib import import_module
+from types import ModuleType
+from typing import TYPE_CHECKING
+
+__version__ = "0.1.0"
+
+_HOME = {
+    "WorkbenchError": "errors",
+    "InvalidValue": "errors",
+    "OutputError": "errors",
+    "RecordError": "errors",
+    "ScenarioError": "errors",
+    "SolveError": "errors",
+    "FOPDT": "model.plant",
+    "Integrating": "model.plant",
+    "Ideal": "model.valve",
+    "Stenman": "model.valve",
+    "Choudhury": "model.valve",
+    "Deadband": "model.valve",
+    "PID": "model.controller",
+    "Loop": "model.loop",
+    "Step": "model.experiment",
+    "Ramp": "model.experiment",
+    "Series": "model.experiment",
+    "Noise": "model.experiment",
+    "Experiment": "model.experiment",
+    "Record": "model.record",
+    "Objective": "model.tuning",
+    "Bounds": "model.tuning",
+    "SolveStatus": "model.results",
+    "simulate": "simulate.run",
+    "simulate_batch": "simulate.run",
+    "evaluate": "simulate.run",
+    "read_record": "record.reader",
+    "estimate": "estimate.estimate",
+    "describing_function": "analyze.describing_function",
+    "limit_cycle": "analyze.limit_cycle",
+    "tune": "tune.tune",
+    "load_scenario": "scenario.loader",
+    "run_scenario": "scenario.runner",
+    "plot": "report.plot",
+}
+
+__all__ = [
+    "FOPDT",
+    "PID",
+    "Bounds",
+    "Choudhury",
+    "Deadband",
+    "Experiment",
+    "Ideal",
+    "Integrating",
+    "InvalidValue",
+    "Loop",
+    "Noise",
+    "Objective",
+    "OutputError",
+    "Ramp",
+    "Record",
+    "RecordError",
+    "ScenarioError",
+    "Series",
+    "SolveError",
+    "SolveStatus",
+    "Stenman",
+    "Step",
+    "WorkbenchError",
+    "__version__",
+    "describing_function",
+    "estimate",
+    "evaluate",
+    "limit_cycle",
+    "load_scenario",
+    "plot",
+    "read_record",
+    "run_scenario",
+    "simulate",
+    "simulate_batch",
+    "tune",
+]
+
+
+def __getattr__(name: str) -> object:
+    if name not in _HOME:
+        msg = f"module 'workbench' has no attribute {name!r}"
+        raise AttributeError(msg)
+    value = getattr(import_module(f"workbench.{_HOME[name]}"), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)
+
+
+class _Package(ModuleType):
+    """Keeps `wb.simulate`, `wb.estimate` and `wb.tune` the public functions.
+
+    The import system would bind the folders of the same names here, whenever the first module of one is imported.
+    """
+
+    def __setattr__(self, name: str, value: object) -> None:
+        if name in _HOME and isinstance(value, ModuleType):
+            return
+        super().__setattr__(name, value)
+
+
+sys.modules[__name__].__class__ = _Package
+
+if TYPE_CHECKING:
+    from workbench.analyze.describing_function import describing_function
+    from workbench.analyze.limit_cycle import limit_cycle
+    from workbench.errors import InvalidValue, OutputError, RecordError, ScenarioError, SolveError, WorkbenchError
+    from workbench.estimate.estimate import estimate
+    from workbench.model.controller import PID
+    from workbench.model.experiment import Experiment, Noise, Ramp, Series, Step
+    from workbench.model.loop import Loop
+    from workbench.model.plant import FOPDT, Integrating
+    from workbench.model.record import Record
+    from workbench.model.results import SolveStatus
+    from workbench.model.tuning import Bounds, Objective
+    from workbench.model.valve import Choudhury, Deadband, Ideal, Stenman
+    from workbench.record.reader import read_record
+    from workbench.report.plot import plot
+    from workbench.scenario.loader import load_scenario
+    from workbench.scenario.runner import run_scenario
+    from workbench.simulate.run import evaluate, simulate, simulate_batch
+    from workbench.tune.tune import tune

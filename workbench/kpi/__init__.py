@@ -1,0 +1,1 @@
+"""One definition of every figure, for runs and for records."""

@@ -1,0 +1,138 @@
+"""The figures of a run or a record over a window (see `model.results.Kpis` for each one's meaning and unit)."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from workbench.errors import InvalidValue
+from workbench.kpi.oscillation import oscillation
+from workbench.model.experiment import Experiment, Step
+from workbench.model.loop import Loop
+from workbench.model.plant import FOPDT
+from workbench.model.record import FloatArray, Record
+from workbench.model.results import Kpis
+
+__all__ = ["Event", "last_event", "measure", "record_kpis", "reversals", "travel"]
+
+
+@dataclass(frozen=True, slots=True)
+class Event:
+    """The last change that a loop has to settle from: its time (s), the setpoint step (EU, 0 for a load) and the band.
+
+    band: EU; nan takes 2 % of the largest error after the change.
+    """
+
+    at: float
+    setpoint_step: float
+    band: float
+
+
+def last_event(loop: Loop, experiment: Experiment) -> Event | None:
+    """Return the last setpoint or load step, with the band as the larger of 2 % of the step and K J/2, or None.
+
+    A load step of size L on a self-regulating plant counts as the PV change K L that it would make; on an integrating
+    plant, which has no such figure, 2 % of the largest error after it is taken.
+    """
+    setpoint = [(p.at, p.size, True) for p in experiment.setpoint_parts if isinstance(p, Step)]
+    load = [(p.at, p.size, False) for p in experiment.load_parts if isinstance(p, Step)]
+    if not setpoint and not load:
+        return None
+    at, size, is_setpoint = max(setpoint + load, key=lambda part: part[0])
+    slip = loop.valve.slip_jump
+    if not isinstance(loop.plant, FOPDT):
+        return Event(at, size if is_setpoint else 0.0, 0.02 * abs(size) if is_setpoint else math.nan)
+    gain = abs(loop.plant.gain)
+    effect = abs(size) if is_setpoint else gain * abs(size)
+    return Event(at, size if is_setpoint else 0.0, max(0.02 * effect, 0.5 * gain * slip))
+
+
+def travel(signal: FloatArray, before: float = math.nan) -> float:
+    """Return the sum of absolute moves; the first from `before`, the sample before the window (none if nan)."""
+    first = 0.0 if math.isnan(before) else abs(float(signal[0]) - before)
+    return first + float(np.abs(np.diff(signal)).sum())
+
+
+def reversals(valve: FloatArray, before: float = math.nan) -> int:
+    """Return how often successive stem moves change sign."""
+    moves = np.diff(valve, prepend=valve[0] if math.isnan(before) else before)
+    signs = np.sign(moves[moves != 0.0])
+    return int(np.count_nonzero(signs[1:] != signs[:-1]))
+
+
+def measure(
+    pv: FloatArray,
+    sample_time: float,
+    *,
+    sp: FloatArray | None = None,
+    op: FloatArray | None = None,
+    valve: FloatArray | None = None,
+    op_before: float = math.nan,
+    valve_before: float = math.nan,
+    event: Event | None = None,
+    window: tuple[float, float] | None = None,
+) -> Kpis:
+    """Return the figures of signals of shape (N,) (pv, sp in EU; op, valve in %) over `window` (s, [start, end)).
+
+    The whole run by default. `op_before` and `valve_before` are the values of the sample before the first (nan:
+    unknown, that move is not counted). Raises `InvalidValue` for a window that holds no sample.
+    """
+    first, stop = 0, pv.size
+    if window is not None:
+        first, stop = (math.ceil(t / sample_time - 1e-9) for t in window)
+        if not 0 <= first < stop or stop > pv.size:
+            whole = pv.size * sample_time
+            raise InvalidValue("window", window, f"must hold at least one sample and lie within 0..{whole:g} s")
+    part = slice(first, stop)
+
+    def before(signal: FloatArray, given: float) -> float:
+        return float(signal[first - 1]) if first > 0 else given
+
+    error = None if sp is None else sp[part] - pv[part]
+    nan = math.nan
+    index, period = oscillation(pv[part] if error is None else error, sample_time)
+    overshoot, settling = nan, nan
+    if event is not None and sp is not None:
+        overshoot, settling = _step_response(sp[:stop] - pv[:stop], sample_time, event)
+    return Kpis(
+        error_variance=nan if error is None else float(np.var(error)),
+        mean_square_error=nan if error is None else float(np.mean(error**2)),
+        op_variance=nan if op is None else float(np.var(op[part])),
+        valve_variance=nan if valve is None else float(np.var(valve[part])),
+        valve_travel=nan if valve is None else travel(valve[part], before(valve, valve_before)),
+        controller_travel=nan if op is None else travel(op[part], before(op, op_before)),
+        reversals=0 if valve is None else reversals(valve[part], before(valve, valve_before)),
+        iae=nan if error is None else sample_time * float(np.abs(error).sum()),
+        ise=nan if error is None else sample_time * float((error**2).sum()),
+        pv_sd=float(np.std(pv[part])),
+        overshoot=overshoot,
+        settling_time=settling,
+        final_error=nan if error is None else float(error[-1]),
+        oscillation_index=index,
+        oscillation_period=period,
+    )
+
+
+def _step_response(error: FloatArray, sample_time: float, event: Event) -> tuple[float, float]:
+    """Overshoot (% of the setpoint step) and settling time (s, inf if it never settles) from the event on."""
+    start = math.ceil(event.at / sample_time - 1e-9)
+    after = error[start:]
+    if after.size == 0:
+        return math.nan, math.nan
+    step = event.setpoint_step
+    overshoot = math.nan if step == 0.0 else 100.0 * max(0.0, float((-after * np.sign(step)).max())) / abs(step)
+    band = 0.02 * float(np.abs(after).max()) if math.isnan(event.band) else event.band
+    outside = np.flatnonzero(np.abs(after) > band)
+    if outside.size == 0:
+        return overshoot, 0.0
+    entry = int(outside[-1]) + 1
+    return overshoot, math.inf if entry == after.size else entry * sample_time
+
+
+def record_kpis(record: Record, window: tuple[float, float] | None = None) -> Kpis:
+    """Return the figures of a record (stem figures only where a positioner recorded it); window in s from its start."""
+    return measure(
+        record.pv, record.sample_time, sp=record.sp, op=record.op, valve=record.valve_position, window=window
+    )

@@ -1,0 +1,63 @@
+"""Checks that the value types share: one clear `InvalidValue` for each thing that is not allowed."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from numbers import Real
+
+from workbench.errors import InvalidValue
+
+__all__ = ["choice", "number", "ordered_pair"]
+
+
+def number(
+    value: object,
+    where: str,
+    *,
+    above: float | None = None,
+    least: float | None = None,
+    most: float | None = None,
+    infinite: bool = False,
+    unit: str = "",
+) -> float:
+    """Return `value` as a float, or raise `InvalidValue` when it is no real number in the stated range.
+
+    `above` is an open lower bound, `least` and `most` are closed bounds; `infinite` allows +inf.
+    """
+    parts = []
+    if above is not None:
+        parts.append(f"> {above:g}")
+    if least is not None:
+        parts.append(f">= {least:g}")
+    if most is not None:
+        parts.append(f"<= {most:g}")
+    allowed = " ".join(["must be a finite number" if not infinite else "must be a number", " and ".join(parts), unit])
+    allowed = " ".join(allowed.split())
+    if isinstance(value, bool) or not isinstance(value, Real):
+        raise InvalidValue(where, value, allowed)
+    x = float(value)
+    if math.isnan(x) or (math.isinf(x) and not (infinite and x > 0)):
+        raise InvalidValue(where, x, allowed)
+    if (above is not None and x <= above) or (least is not None and x < least) or (most is not None and x > most):
+        raise InvalidValue(where, x, allowed)
+    return x
+
+
+def choice(value: object, where: str, allowed: Sequence[str]) -> str:
+    """Return `value` if it is one of `allowed`, else raise `InvalidValue`."""
+    if not isinstance(value, str) or value not in allowed:
+        raise InvalidValue(where, value, "must be one of " + ", ".join(allowed))
+    return value
+
+
+def ordered_pair(value: object, where: str, *, least: float | None = None, equal: bool = False) -> tuple[float, float]:
+    """Return (low, high) as floats with low < high (low <= high when `equal`), else raise `InvalidValue`."""
+    rule = "must be a pair (low, high) with low " + ("<= high" if equal else "< high")
+    if isinstance(value, str) or not isinstance(value, Sequence) or len(value) != 2:
+        raise InvalidValue(where, value, rule)
+    low = number(value[0], f"{where}[0]", least=least)
+    high = number(value[1], f"{where}[1]", least=least)
+    if low > high or (low == high and not equal):
+        raise InvalidValue(where, (low, high), rule)
+    return low, high

@@ -1,0 +1,171 @@
+"""The PID controller in the forms that control systems offer, and the exact ways between them.
+
+Ideal (ISA standard) form, the one that the simulation knows: `Kc (e + integral(e)/Ti + Td de/dt)`.
+Series (interacting): `Kc (1 + 1/(Ti s)) (1 + Td s/(Tf s + 1))`. Parallel (independent): `Kc e + integral(e)/Ti + Td de/dt`.
+In every form the derivative is filtered with a time constant Tf, which all equivalent forms share.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+from workbench.errors import InvalidValue
+from workbench.model.checks import choice, number, ordered_pair
+
+__all__ = ["PID", "STRUCTURES", "IdealTerms"]
+
+FORMS = ("ideal", "series", "parallel")
+
+# Plain names of where the three actions act: (derivative_on, setpoint_weight).
+STRUCTURES: dict[str, tuple[str, float]] = {
+    "PID on error": ("error", 1.0),
+    "PI on error, D on PV": ("pv", 1.0),
+    "I on error, PD on PV": ("pv", 0.0),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class IdealTerms:
+    """What the law needs of a controller: ideal-form Kc (%/EU, unsigned), Ti (s), Td (s), Tf (s), setpoint weight b.
+
+    Td may be negative where a series controller filters its derivative harder than its integral time.
+    """
+
+    Kc: float
+    Ti: float
+    Td: float
+    Tf: float
+    b: float
+
+
+@dataclass(frozen=True, slots=True)
+class PID:
+    """A PID controller.
+
+    Kc: gain, %/EU, >= 0 (the sign comes from `action`). Ti: integral time, s, > 0; `math.inf` for none.
+    Td: derivative time, s, >= 0. `form`: "ideal", "series" or "parallel"; in the parallel form 1/Ti is the integral
+    gain in %/(EU s) and Td the derivative gain in % s/EU. `derivative_on`: "error" or "pv".
+    `derivative_filter`: n of `Tf = Td/n` (in the parallel form `Tf = Td/(Kc n)`), > 0; `math.inf` for unfiltered.
+    `setpoint_weight`: b of the proportional action, 0..1. `action`: "reverse" (OP falls when PV rises, for plants of
+    positive gain) or "direct". `output_limits`: (low, high), % in deviation from the resting output, or None.
+    `anti_windup`: "clamp" or "back_calculation", with `tracking_time` Tt, s (Ti of the ideal form unless given).
+    Raises `InvalidValue`.
+    """
+
+    Kc: float
+    Ti: float
+    Td: float = 0.0
+    form: str = "ideal"
+    derivative_on: str = "error"
+    derivative_filter: float = 10.0
+    setpoint_weight: float = 1.0
+    action: str = "reverse"
+    output_limits: tuple[float, float] | None = None
+    anti_windup: str = "clamp"
+    tracking_time: float | None = None
+
+    def __post_init__(self) -> None:
+        def put(name: str, value: object) -> None:
+            object.__setattr__(self, name, value)
+
+        put("Kc", number(self.Kc, "PID.Kc", least=0.0, unit="%/EU (a direct-acting controller: action 'direct')"))
+        put("Ti", number(self.Ti, "PID.Ti", above=0.0, infinite=True, unit="s"))
+        put("Td", number(self.Td, "PID.Td", least=0.0, unit="s"))
+        choice(self.form, "PID.form", FORMS)
+        choice(self.derivative_on, "PID.derivative_on", ("error", "pv"))
+        put("derivative_filter", number(self.derivative_filter, "PID.derivative_filter", above=0.0, infinite=True))
+        put("setpoint_weight", number(self.setpoint_weight, "PID.setpoint_weight", least=0.0, most=1.0))
+        choice(self.action, "PID.action", ("reverse", "direct"))
+        if self.output_limits is not None:
+            limits = ordered_pair(self.output_limits, "PID.output_limits")
+            if not limits[0] <= 0.0 <= limits[1]:
+                raise InvalidValue("PID.output_limits", limits, "must enclose 0, the resting output in deviation")
+            put("output_limits", limits)
+        choice(self.anti_windup, "PID.anti_windup", ("clamp", "back_calculation"))
+        if self.tracking_time is not None:
+            put("tracking_time", number(self.tracking_time, "PID.tracking_time", above=0.0, unit="s"))
+        if self.form == "parallel" and self.Kc == 0.0 and self.Td > 0.0 and not math.isinf(self.derivative_filter):
+            raise InvalidValue("PID.Kc", self.Kc, "a filtered derivative in the parallel form needs Kc > 0")
+
+    @property
+    def structure(self) -> str | None:
+        """The plain name of where the actions act, or None where the setpoint weight has no such name."""
+        for name, settings in STRUCTURES.items():
+            if settings == (self.derivative_on, self.setpoint_weight):
+                return name
+        return None
+
+    @property
+    def signed_gain(self) -> float:
+        """+1.0 for reverse action, -1.0 for direct action: the factor on Kc in the law."""
+        return 1.0 if self.action == "reverse" else -1.0
+
+    def ideal_terms(self) -> IdealTerms:
+        """Return the exactly equivalent ideal-form terms.
+
+        Series (partial fractions): `Kc(1 + Td/Ti)`, `Ti + Td`, `Td(Ti - Tf)/(Ti + Td)`, the same Tf; the proportional
+        action on the setpoint keeps its size. Raises `InvalidValue` where no equivalent exists (parallel with Kc = 0).
+        """
+        Kc, Ti, Td, b = self.Kc, self.Ti, self.Td, self.setpoint_weight
+        if self.form == "ideal":
+            return IdealTerms(Kc, Ti, Td, Td / self.derivative_filter, b)
+        if self.form == "parallel":
+            if Kc == 0.0:
+                if Td == 0.0 and math.isinf(Ti):
+                    return IdealTerms(0.0, Ti, 0.0, 0.0, b)
+                raise InvalidValue("PID.Kc", Kc, "a parallel controller with Kc = 0 has no ideal equivalent")
+            return IdealTerms(Kc, Kc * Ti, Td / Kc, Td / Kc / self.derivative_filter, b)
+        Tf = Td / self.derivative_filter
+        if math.isinf(Ti):
+            return IdealTerms(Kc, Ti, Td, Tf, b)
+        weight = (b * Ti + Td) / (Ti + Td) if self.derivative_on == "error" else b * Ti / (Ti + Td)
+        return IdealTerms(Kc * (1.0 + Td / Ti), Ti + Td, Td * (Ti - Tf) / (Ti + Td), Tf, weight)
+
+    def to_form(self, form: str) -> PID:
+        """Return the exactly equivalent controller in another form.
+
+        Raises `InvalidValue` where there is none: series needs `(Ti - Tf)^2 >= 4 Ti Td` of the ideal form (unfiltered:
+        Ti >= 4 Td) and a setpoint weight that it can realise; ideal needs a derivative time that is not negative.
+        """
+        choice(form, "form", FORMS)
+        if form == self.form:
+            return self
+        t = self.ideal_terms()
+        if form == "ideal":
+            if t.Td < 0.0 or (t.Td == 0.0 and t.Tf > 0.0):
+                raise InvalidValue("PID.Td", self.Td, "the ideal equivalent needs Ti > Tf = Td/n of the series form")
+            return self._rebuilt("ideal", t.Kc, t.Ti, t.Td, t.Tf, t.b)
+        if form == "parallel":
+            if t.Kc == 0.0 and not (math.isinf(t.Ti) and t.Td == 0.0):
+                raise InvalidValue("PID.Kc", t.Kc, "a parallel equivalent needs Kc > 0")
+            if t.Td < 0.0 or (t.Td == 0.0 and t.Tf > 0.0):
+                raise InvalidValue("PID.Td", self.Td, "the parallel equivalent needs Ti > Tf = Td/n of the series form")
+            Ti = math.inf if math.isinf(t.Ti) else t.Ti / t.Kc
+            n = t.Td / t.Tf if t.Tf > 0.0 else (self.derivative_filter if t.Td == 0.0 else math.inf)
+            return replace(
+                self, form="parallel", Kc=t.Kc, Ti=Ti, Td=t.Kc * t.Td, derivative_filter=n, setpoint_weight=t.b
+            )
+        return self._to_series(t)
+
+    def _to_series(self, t: IdealTerms) -> PID:
+        if t.Td == 0.0 and t.Tf == 0.0:
+            return self._rebuilt("series", t.Kc, t.Ti, 0.0, 0.0, t.b)
+        if math.isinf(t.Ti):
+            return self._rebuilt("series", t.Kc, t.Ti, t.Td, t.Tf, t.b)
+        root = (t.Ti - t.Tf) ** 2 - 4.0 * t.Ti * t.Td
+        if root < 0.0:
+            rule = "a series equivalent needs (Ti - Tf)^2 >= 4 Ti Td (unfiltered: Ti >= 4 Td)"
+            raise InvalidValue("PID", f"Ti = {t.Ti:g} s, Td = {t.Td:g} s, Tf = {t.Tf:g} s", rule)
+        Ti = 0.5 * (t.Ti + t.Tf + math.sqrt(root))
+        Td = t.Ti - Ti
+        b = (t.b * t.Ti - Td) / Ti if self.derivative_on == "error" else t.b * t.Ti / Ti
+        if not -1e-12 <= b <= 1.0 + 1e-12:
+            raise InvalidValue(
+                "PID.setpoint_weight", t.b, f"a series equivalent would need the weight {b:g}, outside 0..1"
+            )
+        return self._rebuilt("series", t.Kc * Ti / t.Ti, Ti, Td, t.Tf, min(max(b, 0.0), 1.0))
+
+    def _rebuilt(self, form: str, Kc: float, Ti: float, Td: float, Tf: float, b: float) -> PID:
+        n = Td / Tf if Tf > 0.0 else (self.derivative_filter if Td == 0.0 else math.inf)
+        return replace(self, form=form, Kc=Kc, Ti=Ti, Td=Td, derivative_filter=n, setpoint_weight=b)

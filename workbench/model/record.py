@@ -1,0 +1,83 @@
+"""Recorded data of one loop, evenly sampled."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from types import MappingProxyType
+
+import numpy as np
+from numpy.typing import NDArray
+
+from workbench.errors import InvalidValue
+from workbench.model.checks import number
+
+__all__ = ["FloatArray", "Record"]
+
+FloatArray = NDArray[np.float64]
+
+
+def _signal(value: object, where: str, length: int | None) -> FloatArray:
+    try:
+        array = np.array(value, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise InvalidValue(where, type(value).__name__, "must be an array of numbers") from None
+    if array.ndim != 1:
+        raise InvalidValue(where, f"shape {array.shape}", "must have one dimension")
+    if length is not None and array.size != length:
+        raise InvalidValue(where, f"{array.size} samples", f"must have the {length} samples of PV")
+    if array.size == 0:
+        raise InvalidValue(where, "no samples", "must hold at least one sample")
+    bad = ~np.isfinite(array)
+    if bad.any():
+        first = int(np.argmax(bad))
+        raise InvalidValue(f"{where}[{first}]", float(array[first]), "must be a finite number")
+    array.setflags(write=False)
+    return array
+
+
+@dataclass(frozen=True, eq=False)
+class Record:
+    """Measured data of one loop.
+
+    pv (EU) and op (%) are needed, shape (N,), finite, evenly sampled every sample_time s from `start` s on; op[k] is
+    the output that the controller computed in the sample of pv[k]. sp (EU), valve_position (% of travel, measured by
+    a positioner) and mode (text per sample) where recorded. `notes` say what reading kept, rejected and assumed;
+    `counts` the same in numbers. Arrays are copied and read-only. Raises `InvalidValue`.
+    """
+
+    pv: FloatArray
+    op: FloatArray
+    sample_time: float
+    sp: FloatArray | None = None
+    valve_position: FloatArray | None = None
+    mode: tuple[str, ...] | None = None
+    start: float = 0.0
+    source: str = ""
+    notes: tuple[str, ...] = ()
+    counts: Mapping[str, int] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        pv = _signal(self.pv, "Record.pv", None)
+        object.__setattr__(self, "pv", pv)
+        object.__setattr__(self, "op", _signal(self.op, "Record.op", pv.size))
+        object.__setattr__(self, "sample_time", number(self.sample_time, "Record.sample_time", above=0.0, unit="s"))
+        for name in ("sp", "valve_position"):
+            if getattr(self, name) is not None:
+                object.__setattr__(self, name, _signal(getattr(self, name), f"Record.{name}", pv.size))
+        if self.mode is not None:
+            mode = tuple(str(m) for m in self.mode)
+            if len(mode) != pv.size:
+                raise InvalidValue("Record.mode", f"{len(mode)} samples", f"must have the {pv.size} samples of PV")
+            object.__setattr__(self, "mode", mode)
+        object.__setattr__(self, "start", number(self.start, "Record.start", unit="s"))
+        object.__setattr__(self, "notes", tuple(self.notes))
+        object.__setattr__(self, "counts", MappingProxyType(dict(self.counts)))
+
+    def __len__(self) -> int:
+        return int(self.pv.size)
+
+    @property
+    def time(self) -> FloatArray:
+        """Sample times, s, shape (N,), from `start` on."""
+        return self.start + self.sample_time * np.arange(self.pv.size, dtype=np.float64)

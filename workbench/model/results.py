@@ -1,0 +1,354 @@
+"""What the verbs answer with: frozen results, no computing. Arrays are float64 and belong to the result alone."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import Enum
+from types import MappingProxyType
+
+import numpy as np
+from numpy.typing import NDArray
+
+from workbench.errors import SolveError
+from workbench.model.controller import PID
+from workbench.model.experiment import Experiment
+from workbench.model.loop import Loop
+from workbench.model.plant import Plant
+from workbench.model.record import FloatArray, Record
+from workbench.model.tuning import Bounds, Objective
+from workbench.model.valve import Valve
+
+__all__ = [
+    "Crossing",
+    "DescribingFunction",
+    "Estimate",
+    "Intervals",
+    "Iteration",
+    "Kpis",
+    "LimitCycle",
+    "LimitCycleStart",
+    "LinearFit",
+    "NlpResult",
+    "Restart",
+    "Run",
+    "SolveStatus",
+    "Tuned",
+]
+
+ComplexArray = NDArray[np.complex128]
+
+
+@dataclass(frozen=True, slots=True)
+class Kpis:
+    """The figures of one run or record over its window; `nan` where the signal they need is missing.
+
+    Variances are population variances. error_variance, mean_square_error, ise, iae are of SP - PV (EU; iae EU s, ise
+    EU^2 s); pv_sd is PV's standard deviation (EU); op_variance and valve_variance in %^2; valve_travel and
+    controller_travel are sums of absolute moves (%), the first move counted from the sample before the window;
+    reversals counts the sign changes of successive stem moves. overshoot: % of the last setpoint step;
+    settling_time: s from the last setpoint or load step, `inf` if it never settles; final_error: SP - PV at the
+    window's last sample (EU); oscillation_index 0..1 and oscillation_period (s) from PV's autocorrelation.
+    """
+
+    error_variance: float
+    mean_square_error: float
+    op_variance: float
+    valve_variance: float
+    valve_travel: float
+    controller_travel: float
+    reversals: int
+    iae: float
+    ise: float
+    pv_sd: float
+    overshoot: float
+    settling_time: float
+    final_error: float
+    oscillation_index: float
+    oscillation_period: float
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """One exact simulation: time (s), sp and pv (EU, pv measured), op and valve (%), each of shape (N,).
+
+    load (%) is the disturbance at the plant input, shape (N,). final_sp and final_pv are the values of sample N, which
+    closes the last interval. branch (int8, shape (N,)) codes the decisions taken (see `simulate.kernel`).
+    """
+
+    loop: Loop
+    experiment: Experiment
+    time: FloatArray
+    sp: FloatArray
+    pv: FloatArray
+    op: FloatArray
+    valve: FloatArray
+    load: FloatArray
+    branch: NDArray[np.int8]
+    final_sp: float
+    final_pv: float
+    kpis: Kpis
+
+
+class SolveStatus(Enum):
+    """How a solve ended; the one vocabulary for every solver in the project."""
+
+    SOLVED = "solved"  # to the tolerances asked for and, for a tuning, verified by exact re-simulation
+    ACCEPTABLE = "solved to acceptable tolerances"
+    INFEASIBLE = "infeasible"
+    ITERATION_LIMIT = "iteration limit"
+    TIME_LIMIT = "time limit"
+    DIVERGED = "diverged"
+    FAILED = "failed"
+    UNVERIFIED = "not verified by exact re-simulation"
+    INTERRUPTED = "interrupted"
+
+    @property
+    def success(self) -> bool:
+        """Whether the result may be used as a solution."""
+        return self in (SolveStatus.SOLVED, SolveStatus.ACCEPTABLE)
+
+
+@dataclass(frozen=True, eq=False)
+class NlpResult:
+    """One nonlinear program's end: x (solution, shape (n,)), objective, status and the solver's own words.
+
+    residuals: worst constraint violation by name of the constraint group. complementarity: worst product of
+    complementary quantities (0 where the program has none). homotopy: objective after each relaxation step.
+    """
+
+    x: FloatArray
+    objective: float
+    status: SolveStatus
+    message: str
+    iterations: int
+    residuals: Mapping[str, float]
+    complementarity: float
+    homotopy: tuple[float, ...]
+    wall_time: float
+    versions: Mapping[str, str]
+
+    def require_success(self) -> NlpResult:
+        """Return self if solved, else raise `SolveError`."""
+        if not self.status.success:
+            worst = max(self.residuals.items(), key=lambda item: item[1], default=("none", 0.0))
+            msg = f"the solve ended as {self.status.value} ({self.message}); worst residual {worst[0]}: {worst[1]:.3g}"
+            raise SolveError(msg)
+        return self
+
+
+@dataclass(frozen=True, slots=True)
+class Restart:
+    """One global search: its seed, the best J of the scan, J after refinement, evaluations, NLPs and IPOPT iterations."""
+
+    seed: int
+    scanned: float
+    refined: float
+    evaluations: int
+    solves: int
+    iterations: int
+
+
+@dataclass(frozen=True, eq=False)
+class Tuned:
+    """A tuning and how it was found.
+
+    controller: in the form of the loop's controller, with parameters rounded to `digits` significant digits, the ones
+    to type in. objective: J of exactly that controller by exact simulation; nominal: J of the unrounded best;
+    worst: the worst J when each parameter moves by up to the stated relative `margin`; start_objective: J of the
+    loop's own controller. guard_margin: the least distance (%) of the trajectory to a stick/slip decision.
+    """
+
+    loop: Loop
+    experiment: Experiment
+    weights: Objective
+    bounds: Bounds
+    controller: PID
+    objective: float
+    status: SolveStatus
+    message: str
+    digits: int
+    nominal: float
+    worst: float
+    margin: float
+    start_objective: float
+    guard_margin: float
+    slips: int
+    restarts: tuple[Restart, ...]
+    evaluations: int
+    solves: int
+    iterations: int
+    seed: int
+    wall_time: float
+    versions: Mapping[str, str] = field(default_factory=lambda: MappingProxyType({}))
+
+    @property
+    def spread(self) -> tuple[float, float]:
+        """Best and worst refined objective over the restarts."""
+        values = [r.refined for r in self.restarts] or [self.objective]
+        return min(values), max(values)
+
+    def require_success(self) -> Tuned:
+        """Return self if verified, else raise `SolveError`."""
+        if not self.status.success:
+            msg = f"the tuning ended as {self.status.value}: {self.message}"
+            raise SolveError(msg)
+        return self
+
+
+@dataclass(frozen=True, slots=True)
+class Intervals:
+    """95 % ranges (low, high) of what was estimated, or None where the data or the model give none.
+
+    d, S, J in %; gain in EU/% (integrating: EU/(% s)); time_constant and dead_time in s.
+    """
+
+    d: tuple[float, float] | None = None
+    S: tuple[float, float] | None = None
+    J: tuple[float, float] | None = None
+    gain: tuple[float, float] | None = None
+    time_constant: tuple[float, float] | None = None
+    dead_time: tuple[float, float] | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Iteration:
+    """One step of the two-step algorithm: the stiction (%), the plant fitted to it, the residual variance and AIC."""
+
+    d: float
+    plant: Plant
+    residual_variance: float
+    aic: float
+
+
+@dataclass(frozen=True, eq=False)
+class LinearFit:
+    """The fit that ignores stiction: plant, bias (EU), prediction (EU, shape (N,)), residual variance (EU^2), AIC."""
+
+    plant: Plant
+    bias: float
+    prediction: FloatArray
+    residual_variance: float
+    aic: float
+
+
+@dataclass(frozen=True, eq=False)
+class Estimate:
+    """A loop estimated from a record.
+
+    plant and valve: the model (valve `Ideal()` where no stiction helps). valve_position: the estimated stem, % of
+    OP's scale, shape (N,). prediction: PV simulated from that stem, EU, shape (N,). bias: PV at stem 0, EU.
+    verdict: "stiction", "no_stiction" or "undecided", with `reasons` in words. identifiable: whether d (or S) is
+    pinned by the data and not only its product with the gain. residual_variance (EU^2) and aic by the paper's eq. (1);
+    noise_sd: standard deviation of PV about the prediction, EU. slips: stem moves in the record. profile_d and
+    profile_cost: residual variance against d. iterations: the two-step algorithm's history.
+    """
+
+    record: Record
+    method: str
+    plant: Plant
+    valve: Valve
+    valve_position: FloatArray
+    prediction: FloatArray
+    bias: float
+    verdict: str
+    reasons: tuple[str, ...]
+    intervals: Intervals
+    identifiable: bool
+    residual_variance: float
+    aic: float
+    noise_sd: float
+    slips: int
+    linear: LinearFit
+    profile_d: FloatArray
+    profile_cost: FloatArray
+    iterations: tuple[Iteration, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Crossing:
+    """Where L(jw) meets -1/N(A): input amplitude (%), frequency (rad/s), period (s), PV amplitude (EU), stability.
+
+    `amplitude` is that of the valve's input (OP), half of its peak to peak; `stable` by the Nyquist reading of the
+    loci: growing amplitude leads out of the region that L encircles.
+    """
+
+    amplitude: float
+    frequency: float
+    period: float
+    pv_amplitude: float
+    stable: bool
+
+
+@dataclass(frozen=True, eq=False)
+class DescribingFunction:
+    """Describing-function analysis of a loop.
+
+    amplitudes (%, shape (M,)) with the valve's describing function `N` and `locus = -1/N`; frequencies (rad/s, shape
+    (F,)) with `L`, the loop's linear part (controller and plant). crossings sorted by amplitude. distance: the least
+    |L - locus|, 0 where they cross, reached at distance_amplitude and distance_frequency. predicts_cycle: whether any
+    crossing exists; amplitude, period and pv_amplitude of the stable crossing of largest amplitude, nan without one.
+    linear_stable: whether the loop with an ideal valve is stable by the Nyquist criterion. verdict: one sentence.
+    """
+
+    loop: Loop
+    amplitudes: FloatArray
+    N: ComplexArray
+    locus: ComplexArray
+    frequencies: FloatArray
+    L: ComplexArray
+    crossings: tuple[Crossing, ...]
+    distance: float
+    distance_amplitude: float
+    distance_frequency: float
+    predicts_cycle: bool
+    amplitude: float
+    period: float
+    pv_amplitude: float
+    linear_stable: bool
+    verdict: str
+
+
+@dataclass(frozen=True, slots=True)
+class LimitCycleStart:
+    """The outcome from one start, noise-free, by exact simulation.
+
+    name: the start in words. outcome: "settles", "cycles" or "undecided", with `reason`. first_period and period: of
+    the first full cycle and late (s). Peak to peak in EU and %, median over late cycles; mean_square_error (EU^2);
+    travel_per_hour (%); window: simulated time needed to see it (s). nan where there is no cycle.
+    """
+
+    name: str
+    outcome: str
+    reason: str
+    first_period: float
+    period: float
+    pv_peak_to_peak: float
+    op_peak_to_peak: float
+    mean_square_error: float
+    travel_per_hour: float
+    window: float
+
+
+@dataclass(frozen=True, slots=True)
+class LimitCycle:
+    """The exact long-run behaviour of a loop.
+
+    outcome: "settles", "cycles", "depends" (on the start) or "undecided". The figures are those of the given
+    experiment, else medians over the starts that cycle; period_range over these starts. nan where none cycles.
+    closed_form_period: the relaxation cycle's period by its formula at a symmetric split (its shortest), nan where its
+    conditions do not hold.
+    """
+
+    loop: Loop
+    outcome: str
+    period: float
+    period_range: tuple[float, float]
+    pv_peak_to_peak: float
+    op_peak_to_peak: float
+    mean_square_error: float
+    travel_per_hour: float
+    window: float
+    starts: tuple[LimitCycleStart, ...]
+    closed_form_period: float
+    verdict: str

@@ -1,0 +1,1 @@
+"""The exact hybrid simulation: one kernel, its coefficients, single runs and batches."""

@@ -1,0 +1,107 @@
+"""From a loop to the kernel's coefficient rows: the only place where parameters turn into the numbers of the law."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from workbench.model.controller import PID
+from workbench.model.loop import Loop
+from workbench.model.plant import FOPDT, Plant
+from workbench.model.record import FloatArray
+from workbench.model.valve import Choudhury, Deadband, Stenman, Valve
+from workbench.simulate import kernel
+
+__all__ = ["Discrete", "ValveLaw", "coefficients", "discretise", "valve_law"]
+
+
+class Discrete(NamedTuple):
+    """A plant's exact zero-order-hold step: `y = pole y + gain (c0 v_{k-delay} + c1 v_{k-delay-1})`."""
+
+    pole: float
+    gain: float
+    c0: float
+    c1: float
+    delay: int
+
+
+class ValveLaw(NamedTuple):
+    """A valve in the kernel's terms: its kind, the band within which it holds, its offset while moving."""
+
+    kind: int
+    band: float
+    offset: float
+
+
+def discretise(plant: Plant, sample_time: float) -> Discrete:
+    """Return the exact discrete plant. `theta = (m + f) Ts`, `m = floor(theta/Ts + 1e-9)`, f below 1e-9 is 0.
+
+    FOPDT: `a = exp(-Ts/tau)`, c0 = `1 - a^(1-f)`, c1 = `a^(1-f) - a`; integrating: gain K Ts, c0 = 1 - f, c1 = f.
+    """
+    ratio = plant.dead_time / sample_time
+    m = math.floor(ratio + 1e-9)
+    f = ratio - m
+    if f < 1e-9:
+        f = 0.0
+    if isinstance(plant, FOPDT):
+        a = math.exp(-sample_time / plant.time_constant)
+        part = a ** (1.0 - f)
+        return Discrete(a, plant.gain, 1.0 - part, part - a, m)
+    return Discrete(1.0, plant.gain * sample_time, 1.0 - f, f, m)
+
+
+def valve_law(valve: Valve) -> ValveLaw:
+    """Return a valve in the kernel's terms."""
+    if isinstance(valve, Stenman):
+        return ValveLaw(kernel.STENMAN, valve.d, 0.0)
+    if isinstance(valve, Choudhury):
+        return ValveLaw(kernel.TWO_PARAMETER, (valve.S + valve.J) / 2.0, (valve.S - valve.J) / 2.0)
+    if isinstance(valve, Deadband):
+        return ValveLaw(kernel.TWO_PARAMETER, valve.b / 2.0, valve.b / 2.0)
+    return ValveLaw(kernel.IDEAL, 0.0, 0.0)
+
+
+def coefficients(loop: Loop, stem_offset: float = 0.0, tunings: FloatArray | None = None) -> FloatArray:
+    """Return coefficient rows, shape (M, COEFFICIENTS), of a loop with its own controller (M = 1).
+
+    With `tunings`, shape (M, 3) of (Kc, Ti, Td) in the controller's own form, one row for each. Raises `InvalidValue`
+    where a controller has no ideal equivalent.
+    """
+    if tunings is None:
+        tunings = np.array([[loop.controller.Kc, loop.controller.Ti, loop.controller.Td]])
+    pid, Ts = loop.controller, loop.sample_time
+    rows = np.zeros((tunings.shape[0], kernel.COEFFICIENTS))
+    Kc, Ti, Td, Tf, weight = _ideal_terms(pid, tunings)
+    signed = pid.signed_gain * Kc
+    rows[:, kernel.KC] = signed
+    rows[:, kernel.KI] = signed * Ts / Ti
+    rows[:, kernel.KD] = signed * Td
+    rows[:, kernel.TF] = Tf
+    rows[:, kernel.TF_TS] = Tf + Ts
+    rows[:, kernel.WEIGHT] = weight
+    rows[:, kernel.ON_PV] = float(pid.derivative_on == "pv")
+    rows[:, kernel.BIAS] = stem_offset
+    low, high = (-math.inf, math.inf) if pid.output_limits is None else pid.output_limits
+    rows[:, kernel.LOW], rows[:, kernel.HIGH] = low, high
+    rows[:, kernel.WINDUP] = float(pid.anti_windup == "back_calculation")
+    rows[:, kernel.TS_TT] = Ts / (Ti if pid.tracking_time is None else pid.tracking_time)
+    law = valve_law(loop.valve)
+    rows[:, kernel.VALVE], rows[:, kernel.BAND], rows[:, kernel.OFFSET] = law
+    plant = discretise(loop.plant, Ts)
+    rows[:, kernel.POLE], rows[:, kernel.GAIN] = plant.pole, plant.gain
+    rows[:, kernel.C0], rows[:, kernel.C1], rows[:, kernel.DELAY] = plant.c0, plant.c1, plant.delay
+    return rows
+
+
+def _ideal_terms(pid: PID, tunings: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Columns Kc, Ti, Td, Tf, setpoint weight of the ideal form; `PID.ideal_terms` row by row, but for the ideal form."""
+    Kc, Ti, Td = tunings[:, 0], tunings[:, 1], tunings[:, 2]
+    if pid.form == "ideal":
+        return Kc, Ti, Td, Td / pid.derivative_filter, np.full(Kc.size, pid.setpoint_weight)
+    from dataclasses import replace
+
+    terms = [replace(pid, Kc=row[0], Ti=row[1], Td=row[2]).ideal_terms() for row in tunings.tolist()]
+    columns = np.array([(t.Kc, t.Ti, t.Td, t.Tf, t.b) for t in terms]).reshape(-1, 5).T
+    return columns[0], columns[1], columns[2], columns[3], columns[4]

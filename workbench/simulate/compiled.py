@@ -1,0 +1,18 @@
+"""The one typed wrapper around numba: `@compiled` keeps a function's type and its `.py_func`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import ParamSpec, TypeVar, cast
+
+import numba
+
+__all__ = ["compiled"]
+
+P = ParamSpec("P")
+R = TypeVar("R")
+
+
+def compiled(function: Callable[P, R]) -> Callable[P, R]:
+    """Compile a plain-float function to machine code, cached on disk, without fastmath: every rounding stays as written."""
+    return cast("Callable[P, R]", numba.njit(cache=True, fastmath=False, error_model="numpy")(function))

@@ -1,0 +1,218 @@
+"""`wb.simulate` and its batch forms: experiments in, exact trajectories, figures and objectives out."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from workbench.errors import InvalidValue
+from workbench.kpi.kpis import last_event, measure
+from workbench.model.experiment import Experiment, Noise
+from workbench.model.loop import Loop
+from workbench.model.record import FloatArray
+from workbench.model.results import Kpis, Run
+from workbench.model.tuning import Objective
+from workbench.model.valve import Valve
+from workbench.simulate import kernel
+from workbench.simulate.coefficients import coefficients, valve_law
+from workbench.simulate.signals import noise_signal, profile_signal, sample_count
+
+__all__ = ["Batch", "Signals", "cost_terms", "evaluate", "signals", "simulate", "simulate_batch", "valve_response"]
+
+
+@dataclass(frozen=True, eq=False)
+class Signals:
+    """An experiment as the kernel takes it: r (EU), load (%), noise (EU), each of shape (N + 1,)."""
+
+    r: FloatArray
+    load: FloatArray
+    noise: FloatArray
+
+    @property
+    def samples(self) -> int:
+        """N."""
+        return int(self.r.size) - 1
+
+
+@dataclass(frozen=True, eq=False)
+class Batch:
+    """Many runs of one experiment: sp (N,), pv, op, valve (M, N), and each run's figures."""
+
+    time: FloatArray
+    sp: FloatArray
+    pv: FloatArray
+    op: FloatArray
+    valve: FloatArray
+    kpis: tuple[Kpis, ...]
+
+
+def signals(loop: Loop, experiment: Experiment) -> Signals:
+    """Return the experiment's signals on the loop's samples.
+
+    Raises `InvalidValue` where the duration is no whole number of samples, or the valve would not hold the stem offset.
+    """
+    n = sample_count(experiment.duration, loop.sample_time)
+    if abs(experiment.stem_offset) > loop.valve.hold:
+        raise InvalidValue(
+            "Experiment.stem_offset",
+            f"{experiment.stem_offset:g} %",
+            f"must be at most {loop.valve.hold:g} % in size, as this valve would not rest there",
+        )
+    return Signals(
+        profile_signal(experiment.setpoint_parts, n, loop.sample_time),
+        profile_signal(experiment.load_parts, n, loop.sample_time),
+        noise_signal(experiment.noise, n),
+    )
+
+
+def simulate(loop: Loop, experiment: Experiment) -> Run:
+    """Simulate a loop exactly, from rest.
+
+    The law is that of `simulate.kernel`; at the start `u_{-1} = stem_offset`, and all else is 0. Returns a `Run` of N =
+    duration/sample_time samples. Raises `InvalidValue` for an experiment that does not fit the loop.
+    """
+    given = signals(loop, experiment)
+    row = coefficients(loop, experiment.stem_offset)[0]
+    n = given.samples
+    y = np.empty(n + 1)
+    u, x, v = np.empty(n), np.empty(n), np.empty(n)
+    branch = np.empty(n, np.int8)
+    state, past = rest(row)
+    kernel.run_loop(row, given.r, given.load, given.noise, state, past, y, u, x, v, branch)
+    measured = y + given.noise
+    figures = measure(
+        measured[:n],
+        loop.sample_time,
+        sp=given.r[:n],
+        op=u,
+        valve=x,
+        op_before=experiment.stem_offset,
+        valve_before=0.0,
+        event=last_event(loop, experiment),
+    )
+    return Run(
+        loop=loop,
+        experiment=experiment,
+        time=np.arange(n, dtype=np.float64) * loop.sample_time,
+        sp=given.r[:n],
+        pv=measured[:n],
+        op=u,
+        valve=x,
+        load=given.load[:n],
+        branch=branch,
+        final_sp=float(given.r[n]),
+        final_pv=float(measured[n]),
+        kpis=figures,
+    )
+
+
+def rest(row: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the kernel's state and past at rest for a coefficient row."""
+    state = np.zeros(kernel.STATES)
+    state[kernel.U_LAST] = row[kernel.BIAS]
+    return state, np.zeros(int(row[kernel.DELAY]) + 1)
+
+
+def simulate_batch(
+    loop: Loop, experiment: Experiment, *, tunings: object = None, seeds: Sequence[int] | None = None
+) -> Batch:
+    """Simulate many tunings, or many noise seeds, of one loop and experiment.
+
+    Exactly one of tunings, shape (M, 3) of (Kc, Ti, Td) in the controller's own form, and seeds (of the experiment's
+    noise) must be given. Each run equals `simulate` of that tuning or seed. Raises `InvalidValue`.
+    """
+    if (tunings is None) == (seeds is None):
+        raise InvalidValue("simulate_batch", "both or neither", "give either tunings or seeds")
+    if tunings is not None:
+        loops = [
+            loop.with_controller(replace(loop.controller, Kc=row[0], Ti=row[1], Td=row[2]))
+            for row in _tunings(tunings).tolist()
+        ]
+        experiments = [experiment] * len(loops)
+    else:
+        if experiment.noise is None:
+            raise InvalidValue("Experiment.noise", "none", "seeds need an experiment with noise")
+        sd = experiment.noise.sd
+        experiments = [replace(experiment, noise=Noise(sd, seed)) for seed in seeds or ()]
+        loops = [loop] * len(experiments)
+    runs = [simulate(one, what) for one, what in zip(loops, experiments, strict=True)]
+    if not runs:
+        raise InvalidValue("simulate_batch", "nothing", "must hold at least one tuning or seed")
+    return Batch(
+        time=runs[0].time,
+        sp=runs[0].sp,
+        pv=np.array([run.pv for run in runs]),
+        op=np.array([run.op for run in runs]),
+        valve=np.array([run.valve for run in runs]),
+        kpis=tuple(run.kpis for run in runs),
+    )
+
+
+def cost_terms(rows: FloatArray, given: Sequence[Signals], which: NDArray[np.int64] | None = None) -> FloatArray:
+    """Return the four sums of eq. (2) for coefficient rows, shape (M, 4): J is their product with `Objective.weights`.
+
+    Row i runs in experiment `given[which[i]]` (all of the same N), or in the only one.
+    """
+    if which is None:
+        which = np.zeros(rows.shape[0], np.int64)
+    terms = np.empty((rows.shape[0], 4))
+    longest = int(rows[:, kernel.DELAY].max(initial=0.0))
+    stacked = [np.ascontiguousarray([getattr(s, name) for s in given]) for name in ("r", "load", "noise")]
+    kernel.run_costs(rows, which, stacked[0], stacked[1], stacked[2], terms, longest)
+    return terms
+
+
+def evaluate(loop: Loop, experiment: Experiment, objective: Objective, tunings: object = None) -> FloatArray:
+    """Return J of eq. (2) by exact simulation, shape (M,), for tunings of shape (M, 3) (Kc, Ti, Td in own form).
+
+    Without tunings: of the loop's own controller, shape (1,). An unstable run may give inf. Raises `InvalidValue`.
+    """
+    wanted = None if tunings is None else _tunings(tunings)
+    rows = coefficients(loop, experiment.stem_offset, wanted)
+    # Overflow in an unstable loop is a result, not an accident: J is then inf (or nan, which is as bad).
+    with np.errstate(over="ignore", invalid="ignore"):
+        costs: FloatArray = weigh(cost_terms(rows, [signals(loop, experiment)]), objective)
+    return costs
+
+
+def weigh(terms: FloatArray, objective: Objective) -> FloatArray:
+    """Return J for cost terms of shape (M, 4); inf where a run overflowed. A weight of 0 leaves its term out."""
+    costs = np.zeros(terms.shape[0])
+    for column, weight in enumerate(objective.weights):
+        if weight > 0.0:
+            costs += weight * terms[:, column]
+    costs[~np.isfinite(costs)] = np.inf
+    return costs
+
+
+def valve_response(valve: Valve, op: FloatArray, start: float = 0.0, rest_at: float | None = None) -> FloatArray:
+    """Return the stem (%) under a given output, shape (N,), at rest at `rest_at` (default: at `start`) before it.
+
+    `start` is the output before the first sample, %.
+    """
+    law = valve_law(valve)
+    x = np.empty(op.size)
+    kernel.valve_path(
+        *law, np.ascontiguousarray(op, dtype=np.float64), start, start if rest_at is None else rest_at, 0, x
+    )
+    return x
+
+
+def _tunings(given: object) -> FloatArray:
+    array = np.array(given, dtype=np.float64)
+    if array.ndim != 2 or array.shape[1] != 3:
+        raise InvalidValue("tunings", f"shape {array.shape}", "must have shape (M, 3): Kc, Ti, Td")
+    ok = (
+        np.isfinite(array[:, 0])
+        & (array[:, 0] >= 0)
+        & (array[:, 1] > 0)
+        & np.isfinite(array[:, 2])
+        & (array[:, 2] >= 0)
+    )
+    if not ok.all():
+        first = int(np.argmin(ok))
+        raise InvalidValue(f"tunings[{first}]", array[first].tolist(), "needs Kc >= 0, Ti > 0, Td >= 0")
+    return array

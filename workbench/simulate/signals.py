@@ -1,0 +1,55 @@
+"""Profiles and noise as sampled signals."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from workbench.errors import InvalidValue
+from workbench.model.experiment import Noise, Profile, Ramp, Step
+from workbench.model.record import FloatArray
+
+__all__ = ["noise_signal", "profile_signal", "sample_count"]
+
+
+def sample_count(duration: float, sample_time: float) -> int:
+    """Return N = duration/sample_time, refused if that is off a whole number by more than 1e-9 relative."""
+    ratio = duration / sample_time
+    n = round(ratio)
+    if n < 1 or abs(ratio - n) > 1e-9 * n:
+        raise InvalidValue(
+            "Experiment.duration", f"{duration:g} s", f"must be a whole number of samples of {sample_time:g} s"
+        )
+    return n
+
+
+def profile_signal(parts: Sequence[Profile], n: int, sample_time: float) -> FloatArray:
+    """Return the sum of the parts at samples 0 .. N, shape (N + 1,). A step at time t has happened in the sample at t."""
+    signal = np.zeros(n + 1)
+    # Sample times k Ts may fall short of a step's time by rounding alone.
+    time = np.arange(n + 1) * sample_time
+    slack = 1e-9 * sample_time
+    for part in parts:
+        if isinstance(part, Step):
+            signal[time >= part.at - slack] += part.size
+        elif isinstance(part, Ramp):
+            signal += part.size * np.clip((time - part.start) / (part.end - part.start), 0.0, 1.0)
+        elif part.times is None:
+            values = np.asarray(part.values)
+            if values.size > n + 1:
+                given = f"{values.size} values"
+                raise InvalidValue("Series.values", given, f"must be at most one for each of the {n + 1} samples")
+            signal[: values.size] += values
+            signal[values.size :] += values[-1]
+        else:
+            held = np.searchsorted(np.asarray(part.times) - slack, time, side="right") - 1
+            signal += np.where(held >= 0, np.asarray(part.values)[np.maximum(held, 0)], 0.0)
+    return signal
+
+
+def noise_signal(noise: Noise | None, n: int) -> FloatArray:
+    """Return the measurement noise of samples 0 .. N, shape (N + 1,): `default_rng(seed).normal(0, sd, N + 1)`."""
+    if noise is None or noise.sd == 0.0:
+        return np.zeros(n + 1)
+    return np.random.default_rng(noise.seed).normal(0.0, noise.sd, n + 1)
