@@ -1,0 +1,70 @@
+"""What one scenario has produced, ready to be told by the report: no computing."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from types import MappingProxyType
+
+from workbench.model.experiment import Experiment
+from workbench.model.loop import Loop
+from workbench.model.results import DescribingFunction, Estimate, LimitCycle, Run, Tuned
+from workbench.model.tuning import Objective
+
+__all__ = ["CaseResult", "NamedEstimate", "Study"]
+
+
+@dataclass(frozen=True, eq=False)
+class CaseResult:
+    """One tuning of the loop: its run, J (None where the scenario has no objective) and the analyses asked for.
+
+    `tuned` where the tuning was found and not given. `agreement`: one sentence on describing function and exact
+    verdict, empty where not both were asked for. `reference`: published figures to show beside ours, by the names of
+    `model.results.Kpis`, and `objective`. `note`: the scenario's own words on the case.
+    """
+
+    name: str
+    loop: Loop
+    run: Run
+    objective: float | None = None
+    tuned: Tuned | None = None
+    describing_function: DescribingFunction | None = None
+    limit_cycle: LimitCycle | None = None
+    agreement: str = ""
+    reference: Mapping[str, float] = field(default_factory=lambda: MappingProxyType({}))
+    note: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class NamedEstimate:
+    """One estimate under its scenario name; `truth` where the record was simulated from a known loop.
+
+    `reference`: published figures to show beside ours, by the names d, gain, time_constant, dead_time.
+    """
+
+    name: str
+    found: Estimate
+    truth: Loop | None = None
+    reference: Mapping[str, float] = field(default_factory=lambda: MappingProxyType({}))
+    note: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class Study:
+    """A scenario's results. `name` is the file's stem and the report folder's name; `scenario_text` the YAML as given.
+
+    `reference_source`: where the reference figures come from, in words. `notes`: what an engineer should know about
+    how the results came about (coarse sampling, rejected rows ...). `times`: seconds by stage, for run.json alone.
+    """
+
+    name: str
+    title: str
+    description: str
+    scenario_text: str
+    experiment: Experiment | None
+    objective: Objective | None
+    estimates: tuple[NamedEstimate, ...]
+    cases: tuple[CaseResult, ...]
+    reference_source: str = ""
+    notes: tuple[str, ...] = ()
+    times: Mapping[str, float] = field(default_factory=lambda: MappingProxyType({}))
