@@ -13,7 +13,7 @@ CROSSINGS = 11
 
 
 def autocorrelation(signal: FloatArray) -> FloatArray:
-    """Return the biased autocorrelation of `signal` about its mean for lags 0 .. N-1, 1 at lag 0 (zeros if constant)."""
+    """Return the biased autocorrelation about the mean for lags 0 .. N-1: 1 at lag 0, or zeros if constant."""
     centred = signal - signal.mean()
     # A constant signal may keep rounding dust about its mean: no oscillation is to be read out of that.
     if np.abs(centred).max() <= 1e-12 * max(1.0, float(np.abs(signal).max())):

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from numbers import Real
+from numbers import Integral, Real
 
 from workbench.errors import InvalidValue
 
-__all__ = ["choice", "number", "ordered_pair"]
+__all__ = ["choice", "number", "ordered_pair", "whole"]
 
 
 def number(
@@ -42,6 +42,13 @@ def number(
     if (above is not None and x <= above) or (least is not None and x < least) or (most is not None and x > most):
         raise InvalidValue(where, x, allowed)
     return x
+
+
+def whole(value: object, where: str, *, least: int = 0) -> int:
+    """Return `value` as an int, or raise `InvalidValue` when it is no whole number >= `least`."""
+    if isinstance(value, bool) or not isinstance(value, Integral) or value < least:
+        raise InvalidValue(where, value, f"must be a whole number >= {least}")
+    return int(value)
 
 
 def choice(value: object, where: str, allowed: Sequence[str]) -> str:

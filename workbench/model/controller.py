@@ -1,7 +1,8 @@
 """The PID controller in the forms that control systems offer, and the exact ways between them.
 
 Ideal (ISA standard) form, the one that the simulation knows: `Kc (e + integral(e)/Ti + Td de/dt)`.
-Series (interacting): `Kc (1 + 1/(Ti s)) (1 + Td s/(Tf s + 1))`. Parallel (independent): `Kc e + integral(e)/Ti + Td de/dt`.
+Series (interacting): `Kc (1 + 1/(Ti s)) (1 + Td s/(Tf s + 1))`.
+Parallel (independent): `Kc e + integral(e)/Ti + Td de/dt`.
 In every form the derivative is filtered with a time constant Tf, which all equivalent forms share.
 """
 

@@ -9,7 +9,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 from workbench.errors import InvalidValue
-from workbench.model.checks import number
+from workbench.model.checks import number, whole
 
 __all__ = ["Experiment", "Noise", "Profile", "Ramp", "Series", "Step"]
 
@@ -89,8 +89,7 @@ class Noise:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "sd", number(self.sd, "Noise.sd", least=0.0, unit="EU"))
-        if isinstance(self.seed, bool) or not isinstance(self.seed, int) or self.seed < 0:
-            raise InvalidValue("Noise.seed", self.seed, "must be a whole number >= 0")
+        object.__setattr__(self, "seed", whole(self.seed, "Noise.seed"))
 
 
 def _profile(value: object, where: str, last: float) -> tuple[Profile, ...]:
@@ -114,7 +113,8 @@ class Experiment:
 
     duration: s, > 0, a whole number of samples. setpoint: EU, load: % at the plant input before the dead time; each a
     `Step`, `Ramp`, `Series`, a sequence of them (added up), or None. noise: on the measurement. stem_offset: %, the
-    resting distance of the controller's output from the stem at the start (the valve must hold it). Raises `InvalidValue`.
+    resting distance of the controller's output from the stem at the start (the valve must hold it). Raises
+    `InvalidValue`.
     """
 
     duration: float

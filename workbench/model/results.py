@@ -139,7 +139,7 @@ class NlpResult:
 
 @dataclass(frozen=True, slots=True)
 class Restart:
-    """One global search: its seed, the best J of the scan, J after refinement, evaluations, NLPs and IPOPT iterations."""
+    """One global search: seed, best J of the scan, J after refinement, evaluations, NLPs and IPOPT iterations."""
 
     seed: int
     scanned: float

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -96,12 +97,10 @@ def coefficients(loop: Loop, stem_offset: float = 0.0, tunings: FloatArray | Non
 
 
 def _ideal_terms(pid: PID, tunings: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Columns Kc, Ti, Td, Tf, setpoint weight of the ideal form; `PID.ideal_terms` row by row, but for the ideal form."""
+    """Columns Kc, Ti, Td, Tf and setpoint weight of the equivalent ideal form."""
     Kc, Ti, Td = tunings[:, 0], tunings[:, 1], tunings[:, 2]
     if pid.form == "ideal":
         return Kc, Ti, Td, Td / pid.derivative_filter, np.full(Kc.size, pid.setpoint_weight)
-    from dataclasses import replace
-
     terms = [replace(pid, Kc=row[0], Ti=row[1], Td=row[2]).ideal_terms() for row in tunings.tolist()]
     columns = np.array([(t.Kc, t.Ti, t.Td, t.Tf, t.b) for t in terms]).reshape(-1, 5).T
     return columns[0], columns[1], columns[2], columns[3], columns[4]

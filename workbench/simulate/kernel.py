@@ -33,7 +33,8 @@ Floats = NDArray[np.float64]
 KC, KI, KD, TF, TF_TS, WEIGHT, ON_PV, BIAS, LOW, HIGH, WINDUP, TS_TT = range(12)
 VALVE, BAND, OFFSET, POLE, GAIN, C0, C1, DELAY = range(12, 20)
 COEFFICIENTS = 20
-# KC signed gain; KI = Kc Ts/Ti; KD = Kc Td; TF_TS = Tf + Ts; ON_PV 1 for derivative on PV; WINDUP 0 clamp, 1 back-calculation.
+# KC signed gain; KI = Kc Ts/Ti; KD = Kc Td; TF_TS = Tf + Ts; ON_PV 1 for derivative on PV; WINDUP 0 clamp,
+# 1 back-calculation.
 # VALVE 0 ideal, 1 Stenman, 2 two-parameter; BAND d or (S + J)/2; OFFSET (S - J)/2; POLE a, 1 for integrating;
 # GAIN K, or K Ts for integrating; C0, C1 the shares of v_{k-m} and v_{k-m-1}; DELAY m.
 IDEAL, STENMAN, TWO_PARAMETER = 0, 1, 2
@@ -91,8 +92,8 @@ def run_loop(
 ) -> None:
     """Run N = u.size samples of one loop from `state`, and leave the state after them in `state` and `past`.
 
-    r, load, noise: at least N values; past: at least m + 1. Written: y (N + 1, the plant's true output), u, x, v, branch
-    (N each). Sample N's output y[N] is in the state; its controller action is the next run's first.
+    r, load, noise: at least N values; past: at least m + 1. Written: y (N + 1, the plant's true output) and u, x, v,
+    branch (N each). Sample N's output y[N] is in the state; its controller action is the next run's first.
     """
     kc, ki, kd, tf, tf_ts = c[KC], c[KI], c[KD], c[TF], c[TF_TS]
     weight, on_pv, bias = c[WEIGHT], c[ON_PV] != 0.0, c[BIAS]

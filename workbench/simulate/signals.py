@@ -25,7 +25,7 @@ def sample_count(duration: float, sample_time: float) -> int:
 
 
 def profile_signal(parts: Sequence[Profile], n: int, sample_time: float) -> FloatArray:
-    """Return the sum of the parts at samples 0 .. N, shape (N + 1,). A step at time t has happened in the sample at t."""
+    """Return the sum of the parts at samples 0 .. N, shape (N + 1,); a step at t has happened in that sample."""
     signal = np.zeros(n + 1)
     # Sample times k Ts may fall short of a step's time by rounding alone.
     time = np.arange(n + 1) * sample_time
