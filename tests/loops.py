@@ -1,0 +1,143 @@
+"""Random loops and experiments for property tests, and an independent simulator written from the published law."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from hypothesis import strategies as st
+
+import workbench as wb
+
+PAPER_PLANT = wb.FOPDT(gain=1.0, time_constant=5.0, dead_time=1.0)
+
+
+def paper_loop(Kc: float, Ti: float, Td: float = 0.0, **controller: Any) -> wb.Loop:
+    """The paper's loop (section III.C): unfiltered derivative on error, Stenman valve of d = 2 %, Ts = 1 s."""
+    settings = {"derivative_filter": math.inf, **controller}
+    return wb.Loop(PAPER_PLANT, wb.Stenman(d=2.0), wb.PID(Kc=Kc, Ti=Ti, Td=Td, **settings), sample_time=1.0)
+
+
+def paper_step(duration: float = 1000.0) -> wb.Experiment:
+    return wb.Experiment(duration=duration, setpoint=wb.Step(size=4.0, at=0.0))
+
+
+def numbers(low: float, high: float) -> st.SearchStrategy[float]:
+    return st.floats(low, high, allow_nan=False, allow_infinity=False)
+
+
+valves = st.one_of(
+    st.just(wb.Ideal()),
+    st.builds(wb.Stenman, d=numbers(0.1, 4.0)),
+    st.builds(wb.Choudhury, S=numbers(0.1, 6.0), J=numbers(0.0, 6.0)),
+    st.builds(wb.Deadband, b=numbers(0.1, 5.0)),
+)
+plants = st.one_of(
+    st.builds(wb.FOPDT, gain=numbers(0.2, 3.0), time_constant=numbers(1.0, 40.0), dead_time=numbers(0.0, 12.0)),
+    st.builds(wb.Integrating, gain=numbers(0.01, 0.1), dead_time=numbers(0.0, 6.0)),
+)
+
+
+@st.composite
+def controllers(draw: st.DrawFn) -> wb.PID:
+    limited = draw(st.booleans())
+    return wb.PID(
+        Kc=draw(numbers(0.05, 2.0)),
+        Ti=draw(st.one_of(numbers(2.0, 200.0), st.just(math.inf))),
+        Td=draw(st.one_of(st.just(0.0), numbers(0.1, 4.0))),
+        derivative_on=draw(st.sampled_from(["error", "pv"])),
+        derivative_filter=draw(st.sampled_from([math.inf, 10.0, 4.0])),
+        setpoint_weight=draw(st.sampled_from([1.0, 0.5, 0.0])),
+        action=draw(st.sampled_from(["reverse", "direct"])) if limited else "reverse",
+        output_limits=(-draw(numbers(0.5, 5.0)), draw(numbers(0.5, 5.0))) if limited else None,
+        anti_windup=draw(st.sampled_from(["clamp", "back_calculation"])),
+        tracking_time=draw(st.one_of(st.none(), numbers(1.0, 50.0))),
+    )
+
+
+loops = st.builds(wb.Loop, plant=plants, valve=valves, controller=controllers(), sample_time=st.sampled_from([0.5, 1.0]))
+
+
+@st.composite
+def experiments(draw: st.DrawFn, duration: float = 150.0) -> wb.Experiment:
+    return wb.Experiment(
+        duration=duration,
+        setpoint=wb.Step(draw(numbers(-6.0, 6.0)), at=draw(st.sampled_from([0.0, 7.0, 20.5]))),
+        load=draw(st.one_of(st.none(), st.builds(wb.Step, size=numbers(-2.0, 2.0), at=numbers(0.0, duration)))),
+        noise=draw(st.one_of(st.none(), st.builds(wb.Noise, sd=numbers(0.0, 0.3), seed=st.integers(0, 9)))),
+    )
+
+
+def independent_simulation(loop: wb.Loop, r: Any, load: Any, noise: Any, offset: float = 0.0) -> dict[str, list[float]]:
+    """The law written once more, sample by sample, with no code of the package: r, load, noise of N + 1 values."""
+    pid, plant, Ts = loop.controller, loop.plant, loop.sample_time
+    n = len(r) - 1
+    Kc = pid.Kc if pid.action == "reverse" else -pid.Kc
+    Tf = pid.Td / pid.derivative_filter
+    m = math.floor(plant.dead_time / Ts + 1e-9)
+    f = plant.dead_time / Ts - m
+    f = 0.0 if f < 1e-9 else f
+    integral = derivative = s_last = x = y = 0.0
+    u_last = offset
+    moving, direction = False, 0
+    v: list[float] = []
+    out: dict[str, list[float]] = {"pv": [], "op": [], "valve": []}
+
+    def past(j: int) -> float:
+        return v[j] if j >= 0 else 0.0
+
+    for k in range(n):
+        measured = y + noise[k]
+        e = r[k] - measured
+        P = Kc * (pid.setpoint_weight * r[k] - measured)
+        before = integral
+        integral = before + Kc * Ts / pid.Ti * e
+        s = e if pid.derivative_on == "error" else -measured
+        derivative = (Tf * derivative + Kc * pid.Td * (s - s_last)) / (Tf + Ts)
+        s_last = s
+        u = offset + P + integral + derivative
+        if pid.output_limits is not None:
+            low, high = pid.output_limits
+            if pid.anti_windup == "clamp":
+                rises = Kc * Ts / pid.Ti * e
+                if (u > high and rises > 0) or (u < low and rises < 0):
+                    integral = before
+                    u = offset + P + integral + derivative
+                u = min(max(u, low), high)
+            else:
+                limited = min(max(u, low), high)
+                if limited != u:
+                    integral += Ts / (pid.tracking_time or pid.Ti) * (limited - u)
+                u = limited
+        valve = loop.valve
+        if isinstance(valve, wb.Ideal):
+            x = u
+        elif isinstance(valve, wb.Stenman):
+            x = x if abs(u - x) <= valve.d else u
+        else:
+            S, J = (valve.b, 0.0) if isinstance(valve, wb.Deadband) else (valve.S, valve.J)
+            if moving and (u - u_last) * direction > 0:
+                x = u - direction * ((S - J) / 2)
+            else:
+                moving = abs(u - x) > (S + J) / 2
+                if moving:
+                    direction = 1 if u > x else -1
+                    x = u - direction * ((S - J) / 2)
+        u_last = u
+        v.append(x + load[k])
+        out["pv"].append(measured)
+        out["op"].append(u)
+        out["valve"].append(x)
+        if isinstance(plant, wb.FOPDT):
+            a = math.exp(-Ts / plant.time_constant)
+            b = a ** (1 - f)
+            y = a * y + plant.gain * ((1 - b) * past(k - m) + (b - a) * past(k - m - 1))
+        else:
+            y = y + plant.gain * Ts * ((1 - f) * past(k - m) + f * past(k - m - 1))
+    out["final"] = [y + noise[n]]
+    return out
+
+
+def as_arrays(n: int, *signals: Any) -> list[np.ndarray]:
+    return [np.zeros(n + 1) if s is None else np.asarray(s, dtype=float) for s in signals]

@@ -1,0 +1,86 @@
+"""The house: which folder may import which, how long a module may be, and what `import workbench` loads."""
+
+from __future__ import annotations
+
+import ast
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import workbench as wb
+
+PACKAGE = Path(wb.__file__).parent
+MODULES = sorted(PACKAGE.rglob("*.py"))
+
+# Data flows one way: what each folder may import of ours besides itself and errors.
+ALLOWED = {
+    "model": set(),
+    "kpi": {"model"},
+    "record": {"model"},
+    "simulate": {"model", "kpi"},
+    "symbolic": {"model"},
+    "estimate": {"model", "kpi", "record", "simulate"},
+    "analyze": {"model", "kpi", "simulate", "symbolic"},
+    "tune": {"model", "kpi", "simulate", "symbolic", "analyze"},
+    "report": {"model", "kpi"},
+    "scenario": {"model", "kpi", "record", "simulate", "estimate", "analyze", "tune", "report"},
+}
+
+
+def imports(path: Path) -> set[str]:
+    found = set()
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.ImportFrom) and node.module and node.module.startswith("workbench."):
+            found.add(node.module.split(".")[1])
+        elif isinstance(node, ast.Import):
+            found |= {alias.name.split(".")[1] for alias in node.names if alias.name.startswith("workbench.")}
+    return found
+
+
+def test_every_folder_has_its_place():
+    folders = {p.name for p in PACKAGE.iterdir() if p.is_dir() and any(p.glob("*.py"))}
+    assert folders == set(ALLOWED)
+
+
+@pytest.mark.parametrize("folder", sorted(ALLOWED))
+def test_data_flows_one_way(folder):
+    for path in (PACKAGE / folder).rglob("*.py"):
+        extra = imports(path) - ALLOWED[folder] - {folder, "errors"}
+        assert not extra, f"{path.relative_to(PACKAGE)} imports {sorted(extra)}"
+
+
+@pytest.mark.parametrize("path", MODULES, ids=lambda p: str(p.relative_to(PACKAGE)))
+def test_modules_say_what_they_hold_and_stay_short(path):
+    text = path.read_text()
+    assert ast.get_docstring(ast.parse(text)), "a module's first lines say what lives there"
+    if path.name != "kernel.py":
+        assert len(text.splitlines()) <= 500
+
+
+def test_importing_the_package_loads_nothing_heavy():
+    code = (
+        "import sys, workbench; workbench.FOPDT; "
+        "heavy = {'numpy', 'casadi', 'numba', 'scipy', 'matplotlib', 'pydantic', 'pyarrow'} & set(sys.modules); "
+        "assert heavy <= set(), heavy"
+    )
+    # FOPDT needs plain Python alone; records and runs need numpy.
+    subprocess.run([sys.executable, "-c", code], check=True, timeout=60)
+
+
+def test_every_public_name_is_there_and_stays_the_public_one():
+    for name in wb.__all__:
+        assert getattr(wb, name) is not None
+    for name in ("simulate", "estimate", "tune"):
+        assert callable(getattr(wb, name)), "the folder of this name must not take its place"
+    with pytest.raises(AttributeError, match="no attribute 'simulte'"):
+        _ = wb.simulte
+
+
+def test_public_functions_survive_imports_of_their_folders():
+    code = (
+        "import workbench.simulate.kernel, workbench.tune.tune, workbench.estimate.estimate; import workbench as wb; "
+        "assert callable(wb.simulate) and callable(wb.tune) and callable(wb.estimate)"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True, timeout=60)
