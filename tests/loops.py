@@ -56,7 +56,9 @@ def controllers(draw: st.DrawFn) -> wb.PID:
     )
 
 
-loops = st.builds(wb.Loop, plant=plants, valve=valves, controller=controllers(), sample_time=st.sampled_from([0.5, 1.0]))
+loops = st.builds(
+    wb.Loop, plant=plants, valve=valves, controller=controllers(), sample_time=st.sampled_from([0.5, 1.0])
+)
 
 
 @st.composite
