@@ -1,0 +1,1 @@
+"""Reading and cleaning what plants record."""
