@@ -289,6 +289,7 @@ class DescribingFunction:
     |L - locus|, 0 where they cross, reached at distance_amplitude and distance_frequency. predicts_cycle: whether any
     crossing exists; amplitude, period and pv_amplitude of the stable crossing of largest amplitude, nan without one.
     linear_stable: whether the loop with an ideal valve is stable by the Nyquist criterion. verdict: one sentence.
+    breaks: indices at which a new continuous piece of the locus starts (to be drawn unconnected), 0 first.
     """
 
     loop: Loop
@@ -307,6 +308,7 @@ class DescribingFunction:
     pv_amplitude: float
     linear_stable: bool
     verdict: str
+    breaks: tuple[int, ...] = (0,)
 
 
 @dataclass(frozen=True, slots=True)
