@@ -27,8 +27,8 @@ def describing_function(loop: Loop, *, sampling_delay: bool = False) -> Describi
 
     A cycle is predicted where `1 + N(A) L(jw) = 0`, N the valve's describing function (`analyze.valve_loci`) and L
     controller times plant, with dead time and derivative filter exact, up to the Nyquist frequency pi/Ts. L is
-    continuous unless `sampling_delay`, which takes the sampled loop's own response, hold included. Output limits, noise and load
-    are left out, and the method is an approximation: the exact verdict is `limit_cycle`'s.
+    continuous unless `sampling_delay`, which takes the sampled loop's own response, hold included. Output limits, noise
+    and load are left out, and the method is an approximation: the exact verdict is `limit_cycle`'s.
 
     Stenman's locus has several pieces (two families of staircases, see `valve_loci.stenman_response`), whose first
     indices are in `breaks`; a valve without friction has the single point -1, and cycles in a linear loop are none of
@@ -146,9 +146,10 @@ def _verdict(
     if predicted is not None:
         limits = loop.controller.output_limits
         out = limits is not None and predicted.amplitude > max(-limits[0], limits[1])
+        op, pv = _plain(2.0 * predicted.amplitude), _plain(2.0 * predicted.pv_amplitude)
         return (
-            f"The loci cross: a cycle with a period of {_plain(predicted.period)} s is predicted, OP swinging by "
-            f"{_plain(2.0 * predicted.amplitude)} % and PV by {_plain(2.0 * predicted.pv_amplitude)} EU peak to peak{linear}"
+            f"The loci cross: a cycle with a period of {_plain(predicted.period)} s is predicted, OP swinging by {op} % "
+            f"and PV by {pv} EU peak to peak{linear}"
             + ("; the output limits, left out here, would not let OP swing that far." if out else ".")
         )
     if crossings:
@@ -157,9 +158,10 @@ def _verdict(
             f"The loci cross only where a cycle would not last (OP amplitude {_plain(least.amplitude)} %, period "
             f"{_plain(least.period)} s): smaller swings are predicted to die out and larger ones to grow{linear}."
         )
+    period = _plain(2.0 * math.pi / approach.frequency)
     return (
         f"The loci do not cross, so no cycle is predicted; they come as close as {_plain(approach.distance)} at an OP "
-        f"amplitude of {_plain(approach.amplitude)} % and a period of {_plain(2.0 * math.pi / approach.frequency)} s{linear}."
+        f"amplitude of {_plain(approach.amplitude)} % and a period of {period} s{linear}."
     )
 
 

@@ -151,18 +151,15 @@ def closest_approach(response: Response, frequencies: FloatArray, pieces: tuple[
     low, high = np.array([0.0, math.log(frequencies[0])]), np.array([1.0, math.log(frequencies[-1])])
     for grid_gap, piece, t, w in starts[:4]:
 
-        def gap(at: FloatArray, piece: Piece = piece) -> float:
-            A, frequency = piece.amplitude(at[:1]), np.exp(at[1:])
-            return float(abs(response(frequency) + 1.0 / piece.N(A))[0])
+        def gap(at: FloatArray, piece: Piece = piece) -> FloatArray:
+            between = response(np.exp(at[1:])) + 1.0 / piece.N(piece.amplitude(at[:1]))
+            return np.concatenate([between.real, between.imag])
 
-        start = np.clip(np.array([t, math.log(w)]), low, high)
-        # Steps that stay inside, as the method drops what a bound cuts off.
-        inward = np.where(start + 0.01 <= high, 0.01, -0.01)
-        simplex = np.vstack([start, start + [inward[0], 0.0], start + [0.0, inward[1]]])
-        options = {"initial_simplex": simplex, "xatol": 1e-10, "fatol": 1e-12, "maxiter": 400}
-        bounds = optimize.Bounds(low, high)
-        solved = optimize.minimize(gap, start, method="Nelder-Mead", bounds=bounds, options=options)
-        value, at = (float(solved.fun), solved.x) if solved.fun <= grid_gap else (grid_gap, start)
+        start = np.clip(np.array([t, math.log(w)]), low + 1e-9, high - 1e-9)
+        solved = optimize.least_squares(gap, start, bounds=(low, high), xtol=1e-12, ftol=1e-12, gtol=1e-12)
+        value, at = float(np.hypot(*solved.fun)), np.asarray(solved.x, dtype=np.float64)
+        if value > grid_gap:
+            value, at = grid_gap, start
         if value < best_found.distance:
-            best_found = Approach(value, float(piece.amplitude(np.asarray(at)[:1])[0]), math.exp(float(at[1])))
+            best_found = Approach(value, float(piece.amplitude(at[:1])[0]), math.exp(float(at[1])))
     return best_found
