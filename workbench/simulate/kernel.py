@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from workbench.simulate.compiled import compiled
 
-__all__ = ["COEFFICIENTS", "STATES", "run_costs", "run_loop", "valve_path", "valve_step"]
+__all__ = ["COEFFICIENTS", "STATES", "run_costs", "run_loop", "run_worst", "valve_path", "valve_step"]
 
 Floats = NDArray[np.float64]
 
@@ -184,3 +184,76 @@ def run_costs(
         terms[i, 1] = outputs
         terms[i, 2] = e * e
         terms[i, 3] = moves
+
+
+@compiled
+def run_worst(
+    rows: Floats,
+    group: int,
+    r: Floats,
+    load: Floats,
+    noise: Floats,
+    weights: Floats,
+    ceilings: Floats,
+    worst: Floats,
+    longest: int,
+) -> int:
+    """The worst J of eq. (2) in each group of `group` successive rows, from rest, as long as it stays below a ceiling.
+
+    For searches that only ask whether a candidate beats what they have: a group is given up, and its worst is inf, as
+    soon as a partial sum of J (no term is negative) has passed ceilings[i] or is nan. r, load, noise: N + 1 each;
+    weights (w1, w2, w3, w4); ceilings and worst: one for each group; longest: the largest whole dead time m. Returns
+    the number of samples that were run. Sums in another order than `run_costs`: the last digits may differ.
+    """
+    n = r.size - 1
+    # Long enough that the bookkeeping between chunks costs little, short enough to stop early.
+    chunk = max(32, longest + 1)
+    y = np.empty(chunk + 1)
+    u = np.empty(chunk)
+    x = np.empty(chunk)
+    v = np.empty(chunk)
+    branch = np.empty(chunk, np.int8)
+    state = np.empty(STATES)
+    past = np.empty(longest + 1)
+    w1, w2, w3, w4 = weights[0], weights[1], weights[2], weights[3]
+    samples = 0
+    for i in range(worst.size):
+        worst[i] = 0.0
+        for j in range(i * group, (i + 1) * group):
+            state[:] = 0.0
+            state[U_LAST] = rows[j, BIAS]
+            past[:] = 0.0
+            last, cost, e, begin = rows[j, BIAS], 0.0, 0.0, 0
+            while begin < n and cost <= ceilings[i]:
+                size = min(chunk, n - begin)
+                end = begin + size
+                run_loop(
+                    rows[j],
+                    r[begin:end],
+                    load[begin:end],
+                    noise[begin:end],
+                    state,
+                    past,
+                    y[: size + 1],
+                    u[:size],
+                    x[:size],
+                    v[:size],
+                    branch[:size],
+                )
+                for k in range(size):
+                    e = r[begin + k + 1] - (y[k + 1] + noise[begin + k + 1])
+                    cost += w1 * e * e
+                    if w2 != 0.0:
+                        cost += w2 * u[k] * u[k]
+                    if w4 != 0.0:
+                        cost += w4 * (u[k] - last) * (u[k] - last)
+                    last = u[k]
+                begin = end
+            samples += begin
+            if begin == n:
+                cost += w3 * e * e
+            if not cost <= ceilings[i]:
+                worst[i] = np.inf
+                break
+            worst[i] = max(worst[i], cost)
+    return samples

@@ -1,0 +1,1 @@
+"""The loop as CasADi expressions, and the seam over IPOPT."""
