@@ -1,0 +1,220 @@
+"""`load_scenario`: a scenario file to a checked `Scenario`, or one `ScenarioError` with a line for each thing wrong.
+
+Each line reads `file:line:column: where: what is wrong, what is allowed`. Nothing of a file is run or written here.
+"""
+
+from __future__ import annotations
+
+import os
+import stat
+from pathlib import Path as FilePath
+from typing import Any
+
+from pydantic import ValidationError
+
+from workbench.errors import InvalidValue, ScenarioError
+from workbench.scenario.build import Builder
+from workbench.scenario.document import Node, Path, Problem, locate, nearest, parse, plain, spell
+from workbench.scenario.plan import Scenario
+from workbench.scenario.schema import ScenarioFile, Tune
+
+__all__ = ["LARGEST", "MOST_PROBLEMS", "load_scenario", "read_scenario"]
+
+LARGEST = 1 << 20  # bytes
+MOST_PROBLEMS = 50
+
+_KINDS = {
+    "float_type": "must be a number",
+    "float_parsing": "must be a number",
+    "finite_number": "must be a finite number",
+    "int_type": "must be a whole number",
+    "int_from_float": "must be a whole number",
+    "bool_type": "must be true or false (yes, no, on and off are text in YAML 1.2)",
+    "string_type": "must be text (numbers and true/false need quotes to be text)",
+    "list_type": "must be a list",
+    "dict_type": "must be a mapping",
+    "model_type": "must be a mapping",
+    "string_pattern_mismatch": "must not be blank",
+}
+
+
+def load_scenario(path: str | os.PathLike[str]) -> Scenario:
+    """Return the scenario of a YAML file, checked in full, with the records that it names read.
+
+    Data files are looked for beside the scenario. Raises `ScenarioError`: one line for each problem, up to 50, as
+    `file:line:column: where: what is wrong, what is allowed`.
+    """
+    shown = os.fspath(path)
+    return read_scenario(_read(FilePath(path), shown), FilePath(path), shown)
+
+
+def read_scenario(text: str, path: FilePath, shown: str | None = None) -> Scenario:
+    """Return the scenario of YAML text as if it stood in the file `path` (which need not exist).
+
+    shown: the file's name in messages. Raises `ScenarioError`.
+    """
+    shown = str(path) if shown is None else shown
+    root, problems = parse(text)
+    if root is None:
+        raise _error(shown, problems)
+    data = plain(root)
+    allowed: dict[int, tuple[str, ...]] = {}
+    try:
+        given = ScenarioFile.model_validate(data, context=allowed)
+    except ValidationError as error:
+        problems += [_problem(root, data, allowed, one) for one in error.errors(include_url=False, include_input=True)]
+        raise _error(shown, problems) from None
+    builder = Builder(path, shown, text)
+    scenario = builder.scenario(given)
+    problems += [_placed(root, where, what) for where, what in builder.issues]
+    if scenario is None or problems:
+        raise _error(shown, problems)
+    return scenario
+
+
+def _read(path: FilePath, shown: str) -> str:
+    try:
+        status = path.stat()
+        if stat.S_ISDIR(status.st_mode):
+            raise ScenarioError(f"{shown}: is a directory; a scenario file (YAML) is needed")
+        if not stat.S_ISREG(status.st_mode):
+            raise ScenarioError(f"{shown}: is no regular file; a scenario file (YAML) is needed")
+        if status.st_size > LARGEST:
+            given = f"{status.st_size / 2**20:.1f} MiB"
+            raise ScenarioError(
+                f"{shown}: {given} given; a scenario file is at most 1 MiB (recorded data goes into a CSV)"
+            )
+        content = path.read_bytes()
+    except ScenarioError:
+        raise
+    except FileNotFoundError:
+        raise ScenarioError(f"{shown}: no such file") from None
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or str(error)
+        raise ScenarioError(f"{ascii(shown)[1:-1]}: cannot be read: {reason}") from None
+    try:
+        return content.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        line = content.count(b"\n", 0, error.start) + 1
+        column = error.start - (content.rfind(b"\n", 0, error.start) + 1) + 1
+        what = f"byte 0x{content[error.start]:02x} is no UTF-8; a scenario is UTF-8 text"
+        raise ScenarioError(f"{shown}:{line}:{column}: scenario: {what}") from None
+
+
+def _error(shown: str, problems: list[Problem]) -> ScenarioError:
+    """Return one error for all problems, in the order of the file and each said once."""
+    unique = sorted(set(problems), key=lambda p: (p.line, p.column, p.where, p.text))
+    lines = [f"{shown}:{p.line}:{p.column}: {p.where}: {p.text}" for p in unique[:MOST_PROBLEMS]]
+    if len(unique) > MOST_PROBLEMS:
+        lines.append(f"{shown}: and {len(unique) - MOST_PROBLEMS} more problems")
+    return ScenarioError("\n".join(lines))
+
+
+def _placed(root: Node, path: Path, text: str, *, key: bool = False) -> Problem:
+    node, taken = locate(root, path, key=key)
+    if path[:1] == ("cases",) and taken[-1:] != path[-1:]:
+        # A case inherits what loop.controller says; the refusal belongs where it is written.
+        inherited = ("loop", "controller", *path[-1:])
+        if locate(root, inherited)[1] == inherited:
+            path = inherited
+            node, taken = locate(root, path, key=key)
+    rest = [e for e in path[-1:] if isinstance(e, str) and not e.startswith("<") and e not in taken[-1:]]
+    return Problem(node.line, node.column, spell((*taken, *rest)), text)
+
+
+def _problem(root: Node, data: object, allowed: dict[int, tuple[str, ...]], error: Any) -> Problem:
+    """Return a refusal by the schema in our words, at its place in the file."""
+    path: Path = tuple(e for e in error["loc"] if e != "[key]")
+    kind, context = str(error["type"]), error.get("ctx") or {}
+    is_key = error["loc"][-1:] == ("[key]",)
+    node, _ = locate(root, path)
+    given = _given(node)
+    if kind == "missing":
+        return _placed(root, path, "missing; it must be given")
+    if kind == "extra_forbidden":
+        keys = allowed.get(id(_inside(data, path[:-1])), ())
+        near = nearest(path[-1], keys)
+        if not near and "tune" in keys and path[-1] in Tune.model_fields:
+            near = " (write it inside tune)"
+        return _placed(root, path, f"unknown key{near}; allowed: {', '.join(keys)}", key=True)
+    if kind == "variant":
+        key, *variants = str(error["msg"]).split("|")
+        return _variant(root, path, key, variants, node)
+    if kind == "literal_error":
+        words = _literals(str(context.get("expected", "")))
+        text = f"{given} given{nearest(error['input'], words)}; must be one of {', '.join(words)}"
+        return _placed(root, path, text, key=is_key)
+    if kind == "value_error":
+        cause = context.get("error")
+        text = f"{given} given; {cause.allowed}" if isinstance(cause, InvalidValue) else str(cause)
+        return _placed(root, path, text)
+    return _placed(root, path, f"{given} given; {_rule(kind, context, str(error['msg']))}")
+
+
+def _variant(root: Node, path: Path, key: str, variants: list[str], node: Node) -> Problem:
+    names = ", ".join(variants)
+    if node.entries is None:
+        return _placed(root, path, f"{_given(node)} given; must be a mapping with {_a(key, names)}")
+    if not key:
+        near = next((n for k in node.entries if (n := nearest(k, tuple(variants)))), "")
+        return _placed(root, path, f"holds none of {names}{near}; one of these is needed")
+    if key not in node.entries:
+        return _placed(root, path, f"{key} is missing; must be one of {names}")
+    value = node.entries[key][1]
+    near = nearest(value.value, tuple(variants))
+    return _placed(root, (*path, key), f"{_given(value)} given{near}; must be one of {names}")
+
+
+def _a(key: str, names: str) -> str:
+    return f"{key} (one of {names})" if key else f"one of {names}"
+
+
+def _rule(kind: str, context: dict[str, Any], message: str) -> str:
+    if kind in _KINDS:
+        return _KINDS[kind]
+    bounds = {
+        "greater_than": ("gt", "must be above {}"),
+        "greater_than_equal": ("ge", "must be >= {}"),
+        "less_than_equal": ("le", "must be <= {}"),
+        "string_too_short": ("min_length", "must not be empty"),
+        "string_too_long": ("max_length", "must have at most {} characters"),
+    }
+    if kind in bounds:
+        name, words = bounds[kind]
+        return words.format(_plain_number(context.get(name)))
+    if kind in ("too_short", "too_long"):
+        low, high = context.get("min_length"), context.get("max_length")
+        return f"must hold at least {low}" if kind == "too_short" else f"must hold at most {high}"
+    return message[:1].lower() + message[1:]
+
+
+def _plain_number(value: object) -> str:
+    return f"{value:g}" if isinstance(value, int | float) else str(value)
+
+
+def _literals(expected: str) -> tuple[str, ...]:
+    """Return the choices that pydantic lists as `'a', 'b' or 'c'`."""
+    return tuple(expected.replace("' or '", "', '").strip("'").split("', '"))
+
+
+def _given(node: Node) -> str:
+    """Return what was given, as the file writes it."""
+    if node.entries is not None:
+        return "a mapping"
+    if node.items is not None:
+        return f"a list of {len(node.items)}"
+    if node.value is None and node.text == "":
+        return "nothing"
+    text = node.text if node.text.isprintable() else ascii(node.text)[1:-1]
+    shown = text if len(text) <= 60 else text[:57] + "..."
+    return repr(shown) if not shown.strip() else shown
+
+
+def _inside(data: object, path: Path) -> object:
+    """Return the value at a path of the plain data, walking as `locate` does."""
+    for element in path:
+        if (isinstance(data, dict) and element in data) or (
+            isinstance(data, list) and isinstance(element, int) and 0 <= element < len(data)
+        ):
+            data = data[element]  # type: ignore[index]
+    return data

@@ -1,0 +1,86 @@
+"""What a scenario asks for, as validated values of the model: the loader makes it, the runner carries it out."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import MappingProxyType
+
+from workbench.model.controller import PID
+from workbench.model.experiment import Experiment
+from workbench.model.loop import Loop
+from workbench.model.record import Record
+from workbench.model.tuning import Bounds, Objective
+
+__all__ = ["CaseJob", "EstimateJob", "Scenario", "TuneJob"]
+
+
+@dataclass(frozen=True, eq=False)
+class EstimateJob:
+    """One estimate: of `record`, or of a record simulated with `truth` and `experiment` where that is None.
+
+    method, valve, plant and start as `wb.estimate` takes them (start: %, of the two-step method). where: the entry in
+    the file, for messages.
+    """
+
+    name: str
+    where: str
+    record: Record | None
+    truth: Loop | None
+    experiment: Experiment | None
+    method: str
+    valve: str
+    plant: str
+    start: float | None
+    reference: Mapping[str, float] = field(default_factory=lambda: MappingProxyType({}))
+    note: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class TuneJob:
+    """A tuning to be found; the case's controller is its start."""
+
+    objective: Objective
+    bounds: Bounds
+    seed: int
+    digits: int
+    restarts: int
+
+
+@dataclass(frozen=True, eq=False)
+class CaseJob:
+    """One case: the controller to try, or the start of the tuning to find. where: the entry in the file."""
+
+    name: str
+    where: str
+    controller: PID
+    tune: TuneJob | None = None
+    reference: Mapping[str, float] = field(default_factory=lambda: MappingProxyType({}))
+    note: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class Scenario:
+    """A checked scenario file.
+
+    loop: as given, under the first case's controller; None where plant and valve come from the first estimate, or no
+    case asks for a loop. pv_range: EU, or None. objective: what J is computed with for every case, or None. notes: what
+    loading assumed or left out (rejected rows, coarse sampling), for the report.
+    """
+
+    path: Path
+    name: str
+    title: str
+    description: str
+    reference_source: str
+    text: str
+    loop: Loop | None
+    pv_range: tuple[float, float] | None
+    experiment: Experiment | None
+    objective: Objective | None
+    estimates: tuple[EstimateJob, ...]
+    cases: tuple[CaseJob, ...]
+    describing_function: bool
+    limit_cycle: bool
+    notes: tuple[str, ...] = ()

@@ -1,0 +1,450 @@
+"""The scenario's closed schema: what the YAML may hold, entry by entry, with units and ranges.
+
+Pydantic models of the file as written; `workbench.scenario.build` makes the model's values of them. The JSON Schema
+for editors, `schema.json` beside this file, is made from here.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from typing import Annotated, Any, Literal, Self
+
+from pydantic import (
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Discriminator,
+    Field,
+    GetCoreSchemaHandler,
+    GetJsonSchemaHandler,
+    PlainValidator,
+    Tag,
+    ValidationInfo,
+    WithJsonSchema,
+    model_validator,
+)
+from pydantic_core import CoreSchema, core_schema
+
+from workbench.scenario import units
+
+__all__ = [
+    "Bounds",
+    "Case",
+    "Controller",
+    "ControllerKeys",
+    "Estimate",
+    "Experiment",
+    "FilePart",
+    "Loop",
+    "Part",
+    "RampPart",
+    "ScenarioFile",
+    "SeriesPart",
+    "StepPart",
+    "Tune",
+    "TunedCase",
+    "Tuning",
+    "json_schema",
+]
+
+
+def _text(pattern: str, **also: Any) -> dict[str, Any]:
+    return {"anyOf": [{"type": "string", "pattern": pattern}, *([also] if also else [])]}
+
+
+Number = Annotated[float, Field(allow_inf_nan=False)]
+NonNegative = Annotated[float, Field(allow_inf_nan=False, ge=0)]
+Percent = Annotated[float, BeforeValidator(units.percent), WithJsonSchema(_text(units.PERCENT_FORM, type="number"))]
+Size = Annotated[units.Quantity, PlainValidator(units.size), WithJsonSchema(_text(units.PERCENT_FORM, type="number"))]
+Band = Annotated[
+    float,
+    BeforeValidator(units.percent),
+    Field(ge=0),
+    WithJsonSchema(_text(units.PERCENT_FORM, type="number", minimum=0)),
+]
+Time = Annotated[float, BeforeValidator(units.time), Field(ge=0), WithJsonSchema(_text(units.TIME_FORM, const=0))]
+PositiveTime = Annotated[float, BeforeValidator(units.time), Field(gt=0), WithJsonSchema(_text(units.TIME_FORM))]
+IntegralTime = Annotated[
+    float, BeforeValidator(units.integral_time), Field(gt=0), WithJsonSchema(_text(units.INTEGRAL_FORM))
+]
+GainValue = Annotated[
+    units.Quantity, PlainValidator(units.gain), WithJsonSchema(_text(units.GAIN_FORM, type="number", minimum=0))
+]
+BandValue = Annotated[
+    units.Quantity,
+    PlainValidator(units.proportional_band),
+    WithJsonSchema(_text(units.PERCENT_FORM, type="number", exclusiveMinimum=0)),
+]
+FilterRatio = Annotated[
+    float,
+    BeforeValidator(units.filter_ratio),
+    Field(gt=0),
+    WithJsonSchema(_text(units.FILTER_FORM, type="number", exclusiveMinimum=0)),
+]
+Seed = Annotated[int, Field(ge=0)]
+Name = Annotated[str, Field(min_length=1, max_length=80, pattern=r"\S")]
+Words = Annotated[str, Field(max_length=4000)]
+FileName = Annotated[str, Field(min_length=1, max_length=400)]
+
+
+class OneOrMany:
+    """Annotation of a list that may be written as its only entry."""
+
+    @staticmethod
+    def _listed(value: object) -> object:
+        return value if isinstance(value, list) else [value]
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        return core_schema.no_info_before_validator_function(self._listed, handler(source))
+
+    def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
+        listed = handler(schema)
+        return {"anyOf": [listed["items"], listed]}
+
+
+def _pick(tag: Callable[[dict[str, Any]], object], variants: tuple[str, ...], key: str) -> Discriminator:
+    """Return the choice among variants; names in <> so that they are never taken for a key of the file."""
+
+    def choose(data: object) -> str | None:
+        name = tag(data) if isinstance(data, dict) else None
+        return f"<{name}>" if name in variants else None
+
+    return Discriminator(
+        choose,
+        custom_error_type="variant",
+        # Read by the loader; a context would not do, as annotations have to be hashable.
+        custom_error_message=f"{key}|{'|'.join(variants)}",
+    )
+
+
+def _by_type(*variants: str) -> Discriminator:
+    return _pick(lambda data: data.get("type"), variants, "type")
+
+
+def _by_presence(*variants: str) -> Discriminator:
+    return _pick(lambda data: next((name for name in variants if name in data), None), variants, "")
+
+
+class Closed(BaseModel):
+    """Base: no unknown keys, no conversion of types, frozen."""
+
+    model_config = ConfigDict(extra="forbid", strict=True, frozen=True)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _remember(cls, data: object, info: ValidationInfo) -> object:
+        # The loader names the allowed keys beside an unknown one: it finds them here, by the mapping's identity.
+        if isinstance(info.context, dict) and isinstance(data, dict):
+            info.context[id(data)] = tuple(cls.model_fields)
+        return data
+
+
+class FopdtPlant(Closed):
+    """First order plus dead time: gain exp(-dead_time s) / (time_constant s + 1)."""
+
+    type: Literal["fopdt"]
+    gain: Annotated[Number, Field(description="EU per % of valve travel, not 0")]
+    time_constant: PositiveTime
+    dead_time: Time = 0.0
+
+
+class IntegratingPlant(Closed):
+    """Integrator with dead time: gain exp(-dead_time s) / s."""
+
+    type: Literal["integrating"]
+    gain: Annotated[Number, Field(description="EU per % of valve travel per second, not 0")]
+    dead_time: Time = 0.0
+
+
+class IdealValve(Closed):
+    """A valve without friction."""
+
+    type: Literal["ideal"]
+
+
+class StenmanValve(Closed):
+    """One-parameter stiction: the stem moves to the input once that is more than d away."""
+
+    type: Literal["stenman"]
+    d: Annotated[Band, Field(description="stiction, % of travel")]
+
+
+class ChoudhuryValve(Closed):
+    """Two-parameter stiction: stick band plus dead band S, slip jump J."""
+
+    type: Literal["choudhury"]
+    S: Annotated[Band, Field(description="stick band plus dead band, % of travel")]
+    J: Annotated[Band, Field(description="slip jump, % of travel")]
+
+
+class DeadbandValve(Closed):
+    """Backlash: the full band b is crossed on each reversal."""
+
+    type: Literal["deadband"]
+    b: Annotated[Band, Field(description="full band, % of travel")]
+
+
+Plant = Annotated[
+    Annotated[FopdtPlant, Tag("<fopdt>")] | Annotated[IntegratingPlant, Tag("<integrating>")],
+    _by_type("fopdt", "integrating"),
+]
+Valve = Annotated[
+    Annotated[IdealValve, Tag("<ideal>")]
+    | Annotated[StenmanValve, Tag("<stenman>")]
+    | Annotated[ChoudhuryValve, Tag("<choudhury>")]
+    | Annotated[DeadbandValve, Tag("<deadband>")],
+    _by_type("ideal", "stenman", "choudhury", "deadband"),
+]
+
+
+class Tuning(Closed):
+    """The tuning parameters, in the controller's own form."""
+
+    Kc: Annotated[GainValue | None, Field(description="gain: a number in %/EU, or with its unit %/EU or %/%")] = None
+    proportional_band: Annotated[BandValue | None, Field(description="100/Kc in %; needs loop.pv_range")] = None
+    Ti: Annotated[IntegralTime | None, Field(description="integral time, s, min, h or repeats/min; none for none")] = (
+        None
+    )
+    Td: Annotated[Time | None, Field(description="derivative time")] = None
+
+
+class ControllerKeys(Closed):
+    """How the controller is built; what is left out is the model's default."""
+
+    form: Literal["ideal", "series", "parallel"] | None = None
+    structure: Literal["PID on error", "PI on error, D on PV", "I on error, PD on PV"] | None = None
+    derivative_on: Literal["error", "pv"] | None = None
+    derivative_filter: Annotated[FilterRatio | None, Field(description="n of Tf = Td/n; none for unfiltered")] = None
+    setpoint_weight: Annotated[float | None, Field(ge=0, le=1, allow_inf_nan=False)] = None
+    action: Literal["reverse", "direct"] | None = None
+    output_limits: Annotated[
+        list[Percent] | None, Field(min_length=2, max_length=2, description="[low, high], % from the resting output")
+    ] = None
+    anti_windup: Literal["clamp", "back_calculation"] | None = None
+    tracking_time: PositiveTime | None = None
+
+
+class Controller(Tuning, ControllerKeys):
+    """The controller that the cases start from; each case may override any entry."""
+
+
+class Loop(Closed):
+    """The loop. Plant, valve and sample_time are left out where they come from recorded data."""
+
+    plant: Plant | None = None
+    valve: Valve | None = None
+    controller: Controller | None = None
+    sample_time: PositiveTime | None = None
+    pv_range: Annotated[
+        list[Number] | None, Field(min_length=2, max_length=2, description="[low, high] of PV in EU")
+    ] = None
+    coarse_sampling: Annotated[
+        bool, Field(description="allow a sample time longer than the time constant or the dead time")
+    ] = False
+
+
+class StepPart(Closed):
+    """A step that has happened in the sample at its time."""
+
+    step: Annotated[Size, Field(description="size: EU for a setpoint, % of travel for a load")]
+    at: Time = 0.0
+
+
+class RampPart(Closed):
+    """A straight line from 0 at start to its size at end, held afterwards."""
+
+    ramp: Annotated[Size, Field(description="size: EU for a setpoint, % of travel for a load")]
+    start: Time = 0.0
+    end: Time
+
+
+class SeriesPart(Closed):
+    """Values, one for each sample or each from its time on; the last is held."""
+
+    series: Annotated[list[Number], Field(min_length=1)]
+    times: list[Time] | None = None
+
+
+class FilePart(Closed):
+    """A recorded series: a column of a CSV or Parquet file that has a time column; its first row is at 0 s."""
+
+    file: FileName
+    column: Name
+    time: Annotated[Name | None, Field(description="the time column (default: the one with a usual name)")] = None
+    resting_value: Annotated[
+        Number | None, Field(description="value at rest, which is taken off (default: the first one)")
+    ] = None
+
+
+Part = Annotated[
+    Annotated[StepPart, Tag("<step>")]
+    | Annotated[RampPart, Tag("<ramp>")]
+    | Annotated[SeriesPart, Tag("<series>")]
+    | Annotated[FilePart, Tag("<file>")],
+    _by_presence("step", "ramp", "series", "file"),
+]
+
+
+class Noise(Closed):
+    """White Gaussian measurement noise."""
+
+    sd: Annotated[NonNegative, Field(description="standard deviation, EU")]
+    seed: Seed = 0
+
+
+class Experiment(Closed):
+    """What is done to the loop, in deviations from its resting point."""
+
+    duration: PositiveTime
+    setpoint: Annotated[list[Part], OneOrMany()] | None = None
+    load: Annotated[list[Part], OneOrMany()] | None = None
+    noise: Noise | None = None
+    stem_offset: Annotated[Percent, Field(description="resting distance of OP from the stem, %")] = 0.0
+
+
+class Objective(Closed):
+    """Weights of the objective; a weight left out is 0."""
+
+    w1: Annotated[NonNegative, Field(description="on the squared error, samples 1..N")] = 0.0
+    w2: Annotated[NonNegative, Field(description="on the squared output")] = 0.0
+    w3: Annotated[NonNegative, Field(description="on the last squared error")] = 0.0
+    w4: Annotated[NonNegative, Field(description="on the squared moves of the output")] = 0.0
+
+
+class Bounds(Closed):
+    """Closed ranges of the tuning search, in the controller's own form."""
+
+    Kc: Annotated[list[GainValue] | None, Field(min_length=2, max_length=2)] = None
+    proportional_band: Annotated[list[BandValue] | None, Field(min_length=2, max_length=2)] = None
+    Ti: Annotated[list[IntegralTime] | None, Field(min_length=2, max_length=2)] = None
+    Td: Annotated[list[Time] | None, Field(min_length=2, max_length=2)] = None
+
+
+class Tune(Tuning, ControllerKeys):
+    """A tuning to be found. Kc, proportional_band, Ti or Td given here are held at that value."""
+
+    objective: Objective | None = None
+    bounds: Bounds | None = None
+    start: Annotated[Tuning | None, Field(description="the tuning to compare with; must lie within the bounds")] = None
+    seed: Seed = 0
+    digits: Annotated[int, Field(ge=1, le=12, description="significant digits to be typed in")] = 4
+    restarts: Annotated[int, Field(ge=1, le=64)] = 4
+
+
+KpiName = Literal[
+    "error_variance",
+    "mean_square_error",
+    "op_variance",
+    "valve_variance",
+    "valve_travel",
+    "controller_travel",
+    "reversals",
+    "iae",
+    "ise",
+    "pv_sd",
+    "overshoot",
+    "settling_time",
+    "final_error",
+    "oscillation_index",
+    "oscillation_period",
+    "objective",
+]
+CaseReference = Annotated[
+    dict[KpiName, Number], Field(description="published figures to show beside ours, in the figures' own units")
+]
+
+
+class GivenCase(Tuning, ControllerKeys):
+    """A tuning to be tried."""
+
+    name: Name
+    note: Words = ""
+    reference: CaseReference = {}
+
+
+class TunedCase(Closed):
+    """A tuning to be found."""
+
+    name: Name
+    note: Words = ""
+    reference: CaseReference = {}
+    tune: Tune
+
+
+Case = Annotated[
+    Annotated[GivenCase, Tag("<given>")] | Annotated[TunedCase, Tag("<tuned>")],
+    Discriminator(lambda data: "<tuned>" if isinstance(data, dict) and "tune" in data else "<given>"),
+]
+
+
+class EstimateReference(Closed):
+    """Published figures of the same record: d, S, J in %, gain in EU/%, times with their unit."""
+
+    d: Band | None = None
+    S: Band | None = None
+    J: Band | None = None
+    gain: Number | None = None
+    time_constant: PositiveTime | None = None
+    dead_time: Time | None = None
+
+
+class Columns(Closed):
+    """Which column of the data is which signal, where the usual names do not say it."""
+
+    time: Name | None = None
+    PV: Name | None = None
+    OP: Name | None = None
+    SP: Name | None = None
+    MODE: Name | None = None
+    valve_position: Name | None = None
+
+
+class Estimate(Closed):
+    """An estimate of the loop from recorded data, or from a record simulated with this scenario's loop."""
+
+    name: Name | None = None
+    data: Annotated[FileName | None, Field(description="CSV or Parquet file, relative to the scenario")] = None
+    simulate: Annotated[bool, Field(description="estimate from a record simulated with loop and experiment")] = False
+    columns: Columns | None = None
+    sample_time: Annotated[PositiveTime | None, Field(description="where the data has no time column")] = None
+    noise: Annotated[Noise | None, Field(description="of the simulated record, instead of the experiment's")] = None
+    method: Literal["profile", "two_step"] = "profile"
+    valve: Literal["stenman", "choudhury", "deadband"] = "stenman"
+    plant: Literal["fopdt", "integrating"] = "fopdt"
+    start: Annotated[Band | None, Field(description="initial stiction of the two-step method, %")] = None
+    reference: EstimateReference | None = None
+    note: Words = ""
+
+    @model_validator(mode="after")
+    def _one_source(self) -> Self:
+        if self.simulate == (self.data is not None):
+            raise ValueError("must hold either data (a file) or simulate: true")
+        return self
+
+
+class Analyze(Closed):
+    """Which analyses each case gets."""
+
+    describing_function: bool = True
+    limit_cycle: bool = True
+
+
+class ScenarioFile(Closed):
+    """A Stiction Workbench scenario: a loop, what is done to it, and the tunings to compare."""
+
+    title: Name
+    description: Words = ""
+    reference_source: Annotated[Words, Field(description="where the reference figures come from")] = ""
+    loop: Loop | None = None
+    experiment: Experiment | None = None
+    objective: Objective | None = None
+    estimate: Annotated[list[Estimate], Field(min_length=1, max_length=50), OneOrMany()] | None = None
+    cases: Annotated[list[Case], Field(max_length=200)] = []
+    analyze: Analyze = Analyze()
+
+
+def json_schema() -> str:
+    """Return the JSON Schema of a scenario as text, the content of `schema.json`."""
+    schema = {"$schema": "https://json-schema.org/draft/2020-12/schema", **ScenarioFile.model_json_schema()}
+    return json.dumps(schema, indent=2, sort_keys=True, ensure_ascii=False) + "\n"

@@ -1,0 +1,82 @@
+"""A recorded series for a profile: one column of a CSV or Parquet file against its time column."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from workbench.errors import RecordError
+from workbench.model.experiment import Series
+from workbench.model.record import FloatArray
+from workbench.record.columns import match_columns, time_unit
+from workbench.record.table import BLANK, OK, Cells, read_csv, read_parquet
+from workbench.record.times import parse_timestamps
+
+__all__ = ["LARGEST", "read_series"]
+
+LARGEST = 64 << 20  # bytes
+
+
+def read_series(path: Path, source: str, column: str, time: str | None, resting_value: float | None) -> Series:
+    """Return a column as deviations from `resting_value` (default: its first value), each held from its time on.
+
+    Time starts at 0 with the first row. A blank cell holds the value before it; text, infinite numbers, times that do
+    not ascend, and a missing column are refused: `RecordError`, naming the file (`source`), line and column.
+    """
+    if not path.is_file():
+        what = "is a directory" if path.is_dir() else "no such file"
+        raise RecordError(f"{source}: {what}; a CSV or Parquet file is needed")
+    if path.stat().st_size > LARGEST:
+        raise RecordError(f"{source}: larger than {LARGEST >> 20} MiB; too large for a profile")
+
+    def match(header: list[str]) -> dict[str, int]:
+        names = [name.strip() for name in header]
+        times = [i for i, name in enumerate(names) if (name == time if time is not None else _is_time(name))]
+        values = [i for i, name in enumerate(names) if name == column]
+        there = ", ".join(repr(name) for name in names[:50])
+        for what, found in (
+            (f"column {column!r}", values),
+            (f"time column {time!r}" if time else "time column", times),
+        ):
+            if len(found) != 1:
+                how_many = "no" if not found else f"{len(found)} of the"
+                raise RecordError(f"{source}: {how_many} {what}; the file has {there}")
+        if times == values:
+            raise RecordError(f"{source}: column {column!r} is the time column; another one is needed")
+        return {"time": times[0], "PV": values[0]}
+
+    with path.open("rb") as stream:
+        is_parquet = stream.read(4) == b"PAR1"
+    table, header = (read_parquet if is_parquet else read_csv)(path, match, source)
+    if table.lines.size == 0:
+        raise RecordError(f"{source}: a header and no row of data")
+    seconds = _seconds(table.columns["time"], header[match(header)["time"]], source)
+    values = table.columns["PV"].values.copy()
+    marks = table.columns["PV"].marks
+    bad = ((marks != OK) & (marks != BLANK)) | ~np.isfinite(seconds)
+    if marks[0] == BLANK:
+        bad[0] = True
+    bad[1:] |= ~(np.diff(seconds) > 0.0)
+    if bad.any():
+        first = int(np.argmax(bad))
+        what = "no finite number" if marks[first] != OK else "its time does not come after the one before it"
+        raise RecordError(f"{source}: {table.unit} {table.lines[first]}, column {column!r}: {what}")
+    last = np.maximum.accumulate(np.where(marks == OK, np.arange(values.size), 0))
+    values = values[last]
+    rest = float(values[0]) if resting_value is None else resting_value
+    return Series((values - rest).tolist(), (seconds - seconds[0]).tolist())
+
+
+def _is_time(name: str) -> bool:
+    others = ["PV", "OP"]
+    return name not in others and "time" in match_columns([name, *others], dict(zip(others, others, strict=True)), "")
+
+
+def _seconds(cells: Cells, name: str, source: str) -> FloatArray:
+    if cells.texts is None or (cells.marks == OK).sum() * 2 > cells.marks.size:
+        return cells.values * time_unit(name)
+    parsed = parse_timestamps(cells.texts)
+    if isinstance(parsed, str):
+        raise RecordError(f"{source}: column {name!r}: {parsed}")
+    return parsed[0]
