@@ -1,0 +1,1 @@
+"""What has been found, told: figures, tables, words, and the HTML page. No computing."""

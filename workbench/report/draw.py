@@ -1,0 +1,335 @@
+"""What is drawn on given axes: the parts that the figures and `wb.plot` share. Layout only.
+
+Long signals are thinned to what can be seen: the first, least, largest and last value of each pixel column, and each
+stretch of a phase plot once.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from itertools import pairwise
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from matplotlib.ticker import MaxNLocator
+
+from workbench.model.record import FloatArray, Record
+from workbench.model.results import DescribingFunction, Estimate, LimitCycle, Run, Tuned
+from workbench.report.style import LINEAR, OP, PREDICTION, PV, SP, VALVE, Style, case_style
+from workbench.report.words import duration, figure, label
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+__all__ = [
+    "convergence",
+    "frequency",
+    "frequency_window",
+    "limit_cycle_starts",
+    "model_op",
+    "model_pv",
+    "op_stem",
+    "phase",
+    "profile",
+    "pv_op",
+    "record_op",
+    "record_pv",
+    "restarts",
+    "run_op",
+    "run_pv",
+    "thin",
+    "time_axis",
+]
+
+COLUMNS = 500  # pixel columns of a figure's plot area: half a point of a page-wide trend
+CELLS = 400.0  # cells along each side of a phase plot, within which points are one
+
+
+def thin(x: FloatArray, y: FloatArray, columns: int = COLUMNS) -> tuple[FloatArray, FloatArray]:
+    """Return the samples of an evenly spaced signal that show in `columns` pixel columns, in order.
+
+    Signals of up to four samples a column are returned whole; nothing that reaches a column's ends is lost.
+    """
+    n = x.size
+    if n <= 4 * columns:
+        return x, y
+    keep: list[int] = []
+    edges = np.linspace(0, n, columns + 1).astype(int)
+    for first, stop in pairwise(edges.tolist()):
+        part = y[first:stop]
+        keep += sorted({first, first + int(np.argmin(part)), first + int(np.argmax(part)), stop - 1})
+    return x[keep], y[keep]
+
+
+def phase(x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return a phase plot's line with every stretch drawn once; nan separates stretches that do not join.
+
+    Points are told apart on a grid of 400 x 400 cells over the signals' ranges.
+    """
+    if x.size < 2:
+        return x, y
+    cells = []
+    for signal in (x, y):
+        low, high = float(signal.min()), float(signal.max())
+        cells.append(np.round((signal - low) * (CELLS / (high - low) if high > low else 0.0)).astype(np.int64))
+    moved = np.flatnonzero(np.concatenate(([True], (np.diff(cells[0]) != 0) | (np.diff(cells[1]) != 0))))
+    code = (cells[0] * 1000 + cells[1])[moved]
+    if code.size < 2:
+        return x[moved], y[moved]
+    stretch = np.minimum(code[:-1], code[1:]) * 1_000_000 + np.maximum(code[:-1], code[1:])
+    first = np.sort(np.unique(stretch, return_index=True)[1])
+    px: list[float] = []
+    py: list[float] = []
+    last = -1
+    for i in first.tolist():
+        if i != last:
+            if px:
+                px.append(math.nan)
+                py.append(math.nan)
+            px.append(float(x[moved[i]]))
+            py.append(float(y[moved[i]]))
+        px.append(float(x[moved[i + 1]]))
+        py.append(float(y[moved[i + 1]]))
+        last = i + 1
+    return np.array(px), np.array(py)
+
+
+def time_axis(span: float) -> tuple[float, str]:
+    """Return the seconds in the unit that suits a span, and the unit: s, min, h."""
+    if span > 3.0 * 3600.0:
+        return 3600.0, "h"
+    return (60.0, "min") if span > 3600.0 else (1.0, "s")
+
+
+def _line(ax: Axes, time: FloatArray, signal: FloatArray, text: str, style: Style, *, steps: bool = False) -> None:
+    x, y = thin(time, signal)
+    ax.plot(x, y, label=text, drawstyle="steps-post" if steps else "default", **style)
+
+
+def _finish(ax: Axes, ylabel: str, *, columns: int = 4, where: str = "upper left") -> None:
+    """Name the axis and put the legend above the plot, where it hides nothing."""
+    ax.set_ylabel(ylabel)
+    ax.margins(x=0.01)
+    del where
+    ax.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=columns, borderaxespad=0.1, columnspacing=1.2)
+
+
+def run_pv(ax: Axes, run: Run, unit: float = 1.0) -> None:
+    """Draw PV and SP against time (s / unit)."""
+    _line(ax, run.time / unit, run.pv, "PV", PV)
+    _line(ax, run.time / unit, run.sp, "SP", SP, steps=True)
+    _finish(ax, "PV, SP (EU)")
+
+
+def run_op(ax: Axes, run: Run, unit: float = 1.0) -> None:
+    """Draw OP and the valve's position against time (s / unit)."""
+    _line(ax, run.time / unit, run.valve, "valve", VALVE, steps=True)
+    _line(ax, run.time / unit, run.op, "OP", OP, steps=True)
+    _finish(ax, "OP, valve (%)")
+
+
+def record_pv(ax: Axes, record: Record, unit: float = 1.0) -> None:
+    """Draw a record's PV, and SP where it was recorded."""
+    _line(ax, record.time / unit, record.pv, "PV", PV)
+    if record.sp is not None:
+        _line(ax, record.time / unit, record.sp, "SP", SP, steps=True)
+    _finish(ax, "PV (EU)" if record.sp is None else "PV, SP (EU)")
+
+
+def record_op(ax: Axes, record: Record, unit: float = 1.0) -> None:
+    """Draw a record's OP, and the measured valve position where there is one."""
+    if record.valve_position is not None:
+        _line(ax, record.time / unit, record.valve_position, "valve (measured)", VALVE, steps=True)
+    _line(ax, record.time / unit, record.op, "OP", OP, steps=True)
+    _finish(ax, "OP (%)")
+
+
+def model_pv(ax: Axes, found: Estimate, unit: float = 1.0, part: slice = slice(None), *, linear: bool = False) -> None:
+    """Draw PV with the model's prediction, or with that of the fit that ignores stiction."""
+    time = found.record.time[part] / unit
+    _line(ax, time, found.record.pv[part], "PV", PV)
+    if linear:
+        _line(ax, time, found.linear.prediction[part], "prediction without stiction", LINEAR)
+    else:
+        _line(ax, time, found.prediction[part], "prediction", PREDICTION)
+    _finish(ax, "PV (EU)")
+
+
+def model_op(ax: Axes, found: Estimate, unit: float = 1.0, part: slice = slice(None), *, stem: bool = True) -> None:
+    """Draw OP with the estimated valve position (and the measured one where there is one)."""
+    time = found.record.time[part] / unit
+    if stem:
+        _line(ax, time, found.valve_position[part], "valve (estimated)", VALVE, steps=True)
+        if found.record.valve_position is not None:
+            _line(ax, time, found.record.valve_position[part], "valve (measured)", SP, steps=True)
+    _line(ax, time, found.record.op[part], "OP", OP, steps=True)
+    _finish(ax, "OP, valve (%)" if stem else "OP (%)")
+
+
+def pv_op(ax: Axes, run: Run) -> None:
+    """Draw PV against OP."""
+    x, y = phase(run.op, run.pv)
+    ax.plot(x, y, **{**PV, "linewidth": 0.8})
+    ax.set_ylabel("PV (EU)")
+
+
+def op_stem(ax: Axes, run: Run) -> None:
+    """Draw the valve's position against OP, with the line that a valve without friction would follow."""
+    low, high = float(run.op.min()), float(run.op.max())
+    ax.plot([low, high], [low, high], **{**SP, "linewidth": 0.7})
+    x, y = phase(run.op, run.valve)
+    ax.plot(x, y, **{**VALVE, "linewidth": 0.8})
+    ax.set_ylabel("valve (%)")
+    ax.set_xlabel("OP (%)")
+
+
+def profile(ax: Axes, found: Estimate) -> None:
+    """Draw the residual variance against d, with the interval shaded, the estimate and the linear fit's level."""
+    finite = np.isfinite(found.profile_cost)
+    d, cost = found.profile_d[finite], found.profile_cost[finite]
+    order = np.argsort(d, kind="stable")
+    if found.intervals.d is not None:
+        low, high = found.intervals.d
+        ax.axvspan(low, high, color="#56B4E9", alpha=0.35, linewidth=0, label="95 % range of d")
+    x, y = thin(d[order], cost[order])
+    ax.plot(x, y, label="residual variance", **{**PV, "linewidth": 0.9})
+    ax.axhline(found.linear.residual_variance, label="linear fit", **LINEAR)
+    best = found.valve.stick_band
+    if best > 0.0:
+        ax.plot([best], [found.residual_variance], "o", color="#D55E00", markersize=4, label=f"d = {figure(best)} %")
+    if cost.size and float(cost.min()) > 0.0 and found.residual_variance > 0.0 and found.linear.residual_variance > 0.0:
+        ax.set_yscale("log")
+    ax.set_xlabel("d (%)")
+    _finish(ax, "residual variance (EU²)")
+
+
+def convergence(ax: Axes, below: Axes, found: Estimate) -> None:
+    """Draw the two-step algorithm's d and residual variance, iteration by iteration."""
+    steps = np.arange(len(found.iterations))
+    ax.plot(steps, [i.d for i in found.iterations], "o-", color="#0072B2", markersize=3, linewidth=1.0, label="d")
+    _finish(ax, "d (%)")
+    costs = [i.residual_variance for i in found.iterations]
+    below.plot(steps, costs, "s-", color="#D55E00", markersize=3, linewidth=1.0, label="residual variance")
+    if costs and min(costs) > 0.0:
+        below.set_yscale("log")
+    _finish(below, "variance (EU²)")
+    below.set_xlabel("iteration")
+    below.xaxis.set_major_locator(MaxNLocator(integer=True))
+
+
+def _finite(values: Any) -> Any:
+    return values[np.isfinite(values.real) & np.isfinite(values.imag)]
+
+
+def frequency_window(
+    named: Sequence[tuple[str, DescribingFunction]], ratio: float
+) -> tuple[float, float, float, float]:
+    """Return (left, right, bottom, top) of the complex plane to show, width / height = `ratio`, one scale on both axes.
+
+    It holds the origin, -1, every crossing, the nearest approach, and -1/N(A) as far as it stays within five units.
+    """
+    points = [np.array([0.15 + 0.15j, -1.0 + 0.0j])]
+    for _, df in named:
+        locus = _finite(df.locus)
+        points.append(locus[np.abs(locus) < 5.0])
+        points += [_at(df.amplitudes, df.locus, c.amplitude) for c in df.crossings]
+        if not df.crossings and math.isfinite(df.distance_amplitude):
+            points.append(_at(df.amplitudes, df.locus, df.distance_amplitude))
+            points.append(_at(df.frequencies, df.L, df.distance_frequency))
+    every = _finite(np.concatenate(points))
+    every = every[np.abs(every) < 50.0]
+    left, right = float(every.real.min()), float(every.real.max())
+    bottom, top = float(every.imag.min()), float(every.imag.max())
+    width, height = 1.25 * (right - left), 1.25 * (top - bottom)
+    width, height = max(width, height * ratio), max(height, width / ratio)
+    x, y = (left + right) / 2.0, (bottom + top) / 2.0
+    return x - width / 2.0, x + width / 2.0, y - height / 2.0, y + height / 2.0
+
+
+def _at(grid: FloatArray, values: Any, where: float) -> Any:
+    """Return the value at a grid position, linear between its neighbours, as an array of one."""
+    order = np.argsort(grid)
+    real = np.interp(where, grid[order], values.real[order])
+    imag = np.interp(where, grid[order], values.imag[order])
+    return np.array([real + 1j * imag])
+
+
+def _broken(values: Any, gap: float) -> Any:
+    """Return a curve with nan where it jumps by more than `gap`: a locus may be discontinuous."""
+    jump = np.flatnonzero(np.abs(np.diff(values)) > gap) + 1
+    return np.insert(values, jump, complex(math.nan, math.nan))
+
+
+def frequency(ax: Axes, named: Sequence[tuple[str, DescribingFunction]], ratio: float = 1.6) -> None:
+    """Draw L(jω) of each case and -1/N(A) of each valve, with crossings, or the nearest approach where none is."""
+    left, right, bottom, top = frequency_window(named, ratio)
+    size = math.hypot(right - left, top - bottom)
+    ax.axhline(0.0, color="#888888", linewidth=0.6)
+    ax.axvline(0.0, color="#888888", linewidth=0.6)
+    drawn: list[Any] = []
+    for name, df in named:
+        if not any(d.shape == df.locus.shape and np.array_equal(d, df.locus, equal_nan=True) for d in drawn):
+            text = "−1/N(A)" if not drawn else f"−1/N(A), {label(name, 30)}"
+            locus = _broken(df.locus, 0.05 * size)
+            style: Style = {
+                "color": "#D55E00",
+                "linewidth": 2.2,
+                "alpha": 0.55,
+                "linestyle": ("-", "--", ":")[len(drawn) % 3],
+            }
+            ax.plot(locus.real, locus.imag, label=text, **style)
+            drawn.append(df.locus)
+    for index, (name, df) in enumerate(named):
+        style = case_style(index)
+        L = df.L[(df.L.real > left - size) & (df.L.imag > bottom - size) & (df.L.imag < top + size)]
+        ax.plot(L.real, L.imag, label=f"L(jω), {label(name, 30)}", linewidth=1.2, **style)
+        for crossing in df.crossings:
+            at = _at(df.amplitudes, df.locus, crossing.amplitude)[0]
+            fill = style["color"] if crossing.stable else "white"
+            ax.plot([at.real], [at.imag], "o", color=style["color"], markerfacecolor=fill, markersize=5, zorder=5)
+        if not df.crossings and math.isfinite(df.distance_amplitude) and math.isfinite(df.distance_frequency):
+            ends = np.concatenate(
+                (_at(df.amplitudes, df.locus, df.distance_amplitude), _at(df.frequencies, df.L, df.distance_frequency))
+            )
+            ax.plot(ends.real, ends.imag, "x-", color=style["color"], linewidth=0.8, markersize=4, zorder=5)
+    ax.set_xlim(left, right)
+    ax.set_ylim(bottom, top)
+    ax.set_aspect("equal", adjustable="box")
+    ax.set_xlabel("real part")
+    ax.set_ylabel("imaginary part")
+
+
+def limit_cycle_starts(ax: Axes, cycle: LimitCycle) -> None:
+    """Draw each start's first (hollow) and late (full) period, with the closed form's as a line."""
+    names: list[str] = []
+    for row, start in enumerate(cycle.starts):
+        names.append(label(start.name, 40))
+        if start.outcome == "cycles":
+            ax.plot([start.first_period], [row], "o", color="#0072B2", markerfacecolor="white", markersize=5)
+            ax.plot([start.period], [row], "o", color="#0072B2", markersize=5)
+        else:
+            ax.annotate(label(start.outcome), (0.02, row), xycoords=("axes fraction", "data"), va="center", fontsize=7)
+    if math.isfinite(cycle.closed_form_period):
+        text = f"closed form {duration(cycle.closed_form_period)}"
+        ax.axvline(cycle.closed_form_period, label=text, **LINEAR)
+        ax.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), borderaxespad=0.1)
+    if any(s.outcome == "cycles" for s in cycle.starts):
+        ax.set_xscale("log")
+    ax.set_yticks(range(len(names)), names)
+    ax.set_ylim(len(names) - 0.5, -0.5)
+    ax.set_xlabel("period (s): first (hollow), late (full)")
+
+
+def restarts(ax: Axes, tuned: Tuned) -> None:
+    """Draw each restart's objective after the scan and after refinement, with the reported J and the start's."""
+    rows = range(len(tuned.restarts))
+    ax.plot(
+        [r.scanned for r in tuned.restarts], rows, "o", color="#767676", markerfacecolor="white", label="after the scan"
+    )
+    ax.plot([r.refined for r in tuned.restarts], rows, "o", color="#0072B2", label="refined")
+    ax.axvline(tuned.objective, label=f"J as typed in, {figure(tuned.objective)}", **SP)
+    ax.set_yticks(list(rows), [f"seed {r.seed}" for r in tuned.restarts])
+    ax.set_ylim(len(tuned.restarts) - 0.5, -0.5)
+    ax.set_xlabel("J")
+    ax.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3, borderaxespad=0.1)

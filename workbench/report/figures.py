@@ -1,0 +1,166 @@
+"""The report's figures, each from one result, as matplotlib figures without pyplot; and how they become SVG files."""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Sequence
+from pathlib import Path
+
+from matplotlib.figure import Figure
+
+from workbench.errors import OutputError
+from workbench.model.results import DescribingFunction, Estimate, Run
+from workbench.model.study import CaseResult
+from workbench.report import draw
+from workbench.report.style import SP, case_style, new_figure, styled, svg_text
+from workbench.report.words import label
+
+__all__ = [
+    "convergence_figure",
+    "estimate_figure",
+    "frequency_figure",
+    "linear_fit_figure",
+    "overlay_figure",
+    "profile_figure",
+    "pv_op_figure",
+    "save_svg",
+    "trend_figure",
+]
+
+WIDTH = 7.1  # inch: the text width of an A4 page
+
+
+def trend_figure(run: Run, title: str = "") -> Figure:
+    """Return PV and SP above, OP and valve position below, on one time axis."""
+    with styled():
+        fig = new_figure(4.6, 3.1)
+        above, below = fig.subplots(2, 1, sharex=True)
+        unit, name = draw.time_axis(float(run.time[-1]))
+        draw.run_pv(above, run, unit)
+        draw.run_op(below, run, unit)
+        below.set_xlabel(f"time ({name})")
+        above.set_title(label(title, 45), loc="left")
+    return fig
+
+
+def overlay_figure(cases: Sequence[CaseResult]) -> Figure:
+    """Return PV of all cases above and their valve positions below, on one time axis, with the first case's SP."""
+    with styled():
+        fig = new_figure(WIDTH, 4.4)
+        above, below = fig.subplots(2, 1, sharex=True)
+        unit, name = draw.time_axis(max((float(c.run.time[-1]) for c in cases), default=0.0))
+        for index, case in enumerate(cases):
+            style = {**case_style(index), "linewidth": 1.0}
+            x, y = draw.thin(case.run.time / unit, case.run.pv)
+            above.plot(x, y, label=label(case.name, 30), **style)
+            x, y = draw.thin(case.run.time / unit, case.run.valve)
+            below.plot(x, y, drawstyle="steps-post", **style)
+        if cases:
+            x, y = draw.thin(cases[0].run.time / unit, cases[0].run.sp)
+            above.plot(x, y, label="SP", drawstyle="steps-post", **SP)
+        above.set_ylabel("PV (EU)")
+        below.set_ylabel("valve (%)")
+        below.set_xlabel(f"time ({name})")
+        above.margins(x=0.01)
+        fig.legend(loc="outside upper center", ncols=min(5, len(cases) + 1), handlelength=3.2)
+    return fig
+
+
+def pv_op_figure(run: Run, title: str = "") -> Figure:
+    """Return PV against OP above, valve position against OP below."""
+    with styled():
+        fig = new_figure(2.5, 3.1)
+        above, below = fig.subplots(2, 1, sharex=True)
+        draw.pv_op(above, run)
+        draw.op_stem(below, run)
+        above.set_title(label(title, 30), loc="left")
+    return fig
+
+
+def frequency_figure(named: Sequence[tuple[str, DescribingFunction]]) -> Figure:
+    """Return L(jω) and −1/N(A) in the complex plane for named analyses, like the paper's Fig. 8.
+
+    Full dots: crossings that the describing function reads as stable cycles; hollow: unstable ones; a thin line with
+    crosses: the nearest approach of two loci that do not cross.
+    """
+    with styled():
+        fig = new_figure(WIDTH, 4.4)
+        ax = fig.subplots()
+        draw.frequency(ax, named)
+        fig.legend(loc="outside right upper", handlelength=3.2)
+    return fig
+
+
+def _pair(found: Estimate, title: str, window: tuple[float, float] | None, *, linear: bool) -> Figure:
+    with styled():
+        fig = new_figure(WIDTH, 3.4)
+        above, below = fig.subplots(2, 1, sharex=True)
+        record = found.record
+        part = slice(None)
+        if window is not None:
+            first = max(0, math.floor((window[0] - record.start) / record.sample_time))
+            part = slice(first, max(first + 2, math.ceil((window[1] - record.start) / record.sample_time)))
+        time = record.time[part]
+        unit, name = draw.time_axis(float(time[-1]))
+        draw.model_pv(above, found, unit, part, linear=linear)
+        draw.model_op(below, found, unit, part, stem=not linear)
+        below.set_xlabel(f"time ({name})")
+        above.set_title(label(title, 55), loc="left")
+    return fig
+
+
+def estimate_figure(found: Estimate, title: str = "", window: tuple[float, float] | None = None) -> Figure:
+    """Return PV with the model's prediction above, OP with the estimated stem below, like the paper's Fig. 4.
+
+    window: (start, end) in the record's time, s; the whole record by default.
+    """
+    return _pair(found, title, window, linear=False)
+
+
+def linear_fit_figure(found: Estimate, title: str = "", window: tuple[float, float] | None = None) -> Figure:
+    """Return PV with the prediction of the fit that ignores stiction above, OP below, like the paper's Fig. 3."""
+    return _pair(found, title, window, linear=True)
+
+
+def profile_figure(found: Estimate, title: str = "") -> Figure:
+    """Return the residual variance against d, with the 95 % range shaded."""
+    with styled():
+        fig = new_figure(WIDTH, 2.6)
+        ax = fig.subplots()
+        draw.profile(ax, found)
+        ax.set_title(label(title, 35), loc="left")
+    return fig
+
+
+def convergence_figure(found: Estimate, title: str = "") -> Figure:
+    """Return the two-step algorithm's d and residual variance against its iterations."""
+    with styled():
+        fig = new_figure(WIDTH, 2.8)
+        above, below = fig.subplots(2, 1, sharex=True)
+        draw.convergence(above, below, found)
+        above.set_title(label(title, 55), loc="left")
+    return fig
+
+
+def save_svg(fig: Figure, path: Path | str) -> None:
+    """Write a figure as an SVG file, whole or not at all, the same to the byte each time. Raises `OutputError`."""
+    target = Path(path)
+    spare = target.with_name(f".{target.name}.{os.getpid()}.tmp")
+    text = svg_file(svg_text(fig))
+    try:
+        target.parent.mkdir(parents=True, exist_ok=True)
+        spare.write_text(text, encoding="utf-8")
+        spare.replace(target)
+    except OSError as error:
+        raise OutputError(f"{target}: cannot be written ({error.strerror or error})") from error
+    finally:
+        spare.unlink(missing_ok=True)
+
+
+def svg_file(element: str) -> str:
+    """Return an `<svg>` element as a file of its own."""
+    return f'<?xml version="1.0" encoding="utf-8"?>\n{SVG_MARK}\n{element}\n'
+
+
+SVG_MARK = "<!-- figure by Stiction Workbench -->"

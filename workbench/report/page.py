@@ -1,0 +1,179 @@
+"""Writing a study's report: report.html, results.json, cases.csv, figures and run.json, each whole or not at all."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from pathlib import Path
+
+from jinja2 import Environment, FileSystemLoader, StrictUndefined
+from markupsafe import Markup
+from matplotlib.figure import Figure
+
+from workbench.errors import OutputError
+from workbench.model.record import Record
+from workbench.model.study import NamedEstimate, Study
+from workbench.report import figures
+from workbench.report.results import cases_csv, results_json, run_json
+from workbench.report.style import svg_text
+from workbench.report.summary import summarise
+from workbench.report.tables import (
+    case_tables,
+    cycle_tables,
+    difference_table,
+    estimate_table,
+    how_tables,
+    loop_lines,
+)
+from workbench.report.words import slug
+
+__all__ = ["render", "write_report"]
+
+TEMPLATES = Path(__file__).parent / "templates"
+DETAIL = 900  # samples of a longer record that a figure of its own shows from near
+
+
+def write_report(study: Study, folder: Path | str) -> None:
+    """Write a study's report into `folder`, which is made where it is missing.
+
+    report.html, results.json, cases.csv and the figures are the same to the byte for the same study; run.json holds
+    what changes (times, versions, machine). All content is made before the first file is touched, and every file is
+    written beside its place and renamed: an interrupted run leaves the last good report. Figures of a former report
+    that are no longer made are removed. Raises `OutputError` where the folder cannot be written.
+    """
+    drawn = _figures(study)
+    files = {name: figures.svg_file(svg) for name, svg in drawn.items()}
+    files["cases.csv"] = cases_csv(study)
+    files["results.json"] = results_json(study)
+    files["run.json"] = run_json(study)
+    files["report.html"] = render(study, drawn)
+    _put(files, Path(folder))
+
+
+def _put(files: Mapping[str, str], folder: Path) -> None:
+    spares: list[tuple[Path, Path]] = []
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        for name, text in files.items():
+            target = folder / name
+            spare = folder / f".{name}.{os.getpid()}.tmp"
+            spares.append((spare, target))
+            with spare.open("w", encoding="utf-8", newline="\n") as out:
+                out.write(text)
+        for spare, target in spares:
+            spare.replace(target)
+        for old in folder.glob("*.svg"):
+            if old.name not in files and _ours(old):
+                old.unlink()
+    except OSError as error:
+        reason = error.strerror or str(error)
+        raise OutputError(f"{folder}: the report cannot be written there ({reason})") from error
+    finally:
+        for spare, _ in spares:
+            # What was renamed is gone; what is left belongs to a run that failed.
+            if spare.exists():
+                spare.unlink()
+
+
+def _ours(path: Path) -> bool:
+    with path.open("rb") as file:
+        return figures.SVG_MARK.encode() in file.read(200)
+
+
+def render(study: Study, drawn: Mapping[str, str]) -> str:
+    """Return report.html for a study and its figures (file name to `<svg>` element), all in one page."""
+    environment = Environment(
+        loader=FileSystemLoader(TEMPLATES),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=True,
+    )
+    return environment.get_template("report.html.j2").render(
+        study=study,
+        css=Markup((TEMPLATES / "report.css").read_text(encoding="utf-8")),  # noqa: S704 - our own file
+        svg={name: Markup(text) for name, text in drawn.items()},  # noqa: S704 - matplotlib has escaped its text
+        names=figure_names(study),
+        summary=summarise(study),
+        loop_lines=loop_lines(study),
+        case_tables=case_tables(study),
+        difference_table=difference_table(study),
+        cycle_tables=cycle_tables(study),
+        estimate_tables=[estimate_table(e) for e in study.estimates],
+        how=how_tables(study),
+    )
+
+
+def figure_names(study: Study) -> dict[str, list[dict[str, str]]]:
+    """Return the figures' file names: for each case trend and pv_op, for each estimate those that it has."""
+    taken: set[str] = set()
+    cases = []
+    for case in study.cases:
+        stem = slug(case.name, taken)
+        cases.append({"trend": f"trend_{stem}.svg", "pv_op": f"pv_op_{stem}.svg"})
+    taken = set()
+    estimates = []
+    for named in study.estimates:
+        stem = slug(named.name, taken)
+        names = {"fit": f"estimate_{stem}.svg", "linear": f"linear_fit_{stem}.svg"}
+        if _detail(named.found.record) is not None:
+            names["detail"] = f"estimate_detail_{stem}.svg"
+        if named.found.profile_d.size > 1:
+            names["profile"] = f"profile_{stem}.svg"
+        if len(named.found.iterations) > 1:
+            names["convergence"] = f"convergence_{stem}.svg"
+        estimates.append(names)
+    return {"cases": cases, "estimates": estimates}
+
+
+def _detail(record: Record) -> tuple[float, float] | None:
+    """Return the middle stretch (s) of a record too long to be read in one figure, or None."""
+    n = len(record)
+    if n <= 2 * DETAIL:
+        return None
+    first = (n - DETAIL) // 2
+    return float(record.time[first]), float(record.time[first + DETAIL])
+
+
+def _figures(study: Study) -> dict[str, str]:
+    """Return every figure as an `<svg>` element by its file name."""
+    out: dict[str, str] = {}
+
+    def add(name: str, figure: Figure, title: str) -> None:
+        out[name] = svg_text(figure, name.removesuffix(".svg"), title)
+
+    names = figure_names(study)
+    if len(study.cases) > 1:
+        add("overlay.svg", figures.overlay_figure(study.cases), "PV and valve position of all cases")
+    for case, own in zip(study.cases, names["cases"], strict=True):
+        add(own["trend"], figures.trend_figure(case.run, case.name), f"{case.name}: PV, SP, OP and valve against time")
+        add(own["pv_op"], figures.pv_op_figure(case.run), f"{case.name}: PV and valve position against OP")
+    analysed = [(c.name, c.describing_function) for c in study.cases if c.describing_function is not None]
+    if analysed:
+        add("frequency.svg", figures.frequency_figure(analysed), "L(jω) and −1/N(A) in the complex plane")
+    for named, own in zip(study.estimates, names["estimates"], strict=True):
+        _estimate_figures(named, own, add)
+    return out
+
+
+def _estimate_figures(named: NamedEstimate, own: Mapping[str, str], add: object) -> None:
+    assert callable(add)  # noqa: S101
+    found, name = named.found, named.name
+    add(
+        own["fit"],
+        figures.estimate_figure(found, name),
+        f"{name}: PV with prediction, OP with estimated valve position",
+    )
+    window = _detail(found.record)
+    if window is not None:
+        add(own["detail"], figures.estimate_figure(found, name, window), f"{name}: a stretch of the same from near")
+    add(
+        own["linear"],
+        figures.linear_fit_figure(found, name, window),
+        f"{name}: PV with the prediction of the fit that ignores stiction",
+    )
+    if "profile" in own:
+        add(own["profile"], figures.profile_figure(found, name), f"{name}: residual variance against d")
+    if "convergence" in own:
+        add(own["convergence"], figures.convergence_figure(found, name), f"{name}: convergence of the two-step method")

@@ -1,0 +1,83 @@
+"""`wb.plot`: one figure for each kind of result."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from workbench.errors import InvalidValue
+from workbench.model.record import Record
+from workbench.model.results import DescribingFunction, Estimate, LimitCycle, Run, Tuned
+from workbench.report import draw
+from workbench.report.style import new_figure, styled
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from numpy.typing import NDArray
+
+__all__ = ["plot"]
+
+_KINDS = "a Run, Record, Estimate, DescribingFunction, LimitCycle or Tuned"
+
+
+def plot(result: object, ax: Any = None) -> Axes | NDArray[Any]:
+    """Draw a result and return its axes.
+
+    Run, Record, Estimate: two axes, PV above and OP with the valve's position below (an array of shape (2,)); `ax` may
+    be two axes, or one, which gets PV alone. DescribingFunction: the loci in the complex plane. LimitCycle: periods by
+    start. Tuned: objectives by restart. `ax`: where to draw; a new figure by default (`.figure` of the axes, to show or
+    save). Raises `InvalidValue` for anything else.
+    """
+    pairs: dict[type, tuple[Callable[..., None], Callable[..., None]]] = {
+        Run: (draw.run_pv, draw.run_op),
+        Record: (draw.record_pv, draw.record_op),
+        Estimate: (draw.model_pv, draw.model_op),
+    }
+    singles: dict[type, Callable[..., None]] = {
+        LimitCycle: draw.limit_cycle_starts,
+        Tuned: draw.restarts,
+        DescribingFunction: _loci,
+    }
+    with styled():
+        for kind, (above, below) in pairs.items():
+            if isinstance(result, kind):
+                return _two(result, ax, above, below)
+        for kind, one in singles.items():
+            if isinstance(result, kind):
+                return _one(result, ax, one)
+    raise InvalidValue("plot", type(result).__name__, f"must be {_KINDS}")
+
+
+def _loci(ax: Axes, df: DescribingFunction) -> None:
+    draw.frequency(ax, [("loop", df)])
+    ax.legend(loc="best")
+
+
+def _axes(ax: Any, allowed: tuple[int, ...]) -> list[Any]:
+    given = [a for a in np.ravel(np.array(ax, dtype=object)) if hasattr(a, "plot") and hasattr(a, "set_xlabel")]
+    if len(given) not in allowed or len(given) != np.size(np.array(ax, dtype=object)):
+        raise InvalidValue("plot.ax", ax, f"must be {' or '.join(map(str, allowed))} matplotlib Axes")
+    return given
+
+
+def _one(result: object, ax: Any, one: Callable[..., None]) -> Axes:
+    target: Axes = new_figure(6.4, 4.0).subplots() if ax is None else _axes(ax, (1,))[0]
+    one(target, result)
+    return target
+
+
+def _two(result: Any, ax: Any, above: Callable[..., None], below: Callable[..., None]) -> Axes | NDArray[Any]:
+    axes = list(new_figure(6.4, 4.4).subplots(2, 1, sharex=True)) if ax is None else _axes(ax, (1, 2))
+    time = result.record.time if isinstance(result, Estimate) else result.time
+    unit, name = draw.time_axis(float(time[-1]))
+    above(axes[0], result, unit)
+    axes[-1].set_xlabel(f"time ({name})")
+    if len(axes) == 1:
+        single: Axes = axes[0]
+        return single
+    below(axes[1], result, unit)
+    out = np.empty(2, dtype=object)
+    out[:] = axes
+    return out

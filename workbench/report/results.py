@@ -1,0 +1,280 @@
+"""`results.json`, `cases.csv` and `run.json`: a study's figures for other programs.
+
+results.json and cases.csv hold nothing that changes from one run to the next; times, versions and machine are
+run.json's. Numbers carry 12 significant digits, so that the last bits in which machines differ do not show.
+"""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+import os
+import platform
+from collections.abc import Mapping, Sequence
+from dataclasses import fields
+from datetime import UTC, datetime
+from importlib.metadata import PackageNotFoundError, version
+from io import StringIO
+from typing import Any
+
+from workbench.model.controller import PID
+from workbench.model.loop import Loop
+from workbench.model.plant import FOPDT, Plant
+from workbench.model.results import DescribingFunction, Kpis, LimitCycle, Tuned
+from workbench.model.study import CaseResult, NamedEstimate, Study
+from workbench.model.valve import Valve
+
+__all__ = ["cases_csv", "controller_content", "results_content", "results_json", "run_json", "strict"]
+
+DIGITS = 12
+_DISTRIBUTIONS = ("stiction-workbench", "casadi", "matplotlib", "numba", "numpy", "scipy")
+
+
+def strict(value: Any) -> Any:
+    """Return a value as strict JSON takes it: nan as None, infinities as text, floats at 12 significant digits."""
+    if isinstance(value, bool) or value is None or isinstance(value, str | int):
+        return value
+    if isinstance(value, float):
+        if math.isnan(value):
+            return None
+        if math.isinf(value):
+            return "Infinity" if value > 0 else "-Infinity"
+        return float(f"{value:.{DIGITS}g}") + 0.0  # no negative zero
+    if isinstance(value, Mapping):
+        return {str(k): strict(v) for k, v in value.items()}
+    if isinstance(value, Sequence):
+        return [strict(v) for v in value]
+    if hasattr(value, "item"):
+        return strict(value.item())
+    msg = f"{type(value).__name__} has no JSON form here"
+    raise TypeError(msg)
+
+
+def _plain(value: Any) -> dict[str, Any]:
+    return {f.name: getattr(value, f.name) for f in fields(value)}
+
+
+def controller_content(controller: PID) -> dict[str, Any]:
+    """Return a controller in full; an unfiltered derivative's filter and a missing integral time are "none"."""
+    content = _plain(controller)
+    content["derivative_filter"] = _or_none(controller.derivative_filter)
+    content["Ti"] = _or_none(controller.Ti)
+    return {"form": controller.form, "structure": controller.structure, **content}
+
+
+def _or_none(value: float) -> float | str:
+    return "none" if math.isinf(value) else value
+
+
+def _plant(plant: Plant) -> dict[str, Any]:
+    return {"type": "fopdt" if isinstance(plant, FOPDT) else "integrating", **_plain(plant)}
+
+
+def _valve(valve: Valve) -> dict[str, Any]:
+    return {"type": type(valve).__name__.lower(), **_plain(valve)}
+
+
+def _loop(loop: Loop) -> dict[str, Any]:
+    return {"plant": _plant(loop.plant), "valve": _valve(loop.valve), "sample_time": loop.sample_time}
+
+
+def _describing_function(df: DescribingFunction | None) -> dict[str, Any] | None:
+    if df is None:
+        return None
+    names = ("predicts_cycle", "amplitude", "period", "pv_amplitude", "distance", "distance_amplitude")
+    return {
+        **{name: getattr(df, name) for name in names},
+        "distance_frequency": df.distance_frequency,
+        "linear_stable": df.linear_stable,
+        "crossings": [_plain(c) for c in df.crossings],
+        "verdict": df.verdict,
+    }
+
+
+def _limit_cycle(cycle: LimitCycle | None) -> dict[str, Any] | None:
+    if cycle is None:
+        return None
+    content = {f.name: getattr(cycle, f.name) for f in fields(cycle) if f.name not in ("loop", "starts")}
+    return {**content, "starts": [_plain(s) for s in cycle.starts]}
+
+
+def _tuned(name: str, tuned: Tuned) -> dict[str, Any]:
+    best, worst = tuned.spread
+    return {
+        "name": name,
+        "status": tuned.status.name.lower(),
+        "message": tuned.message,
+        "weights": _plain(tuned.weights),
+        "bounds": _plain(tuned.bounds),
+        "digits": tuned.digits,
+        "objective": tuned.objective,
+        "nominal": tuned.nominal,
+        "worst": tuned.worst,
+        "margin": tuned.margin,
+        "start_objective": tuned.start_objective,
+        "guard_margin": tuned.guard_margin,
+        "slips": tuned.slips,
+        "seed": tuned.seed,
+        "spread": {"best": best, "worst": worst},
+        "restarts": [_plain(r) for r in tuned.restarts],
+        "evaluations": tuned.evaluations,
+        "solves": tuned.solves,
+        "iterations": tuned.iterations,
+    }
+
+
+def _case(case: CaseResult) -> dict[str, Any]:
+    return {
+        "name": case.name,
+        "controller": controller_content(case.loop.controller),
+        "kpis": _plain(case.run.kpis),
+        "objective": case.objective,
+        "describing_function": _describing_function(case.describing_function),
+        "limit_cycle": _limit_cycle(case.limit_cycle),
+        "agreement": case.agreement,
+        "tuned": case.tuned is not None,
+        "reference": dict(case.reference),
+        "note": case.note,
+    }
+
+
+def _estimate(named: NamedEstimate) -> dict[str, Any]:
+    found = named.found
+    return {
+        "name": named.name,
+        "method": found.method,
+        "verdict": found.verdict,
+        "reasons": list(found.reasons),
+        "plant": _plant(found.plant),
+        "valve": _valve(found.valve),
+        "intervals": _plain(found.intervals),
+        "identifiable": found.identifiable,
+        "bias": found.bias,
+        "residual_variance": found.residual_variance,
+        "aic": found.aic,
+        "noise_sd": found.noise_sd,
+        "slips": found.slips,
+        "linear": {
+            "plant": _plant(found.linear.plant),
+            "bias": found.linear.bias,
+            "residual_variance": found.linear.residual_variance,
+            "aic": found.linear.aic,
+        },
+        "iterations": [{**_plain(i), "plant": _plant(i.plant)} for i in found.iterations],
+        "record": {
+            "samples": len(found.record),
+            "sample_time": found.record.sample_time,
+            "notes": list(found.record.notes),
+            "counts": dict(found.record.counts),
+        },
+        "truth": None if named.truth is None else _loop(named.truth),
+        "reference": dict(named.reference),
+        "note": named.note,
+    }
+
+
+def results_content(study: Study) -> dict[str, Any]:
+    """Return what results.json holds, in plain Python values (see `strict`)."""
+    noise = None if study.experiment is None else study.experiment.noise
+    estimates = [_estimate(e) for e in study.estimates]
+    tuning = [_tuned(c.name, c.tuned) for c in study.cases if c.tuned is not None]
+    return {
+        "name": study.name,
+        "title": study.title,
+        "loop": _loop(study.cases[0].loop) if study.cases else None,
+        "objective": None if study.objective is None else _plain(study.objective),
+        "seeds": {
+            "noise": None if noise is None else noise.seed,
+            "tuning": {t["name"]: [r["seed"] for r in t["restarts"]] or [t["seed"]] for t in tuning},
+        },
+        "cases": [_case(c) for c in study.cases],
+        "estimate": estimates[0] if estimates else None,
+        "estimates": estimates,
+        "tuning": tuning,
+        "reference_source": study.reference_source,
+        "notes": list(study.notes),
+    }
+
+
+def _dump(content: Any) -> str:
+    return json.dumps(strict(content), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+
+
+def results_json(study: Study) -> str:
+    """Return results.json's text: strict JSON, keys in a fixed order."""
+    return _dump(results_content(study))
+
+
+def run_json(study: Study) -> str:
+    """Return run.json's text: when, where, with which versions and in what time the study was made."""
+    versions = {}
+    for name in _DISTRIBUTIONS:
+        try:
+            versions[name] = version(name)
+        except PackageNotFoundError:
+            versions[name] = "not installed"
+    solver: dict[str, str] = {}
+    for case in study.cases:
+        if case.tuned is not None:
+            solver.update(case.tuned.versions)
+    return _dump(
+        {
+            "name": study.name,
+            "written": datetime.now(UTC).isoformat(timespec="seconds"),
+            "times": dict(study.times),
+            "tuning_times": {c.name: c.tuned.wall_time for c in study.cases if c.tuned is not None},
+            "versions": {"python": platform.python_version(), **versions},
+            "solver": solver,
+            "machine": {"platform": platform.platform(), "processor": platform.machine(), "cpus": os.cpu_count()},
+        }
+    )
+
+
+KPI_NAMES = tuple(f.name for f in fields(Kpis))
+
+
+def reference_names(cases: Sequence[CaseResult]) -> list[str]:
+    """Return the names of the published figures that any case has, in the order of the KPIs, others after them."""
+    given = {name for case in cases for name in case.reference}
+    known = [name for name in (*KPI_NAMES, "objective") if name in given]
+    return known + sorted(given - set(known))
+
+
+def cell(value: object) -> str:
+    """Return a value as a CSV cell: numbers at 12 digits, nothing for nan or None, text that no spreadsheet runs."""
+    if value is None:
+        return ""
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, int):
+        return str(value)
+    if isinstance(value, float):
+        if math.isnan(value):
+            return ""
+        return f"{value:.{DIGITS}g}"
+    text = str(value)
+    # Spreadsheets take such cells for formulas, also behind blanks and control characters.
+    return f"'{text}" if text.lstrip().startswith(("=", "+", "-", "@")) or text.startswith(("\t", "\r", "\n")) else text
+
+
+def cases_csv(study: Study) -> str:
+    """Return cases.csv's text: one row for each case."""
+    references = reference_names(study.cases)
+    head = ["case", "form", "derivative_on", "derivative_filter", "Kc", "Ti", "Td", "objective", *KPI_NAMES]
+    head += ["limit_cycle", "limit_cycle_period", "limit_cycle_pv_peak_to_peak"]
+    head += ["describing_function_predicts_cycle", "describing_function_period", "tuning_status"]
+    head += [f"reference_{name}" for name in references]
+    out = StringIO()
+    writer = csv.writer(out, lineterminator="\n")
+    writer.writerow([cell(h) for h in head])
+    for case in study.cases:
+        c, cycle, df = case.loop.controller, case.limit_cycle, case.describing_function
+        row: list[object] = [case.name, c.form, c.derivative_on, _or_none(c.derivative_filter), c.Kc, _or_none(c.Ti)]
+        row += [c.Td, case.objective, *(getattr(case.run.kpis, name) for name in KPI_NAMES)]
+        row += [None] * 3 if cycle is None else [cycle.outcome, cycle.period, cycle.pv_peak_to_peak]
+        row += [None] * 2 if df is None else [df.predicts_cycle, df.period]
+        row.append(None if case.tuned is None else case.tuned.status.name.lower())
+        row += [case.reference.get(name) for name in references]
+        writer.writerow([cell(value) for value in row])
+    return out.getvalue()

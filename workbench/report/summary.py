@@ -1,0 +1,305 @@
+"""The report's summary: sentences composed from the results by rules, never claiming more than the figures say."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from workbench.model.plant import FOPDT
+from workbench.model.results import LimitCycle
+from workbench.model.study import CaseResult, NamedEstimate, Study
+from workbench.model.valve import Choudhury, Deadband, Ideal, Stenman
+from workbench.report.results import reference_names
+from workbench.report.tables import kpi_title
+from workbench.report.words import (
+    change,
+    controller_words,
+    decimals_of,
+    difference,
+    duration,
+    figure,
+    interval,
+    join,
+)
+
+__all__ = ["Summary", "base_case", "best_case", "df_disagrees", "summarise"]
+
+KNIFE_EDGE = 1.05  # worst J near the settings over their own, above which a tuning is called a knife-edge
+
+
+@dataclass(frozen=True, slots=True)
+class Summary:
+    """What was found and what to do, sentence by sentence."""
+
+    found: tuple[str, ...]
+    do: tuple[str, ...]
+
+
+def summarise(study: Study) -> Summary:
+    """Return a study's summary in words."""
+    found: list[str] = []
+    do: list[str] = []
+    for named in study.estimates:
+        found += estimate_sentences(named)
+        do += estimate_advice(named)
+    if study.cases:
+        found += _case_sentences(study)
+        do += _case_advice(study)
+    return Summary(tuple(found), tuple(dict.fromkeys(do)))
+
+
+def base_case(study: Study) -> CaseResult | None:
+    """Return the case that others are compared with: the first whose tuning was given."""
+    return next((c for c in study.cases if c.tuned is None), None)
+
+
+def _measure(case: CaseResult) -> float:
+    value = case.run.kpis.error_variance if case.objective is None else case.objective
+    return value if math.isfinite(value) else math.inf
+
+
+def best_case(study: Study) -> CaseResult | None:
+    """Return the case of least J (least error variance without an objective) among those that are verified."""
+    fit = [c for c in study.cases if c.tuned is None or c.tuned.status.success]
+    fit = [c for c in fit if math.isfinite(_measure(c))]
+    return min(fit, key=_measure, default=None)
+
+
+def df_disagrees(case: CaseResult) -> bool:
+    """Return whether describing function and exact simulation give opposite answers on a cycle."""
+    df, cycle = case.describing_function, case.limit_cycle
+    if df is None or cycle is None or cycle.outcome not in ("cycles", "settles"):
+        return False
+    return df.predicts_cycle != (cycle.outcome == "cycles")
+
+
+def _names(cases: list[CaseResult]) -> str:
+    return join([c.name for c in cases])
+
+
+# --- estimates -------------------------------------------------------------------------------------------------
+
+
+def estimate_sentences(named: NamedEstimate) -> list[str]:
+    """Return what an estimate found: verdict, stiction with its range, plant, identifiability, and the linear fit."""
+    found, name = named.found, named.name
+    plant = found.plant
+    process = f"gain {figure(plant.gain, 3)} {'EU/%' if isinstance(plant, FOPDT) else 'EU/(% s)'}"
+    if isinstance(plant, FOPDT):
+        process += f", time constant {figure(plant.time_constant, 3)} s"
+    process += f", dead time {figure(plant.dead_time, 3)} s"
+    reason = found.reasons[0].rstrip(".") if found.reasons else ""
+    if found.verdict == "stiction":
+        text = f"{name}: the valve sticks, {_stiction(named)}; the process has {process}."
+    elif found.verdict == "no_stiction":
+        text = f"{name}: no stiction found{f' ({reason})' if reason else ''}; the process has {process}."
+    else:
+        text = f"{name}: whether the valve sticks stays undecided{f': {reason}' if reason else ''}."
+        if not isinstance(found.valve, Ideal):
+            text += f" The best model has {_stiction(named)} and {process}; take it as a hint, not as a finding."
+    sentences = [text]
+    if not isinstance(found.valve, Ideal) and not found.identifiable:
+        product = abs(plant.gain) * found.valve.stick_band
+        unit = "EU" if isinstance(plant, FOPDT) else "EU/s"
+        sentences.append(
+            f"{name}: the record pins only the product of gain and stiction ({figure(product, 3)} {unit}), not the "
+            "stiction alone; a record with a setpoint change in it would resolve that."
+        )
+    linear = found.linear
+    if found.verdict == "stiction" and found.residual_variance > 0.0:
+        ratio = linear.residual_variance / found.residual_variance
+        if ratio > 1.05 and isinstance(linear.plant, FOPDT) and isinstance(plant, FOPDT):
+            times = f"{figure(ratio, 2)} times" if ratio < 1e4 else "more than 10,000 times"
+            sentences.append(
+                f"{name}: a fit that ignores the stiction leaves {times} the residual variance, with gain "
+                f"{figure(linear.plant.gain, 3)} EU/%, time constant {figure(linear.plant.time_constant, 3)} s and "
+                f"dead time {figure(linear.plant.dead_time, 3)} s."
+            )
+    return sentences
+
+
+def _stiction(named: NamedEstimate) -> str:
+    valve, ranges = named.found.valve, named.found.intervals
+
+    def with_range(name: str, value: float, pair: tuple[float, float] | None) -> str:
+        text = f"{name} = {figure(value, 3)} %"
+        return text if pair is None else f"{text} (95 % range {interval(pair, '%', 3)})"
+
+    if isinstance(valve, Stenman):
+        return with_range("d", valve.d, ranges.d)
+    if isinstance(valve, Choudhury):
+        return f"{with_range('S', valve.S, ranges.S)}, {with_range('J', valve.J, ranges.J)}"
+    if isinstance(valve, Deadband):
+        return with_range("dead band", valve.b, ranges.S)
+    return "no stiction"
+
+
+def estimate_advice(named: NamedEstimate) -> list[str]:
+    """Return what to do about an estimate of a plant's own record; a simulated record asks for nothing."""
+    found = named.found
+    if named.truth is not None:
+        return []
+    if found.verdict == "stiction":
+        step = abs(found.plant.gain) * found.valve.slip_jump if isinstance(found.plant, FOPDT) else 0.0
+        text = f"{named.name}: have the valve looked at (packing, actuator, positioner)."
+        if step > 0.0:
+            text += f" As long as it sticks it moves PV in steps of about {figure(step, 2)} EU, whatever the tuning."
+        return [text]
+    if found.verdict == "no_stiction":
+        return [f"{named.name}: if the loop oscillates, look for another cause: tight tuning, or a disturbance."]
+    return [
+        f"{named.name}: before acting, take a longer record, with a setpoint change of several per cent of OP in it."
+    ]
+
+
+# --- cases -----------------------------------------------------------------------------------------------------
+
+
+def _swing(cycle: LimitCycle) -> str:
+    return f"PV swings {figure(cycle.pv_peak_to_peak, 3)} EU every {duration(cycle.period)}"
+
+
+def _case_sentences(study: Study) -> list[str]:
+    out: list[str] = []
+    seen = [c for c in study.cases if c.limit_cycle is not None]
+    cycling = [c for c in seen if c.limit_cycle is not None and c.limit_cycle.outcome == "cycles"]
+    if cycling:
+        parts = [f"{c.name} ({_swing(c.limit_cycle)})" for c in cycling if c.limit_cycle is not None]
+        if len(cycling) == len(seen):
+            lead = "The loop keeps cycling" if len(seen) == 1 else f"All {len(seen)} tunings keep the loop cycling"
+        else:
+            lead = f"{len(cycling)} of {len(seen)} tunings keep the loop cycling"
+        out.append(f"{lead}: {'; '.join(parts)}.")
+    for outcome, text in (
+        ("settles", "settles"),
+        ("depends", "cycles or settles depending on where the valve starts"),
+        ("undecided", "could not be decided by simulation"),
+    ):
+        some = [c for c in seen if c.limit_cycle is not None and c.limit_cycle.outcome == outcome]
+        if some:
+            out.append(f"{_names(some)}: the loop {text}.")
+    both = [c for c in seen if c.describing_function is not None]
+    wrong = [c for c in both if df_disagrees(c)]
+    if wrong:
+        out.append(f"The describing function is wrong about the cycle for {_names(wrong)}.")
+        told = [c.agreement for c in wrong if c.agreement]
+        for sentence in dict.fromkeys(told):
+            owners = [c for c in wrong if c.agreement == sentence]
+            out.append(f"{_names(owners)}: {sentence}")
+    out += _reference_sentences(study)
+    return out
+
+
+def _reference_sentences(study: Study) -> list[str]:
+    same: dict[str, list[str]] = {}
+    other = 0
+    for name in reference_names(study.cases):
+        decimals = decimals_of([c.reference[name] for c in study.cases if name in c.reference])
+        for case in study.cases:
+            if name not in case.reference:
+                continue
+            ours = case.objective if name == "objective" else getattr(case.run.kpis, name, None)
+            if ours is not None and difference(ours, case.reference[name], decimals) == "to the digit":
+                same.setdefault(name, []).append(case.name)
+            else:
+                other += 1
+    if not same and not other:
+        return []
+    parts = [f"{kpi_title(name)[0].lower()} of {join(cases)}" for name, cases in same.items()]
+    if not parts:
+        return [
+            f"None of the {other} published figures comes out to the digit; the table says by how much each differs."
+        ]
+    text = f"Of the published figures, {'; '.join(parts)} {'come' if len(parts) > 1 else 'comes'} out to the digit"
+    if other:
+        text += f"; the other {other} differ, as the table says" if other > 1 else "; the other one differs"
+    return [f"{text}."]
+
+
+def _case_advice(study: Study) -> list[str]:
+    out = [
+        f"Do not use {case.name} as it stands: its search ended as “{case.tuned.status.value}”"
+        f"{f' ({case.tuned.message.rstrip(chr(46))})' if case.tuned.message else ''}."
+        for case in study.cases
+        if case.tuned is not None and not case.tuned.status.success
+    ]
+    base, best = base_case(study), best_case(study)
+    if best is None:
+        return out
+    if len(study.cases) > 1:
+        out += _recommendation(study, base, best)
+    out += _remaining(best)
+    return out
+
+
+def _recommendation(study: Study, base: CaseResult | None, best: CaseResult) -> list[str]:
+    out = []
+    controller = controller_words(best.loop.controller, best.tuned.digits if best.tuned is not None else None)
+    kpis = best.run.kpis
+    by = "J" if best.objective is not None else "error variance"
+    if best is base:
+        out.append(f"Keep {best.name} ({controller}): none of the other tunings has a lower {by} in this experiment.")
+    elif base is None:
+        out.append(
+            f"Set {controller} ({best.name}): the lowest {by} of the cases, error variance "
+            f"{figure(kpis.error_variance, 3)} EU², valve travel {figure(kpis.valve_travel, 3)} %."
+        )
+    else:
+        was = base.run.kpis
+        parts = []
+        if best.objective is not None and base.objective is not None:
+            parts.append(f"J {figure(best.objective, 3)} instead of {figure(base.objective, 3)}")
+        parts.append(f"error variance {change(kpis.error_variance, was.error_variance)}")
+        parts.append(f"valve travel {change(kpis.valve_travel, was.valve_travel)}")
+        out.append(f"Set {controller} ({best.name}): {', '.join(parts)} against {base.name}.")
+    if best.tuned is not None:
+        tuned = best.tuned
+        within = f"within ±{figure(100.0 * tuned.margin, 2)} % of these settings"
+        if tuned.worst > KNIFE_EDGE * tuned.objective:
+            out.append(
+                f"Type in exactly these digits: the optimum is a knife-edge, {within} J rises from "
+                f"{figure(tuned.objective, 3)} to as much as {figure(tuned.worst, 3)}."
+            )
+        out.append(
+            "These figures hold for this experiment on this model; a plant that differs from the model, or another "
+            "disturbance, will give others. Watch PV and valve travel after the change."
+        )
+    out += _less_wear(study, best)
+    return out
+
+
+def _less_wear(study: Study, best: CaseResult) -> list[str]:
+    """Name the calmest other case where it moves the valve less than half as far."""
+    others = [c for c in study.cases if c is not best and (c.tuned is None or c.tuned.status.success)]
+    calm = min(others, key=lambda c: c.run.kpis.valve_travel, default=None)
+    if calm is None or not calm.run.kpis.valve_travel < 0.5 * best.run.kpis.valve_travel:
+        return []
+    ours, theirs = calm.run.kpis, best.run.kpis
+    return [
+        (
+            f"Where wear counts more than error: {calm.name} ({controller_words(calm.loop.controller)}) has valve "
+            f"travel {figure(ours.valve_travel, 3)} % instead of {figure(theirs.valve_travel, 3)} %, at error variance "
+            f"{figure(ours.error_variance, 3)} EU² instead of {figure(theirs.error_variance, 3)} EU²."
+        )
+    ]
+
+
+def _remaining(best: CaseResult) -> list[str]:
+    """Say what the recommended tuning leaves, and what no tuning can remove."""
+    out = []
+    cycle, loop = best.limit_cycle, best.loop
+    if cycle is not None and cycle.outcome == "cycles":
+        out.append(
+            f"With {best.name} the cycle remains: {_swing(cycle)}, and the valve travels "
+            f"{figure(cycle.travel_per_hour, 3)} % an hour."
+        )
+    elif cycle is not None and cycle.outcome == "settles":
+        out.append(f"With {best.name} the loop comes to rest in this experiment.")
+    if loop.valve.slip_jump > 0.0 and math.isfinite(loop.controller.Ti) and isinstance(loop.plant, FOPDT):
+        step = abs(loop.plant.gain) * loop.valve.slip_jump
+        out.append(
+            f"What no tuning removes: this valve moves in steps of at least {figure(loop.valve.slip_jump, 3)} %, which "
+            f"is {figure(step, 3)} EU of PV. While the controller integrates it goes on hunting for a setpoint between "
+            "two steps, the more slowly the weaker the integral action. Only repairing the valve ends that."
+        )
+    return out

@@ -1,0 +1,460 @@
+"""The report's tables as rows of text: which figures stand where, with which unit and how many digits."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+from workbench.model.controller import PID
+from workbench.model.plant import FOPDT
+from workbench.model.results import DescribingFunction, LimitCycle, LimitCycleStart, Tuned
+from workbench.model.study import CaseResult, NamedEstimate, Study
+from workbench.model.valve import Choudhury, Deadband, Stenman, Valve
+from workbench.report.results import reference_names
+from workbench.report.words import (
+    decimals_of,
+    difference,
+    duration,
+    figure,
+    interval,
+    plant_words,
+    published,
+    setting,
+    valve_words,
+)
+
+__all__ = [
+    "Cell",
+    "Row",
+    "Table",
+    "case_tables",
+    "cycle_tables",
+    "deciding_start",
+    "difference_table",
+    "estimate_table",
+    "how_tables",
+    "kpi_title",
+    "loop_lines",
+    "valve_parameters",
+]
+
+COLUMNS = 7  # cases beside each other in one table: what an A4 page holds
+
+
+@dataclass(frozen=True, slots=True)
+class Cell:
+    """One cell: its text, a second line in small print, and whether it is the best of its row."""
+
+    text: str
+    small: str = ""
+    best: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """One row: what it shows, its unit, its cells; `group` starts a new group of rows."""
+
+    label: str
+    unit: str
+    cells: tuple[Cell, ...]
+    group: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Table:
+    """A table: the column heads after the first, and the rows."""
+
+    heads: tuple[str, ...]
+    rows: tuple[Row, ...]
+    title: str = ""
+
+
+# Name in Kpis, title, unit, whether less is better.
+KPI_ROWS: tuple[tuple[str, str, str, bool], ...] = (
+    ("error_variance", "Error variance", "EU²", True),
+    ("valve_travel", "Valve travel", "%", True),
+    ("controller_travel", "Controller travel", "%", False),
+    ("op_variance", "OP variance", "%²", False),
+    ("valve_variance", "Valve variance", "%²", False),
+    ("reversals", "Valve reversals", "", True),
+    ("mean_square_error", "Mean square error", "EU²", True),
+    ("iae", "Integrated absolute error", "EU s", True),
+    ("pv_sd", "Standard deviation of PV", "EU", False),
+    ("overshoot", "Overshoot", "% of step", False),
+    ("settling_time", "Settling time", "", True),
+    ("final_error", "Error at the end", "EU", False),
+    ("oscillation_index", "Oscillation index", "0 to 1", False),
+    ("oscillation_period", "Oscillation period", "", False),
+)
+_TIMES = ("settling_time", "oscillation_period")
+_TITLES = {name: (title, unit) for name, title, unit, _ in KPI_ROWS} | {
+    "ise": ("Integrated squared error", "EU² s"),
+    "objective": ("J", ""),
+    "d": ("Stiction d", "%"),
+    "S": ("Stick band S", "%"),
+    "J": ("Slip jump J", "%"),
+    "b": ("Dead band b", "%"),
+    "gain": ("Gain K", "EU/%"),
+    "time_constant": ("Time constant", "s"),
+    "dead_time": ("Dead time", "s"),
+}
+
+
+def kpi_title(name: str) -> tuple[str, str]:
+    """Return a figure's title and unit; an unknown name stands for itself."""
+    return _TITLES.get(name, (name.replace("_", " "), ""))
+
+
+def _blocks(cases: Sequence[CaseResult]) -> list[Sequence[CaseResult]]:
+    count = math.ceil(len(cases) / COLUMNS)
+    size = math.ceil(len(cases) / count) if count else 0
+    return [cases[i * size : (i + 1) * size] for i in range(count)]
+
+
+def _value(case: CaseResult, name: str) -> float:
+    if name == "objective":
+        return math.nan if case.objective is None else case.objective
+    return float(getattr(case.run.kpis, name, math.nan))
+
+
+def _shown(kpi: str, value: float) -> str:
+    if kpi == "settling_time" and math.isinf(value):
+        return "not in the run"
+    if kpi in _TIMES:
+        return duration(value)
+    return f"{value:,.0f}" if kpi == "reversals" else figure(value)
+
+
+def case_tables(study: Study) -> list[Table]:
+    """Return the comparison of the cases, KPIs down and cases across, at most seven beside each other."""
+    decimals = {n: decimals_of([c.reference[n] for c in study.cases if n in c.reference]) for n in _references(study)}
+    return [
+        Table(tuple(c.name for c in block), tuple(_case_rows(study, block, decimals))) for block in _blocks(study.cases)
+    ]
+
+
+def _references(study: Study) -> list[str]:
+    return reference_names(study.cases)
+
+
+def _case_rows(study: Study, block: Sequence[CaseResult], decimals: dict[str, int]) -> list[Row]:
+    pids = [c.loop.controller for c in block]
+    parallel = all(p.form == "parallel" for p in pids)
+    digits = [c.tuned.digits if c.tuned is not None else None for c in block]
+
+    def settings(name: str) -> tuple[Cell, ...]:
+        return tuple(Cell(setting(getattr(p, name), d)) for p, d in zip(pids, digits, strict=True))
+
+    rows = [
+        Row("Kc", "%/EU", settings("Kc"), group=True),
+        Row("Ti", "EU s/%" if parallel else "s", settings("Ti")),
+        Row("Td", "% s/EU" if parallel else "s", settings("Td")),
+    ]
+    for text, describe in _CONTROLLER_ROWS:
+        every = [describe(c.loop.controller) for c in study.cases]
+        if len(set(every)) > 1:
+            rows.append(Row(text, "", tuple(Cell(describe(p)) for p in pids)))
+    first = True
+    everything = [("objective", "J", "", True), *KPI_ROWS]
+    for name, title, unit, less in everything:
+        values = [_value(c, name) for c in block]
+        if all(math.isnan(v) for v in values):
+            continue
+        best = min((v for v in (_value(c, name) for c in study.cases) if not math.isnan(v)), default=math.nan)
+        cells = []
+        for case, value in zip(block, values, strict=True):
+            small = ""
+            if name in case.reference:
+                small = f"published {published(case.reference[name], decimals[name])}"
+            mark = less and len(study.cases) > 1 and value == best and math.isfinite(value)
+            cells.append(Cell(_shown(name, value), small, mark))
+        rows.append(Row(title, unit, tuple(cells), group=first))
+        first = False
+    return rows
+
+
+def _filter(pid: PID) -> str:
+    if pid.Td == 0.0:
+        return "–"
+    return "none" if math.isinf(pid.derivative_filter) else f"Td/{figure(pid.derivative_filter)}"
+
+
+_CONTROLLER_ROWS: tuple[tuple[str, Callable[[PID], str]], ...] = (
+    ("Form", lambda p: p.form),
+    ("Structure", lambda p: p.structure or f"D on {p.derivative_on}, weight {figure(p.setpoint_weight)}"),
+    ("Derivative filter", _filter),
+    ("Action", lambda p: p.action),
+)
+
+
+def loop_lines(study: Study) -> list[tuple[str, str]]:
+    """Return what all cases share, as (what, text): plant, valve, controller, sampling, experiment, objective."""
+    lines: list[tuple[str, str]] = []
+    if study.cases:
+        loop = study.cases[0].loop
+        lines += [("Plant", plant_words(loop.plant)), ("Valve", valve_words(loop.valve))]
+        shared = []
+        for text, describe in _CONTROLLER_ROWS:
+            every = {describe(c.loop.controller) for c in study.cases} - {"–"}
+            if len(every) == 1:
+                shared.append(f"{text.lower()} {every.pop()}")
+        lines.append(("Controller", ", ".join(shared) or "differs from case to case (see the table)"))
+        lines.append(("Sample time", f"{figure(loop.sample_time)} s"))
+    if study.experiment is not None:
+        lines.append(("Experiment", _experiment_words(study)))
+    if study.objective is not None:
+        lines.append(("Objective J", _objective_words(study)))
+    return lines
+
+
+def _experiment_words(study: Study) -> str:
+    experiment = study.experiment
+    assert experiment is not None  # noqa: S101
+    parts = [f"{setting(experiment.duration)} s"]
+    for name, unit, profile in (
+        ("setpoint", "EU", experiment.setpoint_parts),
+        ("load", "%", experiment.load_parts),
+    ):
+        for part in profile:
+            kind = type(part).__name__.lower()
+            if kind == "step":
+                parts.append(f"{name} step of {figure(part.size)} {unit} at {setting(part.at)} s")  # type: ignore[union-attr]
+            elif kind == "ramp":
+                parts.append(
+                    f"{name} ramp of {figure(part.size)} {unit} from {setting(part.start)} s to {setting(part.end)} s"  # type: ignore[union-attr]
+                )
+            else:
+                parts.append(f"{name} as a given series")
+    noise = experiment.noise
+    if noise is not None and noise.sd > 0.0:
+        parts.append(f"measurement noise of standard deviation {figure(noise.sd)} EU (seed {noise.seed})")
+    else:
+        parts.append("no noise")
+    if experiment.stem_offset != 0.0:
+        parts.append(f"stem offset {figure(experiment.stem_offset)} %")
+    return ", ".join(parts)
+
+
+def _objective_words(study: Study) -> str:
+    weights = study.objective
+    assert weights is not None  # noqa: S101
+    terms = []
+    for weight, text in (
+        (weights.w1, "Σ (SP − PV)²"),
+        (weights.w2, "Σ OP²"),
+        (weights.w4, "Σ (OP move)²"),
+        (weights.w3, "(SP − PV)² at the end"),
+    ):
+        if weight > 0.0:
+            terms.append(f"{figure(weight)} {text}")
+    return " + ".join(terms) + ", sums over samples"
+
+
+def difference_table(study: Study) -> Table | None:
+    """Return our figures against the published ones in words, cases down and figures across; None without any."""
+    names = _references(study)
+    if not names:
+        return None
+    rows = []
+    for case in study.cases:
+        if not case.reference:
+            continue
+        cells = []
+        for name in names:
+            if name not in case.reference:
+                cells.append(Cell("–"))
+                continue
+            theirs = case.reference[name]
+            decimals = decimals_of([c.reference[name] for c in study.cases if name in c.reference])
+            ours = _value(case, name)
+            text = difference(ours, theirs, decimals)
+            shown = _shown(name, ours) if math.isinf(ours) else published(ours, decimals)
+            cells.append(Cell(text, f"{shown} here, {published(theirs, decimals)} published", text == "to the digit"))
+        rows.append(Row(case.name, "", tuple(cells)))
+    heads = []
+    for name in names:
+        title, unit = kpi_title(name)
+        heads.append(f"{title}, {unit}" if unit else title)
+    return Table(tuple(heads), tuple(rows))
+
+
+def deciding_start(cycle: LimitCycle) -> LimitCycleStart | None:
+    """Return the start whose figures are the cycle's own (the given experiment's), or None where they are medians."""
+    for start in cycle.starts:
+        if start.outcome == "cycles" and start.period == cycle.period:
+            return start
+    return None
+
+
+_OUTCOMES = {
+    "settles": "settles",
+    "cycles": "cycles",
+    "depends": "depends on the start",
+    "undecided": "undecided",
+}
+
+
+def _of_cycle(text: Callable[[LimitCycle], str]) -> Callable[[CaseResult], str]:
+    return lambda case: "–" if case.limit_cycle is None else text(case.limit_cycle)
+
+
+def _of_df(text: Callable[[DescribingFunction], str]) -> Callable[[CaseResult], str]:
+    return lambda case: "–" if case.describing_function is None else text(case.describing_function)
+
+
+def _first_period(cycle: LimitCycle) -> str:
+    start = deciding_start(cycle)
+    return "–" if start is None else duration(start.first_period)
+
+
+def _range(cycle: LimitCycle) -> str:
+    low, high = cycle.period_range
+    return "–" if math.isnan(low) else duration(low) if low == high else f"{duration(low)} to {duration(high)}"
+
+
+_CYCLE_ROWS: tuple[tuple[str, str, Callable[[CaseResult], str]], ...] = (
+    ("Exact simulation", "", _of_cycle(lambda c: _OUTCOMES.get(c.outcome, c.outcome))),
+    ("First period", "", _of_cycle(_first_period)),
+    ("Late period", "", _of_cycle(lambda c: duration(c.period))),
+    ("Late period, all starts", "", _of_cycle(_range)),
+    ("Closed form, shortest", "", _of_cycle(lambda c: duration(c.closed_form_period))),
+    ("PV peak to peak", "EU", _of_cycle(lambda c: figure(c.pv_peak_to_peak, 3))),
+    ("OP peak to peak", "%", _of_cycle(lambda c: figure(c.op_peak_to_peak, 3))),
+    ("Mean square error", "EU²", _of_cycle(lambda c: figure(c.mean_square_error, 3))),
+    ("Valve travel an hour", "%", _of_cycle(lambda c: figure(c.travel_per_hour, 3))),
+    ("Time simulated to see it", "", _of_cycle(lambda c: duration(c.window))),
+    ("Describing function", "", _of_df(lambda d: "cycle" if d.predicts_cycle else "no cycle")),
+    ("Predicted period", "", _of_df(lambda d: duration(d.period))),
+    ("Predicted PV peak to peak", "EU", _of_df(lambda d: figure(2.0 * d.pv_amplitude, 3))),
+    ("Distance of the loci", "", _of_df(lambda d: figure(d.distance, 3))),
+    ("Loop with an ideal valve", "", _of_df(lambda d: "stable" if d.linear_stable else "unstable")),
+)
+
+
+def cycle_tables(study: Study) -> list[Table]:
+    """Return limit cycles and describing functions, figures down and cases across; empty where none was asked for."""
+    cases = [c for c in study.cases if c.limit_cycle is not None or c.describing_function is not None]
+    tables = []
+    for block in _blocks(cases):
+        rows = []
+        for title, unit, text in _CYCLE_ROWS:
+            if all(text(c) == "–" for c in cases):
+                continue
+            group = title in ("Exact simulation", "Describing function")
+            rows.append(Row(title, unit, tuple(Cell(text(c)) for c in block), group))
+        tables.append(Table(tuple(c.name for c in block), tuple(rows)))
+    return tables
+
+
+def valve_parameters(valve: Valve) -> list[tuple[str, float]]:
+    """Return a valve's parameters by their names, in order."""
+    if isinstance(valve, Stenman):
+        return [("d", valve.d)]
+    if isinstance(valve, Choudhury):
+        return [("S", valve.S), ("J", valve.J)]
+    return [("b", valve.b)] if isinstance(valve, Deadband) else []
+
+
+def estimate_table(named: NamedEstimate) -> Table:
+    """Return an estimate's parameters with their ranges, beside truth, published figures and the linear fit."""
+    found, truth = named.found, named.truth
+    true_values = {} if truth is None else dict(valve_parameters(truth.valve)) | _plant_values(truth.plant)
+    linear = _plant_values(found.linear.plant)
+    heads = ["estimate", "95 % range"]
+    heads += ["true value", "off by"] if truth is not None else []
+    heads += ["published", "difference"] if named.reference else []
+    heads.append("fit that ignores stiction")
+    rows = []
+    for name, value in [*valve_parameters(found.valve), *_plant_values(found.plant).items()]:
+        title, unit = kpi_title(name)
+        if name == "gain" and not isinstance(found.plant, FOPDT):
+            unit = "EU/(% s)"
+        cells = [Cell(figure(value)), Cell(interval(getattr(found.intervals, name, None), ""))]
+        if truth is not None:
+            true = true_values.get(name)
+            cells.append(Cell("–" if true is None else figure(true)))
+            cells.append(Cell("–" if true is None else _off(value, true)))
+        if named.reference:
+            theirs = named.reference.get(name)
+            decimals = 0 if theirs is None else decimals_of([theirs])
+            cells.append(Cell("–" if theirs is None else published(theirs, decimals)))
+            cells.append(Cell("–" if theirs is None else difference(value, theirs, decimals)))
+        cells.append(Cell(figure(linear[name]) if name in linear else "–"))
+        rows.append(Row(title, unit, tuple(cells)))
+    blanks = len(heads) - 3
+    for title, unit, ours, theirs in (
+        ("Bias (PV at stem 0)", "EU", found.bias, found.linear.bias),
+        ("Residual variance", "EU²", found.residual_variance, found.linear.residual_variance),
+        ("AIC", "", found.aic, found.linear.aic),
+    ):
+        middle = tuple(Cell("") for _ in range(blanks + 1))
+        rows.append(Row(title, unit, (Cell(figure(ours)), *middle, Cell(figure(theirs)))))
+    return Table(tuple(heads), tuple(rows), named.name)
+
+
+def _plant_values(plant: object) -> dict[str, float]:
+    names = ("gain", "time_constant", "dead_time")
+    return {n: getattr(plant, n) for n in names if hasattr(plant, n)}
+
+
+def _off(value: float, true: float) -> str:
+    if value == true:
+        return "0"
+    if true == 0.0:
+        return figure(value - true, 2)
+    percent = 100.0 * (value / true - 1.0)
+    return "under 0.01 %" if abs(percent) < 0.01 else f"{figure(percent, 2)} %"
+
+
+def how_tables(study: Study) -> list[Table]:
+    """Return how tunings were found: figures down and tunings across, then every restart."""
+    tuned = [(c.name, c.tuned) for c in study.cases if c.tuned is not None]
+    if not tuned:
+        return []
+    rows = [Row(title, unit, tuple(Cell(text(t)) for _, t in tuned)) for title, unit, text in _HOW_ROWS]
+    tables = [Table(tuple(name for name, _ in tuned), tuple(rows), "Tunings")]
+    restarts = []
+    for name, one in tuned:
+        for i, r in enumerate(one.restarts):
+            cells = (str(r.seed), figure(r.scanned, 5), figure(r.refined, 5), f"{r.evaluations:,}", str(r.solves))
+            row = tuple(Cell(text) for text in (*cells, f"{r.iterations:,}"))
+            restarts.append(Row(name, "", row, group=i == 0))
+    if restarts:
+        heads = ("seed", "J after the scan", "J refined", "simulations", "NLPs", "IPOPT iterations")
+        tables.append(Table(heads, tuple(restarts), "Restarts"))
+    return tables
+
+
+def _spread(tuned: Tuned) -> str:
+    best, worst = tuned.spread
+    return f"{figure(best)} to {figure(worst)}"
+
+
+def _agreeing(tuned: Tuned) -> str:
+    best = tuned.spread[0]
+    close = sum(r.refined <= 1.01 * best for r in tuned.restarts)
+    return f"{close} of {len(tuned.restarts)}"
+
+
+_HOW_ROWS: tuple[tuple[str, str, Callable[[Tuned], str]], ...] = (
+    ("Status", "", lambda t: t.status.value),
+    ("J of the settings as typed in", "", lambda t: figure(t.objective, 5)),
+    ("Digits typed in", "", lambda t: str(t.digits)),
+    ("J of the unrounded best", "", lambda t: figure(t.nominal, 5)),
+    ("Worst J near the settings", "", lambda t: f"{figure(t.worst, 5)} within ±{figure(100.0 * t.margin, 2)} %"),
+    ("J of the start", "", lambda t: figure(t.start_objective, 5)),
+    ("Guard margin", "%", lambda t: figure(t.guard_margin, 3)),
+    ("Slips of the valve", "", lambda t: f"{t.slips:,}"),
+    ("J over the restarts", "", _spread),
+    ("Restarts within 1 % of the best", "", _agreeing),
+    ("Simulations", "", lambda t: f"{t.evaluations:,}"),
+    ("NLPs solved", "", lambda t: f"{t.solves:,}"),
+    ("IPOPT iterations", "", lambda t: f"{t.iterations:,}"),
+    ("Seed", "", lambda t: str(t.seed)),
+    ("Bounds of Kc, Ti, Td", "", lambda t: "; ".join(_bound(p) for p in (t.bounds.Kc, t.bounds.Ti, t.bounds.Td))),
+)
+
+
+def _bound(pair: tuple[float, float]) -> str:
+    return setting(pair[0]) if pair[0] == pair[1] else f"{setting(pair[0])} to {setting(pair[1])}"

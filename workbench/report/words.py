@@ -1,0 +1,212 @@
+"""Numbers, units and short phrases as the report prints them: significant digits, "102 s", "8.0 h", "−92 %"."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Sequence
+
+from workbench.model.controller import PID
+from workbench.model.plant import FOPDT, Plant
+from workbench.model.valve import Choudhury, Deadband, Ideal, Stenman, Valve
+
+__all__ = [
+    "change",
+    "controller_words",
+    "decimals_of",
+    "difference",
+    "duration",
+    "figure",
+    "interval",
+    "join",
+    "label",
+    "plant_words",
+    "published",
+    "setting",
+    "slug",
+    "valve_words",
+]
+
+_CONTROL = re.compile("[\x00-\x08\x0b\x0c\x0e-\x1f\x7f\ud800-\udfff\ufffe\uffff]")
+
+
+def figure(value: float, digits: int = 4) -> str:
+    """Return a number at `digits` significant digits: "0.4571", "12.18", "1,220", "−3.1", "1.2e-07"; "–" for nan.
+
+    Whole digits before the decimal point are never rounded away below a million.
+    """
+    if math.isnan(value):
+        return "–"
+    if math.isinf(value):
+        return "∞" if value > 0 else "−∞"
+    if value == 0.0:
+        return "0"
+    size = abs(value)
+    magnitude = math.floor(math.log10(float(f"{size:.{digits - 1}e}")))
+    if magnitude < -4 or magnitude >= 6:
+        mantissa, exponent = f"{size:.{digits - 1}e}".split("e")
+        text = f"{mantissa}e{int(exponent)}"
+    else:
+        text = f"{size:,.{max(0, digits - 1 - magnitude)}f}"
+    return f"−{text}" if value < 0 else text
+
+
+def setting(value: float, digits: int | None = None) -> str:
+    """Return a controller parameter with every digit that it has (at least `digits` of them), to be typed in."""
+    if math.isinf(value):
+        return "none"
+    text = f"{value:.12g}"
+    if digits is not None and value != 0.0 and "e" not in text:
+        full = f"{value:#.{digits}g}".rstrip(".")
+        if "e" not in full and float(full) == float(text) and len(full) > len(text):
+            return full
+    return text
+
+
+def duration(seconds: float) -> str:
+    """Return a time in the unit that reads best: "13.7 s", "102 s", "34 min", "8.0 h", "4.2 days"; "–" for nan."""
+    if math.isnan(seconds):
+        return "–"
+    if math.isinf(seconds):
+        return "never"
+    if seconds < 600.0:
+        return f"{figure(seconds, 3)} s"
+    if seconds < 7200.0:
+        return f"{seconds / 60.0:.0f} min"
+    if seconds < 72.0 * 3600.0:
+        return f"{seconds / 3600.0:.1f} h"
+    return f"{seconds / 86400.0:.1f} days"
+
+
+def change(new: float, old: float) -> str:
+    """Return how `new` differs from `old`: "−92 %", "+48 %", "6.0 times", "unchanged", "from 0 to 3.1"."""
+    if math.isnan(new) or math.isnan(old):
+        return "not known"
+    if new == old:
+        return "unchanged"
+    if old == 0.0 or math.isinf(old) or math.isinf(new) or new * old < 0.0:
+        return f"from {figure(old, 3)} to {figure(new, 3)}"
+    ratio = new / old
+    if ratio >= 3.0:
+        return f"{figure(ratio, 2)} times"
+    percent = 100.0 * (ratio - 1.0)
+    size = f"{abs(percent):.0f}" if abs(percent) >= 1.0 and not 99.0 < -percent < 100.0 else f"{abs(percent):.1f}"
+    if float(size) == 0.0:
+        return "unchanged"
+    return f"{'−' if percent < 0 else '+'}{size} %"
+
+
+def decimals_of(values: Sequence[float]) -> int:
+    """Return the decimals with which a column of published figures was printed: the most that any of them shows."""
+    return max((_decimals(v) for v in values), default=0)
+
+
+def _decimals(value: float) -> int:
+    text = f"{value:.12g}"
+    if "e" in text or "." not in text:
+        return 0
+    return len(text.split(".")[1])
+
+
+def published(value: float, decimals: int) -> str:
+    """Return a published figure as it was printed."""
+    if not math.isfinite(value):
+        return figure(value)
+    return f"{value:,.{decimals}f}".replace("-", "−")
+
+
+def difference(ours: float, theirs: float, decimals: int) -> str:
+    """Return in words how our figure differs from a published one printed with `decimals` decimals.
+
+    "to the digit" where ours rounds to the printed digits, else per cent, or a factor where it is more than 2.
+    """
+    if math.isnan(ours):
+        return "not known here"
+    if math.isinf(ours) or math.isinf(theirs):
+        return "to the digit" if ours == theirs else f"{figure(ours)} here"
+    if f"{ours:.{decimals}f}" == f"{theirs:.{decimals}f}":
+        return "to the digit"
+    if theirs == 0.0 or ours * theirs <= 0.0:
+        return f"{figure(ours - theirs, 2)} off"
+    ratio = ours / theirs
+    if ratio > 2.0:
+        return f"{figure(ratio, 2)} times as large"
+    if ratio < 0.5:
+        return f"{figure(1.0 / ratio, 2)} times smaller"
+    percent = abs(100.0 * (ratio - 1.0))
+    return f"{percent:.0f} % {'higher' if ratio > 1.0 else 'lower'}" if percent >= 1.0 else f"{percent:.1g} % off"
+
+
+def interval(pair: tuple[float, float] | None, unit: str, digits: int = 4) -> str:
+    """Return "1.99 to 2.01 %", or "not given" for None."""
+    if pair is None:
+        return "not given"
+    return f"{figure(pair[0], digits)} to {figure(pair[1], digits)} {unit}".rstrip()
+
+
+def join(parts: Sequence[str]) -> str:
+    """Return "a", "a and b", "a, b and c"."""
+    if len(parts) < 2:
+        return "".join(parts)
+    return ", ".join(parts[:-1]) + " and " + parts[-1]
+
+
+def controller_words(controller: PID, digits: int | None = None) -> str:
+    """Return "Kc 2.351 %/EU, Ti 9.500 s" (and Td where there is one), in the controller's own form."""
+    gain = {"parallel": ("%/(EU s)", "% s/EU")}.get(controller.form)
+    parts = [f"Kc {setting(controller.Kc, digits)} %/EU"]
+    if gain is None:
+        integral = "no integral action" if math.isinf(controller.Ti) else f"Ti {setting(controller.Ti, digits)} s"
+        derivative = f"Td {setting(controller.Td, digits)} s"
+    else:
+        integral = f"1/Ti {figure(0.0 if math.isinf(controller.Ti) else 1.0 / controller.Ti, 5)} {gain[0]}"
+        derivative = f"Td {setting(controller.Td, digits)} {gain[1]}"
+    parts.append(integral)
+    if controller.Td > 0.0:
+        parts.append(derivative)
+    return ", ".join(parts)
+
+
+def valve_words(valve: Valve) -> str:
+    """Return the valve's law and parameters in words."""
+    if isinstance(valve, Ideal):
+        return "ideal valve, no friction"
+    if isinstance(valve, Stenman):
+        return f"Stenman's one-parameter stiction, d = {figure(valve.d)} %"
+    if isinstance(valve, Choudhury):
+        return f"Choudhury's two-parameter stiction, S = {figure(valve.S)} %, J = {figure(valve.J)} %"
+    if isinstance(valve, Deadband):
+        return f"dead band (backlash) of {figure(valve.b)} %"
+    return type(valve).__name__
+
+
+def plant_words(plant: Plant) -> str:
+    """Return the plant's kind and parameters in words."""
+    if isinstance(plant, FOPDT):
+        return (
+            f"first order plus dead time: gain {figure(plant.gain)} EU/%, time constant "
+            f"{figure(plant.time_constant)} s, dead time {figure(plant.dead_time)} s"
+        )
+    return f"integrating: gain {figure(plant.gain)} EU/(% s), dead time {figure(plant.dead_time)} s"
+
+
+def label(text: str, longest: int = 60) -> str:
+    """Return a name fit for a figure: on one line, without control characters, cut to `longest` characters.
+
+    A leading underscore is shielded, since matplotlib leaves such names out of its legends.
+    """
+    clean = " ".join(_CONTROL.sub("�", text).split())
+    if len(clean) > longest:
+        clean = clean[: longest - 1] + "…"
+    return "\u200b" + clean if clean.startswith("_") else clean
+
+
+def slug(text: str, taken: set[str] | None = None) -> str:
+    """Return a file name part of letters, digits and underscores, not yet in `taken` (to which it is added)."""
+    base = re.sub(r"[^a-z0-9]+", "_", text.lower()).strip("_")[:40] or "case"
+    name, count = base, 2
+    while taken is not None and name in taken:
+        name, count = f"{base}_{count}", count + 1
+    if taken is not None:
+        taken.add(name)
+    return name
