@@ -147,8 +147,9 @@ def _verdict(
         limits = loop.controller.output_limits
         out = limits is not None and predicted.amplitude > max(-limits[0], limits[1])
         op, pv = _plain(2.0 * predicted.amplitude), _plain(2.0 * predicted.pv_amplitude)
+        period = _plain(predicted.period)
         return (
-            f"The loci cross: a cycle with a period of {_plain(predicted.period)} s is predicted, OP swinging by {op} % "
+            f"The loci cross: a cycle with a period of {period} s is predicted, OP swinging by {op} % "
             f"and PV by {pv} EU peak to peak{linear}"
             + ("; the output limits, left out here, would not let OP swing that far." if out else ".")
         )
