@@ -17,7 +17,7 @@ from matplotlib.ticker import MaxNLocator
 from workbench.model.record import FloatArray, Record
 from workbench.model.results import DescribingFunction, Estimate, LimitCycle, Run, Tuned
 from workbench.report.style import LINEAR, OP, PREDICTION, PV, SP, VALVE, Style, case_style
-from workbench.report.words import duration, figure, label
+from workbench.report.words import duration, figure, given, label
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -40,6 +40,7 @@ __all__ = [
     "run_pv",
     "thin",
     "time_axis",
+    "without_kicks",
 ]
 
 COLUMNS = 500  # pixel columns of a figure's plot area: half a point of a page-wide trend
@@ -127,6 +128,21 @@ def run_op(ax: Axes, run: Run, unit: float = 1.0) -> None:
     _line(ax, run.time / unit, run.valve, "valve", VALVE, steps=True)
     _line(ax, run.time / unit, run.op, "OP", OP, steps=True)
     _finish(ax, "OP, valve (%)")
+
+
+def without_kicks(ax: Axes, signals: Sequence[FloatArray]) -> None:
+    """Limit the y axis to what the signals do but for 1 % at each end, where a first kick dwarfs it; say so."""
+    if not signals:
+        return
+    ends = [float(np.quantile(s, q)) for s in signals for q in (0.01, 0.99)]
+    low, high = min(ends), max(ends)
+    least, most = min(float(s.min()) for s in signals), max(float(s.max()) for s in signals)
+    if not 0.0 < high - low < 0.5 * (most - least):
+        return
+    pad = 0.15 * (high - low)
+    ax.set_ylim(low - pad, high + pad)
+    text = f"first kicks reach from {given(least, 3)} to {given(most, 3)}"
+    ax.annotate(text, (0.5, 0.98), xycoords="axes fraction", ha="center", va="top", fontsize=7, color="#444444")
 
 
 def record_pv(ax: Axes, record: Record, unit: float = 1.0) -> None:
@@ -293,11 +309,39 @@ def frequency(ax: Axes, named: Sequence[tuple[str, DescribingFunction]], ratio: 
                 (_at(df.amplitudes, df.locus, df.distance_amplitude), _at(df.frequencies, df.L, df.distance_frequency))
             )
             ax.plot(ends.real, ends.imag, "x-", color=style["color"], linewidth=0.8, markersize=4, zorder=5)
+    if named:
+        _amplitude_ticks(ax, named[0][1], (left, right, bottom, top))
     ax.set_xlim(left, right)
     ax.set_ylim(bottom, top)
     ax.set_aspect("equal", adjustable="box")
     ax.set_xlabel("real part")
     ax.set_ylabel("imaginary part")
+
+
+def _amplitude_ticks(ax: Axes, df: DescribingFunction, window: tuple[float, float, float, float]) -> None:
+    """Mark a few input amplitudes along -1/N(A), as far as they lie in the window and apart from each other."""
+    left, right, bottom, top = window
+    band = df.loop.valve.stick_band
+    placed: list[complex] = []
+    for multiple in (0.5, 0.75, 1.0, 1.5, 2.5, 5.0):
+        amplitude = multiple * band
+        if band == 0.0 or not df.amplitudes.min() <= amplitude <= df.amplitudes.max():
+            continue
+        at = complex(_at(df.amplitudes, df.locus, amplitude)[0])
+        inside = left < at.real < right and bottom < at.imag < top
+        if not inside or any(abs(at - other) < 0.1 * (top - bottom) for other in placed):
+            continue
+        placed.append(at)
+        ax.plot([at.real], [at.imag], "|", color="#8a3c00", markersize=6, zorder=4)
+        ax.annotate(
+            f"A = {given(amplitude, 3)} %",
+            (at.real, at.imag),
+            xytext=(3, 5),
+            textcoords="offset points",
+            fontsize=6.5,
+            color="#8a3c00",
+            zorder=6,
+        )
 
 
 def limit_cycle_starts(ax: Axes, cycle: LimitCycle) -> None:

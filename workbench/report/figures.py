@@ -34,7 +34,7 @@ WIDTH = 7.1  # inch: the text width of an A4 page
 def trend_figure(run: Run, title: str = "") -> Figure:
     """Return PV and SP above, OP and valve position below, on one time axis."""
     with styled():
-        fig = new_figure(4.6, 3.1)
+        fig = new_figure(4.6, 2.75)
         above, below = fig.subplots(2, 1, sharex=True)
         unit, name = draw.time_axis(float(run.time[-1]))
         draw.run_pv(above, run, unit)
@@ -61,6 +61,7 @@ def overlay_figure(cases: Sequence[CaseResult]) -> Figure:
             above.plot(x, y, label="SP", drawstyle="steps-post", **SP)
         above.set_ylabel("PV (EU)")
         below.set_ylabel("valve (%)")
+        draw.without_kicks(below, [c.run.valve for c in cases])
         below.set_xlabel(f"time ({name})")
         above.margins(x=0.01)
         fig.legend(loc="outside upper center", ncols=min(5, len(cases) + 1), handlelength=3.2)
@@ -70,7 +71,7 @@ def overlay_figure(cases: Sequence[CaseResult]) -> Figure:
 def pv_op_figure(run: Run, title: str = "") -> Figure:
     """Return PV against OP above, valve position against OP below."""
     with styled():
-        fig = new_figure(2.5, 3.1)
+        fig = new_figure(2.5, 2.75)
         above, below = fig.subplots(2, 1, sharex=True)
         draw.pv_op(above, run)
         draw.op_stem(below, run)
@@ -85,10 +86,11 @@ def frequency_figure(named: Sequence[tuple[str, DescribingFunction]]) -> Figure:
     crosses: the nearest approach of two loci that do not cross.
     """
     with styled():
-        fig = new_figure(WIDTH, 4.4)
-        ax = fig.subplots()
-        draw.frequency(ax, named)
-        fig.legend(loc="outside right upper", handlelength=3.2)
+        fig = new_figure(WIDTH, 4.2, layout=None)
+        # Placed by hand: with one scale on both axes, the window has to have the shape of the axes.
+        ax = fig.add_axes((0.075, 0.1, 0.66, 0.88))
+        draw.frequency(ax, named, ratio=(0.66 * WIDTH) / (0.88 * 4.2))
+        fig.legend(loc="upper right", bbox_to_anchor=(1.0, 0.99), handlelength=3.2)
     return fig
 
 

@@ -147,7 +147,7 @@ def _figures(study: Study) -> dict[str, str]:
     if len(study.cases) > 1:
         add("overlay.svg", figures.overlay_figure(study.cases), "PV and valve position of all cases")
     for case, own in zip(study.cases, names["cases"], strict=True):
-        add(own["trend"], figures.trend_figure(case.run, case.name), f"{case.name}: PV, SP, OP and valve against time")
+        add(own["trend"], figures.trend_figure(case.run), f"{case.name}: PV, SP, OP and valve against time")
         add(own["pv_op"], figures.pv_op_figure(case.run), f"{case.name}: PV and valve position against OP")
     analysed = [(c.name, c.describing_function) for c in study.cases if c.describing_function is not None]
     if analysed:

@@ -10,7 +10,7 @@ import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from io import StringIO
-from typing import Any
+from typing import Any, Literal
 from xml.sax.saxutils import escape
 
 import matplotlib as mpl
@@ -113,9 +113,9 @@ def styled() -> Iterator[None]:
         yield
 
 
-def new_figure(width: float, height: float) -> Figure:
-    """Return an empty figure of that size, inch, in constrained layout, with a canvas of its own (no pyplot)."""
-    figure = Figure(figsize=(width, height), layout="constrained")
+def new_figure(width: float, height: float, layout: Literal["constrained"] | None = "constrained") -> Figure:
+    """Return an empty figure of that size, inch, with a canvas of its own (no pyplot)."""
+    figure = Figure(figsize=(width, height), layout=layout)
     FigureCanvasSVG(figure)
     return figure
 
@@ -154,7 +154,7 @@ def _lean(svg: str, name: str, title: str) -> str:
         text = re.sub(r"url\(#([^)]+)\)", rf"url(#{name}-\1)", text)
         text = re.sub(r'href="#([^"]+)"', rf'href="#{name}-\1"', text)
         text = _FONT.sub(font, _PATH.sub(lambda m: _short_path(m[0]), text))
-        return re.sub(r"\s*\n\s*", " ", text)
+        return re.sub(r"\s*\n\s*", " ", text.replace("; font-family: 'DejaVu Sans'", ""))
 
     svg = re.sub(r"\n\s*(?=\n)|(?<=\n) +", "", _TAG.sub(tag, svg))
     head, rest = svg.split(">", 1)

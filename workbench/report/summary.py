@@ -18,12 +18,14 @@ from workbench.report.words import (
     difference,
     duration,
     figure,
+    given,
     interval,
     join,
 )
 
 __all__ = ["Summary", "base_case", "best_case", "df_disagrees", "summarise"]
 
+LISTED = 3  # cycling cases that are listed one by one
 KNIFE_EDGE = 1.05  # worst J near the settings over their own, above which a tuning is called a knife-edge
 
 
@@ -161,32 +163,58 @@ def _swing(cycle: LimitCycle) -> str:
 
 def _case_sentences(study: Study) -> list[str]:
     out: list[str] = []
-    seen = [c for c in study.cases if c.limit_cycle is not None]
-    cycling = [c for c in seen if c.limit_cycle is not None and c.limit_cycle.outcome == "cycles"]
+    seen = [(c, c.limit_cycle) for c in study.cases if c.limit_cycle is not None]
+    cycling = [(c, cycle) for c, cycle in seen if cycle.outcome == "cycles"]
     if cycling:
-        parts = [f"{c.name} ({_swing(c.limit_cycle)})" for c in cycling if c.limit_cycle is not None]
+        lead = f"{len(cycling)} of {len(seen)} tunings keep the loop cycling"
         if len(cycling) == len(seen):
             lead = "The loop keeps cycling" if len(seen) == 1 else f"All {len(seen)} tunings keep the loop cycling"
+        ranked = sorted(cycling, key=lambda pair: pair[1].pv_peak_to_peak)
+        if len(cycling) <= LISTED:
+            out.append(f"{lead}: {'; '.join(f'{c.name} ({_swing(cycle)})' for c, cycle in cycling)}.")
         else:
-            lead = f"{len(cycling)} of {len(seen)} tunings keep the loop cycling"
-        out.append(f"{lead}: {'; '.join(parts)}.")
+            least, most = (f"{_swing(cycle)} ({c.name})" for c, cycle in (ranked[0], ranked[-1]))
+            out.append(f"{lead}; at the least {least}, at the most {most}.")
     for outcome, text in (
-        ("settles", "settles"),
-        ("depends", "cycles or settles depending on where the valve starts"),
+        ("settles", "comes to rest"),
+        ("depends", "cycles or comes to rest depending on where it starts"),
         ("undecided", "could not be decided by simulation"),
     ):
-        some = [c for c in seen if c.limit_cycle is not None and c.limit_cycle.outcome == outcome]
+        some = [c for c, cycle in seen if cycle.outcome == outcome]
         if some:
             out.append(f"{_names(some)}: the loop {text}.")
-    both = [c for c in seen if c.describing_function is not None]
-    wrong = [c for c in both if df_disagrees(c)]
-    if wrong:
-        out.append(f"The describing function is wrong about the cycle for {_names(wrong)}.")
-        told = [c.agreement for c in wrong if c.agreement]
-        for sentence in dict.fromkeys(told):
-            owners = [c for c in wrong if c.agreement == sentence]
-            out.append(f"{_names(owners)}: {sentence}")
+    out += _late_sentences(study, cycling)
+    out += _agreement_sentences(study)
     out += _reference_sentences(study)
+    return out
+
+
+def _late_sentences(study: Study, cycling: list[tuple[CaseResult, LimitCycle]]) -> list[str]:
+    """Name the cases whose cycle the run is too short to show: their figures are flattered."""
+    if study.experiment is None:
+        return []
+    late = [c for c, cycle in cycling if cycle.window > study.experiment.duration]
+    if not late:
+        return []
+    whose = "its figures in the table do" if len(late) == 1 else "their figures in the table do"
+    return [
+        (
+            f"The run of {duration(study.experiment.duration)} is too short to show the cycle of {_names(late)}: "
+            f"{whose} not contain it."
+        )
+    ]
+
+
+def _agreement_sentences(study: Study) -> list[str]:
+    """Say where describing function and exact simulation disagree on whether the loop cycles."""
+    out = []
+    wrong = [c for c in study.cases if df_disagrees(c)]
+    for sentence in dict.fromkeys(c.agreement for c in wrong):
+        owners = _names([c for c in wrong if c.agreement == sentence])
+        if sentence:
+            out.append(f"{owners}: {lower_first(sentence)}")
+        else:
+            out.append(f"{owners}: the describing function is wrong about the cycle; the exact simulation is right.")
     return out
 
 
@@ -228,7 +256,7 @@ def _case_advice(study: Study) -> list[str]:
         return out
     if len(study.cases) > 1:
         out += _recommendation(study, base, best)
-    out += _remaining(best)
+    out += _remaining(study, base, best)
     return out
 
 
@@ -284,22 +312,58 @@ def _less_wear(study: Study, best: CaseResult) -> list[str]:
     ]
 
 
-def _remaining(best: CaseResult) -> list[str]:
+def _remaining(study: Study, base: CaseResult | None, best: CaseResult) -> list[str]:
     """Say what the recommended tuning leaves, and what no tuning can remove."""
     out = []
     cycle, loop = best.limit_cycle, best.loop
     if cycle is not None and cycle.outcome == "cycles":
-        out.append(
+        text = (
             f"With {best.name} the cycle remains: {_swing(cycle)}, and the valve travels "
             f"{figure(cycle.travel_per_hour, 3)} % an hour."
         )
+        was = None if base is None or base is best else base.limit_cycle
+        if was is not None and base is not None and was.outcome == "cycles":
+            text += (
+                f" Once it has set in, the mean square error is {figure(cycle.mean_square_error, 3)} EU², with "
+                f"{base.name} {figure(was.mean_square_error, 3)} EU² at {figure(was.travel_per_hour, 3)} % an hour."
+            )
+        out.append(text)
+        out += _better_late(study, best, cycle)
     elif cycle is not None and cycle.outcome == "settles":
-        out.append(f"With {best.name} the loop comes to rest in this experiment.")
-    if loop.valve.slip_jump > 0.0 and math.isfinite(loop.controller.Ti) and isinstance(loop.plant, FOPDT):
+        text = f"With {best.name} the loop comes to rest in this experiment"
+        out.append(f"{text}; from another start it may still cycle." if loop.valve.slip_jump > 0.0 else f"{text}.")
+    stuck = cycle is None or cycle.outcome != "settles"
+    if stuck and loop.valve.slip_jump > 0.0 and math.isfinite(loop.controller.Ti) and isinstance(loop.plant, FOPDT):
         step = abs(loop.plant.gain) * loop.valve.slip_jump
         out.append(
-            f"What no tuning removes: this valve moves in steps of at least {figure(loop.valve.slip_jump, 3)} %, which "
-            f"is {figure(step, 3)} EU of PV. While the controller integrates it goes on hunting for a setpoint between "
-            "two steps, the more slowly the weaker the integral action. Only repairing the valve ends that."
+            f"What no tuning removes: this valve moves in steps of at least {given(loop.valve.slip_jump, 3)} %, which "
+            f"is {given(step, 3)} EU of PV. While the controller integrates, it hunts for a setpoint between two "
+            "steps, the more slowly the weaker the integral action. Repairing the valve ends that; an integral dead "
+            "band stops it at the price of a lasting offset."
         )
     return out
+
+
+def _better_late(study: Study, best: CaseResult, cycle: LimitCycle) -> list[str]:
+    """Name a case that does clearly better than the recommended one once the cycles have set in."""
+    others = [
+        (c, c.limit_cycle.mean_square_error)
+        for c in study.cases
+        if c is not best and c.limit_cycle is not None and c.limit_cycle.outcome == "cycles"
+    ]
+    other, error = min(others, key=lambda pair: pair[1], default=(best, math.inf))
+    if not error < 0.8 * cycle.mean_square_error:
+        return []
+    return [
+        (
+            f"In the long run without disturbances {other.name} has a smaller error in its cycle "
+            f"({figure(error, 3)} EU² against {figure(cycle.mean_square_error, 3)} EU²); the recommendation goes by the "
+            "run of this experiment."
+        )
+    ]
+
+
+def lower_first(sentence: str) -> str:
+    """Return a sentence to stand after a colon: its first word in lower case, unless it is a name or symbol."""
+    first = sentence.split(" ", 1)[0]
+    return sentence[:1].lower() + sentence[1:] if first in ("The", "Both", "It", "Neither", "A", "No") else sentence

@@ -17,6 +17,7 @@ from workbench.report.words import (
     difference,
     duration,
     figure,
+    given,
     interval,
     plant_words,
     published,
@@ -135,7 +136,9 @@ def case_tables(study: Study) -> list[Table]:
 
 
 def _references(study: Study) -> list[str]:
-    return reference_names(study.cases)
+    order = ["objective", *(name for name, *_ in KPI_ROWS)]
+    names = reference_names(study.cases)
+    return [n for n in order if n in names] + [n for n in names if n not in order]
 
 
 def _case_rows(study: Study, block: Sequence[CaseResult], decimals: dict[str, int]) -> list[Row]:
@@ -177,12 +180,12 @@ def _case_rows(study: Study, block: Sequence[CaseResult], decimals: dict[str, in
 def _filter(pid: PID) -> str:
     if pid.Td == 0.0:
         return "–"
-    return "none" if math.isinf(pid.derivative_filter) else f"Td/{figure(pid.derivative_filter)}"
+    return "none" if math.isinf(pid.derivative_filter) else f"Td/{given(pid.derivative_filter)}"
 
 
 _CONTROLLER_ROWS: tuple[tuple[str, Callable[[PID], str]], ...] = (
     ("Form", lambda p: p.form),
-    ("Structure", lambda p: p.structure or f"D on {p.derivative_on}, weight {figure(p.setpoint_weight)}"),
+    ("Structure", lambda p: p.structure or f"D on {p.derivative_on}, weight {given(p.setpoint_weight)}"),
     ("Derivative filter", _filter),
     ("Action", lambda p: p.action),
 )
@@ -200,7 +203,7 @@ def loop_lines(study: Study) -> list[tuple[str, str]]:
             if len(every) == 1:
                 shared.append(f"{text.lower()} {every.pop()}")
         lines.append(("Controller", ", ".join(shared) or "differs from case to case (see the table)"))
-        lines.append(("Sample time", f"{figure(loop.sample_time)} s"))
+        lines.append(("Sample time", f"{given(loop.sample_time)} s"))
     if study.experiment is not None:
         lines.append(("Experiment", _experiment_words(study)))
     if study.objective is not None:
@@ -219,20 +222,20 @@ def _experiment_words(study: Study) -> str:
         for part in profile:
             kind = type(part).__name__.lower()
             if kind == "step":
-                parts.append(f"{name} step of {figure(part.size)} {unit} at {setting(part.at)} s")  # type: ignore[union-attr]
+                parts.append(f"{name} step of {given(part.size)} {unit} at {setting(part.at)} s")  # type: ignore[union-attr]
             elif kind == "ramp":
                 parts.append(
-                    f"{name} ramp of {figure(part.size)} {unit} from {setting(part.start)} s to {setting(part.end)} s"  # type: ignore[union-attr]
+                    f"{name} ramp of {given(part.size)} {unit} from {setting(part.start)} s to {setting(part.end)} s"  # type: ignore[union-attr]
                 )
             else:
                 parts.append(f"{name} as a given series")
     noise = experiment.noise
     if noise is not None and noise.sd > 0.0:
-        parts.append(f"measurement noise of standard deviation {figure(noise.sd)} EU (seed {noise.seed})")
+        parts.append(f"measurement noise of standard deviation {given(noise.sd)} EU (seed {noise.seed})")
     else:
         parts.append("no noise")
     if experiment.stem_offset != 0.0:
-        parts.append(f"stem offset {figure(experiment.stem_offset)} %")
+        parts.append(f"stem offset {given(experiment.stem_offset)} %")
     return ", ".join(parts)
 
 
@@ -247,7 +250,7 @@ def _objective_words(study: Study) -> str:
         (weights.w3, "(SP − PV)² at the end"),
     ):
         if weight > 0.0:
-            terms.append(f"{figure(weight)} {text}")
+            terms.append(f"{given(weight)} {text}")
     return " + ".join(terms) + ", sums over samples"
 
 
@@ -373,7 +376,7 @@ def estimate_table(named: NamedEstimate) -> Table:
         cells = [Cell(figure(value)), Cell(interval(getattr(found.intervals, name, None), ""))]
         if truth is not None:
             true = true_values.get(name)
-            cells.append(Cell("–" if true is None else figure(true)))
+            cells.append(Cell("–" if true is None else given(true)))
             cells.append(Cell("–" if true is None else _off(value, true)))
         if named.reference:
             theirs = named.reference.get(name)

@@ -17,6 +17,7 @@ __all__ = [
     "difference",
     "duration",
     "figure",
+    "given",
     "interval",
     "join",
     "label",
@@ -49,6 +50,12 @@ def figure(value: float, digits: int = 4) -> str:
     else:
         text = f"{size:,.{max(0, digits - 1 - magnitude)}f}"
     return f"−{text}" if value < 0 else text
+
+
+def given(value: float, digits: int = 4) -> str:
+    """Return a given (not measured) number at up to `digits` significant digits, without trailing zeros: "1", "0.5"."""
+    text = figure(value, digits)
+    return text.rstrip("0").rstrip(".") if "." in text and "e" not in text else text
 
 
 def setting(value: float, digits: int | None = None) -> str:
@@ -130,9 +137,9 @@ def difference(ours: float, theirs: float, decimals: int) -> str:
         return f"{figure(ours - theirs, 2)} off"
     ratio = ours / theirs
     if ratio > 2.0:
-        return f"{figure(ratio, 2)} times as large"
+        return f"higher by a factor of {figure(ratio, 2)}"
     if ratio < 0.5:
-        return f"{figure(1.0 / ratio, 2)} times smaller"
+        return f"lower by a factor of {figure(1.0 / ratio, 2)}"
     percent = abs(100.0 * (ratio - 1.0))
     return f"{percent:.0f} % {'higher' if ratio > 1.0 else 'lower'}" if percent >= 1.0 else f"{percent:.1g} % off"
 
@@ -172,11 +179,11 @@ def valve_words(valve: Valve) -> str:
     if isinstance(valve, Ideal):
         return "ideal valve, no friction"
     if isinstance(valve, Stenman):
-        return f"Stenman's one-parameter stiction, d = {figure(valve.d)} %"
+        return f"Stenman's one-parameter stiction, d = {given(valve.d)} %"
     if isinstance(valve, Choudhury):
-        return f"Choudhury's two-parameter stiction, S = {figure(valve.S)} %, J = {figure(valve.J)} %"
+        return f"Choudhury's two-parameter stiction, S = {given(valve.S)} %, J = {given(valve.J)} %"
     if isinstance(valve, Deadband):
-        return f"dead band (backlash) of {figure(valve.b)} %"
+        return f"dead band (backlash) of {given(valve.b)} %"
     return type(valve).__name__
 
 
@@ -184,10 +191,10 @@ def plant_words(plant: Plant) -> str:
     """Return the plant's kind and parameters in words."""
     if isinstance(plant, FOPDT):
         return (
-            f"first order plus dead time: gain {figure(plant.gain)} EU/%, time constant "
-            f"{figure(plant.time_constant)} s, dead time {figure(plant.dead_time)} s"
+            f"first order plus dead time: gain {given(plant.gain)} EU/%, time constant "
+            f"{given(plant.time_constant)} s, dead time {given(plant.dead_time)} s"
         )
-    return f"integrating: gain {figure(plant.gain)} EU/(% s), dead time {figure(plant.dead_time)} s"
+    return f"integrating: gain {given(plant.gain)} EU/(% s), dead time {given(plant.dead_time)} s"
 
 
 def label(text: str, longest: int = 60) -> str:
