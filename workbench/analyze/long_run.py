@@ -24,8 +24,8 @@ from workbench.simulate.run import Signals, rest
 
 __all__ = ["BUDGET", "Start", "follow"]
 
-# Samples per start. A cycle needs some 50 reversals to be decided.
-BUDGET = 2_000_000
+# Samples per start: at most, and at least before a cycle is called late (fast ones may dwell on a plateau first).
+BUDGET, LEAST = 2_000_000, 100_000
 FIRST_CHUNK, LONGEST_CHUNK = 2048, 65536
 # Reversals in the first block, each next one twice as long; how well successive ones must agree, and how often in turn.
 FIRST_BLOCK, LAST_BLOCK = 16, 1024
@@ -136,9 +136,9 @@ class _Follower:
         if abs(error) <= 10.0 * still_y:
             return "PV comes to rest on the setpoint"
         if self.row[kernel.KI] == 0.0:
-            return f"PV comes to rest {error:.3g} EU below the setpoint, as no integral action moves the stem on"
+            return f"PV comes to rest with an error of {error:+.3g} EU, as no integral action moves the stem on"
         if self.limited:
-            return f"PV comes to rest {error:.3g} EU below the setpoint, with OP at its limit"
+            return f"PV comes to rest with an error of {error:+.3g} EU, as OP is at its limit"
         return ""
 
 
@@ -146,11 +146,11 @@ def follow(loop: Loop, start: Start) -> LimitCycleStart:
     """Follow one start for at most `BUDGET` samples after the last change of its signals; see the module's head.
 
     Settles: OP, stem and PV have stood still, PV is where the plant will leave it, and nothing moves the stem on: the
-    error is 0 (both to 1e-8 of the stick band), or there is no integral action, or OP is at its limit. Cycles: twice in
-    turn, successive blocks of 16, 32, .. 1,024 stem reversals agree (period 3 %, PV's swing 2 %), or the budget is
-    spent and the swing is steady; the last block gives the figures, `reason` says how steady they are. Undecided: PV
-    grows without bound, or the budget is spent without that. `window` runs from the last change of the signals to the
-    end of the first full cycle.
+    error is 0 (both to 1e-8 of the stick band), or there is no integral action, or OP is at its limit. Cycles: after at
+    least `LEAST` samples, the latest three blocks of 16, 32, .. 1,024 stem reversals agree in turn (period 3 %, PV's
+    swing 2 %), or the budget is spent and the swing is steady; the last block gives the figures, `reason` says how
+    steady they are. Undecided: PV grows without bound, or the budget is spent without that. `window` runs from the last
+    change of the signals to the end of the first full cycle.
     """
     run = _Follower(loop, start)
     # Without friction and limits the loop is linear, and slow damping is no cycle.
@@ -171,16 +171,16 @@ def follow(loop: Loop, start: Start) -> LimitCycleStart:
         while not damped and run.halves.shape[0] >= first + size:
             block = Block(run.halves[first : first + size], loop.sample_time)
             agreed = agreed + 1 if before is not None and _agree(before, block) else 0
-            if agreed == AGREEMENTS:
-                return _cycle(run, start, block, f"the last {size} reversals agree with those before")
             first, size, before = first + size, min(2 * size, LAST_BLOCK), block
+        if before is not None and agreed >= AGREEMENTS and run.samples >= LEAST:
+            return _cycle(run, start, before, "successive blocks of reversals agree")
     if damped:
         return _no_cycle(start, "settles", "the valve does not stick, and the loop is linear and stable")
     return _spent(run, start)
 
 
 def _spent(run: _Follower, start: Start) -> LimitCycleStart:
-    """The verdict at the end of the budget: a few slow cycles, a drifting or irregular one, or none that can be told."""
+    """The verdict at the end of the budget: a few slow cycles, a drifting or irregular one, or none that shows."""
     Ts, end = run.loop.sample_time, run.halves.shape[0]
     half = (end - 1) // 4 * 2
     simulated = f"{run.samples * Ts:.4g} s"
@@ -188,7 +188,7 @@ def _spent(run: _Follower, start: Start) -> LimitCycleStart:
         return _no_cycle(start, "undecided", f"fewer than {FEWEST} reversals of the stem within {simulated}")
     before, block = Block(run.halves[end - 2 * half : end - half], Ts), Block(run.halves[end - half :], Ts)
     if _agree(before, block):
-        return _cycle(run, start, block, f"the last {half} reversals agree with those before")
+        return _cycle(run, start, block, "successive blocks of reversals agree")
     swing, period = _change(before.pv_peak_to_peak, block.pv_peak_to_peak), _change(before.period, block.period)
     if abs(swing) <= STEADY:
         reason = f"the last {half} of {end} reversals differ from those before by {100 * period:+.2g} % in period"
