@@ -12,7 +12,7 @@ from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from matplotlib.ticker import MaxNLocator
+from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
 
 from workbench.model.record import FloatArray, Record
 from workbench.model.results import DescribingFunction, Estimate, LimitCycle, Run, Tuned
@@ -200,6 +200,16 @@ def op_stem(ax: Axes, run: Run) -> None:
     ax.set_xlabel("OP (%)")
 
 
+def _log(axis: Any) -> None:
+    """Make an axis logarithmic, its ticks written as plain numbers."""
+    getattr(axis.axes, f"set_{axis.axis_name}scale")("log")
+    axis.set_major_formatter(FuncFormatter(lambda value, _: given(value, 3)))
+    axis.set_minor_formatter(NullFormatter())
+    low, high = axis.get_view_interval()
+    if 0.0 < low < high < 15.0 * low:  # hardly a decade: name some ticks between the powers of ten
+        axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 3.0, 5.0, 7.0)))
+
+
 def profile(ax: Axes, found: Estimate) -> None:
     """Draw the residual variance against d, with the interval shaded, the estimate and the linear fit's level."""
     finite = np.isfinite(found.profile_cost)
@@ -215,7 +225,7 @@ def profile(ax: Axes, found: Estimate) -> None:
     if best > 0.0:
         ax.plot([best], [found.residual_variance], "o", color="#D55E00", markersize=4, label=f"d = {figure(best)} %")
     if cost.size and float(cost.min()) > 0.0 and found.residual_variance > 0.0 and found.linear.residual_variance > 0.0:
-        ax.set_yscale("log")
+        _log(ax.yaxis)
     ax.set_xlabel("d (%)")
     _finish(ax, "residual variance (EU²)")
 
@@ -228,7 +238,7 @@ def convergence(ax: Axes, below: Axes, found: Estimate) -> None:
     costs = [i.residual_variance for i in found.iterations]
     below.plot(steps, costs, "s-", color="#D55E00", markersize=3, linewidth=1.0, label="residual variance")
     if costs and min(costs) > 0.0:
-        below.set_yscale("log")
+        _log(below.yaxis)
     _finish(below, "variance (EU²)")
     below.set_xlabel("iteration")
     below.xaxis.set_major_locator(MaxNLocator(integer=True))
@@ -359,7 +369,7 @@ def limit_cycle_starts(ax: Axes, cycle: LimitCycle) -> None:
         ax.axvline(cycle.closed_form_period, label=text, **LINEAR)
         ax.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), borderaxespad=0.1)
     if any(s.outcome == "cycles" for s in cycle.starts):
-        ax.set_xscale("log")
+        _log(ax.xaxis)
     ax.set_yticks(range(len(names)), names)
     ax.set_ylim(len(names) - 0.5, -0.5)
     ax.set_xlabel("period (s): first (hollow), late (full)")

@@ -25,7 +25,7 @@ from workbench.report.tables import (
     how_tables,
     loop_lines,
 )
-from workbench.report.words import slug
+from workbench.report.words import join, sentences, slug
 
 __all__ = ["render", "write_report"]
 
@@ -102,7 +102,26 @@ def render(study: Study, drawn: Mapping[str, str]) -> str:
         cycle_tables=cycle_tables(study),
         estimate_tables=[estimate_table(e) for e in study.estimates],
         how=how_tables(study),
+        agreements=_agreements(study),
+        seeds=_seeds(study),
+        sentences=sentences,
     )
+
+
+def _agreements(study: Study) -> list[tuple[str, str]]:
+    """Return (cases, sentence) on describing function and exact simulation, each sentence once."""
+    told = dict.fromkeys(c.agreement for c in study.cases if c.agreement)
+    return [(join([c.name for c in study.cases if c.agreement == text]), text) for text in told]
+
+
+def _seeds(study: Study) -> str:
+    noise = None if study.experiment is None else study.experiment.noise
+    parts = ["no noise was drawn" if noise is None else f"noise {noise.seed}"]
+    for case in study.cases:
+        if case.tuned is not None:
+            seeds = [str(r.seed) for r in case.tuned.restarts] or [str(case.tuned.seed)]
+            parts.append(f"search of {case.name} {', '.join(seeds)}")
+    return "; ".join(parts)
 
 
 def figure_names(study: Study) -> dict[str, list[dict[str, str]]]:

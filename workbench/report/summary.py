@@ -5,12 +5,13 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from workbench.model.loop import Loop
 from workbench.model.plant import FOPDT
 from workbench.model.results import LimitCycle
 from workbench.model.study import CaseResult, NamedEstimate, Study
 from workbench.model.valve import Choudhury, Deadband, Ideal, Stenman
 from workbench.report.results import reference_names
-from workbench.report.tables import kpi_title
+from workbench.report.tables import kpi_title, plant_parameters, valve_parameters
 from workbench.report.words import (
     change,
     controller_words,
@@ -21,6 +22,7 @@ from workbench.report.words import (
     given,
     interval,
     join,
+    valve_words,
 )
 
 __all__ = ["Summary", "base_case", "best_case", "df_disagrees", "summarise"]
@@ -41,8 +43,8 @@ def summarise(study: Study) -> Summary:
     """Return a study's summary in words."""
     found: list[str] = []
     do: list[str] = []
-    for named in study.estimates:
-        found += estimate_sentences(named)
+    for i, named in enumerate(study.estimates):
+        found += estimate_sentences(named, linear=i == 0)
         do += estimate_advice(named)
     if study.cases:
         found += _case_sentences(study)
@@ -82,7 +84,7 @@ def _names(cases: list[CaseResult]) -> str:
 # --- estimates -------------------------------------------------------------------------------------------------
 
 
-def estimate_sentences(named: NamedEstimate) -> list[str]:
+def estimate_sentences(named: NamedEstimate, *, linear: bool = True) -> list[str]:
     """Return what an estimate found: verdict, stiction with its range, plant, identifiability, and the linear fit."""
     found, name = named.found, named.name
     plant = found.plant
@@ -100,6 +102,8 @@ def estimate_sentences(named: NamedEstimate) -> list[str]:
         if not isinstance(found.valve, Ideal):
             text += f" The best model has {_stiction(named)} and {process}; take it as a hint, not as a finding."
     sentences = [text]
+    if named.truth is not None:
+        sentences += _against_truth(named, named.truth)
     if not isinstance(found.valve, Ideal) and not found.identifiable:
         product = abs(plant.gain) * found.valve.stick_band
         unit = "EU" if isinstance(plant, FOPDT) else "EU/s"
@@ -107,17 +111,37 @@ def estimate_sentences(named: NamedEstimate) -> list[str]:
             f"{name}: the record pins only the product of gain and stiction ({figure(product, 3)} {unit}), not the "
             "stiction alone; a record with a setpoint change in it would resolve that."
         )
-    linear = found.linear
-    if found.verdict == "stiction" and found.residual_variance > 0.0:
-        ratio = linear.residual_variance / found.residual_variance
-        if ratio > 1.05 and isinstance(linear.plant, FOPDT) and isinstance(plant, FOPDT):
+    plain = found.linear
+    if linear and found.verdict == "stiction" and found.residual_variance > 0.0:
+        ratio = plain.residual_variance / found.residual_variance
+        if ratio > 1.05 and isinstance(plain.plant, FOPDT) and isinstance(plant, FOPDT):
             times = f"{figure(ratio, 2)} times" if ratio < 1e4 else "more than 10,000 times"
             sentences.append(
                 f"{name}: a fit that ignores the stiction leaves {times} the residual variance, with gain "
-                f"{figure(linear.plant.gain, 3)} EU/%, time constant {figure(linear.plant.time_constant, 3)} s and "
-                f"dead time {figure(linear.plant.dead_time, 3)} s."
+                f"{figure(plain.plant.gain, 3)} EU/%, time constant {figure(plain.plant.time_constant, 3)} s and "
+                f"dead time {figure(plain.plant.dead_time, 3)} s."
             )
     return sentences
+
+
+def _against_truth(named: NamedEstimate, truth: Loop) -> list[str]:
+    """Say how far the worst parameter of a simulated record's estimate lies from the truth."""
+    found = named.found
+    ours = dict(valve_parameters(found.valve)) | plant_parameters(found.plant)
+    true = dict(valve_parameters(truth.valve)) | plant_parameters(truth.plant)
+    if ours.keys() != true.keys():
+        return [f"{named.name}: the record was simulated from another kind of loop ({valve_words(truth.valve)})."]
+    errors = {name: abs(ours[name] / true[name] - 1.0) for name in true if true[name] != 0.0}
+    if not errors:
+        return []
+    worst = max(errors, key=lambda name: errors[name])
+    title = kpi_title(worst)[0].removesuffix(f" {worst}").lower()
+    if errors[worst] < 1e-4:
+        return [f"{named.name}: every parameter is true to 0.01 %."]
+    miss = figure(100.0 * errors[worst], 2)
+    if errors[worst] <= 0.1:
+        return [f"{named.name}: every parameter lies within {miss} % of the true one."]
+    return [f"{named.name}: this is wrong by {miss} % in the {title} (true value {given(true[worst])})."]
 
 
 def _stiction(named: NamedEstimate) -> str:
@@ -255,12 +279,19 @@ def _case_advice(study: Study) -> list[str]:
     if best is None:
         return out
     if len(study.cases) > 1:
-        out += _recommendation(study, base, best)
+        out += _recommendation(base, best)
     out += _remaining(study, base, best)
+    out += _less_wear(study, best)
+    out += _lasting(best)
+    if best.tuned is not None:
+        out.append(
+            "All this holds for this experiment on this model; a plant that differs from the model, or another "
+            "disturbance, will give other figures. Watch PV and valve travel after the change."
+        )
     return out
 
 
-def _recommendation(study: Study, base: CaseResult | None, best: CaseResult) -> list[str]:
+def _recommendation(base: CaseResult | None, best: CaseResult) -> list[str]:
     out = []
     controller = controller_words(best.loop.controller, best.tuned.digits if best.tuned is not None else None)
     kpis = best.run.kpis
@@ -288,11 +319,6 @@ def _recommendation(study: Study, base: CaseResult | None, best: CaseResult) -> 
                 f"Type in exactly these digits: the optimum is a knife-edge, {within} J rises from "
                 f"{figure(tuned.objective, 3)} to as much as {figure(tuned.worst, 3)}."
             )
-        out.append(
-            "These figures hold for this experiment on this model; a plant that differs from the model, or another "
-            "disturbance, will give others. Watch PV and valve travel after the change."
-        )
-    out += _less_wear(study, best)
     return out
 
 
@@ -313,7 +339,7 @@ def _less_wear(study: Study, best: CaseResult) -> list[str]:
 
 
 def _remaining(study: Study, base: CaseResult | None, best: CaseResult) -> list[str]:
-    """Say what the recommended tuning leaves, and what no tuning can remove."""
+    """Say what the recommended tuning leaves of the cycle."""
     out = []
     cycle, loop = best.limit_cycle, best.loop
     if cycle is not None and cycle.outcome == "cycles":
@@ -332,6 +358,13 @@ def _remaining(study: Study, base: CaseResult | None, best: CaseResult) -> list[
     elif cycle is not None and cycle.outcome == "settles":
         text = f"With {best.name} the loop comes to rest in this experiment"
         out.append(f"{text}; from another start it may still cycle." if loop.valve.slip_jump > 0.0 else f"{text}.")
+    return out
+
+
+def _lasting(best: CaseResult) -> list[str]:
+    """Say what no tuning removes while the controller integrates."""
+    out: list[str] = []
+    cycle, loop = best.limit_cycle, best.loop
     stuck = cycle is None or cycle.outcome != "settles"
     if stuck and loop.valve.slip_jump > 0.0 and math.isfinite(loop.controller.Ti) and isinstance(loop.plant, FOPDT):
         step = abs(loop.plant.gain) * loop.valve.slip_jump
@@ -357,8 +390,8 @@ def _better_late(study: Study, best: CaseResult, cycle: LimitCycle) -> list[str]
     return [
         (
             f"In the long run without disturbances {other.name} has a smaller error in its cycle "
-            f"({figure(error, 3)} EU² against {figure(cycle.mean_square_error, 3)} EU²); the recommendation goes by the "
-            "run of this experiment."
+            f"({figure(error, 3)} EU² against {figure(cycle.mean_square_error, 3)} EU²); the recommendation goes by "
+            "the run of this experiment."
         )
     ]
 

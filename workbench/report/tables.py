@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from workbench.model.controller import PID
-from workbench.model.plant import FOPDT
+from workbench.model.plant import FOPDT, Plant
 from workbench.model.results import DescribingFunction, LimitCycle, LimitCycleStart, Tuned
 from workbench.model.study import CaseResult, NamedEstimate, Study
 from workbench.model.valve import Choudhury, Deadband, Stenman, Valve
@@ -37,6 +37,8 @@ __all__ = [
     "how_tables",
     "kpi_title",
     "loop_lines",
+    "off_by",
+    "plant_parameters",
     "valve_parameters",
 ]
 
@@ -169,7 +171,7 @@ def _case_rows(study: Study, block: Sequence[CaseResult], decimals: dict[str, in
         for case, value in zip(block, values, strict=True):
             small = ""
             if name in case.reference:
-                small = f"published {published(case.reference[name], decimals[name])}"
+                small = f"publ. {published(case.reference[name], decimals[name])}"
             mark = less and len(study.cases) > 1 and value == best and math.isfinite(value)
             cells.append(Cell(_shown(name, value), small, mark))
         rows.append(Row(title, unit, tuple(cells), group=first))
@@ -313,7 +315,12 @@ def _first_period(cycle: LimitCycle) -> str:
 
 def _range(cycle: LimitCycle) -> str:
     low, high = cycle.period_range
-    return "–" if math.isnan(low) else duration(low) if low == high else f"{duration(low)} to {duration(high)}"
+    return "–" if math.isnan(low) else duration(low) if low == high else f"{_held(low)} to {_held(high)}"
+
+
+def _held(seconds: float) -> str:
+    """A duration that does not break between number and unit."""
+    return duration(seconds).replace(" ", "\u00a0")
 
 
 _CYCLE_ROWS: tuple[tuple[str, str, Callable[[CaseResult], str]], ...] = (
@@ -362,14 +369,14 @@ def valve_parameters(valve: Valve) -> list[tuple[str, float]]:
 def estimate_table(named: NamedEstimate) -> Table:
     """Return an estimate's parameters with their ranges, beside truth, published figures and the linear fit."""
     found, truth = named.found, named.truth
-    true_values = {} if truth is None else dict(valve_parameters(truth.valve)) | _plant_values(truth.plant)
-    linear = _plant_values(found.linear.plant)
+    true_values = {} if truth is None else dict(valve_parameters(truth.valve)) | plant_parameters(truth.plant)
+    linear = plant_parameters(found.linear.plant)
     heads = ["estimate", "95 % range"]
     heads += ["true value", "off by"] if truth is not None else []
     heads += ["published", "difference"] if named.reference else []
     heads.append("fit that ignores stiction")
     rows = []
-    for name, value in [*valve_parameters(found.valve), *_plant_values(found.plant).items()]:
+    for name, value in [*valve_parameters(found.valve), *plant_parameters(found.plant).items()]:
         title, unit = kpi_title(name)
         if name == "gain" and not isinstance(found.plant, FOPDT):
             unit = "EU/(% s)"
@@ -377,7 +384,7 @@ def estimate_table(named: NamedEstimate) -> Table:
         if truth is not None:
             true = true_values.get(name)
             cells.append(Cell("–" if true is None else given(true)))
-            cells.append(Cell("–" if true is None else _off(value, true)))
+            cells.append(Cell("–" if true is None else off_by(value, true)))
         if named.reference:
             theirs = named.reference.get(name)
             decimals = 0 if theirs is None else decimals_of([theirs])
@@ -393,15 +400,17 @@ def estimate_table(named: NamedEstimate) -> Table:
     ):
         middle = tuple(Cell("") for _ in range(blanks + 1))
         rows.append(Row(title, unit, (Cell(figure(ours)), *middle, Cell(figure(theirs)))))
-    return Table(tuple(heads), tuple(rows), named.name)
+    return Table(tuple(heads), tuple(rows))
 
 
-def _plant_values(plant: object) -> dict[str, float]:
+def plant_parameters(plant: Plant) -> dict[str, float]:
+    """Return a plant's parameters by their names, in order."""
     names = ("gain", "time_constant", "dead_time")
     return {n: getattr(plant, n) for n in names if hasattr(plant, n)}
 
 
-def _off(value: float, true: float) -> str:
+def off_by(value: float, true: float) -> str:
+    """Return how far an estimate lies from the true value, in per cent of it."""
     if value == true:
         return "0"
     if true == 0.0:

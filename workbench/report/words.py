@@ -23,6 +23,7 @@ __all__ = [
     "label",
     "plant_words",
     "published",
+    "sentences",
     "setting",
     "slug",
     "valve_words",
@@ -142,6 +143,12 @@ def difference(ours: float, theirs: float, decimals: int) -> str:
         return f"lower by a factor of {figure(1.0 / ratio, 2)}"
     percent = abs(100.0 * (ratio - 1.0))
     return f"{percent:.0f} % {'higher' if ratio > 1.0 else 'lower'}" if percent >= 1.0 else f"{percent:.1g} % off"
+
+
+def sentences(parts: Sequence[str]) -> str:
+    """Return texts as sentences one after the other: each begins with a capital and ends with a full stop."""
+    told = [p.strip() for p in parts if p.strip()]
+    return " ".join(p[0].upper() + p[1:] + ("" if p.endswith((".", "!", "?")) else ".") for p in told)
 
 
 def interval(pair: tuple[float, float] | None, unit: str, digits: int = 4) -> str:
