@@ -39,11 +39,14 @@ _FIELD = re.compile(r"[A-Za-z]+\.([A-Za-z_]+)(?:\[([0-9]+)\])?")
 
 @dataclass
 class Builder:
-    """Builds a `Scenario`; `issues` collects (path, text) of what is refused."""
+    """Builds a `Scenario`; `issues` collects (path, text) of what is refused.
+
+    place: gives an entry's `line:column: where`.
+    """
 
     file: FilePath
-    shown: str
     text: str
+    place: Callable[[Path], str]
     issues: list[tuple[Path, str]] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
     pv_range: tuple[float, float] | None = None
@@ -503,7 +506,7 @@ class Builder:
             jobs.append(
                 EstimateJob(
                     name=name,
-                    where=f"estimate[{i}]",
+                    where=self.place(path),
                     record=record,
                     truth=loop if e.simulate else None,
                     experiment=mine if e.simulate else None,

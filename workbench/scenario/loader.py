@@ -64,7 +64,12 @@ def read_scenario(text: str, path: FilePath, shown: str | None = None) -> Scenar
     except ValidationError as error:
         problems += [_problem(root, data, allowed, one) for one in error.errors(include_url=False, include_input=True)]
         raise _error(shown, problems) from None
-    builder = Builder(path, shown, text)
+
+    def place(entry: Path) -> str:
+        node, taken = locate(root, entry)
+        return f"{node.line}:{node.column}: {spell(taken)}"
+
+    builder = Builder(path, text, place)
     scenario = builder.scenario(given)
     problems += [_placed(root, where, what) for where, what in builder.issues]
     if scenario is None or problems:

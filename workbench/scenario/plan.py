@@ -20,8 +20,8 @@ __all__ = ["CaseJob", "EstimateJob", "Scenario", "TuneJob"]
 class EstimateJob:
     """One estimate: of `record`, or of a record simulated with `truth` and `experiment` where that is None.
 
-    method, valve, plant and start as `wb.estimate` takes them (start: %, of the two-step method). where: the entry in
-    the file, for messages.
+    method, valve, plant and start as `wb.estimate` takes them (start: %, of the two-step method). where: the entry's
+    line:column and name in the file, for messages.
     """
 
     name: str
@@ -50,7 +50,7 @@ class TuneJob:
 
 @dataclass(frozen=True, eq=False)
 class CaseJob:
-    """One case: the controller to try, or the start of the tuning to find. where: the entry in the file."""
+    """One case: the controller to try, or the start of the tuning to find. where: its line:column and name."""
 
     name: str
     where: str

@@ -19,6 +19,7 @@ __all__ = [
     "PERCENT_FORM",
     "TIME_FORM",
     "Quantity",
+    "bare",
     "filter_ratio",
     "gain",
     "integral_time",
@@ -67,6 +68,14 @@ def _split(value: object, rule: str) -> tuple[float, str]:
     if not math.isfinite(x):
         raise InvalidValue("", value, f"{rule} and finite")
     return x, unit
+
+
+def bare(value: object) -> float:
+    """Return a plain number."""
+    x, unit = _split(value, "must be a number")
+    if unit:
+        raise InvalidValue("", value, "must be a number")
+    return x
 
 
 def time(value: object) -> float:

@@ -1,0 +1,412 @@
+"""The `workbench` command: reads arguments, calls the verbs, prints. Heavy libraries load in the commands alone."""
+
+from __future__ import annotations
+
+import functools
+import sys
+import tempfile
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from workbench import __version__
+from workbench.errors import InvalidValue, OutputError, ScenarioError, WorkbenchError
+
+if TYPE_CHECKING:
+    from workbench.model.results import Estimate
+    from workbench.model.study import Study
+    from workbench.model.tuning import Objective
+    from workbench.scenario.plan import Scenario
+
+__all__ = ["app", "main"]
+
+BAD_INPUT, FAILED, INTERRUPTED = 2, 1, 130
+
+app = typer.Typer(
+    name="workbench",
+    help="Estimate, simulate, analyze and tune control loops whose valve sticks.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+
+Progress = Callable[[str, float], None]
+
+
+def main() -> None:
+    """Run the command: exit code 0, 1 for a solve that failed, 2 for bad input, 130 when interrupted."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="replace")
+    app()
+
+
+def guarded(command: Callable[..., int]) -> Callable[..., None]:
+    """Turn a command's returned code, and the errors that a user can mend, into the exit code and one clear message."""
+
+    @functools.wraps(command)
+    def run(*args: Any, **kwargs: Any) -> None:
+        try:
+            code = command(*args, **kwargs)
+        except ScenarioError as error:
+            typer.echo(str(error), err=True)
+            code = BAD_INPUT
+        except WorkbenchError as error:
+            typer.echo(f"workbench: {error}", err=True)
+            code = BAD_INPUT
+        except KeyboardInterrupt:
+            typer.echo("workbench: interrupted; the last complete report is left as it was", err=True)
+            code = INTERRUPTED
+        if code:
+            raise typer.Exit(code)
+
+    return run
+
+
+def _version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(f"workbench {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _options(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Show the version and exit.")
+    ] = False,
+) -> None:
+    """Estimate, simulate, analyze and tune control loops whose valve sticks."""
+
+
+# commands ----------------------------------------------------------------------------------------------------------
+
+
+@app.command()
+@guarded
+def run(
+    scenarios: Annotated[list[Path], typer.Argument(metavar="SCENARIO...", help="Scenario files (YAML).")],
+    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Where the reports go.")] = Path("reports"),
+) -> int:
+    """Run scenarios and write DIR/<scenario>/report.html with its figures, results.json and cases.csv.
+
+    All files are checked before anything runs.
+    """
+    plans = _checked(scenarios)
+    names = [plan.name for plan in plans]
+    for name in names:
+        if names.count(name) > 1:
+            raise InvalidValue("SCENARIO", f"{names.count(name)} files named {name}", "must differ, as reports do")
+    for name in names:
+        _writable(out / name)
+    from workbench.report.page import write_report
+    from workbench.scenario.runner import run_scenario
+
+    code = 0
+    for plan in plans:
+        with _progress() as progress:
+            study = run_scenario(plan, progress=progress)
+            write_report(study, out / plan.name)
+        _print_study(study)
+        for case in study.cases:
+            if case.tuned is not None and not case.tuned.status.success:
+                typer.echo(f"{case.name}: {case.tuned.status.value}: {case.tuned.message}", err=True)
+                code = FAILED
+        typer.echo(f"Report: {out / plan.name / 'report.html'}")
+    return code
+
+
+@app.command()
+@guarded
+def check(
+    files: Annotated[list[Path], typer.Argument(metavar="FILE...", help="Scenario files (YAML).")],
+) -> int:
+    """Check scenario files, and the data that they name, without running them."""
+    for plan in _checked(files):
+        parts = [
+            f"{len(items)} {word}{'' if len(items) == 1 else 's'}"
+            for items, word in ((plan.estimates, "estimate"), (plan.cases, "case"))
+            if items
+        ]
+        typer.echo(f"{plan.path}: ok ({', '.join(parts)})")
+    return 0
+
+
+@app.command()
+@guarded
+def schema() -> int:
+    """Print the JSON Schema of scenario files, for editors."""
+    from importlib.resources import files
+
+    typer.echo(files("workbench.scenario").joinpath("schema.json").read_text(encoding="utf-8"), nl=False)
+    return 0
+
+
+METHOD = typer.Option("--method", help="profile (global over stiction, start and delay) or two_step (alternating).")
+VALVE = typer.Option("--valve", help="Valve model: stenman, choudhury or deadband.")
+PLANT = typer.Option("--plant", help="Plant model: fopdt or integrating.")
+COLUMN = typer.Option("--column", metavar="SIGNAL=NAME", help="Which column is SP, PV, OP, MODE, time, valve_position.")
+SAMPLE_TIME = typer.Option("--sample-time", metavar="TIME", help='Where the data has no time column, such as "5 s".')
+
+
+@app.command()
+@guarded
+def estimate(
+    data: Annotated[Path, typer.Argument(metavar="DATA", help="A loop's record (CSV or Parquet): PV, OP, time.")],
+    as_json: Annotated[bool, typer.Option("--json", help="Print the result as JSON; files only with --out.")] = False,
+    method: Annotated[str, METHOD] = "profile",
+    valve: Annotated[str, VALVE] = "stenman",
+    plant: Annotated[str, PLANT] = "fopdt",
+    start: Annotated[str | None, typer.Option("--start", help="Initial stiction of two_step, %.")] = None,
+    column: Annotated[list[str] | None, COLUMN] = None,
+    sample_time: Annotated[str | None, SAMPLE_TIME] = None,
+    out: Annotated[
+        Path | None, typer.Option("--out", metavar="DIR", help="Where figure and CSV go (default: reports).")
+    ] = None,
+) -> int:
+    """Estimate plant and stiction from a record: model, interval, verdict, stem position and a figure."""
+    from workbench import cli_output
+    from workbench.scenario import units
+
+    settings = {
+        "method": method,
+        "valve": valve,
+        "plant": plant,
+        "start": None if start is None else _quantity("--start", start, units.percent),
+    }
+    folder = None if as_json and out is None else (out or Path("reports")) / f"{data.stem}_estimate"
+    if folder is not None:
+        _writable(folder)
+    with _progress() as progress:
+        found = _found(data, column, sample_time, settings, progress)
+        written = cli_output.write_estimate(found, folder) if folder is not None else []
+    if as_json:
+        typer.echo(cli_output.estimate_json(found), nl=False)
+    else:
+        for line in cli_output.estimate_lines(found):
+            typer.echo(line)
+        for path in written:
+            typer.echo(f"Written: {path}")
+    return 0
+
+
+@app.command()
+@guarded
+def tune(
+    source: Annotated[Path, typer.Argument(metavar="SCENARIO|DATA", help="A scenario (.yaml) or a loop's record.")],
+    objective: Annotated[
+        str | None, typer.Option("--objective", metavar="WEIGHTS", help="Such as w1=0.5,w3=0.5,w4=0.05.")
+    ] = None,
+    Kc: Annotated[str | None, typer.Option("--Kc", metavar="LOW:HIGH", help="Bounds of the gain, %/EU.")] = None,
+    Ti: Annotated[str | None, typer.Option("--Ti", metavar="LOW:HIGH", help='Bounds, such as "5 s:10 min".')] = None,
+    Td: Annotated[str | None, typer.Option("--Td", metavar="LOW:HIGH", help='Bounds; "0" for PI.')] = None,
+    seed: Annotated[int | None, typer.Option("--seed", min=0, help="Of the global search.")] = None,
+    step: Annotated[float | None, typer.Option("--step", help="Setpoint step to tune a record's loop for, EU.")] = None,
+    duration: Annotated[
+        str | None, typer.Option("--duration", metavar="TIME", help="How long, to tune a record's loop for.")
+    ] = None,
+    action: Annotated[
+        str | None, typer.Option("--action", help="reverse or direct; by default as the estimated gain needs.")
+    ] = None,
+    method: Annotated[str, METHOD] = "profile",
+    valve: Annotated[str, VALVE] = "stenman",
+    plant: Annotated[str, PLANT] = "fopdt",
+    column: Annotated[list[str] | None, COLUMN] = None,
+    sample_time: Annotated[str | None, SAMPLE_TIME] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the result as JSON.")] = False,
+) -> int:
+    """Tune a scenario's loop, or the loop estimated from a record, and print the settings to type in."""
+    from workbench import cli_output
+    from workbench.scenario import retune, units
+
+    wishes = retune.Wishes(
+        objective=None if objective is None else _weights(objective),
+        Kc=None if Kc is None else _range("--Kc", Kc, units.bare),
+        Ti=None if Ti is None else _range("--Ti", Ti, units.integral_time),
+        Td=None if Td is None else _range("--Td", Td, units.time),
+        seed=seed,
+        step=step,
+        duration=None if duration is None else _quantity("--duration", duration, units.time),
+        action=action,
+    )
+    with _progress() as progress:
+        if source.suffix.lower() in (".yaml", ".yml"):
+            results = retune.tune_scenario(_checked([source])[0], wishes, progress)
+        else:
+            settings = {"method": method, "valve": valve, "plant": plant, "start": None}
+            found = _found(source, column, sample_time, settings, progress)
+            results = [retune.tune_found(found, wishes, progress)]
+    code = 0
+    if as_json:
+        typer.echo(cli_output.tuned_json(results), nl=False)
+    for result in results:
+        if not as_json:
+            for line in cli_output.tuned_lines(result):
+                typer.echo(line)
+        code = max(code, cli_output.exit_code(result.tuned.status))
+    return code
+
+
+# arguments ---------------------------------------------------------------------------------------------------------
+
+
+def _checked(files: Sequence[Path]) -> list[Scenario]:
+    """Return the scenarios of all files, or raise one `ScenarioError` that says what is wrong with any of them."""
+    from workbench.scenario.loader import load_scenario
+
+    plans, wrong = [], []
+    for file in files:
+        try:
+            plans.append(load_scenario(file))
+        except ScenarioError as error:
+            wrong.append(str(error))
+    if wrong:
+        raise ScenarioError("\n".join(wrong))
+    return plans
+
+
+def _found(
+    data: Path,
+    column: Sequence[str] | None,
+    sample_time: str | None,
+    settings: dict[str, Any],
+    progress: Progress,
+) -> Estimate:
+    """Return the estimate of a data file."""
+    from workbench.scenario import units
+
+    for option, allowed in CHOICES.items():
+        if settings[option] not in allowed:
+            raise InvalidValue(f"--{option}", settings[option], "must be one of " + ", ".join(allowed))
+    columns = {}
+    for given in column or ():
+        signal, sign, name = given.partition("=")
+        if not sign or not name.strip():
+            raise InvalidValue("--column", given, "must be SIGNAL=NAME, such as PV=FIC101.PV")
+        columns[signal.strip()] = name.strip()
+    seconds = None if sample_time is None else _quantity("--sample-time", sample_time, units.time)
+    from workbench.estimate.estimate import estimate as estimate_record
+    from workbench.record.reader import read_record
+
+    record = read_record(data, columns=columns or None, sample_time=seconds)
+    return estimate_record(record, progress=functools.partial(progress, "estimate"), **settings)
+
+
+CHOICES = {
+    "method": ("profile", "two_step"),
+    "valve": ("stenman", "choudhury", "deadband"),
+    "plant": ("fopdt", "integrating"),
+}
+
+
+def _quantity(option: str, text: str, read: Callable[[object], float]) -> float:
+    try:
+        return read(text)
+    except InvalidValue as error:
+        raise InvalidValue(option, error.given, error.allowed) from None
+
+
+def _range(option: str, text: str, read: Callable[[object], float]) -> tuple[float, float]:
+    """Return (low, high) of `low:high`; one value fixes."""
+    low, sign, high = text.partition(":")
+    first = _quantity(option, low.strip(), read)
+    return (first, _quantity(option, high.strip(), read)) if sign else (first, first)
+
+
+def _weights(text: str) -> Objective:
+    from workbench.model.tuning import Objective
+    from workbench.scenario import units
+
+    weights = dict.fromkeys(("w1", "w2", "w3", "w4"), 0.0)
+    for part in text.split(","):
+        name, sign, value = (piece.strip() for piece in part.partition("="))
+        if name not in weights or not sign:
+            raise InvalidValue("--objective", text, "must be weights such as w1=0.5,w3=0.5 (of w1, w2, w3, w4)")
+        weights[name] = _quantity("--objective", value, units.bare)
+    return Objective(**weights)
+
+
+def _writable(folder: Path) -> None:
+    """Raise `OutputError` unless files can be made in `folder`; leaves no trace."""
+    made = [path for path in (folder, *folder.parents) if not path.exists()]
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder):
+            pass
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or str(error)
+        raise OutputError(f"{folder}: cannot be written ({reason}); give another folder with --out") from None
+    finally:
+        for path in made:
+            try:
+                path.rmdir()
+            except OSError:
+                break
+
+
+# output ------------------------------------------------------------------------------------------------------------
+
+
+def _silent(words: str, share: float) -> None:
+    """Tell nobody."""
+
+
+@contextmanager
+def _progress() -> Iterator[Progress]:
+    """Show a progress bar on stderr while it is a terminal; else say nothing."""
+    if not sys.stderr.isatty():
+        yield _silent
+        return
+    from rich.console import Console
+    from rich.markup import escape
+    from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
+
+    bar = Progress(
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TaskProgressColumn(),
+        TimeElapsedColumn(),
+        console=Console(stderr=True),
+        transient=True,
+    )
+    with bar:
+        task = bar.add_task("", total=1.0)
+        yield lambda words, share: bar.update(task, description=escape(words), completed=share)
+
+
+def _print_study(study: Study) -> None:
+    """Print one scenario's cases and estimates as a short table."""
+    from rich.console import Console
+    from rich.table import Table
+    from rich.text import Text
+
+    from workbench.report.words import figure, setting
+
+    width = None if sys.stdout.isatty() else 120
+    console = Console(width=width, highlight=False, markup=False)
+    console.print(Text(study.title, style="bold"))
+    for named in study.estimates:
+        from workbench.report.summary import estimate_sentences
+
+        for sentence in estimate_sentences(named):
+            console.print(Text(sentence))
+    if not study.cases:
+        return
+    table = Table(box=None, pad_edge=False)
+    table.add_column("case", overflow="fold")
+    for title in ("Kc", "Ti, s", "Td, s", "error variance", "valve travel, %", "J"):
+        table.add_column(title, justify="right")
+    for case in study.cases:
+        controller, digits = case.loop.controller, case.tuned.digits if case.tuned is not None else None
+        table.add_row(
+            Text(case.name),
+            *(setting(value, digits) for value in (controller.Kc, controller.Ti, controller.Td)),
+            figure(case.run.kpis.error_variance),
+            figure(case.run.kpis.valve_travel),
+            "" if case.objective is None else figure(case.objective, 5),
+        )
+    console.print(table)

@@ -1,0 +1,170 @@
+"""What the command prints and writes for an estimate or a tuning: lines for people, strict JSON for programs."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import os
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from workbench.errors import OutputError
+from workbench.model.results import Estimate, SolveStatus
+from workbench.model.study import NamedEstimate, Study
+from workbench.model.valve import Ideal, Stenman
+from workbench.report.figures import estimate_figure, save_svg
+from workbench.report.results import controller_content, results_content, strict
+from workbench.report.words import controller_words, figure, interval, plant_words, valve_words
+from workbench.scenario.retune import Retuned
+
+__all__ = ["estimate_json", "estimate_lines", "exit_code", "tuned_json", "tuned_lines", "write_estimate"]
+
+VERDICTS = {"stiction": "the valve sticks", "no_stiction": "no stiction found", "undecided": "undecided"}
+
+
+def estimate_lines(found: Estimate) -> list[str]:
+    """Return model, stiction with its interval, verdict and reasons, one line each."""
+    record = found.record
+    seconds = len(record) * record.sample_time
+    lines = [f"Record     {len(record)} samples of {figure(record.sample_time)} s ({figure(seconds / 3600.0, 3)} h)"]
+    lines += [f"           {note}" for note in record.notes]
+    lines.append(f"Model      {plant_words(found.plant)}")
+    for name, unit in (("gain", ""), ("time_constant", "s"), ("dead_time", "s")):
+        pair = getattr(found.intervals, name)
+        if pair is not None:
+            lines.append(f"           {name.replace('_', ' ')}: {interval(pair, unit)} (95 %)")
+    lines.append(f"Valve      {valve_words(found.valve)}")
+    lines += [f"           {line}" for line in _stiction_ranges(found)]
+    stem = found.valve_position
+    lines.append(
+        f"Stem       {found.slips} moves, {figure(float(stem.min()))} to {figure(float(stem.max()))} %; "
+        f"PV is met within {figure(found.noise_sd, 3)} EU (standard deviation)"
+    )
+    lines.append(f"Linear fit {plant_words(found.linear.plant)}; it ignores the stiction")
+    lines.append(f"Verdict    {VERDICTS.get(found.verdict, found.verdict)}")
+    lines += [f"           {reason}" for reason in found.reasons]
+    return lines
+
+
+def _stiction_ranges(found: Estimate) -> list[str]:
+    if isinstance(found.valve, Ideal):
+        return []
+    lines = []
+    names = ("d",) if isinstance(found.valve, Stenman) else ("S", "J")
+    for name in names:
+        pair = getattr(found.intervals, name)
+        lines.append(f"{name}: {interval(pair, '%')} (95 %)" if pair is not None else f"{name}: no interval")
+    if not found.identifiable:
+        lines.append("the record pins the product of gain and stiction only, not the stiction alone")
+    return lines
+
+
+def estimate_json(found: Estimate) -> str:
+    """Return the estimate as strict JSON, with the estimated stem as `valve_position` (shape (N,))."""
+    study = Study("estimate", "", "", "", None, None, (NamedEstimate(found.record.source, found),), ())
+    content = dict(results_content(study)["estimate"])
+    for name in ("truth", "reference", "note"):
+        content.pop(name, None)
+    content["valve_position"] = [float(f"{x:.6g}") for x in found.valve_position.tolist()]
+    return _json(content)
+
+
+def write_estimate(found: Estimate, folder: Path) -> list[Path]:
+    """Write the figure and the signals (time, SP, PV, prediction, OP, valve_position) and return their paths.
+
+    Each file is written whole or not at all. Raises `OutputError`.
+    """
+    record = found.record
+    columns: list[tuple[str, Any]] = [("time", record.time), ("PV", record.pv), ("prediction", found.prediction)]
+    columns += [("OP", record.op), ("valve_position", found.valve_position)]
+    if record.sp is not None:
+        columns.insert(1, ("SP", record.sp))
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow([name for name, _ in columns])
+    for row in np.column_stack([values for _, values in columns]).tolist():
+        writer.writerow([f"{value:.10g}" for value in row])
+    signals, drawing, summary = folder / "estimate.csv", folder / "estimate.svg", folder / "estimate.json"
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        _put(signals, text.getvalue())
+        _put(summary, estimate_json(found))
+        spare = folder / f".estimate.{os.getpid()}.svg"
+        try:
+            save_svg(estimate_figure(found), spare)
+            spare.replace(drawing)
+        finally:
+            spare.unlink(missing_ok=True)
+    except OSError as error:
+        raise OutputError(f"{folder}: cannot be written ({error.strerror or error})") from error
+    return [drawing, signals, summary]
+
+
+def _put(path: Path, text: str) -> None:
+    spare = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    try:
+        spare.write_text(text, encoding="utf-8", newline="\n")
+        spare.replace(path)
+    finally:
+        spare.unlink(missing_ok=True)
+
+
+def tuned_lines(result: Retuned) -> list[str]:
+    """Return the settings to type in and how they were found, one line each."""
+    tuned = result.tuned
+    best, worst = tuned.spread
+    structure = tuned.controller.structure or f"setpoint weight {tuned.controller.setpoint_weight:g}"
+    lines = [f"{result.name}: {controller_words(tuned.controller, tuned.digits)}"]
+    lines.append(f"  form      {tuned.controller.form}, {structure}, {tuned.controller.action} action")
+    lines.append(
+        f"  J         {figure(tuned.objective, 5)} (start {figure(tuned.start_objective, 5)}; at most "
+        f"{figure(tuned.worst, 5)} within {100.0 * tuned.margin:g} % of each setting)"
+    )
+    lines.append(
+        f"  search    {tuned.status.value}; {len(tuned.restarts)} restarts, J {figure(best, 5)} to "
+        f"{figure(worst, 5)}, seed {tuned.seed}"
+    )
+    lines += [f"  assumed   {words}" for words in result.assumed]
+    if tuned.message:
+        lines.append(f"  note      {tuned.message}")
+    return lines
+
+
+def tuned_json(results: Sequence[Retuned]) -> str:
+    """Return tunings as strict JSON: a list of controller, objective, status and search."""
+    content = []
+    for result in results:
+        tuned = result.tuned
+        best, worst = tuned.spread
+        content.append(
+            {
+                "name": result.name,
+                "controller": controller_content(tuned.controller),
+                "objective": tuned.objective,
+                "status": tuned.status.name.lower(),
+                "message": tuned.message,
+                "start_objective": tuned.start_objective,
+                "worst": tuned.worst,
+                "margin": tuned.margin,
+                "digits": tuned.digits,
+                "seed": tuned.seed,
+                "spread": {"best": best, "worst": worst},
+                "assumed": list(result.assumed),
+            }
+        )
+    return _json({"tunings": content})
+
+
+def exit_code(status: SolveStatus) -> int:
+    """Return 0 for a success, 130 where the user interrupted, 1 otherwise."""
+    if status is SolveStatus.INTERRUPTED:
+        return 130
+    return 0 if status.success else 1
+
+
+def _json(content: object) -> str:
+    return json.dumps(strict(content), indent=2, ensure_ascii=False, allow_nan=False) + "\n"

@@ -1,0 +1,170 @@
+"""Tuning without a scenario written for it: a scenario's loop under other wishes, or a loop found in a record."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+from workbench.errors import InvalidValue
+from workbench.model.controller import PID
+from workbench.model.experiment import Experiment, Step
+from workbench.model.loop import Loop
+from workbench.model.plant import FOPDT, Plant
+from workbench.model.results import Estimate, Tuned
+from workbench.model.tuning import Bounds, Objective
+from workbench.scenario.plan import CaseJob, Scenario, TuneJob
+from workbench.scenario.runner import Progress, run_scenario, tune_case
+
+__all__ = ["Retuned", "Wishes", "tune_found", "tune_scenario"]
+
+Range = tuple[float, float]
+
+# How long a found loop is simulated to tune it, in samples.
+FEWEST, MOST = 300, 20_000
+
+
+@dataclass(frozen=True, slots=True)
+class Wishes:
+    """What is asked beside the loop; None leaves it to the scenario or to the loop found.
+
+    Bounds of Kc (%/EU), Ti (s), Td (s), equal ends fix; seed of the search; for a loop from a record also the setpoint
+    step (EU), the duration (s) and the controller's action.
+    """
+
+    objective: Objective | None = None
+    Kc: Range | None = None
+    Ti: Range | None = None
+    Td: Range | None = None
+    seed: int | None = None
+    step: float | None = None
+    duration: float | None = None
+    action: str | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Retuned:
+    """A tuning under its name, with what was assumed to find it, in words."""
+
+    name: str
+    tuned: Tuned
+    assumed: tuple[str, ...] = ()
+
+
+def tune_scenario(plan: Scenario, wishes: Wishes, progress: Progress | None = None) -> list[Retuned]:
+    """Tune what the scenario asks to tune, else its loop from the first case's controller.
+
+    Wishes go before the scenario's own objective, bounds and seed. Raises `InvalidValue` where there is no loop or
+    experiment, or the wishes belong to a record's loop, and what tuning and estimating raise.
+    """
+    for name in ("step", "duration", "action"):
+        if getattr(wishes, name) is not None:
+            raise InvalidValue(f"--{name}", getattr(wishes, name), "is for a record; a scenario states its own")
+    experiment = plan.experiment
+    if not plan.cases or experiment is None:
+        raise InvalidValue(str(plan.path), "no case and experiment", "needs both, to know controller and task")
+    base = _loop(plan, progress)
+    jobs = [case for case in plan.cases if case.tune is not None]
+    if not jobs:
+        first = plan.cases[0]
+        default = TuneJob(plan.objective or Objective(), Bounds(), 0, 4, 4)
+        jobs = [CaseJob("Tuned", first.where, first.controller, default)]
+    found = []
+    for case in jobs:
+        if case.tune is None:
+            continue
+        own = case.tune
+        bounds = Bounds(wishes.Kc or own.bounds.Kc, wishes.Ti or own.bounds.Ti, wishes.Td or own.bounds.Td)
+        job = replace(
+            own,
+            objective=wishes.objective or own.objective,
+            bounds=bounds,
+            seed=own.seed if wishes.seed is None else wishes.seed,
+        )
+        controller = _within(case.controller, wishes)
+        found.append(Retuned(case.name, tune_case(base.with_controller(controller), experiment, job, progress)))
+    return found
+
+
+def _loop(plan: Scenario, progress: Progress | None) -> Loop:
+    if plan.loop is not None:
+        return plan.loop
+    study = run_scenario(replace(plan, cases=(), estimates=plan.estimates[:1]), progress=progress)
+    found = study.estimates[0].found
+    return Loop(found.plant, found.valve, plan.cases[0].controller, found.record.sample_time, plan.pv_range)
+
+
+def _within(controller: PID, wishes: Wishes) -> PID:
+    """Return the start moved into the bounds that were wished for."""
+    moved = {}
+    for name in ("Kc", "Ti", "Td"):
+        bounds = getattr(wishes, name)
+        if bounds is not None:
+            moved[name] = min(max(getattr(controller, name), bounds[0]), bounds[1])
+    return replace(controller, **moved) if moved else controller
+
+
+def tune_found(found: Estimate, wishes: Wishes, progress: Progress | None = None) -> Retuned:
+    """Tune a PI controller (a PID where Td is given bounds) for a loop estimated from a record.
+
+    Unless wished otherwise: from the SIMC rule with the closed-loop time constant equal to the dead time (S. Skogestad,
+    J. Process Control 13 (2003) 291-309), Kc up to 4 times its gain, Ti from a fifth to 20 times the plant's time
+    scale; a setpoint step of twice the PV change of the least slip (without stiction: of PV's standard deviation) and,
+    half way, a load step of half that size at the plant's input; D on PV. What was assumed is said in the result.
+    Raises what tuning raises.
+    """
+    plant, Ts = found.plant, found.record.sample_time
+    lag = max(plant.dead_time, Ts)
+    scale = (plant.time_constant if isinstance(plant, FOPDT) else 4.0 * lag) + lag
+    Kc, Ti = _simc(plant, lag)
+    bounds = Bounds(
+        Kc=wishes.Kc or (0.0, _round(4.0 * Kc)),
+        Ti=wishes.Ti or (_round(scale / 5.0), _round(20.0 * scale)),
+        Td=wishes.Td or (0.0, 0.0),
+    )
+    action = wishes.action or ("reverse" if plant.gain > 0.0 else "direct")
+    start = PID(
+        Kc=min(max(Kc, bounds.Kc[0]), bounds.Kc[1]),
+        Ti=min(max(Ti, bounds.Ti[0]), bounds.Ti[1]),
+        Td=min(max(0.0, bounds.Td[0]), bounds.Td[1]),
+        derivative_on="pv",
+        action=action,
+    )
+    loop = Loop(plant, found.valve, start, Ts)
+    samples = min(max(round(60.0 * scale / Ts), FEWEST), MOST)
+    duration = wishes.duration if wishes.duration is not None else samples * Ts
+    step = wishes.step if wishes.step is not None else _round(_usual_step(found, plant, scale))
+    effect = abs(plant.gain) * (1.0 if isinstance(plant, FOPDT) else scale)
+    load = _round(0.5 * abs(step) / effect)
+    at = round(0.5 * duration / Ts) * Ts
+    experiment = Experiment(duration, Step(step), Step(load, at) if load > 0.0 else None)
+    job = TuneJob(
+        wishes.objective or Objective(w1=0.5, w2=0.0, w3=0.5, w4=0.0), bounds, wishes.seed or 0, digits=4, restarts=4
+    )
+    task = f"setpoint step of {step:g} EU at 0 s and load step of {load:g} % at {at:g} s, over {duration:g} s"
+    searched = ", ".join(
+        f"{name} {low:g} to {high:g} {unit}"
+        for name, (low, high), unit in (("Kc", bounds.Kc, "%/EU"), ("Ti", bounds.Ti, "s"), ("Td", bounds.Td, "s"))
+    )
+    assumed = (task, f"bounds {searched}", f"{action} action, derivative on PV")
+    return Retuned("Tuned for the record's loop", tune_case(loop, experiment, job, progress), assumed)
+
+
+def _simc(plant: Plant, lag: float) -> Range:
+    if isinstance(plant, FOPDT):
+        tau = plant.time_constant
+        return tau / (abs(plant.gain) * 2.0 * lag), min(tau, 8.0 * lag)
+    return 1.0 / (abs(plant.gain) * 2.0 * lag), 8.0 * lag
+
+
+def _usual_step(found: Estimate, plant: Plant, scale: float) -> float:
+    """Return twice the PV change of the least slip (of PV's standard deviation where nothing slips), EU."""
+    slip = abs(plant.gain) * found.valve.slip_jump * (1.0 if isinstance(plant, FOPDT) else scale)
+    if slip > 0.0:
+        return 2.0 * slip
+    deviation = float(found.record.pv.std())
+    return 2.0 * deviation if deviation > 0.0 else 1.0
+
+
+def _round(value: float) -> float:
+    """Return a value at two significant digits, as an engineer would choose it."""
+    return float(f"{value:.2g}") if math.isfinite(value) else value

@@ -1,0 +1,172 @@
+"""`run_scenario`: carries a checked scenario out, from estimate to tuning, and gathers the study for its report."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from functools import partial
+
+import numpy as np
+
+from workbench.analyze.agreement import agreement
+from workbench.analyze.describing_function import describing_function
+from workbench.analyze.limit_cycle import limit_cycle
+from workbench.errors import ScenarioError, WorkbenchError
+from workbench.estimate.estimate import estimate
+from workbench.model.experiment import Experiment
+from workbench.model.loop import Loop
+from workbench.model.record import Record
+from workbench.model.results import SolveStatus, Tuned
+from workbench.model.study import CaseResult, NamedEstimate, Study
+from workbench.scenario.loader import load_scenario
+from workbench.scenario.plan import CaseJob, EstimateJob, Scenario, TuneJob
+from workbench.simulate.run import evaluate, simulate
+from workbench.tune.tune import tune
+
+__all__ = ["Progress", "run_scenario", "simulated_record", "tune_case"]
+
+Progress = Callable[[str, float], None]
+
+# Shares of the whole by which progress is told; a tuning takes the time of many simulations.
+_SHARE = {"estimate": 3.0, "case": 1.0, "tune": 8.0}
+
+
+def run_scenario(scenario: Scenario | str | os.PathLike[str], *, progress: Progress | None = None) -> Study:
+    """Run a scenario, given as loaded or as its file's path, and return its `Study`.
+
+    Estimates first; the loop is the scenario's, or the first estimate's; each case is tuned where asked, simulated
+    exactly, and analysed (describing function, limit cycle and whether they agree). progress: called with a few words
+    and the share done, 0..1. A tuning that did not succeed stays in the study with its status. Raises `ScenarioError`
+    for a scenario that is refused, and with the entry named where running shows that it cannot be carried out;
+    `KeyboardInterrupt` where a tuning was interrupted.
+    """
+    plan = scenario if isinstance(scenario, Scenario) else load_scenario(scenario)
+    return _Runner(plan, progress).study()
+
+
+class _Runner:
+    """One run: what is done, what it took."""
+
+    def __init__(self, plan: Scenario, progress: Progress | None) -> None:
+        self.plan = plan
+        self.tell = progress
+        self.times: dict[str, float] = {}
+        self.done = 0.0
+        cases = sum(_SHARE["case"] + (_SHARE["tune"] if case.tune is not None else 0.0) for case in plan.cases)
+        self.total = cases + _SHARE["estimate"] * len(plan.estimates) or 1.0
+
+    def study(self) -> Study:
+        """Return the study."""
+        plan = self.plan
+        notes = list(plan.notes)
+        estimates = tuple(self._estimate(job) for job in plan.estimates)
+        loop = plan.loop
+        if loop is None and plan.cases:
+            loop = self._found_loop(estimates[0], plan.cases[0])
+            note = loop.sampling_note()
+            if note is not None:
+                notes.append(f"Coarse sampling: {note}.")
+        cases = tuple(self._case(job, loop) for job in plan.cases) if loop is not None else ()
+        if self.tell is not None:
+            self.tell("done", 1.0)
+        return Study(
+            name=plan.name,
+            title=plan.title,
+            description=plan.description,
+            scenario_text=plan.text,
+            experiment=plan.experiment,
+            objective=plan.objective,
+            estimates=estimates,
+            cases=cases,
+            reference_source=plan.reference_source,
+            notes=tuple(notes),
+            times=self.times,
+        )
+
+    def _found_loop(self, first: NamedEstimate, case: CaseJob) -> Loop:
+        found = first.found
+        return Loop(found.plant, found.valve, case.controller, found.record.sample_time, self.plan.pv_range)
+
+    def _estimate(self, job: EstimateJob) -> NamedEstimate:
+        with self._stage(f"estimate {job.name}", job.where, _SHARE["estimate"]) as progress:
+            record = job.record
+            if record is None and job.truth is not None and job.experiment is not None:
+                record = simulated_record(job.truth, job.experiment)
+            if record is None:
+                raise ScenarioError("no record to estimate from")
+            found = estimate(
+                record,
+                method=job.method,
+                valve=job.valve,
+                plant=job.plant,
+                start=job.start,
+                progress=partial(progress, ""),
+            )
+        return NamedEstimate(job.name, found, job.truth, job.reference, job.note)
+
+    def _case(self, job: CaseJob, base: Loop) -> CaseResult:
+        plan, experiment = self.plan, self.plan.experiment
+        if experiment is None:
+            raise ScenarioError(f"{plan.path}: experiment: missing; needed to simulate")
+        loop, tuned = base.with_controller(job.controller), None
+        if job.tune is not None:
+            with self._stage(f"tune {job.name}", job.where, _SHARE["tune"]) as progress:
+                tuned = tune_case(loop, experiment, job.tune, progress)
+            if tuned.status is SolveStatus.INTERRUPTED:
+                raise KeyboardInterrupt
+            loop = loop.with_controller(tuned.controller)
+        with self._stage(job.name, job.where, _SHARE["case"]) as progress:
+            # A diverging loop overflows; its figures say so.
+            with np.errstate(over="ignore", invalid="ignore"):
+                run = simulate(loop, experiment)
+                cost = None if plan.objective is None else float(evaluate(loop, experiment, plan.objective)[0])
+            df = describing_function(loop) if plan.describing_function else None
+            cycle = (
+                limit_cycle(loop, experiment, progress=partial(progress, "limit cycle")) if plan.limit_cycle else None
+            )
+            sentence = agreement(df, cycle) if df is not None and cycle is not None else ""
+        return CaseResult(job.name, loop, run, cost, tuned, df, cycle, sentence, job.reference, job.note)
+
+    @contextmanager
+    def _stage(self, words: str, where: str, share: float) -> Iterator[Progress]:
+        """Time one stage, tell its progress as a part of the whole, and name its entry in what goes wrong."""
+        begun, done = time.perf_counter(), self.done
+
+        def progress(inner: str, fraction: float) -> None:
+            if self.tell is not None:
+                text = f"{words}: {inner}" if inner else words
+                self.tell(text, (done + share * min(max(fraction, 0.0), 1.0)) / self.total)
+
+        progress("", 0.0)
+        try:
+            yield progress
+        except ScenarioError:
+            raise
+        except WorkbenchError as error:
+            raise ScenarioError(f"{self.plan.path}:{where}: {error}") from error
+        self.done = done + share
+        self.times[words] = time.perf_counter() - begun
+
+
+def simulated_record(loop: Loop, experiment: Experiment) -> Record:
+    """Return what a historian would have kept of a simulated run: SP, PV and OP, without the stem."""
+    run = simulate(loop, experiment)
+    return Record(
+        pv=run.pv, op=run.op, sample_time=loop.sample_time, sp=run.sp, source="simulated with the scenario's loop"
+    )
+
+
+def tune_case(loop: Loop, experiment: Experiment, job: TuneJob, progress: Progress | None = None) -> Tuned:
+    """Return the tuning that a case asks for, started from the loop's controller."""
+    return tune(
+        loop,
+        experiment,
+        job.objective,
+        job.bounds,
+        job.seed,
+        digits=job.digits,
+        restarts=job.restarts,
+        progress=progress,
+    )
