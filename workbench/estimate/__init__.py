@@ -1,0 +1,1 @@
+"""From a record to plant, valve, stem position, uncertainty and verdict."""

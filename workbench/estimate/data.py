@@ -1,0 +1,155 @@
+"""A record as the kernels take it: centred signals, prefix sums, and the search's limits in samples."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from workbench.errors import RecordError
+from workbench.model.plant import FOPDT, Integrating, Plant
+from workbench.model.record import FloatArray, Record
+
+__all__ = ["FEWEST_SAMPLES", "Centred", "centre", "gain_sign", "integers", "plant_of"]
+
+FEWEST_SAMPLES = 30
+# What a record can resolve: fits whose rms residual is below this share of PV's standard deviation are equally good.
+RESOLUTION = 1e-3
+# Share of OP's moves that error and its change must explain for the controller's action to count as known.
+CLEAR_ACTION = 0.1
+
+
+@dataclass(frozen=True, eq=False)
+class Centred:
+    """PV and OP less `pv_mean` and `op_middle`, with prefix sums of y, y^2 and y_k y_{k+1}; floor: EU^2 (resolution).
+
+    op_range: OP's peak to peak, %. integrating: the kind of plant that is fitted. sign: of the
+    plant's gain, +1 or -1 where the controller's action shows, else 0.
+    """
+
+    y: FloatArray
+    u: FloatArray
+    pv_mean: float
+    op_middle: float
+    sample_time: float
+    integrating: bool
+    sums: FloatArray
+    squares: FloatArray
+    products: FloatArray
+    variance: float
+    floor: float
+    op_range: float
+    sign: float
+
+    @property
+    def samples(self) -> int:
+        """N."""
+        return int(self.y.size)
+
+    def head(self, samples: int) -> Centred:
+        """Return the first samples alone, centred as the whole."""
+        return _centred(self.y[:samples], self.u[:samples], self)
+
+
+def _prefix(values: FloatArray) -> FloatArray:
+    out = np.zeros(values.size + 1)
+    np.cumsum(values, out=out[1:])
+    return out
+
+
+def _centred(y: FloatArray, u: FloatArray, whole: Centred) -> Centred:
+    return Centred(
+        y=y,
+        u=u,
+        pv_mean=whole.pv_mean,
+        op_middle=whole.op_middle,
+        sample_time=whole.sample_time,
+        integrating=whole.integrating,
+        sums=_prefix(y),
+        squares=_prefix(y * y),
+        products=_prefix(y[:-1] * y[1:]),
+        variance=whole.variance,
+        floor=whole.floor,
+        op_range=float(np.ptp(u)),
+        sign=whole.sign,
+    )
+
+
+def _constant(signal: FloatArray) -> bool:
+    return bool(np.ptp(signal) <= 1e-9 * max(1e-9, float(np.abs(signal).max())))
+
+
+def gain_sign(record: Record) -> float:
+    """Return the sign that the plant's gain must have for the controller's action to be feedback, 0 where unclear.
+
+    The moves of OP are regressed on those of the error (proportional action) and on the error (integral action); SP is
+    taken as constant where it was not recorded. The controller's inverse would otherwise pass for a plant.
+    """
+    error = (record.pv.mean() if record.sp is None else record.sp) - record.pv
+    moves = np.diff(record.op)
+    causes = np.column_stack([np.diff(error), error[1:] - error[1:].mean()])
+    moves = moves - moves.mean()
+    scale = np.sqrt((causes**2).sum(axis=0))
+    if not (scale > 0.0).all() or not float(moves @ moves) > 0.0:
+        return 0.0
+    terms, *_ = np.linalg.lstsq(causes / scale, moves, rcond=None)
+    explained = 1.0 - float(((moves - causes / scale @ terms) ** 2).sum()) / float(moves @ moves)
+    main = float(terms[np.argmax(np.abs(terms))])
+    return float(np.sign(main)) if explained >= CLEAR_ACTION else 0.0
+
+
+def centre(record: Record, plant: str) -> Centred:
+    """Return a record as the kernels take it.
+
+    Raises `RecordError` where nothing can be estimated: too few samples, or PV or OP that never moves.
+    """
+    where = record.source or "record"
+    n = len(record)
+    if n < FEWEST_SAMPLES:
+        msg = f"{where}: {n} samples given; at least {FEWEST_SAMPLES} are needed to estimate a loop"
+        raise RecordError(msg)
+    for name, signal in (("PV", record.pv), ("OP", record.op)):
+        if _constant(signal):
+            why = "frozen or saturated" if name == "PV" else "in manual, saturated or frozen"
+            msg = f"{where}: {name} is constant ({signal[0]:g}) over all {n} samples ({why}?): nothing to estimate"
+            raise RecordError(msg)
+        if float(np.abs(signal).max()) > 1e100:
+            msg = f"{where}: {name} reaches {np.abs(signal).max():g}: no signal of a plant"
+            raise RecordError(msg)
+    mean, middle = float(record.pv.mean()), float(0.5 * (record.op.max() + record.op.min()))
+    y, u = record.pv - mean, record.op - middle
+    variance = float(np.var(y))
+    steps = np.abs(np.diff(np.unique(record.pv)))
+    # A quantised PV cannot be followed closer than its own steps allow.
+    quantum = float(steps.min()) if steps.size and steps.size < n / 4 else 0.0
+    floor = RESOLUTION**2 * variance + quantum**2 / 12.0
+    return Centred(
+        y=y,
+        u=u,
+        pv_mean=mean,
+        op_middle=middle,
+        sample_time=record.sample_time,
+        integrating=plant == "integrating",
+        sums=_prefix(y),
+        squares=_prefix(y * y),
+        products=_prefix(y[:-1] * y[1:]),
+        variance=variance,
+        floor=floor,
+        op_range=float(np.ptp(u)),
+        sign=gain_sign(record),
+    )
+
+
+def plant_of(data: Centred, gain: float, tau: float, theta: float) -> Plant:
+    """Return the plant of a fit whose times are in samples; a gain of 0 becomes the least that a plant may have."""
+    if gain == 0.0 or not np.isfinite(gain):
+        gain = 1e-12
+    if data.integrating:
+        return Integrating(gain / data.sample_time, theta * data.sample_time)
+    return FOPDT(gain, tau * data.sample_time, theta * data.sample_time)
+
+
+def integers(values: object) -> NDArray[np.int64]:
+    """Return an int64 array."""
+    return np.asarray(values, dtype=np.int64)

@@ -1,0 +1,226 @@
+"""Output-error fits: of a plant to a given stem path, and the linear fit that ignores stiction."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from workbench.estimate import kernel
+from workbench.estimate.data import Centred
+from workbench.model.record import FloatArray
+
+__all__ = [
+    "Fit",
+    "Limits",
+    "fit_linear",
+    "fit_nothing",
+    "fit_path",
+    "inflation",
+    "predict",
+    "standard_errors",
+    "start_range",
+]
+
+# Time constants from far below the sample time (a plant that follows at once) up to the record's length.
+LEAST_TAU = 0.05
+# A real valve does not hold exactly; the stem's start may leave its exact range by this share of d.
+START_SLACK = 0.02
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """Ranges of the search, in samples: time constant and dead time."""
+
+    tau: tuple[float, float]
+    theta: tuple[float, float]
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """An output-error fit: sum of squares (EU^2), tau and theta (samples), gain, bias, start = gain x0, transient."""
+
+    sse: float
+    tau: float
+    theta: float
+    gain: float
+    bias: float
+    start: float
+    transient: float
+
+
+def _fit(out: FloatArray) -> Fit:
+    return Fit(*(float(v) for v in out))
+
+
+def start_range(u: FloatArray, first: int, d_low: float, d_high: float) -> tuple[float, float]:
+    """Return the range of x0 for which a Stenman stem rests until it slips at `first`; infinite where first is 0."""
+    if first == 0:
+        return -math.inf, math.inf
+    top, bottom = float(u[:first].max()), float(u[:first].min())
+    low, high = top - d_high, bottom + d_high
+    if u[first] > top:
+        high = min(high, float(u[first]) - d_low)
+    else:
+        low = max(low, float(u[first]) + d_low)
+    slack = START_SLACK * d_high
+    return min(low, high) - slack, max(low, high) + slack
+
+
+def fit_path(
+    data: Centred,
+    x: FloatArray,
+    first: int,
+    bounds: tuple[float, float],
+    limits: Limits,
+    theta: float,
+    *,
+    tau: float | None = None,
+    evaluations: int = 120,
+    tolerance: float = 1e-7,
+) -> Fit:
+    """Return the output-error fit of a plant to the stem path x, shape (N,), that starts at `first`.
+
+    bounds: the range of x0 (see `start_range`). theta (samples): where the search starts; tau likewise, or the best of
+    a coarse list.
+    """
+    out = np.empty(kernel.FIT)
+    low, high = bounds
+    if tau is None and not data.integrating:
+        best = math.inf
+        for trial in np.geomspace(max(limits.tau[0], 0.3), limits.tau[1] / 4.0, 10).tolist():
+            cost = kernel.oe_cost(data.y, x, first, low, high, data.sign, False, trial, theta, out)
+            if cost < best:
+                best, tau = cost, trial
+    kernel.oe_fit(
+        data.y,
+        x,
+        first,
+        low,
+        high,
+        data.sign,
+        data.integrating,
+        1.0 if tau is None else tau,
+        theta,
+        limits.tau,
+        limits.theta,
+        0.15,
+        evaluations,
+        tolerance,
+        out,
+    )
+    return _fit(out)
+
+
+def fit_linear(data: Centred, longest: int) -> Fit:
+    """Return the fit that ignores stiction: the stem is OP itself, the dead time anywhere up to `longest` samples.
+
+    The input before the record is an unknown constant, as for the stem.
+    """
+    limits = Limits((LEAST_TAU, float(data.samples)), (0.0, float(max(longest, 1))))
+    out = np.empty(kernel.FIT)
+    inf = math.inf
+    delays = np.unique(np.round(np.linspace(0, longest, min(longest + 1, 80)))).tolist()
+    taus = [1.0] if data.integrating else np.geomspace(0.3, data.samples / 4.0, 14).tolist()
+    grid = [
+        (kernel.oe_cost(data.y, data.u, 0, -inf, inf, data.sign, data.integrating, tau, theta, out), tau, theta)
+        for tau in taus
+        for theta in delays
+    ]
+    grid.sort()
+    fits = [
+        fit_path(data, data.u, 0, (-inf, inf), limits, theta, tau=tau, evaluations=160, tolerance=1e-9)
+        for _, tau, theta in grid[:6]
+    ]
+    return min(fits, key=lambda f: f.sse)
+
+
+def fit_nothing(data: Centred) -> float:
+    """Return the sum of squares that no input at all leaves: a constant and a transient (integrating: a ramp)."""
+    n = data.samples
+    k = np.arange(n, dtype=np.float64)
+    taus = [1.0] if data.integrating else np.geomspace(1.0, n, 12).tolist()
+    least = math.inf
+    for tau in taus:
+        shape = k if data.integrating else np.exp(-k / tau)
+        columns = np.column_stack([np.ones(n), shape])
+        terms, *_ = np.linalg.lstsq(columns, data.y, rcond=None)
+        least = min(least, float(((data.y - columns @ terms) ** 2).sum()))
+    return least
+
+
+def predict(data: Centred, x: FloatArray, first: int, fit: Fit) -> tuple[FloatArray, FloatArray]:
+    """Return (prediction of y, shape (N,), and the model's columns, shape (4, N))."""
+    m = math.floor(fit.theta + 1e-9)
+    f = fit.theta - m if fit.theta - m >= 1e-9 else 0.0
+    pole = 1.0 if data.integrating else math.exp(-1.0 / fit.tau)
+    part = pole ** (1.0 - f)
+    c0, c1 = (1.0 - f, f) if data.integrating else (1.0 - part, part - pole)
+    columns = np.empty((4, data.samples))
+    kernel.oe_columns(x, first, pole, m, c0, c1, data.integrating, columns)
+    return np.array([fit.bias, fit.gain, fit.start, fit.transient]) @ columns, columns
+
+
+def inflation(residuals: FloatArray) -> float:
+    """Return by how much autocorrelation inflates the variance of a mean: 1 + 2 sum of the autocorrelation, >= 1.
+
+    Summed over lags while sums of successive pairs stay positive (C. Geyer, "Practical Markov chain Monte Carlo",
+    Statistical Science 7 (1992) 473-483).
+    """
+    n = residuals.size
+    centred = residuals - residuals.mean()
+    power = float(centred @ centred)
+    if power <= 0.0:
+        return 1.0
+    size = 1 << (2 * n - 1).bit_length()
+    acf = np.fft.irfft(np.abs(np.fft.rfft(centred, size)) ** 2, size)[: n // 2] / power
+    pairs = acf[: 2 * (acf.size // 2)].reshape(-1, 2).sum(axis=1)
+    negative = np.flatnonzero(pairs <= 0.0)
+    stop = int(negative[0]) if negative.size else pairs.size
+    return float(np.clip(2.0 * pairs[:stop].sum() - 1.0, 1.0, n / 4.0))
+
+
+def standard_errors(data: Centred, x: FloatArray, first: int, fit: Fit, clamped: bool) -> tuple[float, float, float]:
+    """Return standard errors of (gain, tau, theta), tau and theta in samples, with the path fixed.
+
+    From the Jacobian of the prediction; the residuals' autocorrelation inflates the covariance. clamped: x0 is held at
+    an end of its range, so that gain and start move together. nan where the data do not say.
+    """
+    base, columns = predict(data, x, first, fit)
+    residuals = data.y - base
+    vectors = [columns[0], columns[1] + fit.start / fit.gain * columns[2] if clamped and fit.gain else columns[1]]
+    names = ["bias", "gain"]
+    for name, step in (("tau", 1e-3 * fit.tau), ("theta", 1e-2)):
+        if name == "tau" and data.integrating:
+            continue
+        up = predict(data, x, first, _moved(fit, name, step))[0]
+        down_step = min(step, getattr(fit, name)) if name == "theta" else step
+        down = predict(data, x, first, _moved(fit, name, -down_step))[0]
+        vectors.append((up - down) / (step + down_step))
+        names.append(name)
+    if not clamped:
+        vectors.append(columns[2])
+    vectors.append(columns[3])
+    jacobian = np.array(vectors)
+    scale = np.sqrt((jacobian**2).sum(axis=1))
+    kept = scale > 0.0
+    jacobian, scale = jacobian[kept] / scale[kept, None], scale[kept]
+    names = [n for n, k in zip(names, kept.tolist(), strict=False) if k]
+    covariance = np.linalg.pinv(jacobian @ jacobian.T, rcond=1e-12)
+    variance = float(residuals @ residuals) / max(data.samples - len(vectors), 1) + data.floor
+    factor = variance * inflation(residuals)
+    found = {n: math.sqrt(max(factor * covariance[i, i], 0.0)) / scale[i] for i, n in enumerate(names)}
+    return found.get("gain", math.nan), found.get("tau", math.nan), found.get("theta", math.nan)
+
+
+def _moved(fit: Fit, name: str, step: float) -> Fit:
+    return Fit(
+        fit.sse,
+        fit.tau + step if name == "tau" else fit.tau,
+        max(fit.theta + step, 0.0) if name == "theta" else fit.theta,
+        fit.gain,
+        fit.bias,
+        fit.start,
+        fit.transient,
+    )

@@ -1,0 +1,377 @@
+"""The estimation's inner loops as plain floats under numba: stem paths, one-step and output-error costs.
+
+Time is counted in samples here, PV and OP are centred by the caller. The stem before its first visible slip (`first`)
+is an unknown constant x0; from there on the path follows from OP and d alone.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from workbench.simulate.compiled import compiled
+
+__all__ = ["oe_columns", "oe_cost", "oe_fit", "stem_slips", "walk"]
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+# Columns of a row that `walk` writes.
+D_LOW, D_HIGH, DELAY, COST, SLIPS = range(5)
+ROW = 5
+# Entries that `oe_fit` and `oe_cost` write.
+SSE, TAU, THETA, GAIN, BIAS, START, TRANSIENT = range(7)
+FIT = 7
+
+
+@compiled
+def stem_slips(op: Floats, d: float, first: int, at: Ints) -> tuple[int, float]:
+    """Write the samples at which a Stenman stem slips, the one at `first` included.
+
+    Return their number and the smallest slip after the first (inf without one): the path holds for every band from the
+    largest |u - x| it rests at up to, but not including, that smallest slip.
+    """
+    x = op[first]
+    at[0] = first
+    count = 1
+    smallest = math.inf
+    for k in range(first + 1, op.size):
+        move = abs(op[k] - x)
+        if move > d:
+            if move < smallest:
+                smallest = move
+            x = op[k]
+            at[count] = k
+            count += 1
+    return count, smallest
+
+
+@compiled
+def walk(
+    y: Floats,
+    sums: Floats,
+    squares: Floats,
+    products: Floats,
+    op: Floats,
+    first: int,
+    d_from: float,
+    d_to: float,
+    step: float,
+    delays: Ints,
+    fixed_pole: float,
+    sign: float,
+    rows: Floats,
+) -> int:
+    """Walk every stem path that starts at `first`, for d from d_from up to d_to, and fit the plant to each.
+
+    One-step-ahead least squares `y_{k+1} = a y_k + b x_{k-m} + c` for each whole delay m, with another constant while
+    x_{k-m} is the unknown stem before `first`. a is kept within [0, 0.9999], or at `fixed_pole` where that is not nan;
+    b keeps the sign `sign` (0: either). sums, squares, products: prefix sums of y_k, y_k^2, y_k y_{k+1}. `step`: least
+    relative step of d, 0 to meet every path. Written: rows (D_LOW, D_HIGH, DELAY, COST, SLIPS), COST the sum of squares
+    at the best delay; the last path is the one of a single slip. Returns the number of rows.
+    """
+    n = y.size - 1
+    at = np.empty(op.size, np.int64)
+    d = d_from
+    count = 0
+    while d < d_to and count < rows.shape[0]:
+        slips, smallest = stem_slips(op, d, first, at)
+        best, best_delay = math.inf, 0
+        for j in range(delays.size):
+            m = delays[j]
+            n1 = min(first + m, n)
+            n2 = n - n1
+            if n2 < 3:
+                continue
+            # Within-group sums: rows before the first slip has an effect, and rows after it.
+            yy = squares[n] - (sums[n] - sums[n1]) ** 2 / n2
+            zz = squares[n + 1] - squares[1] - (sums[n + 1] - sums[n1 + 1]) ** 2 / n2
+            yz = products[n] - (sums[n] - sums[n1]) * (sums[n + 1] - sums[n1 + 1]) / n2
+            if n1 > 0:
+                yy -= sums[n1] ** 2 / n1
+                zz -= (sums[n1 + 1] - sums[1]) ** 2 / n1
+                yz -= sums[n1] * (sums[n1 + 1] - sums[1]) / n1
+            sx, xx, xy, xz = 0.0, 0.0, 0.0, 0.0
+            for i in range(slips):
+                begin = min(at[i] + m, n)
+                end = n if i == slips - 1 else min(at[i + 1] + m, n)
+                if begin >= end:
+                    break
+                x = op[at[i]]
+                length = end - begin
+                sx += x * length
+                xx += x * x * length
+                xy += x * (sums[end] - sums[begin])
+                xz += x * (sums[end + 1] - sums[begin + 1])
+            xx -= sx * sx / n2
+            xy -= sx * (sums[n] - sums[n1]) / n2
+            xz -= sx * (sums[n + 1] - sums[n1 + 1]) / n2
+            if xx <= 1e-12 * n2:
+                continue
+            a = fixed_pole
+            if math.isnan(a):
+                det = yy * xx - xy * xy
+                a = (yz * xx - xz * xy) / det if det > 1e-14 * yy * xx else 0.0
+                a = min(max(a, 0.0), 0.9999)
+            b = (xz - a * xy) / xx
+            if b * sign < 0.0:
+                continue
+            cost = zz - 2.0 * a * yz + a * a * yy - b * (xz - a * xy)
+            if cost < best:
+                best, best_delay = cost, m
+        after = max(smallest, d * (1.0 + step))
+        if best < math.inf:
+            rows[count, D_LOW] = d
+            rows[count, D_HIGH] = min(smallest, d_to)
+            rows[count, DELAY] = best_delay
+            rows[count, COST] = max(best, 0.0)
+            rows[count, SLIPS] = slips
+            count += 1
+        if slips == 1:
+            break
+        d = after
+    return count
+
+
+@compiled
+def oe_columns(
+    x: Floats, first: int, pole: float, m: int, c0: float, c1: float, integrating: bool, columns: Floats
+) -> None:
+    """Write the output-error model's columns, shape (4, N): 1, response to the stem, to x0 = 1, and the transient.
+
+    FOPDT of gain 1 with `y_{k+1} = a y_k + c0 v_{k-m} + c1 v_{k-m-1}`; the transient is a^k. Integrating: a = 1, the
+    transient is the ramp k of a constant load.
+    """
+    s, g, r = 0.0, 0.0 if integrating else 1.0, 0.0 if integrating else 1.0
+    for k in range(x.size):
+        columns[0, k] = 1.0
+        columns[1, k] = s
+        columns[2, k] = g
+        columns[3, k] = r
+        near, far = k - m, k - m - 1
+        s = pole * s
+        g = pole * g
+        if near >= first:
+            s += c0 * x[near]
+        else:
+            g += c0
+        if far >= first:
+            s += c1 * x[far]
+        else:
+            g += c1
+        r = r + 1.0 if integrating else r * pole
+
+
+@compiled
+def _solve(gram: Floats, size: int, b: Floats) -> float:
+    """Solve the normal equations by elimination in place; columns that add nothing get 0. Return b' G^-1 b."""
+    scale = np.empty(size)
+    used = np.empty(size, np.bool_)
+    for i in range(size):
+        scale[i] = gram[i, i]
+    explained = 0.0
+    for i in range(size):
+        used[i] = gram[i, i] > 1e-11 * scale[i] and gram[i, i] > 0.0
+        if not used[i]:
+            continue
+        explained += b[i] * b[i] / gram[i, i]
+        for j in range(i + 1, size):
+            factor = gram[j, i] / gram[i, i]
+            for k in range(i, size):
+                gram[j, k] -= factor * gram[i, k]
+            b[j] -= factor * b[i]
+    for i in range(size - 1, -1, -1):
+        if not used[i]:
+            b[i] = 0.0
+            continue
+        for k in range(i + 1, size):
+            b[i] -= gram[i, k] * b[k]
+        b[i] /= gram[i, i]
+    return explained
+
+
+@compiled
+def oe_cost(
+    y: Floats,
+    x: Floats,
+    first: int,
+    low: float,
+    high: float,
+    sign: float,
+    integrating: bool,
+    tau: float,
+    theta: float,
+    out: Floats,
+) -> float:
+    """Sum of squares of the output-error model at a time constant and dead time (samples), the rest by least squares.
+
+    low, high: the range in which x0 must lie for the stem to rest until `first` (infinite for none); where the free x0
+    falls outside, it is set to the nearer end. sign: the gain's sign, 0 for either. Written into `out` (FIT): SSE, TAU,
+    THETA, GAIN (per sample for integrating plants), BIAS, START (gain times x0) and TRANSIENT.
+    """
+    n = y.size
+    m = math.floor(theta + 1e-9)
+    f = theta - m
+    if f < 1e-9:
+        f = 0.0
+    if integrating:
+        pole, c0, c1 = 1.0, 1.0 - f, f
+    else:
+        pole = math.exp(-1.0 / tau)
+        part = pole ** (1.0 - f)
+        c0, c1 = 1.0 - part, part - pole
+    gram = np.zeros((4, 4))
+    b = np.zeros(4)
+    s, g, r = 0.0, 0.0 if integrating else 1.0, 0.0 if integrating else 1.0
+    sy, ss, sg, sr, gy, gg, gr, ry, rr, yy = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    s1, g1, r1, y1 = 0.0, 0.0, 0.0, 0.0
+    for k in range(n):
+        v = y[k]
+        y1 += v
+        yy += v * v
+        s1 += s
+        ss += s * s
+        sy += s * v
+        g1 += g
+        gg += g * g
+        gy += g * v
+        sg += s * g
+        r1 += r
+        rr += r * r
+        ry += r * v
+        sr += s * r
+        gr += g * r
+        near, far = k - m, k - m - 1
+        s = pole * s
+        g = pole * g
+        if near >= first:
+            s += c0 * x[near]
+        else:
+            g += c0
+        if far >= first:
+            s += c1 * x[far]
+        else:
+            g += c1
+        r = r + 1.0 if integrating else r * pole
+    gram[0, 0], gram[0, 1], gram[0, 2], gram[0, 3] = n, s1, g1, r1
+    gram[1, 0], gram[1, 1], gram[1, 2], gram[1, 3] = s1, ss, sg, sr
+    gram[2, 0], gram[2, 1], gram[2, 2], gram[2, 3] = g1, sg, gg, gr
+    gram[3, 0], gram[3, 1], gram[3, 2], gram[3, 3] = r1, sr, gr, rr
+    b[0], b[1], b[2], b[3] = y1, sy, gy, ry
+    explained = _solve(gram, 4, b)
+    if b[1] * sign < 0.0:
+        # A gain of the other sign is the controller's inverse, not the plant: the stem then has no part in PV.
+        gram[0, 0], gram[0, 1] = n, r1
+        gram[1, 0], gram[1, 1] = r1, rr
+        b[0], b[1] = y1, ry
+        explained = _solve(gram, 2, b)
+        b[3], b[1], b[2] = b[1], 0.0, 0.0
+    elif math.isfinite(low) or math.isfinite(high):
+        gain = b[1]
+        x0 = b[2] / gain if gain != 0.0 else math.inf
+        if not low <= x0 <= high:
+            x0 = low if (not x0 > low) else high
+            ts, t1, ty, tr = ss + 2.0 * x0 * sg + x0 * x0 * gg, s1 + x0 * g1, sy + x0 * gy, sr + x0 * gr
+            gram[0, 0], gram[0, 1], gram[0, 2] = n, t1, r1
+            gram[1, 0], gram[1, 1], gram[1, 2] = t1, ts, tr
+            gram[2, 0], gram[2, 1], gram[2, 2] = r1, tr, rr
+            b[0], b[1], b[2] = y1, ty, ry
+            explained = _solve(gram, 3, b)
+            b[3] = b[2]
+            b[2] = x0 * b[1]
+    sse = max(yy - explained, 0.0)
+    out[SSE], out[TAU], out[THETA] = sse, tau, theta
+    out[GAIN], out[BIAS], out[START], out[TRANSIENT] = b[1], b[0], b[2], b[3]
+    return sse
+
+
+@compiled
+def oe_fit(
+    y: Floats,
+    x: Floats,
+    first: int,
+    low: float,
+    high: float,
+    sign: float,
+    integrating: bool,
+    tau: float,
+    theta: float,
+    tau_limits: tuple[float, float],
+    theta_limits: tuple[float, float],
+    spread: float,
+    evaluations: int,
+    tolerance: float,
+    out: Floats,
+) -> float:
+    """Minimise `oe_cost` over (log tau, theta) by Nelder and Mead's simplex within limits; return the sum of squares.
+
+    spread: the first simplex's size, in log tau and, times three, in samples of dead time. Ends after `evaluations`, or
+    when the simplex's costs agree to `tolerance` relative. For an integrating plant tau is not used.
+    """
+    points = np.empty((3, 2))
+    costs = np.empty(3)
+    trial = np.empty(2)
+    centre = np.empty(2)
+    chosen = np.empty(2)
+    low_tau, high_tau = math.log(tau_limits[0]), math.log(tau_limits[1])
+    points[0, 0] = min(max(math.log(tau), low_tau), high_tau)
+    points[0, 1] = min(max(theta, theta_limits[0]), theta_limits[1])
+    for i in range(1, 3):
+        points[i] = points[0]
+    points[1, 0] += spread if points[0, 0] + spread <= high_tau else -spread
+    side = 3.0 * spread
+    points[2, 1] += side if points[0, 1] + side <= theta_limits[1] else -side
+    points[2, 1] = max(points[2, 1], theta_limits[0])
+    for i in range(3):
+        costs[i] = oe_cost(y, x, first, low, high, sign, integrating, math.exp(points[i, 0]), points[i, 1], out)
+    used = 3
+    while used < evaluations:
+        # Order: best, middle, worst.
+        for i in range(2):
+            for j in range(2 - i):
+                if costs[j + 1] < costs[j]:
+                    costs[j], costs[j + 1] = costs[j + 1], costs[j]
+                    for c in range(2):
+                        points[j, c], points[j + 1, c] = points[j + 1, c], points[j, c]
+        size = abs(points[2, 0] - points[0, 0]) + abs(points[1, 0] - points[0, 0])
+        size += abs(points[2, 1] - points[0, 1]) + abs(points[1, 1] - points[0, 1])
+        if costs[2] - costs[0] <= tolerance * costs[0] or size < 1e-9:
+            break
+        # Reflect the worst point about the others' middle; go further where that is best, stay closer where it is not.
+        for c in range(2):
+            centre[c] = 0.5 * (points[0, c] + points[1, c])
+        kept = math.inf
+        for stage in range(2):
+            if stage == 0:
+                factor = -1.0
+            elif kept < costs[0]:
+                factor = -2.0
+            elif kept < costs[1]:
+                break
+            else:
+                factor = -0.5 if kept < costs[2] else 0.5
+            for c in range(2):
+                trial[c] = centre[c] + factor * (points[2, c] - centre[c])
+            trial[0] = min(max(trial[0], low_tau), high_tau)
+            trial[1] = min(max(trial[1], theta_limits[0]), theta_limits[1])
+            value = oe_cost(y, x, first, low, high, sign, integrating, math.exp(trial[0]), trial[1], out)
+            used += 1
+            if value < kept:
+                kept = value
+                chosen[0], chosen[1] = trial[0], trial[1]
+        if kept < costs[1] or (kept < costs[2] and factor != -1.0):
+            costs[2] = kept
+            points[2, 0], points[2, 1] = chosen[0], chosen[1]
+        else:
+            for i in range(1, 3):
+                for c in range(2):
+                    points[i, c] = 0.5 * (points[i, c] + points[0, c])
+                costs[i] = oe_cost(y, x, first, low, high, sign, integrating, math.exp(points[i, 0]), points[i, 1], out)
+                used += 1
+    best = 0
+    for i in range(1, 3):
+        if costs[i] < costs[best]:
+            best = i
+    return oe_cost(y, x, first, low, high, sign, integrating, math.exp(points[best, 0]), points[best, 1], out)

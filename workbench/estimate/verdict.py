@@ -1,0 +1,135 @@
+"""The verdict on the valve, from how much better a sticking stem explains PV than the linear loop does.
+
+The measure is the relative output-error gain over a causal linear model of low order, `1 - R_stem/R_linear` with R the
+residual as a share of PV's variance. Where too little speaks for either side the answer is "undecided".
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+__all__ = ["ENOUGH_SLIPS", "WIDE_D", "Evidence", "judge"]
+
+ENOUGH_SLIPS = 10  # fewer do not pin the unknown start of the stem
+GAIN = 0.10  # least improvement over the linear model that counts
+UNEXPLAINED = 0.05  # least share of PV's variance that the linear model must leave for that to matter
+EXPLAINS = 0.60  # largest share that the sticking stem may leave to count as an explanation
+LINEAR_EXPLAINS = 0.40  # and the linear model, to acquit the valve
+FOLLOWS = 0.70  # share of what no input leaves, below which PV follows OP at all
+LONGEST = 0.10  # of the record, the longest dead time with which the linear model may acquit the valve
+WIDE_D = 0.20  # of OP's range: a stem that sticks as wide as this and fits as well keeps the valve suspect
+SHARP = 0.10  # widest range of d, relative, that counts as identified
+
+
+@dataclass(frozen=True, slots=True)
+class Evidence:
+    """What the verdict rests on: residual variances of both models (EU^2), slips, d and its range, the search.
+
+    linear: within the same dead times as the stem's; nothing: without any input; wide: the best stem with d above
+    `WIDE_D` of OP's range; linear_delay: the linear model's dead time as a share of the record.
+    """
+
+    samples: int
+    variance: float
+    linear: float
+    stem: float
+    slips: int
+    d: float
+    gain: float
+    op_range: float
+    nothing: float
+    wide: float
+    linear_delay: float
+    d_range: tuple[float, float] | None
+    exact: bool
+    at_limit: bool
+    method: str
+    iterations: int
+
+
+def judge(e: Evidence) -> tuple[str, tuple[str, ...], bool]:
+    """Return (verdict, reasons in words, whether d is identified)."""
+    reasons: list[str] = []
+    linear, stem = e.linear / e.variance, e.stem / e.variance
+    improvement = 1.0 - stem / linear if linear > 0.0 else 0.0
+    if e.slips == 0 or e.gain == 0.0:
+        reasons.append("no movement of the valve can be seen in PV: the record holds no slip that PV answers")
+        return "undecided", tuple(reasons), False
+    reasons.append(
+        f"a stem that sticks within d = {e.d:.3g} % leaves {stem:.1%} of PV's variance unexplained, "
+        f"the linear model {linear:.1%} ({e.slips} stem moves)"
+    )
+    if improvement >= GAIN and (linear >= UNEXPLAINED or improvement >= 0.5):
+        verdict = _for_stiction(e, stem, reasons)
+    elif linear <= LINEAR_EXPLAINS:
+        verdict = _for_health(e, reasons)
+    else:
+        verdict = "undecided"
+        reasons.append("neither model explains PV: disturbances or other nonlinearities dominate the record")
+    identifiable = _identified(e, verdict, reasons)
+    _search_said(e, reasons)
+    return verdict, tuple(reasons), identifiable
+
+
+def _for_health(e: Evidence, reasons: list[str]) -> str:
+    if e.linear > FOLLOWS * e.nothing:
+        reasons.append(
+            f"PV hardly follows OP: without any input {e.nothing / e.variance:.1%} of its variance would be left"
+        )
+        return "undecided"
+    if e.linear_delay > LONGEST:
+        reasons.append(
+            "the linear model needs a dead time of more than a tenth of the record: within an oscillation that is a "
+            "phase shift, not a process"
+        )
+        return "undecided"
+    if e.wide <= (1.0 + GAIN) * e.linear and e.wide >= UNEXPLAINED**2 * e.variance:
+        reasons.append(
+            "the linear model explains PV as well, but so does a valve that sticks widely: the record is too smooth to "
+            "tell them apart"
+        )
+        return "undecided"
+    reasons.append("the linear model explains PV as well: stiction adds nothing that matters")
+    return "no_stiction"
+
+
+def _for_stiction(e: Evidence, stem: float, reasons: list[str]) -> str:
+    if e.slips < ENOUGH_SLIPS:
+        reasons.append(
+            f"only {e.slips} stem moves in the record, and at least {ENOUGH_SLIPS} are needed for a verdict: "
+            "a longer record, or one with a setpoint change, would decide"
+        )
+        return "undecided"
+    if stem > EXPLAINS:
+        reasons.append("the sticking stem fits better than the linear model, but explains too little of PV to decide")
+        return "undecided"
+    return "stiction"
+
+
+def _identified(e: Evidence, verdict: str, reasons: list[str]) -> bool:
+    if e.d_range is None or verdict != "stiction":
+        return False
+    low, high = e.d_range
+    if high - low > SHARP * e.d:
+        reasons.append(
+            f"every d from {low:.3g} to {high:.3g} % fits equally well, the gain and dead time making up for it (about "
+            f"{abs(e.gain) * e.d:.3g} EU per slip is what is known); a setpoint change in the record, or a longer "
+            "record, would tell them apart"
+        )
+        return False
+    return e.slips >= ENOUGH_SLIPS
+
+
+def _search_said(e: Evidence, reasons: list[str]) -> None:
+    if e.method == "two_step":
+        reasons.append(
+            f"the two-step algorithm ended after {e.iterations} iterations; it finds a minimum near its start only, "
+            "and gives no interval"
+        )
+    elif not e.exact:
+        reasons.append(
+            "the record is long: first slips come from its head, d was stepped by 0.3 % and every path met only near "
+            "the best"
+        )
+    if e.at_limit:
+        reasons.append("the dead time lies at the end of the range searched; a larger max_dead_time may fit better")
