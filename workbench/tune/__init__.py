@@ -1,0 +1,1 @@
+"""Tunings found by global scan, refined by nonlinear programming, verified by exact simulation."""

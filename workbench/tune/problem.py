@@ -1,0 +1,186 @@
+"""One tuning problem as the searches see it: exact costs of tunings, their neighbourhood, digits and coordinates.
+
+A tuning is a row (Kc, Ti, Td) in the controller's own form. Searches move in a unit cube of the free parameters, with
+Kc and Td in square-root and Ti in logarithmic coordinates, which spreads good tunings evenly.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from workbench.model.controller import PID
+from workbench.model.experiment import Experiment
+from workbench.model.loop import Loop
+from workbench.model.plant import FOPDT
+from workbench.model.record import FloatArray
+from workbench.model.tuning import Bounds, Objective
+from workbench.simulate import kernel
+from workbench.simulate.coefficients import coefficients
+from workbench.simulate.run import cost_terms, signals, weigh
+
+__all__ = ["Problem", "round_to"]
+
+NAMES = ("Kc", "Ti", "Td")
+Mapping = Callable[[FloatArray], FloatArray]
+
+
+class Problem:
+    """The exact costs of tunings of one loop in one experiment; counts its evaluations.
+
+    digits: significant digits of the parameters; margin: relative. Together they give each parameter's neighbourhood,
+    within which its true value is taken to lie: the larger of the margin and half a unit of the last digit.
+    """
+
+    def __init__(
+        self, loop: Loop, experiment: Experiment, objective: Objective, bounds: Bounds, digits: int, margin: float
+    ) -> None:
+        self.loop, self.experiment, self.objective, self.bounds = loop, experiment, objective, bounds
+        self.digits, self.margin = digits, margin
+        self.signals = signals(loop, experiment)
+        self.samples = self.signals.samples
+        self.low = np.array([getattr(bounds, name)[0] for name in NAMES])
+        self.high = np.array([getattr(bounds, name)[1] for name in NAMES])
+        if loop.controller.form == "parallel":
+            # Kc = 0 has no ideal equivalent there.
+            self.low[0] = max(self.low[0], min(1e-9 * self.high[0], self.high[0]))
+        self.free = np.flatnonzero(self.high > self.low)
+        self.evaluations = 0
+        self.simulated = 0
+        self._weights = np.array(objective.weights)
+        self._offsets = _offsets(np.random.default_rng(0), 6)
+        self._dense = _offsets(np.random.default_rng(1), 200)
+
+    # Costs.
+
+    def exact(self, tunings: FloatArray) -> FloatArray:
+        """Return J of tunings, shape (M, 3) -> (M,), by exact simulation; inf where a run overflows."""
+        rows = coefficients(self.loop, self.experiment.stem_offset, tunings)
+        self.evaluations += rows.shape[0]
+        self.simulated += rows.shape[0] * self.samples
+        with np.errstate(over="ignore", invalid="ignore"):
+            costs: FloatArray = weigh(cost_terms(rows, [self.signals]), self.objective)
+        return costs
+
+    def below(self, tunings: FloatArray, ceilings: FloatArray) -> FloatArray:
+        """Return J of each tuning where it does not exceed its ceiling, else inf."""
+        return self._worst(tunings, 1, ceilings)
+
+    def worst_below(self, tunings: FloatArray, ceilings: FloatArray, *, dense: bool = False) -> FloatArray:
+        """Return the worst J in the neighbourhood of each tuning where it does not exceed its ceiling, else inf.
+
+        The neighbourhood is the centre, the corners, the faces' middles and some (`dense`: 200) random inner points.
+        """
+        offsets = self._dense if dense else self._offsets
+        around = tunings[:, None, :] + offsets[None, :, :] * self.radius(tunings)[:, None, :]
+        return self._worst(np.ascontiguousarray(around.reshape(-1, 3)), offsets.shape[0], ceilings)
+
+    def _worst(self, tunings: FloatArray, group: int, ceilings: FloatArray) -> FloatArray:
+        rows = coefficients(self.loop, self.experiment.stem_offset, tunings)
+        worst = np.empty(ceilings.size)
+        s = self.signals
+        longest = int(rows[0, kernel.DELAY]) if rows.size else 0
+        self.simulated += kernel.run_worst(rows, group, s.r, s.load, s.noise, self._weights, ceilings, worst, longest)
+        self.evaluations += rows.shape[0]
+        return worst
+
+    # Digits.
+
+    def radius(self, tunings: FloatArray) -> FloatArray:
+        """Return the half-widths of the neighbourhoods of tunings, same shape."""
+        half: FloatArray = np.maximum(self.margin * np.abs(tunings), 0.5 * unit_of(tunings, self.digits))
+        return half
+
+    def rounded(self, tunings: FloatArray) -> FloatArray:
+        """Return tunings at the digits to type in, within the bounds; fixed parameters stay as they are."""
+        result = np.array(tunings, dtype=np.float64)
+        for k in self.free:
+            result[:, k] = round_to(result[:, k], self.digits, float(self.low[k]), float(self.high[k]))
+        return result
+
+    # Coordinates.
+
+    def cube(self, tunings: FloatArray) -> FloatArray:
+        """Return the unit-cube coordinates of tunings (M, 3), clipped to the bounds, shape (M, free parameters)."""
+        clipped = np.clip(tunings, self.low, self.high)
+        columns = []
+        for k in self.free:
+            low, high, forth, _ = self._scale(int(k))
+            columns.append((forth(clipped[:, k]) - low) / (high - low))
+        return np.stack(columns, axis=1) if columns else np.zeros((tunings.shape[0], 0))
+
+    def tunings(self, points: FloatArray) -> FloatArray:
+        """Return the tunings (M, 3) of unit-cube points (M, free parameters)."""
+        result = np.tile(self.low, (points.shape[0], 1))
+        for column, k in enumerate(self.free):
+            low, high, _, back = self._scale(int(k))
+            values = back(low + points[:, column] * (high - low))
+            values = np.where(points[:, column] <= 0.0, self.low[k], values)
+            result[:, k] = np.clip(np.where(points[:, column] >= 1.0, self.high[k], values), self.low[k], self.high[k])
+        return result
+
+    def _scale(self, k: int) -> tuple[float, float, Mapping, Mapping]:
+        if k == 1:
+            return math.log(self.low[1]), math.log(self.high[1]), np.log, np.exp
+        return math.sqrt(self.low[k]), math.sqrt(self.high[k]), np.sqrt, np.square
+
+    def guesses(self) -> FloatArray:
+        """Return tunings worth a try: the loop's own, and internal-model tunings from brisk to sluggish, (M, 3).
+
+        Those are `Kc = T/(|K| (lambda + theta))`, `Ti = min(T, 4 (lambda + theta))` after S. Skogestad, "Simple
+        analytic rules for model reduction and PID controller tuning", J. Process Control 13 (2003) 291-309.
+        """
+        plant, pid, Ts = self.loop.plant, self.loop.controller, self.loop.sample_time
+        theta = plant.dead_time + Ts / 2.0
+        own = [(pid.Kc, pid.Ti, pid.Td)]
+        for ratio in (0.3, 1.0, 2.0, 4.0, 10.0):
+            closed = ratio * theta + theta
+            if isinstance(plant, FOPDT):
+                gain = plant.time_constant / (abs(plant.gain) * closed)
+                Ti = min(plant.time_constant, 4.0 * closed)
+            else:
+                gain, Ti = 1.0 / (abs(plant.gain) * closed), 4.0 * closed
+            for stretch, Td in itertools.product((1.0, 2.0), (0.0, theta / 2.0)):
+                parallel = pid.form == "parallel"
+                own.append((gain, stretch * Ti / gain if parallel else stretch * Ti, Td * gain if parallel else Td))
+        guesses: FloatArray = np.clip(np.array(own), self.low, self.high)
+        return guesses
+
+    def controller(self, tuning: FloatArray) -> PID:
+        """Return the loop's controller with this tuning."""
+        return replace(self.loop.controller, Kc=float(tuning[0]), Ti=float(tuning[1]), Td=float(tuning[2]))
+
+
+def unit_of(values: FloatArray, digits: int) -> FloatArray:
+    """Return one unit of the last of `digits` significant digits of each value, 0 for 0."""
+    size = np.abs(values)
+    with np.errstate(divide="ignore"):
+        power = np.floor(np.log10(size))
+    unit: FloatArray = np.where(size > 0.0, 10.0 ** (np.where(size > 0.0, power, 0.0) + 1 - digits), 0.0)
+    return unit
+
+
+def round_to(values: FloatArray, digits: int, low: float, high: float) -> FloatArray:
+    """Return values rounded to significant digits, as decimal text would be read; never outside [low, high].
+
+    Where rounding leaves the range, the next number inside is taken, or the end itself if there is none.
+    """
+    result = np.empty(values.size)
+    for i, value in enumerate(values.tolist()):
+        near = float(f"{value:.{digits - 1}e}")
+        if not low <= near <= high:
+            unit = float(unit_of(np.array([value]), digits)[0])
+            near = float(f"{near + (unit if near < low else -unit):.{digits - 1}e}")
+        result[i] = near if low <= near <= high else min(max(value, low), high)
+    return result
+
+
+def _offsets(rng: np.random.Generator, inner: int) -> FloatArray:
+    """Return the centre, corners, faces' middles and random inner points of the cube [-1, 1]^3."""
+    corners = np.array(list(itertools.product((-1.0, 1.0), repeat=3)))
+    faces = np.concatenate([np.eye(3), -np.eye(3)])
+    return np.concatenate([np.zeros((1, 3)), corners, faces, rng.uniform(-1.0, 1.0, (inner, 3))])

@@ -1,0 +1,165 @@
+"""Refinement of scanned tunings by branch programs: the best sequences first, then the neighbours across active guards.
+
+A program is accepted only if the exact simulation of its tuning takes the same decisions and gives the same J.
+"""
+
+from __future__ import annotations
+
+import heapq
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from workbench.model.record import FloatArray
+from workbench.model.results import SolveStatus
+from workbench.simulate import kernel
+from workbench.simulate.coefficients import coefficients
+from workbench.simulate.run import rest
+from workbench.symbolic.branch import BranchProgram, Decisions
+from workbench.symbolic.loop import COEFFICIENTS
+from workbench.tune.problem import Problem
+
+__all__ = ["AGREEMENT", "Refined", "Refiner", "path", "usable"]
+
+# Claim and exact re-simulation of an accepted program agree to this, relative to J.
+AGREEMENT = 1e-9
+# Beyond this many samples building and solving a program takes longer than the scan that it would refine.
+MOST_SAMPLES = 10_000
+# How many active guards of a solution are tried from their other side.
+FLIPS = 3
+
+
+@dataclass(frozen=True, eq=False)
+class Path:
+    """A run as the decisions see it: branch codes, output and stem (%), each of shape (N,)."""
+
+    branch: NDArray[np.int8]
+    u: FloatArray
+    x: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class Refined:
+    """The end of a refinement: tunings (M, 3) with their exact J (M,), verified ones first; counts of work."""
+
+    tunings: FloatArray
+    costs: FloatArray
+    accepted: int
+    solves: int
+    iterations: int
+
+
+def usable(problem: Problem) -> bool:
+    """Whether branch programs of this problem are worth their time."""
+    return problem.samples <= MOST_SAMPLES and problem.free.size > 0
+
+
+def path(problem: Problem, tuning: FloatArray, flip: int | None = None) -> Path:
+    """Run a tuning; at sample `flip`, take the other stem decision than the valve would, and go on exactly."""
+    row = coefficients(problem.loop, problem.experiment.stem_offset, tuning[None, :])[0]
+    n, s = problem.samples, problem.signals
+    state, past = rest(row)
+    u, x, v, branch = np.empty(n), np.empty(n), np.empty(n), np.empty(n, np.int8)
+
+    def run(begin: int, end: int, law: FloatArray) -> None:
+        part = slice(begin, end)
+        y = np.empty(end - begin + 1)
+        kernel.run_loop(
+            law, s.r[part], s.load[part], s.noise[part], state, past, y, u[part], x[part], v[part], branch[part]
+        )
+
+    if flip is None:
+        run(0, n, row)
+        return Path(branch, u, x)
+    run(0, flip, row)
+    own = Decisions.from_branch(path(problem, tuning).branch[flip : flip + 1]).motion[0]
+    other = row.copy()
+    # With no band the stem slips whatever the distance; with an infinite one it rests.
+    other[kernel.BAND] = -1.0 if own == 0 else np.inf
+    run(flip, flip + 1, other)
+    run(flip + 1, n, row)
+    return Path(branch, u, x)
+
+
+class Refiner:
+    """Branch programs of one problem: compiled once, each sequence solved at most once over all restarts."""
+
+    def __init__(self, problem: Problem, guard: float, reference: float) -> None:
+        self._problem = problem
+        law = coefficients(problem.loop, problem.experiment.stem_offset)[0]
+        valve = problem.loop.valve
+        # Guard margins count in the valve's own mean of stick band and slip jump; a valve without any has no guards.
+        self._guard = guard * (valve.stick_band + valve.slip_jump) / 2.0
+        s = problem.signals
+        travel = max(float(np.abs(s.r).max()), float(np.abs(s.load).max()) * abs(law[kernel.GAIN]), 1e-12)
+        steady = abs(law[kernel.GAIN] * (law[kernel.C0] + law[kernel.C1]) / max(1.0 - law[kernel.POLE], 0.1))
+        size = (travel, max(valve.hold, travel / steady, 1e-12))
+        self._program = BranchProgram(
+            problem.loop,
+            {name: float(law[getattr(kernel, name)]) for name in COEFFICIENTS},
+            s.r,
+            s.load,
+            s.noise,
+            problem.objective,
+            problem.bounds,
+            size=size,
+            reference=reference,
+        )
+        self._seen: set[bytes] = set()
+
+    def refine(self, tunings: FloatArray, costs: FloatArray, starts: int, budget: int) -> Refined:
+        """Solve the programs of the `starts` best distinct sequences among scanned tunings, then of their neighbours.
+
+        tunings: shape (M, 3), costs: their J, shape (M,). At most `budget` solves, the most promising next. Raises
+        KeyboardInterrupt where a solve was interrupted.
+        """
+        problem = self._problem
+        queue: list[tuple[float, int, bytes, FloatArray]] = []
+        order = np.argsort(costs, kind="stable")
+        waiting = 0
+        for index in order[np.isfinite(costs[order])]:
+            if waiting == starts:
+                break
+            branch = path(problem, tunings[index]).branch
+            key = branch.tobytes()
+            if key not in self._seen:
+                self._seen.add(key)
+                heapq.heappush(queue, (float(costs[index]), waiting, key, tunings[index]))
+                waiting += 1
+        found: list[FloatArray] = []
+        values: list[float] = []
+        accepted: list[bool] = []
+        iterations = solves = 0
+        while queue and solves < budget:
+            _, _, key, start = heapq.heappop(queue)
+            decisions = Decisions.from_branch(np.frombuffer(key, dtype=np.int8))
+            end = self._program.solve(decisions, (float(start[0]), float(start[1]), float(start[2])), self._guard)
+            solves += 1
+            iterations += end.result.iterations
+            if end.result.status is SolveStatus.INTERRUPTED:
+                raise KeyboardInterrupt
+            tuning = np.array(end.tuning)
+            exact = float(problem.exact(tuning[None, :])[0])
+            same = path(problem, tuning).branch.tobytes() == key
+            agrees = same and abs(exact - end.objective) <= AGREEMENT * max(abs(exact), 1e-12)
+            found.append(tuning)
+            values.append(exact)
+            accepted.append(end.result.status.success and agrees)
+            if not end.result.status.success:
+                continue
+            for sample in end.active[:FLIPS]:
+                branch = path(problem, tuning, flip=sample).branch
+                neighbour = branch.tobytes()
+                if neighbour not in self._seen:
+                    self._seen.add(neighbour)
+                    waiting += 1
+                    heapq.heappush(queue, (exact, waiting, neighbour, tuning))
+        best = sorted(range(len(values)), key=lambda i: (not accepted[i], values[i]))
+        return Refined(
+            tunings=np.array([found[i] for i in best]).reshape(-1, 3),
+            costs=np.array([values[i] for i in best]),
+            accepted=sum(accepted),
+            solves=solves,
+            iterations=iterations,
+        )

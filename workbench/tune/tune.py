@@ -1,0 +1,318 @@
+"""`wb.tune`: global scan on the exact simulator, refinement by branch programs, choice at the digits to type in.
+
+1. Several seeded searches for the least J of eq. (2); 2. branch programs on the best distinct sequences of decisions
+and their neighbours; 3. a joint search, from all of these, for the least *worst* J within the parameters' digits,
+because the best nominal tunings sit on cliffs; 4. rounding, and the same search on the rounded numbers themselves.
+Every J that is reported is an exact simulation of the numbers that are reported.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from types import MappingProxyType
+
+import numpy as np
+
+from workbench.errors import InvalidValue
+from workbench.model.checks import number, whole
+from workbench.model.experiment import Experiment
+from workbench.model.loop import Loop
+from workbench.model.record import FloatArray
+from workbench.model.results import Restart, SolveStatus, Tuned
+from workbench.model.tuning import Bounds, Objective
+from workbench.symbolic.solve import versions
+from workbench.tune.problem import NAMES, Problem
+from workbench.tune.refine import Refined, Refiner, path, usable
+from workbench.tune.scan import evolve, spread
+from workbench.tune.verify import Choice, choose, stem_guard
+
+__all__ = ["tune"]
+
+# Sizes of the searches at 1,000 samples; longer runs get fewer, shorter ones more.
+SCAN_MEMBERS, SCAN_GENERATIONS = 200, 200
+JOINT_MEMBERS, JOINT_GENERATIONS = 100, 400
+# Samples that each search may simulate at most: some seconds.
+SCAN_SAMPLES, JOINT_SAMPLES = 100_000_000, 300_000_000
+# Candidates that a scan hands on, and how far apart they are at least in the unit cube.
+KEPT, GAP = 40, 3e-3
+Progress = Callable[[str, float], None]
+
+
+class _OutOfTime(Exception):
+    """The time limit has passed."""
+
+
+@dataclass
+class _Found:
+    """What the search has so far: all tunings worth keeping, and the counts."""
+
+    tunings: list[FloatArray] = field(default_factory=list)
+    costs: list[FloatArray] = field(default_factory=list)
+    restarts: list[Restart] = field(default_factory=list)
+    accepted: int = 0
+    joint: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
+
+    def add(self, tunings: FloatArray, costs: FloatArray) -> None:
+        self.tunings.append(tunings)
+        self.costs.append(costs)
+
+    def best(self, count: int) -> FloatArray:
+        tunings, costs = np.concatenate(self.tunings), np.concatenate(self.costs)
+        return tunings[np.argsort(costs, kind="stable")[:count]]
+
+    def least(self) -> float:
+        return float(min(costs.min(initial=math.inf) for costs in self.costs))
+
+
+def tune(
+    loop: Loop,
+    experiment: Experiment,
+    objective: Objective | None = None,
+    bounds: Bounds | None = None,
+    seed: int = 0,
+    *,
+    digits: int = 4,
+    restarts: int = 4,
+    guard: float = 0.01,
+    margin: float = 0.001,
+    time_limit: float | None = None,
+    progress: Progress | None = None,
+) -> Tuned:
+    """Find the Kc, Ti and Td of least J (eq. (2), see `Objective`) for a loop in an experiment.
+
+    The controller keeps its form, structure, filter and limits; bounds are in its own form, and equal ends fix a
+    parameter. Its present tuning must lie within the bounds of the parameters that are free. digits: significant
+    digits (1..12) of the numbers to type in. restarts: independent global searches (1..100). guard: least distance
+    to keep from a stick/slip decision in the refinement, relative to the valve's (S + J)/2. margin: relative change
+    (0..0.2) of each parameter against which the worst J is minimised; half a last digit is always covered. time_limit:
+    s; the best so far is returned as `TIME_LIMIT`. progress: called with a phase in words and the share done (0..1).
+    Ctrl-C returns the best so far as `INTERRUPTED`.
+
+    Returns a `Tuned` whose objective is the exact J of the rounded controller. Equal arguments give equal results
+    (but for times, and unless stopped by time). Raises `InvalidValue`.
+    """
+    objective, bounds = objective or Objective(), bounds or Bounds()
+    _check(loop, bounds, seed, digits, restarts, guard, margin, time_limit)
+    began = time.perf_counter()
+    problem = Problem(loop, experiment, objective, bounds, digits, margin)
+    start = float(problem.exact(np.array([[loop.controller.Kc, loop.controller.Ti, loop.controller.Td]]))[0])
+    found = _Found()
+    status, note = SolveStatus.SOLVED, ""
+
+    def check_time() -> None:
+        if time_limit is not None and time.perf_counter() - began > time_limit:
+            raise _OutOfTime
+
+    def tell(phase: str, share: float) -> None:
+        if progress is not None:
+            progress(phase, share)
+
+    try:
+        _search(problem, found, seed, restarts, guard, check_time, tell)
+        tell("choosing the digits", 0.9)
+        chosen = choose(problem, _candidates(problem, found), stop=_asker(check_time))
+    except KeyboardInterrupt:
+        status, note = SolveStatus.INTERRUPTED, "stopped by the user; the best so far"
+        chosen = _quick(problem, found)
+    except _OutOfTime:
+        status, note = SolveStatus.TIME_LIMIT, f"stopped at the time limit of {time_limit:g} s; the best so far"
+        chosen = _quick(problem, found)
+    if not math.isfinite(chosen.cost):
+        status, note = SolveStatus.DIVERGED, "every tuning within the bounds makes the loop diverge"
+    tell("done", 1.0)
+    solves = sum(r.solves for r in found.restarts)
+    run = path(problem, chosen.tuning)
+    return Tuned(
+        loop=loop,
+        experiment=experiment,
+        weights=objective,
+        bounds=bounds,
+        controller=problem.controller(chosen.tuning),
+        objective=chosen.cost,
+        status=status,
+        message=_message(problem, found, note, solves),
+        digits=digits,
+        nominal=min(found.least(), chosen.cost) if found.costs else chosen.cost,
+        worst=chosen.worst,
+        margin=margin,
+        start_objective=start,
+        guard_margin=stem_guard(problem, chosen.tuning),
+        slips=int(np.count_nonzero(np.diff(run.x, prepend=0.0))),
+        restarts=tuple(found.restarts),
+        evaluations=problem.evaluations,
+        solves=solves,
+        iterations=sum(r.iterations for r in found.restarts),
+        seed=seed,
+        wall_time=time.perf_counter() - began,
+        versions=MappingProxyType(dict(versions())),
+    )
+
+
+def _check(
+    loop: Loop,
+    bounds: Bounds,
+    seed: int,
+    digits: int,
+    restarts: int,
+    guard: float,
+    margin: float,
+    time_limit: float | None,
+) -> None:
+    whole(seed, "tune.seed")
+    for name, value, most in (("digits", digits, 12), ("restarts", restarts, 100)):
+        whole(value, f"tune.{name}")
+        number(value, f"tune.{name}", least=1, most=most)
+    number(guard, "tune.guard", least=0.0, most=0.5)
+    number(margin, "tune.margin", least=0.0, most=0.2)
+    if time_limit is not None:
+        number(time_limit, "tune.time_limit", above=0.0, unit="s")
+    for name in NAMES:
+        (low, high), value = getattr(bounds, name), getattr(loop.controller, name)
+        slack = 1e-9 * max(abs(low), abs(high))
+        if low < high and not low - slack <= value <= high + slack:
+            allowed = f"the tuning to start from must lie within the bounds ({low:g}, {high:g})"
+            raise InvalidValue(f"PID.{name}", value, allowed)
+
+
+def _asker(check_time: Callable[[], None]) -> Callable[[], bool]:
+    """A question that is never answered with yes, but ends the search when time is up."""
+
+    def ask() -> bool:
+        check_time()
+        return False
+
+    return ask
+
+
+def _search(
+    problem: Problem,
+    found: _Found,
+    seed: int,
+    restarts: int,
+    guard: float,
+    check_time: Callable[[], None],
+    tell: Progress,
+) -> None:
+    """Scan, refine, and search the worst case; everything goes into `found` as it comes."""
+    guesses = problem.guesses()
+    found.add(guesses, problem.exact(guesses))
+    if problem.free.size == 0:
+        return
+    check_time()
+    scale = min(math.sqrt(1000.0 / problem.samples), 1.5)
+    refiner: Refiner | None = None
+    # Solves are shared out evenly; a program's time grows with N.
+    budget = max(1, min(32, max(4, 12_000 // problem.samples)) // restarts)
+    seeds = [np.random.default_rng([seed, k]) for k in range(restarts)]
+    pool: list[FloatArray] = []
+    for k, rng in enumerate(seeds):
+        tell(f"global scan {k + 1} of {restarts}", 0.5 * k / restarts)
+        before = problem.evaluations
+        tunings, costs = _scan(problem, rng, scale, check_time)
+        found.add(tunings, costs)
+        scanned = float(costs.min(initial=math.inf))
+        refined = Refined(np.zeros((0, 3)), np.zeros(0), 0, 0, 0)
+        evaluations = problem.evaluations - before
+        if usable(problem) and math.isfinite(scanned):
+            check_time()
+            tell(f"refinement {k + 1} of {restarts}", 0.5 * (k + 0.5) / restarts)
+            refiner = refiner or Refiner(problem, guard, max(scanned, 1e-12))
+            refined = refiner.refine(tunings, costs, max(1, budget // 2), budget)
+            found.add(refined.tunings, refined.costs)
+            found.accepted += refined.accepted
+        pool += [tunings, refined.tunings]
+        best = min(scanned, float(refined.costs.min(initial=math.inf)))
+        found.restarts.append(Restart(k, scanned, best, evaluations, refined.solves, refined.iterations))
+    tell("worst case within the digits", 0.55)
+    found.joint = _joint(problem, np.concatenate(pool), np.random.default_rng([seed, restarts]), scale, check_time)
+
+
+def _scan(
+    problem: Problem, rng: np.random.Generator, scale: float, check_time: Callable[[], None]
+) -> tuple[FloatArray, FloatArray]:
+    """One global search for the least J: its best tunings, well apart, and their J."""
+    points: list[FloatArray] = []
+    values: list[FloatArray] = []
+    limit = problem.simulated + SCAN_SAMPLES
+
+    def keep(some: FloatArray, costs: FloatArray) -> None:
+        points.append(some)
+        values.append(costs)
+
+    def stop() -> bool:
+        check_time()
+        return problem.simulated > limit
+
+    members = _sized(SCAN_MEMBERS, scale)
+    start = rng.random((members, problem.free.size))
+    if problem.low[2] == 0.0 and 2 in problem.free:
+        # PI controllers are always among them.
+        start[: members // 8, -1] = 0.0
+    evolve(
+        lambda x, ceilings: problem.below(problem.tunings(x), ceilings),
+        np.concatenate([problem.cube(problem.guesses()), start]),
+        _sized(SCAN_GENERATIONS, scale),
+        rng,
+        stop=stop,
+        keep=keep,
+    )
+    all_points, all_values = np.concatenate(points), np.concatenate(values)
+    chosen = spread(all_points, all_values, KEPT, GAP)
+    tunings = problem.tunings(all_points[chosen])
+    return tunings, problem.exact(tunings)
+
+
+def _joint(
+    problem: Problem, pool: FloatArray, rng: np.random.Generator, scale: float, check_time: Callable[[], None]
+) -> FloatArray:
+    """Search for the least worst case from the pool of all restarts: the last population's tunings, the best first."""
+    limit = problem.simulated + JOINT_SAMPLES
+
+    def stop() -> bool:
+        check_time()
+        return problem.simulated > limit
+
+    fresh = rng.random((_sized(JOINT_MEMBERS, scale), problem.free.size))
+    population = evolve(
+        lambda x, ceilings: problem.worst_below(problem.tunings(x), ceilings),
+        np.concatenate([problem.cube(pool), problem.cube(problem.guesses()), fresh]),
+        _sized(JOINT_GENERATIONS, scale),
+        rng,
+        stop=stop,
+    )
+    return problem.tunings(population.points)
+
+
+def _sized(count: int, scale: float) -> int:
+    return max(40, round(count * scale))
+
+
+def _candidates(problem: Problem, found: _Found) -> FloatArray:
+    """The tunings among which the digits are chosen."""
+    if problem.free.size == 0:
+        return problem.low[None, :].copy()
+    return np.concatenate([found.joint, found.best(8)])
+
+
+def _quick(problem: Problem, found: _Found) -> Choice:
+    """The best rounded tuning of an unfinished search, by exact simulation, without a further search."""
+    tunings = np.concatenate([found.joint, found.best(40)]) if found.costs else problem.guesses()
+    rounded = np.unique(problem.rounded(tunings), axis=0)
+    worst = problem.worst_below(rounded, np.full(rounded.shape[0], np.inf))
+    best = rounded[int(np.argmin(worst))]
+    return Choice(best, float(problem.exact(best[None, :])[0]), float(worst.min()))
+
+
+def _message(problem: Problem, found: _Found, note: str, solves: int) -> str:
+    parts = [note] if note else []
+    if problem.free.size == 0:
+        parts.append("all parameters are fixed")
+    elif not usable(problem):
+        parts.append(f"{problem.samples} samples: direct search on the exact simulator without branch programs")
+    elif solves:
+        parts.append(f"{found.accepted} of {solves} branch programs verified by exact simulation")
+    parts.append(f"objective by exact simulation at {problem.digits} significant digits")
+    return "; ".join(parts)

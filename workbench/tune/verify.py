@@ -1,0 +1,97 @@
+"""From unrounded tunings to the one to type in: the worst case within the digits, searched on the digits themselves."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from workbench.model.record import FloatArray
+from workbench.model.valve import Choudhury, Deadband, Stenman
+from workbench.simulate.coefficients import valve_law
+from workbench.tune.problem import Problem, unit_of
+from workbench.tune.refine import path
+
+__all__ = ["Choice", "choose", "stem_guard"]
+
+# Steps of the last search, in units of the last digit.
+STEPS = (64, 16, 4, 1)
+# At most this many rounds for each step: each round improves the worst case, so this is only a guard.
+ROUNDS = 50
+
+
+@dataclass(frozen=True, eq=False)
+class Choice:
+    """A rounded tuning (Kc, Ti, Td), its exact J and the worst J in its neighbourhood."""
+
+    tuning: FloatArray
+    cost: float
+    worst: float
+
+
+def choose(problem: Problem, candidates: FloatArray, *, stop: Callable[[], bool] = lambda: False) -> Choice:
+    """Return the rounded tuning of the least worst case near the candidates, shape (M, 3), M >= 1.
+
+    Every candidate is rounded and judged by a dense sample of its neighbourhood; the best is then improved step by
+    step on the lattice of its digits. A candidate with a tiny derivative is also judged without it.
+    """
+    tried = problem.rounded(candidates)
+    if problem.low[2] == 0.0:
+        small = tried[tried[:, 2] < 0.02 * problem.loop.sample_time]
+        tried = np.concatenate([tried, small * np.array([1.0, 1.0, 0.0])])
+    tried = np.unique(tried, axis=0)
+    worst = np.concatenate([problem.worst_below(row[None, :], np.array([np.inf]), dense=True) for row in tried])
+    order = np.argsort(worst, kind="stable")
+    results = []
+    for index in order[:3]:
+        best, value = _improved(problem, tried[index], float(worst[index]), stop)
+        results.append((value, float(problem.exact(best[None, :])[0]), best))
+    value, cost, tuning = min(results, key=lambda item: item[:2])
+    return Choice(tuning, cost, value)
+
+
+def _improved(problem: Problem, tuning: FloatArray, value: float, stop: Callable[[], bool]) -> tuple[FloatArray, float]:
+    """Walk on the lattice of digits as long as the dense worst case falls."""
+    moves = np.array([m for m in itertools.product((-1.0, 0.0, 1.0), repeat=problem.free.size) if any(m)])
+    if not moves.size:
+        return tuning, value
+    for step in STEPS:
+        for _ in range(ROUNDS):
+            if stop():
+                return tuning, value
+            near = np.tile(tuning, (moves.shape[0], 1))
+            near[:, problem.free] += step * moves * unit_of(tuning, problem.digits)[problem.free]
+            near = problem.rounded(np.clip(near, problem.low, problem.high))
+            # The sparse sample sorts out most of them; its worst case is never above the dense one's.
+            likely = problem.worst_below(near, np.full(near.shape[0], value))
+            better = False
+            for index in np.argsort(likely, kind="stable"):
+                if not likely[index] < value:
+                    break
+                dense = float(problem.worst_below(near[index][None, :], np.array([value]), dense=True)[0])
+                if dense < value:
+                    tuning, value, better = near[index], dense, True
+                    break
+            if not better:
+                break
+    return tuning, value
+
+
+def stem_guard(problem: Problem, tuning: FloatArray) -> float:
+    """Return the least distance (%) of the run to a decision between stem at rest and slip; inf without stiction."""
+    valve = problem.loop.valve
+    law = valve_law(valve)
+    run = path(problem, tuning)
+    lead = np.abs(run.u - np.append(0.0, run.x[:-1]))
+    distance = np.abs(lead - law.band)
+    if isinstance(valve, Choudhury | Deadband):
+        # While the stem goes on moving it is the input's direction that decides, not its distance.
+        motion = run.branch % 3 - 1
+        before = np.append(0, motion[:-1])
+        distance = distance[~((motion != 0) & (motion == before))]
+    elif not isinstance(valve, Stenman):
+        return math.inf
+    return float(distance.min(initial=math.inf))
