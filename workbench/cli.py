@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import io
 import sys
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
@@ -147,7 +148,7 @@ def schema() -> int:
 
 
 METHOD = typer.Option("--method", help="profile (global over stiction, start and delay) or two_step (alternating).")
-VALVE = typer.Option("--valve", help="Valve model: stenman, choudhury or deadband.")
+VALVE = typer.Option("--valve", help="Valve model: stenman.")
 PLANT = typer.Option("--plant", help="Plant model: fopdt or integrating.")
 COLUMN = typer.Option("--column", metavar="SIGNAL=NAME", help="Which column is SP, PV, OP, MODE, time, valve_position.")
 SAMPLE_TIME = typer.Option("--sample-time", metavar="TIME", help='Where the data has no time column, such as "5 s".')
@@ -298,7 +299,7 @@ def _found(
 
 CHOICES = {
     "method": ("profile", "two_step"),
-    "valve": ("stenman", "choudhury", "deadband"),
+    "valve": ("stenman",),
     "plant": ("fopdt", "integrating"),
 }
 
