@@ -33,8 +33,9 @@ PERIOD_TOLERANCE, SWING_TOLERANCE = 0.03, 0.02
 AGREEMENTS = 2
 # At the budget's end: fewer reversals still show a cycle, as long as PV's swing varies by no more than this.
 FEWEST, STEADY = 8, 0.15
-# Of the stick band: what counts as no motion any more, and as a reversal; PV beyond this many of it has run away.
-STILL, DUST, AWAY = 1e-8, 1e-10, 1e7
+# Of the stick band: what counts as no motion any more, as a reversal, as an error too small to matter at the budget's
+# end; PV beyond this many of it has run away.
+STILL, DUST, CREPT, AWAY = 1e-8, 1e-10, 1e-4, 1e7
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,7 +65,7 @@ class _Follower:
         self.r, self.load = float(start.given.r[-1]), float(start.given.load[-1])
         self.scale = _scale(loop, self.r)
         self.y, self.u, self.x = np.zeros(1), np.zeros(0), np.zeros(0)
-        self.limited = False  # OP at a limit throughout the latest chunk's second half
+        self.limited = False  # OP at a limit, or held by clamping, throughout the latest chunk's second half
         self._prelude(start.given)
         self.carry = half_cycles.fresh_carry(float(self.state[kernel.X_LAST]))
         self.samples = 0
@@ -84,7 +85,8 @@ class _Follower:
         self.y, self.u, self.x = np.empty(n + 1), np.empty(n), np.empty(n)
         branch, noise = np.empty(n, np.int8), np.zeros(n)
         kernel.run_loop(self.row, r, load, noise, self.state, self.past, self.y, self.u, self.x, np.empty(n), branch)
-        self.limited = bool((branch[n // 2 :] % 9 // 3 != 1).all())
+        late = branch[n // 2 :]
+        self.limited = bool(((late % 9 // 3 != 1) | (late >= 9)).all())
 
     def advance(self, n: int) -> None:
         """Run n more samples at constant setpoint and load, and gather the half cycles that end in them."""
@@ -100,6 +102,8 @@ class _Follower:
         """Return why PV leaves every bound, or an empty string."""
         reach = AWAY * self.scale.pv + 1e3 * abs(self.r)
         if not float(np.abs(self.y).max()) <= reach:  # nan has run away too
+            if self.row[kernel.WINDUP] != 0.0 and self.row[kernel.TS_TT] > 2.0:
+                return "back-calculation is unstable: its tracking time is below half the sample time"
             if linear_stable(self.loop):
                 return "PV grows without bound, although the loop is stable with an ideal valve"
             return "the loop is unstable: PV grows without bound"
@@ -141,6 +145,11 @@ class _Follower:
             return f"PV comes to rest with an error of {error:+.3g} EU, as OP is at its limit"
         return ""
 
+    def calms_down(self) -> bool:
+        """Return whether OP's swing shrinks over the latest chunk, away from the limits."""
+        half = self.u.size // 2
+        return not self.limited and bool(np.ptp(self.u[half:]) <= np.ptp(self.u[:half]))
+
 
 def follow(loop: Loop, start: Start) -> LimitCycleStart:
     """Follow one start for at most `BUDGET` samples after the last change of its signals; see the module's head.
@@ -148,14 +157,14 @@ def follow(loop: Loop, start: Start) -> LimitCycleStart:
     Settles: OP, stem and PV have stood still, PV is where the plant will leave it, and nothing moves the stem on: the
     error is 0 (both to 1e-8 of the stick band), or there is no integral action, or OP is at its limit. Cycles: after at
     least `LEAST` samples, the latest three blocks of 16, 32, .. 1,024 stem reversals agree in turn (period 3 %, PV's
-    swing 2 %), or the budget is spent and the swing is steady; the last block gives the figures, `reason` says how
+    swing 2 %), or the budget is spent and PV's swing is steady; the last block gives the figures, `reason` says how
     steady they are. Undecided: PV grows without bound, or the budget is spent without that. `window` runs from the last
     change of the signals to the end of the first full cycle.
     """
     run = _Follower(loop, start)
-    # Without friction and limits the loop is linear, and slow damping is no cycle.
-    linear = loop.valve.stick_band == loop.valve.slip_jump == 0.0 and loop.controller.output_limits is None
-    damped = linear and linear_stable(loop)
+    # Without friction the loop is linear while within its limits, and slow damping is no cycle.
+    linear = loop.valve.stick_band == loop.valve.slip_jump == 0.0 and linear_stable(loop)
+    damped = linear and loop.controller.output_limits is None
     longest = max(LONGEST_CHUNK, 4 * run.past.size)
     chunk = max(FIRST_CHUNK, min(4 * run.past.size, longest))
     first, size, before, agreed = 1, FIRST_BLOCK, None, 0
@@ -174,8 +183,10 @@ def follow(loop: Loop, start: Start) -> LimitCycleStart:
             first, size, before = first + size, min(2 * size, LAST_BLOCK), block
         if before is not None and agreed >= AGREEMENTS and run.samples >= LEAST:
             return _cycle(run, start, before, "successive blocks of reversals agree")
-    if damped:
+    if linear and run.calms_down():
         return _no_cycle(start, "settles", "the valve does not stick, and the loop is linear and stable")
+    if float(np.abs(run.r - run.y).max()) <= CREPT * run.scale.pv:
+        return _no_cycle(start, "settles", f"PV creeps onto the setpoint (within {CREPT:g} of the stick band by now)")
     return _spent(run, start)
 
 
@@ -189,21 +200,22 @@ def _spent(run: _Follower, start: Start) -> LimitCycleStart:
     before, block = Block(run.halves[end - 2 * half : end - half], Ts), Block(run.halves[end - half :], Ts)
     if _agree(before, block):
         return _cycle(run, start, block, "successive blocks of reversals agree")
-    swing, period = _change(before.pv_peak_to_peak, block.pv_peak_to_peak), _change(before.period, block.period)
+    if before.pv_peak_to_peak == 0.0:
+        return _no_cycle(start, "undecided", "the stem chatters, but PV does not move")
+    swing = block.pv_peak_to_peak / before.pv_peak_to_peak - 1.0
     if abs(swing) <= STEADY:
+        period = block.period / before.period - 1.0
         reason = f"the last {half} of {end} reversals differ from those before by {100 * period:+.2g} % in period"
         return _cycle(run, start, block, reason)
     return _no_cycle(start, "undecided", f"after {simulated} PV's swing still changes ({100 * swing:+.2g} %)")
 
 
-def _change(before: float, after: float) -> float:
-    return after / before - 1.0
-
-
 def _agree(before: Block, block: Block) -> bool:
+    period, swing = before.period, before.pv_peak_to_peak
     return (
-        abs(_change(before.period, block.period)) <= PERIOD_TOLERANCE
-        and abs(_change(before.pv_peak_to_peak, block.pv_peak_to_peak)) <= SWING_TOLERANCE
+        swing > 0.0
+        and abs(block.period - period) <= PERIOD_TOLERANCE * period
+        and abs(block.pv_peak_to_peak - swing) <= SWING_TOLERANCE * swing
     )
 
 
