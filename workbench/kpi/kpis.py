@@ -122,9 +122,10 @@ def _step_response(error: FloatArray, sample_time: float, event: Event) -> tuple
     if after.size == 0:
         return math.nan, math.nan
     step = event.setpoint_step
-    overshoot = math.nan if step == 0.0 else 100.0 * max(0.0, float((-after * np.sign(step)).max())) / abs(step)
+    # A run that overflowed holds nan from there on: its overshoot is nan, and it never settles.
+    overshoot = math.nan if step == 0.0 else 100.0 * float(np.maximum((-after * np.sign(step)).max(), 0.0)) / abs(step)
     band = 0.02 * float(np.abs(after).max()) if math.isnan(event.band) else event.band
-    outside = np.flatnonzero(np.abs(after) > band)
+    outside = np.flatnonzero(~(np.abs(after) <= band))
     if outside.size == 0:
         return overshoot, 0.0
     entry = int(outside[-1]) + 1

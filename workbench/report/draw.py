@@ -38,12 +38,14 @@ __all__ = [
     "restarts",
     "run_op",
     "run_pv",
+    "seen",
     "thin",
     "time_axis",
     "without_kicks",
 ]
 
 COLUMNS = 500  # pixel columns of a figure's plot area: half a point of a page-wide trend
+BEYOND = 1e9  # EU or %: a signal that grows past this has left every plant, and its figure
 CELLS = 400.0  # cells along each side of a phase plot, within which points are one
 
 
@@ -63,11 +65,19 @@ def thin(x: FloatArray, y: FloatArray, columns: int = COLUMNS) -> tuple[FloatArr
     return x[keep], y[keep]
 
 
+def seen(signal: FloatArray, limit: float = BEYOND) -> FloatArray:
+    """Return a signal with nan where it is not finite or exceeds `limit` in size: the stretch that is not drawn."""
+    with np.errstate(invalid="ignore"):
+        return np.where(np.abs(signal) <= limit, signal, math.nan)
+
+
 def phase(x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return a phase plot's line with every stretch drawn once; nan separates stretches that do not join.
 
     Points are told apart on a grid of 400 x 400 cells over the signals' ranges.
     """
+    both = np.isfinite(seen(x)) & np.isfinite(seen(y))
+    x, y = x[both], y[both]
     if x.size < 2:
         return x, y
     cells = []
@@ -104,7 +114,7 @@ def time_axis(span: float) -> tuple[float, str]:
 
 
 def _line(ax: Axes, time: FloatArray, signal: FloatArray, text: str, style: Style, *, steps: bool = False) -> None:
-    x, y = thin(time, signal)
+    x, y = thin(time, seen(signal))
     ax.plot(x, y, label=text, drawstyle="steps-post" if steps else "default", **style)
 
 
@@ -132,6 +142,8 @@ def run_op(ax: Axes, run: Run, unit: float = 1.0) -> None:
 
 def without_kicks(ax: Axes, signals: Sequence[FloatArray]) -> None:
     """Limit the y axis to what the signals do but for 1 % at each end, where a first kick dwarfs it; say so."""
+    signals = [s[np.isfinite(s)] for s in signals]
+    signals = [s for s in signals if s.size]
     if not signals:
         return
     ends = [float(np.quantile(s, q)) for s in signals for q in (0.01, 0.99)]
@@ -192,9 +204,9 @@ def pv_op(ax: Axes, run: Run) -> None:
 
 def op_stem(ax: Axes, run: Run) -> None:
     """Draw the valve's position against OP, with the line that a valve without friction would follow."""
-    low, high = float(run.op.min()), float(run.op.max())
-    ax.plot([low, high], [low, high], **{**SP, "linewidth": 0.7})
     x, y = phase(run.op, run.valve)
+    ends = [float(np.nanmin(x)), float(np.nanmax(x))] if x.size else []
+    ax.plot(ends, ends, **{**SP, "linewidth": 0.7})
     ax.plot(x, y, **{**VALVE, "linewidth": 0.8})
     ax.set_ylabel("valve (%)")
     ax.set_xlabel("OP (%)")
@@ -206,7 +218,7 @@ def _log(axis: Any) -> None:
     axis.set_major_formatter(FuncFormatter(lambda value, _: given(value, 3)))
     axis.set_minor_formatter(NullFormatter())
     low, high = axis.get_view_interval()
-    if 0.0 < low < high < 15.0 * low:  # hardly a decade: name some ticks between the powers of ten
+    if 0.0 < low < high < 100.0 * low:  # few powers of ten: name some ticks between them
         axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 3.0, 5.0, 7.0)))
 
 
@@ -305,6 +317,8 @@ def frequency(ax: Axes, named: Sequence[tuple[str, DescribingFunction]], ratio: 
                 "linestyle": ("-", "--", ":")[len(drawn) % 3],
             }
             ax.plot(locus.real, locus.imag, label=text, **style)
+            if float(np.ptp(df.locus.real[np.isfinite(df.locus.real)])) < 1e-9:  # an ideal valve's: a point
+                ax.plot(locus.real[:1], locus.imag[:1], "o", color="#D55E00", alpha=0.55, markersize=5)
             drawn.append(df.locus)
     for index, (name, df) in enumerate(named):
         style = case_style(index)

@@ -7,9 +7,11 @@ import os
 from collections.abc import Sequence
 from pathlib import Path
 
+import numpy as np
 from matplotlib.figure import Figure
 
 from workbench.errors import OutputError
+from workbench.model.record import FloatArray
 from workbench.model.results import DescribingFunction, Estimate, Run
 from workbench.model.study import CaseResult
 from workbench.report import draw
@@ -50,22 +52,31 @@ def overlay_figure(cases: Sequence[CaseResult]) -> Figure:
         fig = new_figure(WIDTH, 4.4)
         above, below = fig.subplots(2, 1, sharex=True)
         unit, name = draw.time_axis(max((float(c.run.time[-1]) for c in cases), default=0.0))
+        pvs, valves = _comparable([c.run.pv for c in cases]), _comparable([c.run.valve for c in cases])
         for index, case in enumerate(cases):
             style = {**case_style(index), "linewidth": 1.0}
-            x, y = draw.thin(case.run.time / unit, case.run.pv)
+            x, y = draw.thin(case.run.time / unit, pvs[index])
             above.plot(x, y, label=label(case.name, 30), **style)
-            x, y = draw.thin(case.run.time / unit, case.run.valve)
+            x, y = draw.thin(case.run.time / unit, valves[index])
             below.plot(x, y, drawstyle="steps-post", **style)
         if cases:
             x, y = draw.thin(cases[0].run.time / unit, cases[0].run.sp)
             above.plot(x, y, label="SP", drawstyle="steps-post", **SP)
         above.set_ylabel("PV (EU)")
         below.set_ylabel("valve (%)")
-        draw.without_kicks(below, [c.run.valve for c in cases])
+        draw.without_kicks(below, valves)
         below.set_xlabel(f"time ({name})")
         above.margins(x=0.01)
         fig.legend(loc="outside upper center", ncols=min(5, len(cases) + 1), handlelength=3.2)
     return fig
+
+
+def _comparable(signals: Sequence[FloatArray]) -> list[FloatArray]:
+    """Return the signals, each only as far as it stays within 100 times the calmest one's range: one may diverge."""
+    kept = [draw.seen(s) for s in signals]
+    reach = [float(np.nanmax(np.abs(s))) for s in kept if np.isfinite(s).any()]
+    limit = 100.0 * min((r for r in reach if r > 0.0), default=draw.BEYOND)
+    return [draw.seen(s, limit) for s in kept]
 
 
 def pv_op_figure(run: Run, title: str = "") -> Figure:

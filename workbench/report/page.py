@@ -25,7 +25,7 @@ from workbench.report.tables import (
     how_tables,
     loop_lines,
 )
-from workbench.report.words import join, sentences, slug
+from workbench.report.words import join, legible, sentences, slug
 
 __all__ = ["render", "write_report"]
 
@@ -52,6 +52,7 @@ def write_report(study: Study, folder: Path | str) -> None:
 
 def _put(files: Mapping[str, str], folder: Path) -> None:
     spares: list[tuple[Path, Path]] = []
+    made = not folder.exists()
     try:
         folder.mkdir(parents=True, exist_ok=True)
         for name, text in files.items():
@@ -67,12 +68,16 @@ def _put(files: Mapping[str, str], folder: Path) -> None:
                 old.unlink()
     except OSError as error:
         reason = error.strerror or str(error)
+        if isinstance(error, FileExistsError | NotADirectoryError):
+            reason = "a part of this path is a file, not a folder"
         raise OutputError(f"{folder}: the report cannot be written there ({reason})") from error
     finally:
         for spare, _ in spares:
             # What was renamed is gone; what is left belongs to a run that failed.
             if spare.exists():
                 spare.unlink()
+        if made and folder.is_dir() and not any(folder.iterdir()):
+            folder.rmdir()
 
 
 def _ours(path: Path) -> bool:
@@ -89,6 +94,7 @@ def render(study: Study, drawn: Mapping[str, str]) -> str:
         trim_blocks=True,
         lstrip_blocks=True,
         keep_trailing_newline=True,
+        finalize=_finalize,
     )
     return environment.get_template("report.html.j2").render(
         study=study,
@@ -106,6 +112,11 @@ def render(study: Study, drawn: Mapping[str, str]) -> str:
         seeds=_seeds(study),
         sentences=sentences,
     )
+
+
+def _finalize(value: object) -> object:
+    """Make text fit for a page; what is markup already stays as it is."""
+    return legible(value) if isinstance(value, str) and not isinstance(value, Markup) else value
 
 
 def _agreements(study: Study) -> list[tuple[str, str]]:
@@ -137,7 +148,7 @@ def figure_names(study: Study) -> dict[str, list[dict[str, str]]]:
         stem = slug(named.name, taken)
         names = {"fit": f"estimate_{stem}.svg", "linear": f"linear_fit_{stem}.svg"}
         if _detail(named.found.record) is not None:
-            names["detail"] = f"estimate_detail_{stem}.svg"
+            names["detail"] = f"detail_{stem}.svg"
         if named.found.profile_d.size > 1:
             names["profile"] = f"profile_{stem}.svg"
         if len(named.found.iterations) > 1:

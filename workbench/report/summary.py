@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+import numpy as np
+
 from workbench.model.loop import Loop
 from workbench.model.plant import FOPDT
 from workbench.model.results import LimitCycle
@@ -27,6 +29,7 @@ from workbench.report.words import (
 
 __all__ = ["Summary", "base_case", "best_case", "df_disagrees", "summarise"]
 
+BEYOND = 1e9  # EU: a PV that grows past this has left every plant
 LISTED = 3  # cycling cases that are listed one by one
 KNIFE_EDGE = 1.05  # worst J near the settings over their own, above which a tuning is called a knife-edge
 
@@ -65,8 +68,13 @@ def _measure(case: CaseResult) -> float:
 def best_case(study: Study) -> CaseResult | None:
     """Return the case of least J (least error variance without an objective) among those that are verified."""
     fit = [c for c in study.cases if c.tuned is None or c.tuned.status.success]
-    fit = [c for c in fit if math.isfinite(_measure(c))]
+    fit = [c for c in fit if math.isfinite(_measure(c)) and not unstable(c)]
     return min(fit, key=_measure, default=None)
+
+
+def unstable(case: CaseResult) -> bool:
+    """Return whether the case's run grows past all measure."""
+    return not float(np.abs(case.run.pv).max()) <= BEYOND
 
 
 def df_disagrees(case: CaseResult) -> bool:
@@ -129,6 +137,8 @@ def _against_truth(named: NamedEstimate, truth: Loop) -> list[str]:
     found = named.found
     ours = dict(valve_parameters(found.valve)) | plant_parameters(found.plant)
     true = dict(valve_parameters(truth.valve)) | plant_parameters(truth.plant)
+    if isinstance(found.valve, Ideal) != isinstance(truth.valve, Ideal):
+        return [f"{named.name}: this is wrong, the record was simulated with {valve_words(truth.valve)}."]
     if ours.keys() != true.keys():
         return [f"{named.name}: the record was simulated from another kind of loop ({valve_words(truth.valve)})."]
     errors = {name: abs(ours[name] / true[name] - 1.0) for name in true if true[name] != 0.0}
@@ -187,6 +197,9 @@ def _swing(cycle: LimitCycle) -> str:
 
 def _case_sentences(study: Study) -> list[str]:
     out: list[str] = []
+    wild = [c for c in study.cases if unstable(c)]
+    if wild:
+        out.append(f"{_names(wild)}: the loop is unstable, PV grows without bound.")
     seen = [(c, c.limit_cycle) for c in study.cases if c.limit_cycle is not None]
     cycling = [(c, cycle) for c, cycle in seen if cycle.outcome == "cycles"]
     if cycling:
@@ -204,7 +217,7 @@ def _case_sentences(study: Study) -> list[str]:
         ("depends", "cycles or comes to rest depending on where it starts"),
         ("undecided", "could not be decided by simulation"),
     ):
-        some = [c for c, cycle in seen if cycle.outcome == outcome]
+        some = [c for c, cycle in seen if cycle.outcome == outcome and c not in wild]
         if some:
             out.append(f"{_names(some)}: the loop {text}.")
     out += _late_sentences(study, cycling)
@@ -298,7 +311,7 @@ def _recommendation(base: CaseResult | None, best: CaseResult) -> list[str]:
     by = "J" if best.objective is not None else "error variance"
     if best is base:
         out.append(f"Keep {best.name} ({controller}): none of the other tunings has a lower {by} in this experiment.")
-    elif base is None:
+    elif base is None or unstable(base):
         out.append(
             f"Set {controller} ({best.name}): the lowest {by} of the cases, error variance "
             f"{figure(kpis.error_variance, 3)} EU², valve travel {figure(kpis.valve_travel, 3)} %."

@@ -21,6 +21,7 @@ __all__ = [
     "interval",
     "join",
     "label",
+    "legible",
     "plant_words",
     "published",
     "sentences",
@@ -152,9 +153,11 @@ def sentences(parts: Sequence[str]) -> str:
 
 
 def interval(pair: tuple[float, float] | None, unit: str, digits: int = 4) -> str:
-    """Return "1.99 to 2.01 %", or "not given" for None."""
+    """Return "1.99 to 2.01 %", with more digits (up to seven) where its ends would look the same; None: "not given"."""
     if pair is None:
         return "not given"
+    while digits < 7 and pair[0] != pair[1] and figure(pair[0], digits) == figure(pair[1], digits):
+        digits += 1
     return f"{figure(pair[0], digits)} to {figure(pair[1], digits)} {unit}".rstrip()
 
 
@@ -204,12 +207,17 @@ def plant_words(plant: Plant) -> str:
     return f"integrating: gain {given(plant.gain)} EU/(% s), dead time {given(plant.dead_time)} s"
 
 
+def legible(text: str) -> str:
+    """Return text with every control character that neither HTML nor XML allows made visible as "�"."""
+    return _CONTROL.sub("�", text)
+
+
 def label(text: str, longest: int = 60) -> str:
     """Return a name fit for a figure: on one line, without control characters, cut to `longest` characters.
 
     A leading underscore is shielded, since matplotlib leaves such names out of its legends.
     """
-    clean = " ".join(_CONTROL.sub("�", text).split())
+    clean = " ".join(legible(text).split())
     if len(clean) > longest:
         clean = clean[: longest - 1] + "…"
     return "\u200b" + clean if clean.startswith("_") else clean
