@@ -29,6 +29,7 @@ __all__ = [
     "limit_cycle_starts",
     "model_op",
     "model_pv",
+    "near_best",
     "op_stem",
     "phase",
     "profile",
@@ -222,24 +223,48 @@ def _log(axis: Any) -> None:
         axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 3.0, 5.0, 7.0)))
 
 
-def profile(ax: Axes, found: Estimate) -> None:
-    """Draw the residual variance against d, with the interval shaded, the estimate and the linear fit's level."""
+def near_best(found: Estimate) -> tuple[float, float] | None:
+    """Return the range of d (%) about the estimate that shows a narrow interval from near, or None for a wide one."""
+    if found.intervals.d is None or found.profile_d.size < 2:
+        return None
+    low, high = found.intervals.d
+    width = max(high - low, 0.002 * high)
+    return None if width > 0.1 * float(np.ptp(found.profile_d)) else (low - 4.0 * width, high + 4.0 * width)
+
+
+def profile(ax: Axes, found: Estimate, window: tuple[float, float] | None = None) -> None:
+    """Draw the residual variance against d, with the interval shaded, the estimate and the linear fit's level.
+
+    window: (low, high) of d, %, without the linear fit; the whole profile by default.
+    """
     finite = np.isfinite(found.profile_cost)
     d, cost = found.profile_d[finite], found.profile_cost[finite]
     order = np.argsort(d, kind="stable")
+    d, cost = d[order], cost[order]
+    if window is not None:
+        first, stop = np.searchsorted(d, window)
+        part = slice(max(0, int(first) - 1), int(stop) + 1)
+        d, cost = d[part], cost[part]
     if found.intervals.d is not None:
         low, high = found.intervals.d
         ax.axvspan(low, high, color="#56B4E9", alpha=0.35, linewidth=0, label="95 % range of d")
-    x, y = thin(d[order], cost[order])
-    ax.plot(x, y, label="residual variance", **{**PV, "linewidth": 0.9})
-    ax.axhline(found.linear.residual_variance, label="linear fit", **LINEAR)
+    x, y = thin(d, cost)
+    marks: Style = {} if window is None or x.size > 200 else {"marker": ".", "markersize": 3}
+    ax.plot(x, y, label="residual variance", **{**PV, "linewidth": 0.9}, **marks)
+    if window is None:
+        ax.axhline(found.linear.residual_variance, label="linear fit", **LINEAR)
     best = found.valve.stick_band
     if best > 0.0:
         ax.plot([best], [found.residual_variance], "o", color="#D55E00", markersize=4, label=f"d = {figure(best)} %")
-    if cost.size and float(cost.min()) > 0.0 and found.residual_variance > 0.0 and found.linear.residual_variance > 0.0:
+    lowest = min(float(cost.min(initial=math.inf)), found.residual_variance, found.linear.residual_variance)
+    if 0.0 < lowest < math.inf:
         _log(ax.yaxis)
     ax.set_xlabel("d (%)")
-    _finish(ax, "residual variance (EU²)")
+    if window is None:
+        _finish(ax, "residual variance (EU²)")
+        return
+    ax.set_xlim(*window)
+    ax.xaxis.set_major_locator(MaxNLocator(5))
 
 
 def convergence(ax: Axes, below: Axes, found: Estimate) -> None:

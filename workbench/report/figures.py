@@ -137,11 +137,21 @@ def linear_fit_figure(found: Estimate, title: str = "", window: tuple[float, flo
 
 
 def profile_figure(found: Estimate, title: str = "") -> Figure:
-    """Return the residual variance against d, with the 95 % range shaded."""
+    """Return the residual variance against d, with the 95 % range shaded; a narrow range also from near."""
     with styled():
         fig = new_figure(WIDTH, 2.6)
-        ax = fig.subplots()
+        near = draw.near_best(found)
+        if near is None:
+            ax = fig.subplots()
+        else:
+            ax, zoomed = fig.subplots(1, 2, width_ratios=(3, 2))
+            draw.profile(zoomed, found, near)
+            zoomed.set_title("from near", loc="left")
         draw.profile(ax, found)
+        own = ax.get_legend()
+        if own is not None:  # over both panels instead
+            own.remove()
+        fig.legend(*ax.get_legend_handles_labels(), loc="outside upper right", ncols=4)
         ax.set_title(label(title, 35), loc="left")
     return fig
 

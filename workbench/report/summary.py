@@ -109,19 +109,26 @@ def estimate_sentences(named: NamedEstimate, *, linear: bool = True) -> list[str
         text = f"{name}: whether the valve sticks stays undecided{f': {reason}' if reason else ''}."
         if not isinstance(found.valve, Ideal):
             text += f" The best model has {_stiction(named)} and {process}; take it as a hint, not as a finding."
-    sentences = [text]
     if named.truth is not None:
-        sentences += _against_truth(named, named.truth)
+        text += f" {_against_truth(named, named.truth)}"
+    sentences = [text]
     if not isinstance(found.valve, Ideal) and not found.identifiable:
         product = abs(plant.gain) * found.valve.stick_band
         unit = "EU" if isinstance(plant, FOPDT) else "EU/s"
-        sentences.append(
-            f"{name}: the record pins only the product of gain and stiction ({figure(product, 3)} {unit}), not the "
-            "stiction alone; a record with a setpoint change in it would resolve that."
-        )
+        if found.intervals.d is None and found.intervals.S is None:
+            sentences.append(
+                f"{name}: the method gives no range for the stiction, so this does not show whether the record pins "
+                "the stiction alone or only its product with the gain; the global profile tells."
+            )
+        else:
+            sentences.append(
+                f"{name}: the record pins only the product of gain and stiction ({figure(product, 3)} {unit}), not the "
+                "stiction alone; a record with a setpoint change in it would resolve that."
+            )
     plain = found.linear
-    if linear and found.verdict == "stiction" and found.residual_variance > 0.0:
-        ratio = plain.residual_variance / found.residual_variance
+    if linear and found.verdict == "stiction":
+        left = found.residual_variance
+        ratio = plain.residual_variance / left if left > 0.0 else math.inf
         if ratio > 1.05 and isinstance(plain.plant, FOPDT) and isinstance(plant, FOPDT):
             times = f"{figure(ratio, 2)} times" if ratio < 1e4 else "more than 10,000 times"
             sentences.append(
@@ -132,26 +139,24 @@ def estimate_sentences(named: NamedEstimate, *, linear: bool = True) -> list[str
     return sentences
 
 
-def _against_truth(named: NamedEstimate, truth: Loop) -> list[str]:
+def _against_truth(named: NamedEstimate, truth: Loop) -> str:
     """Say how far the worst parameter of a simulated record's estimate lies from the truth."""
     found = named.found
     ours = dict(valve_parameters(found.valve)) | plant_parameters(found.plant)
     true = dict(valve_parameters(truth.valve)) | plant_parameters(truth.plant)
     if isinstance(found.valve, Ideal) != isinstance(truth.valve, Ideal):
-        return [f"{named.name}: this is wrong, the record was simulated with {valve_words(truth.valve)}."]
+        return f"This is wrong: the record was simulated with {valve_words(truth.valve)}."
     if ours.keys() != true.keys():
-        return [f"{named.name}: the record was simulated from another kind of loop ({valve_words(truth.valve)})."]
+        return f"The record was simulated from another kind of loop ({valve_words(truth.valve)})."
     errors = {name: abs(ours[name] / true[name] - 1.0) for name in true if true[name] != 0.0}
-    if not errors:
-        return []
     worst = max(errors, key=lambda name: errors[name])
     title = kpi_title(worst)[0].removesuffix(f" {worst}").lower()
     if errors[worst] < 1e-4:
-        return [f"{named.name}: every parameter is true to 0.01 %."]
+        return "Every parameter is true to 0.01 %."
     miss = figure(100.0 * errors[worst], 2)
     if errors[worst] <= 0.1:
-        return [f"{named.name}: every parameter lies within {miss} % of the true one."]
-    return [f"{named.name}: this is wrong by {miss} % in the {title} (true value {given(true[worst])})."]
+        return f"Every parameter lies within {miss} % of the true one."
+    return f"This is wrong by {miss} % in the {title} (true value {given(true[worst])})."
 
 
 def _stiction(named: NamedEstimate) -> str:
@@ -291,10 +296,14 @@ def _case_advice(study: Study) -> list[str]:
     base, best = base_case(study), best_case(study)
     if best is None:
         return out
-    if len(study.cases) > 1:
-        out += _recommendation(base, best)
-    out += _remaining(study, base, best)
-    out += _less_wear(study, best)
+    if len(study.cases) > 1 and best.objective is None:
+        out += _trade_off(study, best)
+        out += _late_errors(study)
+    else:
+        if len(study.cases) > 1:
+            out += _recommendation(base, best)
+        out += _remaining(study, base, best)
+        out += _less_wear(study, best)
     out += _lasting(best)
     if best.tuned is not None:
         out.append(
@@ -333,6 +342,39 @@ def _recommendation(base: CaseResult | None, best: CaseResult) -> list[str]:
                 f"{figure(tuned.objective, 3)} to as much as {figure(tuned.worst, 3)}."
             )
     return out
+
+
+def _trade_off(study: Study, best: CaseResult) -> list[str]:
+    """Without an objective to go by: name the case of least error and the case of least wear."""
+    fit = [c for c in study.cases if (c.tuned is None or c.tuned.status.success) and not unstable(c)]
+    calm = min(fit, key=lambda c: c.run.kpis.valve_travel)
+
+    def told(case: CaseResult) -> str:
+        kpis = case.run.kpis
+        return (
+            f"{case.name} ({controller_words(case.loop.controller)}), error variance "
+            f"{figure(kpis.error_variance, 3)} EU², valve travel {figure(kpis.valve_travel, 3)} %"
+        )
+
+    if calm is best:
+        return [f"Least error and least wear in this experiment: {told(best)}."]
+    choice = "No objective was given, so there is a choice to make."
+    return [f"{choice} Least error variance: {told(best)}. Least wear: {told(calm)}."]
+
+
+def _late_errors(study: Study) -> list[str]:
+    """Compare the cases once their cycles have set in, which one run may not show."""
+    late = [(c, c.limit_cycle) for c in study.cases if c.limit_cycle and c.limit_cycle.outcome == "cycles"]
+    if len(late) < 2:
+        return []
+    late = sorted(late, key=lambda pair: pair[1].mean_square_error)
+    if len(late) > LISTED:
+        late = [late[0], late[-1]]
+    told = [
+        f"{c.name} {figure(cycle.mean_square_error, 3)} EU² and {figure(cycle.travel_per_hour, 3)} %"
+        for c, cycle in late
+    ]
+    return [f"Mean square error and valve travel an hour once the cycle has set in: {'; '.join(told)}."]
 
 
 def _less_wear(study: Study, best: CaseResult) -> list[str]:
