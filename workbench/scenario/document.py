@@ -161,7 +161,14 @@ class _Builder:
             raise _Stop(line, column, f"more than {MAX_VALUES:,} values; that is no scenario")
         if isinstance(event, ScalarEvent):
             implicit = event.style in (None, "")
-            node = Node(line, column, _scalar(event.value) if implicit else event.value, event.value)
+            text = event.value
+            if not text.isascii():
+                try:
+                    # JSON writes characters beyond 16 bits as pairs of escapes, which YAML leaves in halves.
+                    text = text.encode("utf-16", "surrogatepass").decode("utf-16")
+                except UnicodeDecodeError:
+                    raise _Stop(line, column, "an escape that is half of a character; \\u needs its pair") from None
+            node = Node(line, column, _scalar(text) if implicit else text, text)
             if event.anchor is not None:
                 self.anchors[event.anchor] = node
             self._put(node)

@@ -71,7 +71,7 @@ def read_scenario(text: str, path: FilePath, shown: str | None = None) -> Scenar
 
     builder = Builder(path, text, place)
     scenario = builder.scenario(given)
-    problems += [_placed(root, where, what) for where, what in builder.issues]
+    problems += [_placed(root, where, what) for where, what in builder.refusals.issues]
     if scenario is None or problems:
         raise _error(shown, problems)
     return scenario

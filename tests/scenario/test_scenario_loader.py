@@ -1,0 +1,413 @@
+"""What a scenario becomes, and what is said, with line and column, where it is refused."""
+
+from __future__ import annotations
+
+import math
+import os
+from pathlib import Path
+
+import pytest
+
+from workbench.errors import ScenarioError
+from workbench.model.controller import PID
+from workbench.model.experiment import Noise, Ramp, Series, Step
+from workbench.model.plant import FOPDT, Integrating
+from workbench.model.tuning import Bounds, Objective
+from workbench.model.valve import Choudhury, Stenman
+from workbench.scenario.loader import load_scenario, read_scenario
+from workbench.scenario.plan import Scenario
+
+SCENARIOS = Path(__file__).parents[2] / "scenarios"
+
+GOOD = """\
+title: A loop
+loop:
+  plant: {type: fopdt, gain: 1.0, time_constant: 5 s, dead_time: 1 s}
+  valve: {type: stenman, d: 2.0}
+  controller: {derivative_filter: none}
+  sample_time: 1 s
+experiment: {duration: 100 s, setpoint: {step: 4, at: 0 s}}
+cases:
+  - {name: Case 1, Kc: 0.5, Ti: 20 s}
+"""
+
+
+def read(text: str, folder: Path = Path()) -> Scenario:
+    return read_scenario(text, folder / "loop.yaml", "loop.yaml")
+
+
+def refusal(text: str, folder: Path = Path()) -> str:
+    with pytest.raises(ScenarioError) as caught:
+        read(text, folder)
+    return str(caught.value)
+
+
+# what is read ------------------------------------------------------------------------------------------------------
+
+
+def test_a_scenario_becomes_the_models_values() -> None:
+    plan = read(GOOD)
+    assert (plan.name, plan.title) == ("loop", "A loop")
+    assert plan.loop is not None
+    assert plan.loop.plant == FOPDT(1.0, 5.0, 1.0)
+    assert plan.loop.valve == Stenman(2.0)
+    assert plan.loop.controller == PID(0.5, 20.0, derivative_filter=math.inf)
+    assert plan.experiment is not None
+    assert plan.experiment.setpoint_parts == (Step(4.0, 0.0),)
+    assert plan.objective is None
+    assert (plan.describing_function, plan.limit_cycle) == (True, True)
+    assert plan.text == GOOD
+
+
+def test_units_of_control_systems_become_ours() -> None:
+    text = """\
+title: Units
+loop:
+  plant: {type: integrating, gain: 0.01}
+  valve: {type: choudhury, S: 3 %, J: 1}
+  sample_time: 500 ms
+  pv_range: [0, 50]
+  controller: {form: series, structure: "I on error, PD on PV", derivative_filter: 8, output_limits: [-40, 60]}
+experiment:
+  duration: 10 min
+  setpoint: [{step: 1}, {ramp: -2, start: 1 min, end: 2 min}]
+  load: {series: [0, 1.5], times: [0, 30 s]}
+  noise: {sd: 0.1, seed: 7}
+  stem_offset: 1 %
+cases:
+  - {name: band, proportional_band: 50 %, Ti: 0.5 repeats/min, Td: 6 s}
+  - {name: ratio, Kc: 2 %/%, Ti: 2 min, derivative_on: error}
+"""
+    plan = read(text)
+    assert plan.loop is not None
+    assert plan.loop.plant == Integrating(0.01)
+    assert plan.loop.valve == Choudhury(3.0, 1.0)
+    assert plan.loop.sample_time == 0.5
+    assert plan.experiment is not None
+    assert plan.experiment.setpoint_parts == (Step(1.0, 0.0), Ramp(-2.0, 60.0, 120.0))
+    assert plan.experiment.load_parts == (Series((0.0, 1.5), (0.0, 30.0)),)
+    assert plan.experiment.noise == Noise(0.1, 7)
+    band, ratio = (case.controller for case in plan.cases)
+    # A band of 50 % is a gain of 2 in %/%; a range of 50 EU makes that 4 %/EU.
+    assert band.Kc == pytest.approx(4.0)
+    assert (band.Ti, band.Td, band.form, band.derivative_filter) == (120.0, 6.0, "series", 8.0)
+    assert (band.derivative_on, band.setpoint_weight, band.output_limits) == ("pv", 0.0, (-40.0, 60.0))
+    assert ratio.Kc == pytest.approx(4.0)
+    assert (ratio.Ti, ratio.derivative_on, ratio.setpoint_weight) == (120.0, "error", 0.0)
+
+
+def test_a_tuning_keeps_fixed_values_bounds_and_start() -> None:
+    text = (
+        GOOD
+        + """\
+  - name: Tuned
+    note: Both.
+    reference: {valve_travel: 12.18, objective: 3}
+    tune: {objective: {w2: 2}, bounds: {Kc: [0.1, 3], Ti: [5 s, 10 min]}, Td: 0 s, seed: 3, digits: 3, restarts: 2}
+"""
+    )
+    case = read(text).cases[1]
+    assert case.tune is not None
+    assert case.tune.bounds == Bounds(Kc=(0.1, 3.0), Ti=(5.0, 600.0), Td=(0.0, 0.0))
+    assert case.tune.objective == Objective(w1=0.0, w2=2.0, w3=0.0)
+    assert (case.tune.seed, case.tune.digits, case.tune.restarts) == (3, 3, 2)
+    # The first case's tuning is what the tuning starts from.
+    assert case.controller == PID(0.5, 20.0, 0.0, derivative_filter=math.inf)
+    assert dict(case.reference) == {"valve_travel": 12.18, "objective": 3.0}
+
+
+def test_without_any_tuning_the_search_starts_in_the_middle() -> None:
+    text = GOOD.replace(
+        "{name: Case 1, Kc: 0.5, Ti: 20 s}", "{name: T, tune: {bounds: {Kc: [1, 4], Ti: [4 s, 100 s]}}}"
+    )
+    start = read(text).cases[0].controller
+    assert (start.Kc, start.Ti, start.Td) == (2.0, 20.0, 0.0)
+
+
+def test_one_objective_of_all_tunings_is_the_scenarios() -> None:
+    case = "  - {{name: {0}, tune: {{objective: {{w1: {1}, w3: 0.5}}}}}}\n"
+    assert read(GOOD + case.format("a", 0.5) + case.format("b", 0.5)).objective == Objective(0.5, 0.0, 0.5, 0.0)
+    assert read(GOOD + case.format("a", 0.5) + case.format("b", 0.6)).objective is None
+
+
+def test_anchors_and_merges_are_read() -> None:
+    text = GOOD + "  - &two {name: Case 2, Kc: 1, Ti: 30 s}\n  - {<<: *two, name: Case 3, Ti: 40 s}\n"
+    third = read(text).cases[2]
+    assert (third.name, third.controller.Kc, third.controller.Ti) == ("Case 3", 1.0, 40.0)
+
+
+def test_yaml_numbers_are_those_of_version_1_2() -> None:
+    for written, value in (("1e-3", 1e-3), ("010", 10.0), ("0x10", 16.0), ("+.5", 0.5), ("1.", 1.0)):
+        plan = read(GOOD.replace("gain: 1.0", f"gain: {written}"))
+        assert plan.loop is not None
+        assert plan.loop.plant.gain == value
+    assert "must be a number" in refusal("%YAML 1.1\n---\n" + GOOD.replace("gain: 1.0", "gain: 1_0"))
+    assert "must be true or false" in refusal("%YAML 1.1\n---\n" + GOOD + "analyze: {limit_cycle: on}\n")
+
+
+def test_coarse_sampling_is_refused_unless_allowed() -> None:
+    coarse = GOOD.replace("time_constant: 5 s", "time_constant: 0.5 s")
+    assert "loop.yaml:6:16: loop.sample_time: the sample time (1 s) is longer than the time constant" in refusal(coarse)
+    plan = read(coarse.replace("sample_time: 1 s", "sample_time: 1 s\n  coarse_sampling: true"))
+    assert "Coarse sampling" in plan.notes[0]
+    assert "longer than the dead time (0.5 s)" in refusal(GOOD.replace("dead_time: 1 s", "dead_time: 500 ms"))
+
+
+def record(folder: Path, name: str = "loop.csv", rows: int = 60) -> Path:
+    lines = ["time,SP,PV,OP"] + [
+        f"{2 * k},{50 + (k > 9)},{50 + 0.1 * (k % 7)},{40 + 0.3 * (k % 5)}" for k in range(rows)
+    ]
+    (folder / name).write_text("\n".join(lines) + "\n")
+    return folder / name
+
+
+DATA = """\
+title: From data
+loop:
+  controller: {derivative_on: pv}
+estimate: {data: loop.csv, reference: {d: 0.5, dead_time: 1 s}}
+experiment: {duration: 100 s, setpoint: {step: 1}}
+cases:
+  - {name: as found, Kc: 0.5, Ti: 20 s}
+"""
+
+
+def test_a_scenario_may_start_from_data(tmp_path: Path) -> None:
+    record(tmp_path)
+    plan = read(DATA, tmp_path)
+    assert plan.loop is None
+    job = plan.estimates[0]
+    assert job.record is not None
+    assert (job.name, len(job.record), job.record.sample_time, job.record.source) == ("loop", 60, 2.0, "loop.csv")
+    assert dict(job.reference) == {"d": 0.5, "dead_time": 1.0}
+    # The record's sample time holds for the experiment too.
+    assert "must be a whole number of samples of 2 s" in refusal(DATA.replace("100 s", "101 s"), tmp_path)
+
+
+def test_a_loop_given_beside_data_is_refused(tmp_path: Path) -> None:
+    record(tmp_path)
+    text = DATA.replace("loop:\n", "loop:\n  sample_time: 1 s\n  valve: {type: ideal}\n")
+    message = refusal(text, tmp_path)
+    assert "loop.yaml:3:16: loop.sample_time: given, and estimate.data as well" in message
+    assert "loop.yaml:4:10: loop.valve: given, and estimate.data as well" in message
+
+
+def test_data_that_cannot_be_read_is_refused_at_its_entry(tmp_path: Path) -> None:
+    assert "loop.yaml:4:18: estimate.data: " in refusal(DATA, tmp_path)
+    (tmp_path / "loop.csv").write_text("time,PV\n0,1\n1,2\n")
+    assert "no column for OP" in refusal(DATA, tmp_path)
+
+
+def test_a_recorded_profile_is_taken_as_deviations(tmp_path: Path) -> None:
+    record(tmp_path)
+    text = GOOD.replace("{step: 4, at: 0 s}", "{file: loop.csv, column: SP}")
+    plan = read(text, tmp_path)
+    assert plan.experiment is not None
+    (series,) = plan.experiment.setpoint_parts
+    assert isinstance(series, Series)
+    assert (series.values[9], series.values[10]) == (0.0, 1.0)
+    assert series.times is not None
+    assert series.times[:3] == (0.0, 2.0, 4.0)
+    assert any("as deviations from its first value" in note for note in plan.notes)
+    shifted = read(text.replace("column: SP", "column: SP, resting_value: 49"), tmp_path)
+    assert shifted.experiment is not None
+    assert shifted.experiment.setpoint_parts[0].values[0] == 1.0  # type: ignore[union-attr]
+    assert "no column 'XX'" in refusal(text.replace("column: SP", "column: XX"), tmp_path)
+    (tmp_path / "loop.csv").write_text("time,SP\n0,1\n2,3\n1,4\n")
+    assert "line 4" in refusal(text, tmp_path)
+
+
+# what is refused ---------------------------------------------------------------------------------------------------
+
+TUNED = "  - {name: T, tune: {bounds: {Kc: §[1, 3]}}}\n"
+
+# (a part of GOOD, what stands there instead, with § where the message must point, the entry and the words it must hold)
+BAD: list[tuple[str, str, str, str]] = [
+    ("gain: 1.0", "gain: §0", "loop.plant.gain", "must not be 0"),
+    ("gain: 1.0", "gain: §.nan", "loop.plant.gain", ".nan given; must be a finite number"),
+    ("gain: 1.0", "gain: §.inf", "loop.plant.gain", "must be a finite number"),
+    ("gain: 1.0", "gain: §1e999", "loop.plant.gain", "must be a finite number"),
+    ("gain: 1.0", "gain: §yes", "loop.plant.gain", "yes given; must be a number"),
+    ("gain: 1.0", "gain:§ ", "loop.plant.gain", "nothing given; must be a number"),
+    ("gain: 1.0", "gain: §2 %", "loop.plant.gain", "must be a number"),
+    ("gain: 1.0", "§gian: 1.0", "loop.plant.gian", "unknown key (did you mean gain?); allowed: type, gain,"),
+    ("{type: fopdt, gain: 1.0,", "§{type: fopdt,", "loop.plant.gain", "missing"),
+    ("gain: 1.0", "gain: 1.0, §gain: 2.0", "scenario", "the key gain is given twice; it stands already in line 3"),
+    ("type: fopdt", "type: §foptd", "loop.plant.type", "(did you mean fopdt?); must be one of fopdt, integrating"),
+    ("{type: fopdt, ", "§{", "loop.plant", "type is missing"),
+    ("{type: fopdt, gain: 1.0,", "§[{type: fopdt, gain: 1.0,", "scenario", "not valid YAML"),
+    (
+        "time_constant: 5 s",
+        "time_constant: §5",
+        "loop.plant.time_constant",
+        'must be a time with its unit, such as "5 s"',
+    ),
+    ("time_constant: 5 s", "time_constant: §-5 s", "loop.plant.time_constant", "-5 s given; must be above 0"),
+    ("time_constant: 5 s", "time_constant: §5 m", "loop.plant.time_constant", "5 m given; must be a time"),
+    ("dead_time: 1 s", "dead_time: §-1 s", "loop.plant.dead_time", "must be >= 0"),
+    ("dead_time: 1 s", "dead_time: §1 d", "loop.plant.dead_time", "at most the experiment's duration (100 s)"),
+    ("d: 2.0", "d: §-2.0", "loop.valve.d", "-2.0 given; must be >= 0"),
+    ("d: 2.0", "d: §2 s", "loop.valve.d", "2 s given"),
+    ("d: 2.0", "d: §{x: 1}", "loop.valve.d", "a mapping given"),
+    ("derivative_filter: none", "derivative_filter: §0", "loop.controller.derivative_filter", "must be above 0"),
+    ("derivative_filter: none", "output_limits: §[5, 9]", "loop.controller.output_limits", "must enclose 0"),
+    ("derivative_filter: none", "output_limits: §[5]", "loop.controller.output_limits", "must hold at least 2"),
+    ("derivative_filter: none", "form: §pararell", "loop.controller.form", "(did you mean parallel?)"),
+    (
+        "derivative_filter: none",
+        "structure: PID on error, derivative_on: §pv",
+        "loop.controller.derivative_on",
+        "given, and structure as well",
+    ),
+    ("100 s, setpoint", "§100 s, noise: {sd: 1}, setpoint", "experiment.duration", "whole number of samples of 3 s"),
+    ("sample_time: 1 s", "§smaple_time: 1 s", "loop.smaple_time", "unknown key (did you mean sample_time?)"),
+    ("duration: 100 s", "duration: §1e9 h", "experiment.duration", "samples; must be at most 5,000,000"),
+    ("{step: 4", "§{stp: 4", "experiment.setpoint", "holds none of step, ramp, series, file (did you mean step?)"),
+    ("{step: 4, at: 0 s}", "[{step: 4}, §4]", "experiment.setpoint[1]", "4 given; must be a mapping"),
+    ("step: 4", "step: §4 %", "experiment.setpoint.step", "4 % given; a setpoint is a number in EU"),
+    ("at: 0 s", "at: §101 s", "experiment.setpoint.at", "must be within the experiment's duration (100 s)"),
+    ("{step: 4, at: 0 s}", "{series: §[]}", "experiment.setpoint.series", "must hold at least 1"),
+    ("{step: 4, at: 0 s}", "{series: [1, §a]}", "experiment.setpoint.series[1]", "a given; must be a number"),
+    ("{step: 4, at: 0 s}", "{series: [1, 2], times: §[1 s]}", "experiment.setpoint.times", "1 times given"),
+    ("{step: 4, at: 0 s}", "{ramp: 1, start: 5 s, end: §5 s}", "experiment.setpoint.end", "must be after the start"),
+    ("100 s,", "100 s, stem_offset: §2.5,", "experiment.stem_offset", "must be at most 2 % in size"),
+    ("100 s,", "100 s, noise: {sd: §-1},", "experiment.noise.sd", "must be >= 0"),
+    ("100 s,", "100 s, noise: {sd: 1, seed: §1.5},", "experiment.noise.seed", "must be a whole number"),
+    ("experiment: {duration: 100 s, setpoint: {step: 4, at: 0 s}}\n", "", "experiment", "missing; needed to simulate"),
+    ("experiment:", "§experimnt:", "experimnt", "unknown key (did you mean experiment?)"),
+    ("Kc: 0.5", "Kc: §-0.5", "cases[0].Kc", "must be a finite number >= 0"),
+    ("Kc: 0.5", "Kc: §2 %/%", "cases[0].Kc", "needs loop.pv_range"),
+    ("Kc: 0.5", "proportional_band: §0 %", "cases[0].proportional_band", "needs loop.pv_range"),
+    ("{name: Case 1, Kc: 0.5, ", "§{name: Case 1, ", "cases[0].Kc", "missing; give it here or in loop.controller"),
+    ("Ti: 20 s", "Ti: §20", "cases[0].Ti", '20 given; must be a time with its unit, such as "20 s"'),
+    ("Ti: 20 s", "Ti: §0 s", "cases[0].Ti", "must be above 0"),
+    ("name: Case 1", "name: §' '", "cases[0].name", "must not be blank"),
+    ("name: Case 1", "name: §1", "cases[0].name", "must be text"),
+    ("Kc: 0.5", "reference: {§valve_travle: 1}, Kc: 0.5", "cases[0].reference.valve_travle", "mean valve_travel?)"),
+    ("Kc: 0.5", "tune: {}, §Kc: 0.5", "cases[0].Kc", "unknown key (write it inside tune)"),
+    ("title: A loop", "title: §[A, loop]", "title", "a list of 2 given; must be text"),
+    ("title: A loop\nloop", "§loop", "title", "missing"),
+    ("title: A loop", "title: A loop\nobjective: §{w1: 0}", "objective", "at least one of w1, w2, w3, w4"),
+    ("title: A loop", "title: A loop\nanalyze: {limit_cycle: §on}", "analyze.limit_cycle", "on given; must be true or"),
+    ("title: A loop", "title: §!!str A loop", "scenario", "tags are not allowed"),
+    ("title: A loop", "title: §*loop", "scenario", "*loop refers to no value above it"),
+    ("title: A loop", "title: A loop\n? §[a, b]\n: c", "scenario", "keys are plain names"),
+    ("title: A loop", 'title: §"\\ud800"', "scenario", "half of a character"),
+    ("title: A loop", "title: A loop\nestimate: §{simulate: false}", "estimate", "must hold either data"),
+    ("title: A loop", "title: A\nestimate: {simulate: true, start: §2}", "estimate.start", "only the two_step method"),
+    ("cases:\n", "cases:\n" + TUNED.replace("[1, 3]", "[3, 1]"), "cases[0].tune.bounds.Kc", "low <= high"),
+    (
+        "- {name",
+        "- {name: Case 1, Kc: 1, Ti: 9 s}\n  - {name: §Case 1, note: x}\n  - {name",
+        "cases[1].name",
+        "has this name already",
+    ),
+]
+
+
+@pytest.mark.parametrize(("old", "new", "where", "words"), BAD, ids=[f"{new[:40]}" for _, new, _, _ in BAD])
+def test_refusals_say_where_and_what(old: str, new: str, where: str, words: str) -> None:
+    assert old in GOOD
+    text = GOOD.replace(old, new, 1)
+    if "samples of 3 s" in words:
+        text = text.replace("sample_time: 1 s", "sample_time: 3 s")
+    before, mark, _ = text.partition("§")
+    lines = refusal(text.replace("§", "")).splitlines()
+    place = f"{before.count(chr(10)) + 1}:{len(before) - before.rfind(chr(10))}" if mark and "YAML" not in words else ""
+    assert any(line.startswith(f"loop.yaml:{place}") and f": {where}: " in line and words in line for line in lines), (
+        lines
+    )
+
+
+def test_bounds_that_exclude_the_start_are_refused() -> None:
+    message = refusal(GOOD + TUNED.replace("§", ""))
+    assert message.startswith("loop.yaml:10:35: cases[1].tune.bounds.Kc: [1, 3] excludes the start, Kc = 0.5 (Case 1)")
+    assert "tune.start" in message
+    plan = read(GOOD + TUNED.replace("§", "").replace("{bounds", "{start: {Kc: 2, Ti: 20 s}, bounds"))
+    assert plan.cases[1].controller.Kc == 2.0
+    # A parameter that is held need not contain the start.
+    assert read(GOOD + "  - {name: T, tune: {Kc: 3}}\n").cases[1].controller.Kc == 3.0
+
+
+def test_all_problems_of_a_file_are_told_at_once_in_its_order() -> None:
+    text = GOOD.replace("gain: 1.0", "gain: x").replace("d: 2.0", "d: -1").replace("20 s}", "20}")
+    lines = refusal(text).splitlines()
+    assert [line.split(": ")[0] for line in lines] == ["loop.yaml:3:30", "loop.yaml:4:29", "loop.yaml:9:33"]
+
+
+def test_what_a_case_inherits_is_refused_where_it_is_written() -> None:
+    text = GOOD.replace("derivative_filter: none", "output_limits: [1, 2]") + "  - {name: b, Kc: 1, Ti: 2 s}\n"
+    assert [line.split(": ")[1] for line in refusal(text).splitlines()] == ["loop.controller.output_limits"]
+
+
+def test_parallel_controllers_that_cannot_be_simulated_are_refused() -> None:
+    assert "cases[0].Kc" in refusal(GOOD.replace("Kc: 0.5", "form: parallel, Kc: 0"))
+
+
+# files that are no scenarios -----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        (b"", "bad.yaml:1:1: scenario: the file is empty"),
+        (b"# nothing\n", "bad.yaml:1:1: scenario: the file is empty"),
+        (b"- 1\n- 2\n", "bad.yaml:1:1: scenario: a list of 2 given; must be a mapping"),
+        (b"just text\n", "must be a mapping"),
+        (b"title: \xff\n", "bad.yaml:1:8: scenario: byte 0xff is no UTF-8"),
+        (b"title: a\x00b\n", "bad.yaml:1:9: scenario: the character \\x00 is not allowed"),
+        (b"title: a\n---\ntitle: b\n", "bad.yaml:2:1: scenario: a second document begins"),
+        (b"a: " + b"[" * 200 + b"]" * 200, "nested more than"),
+        (b"[" * 100_000, "nested more than"),
+        (b"{a: " * 5_000, "nested more than"),
+        (b"\x89PNG\r\n\x1a\n\x00\x00", "no UTF-8"),
+    ],
+    ids=range(11),
+)
+def test_files_that_hold_no_scenario(tmp_path: Path, content: bytes, words: str) -> None:
+    file = tmp_path / "bad.yaml"
+    file.write_bytes(content)
+    with pytest.raises(ScenarioError) as caught:
+        load_scenario(file)
+    assert words in str(caught.value)
+
+
+def test_a_byte_order_mark_does_no_harm(tmp_path: Path) -> None:
+    file = tmp_path / "loop.yaml"
+    file.write_bytes(b"\xef\xbb\xbf" + GOOD.replace("\n", "\r\n").encode())
+    assert load_scenario(file).title == "A loop"
+
+
+def test_aliases_that_multiply_are_refused() -> None:
+    lines = ["a0: &a0 [1, 1, 1, 1, 1, 1, 1, 1, 1]"]
+    lines += [f"a{i}: &a{i} [{', '.join([f'*a{i - 1}'] * 9)}]" for i in range(1, 9)]
+    assert "values once its aliases are written out" in refusal("\n".join(lines))
+
+
+def test_an_alias_within_its_own_anchor_is_refused() -> None:
+    assert "*a refers to no value above it" in refusal("title: &a [*a]\n")
+
+
+def test_folders_missing_and_huge_files_are_refused_before_they_are_read(tmp_path: Path) -> None:
+    with pytest.raises(ScenarioError, match="is a directory"):
+        load_scenario(tmp_path)
+    with pytest.raises(ScenarioError, match="no such file"):
+        load_scenario(tmp_path / "none.yaml")
+    with pytest.raises(ScenarioError, match="cannot be read"):
+        load_scenario("a\0b.yaml")
+    huge = tmp_path / "huge.yaml"
+    with huge.open("wb") as file:
+        file.truncate(2 << 30)
+    with pytest.raises(ScenarioError, match=r"2048\.0 MiB given; a scenario file is at most 1 MiB"):
+        load_scenario(huge)
+    if hasattr(os, "mkfifo"):
+        os.mkfifo(tmp_path / "pipe.yaml")
+        with pytest.raises(ScenarioError, match="no regular file"):
+            load_scenario(tmp_path / "pipe.yaml")
+
+
+@pytest.mark.parametrize("file", sorted(SCENARIOS.glob("*.yaml")), ids=lambda p: p.stem)
+def test_the_shipped_scenarios_load(file: Path) -> None:
+    plan = load_scenario(file)
+    assert plan.text.startswith("# yaml-language-server: $schema=../workbench/scenario/schema.json\n")
+    assert plan.description

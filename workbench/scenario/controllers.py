@@ -1,0 +1,186 @@
+"""Controllers, bounds and tunings to be found: from their entries in the file to the model's values."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+from workbench.errors import InvalidValue
+from workbench.model.controller import PID, STRUCTURES
+from workbench.model.tuning import Bounds, Objective
+from workbench.model.units import gain_from
+from workbench.scenario import schema
+from workbench.scenario.document import Path
+from workbench.scenario.plan import CaseJob, TuneJob
+from workbench.scenario.refusals import Refusals
+from workbench.scenario.units import Quantity
+
+__all__ = ["Controllers"]
+
+
+@dataclass
+class Controllers:
+    """Reads controllers and tunings; what is refused goes to `refusals`. pv_range: EU, or None."""
+
+    refusals: Refusals
+    pv_range: tuple[float, float] | None
+
+    def keys(self, given: schema.ControllerKeys, path: Path) -> dict[str, Any]:
+        """Return the PID's fields that an entry sets."""
+        there = given.model_fields_set
+        fields: dict[str, Any] = {
+            name: getattr(given, name)
+            for name in schema.ControllerKeys.model_fields
+            if name in there and name not in ("structure", "output_limits") and getattr(given, name) is not None
+        }
+        if "output_limits" in there:
+            fields["output_limits"] = None if given.output_limits is None else tuple(given.output_limits)
+        if given.structure is not None:
+            for name in ("derivative_on", "setpoint_weight"):
+                if name in fields:
+                    self.refusals.refuse(
+                        (*path, name), f"given, and structure as well; structure says it ({given.structure})"
+                    )
+            fields["derivative_on"], fields["setpoint_weight"] = STRUCTURES[given.structure]
+        return fields
+
+    def tuning(self, given: schema.Tuning, path: Path, form: str) -> dict[str, float]:
+        """Return Kc (%/EU), Ti (s) and Td (s), as far as an entry gives them."""
+        found: dict[str, float] = {}
+        if given.Kc is not None and given.proportional_band is not None:
+            self.refusals.refuse((*path, "proportional_band"), "given, and Kc as well; one of the two is needed")
+        for name in ("Kc", "proportional_band"):
+            quantity = getattr(given, name)
+            if quantity is not None:
+                Kc = self._gain(quantity, (*path, name), form)
+                found["Kc"] = 0.0 if Kc is None else Kc  # refused: any value, so that it is not called missing too
+        if given.Ti is not None:
+            found["Ti"] = given.Ti
+        if given.Td is not None:
+            found["Td"] = given.Td
+        return found
+
+    def _gain(self, quantity: Quantity, path: Path, form: str) -> float | None:
+        if quantity.unit != "%/EU" and form == "parallel":
+            self.refusals.refuse(path, "given in % of the PV range; a parallel controller takes its gains in %/EU")
+            return None
+        try:
+            return gain_from(quantity.value, quantity.unit, self.pv_range)
+        except InvalidValue as error:
+            if error.where == "pv_range":
+                self.refusals.refuse(path, f"a gain in {quantity.unit} given; needs loop.pv_range: [low, high] in EU")
+            else:
+                self.refusals.refuse(path, f"{error.given} given; {error.allowed}")
+            return None
+
+    def pid(self, path: Path, fields: dict[str, Any], tuning: dict[str, float]) -> PID | None:
+        """Return the controller of these fields and tuning, if Kc and Ti are there and the model takes it."""
+        for name in ("Kc", "Ti"):
+            if name not in tuning:
+                self.refusals.refuse((*path, name), "missing; give it here or in loop.controller")
+        if "Kc" not in tuning or "Ti" not in tuning:
+            return None
+
+        def make() -> PID:
+            controller = PID(**{**fields, **tuning})
+            controller.ideal_terms()  # refused here, where the entry is known, if the simulation could not take it
+            return controller
+
+        return self.refusals.attempt(path, make)
+
+    def objective(self, given: schema.Objective | None, path: Path) -> Objective | None:
+        """Return the weights of an entry."""
+        if given is None:
+            return None
+        return self.refusals.attempt(path, lambda: Objective(given.w1, given.w2, given.w3, given.w4))
+
+    def tuned(
+        self,
+        given: schema.Tune,
+        path: Path,
+        base: dict[str, Any],
+        base_tuning: dict[str, float],
+        first: CaseJob | None,
+        common: Objective | None,
+    ) -> tuple[PID, TuneJob] | None:
+        """Return the start and the task of a tuning to be found.
+
+        base, base_tuning: what loop.controller says; first: the first given case, whose tuning may be the start.
+        common: the scenario's objective.
+        """
+        fields = {**base, **self.keys(given, path)}
+        form = fields.get("form", "ideal")
+        fixed = self.tuning(given, path, form)
+        bounds = self._bounds(given, path, form, fixed)
+        own = self.objective(given.objective, (*path, "objective"))
+        if bounds is None or (given.objective is not None and own is None):
+            return None
+        start, source = self._start(given, path, form, bounds, base_tuning, first)
+        start |= fixed
+        controller = self.pid(path, fields, start)
+        if controller is None:
+            return None
+        for name in ("Kc", "Ti", "Td"):
+            low, high = getattr(bounds, name)
+            value = getattr(controller, name)
+            if low < high and not low - 1e-9 * abs(low) <= value <= high + 1e-9 * abs(high):
+                what = (
+                    f"[{low:g}, {high:g}] excludes the start, {name} = {value:g} ({source}); widen the bounds, "
+                    "or give tune.start"
+                )
+                self.refusals.refuse((*path, "bounds", name), what)
+        job = TuneJob(own or common or Objective(), bounds, given.seed, given.digits, given.restarts)
+        return controller, job
+
+    def _bounds(self, given: schema.Tune, path: Path, form: str, fixed: dict[str, float]) -> Bounds | None:
+        pairs: dict[str, tuple[float, float]] = {}
+        under = (*path, "bounds")
+        asked = given.bounds or schema.Bounds()
+        if asked.Kc is not None and asked.proportional_band is not None:
+            self.refusals.refuse((*under, "proportional_band"), "given, and Kc as well; one of the two is needed")
+        for name in ("Kc", "proportional_band"):
+            ends = getattr(asked, name)
+            if ends is None:
+                continue
+            values = [self._gain(end, (*under, name, i), form) for i, end in enumerate(ends)]
+            if values[0] is not None and values[1] is not None:
+                # A wide proportional band is a small gain.
+                pair = values[0], values[1]
+                pairs["Kc"] = pair if name == "Kc" else (pair[1], pair[0])
+        if asked.Ti is not None:
+            low, high = asked.Ti
+            pairs["Ti"] = low, high
+        if asked.Td is not None:
+            low, high = asked.Td
+            pairs["Td"] = low, high
+        for name, value in fixed.items():
+            if name in pairs:
+                self.refusals.refuse((*under, name), f"given, and tune.{name} as well, which holds it at {value:g}")
+            pairs[name] = value, value
+        if "Ti" in pairs and math.isinf(pairs["Ti"][1]):
+            at = under if "Ti" not in fixed else path
+            self.refusals.refuse((*at, "Ti"), "no integral action given; a tuning needs a finite Ti")
+            return None
+        return self.refusals.attempt(under if given.bounds is not None else path, lambda: Bounds(**pairs))
+
+    def _start(
+        self,
+        given: schema.Tune,
+        path: Path,
+        form: str,
+        bounds: Bounds,
+        base: dict[str, float],
+        first: CaseJob | None,
+    ) -> tuple[dict[str, float], str]:
+        """Return the tuning to start from, as given or else the controller's own, the first case's, or the middle."""
+        if given.start is not None:
+            mine = {**base, **self.tuning(given.start, (*path, "start"), form)}
+            return mine, "tune.start"
+        if "Kc" in base and "Ti" in base:
+            return dict(base), "loop.controller"
+        if first is not None and first.controller.form == form:
+            c = first.controller
+            return {"Kc": c.Kc, "Ti": c.Ti, "Td": c.Td}, first.name
+        (a, b), (c1, d), (e, _) = bounds.Kc, bounds.Ti, bounds.Td
+        return {"Kc": math.sqrt(max(a, b / 100.0) * b), "Ti": math.sqrt(c1 * d), "Td": e}, "the bounds' middle"
