@@ -184,7 +184,8 @@ def inflation(residuals: FloatArray) -> float:
 def standard_errors(data: Centred, x: FloatArray, first: int, fit: Fit, clamped: bool) -> tuple[float, float, float]:
     """Return standard errors of (gain, tau, theta), tau and theta in samples, with the path fixed.
 
-    From the Jacobian of the prediction; the residuals' autocorrelation inflates the covariance. clamped: x0 is held at
+    From the Jacobian of the prediction, the larger of the error for white residuals and the one that allows for their
+    autocorrelation. clamped: x0 is held at
     an end of its range, so that gain and start move together. nan where the data do not say.
     """
     base, columns = predict(data, x, first, fit)
@@ -207,11 +208,28 @@ def standard_errors(data: Centred, x: FloatArray, first: int, fit: Fit, clamped:
     kept = scale > 0.0
     jacobian, scale = jacobian[kept] / scale[kept, None], scale[kept]
     names = [n for n, k in zip(names, kept.tolist(), strict=False) if k]
-    covariance = np.linalg.pinv(jacobian @ jacobian.T, rcond=1e-12)
-    variance = float(residuals @ residuals) / max(data.samples - len(vectors), 1) + data.floor
-    factor = variance * inflation(residuals)
-    found = {n: math.sqrt(max(factor * covariance[i, i], 0.0)) / scale[i] for i, n in enumerate(names)}
+    inverse = np.linalg.pinv(jacobian @ jacobian.T, rcond=1e-12)
+    white = float(residuals @ residuals) / max(data.samples - len(vectors), 1) + data.floor
+    spread = np.maximum(np.diag(inverse) * white, np.diag(inverse @ _score_covariance(jacobian, residuals) @ inverse))
+    found = {n: math.sqrt(max(float(spread[i]), 0.0)) / float(scale[i]) for i, n in enumerate(names)}
     return found.get("gain", math.nan), found.get("tau", math.nan), found.get("theta", math.nan)
+
+
+def _score_covariance(jacobian: FloatArray, residuals: FloatArray) -> FloatArray:
+    """Return the covariance of the sum of scores, shape (p, p), with a Bartlett window over their autocorrelation.
+
+    W. Newey, K. West, "A simple, positive semi-definite, heteroskedasticity and autocorrelation consistent covariance
+    matrix", Econometrica 55 (1987) 703-708; the window is twice the residuals' own correlation time.
+    """
+    n = residuals.size
+    window = int(np.clip(2.0 * inflation(residuals), 1.0, min(n / 8.0, 400.0)))
+    scores = jacobian * residuals
+    total = scores @ scores.T
+    for lag in range(1, window + 1):
+        part = scores[:, lag:] @ scores[:, :-lag].T
+        total += (1.0 - lag / (window + 1.0)) * (part + part.T)
+    covariance: FloatArray = total * (n / max(n - jacobian.shape[0], 1))
+    return covariance
 
 
 def _moved(fit: Fit, name: str, step: float) -> Fit:

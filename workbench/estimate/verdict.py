@@ -61,6 +61,9 @@ def judge(e: Evidence) -> tuple[str, tuple[str, ...], bool]:
     )
     if improvement >= GAIN and (linear >= UNEXPLAINED or improvement >= 0.5):
         verdict = _for_stiction(e, stem, reasons)
+    elif e.method == "two_step":
+        verdict = "undecided"
+        reasons.append("the two-step algorithm found no stiction near its start, which does not acquit the valve")
     elif linear <= LINEAR_EXPLAINS:
         verdict = _for_health(e, reasons)
     else:
