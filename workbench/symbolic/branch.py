@@ -39,7 +39,7 @@ from workbench.symbolic.solve import Group, IpoptOptions, Nlp, Solver, Values
 
 __all__ = ["BranchProgram", "BranchSolution", "Decisions"]
 
-OPTIONS = IpoptOptions(tolerance=1e-8, max_iterations=60, max_wall_time=5.0, barrier=1e-3, push=1e-6, scaling="none")
+OPTIONS = IpoptOptions(tolerance=1e-8, max_iterations=50, max_wall_time=5.0, barrier=1e-3, push=1e-6, scaling="none")
 
 
 @dataclass(frozen=True, eq=False)
@@ -312,11 +312,14 @@ class BranchProgram:
         """Return the controller's terms in scaled units: gains are % per EU."""
         return {name: value * self._unit if name in ("kc", "ki", "kd") else value for name, value in terms.items()}
 
-    def solve(self, decisions: Decisions, tuning: tuple[float, float, float], guard: float) -> BranchSolution:
+    def solve(
+        self, decisions: Decisions, tuning: tuple[float, float, float], guard: float, *, relaxed: bool = False
+    ) -> BranchSolution:
         """Solve for one sequence, started from the run that `tuning` makes with it.
 
-        guard: the least distance (%) to keep from a stem decision. Where the start itself is nearer, and the valve has
-        two parameters, half of the start's distance is asked for. Never raises for a solve that fails.
+        guard: the least distance (%) to keep from a stem decision. As many parameters can lead a run away from as many
+        guards only: where more are nearer than that at the start, or `relaxed`, half of the start's own distance is
+        asked for instead. Never raises for a solve that fails.
         """
         n = self.samples
         states, guards = self._trajectory(decisions, tuning)
@@ -330,7 +333,7 @@ class BranchProgram:
         parts = [decisions.motion, decisions.limit, decisions.undone] if self.shape.limited else [decisions.motion]
         bounds = {
             name: (low / self._pu, high / self._pu)
-            for name, (low, high) in self._guard_bounds(decisions, guards, guard).items()
+            for name, (low, high) in self._guard_bounds(decisions, guards, guard, relaxed).items()
             if name in self._groups
         }
         result = self._solver.solve(
@@ -370,7 +373,7 @@ class BranchProgram:
         return states, {name: guards[k] for k, name in enumerate(names)}
 
     def _guard_bounds(
-        self, decisions: Decisions, at: Mapping[str, FloatArray], guard: float
+        self, decisions: Decisions, at: Mapping[str, FloatArray], guard: float, relaxed: bool
     ) -> dict[str, tuple[FloatArray, FloatArray]]:
         """Bounds (%) that make each decision hold, by the name of what it looks at."""
         n = self.samples
@@ -380,13 +383,15 @@ class BranchProgram:
         free = np.full(n, math.inf)
         bounds: dict[str, tuple[FloatArray, FloatArray]] = {}
         resting, goes_on = now == 0.0, np.zeros(n, bool)
-        margin = np.full(n, guard)
         if self.shape.valve == "two_parameter":
             goes_on = (now != 0.0) & (now == before)
-            # Just after a reversal the law itself puts the stem next to its guard: a full margin there would forbid
-            # slow reversals altogether.
-            distance = np.where(resting, band - np.abs(at["lead"]), now * at["lead"] - band)
-            margin = np.where(distance > 0.0, np.minimum(guard, distance / 2.0), guard)
+        distance = np.where(resting, band - np.abs(at["lead"]), now * at["lead"] - band)
+        near = ~goes_on & (distance > 0.0) & (distance < guard)
+        # Just after a reversal the two-parameter law itself puts the stem next to its guard: a full margin there would
+        # forbid slow reversals altogether.
+        relaxed = relaxed or self.shape.valve == "two_parameter" or int(near.sum()) > self.at.size
+        margin = np.where(near, distance / 2.0, guard) if relaxed else np.full(n, guard)
+        if self.shape.valve == "two_parameter":
             room = np.abs(at["move"]) / 2.0
             least = np.where(
                 np.sign(at["move"]) == np.where(goes_on, now, -before), np.minimum(1e-3 * guard, room), 0.0

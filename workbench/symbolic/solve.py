@@ -39,6 +39,8 @@ _STATUS = {
     "Maximum_WallTime_Exceeded": SolveStatus.TIME_LIMIT,
     "Diverging_Iterates": SolveStatus.DIVERGED,
     "User_Requested_Stop": SolveStatus.INTERRUPTED,
+    # What CasADi makes of Ctrl-C in the middle of a solve; its own functions throw nothing else into IPOPT.
+    "NonIpopt_Exception_Thrown": SolveStatus.INTERRUPTED,
 }
 
 

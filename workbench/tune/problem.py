@@ -25,6 +25,8 @@ from workbench.simulate.run import cost_terms, signals, weigh
 
 __all__ = ["Problem", "round_to"]
 
+# Random inner points of a neighbourhood: when searching, and when it is looked at closely.
+SPARSE, DENSE = 6, 100
 NAMES = ("Kc", "Ti", "Td")
 Mapping = Callable[[FloatArray], FloatArray]
 
@@ -52,8 +54,8 @@ class Problem:
         self.evaluations = 0
         self.simulated = 0
         self._weights = np.array(objective.weights)
-        self._offsets = _offsets(np.random.default_rng(0), 6)
-        self._dense = _offsets(np.random.default_rng(1), 200)
+        self._offsets = _offsets(np.random.default_rng(0), SPARSE)
+        self._dense = _offsets(np.random.default_rng(1), DENSE)
 
     # Costs.
 
@@ -73,7 +75,7 @@ class Problem:
     def worst_below(self, tunings: FloatArray, ceilings: FloatArray, *, dense: bool = False) -> FloatArray:
         """Return the worst J in the neighbourhood of each tuning where it does not exceed its ceiling, else inf.
 
-        The neighbourhood is the centre, the corners, the faces' middles and some (`dense`: 200) random inner points.
+        The neighbourhood is the centre, the corners, the faces' middles and some (`dense`: many) random inner points.
         """
         offsets = self._dense if dense else self._offsets
         around = tunings[:, None, :] + offsets[None, :, :] * self.radius(tunings)[:, None, :]

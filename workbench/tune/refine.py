@@ -6,6 +6,7 @@ A program is accepted only if the exact simulation of its tuning takes the same 
 from __future__ import annotations
 
 import heapq
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -28,15 +29,18 @@ AGREEMENT = 1e-9
 MOST_SAMPLES = 10_000
 # How many active guards of a solution are tried from their other side.
 FLIPS = 3
+# A neighbour whose run, as it goes on from the flip, costs more than this many times the best is not worth a solve.
+WORTH = 2.0
 
 
 @dataclass(frozen=True, eq=False)
 class Path:
-    """A run as the decisions see it: branch codes, output and stem (%), each of shape (N,)."""
+    """A run as the decisions see it: branch codes, output and stem (%), each of shape (N,), and its J."""
 
     branch: NDArray[np.int8]
     u: FloatArray
     x: FloatArray
+    cost: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,18 +64,36 @@ def path(problem: Problem, tuning: FloatArray, flip: int | None = None) -> Path:
     row = coefficients(problem.loop, problem.experiment.stem_offset, tuning[None, :])[0]
     n, s = problem.samples, problem.signals
     state, past = rest(row)
+    y = np.empty(n + 1)
     u, x, v, branch = np.empty(n), np.empty(n), np.empty(n), np.empty(n, np.int8)
 
     def run(begin: int, end: int, law: FloatArray) -> None:
         part = slice(begin, end)
-        y = np.empty(end - begin + 1)
         kernel.run_loop(
-            law, s.r[part], s.load[part], s.noise[part], state, past, y, u[part], x[part], v[part], branch[part]
+            law,
+            s.r[part],
+            s.load[part],
+            s.noise[part],
+            state,
+            past,
+            y[begin : end + 1],
+            u[part],
+            x[part],
+            v[part],
+            branch[part],
         )
+
+    def ended() -> Path:
+        w1, w2, w3, w4 = problem.objective.weights
+        with np.errstate(over="ignore", invalid="ignore"):
+            e = s.r[1:] - (y[1:] + s.noise[1:])
+            moves = np.diff(u, prepend=row[kernel.BIAS])
+            cost = float(w1 * (e @ e) + w2 * (u @ u) + w3 * e[-1] ** 2 + w4 * (moves @ moves))
+        return Path(branch, u, x, cost if math.isfinite(cost) else math.inf)
 
     if flip is None:
         run(0, n, row)
-        return Path(branch, u, x)
+        return ended()
     run(0, flip, row)
     own = Decisions.from_branch(path(problem, tuning).branch[flip : flip + 1]).motion[0]
     other = row.copy()
@@ -79,7 +101,7 @@ def path(problem: Problem, tuning: FloatArray, flip: int | None = None) -> Path:
     other[kernel.BAND] = -1.0 if own == 0 else np.inf
     run(flip, flip + 1, other)
     run(flip + 1, n, row)
-    return Path(branch, u, x)
+    return ended()
 
 
 class Refiner:
@@ -108,8 +130,8 @@ class Refiner:
         )
         self._seen: set[bytes] = set()
 
-    def refine(self, tunings: FloatArray, costs: FloatArray, starts: int, budget: int) -> Refined:
-        """Solve the programs of the `starts` best distinct sequences among scanned tunings, then of their neighbours.
+    def refine(self, tunings: FloatArray, costs: FloatArray, budget: int) -> Refined:
+        """Solve the programs of the best distinct sequences among scanned tunings, and of their neighbours.
 
         tunings: shape (M, 3), costs: their J, shape (M,). At most `budget` solves, the most promising next. Raises
         KeyboardInterrupt where a solve was interrupted.
@@ -119,7 +141,7 @@ class Refiner:
         order = np.argsort(costs, kind="stable")
         waiting = 0
         for index in order[np.isfinite(costs[order])]:
-            if waiting == starts:
+            if waiting == budget:
                 break
             branch = path(problem, tunings[index]).branch
             key = branch.tobytes()
@@ -134,9 +156,15 @@ class Refiner:
         while queue and solves < budget:
             _, _, key, start = heapq.heappop(queue)
             decisions = Decisions.from_branch(np.frombuffer(key, dtype=np.int8))
-            end = self._program.solve(decisions, (float(start[0]), float(start[1]), float(start[2])), self._guard)
+            begin = (float(start[0]), float(start[1]), float(start[2]))
+            end = self._program.solve(decisions, begin, self._guard)
             solves += 1
             iterations += end.result.iterations
+            if not end.result.status.success and end.result.status is not SolveStatus.INTERRUPTED and solves < budget:
+                # No tuning keeps the full margin: be content with the margin that the start has.
+                end = self._program.solve(decisions, begin, self._guard, relaxed=True)
+                solves += 1
+                iterations += end.result.iterations
             if end.result.status is SolveStatus.INTERRUPTED:
                 raise KeyboardInterrupt
             tuning = np.array(end.tuning)
@@ -149,12 +177,12 @@ class Refiner:
             if not end.result.status.success:
                 continue
             for sample in end.active[:FLIPS]:
-                branch = path(problem, tuning, flip=sample).branch
-                neighbour = branch.tobytes()
-                if neighbour not in self._seen:
+                across = path(problem, tuning, flip=sample)
+                neighbour = across.branch.tobytes()
+                if neighbour not in self._seen and across.cost <= WORTH * min(values):
                     self._seen.add(neighbour)
                     waiting += 1
-                    heapq.heappush(queue, (exact, waiting, neighbour, tuning))
+                    heapq.heappush(queue, (across.cost, waiting, neighbour, tuning))
         best = sorted(range(len(values)), key=lambda i: (not accepted[i], values[i]))
         return Refined(
             tunings=np.array([found[i] for i in best]).reshape(-1, 3),

@@ -34,6 +34,7 @@ __all__ = ["tune"]
 # Sizes of the searches at 1,000 samples; longer runs get fewer, shorter ones more.
 SCAN_MEMBERS, SCAN_GENERATIONS = 200, 200
 JOINT_MEMBERS, JOINT_GENERATIONS = 100, 400
+DENSE_MEMBERS, DENSE_GENERATIONS, DENSE_GAP = 60, 100, 2e-4
 # Samples that each search may simulate at most: some seconds.
 SCAN_SAMPLES, JOINT_SAMPLES = 100_000_000, 300_000_000
 # Candidates that a scan hands on, and how far apart they are at least in the unit cube.
@@ -220,7 +221,7 @@ def _search(
             check_time()
             tell(f"refinement {k + 1} of {restarts}", 0.5 * (k + 0.5) / restarts)
             refiner = refiner or Refiner(problem, guard, max(scanned, 1e-12))
-            refined = refiner.refine(tunings, costs, max(1, budget // 2), budget)
+            refined = refiner.refine(tunings, costs, budget)
             found.add(refined.tunings, refined.costs)
             found.accepted += refined.accepted
         pool += [tunings, refined.tunings]
@@ -268,18 +269,40 @@ def _scan(
 def _joint(
     problem: Problem, pool: FloatArray, rng: np.random.Generator, scale: float, check_time: Callable[[], None]
 ) -> FloatArray:
-    """Search for the least worst case from the pool of all restarts: the last population's tunings, the best first."""
+    """Search for the least worst case, from the pool of all restarts, at the digits to type in.
+
+    First with few points of each neighbourhood, then from the best of those with many. Returns the last population's
+    tunings, the best first.
+    """
+    points: list[FloatArray] = []
+    values: list[FloatArray] = []
     limit = problem.simulated + JOINT_SAMPLES
+
+    def keep(some: FloatArray, costs: FloatArray) -> None:
+        points.append(some)
+        values.append(costs)
 
     def stop() -> bool:
         check_time()
         return problem.simulated > limit
 
     fresh = rng.random((_sized(JOINT_MEMBERS, scale), problem.free.size))
-    population = evolve(
-        lambda x, ceilings: problem.worst_below(problem.tunings(x), ceilings),
+    evolve(
+        lambda x, ceilings: problem.worst_below(problem.rounded(problem.tunings(x)), ceilings),
         np.concatenate([problem.cube(pool), problem.cube(problem.guesses()), fresh]),
         _sized(JOINT_GENERATIONS, scale),
+        rng,
+        stop=stop,
+        keep=keep,
+    )
+    limit += JOINT_SAMPLES // 2
+    best = spread(np.concatenate(points), np.concatenate(values), _sized(DENSE_MEMBERS, scale), DENSE_GAP)
+    if not best.size:
+        return problem.rounded(pool)
+    population = evolve(
+        lambda x, ceilings: problem.worst_below(problem.rounded(problem.tunings(x)), ceilings, dense=True),
+        np.concatenate(points)[best],
+        _sized(DENSE_GENERATIONS, scale),
         rng,
         stop=stop,
     )

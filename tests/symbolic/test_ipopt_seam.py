@@ -1,0 +1,151 @@
+"""The seam over IPOPT: statuses, residuals that we compute ourselves, options that cannot harm."""
+
+from __future__ import annotations
+
+import math
+import os
+import signal
+import threading
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from workbench.errors import InvalidValue, SolveError
+from workbench.model.results import SolveStatus
+from workbench.symbolic.solve import Group, IpoptOptions, Nlp, Solver, Values, solve, versions
+
+
+def rosenbrock() -> Nlp:
+    x = ca.SX.sym("x", 2)
+    return Nlp(x=x, objective=(1 - x[0]) ** 2 + 100 * (x[1] - x[0] ** 2) ** 2, start=np.array([-1.2, 1.0]))
+
+
+def circle(radius: float) -> Nlp:
+    """Least x + y on a circle: -radius (1, 1)/sqrt(2)."""
+    x = ca.SX.sym("x", 2)
+    return Nlp(
+        x=x,
+        objective=x[0] + x[1],
+        groups=(Group("circle", x[0] ** 2 + x[1] ** 2, radius**2, radius**2), Group("half plane", x[0] - x[1], -9, 9)),
+        start=np.array([0.3, -1.0]),
+    )
+
+
+def test_a_solved_program() -> None:
+    result = solve(rosenbrock())
+    assert result.status is SolveStatus.SOLVED
+    assert result.message == "Solve_Succeeded"
+    assert np.abs(result.x - 1.0).max() < 1e-6
+    assert result.objective < 1e-12
+    assert result.iterations > 5
+    assert result.require_success() is result
+    assert set(result.versions) == {"casadi", "ipopt"}
+    assert result.versions["ipopt"][0].isdigit()
+
+
+def test_residuals_carry_the_groups_names() -> None:
+    result = solve(circle(2.0))
+    assert np.abs(result.x + math.sqrt(2.0)).max() < 1e-6
+    assert set(result.residuals) == {"bounds", "circle", "half plane"}
+    assert 0.0 <= result.residuals["circle"] < 1e-7
+    assert result.complementarity < 1e-6
+
+
+def test_nothing_is_printed(capfd: pytest.CaptureFixture[str]) -> None:
+    solve(rosenbrock())
+    captured = capfd.readouterr()
+    assert captured.out == ""
+    assert captured.err == ""
+
+
+def test_an_infeasible_program_says_so_and_names_the_residual() -> None:
+    x = ca.SX.sym("x")
+    nlp = Nlp(x=x, objective=x**2, groups=(Group("impossible", x**2, -2.0, -1.0),), start=1.0)
+    result = solve(nlp)
+    assert result.status is SolveStatus.INFEASIBLE
+    assert result.residuals["impossible"] == pytest.approx(1.0, abs=1e-3)
+    with pytest.raises(SolveError, match="impossible"):
+        result.require_success()
+
+
+def test_the_iteration_limit_is_a_status() -> None:
+    result = solve(rosenbrock(), IpoptOptions(max_iterations=3))
+    assert result.status is SolveStatus.ITERATION_LIMIT
+    assert result.iterations == 3
+    assert not result.status.success
+
+
+def test_the_time_limit_is_a_status() -> None:
+    result = solve(rosenbrock(), IpoptOptions(max_wall_time=1e-9))
+    assert result.status is SolveStatus.TIME_LIMIT
+
+
+def test_a_program_without_a_lower_end_diverges() -> None:
+    x = ca.SX.sym("x")
+    result = solve(Nlp(x=x, objective=-(x**3), start=1.0), IpoptOptions(max_iterations=2000))
+    assert not result.status.success
+
+
+def test_a_compiled_program_takes_other_numbers() -> None:
+    x, p = ca.SX.sym("x", 2), ca.SX.sym("p")
+    nlp = Nlp(x=x, objective=ca.sumsqr(x - p), groups=(Group("sum", x[0] + x[1], -math.inf, 100.0),), parameters=p)
+    solver = Solver(nlp)
+    first = solver.solve(Values(parameters=np.array([3.0])))
+    second = solver.solve(Values(parameters=np.array([3.0]), bounds={"sum": (np.array([-math.inf]), np.array([4.0]))}))
+    third = solver.solve(Values(parameters=np.array([3.0]), upper=np.array([1.0, 9.0])))
+    assert np.abs(first.x - 3.0).max() < 1e-6
+    assert np.abs(second.x - 2.0).max() < 1e-6
+    assert third.x == pytest.approx([1.0, 3.0], abs=1e-6)
+    with pytest.raises(InvalidValue, match="names no group"):
+        solver.solve(Values(bounds={"summ": (np.zeros(1), np.zeros(1))}))
+
+
+@pytest.mark.parametrize("name", ["pardiso", "ma27", "ma97", "", "MUMPS"])
+def test_an_unknown_linear_solver_is_refused_before_ipopt_sees_it(name: str) -> None:
+    with pytest.raises(InvalidValue, match="mumps, spral"):
+        IpoptOptions(linear_solver=name)
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [{"tolerance": 0.0}, {"tolerance": math.nan}, {"max_iterations": -1}, {"max_iterations": 2.5},
+     {"max_wall_time": 0.0}, {"barrier": -1.0}, {"push": 0.0}, {"scaling": "equilibration"}],
+)  # fmt: skip
+def test_wrong_options_are_refused(wrong: dict[str, object]) -> None:
+    with pytest.raises(InvalidValue, match="IpoptOptions"):
+        IpoptOptions(**wrong)  # type: ignore[arg-type]
+
+
+def test_sizes_and_names_are_checked() -> None:
+    x = ca.SX.sym("x", 3)
+    with pytest.raises(InvalidValue, match="one number or 3"):
+        solve(Nlp(x=x, objective=ca.sumsqr(x), start=np.zeros(2)))
+    with pytest.raises(InvalidValue, match="name of its own"):
+        Solver(Nlp(x=x, objective=ca.sumsqr(x), groups=(Group("a", x[0]), Group("a", x[1]))))
+
+
+def test_both_whitelisted_linear_solvers_are_there() -> None:
+    result = solve(circle(1.0), IpoptOptions(linear_solver="mumps"))
+    assert result.status is SolveStatus.SOLVED
+
+
+def test_ctrl_c_in_a_solve_gives_interrupted() -> None:
+    # A chain that takes IPOPT some seconds at this tolerance; the interrupt comes in its first half second.
+    n = 20_000
+    x = ca.SX.sym("x", n)
+    f = ca.sumsqr(x[1:] - x[:-1] ** 2) + ca.sumsqr(ca.sin(3 * x[:-1]) - 0.5 * x[1:])
+    solver = Solver(Nlp(x=x, objective=f, start=np.linspace(-3.0, 3.0, n)), IpoptOptions(tolerance=1e-12))
+    timer = threading.Timer(0.3, os.kill, (os.getpid(), signal.SIGINT))
+    timer.start()
+    try:
+        result = solver.solve()
+    finally:
+        timer.join()
+    assert result.status is SolveStatus.INTERRUPTED
+
+
+def test_versions_are_told() -> None:
+    told = versions()
+    assert told["casadi"].startswith("3.")
+    assert told["ipopt"].startswith("3.")
