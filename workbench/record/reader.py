@@ -113,11 +113,13 @@ class _Clock:
 
 def _assemble(table: Table, names: Mapping[str, str], sample_time: float | None, source: str) -> Record:
     rows = table.lines.size
-    clock = _clock(table, names, sample_time, source)
     bad = np.zeros(rows, np.int8)
     for signal in ("PV", "OP"):
         cells = table.columns[signal]
         bad = np.where(bad == OK, cells.marks, bad)
+    if not (bad == OK).any():
+        raise RecordError(_nothing_usable(table, names, source))
+    clock = _clock(table, names, sample_time, source)
     no_time = (bad == OK) & ~np.isfinite(clock.seconds)
     good = (bad == OK) & ~no_time
     if not good.any():

@@ -1,0 +1,385 @@
+"""Reading records: spellings, times, what is refused and what is said."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from workbench.errors import InvalidValue, RecordError, WorkbenchError
+from workbench.model.record import Record
+from workbench.record import reader
+from workbench.record.reader import read_record
+
+RECORDS = Path(os.environ.get("WORKBENCH_RECORDS", Path(__file__).resolve().parents[2].parent / "shared" / "data"))
+
+
+def write(folder: Path, text: str | bytes, name: str = "loop.csv") -> Path:
+    path = folder / name
+    if isinstance(text, bytes):
+        path.write_bytes(text)
+    else:
+        path.write_text(text, encoding="utf-8")
+    return path
+
+
+def table(header: str, rows: int = 12, sep: str = ",") -> str:
+    """Time every 2 s, OP 40 + k/10, PV 10 - k, SP 7, and text."""
+    cells = {"t": "{0}", "OP": "{1}", "PV": "{2}", "SP": "7", "MODE": "AUTO", "X": "{1}"}
+    kinds = header.split("|")
+    lines = [sep.join(k.split("=")[-1] for k in kinds)]
+    for k in range(rows):
+        lines.append(sep.join(cells[kind.split("=")[0]].format(2 * k, 40 + k / 10, 10 - k) for kind in kinds))
+    return "\n".join(lines) + "\n"
+
+
+@pytest.mark.parametrize(
+    "header",
+    [
+        "t|OP|PV|SP|MODE",
+        "t=t_s|OP=op|PV=pv|SP=sp|MODE=mode",
+        "t=Time (s)|OP=Controller Output|PV=Process Value|SP=Set Point|MODE=Mode",
+        "t=seconds|OP=MV|PV=measurement|SP=set_point|MODE=Controller_Mode",
+        "t=timestamp|OP=FIC101.OP|PV=FIC101.PV|SP=FIC101.SP|MODE=FIC101.MODE",
+        "t=TIME|OP=FIC101_OP|PV=FIC101_PV|SP=FIC101_SP|MODE=FIC101_MODE",
+        "t=t|OP=output [%]|PV=PV (m3/h)|SP=setpoint (m3/h)|MODE=mode",
+        "t=time_s|OP=CO|PV=process_variable|SP=SetPoint|MODE=MODE",
+    ],
+)
+def test_usual_spellings_are_found(tmp_path: Path, header: str) -> None:
+    record = read_record(write(tmp_path, table(header)))
+    assert record.sample_time == 2.0
+    assert record.pv.tolist() == [10.0 - k for k in range(12)]
+    assert record.op[3] == pytest.approx(40.3)
+    assert record.sp is not None
+    assert record.sp[0] == 7.0
+    assert record.mode == ("AUTO",) * 12
+    assert record.counts["kept"] == 12
+    assert record.counts["rejected"] == 0
+
+
+@pytest.mark.parametrize(
+    "name", ["valve_position", "Valve Position %", "stem", "FV101.ZT", "position", "POS", "stem position [%]"]
+)
+def test_a_positioner_signal_is_found(tmp_path: Path, name: str) -> None:
+    record = read_record(write(tmp_path, table(f"t|OP|PV|X={name}")))
+    assert record.valve_position is not None
+    assert record.valve_position.tolist() == record.op.tolist()
+
+
+def test_the_signals_own_name_goes_before_other_spellings(tmp_path: Path) -> None:
+    record = read_record(write(tmp_path, table("t|X=output|OP|PV|SP=measurement")))
+    assert record.pv[0] == 10.0
+    assert record.op.tolist() == [40 + k / 10 for k in range(12)]
+
+
+def test_an_explicit_mapping_goes_before_everything(tmp_path: Path) -> None:
+    path = write(tmp_path, table("t|OP|PV|SP=my flow"))
+    record = read_record(path, columns={"pv": "my flow", "OP": "OP"})
+    assert record.pv.tolist() == [7.0] * 12
+
+
+@pytest.mark.parametrize(
+    ("columns", "words"),
+    [
+        ({"PV": "flow"}, ["'flow'", "no such column", "'OP'", "'PV'"]),
+        ({"flow": "PV"}, ["'flow'", "must be one of", "valve_position"]),
+        ({"PV": "OP", "OP": "OP"}, ["'OP'", "more than one signal"]),
+    ],
+)
+def test_a_wrong_mapping_is_refused(tmp_path: Path, columns: dict[str, str], words: list[str]) -> None:
+    with pytest.raises(RecordError) as refusal:
+        read_record(write(tmp_path, table("t|OP|PV")), columns=columns)
+    assert all(word in str(refusal.value) for word in words)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("", ["empty"]),
+        ("\n\n  \n", ["empty"]),
+        ("t,PV,OP\n", ["no row"]),
+        ("t,PV\n0,1\n1,2\n", ["no column for OP", "'PV'", "columns="]),
+        ("t,OP\n0,1\n1,2\n", ["no column for PV"]),
+        ("a,b,c\n0,1,2\n1,2,3\n", ["no column for PV and OP"]),
+        ("t,FIC1.PV,FIC2.PV,OP\n0,1,2,3\n1,1,2,3\n", ["'FIC1.PV'", "'FIC2.PV'", "could each be PV"]),
+        ("t,PV,PV,OP\n0,1,2,3\n1,1,2,3\n", ["could each be PV"]),
+        ("0,1,2\n1,2,3\n2,3,4\n", ["line 1", "header"]),
+        ("PV,OP\n1,2\n2,3\n", ["no time column", "sample_time"]),
+        ("t,PV,OP\n0,1,2\n1,1,2\n1,1,2\n2,1,2\n", ["line 4", "'t'", "same time"]),
+        ("t,PV,OP\n0,1,2\n1,1,2\n0.5,1,2\n2,1,2\n", ["line 4", "'t'", "before line 3"]),
+        ("t,PV,OP\n0,bad,2\n1,worse,2\n2,ugly,2\n", ["line 2", "'PV'", "text", "'bad'"]),
+        ("t,PV,OP\n0,1,\n1,2,\n2,3,\n", ["line 2", "'OP'", "blank"]),
+        ("t,PV,OP\n0,nan,2\n1,nan,2\n", ["line 2", "'PV'", "not finite"]),
+        ("t,PV,OP\n0,1,inf\n1,2,-inf\n", ["'OP'", "not finite"]),
+        ("time,PV,OP\nyesterday,1,2\ntoday,1,2\n", ["line 2", "'time'", "'yesterday'", "allowed"]),
+        ("t,PV,OP\n0,1,2\n1,1,2\n5,1,2\n6,1,2\n8,1,2\n", ["not evenly sampled", "line"]),
+        ("t,PV,OP\n0,1,5,2,5\n1,1,5,2,5\n", ["line 2", "more fields than the header", "decimal comma"]),
+        ("t,PV,OP\n0,1,2\n", ["at least two"]),
+        ("t,PV,OP\n0,1,2\n1,x,2\n2,1,2\n3,x,2\n4,1,2\n", ["no two clean"]),
+        (
+            "time,PV,OP\n2024-03-31T01:59:50+01:00,1,2\n2024-03-31 02:00:00,1,2\n2024-03-31 02:00:10,1,2\n",
+            ["time zone", "all or none"],
+        ),
+    ],
+)
+def test_bad_files_are_refused_in_words(tmp_path: Path, text: str, words: list[str]) -> None:
+    path = write(tmp_path, text)
+    with pytest.raises(RecordError) as refusal:
+        read_record(path)
+    said = str(refusal.value)
+    assert str(path) in said
+    assert all(word in said for word in words), said
+
+
+def test_a_missing_file_and_a_directory_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(RecordError, match="no such file"):
+        read_record(tmp_path / "none.csv")
+    with pytest.raises(RecordError, match="directory"):
+        read_record(tmp_path)
+    with pytest.raises(RecordError):
+        read_record("\0")
+
+
+def test_a_file_that_is_too_large_is_refused_before_it_is_read(tmp_path: Path) -> None:
+    path = tmp_path / "large.csv"
+    with path.open("wb") as file:
+        file.truncate(2 << 30)  # sparse: no disk space
+    with pytest.raises(RecordError, match=r"2\.0 GiB given; at most 1 GiB"):
+        read_record(path)
+
+
+@pytest.mark.parametrize("content", [b"\x00\x01\x02PV,OP\x00", b"PV,OP\n\x00\x01", b"PK\x03\x04" + bytes(range(40))])
+def test_binary_files_are_refused(tmp_path: Path, content: bytes) -> None:
+    with pytest.raises(RecordError, match="no text file"):
+        read_record(write(tmp_path, content))
+
+
+def test_text_in_no_known_encoding_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(RecordError, match="encoding"):
+        read_record(write(tmp_path, b"t,PV,OP\n0,1,2 \x81\x8d\n"))
+    with pytest.raises(RecordError, match="encoding"):
+        read_record(write(tmp_path, b"\xff\xfet\x00,"))
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16", "cp1252"])
+def test_usual_encodings_are_read(tmp_path: Path, encoding: str) -> None:
+    text = table("t|OP|PV|SP=Sollwert °C").replace("MODE", "M")
+    record = read_record(write(tmp_path, text.encode(encoding)))
+    assert len(record) == 12
+    assert any("Windows-1252" in note for note in record.notes) == (encoding == "cp1252")
+
+
+@pytest.mark.parametrize("sep", [",", ";", "\t"])
+def test_delimiters_and_quotes(tmp_path: Path, sep: str) -> None:
+    quoted = "\n".join(sep.join(f'"{c}"' for c in line.split(sep)) for line in table("t|OP|PV", sep=sep).splitlines())
+    assert read_record(write(tmp_path, quoted)).pv.tolist() == [10.0 - k for k in range(12)]
+
+
+def test_decimal_commas_where_the_delimiter_allows_them(tmp_path: Path) -> None:
+    record = read_record(write(tmp_path, "t;PV;OP\n0,5;1,25;2\n1,5;-2,5;3,125\n2,5;1;2\n"))
+    assert record.pv.tolist() == [1.25, -2.5, 1.0]
+    assert record.op[1] == 3.125
+    assert (record.start, record.sample_time) == (0.5, 1.0)
+
+
+@pytest.mark.parametrize(
+    "form",
+    [
+        "%Y-%m-%d %H:%M:%S",
+        "%Y-%m-%dT%H:%M:%SZ",
+        "%Y-%m-%dT%H:%M:%S+03:00",
+        "%Y-%m-%d %H:%M:%S.250",
+        "%d.%m.%Y %H:%M:%S",
+        "%d/%m/%Y %H:%M:%S",
+        "%m/%d/%Y %I:%M:%S %p",
+        "%d-%b-%y %H:%M:%S",
+        "%Y/%m/%d %H:%M:%S",
+    ],
+)
+def test_timestamps(tmp_path: Path, form: str) -> None:
+    from datetime import UTC, datetime, timedelta
+
+    start = datetime(2024, 10, 17, 23, 59, 0, tzinfo=UTC)
+    lines = ["Timestamp,PV,OP"]
+    lines += [f"{(start + timedelta(seconds=10 * k)).strftime(form)},{k},{2 * k}" for k in range(20)]
+    record = read_record(write(tmp_path, "\n".join(lines)))
+    assert len(record) == 20
+    assert record.sample_time == pytest.approx(10.0)
+    assert record.start == 0.0
+    assert any("first timestamp" in note for note in record.notes)
+
+
+def test_time_units_and_milliseconds_since_1970(tmp_path: Path) -> None:
+    assert read_record(write(tmp_path, "t_min,PV,OP\n0,1,2\n1,1,2\n2,1,3\n")).sample_time == 60.0
+    epoch = "timestamp,PV,OP\n" + "".join(f"{1729202100000 + 5000 * k},1,{k}\n" for k in range(5))
+    assert read_record(write(tmp_path, epoch)).sample_time == pytest.approx(5.0)
+
+
+def test_without_times_the_sample_time_is_needed_and_with_them_it_must_agree(tmp_path: Path) -> None:
+    path = write(tmp_path, "PV,OP\n1,2\n2,3\n3,4\n")
+    assert read_record(path, sample_time=5.0).time.tolist() == [0.0, 5.0, 10.0]
+    with pytest.raises(InvalidValue):
+        read_record(path, sample_time=-1.0)
+    timed = write(tmp_path, table("t|OP|PV"))
+    assert read_record(timed, sample_time=2.0).sample_time == 2.0
+    with pytest.raises(RecordError, match="sample_time 5 s given"):
+        read_record(timed, sample_time=5.0)
+
+
+def test_rejected_rows_are_counted_and_the_longest_stretch_is_kept(tmp_path: Path) -> None:
+    rows = [f"{k},{k},{2 * k}" for k in range(60)]
+    rows[10] = "10,Bad Input,20"
+    rows[11] = "11,,22"
+    rows[40] = "40,40,nan"
+    record = read_record(write(tmp_path, "t,PV,OP\n" + "\n".join(rows) + "\n"))
+    assert (record.start, len(record)) == (12.0, 28)
+    assert record.pv.tolist() == list(range(12, 40))
+    assert record.counts["rows"] == 60
+    assert record.counts["rejected"] == 3
+    assert (record.counts["rejected, text"], record.counts["rejected, blank"]) == (1, 1)
+    assert record.counts["rejected, not finite"] == 1
+    assert record.counts["kept"] + record.counts["left out"] + record.counts["rejected"] == 60
+    said = " ".join(record.notes)
+    assert "'Bad Input'" in said
+    assert "line 12, column 'PV'" in said
+    assert "28 of 60 rows, lines 14 to 41" in said
+
+
+def test_a_gap_splits_the_record_and_is_said(tmp_path: Path) -> None:
+    times = [*range(50), *range(90, 190)]
+    text = "t,PV,OP\n" + "".join(f"{t},{t % 7},{t}\n" for t in times)
+    record = read_record(write(tmp_path, text))
+    assert (record.start, len(record)) == (90.0, 100)
+    assert record.counts["gaps"] == 1
+    assert any("1 gap in time" in note for note in record.notes)
+
+
+def test_small_jitter_is_taken_as_even_and_said(tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    times = 10.0 * np.arange(100) + rng.uniform(-0.5, 0.5, 100)
+    text = "t,PV,OP\n" + "".join(f"{t:.3f},{i % 5},{i}\n" for i, t in enumerate(times))
+    record = read_record(write(tmp_path, text))
+    assert len(record) == 100
+    assert record.sample_time == pytest.approx(10.0, rel=1e-3)
+    assert any("taken as even" in note for note in record.notes)
+
+
+def test_missing_setpoint_cells_hold_and_a_broken_stem_signal_is_left_out(tmp_path: Path) -> None:
+    record = read_record(write(tmp_path, "t,PV,OP,SP,stem\n0,1,2,5,1\n1,1,2,,bad\n2,1,3,6,1\n3,1,4,6,1\n"))
+    assert record.sp is not None
+    assert record.sp.tolist() == [5.0, 5.0, 6.0, 6.0]
+    assert record.valve_position is None
+    assert any(note.startswith("SP: 1 cells") for note in record.notes)
+    assert any(note.startswith("valve position left out") for note in record.notes)
+
+
+def test_a_constant_signal_is_read(tmp_path: Path) -> None:
+    assert np.ptp(read_record(write(tmp_path, "t,PV,OP\n0,1,2\n1,1,2\n2,1,2\n")).pv) == 0.0
+
+
+def test_comments_and_blank_lines_keep_the_line_numbers_right(tmp_path: Path) -> None:
+    text = "# export of FIC101\n\nt,PV,OP\n0,1,2\n\n1,1,2\n1,1,2\n"
+    with pytest.raises(RecordError, match="line 7"):
+        read_record(write(tmp_path, text))
+
+
+def test_parquet_equals_csv(tmp_path: Path) -> None:
+    text = table("t|OP|PV|SP|MODE", rows=40)
+    from_csv = read_record(write(tmp_path, text))
+    k = np.arange(40)
+    columns = pa.table({"t": 2 * k, "OP": 40 + k / 10, "PV": 10 - k, "SP": np.full(40, 7), "MODE": ["AUTO"] * 40})
+    pq.write_table(columns, tmp_path / "loop.parquet")
+    from_parquet = read_record(tmp_path / "loop.parquet")
+    for name in ("pv", "op", "sp", "time"):
+        assert np.array_equal(getattr(from_csv, name), getattr(from_parquet, name))
+    assert from_parquet.mode == from_csv.mode
+
+
+def test_parquet_timestamps_and_missing_values(tmp_path: Path) -> None:
+    stamps = pa.array(np.datetime64("2024-10-17T21:55:00", "ms") + 10_000 * np.arange(30).astype("timedelta64[ms]"))
+    pv = pa.array([None if i == 3 else float(i) for i in range(30)], pa.float64())
+    tags = {"time": stamps, "FIC1.PV": pv, "FIC1.OP": pa.array(range(30), pa.int32())}
+    pq.write_table(pa.table(tags), tmp_path / "loop.pq")
+    record = read_record(tmp_path / "loop.pq")
+    assert (len(record), record.sample_time, record.start) == (26, 10.0, 40.0)
+    assert record.counts["rejected, blank"] == 1
+    assert any("row 4" in note for note in record.notes)
+
+
+def test_a_broken_parquet_file_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(RecordError, match="Parquet"):
+        read_record(write(tmp_path, b"PAR1" + b"\x01" * 200 + b"PAR1", "loop.parquet"))
+
+
+def test_reading_never_writes(tmp_path: Path) -> None:
+    path = write(tmp_path, table("t|OP|PV"))
+    before = path.read_bytes()
+    read_record(path)
+    assert path.read_bytes() == before
+    assert [p.name for p in tmp_path.iterdir()] == ["loop.csv"]
+
+
+quiet = settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+
+
+@quiet
+@given(content=st.binary(max_size=300), kind=st.sampled_from([b"", b"PAR1", b"PV,OP,t\n", b"\xff\xfe"]))
+def test_random_bytes_give_a_record_or_our_own_error(tmp_path: Path, content: bytes, kind: bytes) -> None:
+    path = write(tmp_path, kind + content)
+    try:
+        assert isinstance(read_record(path), Record)
+    except WorkbenchError as error:
+        assert str(error)
+
+
+cells = st.one_of(
+    st.floats(allow_nan=True, allow_infinity=True).map(repr),
+    st.integers(-5, 40).map(str),
+    st.sampled_from(["", "Bad", "1,5", '"', "'", "2024-01-01 00:00:00", "31.12.2024 23:59:59", "1e400", "1_0", ";"]),
+    st.text(max_size=4),
+)
+
+
+@quiet
+@given(
+    header=st.lists(st.sampled_from(["t", "time", "PV", "OP", "SP", "MODE", "x.PV", "stem", "a b", ""]), max_size=6),
+    rows=st.lists(st.lists(cells, max_size=6), max_size=8),
+    sep=st.sampled_from([",", ";", "\t"]),
+    sample_time=st.sampled_from([None, 1.0]),
+)
+def test_random_tables_give_a_record_or_our_own_error(
+    tmp_path: Path, header: list[str], rows: list[list[str]], sep: str, sample_time: float | None
+) -> None:
+    lines = [sep.join(header)] + [sep.join(row) for row in rows]
+    path = write(tmp_path, "\n".join(lines).encode("utf-8", "replace"))
+    try:
+        record = read_record(path, sample_time=sample_time)
+    except WorkbenchError as error:
+        assert str(error)
+    else:
+        assert record.counts["kept"] == len(record)
+        assert np.isfinite(record.pv).all()
+
+
+def test_the_real_records_are_read_whole() -> None:
+    if not RECORDS.is_dir():
+        pytest.skip(f"no folder of real records at {RECORDS}; set WORKBENCH_RECORDS")
+    files = [f for f in sorted(RECORDS.glob("*/*.csv")) if f.name != "labels.csv"]
+    assert files
+    for file in files:
+        record = read_record(file)
+        assert record.counts["kept"] == record.counts["rows"] == len(record), file
+        assert (record.sp is not None) == (file.parent.name == "plant")
+    chem23 = read_record(RECORDS / "isdb" / "CHEM23.csv")
+    assert (len(chem23), chem23.sample_time) == (1500, 10.0)
+
+
+def test_the_size_limit_is_one_gibibyte() -> None:
+    assert reader.LARGEST == 2**30
