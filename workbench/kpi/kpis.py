@@ -62,6 +62,7 @@ def reversals(valve: FloatArray, before: float = math.nan) -> int:
     return int(np.count_nonzero(signs[1:] != signs[:-1]))
 
 
+@np.errstate(over="ignore", invalid="ignore")  # an unstable run may overflow: inf and nan are then its figures
 def measure(
     pv: FloatArray,
     sample_time: float,

@@ -342,7 +342,8 @@ def frequency(ax: Axes, named: Sequence[tuple[str, DescribingFunction]], ratio: 
                 "linestyle": ("-", "--", ":")[len(drawn) % 3],
             }
             ax.plot(locus.real, locus.imag, label=text, **style)
-            if float(np.ptp(df.locus.real[np.isfinite(df.locus.real)])) < 1e-9:  # an ideal valve's: a point
+            points = _finite(df.locus)
+            if points.size and float(np.abs(points - points[0]).max()) < 1e-9:  # an ideal valve's: a point
                 ax.plot(locus.real[:1], locus.imag[:1], "o", color="#D55E00", alpha=0.55, markersize=5)
             drawn.append(df.locus)
     for index, (name, df) in enumerate(named):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import dataclass
 
 import numpy as np
@@ -150,7 +151,7 @@ def _against_truth(named: NamedEstimate, truth: Loop) -> str:
         return f"The record was simulated from another kind of loop ({valve_words(truth.valve)})."
     errors = {name: abs(ours[name] / true[name] - 1.0) for name in true if true[name] != 0.0}
     worst = max(errors, key=lambda name: errors[name])
-    title = kpi_title(worst)[0].removesuffix(f" {worst}").lower()
+    title = re.sub(r" \w$", "", kpi_title(worst)[0]).lower()
     if errors[worst] < 1e-4:
         return "Every parameter is true to 0.01 %."
     miss = figure(100.0 * errors[worst], 2)

@@ -1,0 +1,208 @@
+"""What the figures show: their artists hold the data given."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from workbench.errors import InvalidValue, OutputError
+from workbench.model.record import Record
+from workbench.model.study import CaseResult, Study
+from workbench.report import draw, figures
+from workbench.report.plot import plot
+from workbench.report.style import CASES, svg_text
+
+Make = Callable[..., Any]
+
+
+def lines(ax: Axes) -> dict[str, tuple[Any, Any]]:
+    return {str(line.get_label()): (line.get_xdata(), line.get_ydata()) for line in ax.get_lines()}
+
+
+def test_trends(study: Study) -> None:
+    run = study.cases[0].run
+    fig = figures.trend_figure(run, "Case 1")
+    above, below = fig.axes
+    assert np.array_equal(lines(above)["PV"][1], run.pv)
+    assert np.array_equal(lines(above)["SP"][1], run.sp)
+    assert np.array_equal(lines(below)["OP"][1], run.op)
+    assert np.array_equal(lines(below)["valve"][1], run.valve)
+    assert np.array_equal(lines(below)["valve"][0], run.time)
+    assert above.get_shared_x_axes().joined(above, below)
+    assert (above.get_ylabel(), below.get_ylabel(), below.get_xlabel()) == ("PV, SP (EU)", "OP, valve (%)", "time (s)")
+
+
+def test_overlay(study: Study) -> None:
+    fig = figures.overlay_figure(study.cases)
+    above, below = fig.axes
+    assert [str(line.get_label()) for line in above.get_lines()] == ["Case 1", "Case 2", "Optimised PI", "SP"]
+    assert np.array_equal(above.get_lines()[1].get_ydata(), study.cases[1].run.pv)
+    assert np.array_equal(below.get_lines()[2].get_ydata(), study.cases[2].run.valve)
+
+
+def test_cases_differ_in_colour_and_line_style() -> None:
+    assert len({c["color"] for c in CASES}) == len(CASES)
+    solid = [c for c in CASES if c["linestyle"] == "-"]
+    assert len({str(c["linestyle"]) for c in CASES}) >= len(CASES) - len(solid) + 1
+
+
+def test_an_unstable_case_does_not_hide_the_others(study: Study, case: Make) -> None:
+    wild: CaseResult = case("Wild", 50.0, 5.0)
+    above, _ = figures.overlay_figure([wild, study.cases[0]]).axes
+    assert np.nanmax(np.abs(above.get_lines()[0].get_ydata())) < 1000.0
+    assert np.array_equal(above.get_lines()[1].get_ydata(), study.cases[0].run.pv)
+
+
+def test_frequency(study: Study) -> None:
+    named = [(c.name, c.describing_function) for c in study.cases if c.describing_function is not None]
+    ax = figures.frequency_figure(named).axes[0]
+    drawn = lines(ax)
+    assert {"−1/N(A)", "L(jω), Case 1", "L(jω), Optimised PI"} <= set(drawn)
+    x, y = drawn["−1/N(A)"]
+    assert np.array_equal(x + 1j * y, named[0][1].locus)
+    # The crossing of the second stands at its amplitude on the locus, the first's nearest approach is marked.
+    dots = [line for line in ax.get_lines() if line.get_marker() == "o"]
+    assert dots[0].get_ydata()[0] == pytest.approx(-0.8 / 2.2, rel=1e-3)
+    assert sum(line.get_marker() == "x" for line in ax.get_lines()) == 1
+    left, right = ax.get_xlim()
+    assert left < -1.0 < right
+
+
+@pytest.mark.parametrize("linear", [False, True])
+def test_estimates(estimated: Make, linear: bool) -> None:
+    found, _ = estimated()
+    fig = figures.linear_fit_figure(found) if linear else figures.estimate_figure(found)
+    above, below = fig.axes
+    assert np.array_equal(lines(above)["PV"][1], found.record.pv)
+    if linear:
+        assert np.array_equal(lines(above)["prediction without stiction"][1], found.linear.prediction)
+        assert set(lines(below)) == {"OP"}
+    else:
+        assert np.array_equal(lines(above)["prediction"][1], found.prediction)
+        assert np.array_equal(lines(below)["valve (estimated)"][1], found.valve_position)
+
+
+def test_a_window_of_the_estimate(estimated: Make) -> None:
+    found, _ = estimated()
+    above, _ = figures.estimate_figure(found, "", (100.0, 150.0)).axes
+    assert np.array_equal(lines(above)["PV"][0], np.arange(100.0, 150.0))
+
+
+def test_profile_shows_the_interval_and_the_estimate(estimated: Make) -> None:
+    found, _ = estimated()
+    whole, near = figures.profile_figure(found).axes
+    shaded = [p.get_x() for p in whole.patches]
+    assert shaded == [1.99]
+    assert np.array_equal(lines(whole)["residual variance"][1], found.profile_cost)
+    assert lines(whole)["d = 2.003 %"][0] == [2.003]
+    low, high = near.get_xlim()
+    assert low < 1.99 < 2.01 < high < 2.5
+
+
+def test_convergence(estimated: Make) -> None:
+    found, _ = estimated()
+    above, below = figures.convergence_figure(found).axes
+    assert list(lines(above)["d"][1]) == [1.0, 2.0]
+    assert list(lines(below)["residual variance"][1]) == [1.0, 0.01]
+
+
+@settings(deadline=None, max_examples=50)
+@given(st.integers(1, 20000), st.integers(1, 300), st.integers(0, 10))
+def test_thinning_keeps_what_shows(n: int, columns: int, seed: int) -> None:
+    x = np.arange(float(n))
+    y = np.random.default_rng(seed).normal(size=n)
+    px, py = draw.thin(x, y, columns)
+    assert px.size <= max(4 * columns, 1)
+    assert np.all(np.diff(px) > 0.0)
+    assert py.min() == y.min()
+    assert py.max() == y.max()
+    assert (px[0], px[-1]) == (x[0], x[-1])
+
+
+def test_a_phase_plot_draws_each_stretch_once() -> None:
+    turns = np.tile(np.arange(40), 500)
+    angle = 2.0 * np.pi * turns / 40.0
+    x, y = draw.phase(np.cos(angle), np.sin(angle))
+    assert x.size < 60
+    assert np.nanmax(x) == 1.0
+    assert np.nanmin(y) == pytest.approx(-1.0)
+
+
+def test_no_global_setting_is_left_behind(study: Study) -> None:
+    before = dict(mpl.rcParams)
+    svg_text(figures.trend_figure(study.cases[0].run), "t")
+    plot(study.cases[0].run)
+    assert dict(mpl.rcParams) == before
+
+
+def test_svg_files_are_the_same_to_the_byte(study: Study, tmp_path: Path) -> None:
+    for name in ("a.svg", "b.svg"):
+        figures.save_svg(figures.trend_figure(study.cases[0].run, "Case <1> & more"), tmp_path / name)
+    text = (tmp_path / "a.svg").read_text(encoding="utf-8")
+    assert text == (tmp_path / "b.svg").read_text(encoding="utf-8")
+    assert "Case &lt;1&gt; &amp; more" in text
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["a.svg", "b.svg"]
+
+
+def test_a_figure_that_cannot_be_written(study: Study, tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(OutputError, match="cannot be written"):
+        figures.save_svg(figures.trend_figure(study.cases[0].run), tmp_path / "file" / "a.svg")
+
+
+def test_plot_of_every_result(study: Study) -> None:
+    case, named = study.cases[2], study.estimates[0]
+    above, below = plot(case.run)
+    assert np.array_equal(lines(above)["PV"][1], case.run.pv)
+    assert np.array_equal(lines(below)["OP"][1], case.run.op)
+    above, below = plot(named.found)
+    assert np.array_equal(lines(below)["valve (estimated)"][1], named.found.valve_position)
+    above, below = plot(named.found.record)
+    assert np.array_equal(lines(above)["SP"][1], named.found.record.sp)
+    assert isinstance(plot(case.describing_function), Axes)
+    ax = plot(case.limit_cycle)
+    assert isinstance(ax, Axes)
+    assert [t.get_text() for t in ax.get_yticklabels()] == ["the given experiment", "setpoint step of 1 EU"]
+    ax = plot(case.tuned)
+    assert isinstance(ax, Axes)
+    assert list(lines(ax)["refined"][0]) == [r.refined for r in case.tuned.restarts]
+
+
+def test_plot_on_given_axes(study: Study) -> None:
+    run = study.cases[0].run
+    fig = Figure()
+    axes = fig.subplots(2, 1)
+    assert list(plot(run, axes)) == list(axes)
+    single = Figure().subplots()
+    assert plot(run, single) is single
+    assert "OP" not in lines(single)
+    target = Figure().subplots()
+    assert plot(study.cases[0].describing_function, target) is target
+
+
+@pytest.mark.parametrize("wrong", [None, 3, "run", [1, 2]])
+def test_plot_of_anything_else(wrong: object) -> None:
+    with pytest.raises(InvalidValue, match="must be a Run, Record, Estimate"):
+        plot(wrong)
+
+
+def test_plot_on_something_else(study: Study) -> None:
+    with pytest.raises(InvalidValue, match="matplotlib Axes"):
+        plot(study.cases[0].run, "axes")
+    with pytest.raises(InvalidValue, match="must be 1 matplotlib Axes"):
+        plot(study.cases[0].limit_cycle, Figure().subplots(2, 1))
+
+
+def test_a_record_without_setpoint() -> None:
+    above, _ = plot(Record(pv=np.arange(5.0), op=np.ones(5), sample_time=2.0))
+    assert set(lines(above)) == {"PV"}
+    assert list(lines(above)["PV"][0]) == [0.0, 2.0, 4.0, 6.0, 8.0]

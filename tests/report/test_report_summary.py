@@ -1,0 +1,131 @@
+"""The rules that compose the summary."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import pytest
+
+from workbench.model.results import Intervals, SolveStatus
+from workbench.model.study import CaseResult, NamedEstimate, Study
+from workbench.model.valve import Ideal
+from workbench.report.summary import best_case, df_disagrees, estimate_advice, estimate_sentences, summarise
+
+Make = Callable[..., Any]
+
+
+def with_cases(study: Study, *cases: CaseResult) -> Study:
+    return replace(study, cases=cases, estimates=())
+
+
+def test_the_best_case_is_recommended_with_its_changes(study: Study) -> None:
+    told = " ".join(summarise(study).do)
+    best = study.cases[2]
+    assert best_case(study) is best
+    assert "Set Kc 2.351 %/EU, Ti 9.500 s (Optimised PI): J 10.5 instead of 227, error variance −92 %" in told
+    assert "valve travel +38 %" in told
+    assert "the cycle remains: PV swings 2.01 EU every 12.0 s" in told
+    assert "steps of at least 2 %, which is 2 EU of PV" in told
+
+
+def test_an_unsuccessful_search_is_never_recommended(study: Study, tuned: Make) -> None:
+    best = study.cases[2]
+    failed = replace(best, tuned=tuned(best.loop.controller, best.objective, SolveStatus.ITERATION_LIMIT))
+    changed = with_cases(study, study.cases[0], failed)
+    told = summarise(changed).do
+    assert best_case(changed) is study.cases[0]
+    assert told[0].startswith("Do not use Optimised PI as it stands: its search ended as “iteration limit”")
+    assert any(t.startswith("Keep Case 1") for t in told)
+
+
+def test_a_knife_edge_is_named(study: Study, tuned: Make) -> None:
+    best = study.cases[2]
+    sharp = replace(best, tuned=tuned(best.loop.controller, best.objective, worst=2.0))
+    assert any("knife-edge" in t and "20.9" in t for t in summarise(with_cases(study, study.cases[0], sharp)).do)
+    assert not any("knife-edge" in t for t in summarise(study).do)
+
+
+def test_a_run_too_short_for_the_cycle_is_said(study: Study) -> None:
+    told = " ".join(summarise(study).found)
+    assert "too short to show the cycle of Case 2: its figures" in told
+
+
+def test_disagreement_is_told_and_agreement_is_not(study: Study) -> None:
+    told = " ".join(summarise(study).found)
+    assert "Case 1: the describing function predicts no cycle, but the loop cycles." in told
+    assert "Both say" not in told
+    assert [df_disagrees(c) for c in study.cases] == [True, False, False]
+
+
+@pytest.mark.parametrize(
+    ("outcome", "text"),
+    [
+        ("settles", "Case 1: the loop comes to rest."),
+        ("depends", "Case 1: the loop cycles or comes to rest depending on where it starts."),
+        ("undecided", "Case 1: the loop could not be decided by simulation."),
+    ],
+)
+def test_other_outcomes(study: Study, cycle: Make, outcome: str, text: str) -> None:
+    case = replace(study.cases[0], limit_cycle=cycle(study.cases[0].loop, outcome), describing_function=None)
+    summary = summarise(with_cases(study, case))
+    assert text in summary.found
+    assert any("What no tuning removes" in t for t in summary.do) == (outcome != "settles")
+
+
+def test_no_objective_no_recommendation(study: Study) -> None:
+    cases = [replace(c, objective=None, tuned=None) for c in study.cases[:2]]
+    told = summarise(replace(with_cases(study, *cases), objective=None)).do
+    assert told[0].startswith("No objective was given, so there is a choice to make. Least error variance: Case 1")
+    assert "Least wear: Case 2" in told[0]
+    assert not any(t.startswith("Set ") for t in told)
+
+
+def test_published_figures_to_the_digit(study: Study) -> None:
+    told = summarise(study).found
+    begin = "Of the published figures, valve travel of Case 1 and Case 2 comes out to the digit; the other 2 differ"
+    assert any(t.startswith(begin) for t in told)
+
+
+def test_an_unstable_case_is_said_and_not_compared(study: Study, case: Make) -> None:
+    wild = case("Wild", 50.0, 5.0)
+    changed = with_cases(study, wild, study.cases[2])
+    summary = summarise(changed)
+    assert "Wild: the loop is unstable, PV grows without bound." in summary.found
+    assert any(t.startswith("Set Kc 2.351") and "against Wild" not in t for t in summary.do)
+
+
+def test_estimates(estimated: Make) -> None:
+    found, truth = estimated()
+    told = estimate_sentences(NamedEstimate("E", found, truth))
+    assert told[0].startswith(
+        "E: the valve sticks, d = 2.00 % (95 % range 1.99 to 2.01 %); the process has gain 1.99 EU/%"
+    )
+    assert told[0].endswith("Every parameter lies within 0.60 % of the true one.")
+    assert "leaves 119 times the residual variance" in told[1]
+    assert estimate_advice(NamedEstimate("E", found, truth)) == []
+    assert "have the valve looked at" in estimate_advice(NamedEstimate("E", found))[0]
+
+
+def test_a_wrong_estimate_of_a_known_loop_is_called_wrong(estimated: Make) -> None:
+    found, truth = estimated()
+    blind = replace(found, valve=Ideal(), verdict="no_stiction", intervals=Intervals())
+    assert "This is wrong" in estimate_sentences(NamedEstimate("E", blind, truth))[0]
+    far = replace(found, plant=replace(found.plant, gain=3.0))
+    assert "This is wrong by 50 % in the gain (true value 2)." in estimate_sentences(NamedEstimate("E", far, truth))[0]
+
+
+def test_what_is_not_identified_is_said(estimated: Make) -> None:
+    found, _ = estimated(identifiable=False)
+    assert "pins only the product of gain and stiction (3.99 EU)" in estimate_sentences(NamedEstimate("E", found))[1]
+    bare = replace(found, intervals=Intervals())
+    assert "gives no range" in estimate_sentences(NamedEstimate("E", bare))[1]
+
+
+def test_undecided_claims_nothing(estimated: Make) -> None:
+    found, _ = estimated(verdict="undecided")
+    told = estimate_sentences(NamedEstimate("E", found))
+    assert told[0].startswith("E: whether the valve sticks stays undecided")
+    assert "take it as a hint, not as a finding" in told[0]
+    assert "longer record" in estimate_advice(NamedEstimate("E", found))[0]
