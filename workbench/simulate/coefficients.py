@@ -101,6 +101,13 @@ def _ideal_terms(pid: PID, tunings: FloatArray) -> tuple[FloatArray, FloatArray,
     Kc, Ti, Td = tunings[:, 0], tunings[:, 1], tunings[:, 2]
     if pid.form == "ideal":
         return Kc, Ti, Td, Td / pid.derivative_filter, np.full(Kc.size, pid.setpoint_weight)
+    # Row by row only where the forms' plain formulas do not hold; `PID.ideal_terms` is the reference for both.
+    if pid.form == "series" and bool(np.isfinite(Ti).all()):
+        Tf, b = Td / pid.derivative_filter, pid.setpoint_weight
+        weight = (b * Ti + Td) / (Ti + Td) if pid.derivative_on == "error" else b * Ti / (Ti + Td)
+        return Kc * (1.0 + Td / Ti), Ti + Td, Td * (Ti - Tf) / (Ti + Td), Tf, weight
+    if pid.form == "parallel" and bool((Kc > 0.0).all()):
+        return Kc, Kc * Ti, Td / Kc, Td / Kc / pid.derivative_filter, np.full(Kc.size, pid.setpoint_weight)
     terms = [replace(pid, Kc=row[0], Ti=row[1], Td=row[2]).ideal_terms() for row in tunings.tolist()]
     columns = np.array([(t.Kc, t.Ti, t.Td, t.Tf, t.b) for t in terms]).reshape(-1, 5).T
     return columns[0], columns[1], columns[2], columns[3], columns[4]
