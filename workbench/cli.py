@@ -90,7 +90,7 @@ def _options(
 @app.command()
 @guarded
 def run(
-    scenarios: Annotated[list[Path], typer.Argument(metavar="SCENARIO...", help="Scenario files (YAML).")],
+    scenarios: Annotated[list[Path], typer.Argument(metavar="SCENARIO", help="Scenario files (YAML).")],
     out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Where the reports go.")] = Path("reports"),
 ) -> int:
     """Run scenarios and write DIR/<scenario>/report.html with its figures, results.json and cases.csv.
@@ -124,7 +124,7 @@ def run(
 @app.command()
 @guarded
 def check(
-    files: Annotated[list[Path], typer.Argument(metavar="FILE...", help="Scenario files (YAML).")],
+    files: Annotated[list[Path], typer.Argument(metavar="FILE", help="Scenario files (YAML).")],
 ) -> int:
     """Check scenario files, and the data that they name, without running them."""
     for plan in _checked(files):

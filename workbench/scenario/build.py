@@ -182,7 +182,7 @@ class Builder:
         setpoint = self._profile(given.setpoint, (*path, "setpoint"), given.duration)
         load = self._profile(given.load, (*path, "load"), given.duration)
         return self.refusals.attempt(
-            path, lambda: Experiment(given.duration, setpoint or None, load or None, noise, given.stem_offset)
+            path, lambda: Experiment(given.duration, _one(setpoint), _one(load), noise, given.stem_offset)
         )
 
     def _noise(self, given: schema.Noise | None, path: Path) -> Noise | None:
@@ -353,6 +353,11 @@ class Builder:
                 )
             )
         return jobs
+
+
+def _one(parts: list[Profile]) -> Profile | list[Profile] | None:
+    """Return the only part itself, as a script would give it."""
+    return parts[0] if len(parts) == 1 else parts or None
 
 
 def _common(objectives: list[Objective]) -> Objective | None:

@@ -1,0 +1,167 @@
+"""Running a scenario: what a study holds, in which order, and what is said when it cannot be carried out."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import workbench as wb
+from workbench.errors import ScenarioError
+from workbench.model.results import SolveStatus
+from workbench.scenario import runner
+from workbench.scenario.loader import read_scenario
+from workbench.scenario.retune import Wishes, tune_found, tune_scenario
+from workbench.scenario.runner import run_scenario, simulated_record
+
+LOOP = """\
+title: A short run
+loop:
+  plant: {type: fopdt, gain: 1.0, time_constant: 5 s, dead_time: 1 s}
+  valve: {type: stenman, d: 2.0}
+  controller: {derivative_filter: none}
+  sample_time: 1 s
+experiment: {duration: 150 s, setpoint: {step: 4, at: 0 s}}
+"""
+CASES = """\
+cases:
+  - {name: Case 1, Kc: 0.5, Ti: 20 s, reference: {valve_travel: 12.18}, note: base}
+  - {name: PI, tune: {bounds: {Kc: [0, 10], Ti: [5 s, 600 s]}, Td: 0 s, restarts: 1, digits: 3}}
+"""
+
+
+def plan(text: str):
+    return read_scenario(text, Path("short.yaml"))
+
+
+def test_cases_are_simulated_tuned_and_analysed() -> None:
+    told: list[tuple[str, float]] = []
+    study = run_scenario(
+        plan(LOOP + "objective: {w1: 0.5, w3: 0.5}\n" + CASES),
+        progress=lambda words, share: told.append((words, share)),
+    )
+    given, tuned = study.cases
+    assert (study.name, study.title, study.estimates) == ("short", "A short run", ())
+    loop = wb.Loop(wb.FOPDT(1.0, 5.0, 1.0), wb.Stenman(2.0), wb.PID(0.5, 20.0, derivative_filter=np.inf), 1.0)
+    experiment = wb.Experiment(150.0, wb.Step(4.0))
+    np.testing.assert_array_equal(given.run.pv, wb.simulate(loop, experiment).pv)
+    weights = wb.Objective()
+    assert given.objective == wb.evaluate(loop, experiment, weights)[0]
+    assert given.tuned is None
+    assert dict(given.reference) == {"valve_travel": 12.18}
+    assert given.note == "base"
+    assert tuned.tuned is not None
+    assert tuned.tuned.status is SolveStatus.SOLVED
+    assert tuned.objective == pytest.approx(tuned.tuned.objective, rel=1e-12)
+    assert tuned.objective < given.objective
+    # The tuning found is the one that is simulated and analysed.
+    assert tuned.loop.controller == tuned.tuned.controller == tuned.run.loop.controller
+    assert tuned.loop.controller.Td == 0.0
+    for case in study.cases:
+        assert case.describing_function is not None
+        assert case.limit_cycle is not None
+        assert case.agreement
+    shares = [share for _, share in told]
+    assert shares == sorted(shares)
+    assert told[-1] == ("done", 1.0)
+    assert any("tune PI" in words for words, _ in told)
+    assert set(study.times) == {"Case 1", "tune PI", "PI"}
+
+
+def test_analyses_that_are_not_asked_for_are_left_out() -> None:
+    text = LOOP + CASES.split("  - {name: PI")[0] + "analyze: {describing_function: false, limit_cycle: false}\n"
+    (case,) = run_scenario(plan(text)).cases
+    assert (case.describing_function, case.limit_cycle, case.agreement, case.objective) == (None, None, "", None)
+
+
+def test_a_record_simulated_from_the_loop_is_estimated_against_the_truth() -> None:
+    text = (
+        LOOP.replace("{derivative_filter: none}", "{Kc: 0.5, Ti: 20 s}")
+        .replace("150 s", "1000 s")
+        .replace("gain: 1", "gain: 2")
+    )
+    study = run_scenario(plan(text + "estimate: {name: again, simulate: true, reference: {d: 1.99}}\n"))
+    (named,) = study.estimates
+    assert (named.name, study.cases, dict(named.reference)) == ("again", (), {"d": 1.99})
+    assert named.truth is not None
+    assert named.found.verdict == "stiction"
+    assert isinstance(named.found.valve, wb.Stenman)
+    assert named.found.valve.d == pytest.approx(2.0, rel=0.01)
+    # The estimator does not see where the stem was.
+    assert named.found.record.valve_position is None
+
+
+def recorded(folder: Path, seconds: float = 900.0) -> Path:
+    loop = wb.Loop(wb.FOPDT(1.0, 6.0, 2.0), wb.Stenman(1.0), wb.PID(0.6, 15.0), 1.0)
+    record = simulated_record(
+        loop, wb.Experiment(seconds, (wb.Step(2.0), wb.Step(1.5, 300.0)), noise=wb.Noise(0.02, 3))
+    )
+    rows = np.column_stack([record.time, record.sp, record.pv, record.op])
+    file = folder / "loop.csv"
+    np.savetxt(file, rows, delimiter=",", header="time,SP,PV,OP", comments="")
+    return file
+
+
+def test_the_loop_of_the_cases_is_the_one_that_the_record_shows(tmp_path: Path) -> None:
+    recorded(tmp_path)
+    text = """\
+title: From data
+estimate: {data: loop.csv}
+experiment: {duration: 100 s, setpoint: {step: 1}}
+cases: [{name: as found, Kc: 0.6, Ti: 15 s}]
+analyze: {limit_cycle: false}
+"""
+    study = run_scenario(read_scenario(text, tmp_path / "data.yaml"))
+    found = study.estimates[0].found
+    assert study.estimates[0].truth is None
+    loop = study.cases[0].loop
+    assert (loop.plant, loop.valve, loop.sample_time) == (found.plant, found.valve, 1.0)
+    assert loop.controller == wb.PID(0.6, 15.0)
+    assert study.experiment == wb.Experiment(100.0, wb.Step(1.0))
+
+
+def test_what_only_running_shows_is_refused_with_its_entry(tmp_path: Path) -> None:
+    rows = "\n".join(f"{k},50,40" for k in range(100))
+    (tmp_path / "flat.csv").write_text(f"time,PV,OP\n{rows}\n")
+    text = "title: Flat\nestimate:\n  - {data: flat.csv}\n"
+    with pytest.raises(ScenarioError, match=r"flat\.yaml:3:5: estimate\[0\]: "):
+        run_scenario(read_scenario(text, tmp_path / "flat.yaml"))
+
+
+def test_an_unstable_case_is_a_result() -> None:
+    text = LOOP.replace("150 s", "3000 s") + "objective: {w1: 1}\ncases: [{name: wild, Kc: 50, Ti: 5 s}]\n"
+    (case,) = run_scenario(plan(text)).cases
+    assert case.objective == np.inf
+    assert case.limit_cycle is not None
+
+
+def test_an_interrupted_tuning_ends_the_run(monkeypatch: pytest.MonkeyPatch) -> None:
+    true_tune = runner.tune
+    monkeypatch.setattr(runner, "tune", lambda *a, **k: replace(true_tune(*a, **k), status=SolveStatus.INTERRUPTED))
+    with pytest.raises(KeyboardInterrupt):
+        run_scenario(plan(LOOP + CASES))
+
+
+def test_a_scenario_is_retuned_under_other_wishes() -> None:
+    (one,) = tune_scenario(plan(LOOP + CASES), Wishes(Kc=(0.1, 0.3), seed=4))
+    assert one.name == "PI"
+    assert 0.1 <= one.tuned.controller.Kc <= 0.3
+    assert (one.tuned.seed, one.tuned.digits) == (4, 3)
+    with pytest.raises(wb.InvalidValue, match="--step"):
+        tune_scenario(plan(LOOP + CASES), Wishes(step=1.0))
+    with pytest.raises(wb.InvalidValue, match="needs both"):
+        tune_scenario(replace(plan(LOOP + CASES), cases=()), Wishes())
+
+
+def test_a_found_loop_is_tuned_and_what_was_assumed_is_said(tmp_path: Path) -> None:
+    found = wb.estimate(wb.read_record(recorded(tmp_path)))
+    result = tune_found(found, Wishes(duration=100.0, step=2.0))
+    tuned = result.tuned
+    assert tuned.status.success
+    assert tuned.controller.Td == 0.0
+    assert tuned.loop.plant == found.plant
+    assert tuned.experiment.duration == 100.0
+    assert tuned.objective <= tuned.start_objective
+    assert "setpoint step of 2 EU" in result.assumed[0]

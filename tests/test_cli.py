@@ -1,0 +1,301 @@
+"""The command: what it prints and writes, its exit codes, and what starting it loads."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+import workbench as wb
+from workbench.cli import app
+from workbench.model.results import SolveStatus
+from workbench.scenario import runner as scenario_runner
+
+GOOD = """\
+title: A short run
+loop:
+  plant: {type: fopdt, gain: 1.0, time_constant: 5 s, dead_time: 1 s}
+  valve: {type: stenman, d: 2.0}
+  sample_time: 1 s
+experiment: {duration: 120 s, setpoint: {step: 4, at: 0 s}}
+objective: {w1: 0.5, w3: 0.5}
+cases:
+  - {name: Case 1, Kc: 0.5, Ti: 20 s}
+  - {name: "[bold]Case 2", Kc: 0.5, Ti: 200 s}
+analyze: {limit_cycle: false}
+"""
+TUNE = "  - {name: PI, tune: {Td: 0 s, restarts: 1}}\nanalyze:"
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "good.yaml").write_text(GOOD)
+    (tmp_path / "bad.yaml").write_text(GOOD.replace("gain: 1.0", "gain: x"))
+    return tmp_path
+
+
+def call(*arguments: object) -> tuple[int, str, str]:
+    result = CliRunner().invoke(app, [str(a) for a in arguments])
+    if result.exception is not None and not isinstance(result.exception, SystemExit):
+        raise result.exception
+    return result.exit_code, result.stdout, result.stderr
+
+
+def record(folder: Path, name: str = "loop.csv") -> Path:
+    loop = wb.Loop(wb.FOPDT(1.0, 6.0, 2.0), wb.Stenman(1.0), wb.PID(0.6, 15.0), 1.0)
+    experiment = wb.Experiment(900.0, (wb.Step(2.0), wb.Step(1.5, 300.0)), noise=wb.Noise(0.02, 3))
+    run = wb.simulate(loop, experiment)
+    rows = np.column_stack([run.time, run.sp, run.pv, run.op])
+    np.savetxt(folder / name, rows, delimiter=",", header="time,SP,PV,OP", comments="")
+    return folder / name
+
+
+def strict(text: str) -> dict[str, object]:
+    def refuse(name: str) -> object:
+        raise AssertionError(f"{name} is no strict JSON")
+
+    return json.loads(text, parse_constant=refuse)
+
+
+# starting ----------------------------------------------------------------------------------------------------------
+
+
+HEAVY = ["casadi", "numba", "scipy", "matplotlib", "control", "bokeh", "numpy", "pyarrow", "ruamel", "jinja2"]
+
+
+@pytest.mark.parametrize("arguments", [["--help"], ["--version"], ["run", "--help"], ["schema"]])
+def test_help_loads_nothing_heavy(arguments: list[str]) -> None:
+    code = f"""
+import sys
+from workbench.cli import main
+sys.argv = ["workbench", *{arguments!r}]
+try:
+    main()
+except SystemExit as end:
+    assert not end.code
+heavy = set({HEAVY!r})
+found = heavy & set(sys.modules)
+assert not found, found
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False, timeout=60)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout
+
+
+def test_version_help_and_usage() -> None:
+    assert call("--version") == (0, f"workbench {wb.__version__}\n", "")
+    code, out, _ = call("--help")
+    assert code == 0
+    for command in ("run", "check", "schema", "estimate", "tune"):
+        assert command in out
+    assert call("nonsense")[0] == 2
+    assert call("run")[0] == 2
+    assert call("estimate", "a.csv", "--nonsense")[0] == 2
+
+
+def test_schema_is_the_committed_one() -> None:
+    code, out, _ = call("schema")
+    assert code == 0
+    assert strict(out)["title"] == "ScenarioFile"
+
+
+# run and check -----------------------------------------------------------------------------------------------------
+
+
+def test_run_writes_a_report_for_each_scenario(folder: Path) -> None:
+    (folder / "other.yaml").write_text(GOOD.replace("A short run", "Another"))
+    code, out, err = call("run", "good.yaml", "other.yaml", "--out", "there")
+    assert (code, err) == (0, "")
+    for name in ("good", "other"):
+        files = {p.name for p in (folder / "there" / name).iterdir()}
+        assert {"report.html", "results.json", "cases.csv", "run.json"} <= files
+        assert str(Path("there") / name / "report.html") in out
+        results = strict((folder / "there" / name / "results.json").read_text())
+        assert [case["name"] for case in results["cases"]] == ["Case 1", "[bold]Case 2"]  # type: ignore[index, attr-defined]
+    assert "A short run" in out
+    assert "Another" in out
+    # What a scenario writes is text, not markup.
+    assert "[bold]Case 2" in out
+
+
+def test_all_files_are_checked_before_anything_runs(folder: Path) -> None:
+    code, out, err = call("run", "good.yaml", "bad.yaml", "none.yaml", "--out", "there")
+    assert (code, out) == (2, "")
+    assert err.splitlines() == [
+        "bad.yaml:3:30: loop.plant.gain: x given; must be a number",
+        "none.yaml: no such file",
+    ]
+    assert not (folder / "there").exists()
+
+
+def test_reports_of_the_same_name_are_refused(folder: Path) -> None:
+    (folder / "sub").mkdir()
+    (folder / "sub" / "good.yaml").write_text(GOOD)
+    code, _, err = call("run", "good.yaml", "sub/good.yaml")
+    assert code == 2
+    assert "2 files named good" in err
+    assert not (folder / "reports").exists()
+
+
+@pytest.mark.parametrize("command", [["run", "good.yaml"], ["estimate", "loop.csv"]])
+def test_an_output_folder_that_cannot_be_written_is_refused_before_the_work(
+    folder: Path, command: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    record(folder)
+    (folder / "file").write_text("in the way")
+    monkeypatch.setattr(scenario_runner, "simulate", lambda *_: pytest.fail("the work has begun"))
+    before = sorted(folder.iterdir())
+    for where in ("file", "file/deeper"):
+        code, out, err = call(*command, "--out", where)
+        assert (code, out) == (2, "")
+        assert "cannot be written" in err
+        assert len(err.splitlines()) == 1
+    assert sorted(folder.iterdir()) == before
+
+
+def test_check_reads_scenarios_and_runs_nothing(folder: Path) -> None:
+    assert call("check", "good.yaml") == (0, "good.yaml: ok (2 cases)\n", "")
+    code, out, err = call("check", "good.yaml", "bad.yaml")
+    assert (code, out) == (2, "")
+    assert err == "bad.yaml:3:30: loop.plant.gain: x given; must be a number\n"
+    assert sorted(p.name for p in folder.iterdir()) == ["bad.yaml", "good.yaml"]
+
+
+def test_a_tuning_that_failed_gives_exit_code_1_and_a_report(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from dataclasses import replace
+
+    (folder / "good.yaml").write_text(GOOD.replace("analyze:", TUNE))
+    true_tune = scenario_runner.tune
+    monkeypatch.setattr(
+        scenario_runner, "tune", lambda *a, **k: replace(true_tune(*a, **k), status=SolveStatus.UNVERIFIED)
+    )
+    code, _, err = call("run", "good.yaml")
+    assert code == 1
+    assert err.startswith("PI: not verified by exact re-simulation")
+    assert (folder / "reports" / "good" / "report.html").exists()
+
+
+def test_an_interrupt_ends_with_130_and_keeps_the_last_report(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert call("run", "good.yaml")[0] == 0
+    before = {p: p.read_bytes() for p in (folder / "reports" / "good").iterdir()}
+
+    def interrupt(*_: object, **__: object) -> object:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(scenario_runner, "simulate", interrupt)
+    code, out, err = call("run", "good.yaml")
+    assert (code, out) == (130, "")
+    assert err.startswith("workbench: interrupted")
+    assert {p: p.read_bytes() for p in (folder / "reports" / "good").iterdir()} == before
+
+
+@pytest.mark.skipif(os.name == "nt", reason="sends SIGINT")
+def test_ctrl_c_says_one_line(folder: Path) -> None:
+    (folder / "long.yaml").write_text(
+        GOOD.replace("120 s", "400000 s").replace("analyze: {limit_cycle: false}", TUNE.split("analyze")[0])
+    )
+    code = "from workbench.cli import main; import sys; sys.argv = ['workbench', 'run', 'long.yaml']; main()"
+    process = subprocess.Popen([sys.executable, "-c", code], stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+    try:
+        # The folder is probed before the work starts; by then the loader is long done.
+        time.sleep(4.0)
+        process.send_signal(signal.SIGINT)
+        _, err = process.communicate(timeout=60)
+    finally:
+        process.kill()
+    assert process.returncode == 130, err
+    assert err == "workbench: interrupted; the last complete report is left as it was\n"
+    assert not (folder / "reports").exists()
+
+
+# estimate and tune ---------------------------------------------------------------------------------------------------
+
+
+def test_estimate_ends_with_model_interval_verdict_and_figure(folder: Path) -> None:
+    record(folder)
+    code, out, err = call("estimate", "loop.csv", "--out", "there")
+    assert (code, err) == (0, "")
+    for words in ("Model ", "gain", "Valve ", "d: ", "(95 %)", "Verdict    the valve sticks", "Stem ", "estimate.svg"):
+        assert words in out
+    there = folder / "there" / "loop_estimate"
+    assert (there / "estimate.svg").read_text().startswith("<?xml")
+    lines = (there / "estimate.csv").read_text().splitlines()
+    assert lines[0] == "time,SP,PV,prediction,OP,valve_position"
+    assert len(lines) == 901
+    content = strict((there / "estimate.json").read_text())
+    assert content["verdict"] == "stiction"
+    assert sorted(p.name for p in there.iterdir()) == ["estimate.csv", "estimate.json", "estimate.svg"]
+
+
+def test_estimate_as_json_writes_no_file(folder: Path) -> None:
+    record(folder)
+    before = sorted(folder.iterdir())
+    code, out, err = call("estimate", "loop.csv", "--json", "--column", "PV=PV", "--sample-time", "1 s")
+    assert (code, err) == (0, "")
+    content = strict(out)
+    assert content["plant"]["type"] == "fopdt"  # type: ignore[index]
+    low, high = content["intervals"]["d"]  # type: ignore[index]
+    assert low <= content["valve"]["d"] <= high  # type: ignore[index]
+    assert len(content["valve_position"]) == 900  # type: ignore[arg-type]
+    assert sorted(folder.iterdir()) == before
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["none.csv"], "no such file"),
+        (["."], "directory"),
+        (["loop.csv", "--method", "magic"], "--method: magic given; must be one of profile, two_step"),
+        (["loop.csv", "--column", "PV"], "must be SIGNAL=NAME"),
+        (["loop.csv", "--column", "PV=none"], "no such column"),
+        (["loop.csv", "--sample-time", "5"], '--sample-time: 5 given; must be a time with its unit, such as "5 s"'),
+        (["loop.csv", "--start", "2"], "two_step"),
+    ],
+)
+def test_bad_arguments_of_estimate_are_one_clear_line(folder: Path, arguments: list[str], words: str) -> None:
+    record(folder)
+    before = sorted(folder.iterdir())
+    code, out, err = call("estimate", *arguments)
+    assert (code, out) == (2, "")
+    assert words in err
+    assert len(err.splitlines()) == 1
+    assert sorted(folder.iterdir()) == before
+
+
+def test_tune_prints_the_settings_of_a_scenario(folder: Path) -> None:
+    (folder / "good.yaml").write_text(GOOD.replace("analyze:", TUNE))
+    code, out, err = call("tune", "good.yaml", "--Kc", "0.2:0.4", "--objective", "w1=1", "--seed", 2)
+    assert (code, err) == (0, "")
+    assert out.startswith("PI: Kc 0.")
+    assert "solved" in out
+    code, out, _ = call("tune", "good.yaml", "--Kc", "0.3", "--json")
+    (tuning,) = strict(out)["tunings"]  # type: ignore[misc]
+    assert (code, tuning["status"], tuning["controller"]["Kc"]) == (0, "solved", 0.3)
+    assert not (folder / "reports").exists()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["good.yaml", "--objective", "w5=1"], "--objective"),
+        (["good.yaml", "--objective", "w1=0"], "at least one"),
+        (["good.yaml", "--Ti", "20"], "--Ti: 20 given; must be a time with its unit"),
+        (["good.yaml", "--Kc", "3:1"], "low <= high"),
+        (["good.yaml", "--step", "3"], "--step"),
+        (["bad.yaml"], "bad.yaml:3:30"),
+    ],
+)
+def test_bad_arguments_of_tune_are_one_clear_line(folder: Path, arguments: list[str], words: str) -> None:
+    code, out, err = call("tune", *arguments)
+    assert (code, out) == (2, "")
+    assert words in err
+    assert len(err.splitlines()) == 1
