@@ -1,0 +1,78 @@
+"""What is said where the describing function and the exact simulation agree, and where they do not."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import pytest
+from loops import paper_loop, paper_step
+
+import workbench as wb
+from workbench.analyze.agreement import agreement
+from workbench.analyze.relaxation import relaxation_condition, relaxation_period
+
+
+def both(loop: wb.Loop) -> str:
+    return agreement(wb.describing_function(loop), wb.limit_cycle(loop, paper_step()))
+
+
+def test_case_1_is_the_blind_spot() -> None:
+    sentence = both(paper_loop(0.5, 20.0))
+    assert "predicts no cycle, but the loop cycles" in sentence
+    assert "relaxation cycle" in sentence
+    assert "Kc K J/S < 1 and Ti > tau + theta" in sentence
+
+
+def test_case_4_agrees_with_its_errors() -> None:
+    sentence = both(paper_loop(2.01, 301.0))
+    assert sentence.startswith("Both say that the loop cycles")
+    assert "period is 2 % too small" in sentence
+    assert "PV swing 20 % too small" in sentence
+
+
+def test_a_miss_outside_the_known_condition_is_not_explained_by_it() -> None:
+    sentence = both(paper_loop(1.32, 196.0, 1.0, derivative_filter=10.0))
+    assert sentence == "The describing function predicts no cycle, but the loop cycles: it misses this cycle."
+
+
+def test_both_say_no_cycle() -> None:
+    assert both(replace(paper_loop(0.5, 20.0), valve=wb.Ideal())) == "Both say that the loop does not cycle."
+
+
+def test_the_start_is_named_where_it_decides() -> None:
+    loop = replace(paper_loop(0.5, 20.0), valve=wb.Choudhury(2.0, 0.5))
+    assert "from this start (from 7 of 8 others it cycles)" in both(loop)
+    assert "cycles from some starts" in agreement(wb.describing_function(loop), wb.limit_cycle(loop))
+
+
+def test_a_predicted_cycle_that_does_not_exist_is_named() -> None:
+    loop = paper_loop(2.01, 301.0)
+    settled = wb.limit_cycle(replace(loop, valve=wb.Ideal()))
+    sentence = agreement(wb.describing_function(loop), settled)
+    assert "that does not exist: the loop settles" in sentence
+
+
+def test_no_verdict_is_not_compared() -> None:
+    loop = paper_loop(20.0, 20.0)
+    assert "no verdict to compare with" in agreement(wb.describing_function(loop), wb.limit_cycle(loop))
+
+
+def test_the_relaxation_formula_by_hand_and_its_conditions() -> None:
+    # Case 1: [20 (2/(0.5 1 2) - 1) + 5 + 1] / (1/4) = 104 s.
+    assert relaxation_period(paper_loop(0.5, 20.0)) == pytest.approx(104.0)
+    assert relaxation_period(paper_loop(0.5, 20.0), split=0.1) == pytest.approx(26.0 / 0.09)
+    two_parameter = replace(paper_loop(0.5, 20.0), valve=wb.Choudhury(2.0, 1.0))
+    assert relaxation_period(two_parameter) == pytest.approx(4.0 * (20.0 * 3.0 + 6.0))
+    for loop in (
+        paper_loop(1.01, 20.0),
+        paper_loop(0.5, 5.9),
+        paper_loop(0.5, 20.0, 1.0),
+        paper_loop(0.5, math.inf),
+        paper_loop(0.5, 20.0, action="direct"),
+        replace(paper_loop(0.5, 20.0), valve=wb.Deadband(2.0)),
+        replace(paper_loop(0.5, 20.0), valve=wb.Ideal()),
+        replace(paper_loop(0.5, 20.0), plant=wb.Integrating(0.1)),
+    ):
+        assert not relaxation_condition(loop)
+        assert math.isnan(relaxation_period(loop))
