@@ -17,7 +17,7 @@ from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormat
 from workbench.model.record import FloatArray, Record
 from workbench.model.results import DescribingFunction, Estimate, LimitCycle, Run, Tuned
 from workbench.report.style import LINEAR, OP, PREDICTION, PV, SP, VALVE, Style, case_style
-from workbench.report.words import duration, figure, given, label
+from workbench.report.words import ROUNDING, duration, figure, given, label
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -238,7 +238,7 @@ def profile(ax: Axes, found: Estimate, window: tuple[float, float] | None = None
     window: (low, high) of d, %, without the linear fit; the whole profile by default.
     """
     finite = np.isfinite(found.profile_cost)
-    d, cost = found.profile_d[finite], found.profile_cost[finite]
+    d, cost = found.profile_d[finite], np.maximum(found.profile_cost[finite], ROUNDING)
     order = np.argsort(d, kind="stable")
     d, cost = d[order], cost[order]
     if window is not None:
@@ -255,10 +255,15 @@ def profile(ax: Axes, found: Estimate, window: tuple[float, float] | None = None
         ax.axhline(found.linear.residual_variance, label="linear fit", **LINEAR)
     best = found.valve.stick_band
     if best > 0.0:
-        ax.plot([best], [found.residual_variance], "o", color="#D55E00", markersize=4, label=f"d = {figure(best)} %")
-    lowest = min(float(cost.min(initial=math.inf)), found.residual_variance, found.linear.residual_variance)
-    if 0.0 < lowest < math.inf:
-        _log(ax.yaxis)
+        ax.plot(
+            [best],
+            [max(found.residual_variance, ROUNDING)],
+            "o",
+            color="#D55E00",
+            markersize=4,
+            label=f"d = {figure(best)} %",
+        )
+    _log(ax.yaxis)
     ax.set_xlabel("d (%)")
     if window is None:
         _finish(ax, "residual variance (EU²)")
@@ -268,14 +273,16 @@ def profile(ax: Axes, found: Estimate, window: tuple[float, float] | None = None
 
 
 def convergence(ax: Axes, below: Axes, found: Estimate) -> None:
-    """Draw the two-step algorithm's d and residual variance, iteration by iteration."""
+    """Draw the two-step algorithm's d and residual variance, iteration by iteration.
+
+    Residuals below 1e-12 EU² are rounding error and drawn there.
+    """
     steps = np.arange(len(found.iterations))
     ax.plot(steps, [i.d for i in found.iterations], "o-", color="#0072B2", markersize=3, linewidth=1.0, label="d")
     _finish(ax, "d (%)")
-    costs = [i.residual_variance for i in found.iterations]
+    costs = [max(i.residual_variance, ROUNDING) for i in found.iterations]
     below.plot(steps, costs, "s-", color="#D55E00", markersize=3, linewidth=1.0, label="residual variance")
-    if costs and min(costs) > 0.0:
-        _log(below.yaxis)
+    _log(below.yaxis)
     _finish(below, "variance (EU²)")
     below.set_xlabel("iteration")
     below.xaxis.set_major_locator(MaxNLocator(integer=True))

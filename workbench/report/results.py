@@ -1,7 +1,8 @@
 """`results.json`, `cases.csv` and `run.json`: a study's figures for other programs.
 
 results.json and cases.csv hold nothing that changes from one run to the next; times, versions and machine are
-run.json's. Numbers carry 12 significant digits, so that the last bits in which machines differ do not show.
+run.json's. Numbers carry 12 significant digits, and 0 for what is below 1e-12, so that the last bits in which machines
+differ do not show.
 """
 
 from __future__ import annotations
@@ -24,6 +25,7 @@ from workbench.model.plant import FOPDT, Plant
 from workbench.model.results import DescribingFunction, Kpis, LimitCycle, Tuned
 from workbench.model.study import CaseResult, NamedEstimate, Study
 from workbench.model.valve import Valve
+from workbench.report.words import ROUNDING
 
 __all__ = ["cases_csv", "controller_content", "results_content", "results_json", "run_json", "strict"]
 
@@ -40,7 +42,9 @@ def strict(value: Any) -> Any:
             return None
         if math.isinf(value):
             return "Infinity" if value > 0 else "-Infinity"
-        return float(f"{value:.{DIGITS}g}") + 0.0  # no negative zero
+        if abs(value) < ROUNDING:
+            return 0.0
+        return float(f"{value:.{DIGITS}g}")
     if isinstance(value, Mapping):
         return {str(k): strict(v) for k, v in value.items()}
     if isinstance(value, Sequence):
@@ -139,6 +143,11 @@ def _case(case: CaseResult) -> dict[str, Any]:
     }
 
 
+def aic(value: float, residual_variance: float) -> float:
+    """Return an AIC, or nan where the residuals are rounding error and their logarithm means nothing."""
+    return value if residual_variance >= ROUNDING else math.nan
+
+
 def _estimate(named: NamedEstimate) -> dict[str, Any]:
     found = named.found
     return {
@@ -152,16 +161,18 @@ def _estimate(named: NamedEstimate) -> dict[str, Any]:
         "identifiable": found.identifiable,
         "bias": found.bias,
         "residual_variance": found.residual_variance,
-        "aic": found.aic,
+        "aic": aic(found.aic, found.residual_variance),
         "noise_sd": found.noise_sd,
         "slips": found.slips,
         "linear": {
             "plant": _plant(found.linear.plant),
             "bias": found.linear.bias,
             "residual_variance": found.linear.residual_variance,
-            "aic": found.linear.aic,
+            "aic": aic(found.linear.aic, found.linear.residual_variance),
         },
-        "iterations": [{**_plain(i), "plant": _plant(i.plant)} for i in found.iterations],
+        "iterations": [
+            {**_plain(i), "plant": _plant(i.plant), "aic": aic(i.aic, i.residual_variance)} for i in found.iterations
+        ],
         "record": {
             "samples": len(found.record),
             "sample_time": found.record.sample_time,

@@ -11,7 +11,7 @@ from workbench.model.plant import FOPDT, Plant
 from workbench.model.results import DescribingFunction, LimitCycle, LimitCycleStart, Tuned
 from workbench.model.study import CaseResult, NamedEstimate, Study
 from workbench.model.valve import Choudhury, Deadband, Stenman, Valve
-from workbench.report.results import reference_names
+from workbench.report.results import aic, reference_names
 from workbench.report.words import (
     decimals_of,
     difference,
@@ -396,7 +396,12 @@ def estimate_table(named: NamedEstimate) -> Table:
     for title, unit, ours, theirs in (
         ("Bias (PV at stem 0)", "EU", found.bias, found.linear.bias),
         ("Residual variance", "EU²", found.residual_variance, found.linear.residual_variance),
-        ("AIC", "", found.aic, found.linear.aic),
+        (
+            "AIC",
+            "",
+            aic(found.aic, found.residual_variance),
+            aic(found.linear.aic, found.linear.residual_variance),
+        ),
     ):
         middle = tuple(Cell("") for _ in range(blanks + 1))
         rows.append(Row(title, unit, (Cell(figure(ours)), *middle, Cell(figure(theirs)))))

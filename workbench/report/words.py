@@ -30,25 +30,28 @@ __all__ = [
     "valve_words",
 ]
 
+ROUNDING = 1e-12
+
 _CONTROL = re.compile("[\x00-\x08\x0b\x0c\x0e-\x1f\x7f\ud800-\udfff\ufffe\uffff]")
 
 
 def figure(value: float, digits: int = 4) -> str:
-    """Return a number at `digits` significant digits: "0.4571", "12.18", "1,220", "−3.1", "1.2e-07"; "–" for nan.
+    """Return a number at `digits` significant digits: "0.4571", "12.18", "1,220", "−3.1", "1.2e−7"; "–" for nan.
 
-    Whole digits before the decimal point are never rounded away below a million.
+    Whole digits before the decimal point are never rounded away below a million. What is smaller than 1e-12 is rounding
+    error in this project's units, and shown as 0.
     """
     if math.isnan(value):
         return "–"
     if math.isinf(value):
         return "∞" if value > 0 else "−∞"
-    if value == 0.0:
+    if abs(value) < ROUNDING:
         return "0"
     size = abs(value)
     magnitude = math.floor(math.log10(float(f"{size:.{digits - 1}e}")))
     if magnitude < -4 or magnitude >= 6:
         mantissa, exponent = f"{size:.{digits - 1}e}".split("e")
-        text = f"{mantissa}e{int(exponent)}"
+        text = f"{mantissa}e{int(exponent)}".replace("-", "−")
     else:
         text = f"{size:,.{max(0, digits - 1 - magnitude)}f}"
     return f"−{text}" if value < 0 else text
@@ -56,8 +59,8 @@ def figure(value: float, digits: int = 4) -> str:
 
 def given(value: float, digits: int = 4) -> str:
     """Return a given (not measured) number at up to `digits` significant digits, without trailing zeros: "1", "0.5"."""
-    text = figure(value, digits)
-    return text.rstrip("0").rstrip(".") if "." in text and "e" not in text else text
+    mantissa, e, exponent = figure(value, digits).partition("e")
+    return (mantissa.rstrip("0").rstrip(".") if "." in mantissa else mantissa) + e + exponent
 
 
 def setting(value: float, digits: int | None = None) -> str:
