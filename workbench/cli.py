@@ -399,7 +399,8 @@ def _print_study(study: Study) -> None:
         return
     table = Table(box=None, pad_edge=False)
     table.add_column("case", overflow="fold")
-    for title in ("Kc", "Ti, s", "Td, s", "error variance", "valve travel, %", "J"):
+    costs = [] if study.objective is None else ["J"]
+    for title in ("Kc", "Ti, s", "Td, s", "error variance", "valve travel, %", *costs):
         table.add_column(title, justify="right")
     for case in study.cases:
         controller, digits = case.loop.controller, case.tuned.digits if case.tuned is not None else None
@@ -408,6 +409,6 @@ def _print_study(study: Study) -> None:
             *(setting(value, digits) for value in (controller.Kc, controller.Ti, controller.Td)),
             figure(case.run.kpis.error_variance),
             figure(case.run.kpis.valve_travel),
-            "" if case.objective is None else figure(case.objective, 5),
+            *([] if case.objective is None else [figure(case.objective, 5)]),
         )
     console.print(table)

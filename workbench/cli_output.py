@@ -18,7 +18,7 @@ from workbench.model.study import NamedEstimate, Study
 from workbench.model.valve import Ideal, Stenman
 from workbench.report.figures import estimate_figure, save_svg
 from workbench.report.results import controller_content, results_content, strict
-from workbench.report.words import controller_words, figure, interval, plant_words, valve_words
+from workbench.report.words import controller_words, figure, given, interval, plant_words, valve_words
 from workbench.scenario.retune import Retuned
 
 __all__ = ["estimate_json", "estimate_lines", "exit_code", "tuned_json", "tuned_lines", "write_estimate"]
@@ -30,7 +30,7 @@ def estimate_lines(found: Estimate) -> list[str]:
     """Return model, stiction with its interval, verdict and reasons, one line each."""
     record = found.record
     seconds = len(record) * record.sample_time
-    lines = [f"Record     {len(record)} samples of {figure(record.sample_time)} s ({figure(seconds / 3600.0, 3)} h)"]
+    lines = [f"Record     {len(record)} samples of {given(record.sample_time)} s ({figure(seconds / 3600.0, 3)} h)"]
     lines += [f"           {note}" for note in record.notes]
     lines.append(f"Model      {plant_words(found.plant)}")
     for name, unit in (("gain", ""), ("time_constant", "s"), ("dead_time", "s")):

@@ -164,4 +164,5 @@ def test_a_found_loop_is_tuned_and_what_was_assumed_is_said(tmp_path: Path) -> N
     assert tuned.loop.plant == found.plant
     assert tuned.experiment.duration == 100.0
     assert tuned.objective <= tuned.start_objective
-    assert "setpoint step of 2 EU" in result.assumed[0]
+    assert result.assumed[0] == "the record's loop: the valve sticks"
+    assert "setpoint step of 2 EU" in result.assumed[1]

@@ -145,7 +145,10 @@ def tune_found(found: Estimate, wishes: Wishes, progress: Progress | None = None
         f"{name} {low:g} to {high:g} {unit}"
         for name, (low, high), unit in (("Kc", bounds.Kc, "%/EU"), ("Ti", bounds.Ti, "s"), ("Td", bounds.Td, "s"))
     )
-    assumed = (task, f"bounds {searched}", f"{action} action, derivative on PV")
+    verdict = {"stiction": "the valve sticks", "no_stiction": "no stiction"}.get(
+        found.verdict, "undecided whether the valve sticks, so take this tuning as a hint"
+    )
+    assumed = (f"the record's loop: {verdict}", task, f"bounds {searched}", f"{action} action, derivative on PV")
     return Retuned("Tuned for the record's loop", tune_case(loop, experiment, job, progress), assumed)
 
 
