@@ -211,6 +211,7 @@ def test_cells_that_spreadsheets_would_run_are_defused(text: str) -> None:
 def test_an_interrupted_run_leaves_the_last_good_report(
     study: Study, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    study = replace(study, cases=study.cases[:1], estimates=())
     write_report(study, tmp_path)
     before = read(tmp_path)
     other = replace(study, title="Another title")
@@ -255,7 +256,7 @@ def test_figures_of_a_former_run_are_removed_and_others_kept(study: Study, tmp_p
 def test_a_folder_that_cannot_be_written(study: Study, tmp_path: Path, where: str) -> None:
     (tmp_path / "a_file").write_text("in the way")
     with pytest.raises(OutputError, match="is a file, not a folder") as caught:
-        write_report(study, tmp_path / where)
+        write_report(replace(study, cases=(), estimates=()), tmp_path / where)
     assert "\n" not in str(caught.value)
     assert read(tmp_path) == {"a_file": b"in the way"}
 
@@ -266,10 +267,10 @@ def test_a_study_of_nothing_has_a_page(tmp_path: Path) -> None:
 
 
 def test_many_cases_of_wild_names_and_an_unstable_one(study: Study, case: Callable[..., Any], tmp_path: Path) -> None:
-    cases = [replace(study.cases[0], name=f"名 {i} _$\\frac{{" + "x" * 80) for i in range(16)]
+    cases = [replace(study.cases[0], name=f"名 {i} _$\\frac{{" + "x" * 80) for i in range(8)]
     cases += [replace(case("same", 50.0, 5.0), name=n) for n in ("same", "SAME", "_same")]
     write_report(replace(study, cases=tuple(cases), estimates=()), tmp_path)
-    assert len(list(tmp_path.glob("trend_*.svg"))) == 19
+    assert len(list(tmp_path.glob("trend_*.svg"))) == 11
     assert "the loop is unstable" in (tmp_path / "report.html").read_text(encoding="utf-8")
     for path in tmp_path.glob("*.svg"):
         assert not re.search(r'd="[^"]*(nan|inf)', path.read_text(encoding="utf-8"))

@@ -1,6 +1,6 @@
 """What is drawn on given axes: the parts that the figures and `wb.plot` share. Layout only.
 
-Long signals are thinned to what can be seen: the first, least, largest and last value of each pixel column, and each
+Long signals are thinned to what can be seen: the extreme values of each pixel column, and each
 stretch of a phase plot once.
 """
 
@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
+from numpy.typing import NDArray
 
 from workbench.model.record import FloatArray, Record
 from workbench.model.results import DescribingFunction, Estimate, LimitCycle, Run, Tuned
@@ -47,22 +48,25 @@ __all__ = [
 
 COLUMNS = 500  # pixel columns of a figure's plot area: half a point of a page-wide trend
 BEYOND = 1e9  # EU or %: a signal that grows past this has left every plant, and its figure
-CELLS = 400.0  # cells along each side of a phase plot, within which points are one
+GRIDS = (400, 200, 100, 50, 25)  # cells along each side of a phase plot, within which points are one
+STRETCHES = 2500  # of a phase plot, above which the next coarser grid is taken
 
 
 def thin(x: FloatArray, y: FloatArray, columns: int = COLUMNS) -> tuple[FloatArray, FloatArray]:
     """Return the samples of an evenly spaced signal that show in `columns` pixel columns, in order.
 
-    Signals of up to four samples a column are returned whole; nothing that reaches a column's ends is lost.
+    Signals of up to four samples a column are returned whole; a column's least and largest values are always kept.
     """
     n = x.size
     if n <= 4 * columns:
         return x, y
     keep: list[int] = []
+    dense = n > 16 * columns  # a column is a stroke from its least to its largest value
     edges = np.linspace(0, n, columns + 1).astype(int)
     for first, stop in pairwise(edges.tolist()):
         part = y[first:stop]
-        keep += sorted({first, first + int(np.argmin(part)), first + int(np.argmax(part)), stop - 1})
+        ends = {first, stop - 1} if not dense or first == 0 or stop == n else set()
+        keep += sorted({first + int(np.argmin(part)), first + int(np.argmax(part))} | ends)
     return x[keep], y[keep]
 
 
@@ -75,36 +79,39 @@ def seen(signal: FloatArray, limit: float = BEYOND) -> FloatArray:
 def phase(x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return a phase plot's line with every stretch drawn once; nan separates stretches that do not join.
 
-    Points are told apart on a grid of 400 x 400 cells over the signals' ranges.
+    Points are told apart on a grid over the signals' ranges, of 400 x 400 cells, or coarser where noise fills it.
     """
     both = np.isfinite(seen(x)) & np.isfinite(seen(y))
     x, y = x[both], y[both]
     if x.size < 2:
         return x, y
-    cells = []
+    for cells in GRIDS:
+        moved, first = _stretches(x, y, cells)
+        if first.size <= STRETCHES:
+            break
+    if first.size == 0:
+        return x[moved], y[moved]
+    # A stretch that does not begin where the last one ended is set off by a gap.
+    gap = np.concatenate(([False], np.diff(first) != 1))
+    ends = np.concatenate(([0], np.cumsum(1 + 2 * gap[1:]))) + 1  # place of each stretch's end in the line
+    px, py = np.full(int(ends[-1]) + 1, math.nan), np.full(int(ends[-1]) + 1, math.nan)
+    for out, signal in ((px, x), (py, y)):
+        out[ends - 1] = signal[moved[first]]
+        out[ends] = signal[moved[first + 1]]
+    return px, py
+
+
+def _stretches(x: FloatArray, y: FloatArray, cells: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return the samples that enter another cell, and which of the stretches between them are new, in order."""
+    places = []
     for signal in (x, y):
         low, high = float(signal.min()), float(signal.max())
-        cells.append(np.round((signal - low) * (CELLS / (high - low) if high > low else 0.0)).astype(np.int64))
-    moved = np.flatnonzero(np.concatenate(([True], (np.diff(cells[0]) != 0) | (np.diff(cells[1]) != 0))))
-    code = (cells[0] * 1000 + cells[1])[moved]
-    if code.size < 2:
-        return x[moved], y[moved]
-    stretch = np.minimum(code[:-1], code[1:]) * 1_000_000 + np.maximum(code[:-1], code[1:])
-    first = np.sort(np.unique(stretch, return_index=True)[1])
-    px: list[float] = []
-    py: list[float] = []
-    last = -1
-    for i in first.tolist():
-        if i != last:
-            if px:
-                px.append(math.nan)
-                py.append(math.nan)
-            px.append(float(x[moved[i]]))
-            py.append(float(y[moved[i]]))
-        px.append(float(x[moved[i + 1]]))
-        py.append(float(y[moved[i + 1]]))
-        last = i + 1
-    return np.array(px), np.array(py)
+        places.append(np.round((signal - low) * (cells / (high - low) if high > low else 0.0)).astype(np.int64))
+    code = places[0] * 1000 + places[1]
+    moved = np.flatnonzero(np.concatenate(([True], np.diff(code) != 0)))
+    code = code[moved]
+    pair = np.minimum(code[:-1], code[1:]) * 1_000_000 + np.maximum(code[:-1], code[1:])
+    return moved, np.sort(np.unique(pair, return_index=True)[1])
 
 
 def time_axis(span: float) -> tuple[float, str]:
