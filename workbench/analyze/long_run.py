@@ -129,13 +129,6 @@ class _Follower:
         still_y = STILL * self.scale.pv + 1e-12 * (float(np.abs(y).max()) + abs(self.r))
         if np.ptp(u) > still_u or np.ptp(x) > still_u or np.ptp(y) > still_y:
             return ""
-        # Motion below the tolerance may still be a slow approach: the plant has to be where the stem will hold it.
-        v = float(x[-1]) + self.load
-        if isinstance(self.loop.plant, FOPDT):
-            if abs(float(y[-1]) - self.loop.plant.gain * v) > 10.0 * still_y:
-                return ""
-        elif abs(v) > 10.0 * still_u:
-            return ""
         error = self.r - float(y[-1])
         if abs(error) <= 10.0 * still_y:
             return "PV comes to rest on the setpoint"
@@ -154,12 +147,12 @@ class _Follower:
 def follow(loop: Loop, start: Start) -> LimitCycleStart:
     """Follow one start for at most `BUDGET` samples after the last change of its signals; see the module's head.
 
-    Settles: OP, stem and PV have stood still, PV is where the plant will leave it, and nothing moves the stem on: the
-    error is 0 (both to 1e-8 of the stick band), or there is no integral action, or OP is at its limit. Cycles: after at
-    least `LEAST` samples, the latest three blocks of 16, 32, .. 1,024 stem reversals agree in turn (period 3 %, PV's
-    swing 2 %), or the budget is spent and PV's swing is steady; the last block gives the figures, `reason` says how
-    steady they are. Undecided: PV grows without bound, or the budget is spent without that. `window` runs from the last
-    change of the signals to the end of the first full cycle.
+    Settles: OP, stem and PV have stood still, to 1e-8 of the stick band, and nothing will move the stem: the error is 0
+    as well, or there is no integral action, or OP is at its limit. Cycles: after at least `LEAST` samples, the latest
+    three blocks of 16, 32, .. 1,024 stem reversals agree in turn (period 3 %, PV's swing 2 %), or the budget is spent
+    and PV's swing is steady; the last block gives the figures, `reason` says how steady they are. Undecided: PV grows
+    without bound, or the budget is spent without that. `window` runs from the last change of the signals to the end of
+    the first full cycle.
     """
     run = _Follower(loop, start)
     # Without friction the loop is linear while within its limits, and slow damping is no cycle.
