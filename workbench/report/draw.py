@@ -1,7 +1,7 @@
 """What is drawn on given axes: the parts that the figures and `wb.plot` share. Layout only.
 
-Long signals are thinned to what can be seen: the extreme values of each pixel column, and each
-stretch of a phase plot once.
+Long signals are thinned to what can be seen: the extreme values of each pixel column, and each stretch of a phase plot
+once.
 """
 
 from __future__ import annotations
@@ -162,7 +162,8 @@ def without_kicks(ax: Axes, signals: Sequence[FloatArray]) -> None:
     pad = 0.15 * (high - low)
     ax.set_ylim(low - pad, high + pad)
     text = f"first kicks reach from {given(least, 3)} to {given(most, 3)}"
-    ax.annotate(text, (0.5, 0.98), xycoords="axes fraction", ha="center", va="top", fontsize=7, color="#444444")
+    paper: Style = {"facecolor": "white", "edgecolor": "none", "pad": 1.0}
+    ax.annotate(text, (0.5, 0.98), xycoords="axes fraction", ha="center", va="top", fontsize=7, bbox=paper)
 
 
 def record_pv(ax: Axes, record: Record, unit: float = 1.0) -> None:
