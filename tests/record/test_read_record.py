@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -34,8 +35,9 @@ def table(header: str, rows: int = 12, sep: str = ",") -> str:
     cells = {"t": "{0}", "OP": "{1}", "PV": "{2}", "SP": "7", "MODE": "AUTO", "X": "{1}"}
     kinds = header.split("|")
     lines = [sep.join(k.split("=")[-1] for k in kinds)]
-    for k in range(rows):
-        lines.append(sep.join(cells[kind.split("=")[0]].format(2 * k, 40 + k / 10, 10 - k) for kind in kinds))
+    lines += [
+        sep.join(cells[kind.split("=")[0]].format(2 * k, 40 + k / 10, 10 - k) for kind in kinds) for k in range(rows)
+    ]
     return "\n".join(lines) + "\n"
 
 
@@ -333,10 +335,8 @@ quiet = settings(max_examples=150, deadline=None, suppress_health_check=[HealthC
 @given(content=st.binary(max_size=300), kind=st.sampled_from([b"", b"PAR1", b"PV,OP,t\n", b"\xff\xfe"]))
 def test_random_bytes_give_a_record_or_our_own_error(tmp_path: Path, content: bytes, kind: bytes) -> None:
     path = write(tmp_path, kind + content)
-    try:
+    with suppress(WorkbenchError):
         assert isinstance(read_record(path), Record)
-    except WorkbenchError as error:
-        assert str(error)
 
 
 cells = st.one_of(
@@ -359,11 +359,8 @@ def test_random_tables_give_a_record_or_our_own_error(
 ) -> None:
     lines = [sep.join(header)] + [sep.join(row) for row in rows]
     path = write(tmp_path, "\n".join(lines).encode("utf-8", "replace"))
-    try:
+    with suppress(WorkbenchError):
         record = read_record(path, sample_time=sample_time)
-    except WorkbenchError as error:
-        assert str(error)
-    else:
         assert record.counts["kept"] == len(record)
         assert np.isfinite(record.pv).all()
 

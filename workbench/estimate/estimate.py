@@ -12,6 +12,7 @@ from workbench.errors import InvalidValue
 from workbench.estimate.data import Centred, centre, plant_of
 from workbench.estimate.fit import Fit, fit_linear, fit_nothing, predict, standard_errors, start_range
 from workbench.estimate.profile import Candidate, Profile, path_of, search
+from workbench.estimate.two_parameter import look
 from workbench.estimate.two_step import akaike, two_step
 from workbench.estimate.verdict import WIDE_D, Evidence, judge
 from workbench.model.checks import choice, number
@@ -125,6 +126,7 @@ def _answer(
     delays = found.limits.theta[1] if found is not None else float(_longest(data, None, DELAYS))
     rival = linear if linear.theta <= delays else fit_linear(data, int(delays))
     wide = [] if found is None else [c.fit.sse / n for c in found.fits if c.d >= WIDE_D * data.op_range]
+    dead_band, dead_band_sse = look(data, rival, delays)
     evidence = Evidence(
         samples=n,
         variance=data.variance,
@@ -136,7 +138,10 @@ def _answer(
         op_range=data.op_range,
         nothing=fit_nothing(data) / n,
         wide=min(wide, default=math.inf),
+        two_parameter=dead_band_sse / n,
+        bands=(dead_band.S, dead_band.J),
         linear_delay=rival.theta / n,
+        tau=0.0 if found is None or data.integrating else found.best.fit.tau / n,
         d_range=None if stem is None else stem.intervals.d,
         exact=found is None or found.exact,
         at_limit=found is not None and found.at_limit,

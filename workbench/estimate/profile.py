@@ -289,4 +289,4 @@ def _envelope(data: Centred, fits: list[Candidate]) -> tuple[Candidate, ...]:
                 kept[-1] = c
             continue
         kept.append(c)
-    return tuple(kept)
+    return tuple(sorted(kept, key=lambda c: c.d))

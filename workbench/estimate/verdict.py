@@ -15,9 +15,11 @@ GAIN = 0.10  # least improvement over the linear model that counts
 UNEXPLAINED = 0.05  # least share of PV's variance that the linear model must leave for that to matter
 EXPLAINS = 0.60  # largest share that the sticking stem may leave to count as an explanation
 LINEAR_EXPLAINS = 0.40  # and the linear model, to acquit the valve
-FOLLOWS = 0.70  # share of what no input leaves, below which PV follows OP at all
+FOLLOWS = 0.50  # share of what no input leaves, above which PV hardly follows OP
 LONGEST = 0.10  # of the record, the longest dead time with which the linear model may acquit the valve
 WIDE_D = 0.20  # of OP's range: a stem that sticks as wide as this and fits as well keeps the valve suspect
+SLOWEST = 0.25  # of the record, the longest time constant that the record can show
+NEAR_NOTHING = 0.25  # of d: where bands as narrow as this fit as well, stiction is not needed
 SHARP = 0.10  # widest range of d, relative, that counts as identified
 
 
@@ -26,7 +28,9 @@ class Evidence:
     """What the verdict rests on: residual variances of both models (EU^2), slips, d and its range, the search.
 
     linear: within the same dead times as the stem's; nothing: without any input; wide: the best stem with d above
-    `WIDE_D` of OP's range; linear_delay: the linear model's dead time as a share of the record.
+    `WIDE_D` of OP's range; two_parameter: the best
+    of a coarse grid over valves with (S, J), `bands`; linear_delay: the linear model's dead time, and tau:
+    the stem model's time constant (0 for an integrating plant), as shares of the record.
     """
 
     samples: int
@@ -39,7 +43,10 @@ class Evidence:
     op_range: float
     nothing: float
     wide: float
+    two_parameter: float
+    bands: tuple[float, float]
     linear_delay: float
+    tau: float
     d_range: tuple[float, float] | None
     exact: bool
     at_limit: bool
@@ -54,6 +61,7 @@ def judge(e: Evidence) -> tuple[str, tuple[str, ...], bool]:
     improvement = 1.0 - stem / linear if linear > 0.0 else 0.0
     if e.slips == 0 or e.gain == 0.0:
         reasons.append("no movement of the valve can be seen in PV: the record holds no slip that PV answers")
+        _search_said(e, reasons)
         return "undecided", tuple(reasons), False
     reasons.append(
         f"a stem that sticks within d = {e.d:.3g} % leaves {stem:.1%} of PV's variance unexplained, "
@@ -92,6 +100,13 @@ def _for_health(e: Evidence, reasons: list[str]) -> str:
             "tell them apart"
         )
         return "undecided"
+    gain = 1.0 - e.two_parameter / e.linear if e.linear > 0.0 else 0.0
+    if gain >= GAIN and (e.linear >= UNEXPLAINED * e.variance or gain >= 0.5):
+        reasons.append(
+            f"no staircase of a sticking stem is seen, but a valve with dead band (S = {e.bands[0]:.2g} %, J = "
+            f"{e.bands[1]:.2g} %) would leave only {e.two_parameter / e.variance:.1%}"
+        )
+        return "undecided"
     reasons.append("the linear model explains PV as well: stiction adds nothing that matters")
     return "no_stiction"
 
@@ -105,6 +120,14 @@ def _for_stiction(e: Evidence, stem: float, reasons: list[str]) -> str:
         return "undecided"
     if stem > EXPLAINS:
         reasons.append("the sticking stem fits better than the linear model, but explains too little of PV to decide")
+        return "undecided"
+    if e.tau > SLOWEST:
+        reasons.append(
+            "the model's time constant is longer than a quarter of the record: PV drifts more than it answers the valve"
+        )
+        return "undecided"
+    if e.d_range is not None and e.d_range[0] < NEAR_NOTHING * e.d:
+        reasons.append(f"bands down to {e.d_range[0]:.3g} % fit as well: the record does not need a valve that sticks")
         return "undecided"
     return "stiction"
 

@@ -1,0 +1,437 @@
+"""`wb.estimate` on records of known truth, on bad and adversarial ones, and on real loops."""
+
+from __future__ import annotations
+
+import os
+from contextlib import suppress
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+import workbench as wb
+from workbench.model.results import Estimate
+
+RECORDS = Path(os.environ.get("WORKBENCH_RECORDS", Path(__file__).resolve().parents[2].parent / "shared" / "data"))
+ROOT = Path(__file__).resolve().parents[2]
+
+
+@cache
+def run_of(
+    Kc: float = 0.5,
+    Ti: float = 20.0,
+    steps: tuple[tuple[float, float], ...] = ((4.0, 0.0),),
+    sd: float = 0.0,
+    seed: int = 0,
+    samples: int = 1000,
+    d: float = 2.0,
+    theta: float = 1.0,
+) -> wb.simulate:
+    valve = wb.Stenman(d) if d else wb.Ideal()
+    loop = wb.Loop(wb.FOPDT(2.0, 5.0, theta), valve, wb.PID(Kc=Kc, Ti=Ti), 1.0)
+    noise = wb.Noise(sd, seed)
+    return wb.simulate(loop, wb.Experiment(float(samples), setpoint=[wb.Step(*s) for s in steps], noise=noise))
+
+
+def record_of(**kind: object) -> wb.Record:
+    run = run_of(**kind)
+    return wb.Record(run.pv + 50.0, run.op + 40.0, 1.0)
+
+
+def near(found: Estimate, share: float, theta: float = 1.0) -> bool:
+    plant = found.plant
+    return (
+        isinstance(found.valve, wb.Stenman)
+        and abs(found.valve.d / 2.0 - 1.0) <= share
+        and abs(plant.gain / 2.0 - 1.0) <= share
+        and abs(plant.time_constant / 5.0 - 1.0) <= share
+        and abs(plant.dead_time - theta) <= 0.25
+    )
+
+
+def check(found: Estimate, record: wb.Record) -> None:
+    """What every estimate keeps to."""
+    n = len(record)
+    assert found.valve_position.shape == found.prediction.shape == found.linear.prediction.shape == (n,)
+    assert np.isfinite(found.valve_position).all()
+    assert np.isfinite(found.prediction).all()
+    assert found.verdict in ("stiction", "no_stiction", "undecided")
+    assert found.reasons
+    assert all(found.reasons)
+    assert found.residual_variance == pytest.approx(
+        float(np.mean((record.pv - found.prediction) ** 2)), rel=1e-4, abs=1e-9 * np.var(record.pv)
+    )
+    assert found.profile_d.shape == found.profile_cost.shape
+    assert (np.diff(found.profile_d) >= 0.0).all()
+    for pair in (found.intervals.d, found.intervals.gain, found.intervals.time_constant, found.intervals.dead_time):
+        assert pair is None or pair[0] <= pair[1]
+    if isinstance(found.valve, wb.Stenman) and found.intervals.d is not None:
+        assert found.intervals.d[0] <= found.valve.d <= found.intervals.d[1]
+    assert not (found.identifiable and found.verdict != "stiction")
+
+
+@pytest.mark.parametrize(
+    "kind",
+    [
+        {},
+        {"Kc": 0.3, "Ti": 10.0, "steps": ((8.0, 0.0),)},
+        {"Kc": 0.8, "Ti": 30.0, "steps": ((4.0, 0.0), (-6.0, 500.0))},
+        {"Kc": 0.2, "Ti": 5.0, "steps": ((8.0, 0.0),), "theta": 1.6},
+    ],
+)
+def test_the_benchmark_is_found_within_one_per_cent(kind: dict[str, object]) -> None:
+    record = record_of(**kind)
+    found = wb.estimate(record)
+    check(found, record)
+    theta = float(kind.get("theta", 1.0))
+    assert near(found, 0.01, theta)
+    assert found.plant.dead_time == pytest.approx(theta, abs=0.02)
+    assert found.verdict == "stiction"
+    assert found.identifiable
+    assert np.abs(found.prediction - record.pv).max() < 0.01
+    # The stem before its first slip is known up to what the slip leaves open.
+    stem = run_of(**kind).valve + 40.0
+    assert np.abs(found.valve_position - stem).max() < 0.1
+    moves = int(np.count_nonzero(np.diff(stem)))
+    assert moves <= found.slips <= moves + 1
+    # PV at stem 0: 50 EU at 40 %, 2 EU/%.
+    assert found.bias == pytest.approx(50.0 - 2.0 * 40.0, abs=1.0)
+
+
+def test_the_linear_fit_that_ignores_stiction_is_inflated_and_poor() -> None:
+    found = wb.estimate(record_of())
+    linear = found.linear
+    assert linear.plant.dead_time > 5.0
+    assert linear.plant.time_constant > 8.0
+    assert linear.residual_variance > 0.3 * np.var(found.record.pv)
+    assert linear.aic > found.aic + 1000.0
+    assert linear.aic == pytest.approx(1000.0 * np.log(linear.residual_variance) + 12.0)
+
+
+def test_noise_leaves_the_benchmark_within_five_per_cent() -> None:
+    kinds = [
+        {"Kc": Kc, "Ti": Ti, "steps": steps, "sd": 0.1, "seed": seed}
+        for Kc, Ti in ((0.5, 20.0), (0.4, 15.0), (1.0, 20.0))
+        for steps in (((8.0, 0.0),), ((4.0, 0.0), (-6.0, 500.0)))
+        for seed in range(2)
+    ]
+    found = [wb.estimate(record_of(**kind)) for kind in kinds]
+    decided = [f for f in found if f.slips >= 10]
+    assert len(decided) >= 10
+    assert all(near(f, 0.05) for f in decided)
+    assert sum(f.verdict == "stiction" for f in decided) >= len(decided) - 1
+    # 95 % intervals: of some ten, at most two may miss.
+    for name, truth in (("d", 2.0), ("gain", 2.0), ("time_constant", 5.0), ("dead_time", 1.0)):
+        pairs = [getattr(f.intervals, name) for f in decided]
+        assert sum(low <= truth <= high for low, high in pairs) >= len(pairs) - 2, name
+    assert all(0.08 < f.noise_sd < 0.13 for f in decided)
+
+
+def test_noise_biases_one_step_least_squares_and_not_the_estimate() -> None:
+    record = record_of(steps=((4.0, 0.0), (-6.0, 500.0)), sd=0.2, seed=1)
+    one_step = wb.estimate(record, method="two_step", start=2.0)
+    assert one_step.plant.time_constant < 4.85
+    assert wb.estimate(record).plant.time_constant == pytest.approx(5.0, rel=0.05)
+
+
+def test_a_cycle_without_noise_or_excitation_gives_the_set_and_not_a_point() -> None:
+    run = run_of(samples=3000)
+    record = wb.Record(run.pv[1500:2500], run.op[1500:2500], 1.0)
+    found = wb.estimate(record)
+    check(found, record)
+    assert not found.identifiable
+    assert found.intervals.d is not None
+    low, high = found.intervals.d
+    assert low < 1.9
+    assert high > 2.1
+    assert low <= 2.0 <= high
+    said = " ".join(found.reasons)
+    assert "fits equally well" in said
+    assert "setpoint change" in said
+    # K d is what is known.
+    assert isinstance(found.valve, wb.Stenman)
+    assert found.plant.gain * found.valve.d == pytest.approx(4.0, rel=0.02)
+    moved = record_of(samples=1000, steps=((4.0, 0.0), (-6.0, 500.0)))
+    assert wb.estimate(moved).identifiable
+
+
+def test_few_slips_give_no_confident_verdict() -> None:
+    record = record_of(Ti=200.0)
+    found = wb.estimate(record)
+    check(found, record)
+    assert found.slips < 10
+    assert found.verdict == "undecided"
+    assert not found.identifiable
+    assert any("stem moves" in reason and "at least 10" in reason for reason in found.reasons)
+
+
+def test_a_valve_that_never_slips_is_said_and_not_guessed() -> None:
+    run = run_of(Ti=200.0, steps=((1.0, 0.0),), sd=0.05, samples=200, Kc=0.2)
+    assert not np.diff(run.valve).any()
+    found = wb.estimate(wb.Record(run.pv, run.op, 1.0))
+    assert found.verdict == "undecided"
+    assert not found.identifiable
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_loop_without_stiction_is_not_accused(seed: int) -> None:
+    record = record_of(d=0.0, sd=0.05, seed=seed, steps=((2.0, 0.0), (-3.0, 300.0), (2.0, 700.0)))
+    found = wb.estimate(record)
+    check(found, record)
+    assert found.verdict == "no_stiction"
+    assert isinstance(found.valve, wb.Ideal)
+    assert np.array_equal(found.valve_position, record.op)
+    assert found.plant.gain == pytest.approx(2.0, rel=0.05)
+    assert found.plant.time_constant == pytest.approx(5.0, rel=0.1)
+
+
+def test_an_integrating_plant() -> None:
+    loop = wb.Loop(wb.Integrating(0.05, 3.0), wb.Stenman(0.5), wb.PID(Kc=1.0, Ti=60.0), 1.0)
+    steps = [wb.Step(2.0), wb.Step(-1.0, at=800.0)]
+    run = wb.simulate(loop, wb.Experiment(1500.0, setpoint=steps, noise=wb.Noise(0.02, 1)))
+    record = wb.Record(run.pv, run.op, 1.0, sp=run.sp)
+    found = wb.estimate(record, plant="integrating")
+    check(found, record)
+    assert isinstance(found.plant, wb.Integrating)
+    assert found.plant.gain == pytest.approx(0.05, rel=0.02)
+    assert found.plant.dead_time == pytest.approx(3.0, abs=0.3)
+    assert isinstance(found.valve, wb.Stenman)
+    assert found.valve.d == pytest.approx(0.5, rel=0.02)
+    assert found.intervals.time_constant is None
+    assert found.verdict == "stiction"
+
+
+def test_a_direct_acting_loop_of_negative_gain() -> None:
+    run = run_of(sd=0.05, steps=((4.0, 0.0), (-6.0, 500.0)))
+    found = wb.estimate(wb.Record(run.pv, -run.op, 1.0))
+    assert found.plant.gain == pytest.approx(-2.0, rel=0.05)
+    assert found.verdict == "stiction"
+
+
+def test_long_records_are_searched_within_bounds_and_say_so() -> None:
+    record = record_of(sd=0.1, steps=((4.0, 0.0), (-6.0, 2000.0)), samples=4000)
+    found = wb.estimate(record)
+    check(found, record)
+    assert near(found, 0.05)
+    assert any("record is long" in reason for reason in found.reasons)
+
+
+def test_the_estimate_does_not_depend_on_units_and_offsets() -> None:
+    record = record_of(sd=0.1, seed=4, steps=((8.0, 0.0),))
+    plain = wb.estimate(record)
+    other = wb.estimate(wb.Record(1000.0 * record.pv - 7.0, record.op, 60.0))
+    assert other.plant.gain == pytest.approx(1000.0 * plain.plant.gain, rel=1e-3)
+    assert other.plant.time_constant == pytest.approx(60.0 * plain.plant.time_constant, rel=1e-2)
+    assert other.verdict == plain.verdict
+
+
+def test_estimates_repeat_to_the_bit() -> None:
+    record = record_of(sd=0.1, seed=2, steps=((8.0, 0.0),))
+    one, two = wb.estimate(record), wb.estimate(record)
+    assert (one.valve, one.plant, one.intervals, one.aic) == (two.valve, two.plant, two.intervals, two.aic)
+    assert np.array_equal(one.profile_cost, two.profile_cost)
+
+
+def test_progress_ascends_to_one() -> None:
+    told: list[float] = []
+    wb.estimate(record_of(), progress=told.append)
+    assert told == sorted(told)
+    assert told[0] == 0.0
+    assert told[-1] == 1.0
+
+
+# The paper's two-step algorithm.
+
+
+@pytest.mark.parametrize("start", [1.9, 2.05])
+def test_two_step_converges_from_close_by(start: float) -> None:
+    record = record_of()
+    found = wb.estimate(record, method="two_step", start=start)
+    check(found, record)
+    assert near(found, 0.01)
+    history = found.iterations
+    assert history[0].d == start
+    assert len(history) >= 3
+    assert abs(history[-1].d - 2.0) < abs(history[0].d - 2.0)
+    assert history[-1].aic < history[0].aic - 1000.0
+    assert all(step.aic == pytest.approx(1000.0 * np.log(step.residual_variance) + 10.0) for step in history[:3])
+
+
+@pytest.mark.parametrize("start", [0.5, 1.0, 3.0])
+def test_two_step_locks_in_where_it_starts_far_away(start: float) -> None:
+    """The criterion is piecewise constant in d: the iteration ends where it began, and says that it may have."""
+    found = wb.estimate(record_of(), method="two_step", start=start)
+    assert abs(found.iterations[-1].d - 2.0) > 0.5
+    assert found.intervals.d is None
+    assert not found.identifiable
+    assert any("minimum near its start" in reason for reason in found.reasons)
+    assert wb.estimate(record_of()).aic < found.aic - 1000.0
+
+
+# Bad input.
+
+
+def test_arguments_are_checked() -> None:
+    record = record_of()
+    for wrong in (
+        {"method": "magic"},
+        {"valve": "kano"},
+        {"plant": "second_order"},
+        {"start": 1.0},
+        {"method": "two_step", "start": -1.0},
+        {"max_dead_time": float("nan")},
+    ):
+        with pytest.raises(wb.InvalidValue):
+            wb.estimate(record, **wrong)
+    with pytest.raises(wb.InvalidValue, match="read_record"):
+        wb.estimate("loop.csv")
+
+
+@pytest.mark.parametrize(
+    ("pv", "op", "words"),
+    [
+        (np.zeros(100), np.arange(100.0), "PV is constant"),
+        (np.arange(100.0), np.full(100, 45.0), "OP is constant"),
+        (np.arange(20.0), np.arange(20.0), "at least 30"),
+        (np.arange(100.0) * 1e200, np.arange(100.0), "no signal of a plant"),
+    ],
+)
+def test_records_without_information_are_refused(pv: np.ndarray, op: np.ndarray, words: str) -> None:
+    with pytest.raises(wb.RecordError, match=words):
+        wb.estimate(wb.Record(pv, op, 1.0, source="loop.csv"))
+
+
+def signal(kind: str, seed: int, n: int) -> np.ndarray:
+    rng = np.random.default_rng(seed)
+    k = np.arange(n, dtype=np.float64)
+    if kind == "noise":
+        return rng.normal(0.0, 1.0, n)
+    if kind == "walk":
+        return np.cumsum(rng.normal(0.0, 1.0, n))
+    if kind == "spike":
+        out = np.zeros(n)
+        out[rng.integers(0, n)] = 1e6
+        return out
+    if kind == "steps":
+        return np.repeat(rng.normal(0.0, 2.0, n // 10 + 1), 10)[:n]
+    if kind == "square":
+        return np.sign(np.sin(2.0 * np.pi * k / 23.0) + 0.1)
+    if kind == "ramp":
+        return 1e-6 * k + 1e6
+    if kind == "constant":
+        return np.full(n, 3.0)
+    return np.sin(2.0 * np.pi * k / 41.0)
+
+
+KINDS = ("noise", "walk", "spike", "steps", "square", "ramp", "constant", "sine")
+
+
+@settings(deadline=None, max_examples=50)
+@given(
+    pv=st.sampled_from(KINDS),
+    op=st.sampled_from(KINDS),
+    seed=st.integers(0, 99),
+    n=st.integers(28, 160),
+    method=st.sampled_from(["profile", "two_step"]),
+    plant=st.sampled_from(["fopdt", "integrating"]),
+)
+def test_adversarial_records_give_an_estimate_or_our_own_error(
+    pv: str, op: str, seed: int, n: int, method: str, plant: str
+) -> None:
+    record = wb.Record(signal(pv, seed, n), signal(op, seed + 1000, n), 2.0)
+    with suppress(wb.WorkbenchError):
+        check(wb.estimate(record, method=method, plant=plant), record)
+
+
+@settings(deadline=None, max_examples=25)
+@given(
+    signals=st.integers(30, 45).flatmap(
+        lambda n: st.tuples(
+            *[
+                arrays(np.float64, n, elements=st.floats(-1e3, 1e3, allow_nan=False) | st.sampled_from([0.0, 1.0]))
+                for _ in range(2)
+            ]
+        )
+    )
+)
+def test_random_records_give_an_estimate_or_our_own_error(signals: tuple[np.ndarray, np.ndarray]) -> None:
+    record = wb.Record(signals[0], signals[1], 1.0)
+    with suppress(wb.WorkbenchError):
+        check(wb.estimate(record), record)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_noise_alone_is_never_stiction(seed: int) -> None:
+    record = wb.Record(signal("noise", seed, 400), signal("walk", seed + 50, 400), 1.0)
+    assert wb.estimate(record).verdict == "undecided"
+
+
+# Records in files.
+
+
+def test_the_industrial_stand_in_is_found() -> None:
+    """The committed record: S = .63 %, K = .56, tau = 21 s, theta = 5 s under noise and a wandering load."""
+    record = wb.read_record(ROOT / "scenarios" / "data" / "industrial_flow_loop.csv")
+    found = wb.estimate(record)
+    check(found, record)
+    assert found.verdict == "stiction"
+    assert found.identifiable
+    assert isinstance(found.valve, wb.Stenman)
+    assert found.valve.d == pytest.approx(0.63, rel=0.02)
+    assert found.plant.gain == pytest.approx(0.56, rel=0.05)
+    assert found.plant.time_constant == pytest.approx(21.0, rel=0.1)
+    assert found.plant.dead_time == pytest.approx(5.0, abs=1.0)
+    for pair, truth in (
+        (found.intervals.d, 0.63),
+        (found.intervals.gain, 0.56),
+        (found.intervals.time_constant, 21.0),
+        (found.intervals.dead_time, 5.0),
+    ):
+        assert pair is not None
+        assert pair[0] <= truth <= pair[1]
+
+
+def real(name: str) -> wb.Record:
+    if not RECORDS.is_dir():
+        pytest.skip(f"no folder of real records at {RECORDS}; set WORKBENCH_RECORDS")
+    return wb.read_record(RECORDS / name)
+
+
+def test_chem23_ends_with_a_model_an_interval_and_a_stem() -> None:
+    record = real("isdb/CHEM23.csv")
+    found = wb.estimate(record)
+    check(found, record)
+    assert found.verdict == "stiction"
+    assert isinstance(found.valve, wb.Stenman)
+    assert found.intervals.d is not None
+    assert found.intervals.d[1] < 30.0
+    assert found.residual_variance < 0.4 * found.linear.residual_variance
+    assert np.ptp(found.valve_position) > 20.0
+
+
+def labels(kind: str) -> list[tuple[str, str]]:
+    rows = (RECORDS / kind / "labels.csv").read_text(encoding="utf-8").splitlines()
+    header = rows[0].split(",")
+    place = header.index("label")
+    return [(row.split(",")[0], row.split(",")[place]) for row in rows[1:]]
+
+
+@pytest.mark.slow
+def test_no_real_loop_without_stiction_is_accused_and_none_ends_in_a_traceback() -> None:
+    if not RECORDS.is_dir():
+        pytest.skip(f"no folder of real records at {RECORDS}; set WORKBENCH_RECORDS")
+    wrong, right = [], 0
+    for kind in ("isdb", "plant"):
+        for name, label in labels(kind):
+            record = real(f"{kind}/{name}")
+            found = wb.estimate(record)
+            check(found, record)
+            right += found.verdict == label
+            if found.verdict == "stiction" != label:
+                wrong.append(name)
+    assert not wrong
+    assert right >= 18

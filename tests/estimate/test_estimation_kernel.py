@@ -1,0 +1,190 @@
+"""The estimation's kernels: the same stem law as the simulation, exact enumeration, least squares as numpy does it."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from workbench.estimate import kernel
+from workbench.estimate.data import centre
+from workbench.estimate.fit import Fit, predict
+from workbench.estimate.profile import first_slips, path_of
+from workbench.model.plant import FOPDT, Integrating
+from workbench.model.record import Record
+from workbench.model.valve import Stenman
+from workbench.simulate.coefficients import discretise
+from workbench.simulate.run import valve_response
+
+outputs = arrays(np.float64, st.integers(3, 60), elements=st.integers(-40, 40).map(lambda i: i / 8.0))
+
+
+@settings(deadline=None, max_examples=100)
+@given(op=outputs, d=st.floats(0.01, 6.0), x0=st.floats(-6.0, 6.0))
+def test_the_stem_path_is_the_simulations(op: np.ndarray, d: float, x0: float) -> None:
+    """From its first slip on, the path of the estimation equals `valve_response` with any start that leads to it."""
+    x = valve_response(Stenman(d), op, x0)
+    moved = np.flatnonzero(np.diff(x, prepend=x0))
+    if moved.size == 0:
+        return
+    first = int(moved[0])
+    path, slips = path_of(op, d, first)
+    assert np.array_equal(path[first:], x[first:])
+    assert slips == moved.size
+    assert not path[:first].any()
+
+
+@settings(deadline=None, max_examples=60)
+@given(op=outputs)
+def test_walking_meets_every_path_once_and_says_how_long_each_holds(op: np.ndarray) -> None:
+    if np.ptp(op) == 0.0:
+        return
+    y = np.arange(op.size, dtype=np.float64) % 3 - 1.0
+    data = centre(Record(np.resize(y, 40), np.resize(op, 40), 1.0), "fopdt")
+    rows = np.empty((400, kernel.ROW))
+    n = kernel.walk(
+        data.y,
+        data.sums,
+        data.squares,
+        data.products,
+        data.u,
+        0,
+        0.01,
+        100.0,
+        0.0,
+        np.arange(3),
+        math.nan,
+        0.0,
+        rows,
+    )
+    found = rows[:n]
+    assert (found[1:, kernel.D_LOW] >= found[:-1, kernel.D_HIGH]).all()
+    bands = np.linspace(0.011, float(np.ptp(op)) * 1.01, 60)
+    for d in bands:
+        row = found[(found[:, kernel.D_LOW] <= d) & (d < found[:, kernel.D_HIGH])]
+        if not len(row):
+            continue  # a path to which no plant could be fitted
+        assert len(row) == 1
+        assert np.array_equal(path_of(data.u, float(d), 0)[0], path_of(data.u, float(row[0, kernel.D_LOW]), 0)[0])
+
+
+@pytest.mark.parametrize("first", [0, 7, 30])
+@pytest.mark.parametrize("integrating", [False, True])
+def test_the_one_step_cost_is_numpys_least_squares(first: int, integrating: bool) -> None:
+    rng = np.random.default_rng(3)
+    op = np.cumsum(rng.normal(0, 0.5, 200))
+    pv = np.convolve(op, [0.0, 0.2, 0.3, 0.1])[:200] + rng.normal(0, 0.3, 200)
+    data = centre(Record(pv, op, 1.0), "fopdt")
+    rows = np.empty((1, kernel.ROW))
+    delays = np.array([2])
+    pole = 1.0 if integrating else math.nan
+    kernel.walk(
+        data.y,
+        data.sums,
+        data.squares,
+        data.products,
+        data.u,
+        first,
+        0.8,
+        0.8001,
+        0.0,
+        delays,
+        pole,
+        0.0,
+        rows,
+    )
+    x, _ = path_of(data.u, 0.8, first)
+    k = np.arange(199)
+    shifted = np.where(k - 2 >= 0, x[np.maximum(k - 2, 0)], 0.0)
+    regressors = [shifted, np.ones(199), (k < first + 2).astype(float)]
+    target = data.y[1:] - data.y[:-1] if integrating else data.y[1:]
+    if not integrating:
+        regressors.append(data.y[:-1])
+    matrix = np.column_stack(regressors)
+    terms = np.linalg.lstsq(matrix, target, rcond=None)[0]
+    assert rows[0, kernel.COST] == pytest.approx(float(((matrix @ terms - target) ** 2).sum()), rel=1e-9)
+
+
+@pytest.mark.parametrize("plant", [FOPDT(2.0, 5.0, 1.7), FOPDT(-0.5, 0.4, 0.0), Integrating(0.3, 2.25)])
+def test_the_output_error_model_is_the_simulations_plant(plant: FOPDT | Integrating) -> None:
+    """Columns and cost reproduce the exact plant driven by a known stem."""
+    rng = np.random.default_rng(1)
+    op = np.cumsum(rng.normal(0, 0.6, 300))
+    x = valve_response(Stenman(1.0), op, 0.4)
+    first = int(np.flatnonzero(np.diff(x, prepend=0.4))[0])
+    law = discretise(plant, 1.0)
+    y = np.zeros(300)
+    for k in range(299):
+        near = x[k - law.delay] if k >= law.delay else 0.4
+        far = x[k - law.delay - 1] if k > law.delay else 0.4
+        y[k + 1] = law.pole * y[k] + law.gain * (law.c0 * near + law.c1 * far)
+    integrating = isinstance(plant, Integrating)
+    data = centre(Record(y + 50.0, op + 30.0, 1.0), "integrating" if integrating else "fopdt")
+    path, _ = path_of(data.u, 1.0, first)
+    out = np.empty(kernel.FIT)
+    tau = 1.0 if integrating else plant.time_constant
+    cost = kernel.oe_cost(
+        data.y, path, first, -np.inf, np.inf, float(np.sign(plant.gain)), integrating, tau, plant.dead_time, out
+    )
+    assert cost <= 1e-12 * float(data.y @ data.y)
+    assert out[kernel.GAIN] == pytest.approx(plant.gain, rel=1e-6)
+    fitted, _ = predict(data, path, first, Fit(*(float(v) for v in out)))
+    assert np.abs(fitted - data.y).max() < 1e-5 * np.std(data.y)
+
+
+def test_a_gain_of_the_wrong_sign_is_not_fitted() -> None:
+    rng = np.random.default_rng(2)
+    op = np.cumsum(rng.normal(0, 0.6, 200))
+    data = centre(Record(-op + 5.0, op, 1.0), "fopdt")
+    out = np.empty(kernel.FIT)
+    free = kernel.oe_cost(data.y, data.u, 0, -np.inf, np.inf, 0.0, False, 0.05, 0.0, out)
+    assert out[kernel.GAIN] < 0.0
+    held = kernel.oe_cost(data.y, data.u, 0, -np.inf, np.inf, 1.0, False, 0.05, 0.0, out)
+    assert out[kernel.GAIN] == 0.0
+    assert held > 4.0 * free
+
+
+def test_the_start_is_held_within_its_range() -> None:
+    rng = np.random.default_rng(5)
+    op = np.cumsum(rng.normal(0, 0.6, 200))
+    data = centre(Record(np.roll(op, 3), op, 1.0), "fopdt")
+    first = 12
+    path, _ = path_of(data.u, 1.0, first)
+    out = np.empty(kernel.FIT)
+    free = kernel.oe_cost(data.y, path, first, -np.inf, np.inf, 0.0, False, 2.0, 2.0, out)
+    wanted = out[kernel.START] / out[kernel.GAIN]
+    held = kernel.oe_cost(data.y, path, first, wanted + 1.0, wanted + 2.0, 0.0, False, 2.0, 2.0, out)
+    assert out[kernel.START] / out[kernel.GAIN] == pytest.approx(wanted + 1.0)
+    assert held > free
+
+
+def test_the_simplex_finds_time_constant_and_dead_time() -> None:
+    rng = np.random.default_rng(8)
+    op = np.repeat(rng.normal(0, 2, 30), 10)
+    out = np.empty(kernel.FIT)
+    columns = np.empty((4, 300))
+    pole = math.exp(-1.0 / 6.0)
+    kernel.oe_columns(op, 0, pole, 3, 1 - pole**0.6, pole**0.6 - pole, False, columns)
+    y = 1.5 * columns[1]
+    cost = kernel.oe_fit(
+        y, op, 0, -np.inf, np.inf, 0.0, False, 3.0, 2.0, (0.05, 300.0), (0.0, 30.0), 0.15, 400, 1e-14, out
+    )
+    assert cost < 1e-8 * float(y @ y)
+    assert (out[kernel.TAU], out[kernel.THETA], out[kernel.GAIN]) == pytest.approx((6.0, 3.4, 1.5), rel=1e-3)
+
+
+def test_compiled_and_python_agree() -> None:
+    rng = np.random.default_rng(11)
+    op = np.cumsum(rng.normal(0, 0.5, 60))
+    for d in (0.3, 1.1):
+        at, again = np.empty(60, np.int64), np.empty(60, np.int64)
+        assert kernel.stem_slips(op, d, 2, at) == kernel.stem_slips.py_func(op, d, 2, again)  # type: ignore[attr-defined]
+
+
+def test_first_slips_are_where_op_leaves_all_it_was() -> None:
+    op = np.array([1.0, 1.0, 2.0, 1.5, 0.5, 2.0, 3.0])
+    assert first_slips(op).tolist() == [0, 2, 4, 6]
