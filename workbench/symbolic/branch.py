@@ -37,9 +37,9 @@ from workbench.symbolic.loop import (
 )
 from workbench.symbolic.solve import Group, IpoptOptions, Nlp, Solver, Values
 
-__all__ = ["BranchProgram", "BranchSolution", "Decisions"]
+__all__ = ["OPTIONS", "BranchProgram", "BranchSolution", "Decisions"]
 
-OPTIONS = IpoptOptions(tolerance=1e-8, max_iterations=50, max_wall_time=5.0, barrier=1e-3, push=1e-6, scaling="none")
+OPTIONS = IpoptOptions(tolerance=1e-8, max_iterations=40, max_wall_time=5.0, barrier=1e-3, push=1e-6, scaling="none")
 
 
 @dataclass(frozen=True, eq=False)

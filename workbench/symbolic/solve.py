@@ -75,10 +75,14 @@ class IpoptOptions:
 
     def settings(self) -> dict[str, Any]:
         """Return the options in CasADi's words, silenced, with bounds that are not relaxed."""
+        # MUMPS left to choose its own ordering now and then takes one that fills in, and seconds for an iteration:
+        # approximate minimum degree (0) does not.
+        ordering = {"mumps_pivot_order": 0} if self.linear_solver == "mumps" else {}
         return {
             "print_time": False,
             "error_on_fail": False,
             "ipopt": {
+                **ordering,
                 "print_level": 0,
                 "sb": "yes",
                 "bound_relax_factor": 0.0,

@@ -7,17 +7,18 @@ from __future__ import annotations
 
 import heapq
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from workbench.model.record import FloatArray
 from workbench.model.results import SolveStatus
+from workbench.model.valve import Stenman
 from workbench.simulate import kernel
 from workbench.simulate.coefficients import coefficients
 from workbench.simulate.run import rest
-from workbench.symbolic.branch import BranchProgram, Decisions
+from workbench.symbolic.branch import OPTIONS, BranchProgram, Decisions
 from workbench.symbolic.loop import COEFFICIENTS
 from workbench.tune.problem import Problem
 
@@ -29,8 +30,14 @@ AGREEMENT = 1e-9
 MOST_SAMPLES = 10_000
 # How many active guards of a solution are tried from their other side.
 FLIPS = 3
+# After so many programs that came to nothing, a restart's refinement is given up.
+FAILURES = 2
 # A neighbour whose run, as it goes on from the flip, costs more than this many times the best is not worth a solve.
-WORTH = 2.0
+WORTH = 1.5
+
+
+# J of the start, order of arrival, sequence, start, and whether the start's own run takes that sequence.
+_Waiting = tuple[float, int, bytes, FloatArray, bool]
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,7 +134,10 @@ class Refiner:
             problem.bounds,
             size=size,
             reference=reference,
+            # Good starts take a tenth of this; a program that goes astray is not waited for.
+            options=replace(OPTIONS, max_wall_time=max(1.0, 2e-3 * problem.samples)),
         )
+        self._strict = isinstance(valve, Stenman)
         self._seen: set[bytes] = set()
 
     def refine(self, tunings: FloatArray, costs: FloatArray, budget: int) -> Refined:
@@ -137,7 +147,7 @@ class Refiner:
         KeyboardInterrupt where a solve was interrupted.
         """
         problem = self._problem
-        queue: list[tuple[float, int, bytes, FloatArray]] = []
+        queue: list[_Waiting] = []
         order = np.argsort(costs, kind="stable")
         waiting = 0
         for index in order[np.isfinite(costs[order])]:
@@ -147,20 +157,22 @@ class Refiner:
             key = branch.tobytes()
             if key not in self._seen:
                 self._seen.add(key)
-                heapq.heappush(queue, (float(costs[index]), waiting, key, tunings[index]))
+                heapq.heappush(queue, (float(costs[index]), waiting, key, tunings[index], True))
                 waiting += 1
         found: list[FloatArray] = []
         values: list[float] = []
         accepted: list[bool] = []
         iterations = solves = 0
-        while queue and solves < budget:
-            _, _, key, start = heapq.heappop(queue)
+        failures = 0
+        while queue and solves < budget and failures < FAILURES:
+            _, _, key, start, natural = heapq.heappop(queue)
             decisions = Decisions.from_branch(np.frombuffer(key, dtype=np.int8))
             begin = (float(start[0]), float(start[1]), float(start[2]))
             end = self._program.solve(decisions, begin, self._guard)
             solves += 1
             iterations += end.result.iterations
-            if not end.result.status.success and end.result.status is not SolveStatus.INTERRUPTED and solves < budget:
+            failed = not end.result.status.success and end.result.status is not SolveStatus.INTERRUPTED
+            if failed and natural and self._strict and solves < budget:
                 # No tuning keeps the full margin: be content with the margin that the start has.
                 end = self._program.solve(decisions, begin, self._guard, relaxed=True)
                 solves += 1
@@ -174,15 +186,16 @@ class Refiner:
             found.append(tuning)
             values.append(exact)
             accepted.append(end.result.status.success and agrees)
-            if not end.result.status.success:
+            failures += not accepted[-1]
+            if not accepted[-1] or exact > min(values):
                 continue
             for sample in end.active[:FLIPS]:
                 across = path(problem, tuning, flip=sample)
                 neighbour = across.branch.tobytes()
-                if neighbour not in self._seen and across.cost <= WORTH * min(values):
+                if neighbour not in self._seen and across.cost <= WORTH * exact:
                     self._seen.add(neighbour)
                     waiting += 1
-                    heapq.heappush(queue, (across.cost, waiting, neighbour, tuning))
+                    heapq.heappush(queue, (across.cost, waiting, neighbour, tuning, False))
         best = sorted(range(len(values)), key=lambda i: (not accepted[i], values[i]))
         return Refined(
             tunings=np.array([found[i] for i in best]).reshape(-1, 3),

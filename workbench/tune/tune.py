@@ -31,10 +31,12 @@ from workbench.tune.verify import Choice, choose, stem_guard
 
 __all__ = ["tune"]
 
-# Sizes of the searches at 1,000 samples; longer runs get fewer, shorter ones more.
+# Sizes of the searches up to 1,000 samples; longer runs get fewer.
 SCAN_MEMBERS, SCAN_GENERATIONS = 200, 200
 JOINT_MEMBERS, JOINT_GENERATIONS = 100, 400
 DENSE_MEMBERS, DENSE_GENERATIONS, DENSE_GAP = 60, 100, 2e-4
+# Branch programs up to 1,000 samples, over all restarts.
+SOLVES = 12
 # Samples that each search may simulate at most: some seconds.
 SCAN_SAMPLES, JOINT_SAMPLES = 100_000_000, 300_000_000
 # Candidates that a scan hands on, and how far apart they are at least in the unit cube.
@@ -179,7 +181,7 @@ def _check(
 
 
 def _asker(check_time: Callable[[], None]) -> Callable[[], bool]:
-    """A question that is never answered with yes, but ends the search when time is up."""
+    """Return a question that is never answered with yes, but ends the search when time is up."""
 
     def ask() -> bool:
         check_time()
@@ -203,10 +205,10 @@ def _search(
     if problem.free.size == 0:
         return
     check_time()
-    scale = min(math.sqrt(1000.0 / problem.samples), 1.5)
+    scale = min(math.sqrt(1000.0 / problem.samples), 1.0)
     refiner: Refiner | None = None
     # Solves are shared out evenly; a program's time grows with N.
-    budget = max(1, min(32, max(4, 12_000 // problem.samples)) // restarts)
+    budget = max(1, min(SOLVES, max(4, 1000 * SOLVES // problem.samples)) // restarts)
     seeds = [np.random.default_rng([seed, k]) for k in range(restarts)]
     pool: list[FloatArray] = []
     for k, rng in enumerate(seeds):
