@@ -1,0 +1,134 @@
+"""The shipped scenarios run, and still say what their committed reports say.
+
+Runs with given tunings repeat on every machine; what a search or a fit found is held by its quality instead.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import workbench as wb
+from workbench.report.page import write_report
+from workbench.report.results import results_content
+
+ROOT = Path(__file__).parents[2]
+SHIPPED = sorted(path.stem for path in (ROOT / "scenarios").glob("*.yaml"))
+LARGEST = 2 * 2**20  # bytes of one report folder
+
+
+@pytest.fixture(scope="module")
+def studies() -> dict[str, Any]:
+    return {}
+
+
+def study_of(name: str, studies: dict[str, Any]) -> Any:
+    if name not in studies:
+        studies[name] = wb.run_scenario(ROOT / "scenarios" / f"{name}.yaml")
+    return studies[name]
+
+
+def committed(name: str) -> Any:
+    return json.loads((ROOT / "reports" / name / "results.json").read_text())
+
+
+def same(ours: Any, theirs: Any, where: str, rel: float = 1e-6) -> None:
+    if isinstance(theirs, dict):
+        assert isinstance(ours, dict), where
+        assert ours.keys() == theirs.keys(), where
+        for key, value in theirs.items():
+            same(ours[key], value, f"{where}.{key}", rel)
+    elif isinstance(theirs, list):
+        assert len(ours) == len(theirs), where
+        for i, value in enumerate(theirs):
+            same(ours[i], value, f"{where}[{i}]", rel)
+    elif isinstance(theirs, float) and not isinstance(ours, str):
+        assert math.isclose(ours, theirs, rel_tol=rel, abs_tol=1e-9), f"{where}: {ours} here, {theirs} committed"
+    else:
+        assert ours == theirs, where
+
+
+def test_four_stories_are_shipped_each_with_its_report():
+    assert set(SHIPPED) >= {"table_2", "stick_slip", "identify_benchmark", "industrial_flow_loop"}
+    for name in SHIPPED:
+        folder = ROOT / "reports" / name
+        assert {"report.html", "results.json", "cases.csv"} <= {path.name for path in folder.iterdir()}
+        assert sum(path.stat().st_size for path in folder.iterdir()) <= LARGEST
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", SHIPPED)
+def test_given_tunings_come_out_as_committed(name, studies):
+    study = study_of(name, studies)
+    ours = json.loads(json.dumps(results_content(study), allow_nan=False))
+    theirs = committed(name)
+    assert [case["name"] for case in ours["cases"]] == [case["name"] for case in theirs["cases"]]
+    searched = {case.name for case in study.cases if case.tuned is not None}
+    estimated = bool(study.estimates) and not any(one.truth for one in study.estimates)
+    for mine, case in zip(ours["cases"], theirs["cases"], strict=True):
+        if case["name"] not in searched and not estimated:
+            same(mine, case, case["name"])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", SHIPPED)
+def test_what_was_searched_for_is_as_good_as_committed(name, studies):
+    study = study_of(name, studies)
+    objectives = {case["name"]: case["objective"] for case in committed(name)["cases"]}
+    for case in study.cases:
+        if case.tuned is None:
+            continue
+        assert case.tuned.status is wb.SolveStatus.SOLVED
+        again = wb.evaluate(case.loop, study.experiment, case.tuned.weights)[0]
+        assert case.objective == pytest.approx(again, rel=1e-12), "the figure shown is the exact simulation's"
+        assert case.objective <= 1.02 * objectives[case.name]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["identify_benchmark", "industrial_flow_loop"])
+def test_estimates_come_out_as_committed(name, studies):
+    theirs = committed(name)["estimates"]
+    for mine, other in zip(results_content(study_of(name, studies))["estimates"], theirs, strict=True):
+        assert mine["verdict"] == other["verdict"]
+        same(json.loads(json.dumps(mine["plant"])), other["plant"], f"{other['name']}.plant", rel=1e-3)
+        same(json.loads(json.dumps(mine["valve"])), other["valve"], f"{other['name']}.valve", rel=1e-3)
+
+
+@pytest.mark.slow
+def test_table_2_says_what_the_paper_says_where_it_can(studies):
+    cases = {case.name: case for case in study_of("table_2", studies).cases}
+    assert round(cases["Case 1"].run.kpis.valve_travel, 2) == 12.18
+    assert round(cases["Case 2"].run.kpis.valve_travel, 2) == 4.01
+    assert round(cases["Case 4"].objective, 1) == 303.6
+    assert round(cases["Case 5"].objective, 1) == 320.5
+    assert cases["Optimised PI"].objective <= 10.6
+    assert cases["Optimised PID"].objective <= 9.8
+    assert not cases["Case 1"].describing_function.predicts_cycle
+    assert cases["Case 1"].limit_cycle.outcome == "cycles"
+    assert "Kc K J/S < 1" in cases["Case 1"].agreement
+
+
+@pytest.mark.slow
+def test_the_benchmark_record_is_identified(studies):
+    estimates = {one.name: one.found for one in study_of("identify_benchmark", studies).estimates}
+    clean, noisy = estimates["Global profile, no noise"], estimates["Global profile, noise 0.1"]
+    for found, rel in ((clean, 0.01), (noisy, 0.05)):
+        assert found.verdict == "stiction"
+        assert found.valve.d == pytest.approx(2.0, rel=rel)
+        assert found.plant.gain == pytest.approx(2.0, rel=rel)
+        assert found.plant.time_constant == pytest.approx(5.0, rel=rel)
+        assert found.plant.dead_time == pytest.approx(1.0, abs=0.1)
+
+
+def test_a_report_is_the_same_to_the_byte_when_run_again(tmp_path):
+    folders = [tmp_path / "a", tmp_path / "b"]
+    for folder in folders:
+        write_report(wb.run_scenario(ROOT / "scenarios" / "stick_slip.yaml"), folder)
+    names = {path.name for path in folders[0].iterdir()} - {"run.json"}
+    assert names == {path.name for path in folders[1].iterdir()} - {"run.json"}
+    for name in names:
+        assert (folders[0] / name).read_bytes() == (folders[1] / name).read_bytes(), name
