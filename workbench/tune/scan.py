@@ -60,7 +60,7 @@ def evolve(
         if stop():
             break
         order = np.argsort(values, kind="stable")
-        if values[order[-1]] - values[order[0]] <= AGREED * abs(values[order[0]]):
+        if values[order[-1]] <= values[order[0]] + AGREED * abs(values[order[0]]) and np.isfinite(values[order[0]]):
             break
         wanted = max(least, round(count + (least - count) * generation / max(generations, 1)))
         order = order[: max(wanted, 4)]

@@ -143,7 +143,7 @@ def tune(
         margin=margin,
         start_objective=start,
         guard_margin=stem_guard(problem, chosen.tuning),
-        slips=int(np.count_nonzero(np.diff(run.x, prepend=0.0))),
+        slips=int(np.count_nonzero(run.x != np.append(0.0, run.x[:-1]))),
         restarts=tuple(found.restarts),
         evaluations=problem.evaluations,
         solves=solves,

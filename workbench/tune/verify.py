@@ -85,8 +85,10 @@ def stem_guard(problem: Problem, tuning: FloatArray) -> float:
     valve = problem.loop.valve
     law = valve_law(valve)
     run = path(problem, tuning)
-    lead = np.abs(run.u - np.append(0.0, run.x[:-1]))
-    distance = np.abs(lead - law.band)
+    # A run that overflows has no distances after that.
+    with np.errstate(invalid="ignore", over="ignore"):
+        lead = np.abs(run.u - np.append(0.0, run.x[:-1]))
+        distance = np.abs(lead - law.band)
     if isinstance(valve, Choudhury | Deadband):
         # While the stem goes on moving it is the input's direction that decides, not its distance.
         motion = run.branch % 3 - 1
@@ -94,4 +96,4 @@ def stem_guard(problem: Problem, tuning: FloatArray) -> float:
         distance = distance[~((motion != 0) & (motion == before))]
     elif not isinstance(valve, Stenman):
         return math.inf
-    return float(distance.min(initial=math.inf))
+    return float(distance[np.isfinite(distance)].min(initial=math.inf))

@@ -1,0 +1,304 @@
+"""`wb.tune`: exact, reproducible, inside its bounds, at the digits that it shows, and as good as a dense search."""
+
+from __future__ import annotations
+
+import math
+import time
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from loops import PAPER_PLANT, paper_loop, paper_step
+
+import workbench as wb
+from workbench.simulate.run import evaluate
+from workbench.tune.problem import Problem
+
+PI = wb.Bounds(Td=(0.0, 0.0))
+START = paper_loop(0.5, 20.0)
+SHORT = paper_step(150.0)
+
+
+def exact(tuned, **changed: float) -> float:
+    """J of the tuned controller, or of a changed one, by a simulation of its own."""
+    loop = tuned.loop.with_controller(replace(tuned.controller, **changed))
+    return float(evaluate(loop, tuned.experiment, tuned.weights)[0])
+
+
+def digits_of(value: float) -> int:
+    """Significant digits of the shortest text that reads back as this number."""
+    return len(repr(value).split("e")[0].replace(".", "").strip("0"))
+
+
+@pytest.fixture(scope="module")
+def pi():
+    return wb.tune(START, SHORT, wb.Objective(), PI, seed=3)
+
+
+@pytest.fixture(scope="module")
+def pid():
+    return wb.tune(START, SHORT, wb.Objective(), wb.Bounds(), seed=3)
+
+
+def test_the_objective_is_the_exact_cost_of_the_rounded_controller(pi, pid) -> None:
+    for tuned in (pi, pid):
+        assert tuned.status is wb.SolveStatus.SOLVED
+        assert tuned.require_success() is tuned
+        assert tuned.objective == exact(tuned)
+        assert tuned.bounds.contains(tuned.controller)
+        for name in ("Kc", "Ti", "Td"):
+            assert digits_of(getattr(tuned.controller, name)) <= 4
+        assert tuned.nominal <= tuned.objective <= tuned.worst
+        assert tuned.objective < 0.5 * tuned.start_objective
+        assert tuned.start_objective == float(evaluate(START, SHORT, wb.Objective())[0])
+
+
+def test_the_controller_keeps_what_is_not_tuned(pi) -> None:
+    assert pi.controller.Td == 0.0
+    assert replace(pi.controller, Kc=0.5, Ti=20.0) == START.controller
+
+
+def test_td_helps_and_the_worst_case_holds_for_fresh_changes(pi, pid) -> None:
+    assert pid.objective < 0.95 * pi.objective
+    rng = np.random.default_rng(99)
+    for tuned in (pi, pid):
+        for _ in range(200):
+            change = 1.0 + tuned.margin * rng.uniform(-1.0, 1.0, 3)
+            c = tuned.controller
+            cost = exact(tuned, Kc=c.Kc * change[0], Ti=c.Ti * change[1], Td=c.Td * change[2])
+            assert cost <= 1.002 * tuned.worst
+
+
+def test_no_worse_than_a_dense_grid_of_pi_tunings(pi) -> None:
+    Kc, Ti = np.meshgrid(np.linspace(0.02, 10.0, 200), np.geomspace(5.0, 600.0, 200))
+    grid = np.column_stack([Kc.ravel(), Ti.ravel(), np.zeros(Kc.size)])
+    costs = evaluate(START, SHORT, wb.Objective(), grid)
+    assert pi.objective <= 1.01 * costs.min()
+
+
+def test_statistics_tell_what_was_done(pid) -> None:
+    assert len(pid.restarts) == 4
+    assert pid.evaluations > sum(r.evaluations for r in pid.restarts)
+    assert pid.solves == sum(r.solves for r in pid.restarts) > 0
+    assert pid.iterations == sum(r.iterations for r in pid.restarts) >= pid.solves
+    assert all(r.refined <= r.scanned for r in pid.restarts)
+    assert pid.spread[0] == pytest.approx(pid.nominal, rel=1e-12)
+    assert set(pid.versions) == {"casadi", "ipopt"}
+    assert "branch programs verified" in pid.message
+    run = wb.simulate(START.with_controller(pid.controller), SHORT)
+    assert pid.slips == np.count_nonzero(np.diff(run.valve, prepend=0.0))
+    lead = np.abs(run.op - np.append(0.0, run.valve[:-1]))
+    assert pid.guard_margin == pytest.approx(np.abs(lead - 2.0).min(), rel=1e-9)
+
+
+def test_equal_seeds_give_equal_results(pi) -> None:
+    again = wb.tune(START, SHORT, wb.Objective(), PI, seed=3)
+    for name in ("controller", "objective", "worst", "nominal", "restarts", "evaluations", "solves", "message"):
+        assert getattr(again, name) == getattr(pi, name), name
+
+
+def test_fixed_parameters_stay_as_given() -> None:
+    bounds = wb.Bounds(Kc=(1.23456789, 1.23456789), Ti=(5.0, 600.0), Td=(0.0, 0.0))
+    tuned = wb.tune(START, SHORT, bounds=bounds)
+    assert (tuned.controller.Kc, tuned.controller.Td) == (1.23456789, 0.0)
+    assert tuned.status.success
+    Ti = np.geomspace(5.0, 600.0, 3000)
+    grid = np.column_stack([np.full(3000, 1.23456789), Ti, np.zeros(3000)])
+    costs = evaluate(START, SHORT, wb.Objective(), grid)
+    assert tuned.nominal <= 1.002 * costs.min()
+    # The best point of the grid is a cliff's edge: within the digits it is worse than what was chosen.
+    problem = Problem(START, SHORT, wb.Objective(), bounds, 4, 0.001)
+    assert tuned.worst <= problem.worst_below(grid[[np.argmin(costs)]], np.array([np.inf]), dense=True)[0]
+
+
+def test_all_fixed_is_an_evaluation() -> None:
+    tuned = wb.tune(START, SHORT, bounds=wb.Bounds(Kc=(2.0, 2.0), Ti=(9.0, 9.0), Td=(0.5, 0.5)))
+    assert tuned.controller == replace(START.controller, Kc=2.0, Ti=9.0, Td=0.5)
+    assert tuned.objective == exact(tuned)
+    assert tuned.solves == 0
+    assert "fixed" in tuned.message
+
+
+@pytest.mark.parametrize(
+    ("valve", "plant", "controller"),
+    [
+        (wb.Choudhury(S=2.0, J=0.8), PAPER_PLANT, {"derivative_on": "pv"}),
+        (wb.Deadband(b=1.0), PAPER_PLANT, {}),
+        (wb.Ideal(), PAPER_PLANT, {}),
+        (wb.Stenman(1.0), wb.Integrating(gain=0.1, dead_time=1.5), {"Ti": 40.0}),
+        (wb.Stenman(1.0), wb.FOPDT(-0.5, 8.0, 2.3), {"action": "direct", "form": "series"}),
+        (wb.Stenman(1.0), PAPER_PLANT, {"form": "parallel"}),
+        (wb.Stenman(1.0), PAPER_PLANT, {"output_limits": (-2.0, 5.0)}),
+        (wb.Stenman(1.0), PAPER_PLANT, {"output_limits": (-2.0, 5.0), "anti_windup": "back_calculation"}),
+    ],
+    ids=["Choudhury", "Deadband", "Ideal", "integrating", "series, direct", "parallel", "clamp", "back-calculation"],
+)
+def test_every_kind_of_loop(valve, plant, controller) -> None:
+    pid = wb.PID(**{"Kc": 0.5, "Ti": 20.0, "Td": 0.0, **controller})
+    loop = wb.Loop(plant, valve, pid, sample_time=1.0)
+    experiment = wb.Experiment(120.0, wb.Step(4.0), load=wb.Step(0.5, at=60.0))
+    objective = wb.Objective(w4=0.05)
+    tuned = wb.tune(loop, experiment, objective, wb.Bounds(), seed=1, restarts=2)
+    assert tuned.status is wb.SolveStatus.SOLVED
+    assert tuned.objective == exact(tuned)
+    assert tuned.solves > 0
+    # A branch program was accepted: its claim and the exact simulation agree to 1e-9.
+    assert not tuned.message.startswith("0 of")
+    assert tuned.guard_margin > 0.0
+    rng = np.random.default_rng(0)
+    count = 20_000
+    random = np.column_stack(
+        [10.0 * rng.random(count) ** 2, 5.0 * 120.0 ** rng.random(count), 60.0 * rng.random(count) ** 4]
+    )
+    random[: count // 4, 2] = 0.0
+    costs = evaluate(loop, experiment, objective, random)
+    assert tuned.nominal <= 1.002 * costs.min()
+    problem = Problem(loop, experiment, objective, wb.Bounds(), 4, 0.001)
+    best = random[np.argsort(costs)[:20]]
+    assert tuned.worst <= 1.002 * problem.worst_below(best, np.full(20, np.inf), dense=True).min()
+
+
+@settings(deadline=None, max_examples=5)
+@given(
+    d=st.floats(0.2, 3.0),
+    tau=st.floats(2.0, 20.0),
+    theta=st.floats(0.0, 5.0),
+    gain=st.floats(0.3, 3.0),
+    digits=st.integers(2, 6),
+)
+def test_random_loops_end_verified_within_bounds_and_digits(d, tau, theta, gain, digits) -> None:
+    loop = wb.Loop(wb.FOPDT(gain, tau, theta), wb.Stenman(d), wb.PID(0.5, 20.0), sample_time=1.0)
+    tuned = wb.tune(loop, wb.Experiment(80.0, wb.Step(4.0)), bounds=PI, digits=digits, restarts=1)
+    assert tuned.status is wb.SolveStatus.SOLVED
+    assert tuned.objective == exact(tuned) <= tuned.worst
+    assert PI.contains(tuned.controller)
+    assert max(digits_of(tuned.controller.Kc), digits_of(tuned.controller.Ti)) <= digits
+    assert tuned.objective <= tuned.start_objective
+
+
+@pytest.mark.parametrize(
+    ("name", "bounds", "where"),
+    [
+        ("Kc", wb.Bounds(Kc=(1.0, 10.0)), "PID.Kc"),
+        ("Ti", wb.Bounds(Ti=(30.0, 60.0)), "PID.Ti"),
+        ("Td", wb.Bounds(Td=(1.0, 5.0)), "PID.Td"),
+    ],
+)
+def test_bounds_that_exclude_the_start_are_refused(name: str, bounds: wb.Bounds, where: str) -> None:
+    with pytest.raises(wb.InvalidValue, match="must lie within the bounds") as caught:
+        wb.tune(START, SHORT, bounds=bounds)
+    assert caught.value.where == where
+    low, high = getattr(bounds, name)
+    assert f"({low:g}, {high:g})" in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [{"seed": -1}, {"seed": 1.5}, {"digits": 0}, {"digits": 13}, {"restarts": 0}, {"guard": -0.1}, {"guard": math.nan},
+     {"margin": 0.3}, {"time_limit": 0.0}, {"time_limit": math.inf}],
+)  # fmt: skip
+def test_wrong_options_are_refused(wrong: dict[str, object]) -> None:
+    with pytest.raises(wb.InvalidValue, match=f"tune.{next(iter(wrong))}"):
+        wb.tune(START, SHORT, bounds=PI, **wrong)
+
+
+def test_an_experiment_that_does_not_fit_is_refused() -> None:
+    with pytest.raises(wb.InvalidValue, match="whole number of samples"):
+        wb.tune(START, wb.Experiment(100.5, wb.Step(4.0)), bounds=PI)
+
+
+def test_ctrl_c_returns_the_best_so_far() -> None:
+    def progress(phase: str, _share: float) -> None:
+        if phase.startswith("global scan 2"):
+            raise KeyboardInterrupt
+
+    tuned = wb.tune(START, SHORT, bounds=PI, progress=progress)
+    assert tuned.status is wb.SolveStatus.INTERRUPTED
+    assert tuned.objective == exact(tuned) < 0.1 * tuned.start_objective
+    assert len(tuned.restarts) == 1
+    with pytest.raises(wb.SolveError, match="interrupted"):
+        tuned.require_success()
+
+
+def test_ctrl_c_at_once_still_returns_a_controller() -> None:
+    def progress(_phase: str, share: float) -> None:
+        if share == 0.0:
+            raise KeyboardInterrupt
+
+    tuned = wb.tune(START, SHORT, bounds=PI, progress=progress)
+    assert tuned.status is wb.SolveStatus.INTERRUPTED
+    assert tuned.objective == exact(tuned)
+
+
+def test_the_time_limit_returns_the_best_so_far() -> None:
+    tuned = wb.tune(START, SHORT, bounds=PI, time_limit=1e-6)
+    assert tuned.status is wb.SolveStatus.TIME_LIMIT
+    assert "time limit" in tuned.message
+    assert tuned.objective == exact(tuned)
+
+
+def test_progress_rises_to_one() -> None:
+    seen: list[tuple[str, float]] = []
+    wb.tune(START, SHORT, bounds=PI, restarts=2, progress=lambda phase, share: seen.append((phase, share)))
+    shares = [share for _, share in seen]
+    assert shares == sorted(shares)
+    assert (shares[0], shares[-1]) == (0.0, 1.0)
+    assert all(phase for phase, _ in seen)
+
+
+def test_a_loop_that_no_tuning_holds_ends_without_success() -> None:
+    # The wrong action makes the loop unstable at every gain allowed.
+    pid = wb.PID(5.0, 5.0, action="direct")
+    loop = wb.Loop(wb.FOPDT(3.0, 2.0, 1.0), wb.Ideal(), pid, sample_time=1.0)
+    bounds = wb.Bounds(Kc=(4.0, 10.0), Ti=(5.0, 10.0), Td=(0.0, 0.0))
+    tuned = wb.tune(loop, wb.Experiment(1000.0, wb.Step(4.0)), bounds=bounds, restarts=1)
+    assert tuned.status is wb.SolveStatus.DIVERGED
+    assert math.isinf(tuned.objective)
+    assert "diverge" in tuned.message
+
+
+def test_long_records_are_tuned_without_branch_programs() -> None:
+    tuned = wb.tune(START, wb.Experiment(12_000.0, wb.Step(4.0)), bounds=PI, restarts=1)
+    assert tuned.status is wb.SolveStatus.SOLVED
+    assert tuned.solves == 0
+    assert "without branch programs" in tuned.message
+    assert tuned.objective == exact(tuned)
+
+
+def test_coordinates_of_the_search_there_and_back() -> None:
+    problem = Problem(START, SHORT, wb.Objective(), wb.Bounds(), 4, 0.001)
+    tunings = np.array([[0.0, 5.0, 0.0], [10.0, 600.0, 60.0], [1.0, 30.0, 2.0]])
+    points = problem.cube(tunings)
+    assert points[0].tolist() == [0.0, 0.0, 0.0]
+    assert points[1].tolist() == [1.0, 1.0, 1.0]
+    assert problem.tunings(points) == pytest.approx(tunings, rel=1e-12)
+    assert problem.tunings(points)[:2].tolist() == tunings[:2].tolist()
+
+
+def test_capped_costs_are_the_exact_ones_or_inf() -> None:
+    problem = Problem(START, SHORT, wb.Objective(w2=0.1, w4=0.3), wb.Bounds(), 4, 0.001)
+    rng = np.random.default_rng(0)
+    tunings = problem.tunings(rng.random((300, 3)))
+    costs = problem.exact(tunings)
+    ceiling = float(np.median(costs))
+    capped = problem.below(tunings, np.full(300, ceiling))
+    assert np.isinf(capped[costs > ceiling * (1 + 1e-9)]).all()
+    below = costs < ceiling * (1 - 1e-9)
+    assert capped[below] == pytest.approx(costs[below], rel=1e-12)
+    worst = problem.worst_below(tunings[:5], np.full(5, np.inf), dense=True)
+    assert (worst >= costs[:5] * (1 - 1e-12)).all()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("bounds", "target"), [(PI, 10.6), (wb.Bounds(), 9.8)], ids=["PI", "PID"])
+def test_the_papers_loop(bounds: wb.Bounds, target: float) -> None:
+    began = time.perf_counter()
+    tuned = wb.tune(START, paper_step(), wb.Objective(w1=0.5, w2=0.0, w3=0.5), bounds, seed=0)
+    assert tuned.status is wb.SolveStatus.SOLVED
+    assert tuned.objective == exact(tuned) <= target
+    assert tuned.worst <= 1.01 * target
+    assert tuned.wall_time <= time.perf_counter() - began
+    # Three decisions in a thousand samples: the refinement slides along them where the scan is caught.
+    assert tuned.controller.Td == 0.0 or any(r.refined < 0.99 * r.scanned for r in tuned.restarts)
