@@ -75,9 +75,9 @@ class IpoptOptions:
 
     def settings(self) -> dict[str, Any]:
         """Return the options in CasADi's words, silenced, with bounds that are not relaxed."""
-        # MUMPS left to choose its own ordering now and then takes one that fills in, and seconds for an iteration:
-        # approximate minimum degree (0) does not.
-        ordering = {"mumps_pivot_order": 0} if self.linear_solver == "mumps" else {}
+        # An ordering by structure alone (approximate minimum degree). MUMPS's own choice leans on the numbers of the
+        # first matrix; later ones then now and then fill in, and one iteration takes many seconds.
+        ordering = {"mumps_pivot_order": 0, "mumps_permuting_scaling": 0} if self.linear_solver == "mumps" else {}
         return {
             "print_time": False,
             "error_on_fail": False,

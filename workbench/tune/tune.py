@@ -38,7 +38,7 @@ DENSE_MEMBERS, DENSE_GENERATIONS, DENSE_GAP = 60, 100, 2e-4
 # Branch programs up to 1,000 samples, over all restarts.
 SOLVES = 12
 # Samples that each search may simulate at most: some seconds.
-SCAN_SAMPLES, JOINT_SAMPLES = 100_000_000, 300_000_000
+SCAN_SAMPLES, JOINT_SAMPLES, DENSE_SAMPLES, CHOICE_SAMPLES = 100_000_000, 300_000_000, 150_000_000, 150_000_000
 # Candidates that a scan hands on, and how far apart they are at least in the unit cube.
 KEPT, GAP = 40, 3e-3
 Progress = Callable[[str, float], None]
@@ -116,7 +116,8 @@ def tune(
     try:
         _search(problem, found, seed, restarts, guard, check_time, tell)
         tell("choosing the digits", 0.9)
-        chosen = choose(problem, _candidates(problem, found), stop=_asker(check_time))
+        most = problem.simulated + CHOICE_SAMPLES
+        chosen = choose(problem, _candidates(problem, found), stop=_stopper(problem, most, check_time))
     except KeyboardInterrupt:
         status, note = SolveStatus.INTERRUPTED, "stopped by the user; the best so far"
         chosen = _quick(problem, found)
@@ -180,14 +181,14 @@ def _check(
             raise InvalidValue(f"PID.{name}", value, allowed)
 
 
-def _asker(check_time: Callable[[], None]) -> Callable[[], bool]:
-    """Return a question that is never answered with yes, but ends the search when time is up."""
+def _stopper(problem: Problem, most: int, check_time: Callable[[], None]) -> Callable[[], bool]:
+    """Return the question whether more than `most` samples have been simulated; it also looks at the time."""
 
-    def ask() -> bool:
+    def stop() -> bool:
         check_time()
-        return False
+        return problem.simulated > most
 
-    return ask
+    return stop
 
 
 def _search(
@@ -239,15 +240,10 @@ def _scan(
     """One global search for the least J: its best tunings, well apart, and their J."""
     points: list[FloatArray] = []
     values: list[FloatArray] = []
-    limit = problem.simulated + SCAN_SAMPLES
 
     def keep(some: FloatArray, costs: FloatArray) -> None:
         points.append(some)
         values.append(costs)
-
-    def stop() -> bool:
-        check_time()
-        return problem.simulated > limit
 
     members = _sized(SCAN_MEMBERS, scale)
     start = rng.random((members, problem.free.size))
@@ -259,7 +255,7 @@ def _scan(
         np.concatenate([problem.cube(problem.guesses()), start]),
         _sized(SCAN_GENERATIONS, scale),
         rng,
-        stop=stop,
+        stop=_stopper(problem, problem.simulated + SCAN_SAMPLES, check_time),
         keep=keep,
     )
     all_points, all_values = np.concatenate(points), np.concatenate(values)
@@ -278,15 +274,10 @@ def _joint(
     """
     points: list[FloatArray] = []
     values: list[FloatArray] = []
-    limit = problem.simulated + JOINT_SAMPLES
 
     def keep(some: FloatArray, costs: FloatArray) -> None:
         points.append(some)
         values.append(costs)
-
-    def stop() -> bool:
-        check_time()
-        return problem.simulated > limit
 
     fresh = rng.random((_sized(JOINT_MEMBERS, scale), problem.free.size))
     evolve(
@@ -294,10 +285,9 @@ def _joint(
         np.concatenate([problem.cube(pool), problem.cube(problem.guesses()), fresh]),
         _sized(JOINT_GENERATIONS, scale),
         rng,
-        stop=stop,
+        stop=_stopper(problem, problem.simulated + JOINT_SAMPLES, check_time),
         keep=keep,
     )
-    limit += JOINT_SAMPLES // 2
     best = spread(np.concatenate(points), np.concatenate(values), _sized(DENSE_MEMBERS, scale), DENSE_GAP)
     if not best.size:
         return problem.rounded(pool)
@@ -306,7 +296,7 @@ def _joint(
         np.concatenate(points)[best],
         _sized(DENSE_GENERATIONS, scale),
         rng,
-        stop=stop,
+        stop=_stopper(problem, problem.simulated + DENSE_SAMPLES, check_time),
     )
     return problem.tunings(population.points)
 
