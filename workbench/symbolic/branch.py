@@ -39,7 +39,8 @@ from workbench.symbolic.solve import Group, IpoptOptions, Nlp, Solver, Values
 
 __all__ = ["OPTIONS", "BranchProgram", "BranchSolution", "Decisions"]
 
-OPTIONS = IpoptOptions(tolerance=1e-8, max_iterations=40, max_wall_time=5.0, barrier=1e-3, push=1e-6, scaling="none")
+# Iterations bound the work, so that a busy machine changes no result; the time is but a last resort.
+OPTIONS = IpoptOptions(tolerance=1e-8, max_iterations=40, max_wall_time=120.0, barrier=1e-3, push=1e-6, scaling="none")
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import heapq
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +18,7 @@ from workbench.model.valve import Stenman
 from workbench.simulate import kernel
 from workbench.simulate.coefficients import coefficients
 from workbench.simulate.run import rest
-from workbench.symbolic.branch import OPTIONS, BranchProgram, Decisions
+from workbench.symbolic.branch import BranchProgram, Decisions
 from workbench.symbolic.loop import COEFFICIENTS
 from workbench.tune.problem import Problem
 
@@ -134,8 +134,6 @@ class Refiner:
             problem.bounds,
             size=size,
             reference=reference,
-            # Good starts take a tenth of this; a program that goes astray is not waited for.
-            options=replace(OPTIONS, max_wall_time=max(1.0, 2e-3 * problem.samples)),
         )
         self._strict = isinstance(valve, Stenman)
         self._seen: set[bytes] = set()
