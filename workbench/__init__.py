@@ -35,6 +35,12 @@ _HOME = {
     "Record": "model.record",
     "Objective": "model.tuning",
     "Bounds": "model.tuning",
+    "Simc": "model.rule",
+    "Lambda": "model.rule",
+    "Amigo": "model.rule",
+    "ZieglerNichols": "model.rule",
+    "DetunedIntegral": "model.rule",
+    "NoCrossing": "model.rule",
     "SolveStatus": "model.results",
     "simulate": "simulate.run",
     "simulate_batch": "simulate.run",
@@ -44,6 +50,8 @@ _HOME = {
     "describing_function": "analyze.describing_function",
     "limit_cycle": "analyze.limit_cycle",
     "tune": "tune.tune",
+    "apply_rule": "tune.rules",
+    "value_of_repair": "tune.repair",
     "load_scenario": "scenario.loader",
     "run_scenario": "scenario.runner",
     "plot": "report.plot",
@@ -52,14 +60,18 @@ _HOME = {
 __all__ = [
     "FOPDT",
     "PID",
+    "Amigo",
     "Bounds",
     "Choudhury",
     "Deadband",
+    "DetunedIntegral",
     "Experiment",
     "Ideal",
     "Integrating",
     "InvalidValue",
+    "Lambda",
     "Loop",
+    "NoCrossing",
     "Noise",
     "Objective",
     "OutputError",
@@ -68,12 +80,15 @@ __all__ = [
     "RecordError",
     "ScenarioError",
     "Series",
+    "Simc",
     "SolveError",
     "SolveStatus",
     "Stenman",
     "Step",
     "WorkbenchError",
+    "ZieglerNichols",
     "__version__",
+    "apply_rule",
     "describing_function",
     "estimate",
     "evaluate",
@@ -85,6 +100,7 @@ __all__ = [
     "simulate",
     "simulate_batch",
     "tune",
+    "value_of_repair",
 ]
 
 
@@ -126,6 +142,7 @@ if TYPE_CHECKING:
     from workbench.model.plant import FOPDT, Integrating
     from workbench.model.record import Record
     from workbench.model.results import SolveStatus
+    from workbench.model.rule import Amigo, DetunedIntegral, Lambda, NoCrossing, Simc, ZieglerNichols
     from workbench.model.tuning import Bounds, Objective
     from workbench.model.valve import Choudhury, Deadband, Ideal, Stenman
     from workbench.record.reader import read_record
@@ -133,4 +150,6 @@ if TYPE_CHECKING:
     from workbench.scenario.loader import load_scenario
     from workbench.scenario.runner import run_scenario
     from workbench.simulate.run import evaluate, simulate, simulate_batch
+    from workbench.tune.repair import value_of_repair
+    from workbench.tune.rules import apply_rule
     from workbench.tune.tune import tune

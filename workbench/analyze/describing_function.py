@@ -7,14 +7,14 @@ import math
 import numpy as np
 
 from workbench.analyze.frequency import linear_stable, loop_response
-from workbench.analyze.loci import Approach, Meeting, closest_approach, meetings
+from workbench.analyze.loci import Approach, Meeting, closest_approach, first_meeting, meetings
 from workbench.analyze.valve_loci import locus_pieces
 from workbench.model.loop import Loop
 from workbench.model.plant import FOPDT
 from workbench.model.record import FloatArray
 from workbench.model.results import ComplexArray, Crossing, DescribingFunction
 
-__all__ = ["describing_function"]
+__all__ = ["describing_function", "meeting_gain"]
 
 # Frequencies of the result (evenly spaced in log) and of the search (more, and dense enough for the dead time).
 SHOWN = 1500
@@ -95,6 +95,14 @@ def describing_function(loop: Loop, *, sampling_delay: bool = False) -> Describi
         verdict=_verdict(loop, crossings, predicted, approach, stable),
         breaks=tuple(np.cumsum([0] + [A.size for A in amplitudes[:-1]]).tolist()),
     )
+
+
+def meeting_gain(loop: Loop) -> float:
+    """Return the least factor on the controller's gain at which the loci of `describing_function` meet; inf for none.
+
+    Raises `InvalidValue` where the controller has no ideal equivalent.
+    """
+    return first_meeting(lambda w: loop_response(loop, w)[0], _search_frequencies(loop), locus_pieces(loop.valve))
 
 
 def _frequencies(loop: Loop, count: int) -> FloatArray:

@@ -24,6 +24,7 @@ __all__ = [
     "loop_response",
     "plant_response",
     "roots_inside",
+    "sampled_plant_response",
 ]
 
 ComplexArray = NDArray[np.complex128]

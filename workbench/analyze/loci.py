@@ -14,7 +14,7 @@ from scipy.spatial import cKDTree
 from workbench.analyze.valve_loci import Piece
 from workbench.model.record import FloatArray
 
-__all__ = ["Approach", "Meeting", "closest_approach", "meetings"]
+__all__ = ["Approach", "Meeting", "closest_approach", "first_meeting", "meetings"]
 
 ComplexArray = NDArray[np.complex128]
 Response = Callable[[FloatArray], ComplexArray]
@@ -130,6 +130,38 @@ def _stable(response: Response, piece: Piece, t: float, w: float) -> bool:
     locus = -1.0 / piece.N(piece.amplitude(ends))
     along, across = L[1] - L[0], locus[1] - locus[0]
     return bool((along.conjugate() * across).imag > 0.0)
+
+
+def first_meeting(response: Response, frequencies: FloatArray, pieces: tuple[Piece, ...]) -> float:
+    """Return the least factor on L at which it meets a locus, inf where no factor makes it meet.
+
+    A factor shifts L along log magnitude alone, so that it is the least gap of both curves at equal phase. Both are
+    taken as the polylines of `meetings`; the factor is right to about their resolution (1e-4).
+    """
+    L = response(frequencies)
+    a = np.column_stack([np.log(np.abs(L)), _phase(L)])
+    least = math.inf
+    for piece in pieces:
+        locus = -1.0 / piece.N(piece.amplitude(piece.points))
+        b = np.column_stack([np.log(np.abs(locus)), _phase(locus)])
+        least = min(least, _least_gap(a, b, 1.0), _least_gap(b, a, -1.0))
+    return math.exp(least) if math.isfinite(least) else math.inf
+
+
+def _least_gap(points: FloatArray, line: FloatArray, sign: float) -> float:
+    """Least `sign` (line - point) in log magnitude over the points whose phase a segment of the line spans."""
+    begin, step = line[:-1], np.diff(line, axis=0)
+    # Segments over the cut at phase 0 lie far from every locus.
+    whole = np.flatnonzero(np.abs(step[:, 1]) < math.pi)
+    low = np.minimum(begin[whole, 1], begin[whole, 1] + step[whole, 1])
+    high = np.maximum(begin[whole, 1], begin[whole, 1] + step[whole, 1])
+    i, j = np.nonzero((points[:, None, 1] >= low) & (points[:, None, 1] <= high))
+    if i.size == 0:
+        return math.inf
+    j = whole[j]
+    along = np.divide(points[i, 1] - begin[j, 1], step[j, 1], out=np.zeros(i.size), where=step[j, 1] != 0.0)
+    gaps = sign * (begin[j, 0] + along * step[j, 0] - points[i, 0])
+    return float(gaps.min())
 
 
 def closest_approach(response: Response, frequencies: FloatArray, pieces: tuple[Piece, ...]) -> Approach:

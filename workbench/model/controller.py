@@ -123,6 +123,26 @@ class PID:
         weight = (b * Ti + Td) / (Ti + Td) if self.derivative_on == "error" else b * Ti / (Ti + Td)
         return IdealTerms(Kc * (1.0 + Td / Ti), Ti + Td, Td * (Ti - Tf) / (Ti + Td), Tf, weight)
 
+    def with_ideal(self, Kc: float, Ti: float, Td: float = 0.0) -> PID:
+        """Return this controller with the parameters, in its own form, that act as Kc, Ti and Td of the ideal form.
+
+        Form, structure, filter ratio n, action and limits stay. Ti must be finite. Raises `InvalidValue` where there
+        are none: series needs `Ti >= 4 (1 + 1/n) Td`, parallel Kc > 0.
+        """
+        number(Ti, "Ti", above=0.0, unit="s")
+        if self.form == "parallel":
+            return replace(self, Kc=Kc, Ti=Ti / number(Kc, "PID.Kc", above=0.0, unit="%/EU"), Td=Kc * Td)
+        if self.form == "ideal" or Td == 0.0:
+            return replace(self, Kc=Kc, Ti=Ti, Td=Td)
+        # The series terms of `ideal_terms`, with Tf = Td'/n, solved for Td'.
+        share = 4.0 * (1.0 + 1.0 / self.derivative_filter)
+        root = Ti**2 - share * Ti * Td
+        if root < -1e-12 * Ti**2:
+            rule = f"a series equivalent with this derivative filter needs Ti >= {share:g} Td"
+            raise InvalidValue("PID", f"Ti = {Ti:g} s, Td = {Td:g} s of the ideal form", rule)
+        series_Td = 2.0 * Ti * Td / (Ti + math.sqrt(max(root, 0.0)))
+        return replace(self, Kc=Kc * (Ti - series_Td) / Ti, Ti=Ti - series_Td, Td=series_Td)
+
     def to_form(self, form: str) -> PID:
         """Return the exactly equivalent controller in another form.
 

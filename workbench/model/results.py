@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import Enum
@@ -30,6 +31,8 @@ __all__ = [
     "LimitCycleStart",
     "LinearFit",
     "NlpResult",
+    "Outcome",
+    "Repair",
     "Restart",
     "Run",
     "SolveStatus",
@@ -194,6 +197,47 @@ class Tuned:
             msg = f"the tuning ended as {self.status.value}: {self.message}"
             raise SolveError(msg)
         return self
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """What one controller achieves in an experiment by exact simulation: J of eq. (2) and the figures of the run."""
+
+    controller: PID
+    objective: float
+    kpis: Kpis
+
+
+@dataclass(frozen=True, eq=False)
+class Repair:
+    """What repairing the valve is worth: a loop with its sticky valve and with an ideal one, in the same experiment.
+
+    loop: with its sticky valve and present controller. present and repaired: at the present tuning, with the sticky and
+    the ideal valve; best and best_repaired: each at the best tuning found for it (tuned and tuned_repaired: the
+    searches). The figures are of measured PV: noise is in all four.
+    """
+
+    loop: Loop
+    experiment: Experiment
+    weights: Objective
+    present: Outcome
+    repaired: Outcome
+    best: Outcome
+    best_repaired: Outcome
+    tuned: Tuned
+    tuned_repaired: Tuned
+
+    def share(self, figure: str) -> float:
+        """Return the share of a figure, as the best tuning found leaves it, that no tuning removes but repair does.
+
+        figure: "objective" or a name of `Kpis`. `1 - best_repaired/best`: 0 where repair changes nothing, negative
+        where the ideal valve does worse, nan where there is nothing left to remove.
+        """
+        left, repaired = (
+            one.objective if figure == "objective" else float(getattr(one.kpis, figure))
+            for one in (self.best, self.best_repaired)
+        )
+        return 1.0 - repaired / left if left > 0.0 and math.isfinite(left) else math.nan
 
 
 @dataclass(frozen=True, slots=True)

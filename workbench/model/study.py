@@ -8,7 +8,8 @@ from types import MappingProxyType
 
 from workbench.model.experiment import Experiment
 from workbench.model.loop import Loop
-from workbench.model.results import DescribingFunction, Estimate, LimitCycle, Run, Tuned
+from workbench.model.results import DescribingFunction, Estimate, LimitCycle, Outcome, Repair, Run, Tuned
+from workbench.model.rule import Rule
 from workbench.model.tuning import Objective
 
 __all__ = ["CaseResult", "NamedEstimate", "Study"]
@@ -21,6 +22,7 @@ class CaseResult:
     `tuned` where the tuning was found and not given. `agreement`: one sentence on describing function and exact
     verdict, empty where not both were asked for. `reference`: published figures to show beside ours, by the names of
     `model.results.Kpis`, and `objective`. `note`: the scenario's own words on the case.
+    `rule`: the rule that gave the tuning. `repaired`: the figures at this tuning with an ideal valve, where asked for.
     """
 
     name: str
@@ -33,6 +35,8 @@ class CaseResult:
     agreement: str = ""
     reference: Mapping[str, float] = field(default_factory=lambda: MappingProxyType({}))
     note: str = ""
+    rule: Rule | None = None
+    repaired: Outcome | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,4 +71,5 @@ class Study:
     cases: tuple[CaseResult, ...]
     reference_source: str = ""
     notes: tuple[str, ...] = ()
+    repair: Repair | None = None
     times: Mapping[str, float] = field(default_factory=lambda: MappingProxyType({}))

@@ -14,6 +14,7 @@ from workbench.errors import OutputError
 from workbench.model.record import Record
 from workbench.model.study import NamedEstimate, Study
 from workbench.report import figures
+from workbench.report.repair import repair_tables, repair_text
 from workbench.report.results import cases_csv, results_json, run_json
 from workbench.report.style import svg_text
 from workbench.report.summary import summarise
@@ -25,7 +26,7 @@ from workbench.report.tables import (
     how_tables,
     loop_lines,
 )
-from workbench.report.words import join, legible, sentences, slug
+from workbench.report.words import join, legible, rule_words, sentences, slug
 
 __all__ = ["render", "write_report"]
 
@@ -108,6 +109,9 @@ def render(study: Study, drawn: Mapping[str, str]) -> str:
         cycle_tables=cycle_tables(study),
         estimate_tables=[estimate_table(e) for e in study.estimates],
         how=how_tables(study),
+        repair_tables=repair_tables(study),
+        repair_text=repair_text(study.repair) if study.repair is not None else [],
+        rules=[(c.name, rule_words(c.rule)) for c in study.cases if c.rule is not None],
         agreements=_agreements(study),
         seeds=_seeds(study),
         sentences=sentences,

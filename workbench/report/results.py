@@ -22,7 +22,8 @@ from typing import Any
 from workbench.model.controller import PID
 from workbench.model.loop import Loop
 from workbench.model.plant import FOPDT, Plant
-from workbench.model.results import DescribingFunction, Kpis, LimitCycle, Tuned
+from workbench.model.results import DescribingFunction, Kpis, LimitCycle, Outcome, Repair, Tuned
+from workbench.model.rule import Rule
 from workbench.model.study import CaseResult, NamedEstimate, Study
 from workbench.model.valve import Valve
 from workbench.report.words import ROUNDING
@@ -128,6 +129,32 @@ def _tuned(name: str, tuned: Tuned) -> dict[str, Any]:
     }
 
 
+def _rule(rule: Rule | None) -> dict[str, Any] | None:
+    return None if rule is None else {"name": rule.name, **_plain(rule), "source": rule.source}
+
+
+def _outcome(outcome: Outcome) -> dict[str, Any]:
+    return {
+        "controller": controller_content(outcome.controller),
+        "objective": outcome.objective,
+        "kpis": _plain(outcome.kpis),
+    }
+
+
+def _repair(repair: Repair | None) -> dict[str, Any] | None:
+    if repair is None:
+        return None
+    return {
+        "weights": _plain(repair.weights),
+        **{name: _outcome(getattr(repair, name)) for name in ("present", "repaired", "best", "best_repaired")},
+        "share_that_only_repair_removes": {
+            name: repair.share(name) for name in ("objective", "error_variance", "mean_square_error")
+        },
+        "tuning": _tuned("sticky", repair.tuned),
+        "tuning_repaired": _tuned("repaired", repair.tuned_repaired),
+    }
+
+
 def _case(case: CaseResult) -> dict[str, Any]:
     return {
         "name": case.name,
@@ -138,6 +165,8 @@ def _case(case: CaseResult) -> dict[str, Any]:
         "limit_cycle": _limit_cycle(case.limit_cycle),
         "agreement": case.agreement,
         "tuned": case.tuned is not None,
+        "rule": _rule(case.rule),
+        "repaired": None if case.repaired is None else _outcome(case.repaired),
         "reference": dict(case.reference),
         "note": case.note,
     }
@@ -203,6 +232,7 @@ def results_content(study: Study) -> dict[str, Any]:
         "estimate": estimates[0] if estimates else None,
         "estimates": estimates,
         "tuning": tuning,
+        "repair": _repair(study.repair),
         "reference_source": study.reference_source,
         "notes": list(study.notes),
     }

@@ -13,6 +13,7 @@ from workbench.model.plant import FOPDT
 from workbench.model.results import LimitCycle
 from workbench.model.study import CaseResult, NamedEstimate, Study
 from workbench.model.valve import Choudhury, Deadband, Ideal, Stenman
+from workbench.report.repair import repair_sentence
 from workbench.report.results import reference_names
 from workbench.report.tables import kpi_title, plant_parameters, valve_parameters
 from workbench.report.words import (
@@ -306,6 +307,8 @@ def _case_advice(study: Study) -> list[str]:
         out += _remaining(study, base, best)
         out += _less_wear(study, best)
     out += _lasting(best)
+    if study.repair is not None:
+        out.append(repair_sentence(study.repair, (base or study.cases[0]).name))
     if best.tuned is not None:
         out.append(
             "All this holds for this experiment on this model; a plant that differs from the model, or another "

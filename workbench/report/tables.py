@@ -26,6 +26,7 @@ from workbench.report.words import (
 )
 
 __all__ = [
+    "KPI_ROWS",
     "Cell",
     "Row",
     "Table",
@@ -39,6 +40,7 @@ __all__ = [
     "loop_lines",
     "off_by",
     "plant_parameters",
+    "shown",
     "valve_parameters",
 ]
 
@@ -121,7 +123,8 @@ def _value(case: CaseResult, name: str) -> float:
     return float(getattr(case.run.kpis, name, math.nan))
 
 
-def _shown(kpi: str, value: float) -> str:
+def shown(kpi: str, value: float) -> str:
+    """Return a figure as the tables print it; `kpi` is its name in `Kpis`."""
     if kpi == "settling_time" and math.isinf(value):
         return "not in the run"
     if kpi in _TIMES:
@@ -173,7 +176,7 @@ def _case_rows(study: Study, block: Sequence[CaseResult], decimals: dict[str, in
             if name in case.reference:
                 small = f"publ. {published(case.reference[name], decimals[name])}"
             mark = less and len(study.cases) > 1 and value == best and math.isfinite(value)
-            cells.append(Cell(_shown(name, value), small, mark))
+            cells.append(Cell(shown(name, value), small, mark))
         rows.append(Row(title, unit, tuple(cells), group=first))
         first = False
     return rows
@@ -274,8 +277,8 @@ def difference_table(study: Study) -> Table | None:
             decimals = decimals_of([c.reference[name] for c in study.cases if name in c.reference])
             ours = _value(case, name)
             text = difference(ours, theirs, decimals)
-            shown = _shown(name, ours) if math.isinf(ours) else published(ours, decimals)
-            cells.append(Cell(text, f"{shown} here, {published(theirs, decimals)} published", text == "to the digit"))
+            here = shown(name, ours) if math.isinf(ours) else published(ours, decimals)
+            cells.append(Cell(text, f"{here} here, {published(theirs, decimals)} published", text == "to the digit"))
         rows.append(Row(case.name, "", tuple(cells)))
     heads = []
     for name in names:

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 
 from workbench.model.controller import PID
 from workbench.model.plant import FOPDT, Plant
+from workbench.model.rule import Amigo, DetunedIntegral, Lambda, Rule, Simc, ZieglerNichols
 from workbench.model.valve import Choudhury, Deadband, Ideal, Stenman, Valve
 
 __all__ = [
@@ -24,6 +25,7 @@ __all__ = [
     "legible",
     "plant_words",
     "published",
+    "rule_words",
     "sentences",
     "setting",
     "slug",
@@ -185,6 +187,29 @@ def controller_words(controller: PID, digits: int | None = None) -> str:
     if controller.Td > 0.0:
         parts.append(derivative)
     return ", ".join(parts)
+
+
+def rule_words(rule: Rule) -> str:
+    """Return a rule with its options in words, and its source."""
+    if isinstance(rule, Simc):
+        at = "equal to the dead time" if rule.tau_c is None else f"of {given(rule.tau_c)} s"
+        text = f"SIMC with a closed-loop time constant {at}"
+    elif isinstance(rule, Lambda):
+        unit = "s" if rule.unit == "s" else "time constants"
+        text = f"lambda tuning with lambda = {given(rule.value)} {unit}"
+    elif isinstance(rule, Amigo):
+        text = f"AMIGO, {rule.controller}"
+    elif isinstance(rule, ZieglerNichols):
+        method = {"step": "step response", "ultimate": "ultimate gain"}[rule.method]
+        text = f"Ziegler and Nichols' {method}, {rule.controller}"
+    elif isinstance(rule, DetunedIntegral):
+        text = f"the integral time made {given(rule.factor)} times as long"
+    else:
+        text = (
+            f"no crossing of the loci: Ti {given(rule.integral_ratio)} times time constant plus dead time, Kc "
+            f"{given(rule.gain_margin)} times below the gain at which they meet"
+        )
+    return f"{text} ({rule.source})"
 
 
 def valve_words(valve: Valve) -> str:

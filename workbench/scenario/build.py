@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -14,14 +15,16 @@ from workbench.model.experiment import Experiment, Noise, Profile, Ramp, Series,
 from workbench.model.loop import Loop
 from workbench.model.plant import FOPDT, Integrating, Plant
 from workbench.model.record import Record
+from workbench.model.rule import Rule
 from workbench.model.tuning import Objective
 from workbench.model.valve import Choudhury, Deadband, Ideal, Stenman, Valve
 from workbench.record.reader import read_record
 from workbench.scenario import schema
-from workbench.scenario.controllers import Controllers
+from workbench.scenario.controllers import Controllers, ruled
 from workbench.scenario.document import Path
 from workbench.scenario.plan import CaseJob, EstimateJob, Scenario
 from workbench.scenario.refusals import Refusals
+from workbench.scenario.rule_entries import DetunedIntegralRule, rule_of
 from workbench.scenario.series import read_series
 from workbench.scenario.units import Quantity
 from workbench.simulate.signals import sample_count
@@ -57,7 +60,10 @@ class Builder:
         plant, valve = self._plant(loop), self._valve(loop)
         experiment = self._experiment(given.experiment)
         objective = self.controllers.objective(given.objective, ("objective",))
-        cases = self._cases(given, loop, objective)
+        ruling: Loop | None = None
+        if plant is not None and valve is not None and loop.sample_time is not None and not from_data:
+            ruling = Loop(plant, valve, PID(0.0, math.inf), loop.sample_time)
+        cases = self._cases(given, loop, objective, ruling)
         records = self._records(given)
         whole: Loop | None = None
         if plant is not None and valve is not None and loop.sample_time is not None and not from_data:
@@ -87,6 +93,7 @@ class Builder:
             cases=tuple(cases),
             describing_function=given.analyze.describing_function,
             limit_cycle=given.analyze.limit_cycle,
+            repair=given.analyze.repair,
             notes=tuple(self.notes),
         )
 
@@ -102,6 +109,10 @@ class Builder:
                 self.refusals.refuse(("loop", name), what)
             if not from_data and not there and (given.cases or simulated):
                 self.refusals.refuse(("loop", name), "missing; needed where no recorded data is given to estimate")
+        if given.analyze.repair and not given.cases:
+            self.refusals.refuse(("analyze", "repair"), "true given without cases; there is no tuning to compare with")
+        if given.analyze.repair and isinstance(loop.valve, schema.IdealValve):
+            self.refusals.refuse(("analyze", "repair"), "true given for an ideal valve; there is nothing to repair")
         if given.experiment is None and (given.cases or simulated):
             self.refusals.refuse(("experiment",), "missing; needed to simulate (at least duration and setpoint)")
 
@@ -252,13 +263,17 @@ class Builder:
 
     # the cases -----------------------------------------------------------------------------------------------------
 
-    def _cases(self, given: schema.ScenarioFile, loop: schema.Loop, objective: Objective | None) -> list[CaseJob]:
+    def _cases(
+        self, given: schema.ScenarioFile, loop: schema.Loop, objective: Objective | None, ruling: Loop | None
+    ) -> list[CaseJob]:
+        """Return the cases; rules are applied to the loop `ruling` here where it and their base are known already."""
         own = loop.controller or schema.Controller()
         base_path: Path = ("loop", "controller")
         base = self.controllers.keys(own, base_path)
         tuning = self.controllers.tuning(own, base_path, base.get("form", "ideal"))
         jobs: list[CaseJob] = []
         names: dict[str, int] = {}
+        known: dict[str, PID] = {}
         first: CaseJob | None = None
         for i, case in enumerate(given.cases):
             path: Path = ("cases", i)
@@ -266,11 +281,21 @@ class Builder:
             if name in names:
                 self.refusals.refuse((*path, "name"), f"{name!r} given; cases[{names[name]}] has this name already")
             names.setdefault(name, i)
+            tune, rule, under = None, None, ""
             if isinstance(case, schema.GivenCase):
                 fields = {**base, **self.controllers.keys(case, path)}
                 mine = {**tuning, **self.controllers.tuning(case, path, fields.get("form", "ideal"))}
                 controller = self.controllers.pid(path, fields, mine)
-                tune = None
+            elif isinstance(case, schema.RuledCase):
+                rule, under = self._rule(case, path, names)
+                fields = {**base, **self.controllers.keys(case, path)}
+                # Without gain and integral: the rule says them, at the latest when the loop has been found.
+                controller = self.controllers.pid(path, fields, {"Kc": 0.0, "Ti": math.inf})
+                if rule is None or controller is None:
+                    continue
+                if ruling is not None and (not under or under in known):
+                    apply = partial(ruled, ruling, known.get(under, controller), rule)
+                    controller = self.refusals.attempt((*path, "rule"), apply)
             else:
                 found = self.controllers.tuned(case.tune, (*path, "tune"), base, tuning, first, objective)
                 if found is None:
@@ -279,12 +304,39 @@ class Builder:
             if controller is None:
                 continue
             job = CaseJob(
-                name, f"cases[{i}]", controller, tune, {str(k): v for k, v in case.reference.items()}, case.note
+                name=name,
+                where=self.place(path),
+                controller=controller,
+                tune=tune,
+                rule=rule,
+                base=under,
+                reference={str(k): v for k, v in case.reference.items()},
+                note=case.note,
             )
             jobs.append(job)
-            if first is None and tune is None:
+            if tune is None and (rule is None or (ruling is not None and (not under or under in known))):
+                known[name] = controller
+            if first is None and tune is None and rule is None:
                 first = job
         return jobs
+
+    def _rule(self, case: schema.RuledCase, path: Path, names: dict[str, int]) -> tuple[Rule | None, str]:
+        """Return a case's rule and the name of the case that it starts from, if it needs one."""
+        rule = self.refusals.attempt((*path, "rule"), lambda: rule_of(case.rule))
+        if not isinstance(case.rule, DetunedIntegralRule):
+            return rule, ""
+        under = case.rule.base.strip()
+        if names.get(under, path[1]) == path[1]:
+            above = ", ".join(name for name, i in names.items() if i != path[1]) or "there is none"
+            self.refusals.refuse(
+                (*path, "rule", "base"), f"{under!r} given; must be the name of a case above this one ({above})"
+            )
+            return None, under
+        for name in sorted(case.model_fields_set & set(schema.ControllerKeys.model_fields)):
+            self.refusals.refuse(
+                (*path, name), "given; detuned_integral takes the controller of its base case as it is"
+            )
+        return rule, under
 
     # the estimates -------------------------------------------------------------------------------------------------
 

@@ -8,15 +8,24 @@ from typing import Any
 
 from workbench.errors import InvalidValue
 from workbench.model.controller import PID, STRUCTURES
+from workbench.model.loop import Loop
+from workbench.model.rule import Rule
 from workbench.model.tuning import Bounds, Objective
 from workbench.model.units import gain_from
 from workbench.scenario import schema
 from workbench.scenario.document import Path
-from workbench.scenario.plan import CaseJob, TuneJob
+from workbench.scenario.plan import RULE_DIGITS, CaseJob, TuneJob
 from workbench.scenario.refusals import Refusals
 from workbench.scenario.units import Quantity
 
-__all__ = ["Controllers"]
+__all__ = ["Controllers", "ruled"]
+
+
+def ruled(loop: Loop, controller: PID, rule: Rule) -> PID:
+    """Return what a rule makes of this controller in a loop, at the digits to type in. Raises `InvalidValue`."""
+    from workbench.tune.rules import apply_rule  # scipy: only where a scenario has rules
+
+    return apply_rule(loop.with_controller(controller), rule, digits=RULE_DIGITS)
 
 
 @dataclass

@@ -16,12 +16,14 @@ from workbench.errors import InvalidValue, ScenarioError
 from workbench.scenario.build import Builder
 from workbench.scenario.document import Node, Path, Problem, locate, nearest, parse, plain, spell
 from workbench.scenario.plan import Scenario
-from workbench.scenario.schema import ScenarioFile, Tune
+from workbench.scenario.schema import ScenarioFile, Tune, Tuning
 
 __all__ = ["LARGEST", "MOST_PROBLEMS", "load_scenario", "read_scenario"]
 
 LARGEST = 1 << 20  # bytes
 MOST_PROBLEMS = 50
+
+CASE_KINDS = ("rule", "tune", *Tuning.model_fields)
 
 _KINDS = {
     "float_type": "must be a number",
@@ -141,6 +143,8 @@ def _problem(root: Node, data: object, allowed: dict[int, tuple[str, ...]], erro
         near = nearest(path[-1], keys)
         if not near and "tune" in keys and path[-1] in Tune.model_fields:
             near = " (write it inside tune)"
+        elif not near and ("tune" in keys or "rule" in keys) and path[-1] in CASE_KINDS:
+            near = " (a case holds Kc and Ti, or a rule, or tune)"
         return _placed(root, path, f"unknown key{near}; allowed: {', '.join(keys)}", key=True)
     if kind == "variant":
         key, *variants = str(error["msg"]).split("|")
@@ -158,6 +162,10 @@ def _problem(root: Node, data: object, allowed: dict[int, tuple[str, ...]], erro
 
 def _variant(root: Node, path: Path, key: str, variants: list[str], node: Node) -> Problem:
     names = ", ".join(variants)
+    if node.entries is None and key == "name" and isinstance(node.value, str):
+        return _placed(
+            root, path, f"{_given(node)} given{nearest(node.value, tuple(variants))}; must be one of {names}"
+        )
     if node.entries is None:
         return _placed(root, path, f"{_given(node)} given; must be a mapping with {_a(key, names)}")
     if not key:

@@ -11,9 +11,12 @@ from workbench.model.controller import PID
 from workbench.model.experiment import Experiment
 from workbench.model.loop import Loop
 from workbench.model.record import Record
+from workbench.model.rule import Rule
 from workbench.model.tuning import Bounds, Objective
 
-__all__ = ["CaseJob", "EstimateJob", "Scenario", "TuneJob"]
+__all__ = ["RULE_DIGITS", "CaseJob", "EstimateJob", "Scenario", "TuneJob"]
+
+RULE_DIGITS = 4  # significant digits of what a rule gives, to be typed in
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,12 +53,18 @@ class TuneJob:
 
 @dataclass(frozen=True, eq=False)
 class CaseJob:
-    """One case: the controller to try, or the start of the tuning to find. where: its line:column and name."""
+    """One case: the controller to try, or the start of the tuning to find. where: its line:column and name.
+
+    rule: to be applied to the loop with this controller, in place of its Kc, Ti and Td; base: the case whose controller
+    takes this one's place before that, or empty.
+    """
 
     name: str
     where: str
     controller: PID
     tune: TuneJob | None = None
+    rule: Rule | None = None
+    base: str = ""
     reference: Mapping[str, float] = field(default_factory=lambda: MappingProxyType({}))
     note: str = ""
 
@@ -65,8 +74,9 @@ class Scenario:
     """A checked scenario file.
 
     loop: as given, under the first case's controller; None where plant and valve come from the first estimate, or no
-    case asks for a loop. pv_range: EU, or None. objective: what J is computed with for every case, or None. notes: what
-    loading assumed or left out (rejected rows, coarse sampling), for the report.
+    case asks for a loop. pv_range: EU, or None. objective: what J is computed with for every case, or None. repair:
+    whether to say what repairing the valve is worth. notes: what loading assumed or left out (rejected rows, coarse
+    sampling), for the report.
     """
 
     path: Path
@@ -83,4 +93,5 @@ class Scenario:
     cases: tuple[CaseJob, ...]
     describing_function: bool
     limit_cycle: bool
+    repair: bool = False
     notes: tuple[str, ...] = ()

@@ -11,9 +11,12 @@ from workbench.model.experiment import Experiment, Step
 from workbench.model.loop import Loop
 from workbench.model.plant import FOPDT, Plant
 from workbench.model.results import Estimate, Tuned
+from workbench.model.rule import Simc
 from workbench.model.tuning import Bounds, Objective
+from workbench.scenario.controllers import ruled
 from workbench.scenario.plan import CaseJob, Scenario, TuneJob
 from workbench.scenario.runner import Progress, run_scenario, tune_case
+from workbench.tune.rules import apply_rule
 
 __all__ = ["Retuned", "Wishes", "tune_found", "tune_scenario"]
 
@@ -66,8 +69,9 @@ def tune_scenario(plan: Scenario, wishes: Wishes, progress: Progress | None = No
     jobs = [case for case in plan.cases if case.tune is not None]
     if not jobs:
         first = plan.cases[0]
+        start = first.controller if first.rule is None else ruled(base, first.controller, first.rule)
         default = TuneJob(plan.objective or Objective(), Bounds(), 0, 4, 4)
-        jobs = [CaseJob("Tuned", first.where, first.controller, default)]
+        jobs = [CaseJob("Tuned", first.where, start, default)]
     found = []
     for case in jobs:
         if case.tune is None:
@@ -106,8 +110,7 @@ def _within(controller: PID, wishes: Wishes) -> PID:
 def tune_found(found: Estimate, wishes: Wishes, progress: Progress | None = None) -> Retuned:
     """Tune a PI controller (a PID where Td is given bounds) for a loop estimated from a record.
 
-    Unless wished otherwise: from the SIMC rule with the closed-loop time constant equal to the dead time (S. Skogestad,
-    J. Process Control 13 (2003) 291-309), Kc up to 4 times its gain, Ti from a fifth to 20 times the plant's time
+    Unless wished otherwise: from the SIMC rule, Kc up to 4 times its gain, Ti from a fifth to 20 times the plant's time
     scale; a setpoint step of twice the PV change of the least slip (without stiction: of PV's standard deviation) and,
     half way, a load step of half that size at the plant's input; D on PV. What was assumed is said in the result.
     Raises what tuning raises.
@@ -115,13 +118,17 @@ def tune_found(found: Estimate, wishes: Wishes, progress: Progress | None = None
     plant, Ts = found.plant, found.record.sample_time
     lag = max(plant.dead_time, Ts)
     scale = (plant.time_constant if isinstance(plant, FOPDT) else 4.0 * lag) + lag
-    Kc, Ti = _simc(plant, lag)
+    suited = "reverse" if plant.gain > 0.0 else "direct"
+    # Without dead time the sample time stands in for it.
+    lagging = Loop(replace(plant, dead_time=lag), found.valve, PID(0.0, math.inf, action=suited), Ts)
+    simc = apply_rule(lagging, Simc())
+    Kc, Ti = simc.Kc, simc.Ti
     bounds = Bounds(
         Kc=wishes.Kc or (0.0, _round(4.0 * Kc)),
         Ti=wishes.Ti or (_round(scale / 5.0), _round(20.0 * scale)),
         Td=wishes.Td or (0.0, 0.0),
     )
-    action = wishes.action or ("reverse" if plant.gain > 0.0 else "direct")
+    action = wishes.action or suited
     start = PID(
         Kc=min(max(Kc, bounds.Kc[0]), bounds.Kc[1]),
         Ti=min(max(Ti, bounds.Ti[0]), bounds.Ti[1]),
@@ -150,13 +157,6 @@ def tune_found(found: Estimate, wishes: Wishes, progress: Progress | None = None
     )
     assumed = (f"the record's loop: {verdict}", task, f"bounds {searched}", f"{action} action, derivative on PV")
     return Retuned("Tuned for the record's loop", tune_case(loop, experiment, job, progress), assumed)
-
-
-def _simc(plant: Plant, lag: float) -> Range:
-    if isinstance(plant, FOPDT):
-        tau = plant.time_constant
-        return tau / (abs(plant.gain) * 2.0 * lag), min(tau, 8.0 * lag)
-    return 1.0 / (abs(plant.gain) * 2.0 * lag), 8.0 * lag
 
 
 def _usual_step(found: Estimate, plant: Plant, scale: float) -> float:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import partial
 
@@ -18,11 +18,14 @@ from workbench.estimate.estimate import estimate
 from workbench.model.experiment import Experiment
 from workbench.model.loop import Loop
 from workbench.model.record import Record
-from workbench.model.results import SolveStatus, Tuned
+from workbench.model.results import Repair, SolveStatus, Tuned
 from workbench.model.study import CaseResult, NamedEstimate, Study
+from workbench.model.tuning import Objective
+from workbench.scenario.controllers import ruled
 from workbench.scenario.loader import load_scenario
 from workbench.scenario.plan import CaseJob, EstimateJob, Scenario, TuneJob
 from workbench.simulate.run import evaluate, simulate
+from workbench.tune.repair import repaired_outcome, value_of_repair
 from workbench.tune.tune import tune
 
 __all__ = ["Progress", "run_scenario", "simulated_record", "tune_case"]
@@ -36,11 +39,11 @@ _SHARE = {"estimate": 3.0, "case": 1.0, "tune": 8.0}
 def run_scenario(scenario: Scenario | str | os.PathLike[str], *, progress: Progress | None = None) -> Study:
     """Run a scenario, given as loaded or as its file's path, and return its `Study`.
 
-    Estimates first; the loop is the scenario's, or the first estimate's; each case is tuned where asked, simulated
-    exactly, and analysed (describing function, limit cycle and whether they agree). progress: called with a few words
-    and the share done, 0..1. A tuning that did not succeed stays in the study with its status. Raises `ScenarioError`
-    for a scenario that is refused, and with the entry named where running shows that it cannot be carried out;
-    `KeyboardInterrupt` where a tuning was interrupted.
+    Estimates first; the loop is the scenario's, or the first estimate's; each case is given, made by its rule or tuned,
+    simulated exactly, and analysed (describing function, limit cycle and whether they agree); last, where asked for,
+    what repairing the valve is worth. progress: called with a few words and the share done, 0..1. A tuning that did not
+    succeed stays in the study with its status. Raises `ScenarioError` for a scenario that is refused, and with the
+    entry named where running shows that it cannot be carried out; `KeyboardInterrupt` where a tuning was interrupted.
     """
     plan = scenario if isinstance(scenario, Scenario) else load_scenario(scenario)
     return _Runner(plan, progress).study()
@@ -55,7 +58,10 @@ class _Runner:
         self.times: dict[str, float] = {}
         self.done = 0.0
         cases = sum(_SHARE["case"] + (_SHARE["tune"] if case.tune is not None else 0.0) for case in plan.cases)
-        self.total = cases + _SHARE["estimate"] * len(plan.estimates) or 1.0
+        searches = 0.0
+        if plan.repair:
+            searches = 1.0 if any(case.tune is not None for case in plan.cases) else 2.0
+        self.total = cases + _SHARE["tune"] * searches + _SHARE["estimate"] * len(plan.estimates) or 1.0
 
     def study(self) -> Study:
         """Return the study."""
@@ -68,7 +74,16 @@ class _Runner:
             note = loop.sampling_note()
             if note is not None:
                 notes.append(f"Coarse sampling: {note}.")
-        cases = tuple(self._case(job, loop) for job in plan.cases) if loop is not None else ()
+        cases: list[CaseResult] = []
+        if loop is not None:
+            for job in plan.cases:
+                cases.append(self._case(job, loop, cases))
+        repair = None
+        if plan.repair and cases:
+            if cases[0].repaired is None:
+                notes.append("The valve that was found does not stick: there is nothing to repair.")
+            else:
+                repair = self._repair(cases)
         if self.tell is not None:
             self.tell("done", 1.0)
         return Study(
@@ -79,9 +94,10 @@ class _Runner:
             experiment=plan.experiment,
             objective=plan.objective,
             estimates=estimates,
-            cases=cases,
+            cases=tuple(cases),
             reference_source=plan.reference_source,
             notes=tuple(notes),
+            repair=repair,
             times=self.times,
         )
 
@@ -106,11 +122,15 @@ class _Runner:
             )
         return NamedEstimate(job.name, found, job.truth, job.reference, job.note)
 
-    def _case(self, job: CaseJob, base: Loop) -> CaseResult:
+    def _case(self, job: CaseJob, base: Loop, above: Sequence[CaseResult]) -> CaseResult:
         plan, experiment = self.plan, self.plan.experiment
         if experiment is None:
             raise ScenarioError(f"{plan.path}: experiment: missing; needed to simulate")
         loop, tuned = base.with_controller(job.controller), None
+        if job.rule is not None:
+            under = next((case.loop.controller for case in above if case.name == job.base), job.controller)
+            with self._stage(f"rule {job.name}", job.where, 0.0):
+                loop = loop.with_controller(ruled(base, under, job.rule))
         if job.tune is not None:
             with self._stage(f"tune {job.name}", job.where, _SHARE["tune"]) as progress:
                 tuned = tune_case(loop, experiment, job.tune, progress)
@@ -127,7 +147,37 @@ class _Runner:
                 limit_cycle(loop, experiment, progress=partial(progress, "limit cycle")) if plan.limit_cycle else None
             )
             sentence = agreement(df, cycle) if df is not None and cycle is not None else ""
-        return CaseResult(job.name, loop, run, cost, tuned, df, cycle, sentence, job.reference, job.note)
+            repaired = None
+            if plan.repair and loop.valve.hold > 0.0:
+                repaired = repaired_outcome(loop, experiment, plan.objective or Objective())
+        return CaseResult(
+            name=job.name,
+            loop=loop,
+            run=run,
+            objective=cost,
+            tuned=tuned,
+            describing_function=df,
+            limit_cycle=cycle,
+            agreement=sentence,
+            reference=job.reference,
+            note=job.note,
+            rule=job.rule,
+            repaired=repaired,
+        )
+
+    def _repair(self, cases: Sequence[CaseResult]) -> Repair:
+        """Return what repair is worth to the first given case, from the best search that the cases have made."""
+        plan, experiment = self.plan, cases[0].run.experiment
+        present = next((case for case in cases if case.tuned is None), cases[0])
+        searches = [case.tuned for case in cases if case.tuned is not None and case.tuned.status.success]
+        if plan.objective is not None:
+            searches = [one for one in searches if one.weights == plan.objective]
+        best = min(searches, key=lambda one: one.objective, default=None)
+        with self._stage("value of repair", "analyze.repair", _SHARE["tune"] * (1.0 if searches else 2.0)) as progress:
+            found = value_of_repair(present.loop, experiment, plan.objective, tuned=best, progress=progress)
+        if SolveStatus.INTERRUPTED in (found.tuned.status, found.tuned_repaired.status):
+            raise KeyboardInterrupt
+        return found
 
     @contextmanager
     def _stage(self, words: str, where: str, share: float) -> Iterator[Progress]:

@@ -7,26 +7,32 @@ for editors, `schema.json` beside this file, is made from here.
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Literal, Self
 
-from pydantic import (
-    BaseModel,
-    BeforeValidator,
-    ConfigDict,
-    Discriminator,
-    Field,
-    GetCoreSchemaHandler,
-    GetJsonSchemaHandler,
-    PlainValidator,
-    Tag,
-    ValidationInfo,
-    WithJsonSchema,
-    model_validator,
+from pydantic import Discriminator, Field, Tag, model_validator
+
+from workbench.scenario.entries import (
+    Band,
+    BandValue,
+    Closed,
+    FileName,
+    FilterRatio,
+    GainValue,
+    IntegralTime,
+    Name,
+    NonNegative,
+    Number,
+    OneOrMany,
+    Percent,
+    PositiveTime,
+    Seed,
+    Size,
+    Time,
+    Words,
+    by_key,
+    by_presence,
 )
-from pydantic_core import CoreSchema, core_schema
-
-from workbench.scenario import units
+from workbench.scenario.rule_entries import RuleEntry
 
 __all__ = [
     "Bounds",
@@ -39,6 +45,7 @@ __all__ = [
     "Loop",
     "Part",
     "RampPart",
+    "RuledCase",
     "ScenarioFile",
     "SeriesPart",
     "StepPart",
@@ -47,97 +54,6 @@ __all__ = [
     "Tuning",
     "json_schema",
 ]
-
-
-def _text(pattern: str, **also: Any) -> dict[str, Any]:
-    return {"anyOf": [{"type": "string", "pattern": pattern}, *([also] if also else [])]}
-
-
-Number = Annotated[float, Field(allow_inf_nan=False)]
-NonNegative = Annotated[float, Field(allow_inf_nan=False, ge=0)]
-Percent = Annotated[float, BeforeValidator(units.percent), WithJsonSchema(_text(units.PERCENT_FORM, type="number"))]
-Size = Annotated[units.Quantity, PlainValidator(units.size), WithJsonSchema(_text(units.PERCENT_FORM, type="number"))]
-Band = Annotated[
-    float,
-    BeforeValidator(units.percent),
-    Field(ge=0),
-    WithJsonSchema(_text(units.PERCENT_FORM, type="number", minimum=0)),
-]
-Time = Annotated[float, BeforeValidator(units.time), Field(ge=0), WithJsonSchema(_text(units.TIME_FORM, const=0))]
-PositiveTime = Annotated[float, BeforeValidator(units.time), Field(gt=0), WithJsonSchema(_text(units.TIME_FORM))]
-IntegralTime = Annotated[
-    float, BeforeValidator(units.integral_time), Field(gt=0), WithJsonSchema(_text(units.INTEGRAL_FORM))
-]
-GainValue = Annotated[
-    units.Quantity, PlainValidator(units.gain), WithJsonSchema(_text(units.GAIN_FORM, type="number", minimum=0))
-]
-BandValue = Annotated[
-    units.Quantity,
-    PlainValidator(units.proportional_band),
-    WithJsonSchema(_text(units.PERCENT_FORM, type="number", exclusiveMinimum=0)),
-]
-FilterRatio = Annotated[
-    float,
-    BeforeValidator(units.filter_ratio),
-    Field(gt=0),
-    WithJsonSchema(_text(units.FILTER_FORM, type="number", exclusiveMinimum=0)),
-]
-Seed = Annotated[int, Field(ge=0)]
-Name = Annotated[str, Field(min_length=1, max_length=80, pattern=r"\S")]
-Words = Annotated[str, Field(max_length=4000)]
-FileName = Annotated[str, Field(min_length=1, max_length=400)]
-
-
-class OneOrMany:
-    """Annotation of a list that may be written as its only entry."""
-
-    @staticmethod
-    def _listed(value: object) -> object:
-        return value if isinstance(value, list) else [value]
-
-    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
-        return core_schema.no_info_before_validator_function(self._listed, handler(source))
-
-    def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
-        listed = handler(schema)
-        return {"anyOf": [listed["items"], listed]}
-
-
-def _pick(tag: Callable[[dict[str, Any]], object], variants: tuple[str, ...], key: str) -> Discriminator:
-    """Return the choice among variants; names in <> so that they are never taken for a key of the file."""
-
-    def choose(data: object) -> str | None:
-        name = tag(data) if isinstance(data, dict) else None
-        return f"<{name}>" if name in variants else None
-
-    return Discriminator(
-        choose,
-        custom_error_type="variant",
-        # Read by the loader; a context would not do, as annotations have to be hashable.
-        custom_error_message=f"{key}|{'|'.join(variants)}",
-    )
-
-
-def _by_type(*variants: str) -> Discriminator:
-    return _pick(lambda data: data.get("type"), variants, "type")
-
-
-def _by_presence(*variants: str) -> Discriminator:
-    return _pick(lambda data: next((name for name in variants if name in data), None), variants, "")
-
-
-class Closed(BaseModel):
-    """Base: no unknown keys, no conversion of types, frozen."""
-
-    model_config = ConfigDict(extra="forbid", strict=True, frozen=True)
-
-    @model_validator(mode="before")
-    @classmethod
-    def _remember(cls, data: object, info: ValidationInfo) -> object:
-        # The loader names the allowed keys beside an unknown one: it finds them here, by the mapping's identity.
-        if isinstance(info.context, dict) and isinstance(data, dict):
-            info.context[id(data)] = tuple(cls.model_fields)
-        return data
 
 
 class FopdtPlant(Closed):
@@ -187,14 +103,14 @@ class DeadbandValve(Closed):
 
 Plant = Annotated[
     Annotated[FopdtPlant, Tag("<fopdt>")] | Annotated[IntegratingPlant, Tag("<integrating>")],
-    _by_type("fopdt", "integrating"),
+    by_key("type", "fopdt", "integrating"),
 ]
 Valve = Annotated[
     Annotated[IdealValve, Tag("<ideal>")]
     | Annotated[StenmanValve, Tag("<stenman>")]
     | Annotated[ChoudhuryValve, Tag("<choudhury>")]
     | Annotated[DeadbandValve, Tag("<deadband>")],
-    _by_type("ideal", "stenman", "choudhury", "deadband"),
+    by_key("type", "ideal", "stenman", "choudhury", "deadband"),
 ]
 
 
@@ -282,7 +198,7 @@ Part = Annotated[
     | Annotated[RampPart, Tag("<ramp>")]
     | Annotated[SeriesPart, Tag("<series>")]
     | Annotated[FilePart, Tag("<file>")],
-    _by_presence("step", "ramp", "series", "file"),
+    by_presence("step", "ramp", "series", "file"),
 ]
 
 
@@ -360,7 +276,16 @@ class GivenCase(Tuning, ControllerKeys):
 
     name: Name
     note: Words = ""
-    reference: CaseReference = {}
+    reference: CaseReference = Field(default_factory=dict)
+
+
+class RuledCase(ControllerKeys):
+    """The tuning that a published rule gives for the loop, at 4 significant digits."""
+
+    name: Name
+    note: Words = ""
+    reference: CaseReference = Field(default_factory=dict)
+    rule: RuleEntry
 
 
 class TunedCase(Closed):
@@ -368,13 +293,19 @@ class TunedCase(Closed):
 
     name: Name
     note: Words = ""
-    reference: CaseReference = {}
+    reference: CaseReference = Field(default_factory=dict)
     tune: Tune
 
 
+def _kind(data: object) -> str:
+    """Return which of the cases a mapping is; what it holds of another one is then an unknown key."""
+    given = data if isinstance(data, dict) else {}
+    return "<tuned>" if "tune" in given else "<ruled>" if "rule" in given else "<given>"
+
+
 Case = Annotated[
-    Annotated[GivenCase, Tag("<given>")] | Annotated[TunedCase, Tag("<tuned>")],
-    Discriminator(lambda data: "<tuned>" if isinstance(data, dict) and "tune" in data else "<given>"),
+    Annotated[GivenCase, Tag("<given>")] | Annotated[RuledCase, Tag("<ruled>")] | Annotated[TunedCase, Tag("<tuned>")],
+    Discriminator(_kind),
 ]
 
 
@@ -428,6 +359,9 @@ class Analyze(Closed):
 
     describing_function: bool = True
     limit_cycle: bool = True
+    repair: Annotated[bool, Field(description="what repairing the valve is worth; takes one or two searches more")] = (
+        False
+    )
 
 
 class ScenarioFile(Closed):
@@ -440,7 +374,7 @@ class ScenarioFile(Closed):
     experiment: Experiment | None = None
     objective: Objective | None = None
     estimate: Annotated[list[Estimate], Field(min_length=1, max_length=50), OneOrMany()] | None = None
-    cases: Annotated[list[Case], Field(max_length=200)] = []
+    cases: Annotated[list[Case], Field(max_length=200)] = Field(default_factory=list)
     analyze: Analyze = Analyze()
 
 

@@ -16,6 +16,7 @@ __all__ = [
     "FILTER_FORM",
     "GAIN_FORM",
     "INTEGRAL_FORM",
+    "LAMBDA_FORM",
     "PERCENT_FORM",
     "TIME_FORM",
     "Quantity",
@@ -23,6 +24,7 @@ __all__ = [
     "filter_ratio",
     "gain",
     "integral_time",
+    "lambda_time",
     "percent",
     "proportional_band",
     "size",
@@ -37,18 +39,20 @@ TIME_FORM = rf"^\s*{NUMBER}\s*(ms|s|min|h|d)\s*$"
 INTEGRAL_FORM = rf"^\s*({NUMBER}\s*(ms|s|min|h|d|repeats/min)|none)\s*$"
 PERCENT_FORM = rf"^\s*{NUMBER}\s*%\s*$"
 GAIN_FORM = rf"^\s*{NUMBER}\s*(%/EU|%/%)\s*$"
+LAMBDA_FORM = rf"^\s*{NUMBER}\s*(ms|s|min|h|d|tau)\s*$"
 FILTER_FORM = "^none$"
 
 _QUANTITY = re.compile(rf"\s*({NUMBER})\s*(\S*)\s*")
 _TIME_RULE = 'must be a time with its unit, such as "5 s" (ms, s, min, h, d)'
 _INTEGRAL_RULE = 'must be a time with its unit, such as "20 s" (ms, s, min, h, d), "0.5 repeats/min", or none'
 _GAIN_RULE = 'must be a gain in %/EU, such as 0.5 or "0.5 %/EU", or "2 %/%" of the PV range'
+_LAMBDA_RULE = 'must be a time with its unit, such as "15 s", or a multiple of the time constant, such as "3 tau"'
 _PERCENT_RULE = 'must be a number of %, such as 2 or "2 %"'
 
 
 @dataclass(frozen=True, slots=True)
 class Quantity:
-    """A number in the unit that it was written in: "%/EU", "%/%" or "PB %" (a proportional band); "%" or none."""
+    """A number in its unit: "%/EU", "%/%" or "PB %" (a proportional band); "s" or "tau"; "%" or none."""
 
     value: float
     unit: str
@@ -100,6 +104,16 @@ def integral_time(value: object) -> float:
     if unit in TIME_UNITS:
         return x * TIME_UNITS[unit]
     raise InvalidValue("", value, _INTEGRAL_RULE)
+
+
+def lambda_time(value: object) -> Quantity:
+    """Return a closed-loop time constant above 0 in "s", or in multiples of the plant's own, "tau"."""
+    x, unit = _split(value, _LAMBDA_RULE)
+    if unit in TIME_UNITS:
+        x, unit = x * TIME_UNITS[unit], "s"
+    if unit not in ("s", "tau") or x <= 0.0:
+        raise InvalidValue("", value, _LAMBDA_RULE)
+    return Quantity(x, unit)
 
 
 def percent(value: object) -> float:

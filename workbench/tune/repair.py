@@ -1,0 +1,127 @@
+"""`wb.value_of_repair`: the same loop with its sticky valve and with a repaired one, each at its best tuning."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+
+from workbench.errors import InvalidValue
+from workbench.model.controller import PID
+from workbench.model.experiment import Experiment
+from workbench.model.loop import Loop
+from workbench.model.results import Outcome, Repair, Tuned
+from workbench.model.tuning import Bounds, Objective
+from workbench.model.valve import Ideal
+from workbench.simulate.run import evaluate, simulate
+from workbench.tune.tune import tune
+
+__all__ = ["outcome", "repaired_outcome", "value_of_repair"]
+
+Progress = Callable[[str, float], None]
+
+
+def value_of_repair(
+    loop: Loop,
+    experiment: Experiment,
+    objective: Objective | None = None,
+    bounds: Bounds | None = None,
+    seed: int = 0,
+    *,
+    tuned: Tuned | None = None,
+    digits: int = 4,
+    restarts: int = 4,
+    progress: Progress | None = None,
+) -> Repair:
+    """Return what repairing the valve is worth to a loop: figures with the sticky valve and with an ideal one.
+
+    Both at the loop's present tuning, and each at the best tuning that `tune` finds for it under the same objective,
+    bounds, seed, digits and restarts. tuned: a search of the sticky loop that has been made already; its experiment,
+    objective, bounds, seed, digits and number of restarts are then used (and those given here are not). Without bounds:
+    the defaults widened to hold the present tuning, and PI where that has Td = 0. A stem offset of the experiment is
+    left out with the ideal valve, which holds none. progress: as `tune`.
+
+    Raises `InvalidValue` for a valve that does not stick or another loop's `tuned`, and what `tune` raises.
+    """
+    if loop.valve.stick_band == 0.0 and loop.valve.slip_jump == 0.0:
+        raise InvalidValue("Loop.valve", loop.valve, "must be a valve that sticks: there is nothing to repair")
+    if tuned is not None:
+        if replace(tuned.loop, controller=loop.controller) != loop:
+            raise InvalidValue("tuned", "the tuning of another loop", "must be a tuning of this plant and valve")
+        if tuned.experiment != experiment:
+            raise InvalidValue("tuned", "a tuning in another experiment", "must be a tuning in the given experiment")
+        objective, bounds, seed, digits = tuned.weights, tuned.bounds, tuned.seed, tuned.digits
+        restarts = len(tuned.restarts) or restarts
+    objective = objective or Objective()
+    bounds = bounds or _bounds(loop.controller)
+
+    def part(begin: float, size: float, words: str, share: float) -> None:
+        if progress is not None:
+            progress(words, begin + size * share)
+
+    half = 0.0 if tuned is not None else 0.5
+    if tuned is None:
+        tuned = tune(
+            loop,
+            experiment,
+            objective,
+            bounds,
+            seed,
+            digits=digits,
+            restarts=restarts,
+            progress=partial(part, 0.0, 0.5),
+        )
+    # From where the search of the sticky loop started, which lies within the bounds.
+    ideal, quiet = _repaired(tuned.loop, experiment)
+    tuned_repaired = tune(
+        ideal,
+        quiet,
+        objective,
+        bounds,
+        seed,
+        digits=digits,
+        restarts=restarts,
+        progress=partial(part, half, 1.0 - half),
+    )
+    return Repair(
+        loop=loop,
+        experiment=experiment,
+        weights=objective,
+        present=outcome(loop, experiment, objective),
+        repaired=repaired_outcome(loop, experiment, objective),
+        best=outcome(loop.with_controller(tuned.controller), experiment, objective),
+        best_repaired=outcome(ideal.with_controller(tuned_repaired.controller), quiet, objective),
+        tuned=tuned,
+        tuned_repaired=tuned_repaired,
+    )
+
+
+def outcome(loop: Loop, experiment: Experiment, objective: Objective) -> Outcome:
+    """Return J and the figures of a loop in an experiment. Raises `InvalidValue`."""
+    # A diverging loop overflows; its figures say so.
+    with np.errstate(over="ignore", invalid="ignore"):
+        cost = float(evaluate(loop, experiment, objective)[0])
+        return Outcome(loop.controller, cost, simulate(loop, experiment).kpis)
+
+
+def repaired_outcome(loop: Loop, experiment: Experiment, objective: Objective) -> Outcome:
+    """Return the same with an ideal valve under the same controller. Raises `InvalidValue`."""
+    return outcome(*_repaired(loop, experiment), objective)
+
+
+def _repaired(loop: Loop, experiment: Experiment) -> tuple[Loop, Experiment]:
+    return replace(loop, valve=Ideal()), replace(experiment, stem_offset=0.0)
+
+
+def _bounds(controller: PID) -> Bounds:
+    """Return the default bounds, wide enough for the present tuning; no derivative where that has none."""
+    usual = Bounds()
+
+    def with_present(name: str) -> tuple[float, float]:
+        low, high = getattr(usual, name)
+        value = getattr(controller, name)
+        return min(low, value), max(high, value)
+
+    return Bounds(with_present("Kc"), with_present("Ti"), (0.0, 0.0) if controller.Td == 0.0 else with_present("Td"))
