@@ -135,3 +135,27 @@ def test_integral_units():
         integral_time_from(0.0, "min")
     with pytest.raises(wb.InvalidValue, match="integral unit"):
         integral_time_from(1.0, "hours")
+
+
+@given(
+    st.floats(0.01, 10.0),
+    st.floats(0.5, 500.0),
+    st.floats(0.0, 0.22),
+    st.sampled_from(["ideal", "series", "parallel"]),
+    st.sampled_from([8.0, 10.0, math.inf]),
+)
+def test_ideal_settings_come_back_from_every_form(Kc: float, Ti: float, share: float, form: str, n: float) -> None:
+    there = wb.PID(1.0, 10.0, form=form, derivative_filter=n, derivative_on="pv").with_ideal(Kc, Ti, share * Ti)
+    terms = there.ideal_terms()
+    assert (terms.Kc, terms.Ti, terms.Td) == pytest.approx((Kc, Ti, share * Ti), rel=1e-9, abs=1e-9)
+    assert (there.form, there.derivative_filter, there.derivative_on) == (form, n, "pv")
+
+
+def test_ideal_settings_without_an_equivalent_are_refused() -> None:
+    unfiltered = wb.PID(1.0, 10.0, form="series", derivative_filter=math.inf)
+    edge = unfiltered.with_ideal(2.0, 8.0, 2.0)
+    assert (edge.Kc, edge.Ti, edge.Td) == (1.0, 4.0, 4.0)
+    with pytest.raises(wb.InvalidValue, match="needs Ti >= 4 Td"):
+        unfiltered.with_ideal(2.0, 8.0, 2.01)
+    with pytest.raises(wb.InvalidValue, match=r"PID\.Kc"):
+        wb.PID(1.0, 10.0, form="parallel").with_ideal(0.0, 8.0)

@@ -57,12 +57,17 @@ def scenarios(draw: st.DrawFn) -> dict[str, object]:
     )
     cases: list[dict[str, object]] = []
     for name in names:
-        kind = draw(st.integers(0, 3))
+        kind = draw(st.integers(0, 4))
         if kind == 0:
             low = draw(st.floats(0.0, 1.0))
             cases.append({"name": name, "tune": {"bounds": {"Kc": [low, low + 50.0], "Ti": ["1 s", "10 h"]}, "Td": 0}})
         elif kind == 1:
             cases.append({"name": name, "proportional_band": "150 %", "Ti": "0.5 repeats/min", "form": "series"})
+        elif kind == 2:
+            # The plant may have a negative gain or no time constant: only this rule takes them all, with its action.
+            action = "direct" if plant["gain"] < 0 else "reverse"
+            rule = {"name": "lambda", "lambda": draw(seconds(1.0, 100.0))}
+            cases.append({"name": name, "rule": rule, "action": action, "form": "parallel"})
         else:
             cases.append({"name": name, "Kc": 1.0 + draw(finite) / 10.0, "Ti": draw(seconds(2.0, 3000.0)), "Td": "2 s"})
     return {

@@ -81,7 +81,7 @@ class _Runner:
         repair = None
         if plan.repair and cases:
             if cases[0].repaired is None:
-                notes.append("The valve that was found does not stick: there is nothing to repair.")
+                notes.append("The valve does not stick: there is nothing to repair.")
             else:
                 repair = self._repair(cases)
         if self.tell is not None:
