@@ -167,6 +167,7 @@ cases:
 """
 
 
+@pytest.mark.slow
 def test_a_rule_is_applied_to_the_loop_that_the_record_shows(tmp_path: Path) -> None:
     recorded(tmp_path)
     plan = read_scenario(

@@ -182,7 +182,8 @@ def test_the_loci_cross_at_every_gain_where_the_integral_is_fast() -> None:
     assert wb.describing_function(loop.with_controller(wb.PID(0.05, 4.0))).predicts_cycle
 
 
-@settings(deadline=None, max_examples=25)
+@pytest.mark.slow
+@settings(deadline=None, max_examples=20)
 @given(
     st.builds(wb.FOPDT, gain=numbers(-3.0, -0.1), time_constant=numbers(1.0, 100.0), dead_time=numbers(0.0, 20.0)),
     st.one_of(

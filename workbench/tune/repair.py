@@ -43,6 +43,9 @@ def value_of_repair(
     the defaults widened to hold the present tuning, and PI where that has Td = 0. A stem offset of the experiment is
     left out with the ideal valve, which holds none. progress: as `tune`.
 
+    One setpoint step and nothing else flatters the sticky valve: a search finds the tuning that lands on the setpoint
+    and rests there. Give an experiment with the load changes and the noise that the loop has to live with.
+
     Raises `InvalidValue` for a valve that does not stick or another loop's `tuned`, and what `tune` raises.
     """
     if loop.valve.stick_band == 0.0 and loop.valve.slip_jump == 0.0:
