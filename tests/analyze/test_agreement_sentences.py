@@ -11,6 +11,7 @@ from loops import paper_loop, paper_step
 import workbench as wb
 from workbench.analyze.agreement import agreement
 from workbench.analyze.relaxation import relaxation_condition, relaxation_period
+from workbench.model.results import LimitCycle
 
 
 def both(loop: wb.Loop) -> str:
@@ -42,7 +43,10 @@ def test_both_say_no_cycle() -> None:
 
 def test_the_start_is_named_where_it_decides() -> None:
     loop = replace(paper_loop(0.5, 20.0), valve=wb.Choudhury(2.0, 0.5))
-    assert "from this start (from 7 of 8 others it cycles)" in both(loop)
+    told = (
+        "The describing function predicts no cycle, and from this start the loop settles; from 7 of 8 others it cycles."
+    )
+    assert both(loop) == told
     assert "cycles from some starts" in agreement(wb.describing_function(loop), wb.limit_cycle(loop))
 
 
@@ -51,6 +55,47 @@ def test_a_predicted_cycle_that_does_not_exist_is_named() -> None:
     settled = wb.limit_cycle(replace(loop, valve=wb.Ideal()))
     sentence = agreement(wb.describing_function(loop), settled)
     assert "that does not exist: the loop settles" in sentence
+
+
+def settling(loop: wb.Loop) -> LimitCycle:
+    return wb.limit_cycle(replace(loop, valve=wb.Ideal()))
+
+
+def test_a_predicted_cycle_that_exists_from_other_starts_is_not_denied() -> None:
+    loop = paper_loop(2.01, 301.0)
+    settled, cycling = settling(loop), wb.limit_cycle(loop)
+    mixed = replace(settled, starts=(settled.starts[0], *cycling.starts[:2]))
+    sentence = agreement(wb.describing_function(loop), mixed)
+    assert sentence.endswith("but from this start the loop settles; from 2 of 2 others it cycles.")
+    assert "does not exist" not in sentence
+
+
+def test_crossings_that_are_all_unstable_are_no_missed_cycle() -> None:
+    loop = paper_loop(2.01, 301.0)
+    df, cycle = wb.describing_function(loop), wb.limit_cycle(loop)
+    nan = math.nan
+    crossing = replace(df.crossings[0], stable=False)
+    wild = replace(df, crossings=(crossing,), period=nan, amplitude=nan, pv_amplitude=nan)
+    assert agreement(wild, cycle) == (
+        "The loci cross only where a cycle would not last, so the describing function gives no period; by exact "
+        f"simulation the loop cycles, with a period of {cycle.period:.3g} s."
+    )
+    assert "should die out, and by exact simulation the loop settles" in agreement(wild, settling(loop))
+    undecided = agreement(wild, replace(cycle, outcome="undecided"))
+    assert undecided.startswith("The loci cross only where a cycle would not last; the exact")
+
+
+def test_a_loop_unstable_by_its_tuning_is_not_blamed_on_the_valve_alone() -> None:
+    loop = paper_loop(2.01, 301.0)
+    df, cycle = wb.describing_function(loop), wb.limit_cycle(loop)
+    assert "not the valve's alone" in agreement(replace(df, linear_stable=False), cycle)
+    assert "not the valve's alone" not in agreement(df, cycle)
+
+
+def test_long_periods_are_told_in_human_units() -> None:
+    loop = paper_loop(2.01, 301.0)
+    slow = replace(wb.describing_function(loop), period=4110.0)
+    assert "a cycle with a period of 68 min that does not exist" in agreement(slow, settling(loop))
 
 
 def test_no_verdict_is_not_compared() -> None:

@@ -261,6 +261,23 @@ def test_a_folder_that_cannot_be_written(study: Study, tmp_path: Path, where: st
     assert read(tmp_path) == {"a_file": b"in the way"}
 
 
+def test_a_folder_in_a_files_place_leaves_the_old_report_whole(study: Study, tmp_path: Path) -> None:
+    small = replace(study, cases=study.cases[:1], estimates=())
+    write_report(small, tmp_path)
+    (tmp_path / "run.json").unlink()
+    before = read(tmp_path)
+    (tmp_path / "run.json").mkdir()
+    (tmp_path / "sketch.svg").mkdir()
+    with pytest.raises(OutputError, match=r"run.json: is a folder"):
+        write_report(replace(small, title="Another title"), tmp_path)
+    (tmp_path / "run.json").rmdir()
+    (tmp_path / "sketch.svg").rmdir()
+    assert read(tmp_path) == before
+    (tmp_path / "sketch.svg").mkdir()
+    write_report(small, tmp_path)
+    assert (tmp_path / "sketch.svg").is_dir()
+
+
 def test_a_study_of_nothing_has_a_page(tmp_path: Path) -> None:
     write_report(Study("none", "None", "", "", None, None, (), ()), tmp_path)
     assert "Nothing was asked" in (tmp_path / "report.html").read_text(encoding="utf-8")

@@ -11,31 +11,73 @@ __all__ = ["agreement"]
 
 
 def agreement(df: DescribingFunction, cycle: LimitCycle) -> str:
-    """Return one plain sentence: whether the describing function and the exact simulation agree, and by how much.
+    """Return what the describing function and the exact simulation say together: whether they agree, and by how much.
 
     Errors are those of the describing function against the exact cycle, in per cent; the PV swing is peak to peak.
+    Where the loop would be unstable with an ideal valve too, a second sentence says that the valve is not alone to
+    blame for the cycle.
     """
-    predicted = math.isfinite(df.period)
-    said = f"a cycle with a period of {df.period:.3g} s" if predicted else "no cycle"
+    text = _compared(df, cycle)
+    if cycle.outcome in ("cycles", "depends") and not df.linear_stable:
+        text += " The loop would be unstable with an ideal valve too, so the cycle is not the valve's alone."
+    return text
+
+
+def _compared(df: DescribingFunction, cycle: LimitCycle) -> str:
+    lasting = math.isfinite(df.period)  # a crossing that is read as a cycle that lasts
+    unstable = "The loci cross only where a cycle would not last"
+    said = f"a cycle with a period of {_time(df.period)}" if lasting else "no cycle"
+    told = f"The describing function predicts {said}"
+    if df.predicts_cycle and not lasting:
+        told = unstable
     if cycle.outcome == "undecided":
-        return f"The describing function predicts {said}; the exact simulation gives no verdict to compare with."
-    cycling = sum(start.outcome == "cycles" for start in cycle.starts)
+        return f"{told}; the exact simulation gives no verdict to compare with."
     if cycle.outcome == "settles":
-        others = f" from this start (from {cycling} of {len(cycle.starts) - 1} others it cycles)" if cycling else ""
-        if predicted:
-            return f"The describing function predicts {said} that does not exist: the loop settles{others}."
-        return f"Both say that the loop does not cycle{others}."
+        return _settled(df, cycle, told)
     start = " from some starts" if cycle.outcome == "depends" else ""
-    if predicted:
+    if lasting:
         period = _off(df.period / cycle.period - 1.0)
         swing = _off(2.0 * df.pv_amplitude / cycle.pv_peak_to_peak - 1.0)
         return (
             f"Both say that the loop cycles{start}; the describing function's period is {period}, its PV swing {swing}."
         )
+    if df.predicts_cycle:
+        return (
+            f"{unstable}, so the describing function gives no period; by exact simulation the loop cycles{start}, with "
+            f"a period of {_time(cycle.period)}."
+        )
     cause = "it misses this cycle"
     if relaxation_condition(df.loop):
         cause = "a relaxation cycle, its blind spot wherever Kc K J/S < 1 and Ti > tau + theta, as here"
     return f"The describing function predicts no cycle, but the loop cycles{start}: {cause}."
+
+
+def _settled(df: DescribingFunction, cycle: LimitCycle, told: str) -> str:
+    """The sentence for a loop that settles from the start that decides; `told`: what the describing function says."""
+    cycling = sum(start.outcome == "cycles" for start in cycle.starts)
+    if cycling:
+        contrast = "but" if df.predicts_cycle else "and"
+        return (
+            f"{told}, {contrast} from this start the loop settles; "
+            f"from {cycling} of {len(cycle.starts) - 1} others it cycles."
+        )
+    if math.isfinite(df.period):
+        return f"{told} that does not exist: the loop settles."
+    if df.predicts_cycle:
+        return f"{told}: swings smaller than that should die out, and by exact simulation the loop settles."
+    return "Both say that the loop does not cycle."
+
+
+def _time(seconds: float) -> str:
+    """A time in the unit that reads best."""
+    for limit, unit, name, form in (
+        (600.0, 1.0, "s", ".3g"),
+        (7200.0, 60.0, "min", ".0f"),
+        (259200.0, 3600.0, "h", ".1f"),
+    ):
+        if seconds < limit:
+            return f"{seconds / unit:{form}} {name}"
+    return f"{seconds / 86400.0:.1f} days"
 
 
 def _off(error: float) -> str:

@@ -56,6 +56,10 @@ def _put(files: Mapping[str, str], folder: Path) -> None:
     made = not folder.exists()
     try:
         folder.mkdir(parents=True, exist_ok=True)
+        for name in files:
+            # Found out before the first file is renamed, else half of the report would be new.
+            if (folder / name).is_dir():
+                raise OutputError(f"{folder / name}: is a folder where the report writes a file; move it away")
         for name, text in files.items():
             target = folder / name
             spare = folder / f".{name}.{os.getpid()}.tmp"
@@ -65,7 +69,7 @@ def _put(files: Mapping[str, str], folder: Path) -> None:
         for spare, target in spares:
             spare.replace(target)
         for old in folder.glob("*.svg"):
-            if old.name not in files and _ours(old):
+            if old.name not in files and old.is_file() and _ours(old):
                 old.unlink()
     except OSError as error:
         reason = error.strerror or str(error)
