@@ -245,3 +245,10 @@ def test_pi_with_a_stenman_valve_always_cycles(
     assert cycle.outcome == "cycles"
     shortest = cycle.period_range[0]
     assert shortest == pytest.approx(cycle.closed_form_period, rel=0.06)
+
+
+def test_a_stuck_stem_under_a_constant_error_is_not_called_settled():
+    # Sampled so finely that the whole budget ends before the integral action has pushed the stem over its band.
+    loop = wb.Loop(wb.FOPDT(1.0, 5.0, 1.0), wb.Stenman(2.0), wb.PID(0.5, 20.0), sample_time=1e-3)
+    found = wb.limit_cycle(loop, wb.Experiment(1.0, setpoint=wb.Step(4.0)))
+    assert found.starts[0].outcome in {"undecided", "cycles"}

@@ -65,6 +65,11 @@ NAN = math.nan
         (lambda: wb.Loop(wb.FOPDT(1.0, 5.0), None, wb.PID(1.0, 5.0), 1.0), "Loop.valve", "valve"),
         (lambda: wb.Loop(wb.FOPDT(1.0, 5.0), wb.Ideal(), 1.0, 1.0), "Loop.controller", "PID"),
         (lambda: wb.Loop(wb.FOPDT(1.0, 5.0), wb.Ideal(), wb.PID(1.0, 5.0), 0.0), "Loop.sample_time", "> 0"),
+        (
+            lambda: wb.Loop(wb.FOPDT(1, 5, 1e9), wb.Ideal(), wb.PID(1, 5), 1),
+            "Loop.plant.dead_time",
+            "at most 1,000,000",
+        ),
         (lambda: wb.Record(pv=[1.0, NAN], op=[1.0, 1.0], sample_time=1.0), r"Record.pv\[1\]", "finite"),
         (lambda: wb.Record(pv=[1.0], op=[1.0, 1.0], sample_time=1.0), "Record.op", "samples of PV"),
         (lambda: wb.Record(pv=[], op=[], sample_time=1.0), "Record.pv", "at least one"),

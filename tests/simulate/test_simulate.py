@@ -96,6 +96,31 @@ def test_sample_count_refuses_a_broken_last_sample():
 @pytest.mark.parametrize(
     ("call", "words"),
     [
+        (lambda: wb.simulate(3, paper_step()), "loop: 3 given; must be a Loop"),
+        (lambda: wb.simulate(paper_loop(0.5, 20.0), 1000.0), "experiment: 1000.0 given; must be an Experiment"),
+        (lambda: wb.simulate(paper_loop(0.5, 20.0), wb.Experiment(1e13)), "at most 20,000,000 samples"),
+        (lambda: wb.evaluate(paper_loop(0.5, 20.0), paper_step(), {"w1": 1.0}), "must be an Objective"),
+        (lambda: wb.evaluate(paper_loop(0.5, 20.0), paper_step(), wb.Objective(), [["a", 1, 2]]), "numbers of shape"),
+        (lambda: wb.simulate_batch(paper_loop(0.5, 20.0), wb.Experiment(5.0, noise=wb.Noise(1.0)), seeds=3), "seeds"),
+        (lambda: wb.limit_cycle(3), "must be a Loop"),
+        (lambda: wb.describing_function(None), "must be a Loop"),
+        (
+            lambda: wb.simulate(
+                wb.Loop(wb.FOPDT(1, 5), wb.Stenman(5), wb.PID(1, 5, output_limits=(-1, 1)), 1),
+                wb.Experiment(5.0, stem_offset=4.0),
+            ),
+            "within the output limits",
+        ),
+    ],
+)
+def test_what_is_no_loop_or_no_experiment_is_refused(call, words):
+    with pytest.raises(wb.InvalidValue, match=words):
+        call()
+
+
+@pytest.mark.parametrize(
+    ("call", "words"),
+    [
         ({}, "either tunings or seeds"),
         ({"tunings": [[1.0, 10.0, 0.0]], "seeds": [1]}, "either tunings or seeds"),
         ({"tunings": [1.0, 10.0, 0.0]}, "shape"),

@@ -9,6 +9,7 @@ import numpy as np
 from workbench.analyze.frequency import linear_stable, loop_response
 from workbench.analyze.loci import Approach, Meeting, closest_approach, first_meeting, meetings
 from workbench.analyze.valve_loci import locus_pieces
+from workbench.model.checks import instance
 from workbench.model.loop import Loop
 from workbench.model.plant import FOPDT
 from workbench.model.record import FloatArray
@@ -34,6 +35,7 @@ def describing_function(loop: Loop, *, sampling_delay: bool = False) -> Describi
     indices are in `breaks`; a valve without friction has the single point -1, and cycles in a linear loop are none of
     this method's business. Raises `InvalidValue` where the controller has no ideal equivalent.
     """
+    instance(loop, Loop, "loop", "a Loop")
     stable = linear_stable(loop)
     shown = _frequencies(loop, SHOWN)
 

@@ -10,6 +10,7 @@ import numpy as np
 
 from workbench.analyze.long_run import Start, follow
 from workbench.analyze.relaxation import relaxation_period
+from workbench.model.checks import instance
 from workbench.model.experiment import Experiment
 from workbench.model.loop import Loop
 from workbench.model.plant import FOPDT
@@ -36,8 +37,10 @@ def limit_cycle(
     `progress` is called with the share done, 0 .. 1. Raises `InvalidValue` for an experiment that does not fit the loop
     or a controller that has no ideal equivalent.
     """
+    instance(loop, Loop, "loop", "a Loop")
     starts = list(standard_starts(loop))
     if experiment is not None:
+        instance(experiment, Experiment, "experiment", "an Experiment")
         quiet = replace(experiment, noise=None)
         starts.insert(0, Start("the given experiment, without noise", experiment.stem_offset, signals(loop, quiet)))
     found: list[LimitCycleStart] = []

@@ -18,6 +18,7 @@ from workbench.model.loop import Loop
 from workbench.model.plant import FOPDT
 from workbench.model.record import FloatArray
 from workbench.model.results import LimitCycleStart
+from workbench.model.valve import Stenman
 from workbench.simulate import kernel
 from workbench.simulate.coefficients import coefficients
 from workbench.simulate.run import Signals, rest
@@ -178,7 +179,9 @@ def follow(loop: Loop, start: Start) -> LimitCycleStart:
             return _cycle(run, start, before, "successive blocks of reversals agree")
     if linear and run.calms_down():
         return _no_cycle(start, "settles", "the valve does not stick, and the loop is linear and stable")
-    if float(np.abs(run.r - run.y).max()) <= CREPT * run.scale.pv:
+    # A stem at rest under a constant error is pushed on by the integral action: only a moving one creeps.
+    creeps = bool(np.ptp(run.x[run.x.size // 2 :]) > 0.0) and not isinstance(loop.valve, Stenman)
+    if creeps and float(np.abs(run.r - run.y).max()) <= CREPT * run.scale.pv:
         return _no_cycle(start, "settles", f"PV creeps onto the setpoint (within {CREPT:g} of the stick band by now)")
     return _spent(run, start)
 

@@ -8,7 +8,7 @@ from numbers import Integral, Real
 
 from workbench.errors import InvalidValue
 
-__all__ = ["choice", "number", "ordered_pair", "whole"]
+__all__ = ["choice", "instance", "number", "ordered_pair", "whole"]
 
 
 def number(
@@ -49,6 +49,12 @@ def whole(value: object, where: str, *, least: int = 0) -> int:
     if isinstance(value, bool) or not isinstance(value, Integral) or value < least:
         raise InvalidValue(where, value, f"must be a whole number >= {least}")
     return int(value)
+
+
+def instance(value: object, kind: type | tuple[type, ...], where: str, allowed: str) -> None:
+    """Raise `InvalidValue` unless `value` is of that kind; `allowed` says in words what is."""
+    if not isinstance(value, kind):
+        raise InvalidValue(where, value, f"must be {allowed}")
 
 
 def choice(value: object, where: str, allowed: Sequence[str]) -> str:

@@ -13,6 +13,9 @@ from workbench.model.valve import Valve
 
 __all__ = ["Loop"]
 
+# The kernel keeps the plant input's past: this many samples of dead time are beyond any process.
+LONGEST_DEAD_TIME = 1_000_000
+
 
 @dataclass(frozen=True, slots=True)
 class Loop:
@@ -36,6 +39,9 @@ class Loop:
         if not isinstance(self.controller, PID):
             raise InvalidValue("Loop.controller", self.controller, "must be a PID")
         object.__setattr__(self, "sample_time", number(self.sample_time, "Loop.sample_time", above=0.0, unit="s"))
+        if self.plant.dead_time > LONGEST_DEAD_TIME * self.sample_time:
+            limit = f"must be at most {LONGEST_DEAD_TIME:,} samples of {self.sample_time:g} s"
+            raise InvalidValue("Loop.plant.dead_time", f"{self.plant.dead_time:g} s", limit)
         if self.pv_range is not None:
             object.__setattr__(self, "pv_range", ordered_pair(self.pv_range, "Loop.pv_range"))
 

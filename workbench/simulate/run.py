@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from workbench.errors import InvalidValue
 from workbench.kpi.kpis import last_event, measure
+from workbench.model.checks import instance, whole
 from workbench.model.experiment import Experiment, Noise
 from workbench.model.loop import Loop
 from workbench.model.record import FloatArray
@@ -52,8 +53,11 @@ class Batch:
 def signals(loop: Loop, experiment: Experiment) -> Signals:
     """Return the experiment's signals on the loop's samples.
 
-    Raises `InvalidValue` where the duration is no whole number of samples, or the valve would not hold the stem offset.
+    Raises `InvalidValue` where these are no loop and experiment, the duration is no whole number of samples, or the
+    stem offset is no resting state: the valve would not hold it, or OP cannot stand there.
     """
+    instance(loop, Loop, "loop", "a Loop")
+    instance(experiment, Experiment, "experiment", "an Experiment")
     n = sample_count(experiment.duration, loop.sample_time)
     if abs(experiment.stem_offset) > loop.valve.hold:
         raise InvalidValue(
@@ -61,6 +65,10 @@ def signals(loop: Loop, experiment: Experiment) -> Signals:
             f"{experiment.stem_offset:g} %",
             f"must be at most {loop.valve.hold:g} % in size, as this valve would not rest there",
         )
+    limits = loop.controller.output_limits
+    if limits is not None and not limits[0] <= experiment.stem_offset <= limits[1]:
+        where, allowed = "Experiment.stem_offset", f"must lie within the output limits {limits}: OP rests there"
+        raise InvalidValue(where, f"{experiment.stem_offset:g} %", allowed)
     return Signals(
         profile_signal(experiment.setpoint_parts, n, loop.sample_time),
         profile_signal(experiment.load_parts, n, loop.sample_time),
@@ -136,7 +144,8 @@ def simulate_batch(
         if experiment.noise is None:
             raise InvalidValue("Experiment.noise", "none", "seeds need an experiment with noise")
         sd = experiment.noise.sd
-        experiments = [replace(experiment, noise=Noise(sd, seed)) for seed in seeds or ()]
+        instance(seeds, Iterable, "seeds", "a sequence of whole numbers")
+        experiments = [replace(experiment, noise=Noise(sd, whole(seed, "seeds"))) for seed in seeds or ()]
         loops = [loop] * len(experiments)
     runs = [simulate(one, what) for one, what in zip(loops, experiments, strict=True)]
     if not runs:
@@ -170,11 +179,13 @@ def evaluate(loop: Loop, experiment: Experiment, objective: Objective, tunings: 
 
     Without tunings: of the loop's own controller, shape (1,). An unstable run may give inf. Raises `InvalidValue`.
     """
+    given = signals(loop, experiment)
+    instance(objective, Objective, "objective", "an Objective")
     wanted = None if tunings is None else _tunings(tunings)
     rows = coefficients(loop, experiment.stem_offset, wanted)
     # Overflow in an unstable loop is a result, not an accident: J is then inf (or nan, which is as bad).
     with np.errstate(over="ignore", invalid="ignore"):
-        costs: FloatArray = weigh(cost_terms(rows, [signals(loop, experiment)]), objective)
+        costs: FloatArray = weigh(cost_terms(rows, [given]), objective)
     return costs
 
 
@@ -202,7 +213,10 @@ def valve_response(valve: Valve, op: FloatArray, start: float = 0.0, rest_at: fl
 
 
 def _tunings(given: object) -> FloatArray:
-    array = np.array(given, dtype=np.float64)
+    try:
+        array = np.array(given, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise InvalidValue("tunings", type(given).__name__, "must be numbers of shape (M, 3): Kc, Ti, Td") from None
     if array.ndim != 2 or array.shape[1] != 3:
         raise InvalidValue("tunings", f"shape {array.shape}", "must have shape (M, 3): Kc, Ti, Td")
     ok = (

@@ -12,10 +12,16 @@ from workbench.model.record import FloatArray
 
 __all__ = ["noise_signal", "profile_signal", "sample_count"]
 
+# Samples of one run: a run keeps about a dozen signals of this length in memory.
+MOST = 20_000_000
+
 
 def sample_count(duration: float, sample_time: float) -> int:
-    """Return N = duration/sample_time, refused if that is off a whole number by more than 1e-9 relative."""
+    """Return N = duration/sample_time, refused if off a whole number by more than 1e-9 relative, or above MOST."""
     ratio = duration / sample_time
+    if not ratio <= MOST * (1.0 + 1e-9):
+        limit = f"must be at most {MOST:,} samples of {sample_time:g} s"
+        raise InvalidValue("Experiment.duration", f"{duration:g} s", limit)
     n = round(ratio)
     if n < 1 or abs(ratio - n) > 1e-9 * n:
         raise InvalidValue(
