@@ -41,6 +41,8 @@ _HOME = {
     "ZieglerNichols": "model.rule",
     "DetunedIntegral": "model.rule",
     "NoCrossing": "model.rule",
+    "Ensemble": "model.ensemble",
+    "Constraints": "model.ensemble",
     "SolveStatus": "model.results",
     "simulate": "simulate.run",
     "simulate_batch": "simulate.run",
@@ -49,6 +51,8 @@ _HOME = {
     "estimate": "estimate.estimate",
     "describing_function": "analyze.describing_function",
     "limit_cycle": "analyze.limit_cycle",
+    "margins": "analyze.margins",
+    "assess": "tune.ensemble",
     "tune": "tune.tune",
     "apply_rule": "tune.rules",
     "value_of_repair": "tune.repair",
@@ -63,8 +67,10 @@ __all__ = [
     "Amigo",
     "Bounds",
     "Choudhury",
+    "Constraints",
     "Deadband",
     "DetunedIntegral",
+    "Ensemble",
     "Experiment",
     "Ideal",
     "Integrating",
@@ -89,11 +95,13 @@ __all__ = [
     "ZieglerNichols",
     "__version__",
     "apply_rule",
+    "assess",
     "describing_function",
     "estimate",
     "evaluate",
     "limit_cycle",
     "load_scenario",
+    "margins",
     "plot",
     "read_record",
     "run_scenario",
@@ -134,9 +142,11 @@ sys.modules[__name__].__class__ = _Package
 if TYPE_CHECKING:
     from workbench.analyze.describing_function import describing_function
     from workbench.analyze.limit_cycle import limit_cycle
+    from workbench.analyze.margins import margins
     from workbench.errors import InvalidValue, OutputError, RecordError, ScenarioError, SolveError, WorkbenchError
     from workbench.estimate.estimate import estimate
     from workbench.model.controller import PID
+    from workbench.model.ensemble import Constraints, Ensemble
     from workbench.model.experiment import Experiment, Noise, Ramp, Series, Step
     from workbench.model.loop import Loop
     from workbench.model.plant import FOPDT, Integrating
@@ -150,6 +160,7 @@ if TYPE_CHECKING:
     from workbench.scenario.loader import load_scenario
     from workbench.scenario.runner import run_scenario
     from workbench.simulate.run import evaluate, simulate, simulate_batch
+    from workbench.tune.ensemble import assess
     from workbench.tune.repair import value_of_repair
     from workbench.tune.rules import apply_rule
     from workbench.tune.tune import tune

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from workbench.errors import SolveError
 from workbench.model.controller import PID
+from workbench.model.ensemble import Constraints, Ensemble
 from workbench.model.experiment import Experiment
 from workbench.model.loop import Loop
 from workbench.model.plant import Plant
@@ -30,10 +31,12 @@ __all__ = [
     "LimitCycle",
     "LimitCycleStart",
     "LinearFit",
+    "Margins",
     "NlpResult",
     "Outcome",
     "Repair",
     "Restart",
+    "Robustness",
     "Run",
     "SolveStatus",
     "Tuned",
@@ -152,6 +155,69 @@ class Restart:
     iterations: int
 
 
+@dataclass(frozen=True, slots=True)
+class Margins:
+    """The margins of a sampled loop with an ideal valve.
+
+    max_sensitivity: Ms, inf where the loop is unstable; frequency: where it is reached, rad/s, nan then. gain_margin:
+    factor on Kc, phase_margin: degrees; inf where no gain or no lag makes the loop unstable, 0 for an unstable loop.
+    """
+
+    loop: Loop
+    stable: bool
+    max_sensitivity: float
+    frequency: float
+    gain_margin: float
+    phase_margin: float
+
+
+@dataclass(frozen=True, eq=False)
+class Robustness:
+    """How a loop fares in an ensemble, by exact simulation of each draw.
+
+    objective: the ensemble's statistic of J. mean_square_error (EU^2) and valve_travel (%): one value for each draw,
+    shape (draws,), with their means, medians and 90th percentiles as properties. diverged: draws whose linear loop is
+    unstable or whose run overflows. stable, max_sensitivity, gain_margin and phase_margin (degrees): the worst over the
+    nominal plant and the corners of its uncertainty, with an ideal valve.
+    """
+
+    loop: Loop
+    ensemble: Ensemble
+    objective: float
+    mean_square_error: FloatArray
+    valve_travel: FloatArray
+    diverged: int
+    stable: bool
+    max_sensitivity: float
+    gain_margin: float
+    phase_margin: float
+
+    @property
+    def mse_median(self) -> float:
+        """Median of the mean square error, EU^2."""
+        return float(np.median(self.mean_square_error))
+
+    @property
+    def mse_p90(self) -> float:
+        """90th percentile of the mean square error, EU^2."""
+        return float(np.quantile(self.mean_square_error, 0.9, method="higher"))
+
+    @property
+    def mse_mean(self) -> float:
+        """Mean of the mean square error, EU^2."""
+        return float(self.mean_square_error.mean())
+
+    @property
+    def travel_median(self) -> float:
+        """Median of the valve travel, %."""
+        return float(np.median(self.valve_travel))
+
+    @property
+    def travel_mean(self) -> float:
+        """Mean of the valve travel, %."""
+        return float(self.valve_travel.mean())
+
+
 @dataclass(frozen=True, eq=False)
 class Tuned:
     """A tuning and how it was found.
@@ -160,6 +226,11 @@ class Tuned:
     to type in. objective: J of exactly that controller by exact simulation; nominal: J of the unrounded best;
     worst: the worst J when each parameter moves by up to the stated relative `margin`; start_objective: J of the
     loop's own controller. guard_margin: the least distance (%) of the trajectory to a stick/slip decision.
+
+    A robust tuning minimises `ensemble.statistic` of J over the ensemble's draws: objective, nominal, worst,
+    start_objective and the restarts are that statistic then, while guard_margin and slips are of the experiment's run.
+    `robustness`: its figures on fresh draws, which the search has not seen; `start_robustness`: those of the loop's own
+    controller on the same draws. All four are None for a tuning to one experiment.
     """
 
     loop: Loop
@@ -184,6 +255,10 @@ class Tuned:
     seed: int
     wall_time: float
     versions: Mapping[str, str] = field(default_factory=lambda: MappingProxyType({}))
+    ensemble: Ensemble | None = None
+    constraints: Constraints | None = None
+    robustness: Robustness | None = None
+    start_robustness: Robustness | None = None
 
     @property
     def spread(self) -> tuple[float, float]:

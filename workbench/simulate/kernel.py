@@ -156,7 +156,8 @@ def run_costs(
     """Cost terms of many loops from rest: row i of `rows` in experiment which[i] (a row of r, load, noise: N + 1 each).
 
     Written: terms[i] = (sum_{1..N} e^2, sum_{0..N-1} u^2, e_N^2, sum_{0..N-1} (u_k - u_{k-1})^2), so that J of
-    eq. (2) is their product with (w1, w2, w3, w4). `longest`: the largest whole dead time m.
+    eq. (2) is their product with (w1, w2, w3, w4), then sum_{0..N-1} e^2 and sum_{0..N-1} |x_k - x_{k-1}|, for the mean
+    square error and the valve travel. `longest`: the largest whole dead time m.
     """
     n = r.shape[1] - 1
     y = np.empty(n + 1)
@@ -172,18 +173,24 @@ def run_costs(
         state[U_LAST] = rows[i, BIAS]
         past[:] = 0.0
         run_loop(rows[i], r[j], load[j], noise[j], state, past, y, u, x, v, branch)
-        last = rows[i, BIAS]
-        squares, outputs, moves, e = 0.0, 0.0, 0.0, 0.0
+        last, stem = rows[i, BIAS], 0.0
+        squares, outputs, moves, window, travel = 0.0, 0.0, 0.0, 0.0, 0.0
+        e = r[j, 0] - noise[j, 0]
         for k in range(n):
+            window += e * e
             e = r[j, k + 1] - (y[k + 1] + noise[j, k + 1])
             squares += e * e
             outputs += u[k] * u[k]
             moves += (u[k] - last) * (u[k] - last)
             last = u[k]
+            travel += abs(x[k] - stem)
+            stem = x[k]
         terms[i, 0] = squares
         terms[i, 1] = outputs
         terms[i, 2] = e * e
         terms[i, 3] = moves
+        terms[i, 4] = window
+        terms[i, 5] = travel
 
 
 @compiled

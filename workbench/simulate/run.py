@@ -161,13 +161,15 @@ def simulate_batch(
 
 
 def cost_terms(rows: FloatArray, given: Sequence[Signals], which: NDArray[np.int64] | None = None) -> FloatArray:
-    """Return the four sums of eq. (2) for coefficient rows, shape (M, 4): J is their product with `Objective.weights`.
+    """Return the sums of `kernel.run_costs` for coefficient rows, shape (M, 6).
 
+    The first four are those of eq. (2): J is their product with `Objective.weights`. Then the sum of squared errors
+    over samples 0 .. N-1 (N times the mean square error) and the valve travel.
     Row i runs in experiment `given[which[i]]` (all of the same N), or in the only one.
     """
     if which is None:
         which = np.zeros(rows.shape[0], np.int64)
-    terms = np.empty((rows.shape[0], 4))
+    terms = np.empty((rows.shape[0], 6))
     longest = int(rows[:, kernel.DELAY].max(initial=0.0))
     stacked = [np.ascontiguousarray([getattr(s, name) for s in given]) for name in ("r", "load", "noise")]
     kernel.run_costs(rows, which, stacked[0], stacked[1], stacked[2], terms, longest)
@@ -190,7 +192,7 @@ def evaluate(loop: Loop, experiment: Experiment, objective: Objective, tunings: 
 
 
 def weigh(terms: FloatArray, objective: Objective) -> FloatArray:
-    """Return J for cost terms of shape (M, 4); inf where a run overflowed. A weight of 0 leaves its term out."""
+    """Return J for cost terms of shape (M, 6); inf where a run overflowed. A weight of 0 leaves its term out."""
     costs = np.zeros(terms.shape[0])
     for column, weight in enumerate(objective.weights):
         if weight > 0.0:

@@ -77,9 +77,14 @@ class Problem:
 
         The neighbourhood is the centre, the corners, the faces' middles and some (`dense`: many) random inner points.
         """
+        around = self.around(tunings, dense=dense)
+        return self._worst(around, around.shape[0] // max(tunings.shape[0], 1), ceilings)
+
+    def around(self, tunings: FloatArray, *, dense: bool = False) -> FloatArray:
+        """Return the points of the neighbourhoods of tunings (M, 3), one group after the other, shape (M points, 3)."""
         offsets = self._dense if dense else self._offsets
-        around = tunings[:, None, :] + offsets[None, :, :] * self.radius(tunings)[:, None, :]
-        return self._worst(np.ascontiguousarray(around.reshape(-1, 3)), offsets.shape[0], ceilings)
+        points = tunings[:, None, :] + offsets[None, :, :] * self.radius(tunings)[:, None, :]
+        return np.ascontiguousarray(points.reshape(-1, 3))
 
     def _worst(self, tunings: FloatArray, group: int, ceilings: FloatArray) -> FloatArray:
         rows = coefficients(self.loop, self.experiment.stem_offset, tunings)

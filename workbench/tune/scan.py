@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from workbench.model.record import FloatArray
 
-__all__ = ["Population", "evolve", "spread"]
+__all__ = ["OutOfTime", "Population", "evolve", "spread"]
 
 # (points, ceilings) -> values, inf where a value exceeds its ceiling.
 Evaluate = Callable[[FloatArray, FloatArray], FloatArray]
@@ -23,6 +23,10 @@ ARCHIVE = 1.4
 BEST_SHARE = 0.15
 # A population whose values agree to this (relative) has nothing left to find.
 AGREED = 1e-9
+
+
+class OutOfTime(Exception):
+    """The time limit has passed: raised by a search's `stop`."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -18,6 +18,7 @@ import numpy as np
 
 from workbench.errors import InvalidValue
 from workbench.model.checks import number, whole
+from workbench.model.ensemble import Constraints, Ensemble
 from workbench.model.experiment import Experiment
 from workbench.model.loop import Loop
 from workbench.model.record import FloatArray
@@ -26,7 +27,8 @@ from workbench.model.tuning import Bounds, Objective
 from workbench.symbolic.solve import versions
 from workbench.tune.problem import NAMES, Problem
 from workbench.tune.refine import Refined, Refiner, path, usable
-from workbench.tune.scan import evolve, spread
+from workbench.tune.robust import tune_robust
+from workbench.tune.scan import OutOfTime, evolve, spread
 from workbench.tune.verify import Choice, choose, stem_guard
 
 __all__ = ["tune"]
@@ -42,10 +44,6 @@ SCAN_SAMPLES, JOINT_SAMPLES, DENSE_SAMPLES, CHOICE_SAMPLES = 100_000_000, 300_00
 # Candidates that a scan hands on, and how far apart they are at least in the unit cube.
 KEPT, GAP = 40, 3e-3
 Progress = Callable[[str, float], None]
-
-
-class _OutOfTime(Exception):
-    """The time limit has passed."""
 
 
 @dataclass
@@ -81,6 +79,8 @@ def tune(
     restarts: int = 4,
     guard: float = 0.01,
     margin: float = 0.001,
+    robust: bool | Ensemble = False,
+    constraints: Constraints | None = None,
     time_limit: float | None = None,
     progress: Progress | None = None,
 ) -> Tuned:
@@ -94,20 +94,34 @@ def tune(
     s; the best so far is returned as `TIME_LIMIT`. progress: called with a phase in words and the share done (0..1).
     Ctrl-C returns the best so far as `INTERRUPTED`.
 
+    robust: tune for an `Ensemble` of circumstances and plants instead of the one experiment; True takes the default,
+    `Ensemble.plant_ready(loop)`. constraints: what the robust tuning must keep, by default a maximum sensitivity of at
+    most 2 at the worst corner of the plant's uncertainty; where no tuning keeps it, the nearest is returned as
+    `INFEASIBLE`. See `tune_robust`; guard plays no part then.
+
     Returns a `Tuned` whose objective is the exact J of the rounded controller. Equal arguments give equal results
     (but for times, and unless stopped by time). Raises `InvalidValue`.
     """
     objective, bounds = objective or Objective(), bounds or Bounds()
     _check(loop, bounds, seed, digits, restarts, guard, margin, time_limit)
+    if not isinstance(robust, bool | Ensemble):
+        raise InvalidValue("tune.robust", robust, "must be True, False or an Ensemble")
+    if constraints is not None and not isinstance(constraints, Constraints):
+        raise InvalidValue("tune.constraints", constraints, "must be Constraints(...) or None")
     began = time.perf_counter()
     problem = Problem(loop, experiment, objective, bounds, digits, margin)
+    if robust is not False:
+        ensemble = Ensemble.plant_ready(loop) if robust is True else robust
+        return tune_robust(problem, ensemble, constraints, seed, restarts, time_limit, progress)
+    if constraints is not None:
+        raise InvalidValue("tune.constraints", constraints, "need robust=True or an Ensemble to hold over")
     start = float(problem.exact(np.array([[loop.controller.Kc, loop.controller.Ti, loop.controller.Td]]))[0])
     found = _Found()
     status, note = SolveStatus.SOLVED, ""
 
     def check_time() -> None:
         if time_limit is not None and time.perf_counter() - began > time_limit:
-            raise _OutOfTime
+            raise OutOfTime
 
     def tell(phase: str, share: float) -> None:
         if progress is not None:
@@ -121,7 +135,7 @@ def tune(
     except KeyboardInterrupt:
         status, note = SolveStatus.INTERRUPTED, "stopped by the user; the best so far"
         chosen = _quick(problem, found)
-    except _OutOfTime:
+    except OutOfTime:
         status, note = SolveStatus.TIME_LIMIT, f"stopped at the time limit of {time_limit:g} s; the best so far"
         chosen = _quick(problem, found)
     if not math.isfinite(chosen.cost):

@@ -1,0 +1,215 @@
+"""An ensemble's draws as exact runs: many tunings in the same random circumstances, and how a loop fares in them."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from workbench.analyze.frequency import linear_stable
+from workbench.analyze.margins import loop_margins
+from workbench.model.ensemble import UNCERTAIN, Ensemble
+from workbench.model.experiment import Experiment, Noise, Step
+from workbench.model.loop import Loop
+from workbench.model.plant import FOPDT, Plant
+from workbench.model.record import FloatArray
+from workbench.model.results import Robustness
+from workbench.model.tuning import Objective
+from workbench.model.valve import Choudhury, Deadband, Ideal, Stenman, Valve
+from workbench.simulate import kernel
+from workbench.simulate.coefficients import coefficients
+from workbench.simulate.run import Signals, signals, weigh
+from workbench.simulate.signals import sample_count
+
+__all__ = ["Circumstances", "Draw", "assess", "corner_loops", "draws", "measured", "statistic"]
+
+# What a tuning changes in a coefficient row; the rest belongs to the draw.
+CONTROLLER = [c for c in range(kernel.VALVE) if c != kernel.BIAS]
+# Rows of one call of the kernel: what fits well into memory.
+ROWS = 50_000
+
+
+@dataclass(frozen=True, slots=True)
+class Draw:
+    """One member of an ensemble: the loop with its drawn plant and valve, and the experiment that it goes through."""
+
+    loop: Loop
+    experiment: Experiment
+
+
+def draws(loop: Loop, ensemble: Ensemble) -> tuple[Draw, ...]:
+    """Return the ensemble's draws for a loop, each an ordinary loop and experiment for `wb.simulate`.
+
+    Draw i takes from `default_rng([seed, i])`, in this order: signs and sizes of setpoint and load step, the load's
+    sample, the stem offset's share, the noise's standard deviation and seed, and the factors on gain, time constant,
+    dead time and stiction. Raises `InvalidValue` where the duration is no whole number of samples.
+    """
+    n = sample_count(ensemble.duration, loop.sample_time)
+    return tuple(_draw(loop, ensemble, n, np.random.default_rng([ensemble.seed, i])) for i in range(ensemble.draws))
+
+
+def _draw(loop: Loop, ensemble: Ensemble, n: int, rng: np.random.Generator) -> Draw:
+    Ts = loop.sample_time
+    setpoint = float(rng.choice([-1.0, 1.0]) * rng.uniform(*ensemble.setpoint))
+    load = float(rng.choice([-1.0, 1.0]) * rng.uniform(*ensemble.load))
+    first, last = (round(t / Ts) for t in ensemble.load_time)
+    at = min(int(rng.integers(first, last + 1)), n) * Ts
+    offset = float(rng.uniform(-1.0, 1.0)) * ensemble.stem_offset
+    noise = Noise(float(rng.uniform(*ensemble.noise)), int(rng.integers(2**31)))
+    factors = {name: 1.0 + getattr(ensemble, name) * float(rng.uniform(-1.0, 1.0)) for name in UNCERTAIN}
+    plant = _plant(loop.plant, factors["gain"], factors["time_constant"], factors["dead_time"])
+    valve = _valve(loop.valve, factors["stiction"])
+    return Draw(
+        replace(loop, plant=plant, valve=valve),
+        Experiment(
+            ensemble.duration,
+            Step(setpoint),
+            Step(load, min(at, ensemble.duration)),
+            noise,
+            stem_offset=offset * valve.hold,
+        ),
+    )
+
+
+def _plant(plant: Plant, gain: float, time_constant: float, dead_time: float) -> Plant:
+    if isinstance(plant, FOPDT):
+        return FOPDT(plant.gain * gain, plant.time_constant * time_constant, plant.dead_time * dead_time)
+    return replace(plant, gain=plant.gain * gain, dead_time=plant.dead_time * dead_time)
+
+
+def _valve(valve: Valve, stiction: float) -> Valve:
+    match valve:
+        case Stenman():
+            return Stenman(valve.d * stiction)
+        case Choudhury():
+            return Choudhury(valve.S * stiction, valve.J * stiction)
+        case Deadband():
+            return Deadband(valve.b * stiction)
+        case Ideal():
+            return valve
+
+
+def corner_loops(loop: Loop, ensemble: Ensemble) -> tuple[Loop, ...]:
+    """Return the loop with its nominal plant and with each corner of its plant's uncertainty, all with ideal valves."""
+    names = [name for name in UNCERTAIN[:3] if getattr(ensemble, name) > 0.0]
+    if not isinstance(loop.plant, FOPDT) and "time_constant" in names:
+        names.remove("time_constant")
+    plants = [loop.plant]
+    if names:
+        for signs in itertools.product((-1.0, 1.0), repeat=len(names)):
+            at = {name: 1.0 + sign * getattr(ensemble, name) for name, sign in zip(names, signs, strict=True)}
+            factors = [at.get(name, 1.0) for name in UNCERTAIN[:3]]
+            plants.append(_plant(loop.plant, *factors))
+    return tuple(replace(loop, plant=plant, valve=Ideal()) for plant in plants)
+
+
+class Circumstances:
+    """An ensemble of one loop, drawn once: every tuning meets the same draws (common random numbers)."""
+
+    def __init__(self, loop: Loop, ensemble: Ensemble) -> None:
+        self.loop, self.ensemble = loop, ensemble
+        self.members = draws(loop, ensemble)
+        self.given = [signals(draw.loop, draw.experiment) for draw in self.members]
+        self.samples = self.given[0].samples
+        self._stacked = Signals(*(np.array([getattr(s, name) for s in self.given]) for name in ("r", "load", "noise")))
+        self._rows = np.concatenate([coefficients(d.loop, d.experiment.stem_offset) for d in self.members])
+        self.corners = corner_loops(loop, ensemble)
+        self._corner_rows = np.concatenate([coefficients(corner) for corner in self.corners])
+
+    def terms(self, tunings: FloatArray) -> FloatArray:
+        """Return the sums of `kernel.run_costs` of tunings, shape (M, 3), in every draw, shape (M, draws, 6)."""
+        own = coefficients(self.loop, 0.0, tunings)[:, CONTROLLER]
+        count = self._rows.shape[0]
+        result = np.empty((own.shape[0], count, 6))
+        longest = int(self._rows[:, kernel.DELAY].max())
+        s = self._stacked
+        size = max(1, ROWS // count)
+        for begin in range(0, own.shape[0], size):
+            part = own[begin : begin + size]
+            rows = np.tile(self._rows, (part.shape[0], 1))
+            rows[:, CONTROLLER] = np.repeat(part, count, axis=0)
+            which = np.tile(np.arange(count), part.shape[0])
+            out = np.empty((rows.shape[0], 6))
+            kernel.run_costs(rows, which, s.r, s.load, s.noise, out, longest)
+            result[begin : begin + size] = out.reshape(-1, count, 6)
+        return result
+
+    def margins(self, tunings: FloatArray) -> tuple[FloatArray, NDArray[np.int64]]:
+        """Return the worst (Ms, gain margin, phase margin in degrees) of tunings over nominal and corner plants.
+
+        Shape (M, 3) -> (M, 3); and how many of the plants are not held, shape (M,), read off the frequency response
+        (see `loop_margins`: `unstable` decides exactly).
+        """
+        own = coefficients(self.loop, 0.0, tunings)[:, CONTROLLER]
+        count = self._corner_rows.shape[0]
+        rows = np.tile(self._corner_rows, (own.shape[0], 1))
+        rows[:, CONTROLLER] = np.repeat(own, count, axis=0)
+        all_values, _, stable = loop_margins(rows, self.loop.sample_time)
+        values = all_values.reshape(-1, count, 3)
+        worst = np.column_stack([values[:, :, 0].max(1), values[:, :, 1].min(1), values[:, :, 2].min(1)])
+        return worst, np.count_nonzero(~stable.reshape(-1, count), axis=1)
+
+    def unstable(self, tuning: FloatArray) -> int:
+        """Return how many of the nominal and corner plants a tuning (Kc, Ti, Td) does not hold, exactly.
+
+        With ideal valves: stiction only holds small signals back, and an unstable loop grows or cycles in its limits.
+        """
+        Kc, Ti, Td = (float(v) for v in tuning)
+        pid = replace(self.loop.controller, Kc=Kc, Ti=Ti, Td=Td)
+        return sum(not linear_stable(corner.with_controller(pid)) for corner in self.corners)
+
+
+def statistic(costs: FloatArray, ensemble: Ensemble) -> FloatArray:
+    """Return the ensemble's statistic of J, shape (M, draws) -> (M,); inf where any draw's J is."""
+    finite = np.isfinite(costs).all(axis=1)
+    result = np.full(costs.shape[0], np.inf)
+    kept = costs[finite]
+    if ensemble.statistic == "mean":
+        result[finite] = kept.mean(axis=1)
+    elif ensemble.statistic == "percentile":
+        result[finite] = np.quantile(kept, ensemble.level, axis=1)
+    else:
+        count = max(1, math.ceil((1.0 - ensemble.level) * costs.shape[1] - 1e-9))
+        result[finite] = np.sort(kept, axis=1)[:, -count:].mean(axis=1)
+    return result
+
+
+def assess(loop: Loop, ensemble: Ensemble | None = None, objective: Objective | None = None) -> Robustness:
+    """Return how a loop with its own controller fares in an ensemble ("plant-ready" by default).
+
+    objective: what `Robustness.objective` is the ensemble's statistic of. Every draw is simulated exactly; each can be
+    had again by `wb.simulate` of a member of `tune.ensemble.draws`. Raises `InvalidValue`.
+    """
+    return measured(Circumstances(loop, ensemble or Ensemble.plant_ready(loop)), objective or Objective())
+
+
+def measured(given: Circumstances, objective: Objective) -> Robustness:
+    """Return the figures of the circumstances' own loop and controller."""
+    pid = given.loop.controller
+    tuning = np.array([[pid.Kc, pid.Ti, pid.Td]])
+    with np.errstate(over="ignore", invalid="ignore"):
+        terms = given.terms(tuning)
+        costs = weigh(terms[0], objective)
+        mse, travel = terms[0, :, 4] / given.samples, terms[0, :, 5]
+    mse[~np.isfinite(mse)] = np.inf
+    travel[~np.isfinite(travel)] = np.inf
+    held = given.unstable(tuning[0]) == 0
+    Ms, gain, phase = (float(v) for v in given.margins(tuning)[0][0]) if held else (math.inf, 0.0, 0.0)
+    lost = sum(
+        not (math.isfinite(cost) and linear_stable(draw.loop)) for cost, draw in zip(costs, given.members, strict=True)
+    )
+    return Robustness(
+        loop=given.loop,
+        ensemble=given.ensemble,
+        objective=float(statistic(costs[None, :], given.ensemble)[0]),
+        mean_square_error=mse,
+        valve_travel=travel,
+        diverged=lost,
+        stable=held,
+        max_sensitivity=Ms,
+        gain_margin=gain,
+        phase_margin=phase,
+    )

@@ -1,0 +1,325 @@
+"""Robust tuning: the least mean, percentile or CVaR of J over an ensemble, within constraints, proved on fresh draws.
+
+1. Several seeded searches on the first draws; 2. a joint search from the best of them on all draws; 3. a walk on the
+lattice of the digits to type in; 4. the figures of the chosen tuning on draws that no search has seen. Every value is
+an exact simulation, the same draws for every tuning. What breaks a constraint is ranked by how far, below everything
+that keeps them all, so that a search finds its way to the feasible tunings first (K. Deb, "An efficient constraint
+handling method for genetic algorithms", Comput. Methods Appl. Mech. Eng. 186 (2000) 311-338).
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from types import MappingProxyType
+
+import numpy as np
+
+from workbench.model.ensemble import Constraints, Ensemble
+from workbench.model.record import FloatArray
+from workbench.model.results import Restart, Robustness, SolveStatus, Tuned
+from workbench.simulate.run import weigh
+from workbench.tune.ensemble import Circumstances, measured, statistic
+from workbench.tune.problem import Problem, unit_of
+from workbench.tune.refine import path
+from workbench.tune.scan import OutOfTime, evolve, spread
+from workbench.tune.verify import stem_guard
+
+__all__ = ["DEFAULT_CONSTRAINTS", "tune_robust"]
+
+DEFAULT_CONSTRAINTS = Constraints(max_sensitivity=2.0)
+# Sizes of the searches; the first ones see only so many draws.
+SCAN_MEMBERS, SCAN_GENERATIONS, SCAN_DRAWS = 24, 40, 50
+JOINT_MEMBERS, JOINT_GENERATIONS, GAP = 32, 30, 3e-3
+# Steps of the last walk, in units of the last digit, and the most rounds of each.
+STEPS, ROUNDS = (64, 16, 4, 1), 12
+# Fresh draws up to 1,000 samples; longer runs get fewer.
+FRESH, FRESH_SAMPLES = 2_000, 2_000_000
+# Up to this Ms a response read off its grid is certain to tell a stable loop from an unstable one.
+SURE = 8.0
+# Values of what breaks a constraint lie above every J that a run that does not overflow can have.
+UNSTABLE, NARROW, WORN = 1e280, 1e240, 1e200
+
+Progress = Callable[[str, float], None]
+
+
+@dataclass
+class _Found:
+    """All tunings that a search has improved on, with their values over all draws, and the searches' ends."""
+
+    tunings: list[FloatArray] = field(default_factory=list)
+    values: list[FloatArray] = field(default_factory=list)
+    restarts: list[Restart] = field(default_factory=list)
+
+    def add(self, tunings: FloatArray, values: FloatArray) -> None:
+        self.tunings.append(tunings)
+        self.values.append(values)
+
+    def best(self) -> tuple[FloatArray, float]:
+        values = np.concatenate(self.values)
+        return np.concatenate(self.tunings)[int(values.argmin())], float(values.min())
+
+
+class _Judge:
+    """Values of tunings in one ensemble under constraints: the statistic of J, or how far a constraint is broken."""
+
+    def __init__(self, problem: Problem, ensemble: Ensemble, constraints: Constraints) -> None:
+        self.problem, self.constraints = problem, constraints
+        self.given = Circumstances(problem.loop, ensemble)
+
+    def statistic(self, tunings: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the statistic of J and the mean valve travel (%) of tunings, shape (M, 3) -> (M,) each."""
+        runs = tunings.shape[0] * self.given.ensemble.draws
+        self.problem.evaluations += runs
+        self.problem.simulated += runs * self.given.samples
+        with np.errstate(over="ignore", invalid="ignore"):
+            terms = self.given.terms(tunings)
+            costs = weigh(terms.reshape(-1, 6), self.problem.objective).reshape(terms.shape[:2])
+            return statistic(costs, self.given.ensemble), terms[:, :, 5].mean(axis=1)
+
+    def values(self, tunings: FloatArray) -> FloatArray:
+        """Return the values of tunings, shape (M, 3) -> (M,)."""
+        worst, lost = self.given.margins(tunings)
+        # The nearer an unstable response passes by -1, the nearer the tuning is to a stable one.
+        values = np.where(lost > 0, UNSTABLE * (1.0 + lost + 1.0 / worst[:, 0]), 0.0)
+        narrow = self._narrowness(worst)
+        values = np.where((lost == 0) & (narrow > 0.0), NARROW * (1.0 + narrow), values)
+        for i in np.flatnonzero((values == 0.0) & (worst[:, 0] > SURE)):
+            count = self.given.unstable(tunings[i])
+            if count:
+                values[i] = UNSTABLE * (1.0 + count)
+        keep = np.flatnonzero(values == 0.0)
+        if keep.size:
+            costs, travel = self.statistic(tunings[keep])
+            cap = self.constraints.valve_travel
+            if cap is not None:
+                with np.errstate(invalid="ignore"):
+                    over = np.log(np.maximum(travel, 1e-300) / cap)
+                costs = np.where(over > 0.0, np.where(np.isfinite(over), WORN * (1.0 + over), np.inf), costs)
+            values[keep] = costs
+        return values
+
+    def _narrowness(self, worst: FloatArray) -> FloatArray:
+        """How far the margins (Ms, gain, phase) miss what is asked, as a sum of logarithms, 0 where they do not."""
+        asked = self.constraints
+        total = np.zeros(worst.shape[0])
+        if asked.max_sensitivity is not None:
+            total += np.maximum(np.log(worst[:, 0] / asked.max_sensitivity), 0.0)
+        for column, least in ((1, asked.gain_margin), (2, asked.phase_margin)):
+            if least is not None:
+                total += np.maximum(np.log(least / np.maximum(worst[:, column], 1e-9)), 0.0)
+        return total
+
+
+def tune_robust(
+    problem: Problem,
+    ensemble: Ensemble,
+    constraints: Constraints | None,
+    seed: int,
+    restarts: int,
+    time_limit: float | None,
+    progress: Progress | None,
+) -> Tuned:
+    """Find the tuning of least `ensemble.statistic` of J that keeps the constraints (by default Ms <= 2).
+
+    Every nominal and corner plant must be stable, whatever the constraints. The result's `robustness` is measured on
+    fresh draws of the ensemble with the next seed (2,000, fewer for long runs). Status: `INFEASIBLE` where no tuning
+    keeps a constraint (the nearest one is returned, with what it reaches), `DIVERGED` where none holds all corner
+    plants, `UNVERIFIED` where a fresh draw diverges; `TIME_LIMIT` and `INTERRUPTED` return the best so far.
+    """
+    began = time.perf_counter()
+    asked = DEFAULT_CONSTRAINTS if constraints is None else constraints
+    judge = _Judge(problem, ensemble, asked)
+    found = _Found()
+    status, notes = SolveStatus.SOLVED, []
+
+    def stop() -> bool:
+        if time_limit is not None and time.perf_counter() - began > time_limit:
+            raise OutOfTime
+        return False
+
+    def tell(phase: str, share: float) -> None:
+        if progress is not None:
+            progress(phase, share)
+
+    pid = problem.loop.controller
+    start = np.array([[pid.Kc, pid.Ti, pid.Td]])
+    fallback = problem.rounded(np.clip(start, problem.low, problem.high))
+    nominal = math.inf
+    try:
+        found.add(fallback, judge.values(fallback))
+        if problem.free.size:
+            nominal = _search(judge, found, seed, restarts, stop, tell)
+            tell("choosing the digits", 0.8)
+            _walk(judge, found, stop)
+    except KeyboardInterrupt:
+        status = SolveStatus.INTERRUPTED
+        notes.append("stopped by the user; the best so far")
+    except OutOfTime:
+        status = SolveStatus.TIME_LIMIT
+        notes.append(f"stopped at the time limit of {time_limit:g} s; the best so far")
+    chosen, value = found.best() if found.values else (fallback[0], math.inf)
+    tell("fresh draws", 0.9)
+    cost = float(judge.statistic(chosen[None, :])[0][0])
+    around = float(judge.statistic(problem.around(chosen[None, :], dense=True))[0].max())
+    fresh = replace(
+        ensemble, seed=ensemble.seed + 1, draws=min(FRESH, max(ensemble.draws, FRESH_SAMPLES // judge.given.samples))
+    )
+    controller = problem.controller(chosen)
+    robustness = measured(Circumstances(problem.loop.with_controller(controller), fresh), problem.objective)
+    if problem.free.size == 0:
+        notes.append("all parameters are fixed")
+    status, reason = _verdict(status, value, asked, judge, chosen, robustness)
+    notes += [reason] if reason else []
+    tell("done", 1.0)
+    run = path(problem, chosen)
+    return Tuned(
+        loop=problem.loop,
+        experiment=problem.experiment,
+        weights=problem.objective,
+        bounds=problem.bounds,
+        controller=controller,
+        objective=cost,
+        status=status,
+        message="; ".join([*notes, _summary(ensemble, robustness)]),
+        digits=problem.digits,
+        nominal=min(nominal, cost),
+        worst=max(around, cost),
+        margin=problem.margin,
+        start_objective=float(judge.statistic(start)[0][0]),
+        guard_margin=stem_guard(problem, chosen),
+        slips=int(np.count_nonzero(run.x != np.append(0.0, run.x[:-1]))),
+        restarts=tuple(found.restarts),
+        evaluations=problem.evaluations,
+        solves=0,
+        iterations=0,
+        seed=seed,
+        wall_time=time.perf_counter() - began,
+        versions=MappingProxyType({}),
+        ensemble=ensemble,
+        constraints=asked,
+        robustness=robustness,
+        start_robustness=measured(Circumstances(problem.loop, fresh), problem.objective),
+    )
+
+
+def _search(judge: _Judge, found: _Found, seed: int, restarts: int, stop: Callable[[], bool], tell: Progress) -> float:
+    """Search on few draws from several seeds, then jointly on all; return the least statistic met before rounding."""
+    problem = judge.problem
+    free = problem.free.size
+    whole = judge.given.ensemble
+    few = judge
+    if whole.draws > SCAN_DRAWS:
+        few = _Judge(problem, replace(whole, draws=SCAN_DRAWS), judge.constraints)
+    guesses = problem.cube(_guesses(problem))
+    pool, least = [guesses], math.inf
+    for k in range(restarts):
+        tell(f"global search {k + 1} of {restarts}", 0.5 * k / restarts)
+        before = problem.evaluations
+        rng = np.random.default_rng([seed, k])
+        fresh = rng.random((SCAN_MEMBERS, free))
+        if problem.low[2] == 0.0 and 2 in problem.free:
+            # PI controllers are always among them.
+            fresh[: SCAN_MEMBERS // 4, -1] = 0.0
+        population = evolve(
+            lambda points, _: few.values(problem.tunings(points)),
+            np.concatenate([guesses, fresh]),
+            SCAN_GENERATIONS,
+            rng,
+            stop=stop,
+        )
+        best = problem.tunings(population.points[:1])
+        ended = float(judge.values(best)[0])
+        least = min(least, ended) if ended < WORN else least
+        # At the digits to type in, so that a stop from here on has something to return.
+        typed = problem.rounded(best)
+        found.add(typed, judge.values(typed))
+        scanned, ended = (v if v < WORN else math.inf for v in (float(population.values[0]), ended))
+        found.restarts.append(Restart(k, scanned, ended, problem.evaluations - before, 0, 0))
+        pool.append(population.points)
+    tell("joint search on all draws", 0.55)
+    points = np.concatenate(pool)
+    values = few.values(problem.tunings(points))
+    kept = spread(points, values, JOINT_MEMBERS, GAP)
+    population = evolve(
+        lambda some, _: judge.values(problem.rounded(problem.tunings(some))),
+        points[kept] if kept.size else guesses,
+        JOINT_GENERATIONS,
+        np.random.default_rng([seed, restarts]),
+        stop=stop,
+    )
+    found.add(problem.rounded(problem.tunings(population.points)), population.values)
+    return least
+
+
+def _guesses(problem: Problem) -> FloatArray:
+    """Return tunings worth a try, (M, 3): those of every search, and very cautious ones, which constraints may ask."""
+    usual = problem.guesses()
+    cautious = usual * np.array([0.03, 2.0, 0.0])
+    guesses: FloatArray = np.clip(np.concatenate([usual, cautious]), problem.low, problem.high)
+    return np.unique(guesses, axis=0)
+
+
+def _walk(judge: _Judge, found: _Found, stop: Callable[[], bool]) -> None:
+    """Walk from the best rounded tuning on the lattice of its digits as long as its value falls."""
+    problem = judge.problem
+    tuning, value = found.best()
+    moves = np.array([m for m in itertools.product((-1.0, 0.0, 1.0), repeat=problem.free.size) if any(m)])
+    for step in STEPS:
+        for _ in range(ROUNDS):
+            stop()
+            near = np.tile(tuning, (moves.shape[0], 1))
+            near[:, problem.free] += step * moves * unit_of(tuning, problem.digits)[problem.free]
+            near = problem.rounded(np.clip(near, problem.low, problem.high))
+            values = judge.values(near)
+            best = int(values.argmin())
+            if not values[best] < value:
+                break
+            tuning, value = near[best], float(values[best])
+            found.add(tuning[None, :], values[best : best + 1])
+
+
+def _verdict(
+    status: SolveStatus, value: float, asked: Constraints, judge: _Judge, chosen: FloatArray, fresh: Robustness
+) -> tuple[SolveStatus, str]:
+    """The status that the chosen tuning's own value gives, and why, in words."""
+    ended = status is SolveStatus.SOLVED
+    if not fresh.stable or not math.isfinite(value):
+        words = "the best tuning found within the bounds does not hold every corner plant of the ensemble"
+        if fresh.stable:
+            words = "every tuning within the bounds makes some draw of the ensemble diverge"
+        return (SolveStatus.DIVERGED if ended else status), words
+    if value >= WORN:
+        missed = _missed(asked, judge, chosen, fresh)
+        words = f"no tuning found within the bounds keeps every constraint; the nearest has {', '.join(missed)}"
+        return (SolveStatus.INFEASIBLE if ended else status), words
+    if fresh.diverged:
+        words = f"{fresh.diverged} of {fresh.ensemble.draws} fresh draws diverge"
+        return (SolveStatus.UNVERIFIED if ended else status), words
+    return status, ""
+
+
+def _missed(asked: Constraints, judge: _Judge, chosen: FloatArray, reached: Robustness) -> list[str]:
+    missed = []
+    if asked.max_sensitivity is not None and reached.max_sensitivity > asked.max_sensitivity:
+        missed.append(f"a maximum sensitivity of {reached.max_sensitivity:.3g} (at most {asked.max_sensitivity:g})")
+    if asked.gain_margin is not None and reached.gain_margin < asked.gain_margin:
+        missed.append(f"a gain margin of {reached.gain_margin:.3g} (at least {asked.gain_margin:g})")
+    if asked.phase_margin is not None and reached.phase_margin < asked.phase_margin:
+        missed.append(f"a phase margin of {reached.phase_margin:.3g} degrees (at least {asked.phase_margin:g})")
+    travel = float(judge.statistic(chosen[None, :])[1][0])
+    if asked.valve_travel is not None and travel > asked.valve_travel:
+        missed.append(f"a mean valve travel of {travel:.3g} % (at most {asked.valve_travel:g} %)")
+    return missed
+
+
+def _summary(ensemble: Ensemble, fresh: Robustness) -> str:
+    what = {"mean": "mean", "percentile": f"{ensemble.level:g} quantile", "cvar": f"CVaR {ensemble.level:g}"}
+    return (
+        f"{what[ensemble.statistic]} of J over {ensemble.draws} draws; on {fresh.ensemble.draws} fresh ones mean "
+        f"square error {fresh.mse_median:.3g} (median), {fresh.mse_p90:.3g} (90th percentile), valve travel "
+        f"{fresh.travel_median:.3g} % (median), worst corner's Ms {fresh.max_sensitivity:.3g}"
+    )
