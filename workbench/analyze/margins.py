@@ -120,8 +120,9 @@ def _encloses_nothing(rows: FloatArray, w: FloatArray, L: ComplexArray) -> NDArr
     F = (1.0 + L) * (1.0 - np.exp(-1j * w))[None, :] ** integrators[:, None]
     with np.errstate(divide="ignore", invalid="ignore"):
         turned = np.angle(F[:, 0]) + np.angle(F[:, 1:] / F[:, :-1]).sum(axis=1)
-    slow = np.where(rows[:, kernel.KI] != 0.0, rows[:, kernel.KI], rows[:, kernel.KC])
-    right = slow * rows[:, kernel.GAIN] >= 0.0
+    gain, KC, KI = rows[:, kernel.GAIN], rows[:, kernel.KC], rows[:, kernel.KI]
+    alone = np.where(rows[:, kernel.POLE] == 1.0, KC * gain, 1.0 + KC * gain)
+    right = np.where(KI != 0.0, KI * gain, alone) > 0.0
     held: NDArray[np.bool_] = right & (np.abs(turned) < 0.5 * math.pi)
     return held
 

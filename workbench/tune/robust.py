@@ -110,7 +110,7 @@ class _Judge:
             total += np.maximum(np.log(worst[:, 0] / asked.max_sensitivity), 0.0)
         for column, least in ((1, asked.gain_margin), (2, asked.phase_margin)):
             if least is not None:
-                total += np.maximum(np.log(least / np.maximum(worst[:, column], 1e-9)), 0.0)
+                total += np.log(np.maximum(least / np.maximum(worst[:, column], 1e-9), 1.0))
         return total
 
 

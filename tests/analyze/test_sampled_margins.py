@@ -1,0 +1,114 @@
+"""Margins of the sampled loop: against python-control, against what the definitions mean, and in batch."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import control
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from loops import PAPER_PLANT, controllers, numbers, paper_loop, plants
+
+import workbench as wb
+from workbench.analyze.frequency import linear_stable
+from workbench.analyze.margins import loop_margins
+from workbench.simulate.coefficients import coefficients
+
+linear_loops = st.builds(
+    wb.Loop, plant=plants, valve=st.just(wb.Ideal()), controller=controllers(), sample_time=st.sampled_from([0.5, 1.0])
+)
+
+
+@pytest.mark.parametrize(
+    ("plant", "pid"),
+    [
+        (PAPER_PLANT, wb.PID(1.61, 12.2)),
+        (PAPER_PLANT, wb.PID(1.53, 7.7, 0.33)),
+        (wb.FOPDT(0.8, 20.0, 7.4), wb.PID(1.2, 25.0, 2.0, derivative_filter=math.inf)),
+        (wb.FOPDT(2.0, 3.0, 11.3), wb.PID(0.2, 5.0)),
+        (wb.Integrating(0.05, 3.6), wb.PID(1.5, 40.0, 1.5)),
+    ],
+)
+def test_as_python_control_finds_them(plant, pid):
+    loop = wb.Loop(plant, wb.Ideal(), pid, 1.0)
+    found = wb.margins(loop)
+    # The same law built from transfer functions: backward integral, filtered difference, zero-order hold of the plant.
+    z = control.tf([1.0, 0.0], [1.0], 1.0)
+    Tf = pid.Td / pid.derivative_filter
+    C = pid.Kc * (1.0 + z / (z - 1.0) / pid.Ti)
+    if pid.Td:
+        C = C + pid.Kc * pid.Td * (z - 1.0) / ((Tf + 1.0) * z - Tf)
+    whole = math.floor(plant.dead_time)
+    f = plant.dead_time - whole
+    if isinstance(plant, wb.FOPDT):
+        a = math.exp(-1.0 / plant.time_constant)
+        shares = [1.0 - a ** (1.0 - f), a ** (1.0 - f) - a]
+    else:
+        a, shares = 1.0, [1.0 - f, f]
+    G = plant.gain * control.tf(shares, [1.0, -a], 1.0) * control.tf([1.0], [1.0] + [0.0] * (whole + 1), 1.0)
+    w = np.unique(np.concatenate([np.geomspace(1e-5, math.pi, 5000), np.linspace(1e-3, math.pi, 5000)]))[:-1]
+    L = control.frequency_response(C * G, w).complex
+    measured = control.stability_margins(control.frd(L, w), returnall=True)
+    assert found.stable
+    assert found.max_sensitivity == pytest.approx(1.0 / np.abs(1.0 + L).min(), rel=1e-4)
+    assert found.gain_margin == pytest.approx(min(g for g in measured[0] if g > 1.0), rel=3e-3)
+    assert found.phase_margin == pytest.approx(min(p % 360.0 for p in measured[1]), abs=0.1)
+    S = 1.0 / abs(1.0 + control.frequency_response(C * G, np.array([found.frequency])).complex[0])
+    assert found.max_sensitivity == pytest.approx(S, rel=1e-4)
+
+
+@given(loop=linear_loops)
+def test_the_gain_margin_is_where_the_loop_becomes_unstable(loop):
+    found = wb.margins(loop)
+    assert found.stable == linear_stable(loop)
+    if not found.stable:
+        assert (found.max_sensitivity, found.gain_margin, found.phase_margin) == (math.inf, 0.0, 0.0)
+        return
+    if loop.plant.gain * loop.controller.signed_gain < 0.0:
+        return
+    assert found.max_sensitivity >= 1.0 - 1e-9
+    g = found.gain_margin
+    # Near 1 the margin itself is uncertain by its grid, and far out it says nothing.
+    if not 1.01 < g < 1e3:
+        return
+
+    def stable_at(factor: float) -> bool:
+        return linear_stable(loop.with_controller(replace(loop.controller, Kc=factor * loop.controller.Kc)))
+
+    assert stable_at(1.0 + 0.99 * (g - 1.0))
+    assert not stable_at(1.0 + 1.01 * (g - 1.0))
+    # A circle of radius 1/Ms about -1 is kept free.
+    if found.max_sensitivity > 1.0 + 1e-9:
+        assert g >= found.max_sensitivity / (found.max_sensitivity - 1.0) * (1.0 - 2e-3)
+        assert found.phase_margin >= math.degrees(2.0 * math.asin(0.5 / found.max_sensitivity)) - 0.2
+
+
+@given(loop=linear_loops, scale=numbers(0.1, 8.0))
+def test_stability_read_off_the_response_agrees_where_it_counts(loop, scale):
+    loop = loop.with_controller(replace(loop.controller, Kc=scale * loop.controller.Kc))
+    values, _, stable = loop_margins(coefficients(loop), loop.sample_time)
+    if values[0, 0] < 8.0:
+        assert bool(stable[0]) == linear_stable(loop)
+
+
+def test_many_loops_at_once_equal_each_alone():
+    loops = [
+        replace(paper_loop(k, 12.0, 0.3), plant=wb.FOPDT(1.0, 5.0, t)) for k in (0.5, 1.5) for t in (0.8, 1.0, 9.7)
+    ]
+    rows = np.concatenate([coefficients(loop) for loop in loops])
+    values, at, _ = loop_margins(rows, 1.0)
+    for loop, value, w in zip(loops, values, at, strict=True):
+        alone = wb.margins(loop)
+        if alone.stable:
+            assert value == pytest.approx((alone.max_sensitivity, alone.gain_margin, alone.phase_margin), rel=5e-3)
+            assert w == pytest.approx(alone.frequency, rel=2e-2)
+
+
+def test_no_action_at_all_leaves_all_margins_open():
+    found = wb.margins(paper_loop(0.0, 20.0))
+    assert (found.stable, found.max_sensitivity) == (True, 1.0)
+    assert math.isinf(found.gain_margin)
+    assert math.isinf(found.phase_margin)
