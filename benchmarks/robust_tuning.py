@@ -57,9 +57,9 @@ def main() -> None:
     experiment = wb.Experiment(duration=1000.0, setpoint=wb.Step(size=4.0))
     ready = wb.Ensemble.plant_ready(loop)
     fresh = replace(ready, draws=2000, seed=1234)
-    print(
-        "tuning                    Kc      Ti      Td   median    p90   mean  travel    mean  rep.mse   tr.     Ms  lost"
-    )
+    heads = ("Kc", "Ti", "Td", "median", "p90", "mean", "travel", "mean", "rep.mse", "tr.", "Ms", "lost")
+    widths = (7, 7, 7, 7, 6, 6, 7, 7, 7, 6, 6, 5)
+    print(f"{'tuning':20s}", *(f"{head:>{width}s}" for head, width in zip(heads, widths, strict=True)))
     for name, (Kc, Ti, Td) in KNOWN.items():
         line(name, loop.with_controller(replace(loop.controller, Kc=Kc, Ti=Ti, Td=Td)), fresh)
     for name, (bounds, constraints) in ASKED.items():
