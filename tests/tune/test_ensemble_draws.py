@@ -67,7 +67,7 @@ def test_figures_are_those_of_ordinary_runs(valve, plant):
     assert found.stable
     assert found.diverged == 0
     corners = [wb.margins(c) for c in corner_loops(loop, ensemble)]
-    assert len(corners) == (9 if isinstance(plant, wb.FOPDT) else 5)
+    assert len(corners) == (13 if isinstance(plant, wb.FOPDT) else 7)
     assert found.max_sensitivity == pytest.approx(max(m.max_sensitivity for m in corners), rel=1e-6)
     assert found.gain_margin == pytest.approx(min(m.gain_margin for m in corners), rel=2e-3)
     assert found.phase_margin == pytest.approx(min(m.phase_margin for m in corners), abs=0.2)
@@ -87,6 +87,17 @@ def test_an_unstable_loop_is_counted_not_hidden():
     assert not found.stable
     assert found.diverged == 10
     assert found.max_sensitivity == np.inf
+
+
+def test_the_worst_dead_time_may_be_a_whole_number_of_samples():
+    loop = LOOP.with_controller(wb.PID(2.639, 8.962, 0.7033, derivative_on="pv"))
+    # Stable at both ends of the dead time's range and unstable between them.
+    held = [wb.margins(replace(loop, plant=wb.FOPDT(1.2, 4.0, theta))).stable for theta in (0.8, 1.0, 1.2)]
+    assert held == [True, False, True]
+    assert not wb.assess(loop, replace(READY, draws=1)).stable
+    long = replace(LOOP, plant=wb.FOPDT(1.0, 20.0, 7.4))
+    delays = {c.plant.dead_time for c in corner_loops(long, READY)}
+    assert delays == {7.4 * 0.8, 6.0, 7.4, 8.0, 7.4 * 1.2}
 
 
 def test_statistics():

@@ -93,17 +93,25 @@ def _valve(valve: Valve, stiction: float) -> Valve:
 
 
 def corner_loops(loop: Loop, ensemble: Ensemble) -> tuple[Loop, ...]:
-    """Return the loop with its nominal plant and with each corner of its plant's uncertainty, all with ideal valves."""
-    names = [name for name in UNCERTAIN[:3] if getattr(ensemble, name) > 0.0]
-    if not isinstance(loop.plant, FOPDT) and "time_constant" in names:
-        names.remove("time_constant")
-    plants = [loop.plant]
-    if names:
-        for signs in itertools.product((-1.0, 1.0), repeat=len(names)):
-            at = {name: 1.0 + sign * getattr(ensemble, name) for name, sign in zip(names, signs, strict=True)}
-            factors = [at.get(name, 1.0) for name in UNCERTAIN[:3]]
-            plants.append(_plant(loop.plant, *factors))
-    return tuple(replace(loop, plant=plant, valve=Ideal()) for plant in plants)
+    """Return the loop with its nominal plant and with each corner of its plant's uncertainty, all with ideal valves.
+
+    Gain and time constant at their ends; dead time at its ends, its nominal value and the first and last whole number
+    of samples between: a sampled loop is worst where the hold delays a whole sample more, not at the longest dead time.
+    """
+    plant, Ts = loop.plant, loop.sample_time
+    share = ensemble.dead_time
+    low, high = plant.dead_time * (1.0 - share), plant.dead_time * (1.0 + share)
+    whole = (math.ceil(low / Ts) * Ts, math.floor(high / Ts) * Ts)
+    delays = sorted({low, plant.dead_time, high, *(t for t in whole if low < t < high)})
+    lags = ensemble.time_constant if isinstance(plant, FOPDT) else 0.0
+    plants: list[Plant] = [plant]
+    for gain, lag, delay in itertools.product(
+        sorted({1.0 - ensemble.gain, 1.0 + ensemble.gain}), sorted({1.0 - lags, 1.0 + lags}), delays
+    ):
+        corner = replace(_plant(plant, gain, lag, 1.0), dead_time=delay)
+        if corner not in plants:
+            plants.append(corner)
+    return tuple(replace(loop, plant=corner, valve=Ideal()) for corner in plants)
 
 
 class Circumstances:
