@@ -254,6 +254,47 @@ def test_rejected_rows_are_counted_and_the_longest_stretch_is_kept(tmp_path: Pat
     assert "28 of 60 rows, lines 14 to 41" in said
 
 
+def test_a_half_text_file_is_named_once_and_the_reason_is_true(tmp_path: Path) -> None:
+    path = write(tmp_path, "t,PV,OP\n" + "".join(f"{k},{'Bad' if k % 2 else k},2\n" for k in range(20)))
+    with pytest.raises(RecordError) as refusal:
+        read_record(path)
+    said = str(refusal.value)
+    assert said.count(str(path)) == 1
+    assert "10 rows rejected: text ('Bad'), first in line 3, column 'PV'" in said
+
+
+def test_a_row_with_too_many_fields_blames_no_column(tmp_path: Path) -> None:
+    rows = [f"{k},{k},{2 * k}" for k in range(20)]
+    rows[4] = "4,4,8,9"
+    record = read_record(write(tmp_path, "t,PV,OP\n" + "\n".join(rows) + "\n"))
+    assert "1 row rejected: more fields than the header, first in line 6" in record.notes
+    with pytest.raises(RecordError) as refusal:
+        read_record(write(tmp_path, "t,PV,OP\n0,1,5,2,5\n1,1,5,2,5\n"))
+    assert "column" not in str(refusal.value)
+
+
+def test_a_damaged_parquet_file_is_called_one(tmp_path: Path) -> None:
+    for content in (b"\x00\x01\x02" * 50, b"PAR1" + bytes(40)):
+        with pytest.raises(RecordError, match="no readable Parquet file"):
+            read_record(write(tmp_path, content, "loop.parquet"))
+
+
+@pytest.mark.parametrize(
+    ("modes", "words"),
+    [
+        (["AUTO"] * 15 + ["Man"] * 5, "MODE: AUTO 75.0 %, MAN 25.0 %; 25.0% of the kept samples are in manual"),
+        (["1"] * 15 + ["0.0"] * 5, "MODE: 1 75.0 %, 0 25.0 %; 25.0% of the kept samples are in manual"),
+        (["CAS"] * 20, None),
+        (["0"] * 20, None),
+    ],
+)
+def test_samples_in_manual_are_said(tmp_path: Path, modes: list[str], words: str | None) -> None:
+    rows = "".join(f"{k},{k},{2 * k},{mode}\n" for k, mode in enumerate(modes))
+    record = read_record(write(tmp_path, "t,PV,OP,MODE\n" + rows))
+    said = [note for note in record.notes if "MODE" in note]
+    assert said == ([] if words is None else [words])
+
+
 def test_a_gap_splits_the_record_and_is_said(tmp_path: Path) -> None:
     times = [*range(50), *range(90, 190)]
     text = "t,PV,OP\n" + "".join(f"{t},{t % 7},{t}\n" for t in times)

@@ -19,6 +19,7 @@ from workbench.errors import RecordError
 from workbench.model.checks import number
 from workbench.model.record import FloatArray, Record
 from workbench.record.columns import match_columns, time_unit
+from workbench.record.modes import manual_share, mode_words
 from workbench.record.table import BLANK, FIELDS, NOT_FINITE, OK, TEXT, Cells, Table, read_csv, read_parquet
 from workbench.record.times import FORMATS_SAID, parse_timestamps
 
@@ -94,6 +95,9 @@ def _check_file(file: Path, source: str) -> None:
 
 
 def _is_parquet(file: Path) -> bool:
+    # A damaged file may have lost the mark that a Parquet file begins with; its name still tells.
+    if file.suffix.lower() in (".parquet", ".pq"):
+        return True
     try:
         with file.open("rb") as stream:
             return stream.read(4) == b"PAR1"
@@ -126,7 +130,14 @@ def _assemble(table: Table, names: Mapping[str, str], sample_time: float | None,
         raise RecordError(_nothing_usable(table, names, source))
     first, stop, gaps = _longest(clock, good, table, source)
     if stop - first < 2:
-        msg = f"{source}: no two clean, evenly spaced rows follow each other; {_nothing_usable(table, names, source)}"
+        causes = [
+            _rejected(table, names, bad == mark, said, int(np.count_nonzero(bad == mark)))
+            for mark, said in _WHY.items()
+            if (bad == mark).any()
+        ]
+        if no_time.any():
+            causes.append(f"{np.count_nonzero(no_time)} without a readable time")
+        msg = f"{source}: no two clean, evenly spaced rows follow each other" + "".join(f"; {one}" for one in causes)
         raise RecordError(msg)
     part = slice(first, stop)
     counts = {"rows": rows, "kept": stop - first, "rejected": int(np.count_nonzero(~good)), "gaps": gaps}
@@ -155,13 +166,17 @@ def _assemble(table: Table, names: Mapping[str, str], sample_time: float | None,
     mode = table.columns["MODE"].texts if "MODE" in table.columns else None
     if mode is None and "MODE" in table.columns:
         mode = [f"{v:g}" for v in table.columns["MODE"].values.tolist()]
+    kept_mode = None if mode is None else tuple(mode[part])
+    manual = 0.0 if kept_mode is None else manual_share(kept_mode)
+    if kept_mode is not None and manual > 0.0:
+        notes.append(f"MODE: {mode_words(kept_mode)}; {manual:.1%} of the kept samples are in manual")
     return Record(
         pv=table.columns["PV"].values[part],
         op=table.columns["OP"].values[part],
         sample_time=Ts,
         sp=sp,
         valve_position=valve,
-        mode=None if mode is None else tuple(mode[part]),
+        mode=kept_mode,
         start=start,
         source=source,
         notes=tuple(notes),
@@ -173,10 +188,9 @@ def _rejected(table: Table, names: Mapping[str, str], which: NDArray[np.bool_], 
     row = int(np.argmax(which))
     signal = "PV" if table.columns["PV"].marks[row] != OK else "OP"
     text = f" ({table.columns[signal].first_text!r})" if why == "text" and table.columns[signal].first_text else ""
-    return (
-        f"{many} row{'s' if many > 1 else ''} rejected: {why}{text}, first in {table.unit} {table.lines[row]}, "
-        f"column {names[signal]!r}"
-    )
+    # Fields too many are the row's fault, and no column's.
+    where = "" if table.columns[signal].marks[row] == FIELDS else f", column {names[signal]!r}"
+    return f"{many} row{'s' if many > 1 else ''} rejected: {why}{text}, first in {table.unit} {table.lines[row]}{where}"
 
 
 def _nothing_usable(table: Table, names: Mapping[str, str], source: str) -> str:
@@ -186,10 +200,14 @@ def _nothing_usable(table: Table, names: Mapping[str, str], source: str) -> str:
             row = int(np.argmax(cells.marks != OK))
             why = _WHY[int(cells.marks[row])]
             text = f" ({cells.first_text!r})" if cells.marks[row] == TEXT else ""
-            hint = "; is it a decimal comma in a comma-separated file?" if cells.marks[row] == FIELDS else ""
+            if cells.marks[row] == FIELDS:
+                return (
+                    f"{source}: {table.unit} {table.lines[row]}: {why}, and no row without; is it a decimal comma in a "
+                    "comma-separated file?"
+                )
             return (
                 f"{source}: {table.unit} {table.lines[row]}, column {names[signal]!r}: no row holds a number, "
-                f"the first is {why}{text}{hint}"
+                f"the first is {why}{text}"
             )
     row = int(np.argmax((table.columns["PV"].marks != OK) | (table.columns["OP"].marks != OK)))
     return f"{source}: {table.unit} {table.lines[row]}: no row holds PV, OP and time together"
