@@ -33,10 +33,12 @@ def estimate_lines(found: Estimate) -> list[str]:
     lines = [f"Record     {len(record)} samples of {given(record.sample_time)} s ({figure(seconds / 3600.0, 3)} h)"]
     lines += [f"           {note}" for note in record.notes]
     lines.append(f"Model      {plant_words(found.plant)}")
+    # An undecided record gives no number to rely on, whatever the fit's own interval says.
+    sure = _sure(found)
     for name, unit in (("gain", ""), ("time_constant", "s"), ("dead_time", "s")):
         pair = getattr(found.intervals, name)
         if pair is not None:
-            lines.append(f"           {name.replace('_', ' ')}: {interval(pair, unit)} (95 %)")
+            lines.append(f"           {name.replace('_', ' ')}: {interval(pair, unit)} ({sure})")
     lines.append(f"Valve      {valve_words(found.valve)}")
     lines += [f"           {line}" for line in _stiction_ranges(found)]
     stem = found.valve_position
@@ -57,10 +59,20 @@ def _stiction_ranges(found: Estimate) -> list[str]:
     names = ("d",) if isinstance(found.valve, Stenman) else ("S", "J")
     for name in names:
         pair = getattr(found.intervals, name)
-        lines.append(f"{name}: {interval(pair, '%')} (95 %)" if pair is not None else f"{name}: no interval")
-    if not found.identifiable:
+        lines.append(f"{name}: {interval(pair, '%')} ({_sure(found)})" if pair is not None else f"{name}: no interval")
+    if found.identifiable:
+        return lines
+    if found.verdict != "stiction":
+        lines.append("the record does not pin the stiction (see the verdict): take these figures as a hint")
+    elif all(getattr(found.intervals, name) is None for name in names):
+        lines.append("the method gives no range, so whether the record pins the stiction stays open")
+    else:
         lines.append("the record pins the product of gain and stiction only, not the stiction alone")
     return lines
+
+
+def _sure(found: Estimate) -> str:
+    return "a hint only" if found.verdict == "undecided" else "95 %"
 
 
 def estimate_json(found: Estimate) -> str:

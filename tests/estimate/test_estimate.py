@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from contextlib import suppress
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -14,7 +15,13 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 import workbench as wb
+from workbench.cli_output import estimate_lines
+from workbench.estimate.fit import Fit, Limits
+from workbench.estimate.profile import Candidate, Profile, islands
+from workbench.estimate.verdict import Evidence, judge
 from workbench.model.results import Estimate
+from workbench.model.study import NamedEstimate
+from workbench.report.summary import estimate_sentences
 
 RECORDS = Path(os.environ.get("WORKBENCH_RECORDS", Path(__file__).resolve().parents[2].parent / "shared" / "data"))
 ROOT = Path(__file__).resolve().parents[2]
@@ -150,7 +157,7 @@ def test_a_cycle_without_noise_or_excitation_gives_the_set_and_not_a_point() -> 
     assert high > 2.1
     assert low <= 2.0 <= high
     said = " ".join(found.reasons)
-    assert "fits equally well" in said
+    assert "equally well" in said
     assert "setpoint change" in said
     # K d is what is known.
     assert isinstance(found.valve, wb.Stenman)
@@ -217,7 +224,104 @@ def test_long_records_are_searched_within_bounds_and_say_so() -> None:
     found = wb.estimate(record)
     check(found, record)
     assert near(found, 0.05)
-    assert any("record is long" in reason for reason in found.reasons)
+    assert "record is long" in found.reasons[-1]
+
+
+@pytest.mark.parametrize("seed", [0, 4])
+def test_a_long_record_with_a_quiet_head_is_searched_where_it_moves(seed: int) -> None:
+    record = record_of(sd=0.1, seed=seed, samples=12000, steps=((8.0, 5000.0), (-8.0, 9000.0)))
+    found = wb.estimate(record)
+    check(found, record)
+    assert found.verdict == "stiction"
+    assert near(found, 0.01)
+    assert found.noise_sd < 0.105
+
+
+def test_dead_times_are_narrowed_only_where_the_stem_clearly_explains_a_window() -> None:
+    # A dead time far from what a quiet, noisy head would choose by chance.
+    record = record_of(sd=0.1, seed=1, samples=8000, theta=9.0, Kc=0.2, steps=((8.0, 5000.0), (-8.0, 6500.0)))
+    found = wb.estimate(record)
+    assert found.plant.dead_time == pytest.approx(9.0, abs=0.3)
+    assert isinstance(found.valve, wb.Stenman)
+    assert found.valve.d == pytest.approx(2.0, rel=0.01)
+
+
+def test_separate_ranges_of_d_are_told_apart() -> None:
+    def candidate(low: float, high: float, sse: float) -> Candidate:
+        return Candidate(1, low, high, 12, Fit(sse, 5.0, 1.0, 1.0, 0.0, 0.0, 0.0))
+
+    good = [candidate(1.0, 1.1, 1.0), candidate(1.1, 1.15, 1.0), candidate(1.9, 2.0, 1.0)]
+    limits = Limits((0.05, 100.0), (0.0, 30.0))
+    fits = (*good, candidate(1.5, 1.6, 9.0))
+    profile = Profile(good[0], tuple(good), fits, 4, True, limits, False)
+    assert islands(profile) == ((1.0, 1.15), (1.9, 2.0))
+    # Nothing worse was met between: one range.
+    assert islands(Profile(good[0], tuple(good), tuple(good), 3, True, limits, False)) == ((1.0, 2.0),)
+
+
+def evidence(**changed: object) -> Evidence:
+    plain = Evidence(
+        samples=1000,
+        variance=1.0,
+        linear=0.5,
+        stem=0.01,
+        slips=30,
+        d=1.5,
+        gain=2.0,
+        op_range=8.0,
+        nothing=1.0,
+        wide=0.01,
+        two_parameter=0.4,
+        bands=(1.0, 0.5),
+        linear_delay=0.01,
+        tau=0.01,
+        d_range=(1.0, 2.0),
+        islands=((1.0, 2.0),),
+        exact=True,
+        at_limit=False,
+        method="profile",
+        iterations=0,
+    )
+    return replace(plain, **changed)
+
+
+def test_a_hull_of_separate_ranges_is_not_called_every_d() -> None:
+    assert "every d from 1 to 2 % fits equally well" in " ".join(judge(evidence())[1])
+    said = " ".join(judge(evidence(islands=((1.0, 1.2), (1.9, 2.0))))[1])
+    assert "every d" not in said
+    assert "2 separate ranges" in said
+    assert "1 to 1.2 %, 1.9 to 2 %" in said
+
+
+def test_a_long_search_is_said_last_and_the_dead_time_before_it() -> None:
+    reasons = judge(evidence(exact=False, at_limit=True))[1]
+    assert "dead time" in reasons[-2]
+    assert "record is long" in reasons[-1]
+
+
+def test_a_record_partly_in_manual_is_said_with_the_verdict() -> None:
+    record = record_of(sd=0.05, steps=((4.0, 0.0), (-6.0, 500.0)))
+    mode = ("AUTO",) * 800 + ("MAN",) * 200
+    partly = wb.estimate(wb.Record(record.pv, record.op, 1.0, mode=mode))
+    assert any("in manual in 20% of the record (AUTO 80.0 %, MAN 20.0 %)" in reason for reason in partly.reasons)
+    wholly = wb.estimate(wb.Record(record.pv, record.op, 1.0, mode=("AUTO",) * 1000))
+    assert not any("manual" in reason for reason in wholly.reasons)
+
+
+def test_words_of_an_undecided_record_claim_neither_a_product_nor_certainty() -> None:
+    few = wb.estimate(record_of(Ti=200.0))
+    assert few.verdict == "undecided"
+    printed = "\n".join(estimate_lines(few))
+    assert "product" not in printed
+    assert "(95 %)" not in printed
+    assert "a hint" in printed
+    told = " ".join(estimate_sentences(NamedEstimate("E", few)))
+    assert "product" not in told
+    assert "95 %" not in told
+    # Where the record does pin the product only, it is still said.
+    run = run_of(samples=3000)
+    cycle = wb.estimate(wb.Record(run.pv[1500:2500], run.op[1500:2500], 1.0))
+    assert "product of gain and stiction" in "\n".join(estimate_lines(cycle))
 
 
 def test_the_estimate_does_not_depend_on_units_and_offsets() -> None:

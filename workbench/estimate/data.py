@@ -47,9 +47,9 @@ class Centred:
         """N."""
         return int(self.y.size)
 
-    def head(self, samples: int) -> Centred:
-        """Return the first samples alone, centred as the whole."""
-        return _centred(self.y[:samples], self.u[:samples], self)
+    def part(self, first: int, stop: int) -> Centred:
+        """Return the samples [first, stop) alone, centred as the whole."""
+        return _centred(self.y[first:stop], self.u[first:stop], self)
 
 
 def _prefix(values: FloatArray) -> FloatArray:

@@ -11,7 +11,7 @@ import numpy as np
 from workbench.errors import InvalidValue
 from workbench.estimate.data import Centred, centre, plant_of
 from workbench.estimate.fit import Fit, fit_linear, fit_nothing, predict, standard_errors, start_range
-from workbench.estimate.profile import Candidate, Profile, path_of, search
+from workbench.estimate.profile import Candidate, Profile, islands, path_of, search
 from workbench.estimate.two_parameter import look
 from workbench.estimate.two_step import akaike, two_step
 from workbench.estimate.verdict import WIDE_D, Evidence, judge
@@ -19,6 +19,7 @@ from workbench.model.checks import choice, number
 from workbench.model.record import FloatArray, Record
 from workbench.model.results import Estimate, Intervals, Iteration, LinearFit
 from workbench.model.valve import Ideal, Stenman
+from workbench.record.modes import manual_share, mode_words
 
 __all__ = ["estimate"]
 
@@ -33,6 +34,7 @@ STEM_PARAMETERS = 7
 DELAYS = 30
 LINEAR_DELAYS = 240
 NORMAL = 1.96
+MUCH_MANUAL = 0.05  # share of the record in manual that is worth a word
 
 
 def estimate(
@@ -143,12 +145,14 @@ def _answer(
         linear_delay=rival.theta / n,
         tau=0.0 if found is None or data.integrating else found.best.fit.tau / n,
         d_range=None if stem is None else stem.intervals.d,
+        islands=() if found is None else islands(found),
         exact=found is None or found.exact,
         at_limit=found is not None and found.at_limit,
         method=method,
         iterations=len(history),
     )
     verdict, reasons, identifiable = judge(evidence)
+    reasons += _manual_said(record)
     profile_d = np.array([] if found is None else [c.d for c in found.fits])
     profile_cost = np.array([] if found is None else [c.fit.sse / n for c in found.fits])
     if found is None or stem is None or verdict == "no_stiction" or found.best.fit.gain == 0.0:
@@ -195,6 +199,14 @@ def _answer(
         profile_cost=profile_cost,
         iterations=history,
     )
+
+
+def _manual_said(record: Record) -> tuple[str, ...]:
+    share = 0.0 if record.mode is None else manual_share(record.mode)
+    if record.mode is None or share < MUCH_MANUAL:
+        return ()
+    said = f"the controller was in manual in {share:.0%} of the record ({mode_words(record.mode)})"
+    return (f"{said}: a stretch in automatic alone would show the loop better",)
 
 
 def _bias(data: Centred, fit: Fit) -> float:

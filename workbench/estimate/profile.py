@@ -17,11 +17,12 @@ from numpy.typing import NDArray
 
 from workbench.estimate import kernel
 from workbench.estimate.data import Centred, integers
-from workbench.estimate.fit import LEAST_TAU, Fit, Limits, fit_path, inflation, predict, start_range
+from workbench.estimate.fit import LEAST_TAU, Fit, Limits, fit_linear, fit_path, inflation, predict, start_range
 
-__all__ = ["Candidate", "Profile", "first_slips", "path_of", "search"]
+__all__ = ["Candidate", "Profile", "first_slips", "islands", "path_of", "search"]
 
-# Exact enumeration up to this many samples; longer records are first searched on their head of this length.
+# Exact enumeration up to this many samples; longer records are first searched in their most active windows of this
+# length.
 EXACT = 1500
 STARTS = 48  # first slips scanned in the first round
 BINS = 120  # of log d, one output-error fit each
@@ -29,6 +30,11 @@ MOST_STARTS = 400  # and in the second, at wider bands
 WIDE_D = 0.08  # of OP's range
 LEAST_D = 0.005  # of OP's range: below it a stem is OP
 HALF_SLIPS = 5  # in each half of a record, for the halves to be compared
+WINDOWS = 3  # most active windows of a long record, beside its head
+CLEARLY = 0.8  # of the linear fit's residual: a stem that leaves less in a window narrows the dead times
+LEAN = 16  # dead times on the whole of a long record
+LIKELY = 8  # bands looked at closely there
+APART = 0.02  # of d, the least gap between ranges of d that counts
 CHI_SQUARE = 3.841  # 95 %, one degree of freedom
 
 FIRST, LOW, HIGH, DELAY, COST, SLIPS = range(6)
@@ -134,42 +140,145 @@ def _scan(data: Centred, delays: NDArray[np.int64], progress: Callable[[float], 
     return np.vstack([rows, *beside])
 
 
-def _scan_long(data: Centred, delays: NDArray[np.int64], progress: Callable[[float], None]) -> NDArray[np.float64]:
-    """As `_scan`, for long records: first slips and likely d from the head, then the whole record.
+@dataclass(frozen=True, eq=False)
+class _Glimpse:
+    """What one window of a long record says: its best bands and dead times; clear where the stem beats linear."""
 
-    On the whole record d is stepped by 0.3 %, and every path is met within 2 % of the likely d.
+    bands: tuple[float, ...]
+    delays: tuple[float, ...]
+    clear: bool
+
+
+def _windows(data: Centred) -> list[tuple[int, int]]:
+    """The head and the most active stretches, (first, stop) each: where OP ranges and PV varies the most."""
+    n = data.samples
+    size = min(EXACT, n)
+    begins = np.unique(np.minimum(np.arange(0, n, size // 2), n - size)).tolist()
+    spread = math.sqrt(data.variance)
+    activity = [
+        float(np.ptp(data.u[b : b + size])) / data.op_range + float(np.std(data.y[b : b + size])) / spread
+        for b in begins
+    ]
+    chosen: list[int] = []
+    for i in np.argsort(activity, kind="stable")[::-1].tolist():
+        if all(abs(begins[i] - b) >= size for b in chosen):
+            chosen.append(begins[i])
+        if len(chosen) == WINDOWS:
+            break
+    return [(b, b + size) for b in sorted({0, *chosen})]
+
+
+def _glimpse(part: Centred, delays: NDArray[np.int64], progress: Callable[[float], None]) -> _Glimpse | None:
+    """Search one window exactly; its best paths are told apart by output-error fits, as noise misleads one step."""
+    if not part.op_range > 0.0 or not float(np.ptp(part.y)) > 0.0:
+        return None
+    rows = _scan(part, delays, progress)
+    if not rows.size:
+        return None
+    by_cost = rows[np.argsort(rows[:, COST], kind="stable")]
+    limits = Limits((LEAST_TAU, float(part.samples)), (0.0, float(max(delays[-1], 1))))
+    picked = np.unique(np.vstack([_best_per_bin(by_cost, 30), by_cost[:20]]), axis=0)
+    fits = sorted((_fitted(part, row, limits) for row in picked), key=lambda c: c.fit.sse)
+    near = by_cost[np.abs(np.log(by_cost[:, LOW] / fits[0].d_low)) < 0.03][:30]
+    fits += [_fitted(part, row, limits, fits[0].fit) for row in near]
+    fits.sort(key=lambda c: c.fit.sse)
+    best = _distinct([c for c in fits if c.fit.gain != 0.0], 3)
+    if not best:
+        return None
+    linear = fit_linear(part, int(delays[-1]))
+    clear = best[0].fit.sse < CLEARLY * linear.sse and best[0].slips > 1
+    return _Glimpse(tuple(c.d_low for c in best), tuple(c.fit.theta for c in best), clear)
+
+
+def _firsts_for(u: NDArray[np.float64], d: float, most: int) -> NDArray[np.int64]:
+    """The first slips that a band d allows, at most `most`, spread over the OP at which they happen."""
+    firsts = first_slips(u)
+    held = np.maximum.accumulate(u) - np.minimum.accumulate(u)
+    firsts = integers(firsts[(firsts == 0) | (0.5 * held[np.maximum(firsts - 1, 0)] <= d)])
+    if firsts.size <= most:
+        return firsts
+    width = float(np.ptp(u[firsts])) / most
+    _, kept = np.unique(np.floor(u[firsts] / width), return_index=True)
+    return integers(np.sort(firsts[kept]))
+
+
+def _scan_long(
+    data: Centred, delays: NDArray[np.int64], progress: Callable[[float], None]
+) -> tuple[NDArray[np.float64], list[float]]:
+    """As `_scan`, for long records: likely d from the most active windows, then the whole record; and the likely d.
+
+    On the whole record d is stepped by 1 %, and more and more closely about the likely d, from every first slip that
+    such a band allows. Dead times are narrowed only by windows in which the stem clearly beats the linear loop.
     """
-    window = EXACT
-    head = np.empty((0, 6))
-    while window < 2 * data.samples and not head.size:
-        head = _scan(data.head(min(window, data.samples)), delays, progress)
-        window *= 2
-    if not head.size:
-        return head
-    head = head[np.argsort(head[:, COST])]
-    _, order = np.unique(head[:, FIRST], return_index=True)
-    starts = head[np.sort(order)[:5]]
-    middle = int(np.median(starts[:, DELAY]))
-    span = delays[(delays >= min(starts[:, DELAY]) - 3) & (delays <= max(starts[:, DELAY]) + 3)]
-    lean = span if span.size <= 16 else span[np.argsort(np.abs(span - middle))[:16]]
-    lean = np.sort(lean)
-    coarse, likely = [], []
-    for row in starts:
-        first = int(row[FIRST])
-        coarse.append(_walk(data, first, LEAST_D * data.op_range, data.op_range, 0.003, lean))
-        likely.append((first, float(row[LOW])))
-    rows = np.vstack(coarse)
-    best = rows[np.argsort(rows[:, COST])[:6]]
-    likely = likely[:2] + [(int(r[FIRST]), float(r[LOW])) for r in best]
-    fine, done = [], np.empty((0, 2))
-    for first, d in likely:
-        seen = done[(done[:, 0] == first)]
-        if seen.size and (np.abs(seen[:, 1] / d - 1.0) < 0.015).any():
+    windows = _windows(data)
+    glimpses = []
+    for i, (begin, stop) in enumerate(windows):
+        seen = _glimpse(data.part(begin, stop), delays, _silent)
+        glimpses += [] if seen is None else [seen]
+        progress(0.5 * (i + 1) / len(windows))
+    clear = [g for g in glimpses if g.clear]
+    lean = delays
+    if clear:
+        low, high = min(g.delays[0] for g in clear) - 4, max(g.delays[0] for g in clear) + 4
+        lean = delays[(delays >= low) & (delays <= high)]
+    lean = _thin(lean, LEAN)
+    likely = [d for g in clear for d in g.bands[:2]] + [g.bands[0] for g in glimpses if not g.clear]
+    # Some paths over every d, for what no window is long enough to show.
+    found = [
+        _walk(data, first, LEAST_D * data.op_range, data.op_range, 0.01, lean)
+        for first in _thin(_firsts_for(data.u, data.op_range, 40), 8).tolist()
+    ]
+    rows = np.vstack(found)
+    progress(0.7)
+    order = np.argsort(rows[:, COST], kind="stable")
+    likely += [float(rows[i, LOW]) for i in order[:400].tolist()]
+    centres: list[float] = []
+    for d in likely:
+        if len(centres) < LIKELY and all(abs(math.log(d / c)) > 0.01 for c in centres):
+            centres.append(d)
+    paths = max(4e5 / data.samples, 4.0)
+    for d in centres:
+        firsts = _firsts_for(data.u, 1.01 * d, 100).tolist()
+        found += [_walk(data, first, 0.995 * d, 1.005 * d, 0.01 / paths, lean) for first in firsts]
+    rows = np.vstack(found)
+    progress(0.8)
+    # Closer and closer: the best of every likely band over 2 %, then every path about the best.
+    all_firsts = first_slips(data.u)
+    for d in centres:
+        near = rows[np.abs(np.log(rows[:, LOW] / d)) < 0.01]
+        if near.size:
+            row = near[np.argmin(near[:, COST])]
+            step = 0.04 / max(1e7 / data.samples, 100.0)
+            found.append(_walk(data, int(row[FIRST]), 0.98 * row[LOW], 1.02 * row[LOW], step, lean))
+    rows = np.vstack(found)
+    progress(0.9)
+    # The best bands from every first slip again, as a band that is right to four digits may still have started wrongly.
+    paths = min(max(1e6 / data.samples, 12.0), 100.0)
+    bands: list[float] = []
+    for d in rows[np.argsort(rows[:, COST], kind="stable")][:1000, LOW].tolist():
+        if len(bands) < 2 and all(abs(d / b - 1.0) > 2e-3 for b in bands):
+            bands.append(d)
+            firsts = _firsts_for(data.u, 1.01 * d, 150).tolist()
+            found += [_walk(data, first, 0.9995 * d, 1.0005 * d, 1e-3 / paths, lean) for first in firsts]
+    rows = np.vstack(found)
+    done: list[tuple[float, float]] = []
+    for row in rows[np.argsort(rows[:, COST], kind="stable")][:1000]:
+        first, d = float(row[FIRST]), float(row[LOW])
+        if any(first == f and abs(d / c - 1.0) < 1e-3 for f, c in done):
             continue
-        done = np.vstack([done, [first, d]])
-        paths = _walk(data, first, 0.98 * d, 1.02 * d, 2.0 * 1.02 * 0.02 / max(2e7 / data.samples, 100.0), lean)
-        fine.append(paths)
-    return np.vstack([rows, *fine])
+        done.append((first, d))
+        beside = int(np.searchsorted(all_firsts, int(first)))
+        others = all_firsts[max(beside - 4, 0) : beside + 5].tolist()
+        found += [_walk(data, other, 0.9995 * d, 1.0005 * d, 0.0, lean) for other in others]
+        if len(done) == 4:
+            break
+    rows = np.vstack(found)
+    progress(1.0)
+    return rows, centres
+
+
+def _silent(share: float) -> None:
+    """Ignore the progress."""
 
 
 def _fitted(data: Centred, row: NDArray[np.float64], limits: Limits, like: Fit | None = None) -> Candidate:
@@ -190,7 +299,11 @@ def search(data: Centred, max_delay: int, progress: Callable[[float], None]) -> 
     limits = Limits((LEAST_TAU, float(data.samples)), (0.0, float(max(max_delay, 1))))
     delays = integers(np.arange(max_delay + 1))
     exact = data.samples <= EXACT
-    rows = (_scan if exact else _scan_long)(data, delays, lambda share: progress(0.6 * share))
+    likely: list[float] = []
+    if exact:
+        rows = _scan(data, delays, lambda share: progress(0.6 * share))
+    else:
+        rows, likely = _scan_long(data, delays, lambda share: progress(0.6 * share))
     if not rows.size:
         return None
     by_cost = rows[np.argsort(rows[:, COST], kind="stable")]
@@ -199,6 +312,7 @@ def search(data: Centred, max_delay: int, progress: Callable[[float], None]) -> 
     chosen = [_best_per_bin(by_cost, max(int(BINS * effort), 24)), by_cost[: int(40 * effort) + 4]]
     _, order = np.unique(by_cost[:, FIRST], return_index=True)
     chosen.append(by_cost[np.sort(order)[:12]])
+    chosen += [by_cost[np.abs(np.log(by_cost[:, LOW] / d)) < 0.01][:2] for d in likely]
     picked = np.unique(np.vstack(chosen), axis=0)
     fits = [_fitted(data, row, limits) for row in picked]
     progress(0.8)
@@ -258,6 +372,21 @@ def _alike(data: Centred, best: Candidate, fits: list[Candidate]) -> tuple[Candi
     base = max(best.fit.sse / n, data.floor)
     region = [c for c in fits if effective * math.log(max(c.fit.sse / n, data.floor) / base) <= CHI_SQUARE]
     return (best, *region, *_halves(data, fits))
+
+
+def islands(found: Profile) -> tuple[tuple[float, float], ...]:
+    """The ranges of d, %, whose paths are alike the best, ascending; apart where paths between them fit worse."""
+    kept: list[tuple[float, float]] = []
+    between = np.array([c.d_low for c in found.fits])
+    for low, high in sorted((c.d_low, c.d_high) for c in found.alike):
+        if kept:
+            top = kept[-1][1]
+            worse = ((between >= top) & (between < low)).any()
+            if not worse or low - top <= APART * low:
+                kept[-1] = (kept[-1][0], max(top, high))
+                continue
+        kept.append((low, high))
+    return tuple(kept)
 
 
 def _halves(data: Centred, fits: list[Candidate]) -> list[Candidate]:

@@ -20,6 +20,7 @@ LONGEST = 0.10  # of the record, the longest dead time with which the linear mod
 WIDE_D = 0.20  # of OP's range: a stem that sticks as wide as this and fits as well keeps the valve suspect
 SLOWEST = 0.25  # of the record, the longest time constant that the record can show
 NEAR_NOTHING = 0.25  # of d: where bands as narrow as this fit as well, stiction is not needed
+NAMED = 4  # separate ranges of d named one by one
 SHARP = 0.10  # widest range of d, relative, that counts as identified
 
 
@@ -28,9 +29,9 @@ class Evidence:
     """What the verdict rests on: residual variances of both models (EU^2), slips, d and its range, the search.
 
     linear: within the same dead times as the stem's; nothing: without any input; wide: the best stem with d above
-    `WIDE_D` of OP's range; two_parameter: the best
-    of a coarse grid over valves with (S, J), `bands`; linear_delay: the linear model's dead time, and tau:
-    the stem model's time constant (0 for an integrating plant), as shares of the record.
+    `WIDE_D` of OP's range; two_parameter: the best of a coarse grid over valves with (S, J), `bands`; islands: the
+    separate ranges of d within d_range; linear_delay: the linear model's dead time, and tau: the stem model's time
+    constant (0 for an integrating plant), as shares of the record.
     """
 
     samples: int
@@ -48,6 +49,7 @@ class Evidence:
     linear_delay: float
     tau: float
     d_range: tuple[float, float] | None
+    islands: tuple[tuple[float, float], ...]
     exact: bool
     at_limit: bool
     method: str
@@ -137,10 +139,17 @@ def _identified(e: Evidence, verdict: str, reasons: list[str]) -> bool:
         return False
     low, high = e.d_range
     if high - low > SHARP * e.d:
+        which = f"every d from {low:.3g} to {high:.3g} % fits equally well"
+        if len(e.islands) > 1:
+            named = ", ".join(f"{a:.4g} to {b:.4g} %" for a, b in e.islands[:NAMED])
+            more = f" and {len(e.islands) - NAMED} more" if len(e.islands) > NAMED else ""
+            which = (
+                f"the range of d, {low:.3g} to {high:.3g} %, spans {len(e.islands)} separate ranges that fit equally "
+                f"well ({named}{more}) and worse ones between them"
+            )
         reasons.append(
-            f"every d from {low:.3g} to {high:.3g} % fits equally well, the gain and dead time making up for it (about "
-            f"{abs(e.gain) * e.d:.3g} EU per slip is what is known); a setpoint change in the record, or a longer "
-            "record, would tell them apart"
+            f"{which}, the gain and dead time making up for it (about {abs(e.gain) * e.d:.3g} EU per slip is what is "
+            "known); a setpoint change in the record, or a longer record, would tell them apart"
         )
         return False
     return e.slips >= ENOUGH_SLIPS
@@ -152,10 +161,7 @@ def _search_said(e: Evidence, reasons: list[str]) -> None:
             f"the two-step algorithm ended after {e.iterations} iterations; it finds a minimum near its start only, "
             "and gives no interval"
         )
-    elif not e.exact:
-        reasons.append(
-            "the record is long: first slips come from its head, d was stepped by 0.3 % and every path met only near "
-            "the best"
-        )
     if e.at_limit:
         reasons.append("the dead time lies at the end of the range searched; a larger max_dead_time may fit better")
+    if e.method != "two_step" and not e.exact:
+        reasons.append("the record is long: d was searched closely only about its likeliest values")
