@@ -114,7 +114,7 @@ def estimate_sentences(named: NamedEstimate, *, linear: bool = True) -> list[str
     if named.truth is not None:
         text += f" {_against_truth(named, named.truth)}"
     sentences = [text]
-    if not isinstance(found.valve, Ideal) and not found.identifiable:
+    if found.verdict == "stiction" and not isinstance(found.valve, Ideal) and not found.identifiable:
         product = abs(plant.gain) * found.valve.stick_band
         unit = "EU" if isinstance(plant, FOPDT) else "EU/s"
         if found.intervals.d is None and found.intervals.S is None:
@@ -163,10 +163,12 @@ def _against_truth(named: NamedEstimate, truth: Loop) -> str:
 
 def _stiction(named: NamedEstimate) -> str:
     valve, ranges = named.found.valve, named.found.intervals
+    # Of an undecided valve the range is the fit's own, and no statement about the valve.
+    span = "fits from" if named.found.verdict == "undecided" else "95 % range"
 
     def with_range(name: str, value: float, pair: tuple[float, float] | None) -> str:
         text = f"{name} = {figure(value, 3)} %"
-        return text if pair is None else f"{text} (95 % range {interval(pair, '%', 3)})"
+        return text if pair is None else f"{text} ({span} {interval(pair, '%', 3)})"
 
     if isinstance(valve, Stenman):
         return with_range("d", valve.d, ranges.d)
