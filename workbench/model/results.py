@@ -53,8 +53,9 @@ class Kpis:
     EU^2 s); pv_sd is PV's standard deviation (EU); op_variance and valve_variance in %^2; valve_travel and
     controller_travel are sums of absolute moves (%), the first move counted from the sample before the window;
     reversals counts the sign changes of successive stem moves (0 where the stem is not known). overshoot: % of the
-    last setpoint step; settling_time: s from the last setpoint or load step, `inf` if it never settles; final_error: SP - PV at the
-    window's last sample (EU); oscillation_index 0..1 and oscillation_period (s) from PV's autocorrelation.
+    last setpoint step; settling_time: s from the last setpoint or load step, `inf` if it never settles; final_error:
+    SP - PV at the window's last sample (EU); oscillation_index 0..1 and oscillation_period (s) from PV's
+    autocorrelation.
     """
 
     error_variance: float
@@ -145,7 +146,10 @@ class NlpResult:
 
 @dataclass(frozen=True, slots=True)
 class Restart:
-    """One global search: seed, best J of the scan, J after refinement, evaluations, NLPs and IPOPT iterations."""
+    """One global search: its number `seed`, counted from 0 under the tuning's own seed; its figures.
+
+    Best J of the scan, J after refinement, evaluations, branch programs solved and IPOPT's iterations.
+    """
 
     seed: int
     scanned: float
@@ -224,7 +228,7 @@ class Tuned:
 
     controller: in the form of the loop's controller, with parameters rounded to `digits` significant digits, the ones
     to type in. objective: J of exactly that controller by exact simulation; nominal: J of the unrounded best;
-    worst: the worst J when each parameter moves by up to the stated relative `margin`; start_objective: J of the
+    worst: the worst J when each parameter moves by up to the larger of the relative `margin` and half a last digit; start_objective: J of the
     loop's own controller. guard_margin: the least distance (%) of the trajectory to a stick/slip decision.
 
     A robust tuning minimises `ensemble.statistic` of J over the ensemble's draws: objective, nominal, worst,
