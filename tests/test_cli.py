@@ -217,6 +217,61 @@ def test_ctrl_c_says_one_line(folder: Path) -> None:
     assert not (folder / "reports").exists()
 
 
+@pytest.mark.skipif(os.name == "nt", reason="sends SIGINT")
+@pytest.mark.parametrize("delay", [0.15, 1.2, 3.5])
+def test_ctrl_c_of_a_tuning_says_one_line_whenever_it_comes(folder: Path, delay: float) -> None:
+    second = TUNE.split("\n")[0].replace("PI", "Second")
+    text = GOOD.replace("120 s", "2000 s").replace("analyze:", f"{TUNE.split('analyze')[0]}{second}\nanalyze:")
+    (folder / "long.yaml").write_text(text.replace(", restarts: 1", ", restarts: 20"))
+    code = "from workbench.cli import main; import sys; sys.argv = ['workbench', 'tune', 'long.yaml']; main()"
+    process = subprocess.Popen([sys.executable, "-c", code], stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+    try:
+        time.sleep(delay)
+        process.send_signal(signal.SIGINT)
+        out, err = process.communicate(timeout=60)
+    finally:
+        process.kill()
+    if "Traceback" in err and "cli" not in err:
+        pytest.skip("the interpreter had not started yet")
+    assert process.returncode == 130, err
+    assert err.startswith("workbench: interrupted")
+    assert len(err.splitlines()) == 1
+    assert "Second" not in out
+
+
+def test_an_interrupt_in_a_librarys_error_is_an_interrupt(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def broken(*_: object, **__: object) -> object:
+        try:
+            raise KeyboardInterrupt
+        except KeyboardInterrupt as cause:
+            msg = "initialization failed"
+            raise ImportError(msg) from cause
+
+    monkeypatch.setattr(scenario_runner, "simulate", broken)
+    code, _, err = call("run", "good.yaml")
+    assert (code, err.count("\n")) == (130, 1)
+
+
+def test_a_controller_that_acts_the_wrong_way_is_said(folder: Path) -> None:
+    wrong = GOOD.replace("  sample_time", "  controller: {action: direct}\n  sample_time")
+    (folder / "good.yaml").write_text(wrong)
+    code, out, err = call("check", "good.yaml")
+    assert (code, out) == (0, "good.yaml: ok (2 cases)\n")
+    assert err.startswith("good.yaml: warning: Case 1: the controller acts the wrong way")
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
+@pytest.mark.parametrize("arguments", [["check", "good.yaml"], ["schema"], ["--version"]])
+def test_output_that_cannot_be_written_is_one_line(folder: Path, arguments: list[str]) -> None:
+    code = f"from workbench.cli import main; import sys; sys.argv = ['workbench', *{arguments!r}]; main()"
+    with Path("/dev/full").open("w") as full:
+        done = subprocess.run(
+            [sys.executable, "-c", code], stdout=full, stderr=subprocess.PIPE, text=True, check=False, timeout=60
+        )
+    assert done.returncode == 1
+    assert done.stderr == "workbench: the output cannot be written (No space left on device)\n"
+
+
 # estimate and tune ---------------------------------------------------------------------------------------------------
 
 
@@ -269,6 +324,24 @@ def test_bad_arguments_of_estimate_are_one_clear_line(folder: Path, arguments: l
     assert words in err
     assert len(err.splitlines()) == 1
     assert sorted(folder.iterdir()) == before
+
+
+@pytest.mark.parametrize(
+    ("header", "words"),
+    [
+        ("time,SP,A,OP", '--column "PV=name in the file"'),
+        ("x,SP,PV,OP", '--sample-time, such as "5 s"'),
+        ("time,SP,FIC1.PV,FIC2.PV,OP", '--column "PV=FIC1.PV"'),
+    ],
+)
+def test_messages_of_the_reader_name_the_commands_options(folder: Path, header: str, words: str) -> None:
+    row = ",".join("1" for _ in header.split(","))
+    (folder / "data.csv").write_text(f"{header}\n" + f"{row}\n" * 5)
+    code, _, err = call("estimate", "data.csv")
+    assert (code, len(err.splitlines())) == (2, 1)
+    assert words in err
+    assert "columns={" not in err
+    assert "sample_time" not in err
 
 
 def test_tune_prints_the_settings_of_a_scenario(folder: Path) -> None:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import functools
 import io
+import os
+import re
 import sys
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
@@ -11,10 +13,14 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
+try:
+    import typer
+except KeyboardInterrupt:  # while the command starts
+    sys.stderr.write("workbench: interrupted\n")
+    sys.exit(130)
 
 from workbench import __version__
-from workbench.errors import InvalidValue, OutputError, ScenarioError, WorkbenchError
+from workbench.errors import InvalidValue, OutputError, RecordError, ScenarioError, WorkbenchError
 
 if TYPE_CHECKING:
     from workbench.model.results import Estimate
@@ -44,7 +50,19 @@ def main() -> None:
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")
-    app()
+    try:
+        app()
+    except KeyboardInterrupt:
+        code = INTERRUPTED
+        sys.stderr.write("workbench: interrupted\n")
+    except OSError as error:
+        # Such as a full disk where the output goes; what is left of it must not be tried again at the end.
+        code = FAILED
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        sys.stderr.write(f"workbench: the output cannot be written ({error.strerror or error})\n")
+    else:
+        return
+    sys.exit(code)
 
 
 def guarded(command: Callable[..., int]) -> Callable[..., None]:
@@ -60,13 +78,23 @@ def guarded(command: Callable[..., int]) -> Callable[..., None]:
         except WorkbenchError as error:
             typer.echo(f"workbench: {error}", err=True)
             code = BAD_INPUT
-        except KeyboardInterrupt:
+        except (Exception, KeyboardInterrupt) as error:
+            # A compiled library may pass Ctrl-C on in an error of its own.
+            if not _interrupted(error):
+                raise
             typer.echo("workbench: interrupted; the last complete report is left as it was", err=True)
             code = INTERRUPTED
         if code:
             raise typer.Exit(code)
 
     return run
+
+
+def _interrupted(error: BaseException | None) -> bool:
+    """Whether Ctrl-C is what led to an error."""
+    while error is not None and not isinstance(error, KeyboardInterrupt):
+        error = error.__cause__ or error.__context__
+    return error is not None
 
 
 def _version(wanted: bool) -> None:
@@ -113,6 +141,8 @@ def run(
             study = run_scenario(plan, progress=progress)
             write_report(study, out / plan.name)
         _print_study(study)
+        for warning in plan.warnings:
+            typer.echo(f"Warning: {warning}", err=True)
         for case in study.cases:
             if case.tuned is not None and not case.tuned.status.success:
                 typer.echo(f"{case.name}: {case.tuned.status.value}: {case.tuned.message}", err=True)
@@ -134,6 +164,8 @@ def check(
             if items
         ]
         typer.echo(f"{plan.path}: ok ({', '.join(parts)})")
+        for warning in plan.warnings:
+            typer.echo(f"{plan.path}: warning: {warning}", err=True)
     return 0
 
 
@@ -249,6 +281,8 @@ def tune(
             for line in cli_output.tuned_lines(result):
                 typer.echo(line)
         code = max(code, cli_output.exit_code(result.tuned.status))
+    if code == INTERRUPTED:
+        typer.echo("workbench: interrupted; the best found so far is shown", err=True)
     return code
 
 
@@ -293,8 +327,17 @@ def _found(
     from workbench.estimate.estimate import estimate as estimate_record
     from workbench.record.reader import read_record
 
-    record = read_record(data, columns=columns or None, sample_time=seconds)
+    try:
+        record = read_record(data, columns=columns or None, sample_time=seconds)
+    except RecordError as error:
+        raise RecordError(_as_options(str(error))) from None
     return estimate_record(record, progress=functools.partial(progress, "estimate"), **settings)
+
+
+def _as_options(message: str) -> str:
+    """Return a reader's message with the command's options in place of the arguments of Python."""
+    message = re.sub(r"columns=\{'(\w+)': '([^']*)'\}", r'--column "\1=\2"', message)
+    return message.replace("give sample_time in seconds", 'give --sample-time, such as "5 s"')
 
 
 CHOICES = {

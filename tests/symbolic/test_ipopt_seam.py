@@ -6,6 +6,7 @@ import math
 import os
 import signal
 import threading
+import time
 
 import casadi as ca
 import numpy as np
@@ -13,7 +14,7 @@ import pytest
 
 from workbench.errors import InvalidValue, SolveError
 from workbench.model.results import SolveStatus
-from workbench.symbolic.solve import Group, IpoptOptions, Nlp, Solver, Values, solve, versions
+from workbench.symbolic.solve import Group, IpoptOptions, Nlp, Solver, Values, held_interrupt, solve, versions
 
 
 def rosenbrock() -> Nlp:
@@ -130,7 +131,7 @@ def test_both_whitelisted_linear_solvers_are_there() -> None:
     assert result.status is SolveStatus.SOLVED
 
 
-def test_ctrl_c_in_a_solve_gives_interrupted() -> None:
+def test_ctrl_c_in_a_solve_gives_interrupted(capfd: pytest.CaptureFixture[str]) -> None:
     # A chain of Rosenbrock functions: its long bent valley takes IPOPT thousands of iterations.
     n = 3000
     x = ca.SX.sym("x", n)
@@ -145,6 +146,67 @@ def test_ctrl_c_in_a_solve_gives_interrupted() -> None:
     except KeyboardInterrupt:
         pytest.fail("the solve ended before the interrupt came")
     assert result.status is SolveStatus.INTERRUPTED
+    assert "WARNING" not in "".join(capfd.readouterr())
+
+
+def interrupted_inside(monkeypatch: pytest.MonkeyPatch, name: str) -> None:
+    """Make Ctrl-C come in the middle of the conversion of one of the results."""
+    true_asarray = np.asarray
+    times = iter(range(1000))
+
+    def asarray(value: object, *rest: object, **named: object) -> object:
+        if isinstance(value, ca.DM) and next(times) == 0:
+            os.kill(os.getpid(), signal.SIGINT)
+            time.sleep(0.01)
+        return true_asarray(value, *rest, **named)
+
+    monkeypatch.setattr(np, name, asarray)
+
+
+def test_ctrl_c_while_results_are_read_gives_interrupted(monkeypatch: pytest.MonkeyPatch) -> None:
+    x = ca.SX.sym("x")
+    solver = Solver(Nlp(x=x, objective=(x - 1) ** 2))
+    interrupted_inside(monkeypatch, "asarray")
+    assert solver.solve().status is SolveStatus.INTERRUPTED
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    assert solver.solve().status is SolveStatus.SOLVED
+
+
+def test_an_interrupt_inside_a_system_error_gives_interrupted(monkeypatch: pytest.MonkeyPatch) -> None:
+    x = ca.SX.sym("x")
+    solver = Solver(Nlp(x=x, objective=(x - 1) ** 2))
+
+    def broken(**_: object) -> object:
+        try:
+            raise KeyboardInterrupt
+        except KeyboardInterrupt as cause:
+            msg = "returned a result with an exception set"
+            raise SystemError(msg) from cause
+
+    monkeypatch.setattr(solver, "_nlpsol", broken)
+    assert solver.solve().status is SolveStatus.INTERRUPTED
+
+
+def test_a_hold_inside_a_hold_is_the_same_and_ends_with_the_outer_one() -> None:
+    with held_interrupt() as outer:
+        with held_interrupt() as inner:
+            os.kill(os.getpid(), signal.SIGINT)
+        assert inner is outer
+        assert outer.asked
+        assert signal.getsignal(signal.SIGINT) is outer
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+def test_a_handler_of_the_caller_is_left_alone() -> None:
+    def own(*_: object) -> None:
+        """Nothing."""
+
+    before = signal.signal(signal.SIGINT, own)
+    try:
+        with held_interrupt():
+            assert signal.getsignal(signal.SIGINT) is own
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 def test_versions_are_told() -> None:

@@ -10,8 +10,11 @@ from __future__ import annotations
 
 import math
 import re
+import signal
+import threading
 import time
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import Any
@@ -24,7 +27,7 @@ from workbench.model.checks import choice, number
 from workbench.model.record import FloatArray
 from workbench.model.results import NlpResult, SolveStatus
 
-__all__ = ["Group", "IpoptOptions", "Nlp", "Solver", "solve", "versions"]
+__all__ = ["Group", "IpoptOptions", "Nlp", "Solver", "held_interrupt", "solve", "versions"]
 
 # Only these ship in CasADi's wheel; asking IPOPT for another can end the whole process.
 LINEAR_SOLVERS = ("mumps", "spral")
@@ -145,10 +148,66 @@ def _ipopt_version() -> str:
     return found.group(1) if found else "unknown"
 
 
+class HeldInterrupt:
+    """A handler of SIGINT that only remembers that it was asked to stop."""
+
+    def __init__(self) -> None:
+        self.asked = False
+
+    def __call__(self, *_: object) -> None:
+        self.asked = True
+
+
+@contextmanager
+def held_interrupt() -> Iterator[HeldInterrupt]:
+    """Hold Ctrl-C back: within, it only sets `asked` of the value given, and the caller answers it afterwards.
+
+    A KeyboardInterrupt in the middle of one of CasADi's conversions would come out as a `SystemError`, or as a line on
+    stderr. Only Python's own handler in the main thread is replaced, and put back; elsewhere nothing changes. A hold
+    inside another one is the same hold.
+    """
+    main = threading.current_thread() is threading.main_thread()
+    before = signal.getsignal(signal.SIGINT) if main else None
+    if isinstance(before, HeldInterrupt):
+        yield before
+        return
+    held = HeldInterrupt()
+    if before is not signal.default_int_handler:
+        yield held
+        return
+    signal.signal(signal.SIGINT, held)
+    try:
+        yield held
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+class _Watch(ca.Callback):
+    """What IPOPT asks after each iteration: whether to stop, as Ctrl-C has been held back meanwhile."""
+
+    def __init__(self, x: int, g: int, p: int) -> None:
+        ca.Callback.__init__(self)
+        self._sizes = {"x": x, "f": 1, "g": g, "lam_x": x, "lam_g": g, "lam_p": p}
+        self.held: HeldInterrupt | None = None
+        self.construct("watch", {})
+
+    def get_n_in(self) -> int:
+        return int(ca.nlpsol_n_out())
+
+    def get_n_out(self) -> int:
+        return 1
+
+    def get_sparsity_in(self, index: int) -> Any:
+        return ca.Sparsity.dense(self._sizes[ca.nlpsol_out(index)], 1)
+
+    def eval(self, _: object) -> list[float]:
+        return [float(self.held is not None and self.held.asked)]
+
+
 class Solver:
     """A program compiled once (derivatives included), to be solved for many starts, parameters and bounds.
 
-    Not to be used from several threads: IPOPT is not safe there.
+    Not to be used from several threads: IPOPT is not safe there. Raises KeyboardInterrupt for Ctrl-C while compiling.
     """
 
     def __init__(self, nlp: Nlp, options: IpoptOptions | None = None) -> None:
@@ -162,7 +221,13 @@ class Solver:
             problem["p"] = nlp.parameters
         self._size = int(nlp.x.numel())
         chosen = options or IpoptOptions()
-        self._nlpsol = ca.nlpsol("nlp", "ipopt", problem, chosen.settings())
+        with held_interrupt() as held:
+            count = 0 if nlp.parameters is None else int(nlp.parameters.numel())
+            self._watch = _Watch(self._size, sum(self._sizes), count)
+            settings = {**chosen.settings(), "iteration_callback": self._watch}
+            self._nlpsol = ca.nlpsol("nlp", "ipopt", problem, settings)
+        if held.asked:
+            raise KeyboardInterrupt
 
     def solve(self, values: Values | None = None) -> NlpResult:
         """Solve once. Never raises for a solve that fails: its status says so. Ctrl-C gives `INTERRUPTED`."""
@@ -176,21 +241,30 @@ class Solver:
         if nlp.parameters is not None:
             arguments["p"] = _full(0.0 if given.parameters is None else given.parameters, int(nlp.parameters.numel()))
         began = time.perf_counter()
-        try:
-            found = self._nlpsol(**arguments)
-            stats = self._nlpsol.stats()
-        except KeyboardInterrupt:
+        with held_interrupt() as held:
+            self._watch.held = held
+            try:
+                found = self._nlpsol(**arguments)
+                stats = self._nlpsol.stats()
+                x, g, lam_x, lam_g = (
+                    np.asarray(found[name], dtype=np.float64).ravel() for name in ("x", "g", "lam_x", "lam_g")
+                )
+                f = float(found["f"])
+            except (KeyboardInterrupt, RuntimeError, SystemError) as error:
+                # Where Ctrl-C could not be held back, CasADi passes it on in one of its own errors.
+                stopped = held.asked or isinstance(error, KeyboardInterrupt) or _has_interrupt(error)
+                status = SolveStatus.INTERRUPTED if stopped else SolveStatus.FAILED
+                said = "interrupted" if stopped else str(error).split("\n", 1)[0]
+                return self._without_result(start, status, said, began)
+            finally:
+                self._watch.held = None
+        if held.asked:
             return self._without_result(start, SolveStatus.INTERRUPTED, "interrupted", began)
-        except RuntimeError as error:
-            return self._without_result(start, SolveStatus.FAILED, str(error).splitlines()[0], began)
         said = str(stats["return_status"])
-        x = np.asarray(found["x"], dtype=np.float64).ravel()
-        g = np.asarray(found["g"], dtype=np.float64).ravel()
-        f = float(found["f"])
         status = _STATUS.get(said, SolveStatus.FAILED)
         if status.success and not (math.isfinite(f) and bool(np.isfinite(x).all())):
             status = SolveStatus.FAILED
-        slack = np.concatenate([_slack(x, lower, upper, found["lam_x"]), _slack(g, low, high, found["lam_g"])])
+        slack = np.concatenate([_slack(x, lower, upper, lam_x), _slack(g, low, high, lam_g)])
         return NlpResult(
             x=x,
             objective=f,
@@ -247,6 +321,13 @@ def solve(nlp: Nlp, options: IpoptOptions | None = None, values: Values | None =
     return Solver(nlp, options).solve(values)
 
 
+def _has_interrupt(error: BaseException | None) -> bool:
+    """Whether a KeyboardInterrupt is among what led to an error."""
+    while error is not None and not isinstance(error, KeyboardInterrupt):
+        error = error.__cause__ or error.__context__
+    return error is not None
+
+
 def _full(value: float | FloatArray, size: int) -> FloatArray:
     array = np.asarray(value, dtype=np.float64).ravel()
     if array.size not in (1, size):
@@ -259,9 +340,8 @@ def _violation(values: FloatArray, low: FloatArray, high: FloatArray) -> float:
     return float(worst)
 
 
-def _slack(values: FloatArray, low: FloatArray, high: FloatArray, multipliers: Any) -> FloatArray:
+def _slack(values: FloatArray, low: FloatArray, high: FloatArray, lam: FloatArray) -> FloatArray:
     """Return |multiplier x distance to the bound that it presses on|; 0 for equalities, which have no slack."""
-    lam = np.asarray(multipliers, dtype=np.float64).ravel()
     with np.errstate(invalid="ignore"):
         gap = np.where(lam > 0.0, high - values, values - low)
         product: FloatArray = np.where((low == high) | ~np.isfinite(gap), 0.0, np.abs(lam * gap))

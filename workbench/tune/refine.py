@@ -18,8 +18,9 @@ from workbench.model.valve import Stenman
 from workbench.simulate import kernel
 from workbench.simulate.coefficients import coefficients
 from workbench.simulate.run import rest
-from workbench.symbolic.branch import BranchProgram, Decisions
+from workbench.symbolic.branch import BranchProgram, BranchSolution, Decisions
 from workbench.symbolic.loop import COEFFICIENTS
+from workbench.symbolic.solve import held_interrupt
 from workbench.tune.problem import Problem
 
 __all__ = ["AGREEMENT", "Refined", "Refiner", "path", "usable"]
@@ -124,17 +125,20 @@ class Refiner:
         travel = max(float(np.abs(s.r).max()), float(np.abs(s.load).max()) * abs(law[kernel.GAIN]), 1e-12)
         steady = abs(law[kernel.GAIN] * (law[kernel.C0] + law[kernel.C1]) / max(1.0 - law[kernel.POLE], 0.1))
         size = (travel, max(valve.hold, travel / steady, 1e-12))
-        self._program = BranchProgram(
-            problem.loop,
-            {name: float(law[getattr(kernel, name)]) for name in COEFFICIENTS},
-            s.r,
-            s.load,
-            s.noise,
-            problem.objective,
-            problem.bounds,
-            size=size,
-            reference=reference,
-        )
+        with held_interrupt() as held:
+            self._program = BranchProgram(
+                problem.loop,
+                {name: float(law[getattr(kernel, name)]) for name in COEFFICIENTS},
+                s.r,
+                s.load,
+                s.noise,
+                problem.objective,
+                problem.bounds,
+                size=size,
+                reference=reference,
+            )
+        if held.asked:
+            raise KeyboardInterrupt
         self._strict = isinstance(valve, Stenman)
         self._seen: set[bytes] = set()
 
@@ -166,17 +170,14 @@ class Refiner:
             _, _, key, start, natural = heapq.heappop(queue)
             decisions = Decisions.from_branch(np.frombuffer(key, dtype=np.int8))
             begin = (float(start[0]), float(start[1]), float(start[2]))
-            end = self._program.solve(decisions, begin, self._guard)
+            end = self._solved(decisions, begin)
             solves += 1
             iterations += end.result.iterations
-            failed = not end.result.status.success and end.result.status is not SolveStatus.INTERRUPTED
-            if failed and natural and self._strict and solves < budget:
+            if not end.result.status.success and natural and self._strict and solves < budget:
                 # No tuning keeps the full margin: be content with the margin that the start has.
-                end = self._program.solve(decisions, begin, self._guard, relaxed=True)
+                end = self._solved(decisions, begin, relaxed=True)
                 solves += 1
                 iterations += end.result.iterations
-            if end.result.status is SolveStatus.INTERRUPTED:
-                raise KeyboardInterrupt
             tuning = np.array(end.tuning)
             exact = float(problem.exact(tuning[None, :])[0])
             same = path(problem, tuning).branch.tobytes() == key
@@ -202,3 +203,13 @@ class Refiner:
             solves=solves,
             iterations=iterations,
         )
+
+    def _solved(
+        self, decisions: Decisions, begin: tuple[float, float, float], *, relaxed: bool = False
+    ) -> BranchSolution:
+        """Solve one program. Raises KeyboardInterrupt where Ctrl-C came meanwhile."""
+        with held_interrupt() as held:
+            end = self._program.solve(decisions, begin, self._guard, relaxed=relaxed)
+        if held.asked or end.result.status is SolveStatus.INTERRUPTED:
+            raise KeyboardInterrupt
+        return end

@@ -12,7 +12,7 @@ from workbench.errors import InvalidValue
 from workbench.model.controller import PID
 from workbench.model.experiment import Experiment
 from workbench.model.loop import Loop
-from workbench.model.results import Outcome, Repair, Tuned
+from workbench.model.results import Outcome, Repair, SolveStatus, Tuned
 from workbench.model.tuning import Bounds, Objective
 from workbench.model.valve import Ideal
 from workbench.simulate.run import evaluate, simulate
@@ -46,7 +46,8 @@ def value_of_repair(
     One setpoint step and nothing else flatters the sticky valve: a search finds the tuning that lands on the setpoint
     and rests there. Give an experiment with the load changes and the noise that the loop has to live with.
 
-    Raises `InvalidValue` for a valve that does not stick or another loop's `tuned`, and what `tune` raises.
+    Raises `InvalidValue` for a valve that does not stick or another loop's `tuned`, and what `tune` raises;
+    KeyboardInterrupt where the first search was interrupted.
     """
     if loop.valve.stick_band == 0.0 and loop.valve.slip_jump == 0.0:
         raise InvalidValue("Loop.valve", loop.valve, "must be a valve that sticks: there is nothing to repair")
@@ -76,6 +77,8 @@ def value_of_repair(
             restarts=restarts,
             progress=partial(part, 0.0, 0.5),
         )
+    if tuned.status is SolveStatus.INTERRUPTED:
+        raise KeyboardInterrupt
     # From where the search of the sticky loop started, which lies within the bounds.
     ideal, quiet = _repaired(tuned.loop, experiment)
     tuned_repaired = tune(
