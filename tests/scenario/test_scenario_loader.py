@@ -217,6 +217,43 @@ def test_a_recorded_profile_is_taken_as_deviations(tmp_path: Path) -> None:
     assert "line 4" in refusal(text, tmp_path)
 
 
+# which way the controller acts ---------------------------------------------------------------------------------------
+
+NEGATIVE = GOOD.replace("gain: 1.0", "gain: -0.5")
+
+
+def test_a_default_action_that_does_not_fit_the_gain_is_refused_at_the_gain() -> None:
+    (line,) = refusal(NEGATIVE + "  - {name: Case 2, Kc: 0.5, Ti: 30 s}\n").splitlines()
+    assert line.startswith("loop.yaml:3:30: loop.plant.gain: -0.5 given, and reverse action by default;")
+    assert "needs action direct (in loop.controller)" in line
+    simulated = NEGATIVE.split("cases:")[0].replace("none}", "none, Kc: 1, Ti: 20 s}") + "estimate: {simulate: true}\n"
+    assert "loop.plant.gain: -0.5 given, and reverse" in refusal(simulated)
+
+
+def test_a_fitting_action_is_taken_without_a_word() -> None:
+    plan = read(NEGATIVE.replace("none}", "none, action: direct}"))
+    assert plan.cases[0].controller.action == "direct"
+    assert plan.warnings == ()
+    # Without gain there is no feedback to have a wrong sign.
+    assert read(NEGATIVE.replace("none}", "none, action: reverse}").replace("Kc: 0.5", "Kc: 0")).warnings == ()
+
+
+def test_a_written_action_that_does_not_fit_is_a_warning_but_refused_for_a_tuning() -> None:
+    wrong = GOOD.replace("none}", "none, action: direct}")
+    (warning,) = read(wrong).warnings
+    assert warning == (
+        "Case 1: the controller acts the wrong way, so that errors grow: a plant gain of 1 needs action reverse."
+    )
+    text = refusal(wrong + "  - {name: T, tune: {Td: 0 s}}\n")
+    assert text.startswith("loop.yaml:5:49: loop.controller.action: direct given; the controller acts the wrong way")
+
+
+def test_a_missing_loop_is_called_loop() -> None:
+    text = "title: T\nexperiment: {duration: 10 s}\ncases: [{name: A, Kc: 1, Ti: 5 s}]\n"
+    (line,) = refusal(text).splitlines()
+    assert line.startswith("loop.yaml:1:1: loop: missing; needed")
+
+
 # what is refused ---------------------------------------------------------------------------------------------------
 
 TUNED = "  - {name: T, tune: {bounds: {Kc: §[1, 3]}}}\n"
@@ -261,7 +298,7 @@ BAD: list[tuple[str, str, str, str]] = [
     ),
     ("100 s, setpoint", "§100 s, noise: {sd: 1}, setpoint", "experiment.duration", "whole number of samples of 3 s"),
     ("sample_time: 1 s", "§smaple_time: 1 s", "loop.smaple_time", "unknown key (did you mean sample_time?)"),
-    ("duration: 100 s", "duration: §1e9 h", "experiment.duration", "samples; must be at most 5,000,000"),
+    ("duration: 100 s", "duration: §2000 h", "experiment.duration", "samples; must be at most 5,000,000"),
     ("{step: 4", "§{stp: 4", "experiment.setpoint", "holds none of step, ramp, series, file (did you mean step?)"),
     ("{step: 4, at: 0 s}", "[{step: 4}, §4]", "experiment.setpoint[1]", "4 given; must be a mapping"),
     ("step: 4", "step: §4 %", "experiment.setpoint.step", "4 % given; a setpoint is a number in EU"),

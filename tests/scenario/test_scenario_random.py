@@ -64,10 +64,9 @@ def scenarios(draw: st.DrawFn) -> dict[str, object]:
         elif kind == 1:
             cases.append({"name": name, "proportional_band": "150 %", "Ti": "0.5 repeats/min", "form": "series"})
         elif kind == 2:
-            # The plant may have a negative gain or no time constant: only this rule takes them all, with its action.
-            action = "direct" if plant["gain"] < 0 else "reverse"
+            # The plant may have no time constant: only this rule takes both.
             rule = {"name": "lambda", "lambda": draw(seconds(1.0, 100.0))}
-            cases.append({"name": name, "rule": rule, "action": action, "form": "parallel"})
+            cases.append({"name": name, "rule": rule, "form": "parallel"})
         else:
             cases.append({"name": name, "Kc": 1.0 + draw(finite) / 10.0, "Ti": draw(seconds(2.0, 3000.0)), "Td": "2 s"})
     return {
@@ -77,7 +76,12 @@ def scenarios(draw: st.DrawFn) -> dict[str, object]:
             "valve": valve,
             "sample_time": "1 s",
             "pv_range": [0, 100],
-            "controller": {"Kc": 1.0, "Ti": "20 s", "derivative_filter": draw(st.sampled_from(["none", 8, 10.0]))},
+            "controller": {
+                "Kc": 1.0,
+                "Ti": "20 s",
+                "derivative_filter": draw(st.sampled_from(["none", 8, 10.0])),
+                "action": "direct" if plant["gain"] < 0 else "reverse",
+            },
         },
         "experiment": {
             "duration": f"{draw(st.integers(60, 500))} s",

@@ -14,7 +14,8 @@ from workbench.model.results import SolveStatus
 from workbench.scenario import runner
 from workbench.scenario.loader import read_scenario
 from workbench.scenario.retune import Wishes, tune_found, tune_scenario
-from workbench.scenario.runner import run_scenario, simulated_record
+from workbench.scenario.runner import for_plant, run_scenario, simulated_record
+from workbench.tune import repair
 
 LOOP = """\
 title: A short run
@@ -30,6 +31,11 @@ cases:
   - {name: Case 1, Kc: 0.5, Ti: 20 s, reference: {valve_travel: 12.18}, note: base}
   - {name: PI, tune: {bounds: {Kc: [0, 10], Ti: [5 s, 600 s]}, Td: 0 s, restarts: 1, digits: 3}}
 """
+
+
+def found_loop():
+    loop = wb.Loop(wb.FOPDT(1.0, 6.0, 2.0), wb.Stenman(1.0), wb.PID(0.6, 15.0), 1.0)
+    return wb.estimate(simulated_record(loop, wb.Experiment(600.0, (wb.Step(2.0), wb.Step(1.5, 300.0)))))
 
 
 def plan(text: str):
@@ -142,6 +148,54 @@ def test_an_interrupted_tuning_ends_the_run(monkeypatch: pytest.MonkeyPatch) -> 
     monkeypatch.setattr(runner, "tune", lambda *a, **k: replace(true_tune(*a, **k), status=SolveStatus.INTERRUPTED))
     with pytest.raises(KeyboardInterrupt):
         run_scenario(plan(LOOP + CASES))
+
+
+def test_retuning_stops_at_an_interrupted_tuning(monkeypatch: pytest.MonkeyPatch) -> None:
+    true_tune = runner.tune
+    monkeypatch.setattr(runner, "tune", lambda *a, **k: replace(true_tune(*a, **k), status=SolveStatus.INTERRUPTED))
+    found = tune_scenario(plan(LOOP + CASES + CASES.split("\n")[2].replace("PI", "Second") + "\n"), Wishes())
+    assert [one.name for one in found] == ["PI"]
+
+
+def test_the_value_of_repair_stops_at_an_interrupted_tuning(monkeypatch: pytest.MonkeyPatch) -> None:
+    true_tune = repair.tune
+    calls: list[object] = []
+
+    def interrupted(*given: object, **named: object) -> object:
+        calls.append(given)
+        return replace(true_tune(*given, **named), status=SolveStatus.INTERRUPTED)
+
+    monkeypatch.setattr(repair, "tune", interrupted)
+    loop = wb.Loop(wb.FOPDT(1.0, 5.0, 1.0), wb.Stenman(2.0), wb.PID(0.5, 20.0), 1.0)
+    with pytest.raises(KeyboardInterrupt):
+        wb.value_of_repair(loop, wb.Experiment(60.0, wb.Step(4.0)), restarts=1)
+    assert len(calls) == 1
+
+
+def test_an_estimated_negative_gain_makes_the_action_direct_where_none_is_given() -> None:
+    jobs = plan(LOOP + CASES).cases
+    assert not any(job.action_given for job in jobs)
+    plant = wb.FOPDT(-2.0, 5.0, 1.0)
+    fitted, notes = for_plant(jobs, plant)
+    assert [job.controller.action for job in fitted] == ["direct", "direct"]
+    assert notes == ["The controller acts direct, as the estimated gain (-2) needs; no action is given."]
+    given = plan(LOOP.replace("none}", "none, action: reverse}") + CASES).cases
+    kept, said = for_plant(given, plant)
+    assert [job.controller.action for job in kept] == ["reverse", "reverse"]
+    assert said[0].startswith("Case 1: the controller acts the wrong way")
+    assert for_plant(given, wb.FOPDT(2.0, 5.0, 1.0)) == (given, [])
+
+
+@pytest.mark.parametrize(
+    ("plant", "Kc", "Ti"), [(wb.FOPDT(-2.0, 2.0, 60.0), 0.9, 2.0), (wb.FOPDT(0.5, 0.4, 0.0), 3.0, 1)]
+)
+def test_the_bounds_for_a_found_loop_hold_what_dead_time_needs(plant: wb.FOPDT, Kc: float, Ti: float) -> None:
+    found = replace(found_loop(), plant=plant)
+    result = tune_found(found, Wishes(duration=300.0, step=1.0, Kc=None, seed=0))
+    bounds = result.tuned.bounds
+    assert bounds.Kc[1] >= Kc
+    assert bounds.Ti[0] <= Ti
+    assert any("coarse sampling" in words for words in result.assumed) == (plant.time_constant < 1.0)
 
 
 def test_a_scenario_is_retuned_under_other_wishes() -> None:

@@ -20,7 +20,7 @@ from workbench.model.tuning import Objective
 from workbench.model.valve import Choudhury, Deadband, Ideal, Stenman, Valve
 from workbench.record.reader import read_record
 from workbench.scenario import schema
-from workbench.scenario.controllers import Controllers, ruled
+from workbench.scenario.controllers import Controllers, fitting_action, ruled, wrong_way
 from workbench.scenario.document import Path
 from workbench.scenario.plan import CaseJob, EstimateJob, Scenario
 from workbench.scenario.refusals import Refusals
@@ -36,13 +36,18 @@ MAX_SAMPLES = 5_000_000
 
 @dataclass
 class Builder:
-    """Builds a `Scenario`; `refusals` collects what stands against it. place: gives an entry's `line:column: where`."""
+    """Builds a `Scenario`; `refusals` collects what stands against it. place: gives an entry's `line:column: where`.
+
+    A controller that acts the wrong way for the plant's gain is refused where its action is the default only, and in a
+    tuning, which would find nothing; where the file says the action, it may be meant, and is a warning.
+    """
 
     file: FilePath
     text: str
     place: Callable[[Path], str]
     refusals: Refusals = field(default_factory=Refusals)
     notes: list[str] = field(default_factory=list)
+    warnings: list[str] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         self.controllers = Controllers(self.refusals, None)
@@ -63,13 +68,16 @@ class Builder:
         ruling: Loop | None = None
         if plant is not None and valve is not None and loop.sample_time is not None and not from_data:
             ruling = Loop(plant, valve, PID(0.0, math.inf), loop.sample_time)
-        cases = self._cases(given, loop, objective, ruling)
+        cases = self._cases(given, loop, objective, ruling, None if from_data else plant)
         records = self._records(given)
         whole: Loop | None = None
         if plant is not None and valve is not None and loop.sample_time is not None and not from_data:
             first_controller = cases[0].controller if cases else None
             if not given.cases:
                 first_controller = self._own_controller(loop)
+                if first_controller is not None:
+                    there = loop.controller is not None and loop.controller.action is not None
+                    self._acts(plant, first_controller, there, ("loop", "controller"), "loop.controller", tune=False)
             whole = self._loop(loop, plant, valve, loop.sample_time, first_controller, given.experiment)
         if experiment is not None:
             first = next((record for record in records if record is not None), None)
@@ -95,6 +103,7 @@ class Builder:
             limit_cycle=given.analyze.limit_cycle,
             repair=given.analyze.repair,
             notes=tuple(self.notes),
+            warnings=tuple(self.warnings),
         )
 
     def _needs(self, given: schema.ScenarioFile, loop: schema.Loop, from_data: bool) -> None:
@@ -102,7 +111,10 @@ class Builder:
         simulated = any(e.simulate for e in given.estimate or ())
         if from_data and simulated:
             self.refusals.refuse(("estimate",), "data and simulate: true given; a scenario estimates one or the other")
-        for name in ("plant", "valve", "sample_time"):
+        if given.loop is None and not from_data and (given.cases or simulated):
+            what = "missing; needed where no recorded data is given to estimate: plant, valve, controller, sample_time"
+            self.refusals.refuse(("loop",), what)
+        for name in ("plant", "valve", "sample_time") if given.loop is not None or from_data else ():
             there = getattr(loop, name) is not None
             if from_data and there:
                 what = "given, and estimate.data as well; with recorded data it comes from the first estimate"
@@ -264,9 +276,17 @@ class Builder:
     # the cases -----------------------------------------------------------------------------------------------------
 
     def _cases(
-        self, given: schema.ScenarioFile, loop: schema.Loop, objective: Objective | None, ruling: Loop | None
+        self,
+        given: schema.ScenarioFile,
+        loop: schema.Loop,
+        objective: Objective | None,
+        ruling: Loop | None,
+        plant: Plant | None,
     ) -> list[CaseJob]:
-        """Return the cases; rules are applied to the loop `ruling` here where it and their base are known already."""
+        """Return the cases; rules are applied to the loop `ruling` here where it and their base are known already.
+
+        plant: None where it comes from an estimate.
+        """
         own = loop.controller or schema.Controller()
         base_path: Path = ("loop", "controller")
         base = self.controllers.keys(own, base_path)
@@ -282,6 +302,8 @@ class Builder:
                 self.refusals.refuse((*path, "name"), f"{name!r} given; cases[{names[name]}] has this name already")
             names.setdefault(name, i)
             tune, rule, under = None, None, ""
+            entry = case.tune if isinstance(case, schema.TunedCase) else case
+            action_given = entry.action is not None or "action" in base
             if isinstance(case, schema.GivenCase):
                 fields = {**base, **self.controllers.keys(case, path)}
                 mine = {**tuning, **self.controllers.tuning(case, path, fields.get("form", "ideal"))}
@@ -293,7 +315,9 @@ class Builder:
                 controller = self.controllers.pid(path, fields, {"Kc": 0.0, "Ti": math.inf})
                 if rule is None or controller is None:
                     continue
-                if ruling is not None and (not under or under in known):
+                # A default action that does not fit is refused below, in words of its own.
+                fits = plant is None or action_given or controller.action == fitting_action(plant)
+                if ruling is not None and fits and (not under or under in known):
                     apply = partial(ruled, ruling, known.get(under, controller), rule)
                     controller = self.refusals.attempt((*path, "rule"), apply)
             else:
@@ -303,6 +327,9 @@ class Builder:
                 controller, tune = found
             if controller is None:
                 continue
+            if plant is not None:
+                at = path if tune is None else (*path, "tune")
+                self._acts(plant, controller, action_given, at, name, tune=tune is not None, rule=rule is not None)
             job = CaseJob(
                 name=name,
                 where=self.place(path),
@@ -310,6 +337,7 @@ class Builder:
                 tune=tune,
                 rule=rule,
                 base=under,
+                action_given=action_given,
                 reference={str(k): v for k, v in case.reference.items()},
                 note=case.note,
             )
@@ -319,6 +347,29 @@ class Builder:
             if first is None and tune is None and rule is None:
                 first = job
         return jobs
+
+    def _acts(
+        self,
+        plant: Plant,
+        controller: PID,
+        action_given: bool,
+        path: Path,
+        name: str,
+        *,
+        tune: bool = False,
+        rule: bool = False,
+    ) -> None:
+        """Refuse a controller that acts the wrong way, or warn where the file itself says so; see `Builder`."""
+        wrong = wrong_way(plant, replace(controller, Kc=1.0) if tune or rule else controller)
+        if wrong is None:
+            return
+        if not action_given:
+            what = f"{plant.gain:g} given, and {controller.action} action by default; {wrong} (in loop.controller)"
+            self.refusals.refuse(("loop", "plant", "gain"), what)
+        elif tune:
+            self.refusals.refuse((*path, "action"), f"{controller.action} given; {wrong}")
+        else:
+            self.warnings.append(f"{name}: {wrong}.")
 
     def _rule(self, case: schema.RuledCase, path: Path, names: dict[str, int]) -> tuple[Rule | None, str]:
         """Return a case's rule and the name of the case that it starts from, if it needs one."""

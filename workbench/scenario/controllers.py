@@ -9,6 +9,7 @@ from typing import Any
 from workbench.errors import InvalidValue
 from workbench.model.controller import PID, STRUCTURES
 from workbench.model.loop import Loop
+from workbench.model.plant import Plant
 from workbench.model.rule import Rule
 from workbench.model.tuning import Bounds, Objective
 from workbench.model.units import gain_from
@@ -18,7 +19,22 @@ from workbench.scenario.plan import RULE_DIGITS, CaseJob, TuneJob
 from workbench.scenario.refusals import Refusals
 from workbench.scenario.units import Quantity
 
-__all__ = ["Controllers", "ruled"]
+__all__ = ["Controllers", "fitting_action", "ruled", "wrong_way"]
+
+
+def fitting_action(plant: Plant) -> str:
+    """Return the controller action that makes the feedback negative."""
+    return "reverse" if plant.gain > 0.0 else "direct"
+
+
+def wrong_way(plant: Plant, controller: PID) -> str | None:
+    """Return what is wrong where controller and plant feed back positively, else None."""
+    if controller.Kc == 0.0 or controller.action == fitting_action(plant):
+        return None
+    return (
+        f"the controller acts the wrong way, so that errors grow: a plant gain of {plant.gain:g} needs action "
+        f"{fitting_action(plant)}"
+    )
 
 
 def ruled(loop: Loop, controller: PID, rule: Rule) -> PID:

@@ -56,7 +56,8 @@ class CaseJob:
     """One case: the controller to try, or the start of the tuning to find. where: its line:column and name.
 
     rule: to be applied to the loop with this controller, in place of its Kc, Ti and Td; base: the case whose controller
-    takes this one's place before that, or empty.
+    takes this one's place before that, or empty. action_given: whether the file says how the controller acts; where it
+    does not, an estimated plant's gain says it.
     """
 
     name: str
@@ -65,6 +66,7 @@ class CaseJob:
     tune: TuneJob | None = None
     rule: Rule | None = None
     base: str = ""
+    action_given: bool = True
     reference: Mapping[str, float] = field(default_factory=lambda: MappingProxyType({}))
     note: str = ""
 
@@ -76,7 +78,7 @@ class Scenario:
     loop: as given, under the first case's controller; None where plant and valve come from the first estimate, or no
     case asks for a loop. pv_range: EU, or None. objective: what J is computed with for every case, or None. repair:
     whether to say what repairing the valve is worth. notes: what loading assumed or left out (rejected rows, coarse
-    sampling), for the report.
+    sampling), for the report. warnings: what can be run and is most likely a mistake.
     """
 
     path: Path
@@ -95,3 +97,4 @@ class Scenario:
     limit_cycle: bool
     repair: bool = False
     notes: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()

@@ -10,12 +10,12 @@ from workbench.model.controller import PID
 from workbench.model.experiment import Experiment, Step
 from workbench.model.loop import Loop
 from workbench.model.plant import FOPDT, Plant
-from workbench.model.results import Estimate, Tuned
+from workbench.model.results import Estimate, SolveStatus, Tuned
 from workbench.model.rule import Simc
 from workbench.model.tuning import Bounds, Objective
-from workbench.scenario.controllers import ruled
+from workbench.scenario.controllers import fitting_action, ruled, wrong_way
 from workbench.scenario.plan import CaseJob, Scenario, TuneJob
-from workbench.scenario.runner import Progress, run_scenario, tune_case
+from workbench.scenario.runner import Progress, for_plant, run_scenario, tune_case
 from workbench.tune.rules import apply_rule
 
 __all__ = ["Retuned", "Wishes", "tune_found", "tune_scenario"]
@@ -56,8 +56,9 @@ class Retuned:
 def tune_scenario(plan: Scenario, wishes: Wishes, progress: Progress | None = None) -> list[Retuned]:
     """Tune what the scenario asks to tune, else its loop from the first case's controller.
 
-    Wishes go before the scenario's own objective, bounds and seed. Raises `InvalidValue` where there is no loop or
-    experiment, or the wishes belong to a record's loop, and what tuning and estimating raise.
+    Wishes go before the scenario's own objective, bounds and seed. Ends with a tuning that was interrupted. Raises
+    `InvalidValue` where there is no loop or experiment, or the wishes belong to a record's loop, and what tuning and
+    estimating raise.
     """
     for name in ("step", "duration", "action"):
         if getattr(wishes, name) is not None:
@@ -65,10 +66,10 @@ def tune_scenario(plan: Scenario, wishes: Wishes, progress: Progress | None = No
     experiment = plan.experiment
     if not plan.cases or experiment is None:
         raise InvalidValue(str(plan.path), "no case and experiment", "needs both, to know controller and task")
-    base = _loop(plan, progress)
-    jobs = [case for case in plan.cases if case.tune is not None]
+    base, cases, notes = _loop(plan, progress)
+    jobs = [case for case in cases if case.tune is not None]
     if not jobs:
-        first = plan.cases[0]
+        first = cases[0]
         start = first.controller if first.rule is None else ruled(base, first.controller, first.rule)
         default = TuneJob(plan.objective or Objective(), Bounds(), 0, 4, 4)
         jobs = [CaseJob("Tuned", first.where, start, default)]
@@ -85,16 +86,27 @@ def tune_scenario(plan: Scenario, wishes: Wishes, progress: Progress | None = No
             seed=own.seed if wishes.seed is None else wishes.seed,
         )
         controller = _within(case.controller, wishes)
-        found.append(Retuned(case.name, tune_case(base.with_controller(controller), experiment, job, progress)))
+        tuned = tune_case(base.with_controller(controller), experiment, job, progress)
+        found.append(Retuned(case.name, tuned, notes))
+        if tuned.status is SolveStatus.INTERRUPTED:
+            break
     return found
 
 
-def _loop(plan: Scenario, progress: Progress | None) -> Loop:
+def _loop(plan: Scenario, progress: Progress | None) -> tuple[Loop, tuple[CaseJob, ...], tuple[str, ...]]:
+    """Return the loop, the cases with the action that it needs, and notes on what was assumed."""
     if plan.loop is not None:
-        return plan.loop
+        return plan.loop, plan.cases, plan.warnings
     study = run_scenario(replace(plan, cases=(), estimates=plan.estimates[:1]), progress=progress)
     found = study.estimates[0].found
-    return Loop(found.plant, found.valve, plan.cases[0].controller, found.record.sample_time, plan.pv_range)
+    cases, notes = for_plant(plan.cases, found.plant)
+    loop = Loop(found.plant, found.valve, cases[0].controller, found.record.sample_time, plan.pv_range)
+    return loop, cases, (*notes, *_coarse(loop))
+
+
+def _coarse(loop: Loop) -> tuple[str, ...]:
+    note = loop.sampling_note()
+    return () if note is None else (f"coarse sampling: {note}",)
 
 
 def _within(controller: PID, wishes: Wishes) -> PID:
@@ -110,7 +122,8 @@ def _within(controller: PID, wishes: Wishes) -> PID:
 def tune_found(found: Estimate, wishes: Wishes, progress: Progress | None = None) -> Retuned:
     """Tune a PI controller (a PID where Td is given bounds) for a loop estimated from a record.
 
-    Unless wished otherwise: from the SIMC rule, Kc up to 4 times its gain, Ti from a fifth to 20 times the plant's time
+    Unless wished otherwise: from the SIMC rule, Kc up to 4 times its gain and at least to twice the inverse of the
+    plant's, Ti from a fifth of the plant's time scale, or half of the rule's where that is less, to 20 times that
     scale; a setpoint step of twice the PV change of the least slip (without stiction: of PV's standard deviation) and,
     half way, a load step of half that size at the plant's input; D on PV. What was assumed is said in the result.
     Raises what tuning raises.
@@ -118,14 +131,16 @@ def tune_found(found: Estimate, wishes: Wishes, progress: Progress | None = None
     plant, Ts = found.plant, found.record.sample_time
     lag = max(plant.dead_time, Ts)
     scale = (plant.time_constant if isinstance(plant, FOPDT) else 4.0 * lag) + lag
-    suited = "reverse" if plant.gain > 0.0 else "direct"
+    suited = fitting_action(plant)
+    effect = abs(plant.gain) * (1.0 if isinstance(plant, FOPDT) else scale)
     # Without dead time the sample time stands in for it.
     lagging = Loop(replace(plant, dead_time=lag), found.valve, PID(0.0, math.inf, action=suited), Ts)
     simc = apply_rule(lagging, Simc())
     Kc, Ti = simc.Kc, simc.Ti
     bounds = Bounds(
-        Kc=wishes.Kc or (0.0, _round(4.0 * Kc)),
-        Ti=wishes.Ti or (_round(scale / 5.0), _round(20.0 * scale)),
+        # Where dead time dominates, the rule's gain and integral time are small beside what such a loop can take.
+        Kc=wishes.Kc or (0.0, _round(max(4.0 * Kc, 2.0 / effect))),
+        Ti=wishes.Ti or (_round(min(scale / 5.0, max(Ti / 2.0, Ts / 5.0))), _round(20.0 * scale)),
         Td=wishes.Td or (0.0, 0.0),
     )
     action = wishes.action or suited
@@ -140,7 +155,6 @@ def tune_found(found: Estimate, wishes: Wishes, progress: Progress | None = None
     samples = min(max(round(60.0 * scale / Ts), FEWEST), MOST)
     duration = wishes.duration if wishes.duration is not None else samples * Ts
     step = wishes.step if wishes.step is not None else _round(_usual_step(found, plant, scale))
-    effect = abs(plant.gain) * (1.0 if isinstance(plant, FOPDT) else scale)
     load = _round(0.5 * abs(step) / effect)
     at = round(0.5 * duration / Ts) * Ts
     experiment = Experiment(duration, Step(step), Step(load, at) if load > 0.0 else None)
@@ -155,7 +169,15 @@ def tune_found(found: Estimate, wishes: Wishes, progress: Progress | None = None
     verdict = {"stiction": "the valve sticks", "no_stiction": "no stiction"}.get(
         found.verdict, "undecided whether the valve sticks, so take this tuning as a hint"
     )
-    assumed = (f"the record's loop: {verdict}", task, f"bounds {searched}", f"{action} action, derivative on PV")
+    wrong = wrong_way(plant, replace(start, Kc=1.0))
+    assumed = (
+        f"the record's loop: {verdict}",
+        task,
+        f"bounds {searched}",
+        f"{action} action, derivative on PV",
+        *(() if wrong is None else (wrong,)),
+        *_coarse(loop),
+    )
     return Retuned("Tuned for the record's loop", tune_case(loop, experiment, job, progress), assumed)
 
 

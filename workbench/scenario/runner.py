@@ -6,6 +6,7 @@ import os
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -17,18 +18,19 @@ from workbench.errors import ScenarioError, WorkbenchError
 from workbench.estimate.estimate import estimate
 from workbench.model.experiment import Experiment
 from workbench.model.loop import Loop
+from workbench.model.plant import Plant
 from workbench.model.record import Record
 from workbench.model.results import Repair, SolveStatus, Tuned
 from workbench.model.study import CaseResult, NamedEstimate, Study
 from workbench.model.tuning import Objective
-from workbench.scenario.controllers import ruled
+from workbench.scenario.controllers import fitting_action, ruled, wrong_way
 from workbench.scenario.loader import load_scenario
 from workbench.scenario.plan import CaseJob, EstimateJob, Scenario, TuneJob
 from workbench.simulate.run import evaluate, simulate
 from workbench.tune.repair import repaired_outcome, value_of_repair
 from workbench.tune.tune import tune
 
-__all__ = ["Progress", "run_scenario", "simulated_record", "tune_case"]
+__all__ = ["Progress", "for_plant", "run_scenario", "simulated_record", "tune_case"]
 
 Progress = Callable[[str, float], None]
 
@@ -66,17 +68,19 @@ class _Runner:
     def study(self) -> Study:
         """Return the study."""
         plan = self.plan
-        notes = list(plan.notes)
+        notes = [*plan.warnings, *plan.notes]
         estimates = tuple(self._estimate(job) for job in plan.estimates)
-        loop = plan.loop
-        if loop is None and plan.cases:
-            loop = self._found_loop(estimates[0], plan.cases[0])
+        loop, jobs = plan.loop, plan.cases
+        if loop is None and jobs:
+            jobs, said = for_plant(jobs, estimates[0].found.plant)
+            notes += said
+            loop = self._found_loop(estimates[0], jobs[0])
             note = loop.sampling_note()
             if note is not None:
                 notes.append(f"Coarse sampling: {note}.")
         cases: list[CaseResult] = []
         if loop is not None:
-            for job in plan.cases:
+            for job in jobs:
                 cases.append(self._case(job, loop, cases))
         repair = None
         if plan.repair and cases:
@@ -198,6 +202,26 @@ class _Runner:
             raise ScenarioError(f"{self.plan.path}:{where}: {error}") from error
         self.done = done + share
         self.times[words] = time.perf_counter() - begun
+
+
+def for_plant(jobs: Sequence[CaseJob], plant: Plant) -> tuple[tuple[CaseJob, ...], list[str]]:
+    """Return the cases with the controller action that an estimated gain needs where none is given, and notes on it.
+
+    A given action stays; where it does not fit, a note says so.
+    """
+    action = fitting_action(plant)
+    notes: list[str] = []
+    fitted: list[CaseJob] = []
+    for job in jobs:
+        if not job.action_given and job.controller.action != action:
+            job = replace(job, controller=replace(job.controller, action=action))
+            note = f"The controller acts {action}, as the estimated gain ({plant.gain:.3g}) needs; no action is given."
+            notes += [] if note in notes else [note]
+        wrong = wrong_way(plant, job.controller)
+        if wrong is not None:
+            notes.append(f"{job.name}: {wrong}.")
+        fitted.append(job)
+    return tuple(fitted), notes
 
 
 def simulated_record(loop: Loop, experiment: Experiment) -> Record:
