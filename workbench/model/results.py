@@ -228,8 +228,9 @@ class Tuned:
 
     controller: in the form of the loop's controller, with parameters rounded to `digits` significant digits, the ones
     to type in. objective: J of exactly that controller by exact simulation; nominal: J of the unrounded best;
-    worst: the worst J when each parameter moves by up to the larger of the relative `margin` and half a last digit; start_objective: J of the
-    loop's own controller. guard_margin: the least distance (%) of the trajectory to a stick/slip decision.
+    worst: the worst J when each parameter moves by up to the larger of the relative `margin` and half a last digit.
+    start_objective: J of the loop's own controller. guard_margin: the least distance (%) of the trajectory to a
+    stick/slip decision.
 
     A robust tuning minimises `ensemble.statistic` of J over the ensemble's draws: objective, nominal, worst,
     start_objective and the restarts are that statistic then, while guard_margin and slips are of the experiment's run.
