@@ -28,6 +28,7 @@ __all__ = [
     "frequency",
     "frequency_window",
     "limit_cycle_starts",
+    "limit_to",
     "model_op",
     "model_pv",
     "near_best",
@@ -37,6 +38,7 @@ __all__ = [
     "pv_op",
     "record_op",
     "record_pv",
+    "remark",
     "restarts",
     "run_op",
     "run_pv",
@@ -161,7 +163,22 @@ def without_kicks(ax: Axes, signals: Sequence[FloatArray]) -> None:
         return
     pad = 0.15 * (high - low)
     ax.set_ylim(low - pad, high + pad)
-    text = f"first kicks reach from {given(least, 3)} to {given(most, 3)}"
+    remark(ax, f"first kicks reach from {given(least, 3)} to {given(most, 3)}")
+
+
+def limit_to(ax: Axes, signals: Sequence[FloatArray]) -> None:
+    """Limit the y axis to what these signals do: others may leave it."""
+    kept = [s[np.isfinite(s)] for s in signals]
+    kept = [s for s in kept if s.size]
+    if not kept:
+        return
+    low, high = min(float(s.min()) for s in kept), max(float(s.max()) for s in kept)
+    pad = 0.1 * (high - low) or 1.0
+    ax.set_ylim(low - pad, high + pad)
+
+
+def remark(ax: Axes, text: str) -> None:
+    """Write a remark at the top of a plot."""
     paper: Style = {"facecolor": "white", "edgecolor": "none", "pad": 1.0}
     ax.annotate(text, (0.5, 0.98), xycoords="axes fraction", ha="center", va="top", fontsize=7, bbox=paper)
 

@@ -17,7 +17,7 @@ from workbench.model.results import DescribingFunction, Estimate, Run
 from workbench.model.study import CaseResult
 from workbench.report import draw
 from workbench.report.style import SP, case_style, new_figure, styled, svg_text
-from workbench.report.words import label
+from workbench.report.words import join, label
 
 __all__ = [
     "convergence_figure",
@@ -31,6 +31,7 @@ __all__ = [
     "trend_figure",
 ]
 
+DIVERGES = 10.0  # times the calm cases' range: a PV beyond it would flatten them
 WIDTH = 7.1  # inch: the text width of an A4 page
 
 
@@ -54,6 +55,8 @@ def overlay_figure(cases: Sequence[CaseResult]) -> Figure:
         above, below = fig.subplots(2, 1, sharex=True)
         unit, name = draw.time_axis(max((float(c.run.time[-1]) for c in cases), default=0.0))
         pvs, valves = _comparable([c.run.pv for c in cases]), _comparable([c.run.valve for c in cases])
+        wild = _diverging(cases)
+        calm = [i for i in range(len(cases)) if i not in wild]
         for index, case in enumerate(cases):
             style = {**case_style(index), "linewidth": 1.0}
             x, y = draw.thin(case.run.time / unit, pvs[index])
@@ -65,11 +68,24 @@ def overlay_figure(cases: Sequence[CaseResult]) -> Figure:
             above.plot(x, y, label="SP", drawstyle="steps-post", **SP)
         above.set_ylabel("PV (EU)")
         below.set_ylabel("valve (%)")
-        draw.without_kicks(below, valves)
+        if wild:
+            draw.limit_to(above, [*(pvs[i] for i in calm), *(c.run.sp for c in cases[:1])])
+            draw.limit_to(below, [valves[i] for i in calm])
+            draw.remark(above, f"{join([label(cases[i].name, 30) for i in wild])}: beyond this axis")
+        draw.without_kicks(below, [valves[i] for i in calm])
         below.set_xlabel(f"time ({name})")
         above.margins(x=0.01)
         fig.legend(loc="outside upper center", ncols=min(5, len(cases) + 1), handlelength=3.2)
     return fig
+
+
+def _diverging(cases: Sequence[CaseResult]) -> list[int]:
+    """Return the cases whose PV reaches more than ten times as far as that of the calmest, and as the setpoint."""
+    reach = [float(np.nanmax(np.abs(draw.seen(c.run.pv)), initial=0.0)) for c in cases]
+    target = max((float(np.abs(c.run.sp).max()) for c in cases), default=0.0)
+    limit = DIVERGES * max(min((r for r in reach if r > 0.0), default=0.0), target)
+    out = [i for i, r in enumerate(reach) if r > limit]
+    return out if len(out) < len(cases) else []
 
 
 def _comparable(signals: Sequence[FloatArray]) -> list[FloatArray]:

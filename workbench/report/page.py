@@ -14,6 +14,7 @@ from workbench.errors import OutputError
 from workbench.model.record import Record
 from workbench.model.study import NamedEstimate, Study
 from workbench.report import figures
+from workbench.report.how import how_tables
 from workbench.report.repair import repair_tables, repair_text
 from workbench.report.results import cases_csv, results_json, run_json
 from workbench.report.style import svg_text
@@ -23,7 +24,6 @@ from workbench.report.tables import (
     cycle_tables,
     difference_table,
     estimate_table,
-    how_tables,
     loop_lines,
 )
 from workbench.report.words import join, legible, rule_words, sentences, slug

@@ -6,21 +6,18 @@ import math
 import re
 from dataclasses import dataclass
 
-import numpy as np
-
 from workbench.model.loop import Loop
 from workbench.model.plant import FOPDT
 from workbench.model.results import LimitCycle
 from workbench.model.study import CaseResult, NamedEstimate, Study
 from workbench.model.valve import Choudhury, Deadband, Ideal, Stenman
+from workbench.report.judge import at_odds, on_bounds, quiet, run_travel, unstable
+from workbench.report.reference import reference_sentences
 from workbench.report.repair import repair_sentence
-from workbench.report.results import reference_names
 from workbench.report.tables import kpi_title, plant_parameters, valve_parameters
 from workbench.report.words import (
     change,
     controller_words,
-    decimals_of,
-    difference,
     duration,
     figure,
     given,
@@ -31,8 +28,9 @@ from workbench.report.words import (
 
 __all__ = ["Summary", "base_case", "best_case", "df_disagrees", "summarise"]
 
-BEYOND = 1e9  # EU: a PV that grows past this has left every plant
 LISTED = 3  # cycling cases that are listed one by one
+IDLE = " (its valve never moves: it controls nothing)"
+ALONE = "not the valve's alone"
 KNIFE_EDGE = 1.05  # worst J near the settings over their own, above which a tuning is called a knife-edge
 
 
@@ -63,20 +61,15 @@ def base_case(study: Study) -> CaseResult | None:
 
 
 def _measure(case: CaseResult) -> float:
-    value = case.run.kpis.error_variance if case.objective is None else case.objective
+    value = case.run.kpis.mean_square_error if case.objective is None else case.objective
     return value if math.isfinite(value) else math.inf
 
 
 def best_case(study: Study) -> CaseResult | None:
-    """Return the case of least J (least error variance without an objective) among those that are verified."""
+    """Return the case of least J (least mean square error without an objective) among those that are verified."""
     fit = [c for c in study.cases if c.tuned is None or c.tuned.status.success]
     fit = [c for c in fit if math.isfinite(_measure(c)) and not unstable(c)]
     return min(fit, key=_measure, default=None)
-
-
-def unstable(case: CaseResult) -> bool:
-    """Return whether the case's run grows past all measure."""
-    return not float(np.abs(case.run.pv).max()) <= BEYOND
 
 
 def df_disagrees(case: CaseResult) -> bool:
@@ -84,6 +77,8 @@ def df_disagrees(case: CaseResult) -> bool:
     df, cycle = case.describing_function, case.limit_cycle
     if df is None or cycle is None or cycle.outcome not in ("cycles", "settles"):
         return False
+    if df.predicts_cycle and math.isnan(df.period):
+        return False  # unstable crossings alone say what dies out and what grows, not whether a cycle lasts
     return df.predicts_cycle != (cycle.outcome == "cycles")
 
 
@@ -188,7 +183,7 @@ def estimate_advice(named: NamedEstimate) -> list[str]:
         step = abs(found.plant.gain) * found.valve.slip_jump if isinstance(found.plant, FOPDT) else 0.0
         text = f"{named.name}: have the valve looked at (packing, actuator, positioner)."
         if step > 0.0:
-            text += f" As long as it sticks it moves PV in steps of about {figure(step, 2)} EU, whatever the tuning."
+            text += f" As long as it sticks it moves PV in steps of at least {given(step, 3)} EU, whatever the tuning."
         return [text]
     if found.verdict == "no_stiction":
         return [f"{named.name}: if the loop oscillates, look for another cause: tight tuning, or a disturbance."]
@@ -207,6 +202,7 @@ def _swing(cycle: LimitCycle) -> str:
 def _case_sentences(study: Study) -> list[str]:
     out: list[str] = []
     wild = [c for c in study.cases if unstable(c)]
+    aside = quiet(study.experiment)
     if wild:
         out.append(f"{_names(wild)}: the loop is unstable, PV grows without bound.")
     seen = [(c, c.limit_cycle) for c in study.cases if c.limit_cycle is not None]
@@ -214,7 +210,9 @@ def _case_sentences(study: Study) -> list[str]:
     if cycling:
         lead = f"{len(cycling)} of {len(seen)} tunings keep the loop cycling"
         if len(cycling) == len(seen):
-            lead = "The loop keeps cycling" if len(seen) == 1 else f"All {len(seen)} tunings keep the loop cycling"
+            every = "both" if len(seen) == 2 else f"all {len(seen)}"
+            lead = "the loop keeps cycling" if len(seen) == 1 else f"{every} tunings keep the loop cycling"
+        lead = _capital(f"{aside}, {lead}" if aside else lead)
         ranked = sorted(cycling, key=lambda pair: pair[1].pv_peak_to_peak)
         if len(cycling) <= LISTED:
             out.append(f"{lead}: {'; '.join(f'{c.name} ({_swing(cycle)})' for c, cycle in cycling)}.")
@@ -228,11 +226,49 @@ def _case_sentences(study: Study) -> list[str]:
     ):
         some = [c for c, cycle in seen if cycle.outcome == outcome and c not in wild]
         if some:
-            out.append(f"{_names(some)}: the loop {text}.")
+            out.append(f"{_names(some)}: {aside} the loop {text}." if aside else f"{_names(some)}: the loop {text}.")
+    out += _noisy_sentences(study)
+    out += _tuning_alone(cycling)
     out += _late_sentences(study, cycling)
     out += _agreement_sentences(study)
-    out += _reference_sentences(study)
+    out += reference_sentences(study)
+    out += [
+        f"{c.name}: the search ended with {join(on_bounds(c.tuned))}; a better tuning may lie beyond."
+        for c in study.cases
+        if c.tuned is not None and on_bounds(c.tuned)
+    ]
     return out
+
+
+def _noisy_sentences(study: Study) -> list[str]:
+    """Name the cases whose own run, with its noise or load, contradicts the verdict without."""
+    told = []
+    for case in study.cases:
+        cycle = case.limit_cycle
+        if cycle is None or not at_odds(case, study.experiment):
+            continue
+        rate = figure(run_travel(case, study.experiment), 3)
+        text = f"{case.name}: the run itself shows otherwise, over its last quarter the valve"
+        if cycle.outcome == "settles":
+            told.append(f"{text} keeps moving, by {rate} % an hour.")
+        else:
+            told.append(f"{text} travels {rate} % an hour, not {figure(cycle.travel_per_hour, 3)} %.")
+    return told
+
+
+def _tuning_alone(cycling: list[tuple[CaseResult, LimitCycle]]) -> list[str]:
+    """Name the cycling cases whose loop would be unstable without any stiction."""
+    some = [
+        c
+        for c, _ in cycling
+        if c.describing_function is not None
+        and not c.describing_function.linear_stable
+        and not (df_disagrees(c) and ALONE in c.agreement)
+    ]
+    if not some:
+        return []
+    whose = "its cycle is" if len(some) == 1 else "their cycles are"
+    return [f"{_names(some)}: the loop would be unstable with an ideal valve too, so {whose} {ALONE}."]
 
 
 def _late_sentences(study: Study, cycling: list[tuple[CaseResult, LimitCycle]]) -> list[str]:
@@ -264,32 +300,6 @@ def _agreement_sentences(study: Study) -> list[str]:
     return out
 
 
-def _reference_sentences(study: Study) -> list[str]:
-    same: dict[str, list[str]] = {}
-    other = 0
-    for name in reference_names(study.cases):
-        decimals = decimals_of([c.reference[name] for c in study.cases if name in c.reference])
-        for case in study.cases:
-            if name not in case.reference:
-                continue
-            ours = case.objective if name == "objective" else getattr(case.run.kpis, name, None)
-            if ours is not None and difference(ours, case.reference[name], decimals) == "to the digit":
-                same.setdefault(name, []).append(case.name)
-            else:
-                other += 1
-    if not same and not other:
-        return []
-    parts = [f"{kpi_title(name)[0].lower()} of {join(cases)}" for name, cases in same.items()]
-    if not parts:
-        return [
-            f"None of the {other} published figures comes out to the digit; the table says by how much each differs."
-        ]
-    text = f"Of the published figures, {'; '.join(parts)} {'come' if len(parts) > 1 else 'comes'} out to the digit"
-    if other:
-        text += f"; the other {other} differ, as the table says" if other > 1 else "; the other one differs"
-    return [f"{text}."]
-
-
 def _case_advice(study: Study) -> list[str]:
     out = [
         f"Do not use {case.name} as it stands: its search ended as “{case.tuned.status.value}”"
@@ -308,7 +318,7 @@ def _case_advice(study: Study) -> list[str]:
             out += _recommendation(base, best)
         out += _remaining(study, base, best)
         out += _less_wear(study, best)
-    out += _lasting(best)
+    out += _lasting(study, best)
     if study.repair is not None:
         out.append(repair_sentence(study.repair, (base or study.cases[0]).name))
     if best.tuned is not None:
@@ -323,20 +333,20 @@ def _recommendation(base: CaseResult | None, best: CaseResult) -> list[str]:
     out = []
     controller = controller_words(best.loop.controller, best.tuned.digits if best.tuned is not None else None)
     kpis = best.run.kpis
-    by = "J" if best.objective is not None else "error variance"
+    by = "J" if best.objective is not None else "mean square error"
     if best is base:
         out.append(f"Keep {best.name} ({controller}): none of the other tunings has a lower {by} in this experiment.")
     elif base is None or unstable(base):
         out.append(
-            f"Set {controller} ({best.name}): the lowest {by} of the cases, error variance "
-            f"{figure(kpis.error_variance, 3)} EU², valve travel {figure(kpis.valve_travel, 3)} %."
+            f"Set {controller} ({best.name}): the lowest {by} of the cases, mean square error "
+            f"{figure(kpis.mean_square_error, 3)} EU², valve travel {figure(kpis.valve_travel, 3)} %."
         )
     else:
         was = base.run.kpis
         parts = []
         if best.objective is not None and base.objective is not None:
             parts.append(f"J {figure(best.objective, 3)} instead of {figure(base.objective, 3)}")
-        parts.append(f"error variance {change(kpis.error_variance, was.error_variance)}")
+        parts.append(f"mean square error {change(kpis.mean_square_error, was.mean_square_error)}")
         parts.append(f"valve travel {change(kpis.valve_travel, was.valve_travel)}")
         out.append(f"Set {controller} ({best.name}): {', '.join(parts)} against {base.name}.")
     if best.tuned is not None:
@@ -353,19 +363,21 @@ def _recommendation(base: CaseResult | None, best: CaseResult) -> list[str]:
 def _trade_off(study: Study, best: CaseResult) -> list[str]:
     """Without an objective to go by: name the case of least error and the case of least wear."""
     fit = [c for c in study.cases if (c.tuned is None or c.tuned.status.success) and not unstable(c)]
-    calm = min(fit, key=lambda c: c.run.kpis.valve_travel)
+    # A valve that never moves does not wear, and does not control either.
+    calm = min([c for c in fit if c.run.kpis.valve_travel > 0.0] or fit, key=lambda c: c.run.kpis.valve_travel)
 
     def told(case: CaseResult) -> str:
         kpis = case.run.kpis
         return (
-            f"{case.name} ({controller_words(case.loop.controller)}), error variance "
-            f"{figure(kpis.error_variance, 3)} EU², valve travel {figure(kpis.valve_travel, 3)} %"
+            f"{case.name} ({controller_words(case.loop.controller)}), mean square error "
+            f"{figure(kpis.mean_square_error, 3)} EU², valve travel {figure(kpis.valve_travel, 3)} %"
+            f"{IDLE if kpis.valve_travel == 0.0 else ''}"
         )
 
     if calm is best:
         return [f"Least error and least wear in this experiment: {told(best)}."]
     choice = "No objective was given, so there is a choice to make."
-    return [f"{choice} Least error variance: {told(best)}. Least wear: {told(calm)}."]
+    return [f"{choice} Least mean square error: {told(best)}. Least wear: {told(calm)}."]
 
 
 def _late_errors(study: Study) -> list[str]:
@@ -380,12 +392,15 @@ def _late_errors(study: Study) -> list[str]:
         f"{c.name} {figure(cycle.mean_square_error, 3)} EU² and {figure(cycle.travel_per_hour, 3)} %"
         for c, cycle in late
     ]
-    return [f"Mean square error and valve travel an hour once the cycle has set in: {'; '.join(told)}."]
+    aside = quiet(study.experiment)
+    when = f"once the cycle has set in, {aside}" if aside else "once the cycle has set in"
+    return [f"Mean square error and valve travel an hour {when}: {'; '.join(told)}."]
 
 
 def _less_wear(study: Study, best: CaseResult) -> list[str]:
     """Name the calmest other case where it moves the valve less than half as far."""
     others = [c for c in study.cases if c is not best and (c.tuned is None or c.tuned.status.success)]
+    others = [c for c in others if c.run.kpis.valve_travel > 0.0]  # a valve that never moves controls nothing
     calm = min(others, key=lambda c: c.run.kpis.valve_travel, default=None)
     if calm is None or not calm.run.kpis.valve_travel < 0.5 * best.run.kpis.valve_travel:
         return []
@@ -393,8 +408,8 @@ def _less_wear(study: Study, best: CaseResult) -> list[str]:
     return [
         (
             f"Where wear counts more than error: {calm.name} ({controller_words(calm.loop.controller)}) has valve "
-            f"travel {figure(ours.valve_travel, 3)} % instead of {figure(theirs.valve_travel, 3)} %, at error variance "
-            f"{figure(ours.error_variance, 3)} EU² instead of {figure(theirs.error_variance, 3)} EU²."
+            f"travel {figure(ours.valve_travel, 3)} % instead of {figure(theirs.valve_travel, 3)} %, at mean square "
+            f"error {figure(ours.mean_square_error, 3)} EU² instead of {figure(theirs.mean_square_error, 3)} EU²."
         )
     ]
 
@@ -403,11 +418,15 @@ def _remaining(study: Study, base: CaseResult | None, best: CaseResult) -> list[
     """Say what the recommended tuning leaves of the cycle."""
     out = []
     cycle, loop = best.limit_cycle, best.loop
+    aside = quiet(study.experiment)
     if cycle is not None and cycle.outcome == "cycles":
         text = (
-            f"With {best.name} the cycle remains: {_swing(cycle)}, and the valve travels "
-            f"{figure(cycle.travel_per_hour, 3)} % an hour."
+            f"With {best.name} the cycle remains{f' ({aside})' if aside else ''}: {_swing(cycle)}, and the valve "
+            f"travels {figure(cycle.travel_per_hour, 3)} % an hour"
         )
+        if at_odds(best, study.experiment):
+            text += f", in the run itself {figure(run_travel(best, study.experiment), 3)} %"
+        text += "."
         was = None if base is None or base is best else base.limit_cycle
         if was is not None and base is not None and was.outcome == "cycles":
             text += (
@@ -418,13 +437,19 @@ def _remaining(study: Study, base: CaseResult | None, best: CaseResult) -> list[
         out += _better_late(study, best, cycle)
     elif cycle is not None and cycle.outcome == "settles":
         text = f"With {best.name} the loop comes to rest in this experiment"
+        if aside:
+            text = f"With {best.name} the loop comes to rest {aside}"
+        if at_odds(best, study.experiment):
+            text += f"; in the run itself the valve travels {figure(run_travel(best, study.experiment), 3)} % an hour"
         out.append(f"{text}; from another start it may still cycle." if loop.valve.slip_jump > 0.0 else f"{text}.")
     return out
 
 
-def _lasting(best: CaseResult) -> list[str]:
-    """Say what no tuning removes while the controller integrates."""
+def _lasting(study: Study, best: CaseResult) -> list[str]:
+    """Say what no tuning removes while the controller integrates, but not of a valve whose stiction is undecided."""
     out: list[str] = []
+    if any(e.found.verdict == "undecided" and e.found.valve == best.loop.valve for e in study.estimates):
+        return out
     cycle, loop = best.limit_cycle, best.loop
     stuck = cycle is None or cycle.outcome != "settles"
     if stuck and loop.valve.slip_jump > 0.0 and math.isfinite(loop.controller.Ti) and isinstance(loop.plant, FOPDT):
@@ -448,13 +473,18 @@ def _better_late(study: Study, best: CaseResult, cycle: LimitCycle) -> list[str]
     other, error = min(others, key=lambda pair: pair[1], default=(best, math.inf))
     if not error < 0.8 * cycle.mean_square_error:
         return []
+    when = quiet(study.experiment) or "without disturbances"
     return [
         (
-            f"In the long run without disturbances {other.name} has a smaller error in its cycle "
+            f"In the long run {when} {other.name} has a smaller error in its cycle "
             f"({figure(error, 3)} EU² against {figure(cycle.mean_square_error, 3)} EU²); the recommendation goes by "
             "the run of this experiment."
         )
     ]
+
+
+def _capital(sentence: str) -> str:
+    return sentence[:1].upper() + sentence[1:]
 
 
 def lower_first(sentence: str) -> str:

@@ -8,9 +8,10 @@ from dataclasses import dataclass
 
 from workbench.model.controller import PID
 from workbench.model.plant import FOPDT, Plant
-from workbench.model.results import DescribingFunction, LimitCycle, LimitCycleStart, Tuned
+from workbench.model.results import DescribingFunction, LimitCycle, LimitCycleStart
 from workbench.model.study import CaseResult, NamedEstimate, Study
 from workbench.model.valve import Choudhury, Deadband, Stenman, Valve
+from workbench.report.judge import quiet, run_travel, settling_band, settling_doubt, unstable
 from workbench.report.results import aic, reference_names
 from workbench.report.words import (
     decimals_of,
@@ -35,7 +36,6 @@ __all__ = [
     "deciding_start",
     "difference_table",
     "estimate_table",
-    "how_tables",
     "kpi_title",
     "loop_lines",
     "off_by",
@@ -44,6 +44,7 @@ __all__ = [
     "valve_parameters",
 ]
 
+NO_BIAS = 1e-6  # share of PV's span below which a bias is rounding error
 COLUMNS = 7  # cases beside each other in one table: what an A4 page holds
 
 
@@ -77,13 +78,13 @@ class Table:
 
 # Name in Kpis, title, unit, whether less is better.
 KPI_ROWS: tuple[tuple[str, str, str, bool], ...] = (
-    ("error_variance", "Error variance", "EU²", True),
+    ("mean_square_error", "Mean square error", "EU²", True),
+    ("error_variance", "Error variance", "EU²", False),  # blind to a standing offset: shown, never a reason
     ("valve_travel", "Valve travel", "%", True),
     ("controller_travel", "Controller travel", "%", False),
     ("op_variance", "OP variance", "%²", False),
     ("valve_variance", "Valve variance", "%²", False),
     ("reversals", "Valve reversals", "", True),
-    ("mean_square_error", "Mean square error", "EU²", True),
     ("iae", "Integrated absolute error", "EU s", True),
     ("pv_sd", "Standard deviation of PV", "EU", False),
     ("overshoot", "Overshoot", "% of step", False),
@@ -165,17 +166,22 @@ def _case_rows(study: Study, block: Sequence[CaseResult], decimals: dict[str, in
             rows.append(Row(text, "", tuple(Cell(describe(p)) for p in pids)))
     first = True
     everything = [("objective", "J", "", True), *KPI_ROWS]
-    for name, title, unit, less in everything:
+    for name, title, given_unit, less in everything:
+        unit = given_unit
         values = [_value(c, name) for c in block]
         if all(math.isnan(v) for v in values):
             continue
-        best = min((v for v in (_value(c, name) for c in study.cases) if not math.isnan(v)), default=math.nan)
+        doubts = {c.name: settling_doubt(c, study.experiment) if name == "settling_time" else "" for c in study.cases}
+        fit = [c for c in study.cases if not unstable(c) and not doubts[c.name]]
+        best = min((v for v in (_value(c, name) for c in fit) if not math.isnan(v)), default=math.nan)
+        if name == "settling_time":
+            unit = settling_band(block[0], study.experiment)
         cells = []
         for case, value in zip(block, values, strict=True):
-            small = ""
+            small = doubts[case.name]
             if name in case.reference:
                 small = f"publ. {published(case.reference[name], decimals[name])}"
-            mark = less and len(study.cases) > 1 and value == best and math.isfinite(value)
+            mark = less and len(study.cases) > 1 and value == best and math.isfinite(value) and case in fit
             cells.append(Cell(shown(name, value), small, mark))
         rows.append(Row(title, unit, tuple(cells), group=first))
         first = False
@@ -188,11 +194,29 @@ def _filter(pid: PID) -> str:
     return "none" if math.isinf(pid.derivative_filter) else f"Td/{given(pid.derivative_filter)}"
 
 
+def _limits(pid: PID) -> str:
+    limits = pid.output_limits
+    return "none" if limits is None else f"{_signed(limits[0])} to {_signed(limits[1])} %"
+
+
+def _signed(value: float) -> str:
+    return "none" if math.isinf(value) else given(value)
+
+
+def _tracking(pid: PID) -> str:
+    if pid.output_limits is None or pid.anti_windup != "back_calculation":
+        return "–"
+    return "Ti" if pid.tracking_time is None else f"{setting(pid.tracking_time)} s"
+
+
 _CONTROLLER_ROWS: tuple[tuple[str, Callable[[PID], str]], ...] = (
     ("Form", lambda p: p.form),
     ("Structure", lambda p: p.structure or f"D on {p.derivative_on}, weight {given(p.setpoint_weight)}"),
     ("Derivative filter", _filter),
     ("Action", lambda p: p.action),
+    ("Output limits", _limits),
+    ("Anti-windup", lambda p: "–" if p.output_limits is None else p.anti_windup.replace("_", "-")),
+    ("Tracking time", _tracking),
 )
 
 
@@ -204,11 +228,15 @@ def loop_lines(study: Study) -> list[tuple[str, str]]:
         lines += [("Plant", plant_words(loop.plant)), ("Valve", valve_words(loop.valve))]
         shared = []
         for text, describe in _CONTROLLER_ROWS:
-            every = {describe(c.loop.controller) for c in study.cases} - {"–"}
-            if len(every) == 1:
+            every = {describe(c.loop.controller) for c in study.cases}
+            if text == "Derivative filter":  # of no concern where a case has no derivative action
+                every -= {"–"}
+            if len(every) == 1 and every != {"–"} and (text, every) != ("Output limits", {"none"}):
                 shared.append(f"{text.lower()} {every.pop()}")
         lines.append(("Controller", ", ".join(shared) or "differs from case to case (see the table)"))
         lines.append(("Sample time", f"{given(loop.sample_time)} s"))
+        if loop.pv_range is not None:
+            lines.append(("PV range", f"{given(loop.pv_range[0])} to {given(loop.pv_range[1])} EU"))
     if study.experiment is not None:
         lines.append(("Experiment", _experiment_words(study)))
     if study.objective is not None:
@@ -311,6 +339,12 @@ def _of_df(text: Callable[[DescribingFunction], str]) -> Callable[[CaseResult], 
     return lambda case: "–" if case.describing_function is None else text(case.describing_function)
 
 
+def _predicted(df: DescribingFunction) -> str:
+    if df.predicts_cycle and math.isnan(df.period):
+        return "unstable crossings only"
+    return "cycle" if df.predicts_cycle else "no cycle"
+
+
 def _first_period(cycle: LimitCycle) -> str:
     start = deciding_start(cycle)
     return "–" if start is None else duration(start.first_period)
@@ -337,7 +371,7 @@ _CYCLE_ROWS: tuple[tuple[str, str, Callable[[CaseResult], str]], ...] = (
     ("Mean square error", "EU²", _of_cycle(lambda c: figure(c.mean_square_error, 3))),
     ("Valve travel an hour", "%", _of_cycle(lambda c: figure(c.travel_per_hour, 3))),
     ("Time simulated to see it", "", _of_cycle(lambda c: duration(c.window))),
-    ("Describing function", "", _of_df(lambda d: "cycle" if d.predicts_cycle else "no cycle")),
+    ("Describing function", "", _of_df(_predicted)),
     ("Predicted period", "", _of_df(lambda d: duration(d.period))),
     ("Predicted PV peak to peak", "EU", _of_df(lambda d: figure(2.0 * d.pv_amplitude, 3))),
     ("Distance of the loci", "", _of_df(lambda d: figure(d.distance, 3))),
@@ -356,6 +390,12 @@ def cycle_tables(study: Study) -> list[Table]:
                 continue
             group = title in ("Exact simulation", "Describing function")
             rows.append(Row(title, unit, tuple(Cell(text(c)) for c in block), group))
+        if quiet(study.experiment) and any(c.limit_cycle is not None for c in cases):
+            end = next((i for i, row in enumerate(rows) if row.label == "Describing function"), len(rows))
+            rates = [figure(run_travel(c, study.experiment), 3) for c in block]
+            if any(rate != "–" for rate in rates):
+                title = "The run's last quarter: valve travel an hour"
+                rows.insert(end, Row(title, "%", tuple(Cell(rate) for rate in rates)))
         tables.append(Table(tuple(c.name for c in block), tuple(rows)))
     return tables
 
@@ -396,6 +436,7 @@ def estimate_table(named: NamedEstimate) -> Table:
         cells.append(Cell(figure(linear[name]) if name in linear else "–"))
         rows.append(Row(title, unit, tuple(cells)))
     blanks = len(heads) - 3
+    span = float(found.record.pv.max() - found.record.pv.min())
     for title, unit, ours, theirs in (
         ("Bias (PV at stem 0)", "EU", found.bias, found.linear.bias),
         ("Residual variance", "EU²", found.residual_variance, found.linear.residual_variance),
@@ -406,6 +447,8 @@ def estimate_table(named: NamedEstimate) -> Table:
             aic(found.linear.aic, found.linear.residual_variance),
         ),
     ):
+        if title.startswith("Bias"):
+            ours, theirs = (0.0 if abs(b) < NO_BIAS * span else b for b in (ours, theirs))
         middle = tuple(Cell("") for _ in range(blanks + 1))
         rows.append(Row(title, unit, (Cell(figure(ours)), *middle, Cell(figure(theirs)))))
     return Table(tuple(heads), tuple(rows))
@@ -425,56 +468,3 @@ def off_by(value: float, true: float) -> str:
         return figure(value - true, 2)
     percent = 100.0 * (value / true - 1.0)
     return "under 0.01 %" if abs(percent) < 0.01 else f"{figure(percent, 2)} %"
-
-
-def how_tables(study: Study) -> list[Table]:
-    """Return how tunings were found: figures down and tunings across, then every restart."""
-    tuned = [(c.name, c.tuned) for c in study.cases if c.tuned is not None]
-    if not tuned:
-        return []
-    rows = [Row(title, unit, tuple(Cell(text(t)) for _, t in tuned)) for title, unit, text in _HOW_ROWS]
-    tables = [Table(tuple(name for name, _ in tuned), tuple(rows), "Tunings")]
-    restarts = []
-    for name, one in tuned:
-        for i, r in enumerate(one.restarts):
-            cells = (str(r.seed), figure(r.scanned, 5), figure(r.refined, 5), f"{r.evaluations:,}", str(r.solves))
-            row = tuple(Cell(text) for text in (*cells, f"{r.iterations:,}"))
-            restarts.append(Row(name, "", row, group=i == 0))
-    if restarts:
-        heads = ("seed", "J after the scan", "J refined", "simulations", "NLPs", "IPOPT iterations")
-        tables.append(Table(heads, tuple(restarts), "Restarts"))
-    return tables
-
-
-def _spread(tuned: Tuned) -> str:
-    best, worst = tuned.spread
-    return f"{figure(best)} to {figure(worst)}"
-
-
-def _agreeing(tuned: Tuned) -> str:
-    best = tuned.spread[0]
-    close = sum(r.refined <= 1.01 * best for r in tuned.restarts)
-    return f"{close} of {len(tuned.restarts)}"
-
-
-_HOW_ROWS: tuple[tuple[str, str, Callable[[Tuned], str]], ...] = (
-    ("Status", "", lambda t: t.status.value),
-    ("J of the settings as typed in", "", lambda t: figure(t.objective, 5)),
-    ("Digits typed in", "", lambda t: str(t.digits)),
-    ("J of the unrounded best", "", lambda t: figure(t.nominal, 5)),
-    ("Worst J near the settings", "", lambda t: f"{figure(t.worst, 5)} within ±{figure(100.0 * t.margin, 2)} %"),
-    ("J of the start", "", lambda t: figure(t.start_objective, 5)),
-    ("Guard margin", "%", lambda t: figure(t.guard_margin, 3)),
-    ("Slips of the valve", "", lambda t: f"{t.slips:,}"),
-    ("J over the restarts", "", _spread),
-    ("Restarts within 1 % of the best", "", _agreeing),
-    ("Simulations", "", lambda t: f"{t.evaluations:,}"),
-    ("NLPs solved", "", lambda t: f"{t.solves:,}"),
-    ("IPOPT iterations", "", lambda t: f"{t.iterations:,}"),
-    ("Seed", "", lambda t: str(t.seed)),
-    ("Bounds of Kc, Ti, Td", "", lambda t: "; ".join(_bound(p) for p in (t.bounds.Kc, t.bounds.Ti, t.bounds.Td))),
-)
-
-
-def _bound(pair: tuple[float, float]) -> str:
-    return setting(pair[0]) if pair[0] == pair[1] else f"{setting(pair[0])} to {setting(pair[1])}"

@@ -66,10 +66,15 @@ def given(value: float, digits: int = 4) -> str:
 
 
 def setting(value: float, digits: int | None = None) -> str:
-    """Return a controller parameter with every digit that it has (at least `digits` of them), to be typed in."""
+    """Return a controller parameter with every digit that it has (at least `digits` of them), to be typed in.
+
+    A converted parameter, such as 100/150, has no last digit: more than ten are cut to six.
+    """
     if math.isinf(value):
         return "none"
     text = f"{value:.12g}"
+    if len(re.sub(r"\D", "", text.partition("e")[0]).strip("0")) > 10:
+        text = f"{value:.6g}"
     if digits is not None and value != 0.0 and "e" not in text:
         full = f"{value:#.{digits}g}".rstrip(".")
         if "e" not in full and float(full) == float(text) and len(full) > len(text):
@@ -132,14 +137,19 @@ def published(value: float, decimals: int) -> str:
 def difference(ours: float, theirs: float, decimals: int) -> str:
     """Return in words how our figure differs from a published one printed with `decimals` decimals.
 
-    "to the digit" where ours rounds to the printed digits, else per cent, or a factor where it is more than 2.
+    "to the digit" where ours rounds to the printed digits and these are two or more, or it differs by less than 2 %;
+    "rounds to the published figure" where one printed digit proves less than that; else per cent, or a factor where it
+    is more than 2.
     """
     if math.isnan(ours):
         return "not known here"
     if math.isinf(ours) or math.isinf(theirs):
         return "to the digit" if ours == theirs else f"{figure(ours)} here"
-    if f"{ours:.{decimals}f}" == f"{theirs:.{decimals}f}":
-        return "to the digit"
+    printed = f"{theirs:.{decimals}f}"
+    if f"{ours:.{decimals}f}" == printed:
+        close = ours == theirs or abs(ours - theirs) < 0.02 * abs(theirs)
+        significant = len(re.sub(r"\D", "", printed).lstrip("0"))
+        return "to the digit" if close or significant >= 2 else "rounds to the published figure"
     if theirs == 0.0 or ours * theirs <= 0.0:
         return f"{figure(ours - theirs, 2)} off"
     ratio = ours / theirs

@@ -1,0 +1,67 @@
+"""How tunings were found, as tables: each search's figures, and its restarts."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from workbench.model.results import Tuned
+from workbench.model.study import Study
+from workbench.report.judge import on_bounds
+from workbench.report.tables import Cell, Row, Table
+from workbench.report.words import figure, setting
+
+__all__ = ["how_tables"]
+
+
+def how_tables(study: Study) -> list[Table]:
+    """Return how tunings were found: figures down and tunings across, then every restart."""
+    tuned = [(c.name, c.tuned) for c in study.cases if c.tuned is not None]
+    if not tuned:
+        return []
+    rows = [Row(title, unit, tuple(Cell(text(t)) for _, t in tuned)) for title, unit, text in _HOW_ROWS]
+    tables = [Table(tuple(name for name, _ in tuned), tuple(rows), "Tunings")]
+    restarts = []
+    for name, one in tuned:
+        for i, r in enumerate(one.restarts):
+            cells = (str(r.seed), figure(r.scanned, 5), figure(r.refined, 5), f"{r.evaluations:,}", str(r.solves))
+            row = tuple(Cell(text) for text in (*cells, f"{r.iterations:,}"))
+            restarts.append(Row(name, "", row, group=i == 0))
+    if restarts:
+        heads = ("seed", "J after the scan", "J refined", "simulations", "NLPs", "IPOPT iterations")
+        tables.append(Table(heads, tuple(restarts), "Restarts"))
+    return tables
+
+
+def _spread(tuned: Tuned) -> str:
+    best, worst = tuned.spread
+    return f"{figure(best)} to {figure(worst)}"
+
+
+def _agreeing(tuned: Tuned) -> str:
+    best = tuned.spread[0]
+    close = sum(r.refined <= 1.01 * best for r in tuned.restarts)
+    return f"{close} of {len(tuned.restarts)}"
+
+
+_HOW_ROWS: tuple[tuple[str, str, Callable[[Tuned], str]], ...] = (
+    ("Status", "", lambda t: t.status.value),
+    ("J of the settings as typed in", "", lambda t: figure(t.objective, 5)),
+    ("Digits typed in", "", lambda t: str(t.digits)),
+    ("J of the unrounded best", "", lambda t: figure(t.nominal, 5)),
+    ("Worst J near the settings", "", lambda t: f"{figure(t.worst, 5)} within ±{figure(100.0 * t.margin, 2)} %"),
+    ("J of the start", "", lambda t: figure(t.start_objective, 5)),
+    ("Guard margin", "%", lambda t: figure(t.guard_margin, 3)),
+    ("Slips of the valve", "", lambda t: f"{t.slips:,}"),
+    ("J over the restarts", "", _spread),
+    ("Restarts within 1 % of the best", "", _agreeing),
+    ("Simulations", "", lambda t: f"{t.evaluations:,}"),
+    ("NLPs solved", "", lambda t: f"{t.solves:,}"),
+    ("IPOPT iterations", "", lambda t: f"{t.iterations:,}"),
+    ("Seed", "", lambda t: str(t.seed)),
+    ("Settings on a bound", "", lambda t: "; ".join(on_bounds(t)) or "none"),
+    ("Bounds of Kc, Ti, Td", "", lambda t: "; ".join(_bound(p) for p in (t.bounds.Kc, t.bounds.Ti, t.bounds.Td))),
+)
+
+
+def _bound(pair: tuple[float, float]) -> str:
+    return setting(pair[0]) if pair[0] == pair[1] else f"{setting(pair[0])} to {setting(pair[1])}"

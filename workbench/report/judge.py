@@ -1,0 +1,140 @@
+"""What the report holds a case to be before it is told: unstable, not settled for good, on a bound, at odds with noise.
+
+Judgements on figures that are there already; nothing is simulated here.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from workbench.kpi.kpis import last_event, reversals, travel
+from workbench.model.experiment import Experiment, Ramp, Step
+from workbench.model.results import Tuned
+from workbench.model.study import CaseResult
+from workbench.report.words import given, setting
+
+__all__ = ["at_odds", "on_bounds", "quiet", "run_travel", "settling_band", "settling_doubt", "unstable"]
+
+BEYOND = 1e9  # EU: a PV that grows past this has left every plant
+LATE = 0.9  # share of the run after which an entry into the band is no settling
+NEAR = 2e-3  # relative distance within which a tuned parameter lies on its bound
+TAIL = 0.25  # last share of a run that is compared with the verdict without noise
+SHORTEST = 0.1  # share of a run that is enough for that, and that a change before it is left to die out
+MOVING = 3  # reversals of the stem from which a valve keeps moving
+
+
+def unstable(case: CaseResult) -> bool:
+    """Return whether the case's run grows past all measure."""
+    return not float(np.abs(case.run.pv).max()) <= BEYOND
+
+
+def quiet(experiment: Experiment | None) -> str:
+    """Return what the verdict on cycles leaves out of the experiment: "without noise", or "" where nothing."""
+    if experiment is None:
+        return ""
+    noise = experiment.noise is not None and experiment.noise.sd > 0.0
+    if noise and experiment.load_parts:
+        return "without noise and further disturbance"
+    return "without noise" if noise else "without further disturbance" if experiment.load_parts else ""
+
+
+def _band(case: CaseResult, experiment: Experiment) -> tuple[float, float] | None:
+    """Return the last step's time (s) and the band (EU) about the setpoint that counts as settled, or None."""
+    event = last_event(case.loop, experiment)
+    if event is None:
+        return None
+    if not math.isnan(event.band):
+        return event.at, event.band
+    error = (case.run.sp - case.run.pv)[case.run.time >= event.at - 1e-9]
+    return event.at, 0.02 * float(np.abs(error).max(initial=0.0))
+
+
+def settling_band(case: CaseResult, experiment: Experiment | None) -> str:
+    """Return the settling time's band in words, "" where there is none."""
+    event = None if experiment is None else last_event(case.loop, experiment)
+    if event is None:
+        return ""
+    if math.isnan(event.band):
+        return "into ±2 % of the largest error"
+    return f"into ±{given(event.band, 2)} EU"
+
+
+def settling_doubt(case: CaseResult, experiment: Experiment | None) -> str:
+    """Return why a finite settling time is not one to go by, or ""."""
+    value = case.run.kpis.settling_time
+    held = None if experiment is None else _band(case, experiment)
+    if experiment is None or held is None or not math.isfinite(value):
+        return ""
+    at, band = held
+    cycle = case.limit_cycle
+    if cycle is not None and cycle.outcome == "cycles":
+        error = max(0.5 * cycle.pv_peak_to_peak, math.sqrt(cycle.mean_square_error))
+        if error > band:
+            return "not for good: it cycles"
+    return "only at the run's end" if at + value > LATE * experiment.duration else ""
+
+
+def on_bounds(tuned: Tuned) -> list[str]:
+    """Return which tuned parameters lie on a bound that could be wider: "Kc on its upper bound of 10 %/EU"."""
+    parallel = tuned.controller.form == "parallel"
+    units = {"Kc": "%/EU", "Ti": "EU s/%" if parallel else "s", "Td": "% s/EU" if parallel else "s"}
+    out = []
+    for name, unit in units.items():
+        value, (low, high) = getattr(tuned.controller, name), getattr(tuned.bounds, name)
+        if low == high:
+            continue
+        for which, end in (("lower", low), ("upper", high)):
+            if end > 0.0 and abs(value - end) <= NEAR * end:
+                out.append(f"{name} on its {which} bound of {setting(end)} {unit}")
+    return out
+
+
+def _tail(case: CaseResult, experiment: Experiment) -> tuple[int, int] | None:
+    """Return the samples [first, stop) of the run's last quarter after the last change, or None if too few."""
+    last = 0.0
+    for part in (*experiment.setpoint_parts, *experiment.load_parts):
+        if isinstance(part, Step):
+            last = max(last, part.at)
+        elif isinstance(part, Ramp):
+            last = max(last, part.end)
+        elif part.times is not None:
+            last = max(last, part.times[-1])
+        else:
+            last = max(last, (len(part.values) - 1) * case.loop.sample_time)
+    # A change needs time to die out, or its own answer would be taken for the loop's lasting motion.
+    start = max((1.0 - TAIL) * experiment.duration, last + SHORTEST * experiment.duration if last > 0.0 else 0.0)
+    if experiment.duration - start < SHORTEST * experiment.duration:
+        return None
+    first = math.ceil(start / case.loop.sample_time - 1e-9)
+    return (first, case.run.valve.size) if 0 < first < case.run.valve.size else None
+
+
+def run_travel(case: CaseResult, experiment: Experiment | None) -> float:
+    """Return the valve's travel an hour (%) over the last quarter of the run itself; nan where that says nothing."""
+    part = None if experiment is None else _tail(case, experiment)
+    if part is None or unstable(case):
+        return math.nan
+    first, stop = part
+    moved = travel(case.run.valve[first:stop], float(case.run.valve[first - 1]))
+    return 3600.0 * moved / ((stop - first) * case.loop.sample_time)
+
+
+def at_odds(case: CaseResult, experiment: Experiment | None) -> bool:
+    """Return whether the run, with its noise or load, shows another motion of the valve than the verdict without."""
+    cycle = case.limit_cycle
+    part = None if experiment is None or not quiet(experiment) else _tail(case, experiment)
+    if cycle is None or part is None or unstable(case):
+        return False
+    first, stop = part
+    moving = reversals(case.run.valve[first:stop], float(case.run.valve[first - 1])) >= MOVING
+    if cycle.outcome == "settles":
+        return moving
+    if cycle.outcome != "cycles":
+        return False
+    rate = run_travel(case, experiment)
+    if rate > 2.0 * cycle.travel_per_hour:
+        return moving
+    long = (stop - first) * case.loop.sample_time >= 2.0 * cycle.period
+    return long and rate < 0.5 * cycle.travel_per_hour
