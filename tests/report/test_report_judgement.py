@@ -69,9 +69,7 @@ def test_a_verdict_without_noise_is_not_told_of_a_noisy_run(study: Study, cycle:
     rate = words.figure(run_travel(case, experiment), 3)
     summary = summarise(of(study, case, experiment=experiment))
     assert "Case 1: without noise the loop comes to rest." in summary.found
-    moving = (
-        f"Case 1: the run itself shows otherwise, over its last quarter the valve keeps moving, by {rate} % an hour."
-    )
+    moving = f"Case 1: the run itself shows otherwise, late in it the valve keeps moving, by {rate} % an hour."
     assert moving in summary.found
     assert any(f"comes to rest without noise; in the run itself the valve travels {rate} %" in t for t in summary.do)
 
@@ -82,7 +80,7 @@ def test_a_verdict_without_noise_is_not_told_of_a_noisy_run(study: Study, cycle:
     assert any(f"travels {rate} % an hour, not 8.06 %." in t for t in summary.found)
     assert any("the cycle remains (without noise)" in t and f"in the run itself {rate} %" in t for t in summary.do)
     rows = {r.label: r.cells[0].text for r in cycle_tables(told)[0].rows}
-    assert rows["The run's last quarter: valve travel an hour"] == rate
+    assert rows["Late in the run itself: valve travel an hour"] == rate
 
 
 def test_the_answer_to_a_late_load_is_not_taken_for_lasting_motion(study: Study, cycle: Make) -> None:

@@ -20,7 +20,7 @@ __all__ = ["at_odds", "on_bounds", "quiet", "run_travel", "settling_band", "sett
 BEYOND = 1e9  # EU: a PV that grows past this has left every plant
 LATE = 0.9  # share of the run after which an entry into the band is no settling
 NEAR = 2e-3  # relative distance within which a tuned parameter lies on its bound
-TAIL = 0.25  # last share of a run that is compared with the verdict without noise
+TAIL = 0.5  # last share of a run that is compared with the verdict without noise
 SHORTEST = 0.1  # share of a run that is enough for that, and that a change before it is left to die out
 MOVING = 3  # reversals of the stem from which a valve keeps moving
 
@@ -92,7 +92,7 @@ def on_bounds(tuned: Tuned) -> list[str]:
 
 
 def _tail(case: CaseResult, experiment: Experiment) -> tuple[int, int] | None:
-    """Return the samples [first, stop) of the run's last quarter after the last change, or None if too few."""
+    """Return the samples [first, stop) of the second half, once the last change has died out, or None if too few."""
     last = 0.0
     for part in (*experiment.setpoint_parts, *experiment.load_parts):
         if isinstance(part, Step):
@@ -112,7 +112,7 @@ def _tail(case: CaseResult, experiment: Experiment) -> tuple[int, int] | None:
 
 
 def run_travel(case: CaseResult, experiment: Experiment | None) -> float:
-    """Return the valve's travel an hour (%) over the last quarter of the run itself; nan where that says nothing."""
+    """Return the valve's travel an hour (%) in the run's second half, after its last change; nan where unknown."""
     part = None if experiment is None else _tail(case, experiment)
     if part is None or unstable(case):
         return math.nan

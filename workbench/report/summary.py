@@ -248,7 +248,7 @@ def _noisy_sentences(study: Study) -> list[str]:
         if cycle is None or not at_odds(case, study.experiment):
             continue
         rate = figure(run_travel(case, study.experiment), 3)
-        text = f"{case.name}: the run itself shows otherwise, over its last quarter the valve"
+        text = f"{case.name}: the run itself shows otherwise, late in it the valve"
         if cycle.outcome == "settles":
             told.append(f"{text} keeps moving, by {rate} % an hour.")
         else:

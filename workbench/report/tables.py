@@ -394,7 +394,7 @@ def cycle_tables(study: Study) -> list[Table]:
             end = next((i for i, row in enumerate(rows) if row.label == "Describing function"), len(rows))
             rates = [figure(run_travel(c, study.experiment), 3) for c in block]
             if any(rate != "–" for rate in rates):
-                title = "The run's last quarter: valve travel an hour"
+                title = "Late in the run itself: valve travel an hour"
                 rows.insert(end, Row(title, "%", tuple(Cell(rate) for rate in rates)))
         tables.append(Table(tuple(c.name for c in block), tuple(rows)))
     return tables
