@@ -232,6 +232,29 @@ def test_ctrl_c_at_once_still_returns_a_controller() -> None:
     assert tuned.objective == exact(tuned)
 
 
+def test_a_parameter_on_its_bound_is_said(pi) -> None:
+    loop = replace(START, valve=wb.Ideal(), controller=replace(START.controller, Kc=0.1))
+    tuned = wb.tune(loop, SHORT, bounds=wb.Bounds(Kc=(0.0, 0.1), Ti=(20.0, 20.0), Td=(0.0, 0.0)), restarts=1)
+    assert tuned.controller.Kc == 0.1
+    assert "Kc ends on its upper bound (0.1): wider bounds may" in tuned.message
+    assert "Ti ends" not in tuned.message
+    assert "Td ends" not in tuned.message
+    assert "bound" not in pi.message
+
+
+def test_a_pid_search_is_no_worse_than_the_pi_within_its_bounds() -> None:
+    # A level loop where derivative does not help: the best tuning lies on the face Td = 0.
+    pid = wb.PID(4.0, 600.0, form="series", derivative_on="pv", action="direct")
+    loop = wb.Loop(wb.Integrating(-0.002, 12.5), wb.Choudhury(5.0, 1.5), pid, 5.0)
+    task = wb.Experiment(3000.0, wb.Ramp(6.0, 300.0, 900.0), wb.Step(3.0, 1500.0), wb.Noise(0.1, 7))
+    weights = wb.Objective(w1=0.5, w3=0.5, w4=0.1)
+    ends = wb.Bounds(Kc=(0.2, 10.0), Ti=(60.0, 3600.0), Td=(0.0, 0.0))
+    plain = wb.tune(loop, task, weights, ends, restarts=1)
+    full = wb.tune(loop, task, weights, replace(ends, Td=(0.0, 120.0)), restarts=1)
+    assert full.worst <= 1.003 * plain.worst
+    assert full.controller.Td == 0.0 or full.controller.Td >= 0.02 * 5.0
+
+
 def test_the_time_limit_returns_the_best_so_far() -> None:
     tuned = wb.tune(START, SHORT, bounds=PI, time_limit=1e-6)
     assert tuned.status is wb.SolveStatus.TIME_LIMIT

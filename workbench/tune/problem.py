@@ -57,6 +57,11 @@ class Problem:
         self._offsets = _offsets(np.random.default_rng(0), SPARSE)
         self._dense = _offsets(np.random.default_rng(1), DENSE)
 
+    def without_derivative(self) -> Problem:
+        """Return the same problem with Td held at 0; it counts for itself."""
+        bounds = replace(self.bounds, Td=(0.0, 0.0))
+        return Problem(self.loop, self.experiment, self.objective, bounds, self.digits, self.margin)
+
     # Costs.
 
     def exact(self, tunings: FloatArray) -> FloatArray:

@@ -2,7 +2,8 @@
 
 1. Several seeded searches for the least J of eq. (2); 2. branch programs on the best distinct sequences of decisions
 and their neighbours; 3. a joint search, from all of these, for the least *worst* J within the parameters' digits,
-because the best nominal tunings sit on cliffs; 4. rounding, and the same search on the rounded numbers themselves.
+because the best nominal tunings sit on cliffs, and the same without derivative where the bounds allow both;
+4. rounding, and the same search on the rounded numbers themselves.
 Every J that is reported is an exact simulation of the numbers that are reported.
 """
 
@@ -151,7 +152,7 @@ def tune(
         controller=problem.controller(chosen.tuning),
         objective=chosen.cost,
         status=status,
-        message=_message(problem, found, note, solves),
+        message=_message(problem, found, note, solves, chosen.tuning),
         digits=digits,
         nominal=min(found.least(), chosen.cost) if found.costs else chosen.cost,
         worst=chosen.worst,
@@ -246,6 +247,32 @@ def _search(
         found.restarts.append(Restart(k, scanned, best, evaluations, refined.solves, refined.iterations))
     tell("worst case within the digits", 0.55)
     found.joint = _joint(problem, np.concatenate(pool), np.random.default_rng([seed, restarts]), scale, check_time)
+    if problem.low[2] == 0.0 and 2 in problem.free and problem.free.size > 1:
+        # In three dimensions a search seldom ends with no derivative at all, where often the best tuning lies.
+        tell("without derivative", 0.8)
+        _search_face(
+            problem, found, np.concatenate(pool), np.random.default_rng([seed, restarts + 1]), scale, check_time
+        )
+
+
+def _search_face(
+    problem: Problem,
+    found: _Found,
+    pool: FloatArray,
+    rng: np.random.Generator,
+    scale: float,
+    check_time: Callable[[], None],
+) -> None:
+    """Scan and search the worst case where Td = 0, the face of the bounds, as if that had been asked for."""
+    face = problem.without_derivative()
+    try:
+        tunings, costs = _scan(face, rng, scale, check_time)
+        found.add(tunings, costs)
+        start = np.concatenate([tunings, pool * np.array([1.0, 1.0, 0.0])])
+        found.joint = np.concatenate([found.joint, _joint(face, start, rng, scale, check_time)])
+    finally:
+        problem.evaluations += face.evaluations
+        problem.simulated += face.simulated
 
 
 def _scan(
@@ -335,8 +362,14 @@ def _quick(problem: Problem, found: _Found) -> Choice:
     return Choice(best, float(problem.exact(best[None, :])[0]), float(worst.min()))
 
 
-def _message(problem: Problem, found: _Found, note: str, solves: int) -> str:
+def _message(problem: Problem, found: _Found, note: str, solves: int, tuning: FloatArray) -> str:
     parts = [note] if note else []
+    for k in problem.free:
+        low, high, value = float(problem.low[k]), float(problem.high[k]), float(tuning[k])
+        # Td = 0 is a choice, a PI controller, and no end of a range to be widened.
+        if value >= high * (1.0 - 1e-9) or (value <= low * (1.0 + 1e-9) and not (NAMES[k] == "Td" and low == 0.0)):
+            which = "upper" if value >= high * (1.0 - 1e-9) else "lower"
+            parts.append(f"{NAMES[k]} ends on its {which} bound ({value:g}): wider bounds may give a better tuning")
     if problem.free.size == 0:
         parts.append("all parameters are fixed")
     elif not usable(problem):

@@ -19,6 +19,9 @@ __all__ = ["Choice", "choose", "stem_guard"]
 
 # Steps of the last search, in units of the last digit.
 STEPS = (64, 16, 4, 1)
+# A derivative time below this many sample times does nothing but look odd; it is left out where the worst case grows by
+# less than NO_LOSS without it.
+NEGLIGIBLE, NO_LOSS = 0.02, 1e-3
 # At most this many rounds for each step: each round improves the worst case, so this is only a guard.
 ROUNDS = 50
 
@@ -36,20 +39,29 @@ def choose(problem: Problem, candidates: FloatArray, *, stop: Callable[[], bool]
     """Return the rounded tuning of the least worst case near the candidates, shape (M, 3), M >= 1.
 
     Every candidate is rounded and judged by a dense sample of its neighbourhood; the best is then improved step by
-    step on the lattice of its digits. A candidate with a tiny derivative is also judged without it.
+    step on the lattice of its digits. A candidate with a negligible derivative is also judged without it, and its
+    derivative is left out where that costs next to nothing.
     """
     tried = problem.rounded(candidates)
     if problem.low[2] == 0.0:
-        small = tried[tried[:, 2] < 0.02 * problem.loop.sample_time]
+        small = tried[tried[:, 2] < NEGLIGIBLE * problem.loop.sample_time]
         tried = np.concatenate([tried, small * np.array([1.0, 1.0, 0.0])])
     tried = np.unique(tried, axis=0)
     worst = np.concatenate([problem.worst_below(row[None, :], np.array([np.inf]), dense=True) for row in tried])
     order = np.argsort(worst, kind="stable")
     results = []
-    for index in order[:3]:
+    plain = order[tried[order, 2] == 0.0][:1]
+    for index in dict.fromkeys([*order[:3].tolist(), *plain.tolist()]):
         best, value = _improved(problem, tried[index], float(worst[index]), stop)
         results.append((value, float(problem.exact(best[None, :])[0]), best))
-    value, cost, tuning = min(results, key=lambda item: item[:2])
+    least = min(item[0] for item in results)
+    # Worst cases that are as good as equal leave the choice to J itself.
+    near = [item for item in results if item[0] <= (1.0 + NO_LOSS) * least] or results
+    value, cost, tuning = min(near, key=lambda item: (item[1], item[0]))
+    if problem.low[2] == 0.0 and tuning[2] < NEGLIGIBLE * problem.loop.sample_time:
+        without = min((item for item in results if item[2][2] == 0.0), key=lambda item: item[:2], default=None)
+        if without is not None and without[0] <= (1.0 + NO_LOSS) * value:
+            value, cost, tuning = without
     return Choice(tuning, cost, value)
 
 
