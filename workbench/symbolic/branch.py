@@ -126,16 +126,25 @@ class BranchProgram:
         self._solver = Solver(nlp, options)
 
     def solve(
-        self, decisions: Decisions, tuning: tuple[float, float, float], guard: float, *, relaxed: bool = False
+        self,
+        decisions: Decisions,
+        tuning: tuple[float, float, float],
+        guard: float,
+        *,
+        relaxed: bool = False,
+        point: FloatArray | None = None,
     ) -> BranchSolution:
         """Solve for one sequence, started from the run that `tuning` makes with it.
 
         guard: the least distance (%) to keep from a stem decision. As many parameters can lead a run away from as many
         guards only: where more are nearer than that at the start, or `relaxed`, half of the start's own distance is
-        asked for instead. Never raises for a solve that fails.
+        asked for instead. point: values of the full space's variables to start from instead of that run, where the
+        tuning's run with these decisions would lead far away. Never raises for a solve that fails.
         """
         n = self.samples
         start, guards = self._space.start(tuning, decisions.motion, decisions.limit, decisions.undone)
+        if point is not None:
+            start, guards = point, {**guards, "lead": self._space.lead(point)}
         parts = [decisions.motion, decisions.limit, decisions.undone] if self.shape.limited else [decisions.motion]
         bounds = {
             name: (low / self._pu, high / self._pu)

@@ -295,6 +295,12 @@ class FullSpace:
         values = np.concatenate([self.at.numbers(tuning), z.T.ravel()])
         return values, {name: guards[k] for k, name in enumerate(GUARDS)}
 
+    def lead(self, values: FloatArray) -> FloatArray:
+        """Return u_k - x_{k-1} (%) of the variables' values, shape (N,)."""
+        z = values[self.at.size :].reshape(self.samples, len(self._names))
+        lead: FloatArray = (z[:, 1] - np.append(0.0, z[:-1, 2])) * self.size[1]
+        return lead
+
     def _scaled(self, terms: dict[str, Any]) -> dict[str, Any]:
         """Return the controller's terms in scaled units: gains are % per EU."""
         return {name: value * self._unit if name in ("kc", "ki", "kd") else value for name, value in terms.items()}

@@ -174,7 +174,7 @@ class _Point:
 
     @property
     def worst(self) -> float:
-        worst = max(self.step.residual, self.step.complementarity)
+        worst = float(np.maximum(self.step.residual, self.step.complementarity))
         return worst if math.isfinite(worst) else math.inf
 
 
@@ -202,7 +202,7 @@ class RelaxedSolver:
             replace(group, expression=e) for group, e in zip(nlp.groups, rest[: len(nlp.groups)], strict=True)
         )
         G, H = rest[len(nlp.groups) :: 2], rest[len(nlp.groups) + 1 :: 2]
-        self._judge = ca.Function("judge", [nlp.x, p], [f, ca.vertcat(*(g.expression for g in groups)), *G, *H])
+        self._judge = ca.Function("judge", [nlp.x, p], [f, *G, *H])
         base = replace(nlp, objective=f, groups=groups, parameters=p)
         self._relaxed = Solver(_relaxed(base, problem.pairs, G, H, p[self._own], self._homotopy.relaxation), options)
         sided = tuple(Group(_side(pair, "G"), g) for pair, g in zip(problem.pairs, G, strict=True)) + tuple(
@@ -253,20 +253,20 @@ class RelaxedSolver:
     def _judged(self, result: NlpResult, p: FloatArray, sigma: float) -> _Point:
         """The step as the problem itself sees its end point."""
         pairs, names = self._problem.pairs, {group.name for group in self._problem.nlp.groups} | {"bounds"}
-        f, _, *sides = (np.asarray(part, dtype=np.float64).ravel() for part in self._judge.call([result.x, p]))
+        f, *sides = (np.asarray(part, dtype=np.float64).ravel() for part in self._judge.call([result.x, p]))
         residuals = {name: worst for name, worst in result.residuals.items() if name in names}
         nearer: dict[str, NDArray[np.bool_]] = {}
         product = 0.0
         for k, pair in enumerate(pairs):
             G, H = sides[k], sides[len(pairs) + k]
             residuals[pair.name] = float(np.maximum(-np.minimum(G, H), 0.0).max(initial=0.0))
-            product = max(product, float(np.abs(G * H).max(initial=0.0)))
+            product = float(np.maximum(product, np.abs(G * H).max(initial=0.0)))
             nearer[pair.name] = G <= H
         step = HomotopyStep(
             sigma=sigma,
             status=result.status,
             iterations=result.iterations,
-            residual=max(residuals.values()),
+            residual=float(np.max(list(residuals.values()))),
             complementarity=product,
             objective=float(f[0]),
             wall_time=result.wall_time,

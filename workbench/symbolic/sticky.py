@@ -27,8 +27,9 @@ from workbench.symbolic.solve import Group, IpoptOptions, Nlp, Values
 
 __all__ = ["HOMOTOPY", "OPTIONS", "StickyProgram", "StickySolution", "relaxed"]
 
-HOMOTOPY = Homotopy("fischer_burmeister", finish=False)
-OPTIONS = IpoptOptions(tolerance=1e-8, max_iterations=200, max_wall_time=30.0)
+# Fischer-Burmeister's rows are equations: with so few inequalities left a small barrier lets IPOPT take Newton's steps.
+HOMOTOPY = Homotopy("fischer_burmeister", (1.0, 0.1, 1e-2, 1e-4, 1e-6, 1e-8), finish=False)
+OPTIONS = IpoptOptions(tolerance=1e-6, max_iterations=100, max_wall_time=120.0, barrier=1e-3, push=1e-4, scaling="none")
 
 
 def relaxed(problem: Mpcc) -> MpccSolver:
@@ -40,12 +41,14 @@ def relaxed(problem: Mpcc) -> MpccSolver:
 class StickySolution:
     """What one solve suggests: a tuning (Kc, Ti, Td) within the bounds and the rounded sequence of decisions.
 
-    claim: J as the program has it, which exact simulation of the tuning does not confirm.
+    claim: J as the program has it, which exact simulation of the tuning does not confirm. point: the variables of the
+    full space at its end.
     """
 
     tuning: tuple[float, float, float]
     decisions: Decisions
     claim: float
+    point: FloatArray
     result: MpccResult
 
 
@@ -111,5 +114,6 @@ class StickyProgram:
             tuning=space.at.tuning(result.x[: space.at.size]),
             decisions=Decisions(motion, none, none),
             claim=result.objective * self._reference,
+            point=result.x[: start.size],
             result=result,
         )
