@@ -13,7 +13,8 @@ import workbench as wb
 from workbench.simulate import kernel
 from workbench.simulate.coefficients import coefficients
 from workbench.simulate.run import evaluate, signals, simulate
-from workbench.symbolic.branch import BranchProgram, Coordinates, Decisions
+from workbench.symbolic.branch import BranchProgram, Decisions
+from workbench.symbolic.full_space import Coordinates
 from workbench.symbolic.loop import COEFFICIENTS
 
 OBJECTIVE = wb.Objective(w1=0.5, w3=0.5, w4=0.02)

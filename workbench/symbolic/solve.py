@@ -84,6 +84,8 @@ class IpoptOptions:
         return {
             "print_time": False,
             "error_on_fail": False,
+            # A trial point where a function overflows is IPOPT's to reject, and no news for the user.
+            "show_eval_warnings": False,
             "ipopt": {
                 **ordering,
                 "print_level": 0,

@@ -7,7 +7,9 @@ from __future__ import annotations
 
 import heapq
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +25,7 @@ from workbench.symbolic.loop import COEFFICIENTS
 from workbench.symbolic.solve import held_interrupt
 from workbench.tune.problem import Problem
 
-__all__ = ["AGREEMENT", "Refined", "Refiner", "path", "usable"]
+__all__ = ["AGREEMENT", "Refined", "Refiner", "Seed", "path", "usable", "written"]
 
 # Claim and exact re-simulation of an accepted program agree to this, relative to J.
 AGREEMENT = 1e-9
@@ -37,8 +39,8 @@ FAILURES = 2
 WORTH = 1.5
 
 
-# J of the start, order of arrival, sequence, start, and whether the start's own run takes that sequence.
-_Waiting = tuple[float, int, bytes, FloatArray, bool]
+# J of the start, order of arrival, sequence, start, whether the start's own run takes that sequence, and variables.
+_Waiting = tuple[float, int, bytes, FloatArray, bool, FloatArray | None]
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,6 +51,19 @@ class Path:
     u: FloatArray
     x: FloatArray
     cost: float
+
+
+@dataclass(frozen=True, eq=False)
+class Seed:
+    """A sequence of decisions worth a branch program, the J that it promises, and where to start.
+
+    tuning: shape (3,); point: the program's variables, needed where the tuning's exact run takes another sequence.
+    """
+
+    decisions: Decisions
+    promise: float
+    tuning: FloatArray
+    point: FloatArray | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,23 +127,37 @@ def path(problem: Problem, tuning: FloatArray, flip: int | None = None) -> Path:
     return ended()
 
 
+class Written(NamedTuple):
+    """A problem as the symbolic programs take it: the law's numbers by name, and typical |PV| (EU) and |OP| (%)."""
+
+    law: dict[str, float]
+    size: tuple[float, float]
+
+
+def written(problem: Problem) -> Written:
+    """Return a problem's numbers for the symbolic programs."""
+    law = coefficients(problem.loop, problem.experiment.stem_offset)[0]
+    s = problem.signals
+    travel = max(float(np.abs(s.r).max()), float(np.abs(s.load).max()) * abs(law[kernel.GAIN]), 1e-12)
+    steady = abs(law[kernel.GAIN] * (law[kernel.C0] + law[kernel.C1]) / max(1.0 - law[kernel.POLE], 0.1))
+    size = (travel, max(problem.loop.valve.hold, travel / steady, 1e-12))
+    return Written({name: float(law[getattr(kernel, name)]) for name in COEFFICIENTS}, size)
+
+
 class Refiner:
     """Branch programs of one problem: compiled once, each sequence solved at most once over all restarts."""
 
     def __init__(self, problem: Problem, guard: float, reference: float) -> None:
         self._problem = problem
-        law = coefficients(problem.loop, problem.experiment.stem_offset)[0]
         valve = problem.loop.valve
         # Guard margins count in the valve's own mean of stick band and slip jump; a valve without any has no guards.
         self._guard = guard * (valve.stick_band + valve.slip_jump) / 2.0
         s = problem.signals
-        travel = max(float(np.abs(s.r).max()), float(np.abs(s.load).max()) * abs(law[kernel.GAIN]), 1e-12)
-        steady = abs(law[kernel.GAIN] * (law[kernel.C0] + law[kernel.C1]) / max(1.0 - law[kernel.POLE], 0.1))
-        size = (travel, max(valve.hold, travel / steady, 1e-12))
+        law, size = written(problem)
         with held_interrupt() as held:
             self._program = BranchProgram(
                 problem.loop,
-                {name: float(law[getattr(kernel, name)]) for name in COEFFICIENTS},
+                law,
                 s.r,
                 s.load,
                 s.noise,
@@ -142,11 +171,12 @@ class Refiner:
         self._strict = isinstance(valve, Stenman)
         self._seen: set[bytes] = set()
 
-    def refine(self, tunings: FloatArray, costs: FloatArray, budget: int) -> Refined:
+    def refine(self, tunings: FloatArray, costs: FloatArray, budget: int, seeds: Sequence[Seed] = ()) -> Refined:
         """Solve the programs of the best distinct sequences among scanned tunings, and of their neighbours.
 
-        tunings: shape (M, 3), costs: their J, shape (M,). At most `budget` solves, the most promising next. Raises
-        KeyboardInterrupt where a solve was interrupted.
+        tunings: shape (M, 3), costs: their J, shape (M,); seeds: further sequences, which the exact runs of their
+        tunings need not take. At most `budget` solves, the most promising next. Raises KeyboardInterrupt where a solve
+        was interrupted.
         """
         problem = self._problem
         queue: list[_Waiting] = []
@@ -159,7 +189,12 @@ class Refiner:
             key = branch.tobytes()
             if key not in self._seen:
                 self._seen.add(key)
-                heapq.heappush(queue, (float(costs[index]), waiting, key, tunings[index], True))
+                heapq.heappush(queue, (float(costs[index]), waiting, key, tunings[index], True, None))
+                waiting += 1
+        for seed in seeds:
+            if seed.decisions.key not in self._seen:
+                self._seen.add(seed.decisions.key)
+                heapq.heappush(queue, (seed.promise, waiting, seed.decisions.key, seed.tuning, False, seed.point))
                 waiting += 1
         found: list[FloatArray] = []
         values: list[float] = []
@@ -167,10 +202,10 @@ class Refiner:
         iterations = solves = 0
         failures = 0
         while queue and solves < budget and failures < FAILURES:
-            _, _, key, start, natural = heapq.heappop(queue)
+            _, _, key, start, natural, point = heapq.heappop(queue)
             decisions = Decisions.from_branch(np.frombuffer(key, dtype=np.int8))
             begin = (float(start[0]), float(start[1]), float(start[2]))
-            end = self._solved(decisions, begin)
+            end = self._solved(decisions, begin, point=point)
             solves += 1
             iterations += end.result.iterations
             if not end.result.status.success and natural and self._strict and solves < budget:
@@ -194,7 +229,7 @@ class Refiner:
                 if neighbour not in self._seen and across.cost <= WORTH * exact:
                     self._seen.add(neighbour)
                     waiting += 1
-                    heapq.heappush(queue, (across.cost, waiting, neighbour, tuning, False))
+                    heapq.heappush(queue, (across.cost, waiting, neighbour, tuning, False, None))
         best = sorted(range(len(values)), key=lambda i: (not accepted[i], values[i]))
         return Refined(
             tunings=np.array([found[i] for i in best]).reshape(-1, 3),
@@ -205,11 +240,16 @@ class Refiner:
         )
 
     def _solved(
-        self, decisions: Decisions, begin: tuple[float, float, float], *, relaxed: bool = False
+        self,
+        decisions: Decisions,
+        begin: tuple[float, float, float],
+        *,
+        relaxed: bool = False,
+        point: FloatArray | None = None,
     ) -> BranchSolution:
         """Solve one program. Raises KeyboardInterrupt where Ctrl-C came meanwhile."""
         with held_interrupt() as held:
-            end = self._program.solve(decisions, begin, self._guard, relaxed=relaxed)
+            end = self._program.solve(decisions, begin, self._guard, relaxed=relaxed, point=point)
         if held.asked or end.result.status is SolveStatus.INTERRUPTED:
             raise KeyboardInterrupt
         return end
