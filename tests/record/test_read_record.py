@@ -421,3 +421,13 @@ def test_the_real_records_are_read_whole() -> None:
 
 def test_the_size_limit_is_one_gibibyte() -> None:
     assert reader.LARGEST == 2**30
+
+
+def test_a_given_sample_time_replaces_that_of_a_clock_which_is_slightly_off(tmp_path):
+    path = tmp_path / "drift.csv"
+    rows = "".join(f"{k * 1.0001:.4f},{k % 7},{k % 5}\n" for k in range(50))
+    path.write_text("time,PV,OP\n" + rows)
+    assert read_record(path).sample_time == pytest.approx(1.0001)
+    record = read_record(path, sample_time=1.0)
+    assert record.sample_time == 1.0
+    assert any("as given" in note for note in record.notes)

@@ -175,7 +175,7 @@ def test_random_loops_end_verified_within_bounds_and_digits(d, tau, theta, gain,
     assert tuned.objective == exact(tuned) <= tuned.worst
     assert PI.contains(tuned.controller)
     assert max(digits_of(tuned.controller.Kc), digits_of(tuned.controller.Ti)) <= digits
-    assert tuned.objective <= tuned.start_objective
+    assert tuned.nominal <= tuned.start_objective
 
 
 @pytest.mark.parametrize(
@@ -279,7 +279,7 @@ def test_a_loop_that_no_tuning_holds_ends_without_success() -> None:
     tuned = wb.tune(loop, wb.Experiment(1000.0, wb.Step(4.0)), bounds=bounds, restarts=1)
     assert tuned.status is wb.SolveStatus.DIVERGED
     assert math.isinf(tuned.objective)
-    assert "diverge" in tuned.message
+    assert "diverging" in tuned.message
 
 
 def test_long_records_are_tuned_without_branch_programs() -> None:
@@ -325,3 +325,19 @@ def test_the_papers_loop(bounds: wb.Bounds, target: float) -> None:
     assert tuned.wall_time <= time.perf_counter() - began
     # Three decisions in a thousand samples: the refinement slides along them where the scan is caught.
     assert tuned.controller.Td == 0.0 or any(r.refined < 0.99 * r.scanned for r in tuned.restarts)
+
+
+def test_a_loop_that_no_tuning_holds_is_not_called_solved() -> None:
+    loop = wb.Loop(wb.FOPDT(1.0, 5.0, 1.0), wb.Stenman(1.0), wb.PID(80.0, 0.1), sample_time=1.0)
+    bounds = wb.Bounds(Kc=(50.0, 100.0), Ti=(0.05, 0.2), Td=(0.0, 0.0))
+    tuned = wb.tune(loop, wb.Experiment(60.0, wb.Step(4.0)), bounds=bounds, restarts=1)
+    assert tuned.status is wb.SolveStatus.DIVERGED
+    assert "diverging" in tuned.message
+
+
+def test_the_door_names_what_is_no_objective() -> None:
+    loop = wb.Loop(wb.FOPDT(1.0, 5.0, 1.0), wb.Stenman(1.0), wb.PID(0.5, 20.0), sample_time=1.0)
+    with pytest.raises(wb.InvalidValue, match="must be an Objective"):
+        wb.tune(loop, wb.Experiment(60.0, wb.Step(4.0)), objective={"w1": 1.0})  # type: ignore[arg-type]
+    with pytest.raises(wb.InvalidValue, match="must be a Bounds"):
+        wb.tune(loop, wb.Experiment(60.0, wb.Step(4.0)), bounds={"Kc": (0, 1)})  # type: ignore[arg-type]

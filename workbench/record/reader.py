@@ -44,7 +44,8 @@ def read_record(
 
     path: of the file, at most 1 GiB. columns: which column is which signal ("time", "SP", "PV", "OP", "MODE",
     "valve_position"), where the usual spellings do not tell; only PV and OP are needed. sample_time: s, needed where
-    the file has no time column, and to agree with it within 1 % where it has one. PV keeps its unit, OP is in %.
+    the file has no time column; where it has one, taken in its place if both agree within 1 %. PV keeps its unit, OP
+    is in %.
 
     Returns a `Record` of the longest clean, evenly sampled stretch; its `notes` and `counts` (rows, kept, rejected,
     gaps ...) say what was left out. Times become seconds: as given, or from the first timestamp on. Raises
@@ -161,6 +162,9 @@ def _assemble(table: Table, names: Mapping[str, str], sample_time: float | None,
     Ts, start, jitter = _grid(clock, part)
     if jitter > 1e-6:
         notes.append(f"times differ from the even grid by up to {jitter:.1%} of the sample time; taken as even")
+    if sample_time is not None and sample_time != Ts:
+        notes.append(f"the sample time is taken as {sample_time:g} s, as given; the times show {Ts:.9g} s")
+        Ts = sample_time
     sp = _setpoint(table.columns.get("SP"), part, notes)
     valve = _stem(table.columns.get("valve_position"), part, notes)
     mode = table.columns["MODE"].texts if "MODE" in table.columns else None

@@ -179,7 +179,7 @@ def unit_of(values: FloatArray, digits: int) -> FloatArray:
 def round_to(values: FloatArray, digits: int, low: float, high: float) -> FloatArray:
     """Return values rounded to significant digits, as decimal text would be read; never outside [low, high].
 
-    Where rounding leaves the range, the next number inside is taken, or the end itself if there is none.
+    Where rounding leaves the range, the next number inside is taken, or the nearer end if there is none.
     """
     result = np.empty(values.size)
     for i, value in enumerate(values.tolist()):
@@ -187,7 +187,7 @@ def round_to(values: FloatArray, digits: int, low: float, high: float) -> FloatA
         if not low <= near <= high:
             unit = float(unit_of(np.array([value]), digits)[0])
             near = float(f"{near + (unit if near < low else -unit):.{digits - 1}e}")
-        result[i] = near if low <= near <= high else min(max(value, low), high)
+        result[i] = near if low <= near <= high else (low if value - low <= high - value else high)
     return result
 
 

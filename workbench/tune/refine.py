@@ -25,7 +25,7 @@ from workbench.symbolic.loop import COEFFICIENTS
 from workbench.symbolic.solve import held_interrupt
 from workbench.tune.problem import Problem
 
-__all__ = ["AGREEMENT", "Refined", "Refiner", "Seed", "path", "usable", "written"]
+__all__ = ["AGREEMENT", "Path", "Refined", "Refiner", "Seed", "path", "usable", "written"]
 
 # Claim and exact re-simulation of an accepted program agree to this, relative to J.
 AGREEMENT = 1e-9

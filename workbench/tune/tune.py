@@ -18,7 +18,7 @@ from types import MappingProxyType
 import numpy as np
 
 from workbench.errors import InvalidValue
-from workbench.model.checks import number, whole
+from workbench.model.checks import instance, number, whole
 from workbench.model.ensemble import Constraints, Ensemble
 from workbench.model.experiment import Experiment
 from workbench.model.loop import Loop
@@ -27,7 +27,7 @@ from workbench.model.results import Restart, SolveStatus, Tuned
 from workbench.model.tuning import Bounds, Objective
 from workbench.symbolic.solve import versions
 from workbench.tune.problem import NAMES, Problem
-from workbench.tune.refine import Refined, Refiner, path, usable
+from workbench.tune.refine import Path, Refined, Refiner, path, usable
 from workbench.tune.robust import tune_robust
 from workbench.tune.scan import OutOfTime, evolve, spread
 from workbench.tune.verify import Choice, choose, stem_guard
@@ -104,6 +104,10 @@ def tune(
     (but for times, and unless stopped by time). Raises `InvalidValue`.
     """
     objective, bounds = objective or Objective(), bounds or Bounds()
+    instance(loop, Loop, "loop", "a Loop")
+    instance(experiment, Experiment, "experiment", "an Experiment")
+    instance(objective, Objective, "objective", "an Objective or None")
+    instance(bounds, Bounds, "bounds", "a Bounds or None")
     _check(loop, bounds, seed, digits, restarts, guard, margin, time_limit)
     if not isinstance(robust, bool | Ensemble):
         raise InvalidValue("tune.robust", robust, "must be True, False or an Ensemble")
@@ -139,11 +143,11 @@ def tune(
     except OutOfTime:
         status, note = SolveStatus.TIME_LIMIT, f"stopped at the time limit of {time_limit:g} s; the best so far"
         chosen = _quick(problem, found)
-    if not math.isfinite(chosen.cost):
-        status, note = SolveStatus.DIVERGED, "every tuning within the bounds makes the loop diverge"
     tell("done", 1.0)
     solves = sum(r.solves for r in found.restarts)
     run = path(problem, chosen.tuning)
+    if status is SolveStatus.SOLVED and _runs_away(problem, run, chosen.cost):
+        status, note = SolveStatus.DIVERGED, "no tuning that was tried within the bounds keeps the loop from diverging"
     return Tuned(
         loop=loop,
         experiment=experiment,
@@ -168,6 +172,14 @@ def tune(
         wall_time=time.perf_counter() - began,
         versions=MappingProxyType(dict(versions())),
     )
+
+
+def _runs_away(problem: Problem, run: Path, cost: float) -> bool:
+    """Whether a run has left every bound: OP beyond a thousand million times what the experiment can ask of it."""
+    s = problem.signals
+    asked = float(np.abs(s.r).max()) / abs(problem.loop.plant.gain) + float(np.abs(s.load).max())
+    scale = max(asked, problem.loop.valve.hold, float(np.abs(s.noise).max()) / abs(problem.loop.plant.gain), 1e-12)
+    return not math.isfinite(cost) or float(np.abs(run.x).max()) > 1e9 * scale
 
 
 def _check(
