@@ -11,11 +11,21 @@ import numpy as np
 
 from workbench.kpi.kpis import last_event, reversals, travel
 from workbench.model.experiment import Experiment, Ramp, Step
-from workbench.model.results import Tuned
+from workbench.model.results import LimitCycle, Tuned
 from workbench.model.study import CaseResult
-from workbench.report.words import given, setting
+from workbench.report.words import figure, given, setting
 
-__all__ = ["at_odds", "on_bounds", "quiet", "run_travel", "settling_band", "settling_doubt", "unstable"]
+__all__ = [
+    "at_odds",
+    "on_bounds",
+    "over_starts",
+    "quiet",
+    "run_travel",
+    "settling_band",
+    "settling_doubt",
+    "span_words",
+    "unstable",
+]
 
 BEYOND = 1e9  # EU: a PV that grows past this has left every plant
 LATE = 0.9  # share of the run after which an entry into the band is no settling
@@ -26,8 +36,23 @@ MOVING = 3  # reversals of the stem from which a valve keeps moving
 
 
 def unstable(case: CaseResult) -> bool:
-    """Return whether the case's run grows past all measure."""
-    return not float(np.abs(case.run.pv).max()) <= BEYOND
+    """Return whether the case's run grows past all measure, or the long run that was followed does."""
+    if not float(np.abs(case.run.pv).max()) <= BEYOND:
+        return True
+    cycle = case.limit_cycle
+    return cycle is not None and cycle.outcome == "undecided" and "unstable" in cycle.starts[0].reason
+
+
+def over_starts(cycle: LimitCycle, name: str) -> tuple[float, float]:
+    """Return the least and largest of a figure over the starts that cycle: which one comes is chosen by the start."""
+    values = [float(getattr(start, name)) for start in cycle.starts if start.outcome == "cycles"]
+    return (min(values), max(values)) if values else (math.nan, math.nan)
+
+
+def span_words(pair: tuple[float, float]) -> str:
+    """Return "0.0278 to 0.98", or one figure where both ends agree within a tenth."""
+    low, high = pair
+    return figure(high, 3) if high <= 1.1 * low else f"{figure(low, 3)} to {figure(high, 3)}"
 
 
 def quiet(experiment: Experiment | None) -> str:

@@ -138,8 +138,9 @@ def _seeds(study: Study) -> str:
     parts = ["no noise was drawn" if noise is None else f"noise {noise.seed}"]
     for case in study.cases:
         if case.tuned is not None:
-            seeds = [str(r.seed) for r in case.tuned.restarts] or [str(case.tuned.seed)]
-            parts.append(f"search of {case.name} {', '.join(seeds)}")
+            many = len(case.tuned.restarts)
+            searches = f" ({many} searches)" if many > 1 else ""
+            parts.append(f"search of {case.name} {case.tuned.seed}{searches}")
     return "; ".join(parts)
 
 

@@ -226,7 +226,7 @@ def results_content(study: Study) -> dict[str, Any]:
         "objective": None if study.objective is None else _plain(study.objective),
         "seeds": {
             "noise": None if noise is None else noise.seed,
-            "tuning": {t["name"]: [r["seed"] for r in t["restarts"]] or [t["seed"]] for t in tuning},
+            "tuning": {t["name"]: t["seed"] for t in tuning},
         },
         "cases": [_case(c) for c in study.cases],
         "estimate": estimates[0] if estimates else None,
