@@ -362,16 +362,18 @@ def _range(option: str, text: str, read: Callable[[object], float]) -> tuple[flo
 
 
 def _weights(text: str) -> Objective:
-    from workbench.model.tuning import Objective
+    from workbench.model.tuning import WEIGHABLE, Objective
     from workbench.scenario import units
 
-    weights = dict.fromkeys(("w1", "w2", "w3", "w4"), 0.0)
+    weights = dict.fromkeys(("w1", "w2", "w3", "w4", *WEIGHABLE), 0.0)
     for part in text.split(","):
         name, sign, value = (piece.strip() for piece in part.partition("="))
         if name not in weights or not sign:
-            raise InvalidValue("--objective", text, "must be weights such as w1=0.5,w3=0.5 (of w1, w2, w3, w4)")
+            allowed = f"must be weights such as w1=0.5,w3=0.5, of {', '.join(weights)}"
+            raise InvalidValue("--objective", text, allowed)
         weights[name] = _quantity("--objective", value, units.bare)
-    return Objective(**weights)
+    w1, w2, w3, w4 = (weights.pop(name) for name in ("w1", "w2", "w3", "w4"))
+    return Objective(w1, w2, w3, w4, weights)
 
 
 def _writable(folder: Path) -> None:

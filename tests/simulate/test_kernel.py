@@ -11,8 +11,9 @@ from loops import experiments, independent_simulation, loops, paper_loop, paper_
 
 import workbench as wb
 from workbench.simulate import kernel
+from workbench.simulate.batch import sums
 from workbench.simulate.coefficients import coefficients
-from workbench.simulate.run import cost_terms, rest, signals, valve_response
+from workbench.simulate.run import rest, signals, valve_response
 
 
 def run_rows(loop, experiment, run_loop=kernel.run_loop):
@@ -72,7 +73,7 @@ def test_cost_terms_are_those_of_the_trajectory(loop, experiment):
     J = wb.evaluate(loop, experiment, wb.Objective(w1=0.3, w2=0.2, w3=0.7, w4=0.1))
     assert J.shape == (1,)
     np.testing.assert_allclose(J[0], expected, rtol=1e-12)
-    terms = cost_terms(coefficients(loop), [s])[0]
+    terms = sums(coefficients(loop), s)[0]
     np.testing.assert_allclose(terms[4] / run.pv.size, run.kpis.mean_square_error, rtol=1e-12)
     np.testing.assert_allclose(terms[5], run.kpis.valve_travel, rtol=1e-12)
 

@@ -142,7 +142,7 @@ def test_interruptions_return_the_best_so_far():
     [
         ({"robust": "yes"}, "tune.robust"),
         ({"robust": True, "constraints": {"max_sensitivity": 2.0}}, "tune.constraints"),
-        ({"constraints": wb.Constraints(2.0)}, "tune.constraints"),
+        ({"robust": True, "nominal": True}, "tune.nominal"),
     ],
 )
 def test_wrong_options_are_refused(wrong, where):

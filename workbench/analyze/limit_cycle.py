@@ -15,7 +15,8 @@ from workbench.model.experiment import Experiment
 from workbench.model.loop import Loop
 from workbench.model.plant import FOPDT
 from workbench.model.results import LimitCycle, LimitCycleStart
-from workbench.simulate.run import Signals, signals
+from workbench.simulate.run import signals
+from workbench.simulate.signals import Signals
 
 __all__ = ["limit_cycle", "standard_starts"]
 

@@ -21,7 +21,8 @@ from workbench.model.results import LimitCycleStart
 from workbench.model.valve import Stenman
 from workbench.simulate import kernel
 from workbench.simulate.coefficients import coefficients
-from workbench.simulate.run import Signals, rest
+from workbench.simulate.run import rest
+from workbench.simulate.signals import Signals
 
 __all__ = ["BUDGET", "Start", "follow"]
 

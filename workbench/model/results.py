@@ -97,6 +97,10 @@ class Run:
     kpis: Kpis
 
 
+# Worst J within the margin over J itself, above which a tuning is a knife-edge.
+KNIFE_EDGE = 1.05
+
+
 class SolveStatus(Enum):
     """How a solve ended; the one vocabulary for every solver in the project."""
 
@@ -107,6 +111,7 @@ class SolveStatus(Enum):
     TIME_LIMIT = "time limit"
     DIVERGED = "diverged"
     FAILED = "failed"
+    EVALUATION_LIMIT = "evaluation limit"
     UNVERIFIED = "not verified by exact re-simulation"
     INTERRUPTED = "interrupted"
 
@@ -222,6 +227,19 @@ class Robustness:
         return float(self.valve_travel.mean())
 
 
+@dataclass(frozen=True, slots=True)
+class DigitStep:
+    """What one unit of a parameter's last digit does: its name, that unit, and J with one unit less and one more.
+
+    nan where the bounds leave no room on that side.
+    """
+
+    name: str
+    unit: float
+    below: float
+    above: float
+
+
 @dataclass(frozen=True, eq=False)
 class Tuned:
     """A tuning and how it was found.
@@ -230,7 +248,9 @@ class Tuned:
     to type in. objective: J of exactly that controller by exact simulation; nominal: J of the unrounded best;
     worst: the worst J when each parameter moves by up to the larger of the relative `margin` and half a last digit.
     start_objective: J of the loop's own controller. guard_margin: the least distance (%) of the trajectory to a
-    stick/slip decision.
+    stick/slip decision; slips: how many samples the stem moves in, the length of its sequence of decisions. steps: J at
+    one unit of the last digit more and less of each free parameter. nominal_only: J itself was minimised, not its worst
+    case.
 
     A robust tuning minimises `ensemble.statistic` of J over the ensemble's draws: objective, nominal, worst,
     start_objective and the restarts are that statistic then, while guard_margin and slips are of the experiment's run.
@@ -264,6 +284,19 @@ class Tuned:
     constraints: Constraints | None = None
     robustness: Robustness | None = None
     start_robustness: Robustness | None = None
+    steps: tuple[DigitStep, ...] = ()
+    nominal_only: bool = False
+
+    @property
+    def agreeing(self) -> int:
+        """How many of the restarts ended within 0.1 % of the best of them."""
+        best = self.spread[0]
+        return sum(r.refined <= best + 1e-3 * abs(best) for r in self.restarts)
+
+    @property
+    def knife_edge(self) -> bool:
+        """Whether J grows by more than a twentieth within the margin: what is gained is lost by a small slip."""
+        return self.worst > KNIFE_EDGE * self.objective
 
     @property
     def spread(self) -> tuple[float, float]:

@@ -1,15 +1,32 @@
-"""What is asked of a tuning: the objective of the paper's eq. (2) and the bounds of its parameters."""
+"""What is asked of a tuning: the objective, eq. (2) of the paper and figures of the run, and the parameters' bounds."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 from workbench.errors import InvalidValue
-from workbench.model.checks import number, ordered_pair
+from workbench.model.checks import choice, number, ordered_pair
 from workbench.model.controller import PID
 
-__all__ = ["Bounds", "Objective"]
+__all__ = ["WEIGHABLE", "Bounds", "Objective"]
+
+
+# The figures of `Kpis` that an objective can weigh: sums, variances and a standard deviation. The others say nothing
+# about a loop that goes on cycling: they are infinite, or hang on the window's last sample.
+WEIGHABLE = (
+    "error_variance",
+    "mean_square_error",
+    "op_variance",
+    "valve_variance",
+    "valve_travel",
+    "controller_travel",
+    "reversals",
+    "iae",
+    "ise",
+    "pv_sd",
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -19,24 +36,46 @@ class Objective:
     `J = sum_{k=1..N} w1 (r_k - y_k)^2 + sum_{k=0..N-1} [w2 u_k^2 + w4 (u_k - u_{k-1})^2] + w3 (r_N - y_N)^2`.
 
     Plain sums over samples; y measured (with noise), u the limited output in deviation, bias included. Eq. (2) of the
-    paper has w4 = 0; its Cases 4 and 5 have w1 = w3 = 0.5, w2 = 0. Raises `InvalidValue`.
+    paper has w4 = 0; its Cases 4 and 5 have w1 = w3 = 0.5, w2 = 0.
+
+    kpis: weights of figures of the whole run, added to J, each in its own unit as `Kpis` defines it; a mapping or pairs
+    of names out of `WEIGHABLE` and weights. `Objective.of(iae=1.0)` weighs figures alone. Raises `InvalidValue`.
     """
 
     w1: float = 0.5
     w2: float = 0.0
     w3: float = 0.5
     w4: float = 0.0
+    kpis: Mapping[str, float] | tuple[tuple[str, float], ...] = ()
 
     def __post_init__(self) -> None:
         for name in ("w1", "w2", "w3", "w4"):
             object.__setattr__(self, name, number(getattr(self, name), f"Objective.{name}", least=0.0))
-        if self.w1 + self.w2 + self.w3 + self.w4 == 0.0:
-            raise InvalidValue("Objective", "all weights 0", "at least one of w1, w2, w3, w4 must be above 0")
+        given = _pairs(self.kpis)
+        for name in given:
+            choice(name, "Objective.kpis", WEIGHABLE)
+            given[name] = number(given[name], f"Objective.kpis.{name}", least=0.0)
+        object.__setattr__(self, "kpis", tuple((name, given[name]) for name in WEIGHABLE if given.get(name, 0.0) > 0.0))
+        if self.w1 + self.w2 + self.w3 + self.w4 == 0.0 and not self.kpis:
+            raise InvalidValue("Objective", "all weights 0", "at least one of w1, w2, w3, w4 or kpis must be above 0")
+
+    @classmethod
+    def of(cls, **kpis: float) -> Objective:
+        """Return the objective that is a weighted sum of figures of the run and nothing else."""
+        return cls(w1=0.0, w3=0.0, kpis=tuple(kpis.items()))
 
     @property
     def weights(self) -> tuple[float, float, float, float]:
         """(w1, w2, w3, w4)."""
         return self.w1, self.w2, self.w3, self.w4
+
+
+def _pairs(kpis: object) -> dict[str, float]:
+    try:
+        pairs = dict(kpis)  # type: ignore[call-overload]
+    except (TypeError, ValueError):
+        raise InvalidValue("Objective.kpis", kpis, "must be weights by name, such as {'iae': 1.0}") from None
+    return dict(pairs)
 
 
 @dataclass(frozen=True, slots=True)

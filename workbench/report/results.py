@@ -25,6 +25,7 @@ from workbench.model.plant import FOPDT, Plant
 from workbench.model.results import DescribingFunction, Kpis, LimitCycle, Outcome, Repair, Tuned
 from workbench.model.rule import Rule
 from workbench.model.study import CaseResult, NamedEstimate, Study
+from workbench.model.tuning import Objective
 from workbench.model.valve import Valve
 from workbench.report.words import ROUNDING
 
@@ -58,6 +59,10 @@ def strict(value: Any) -> Any:
 
 def _plain(value: Any) -> dict[str, Any]:
     return {f.name: getattr(value, f.name) for f in fields(value)}
+
+
+def _weights(objective: Objective) -> dict[str, float]:
+    return {name: getattr(objective, name) for name in ("w1", "w2", "w3", "w4")} | dict(objective.kpis)
 
 
 def controller_content(controller: PID) -> dict[str, Any]:
@@ -110,7 +115,7 @@ def _tuned(name: str, tuned: Tuned) -> dict[str, Any]:
         "name": name,
         "status": tuned.status.name.lower(),
         "message": tuned.message,
-        "weights": _plain(tuned.weights),
+        "weights": _weights(tuned.weights),
         "bounds": _plain(tuned.bounds),
         "digits": tuned.digits,
         "objective": tuned.objective,
@@ -145,7 +150,7 @@ def _repair(repair: Repair | None) -> dict[str, Any] | None:
     if repair is None:
         return None
     return {
-        "weights": _plain(repair.weights),
+        "weights": _weights(repair.weights),
         **{name: _outcome(getattr(repair, name)) for name in ("present", "repaired", "best", "best_repaired")},
         "share_that_only_repair_removes": {
             name: repair.share(name) for name in ("objective", "error_variance", "mean_square_error")

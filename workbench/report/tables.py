@@ -284,7 +284,11 @@ def _objective_words(study: Study) -> str:
     ):
         if weight > 0.0:
             terms.append(f"{given(weight)} {text}")
-    return " + ".join(terms) + ", sums over samples"
+    words = [" + ".join(terms) + ", sums over samples"] if terms else []
+    for name, weight in dict(weights.kpis).items():
+        title, unit = kpi_title(name)
+        words.append(f"{given(weight)} × {title}{f' ({unit})' if unit else ''}")
+    return " + ".join(words)
 
 
 def difference_table(study: Study) -> Table | None:

@@ -11,7 +11,7 @@ from workbench.model.controller import PID, STRUCTURES
 from workbench.model.loop import Loop
 from workbench.model.plant import Plant
 from workbench.model.rule import Rule
-from workbench.model.tuning import Bounds, Objective
+from workbench.model.tuning import WEIGHABLE, Bounds, Objective
 from workbench.model.units import gain_from
 from workbench.scenario import schema
 from workbench.scenario.document import Path
@@ -118,7 +118,8 @@ class Controllers:
         """Return the weights of an entry."""
         if given is None:
             return None
-        return self.refusals.attempt(path, lambda: Objective(given.w1, given.w2, given.w3, given.w4))
+        kpis = {name: getattr(given, name) for name in WEIGHABLE}
+        return self.refusals.attempt(path, lambda: Objective(given.w1, given.w2, given.w3, given.w4, kpis))
 
     def tuned(
         self,
@@ -155,7 +156,9 @@ class Controllers:
                     "or give tune.start"
                 )
                 self.refusals.refuse((*path, "bounds", name), what)
-        job = TuneJob(own or common or Objective(), bounds, given.seed, given.digits, given.restarts)
+        job = TuneJob(
+            own or common or Objective(), bounds, given.seed, given.digits, given.restarts, nominal=given.nominal
+        )
         return controller, job
 
     def _bounds(self, given: schema.Tune, path: Path, form: str, fixed: dict[str, float]) -> Bounds | None:

@@ -42,13 +42,14 @@ class EstimateJob:
 
 @dataclass(frozen=True, slots=True)
 class TuneJob:
-    """A tuning to be found; the case's controller is its start."""
+    """A tuning to be found; the case's controller is its start. digits: None for what `wb.tune` takes by itself."""
 
     objective: Objective
     bounds: Bounds
     seed: int
-    digits: int
+    digits: int | None
     restarts: int
+    nominal: bool = False
 
 
 @dataclass(frozen=True, eq=False)

@@ -71,7 +71,7 @@ def tune_scenario(plan: Scenario, wishes: Wishes, progress: Progress | None = No
     if not jobs:
         first = cases[0]
         start = first.controller if first.rule is None else ruled(base, first.controller, first.rule)
-        default = TuneJob(plan.objective or Objective(), Bounds(), 0, 4, 4)
+        default = TuneJob(plan.objective or Objective(), Bounds(), 0, None, 4)
         jobs = [CaseJob("Tuned", first.where, start, default)]
     found = []
     for case in jobs:
@@ -159,7 +159,7 @@ def tune_found(found: Estimate, wishes: Wishes, progress: Progress | None = None
     at = round(0.5 * duration / Ts) * Ts
     experiment = Experiment(duration, Step(step), Step(load, at) if load > 0.0 else None)
     job = TuneJob(
-        wishes.objective or Objective(w1=0.5, w2=0.0, w3=0.5, w4=0.0), bounds, wishes.seed or 0, digits=4, restarts=4
+        wishes.objective or Objective(w1=0.5, w2=0.0, w3=0.5, w4=0.0), bounds, wishes.seed or 0, digits=None, restarts=4
     )
     task = f"setpoint step of {step:g} EU at 0 s and load step of {load:g} % at {at:g} s, over {duration:g} s"
     searched = ", ".join(

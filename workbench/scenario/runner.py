@@ -242,5 +242,6 @@ def tune_case(loop: Loop, experiment: Experiment, job: TuneJob, progress: Progre
         job.seed,
         digits=job.digits,
         restarts=job.restarts,
+        nominal=job.nominal,
         progress=progress,
     )

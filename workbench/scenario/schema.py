@@ -226,6 +226,16 @@ class Objective(Closed):
     w2: Annotated[NonNegative, Field(description="on the squared output")] = 0.0
     w3: Annotated[NonNegative, Field(description="on the last squared error")] = 0.0
     w4: Annotated[NonNegative, Field(description="on the squared moves of the output")] = 0.0
+    error_variance: Annotated[NonNegative, Field(description="on the variance of SP - PV, EU^2")] = 0.0
+    mean_square_error: Annotated[NonNegative, Field(description="on the mean of (SP - PV)^2, EU^2")] = 0.0
+    op_variance: Annotated[NonNegative, Field(description="on the variance of OP, %^2")] = 0.0
+    valve_variance: Annotated[NonNegative, Field(description="on the variance of the valve position, %^2")] = 0.0
+    valve_travel: Annotated[NonNegative, Field(description="on the valve's travel over the run, %")] = 0.0
+    controller_travel: Annotated[NonNegative, Field(description="on OP's travel over the run, %")] = 0.0
+    reversals: Annotated[NonNegative, Field(description="on the valve's changes of direction")] = 0.0
+    iae: Annotated[NonNegative, Field(description="on the integral of |SP - PV|, EU s")] = 0.0
+    ise: Annotated[NonNegative, Field(description="on the integral of (SP - PV)^2, EU^2 s")] = 0.0
+    pv_sd: Annotated[NonNegative, Field(description="on PV's standard deviation, EU")] = 0.0
 
 
 class Bounds(Closed):
@@ -244,7 +254,8 @@ class Tune(Tuning, ControllerKeys):
     bounds: Bounds | None = None
     start: Annotated[Tuning | None, Field(description="the tuning to compare with; must lie within the bounds")] = None
     seed: Seed = 0
-    digits: Annotated[int, Field(ge=1, le=12, description="significant digits to be typed in")] = 4
+    digits: Annotated[int | None, Field(ge=1, le=12, description="significant digits to be typed in; 4")] = None
+    nominal: Annotated[bool, Field(description="the least J itself, a cliff: to compare with, not to type in")] = False
     restarts: Annotated[int, Field(ge=1, le=64)] = 4
 
 

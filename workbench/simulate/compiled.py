@@ -15,4 +15,4 @@ R = TypeVar("R")
 
 def compiled(function: Callable[P, R]) -> Callable[P, R]:
     """Compile a plain-float function, cached on disk, without fastmath: every rounding stays as written."""
-    return cast("Callable[P, R]", numba.njit(cache=True, fastmath=False, error_model="numpy")(function))
+    return cast("Callable[P, R]", numba.njit(cache=True, nogil=True, fastmath=False, error_model="numpy")(function))

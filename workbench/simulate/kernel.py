@@ -25,7 +25,21 @@ from numpy.typing import NDArray
 
 from workbench.simulate.compiled import compiled
 
-__all__ = ["COEFFICIENTS", "STATES", "run_costs", "run_loop", "run_worst", "valve_path", "valve_step"]
+__all__ = [
+    "COEFFICIENTS",
+    "FEW_SUMS",
+    "STATES",
+    "SUMS",
+    "WEIGHTS",
+    "add_sums",
+    "run_costs",
+    "run_loop",
+    "run_worst",
+    "valve_path",
+    "valve_step",
+    "weigh",
+    "weigh_all",
+]
 
 Floats = NDArray[np.float64]
 
@@ -38,6 +52,14 @@ COEFFICIENTS = 20
 # VALVE 0 ideal, 1 Stenman, 2 two-parameter; BAND d or (S + J)/2; OFFSET (S - J)/2; POLE a, 1 for integrating;
 # GAIN K, or K Ts for integrating; C0, C1 the shares of v_{k-m} and v_{k-m-1}; DELAY m.
 IDEAL, STENMAN, TWO_PARAMETER = 0, 1, 2
+
+# Columns of a run's sums over e_k = r_k - y_k (measured), u_k and x_k: squares of e_1..e_N, of u, of e_N, of moves of u
+# and of e_0..e_{N-1}; |moves of x|; where all are asked for, |e|, e, u, |moves of u|, x, x^2, stem reversals, y, y^2.
+ERROR2, OP2, FINAL2, MOVES2, WINDOW2, TRAVEL, IAE, ERROR, OP, OP_TRAVEL, STEM, STEM2, REVERSALS, PV, PV2 = range(15)
+FEW_SUMS, SUMS = 6, 15
+# Weights of an objective: of the first four sums, which is eq. (2), then of WINDOW2, TRAVEL, IAE, OP_TRAVEL, REVERSALS,
+# of the variances of e, u and x, and of the standard deviation of y.
+WEIGHTS = 13
 
 # Entries of a state.
 I_TERM, D_TERM, S_LAST, U_LAST, X_LAST, MOTION, Y = range(7)
@@ -150,14 +172,84 @@ def run_loop(
 
 
 @compiled
-def run_costs(
-    rows: Floats, which: NDArray[np.int64], r: Floats, load: Floats, noise: Floats, terms: Floats, longest: int
+def add_sums(
+    sums: Floats, last: Floats, every: bool, r: Floats, noise: Floats, y: Floats, u: Floats, x: Floats
 ) -> None:
-    """Cost terms of many loops from rest: row i of `rows` in experiment which[i] (a row of r, load, noise: N + 1 each).
+    """Add a stretch of a run to its sums (SUMS values; the first FEW_SUMS unless `every`).
 
-    Written: terms[i] = (sum_{1..N} e^2, sum_{0..N-1} u^2, e_N^2, sum_{0..N-1} (u_k - u_{k-1})^2), so that J of
-    eq. (2) is their product with (w1, w2, w3, w4), then sum_{0..N-1} e^2 and sum_{0..N-1} |x_k - x_{k-1}|, for the mean
-    square error and the valve travel. `longest`: the largest whole dead time m.
+    r, noise, y: one value more than u and x; last: u, x and the direction of the last stem move before the stretch, and
+    after it.
+    """
+    u_last, x_last, direction = last[0], last[1], last[2]
+    squares, outputs, moves, window, travel = sums[ERROR2], sums[OP2], sums[MOVES2], sums[WINDOW2], sums[TRAVEL]
+    e = r[0] - (y[0] + noise[0])
+    for k in range(u.size):
+        window += e * e
+        out, stem = u[k], x[k]
+        if every:
+            measured = y[k] + noise[k]
+            sums[IAE] += abs(e)
+            sums[ERROR] += e
+            sums[OP] += out
+            sums[OP_TRAVEL] += abs(out - u_last)
+            sums[STEM] += stem
+            sums[STEM2] += stem * stem
+            sums[PV] += measured
+            sums[PV2] += measured * measured
+            if stem != x_last:
+                way = 1.0 if stem > x_last else -1.0
+                if direction != 0.0 and way != direction:
+                    sums[REVERSALS] += 1.0
+                direction = way
+        e = r[k + 1] - (y[k + 1] + noise[k + 1])
+        squares += e * e
+        outputs += out * out
+        moves += (out - u_last) * (out - u_last)
+        travel += abs(stem - x_last)
+        u_last = out
+        x_last = stem
+    sums[ERROR2], sums[OP2], sums[MOVES2], sums[WINDOW2], sums[TRAVEL] = squares, outputs, moves, window, travel
+    sums[FINAL2] = e * e
+    last[0], last[1], last[2] = u_last, x_last, direction
+
+
+@compiled
+def weigh(sums: Floats, weights: Floats, count: int, n: int) -> float:
+    """J of the first `count` of n samples (see WEIGHTS); it never falls as samples are added.
+
+    e_N counts once `count` is n. A weight of 0 leaves its sum out, whatever it is.
+    """
+    cost = 0.0
+    for j in range(4):
+        if weights[j] > 0.0 and (j != FINAL2 or count == n):
+            cost += weights[j] * sums[j]
+    for j, column in ((4, WINDOW2), (5, TRAVEL), (6, IAE), (7, OP_TRAVEL), (8, REVERSALS)):
+        if weights[j] > 0.0:
+            cost += weights[j] * sums[column]
+    for j, mean, square in ((9, ERROR, WINDOW2), (10, OP, OP2), (11, STEM, STEM2), (12, PV, PV2)):
+        if weights[j] > 0.0:
+            # The sum of squares about the mean so far; max would pass over a nan.
+            spread = (sums[square] - sums[mean] * sums[mean] / count) / n
+            spread = 0.0 if spread < 0.0 else spread
+            cost += weights[j] * (np.sqrt(spread) if j == 12 else spread)
+    return cost
+
+
+@compiled
+def weigh_all(sums: Floats, weights: Floats, n: int, costs: Floats) -> None:
+    """J of whole runs of n samples from their sums, a row each; inf where a run overflowed."""
+    for i in range(costs.size):
+        cost = weigh(sums[i], weights, n, n)
+        costs[i] = cost if np.isfinite(cost) else np.inf
+
+
+@compiled
+def run_costs(
+    rows: Floats, which: NDArray[np.int64], r: Floats, load: Floats, noise: Floats, sums: Floats, longest: int
+) -> None:
+    """Sums of many loops from rest: row i of `rows` in experiment which[i] (a row of r, load, noise: N + 1 each).
+
+    Written: sums[i], the first FEW_SUMS or all SUMS of them, as wide as it is. longest: the largest whole dead time m.
     """
     n = r.shape[1] - 1
     y = np.empty(n + 1)
@@ -167,30 +259,17 @@ def run_costs(
     branch = np.empty(n, np.int8)
     state = np.empty(STATES)
     past = np.empty(longest + 1)
+    last = np.empty(3)
+    every = sums.shape[1] > FEW_SUMS
     for i in range(rows.shape[0]):
         j = which[i]
         state[:] = 0.0
         state[U_LAST] = rows[i, BIAS]
         past[:] = 0.0
         run_loop(rows[i], r[j], load[j], noise[j], state, past, y, u, x, v, branch)
-        last, stem = rows[i, BIAS], 0.0
-        squares, outputs, moves, window, travel = 0.0, 0.0, 0.0, 0.0, 0.0
-        e = r[j, 0] - noise[j, 0]
-        for k in range(n):
-            window += e * e
-            e = r[j, k + 1] - (y[k + 1] + noise[j, k + 1])
-            squares += e * e
-            outputs += u[k] * u[k]
-            moves += (u[k] - last) * (u[k] - last)
-            last = u[k]
-            travel += abs(x[k] - stem)
-            stem = x[k]
-        terms[i, 0] = squares
-        terms[i, 1] = outputs
-        terms[i, 2] = e * e
-        terms[i, 3] = moves
-        terms[i, 4] = window
-        terms[i, 5] = travel
+        last[0], last[1], last[2] = rows[i, BIAS], 0.0, 0.0
+        sums[i] = 0.0
+        add_sums(sums[i], last, every, r[j], noise[j], y, u, x)
 
 
 @compiled
@@ -205,16 +284,15 @@ def run_worst(
     worst: Floats,
     longest: int,
 ) -> int:
-    """The worst J of eq. (2) in each group of `group` successive rows, from rest, as long as it stays below a ceiling.
+    """The worst J in each group of `group` successive rows, from rest, as long as it stays below a ceiling.
 
     For searches that only ask whether a candidate beats what they have: a group is given up, and its worst is inf, as
-    soon as a partial sum of J (no term is negative) has passed ceilings[i] or is nan. r, load, noise: N + 1 each;
-    weights (w1, w2, w3, w4); ceilings and worst: one for each group; longest: the largest whole dead time m. Returns
-    the number of samples that were run. Sums in another order than `run_costs`: the last digits may differ.
+    soon as a run's J so far has passed ceilings[i] or is nan. r, load, noise: N + 1 each; weights: WEIGHTS of them;
+    ceilings and worst: one for each group; longest: the largest whole dead time m. Returns the number of samples run.
     """
     n = r.size - 1
     # Long enough that the bookkeeping between chunks costs little, short enough to stop early.
-    chunk = max(32, longest + 1)
+    chunk = max(64, longest + 1)
     y = np.empty(chunk + 1)
     u = np.empty(chunk)
     x = np.empty(chunk)
@@ -222,7 +300,9 @@ def run_worst(
     branch = np.empty(chunk, np.int8)
     state = np.empty(STATES)
     past = np.empty(longest + 1)
-    w1, w2, w3, w4 = weights[0], weights[1], weights[2], weights[3]
+    last = np.empty(3)
+    sums = np.empty(SUMS)
+    every = weights[6:].max() > 0.0
     samples = 0
     for i in range(worst.size):
         worst[i] = 0.0
@@ -230,7 +310,9 @@ def run_worst(
             state[:] = 0.0
             state[U_LAST] = rows[j, BIAS]
             past[:] = 0.0
-            last, cost, e, begin = rows[j, BIAS], 0.0, 0.0, 0
+            last[0], last[1], last[2] = rows[j, BIAS], 0.0, 0.0
+            sums[:] = 0.0
+            cost, begin = 0.0, 0
             while begin < n and cost <= ceilings[i]:
                 size = min(chunk, n - begin)
                 end = begin + size
@@ -247,18 +329,12 @@ def run_worst(
                     v[:size],
                     branch[:size],
                 )
-                for k in range(size):
-                    e = r[begin + k + 1] - (y[k + 1] + noise[begin + k + 1])
-                    cost += w1 * e * e
-                    if w2 != 0.0:
-                        cost += w2 * u[k] * u[k]
-                    if w4 != 0.0:
-                        cost += w4 * (u[k] - last) * (u[k] - last)
-                    last = u[k]
+                add_sums(
+                    sums, last, every, r[begin : end + 1], noise[begin : end + 1], y[: size + 1], u[:size], x[:size]
+                )
+                cost = weigh(sums, weights, end, n)
                 begin = end
             samples += begin
-            if begin == n:
-                cost += w3 * e * e
             if not cost <= ceilings[i]:
                 worst[i] = np.inf
                 break

@@ -6,7 +6,6 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from workbench.errors import InvalidValue
 from workbench.kpi.kpis import last_event, measure
@@ -18,24 +17,11 @@ from workbench.model.results import Kpis, Run
 from workbench.model.tuning import Objective
 from workbench.model.valve import Valve
 from workbench.simulate import kernel
+from workbench.simulate.batch import kernel_weights, sums, weigh
 from workbench.simulate.coefficients import coefficients, valve_law
-from workbench.simulate.signals import noise_signal, profile_signal, sample_count
+from workbench.simulate.signals import Signals, noise_signal, profile_signal, sample_count
 
-__all__ = ["Batch", "Signals", "cost_terms", "evaluate", "signals", "simulate", "simulate_batch", "valve_response"]
-
-
-@dataclass(frozen=True, eq=False)
-class Signals:
-    """An experiment as the kernel takes it: r (EU), load (%), noise (EU), each of shape (N + 1,)."""
-
-    r: FloatArray
-    load: FloatArray
-    noise: FloatArray
-
-    @property
-    def samples(self) -> int:
-        """N."""
-        return int(self.r.size) - 1
+__all__ = ["Batch", "evaluate", "signals", "simulate", "simulate_batch", "valve_response"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -160,24 +146,8 @@ def simulate_batch(
     )
 
 
-def cost_terms(rows: FloatArray, given: Sequence[Signals], which: NDArray[np.int64] | None = None) -> FloatArray:
-    """Return the sums of `kernel.run_costs` for coefficient rows, shape (M, 6).
-
-    The first four are those of eq. (2): J is their product with `Objective.weights`. Then the sum of squared errors
-    over samples 0 .. N-1 (N times the mean square error) and the valve travel.
-    Row i runs in experiment `given[which[i]]` (all of the same N), or in the only one.
-    """
-    if which is None:
-        which = np.zeros(rows.shape[0], np.int64)
-    terms = np.empty((rows.shape[0], 6))
-    longest = int(rows[:, kernel.DELAY].max(initial=0.0))
-    stacked = [np.ascontiguousarray([getattr(s, name) for s in given]) for name in ("r", "load", "noise")]
-    kernel.run_costs(rows, which, stacked[0], stacked[1], stacked[2], terms, longest)
-    return terms
-
-
 def evaluate(loop: Loop, experiment: Experiment, objective: Objective, tunings: object = None) -> FloatArray:
-    """Return J of eq. (2) by exact simulation, shape (M,), for tunings of shape (M, 3) (Kc, Ti, Td in own form).
+    """Return J by exact simulation, shape (M,), for tunings of shape (M, 3) (Kc, Ti, Td in own form).
 
     Without tunings: of the loop's own controller, shape (1,). An unstable run may give inf. Raises `InvalidValue`.
     """
@@ -187,18 +157,8 @@ def evaluate(loop: Loop, experiment: Experiment, objective: Objective, tunings: 
     rows = coefficients(loop, experiment.stem_offset, wanted)
     # Overflow in an unstable loop is a result, not an accident: J is then inf (or nan, which is as bad).
     with np.errstate(over="ignore", invalid="ignore"):
-        costs: FloatArray = weigh(cost_terms(rows, [given]), objective)
-    return costs
-
-
-def weigh(terms: FloatArray, objective: Objective) -> FloatArray:
-    """Return J for cost terms of shape (M, 6); inf where a run overflowed. A weight of 0 leaves its term out."""
-    costs = np.zeros(terms.shape[0])
-    for column, weight in enumerate(objective.weights):
-        if weight > 0.0:
-            costs += weight * terms[:, column]
-    costs[~np.isfinite(costs)] = np.inf
-    return costs
+        weights = kernel_weights(objective, given.samples, loop.sample_time)
+        return weigh(sums(rows, given, every=bool(objective.kpis)), weights, given.samples)
 
 
 def valve_response(valve: Valve, op: FloatArray, start: float = 0.0, rest_at: float | None = None) -> FloatArray:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -10,10 +11,24 @@ from workbench.errors import InvalidValue
 from workbench.model.experiment import Noise, Profile, Ramp, Step
 from workbench.model.record import FloatArray
 
-__all__ = ["noise_signal", "profile_signal", "sample_count"]
+__all__ = ["Signals", "noise_signal", "profile_signal", "sample_count"]
 
 # Samples of one run: a run keeps about a dozen signals of this length in memory.
 MOST = 20_000_000
+
+
+@dataclass(frozen=True, eq=False)
+class Signals:
+    """An experiment as the kernel takes it: r (EU), load (%), noise (EU), each of shape (N + 1,), or a row for each."""
+
+    r: FloatArray
+    load: FloatArray
+    noise: FloatArray
+
+    @property
+    def samples(self) -> int:
+        """N."""
+        return int(self.r.shape[-1]) - 1
 
 
 def sample_count(duration: float, sample_time: float) -> int:

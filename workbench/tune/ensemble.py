@@ -20,9 +20,10 @@ from workbench.model.results import Robustness
 from workbench.model.tuning import Objective
 from workbench.model.valve import Choudhury, Deadband, Ideal, Stenman, Valve
 from workbench.simulate import kernel
+from workbench.simulate.batch import kernel_weights, sums, weigh
 from workbench.simulate.coefficients import coefficients
-from workbench.simulate.run import Signals, signals, weigh
-from workbench.simulate.signals import sample_count
+from workbench.simulate.run import signals
+from workbench.simulate.signals import Signals, sample_count
 
 __all__ = ["Circumstances", "Draw", "assess", "corner_loops", "draws", "measured", "statistic"]
 
@@ -127,23 +128,25 @@ class Circumstances:
         self.corners = corner_loops(loop, ensemble)
         self._corner_rows = np.concatenate([coefficients(corner) for corner in self.corners])
 
-    def terms(self, tunings: FloatArray) -> FloatArray:
-        """Return the sums of `kernel.run_costs` of tunings, shape (M, 3), in every draw, shape (M, draws, 6)."""
+    def terms(self, tunings: FloatArray, *, every: bool = False) -> FloatArray:
+        """Return the kernel's sums of tunings, shape (M, 3), in every draw, shape (M, draws, FEW_SUMS, or SUMS)."""
         own = coefficients(self.loop, 0.0, tunings)[:, CONTROLLER]
         count = self._rows.shape[0]
-        result = np.empty((own.shape[0], count, 6))
-        longest = int(self._rows[:, kernel.DELAY].max())
-        s = self._stacked
+        result = np.empty((own.shape[0], count, kernel.SUMS if every else kernel.FEW_SUMS))
         size = max(1, ROWS // count)
         for begin in range(0, own.shape[0], size):
             part = own[begin : begin + size]
             rows = np.tile(self._rows, (part.shape[0], 1))
             rows[:, CONTROLLER] = np.repeat(part, count, axis=0)
             which = np.tile(np.arange(count), part.shape[0])
-            out = np.empty((rows.shape[0], 6))
-            kernel.run_costs(rows, which, s.r, s.load, s.noise, out, longest)
-            result[begin : begin + size] = out.reshape(-1, count, 6)
+            out = sums(rows, self._stacked, which, every=every)
+            result[begin : begin + size] = out.reshape(-1, count, out.shape[1])
         return result
+
+    def costs(self, terms: FloatArray, objective: Objective) -> FloatArray:
+        """Return J of an objective for such sums, shape (M, draws); inf where a run overflowed."""
+        weights = kernel_weights(objective, self.samples, self.loop.sample_time)
+        return weigh(terms.reshape(-1, terms.shape[2]), weights, self.samples).reshape(terms.shape[:2])
 
     def margins(self, tunings: FloatArray) -> tuple[FloatArray, NDArray[np.int64]]:
         """Return the worst (Ms, gain margin, phase margin in degrees) of tunings over nominal and corner plants.
@@ -199,8 +202,8 @@ def measured(given: Circumstances, objective: Objective) -> Robustness:
     pid = given.loop.controller
     tuning = np.array([[pid.Kc, pid.Ti, pid.Td]])
     with np.errstate(over="ignore", invalid="ignore"):
-        terms = given.terms(tuning)
-        costs = weigh(terms[0], objective)
+        terms = given.terms(tuning, every=bool(objective.kpis))
+        costs = given.costs(terms, objective)[0]
         mse, travel = terms[0, :, 4] / given.samples, terms[0, :, 5]
     mse[~np.isfinite(mse)] = np.inf
     travel[~np.isfinite(travel)] = np.inf

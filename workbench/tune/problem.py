@@ -9,19 +9,24 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
+from workbench.analyze.margins import loop_margins
 from workbench.model.controller import PID
+from workbench.model.ensemble import Constraints
 from workbench.model.experiment import Experiment
 from workbench.model.loop import Loop
 from workbench.model.plant import FOPDT
 from workbench.model.record import FloatArray
 from workbench.model.tuning import Bounds, Objective
 from workbench.simulate import kernel
+from workbench.simulate.batch import kernel_weights, sums, weigh, worst
 from workbench.simulate.coefficients import coefficients
-from workbench.simulate.run import cost_terms, signals, weigh
+from workbench.simulate.run import signals
+from workbench.tune.limits import NARROW, UNSTABLE, WORN, narrowness, worn
 
 __all__ = ["Problem", "round_to"]
 
@@ -31,18 +36,38 @@ NAMES = ("Kc", "Ti", "Td")
 Mapping = Callable[[FloatArray], FloatArray]
 
 
+@dataclass(slots=True)
+class Work:
+    """How many runs, and samples of runs, have been simulated."""
+
+    evaluations: int = 0
+    simulated: int = 0
+
+
 class Problem:
     """The exact costs of tunings of one loop in one experiment; counts its evaluations.
 
     digits: significant digits of the parameters; margin: relative. Together they give each parameter's neighbourhood,
-    within which its true value is taken to lie: the larger of the margin and half a unit of the last digit.
+    within which its true value is taken to lie: the larger of the margin and half a unit of the last digit. nominal:
+    searches look at the tuning alone, not at the worst case of its neighbourhood. constraints: of the loop's own plant
+    and this experiment's run; a tuning that breaks one has a value as `limits` ranks it, in place of J.
     """
 
     def __init__(
-        self, loop: Loop, experiment: Experiment, objective: Objective, bounds: Bounds, digits: int, margin: float
+        self,
+        loop: Loop,
+        experiment: Experiment,
+        objective: Objective,
+        bounds: Bounds,
+        digits: int,
+        margin: float,
+        *,
+        nominal: bool = False,
+        constraints: Constraints | None = None,
     ) -> None:
         self.loop, self.experiment, self.objective, self.bounds = loop, experiment, objective, bounds
-        self.digits, self.margin = digits, margin
+        self.digits, self.margin, self.nominal = digits, margin, nominal
+        self.constraints = constraints
         self.signals = signals(loop, experiment)
         self.samples = self.signals.samples
         self.low = np.array([getattr(bounds, name)[0] for name in NAMES])
@@ -51,27 +76,39 @@ class Problem:
             # Kc = 0 has no ideal equivalent there.
             self.low[0] = max(self.low[0], min(1e-9 * self.high[0], self.high[0]))
         self.free = np.flatnonzero(self.high > self.low)
-        self.evaluations = 0
-        self.simulated = 0
-        self._weights = np.array(objective.weights)
+        self.work = Work()
+        self.weights = kernel_weights(objective, self.samples, loop.sample_time)
         self._offsets = _offsets(np.random.default_rng(0), SPARSE)
         self._dense = _offsets(np.random.default_rng(1), DENSE)
 
     def without_derivative(self) -> Problem:
-        """Return the same problem with Td held at 0; it counts for itself."""
-        bounds = replace(self.bounds, Td=(0.0, 0.0))
-        return Problem(self.loop, self.experiment, self.objective, bounds, self.digits, self.margin)
+        """Return the same problem with Td held at 0; its work counts as this one's."""
+        return self._changed(replace(self.bounds, Td=(0.0, 0.0)), self.constraints)
+
+    def unconstrained(self) -> Problem:
+        """Return the same problem without constraints; its work counts as this one's."""
+        return self._changed(self.bounds, None)
+
+    def _changed(self, bounds: Bounds, constraints: Constraints | None) -> Problem:
+        given = self.loop, self.experiment, self.objective, bounds, self.digits, self.margin
+        other = Problem(*given, nominal=self.nominal, constraints=constraints)
+        other.work = self.work
+        return other
 
     # Costs.
 
     def exact(self, tunings: FloatArray) -> FloatArray:
         """Return J of tunings, shape (M, 3) -> (M,), by exact simulation; inf where a run overflows."""
         rows = coefficients(self.loop, self.experiment.stem_offset, tunings)
-        self.evaluations += rows.shape[0]
-        self.simulated += rows.shape[0] * self.samples
+        self.work.evaluations += rows.shape[0]
+        self.work.simulated += rows.shape[0] * self.samples
         with np.errstate(over="ignore", invalid="ignore"):
-            costs: FloatArray = weigh(cost_terms(rows, [self.signals]), self.objective)
-        return costs
+            terms = sums(rows, self.signals, every=bool(self.objective.kpis))
+        return weigh(terms, self.weights, self.samples)
+
+    def values(self, tunings: FloatArray) -> FloatArray:
+        """Return J of tunings, shape (M, 3) -> (M,), or how far one breaks a constraint; inf where a run overflows."""
+        return self.below(tunings, np.full(tunings.shape[0], np.inf))
 
     def below(self, tunings: FloatArray, ceilings: FloatArray) -> FloatArray:
         """Return J of each tuning where it does not exceed its ceiling, else inf."""
@@ -80,8 +117,13 @@ class Problem:
     def worst_below(self, tunings: FloatArray, ceilings: FloatArray, *, dense: bool = False) -> FloatArray:
         """Return the worst J in the neighbourhood of each tuning where it does not exceed its ceiling, else inf.
 
-        The neighbourhood is the centre, the corners, the faces' middles and some (`dense`: many) random inner points.
+        The neighbourhood is the centre, the corners, the faces' middles and some (`dense`: many) random inner points;
+        in a nominal problem it is the centre alone.
         """
+        return self.below(tunings, ceilings) if self.nominal else self.spread(tunings, ceilings, dense=dense)
+
+    def spread(self, tunings: FloatArray, ceilings: FloatArray, *, dense: bool = True) -> FloatArray:
+        """Return the worst J in the neighbourhood of each tuning, also of a nominal problem."""
         around = self.around(tunings, dense=dense)
         return self._worst(around, around.shape[0] // max(tunings.shape[0], 1), ceilings)
 
@@ -93,12 +135,46 @@ class Problem:
 
     def _worst(self, tunings: FloatArray, group: int, ceilings: FloatArray) -> FloatArray:
         rows = coefficients(self.loop, self.experiment.stem_offset, tunings)
-        worst = np.empty(ceilings.size)
-        s = self.signals
-        longest = int(rows[0, kernel.DELAY]) if rows.size else 0
-        self.simulated += kernel.run_worst(rows, group, s.r, s.load, s.noise, self._weights, ceilings, worst, longest)
-        self.evaluations += rows.shape[0]
-        return worst
+        values, samples = worst(rows, group, self.signals, self.weights, ceilings)
+        self.work.simulated += samples
+        self.work.evaluations += rows.shape[0]
+        if self.constraints is None:
+            return values
+        # Margins cost more than a run: what has lost already against a feasible parent is not asked for them.
+        alive = np.flatnonzero(np.isfinite(values) | (ceilings >= WORN))
+        values[alive] = self._ranked(tunings[::group][alive], rows[::group][alive], values[alive])
+        values[values > ceilings] = np.inf
+        return values
+
+    # Constraints. The first point of a group is the tuning itself.
+
+    def margins(self, tunings: FloatArray) -> tuple[FloatArray, NDArray[np.bool_]]:
+        """Return (Ms, gain margin, phase margin in degrees), shape (M, 3), with an ideal valve, and whether stable."""
+        values, _, stable = loop_margins(coefficients(self.loop, 0.0, tunings), self.loop.sample_time)
+        return values, stable
+
+    def travel(self, tunings: FloatArray) -> FloatArray:
+        """Return the valve travel of tunings (%), shape (M, 3) -> (M,)."""
+        return self._travel(coefficients(self.loop, self.experiment.stem_offset, tunings))
+
+    def _travel(self, rows: FloatArray) -> FloatArray:
+        with np.errstate(over="ignore", invalid="ignore"):
+            return sums(rows, self.signals)[:, kernel.TRAVEL]
+
+    def _ranked(self, tunings: FloatArray, rows: FloatArray, values: FloatArray) -> FloatArray:
+        """Return values with those of tunings that break a constraint replaced by how far they do."""
+        asked = self.constraints
+        assert asked is not None  # noqa: S101
+        if asked.valve_travel is not None:
+            runs = np.flatnonzero(np.isfinite(values))
+            values[runs] = worn(values[runs], self._travel(rows[runs]), asked.valve_travel)
+        if asked == Constraints(valve_travel=asked.valve_travel) or not tunings.size:
+            return values
+        margins, stable = self.margins(tunings)
+        narrow = narrowness(asked, margins)
+        values = np.where(narrow > 0.0, NARROW * (1.0 + narrow), values)
+        # The nearer an unstable response passes by -1, the nearer the tuning is to a stable one.
+        return np.where(stable, values, UNSTABLE * (1.0 + 1.0 / margins[:, 0]))
 
     # Digits.
 

@@ -6,7 +6,6 @@ A program is accepted only if the exact simulation of its tuning takes the same 
 from __future__ import annotations
 
 import heapq
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -18,6 +17,7 @@ from workbench.model.record import FloatArray
 from workbench.model.results import SolveStatus
 from workbench.model.valve import Stenman
 from workbench.simulate import kernel
+from workbench.simulate.batch import weigh
 from workbench.simulate.coefficients import coefficients
 from workbench.simulate.run import rest
 from workbench.symbolic.branch import BranchProgram, BranchSolution, Decisions
@@ -34,7 +34,7 @@ MOST_SAMPLES = 10_000
 # How many active guards of a solution are tried from their other side.
 FLIPS = 3
 # After so many programs that came to nothing, a restart's refinement is given up.
-FAILURES = 2
+FAILURES = 5
 # A neighbour whose run, as it goes on from the flip, costs more than this many times the best is not worth a solve.
 WORTH = 1.5
 
@@ -79,7 +79,12 @@ class Refined:
 
 def usable(problem: Problem) -> bool:
     """Whether branch programs of this problem are worth their time."""
-    return problem.samples <= MOST_SAMPLES and problem.free.size > 0
+    return problem.samples <= MOST_SAMPLES and problem.free.size > 0 and eq_2_alone(problem)
+
+
+def eq_2_alone(problem: Problem) -> bool:
+    """Whether J of eq. (2) is all that is asked, which is what a branch program can state."""
+    return not problem.objective.kpis and problem.constraints is None
 
 
 def path(problem: Problem, tuning: FloatArray, flip: int | None = None) -> Path:
@@ -107,12 +112,9 @@ def path(problem: Problem, tuning: FloatArray, flip: int | None = None) -> Path:
         )
 
     def ended() -> Path:
-        w1, w2, w3, w4 = problem.objective.weights
-        with np.errstate(over="ignore", invalid="ignore"):
-            e = s.r[1:] - (y[1:] + s.noise[1:])
-            moves = np.diff(u, prepend=row[kernel.BIAS])
-            cost = float(w1 * (e @ e) + w2 * (u @ u) + w3 * e[-1] ** 2 + w4 * (moves @ moves))
-        return Path(branch, u, x, cost if math.isfinite(cost) else math.inf)
+        sums, last = np.zeros(kernel.SUMS), np.array([row[kernel.BIAS], 0.0, 0.0])
+        kernel.add_sums(sums, last, bool(problem.objective.kpis), s.r, s.noise, y, u, x)
+        return Path(branch, u, x, float(weigh(sums[None, :], problem.weights, n)[0]))
 
     if flip is None:
         run(0, n, row)

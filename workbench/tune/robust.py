@@ -2,9 +2,7 @@
 
 1. Several seeded searches on the first draws; 2. a joint search from the best of them on all draws; 3. a walk on the
 lattice of the digits to type in; 4. the figures of the chosen tuning on draws that no search has seen. Every value is
-an exact simulation, the same draws for every tuning. What breaks a constraint is ranked by how far, below everything
-that keeps them all, so that a search finds its way to the feasible tunings first (K. Deb, "An efficient constraint
-handling method for genetic algorithms", Comput. Methods Appl. Mech. Eng. 186 (2000) 311-338).
+an exact simulation, the same draws for every tuning; what breaks a constraint is ranked as `limits` does.
 """
 
 from __future__ import annotations
@@ -21,12 +19,12 @@ import numpy as np
 from workbench.model.ensemble import Constraints, Ensemble
 from workbench.model.record import FloatArray
 from workbench.model.results import Restart, Robustness, SolveStatus, Tuned
-from workbench.simulate.run import weigh
 from workbench.tune.ensemble import Circumstances, measured, statistic
+from workbench.tune.limits import NARROW, UNSTABLE, WORN, missed, narrowness, worn
 from workbench.tune.problem import Problem, unit_of
 from workbench.tune.refine import path
-from workbench.tune.scan import OutOfTime, evolve, spread
-from workbench.tune.verify import stem_guard
+from workbench.tune.scan import OutOfBudget, evolve, spread
+from workbench.tune.verify import digit_steps, stem_guard
 
 __all__ = ["DEFAULT_CONSTRAINTS", "tune_robust"]
 
@@ -40,8 +38,6 @@ STEPS, ROUNDS = (64, 16, 4, 1), 12
 FRESH, FRESH_SAMPLES = 2_000, 2_000_000
 # Up to this Ms a response read off its grid is certain to tell a stable loop from an unstable one.
 SURE = 8.0
-# Values of what breaks a constraint lie above every J that a run that does not overflow can have.
-UNSTABLE, NARROW, WORN = 1e280, 1e240, 1e200
 
 Progress = Callable[[str, float], None]
 
@@ -73,11 +69,11 @@ class _Judge:
     def statistic(self, tunings: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the statistic of J and the mean valve travel (%) of tunings, shape (M, 3) -> (M,) each."""
         runs = tunings.shape[0] * self.given.ensemble.draws
-        self.problem.evaluations += runs
-        self.problem.simulated += runs * self.given.samples
+        self.problem.work.evaluations += runs
+        self.problem.work.simulated += runs * self.given.samples
         with np.errstate(over="ignore", invalid="ignore"):
-            terms = self.given.terms(tunings)
-            costs = weigh(terms.reshape(-1, 6), self.problem.objective).reshape(terms.shape[:2])
+            terms = self.given.terms(tunings, every=bool(self.problem.objective.kpis))
+            costs = self.given.costs(terms, self.problem.objective)
             return statistic(costs, self.given.ensemble), terms[:, :, 5].mean(axis=1)
 
     def values(self, tunings: FloatArray) -> FloatArray:
@@ -85,7 +81,7 @@ class _Judge:
         worst, lost = self.given.margins(tunings)
         # The nearer an unstable response passes by -1, the nearer the tuning is to a stable one.
         values = np.where(lost > 0, UNSTABLE * (1.0 + lost + 1.0 / worst[:, 0]), 0.0)
-        narrow = self._narrowness(worst)
+        narrow = narrowness(self.constraints, worst)
         values = np.where((lost == 0) & (narrow > 0.0), NARROW * (1.0 + narrow), values)
         for i in np.flatnonzero((values == 0.0) & (worst[:, 0] > SURE)):
             count = self.given.unstable(tunings[i])
@@ -94,24 +90,8 @@ class _Judge:
         keep = np.flatnonzero(values == 0.0)
         if keep.size:
             costs, travel = self.statistic(tunings[keep])
-            cap = self.constraints.valve_travel
-            if cap is not None:
-                with np.errstate(invalid="ignore"):
-                    over = np.log(np.maximum(travel, 1e-300) / cap)
-                costs = np.where(over > 0.0, np.where(np.isfinite(over), WORN * (1.0 + over), np.inf), costs)
-            values[keep] = costs
+            values[keep] = worn(costs, travel, self.constraints.valve_travel)
         return values
-
-    def _narrowness(self, worst: FloatArray) -> FloatArray:
-        """How far the margins (Ms, gain, phase) miss what is asked, as a sum of logarithms, 0 where they do not."""
-        asked = self.constraints
-        total = np.zeros(worst.shape[0])
-        if asked.max_sensitivity is not None:
-            total += np.maximum(np.log(worst[:, 0] / asked.max_sensitivity), 0.0)
-        for column, least in ((1, asked.gain_margin), (2, asked.phase_margin)):
-            if least is not None:
-                total += np.log(np.maximum(least / np.maximum(worst[:, column], 1e-9), 1.0))
-        return total
 
 
 def tune_robust(
@@ -138,7 +118,7 @@ def tune_robust(
 
     def stop() -> bool:
         if time_limit is not None and time.perf_counter() - began > time_limit:
-            raise OutOfTime
+            raise OutOfBudget(SolveStatus.TIME_LIMIT, f"the time limit of {time_limit:g} s")
         return False
 
     def tell(phase: str, share: float) -> None:
@@ -158,9 +138,9 @@ def tune_robust(
     except KeyboardInterrupt:
         status = SolveStatus.INTERRUPTED
         notes.append("stopped by the user; the best so far")
-    except OutOfTime:
-        status = SolveStatus.TIME_LIMIT
-        notes.append(f"stopped at the time limit of {time_limit:g} s; the best so far")
+    except OutOfBudget as limit:
+        status = limit.status
+        notes.append(f"stopped at {limit}; the best so far")
     chosen, value = found.best() if found.values else (fallback[0], math.inf)
     tell("fresh draws", 0.9)
     cost = float(judge.statistic(chosen[None, :])[0][0])
@@ -193,7 +173,7 @@ def tune_robust(
         guard_margin=stem_guard(problem, chosen),
         slips=int(np.count_nonzero(run.x != np.append(0.0, run.x[:-1]))),
         restarts=tuple(found.restarts),
-        evaluations=problem.evaluations,
+        evaluations=problem.work.evaluations,
         solves=0,
         iterations=0,
         seed=seed,
@@ -203,6 +183,7 @@ def tune_robust(
         constraints=asked,
         robustness=robustness,
         start_robustness=measured(Circumstances(problem.loop, fresh), problem.objective),
+        steps=digit_steps(problem, chosen, lambda near: judge.statistic(near)[0]),
     )
 
 
@@ -218,7 +199,7 @@ def _search(judge: _Judge, found: _Found, seed: int, restarts: int, stop: Callab
     pool, least = [guesses], math.inf
     for k in range(restarts):
         tell(f"global search {k + 1} of {restarts}", 0.5 * k / restarts)
-        before = problem.evaluations
+        before = problem.work.evaluations
         rng = np.random.default_rng([seed, k])
         fresh = rng.random((SCAN_MEMBERS, free))
         if problem.low[2] == 0.0 and 2 in problem.free:
@@ -238,7 +219,7 @@ def _search(judge: _Judge, found: _Found, seed: int, restarts: int, stop: Callab
         typed = problem.rounded(best)
         found.add(typed, judge.values(typed))
         scanned, ended = (v if v < WORN else math.inf for v in (float(population.values[0]), ended))
-        found.restarts.append(Restart(k, scanned, ended, problem.evaluations - before, 0, 0))
+        found.restarts.append(Restart(k, scanned, ended, problem.work.evaluations - before, 0, 0))
         pool.append(population.points)
     tell("joint search on all draws", 0.55)
     points = np.concatenate(pool)
@@ -293,8 +274,8 @@ def _verdict(
             words = "every tuning within the bounds makes some draw of the ensemble diverge"
         return (SolveStatus.DIVERGED if ended else status), words
     if value >= WORN:
-        missed = _missed(asked, judge, chosen, fresh)
-        words = f"no tuning found within the bounds keeps every constraint; the nearest has {', '.join(missed)}"
+        broken = ", ".join(_missed(asked, judge, chosen, fresh))
+        words = f"no tuning found within the bounds keeps every constraint; the nearest has {broken}"
         return (SolveStatus.INFEASIBLE if ended else status), words
     if fresh.diverged:
         words = f"{fresh.diverged} of {fresh.ensemble.draws} fresh draws diverge"
@@ -303,17 +284,8 @@ def _verdict(
 
 
 def _missed(asked: Constraints, judge: _Judge, chosen: FloatArray, reached: Robustness) -> list[str]:
-    missed = []
-    if asked.max_sensitivity is not None and reached.max_sensitivity > asked.max_sensitivity:
-        missed.append(f"a maximum sensitivity of {reached.max_sensitivity:.3g} (at most {asked.max_sensitivity:g})")
-    if asked.gain_margin is not None and reached.gain_margin < asked.gain_margin:
-        missed.append(f"a gain margin of {reached.gain_margin:.3g} (at least {asked.gain_margin:g})")
-    if asked.phase_margin is not None and reached.phase_margin < asked.phase_margin:
-        missed.append(f"a phase margin of {reached.phase_margin:.3g} degrees (at least {asked.phase_margin:g})")
-    travel = float(judge.statistic(chosen[None, :])[1][0])
-    if asked.valve_travel is not None and travel > asked.valve_travel:
-        missed.append(f"a mean valve travel of {travel:.3g} % (at most {asked.valve_travel:g} %)")
-    return missed
+    margins = reached.max_sensitivity, reached.gain_margin, reached.phase_margin
+    return missed(asked, margins, float(judge.statistic(chosen[None, :])[1][0]), "mean valve travel")
 
 
 def _summary(ensemble: Ensemble, fresh: Robustness) -> str:

@@ -13,8 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workbench.model.record import FloatArray
+from workbench.model.results import SolveStatus
 
-__all__ = ["OutOfTime", "Population", "evolve", "spread"]
+__all__ = ["OutOfBudget", "Population", "evolve", "spread"]
 
 # (points, ceilings) -> values, inf where a value exceeds its ceiling.
 Evaluate = Callable[[FloatArray, FloatArray], FloatArray]
@@ -25,8 +26,12 @@ BEST_SHARE = 0.15
 AGREED = 1e-9
 
 
-class OutOfTime(Exception):
-    """The time limit has passed: raised by a search's `stop`."""
+class OutOfBudget(Exception):
+    """A limit has been reached, raised by a search's `stop`: how the search then ends, and which limit it was."""
+
+    def __init__(self, status: SolveStatus, limit: str) -> None:
+        super().__init__(limit)
+        self.status = status
 
 
 @dataclass(frozen=True, eq=False)

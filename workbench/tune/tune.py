@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 
 import numpy as np
@@ -26,20 +26,24 @@ from workbench.model.record import FloatArray
 from workbench.model.results import Restart, SolveStatus, Tuned
 from workbench.model.tuning import Bounds, Objective
 from workbench.symbolic.solve import versions
+from workbench.tune.limits import WORN, missed
 from workbench.tune.problem import NAMES, Problem
-from workbench.tune.refine import Path, Refined, Refiner, path, usable
+from workbench.tune.refine import Path, Refined, Refiner, eq_2_alone, path, usable
 from workbench.tune.robust import tune_robust
-from workbench.tune.scan import OutOfTime, evolve, spread
-from workbench.tune.verify import Choice, choose, stem_guard
+from workbench.tune.scan import OutOfBudget, evolve, spread
+from workbench.tune.verify import Choice, choose, digit_steps, stem_guard
 
 __all__ = ["tune"]
 
 # Sizes of the searches up to 1,000 samples; longer runs get fewer.
 SCAN_MEMBERS, SCAN_GENERATIONS = 200, 200
-JOINT_MEMBERS, JOINT_GENERATIONS = 100, 400
+JOINTS, JOINT_MEMBERS, JOINT_GENERATIONS = 2, 100, 400
 DENSE_MEMBERS, DENSE_GENERATIONS, DENSE_GAP = 60, 100, 2e-4
-# Branch programs up to 1,000 samples, over all restarts.
-SOLVES = 12
+# Branch programs over all restarts, at few samples; a program's time grows with N. The least J lies at the end of a
+# walk across many decisions, the least worst case within the digits seldom does.
+SOLVES, NOMINAL_SOLVES = 24, 64
+# Digits of a tuning to type in, and of one that is only to be looked at: at a nominal optimum a few digits decide.
+DIGITS, NOMINAL_DIGITS = 4, 12
 # Samples that each search may simulate at most: some seconds.
 SCAN_SAMPLES, JOINT_SAMPLES, DENSE_SAMPLES, CHOICE_SAMPLES = 100_000_000, 300_000_000, 150_000_000, 150_000_000
 # Candidates that a scan hands on, and how far apart they are at least in the unit cube.
@@ -66,7 +70,7 @@ class _Found:
         return tunings[np.argsort(costs, kind="stable")[:count]]
 
     def least(self) -> float:
-        return float(min(costs.min(initial=math.inf) for costs in self.costs))
+        return float(min((costs.min(initial=math.inf) for costs in self.costs), default=math.inf))
 
 
 def tune(
@@ -76,29 +80,39 @@ def tune(
     bounds: Bounds | None = None,
     seed: int = 0,
     *,
-    digits: int = 4,
+    digits: int | None = None,
     restarts: int = 4,
-    guard: float = 0.01,
+    guard: float = 0.0,
     margin: float = 0.001,
+    nominal: bool = False,
     robust: bool | Ensemble = False,
     constraints: Constraints | None = None,
     time_limit: float | None = None,
+    max_evaluations: int | None = None,
     progress: Progress | None = None,
 ) -> Tuned:
     """Find the Kc, Ti and Td of least J (eq. (2), see `Objective`) for a loop in an experiment.
 
     The controller keeps its form, structure, filter and limits; bounds are in its own form, and equal ends fix a
     parameter. Its present tuning must lie within the bounds of the parameters that are free. digits: significant
-    digits (1..12) of the numbers to type in. restarts: independent global searches (1..100). guard: least distance
-    to keep from a stick/slip decision in the refinement, relative to the valve's (S + J)/2. margin: relative change
-    (0..0.2) of each parameter against which the worst J is minimised; half a last digit is always covered. time_limit:
-    s; the best so far is returned as `TIME_LIMIT`. progress: called with a phase in words and the share done (0..1).
-    Ctrl-C returns the best so far as `INTERRUPTED`.
+    digits (1..12) of the numbers to type in, 4 by default. restarts: independent global searches (1..100). guard: least
+    distance (0..0.5) to keep from a stick/slip decision in the refinement, relative to the valve's (S + J)/2. margin:
+    relative change (0..0.2) of each parameter against which the worst J is minimised; half a last digit is always
+    covered. progress: called with a phase in words and the share done (0..1).
+
+    time_limit: s, and max_evaluations: simulated runs (both looked at between generations of a search); the best so far
+    is returned as `TIME_LIMIT` or `EVALUATION_LIMIT`. Ctrl-C returns it as `INTERRUPTED`.
+
+    nominal: minimise J of the tuning itself, at 12 digits unless they are given. Such optima sit on cliffs:
+    `Tuned.worst` tells what the margin costs, and the message warns. For comparison, not for a controller.
+
+    constraints: what the tuning must keep: margins of the loop's own plant, valve travel in the experiment. Where no
+    tuning keeps them, the nearest is returned as `INFEASIBLE`.
 
     robust: tune for an `Ensemble` of circumstances and plants instead of the one experiment; True takes the default,
-    `Ensemble.plant_ready(loop)`. constraints: what the robust tuning must keep, by default a maximum sensitivity of at
-    most 2 at the worst corner of the plant's uncertainty; where no tuning keeps it, the nearest is returned as
-    `INFEASIBLE`. See `tune_robust`; guard plays no part then.
+    `Ensemble.plant_ready(loop)`. The constraints then hold at the worst corner of the plant's uncertainty and for the
+    mean travel, and are a maximum sensitivity of at most 2 unless given. See `tune_robust`; guard and max_evaluations
+    play no part then.
 
     Returns a `Tuned` whose objective is the exact J of the rounded controller. Equal arguments give equal results
     (but for times, and unless stopped by time). Raises `InvalidValue`.
@@ -108,47 +122,57 @@ def tune(
     instance(experiment, Experiment, "experiment", "an Experiment")
     instance(objective, Objective, "objective", "an Objective or None")
     instance(bounds, Bounds, "bounds", "a Bounds or None")
-    _check(loop, bounds, seed, digits, restarts, guard, margin, time_limit)
+    instance(nominal, bool, "tune.nominal", "True or False")
+    digits = (NOMINAL_DIGITS if nominal else DIGITS) if digits is None else digits
+    _check(loop, bounds, seed, digits, restarts, guard, margin, time_limit, max_evaluations)
     if not isinstance(robust, bool | Ensemble):
         raise InvalidValue("tune.robust", robust, "must be True, False or an Ensemble")
     if constraints is not None and not isinstance(constraints, Constraints):
         raise InvalidValue("tune.constraints", constraints, "must be Constraints(...) or None")
     began = time.perf_counter()
-    problem = Problem(loop, experiment, objective, bounds, digits, margin)
+    single = None if robust is not False else constraints
+    problem = Problem(loop, experiment, objective, bounds, digits, margin, nominal=nominal, constraints=single)
     if robust is not False:
+        if nominal:
+            raise InvalidValue("tune.nominal", nominal, "an ensemble has no nominal run: give nominal or robust")
         ensemble = Ensemble.plant_ready(loop) if robust is True else robust
         return tune_robust(problem, ensemble, constraints, seed, restarts, time_limit, progress)
-    if constraints is not None:
-        raise InvalidValue("tune.constraints", constraints, "need robust=True or an Ensemble to hold over")
     start = float(problem.exact(np.array([[loop.controller.Kc, loop.controller.Ti, loop.controller.Td]]))[0])
     found = _Found()
     status, note = SolveStatus.SOLVED, ""
 
-    def check_time() -> None:
+    def check() -> None:
         if time_limit is not None and time.perf_counter() - began > time_limit:
-            raise OutOfTime
+            raise OutOfBudget(SolveStatus.TIME_LIMIT, f"the time limit of {time_limit:g} s")
+        if max_evaluations is not None and problem.work.evaluations >= max_evaluations:
+            raise OutOfBudget(SolveStatus.EVALUATION_LIMIT, f"the limit of {max_evaluations} evaluations")
 
     def tell(phase: str, share: float) -> None:
         if progress is not None:
             progress(phase, share)
 
     try:
-        _search(problem, found, seed, restarts, guard, check_time, tell)
+        _search(problem, found, seed, restarts, guard, check, tell)
         tell("choosing the digits", 0.9)
-        most = problem.simulated + CHOICE_SAMPLES
-        chosen = choose(problem, _candidates(problem, found), stop=_stopper(problem, most, check_time))
+        most = problem.work.simulated + CHOICE_SAMPLES
+        chosen = choose(problem, _candidates(problem, found), stop=_stopper(problem, most, check))
     except KeyboardInterrupt:
         status, note = SolveStatus.INTERRUPTED, "stopped by the user; the best so far"
         chosen = _quick(problem, found)
-    except OutOfTime:
-        status, note = SolveStatus.TIME_LIMIT, f"stopped at the time limit of {time_limit:g} s; the best so far"
+    except OutOfBudget as limit:
+        status, note = limit.status, f"stopped at {limit}; the best so far"
         chosen = _quick(problem, found)
     tell("done", 1.0)
     solves = sum(r.solves for r in found.restarts)
     run = path(problem, chosen.tuning)
     if status is SolveStatus.SOLVED and _runs_away(problem, run, chosen.cost):
         status, note = SolveStatus.DIVERGED, "no tuning that was tried within the bounds keeps the loop from diverging"
-    return Tuned(
+    broken = _broken(problem, chosen.tuning)
+    if broken:
+        words = f"no tuning found within the bounds keeps every constraint; the nearest has {', '.join(broken)}"
+        note = f"{note}; {words}" if note else words
+        status = SolveStatus.INFEASIBLE if status is SolveStatus.SOLVED else status
+    tuned = Tuned(
         loop=loop,
         experiment=experiment,
         weights=objective,
@@ -156,22 +180,41 @@ def tune(
         controller=problem.controller(chosen.tuning),
         objective=chosen.cost,
         status=status,
-        message=_message(problem, found, note, solves, chosen.tuning),
+        message="",
         digits=digits,
-        nominal=min(found.least(), chosen.cost) if found.costs else chosen.cost,
-        worst=chosen.worst,
+        nominal=min(found.least(), chosen.cost),
+        worst=max(chosen.cost, _around(problem, chosen.tuning)) if nominal or broken else chosen.worst,
         margin=margin,
         start_objective=start,
         guard_margin=stem_guard(problem, chosen.tuning),
         slips=int(np.count_nonzero(run.x != np.append(0.0, run.x[:-1]))),
         restarts=tuple(found.restarts),
-        evaluations=problem.evaluations,
+        evaluations=problem.work.evaluations,
         solves=solves,
         iterations=sum(r.iterations for r in found.restarts),
         seed=seed,
         wall_time=time.perf_counter() - began,
         versions=MappingProxyType(dict(versions())),
+        constraints=constraints,
+        steps=digit_steps(problem, chosen.tuning, problem.exact),
+        nominal_only=nominal,
     )
+    return replace(tuned, message=_message(problem, found, note, tuned))
+
+
+def _around(problem: Problem, tuning: FloatArray) -> float:
+    """The worst J within the digits of a tuning, whatever was asked of it."""
+    return float(problem.unconstrained().spread(tuning[None, :], np.array([np.inf]))[0])
+
+
+def _broken(problem: Problem, tuning: FloatArray) -> list[str]:
+    """Say which constraints a tuning breaks."""
+    asked = problem.constraints
+    if asked is None:
+        return []
+    margins, stable = problem.margins(tuning[None, :])
+    Ms, gain, phase = (float(v) for v in margins[0]) if stable[0] else (math.inf, 0.0, 0.0)
+    return missed(asked, (Ms, gain, phase), float(problem.travel(tuning[None, :])[0]), "valve travel")
 
 
 def _runs_away(problem: Problem, run: Path, cost: float) -> bool:
@@ -191,6 +234,7 @@ def _check(
     guard: float,
     margin: float,
     time_limit: float | None,
+    max_evaluations: int | None,
 ) -> None:
     whole(seed, "tune.seed")
     for name, value, most in (("digits", digits, 12), ("restarts", restarts, 100)):
@@ -200,6 +244,8 @@ def _check(
     number(margin, "tune.margin", least=0.0, most=0.2)
     if time_limit is not None:
         number(time_limit, "tune.time_limit", above=0.0, unit="s")
+    if max_evaluations is not None:
+        number(whole(max_evaluations, "tune.max_evaluations"), "tune.max_evaluations", least=1)
     for name in NAMES:
         (low, high), value = getattr(bounds, name), getattr(loop.controller, name)
         slack = 1e-9 * max(abs(low), abs(high))
@@ -208,12 +254,12 @@ def _check(
             raise InvalidValue(f"PID.{name}", value, allowed)
 
 
-def _stopper(problem: Problem, most: int, check_time: Callable[[], None]) -> Callable[[], bool]:
+def _stopper(problem: Problem, most: int, check: Callable[[], None]) -> Callable[[], bool]:
     """Return the question whether more than `most` samples have been simulated; it also looks at the time."""
 
     def stop() -> bool:
-        check_time()
-        return problem.simulated > most
+        check()
+        return problem.work.simulated > most
 
     return stop
 
@@ -224,31 +270,31 @@ def _search(
     seed: int,
     restarts: int,
     guard: float,
-    check_time: Callable[[], None],
+    check: Callable[[], None],
     tell: Progress,
 ) -> None:
     """Scan, refine, and search the worst case; everything goes into `found` as it comes."""
     guesses = problem.guesses()
-    found.add(guesses, problem.exact(guesses))
+    found.add(guesses, problem.values(guesses))
     if problem.free.size == 0:
         return
-    check_time()
+    check()
     scale = min(math.sqrt(1000.0 / problem.samples), 1.0)
     refiner: Refiner | None = None
-    # Solves are shared out evenly; a program's time grows with N.
-    budget = max(1, min(SOLVES, max(4, 1000 * SOLVES // problem.samples)) // restarts)
+    solves = NOMINAL_SOLVES if problem.nominal else SOLVES
+    budget = max(1, round(solves / (1.0 + problem.samples / 1000.0) / restarts))
     seeds = [np.random.default_rng([seed, k]) for k in range(restarts)]
     pool: list[FloatArray] = []
     for k, rng in enumerate(seeds):
         tell(f"global scan {k + 1} of {restarts}", 0.5 * k / restarts)
-        before = problem.evaluations
-        tunings, costs = _scan(problem, rng, scale, check_time)
+        before = problem.work.evaluations
+        tunings, costs = _scan(problem, rng, scale, check)
         found.add(tunings, costs)
         scanned = float(costs.min(initial=math.inf))
         refined = Refined(np.zeros((0, 3)), np.zeros(0), 0, 0, 0)
-        evaluations = problem.evaluations - before
+        evaluations = problem.work.evaluations - before
         if usable(problem) and math.isfinite(scanned):
-            check_time()
+            check()
             tell(f"refinement {k + 1} of {restarts}", 0.5 * (k + 0.5) / restarts)
             refiner = refiner or Refiner(problem, guard, max(scanned, 1e-12))
             refined = refiner.refine(tunings, costs, budget)
@@ -256,39 +302,34 @@ def _search(
             found.accepted += refined.accepted
         pool += [tunings, refined.tunings]
         best = min(scanned, float(refined.costs.min(initial=math.inf)))
+        scanned, best = (v if v < WORN else math.inf for v in (scanned, best))
         found.restarts.append(Restart(k, scanned, best, evaluations, refined.solves, refined.iterations))
-    tell("worst case within the digits", 0.55)
-    found.joint = _joint(problem, np.concatenate(pool), np.random.default_rng([seed, restarts]), scale, check_time)
+    tell("the digits to type in" if problem.nominal else "worst case within the digits", 0.55)
+    found.joint = _joint(problem, np.concatenate(pool), [seed, restarts], scale, check)
     if problem.low[2] == 0.0 and 2 in problem.free and problem.free.size > 1:
         # In three dimensions a search seldom ends with no derivative at all, where often the best tuning lies.
         tell("without derivative", 0.8)
-        _search_face(
-            problem, found, np.concatenate(pool), np.random.default_rng([seed, restarts + 1]), scale, check_time
-        )
+        _search_face(problem, found, np.concatenate(pool), [seed, restarts + 1], scale, check)
 
 
 def _search_face(
     problem: Problem,
     found: _Found,
     pool: FloatArray,
-    rng: np.random.Generator,
+    seed: list[int],
     scale: float,
-    check_time: Callable[[], None],
+    check: Callable[[], None],
 ) -> None:
     """Scan and search the worst case where Td = 0, the face of the bounds, as if that had been asked for."""
     face = problem.without_derivative()
-    try:
-        tunings, costs = _scan(face, rng, scale, check_time)
-        found.add(tunings, costs)
-        start = np.concatenate([tunings, pool * np.array([1.0, 1.0, 0.0])])
-        found.joint = np.concatenate([found.joint, _joint(face, start, rng, scale, check_time)])
-    finally:
-        problem.evaluations += face.evaluations
-        problem.simulated += face.simulated
+    tunings, costs = _scan(face, np.random.default_rng([*seed, JOINTS]), scale, check)
+    found.add(tunings, costs)
+    start = np.concatenate([tunings, pool * np.array([1.0, 1.0, 0.0])])
+    found.joint = np.concatenate([found.joint, _joint(face, start, seed, scale, check)])
 
 
 def _scan(
-    problem: Problem, rng: np.random.Generator, scale: float, check_time: Callable[[], None]
+    problem: Problem, rng: np.random.Generator, scale: float, check: Callable[[], None]
 ) -> tuple[FloatArray, FloatArray]:
     """One global search for the least J: its best tunings, well apart, and their J."""
     points: list[FloatArray] = []
@@ -308,22 +349,20 @@ def _scan(
         np.concatenate([problem.cube(problem.guesses()), start]),
         _sized(SCAN_GENERATIONS, scale),
         rng,
-        stop=_stopper(problem, problem.simulated + SCAN_SAMPLES, check_time),
+        stop=_stopper(problem, problem.work.simulated + SCAN_SAMPLES, check),
         keep=keep,
     )
     all_points, all_values = np.concatenate(points), np.concatenate(values)
     chosen = spread(all_points, all_values, KEPT, GAP)
     tunings = problem.tunings(all_points[chosen])
-    return tunings, problem.exact(tunings)
+    return tunings, problem.values(tunings)
 
 
-def _joint(
-    problem: Problem, pool: FloatArray, rng: np.random.Generator, scale: float, check_time: Callable[[], None]
-) -> FloatArray:
+def _joint(problem: Problem, pool: FloatArray, seed: list[int], scale: float, check: Callable[[], None]) -> FloatArray:
     """Search for the least worst case, from the pool of all restarts, at the digits to type in.
 
-    First with few points of each neighbourhood, then from the best of those with many. Returns the last population's
-    tunings, the best first.
+    First with few points of each neighbourhood, several times, then from the best of those with many. Returns the last
+    population's tunings, the best first.
     """
     points: list[FloatArray] = []
     values: list[FloatArray] = []
@@ -332,15 +371,18 @@ def _joint(
         points.append(some)
         values.append(costs)
 
-    fresh = rng.random((_sized(JOINT_MEMBERS, scale), problem.free.size))
-    evolve(
-        lambda x, ceilings: problem.worst_below(problem.rounded(problem.tunings(x)), ceilings),
-        np.concatenate([problem.cube(pool), problem.cube(problem.guesses()), fresh]),
-        _sized(JOINT_GENERATIONS, scale),
-        rng,
-        stop=_stopper(problem, problem.simulated + JOINT_SAMPLES, check_time),
-        keep=keep,
-    )
+    for k in range(JOINTS):
+        # The landscape of worst cases has many valleys, and one search ends in one of them.
+        rng = np.random.default_rng([*seed, k])
+        fresh = rng.random((_sized(JOINT_MEMBERS, scale), problem.free.size))
+        evolve(
+            lambda x, ceilings: problem.worst_below(problem.rounded(problem.tunings(x)), ceilings),
+            np.concatenate([problem.cube(pool), problem.cube(problem.guesses()), fresh]),
+            _sized(JOINT_GENERATIONS, scale),
+            rng,
+            stop=_stopper(problem, problem.work.simulated + JOINT_SAMPLES, check),
+            keep=keep,
+        )
     best = spread(np.concatenate(points), np.concatenate(values), _sized(DENSE_MEMBERS, scale), DENSE_GAP)
     if not best.size:
         return problem.rounded(pool)
@@ -349,7 +391,7 @@ def _joint(
         np.concatenate(points)[best],
         _sized(DENSE_GENERATIONS, scale),
         rng,
-        stop=_stopper(problem, problem.simulated + DENSE_SAMPLES, check_time),
+        stop=_stopper(problem, problem.work.simulated + DENSE_SAMPLES, check),
     )
     return problem.tunings(population.points)
 
@@ -374,19 +416,28 @@ def _quick(problem: Problem, found: _Found) -> Choice:
     return Choice(best, float(problem.exact(best[None, :])[0]), float(worst.min()))
 
 
-def _message(problem: Problem, found: _Found, note: str, solves: int, tuning: FloatArray) -> str:
+def _message(problem: Problem, found: _Found, note: str, tuned: Tuned) -> str:
     parts = [note] if note else []
+    around = f"within the larger of {100.0 * tuned.margin:g} % and half a last digit"
+    if tuned.nominal_only:
+        parts.append(f"the least J itself, not to be typed in: {around} J rises to {tuned.worst:.5g}")
+    elif tuned.knife_edge:
+        parts.append(f"a knife-edge: {around} J rises from {tuned.objective:.5g} to {tuned.worst:.5g}")
     for k in problem.free:
-        low, high, value = float(problem.low[k]), float(problem.high[k]), float(tuning[k])
+        low, high, value = float(problem.low[k]), float(problem.high[k]), float(getattr(tuned.controller, NAMES[k]))
         # Td = 0 is a choice, a PI controller, and no end of a range to be widened.
         if value >= high * (1.0 - 1e-9) or (value <= low * (1.0 + 1e-9) and not (NAMES[k] == "Td" and low == 0.0)):
             which = "upper" if value >= high * (1.0 - 1e-9) else "lower"
             parts.append(f"{NAMES[k]} ends on its {which} bound ({value:g}): wider bounds may give a better tuning")
     if problem.free.size == 0:
         parts.append("all parameters are fixed")
+    elif not eq_2_alone(problem):
+        parts.append("direct search on the exact simulator: branch programs know eq. (2) without constraints only")
     elif not usable(problem):
         parts.append(f"{problem.samples} samples: direct search on the exact simulator without branch programs")
-    elif solves:
-        parts.append(f"{found.accepted} of {solves} branch programs verified by exact simulation")
+    elif tuned.solves:
+        parts.append(f"{found.accepted} of {tuned.solves} branch programs verified by exact simulation")
+    if len(tuned.restarts) > 1:
+        parts.append(f"{tuned.agreeing} of {len(tuned.restarts)} searches agree on the least J within 0.1 %")
     parts.append(f"objective by exact simulation at {problem.digits} significant digits")
     return "; ".join(parts)

@@ -10,12 +10,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from workbench.model.record import FloatArray
+from workbench.model.results import DigitStep
 from workbench.model.valve import Choudhury, Deadband, Stenman
 from workbench.simulate.coefficients import valve_law
-from workbench.tune.problem import Problem, unit_of
+from workbench.tune.problem import NAMES, Problem, unit_of
 from workbench.tune.refine import path
 
-__all__ = ["Choice", "choose", "stem_guard"]
+__all__ = ["Choice", "choose", "digit_steps", "stem_guard"]
 
 # Steps of the last search, in units of the last digit.
 STEPS = (64, 16, 4, 1)
@@ -90,6 +91,25 @@ def _improved(problem: Problem, tuning: FloatArray, value: float, stop: Callable
             if not better:
                 break
     return tuning, value
+
+
+def digit_steps(
+    problem: Problem, tuning: FloatArray, value: Callable[[FloatArray], FloatArray]
+) -> tuple[DigitStep, ...]:
+    """Return what one unit of the last digit of each free parameter does; value: (M, 3) -> J, shape (M,)."""
+    units = unit_of(tuning, problem.digits)
+    near = np.tile(tuning, (2 * problem.free.size, 1))
+    for i, k in enumerate(problem.free):
+        near[2 * i, k] -= units[k]
+        near[2 * i + 1, k] += units[k]
+    inside = ((near >= problem.low) & (near <= problem.high)).all(axis=1)
+    costs = np.full(near.shape[0], math.nan)
+    if inside.any():
+        costs[inside] = value(problem.rounded(near[inside]))
+    return tuple(
+        DigitStep(NAMES[k], float(units[k]), float(costs[2 * i]), float(costs[2 * i + 1]))
+        for i, k in enumerate(problem.free)
+    )
 
 
 def stem_guard(problem: Problem, tuning: FloatArray) -> float:

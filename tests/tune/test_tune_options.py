@@ -1,0 +1,132 @@
+"""What `wb.tune` can be asked beside eq. (2): nominal optima, figures of the run, constraints, budgets, sureness."""
+
+import math
+
+import numpy as np
+import pytest
+
+import workbench as wb
+from workbench.tune.problem import Problem
+
+LOOP = wb.Loop(wb.FOPDT(1.0, 5.0, 1.0), wb.Stenman(2.0), wb.PID(0.5, 20.0, derivative_on="pv"), 1.0)
+STEP = wb.Experiment(200.0, wb.Step(4.0))
+PI = wb.Bounds(Td=(0.0, 0.0))
+
+
+def exact(tuned):
+    loop = tuned.loop.with_controller(tuned.controller)
+    return float(wb.evaluate(loop, tuned.experiment, tuned.weights)[0])
+
+
+# Best known values of FINDINGS, section 2, and of the problem set in benchmarks/.
+@pytest.mark.parametrize(
+    ("on", "weights", "best"),
+    [
+        ("pv", (0.5, 0.0, 0.5, 0.0), 9.76154),
+        ("error", (0.5, 0.0, 0.5, 0.05), 15.94518),
+        ("pv", (0.5, 0.05, 0.5, 0.0), 61.55849),
+        ("pv", (0.5, 0.0, 0.5, 0.5), 32.38228),
+    ],
+)
+def test_a_nominal_search_reaches_the_best_known_value(on, weights, best):
+    pid = wb.PID(0.5, 20.0, derivative_on=on)
+    tuned = wb.tune(LOOP.with_controller(pid), STEP, wb.Objective(*weights), seed=3, nominal=True)
+    assert tuned.require_success().objective <= 1.001 * best
+    assert tuned.objective == exact(tuned)
+    assert tuned.nominal_only
+    assert "not to be typed in" in tuned.message
+    # A cliff: within 0.1 % of its parameters it costs far more.
+    assert tuned.worst > tuned.objective
+
+
+def test_a_nominal_optimum_is_below_the_typed_in_one_and_its_worst_case_above():
+    robust, nominal = wb.tune(LOOP, STEP, bounds=PI), wb.tune(LOOP, STEP, bounds=PI, nominal=True)
+    assert nominal.objective <= robust.objective
+    assert nominal.worst >= robust.worst
+    assert not robust.nominal_only
+
+
+def test_the_integral_of_the_absolute_error_can_be_minimised():
+    tuned = wb.tune(LOOP, STEP, wb.Objective.of(iae=1.0), bounds=PI, restarts=2)
+    run = wb.simulate(LOOP.with_controller(tuned.controller), STEP)
+    np.testing.assert_allclose(tuned.objective, run.kpis.iae, rtol=1e-12)
+    least = wb.tune(LOOP, STEP, bounds=PI, restarts=2)
+    other = wb.simulate(LOOP.with_controller(least.controller), STEP)
+    assert run.kpis.iae < other.kpis.iae
+    assert tuned.solves == 0
+    assert "branch programs know eq. (2)" in tuned.message
+
+
+def test_margins_and_travel_are_kept_for_the_loop_itself():
+    asked = wb.Constraints(max_sensitivity=1.5, valve_travel=12.0)
+    tuned = wb.tune(LOOP, STEP, bounds=PI, restarts=2, constraints=asked)
+    loop = LOOP.with_controller(tuned.require_success().controller)
+    assert wb.margins(loop).max_sensitivity <= 1.5 + 1e-6
+    run = wb.simulate(loop, STEP)
+    assert run.kpis.valve_travel <= 12.0
+    assert tuned.objective == exact(tuned)
+    assert tuned.constraints == asked
+    free = wb.tune(LOOP, STEP, bounds=PI, restarts=2)
+    assert wb.margins(LOOP.with_controller(free.controller)).max_sensitivity > 1.5
+    # No grid point that keeps the constraints is better.
+    Kc, Ti = np.meshgrid(np.linspace(0.1, 3.0, 30), np.geomspace(5.0, 600.0, 30))
+    grid = np.column_stack([Kc.ravel(), Ti.ravel(), np.zeros(900)])
+    values = Problem(LOOP, STEP, wb.Objective(), PI, 4, 0.001, constraints=asked).values(grid)
+    assert tuned.objective <= values.min()
+
+
+def test_constraints_that_nothing_keeps_are_infeasible_with_what_the_nearest_reaches():
+    # Kc of at least 1 makes the stem travel further than 1 %.
+    bounds = wb.Bounds(Kc=(1.0, 10.0), Td=(0.0, 0.0))
+    loop = LOOP.with_controller(wb.PID(1.0, 20.0))
+    tuned = wb.tune(loop, STEP, bounds=bounds, restarts=1, constraints=wb.Constraints(valve_travel=1.0))
+    assert tuned.status is wb.SolveStatus.INFEASIBLE
+    assert "the nearest has a valve travel of" in tuned.message
+    assert math.isfinite(tuned.objective)
+    assert tuned.objective == exact(tuned)
+    assert tuned.worst < 1e100
+    with pytest.raises(wb.SolveError):
+        tuned.require_success()
+
+
+def test_a_small_budget_returns_the_best_so_far():
+    tuned = wb.tune(LOOP, STEP, bounds=PI, max_evaluations=500)
+    assert tuned.status is wb.SolveStatus.EVALUATION_LIMIT
+    assert "the limit of 500 evaluations; the best so far" in tuned.message
+    assert tuned.objective == exact(tuned) <= tuned.start_objective
+    assert tuned.evaluations < 5000
+    again = wb.tune(LOOP, STEP, bounds=PI, max_evaluations=500)
+    assert again.controller == tuned.controller
+
+
+def test_the_result_says_how_sure_it_is():
+    tuned = wb.tune(LOOP, STEP, bounds=wb.Bounds(Ti=(5.0, 60.0), Td=(0.0, 0.0)))
+    assert [step.name for step in tuned.steps] == ["Kc", "Ti"]
+    for step in tuned.steps:
+        value = getattr(tuned.controller, step.name)
+        for cost, near in ((step.below, value - step.unit), (step.above, value + step.unit)):
+            if math.isnan(cost):
+                assert near in (pytest.approx(value - step.unit), pytest.approx(value + step.unit))
+                continue
+            other = {"Kc": tuned.controller.Kc, "Ti": tuned.controller.Ti, step.name: round(near, 8)}
+            J = wb.evaluate(LOOP, STEP, tuned.weights, [[other["Kc"], other["Ti"], 0.0]])[0]
+            assert cost == pytest.approx(J, rel=1e-12)
+    assert 1 <= tuned.agreeing <= 4
+    assert f"{tuned.agreeing} of 4 searches agree" in tuned.message
+    run = wb.simulate(LOOP.with_controller(tuned.controller), STEP)
+    assert tuned.slips == np.count_nonzero(np.diff(run.valve, prepend=0.0))
+
+
+@pytest.mark.parametrize(
+    ("wrong", "where"),
+    [
+        ({"nominal": 1}, "tune.nominal"),
+        ({"max_evaluations": 0}, "tune.max_evaluations"),
+        ({"max_evaluations": 10.5}, "tune.max_evaluations"),
+        ({"constraints": 2.0}, "tune.constraints"),
+    ],
+)
+def test_wrong_options_are_refused(wrong, where):
+    with pytest.raises(wb.InvalidValue) as caught:
+        wb.tune(LOOP, STEP, **wrong)
+    assert caught.value.where == where

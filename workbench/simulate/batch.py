@@ -1,0 +1,99 @@
+"""Many runs at once: their sums, their objectives and their worst cases, over the machine's cores.
+
+The kernel works without Python's lock, so that threads share the rows out; each row is the same run on any of them.
+"""
+
+from __future__ import annotations
+
+import itertools
+import os
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+from numpy.typing import NDArray
+
+from workbench.model.record import FloatArray
+from workbench.model.tuning import Objective
+from workbench.simulate import kernel
+from workbench.simulate.signals import Signals
+
+__all__ = ["kernel_weights", "sums", "weigh", "worst"]
+
+# Fewer samples than this, some milliseconds, are not worth a second thread.
+WORTH_SHARING = 400_000
+
+
+def kernel_weights(objective: Objective, samples: int, sample_time: float) -> FloatArray:
+    """Return an objective's weights of the kernel's sums, shape (kernel.WEIGHTS,)."""
+    figures = dict(objective.kpis)
+    window = figures.get("mean_square_error", 0.0) / samples + figures.get("ise", 0.0) * sample_time
+    rest = ("controller_travel", "reversals", "error_variance", "op_variance", "valve_variance", "pv_sd")
+    return np.array(
+        [
+            *objective.weights,
+            window,
+            figures.get("valve_travel", 0.0),
+            figures.get("iae", 0.0) * sample_time,
+            *(figures.get(name, 0.0) for name in rest),
+        ]
+    )
+
+
+def sums(
+    rows: FloatArray, given: Signals, which: NDArray[np.int64] | None = None, *, every: bool = False
+) -> FloatArray:
+    """Return the sums of `kernel.run_costs` for coefficient rows, shape (M, FEW_SUMS), or (M, SUMS) if `every`.
+
+    given: one experiment, shape (N + 1,) each, or several of the same N, shape (E, N + 1); row i runs in which[i].
+    """
+    r, load, noise = (np.atleast_2d(s) for s in (given.r, given.load, given.noise))
+    which = np.zeros(rows.shape[0], np.int64) if which is None else which
+    result = np.empty((rows.shape[0], kernel.SUMS if every else kernel.FEW_SUMS))
+    longest = int(rows[:, kernel.DELAY].max(initial=0.0))
+
+    def work(part: slice) -> None:
+        kernel.run_costs(rows[part], which[part], r, load, noise, result[part], longest)
+
+    _shared(rows.shape[0], r.shape[1] - 1, work)
+    return result
+
+
+def weigh(terms: FloatArray, weights: FloatArray, samples: int) -> FloatArray:
+    """Return J for sums of shape (M, FEW_SUMS or SUMS) and `kernel_weights`; inf where a run overflowed."""
+    costs = np.empty(terms.shape[0])
+    kernel.weigh_all(terms, weights, samples, costs)
+    return costs
+
+
+def worst(
+    rows: FloatArray, group: int, given: Signals, weights: FloatArray, ceilings: FloatArray
+) -> tuple[FloatArray, int]:
+    """Return the worst J of each group of rows, shape (M,), inf above its ceiling, and the samples run for it."""
+    result = np.empty(ceilings.size)
+    longest = int(rows[0, kernel.DELAY]) if rows.size else 0
+    counts: list[int] = []
+
+    def work(part: slice) -> None:
+        own = rows[part.start * group : part.stop * group]
+        counts.append(
+            kernel.run_worst(
+                own, group, given.r, given.load, given.noise, weights, ceilings[part], result[part], longest
+            )
+        )
+
+    _shared(ceilings.size, group * given.samples, work)
+    return result, sum(counts)
+
+
+def _shared(count: int, samples: int, work: Callable[[slice], None]) -> None:
+    """Do `work` on parts of range(count), each of so many samples, on all cores if it is worth it."""
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    if cores == 1 or count * samples < WORTH_SHARING or count < 2 * cores:
+        work(slice(0, count))
+        return
+    # More parts than cores: runs that are given up early make some parts short.
+    edges = np.linspace(0, count, min(4 * cores, count) + 1).astype(int).tolist()
+    parts = [slice(a, b) for a, b in itertools.pairwise(edges)]
+    with ThreadPoolExecutor(cores) as pool:
+        list(pool.map(work, parts))
