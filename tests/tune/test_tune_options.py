@@ -117,10 +117,20 @@ def test_the_result_says_how_sure_it_is():
     assert tuned.slips == np.count_nonzero(np.diff(run.valve, prepend=0.0))
 
 
+def test_complementarity_starts_join_the_search():
+    short = wb.Experiment(80.0, wb.Step(4.0))
+    plain, more = (wb.tune(LOOP, short, bounds=PI, restarts=1, nominal=True, complementarity=n) for n in (0, 2))
+    assert more.objective <= plain.objective
+    assert more.solves > sum(restart.solves for restart in more.restarts)
+    assert plain.solves == sum(restart.solves for restart in plain.restarts)
+
+
 @pytest.mark.parametrize(
     ("wrong", "where"),
     [
         ({"nominal": 1}, "tune.nominal"),
+        ({"complementarity": -1}, "tune.complementarity"),
+        ({"complementarity": 1, "constraints": wb.Constraints(2.0)}, "tune"),
         ({"max_evaluations": 0}, "tune.max_evaluations"),
         ({"max_evaluations": 10.5}, "tune.max_evaluations"),
         ({"constraints": 2.0}, "tune.constraints"),

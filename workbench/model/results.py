@@ -18,7 +18,7 @@ from workbench.model.experiment import Experiment
 from workbench.model.loop import Loop
 from workbench.model.plant import Plant
 from workbench.model.record import FloatArray, Record
-from workbench.model.tuning import Bounds, Objective
+from workbench.model.tuning import Bounds, DigitStep, Objective
 from workbench.model.valve import Valve
 
 __all__ = [
@@ -225,19 +225,6 @@ class Robustness:
     def travel_mean(self) -> float:
         """Mean of the valve travel, %."""
         return float(self.valve_travel.mean())
-
-
-@dataclass(frozen=True, slots=True)
-class DigitStep:
-    """What one unit of a parameter's last digit does: its name, that unit, and J with one unit less and one more.
-
-    nan where the bounds leave no room on that side.
-    """
-
-    name: str
-    unit: float
-    below: float
-    above: float
 
 
 @dataclass(frozen=True, eq=False)

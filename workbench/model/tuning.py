@@ -1,4 +1,4 @@
-"""What is asked of a tuning: the objective, eq. (2) of the paper and figures of the run, and the parameters' bounds."""
+"""What is asked of a tuning, its objective (eq. (2) of the paper, figures of the run) and bounds, and its digits."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from workbench.errors import InvalidValue
 from workbench.model.checks import choice, number, ordered_pair
 from workbench.model.controller import PID
 
-__all__ = ["WEIGHABLE", "Bounds", "Objective"]
+__all__ = ["WEIGHABLE", "Bounds", "DigitStep", "Objective"]
 
 
 # The figures of `Kpis` that an objective can weigh: sums, variances and a standard deviation. The others say nothing
@@ -102,3 +102,16 @@ class Bounds:
             low - 1e-9 * abs(low) <= getattr(controller, name) <= high + 1e-9 * abs(high)
             for name, (low, high) in (("Kc", self.Kc), ("Ti", self.Ti), ("Td", self.Td))
         )
+
+
+@dataclass(frozen=True, slots=True)
+class DigitStep:
+    """What one unit of a parameter's last digit does: its name, that unit, and J with one unit less and one more.
+
+    nan where the bounds leave no room on that side.
+    """
+
+    name: str
+    unit: float
+    below: float
+    above: float

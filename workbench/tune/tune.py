@@ -11,8 +11,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from types import MappingProxyType
 
 import numpy as np
@@ -23,54 +22,24 @@ from workbench.model.ensemble import Constraints, Ensemble
 from workbench.model.experiment import Experiment
 from workbench.model.loop import Loop
 from workbench.model.record import FloatArray
-from workbench.model.results import Restart, SolveStatus, Tuned
+from workbench.model.results import SolveStatus, Tuned
 from workbench.model.tuning import Bounds, Objective
 from workbench.symbolic.solve import versions
-from workbench.tune.limits import WORN, missed
+from workbench.tune.complementarity import applicable
+from workbench.tune.limits import missed
 from workbench.tune.problem import NAMES, Problem
-from workbench.tune.refine import Path, Refined, Refiner, eq_2_alone, path, usable
+from workbench.tune.refine import Path, eq_2_alone, path, usable
 from workbench.tune.robust import tune_robust
-from workbench.tune.scan import OutOfBudget, evolve, spread
+from workbench.tune.scan import OutOfBudget
+from workbench.tune.search import Found, Progress, search, stopper
 from workbench.tune.verify import Choice, choose, digit_steps, stem_guard
 
 __all__ = ["tune"]
 
-# Sizes of the searches up to 1,000 samples; longer runs get fewer.
-SCAN_MEMBERS, SCAN_GENERATIONS = 200, 200
-JOINTS, JOINT_MEMBERS, JOINT_GENERATIONS = 2, 100, 400
-DENSE_MEMBERS, DENSE_GENERATIONS, DENSE_GAP = 60, 100, 2e-4
-# Branch programs over all restarts, at few samples; a program's time grows with N. The least J lies at the end of a
-# walk across many decisions, the least worst case within the digits seldom does.
-SOLVES, NOMINAL_SOLVES = 24, 64
 # Digits of a tuning to type in, and of one that is only to be looked at: at a nominal optimum a few digits decide.
 DIGITS, NOMINAL_DIGITS = 4, 12
-# Samples that each search may simulate at most: some seconds.
-SCAN_SAMPLES, JOINT_SAMPLES, DENSE_SAMPLES, CHOICE_SAMPLES = 100_000_000, 300_000_000, 150_000_000, 150_000_000
-# Candidates that a scan hands on, and how far apart they are at least in the unit cube.
-KEPT, GAP = 40, 3e-3
-Progress = Callable[[str, float], None]
-
-
-@dataclass
-class _Found:
-    """What the search has so far: all tunings worth keeping, and the counts."""
-
-    tunings: list[FloatArray] = field(default_factory=list)
-    costs: list[FloatArray] = field(default_factory=list)
-    restarts: list[Restart] = field(default_factory=list)
-    accepted: int = 0
-    joint: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
-
-    def add(self, tunings: FloatArray, costs: FloatArray) -> None:
-        self.tunings.append(tunings)
-        self.costs.append(costs)
-
-    def best(self, count: int) -> FloatArray:
-        tunings, costs = np.concatenate(self.tunings), np.concatenate(self.costs)
-        return tunings[np.argsort(costs, kind="stable")[:count]]
-
-    def least(self) -> float:
-        return float(min((costs.min(initial=math.inf) for costs in self.costs), default=math.inf))
+# Samples that the choice of the digits may simulate at most: some seconds.
+CHOICE_SAMPLES = 150_000_000
 
 
 def tune(
@@ -85,6 +54,7 @@ def tune(
     guard: float = 0.0,
     margin: float = 0.001,
     nominal: bool = False,
+    complementarity: int = 0,
     robust: bool | Ensemble = False,
     constraints: Constraints | None = None,
     time_limit: float | None = None,
@@ -106,6 +76,10 @@ def tune(
     nominal: minimise J of the tuning itself, at 12 digits unless they are given. Such optima sit on cliffs:
     `Tuned.worst` tells what the margin costs, and the message warns. For comparison, not for a controller.
 
+    complementarity: how many random starts (0..100) are also taken to the loop's complementarity program, rounded to
+    sequences of decisions and refined; for Stenman's valve without output limits, up to 500 samples, under eq. (2).
+    A second opinion on the scans: it takes a second or more for each.
+
     constraints: what the tuning must keep: margins of the loop's own plant, valve travel in the experiment. Where no
     tuning keeps them, the nearest is returned as `INFEASIBLE`.
 
@@ -123,6 +97,7 @@ def tune(
     instance(objective, Objective, "objective", "an Objective or None")
     instance(bounds, Bounds, "bounds", "a Bounds or None")
     instance(nominal, bool, "tune.nominal", "True or False")
+    number(whole(complementarity, "tune.complementarity"), "tune.complementarity", most=100)
     digits = (NOMINAL_DIGITS if nominal else DIGITS) if digits is None else digits
     _check(loop, bounds, seed, digits, restarts, guard, margin, time_limit, max_evaluations)
     if not isinstance(robust, bool | Ensemble):
@@ -137,8 +112,10 @@ def tune(
             raise InvalidValue("tune.nominal", nominal, "an ensemble has no nominal run: give nominal or robust")
         ensemble = Ensemble.plant_ready(loop) if robust is True else robust
         return tune_robust(problem, ensemble, constraints, seed, restarts, time_limit, progress)
+    if complementarity and problem.free.size:
+        applicable(problem)
     start = float(problem.exact(np.array([[loop.controller.Kc, loop.controller.Ti, loop.controller.Td]]))[0])
-    found = _Found()
+    found = Found()
     status, note = SolveStatus.SOLVED, ""
 
     def check() -> None:
@@ -152,10 +129,10 @@ def tune(
             progress(phase, share)
 
     try:
-        _search(problem, found, seed, restarts, guard, check, tell)
+        search(problem, found, seed, restarts, guard, complementarity, check, tell)
         tell("choosing the digits", 0.9)
         most = problem.work.simulated + CHOICE_SAMPLES
-        chosen = choose(problem, _candidates(problem, found), stop=_stopper(problem, most, check))
+        chosen = choose(problem, _candidates(problem, found), stop=stopper(problem, most, check))
     except KeyboardInterrupt:
         status, note = SolveStatus.INTERRUPTED, "stopped by the user; the best so far"
         chosen = _quick(problem, found)
@@ -163,7 +140,7 @@ def tune(
         status, note = limit.status, f"stopped at {limit}; the best so far"
         chosen = _quick(problem, found)
     tell("done", 1.0)
-    solves = sum(r.solves for r in found.restarts)
+    solves = found.solves + sum(r.solves for r in found.restarts)
     run = path(problem, chosen.tuning)
     if status is SolveStatus.SOLVED and _runs_away(problem, run, chosen.cost):
         status, note = SolveStatus.DIVERGED, "no tuning that was tried within the bounds keeps the loop from diverging"
@@ -254,160 +231,14 @@ def _check(
             raise InvalidValue(f"PID.{name}", value, allowed)
 
 
-def _stopper(problem: Problem, most: int, check: Callable[[], None]) -> Callable[[], bool]:
-    """Return the question whether more than `most` samples have been simulated; it also looks at the time."""
-
-    def stop() -> bool:
-        check()
-        return problem.work.simulated > most
-
-    return stop
-
-
-def _search(
-    problem: Problem,
-    found: _Found,
-    seed: int,
-    restarts: int,
-    guard: float,
-    check: Callable[[], None],
-    tell: Progress,
-) -> None:
-    """Scan, refine, and search the worst case; everything goes into `found` as it comes."""
-    guesses = problem.guesses()
-    found.add(guesses, problem.values(guesses))
-    if problem.free.size == 0:
-        return
-    check()
-    scale = min(math.sqrt(1000.0 / problem.samples), 1.0)
-    refiner: Refiner | None = None
-    solves = NOMINAL_SOLVES if problem.nominal else SOLVES
-    budget = max(1, round(solves / (1.0 + problem.samples / 1000.0) / restarts))
-    seeds = [np.random.default_rng([seed, k]) for k in range(restarts)]
-    pool: list[FloatArray] = []
-    for k, rng in enumerate(seeds):
-        tell(f"global scan {k + 1} of {restarts}", 0.5 * k / restarts)
-        before = problem.work.evaluations
-        tunings, costs = _scan(problem, rng, scale, check)
-        found.add(tunings, costs)
-        scanned = float(costs.min(initial=math.inf))
-        refined = Refined(np.zeros((0, 3)), np.zeros(0), 0, 0, 0)
-        evaluations = problem.work.evaluations - before
-        if usable(problem) and math.isfinite(scanned):
-            check()
-            tell(f"refinement {k + 1} of {restarts}", 0.5 * (k + 0.5) / restarts)
-            refiner = refiner or Refiner(problem, guard, max(scanned, 1e-12))
-            refined = refiner.refine(tunings, costs, budget)
-            found.add(refined.tunings, refined.costs)
-            found.accepted += refined.accepted
-        pool += [tunings, refined.tunings]
-        best = min(scanned, float(refined.costs.min(initial=math.inf)))
-        scanned, best = (v if v < WORN else math.inf for v in (scanned, best))
-        found.restarts.append(Restart(k, scanned, best, evaluations, refined.solves, refined.iterations))
-    tell("the digits to type in" if problem.nominal else "worst case within the digits", 0.55)
-    found.joint = _joint(problem, np.concatenate(pool), [seed, restarts], scale, check)
-    if problem.low[2] == 0.0 and 2 in problem.free and problem.free.size > 1:
-        # In three dimensions a search seldom ends with no derivative at all, where often the best tuning lies.
-        tell("without derivative", 0.8)
-        _search_face(problem, found, np.concatenate(pool), [seed, restarts + 1], scale, check)
-
-
-def _search_face(
-    problem: Problem,
-    found: _Found,
-    pool: FloatArray,
-    seed: list[int],
-    scale: float,
-    check: Callable[[], None],
-) -> None:
-    """Scan and search the worst case where Td = 0, the face of the bounds, as if that had been asked for."""
-    face = problem.without_derivative()
-    tunings, costs = _scan(face, np.random.default_rng([*seed, JOINTS]), scale, check)
-    found.add(tunings, costs)
-    start = np.concatenate([tunings, pool * np.array([1.0, 1.0, 0.0])])
-    found.joint = np.concatenate([found.joint, _joint(face, start, seed, scale, check)])
-
-
-def _scan(
-    problem: Problem, rng: np.random.Generator, scale: float, check: Callable[[], None]
-) -> tuple[FloatArray, FloatArray]:
-    """One global search for the least J: its best tunings, well apart, and their J."""
-    points: list[FloatArray] = []
-    values: list[FloatArray] = []
-
-    def keep(some: FloatArray, costs: FloatArray) -> None:
-        points.append(some)
-        values.append(costs)
-
-    members = _sized(SCAN_MEMBERS, scale)
-    start = rng.random((members, problem.free.size))
-    if problem.low[2] == 0.0 and 2 in problem.free:
-        # PI controllers are always among them.
-        start[: members // 8, -1] = 0.0
-    evolve(
-        lambda x, ceilings: problem.below(problem.tunings(x), ceilings),
-        np.concatenate([problem.cube(problem.guesses()), start]),
-        _sized(SCAN_GENERATIONS, scale),
-        rng,
-        stop=_stopper(problem, problem.work.simulated + SCAN_SAMPLES, check),
-        keep=keep,
-    )
-    all_points, all_values = np.concatenate(points), np.concatenate(values)
-    chosen = spread(all_points, all_values, KEPT, GAP)
-    tunings = problem.tunings(all_points[chosen])
-    return tunings, problem.values(tunings)
-
-
-def _joint(problem: Problem, pool: FloatArray, seed: list[int], scale: float, check: Callable[[], None]) -> FloatArray:
-    """Search for the least worst case, from the pool of all restarts, at the digits to type in.
-
-    First with few points of each neighbourhood, several times, then from the best of those with many. Returns the last
-    population's tunings, the best first.
-    """
-    points: list[FloatArray] = []
-    values: list[FloatArray] = []
-
-    def keep(some: FloatArray, costs: FloatArray) -> None:
-        points.append(some)
-        values.append(costs)
-
-    for k in range(JOINTS):
-        # The landscape of worst cases has many valleys, and one search ends in one of them.
-        rng = np.random.default_rng([*seed, k])
-        fresh = rng.random((_sized(JOINT_MEMBERS, scale), problem.free.size))
-        evolve(
-            lambda x, ceilings: problem.worst_below(problem.rounded(problem.tunings(x)), ceilings),
-            np.concatenate([problem.cube(pool), problem.cube(problem.guesses()), fresh]),
-            _sized(JOINT_GENERATIONS, scale),
-            rng,
-            stop=_stopper(problem, problem.work.simulated + JOINT_SAMPLES, check),
-            keep=keep,
-        )
-    best = spread(np.concatenate(points), np.concatenate(values), _sized(DENSE_MEMBERS, scale), DENSE_GAP)
-    if not best.size:
-        return problem.rounded(pool)
-    population = evolve(
-        lambda x, ceilings: problem.worst_below(problem.rounded(problem.tunings(x)), ceilings, dense=True),
-        np.concatenate(points)[best],
-        _sized(DENSE_GENERATIONS, scale),
-        rng,
-        stop=_stopper(problem, problem.work.simulated + DENSE_SAMPLES, check),
-    )
-    return problem.tunings(population.points)
-
-
-def _sized(count: int, scale: float) -> int:
-    return max(40, round(count * scale))
-
-
-def _candidates(problem: Problem, found: _Found) -> FloatArray:
+def _candidates(problem: Problem, found: Found) -> FloatArray:
     """The tunings among which the digits are chosen."""
     if problem.free.size == 0:
         return problem.low[None, :].copy()
     return np.concatenate([found.joint, found.best(8)])
 
 
-def _quick(problem: Problem, found: _Found) -> Choice:
+def _quick(problem: Problem, found: Found) -> Choice:
     """The best rounded tuning of an unfinished search, by exact simulation, without a further search."""
     tunings = np.concatenate([found.joint, found.best(40)]) if found.costs else problem.guesses()
     rounded = np.unique(problem.rounded(tunings), axis=0)
@@ -416,7 +247,7 @@ def _quick(problem: Problem, found: _Found) -> Choice:
     return Choice(best, float(problem.exact(best[None, :])[0]), float(worst.min()))
 
 
-def _message(problem: Problem, found: _Found, note: str, tuned: Tuned) -> str:
+def _message(problem: Problem, found: Found, note: str, tuned: Tuned) -> str:
     parts = [note] if note else []
     around = f"within the larger of {100.0 * tuned.margin:g} % and half a last digit"
     if tuned.nominal_only:

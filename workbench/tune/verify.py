@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from workbench.model.record import FloatArray
-from workbench.model.results import DigitStep
+from workbench.model.tuning import DigitStep
 from workbench.model.valve import Choudhury, Deadband, Stenman
 from workbench.simulate.coefficients import valve_law
 from workbench.tune.problem import NAMES, Problem, unit_of
