@@ -436,7 +436,7 @@ def _print_study(study: Study) -> None:
     console = Console(width=width, highlight=False, markup=False)
     console.print(Text(study.title, style="bold"))
     for named in study.estimates:
-        from workbench.report.summary import estimate_sentences
+        from workbench.report.estimates import estimate_sentences
 
         for sentence in estimate_sentences(named):
             console.print(Text(sentence))

@@ -14,11 +14,14 @@ from workbench.model.experiment import Experiment, Noise, Step
 from workbench.model.study import CaseResult, NamedEstimate, Study
 from workbench.model.tuning import Bounds
 from workbench.report import figures, words
+from workbench.report.cycles import cycle_tables
+from workbench.report.estimates import estimate_table
 from workbench.report.how import how_tables
-from workbench.report.judge import at_odds, on_bounds, quiet, run_travel, settling_doubt
+from workbench.report.judge import at_odds, best_case, df_disagrees, on_bounds, quiet, run_travel, settling_doubt
 from workbench.report.reference import reference_sentences
-from workbench.report.summary import best_case, df_disagrees, summarise
-from workbench.report.tables import case_tables, cycle_tables, estimate_table, loop_lines
+from workbench.report.shared import loop_lines
+from workbench.report.summary import summarise
+from workbench.report.tables import case_tables
 from workbench.simulate.run import simulate
 
 Make = Callable[..., Any]

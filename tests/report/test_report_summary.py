@@ -11,7 +11,9 @@ import pytest
 from workbench.model.results import Intervals, SolveStatus
 from workbench.model.study import CaseResult, NamedEstimate, Study
 from workbench.model.valve import Ideal
-from workbench.report.summary import best_case, df_disagrees, estimate_advice, estimate_sentences, summarise
+from workbench.report.estimates import estimate_advice, estimate_sentences
+from workbench.report.judge import best_case, df_disagrees
+from workbench.report.summary import summarise
 
 Make = Callable[..., Any]
 

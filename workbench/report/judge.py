@@ -12,11 +12,14 @@ import numpy as np
 from workbench.kpi.kpis import last_event, reversals, travel
 from workbench.model.experiment import Experiment, Ramp, Step
 from workbench.model.results import LimitCycle, Tuned
-from workbench.model.study import CaseResult
+from workbench.model.study import CaseResult, Study
 from workbench.report.words import figure, given, setting
 
 __all__ = [
     "at_odds",
+    "base_case",
+    "best_case",
+    "df_disagrees",
     "on_bounds",
     "over_starts",
     "quiet",
@@ -41,6 +44,33 @@ def unstable(case: CaseResult) -> bool:
         return True
     cycle = case.limit_cycle
     return cycle is not None and cycle.outcome == "undecided" and "unstable" in cycle.starts[0].reason
+
+
+def base_case(study: Study) -> CaseResult | None:
+    """Return the case that others are compared with: the first whose tuning was given."""
+    return next((c for c in study.cases if c.tuned is None), None)
+
+
+def _measure(case: CaseResult) -> float:
+    value = case.run.kpis.mean_square_error if case.objective is None else case.objective
+    return value if math.isfinite(value) else math.inf
+
+
+def best_case(study: Study) -> CaseResult | None:
+    """Return the case of least J (least mean square error without an objective) among those that are verified."""
+    fit = [c for c in study.cases if c.tuned is None or c.tuned.status.success]
+    fit = [c for c in fit if math.isfinite(_measure(c)) and not unstable(c)]
+    return min(fit, key=_measure, default=None)
+
+
+def df_disagrees(case: CaseResult) -> bool:
+    """Return whether describing function and exact simulation give opposite answers on a cycle."""
+    df, cycle = case.describing_function, case.limit_cycle
+    if df is None or cycle is None or cycle.outcome not in ("cycles", "settles"):
+        return False
+    if df.predicts_cycle and math.isnan(df.period):
+        return False  # unstable crossings alone say what dies out and what grows, not whether a cycle lasts
+    return df.predicts_cycle != (cycle.outcome == "cycles")
 
 
 def over_starts(cycle: LimitCycle, name: str) -> tuple[float, float]:

@@ -14,18 +14,15 @@ from workbench.errors import OutputError
 from workbench.model.record import Record
 from workbench.model.study import NamedEstimate, Study
 from workbench.report import figures
+from workbench.report.cycles import cycle_tables
+from workbench.report.estimates import estimate_table
 from workbench.report.how import how_tables
 from workbench.report.repair import repair_tables, repair_text
 from workbench.report.results import cases_csv, results_json, run_json
+from workbench.report.shared import loop_lines
 from workbench.report.style import svg_text
 from workbench.report.summary import summarise
-from workbench.report.tables import (
-    case_tables,
-    cycle_tables,
-    difference_table,
-    estimate_table,
-    loop_lines,
-)
+from workbench.report.tables import case_tables, difference_table
 from workbench.report.words import join, legible, rule_words, sentences, slug
 
 __all__ = ["render", "write_report"]
