@@ -18,7 +18,7 @@ from workbench.model.study import NamedEstimate, Study
 from workbench.model.valve import Ideal, Stenman
 from workbench.report.figures import estimate_figure, save_svg
 from workbench.report.results import controller_content, results_content, strict
-from workbench.report.words import controller_words, figure, given, interval, plant_words, valve_words
+from workbench.report.words import controller_words, figure, given, interval, nearby, plant_words, valve_words
 from workbench.scenario.retune import Retuned
 
 __all__ = ["estimate_json", "estimate_lines", "exit_code", "tuned_json", "tuned_lines", "write_estimate"]
@@ -134,7 +134,7 @@ def tuned_lines(result: Retuned) -> list[str]:
     lines.append(f"  form      {tuned.controller.form}, {structure}, {tuned.controller.action} action")
     lines.append(
         f"  J         {figure(tuned.objective, 5)} (start {figure(tuned.start_objective, 5)}; at most "
-        f"{figure(tuned.worst, 5)} within {100.0 * tuned.margin:g} % of each setting)"
+        f"{figure(tuned.worst, 5)} {nearby(tuned.margin)})"
     )
     lines.append(
         f"  search    {tuned.status.value}; {len(tuned.restarts)} restarts, J {figure(best, 5)} to "

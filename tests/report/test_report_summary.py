@@ -45,7 +45,9 @@ def test_an_unsuccessful_search_is_never_recommended(study: Study, tuned: Make) 
 def test_a_knife_edge_is_named(study: Study, tuned: Make) -> None:
     best = study.cases[2]
     sharp = replace(best, tuned=tuned(best.loop.controller, best.objective, worst=2.0))
-    assert any("knife-edge" in t and "20.9" in t for t in summarise(with_cases(study, study.cases[0], sharp)).do)
+    told = " ".join(summarise(with_cases(study, study.cases[0], sharp)).do)
+    near = "knife-edge, within the larger of ±0.1 % and half the last digit of each setting J rises from 10.5"
+    assert f"{near} to as much as 20.9." in told
     assert not any("knife-edge" in t for t in summarise(study).do)
 
 
@@ -66,7 +68,7 @@ def test_disagreement_is_told_and_agreement_is_not(study: Study) -> None:
     [
         ("settles", "Case 1: the loop comes to rest."),
         ("depends", "Case 1: the loop cycles or comes to rest depending on where it starts."),
-        ("undecided", "Case 1: the loop could not be decided by simulation."),
+        ("undecided", "Case 1: whether the loop cycles could not be decided by simulation."),
     ],
 )
 def test_other_outcomes(study: Study, cycle: Make, outcome: str, text: str) -> None:
@@ -123,6 +125,15 @@ def test_what_is_not_identified_is_said(estimated: Make) -> None:
     assert "pins only the product of gain and stiction (3.99 EU)" in estimate_sentences(NamedEstimate("E", found))[1]
     bare = replace(found, intervals=Intervals())
     assert "gives no range" in estimate_sentences(NamedEstimate("E", bare))[1]
+
+
+def test_an_undecided_estimate_of_a_known_loop_is_not_called_wrong(estimated: Make) -> None:
+    found, truth = estimated(verdict="undecided")
+    blind = estimate_sentences(NamedEstimate("E", replace(found, valve=Ideal()), truth))[0]
+    assert blind.endswith("The record was simulated with Stenman's one-parameter stiction, d = 2 %.")
+    off = estimate_sentences(NamedEstimate("E", replace(found, plant=replace(found.plant, gain=3.0)), truth))[0]
+    assert off.endswith("The model is off by 50 % in the gain (true value 2).")
+    assert "wrong" not in blind + off
 
 
 def test_undecided_claims_nothing(estimated: Make) -> None:

@@ -454,6 +454,16 @@ class DescribingFunction:
     verdict: str
     breaks: tuple[int, ...] = (0,)
 
+    @property
+    def prediction(self) -> str:
+        """What the crossings say: "cycle", "no cycle" (there are none), or "unstable crossings only".
+
+        Crossings that are all unstable say what dies out and what grows, not whether a cycle lasts.
+        """
+        if not self.predicts_cycle:
+            return "no cycle"
+        return "unstable crossings only" if math.isnan(self.period) else "cycle"
+
 
 @dataclass(frozen=True, slots=True)
 class LimitCycleStart:

@@ -6,10 +6,10 @@ import math
 
 from workbench.model.plant import FOPDT
 from workbench.model.study import CaseResult, Study
-from workbench.report.cycles import better_late, late_errors, swing
+from workbench.report.cycles import better_late, by_start, late_errors, late_figures, swing
 from workbench.report.judge import at_odds, base_case, best_case, quiet, run_travel, unstable
 from workbench.report.repair import repair_sentence
-from workbench.report.words import change, controller_words, figure, given
+from workbench.report.words import change, controller_words, figure, given, nearby
 
 __all__ = ["case_advice"]
 
@@ -69,10 +69,9 @@ def _recommendation(base: CaseResult | None, best: CaseResult) -> list[str]:
         out.append(f"Set {controller} ({best.name}): {', '.join(parts)} against {base.name}.")
     if best.tuned is not None:
         tuned = best.tuned
-        within = f"within ±{figure(100.0 * tuned.margin, 2)} % of these settings"
         if tuned.worst > KNIFE_EDGE * tuned.objective:
             out.append(
-                f"Type in exactly these digits: the optimum is a knife-edge, {within} J rises from "
+                f"Type in exactly these digits: the optimum is a knife-edge, {nearby(tuned.margin)} J rises from "
                 f"{figure(tuned.objective, 3)} to as much as {figure(tuned.worst, 3)}."
             )
     return out
@@ -101,7 +100,8 @@ def _trade_off(study: Study, best: CaseResult) -> list[str]:
 def _less_wear(study: Study, best: CaseResult) -> list[str]:
     """Name the calmest other case where it moves the valve less than half as far."""
     others = [c for c in study.cases if c is not best and (c.tuned is None or c.tuned.status.success)]
-    others = [c for c in others if c.run.kpis.valve_travel > 0.0]  # a valve that never moves controls nothing
+    # A valve that never moves controls nothing, and wear under a PV that grows without bound is no choice.
+    others = [c for c in others if c.run.kpis.valve_travel > 0.0 and not unstable(c)]
     calm = min(others, key=lambda c: c.run.kpis.valve_travel, default=None)
     if calm is None or not calm.run.kpis.valve_travel < 0.5 * best.run.kpis.valve_travel:
         return []
@@ -131,8 +131,8 @@ def _remaining(study: Study, base: CaseResult | None, best: CaseResult) -> list[
         was = None if base is None or base is best else base.limit_cycle
         if was is not None and base is not None and was.outcome == "cycles":
             text += (
-                f" Once it has set in, the mean square error is {figure(cycle.mean_square_error, 3)} EU², with "
-                f"{base.name} {figure(was.mean_square_error, 3)} EU² at {figure(was.travel_per_hour, 3)} % an hour."
+                f" Once it has set in, the mean square error is {late_figures(cycle)}, with {base.name} "
+                f"{late_figures(was)}{by_start(cycle, was)}."
             )
         out.append(text)
         out += better_late(study, best, cycle)

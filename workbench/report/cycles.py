@@ -7,14 +7,24 @@ from collections.abc import Callable
 
 from workbench.model.results import DescribingFunction, LimitCycle, LimitCycleStart
 from workbench.model.study import CaseResult, Study
-from workbench.report.judge import at_odds, df_disagrees, over_starts, quiet, run_travel, span_words, unstable
+from workbench.report.judge import (
+    at_odds,
+    df_disagrees,
+    last_change,
+    over_starts,
+    quiet,
+    run_travel,
+    span_words,
+    unstable,
+)
 from workbench.report.tables import Cell, Row, Table, blocks
 from workbench.report.words import capital, duration, figure, join, lower_first
 
-__all__ = ["better_late", "cycle_sentences", "cycle_tables", "late_errors", "swing"]
+__all__ = ["better_late", "by_start", "cycle_sentences", "cycle_tables", "late_errors", "late_figures", "swing"]
 
 LISTED = 3  # cycling cases that are listed one by one
 ALONE = "not the valve's alone"
+LATE = ("mean_square_error", "travel_per_hour")  # what is told of a cycle that has set in
 
 
 def _names(cases: list[CaseResult]) -> str:
@@ -47,19 +57,27 @@ def cycle_sentences(study: Study) -> list[str]:
         else:
             least, most = (f"{swing(cycle)} ({c.name})" for c, cycle in (ranked[0], ranked[-1]))
             out.append(f"{lead}; at the least {least}, at the most {most}.")
-    for outcome, text in (
-        ("settles", "comes to rest"),
-        ("depends", "cycles or comes to rest depending on where it starts"),
-        ("undecided", "could not be decided by simulation"),
-    ):
-        some = [c for c, cycle in seen if cycle.outcome == outcome and c not in wild]
-        if some:
-            out.append(f"{_names(some)}: {aside} the loop {text}." if aside else f"{_names(some)}: the loop {text}.")
+    told: dict[str, list[CaseResult]] = {}
+    for outcome in ("settles", "depends", "undecided"):
+        for case, cycle in seen:
+            if cycle.outcome == outcome and case not in wild:
+                told.setdefault(_without_cycle(cycle), []).append(case)
+    out += [f"{_names(some)}: {f'{aside} ' if aside else ''}{text}." for text, some in told.items()]
     out += _noisy_sentences(study)
     out += _tuning_alone(cycling)
     out += _late_sentences(study, cycling)
     out += _agreement_sentences(study)
     return out
+
+
+def _without_cycle(cycle: LimitCycle) -> str:
+    """Return what a loop does that does not simply cycle, and why that stays open where it does."""
+    if cycle.outcome == "settles":
+        return "the loop comes to rest"
+    if cycle.outcome == "depends":
+        return "the loop cycles or comes to rest depending on where it starts"
+    reason = next((s.reason for s in cycle.starts if s.outcome == "undecided" and s.reason), "")
+    return "whether the loop cycles could not be decided by simulation" + (f" ({reason})" if reason else "")
 
 
 def _noisy_sentences(study: Study) -> list[str]:
@@ -97,14 +115,17 @@ def _late_sentences(study: Study, cycling: list[tuple[CaseResult, LimitCycle]]) 
     """Name the cases whose cycle the run is too short to show: their figures are flattered."""
     if study.experiment is None:
         return []
-    late = [c for c, cycle in cycling if cycle.window > study.experiment.duration]
+    # A cycle's window counts from the last change of the signals on: what comes before it shows another motion.
+    late = [c for c, cycle in cycling if cycle.window > study.experiment.duration - last_change(c.run)]
     if not late:
         return []
     whose = "its figures in the table do" if len(late) == 1 else "their figures in the table do"
+    changed = last_change(late[0].run)
+    since = f", with its last change at {duration(changed)}," if changed > 0.0 else ""
     return [
         (
-            f"The run of {duration(study.experiment.duration)} is too short to show the cycle of {_names(late)}: "
-            f"{whose} not contain it."
+            f"The run of {duration(study.experiment.duration)}{since} is too short to show the cycle of "
+            f"{_names(late)}: {whose} not contain it."
         )
     ]
 
@@ -130,14 +151,22 @@ def late_errors(study: Study) -> list[str]:
     late = sorted(late, key=lambda pair: over_starts(pair[1], "mean_square_error")[1])
     if len(late) > LISTED:
         late = [late[0], late[-1]]
-    told = [
-        f"{c.name} {span_words(over_starts(cycle, 'mean_square_error'))} EU² and "
-        f"{span_words(over_starts(cycle, 'travel_per_hour'))} %"
-        for c, cycle in late
-    ]
+    told = [f"{c.name} {late_figures(cycle)}" for c, cycle in late]
     aside = quiet(study.experiment)
     when = f"once the cycle has set in, {aside}" if aside else "once the cycle has set in"
-    return [f"Mean square error and valve travel an hour {when} (a range: it depends on the start): {'; '.join(told)}."]
+    return [f"Mean square error and valve travel {when}: {'; '.join(told)}{by_start(*(cycle for _, cycle in late))}."]
+
+
+def late_figures(cycle: LimitCycle) -> str:
+    """Return a cycle's mean square error and valve travel, over the starts that cycle: "0.81 EU² at 142 % an hour"."""
+    error, travel = (span_words(over_starts(cycle, name)) for name in LATE)
+    return f"{error} EU² at {travel} % an hour"
+
+
+def by_start(*cycles: LimitCycle) -> str:
+    """Return what explains the ranges in `late_figures` of these cycles, "" where every start gives the same."""
+    ranges = [" to " in span_words(over_starts(cycle, name)) for cycle in cycles for name in LATE]
+    return " (where a range stands, it depends on the start)" if any(ranges) else ""
 
 
 def better_late(study: Study, best: CaseResult, cycle: LimitCycle) -> list[str]:
@@ -186,12 +215,6 @@ def _of_df(text: Callable[[DescribingFunction], str]) -> Callable[[CaseResult], 
     return lambda case: "–" if case.describing_function is None else text(case.describing_function)
 
 
-def _predicted(df: DescribingFunction) -> str:
-    if df.predicts_cycle and math.isnan(df.period):
-        return "unstable crossings only"
-    return "cycle" if df.predicts_cycle else "no cycle"
-
-
 def _first_period(cycle: LimitCycle) -> str:
     start = _deciding_start(cycle)
     return "–" if start is None else duration(start.first_period)
@@ -217,8 +240,8 @@ _CYCLE_ROWS: tuple[tuple[str, str, Callable[[CaseResult], str]], ...] = (
     ("OP peak to peak", "%", _of_cycle(lambda c: figure(c.op_peak_to_peak, 3))),
     ("Mean square error", "EU²", _of_cycle(lambda c: figure(c.mean_square_error, 3))),
     ("Valve travel an hour", "%", _of_cycle(lambda c: figure(c.travel_per_hour, 3))),
-    ("Time simulated to see it", "", _of_cycle(lambda c: duration(c.window))),
-    ("Describing function", "", _of_df(_predicted)),
+    ("Time after the last change to see it", "", _of_cycle(lambda c: duration(c.window))),
+    ("Describing function", "", _of_df(lambda d: d.prediction)),
     ("Predicted period", "", _of_df(lambda d: duration(d.period))),
     ("Predicted PV peak to peak", "EU", _of_df(lambda d: figure(2.0 * d.pv_amplitude, 3))),
     ("Distance of the loci", "", _of_df(lambda d: figure(d.distance, 3))),

@@ -71,8 +71,10 @@ def _against_truth(named: NamedEstimate, truth: Loop) -> str:
     found = named.found
     ours = dict(_valve_parameters(found.valve)) | _plant_parameters(found.plant)
     true = dict(_valve_parameters(truth.valve)) | _plant_parameters(truth.plant)
+    decided = found.verdict != "undecided"
     if isinstance(found.valve, Ideal) != isinstance(truth.valve, Ideal):
-        return f"This is wrong: the record was simulated with {valve_words(truth.valve)}."
+        wrong = "This is wrong: the" if decided else "The"
+        return f"{wrong} record was simulated with {valve_words(truth.valve)}."
     if ours.keys() != true.keys():
         return f"The record was simulated from another kind of loop ({valve_words(truth.valve)})."
     # A true dead time of 0 has no relative error: it is judged in samples.
@@ -84,7 +86,9 @@ def _against_truth(named: NamedEstimate, truth: Loop) -> str:
     miss = figure(100.0 * errors[worst], 2)
     if errors[worst] <= 0.1:
         return f"Every parameter lies within {miss} % of the true one."
-    return f"This is wrong by {miss} % in the {title} (true value {given(true[worst])})."
+    # A record that is left undecided claims nothing that could be wrong.
+    what = "This is wrong" if decided else "The model is off"
+    return f"{what} by {miss} % in the {title} (true value {given(true[worst])})."
 
 
 def _stiction(named: NamedEstimate) -> str:

@@ -10,8 +10,8 @@ import math
 import numpy as np
 
 from workbench.kpi.kpis import last_event, reversals, travel
-from workbench.model.experiment import Experiment, Ramp, Step
-from workbench.model.results import LimitCycle, Tuned
+from workbench.model.experiment import Experiment
+from workbench.model.results import LimitCycle, Run, Tuned
 from workbench.model.study import CaseResult, Study
 from workbench.report.words import figure, given, setting
 
@@ -20,6 +20,7 @@ __all__ = [
     "base_case",
     "best_case",
     "df_disagrees",
+    "last_change",
     "on_bounds",
     "over_starts",
     "quiet",
@@ -68,9 +69,7 @@ def df_disagrees(case: CaseResult) -> bool:
     df, cycle = case.describing_function, case.limit_cycle
     if df is None or cycle is None or cycle.outcome not in ("cycles", "settles"):
         return False
-    if df.predicts_cycle and math.isnan(df.period):
-        return False  # unstable crossings alone say what dies out and what grows, not whether a cycle lasts
-    return df.predicts_cycle != (cycle.outcome == "cycles")
+    return df.prediction == ("no cycle" if cycle.outcome == "cycles" else "cycle")
 
 
 def over_starts(cycle: LimitCycle, name: str) -> tuple[float, float]:
@@ -146,18 +145,15 @@ def on_bounds(tuned: Tuned) -> list[str]:
     return out
 
 
+def last_change(run: Run) -> float:
+    """Return when the setpoint or the load last changes within the run (s), 0 where neither does."""
+    moves = np.flatnonzero((np.diff(run.sp) != 0.0) | (np.diff(run.load) != 0.0))
+    return float(run.time[moves[-1] + 1]) if moves.size else 0.0
+
+
 def _tail(case: CaseResult, experiment: Experiment) -> tuple[int, int] | None:
     """Return the samples [first, stop) of the second half, once the last change has died out, or None if too few."""
-    last = 0.0
-    for part in (*experiment.setpoint_parts, *experiment.load_parts):
-        if isinstance(part, Step):
-            last = max(last, part.at)
-        elif isinstance(part, Ramp):
-            last = max(last, part.end)
-        elif part.times is not None:
-            last = max(last, part.times[-1])
-        else:
-            last = max(last, (len(part.values) - 1) * case.loop.sample_time)
+    last = last_change(case.run)
     # A change needs time to die out, or its own answer would be taken for the loop's lasting motion.
     start = max((1.0 - TAIL) * experiment.duration, last + SHORTEST * experiment.duration if last > 0.0 else 0.0)
     if experiment.duration - start < SHORTEST * experiment.duration:

@@ -7,10 +7,11 @@ from collections.abc import Callable
 
 from workbench.model.controller import PID
 from workbench.model.study import Study
+from workbench.model.tuning import Objective
 from workbench.report.titles import kpi_title
 from workbench.report.words import given, plant_words, setting, valve_words
 
-__all__ = ["CONTROLLER_ROWS", "loop_lines"]
+__all__ = ["CONTROLLER_ROWS", "loop_lines", "objective_words"]
 
 
 def _filter(pid: PID) -> str:
@@ -66,7 +67,7 @@ def loop_lines(study: Study) -> list[tuple[str, str]]:
     if study.experiment is not None:
         lines.append(("Experiment", _experiment_words(study)))
     if study.objective is not None:
-        lines.append(("Objective J", _objective_words(study)))
+        lines.append(("Objective J", objective_words(study.objective)))
     return lines
 
 
@@ -98,9 +99,8 @@ def _experiment_words(study: Study) -> str:
     return ", ".join(parts)
 
 
-def _objective_words(study: Study) -> str:
-    weights = study.objective
-    assert weights is not None  # noqa: S101
+def objective_words(weights: Objective) -> str:
+    """Return the weighted sum of eq. (2) in words, without the terms of weight 0."""
     terms = []
     for weight, text in (
         (weights.w1, "Σ (SP − PV)²"),

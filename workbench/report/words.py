@@ -25,6 +25,7 @@ __all__ = [
     "label",
     "legible",
     "lower_first",
+    "nearby",
     "plant_words",
     "published",
     "rule_words",
@@ -199,6 +200,13 @@ def controller_words(controller: PID, digits: int | None = None) -> str:
     if controller.Td > 0.0:
         parts.append(derivative)
     return ", ".join(parts)
+
+
+def nearby(margin: float) -> str:
+    """Return where the worst case of a tuning is sought, in words; `margin` is relative, as in `Tuned.margin`."""
+    if margin == 0.0:
+        return "within half the last digit of each setting"
+    return f"within the larger of ±{given(100.0 * margin)} % and half the last digit of each setting"
 
 
 def rule_words(rule: Rule) -> str:
