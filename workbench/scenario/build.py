@@ -22,7 +22,7 @@ from workbench.record.reader import read_record
 from workbench.scenario import schema
 from workbench.scenario.controllers import Controllers, fitting_action, ruled, wrong_way
 from workbench.scenario.document import Path
-from workbench.scenario.plan import CaseJob, EstimateJob, Scenario
+from workbench.scenario.plan import CaseJob, EstimateJob, Scenario, TuneJob
 from workbench.scenario.refusals import Refusals
 from workbench.scenario.rule_entries import DetunedIntegralRule, rule_of
 from workbench.scenario.series import read_series
@@ -32,6 +32,7 @@ from workbench.simulate.signals import sample_count
 __all__ = ["MAX_SAMPLES", "Builder"]
 
 MAX_SAMPLES = 5_000_000
+CLOCK = 5e-3  # relative change of a duration by which it is fitted to a record's clock
 
 
 @dataclass
@@ -68,20 +69,23 @@ class Builder:
         ruling: Loop | None = None
         if plant is not None and valve is not None and loop.sample_time is not None and not from_data:
             ruling = Loop(plant, valve, PID(0.0, math.inf), loop.sample_time)
-        cases = self._cases(given, loop, objective, ruling, None if from_data else plant)
         records = self._records(given)
+        first = next((record for record in records if record is not None), None)
+        sample_time = loop.sample_time if not from_data else None if first is None else first.sample_time
+        cases = self._cases(given, loop, objective, ruling, None if from_data else plant, sample_time)
         whole: Loop | None = None
         if plant is not None and valve is not None and loop.sample_time is not None and not from_data:
             first_controller = cases[0].controller if cases else None
             if not given.cases:
                 first_controller = self._own_controller(loop)
                 if first_controller is not None:
+                    self._tracks(first_controller, None, ("loop", "controller"), sample_time)
                     there = loop.controller is not None and loop.controller.action is not None
                     self._acts(plant, first_controller, there, ("loop", "controller"), "loop.controller", tune=False)
             whole = self._loop(loop, plant, valve, loop.sample_time, first_controller, given.experiment)
         if experiment is not None:
-            first = next((record for record in records if record is not None), None)
-            sample_time = first.sample_time if from_data and first is not None else loop.sample_time
+            if from_data and sample_time is not None:
+                experiment = self._in_samples(experiment, sample_time)
             self._fits(experiment, sample_time, whole)
         estimates = self._estimates(given, records, whole, experiment)
         if self.refusals.issues:
@@ -252,6 +256,19 @@ class Builder:
             self.refusals.refuse(path, f"{given.value:g} % given; a setpoint is a number in EU")
         return given.value
 
+    def _in_samples(self, experiment: Experiment, sample_time: float) -> Experiment:
+        """Return the experiment over whole samples of a record's clock, which no round duration need fit; say so."""
+        ratio = experiment.duration / sample_time
+        samples = round(ratio)
+        if not 1e-9 * samples < abs(ratio - samples) <= CLOCK * samples:
+            return experiment
+        self.notes.append(
+            f"The experiment takes {samples * sample_time:.6g} s for the {experiment.duration:g} s given: "
+            f"{samples:,} samples of the record's {sample_time:.6g} s."
+        )
+        made = self.refusals.attempt(("experiment",), lambda: replace(experiment, duration=samples * sample_time))
+        return made or experiment
+
     def _fits(self, experiment: Experiment, sample_time: float | None, loop: Loop | None) -> None:
         """Refuse an experiment that does not fit the loop's samples, or whose start the valve would not hold."""
         if sample_time is not None:
@@ -282,10 +299,11 @@ class Builder:
         objective: Objective | None,
         ruling: Loop | None,
         plant: Plant | None,
+        sample_time: float | None,
     ) -> list[CaseJob]:
         """Return the cases; rules are applied to the loop `ruling` here where it and their base are known already.
 
-        plant: None where it comes from an estimate.
+        plant: None where it comes from an estimate; sample_time: s, None where it is missing.
         """
         own = loop.controller or schema.Controller()
         base_path: Path = ("loop", "controller")
@@ -325,7 +343,7 @@ class Builder:
                 if found is None:
                     continue
                 controller, tune = found
-            if controller is None:
+            if controller is None or not self._tracks(controller, tune, path, sample_time):
                 continue
             if plant is not None:
                 at = path if tune is None else (*path, "tune")
@@ -370,6 +388,15 @@ class Builder:
             self.refusals.refuse((*path, "action"), f"{controller.action} given; {wrong}")
         else:
             self.warnings.append(f"{name}: {wrong}.")
+
+    def _tracks(self, controller: PID, tune: TuneJob | None, path: Path, sample_time: float | None) -> bool:
+        """Return whether back-calculation suits the sample time (s), for every Ti of a tuning; refuse it if not."""
+        if sample_time is None:
+            return True
+        least = controller if tune is None else replace(controller, Ti=min(controller.Ti, tune.bounds.Ti[0]))
+        before = len(self.refusals.issues)
+        self.refusals.attempt(path if tune is None else (*path, "tune"), lambda: least.check_tracking(sample_time))
+        return len(self.refusals.issues) == before
 
     def _rule(self, case: schema.RuledCase, path: Path, names: dict[str, int]) -> tuple[Rule | None, str]:
         """Return a case's rule and the name of the case that it starts from, if it needs one."""
