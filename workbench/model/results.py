@@ -126,7 +126,7 @@ class NlpResult:
     """One nonlinear program's end: x (solution, shape (n,)), objective, status and the solver's own words.
 
     residuals: worst constraint violation by name of the constraint group. complementarity: worst product of
-    complementary quantities (0 where the program has none). homotopy: objective after each relaxation step.
+    complementary quantities (0 where the program has none).
     """
 
     x: FloatArray
@@ -136,7 +136,6 @@ class NlpResult:
     iterations: int
     residuals: Mapping[str, float]
     complementarity: float
-    homotopy: tuple[float, ...]
     wall_time: float
     versions: Mapping[str, str]
 
