@@ -10,11 +10,12 @@ import sys
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 try:
+    from dataclasses import dataclass
+
     import typer
 except KeyboardInterrupt:  # while the command starts
     sys.stderr.write("workbench: interrupted\n")
