@@ -10,7 +10,7 @@ from typing import Any
 from workbench.model.experiment import Experiment, Ramp, Series, Step
 from workbench.model.results import LimitCycle
 from workbench.model.study import CaseResult, Study
-from workbench.report.cycles import by_start, late_figures
+from workbench.report.cycles import by_start, cycle_tables, late_figures
 from workbench.report.judge import last_change
 from workbench.report.summary import summarise
 from workbench.simulate.run import simulate
@@ -109,3 +109,35 @@ def test_why_a_cycle_stays_undecided_is_said(study: Study, cycle: Make) -> None:
         "Case 1 and Optimised PI: whether the loop cycles could not be decided by simulation (the stem chatters).",
         "Case 2: whether the loop cycles could not be decided by simulation (fewer than 8 reversals).",
     ]
+
+
+def test_a_calm_choice_is_told_with_its_cycle_too(study: Study) -> None:
+    told = " ".join(summarise(of(study, with_errors(study.cases[1], 0.03, 0.9), study.cases[2])).do)
+    assert (
+        "Where wear counts more than error: Case 2 (Kc 0.5 %/EU, Ti 200 s) has in this run valve travel 4.01 %" in told
+    )
+    assert "EU²; once its cycle has set in, 0.0300 to 0.900 EU² at 142 % an hour (where a range stands" in told
+
+
+def test_hardly_more_error_for_far_less_wear_is_named(study: Study) -> None:
+    def told(error: float) -> str:
+        cases = []
+        for one, mse, travel in zip(study.cases, (1.0, error, 3.0), (70.0, 12.0, 4.0), strict=True):
+            kpis = replace(one.run.kpis, mean_square_error=mse, valve_travel=travel)
+            cases.append(replace(one, run=replace(one.run, kpis=kpis), objective=None, tuned=None))
+        return summarise(of(study, *cases, objective=None)).do[0]
+
+    assert told(1.03).endswith(" Case 2 has 3.0 % more error than the least, at valve travel 12.0 %.")
+    assert "more error than the least" not in told(1.3)
+
+
+def test_the_table_of_cycles_shows_what_depends_on_the_start(study: Study) -> None:
+    told = of(study, with_errors(study.cases[0], 0.03, 0.9), study.cases[1])
+    rows = {r.label: [c.text for c in r.cells] for r in cycle_tables(told)[0].rows}
+    assert rows["Mean square error, all starts"] == ["0.0300 to 0.900", "0.810"]
+    assert rows["Valve travel an hour, all starts"] == ["142", "142"]
+    assert rows["Late period, all starts"][0].replace("\u00a0", " ") == "102 s to 123 s"
+    alike = replace(told.cases[0].limit_cycle, period_range=(102.1, 102.2))
+    told = of(study, replace(told.cases[0], limit_cycle=alike))
+    rows = {r.label: [c.text for c in r.cells] for r in cycle_tables(told)[0].rows}
+    assert rows["Late period, all starts"] == ["102 s"]

@@ -26,7 +26,10 @@ def test_the_best_case_is_recommended_with_its_changes(study: Study) -> None:
     told = " ".join(summarise(study).do)
     best = study.cases[2]
     assert best_case(study) is best
-    assert "Set Kc 2.351 %/EU, Ti 9.500 s (Optimised PI): J 10.5 instead of 227, mean square error −92 %" in told
+    assert (
+        "Set Kc 2.351 %/EU, Ti 9.500 s (Optimised PI): in this run J 10.5 instead of 227, mean square error −92 %"
+        in told
+    )
     assert "valve travel +38 %" in told
     assert "the cycle remains: PV swings 2.01 EU every 12.0 s" in told
     assert "steps of at least 2 %, which is 2 EU of PV" in told
@@ -81,7 +84,9 @@ def test_other_outcomes(study: Study, cycle: Make, outcome: str, text: str) -> N
 def test_no_objective_no_recommendation(study: Study) -> None:
     cases = [replace(c, objective=None, tuned=None) for c in study.cases[:2]]
     told = summarise(replace(with_cases(study, *cases), objective=None)).do
-    assert told[0].startswith("No objective was given, so there is a choice to make. Least mean square error: Case 1")
+    assert told[0].startswith(
+        "No objective was given, so there is a choice to make. Least mean square error in this run: Case 1"
+    )
     assert "Least wear: Case 2" in told[0]
     assert not any(t.startswith("Set ") for t in told)
 

@@ -13,8 +13,8 @@ from workbench.report.words import change, controller_words, figure, given, near
 
 __all__ = ["case_advice"]
 
+ALIKE = 1.1  # ratio of mean square errors up to which one is hardly more than the other
 IDLE = " (its valve never moves: it controls nothing)"
-KNIFE_EDGE = 1.05  # worst J near the settings over their own, above which a tuning is called a knife-edge
 
 
 def case_advice(study: Study) -> list[str]:
@@ -66,10 +66,10 @@ def _recommendation(base: CaseResult | None, best: CaseResult) -> list[str]:
             parts.append(f"J {figure(best.objective, 3)} instead of {figure(base.objective, 3)}")
         parts.append(f"mean square error {change(kpis.mean_square_error, was.mean_square_error)}")
         parts.append(f"valve travel {change(kpis.valve_travel, was.valve_travel)}")
-        out.append(f"Set {controller} ({best.name}): {', '.join(parts)} against {base.name}.")
+        out.append(f"Set {controller} ({best.name}): in this run {', '.join(parts)} against {base.name}.")
     if best.tuned is not None:
         tuned = best.tuned
-        if tuned.worst > KNIFE_EDGE * tuned.objective:
+        if tuned.knife_edge:
             out.append(
                 f"Type in exactly these digits: the optimum is a knife-edge, {nearby(tuned.margin)} J rises from "
                 f"{figure(tuned.objective, 3)} to as much as {figure(tuned.worst, 3)}."
@@ -94,7 +94,19 @@ def _trade_off(study: Study, best: CaseResult) -> list[str]:
     if calm is best:
         return [f"Least error and least wear in this experiment: {told(best)}."]
     choice = "No objective was given, so there is a choice to make."
-    return [f"{choice} Least mean square error: {told(best)}. Least wear: {told(calm)}."]
+    text = f"{choice} Least mean square error in this run: {told(best)}. Least wear: {told(calm)}."
+    # Hardly more error for far less wear is most often the better choice.
+    near = [c for c in fit if c is not calm and _error(c) <= ALIKE * _error(best)]
+    mild = min(near, key=lambda c: c.run.kpis.valve_travel)
+    if mild.run.kpis.valve_travel < 0.5 * best.run.kpis.valve_travel:
+        more = figure(100.0 * (_error(mild) / _error(best) - 1.0), 2)
+        travel = figure(mild.run.kpis.valve_travel, 3)
+        text += f" {mild.name} has {more} % more error than the least, at valve travel {travel} %."
+    return [text]
+
+
+def _error(case: CaseResult) -> float:
+    return case.run.kpis.mean_square_error
 
 
 def _less_wear(study: Study, best: CaseResult) -> list[str]:
@@ -108,11 +120,20 @@ def _less_wear(study: Study, best: CaseResult) -> list[str]:
     ours, theirs = calm.run.kpis, best.run.kpis
     return [
         (
-            f"Where wear counts more than error: {calm.name} ({controller_words(calm.loop.controller)}) has valve "
-            f"travel {figure(ours.valve_travel, 3)} % instead of {figure(theirs.valve_travel, 3)} %, at mean square "
-            f"error {figure(ours.mean_square_error, 3)} EU² instead of {figure(theirs.mean_square_error, 3)} EU²."
+            f"Where wear counts more than error: {calm.name} ({controller_words(calm.loop.controller)}) has in this "
+            f"run valve travel {figure(ours.valve_travel, 3)} % instead of {figure(theirs.valve_travel, 3)} %, at mean "
+            f"square error {figure(ours.mean_square_error, 3)} EU² instead of "
+            f"{figure(theirs.mean_square_error, 3)} EU²{_later(calm)}."
         )
     ]
+
+
+def _later(case: CaseResult) -> str:
+    """Return what a case's cycle shows once it has set in, "" where it has none."""
+    cycle = case.limit_cycle
+    if cycle is None or cycle.outcome != "cycles":
+        return ""
+    return f"; once its cycle has set in, {late_figures(cycle)}{by_start(cycle)}"
 
 
 def _remaining(study: Study, base: CaseResult | None, best: CaseResult) -> list[str]:

@@ -222,7 +222,13 @@ def _first_period(cycle: LimitCycle) -> str:
 
 def _range(cycle: LimitCycle) -> str:
     low, high = cycle.period_range
-    return "–" if math.isnan(low) else duration(low) if low == high else f"{_held(low)} to {_held(high)}"
+    if math.isnan(low) or duration(low) == duration(high):
+        return duration(low)
+    return f"{_held(low)} to {_held(high)}"
+
+
+def _all_starts(name: str) -> Callable[[CaseResult], str]:
+    return _of_cycle(lambda cycle: span_words(over_starts(cycle, name)))
 
 
 def _held(seconds: float) -> str:
@@ -239,7 +245,9 @@ _CYCLE_ROWS: tuple[tuple[str, str, Callable[[CaseResult], str]], ...] = (
     ("PV peak to peak", "EU", _of_cycle(lambda c: figure(c.pv_peak_to_peak, 3))),
     ("OP peak to peak", "%", _of_cycle(lambda c: figure(c.op_peak_to_peak, 3))),
     ("Mean square error", "EU²", _of_cycle(lambda c: figure(c.mean_square_error, 3))),
+    ("Mean square error, all starts", "EU²", _all_starts("mean_square_error")),
     ("Valve travel an hour", "%", _of_cycle(lambda c: figure(c.travel_per_hour, 3))),
+    ("Valve travel an hour, all starts", "%", _all_starts("travel_per_hour")),
     ("Time after the last change to see it", "", _of_cycle(lambda c: duration(c.window))),
     ("Describing function", "", _of_df(lambda d: d.prediction)),
     ("Predicted period", "", _of_df(lambda d: duration(d.period))),

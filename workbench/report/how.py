@@ -42,12 +42,6 @@ def _spread(tuned: Tuned) -> str:
     return f"{figure(best)} to {figure(worst)}"
 
 
-def _agreeing(tuned: Tuned) -> str:
-    best = tuned.spread[0]
-    close = sum(r.refined <= 1.01 * best for r in tuned.restarts)
-    return f"{close} of {len(tuned.restarts)}"
-
-
 _HOW_ROWS: tuple[tuple[str, str, Callable[[Tuned], str]], ...] = (
     ("Status", "", lambda t: t.status.value),
     ("J of the settings as typed in", "", lambda t: figure(t.objective, 5)),
@@ -58,7 +52,7 @@ _HOW_ROWS: tuple[tuple[str, str, Callable[[Tuned], str]], ...] = (
     ("Guard margin", "%", lambda t: figure(t.guard_margin, 3)),
     ("Slips of the valve", "", lambda t: f"{t.slips:,}"),
     ("J over the restarts", "", _spread),
-    ("Restarts within 1 % of the best", "", _agreeing),
+    ("Restarts within 0.1 % of the best", "", lambda t: f"{t.agreeing} of {len(t.restarts)}"),
     ("Simulations", "", lambda t: f"{t.evaluations:,}"),
     ("NLPs solved", "", lambda t: f"{t.solves:,}"),
     ("IPOPT iterations", "", lambda t: f"{t.iterations:,}"),

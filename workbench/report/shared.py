@@ -100,7 +100,7 @@ def _experiment_words(study: Study) -> str:
 
 
 def objective_words(weights: Objective) -> str:
-    """Return the weighted sum of eq. (2) in words, without the terms of weight 0."""
+    """Return the weighted sum of eq. (2), and of figures of the run, in words, without the terms of weight 0."""
     terms = []
     for weight, text in (
         (weights.w1, "Σ (SP − PV)²"),
