@@ -22,17 +22,16 @@ from workbench.record.reader import read_record
 from workbench.scenario import schema
 from workbench.scenario.controllers import Controllers, fitting_action, ruled, wrong_way
 from workbench.scenario.document import Path
-from workbench.scenario.plan import CaseJob, EstimateJob, Scenario, TuneJob
+from workbench.scenario.plan import CaseJob, EstimateJob, Scenario
 from workbench.scenario.refusals import Refusals
 from workbench.scenario.rule_entries import DetunedIntegralRule, rule_of
-from workbench.scenario.series import read_series
+from workbench.scenario.series import in_samples, read_series
 from workbench.scenario.units import Quantity
 from workbench.simulate.signals import sample_count
 
 __all__ = ["MAX_SAMPLES", "Builder"]
 
 MAX_SAMPLES = 5_000_000
-CLOCK = 5e-3  # relative change of a duration by which it is fitted to a record's clock
 
 
 @dataclass
@@ -79,13 +78,14 @@ class Builder:
             if not given.cases:
                 first_controller = self._own_controller(loop)
                 if first_controller is not None:
-                    self._tracks(first_controller, None, ("loop", "controller"), sample_time)
+                    self.controllers.tracks(first_controller, None, ("loop", "controller"), sample_time)
                     there = loop.controller is not None and loop.controller.action is not None
                     self._acts(plant, first_controller, there, ("loop", "controller"), "loop.controller", tune=False)
             whole = self._loop(loop, plant, valve, loop.sample_time, first_controller, given.experiment)
         if experiment is not None:
             if from_data and sample_time is not None:
-                experiment = self._in_samples(experiment, sample_time)
+                fitted = partial(in_samples, experiment, sample_time, self.notes)
+                experiment = self.refusals.attempt(("experiment",), fitted) or experiment
             self._fits(experiment, sample_time, whole)
         estimates = self._estimates(given, records, whole, experiment)
         if self.refusals.issues:
@@ -256,19 +256,6 @@ class Builder:
             self.refusals.refuse(path, f"{given.value:g} % given; a setpoint is a number in EU")
         return given.value
 
-    def _in_samples(self, experiment: Experiment, sample_time: float) -> Experiment:
-        """Return the experiment over whole samples of a record's clock, which no round duration need fit; say so."""
-        ratio = experiment.duration / sample_time
-        samples = round(ratio)
-        if not 1e-9 * samples < abs(ratio - samples) <= CLOCK * samples:
-            return experiment
-        self.notes.append(
-            f"The experiment takes {samples * sample_time:.6g} s for the {experiment.duration:g} s given: "
-            f"{samples:,} samples of the record's {sample_time:.6g} s."
-        )
-        made = self.refusals.attempt(("experiment",), lambda: replace(experiment, duration=samples * sample_time))
-        return made or experiment
-
     def _fits(self, experiment: Experiment, sample_time: float | None, loop: Loop | None) -> None:
         """Refuse an experiment that does not fit the loop's samples, or whose start the valve would not hold."""
         if sample_time is not None:
@@ -343,7 +330,7 @@ class Builder:
                 if found is None:
                     continue
                 controller, tune = found
-            if controller is None or not self._tracks(controller, tune, path, sample_time):
+            if controller is None or not self.controllers.tracks(controller, tune, path, sample_time):
                 continue
             if plant is not None:
                 at = path if tune is None else (*path, "tune")
@@ -388,15 +375,6 @@ class Builder:
             self.refusals.refuse((*path, "action"), f"{controller.action} given; {wrong}")
         else:
             self.warnings.append(f"{name}: {wrong}.")
-
-    def _tracks(self, controller: PID, tune: TuneJob | None, path: Path, sample_time: float | None) -> bool:
-        """Return whether back-calculation suits the sample time (s), for every Ti of a tuning; refuse it if not."""
-        if sample_time is None:
-            return True
-        least = controller if tune is None else replace(controller, Ti=min(controller.Ti, tune.bounds.Ti[0]))
-        before = len(self.refusals.issues)
-        self.refusals.attempt(path if tune is None else (*path, "tune"), lambda: least.check_tracking(sample_time))
-        return len(self.refusals.issues) == before
 
     def _rule(self, case: schema.RuledCase, path: Path, names: dict[str, int]) -> tuple[Rule | None, str]:
         """Return a case's rule and the name of the case that it starts from, if it needs one."""
