@@ -17,12 +17,12 @@ try:
     from dataclasses import dataclass
 
     import typer
+
+    from workbench import __version__
+    from workbench.errors import InvalidValue, OutputError, RecordError, ScenarioError, WorkbenchError
 except KeyboardInterrupt:  # while the command starts
     sys.stderr.write("workbench: interrupted\n")
     sys.exit(130)
-
-from workbench import __version__
-from workbench.errors import InvalidValue, OutputError, RecordError, ScenarioError, WorkbenchError
 
 if TYPE_CHECKING:
     from workbench.model.results import Estimate
