@@ -25,7 +25,7 @@ from workbench.scenario.document import Path
 from workbench.scenario.plan import CaseJob, EstimateJob, Scenario
 from workbench.scenario.refusals import Refusals
 from workbench.scenario.rule_entries import DetunedIntegralRule, rule_of
-from workbench.scenario.series import read_series
+from workbench.scenario.series import in_samples, read_series
 from workbench.scenario.units import Quantity
 from workbench.simulate.signals import sample_count
 
@@ -68,20 +68,24 @@ class Builder:
         ruling: Loop | None = None
         if plant is not None and valve is not None and loop.sample_time is not None and not from_data:
             ruling = Loop(plant, valve, PID(0.0, math.inf), loop.sample_time)
-        cases = self._cases(given, loop, objective, ruling, None if from_data else plant)
         records = self._records(given)
+        first = next((record for record in records if record is not None), None)
+        sample_time = loop.sample_time if not from_data else None if first is None else first.sample_time
+        cases = self._cases(given, loop, objective, ruling, None if from_data else plant, sample_time)
         whole: Loop | None = None
         if plant is not None and valve is not None and loop.sample_time is not None and not from_data:
             first_controller = cases[0].controller if cases else None
             if not given.cases:
                 first_controller = self._own_controller(loop)
                 if first_controller is not None:
+                    self.controllers.tracks(first_controller, None, ("loop", "controller"), sample_time)
                     there = loop.controller is not None and loop.controller.action is not None
                     self._acts(plant, first_controller, there, ("loop", "controller"), "loop.controller", tune=False)
             whole = self._loop(loop, plant, valve, loop.sample_time, first_controller, given.experiment)
         if experiment is not None:
-            first = next((record for record in records if record is not None), None)
-            sample_time = first.sample_time if from_data and first is not None else loop.sample_time
+            if from_data and sample_time is not None:
+                fitted = partial(in_samples, experiment, sample_time, self.notes)
+                experiment = self.refusals.attempt(("experiment",), fitted) or experiment
             self._fits(experiment, sample_time, whole)
         estimates = self._estimates(given, records, whole, experiment)
         if self.refusals.issues:
@@ -282,10 +286,11 @@ class Builder:
         objective: Objective | None,
         ruling: Loop | None,
         plant: Plant | None,
+        sample_time: float | None,
     ) -> list[CaseJob]:
         """Return the cases; rules are applied to the loop `ruling` here where it and their base are known already.
 
-        plant: None where it comes from an estimate.
+        plant: None where it comes from an estimate; sample_time: s, None where it is missing.
         """
         own = loop.controller or schema.Controller()
         base_path: Path = ("loop", "controller")
@@ -325,7 +330,7 @@ class Builder:
                 if found is None:
                     continue
                 controller, tune = found
-            if controller is None:
+            if controller is None or not self.controllers.tracks(controller, tune, path, sample_time):
                 continue
             if plant is not None:
                 at = path if tune is None else (*path, "tune")
