@@ -42,6 +42,10 @@ def _spread(tuned: Tuned) -> str:
     return f"{figure(best)} to {figure(worst)}"
 
 
+def _steps(tuned: Tuned) -> str:
+    return "; ".join(f"{s.name}: {figure(s.below, 4)}, {figure(s.above, 4)}" for s in tuned.steps) or "none"
+
+
 _HOW_ROWS: tuple[tuple[str, str, Callable[[Tuned], str]], ...] = (
     ("Status", "", lambda t: t.status.value),
     ("J of the settings as typed in", "", lambda t: figure(t.objective, 5)),
@@ -50,7 +54,8 @@ _HOW_ROWS: tuple[tuple[str, str, Callable[[Tuned], str]], ...] = (
     ("Worst J near the settings", "", lambda t: f"{figure(t.worst, 5)} {nearby(t.margin)}"),
     ("J of the start", "", lambda t: figure(t.start_objective, 5)),
     ("Guard margin", "%", lambda t: figure(t.guard_margin, 3)),
-    ("Slips of the valve", "", lambda t: f"{t.slips:,}"),
+    ("Slips of the valve, the sequence's length", "", lambda t: f"{t.slips:,}"),
+    ("J one last digit below and above", "", _steps),
     ("J over the restarts", "", _spread),
     ("Restarts within 0.1 % of the best", "", lambda t: f"{t.agreeing} of {len(t.restarts)}"),
     ("Simulations", "", lambda t: f"{t.evaluations:,}"),
