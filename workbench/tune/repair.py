@@ -18,7 +18,7 @@ from workbench.model.valve import Ideal
 from workbench.simulate.run import evaluate, simulate
 from workbench.tune.tune import tune
 
-__all__ = ["outcome", "repaired_outcome", "value_of_repair"]
+__all__ = ["outcome", "repaired_outcome", "usual_bounds", "value_of_repair"]
 
 Progress = Callable[[str, float], None]
 
@@ -59,7 +59,7 @@ def value_of_repair(
         objective, bounds, seed, digits = tuned.weights, tuned.bounds, tuned.seed, tuned.digits
         restarts = len(tuned.restarts) or restarts
     objective = objective or Objective()
-    bounds = bounds or _bounds(loop.controller)
+    bounds = bounds or usual_bounds(loop.controller)
 
     def part(begin: float, size: float, words: str, share: float) -> None:
         if progress is not None:
@@ -121,7 +121,7 @@ def _repaired(loop: Loop, experiment: Experiment) -> tuple[Loop, Experiment]:
     return replace(loop, valve=Ideal()), replace(experiment, stem_offset=0.0)
 
 
-def _bounds(controller: PID) -> Bounds:
+def usual_bounds(controller: PID) -> Bounds:
     """Return the default bounds, wide enough for the present tuning; no derivative where that has none."""
     usual = Bounds()
 
