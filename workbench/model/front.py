@@ -1,17 +1,18 @@
-"""The trade-off between error and valve travel: `wb.pareto_front` makes a `Front`."""
+"""Over an ensemble: the trade-off of error and valve travel, and what repairing the valve is worth."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 
 from workbench.model.controller import PID
 from workbench.model.ensemble import Constraints, Ensemble
 from workbench.model.loop import Loop
-from workbench.model.results import SolveStatus
+from workbench.model.results import Robustness, SolveStatus, Tuned
 from workbench.model.tuning import Bounds
 
-__all__ = ["Front", "FrontPoint"]
+__all__ = ["Front", "FrontPoint", "RobustRepair"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,3 +57,26 @@ class Front:
         """Return the point of least error whose mean travel is at most `valve_travel` (%), or None."""
         points: Iterator[FrontPoint] = reversed(self.repaired if repaired else self.sticky)
         return next((point for point in points if point.valve_travel <= valve_travel), None)
+
+
+@dataclass(frozen=True, eq=False)
+class RobustRepair:
+    """What repairing the valve is worth over an ensemble, all on the same fresh draws.
+
+    present and repaired: the present tuning with the sticky and with an ideal valve; best and best_repaired: the best
+    robust tuning of each under the same objective, constraints and bounds; `tuned` and `tuned_repaired` say how they
+    were found.
+    """
+
+    present: Robustness
+    repaired: Robustness
+    best: Robustness
+    best_repaired: Robustness
+    tuned: Tuned
+    tuned_repaired: Tuned
+
+    @property
+    def share(self) -> float:
+        """The share of the best tuning's mean square error that goes only with the repair; nan where it has none."""
+        left = self.best.mse_mean
+        return max(0.0, 1.0 - self.best_repaired.mse_mean / left) if left > 0.0 else math.nan

@@ -22,8 +22,9 @@ from workbench.record.reader import read_record
 from workbench.scenario import schema
 from workbench.scenario.controllers import Controllers, fitting_action, ruled, wrong_way
 from workbench.scenario.document import Path
-from workbench.scenario.plan import CaseJob, EstimateJob, Scenario
+from workbench.scenario.plan import CaseJob, EnsembleJob, EstimateJob, Scenario
 from workbench.scenario.refusals import Refusals
+from workbench.scenario.robust import RobustEntries
 from workbench.scenario.rule_entries import DetunedIntegralRule, rule_of
 from workbench.scenario.series import read_series
 from workbench.scenario.units import Quantity
@@ -68,7 +69,9 @@ class Builder:
         ruling: Loop | None = None
         if plant is not None and valve is not None and loop.sample_time is not None and not from_data:
             ruling = Loop(plant, valve, PID(0.0, math.inf), loop.sample_time)
-        cases = self._cases(given, loop, objective, ruling, None if from_data else plant)
+        robust = RobustEntries(self.refusals, ruling)
+        shared = None if given.ensemble is None else robust.ensemble(given.ensemble, ("ensemble",))
+        cases = self._cases(given, loop, objective, ruling, None if from_data else plant, robust, shared)
         records = self._records(given)
         whole: Loop | None = None
         if plant is not None and valve is not None and loop.sample_time is not None and not from_data:
@@ -102,6 +105,8 @@ class Builder:
             describing_function=given.analyze.describing_function,
             limit_cycle=given.analyze.limit_cycle,
             repair=given.analyze.repair,
+            tradeoff=given.analyze.tradeoff,
+            ensemble=shared or _ensemble(cases, tradeoff=given.analyze.tradeoff),
             notes=tuple(self.notes),
             warnings=tuple(self.warnings),
         )
@@ -123,6 +128,9 @@ class Builder:
                 self.refusals.refuse(("loop", name), "missing; needed where no recorded data is given to estimate")
         if given.analyze.repair and not given.cases:
             self.refusals.refuse(("analyze", "repair"), "true given without cases; there is no tuning to compare with")
+        if given.analyze.tradeoff and not given.cases:
+            what = "true given without cases; there is no tuning to place on the trade-off"
+            self.refusals.refuse(("analyze", "tradeoff"), what)
         if given.analyze.repair and isinstance(loop.valve, schema.IdealValve):
             self.refusals.refuse(("analyze", "repair"), "true given for an ideal valve; there is nothing to repair")
         if given.experiment is None and (given.cases or simulated):
@@ -282,6 +290,8 @@ class Builder:
         objective: Objective | None,
         ruling: Loop | None,
         plant: Plant | None,
+        robust: RobustEntries,
+        shared: EnsembleJob | None,
     ) -> list[CaseJob]:
         """Return the cases; rules are applied to the loop `ruling` here where it and their base are known already.
 
@@ -325,6 +335,8 @@ class Builder:
                 if found is None:
                     continue
                 controller, tune = found
+                above = [other for other in names if other != name]
+                tune = replace(tune, robust=robust.tuning(case.tune, (*path, "tune"), shared, above))
             if controller is None:
                 continue
             if plant is not None:
@@ -466,6 +478,13 @@ def _one(parts: list[Profile]) -> Profile | list[Profile] | None:
 def _common(objectives: list[Objective]) -> Objective | None:
     """Return the objective that all tunings share, if they do."""
     return objectives[0] if objectives and all(one == objectives[0] for one in objectives) else None
+
+
+def _ensemble(cases: list[CaseJob], *, tradeoff: bool) -> EnsembleJob | None:
+    """Return what the cases are measured in where the file gives no common ensemble: the first robust tuning's."""
+    asked = [case.tune.robust for case in cases if case.tune is not None]
+    first = next((one.ensemble for one in asked if one is not None), None)
+    return first or (EnsembleJob() if tradeoff else None)
 
 
 def _one_line(error: Exception) -> str:

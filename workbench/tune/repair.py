@@ -11,14 +11,16 @@ import numpy as np
 from workbench.errors import InvalidValue
 from workbench.model.controller import PID
 from workbench.model.experiment import Experiment
+from workbench.model.front import RobustRepair
 from workbench.model.loop import Loop
 from workbench.model.results import Outcome, Repair, SolveStatus, Tuned
 from workbench.model.tuning import Bounds, Objective
 from workbench.model.valve import Ideal
 from workbench.simulate.run import evaluate, simulate
+from workbench.tune.ensemble import Circumstances, measured
 from workbench.tune.tune import tune
 
-__all__ = ["outcome", "repaired_outcome", "usual_bounds", "value_of_repair"]
+__all__ = ["outcome", "repair_over", "repaired_outcome", "usual_bounds", "value_of_repair"]
 
 Progress = Callable[[str, float], None]
 
@@ -101,6 +103,43 @@ def value_of_repair(
         best_repaired=outcome(ideal.with_controller(tuned_repaired.controller), quiet, objective),
         tuned=tuned,
         tuned_repaired=tuned_repaired,
+    )
+
+
+def repair_over(tuned: Tuned, present: PID, *, progress: Progress | None = None) -> RobustRepair:
+    """Return what repair is worth over the ensemble of a robust tuning of the sticky loop.
+
+    present: the controller in use. The ideal valve gets a robust tuning of its own under the same objective, bounds,
+    constraints, seed, digits and restarts. Raises `InvalidValue` where `tuned` is not robust or its valve does not
+    stick.
+    """
+    if tuned.ensemble is None or tuned.robustness is None:
+        raise InvalidValue("tuned", "a tuning to one experiment", "must be a robust tuning")
+    loop = tuned.loop
+    if isinstance(loop.valve, Ideal):
+        raise InvalidValue("Loop.valve", loop.valve, "must be a valve that sticks: there is nothing to repair")
+    ideal = replace(loop, valve=Ideal(), controller=tuned.controller)
+    again = tune(
+        ideal,
+        tuned.experiment,
+        tuned.weights,
+        tuned.bounds,
+        tuned.seed,
+        digits=tuned.digits,
+        restarts=len(tuned.restarts) or 1,
+        robust=tuned.ensemble,
+        constraints=tuned.constraints,
+        progress=progress,
+    )
+    fresh = tuned.robustness.ensemble
+    sticky, repaired = Circumstances(loop.with_controller(present), fresh), Circumstances(ideal, fresh)
+    return RobustRepair(
+        present=measured(sticky, tuned.weights),
+        repaired=measured(repaired.under(present), tuned.weights),
+        best=tuned.robustness,
+        best_repaired=measured(repaired.under(again.controller), tuned.weights),
+        tuned=tuned,
+        tuned_repaired=again,
     )
 
 

@@ -20,7 +20,7 @@ from workbench.model.ensemble import Constraints, Ensemble
 from workbench.model.record import FloatArray
 from workbench.model.results import Restart, Robustness, SolveStatus, Tuned
 from workbench.simulate.signals import sample_count
-from workbench.tune.ensemble import Circumstances, measured, statistic
+from workbench.tune.ensemble import SURE, Circumstances, measured, statistic
 from workbench.tune.limits import NARROW, UNSTABLE, WORN, missed, narrowness, worn
 from workbench.tune.problem import Problem, unit_of
 from workbench.tune.refine import path
@@ -37,8 +37,6 @@ JOINT_MEMBERS, JOINT_GENERATIONS, GAP = 32, 30, 3e-3
 STEPS, ROUNDS = (64, 16, 4, 1), 12
 # Fresh draws up to 1,000 samples; longer runs get fewer.
 FRESH, FRESH_SAMPLES = 2_000, 2_000_000
-# Up to this Ms a response read off its grid is certain to tell a stable loop from an unstable one.
-SURE = 8.0
 
 Progress = Callable[[str, float], None]
 

@@ -1,0 +1,97 @@
+"""Robust tunings of a scenario: from their entries in the file to what is asked, and that applied to a loop."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any
+
+from workbench.model.controller import PID
+from workbench.model.ensemble import Constraints, Ensemble
+from workbench.model.loop import Loop
+from workbench.scenario import schema
+from workbench.scenario.document import Path
+from workbench.scenario.plan import EnsembleJob, RobustJob
+from workbench.scenario.refusals import Refusals
+from workbench.scenario.robust_entries import CaseTravel, ConstraintsEntry, EnsembleEntry
+from workbench.simulate.signals import sample_count
+
+__all__ = ["RobustEntries", "constraints_of"]
+
+PAIRS = ("setpoint", "load", "load_time", "noise")
+
+
+@dataclass(frozen=True)
+class RobustEntries:
+    """Reads them; what is refused goes to `refusals`. loop: None where plant or valve come from an estimate."""
+
+    refusals: Refusals
+    loop: Loop | None
+
+    def ensemble(self, given: EnsembleEntry, path: Path, shared: EnsembleJob | None = None) -> EnsembleJob | None:
+        """Return the ensemble of an entry; what it leaves out is as in `shared`, else as in the default."""
+        own: dict[str, Any] = {name: getattr(given, name) for name in given.model_fields_set}
+        own = {k: tuple(v) if k in PAIRS else v for k, v in own.items() if v is not None}
+        job = EnsembleJob({**(shared.given if shared is not None else {}), **own})
+        if self.loop is None:
+            # Without the loop its defaults are not known; what the fields allow by themselves is.
+            whole = {"duration": max((1.0, *own.get("load_time", ()))), **own}
+            return job if self.refusals.attempt(path, lambda: Ensemble(**whole)) is not None else None
+        made = self.refusals.attempt(path, partial(job.of, self.loop))
+        if made is None:
+            return None
+        sample_time = self.loop.sample_time
+        samples = self.refusals.attempt((*path, "duration"), lambda: sample_count(made.duration, sample_time))
+        return None if samples is None else job
+
+    def tuning(
+        self, given: schema.Tune, path: Path, shared: EnsembleJob | None, above: Iterable[str]
+    ) -> RobustJob | None:
+        """Return what a tuning asks of robustness, None where nothing. above: the names of the cases above it."""
+        if given.robust is None:
+            for name in ("constraints", "travel_budget"):
+                if getattr(given, name) is not None:
+                    self.refusals.refuse((*path, name), "given without robust; it holds over an ensemble: robust: true")
+            return None
+        ensemble = self.ensemble(given.robust, (*path, "robust"), shared)
+        limits = None
+        if given.constraints is not None:
+            limits = self._constraints(given.constraints, (*path, "constraints"))
+        budget = given.travel_budget
+        if budget is not None and limits is not None and limits.valve_travel is not None:
+            self.refusals.refuse(
+                (*path, "travel_budget"), "given, and constraints.valve_travel as well; one of the two is needed"
+            )
+        names = tuple(above)
+        if isinstance(budget, CaseTravel) and budget.case.strip() not in names:
+            listed = ", ".join(names) or "there is none"
+            what = f"{budget.case.strip()!r} given; must be the name of a case above this one ({listed})"
+            self.refusals.refuse((*path, "travel_budget", "case"), what)
+        if ensemble is None or (given.constraints is not None and limits is None):
+            return None
+        as_case = budget.case.strip() if isinstance(budget, CaseTravel) else ""
+        most = None if budget is None or isinstance(budget, CaseTravel) else budget
+        return RobustJob(ensemble, limits, most, as_case)
+
+    def _constraints(self, given: ConstraintsEntry, path: Path) -> Constraints | None:
+        fields = {name: getattr(given, name) for name in given.model_fields_set}
+        return self.refusals.attempt(path, lambda: Constraints(**fields))
+
+
+def constraints_of(job: RobustJob, loop: Loop, ensemble: Ensemble, cases: Mapping[str, PID]) -> Constraints | None:
+    """Return a robust tuning's constraints, its travel budget among them; None for the default.
+
+    cases: the controllers of the cases above; that of `job.as_case` gives the budget by its own mean travel over the
+    ensemble.
+    """
+    budget = job.travel_budget
+    if job.as_case:
+        from workbench.tune.ensemble import assess  # numba: only where a scenario is run
+
+        budget = assess(loop.with_controller(cases[job.as_case]), ensemble).travel_mean
+    if budget is None:
+        return job.constraints
+    from workbench.tune.robust import DEFAULT_CONSTRAINTS
+
+    return replace(job.constraints or DEFAULT_CONSTRAINTS, valve_travel=budget)
