@@ -12,6 +12,7 @@ from workbench.model.results import LimitCycle
 from workbench.model.study import CaseResult, NamedEstimate, Study
 from workbench.model.valve import Choudhury, Deadband, Ideal, Stenman
 from workbench.report.judge import at_odds, on_bounds, over_starts, quiet, run_travel, span_words, unstable
+from workbench.report.over_ensemble import robust_advice
 from workbench.report.reference import reference_sentences
 from workbench.report.repair import repair_sentence
 from workbench.report.tables import kpi_title, plant_parameters, valve_parameters
@@ -51,7 +52,7 @@ def summarise(study: Study) -> Summary:
         do += estimate_advice(named)
     if study.cases:
         found += _case_sentences(study)
-        do += _case_advice(study)
+        do += robust_advice(study) or _case_advice(study)
     return Summary(tuple(found), tuple(dict.fromkeys(do)))
 
 

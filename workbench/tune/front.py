@@ -47,6 +47,8 @@ FIRST_STEP, LAST_STEP = 0.05, 0.004
 NEAR, FACTORS = 0.15, (0.3, 0.6, 1.0)
 # A tuning that leaves more than this share of the error of a loop left alone (Kc = 0) is no control.
 IDLE = 0.25
+# A derivative time below this many sample times moves a point by less than the front is wide: it is left out.
+NO_DERIVATIVE = 0.1
 EVALUATED = 400_000  # draws simulated in one call of the last measurement
 
 
@@ -287,7 +289,10 @@ def _measured(
     """Return a search's front on fresh draws: up to `points`, at the digits to type in, none dominated."""
     archive = search.archive
     chosen = evenly(archive.travel, archive.error, points)
-    tunings = np.unique(problem.rounded(problem.tunings(archive.points[chosen])), axis=0)
+    tunings = problem.tunings(archive.points[chosen])
+    if problem.low[2] == 0.0:
+        tunings[tunings[:, 2] < NO_DERIVATIVE * problem.loop.sample_time, 2] = 0.0
+    tunings = np.unique(problem.rounded(tunings), axis=0)
     if not tunings.shape[0]:
         return ()
     judge = Judge(problem, fresh, constraints)
