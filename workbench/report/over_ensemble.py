@@ -365,13 +365,13 @@ def robust_advice(study: Study) -> list[str]:
         )
     asked = tuned.constraints or Constraints()
     for other in study.cases:
-        figures = other.robustness
-        if figures is None:
+        theirs = other.robustness
+        if theirs is None:
             continue
         if other.tuned is None:
-            out += [text for text in (_beside(other, figures, r, asked),) if text]
+            out += [text for text in (_beside(other, theirs, r, asked),) if text]
         elif other.tuned.ensemble is None:
-            out.append(_nominal(other, figures, r))
+            out.append(_nominal(other, theirs, r))
     out += [
         f"Do not use {c.name} as it stands: its search ended as “{c.tuned.status.value}” ({c.tuned.message})."
         for c in study.cases
