@@ -77,6 +77,18 @@ def test_equal_seeds_give_equal_fronts_and_a_cap_ends_them():
         assert wb.assess(LOOP.with_controller(point.controller), few).travel_mean <= 25.0
 
 
+def test_known_tunings_never_lie_below_the_front():
+    few = replace(SMALL, draws=10)
+    known = [replace(LOOP.controller, Kc=0.71, Ti=21.5), replace(LOOP.controller, Kc=0.3001234, Ti=100.0)]
+    other = replace(LOOP.controller, Kc=0.7, Ti=20.0, form="series")
+    found = wb.pareto_front(LOOP, few, bounds=PI, known=[*known, other], points=4)
+    for pid in known:
+        r = wb.assess(LOOP.with_controller(pid), found.fresh)
+        point = found.at(r.travel_mean * (1.0 + 1e-12))
+        assert point is not None
+        assert point.mean_square_error <= r.mse_mean * (1.0 + 1e-12)
+
+
 def test_a_valve_that_does_not_stick_has_one_front():
     loop = replace(LOOP, valve=wb.Ideal())
     found = wb.pareto_front(loop, replace(SMALL, draws=10), points=6)

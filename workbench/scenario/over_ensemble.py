@@ -5,17 +5,15 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
-from workbench.model.controller import PID
 from workbench.model.ensemble import Constraints, Ensemble
 from workbench.model.front import Front
-from workbench.model.loop import Loop
 from workbench.model.results import Tuned
 from workbench.model.study import CaseResult
 from workbench.model.tuning import Bounds, Objective
 from workbench.model.valve import Ideal
 from workbench.scenario.plan import CaseJob
 from workbench.tune.ensemble import Circumstances, measured
-from workbench.tune.front import pareto_front
+from workbench.tune.front import alike, pareto_front
 from workbench.tune.robust import fresh_draws
 
 __all__ = ["best_robust", "front_of", "with_robustness"]
@@ -42,12 +40,13 @@ def with_robustness(
     return found
 
 
-def front_of(present: Loop, jobs: Sequence[CaseJob], ensemble: Ensemble, progress: Progress) -> Front:
+def front_of(cases: Sequence[CaseResult], jobs: Sequence[CaseJob], ensemble: Ensemble, progress: Progress) -> Front:
     """Return the trade-off in the widest bounds of the robust tunings, under the first one's other wishes.
 
-    Without any: under the loop's present controller, in the bounds and constraints that `pareto_front` takes itself.
+    Without any: under the first case's controller, in the bounds and constraints that `pareto_front` takes itself.
     """
     robust = [job for job in jobs if job.tune is not None and job.tune.robust is not None]
+    present = cases[0].loop
     first = robust[0] if robust else None
     pid, seed, digits = present.controller, 0, 4
     bounds: Bounds | None = None
@@ -58,15 +57,17 @@ def front_of(present: Loop, jobs: Sequence[CaseJob], ensemble: Ensemble, progres
         asked = first.tune.robust.constraints
         # A budget is one place on the front, not its end.
         constraints = None if asked is None else replace(asked, valve_travel=None)
-        bounds = _widest([job.tune.bounds for job in robust if job.tune is not None and _alike(job.controller, pid)])
+        bounds = _widest([job.tune.bounds for job in robust if job.tune is not None and alike(job.controller, pid)])
     return pareto_front(
-        present.with_controller(pid), ensemble, constraints, bounds, seed=seed, digits=digits, progress=progress
+        present.with_controller(pid),
+        ensemble,
+        constraints,
+        bounds,
+        known=[case.loop.controller for case in cases],
+        seed=seed,
+        digits=digits,
+        progress=progress,
     )
-
-
-def _alike(one: PID, other: PID) -> bool:
-    """Whether two controllers differ in their tuning alone."""
-    return replace(one, Kc=other.Kc, Ti=other.Ti, Td=other.Td) == other
 
 
 def _widest(bounds: Sequence[Bounds]) -> Bounds:

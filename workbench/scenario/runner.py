@@ -98,7 +98,7 @@ class _Runner:
                 cases = with_robustness(cases, ensemble, plan.objective, progress)
             if plan.tradeoff:
                 with self._stage("trade-off", "analyze.tradeoff", 2.0 * _SHARE["tune"]) as progress:
-                    front = front_of(cases[0].loop, jobs, ensemble, progress)
+                    front = front_of(cases, jobs, ensemble, progress)
                 if front.status is SolveStatus.INTERRUPTED:
                     raise KeyboardInterrupt
         repair, robust_repair = None, None

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -35,7 +35,7 @@ from workbench.tune.repair import usual_bounds
 from workbench.tune.robust import DEFAULT_CONSTRAINTS, Judge, fresh_draws, guesses
 from workbench.tune.scan import OutOfBudget
 
-__all__ = ["pareto_front"]
+__all__ = ["alike", "pareto_front"]
 
 Progress = Callable[[str, float], None]
 
@@ -99,6 +99,7 @@ def pareto_front(
     constraints: Constraints | None = None,
     bounds: Bounds | None = None,
     *,
+    known: Sequence[PID] = (),
     points: int = 60,
     seed: int = 0,
     digits: int = 4,
@@ -110,9 +111,12 @@ def pareto_front(
     For the loop's valve and for an ideal one in its place. ensemble: `Ensemble.plant_ready(loop)` by default; its
     statistic plays no part. constraints: by default a maximum sensitivity of at most 2 at the worst corner of the
     plant's uncertainty; every corner plant must be stable in any case; a cap on travel ends the front there. bounds: by
-    default the usual ones widened to hold the present tuning, and PI where that has Td = 0. points: the most of each
-    front (2..500). digits: significant digits (1..12) of the numbers to type in. time_limit: s. progress: called with a
-    phase in words and the share done (0..1). The time limit and Ctrl-C return what is there, marked by the status.
+    default the usual ones widened to hold the present tuning, and PI where that has Td = 0. known: tunings to compare
+    with, such as the one in use: those that differ from the loop's controller in Kc, Ti and Td alone, lie within the
+    bounds and keep the constraints are taken in as they are, so that none of them lies below the front. points: the
+    most of each front that are searched for (2..500). digits: significant digits (1..12) of the numbers to type in.
+    time_limit: s. progress: called with a phase in words and the share done (0..1). The time limit and Ctrl-C return
+    what is there, marked by the status.
 
     The front begins where the error falls below a quarter of that of a loop left alone (Kc = 0). Equal arguments give
     equal fronts (but for times, and unless stopped). Raises `InvalidValue`.
@@ -149,7 +153,8 @@ def pareto_front(
 
         experiment = Experiment(ensemble.duration)
         problem = Problem(one, experiment, Objective(), bounds, digits, 0.0)
-        search = _Search(problem, ensemble, asked, seed, stop, tell)
+        own = _rows([pid for pid in known if alike(pid, loop.controller) and bounds.contains(pid)])
+        search = _Search(problem, ensemble, asked, seed, stop, tell, own)
         try:
             search.run()
         except KeyboardInterrupt:
@@ -197,8 +202,9 @@ class _Search:
         seed: int,
         stop: Callable[[], None],
         tell: Progress,
+        known: FloatArray,
     ) -> None:
-        self.problem, self.stop, self.tell = problem, stop, tell
+        self.problem, self.stop, self.tell, self.known = problem, stop, tell, known
         self.rng = np.random.default_rng(seed)
         self.archive = _Archive(np.zeros((0, problem.free.size)))
         self.ensemble, self.constraints = ensemble, constraints
@@ -207,7 +213,7 @@ class _Search:
     def run(self) -> None:
         """Search on few draws, then at the digits to type in on all. May be stopped at any time."""
         problem, free = self.problem, self.problem.free.size
-        start = problem.cube(guesses(problem))
+        start = problem.cube(np.concatenate([guesses(problem), self.known]))
         fresh = self.rng.random((RANDOM if free else 0, free))
         if problem.low[2] == 0.0 and 2 in problem.free:
             fresh[: RANDOM // 2, -1] = 0.0  # PI controllers are always among them
@@ -269,6 +275,16 @@ class _Search:
         return _inside(moved, step, rng)
 
 
+def alike(one: PID, other: PID) -> bool:
+    """Whether two controllers differ in their tuning alone."""
+    return replace(one, Kc=other.Kc, Ti=other.Ti, Td=other.Td) == other
+
+
+def _rows(controllers: Sequence[PID]) -> FloatArray:
+    """Return controllers as tunings, shape (M, 3)."""
+    return np.array([(pid.Kc, pid.Ti, pid.Td) for pid in controllers], dtype=np.float64).reshape(-1, 3)
+
+
 def _inside(points: FloatArray, step: float, rng: np.random.Generator) -> FloatArray:
     """Return points moved at random, within the unit cube: beyond it its face counts, where a PI lies."""
     moved: FloatArray = np.clip(points + step * rng.standard_normal(points.shape), 0.0, 1.0)
@@ -292,7 +308,7 @@ def _measured(
     tunings = problem.tunings(archive.points[chosen])
     if problem.low[2] == 0.0:
         tunings[tunings[:, 2] < NO_DERIVATIVE * problem.loop.sample_time, 2] = 0.0
-    tunings = np.unique(problem.rounded(tunings), axis=0)
+    tunings = np.unique(np.concatenate([problem.rounded(tunings), search.known]), axis=0)
     if not tunings.shape[0]:
         return ()
     judge = Judge(problem, fresh, constraints)
