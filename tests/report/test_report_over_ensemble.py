@@ -18,6 +18,7 @@ import workbench as wb
 from workbench.model.front import Front, FrontPoint, RobustRepair
 from workbench.model.results import SolveStatus
 from workbench.model.study import CaseResult, Study
+from workbench.report.how import how_tables
 from workbench.report.over_ensemble import (
     ensemble_tables,
     ensemble_text,
@@ -142,6 +143,26 @@ def test_the_front_in_words(robust: Study) -> None:
     table = front_table(robust.front)
     assert len(table.rows) == 3
     assert table.rows[0].cells[1].text == "Kc 0.3000 %/EU, Ti 12.00 s"
+
+
+def test_a_repaired_valve_that_follows_noise_is_explained(robust: Study) -> None:
+    assert robust.front is not None
+    assert not any("noise" in text for text in front_text(robust))
+    far = tuple(replace(p, valve_travel=9.0 * p.valve_travel) for p in robust.front.sticky)
+    noisy = replace(robust, front=replace(robust.front, repaired=far))
+    assert any("it follows the measurement noise" in text for text in front_text(noisy))
+
+
+def test_a_search_whose_first_stage_kept_no_constraint_says_so(robust: Study) -> None:
+    tuned = robust.cases[2].tuned
+    assert tuned is not None
+    none = replace(tuned, restarts=tuple(replace(r, refined=math.inf) for r in tuned.restarts))
+    rows = {
+        row.label: row.cells[0].text
+        for row in how_tables(replace(robust, cases=(replace(robust.cases[2], tuned=none),)))[0].rows
+    }
+    assert rows["J over the restarts"] == "none kept the constraints"
+    assert rows["Restarts within 1 % of the best"] == "0 of 3"
 
 
 def test_what_one_experiment_likes_is_not_recommended(robust: Study) -> None:

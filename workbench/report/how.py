@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 
 from workbench.model.results import Tuned
@@ -34,12 +35,14 @@ def how_tables(study: Study) -> list[Table]:
 
 def _spread(tuned: Tuned) -> str:
     best, worst = tuned.spread
+    if math.isinf(best):
+        return "none kept the constraints"  # before the joint search on all draws
     return f"{figure(best)} to {figure(worst)}"
 
 
 def _agreeing(tuned: Tuned) -> str:
     best = tuned.spread[0]
-    close = sum(r.refined <= 1.01 * best for r in tuned.restarts)
+    close = sum(r.refined <= 1.01 * best for r in tuned.restarts if math.isfinite(r.refined))
     return f"{close} of {len(tuned.restarts)}"
 
 

@@ -231,6 +231,7 @@ def front_text(study: Study) -> list[str]:
         f"{figure(calm.mean_square_error, 3)} EU² at {figure(calm.valve_travel, 3)} % of travel to "
         f"{figure(brisk.mean_square_error, 3)} EU² at {figure(brisk.valve_travel, 3)} %."
     )
+    text += _noisy(front)
     above, near, beyond = [], [], []
     for case in study.cases:
         r = case.robustness
@@ -253,6 +254,23 @@ def front_text(study: Study) -> list[str]:
         text.append(f"{join(near)} {verb} on the front, or within {100.0 * (NEAR - 1.0):.0f} % of its error.")
     text += [f"{words}." for words in beyond]
     return text
+
+
+def _noisy(front: Front) -> list[str]:
+    """Explain a repaired valve that travels further for the same error: what looks wrong is the noise."""
+    worse = 0
+    for point in front.sticky:
+        other = front.at(point.valve_travel, repaired=True)
+        worse += other is None or other.mean_square_error > point.mean_square_error
+    if not front.repaired or front.fresh.noise[1] == 0.0 or worse <= len(front.sticky) // 2:
+        return []
+    last = front.repaired[-1]
+    text = (
+        "For most of the line the repaired valve travels further for the same error: it follows the measurement noise, "
+        f"which a sticking stem ignores. Its least error is {figure(last.mean_square_error, 3)} EU², at "
+        f"{figure(last.valve_travel, 3)} % of travel. Filter PV before judging its wear."
+    )
+    return [text]
 
 
 def _keeps(r: Robustness, asked: Constraints) -> bool:

@@ -47,6 +47,8 @@ FIRST_STEP, LAST_STEP = 0.05, 0.004
 NEAR, FACTORS = 0.15, (0.3, 0.6, 1.0)
 # A tuning that leaves more than this share of the error of a loop left alone (Kc = 0) is no control.
 IDLE = 0.25
+# A front ends where the error exceeds this many times its least: what lies beyond is no choice that anyone makes.
+WIDEST = 50.0
 # A derivative time below this many sample times moves a point by less than the front is wide: it is left out.
 NO_DERIVATIVE = 0.1
 EVALUATED = 400_000  # draws simulated in one call of the last measurement
@@ -65,6 +67,7 @@ class _Archive:
         all_points = np.concatenate([self.points, points])
         all_travel, all_error = np.append(self.travel, travel), np.append(self.error, error)
         kept = undominated(all_travel, all_error)
+        kept = kept[all_error[kept] <= WIDEST * all_error[kept].min(initial=np.inf)]
         self.points, self.travel, self.error = all_points[kept], all_travel[kept], all_error[kept]
 
 
@@ -118,7 +121,8 @@ def pareto_front(
     time_limit: s. progress: called with a phase in words and the share done (0..1). The time limit and Ctrl-C return
     what is there, marked by the status.
 
-    The front begins where the error falls below a quarter of that of a loop left alone (Kc = 0). Equal arguments give
+    The front begins where the error falls below a quarter of that of a loop left alone (Kc = 0) and below 50 times the
+    least. Equal arguments give
     equal fronts (but for times, and unless stopped). Raises `InvalidValue`.
     """
     instance(loop, Loop, "loop", "a Loop")
