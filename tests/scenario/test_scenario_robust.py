@@ -69,9 +69,12 @@ def test_true_takes_the_shared_ensemble_and_what_is_left_out_is_the_default() ->
     assert ensemble_of(plan.ensemble, plan) == shared
     first, second = robust_of(plan, 1), robust_of(plan, 2)
     assert ensemble_of(first.ensemble, plan) == shared
-    assert (first.constraints, first.travel_budget, first.as_case) == (None, None, "")
+    assert (first.travel_budget, first.as_case) == (None, "")
     assert ensemble_of(second.ensemble, plan) == replace(shared, draws=8)
-    assert second.constraints == wb.Constraints(max_sensitivity=1.8)
+    assert plan.cases[1].tune is not None
+    assert plan.cases[1].tune.constraints is None
+    assert plan.cases[2].tune is not None
+    assert plan.cases[2].tune.constraints == wb.Constraints(max_sensitivity=1.8)
     assert second.as_case == "Case 1"
     assert plan.cases[0].tune is None
 
@@ -115,7 +118,8 @@ def test_every_field_of_the_ensemble_has_its_key() -> None:
         (CALM.replace("{case: Case 1}", "fast"), "cases[1].tune.travel_budget", 'such as 2 or "2 %"'),
         (CALM.replace("{case: Case 1}", "{cas: Case 1}"), "cases[1].tune.travel_budget.cas", "did you mean case?"),
         (CALM.replace("max_sensitivity: 1.8", "valve_travel: 20"), "cases[1].tune.travel_budget", "one of the two"),
-        (CALM.replace("robust: {draws: 8}, ", ""), "cases[1].tune.constraints", "given without robust"),
+        (CALM.replace("robust: {draws: 8}, ", ""), "cases[1].tune.travel_budget", "given without robust"),
+        (CALM.replace("digits: 3", "nominal: true"), "cases[1].tune.nominal", "an ensemble has no nominal run"),
         (CALM.replace("robust: {draws: 8}", "robust: false"), "cases[1].tune.travel_budget", "given without robust"),
     ],
 )

@@ -137,14 +137,11 @@ def _tuned(name: str, tuned: Tuned) -> dict[str, Any]:
 
 
 def _robust(tuned: Tuned) -> dict[str, Any]:
-    """Return what a robust tuning has beside another one; nothing for that."""
+    """Return a tuning's constraints, ensemble and figures over it, as far as it has them."""
+    content = {} if tuned.constraints is None else {"constraints": _plain(tuned.constraints)}
     if tuned.ensemble is None or tuned.robustness is None:
-        return {}
-    return {
-        "ensemble": _plain(tuned.ensemble),
-        "constraints": None if tuned.constraints is None else _plain(tuned.constraints),
-        "robustness": _robustness(tuned.robustness),
-    }
+        return content
+    return {**content, "ensemble": _plain(tuned.ensemble), "robustness": _robustness(tuned.robustness)}
 
 
 def _robustness(found: Robustness) -> dict[str, Any]:

@@ -336,7 +336,12 @@ class Builder:
                     continue
                 controller, tune = found
                 above = [other for other in names if other != name]
-                tune = replace(tune, robust=robust.tuning(case.tune, (*path, "tune"), shared, above))
+                at = (*path, "tune")
+                tune = replace(
+                    tune,
+                    robust=robust.tuning(case.tune, at, shared, above),
+                    constraints=robust.constraints(case.tune.constraints, (*at, "constraints")),
+                )
             if controller is None:
                 continue
             if plant is not None:

@@ -53,8 +53,8 @@ def front_of(cases: Sequence[CaseResult], jobs: Sequence[CaseJob], ensemble: Ens
     constraints: Constraints | None = None
     if first is not None and first.tune is not None and first.tune.robust is not None:
         pid = first.controller
-        seed, digits = first.tune.seed, first.tune.digits
-        asked = first.tune.robust.constraints
+        seed, digits = first.tune.seed, first.tune.digits or digits
+        asked = first.tune.constraints
         # A budget is one place on the front, not its end.
         constraints = None if asked is None else replace(asked, valve_travel=None)
         bounds = _widest([job.tune.bounds for job in robust if job.tune is not None and alike(job.controller, pid)])

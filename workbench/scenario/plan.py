@@ -61,13 +61,12 @@ class EnsembleJob:
 
 @dataclass(frozen=True, eq=False)
 class RobustJob:
-    """What makes a tuning robust: its ensemble, its constraints (None: the default), and its budget of valve travel.
+    """What makes a tuning robust: its ensemble, and its budget of valve travel.
 
     travel_budget: the most mean travel over the ensemble, %, or None; as_case: the case whose own is the budget, or "".
     """
 
     ensemble: EnsembleJob
-    constraints: Constraints | None = None
     travel_budget: float | None = None
     as_case: str = ""
 
@@ -76,7 +75,8 @@ class RobustJob:
 class TuneJob:
     """A tuning to be found; the case's controller is its start.
 
-    digits: None for what `wb.tune` takes by itself; robust: None for the one experiment alone.
+    digits: None for what `wb.tune` takes by itself; constraints: None for its default; robust: None for the one
+    experiment alone.
     """
 
     objective: Objective
@@ -85,6 +85,7 @@ class TuneJob:
     digits: int | None
     restarts: int
     nominal: bool = False
+    constraints: Constraints | None = None
     robust: RobustJob | None = None
 
 

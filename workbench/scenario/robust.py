@@ -12,7 +12,7 @@ from workbench.model.ensemble import Constraints, Ensemble
 from workbench.model.loop import Loop
 from workbench.scenario import schema
 from workbench.scenario.document import Path
-from workbench.scenario.plan import EnsembleJob, RobustJob
+from workbench.scenario.plan import EnsembleJob, RobustJob, TuneJob
 from workbench.scenario.refusals import Refusals
 from workbench.scenario.robust_entries import CaseTravel, ConstraintsEntry, EnsembleEntry
 from workbench.simulate.signals import sample_count
@@ -49,17 +49,17 @@ class RobustEntries:
         self, given: schema.Tune, path: Path, shared: EnsembleJob | None, above: Iterable[str]
     ) -> RobustJob | None:
         """Return what a tuning asks of robustness, None where nothing. above: the names of the cases above it."""
-        if given.robust is None:
-            for name in ("constraints", "travel_budget"):
-                if getattr(given, name) is not None:
-                    self.refusals.refuse((*path, name), "given without robust; it holds over an ensemble: robust: true")
-            return None
-        ensemble = self.ensemble(given.robust, (*path, "robust"), shared)
-        limits = None
-        if given.constraints is not None:
-            limits = self._constraints(given.constraints, (*path, "constraints"))
         budget = given.travel_budget
-        if budget is not None and limits is not None and limits.valve_travel is not None:
+        if given.robust is None:
+            if budget is not None:
+                what = "given without robust; it holds over an ensemble: robust: true (or constraints.valve_travel)"
+                self.refusals.refuse((*path, "travel_budget"), what)
+            return None
+        if given.nominal:
+            what = "true given, and robust as well; an ensemble has no nominal run"
+            self.refusals.refuse((*path, "nominal"), what)
+        ensemble = self.ensemble(given.robust, (*path, "robust"), shared)
+        if budget is not None and given.constraints is not None and given.constraints.valve_travel is not None:
             self.refusals.refuse(
                 (*path, "travel_budget"), "given, and constraints.valve_travel as well; one of the two is needed"
             )
@@ -68,28 +68,31 @@ class RobustEntries:
             listed = ", ".join(names) or "there is none"
             what = f"{budget.case.strip()!r} given; must be the name of a case above this one ({listed})"
             self.refusals.refuse((*path, "travel_budget", "case"), what)
-        if ensemble is None or (given.constraints is not None and limits is None):
+        if ensemble is None:
             return None
         as_case = budget.case.strip() if isinstance(budget, CaseTravel) else ""
         most = None if budget is None or isinstance(budget, CaseTravel) else budget
-        return RobustJob(ensemble, limits, most, as_case)
+        return RobustJob(ensemble, most, as_case)
 
-    def _constraints(self, given: ConstraintsEntry, path: Path) -> Constraints | None:
+    def constraints(self, given: ConstraintsEntry | None, path: Path) -> Constraints | None:
+        """Return the constraints of an entry; None where it is not given."""
+        if given is None:
+            return None
         fields = {name: getattr(given, name) for name in given.model_fields_set}
         return self.refusals.attempt(path, lambda: Constraints(**fields))
 
 
-def constraints_of(job: RobustJob, loop: Loop, ensemble: Ensemble, cases: Mapping[str, PID]) -> Constraints | None:
+def constraints_of(job: TuneJob, loop: Loop, ensemble: Ensemble, cases: Mapping[str, PID]) -> Constraints | None:
     """Return a robust tuning's constraints, its travel budget among them; None for the default.
 
-    cases: the controllers of the cases above; that of `job.as_case` gives the budget by its own mean travel over the
+    cases: the controllers of the cases above; that of `as_case` gives the budget by its own mean travel over the
     ensemble.
     """
-    budget = job.travel_budget
-    if job.as_case:
+    budget = None if job.robust is None else job.robust.travel_budget
+    if job.robust is not None and job.robust.as_case:
         from workbench.tune.ensemble import assess  # numba: only where a scenario is run
 
-        budget = assess(loop.with_controller(cases[job.as_case]), ensemble).travel_mean
+        budget = assess(loop.with_controller(cases[job.robust.as_case]), ensemble).travel_mean
     if budget is None:
         return job.constraints
     from workbench.tune.robust import DEFAULT_CONSTRAINTS

@@ -64,13 +64,13 @@ RobustEntry = Annotated[EnsembleEntry | None, _TrueOr()]
 
 
 class ConstraintsEntry(Closed):
-    """What a robust tuning must keep at the worst corner of the plant's uncertainty (by default Ms <= 2)."""
+    """What a tuning must keep; a robust one at the worst corner of the plant's uncertainty (by default Ms <= 2)."""
 
     max_sensitivity: Annotated[Number | None, Field(gt=1, description="largest maximum sensitivity Ms")] = None
     gain_margin: Annotated[Number | None, Field(gt=1, description="least factor on Kc")] = None
     phase_margin: Annotated[Number | None, Field(gt=0, le=90, description="least angle, degrees")] = None
     valve_travel: Annotated[
-        Percent | None, Field(gt=0, description="largest mean travel over the ensemble, % in its duration")
+        Percent | None, Field(gt=0, description="largest travel, %: in the experiment, or mean over the ensemble")
     ] = None
 
 

@@ -280,10 +280,10 @@ def tune_case(
 
     cases: the controllers of the cases above it, by name, of which one may give the budget of valve travel.
     """
-    ensemble, constraints = None, None
+    ensemble, constraints = None, job.constraints
     if job.robust is not None:
         ensemble = job.robust.ensemble.of(loop)
-        constraints = constraints_of(job.robust, loop, ensemble, cases or {})
+        constraints = constraints_of(job, loop, ensemble, cases or {})
     return tune(
         loop,
         experiment,
