@@ -331,7 +331,7 @@ def robust_repair_text(study: Study) -> list[str]:
         (
             f"The best robust tuning of the sticky valve ({ours}) leaves {figure(best.mse_mean, 3)} EU², that of the "
             f"repaired one ({theirs}) {figure(repaired.mse_mean, 3)} EU²: {figure(100.0 * repair.share, 2)} % of the "
-            "error goes only with the repair, whatever the tuning."
+            "error goes only with the repair, whatever tuning keeps the constraints."
         ),
     ]
     if not repair.tuned_repaired.status.success:

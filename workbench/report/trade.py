@@ -109,7 +109,7 @@ def _name(ax: Axes, named: Sequence[NamedPoint], lines: FloatArray) -> None:
         text = label(named[i].name, 34)
         width, height = LETTER * FONT * len(text), 1.25 * FONT
         best = min(
-            (_cost(at[i] + offset, width, height, at, busy, taken, frame, ring), ring, k, offset)
+            (_cost(at[i] + offset, width, height, i, at, busy, taken, frame, ring), ring, k, offset)
             for k, (ring, offset) in enumerate(_offsets(width, height))
         )
         _, ring, _, offset = best
@@ -154,13 +154,17 @@ def _cost(
     corner: FloatArray,
     width: float,
     height: float,
+    own: int,
     points: FloatArray,
     busy: FloatArray,
     taken: Sequence[tuple[float, float, float, float]],
     frame: FloatArray,
     ring: float,
 ) -> float:
-    """Return how much a label there hides: other labels count most, then points, then the fronts, then distance."""
+    """Return how much a label there hides or misleads: other labels count most, then points, the fronts, distance.
+
+    own: the index of its point; a label nearer to another one would be read as that one's.
+    """
     x0, y0 = float(corner[0]), float(corner[1])
     x1, y1 = x0 + width, y0 + height
     outside = x0 < frame[0, 0] or y0 < frame[0, 1] or x1 > frame[1, 0] or y1 > frame[1, 1]
@@ -170,5 +174,17 @@ def _cost(
         inside = (some > (x0 - slack, y0 - slack)).all(axis=1) & (some < (x1 + slack, y1 + slack)).all(axis=1)
         return int(np.count_nonzero(inside))
 
-    cost: float = 1000.0 * outside + 300.0 * over + 60.0 * within(points, 2.5) + 8.0 * within(busy, 1.0) + 0.5 * ring
+    beside = np.hypot(
+        np.maximum(np.maximum(x0 - points[:, 0], points[:, 0] - x1), 0.0),
+        np.maximum(np.maximum(y0 - points[:, 1], points[:, 1] - y1), 0.0),
+    )
+    strays = int(np.count_nonzero(beside < beside[own] + 2.0)) - 1
+    cost: float = (
+        50.0 * strays
+        + 1000.0 * outside
+        + 300.0 * over
+        + 60.0 * within(points, 2.5)
+        + 8.0 * within(busy, 1.0)
+        + 0.5 * ring
+    )
     return cost
