@@ -349,6 +349,7 @@ def test_tune_prints_the_settings_of_a_scenario(folder: Path) -> None:
     code, out, err = call("tune", "good.yaml", "--Kc", "0.2:0.4", "--objective", "w1=1", "--seed", 2)
     assert (code, err) == (0, "")
     assert out.startswith("PI: Kc 0.")
+    assert "within the larger of ±0.1 % and half the last digit of each setting)" in out
     assert "solved" in out
     code, out, _ = call("tune", "good.yaml", "--Kc", "0.3", "--json")
     (tuning,) = strict(out)["tunings"]  # type: ignore[misc]

@@ -14,13 +14,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 try:
+    from dataclasses import dataclass
+
     import typer
+
+    from workbench import __version__
+    from workbench.errors import InvalidValue, OutputError, RecordError, ScenarioError, WorkbenchError
 except KeyboardInterrupt:  # while the command starts
     sys.stderr.write("workbench: interrupted\n")
     sys.exit(130)
-
-from workbench import __version__
-from workbench.errors import InvalidValue, OutputError, RecordError, ScenarioError, WorkbenchError
 
 if TYPE_CHECKING:
     from workbench.model.results import Estimate
@@ -205,17 +207,12 @@ def estimate(
     from workbench import cli_output
     from workbench.scenario import units
 
-    settings = {
-        "method": method,
-        "valve": valve,
-        "plant": plant,
-        "start": None if start is None else _quantity("--start", start, units.percent),
-    }
+    how = How(method, valve, plant, None if start is None else _quantity("--start", start, units.percent))
     folder = None if as_json and out is None else (out or Path("reports")) / f"{data.stem}_estimate"
     if folder is not None:
         _writable(folder)
     with _progress() as progress:
-        found = _found(data, column, sample_time, settings, progress)
+        found = _found(data, column, sample_time, how, progress)
         written = cli_output.write_estimate(found, folder) if folder is not None else []
     if as_json:
         typer.echo(cli_output.estimate_json(found), nl=False)
@@ -270,8 +267,7 @@ def tune(
         if source.suffix.lower() in (".yaml", ".yml"):
             results = retune.tune_scenario(_checked([source])[0], wishes, progress)
         else:
-            settings = {"method": method, "valve": valve, "plant": plant, "start": None}
-            found = _found(source, column, sample_time, settings, progress)
+            found = _found(source, column, sample_time, How(method, valve, plant), progress)
             results = [retune.tune_found(found, wishes, progress)]
     code = 0
     if as_json:
@@ -304,19 +300,34 @@ def _checked(files: Sequence[Path]) -> list[Scenario]:
     return plans
 
 
+CHOICES = {"method": ("profile", "two_step"), "valve": ("stenman",), "plant": ("fopdt", "integrating")}
+
+
+@dataclass(frozen=True, slots=True)
+class How:
+    """How a record is to be estimated, by the options of their names; start: %, or None."""
+
+    method: str
+    valve: str
+    plant: str
+    start: float | None = None
+
+    def __post_init__(self) -> None:
+        for option, allowed in CHOICES.items():
+            if getattr(self, option) not in allowed:
+                raise InvalidValue(f"--{option}", getattr(self, option), "must be one of " + ", ".join(allowed))
+
+
 def _found(
     data: Path,
     column: Sequence[str] | None,
     sample_time: str | None,
-    settings: dict[str, Any],
+    how: How,
     progress: Progress,
 ) -> Estimate:
     """Return the estimate of a data file."""
     from workbench.scenario import units
 
-    for option, allowed in CHOICES.items():
-        if settings[option] not in allowed:
-            raise InvalidValue(f"--{option}", settings[option], "must be one of " + ", ".join(allowed))
     columns = {}
     for given in column or ():
         signal, sign, name = given.partition("=")
@@ -331,20 +342,20 @@ def _found(
         record = read_record(data, columns=columns or None, sample_time=seconds)
     except RecordError as error:
         raise RecordError(_as_options(str(error))) from None
-    return estimate_record(record, progress=functools.partial(progress, "estimate"), **settings)
+    return estimate_record(
+        record,
+        method=how.method,
+        valve=how.valve,
+        plant=how.plant,
+        start=how.start,
+        progress=functools.partial(progress, "estimate"),
+    )
 
 
 def _as_options(message: str) -> str:
     """Return a reader's message with the command's options in place of the arguments of Python."""
     message = re.sub(r"columns=\{'(\w+)': '([^']*)'\}", r'--column "\1=\2"', message)
     return message.replace("give sample_time in seconds", 'give --sample-time, such as "5 s"')
-
-
-CHOICES = {
-    "method": ("profile", "two_step"),
-    "valve": ("stenman",),
-    "plant": ("fopdt", "integrating"),
-}
 
 
 def _quantity(option: str, text: str, read: Callable[[object], float]) -> float:
@@ -436,7 +447,7 @@ def _print_study(study: Study) -> None:
     console = Console(width=width, highlight=False, markup=False)
     console.print(Text(study.title, style="bold"))
     for named in study.estimates:
-        from workbench.report.summary import estimate_sentences
+        from workbench.report.estimates import estimate_sentences
 
         for sentence in estimate_sentences(named):
             console.print(Text(sentence))

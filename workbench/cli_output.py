@@ -5,20 +5,20 @@ from __future__ import annotations
 import csv
 import io
 import json
-import os
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from workbench.errors import OutputError
 from workbench.model.results import Estimate, SolveStatus
 from workbench.model.study import NamedEstimate, Study
 from workbench.model.valve import Ideal, Stenman
-from workbench.report.figures import estimate_figure, save_svg
+from workbench.report.figures import estimate_figure, svg_file
+from workbench.report.files import write_files
 from workbench.report.results import controller_content, results_content, strict
-from workbench.report.words import controller_words, figure, given, interval, plant_words, valve_words
+from workbench.report.style import svg_text
+from workbench.report.words import controller_words, figure, given, interval, nearby, plant_words, valve_words
 from workbench.scenario.retune import Retuned
 
 __all__ = ["estimate_json", "estimate_lines", "exit_code", "tuned_json", "tuned_lines", "write_estimate"]
@@ -88,7 +88,7 @@ def estimate_json(found: Estimate) -> str:
 def write_estimate(found: Estimate, folder: Path) -> list[Path]:
     """Write the figure and the signals (time, SP, PV, prediction, OP, valve_position) and return their paths.
 
-    Each file is written whole or not at all. Raises `OutputError`.
+    All are written whole, or none. Raises `OutputError`.
     """
     record = found.record
     columns: list[tuple[str, Any]] = [("time", record.time), ("PV", record.pv), ("prediction", found.prediction)]
@@ -100,29 +100,13 @@ def write_estimate(found: Estimate, folder: Path) -> list[Path]:
     writer.writerow([name for name, _ in columns])
     for row in np.column_stack([values for _, values in columns]).tolist():
         writer.writerow([f"{value:.10g}" for value in row])
-    signals, drawing, summary = folder / "estimate.csv", folder / "estimate.svg", folder / "estimate.json"
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        _put(signals, text.getvalue())
-        _put(summary, estimate_json(found))
-        spare = folder / f".estimate.{os.getpid()}.svg"
-        try:
-            save_svg(estimate_figure(found), spare)
-            spare.replace(drawing)
-        finally:
-            spare.unlink(missing_ok=True)
-    except OSError as error:
-        raise OutputError(f"{folder}: cannot be written ({error.strerror or error})") from error
-    return [drawing, signals, summary]
-
-
-def _put(path: Path, text: str) -> None:
-    spare = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    try:
-        spare.write_text(text, encoding="utf-8", newline="\n")
-        spare.replace(path)
-    finally:
-        spare.unlink(missing_ok=True)
+    files = {
+        "estimate.svg": svg_file(svg_text(estimate_figure(found))),
+        "estimate.csv": text.getvalue(),
+        "estimate.json": estimate_json(found),
+    }
+    write_files(files, folder)
+    return [folder / name for name in files]
 
 
 def tuned_lines(result: Retuned) -> list[str]:
@@ -134,7 +118,7 @@ def tuned_lines(result: Retuned) -> list[str]:
     lines.append(f"  form      {tuned.controller.form}, {structure}, {tuned.controller.action} action")
     lines.append(
         f"  J         {figure(tuned.objective, 5)} (start {figure(tuned.start_objective, 5)}; at most "
-        f"{figure(tuned.worst, 5)} within {100.0 * tuned.margin:g} % of each setting)"
+        f"{figure(tuned.worst, 5)} {nearby(tuned.margin)})"
     )
     lines.append(
         f"  search    {tuned.status.value}; {len(tuned.restarts)} restarts, J {figure(best, 5)} to "

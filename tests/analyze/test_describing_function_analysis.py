@@ -205,3 +205,10 @@ def test_random_loops_have_finite_loci_and_a_verdict(loop: Loop, sampling_delay:
     assert "nan" not in df.verdict
     assert df.predicts_cycle == (len(df.crossings) > 0)
     assert math.isfinite(df.period) == any(c.stable for c in df.crossings)
+
+
+def test_crossings_are_a_prediction_only_where_one_lasts():
+    df = describing_function(paper(2.01, 301.0))
+    assert df.prediction == "cycle"
+    assert replace(df, period=math.nan).prediction == "unstable crossings only"
+    assert replace(df, predicts_cycle=False, period=math.nan).prediction == "no cycle"

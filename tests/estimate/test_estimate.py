@@ -21,7 +21,7 @@ from workbench.estimate.profile import Candidate, Profile, islands
 from workbench.estimate.verdict import Evidence, judge
 from workbench.model.results import Estimate
 from workbench.model.study import NamedEstimate
-from workbench.report.summary import estimate_sentences
+from workbench.report.estimates import estimate_sentences
 
 RECORDS = Path(os.environ.get("WORKBENCH_RECORDS", Path(__file__).resolve().parents[2].parent / "shared" / "data"))
 ROOT = Path(__file__).resolve().parents[2]

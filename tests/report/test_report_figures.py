@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +21,7 @@ from workbench.model.study import CaseResult, Study
 from workbench.report import draw, figures
 from workbench.report.plot import plot
 from workbench.report.style import CASES, svg_text
+from workbench.report.words import figure
 
 Make = Callable[..., Any]
 
@@ -175,6 +177,16 @@ def test_plot_of_every_result(study: Study) -> None:
     ax = plot(case.tuned)
     assert isinstance(ax, Axes)
     assert list(lines(ax)["refined"][0]) == [r.refined for r in case.tuned.restarts]
+
+
+def test_a_tuning_is_drawn_search_by_search_or_by_its_objective_alone(study: Study) -> None:
+    tuned = study.cases[2].tuned
+    assert tuned is not None
+    assert [t.get_text() for t in plot(tuned).get_yticklabels()] == ["search 0", "search 1", "search 2"]
+    ax = plot(replace(tuned, restarts=()))
+    low, high = ax.get_ylim()
+    assert low != high
+    assert list(lines(ax)[f"J as typed in, {figure(tuned.objective)}"][0]) == [tuned.objective] * 2
 
 
 def test_plot_on_given_axes(study: Study) -> None:

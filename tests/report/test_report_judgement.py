@@ -12,13 +12,16 @@ import pytest
 
 from workbench.model.experiment import Experiment, Noise, Step
 from workbench.model.study import CaseResult, NamedEstimate, Study
-from workbench.model.tuning import Bounds
+from workbench.model.tuning import Bounds, Objective
 from workbench.report import figures, words
+from workbench.report.cycles import cycle_tables
+from workbench.report.estimates import estimate_table
 from workbench.report.how import how_tables
-from workbench.report.judge import at_odds, on_bounds, quiet, run_travel, settling_doubt
+from workbench.report.judge import at_odds, best_case, df_disagrees, on_bounds, quiet, run_travel, settling_doubt
 from workbench.report.reference import reference_sentences
-from workbench.report.summary import best_case, df_disagrees, summarise
-from workbench.report.tables import case_tables, cycle_tables, estimate_table, loop_lines
+from workbench.report.shared import loop_lines
+from workbench.report.summary import summarise
+from workbench.report.tables import case_tables
 from workbench.simulate.run import simulate
 
 Make = Callable[..., Any]
@@ -197,3 +200,24 @@ def test_unstable_crossings_are_no_prediction_of_a_cycle(study: Study, df: Make,
     assert rows["Describing function"] == "unstable crossings only"
     alone = "Case 1: the loop would be unstable with an ideal valve too, so its cycle is not the valve's alone."
     assert alone in summarise(told).found
+
+
+def test_how_a_tuning_was_found_names_its_searches_its_weights_and_its_worst_case(study: Study) -> None:
+    tables = how_tables(study)
+    rows = {r.label: r.cells[0].text for r in tables[0].rows}
+    near = "within the larger of ±0.1 % and half the last digit of each setting"
+    assert rows["Worst J near the settings"].endswith(near)
+    assert "J of this search" not in rows
+    assert tables[1].heads[0] == "search"
+    best = study.cases[2]
+    assert best.tuned is not None
+    own = replace(best, tuned=replace(best.tuned, weights=Objective(w1=0.5, w3=0.5, w4=0.05)))
+    rows = {r.label: r.cells[0].text for r in how_tables(of(study, study.cases[0], own))[0].rows}
+    assert rows["J of this search"] == (
+        "0.5 Σ (SP − PV)² + 0.05 Σ (OP move)² + 0.5 (SP − PV)² at the end, sums over samples"
+    )
+
+
+def test_where_the_worst_case_is_sought_without_a_margin() -> None:
+    assert words.nearby(0.0) == "within half the last digit of each setting"
+    assert words.nearby(0.002).startswith("within the larger of ±0.2 % and")

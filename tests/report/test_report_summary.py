@@ -11,7 +11,9 @@ import pytest
 from workbench.model.results import Intervals, SolveStatus
 from workbench.model.study import CaseResult, NamedEstimate, Study
 from workbench.model.valve import Ideal
-from workbench.report.summary import best_case, df_disagrees, estimate_advice, estimate_sentences, summarise
+from workbench.report.estimates import estimate_advice, estimate_sentences
+from workbench.report.judge import best_case, df_disagrees
+from workbench.report.summary import summarise
 
 Make = Callable[..., Any]
 
@@ -24,7 +26,10 @@ def test_the_best_case_is_recommended_with_its_changes(study: Study) -> None:
     told = " ".join(summarise(study).do)
     best = study.cases[2]
     assert best_case(study) is best
-    assert "Set Kc 2.351 %/EU, Ti 9.500 s (Optimised PI): J 10.5 instead of 227, mean square error −92 %" in told
+    assert (
+        "Set Kc 2.351 %/EU, Ti 9.500 s (Optimised PI): in this run J 10.5 instead of 227, mean square error −92 %"
+        in told
+    )
     assert "valve travel +38 %" in told
     assert "the cycle remains: PV swings 2.01 EU every 12.0 s" in told
     assert "steps of at least 2 %, which is 2 EU of PV" in told
@@ -43,7 +48,9 @@ def test_an_unsuccessful_search_is_never_recommended(study: Study, tuned: Make) 
 def test_a_knife_edge_is_named(study: Study, tuned: Make) -> None:
     best = study.cases[2]
     sharp = replace(best, tuned=tuned(best.loop.controller, best.objective, worst=2.0))
-    assert any("knife-edge" in t and "20.9" in t for t in summarise(with_cases(study, study.cases[0], sharp)).do)
+    told = " ".join(summarise(with_cases(study, study.cases[0], sharp)).do)
+    near = "knife-edge, within the larger of ±0.1 % and half the last digit of each setting J rises from 10.5"
+    assert f"{near} to as much as 20.9." in told
     assert not any("knife-edge" in t for t in summarise(study).do)
 
 
@@ -64,7 +71,7 @@ def test_disagreement_is_told_and_agreement_is_not(study: Study) -> None:
     [
         ("settles", "Case 1: the loop comes to rest."),
         ("depends", "Case 1: the loop cycles or comes to rest depending on where it starts."),
-        ("undecided", "Case 1: the loop could not be decided by simulation."),
+        ("undecided", "Case 1: whether the loop cycles could not be decided by simulation."),
     ],
 )
 def test_other_outcomes(study: Study, cycle: Make, outcome: str, text: str) -> None:
@@ -77,7 +84,9 @@ def test_other_outcomes(study: Study, cycle: Make, outcome: str, text: str) -> N
 def test_no_objective_no_recommendation(study: Study) -> None:
     cases = [replace(c, objective=None, tuned=None) for c in study.cases[:2]]
     told = summarise(replace(with_cases(study, *cases), objective=None)).do
-    assert told[0].startswith("No objective was given, so there is a choice to make. Least mean square error: Case 1")
+    assert told[0].startswith(
+        "No objective was given, so there is a choice to make. Least mean square error in this run: Case 1"
+    )
     assert "Least wear: Case 2" in told[0]
     assert not any(t.startswith("Set ") for t in told)
 
@@ -121,6 +130,15 @@ def test_what_is_not_identified_is_said(estimated: Make) -> None:
     assert "pins only the product of gain and stiction (3.99 EU)" in estimate_sentences(NamedEstimate("E", found))[1]
     bare = replace(found, intervals=Intervals())
     assert "gives no range" in estimate_sentences(NamedEstimate("E", bare))[1]
+
+
+def test_an_undecided_estimate_of_a_known_loop_is_not_called_wrong(estimated: Make) -> None:
+    found, truth = estimated(verdict="undecided")
+    blind = estimate_sentences(NamedEstimate("E", replace(found, valve=Ideal()), truth))[0]
+    assert blind.endswith("The record was simulated with Stenman's one-parameter stiction, d = 2 %.")
+    off = estimate_sentences(NamedEstimate("E", replace(found, plant=replace(found.plant, gain=3.0)), truth))[0]
+    assert off.endswith("The model is off by 50 % in the gain (true value 2).")
+    assert "wrong" not in blind + off
 
 
 def test_undecided_claims_nothing(estimated: Make) -> None:

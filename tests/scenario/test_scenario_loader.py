@@ -184,6 +184,53 @@ def test_a_scenario_may_start_from_data(tmp_path: Path) -> None:
     assert "must be a whole number of samples of 2 s" in refusal(DATA.replace("100 s", "101 s"), tmp_path)
 
 
+def test_a_duration_is_fitted_to_a_records_own_clock(tmp_path: Path) -> None:
+    file = record(tmp_path)
+    head, *rows = file.read_text().splitlines()
+    # A clock that is 0.03 % slow: 100 s are 49.985 of its samples.
+    slow = [f"{1.0003 * float(row.partition(',')[0])},{row.partition(',')[2]}" for row in rows]
+    file.write_text("\n".join([head, *slow]) + "\n")
+    plan = read(DATA, tmp_path)
+    assert plan.experiment is not None
+    assert plan.experiment.duration == pytest.approx(50 * 2.0006, rel=1e-9)
+    assert "The experiment takes 100.03 s for the 100 s given: 50 samples of the record's 2.0006 s." in plan.notes
+    assert "must be a whole number of samples of 2.0006 s" in refusal(DATA.replace("100 s", "101 s"), tmp_path)
+    # A loop that is given has no clock of its own.
+    assert "must be a whole number of samples of 1 s" in refusal(GOOD.replace("100 s", "100.1 s"), tmp_path)
+
+
+BACK = "output_limits: [-5, 5], anti_windup: back_calculation"
+
+
+@pytest.mark.parametrize(
+    ("keys", "ok"),
+    [
+        (f"{BACK}, tracking_time: 0.5 s", False),
+        (f"{BACK}, tracking_time: 0.51 s", True),
+        ("tracking_time: 0.5 s", True),
+        ("output_limits: [-5, 5], tracking_time: 0.5 s", True),
+    ],
+)
+def test_back_calculation_too_fast_for_the_sample_time_is_refused(tmp_path: Path, keys: str, ok: bool) -> None:
+    text = GOOD.replace("controller: {", f"controller: {{{keys}, ")
+    if ok:
+        assert read(text, tmp_path).loop is not None
+        return
+    message = refusal(text, tmp_path)
+    assert "tracking_time: 0.5 s given; must be longer than half the sample time (1 s)" in message
+    assert len(message.splitlines()) == 1
+
+
+def test_back_calculation_is_refused_for_data_and_for_the_bounds_of_a_tuning_too(tmp_path: Path) -> None:
+    record(tmp_path)
+    text = DATA.replace("derivative_on: pv", f"{BACK}, tracking_time: 1 s")
+    assert "tracking_time: 1 s given; must be longer than half the sample time (2 s)" in refusal(text, tmp_path)
+    case = "  - {name: PI, tune: {bounds: {Ti: [1 s, 60 s]}, Td: 0 s}}\n"
+    text = DATA.replace("derivative_on: pv", BACK) + case
+    assert "tracking_time: 1 s (that of Ti) given; must be longer" in refusal(text, tmp_path)
+    assert len(read(text.replace("[1 s, ", "[2 s, "), tmp_path).cases) == 2
+
+
 def test_a_loop_given_beside_data_is_refused(tmp_path: Path) -> None:
     record(tmp_path)
     text = DATA.replace("loop:\n", "loop:\n  sample_time: 1 s\n  valve: {type: ideal}\n")

@@ -220,3 +220,25 @@ def test_a_found_loop_is_tuned_and_what_was_assumed_is_said(tmp_path: Path) -> N
     assert tuned.objective <= tuned.start_objective
     assert result.assumed[0] == "the record's loop: the valve sticks"
     assert "setpoint step of 2 EU" in result.assumed[1]
+
+
+def test_a_found_loop_without_a_task_or_a_gain_is_refused(tmp_path: Path) -> None:
+    found = found_loop()
+    with pytest.raises(wb.InvalidValue, match="--step: 0 EU given; must be other than 0"):
+        Wishes(step=0.0)
+    unsure = replace(found, intervals=replace(found.intervals, gain=(-0.01, 0.2)))
+    with pytest.raises(wb.RecordError, match=r"positive or negative \(95 % range -0.01 to 0.2 EU/%"):
+        tune_found(unsure, Wishes())
+    # What a fit without any effect of the valve leaves as a gain is no finding.
+    blind = replace(found, plant=wb.FOPDT(1e-12, 6.0, 2.0), intervals=replace(found.intervals, gain=None))
+    with pytest.raises(wb.RecordError, match="shows no effect of the valve on PV"):
+        tune_found(blind, Wishes())
+    with pytest.raises(wb.InvalidValue, match=r"Experiment\.duration"):
+        tune_found(found, Wishes(duration=0.0))
+
+
+def test_a_found_loop_is_tuned_over_whole_samples_of_its_record() -> None:
+    slow = replace(found_loop(), record=replace(found_loop().record, sample_time=1.0003))
+    result = tune_found(slow, Wishes(duration=100.0, step=2.0, seed=0))
+    assert result.tuned.experiment.duration == pytest.approx(100 * 1.0003, rel=1e-12)
+    assert "over 100.03 s" in result.assumed[1]

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 import workbench as wb
@@ -163,6 +163,8 @@ def test_fixed_parameters_stay_fixed() -> None:
     tracking=st.sampled_from([None, 3.0]),
 )
 def test_coordinates_there_and_back_and_the_laws_terms(form, n, Kc, Ti, Td, tracking) -> None:
+    # Tt is Ti of the ideal form by default; below half the sample time no loop takes it.
+    assume(tracking is not None or form != "parallel" or Kc * Ti > 0.25)
     limits = (-5.0, 5.0)
     pid = wb.PID(Kc, Ti, Td, form=form, derivative_filter=n, output_limits=limits, anti_windup="back_calculation")
     pid = wb.PID(**{**_fields(pid), "tracking_time": tracking})

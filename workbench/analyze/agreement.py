@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 from workbench.analyze.relaxation import relaxation_condition
 from workbench.model.results import DescribingFunction, LimitCycle
 
@@ -24,46 +22,45 @@ def agreement(df: DescribingFunction, cycle: LimitCycle) -> str:
 
 
 def _compared(df: DescribingFunction, cycle: LimitCycle) -> str:
-    lasting = math.isfinite(df.period)  # a crossing that is read as a cycle that lasts
     unstable = "The loci cross only where a cycle would not last"
-    said = f"a cycle with a period of {_time(df.period)}" if lasting else "no cycle"
-    told = f"The describing function predicts {said}"
-    if df.predicts_cycle and not lasting:
-        told = unstable
+    told = {
+        "cycle": f"The describing function predicts a cycle with a period of {_time(df.period)}",
+        "no cycle": "The describing function predicts no cycle",
+    }.get(df.prediction, unstable)
     if cycle.outcome == "undecided":
         return f"{told}; the exact simulation gives no verdict to compare with."
     if cycle.outcome == "settles":
         return _settled(df, cycle, told)
     start = " from some starts" if cycle.outcome == "depends" else ""
-    if lasting:
+    if df.prediction == "cycle":
         period = _off(df.period / cycle.period - 1.0)
         swing = _off(2.0 * df.pv_amplitude / cycle.pv_peak_to_peak - 1.0)
         return (
             f"Both say that the loop cycles{start}; the describing function's period is {period}, its PV swing {swing}."
         )
-    if df.predicts_cycle:
+    if df.prediction != "no cycle":
         return (
             f"{unstable}, so the describing function gives no period; by exact simulation the loop cycles{start}, with "
             f"a period of {_time(cycle.period)}."
         )
-    cause = "it misses this cycle"
     if relaxation_condition(df.loop):
         cause = "a relaxation cycle, its blind spot wherever Kc K J/S < 1 and Ti > tau + theta, as here"
-    return f"The describing function predicts no cycle, but the loop cycles{start}: {cause}."
+        return f"{told}, but the loop cycles{start}: {cause}."
+    return f"{told}, but by exact simulation the loop cycles{start}, with a period of {_time(cycle.period)}."
 
 
 def _settled(df: DescribingFunction, cycle: LimitCycle, told: str) -> str:
     """The sentence for a loop that settles from the start that decides; `told`: what the describing function says."""
     cycling = sum(start.outcome == "cycles" for start in cycle.starts)
     if cycling:
-        contrast = "but" if df.predicts_cycle else "and"
+        contrast = "and" if df.prediction == "no cycle" else "but"
         return (
             f"{told}, {contrast} from this start the loop settles; "
             f"from {cycling} of {len(cycle.starts) - 1} others it cycles."
         )
-    if math.isfinite(df.period):
+    if df.prediction == "cycle":
         return f"{told} that does not exist: the loop settles."
-    if df.predicts_cycle:
+    if df.prediction != "no cycle":
         return f"{told}: swings smaller than that should die out, and by exact simulation the loop settles."
     return "Both say that the loop does not cycle."
 

@@ -9,11 +9,11 @@ import numpy as np
 from workbench.analyze.frequency import linear_stable, loop_response
 from workbench.analyze.loci import Approach, Meeting, closest_approach, first_meeting, meetings
 from workbench.analyze.valve_loci import locus_pieces
+from workbench.model.analyses import ComplexArray, Crossing, DescribingFunction
 from workbench.model.checks import instance
 from workbench.model.loop import Loop
 from workbench.model.plant import FOPDT
 from workbench.model.record import FloatArray
-from workbench.model.results import ComplexArray, Crossing, DescribingFunction
 
 __all__ = ["describing_function", "meeting_gain"]
 

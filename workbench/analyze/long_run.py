@@ -104,8 +104,6 @@ class _Follower:
         """Return why PV leaves every bound, or an empty string."""
         reach = AWAY * self.scale.pv + 1e3 * abs(self.r)
         if not float(np.abs(self.y).max()) <= reach:  # nan has run away too
-            if self.row[kernel.WINDUP] != 0.0 and self.row[kernel.TS_TT] > 2.0:
-                return "back-calculation is unstable: its tracking time is below half the sample time"
             if linear_stable(self.loop):
                 return "PV grows without bound, although the loop is stable with an ideal valve"
             return "the loop is unstable: PV grows without bound"

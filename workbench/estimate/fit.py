@@ -9,7 +9,9 @@ import numpy as np
 
 from workbench.estimate import kernel
 from workbench.estimate.data import Centred
+from workbench.model.plant import FOPDT, Integrating
 from workbench.model.record import FloatArray
+from workbench.simulate.coefficients import discretise
 
 __all__ = [
     "Fit",
@@ -152,13 +154,9 @@ def fit_nothing(data: Centred) -> float:
 
 def predict(data: Centred, x: FloatArray, first: int, fit: Fit) -> tuple[FloatArray, FloatArray]:
     """Return (prediction of y, shape (N,), and the model's columns, shape (4, N))."""
-    m = math.floor(fit.theta + 1e-9)
-    f = fit.theta - m if fit.theta - m >= 1e-9 else 0.0
-    pole = 1.0 if data.integrating else math.exp(-1.0 / fit.tau)
-    part = pole ** (1.0 - f)
-    c0, c1 = (1.0 - f, f) if data.integrating else (1.0 - part, part - pole)
+    step = discretise(Integrating(1.0, fit.theta) if data.integrating else FOPDT(1.0, fit.tau, fit.theta), 1.0)
     columns = np.empty((4, data.samples))
-    kernel.oe_columns(x, first, pole, m, c0, c1, data.integrating, columns)
+    kernel.oe_columns(x, first, step.pole, step.delay, step.c0, step.c1, data.integrating, columns)
     return np.array([fit.bias, fit.gain, fit.start, fit.transient]) @ columns, columns
 
 

@@ -123,6 +123,21 @@ class PID:
         weight = (b * Ti + Td) / (Ti + Td) if self.derivative_on == "error" else b * Ti / (Ti + Td)
         return IdealTerms(Kc * (1.0 + Td / Ti), Ti + Td, Td * (Ti - Tf) / (Ti + Td), Tf, weight)
 
+    def check_tracking(self, sample_time: float) -> None:
+        """Refuse back-calculation that is too fast for the sample time (s). Raises `InvalidValue`.
+
+        `I += Ts/Tt (u_limited - u)` leaves `1 - Ts/Tt` of what OP exceeds a limit by: from `Tt = Ts/2` down it may
+        throw OP past the other limit and back, without end at Ts/2 and ever further below it. Tt is Ti of the ideal
+        form by default.
+        """
+        if self.output_limits is None or self.anti_windup != "back_calculation":
+            return
+        Tt = self.ideal_terms().Ti if self.tracking_time is None else self.tracking_time
+        if Tt <= sample_time / 2.0:
+            given = f"{Tt:g} s" if self.tracking_time is not None else f"{Tt:g} s (that of Ti)"
+            limit = f"must be longer than half the sample time ({sample_time:g} s), or back-calculation is unstable"
+            raise InvalidValue("PID.tracking_time", given, limit)
+
     def with_ideal(self, Kc: float, Ti: float, Td: float = 0.0) -> PID:
         """Return this controller with the parameters, in its own form, that act as Kc, Ti and Td of the ideal form.
 

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workbench.errors import SolveError
+from workbench.model.analyses import Crossing, DescribingFunction, LimitCycle, LimitCycleStart
 from workbench.model.controller import PID
 from workbench.model.ensemble import Constraints, Ensemble
 from workbench.model.experiment import Experiment
@@ -41,8 +42,6 @@ __all__ = [
     "SolveStatus",
     "Tuned",
 ]
-
-ComplexArray = NDArray[np.complex128]
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,7 +125,7 @@ class NlpResult:
     """One nonlinear program's end: x (solution, shape (n,)), objective, status and the solver's own words.
 
     residuals: worst constraint violation by name of the constraint group. complementarity: worst product of
-    complementary quantities (0 where the program has none). homotopy: objective after each relaxation step.
+    complementary quantities (0 where the program has none).
     """
 
     x: FloatArray
@@ -136,7 +135,6 @@ class NlpResult:
     iterations: int
     residuals: Mapping[str, float]
     complementarity: float
-    homotopy: tuple[float, ...]
     wall_time: float
     versions: Mapping[str, str]
 
@@ -278,7 +276,7 @@ class Tuned:
     def agreeing(self) -> int:
         """How many of the restarts ended within 0.1 % of the best of them."""
         best = self.spread[0]
-        return sum(r.refined <= best + 1e-3 * abs(best) for r in self.restarts)
+        return sum(math.isfinite(best) and r.refined <= best + 1e-3 * abs(best) for r in self.restarts)
 
     @property
     def knife_edge(self) -> bool:
@@ -407,94 +405,3 @@ class Estimate:
     profile_d: FloatArray
     profile_cost: FloatArray
     iterations: tuple[Iteration, ...] = ()
-
-
-@dataclass(frozen=True, slots=True)
-class Crossing:
-    """Where L(jw) meets -1/N(A): input amplitude (%), frequency (rad/s), period (s), PV amplitude (EU), stability.
-
-    `amplitude` is that of the valve's input (OP), half of its peak to peak; `stable` by the Nyquist reading of the
-    loci: growing amplitude leads out of the region that L encircles.
-    """
-
-    amplitude: float
-    frequency: float
-    period: float
-    pv_amplitude: float
-    stable: bool
-
-
-@dataclass(frozen=True, eq=False)
-class DescribingFunction:
-    """Describing-function analysis of a loop.
-
-    amplitudes (%, shape (M,)) with the valve's describing function `N` and `locus = -1/N`; frequencies (rad/s, shape
-    (F,)) with `L`, the loop's linear part (controller and plant). crossings sorted by amplitude. distance: the least
-    |L - locus|, 0 where they cross, reached at distance_amplitude and distance_frequency. predicts_cycle: whether any
-    crossing exists; amplitude, period and pv_amplitude of the stable crossing of largest amplitude, nan without one.
-    linear_stable: whether the loop with an ideal valve is stable by the Nyquist criterion. verdict: one sentence.
-    breaks: indices at which a new continuous piece of the locus starts (to be drawn unconnected), 0 first.
-    """
-
-    loop: Loop
-    amplitudes: FloatArray
-    N: ComplexArray
-    locus: ComplexArray
-    frequencies: FloatArray
-    L: ComplexArray
-    crossings: tuple[Crossing, ...]
-    distance: float
-    distance_amplitude: float
-    distance_frequency: float
-    predicts_cycle: bool
-    amplitude: float
-    period: float
-    pv_amplitude: float
-    linear_stable: bool
-    verdict: str
-    breaks: tuple[int, ...] = (0,)
-
-
-@dataclass(frozen=True, slots=True)
-class LimitCycleStart:
-    """The outcome from one start, noise-free, by exact simulation.
-
-    name: the start in words. outcome: "settles", "cycles" or "undecided", with `reason`. first_period and period: of
-    the first full cycle and late (s). Peak to peak in EU and %, median over late cycles; mean_square_error (EU^2);
-    travel_per_hour (%); window: simulated time needed to see it (s). nan where there is no cycle.
-    """
-
-    name: str
-    outcome: str
-    reason: str
-    first_period: float
-    period: float
-    pv_peak_to_peak: float
-    op_peak_to_peak: float
-    mean_square_error: float
-    travel_per_hour: float
-    window: float
-
-
-@dataclass(frozen=True, slots=True)
-class LimitCycle:
-    """The exact long-run behaviour of a loop.
-
-    outcome: "settles", "cycles", "depends" (on the start) or "undecided". The figures are those of the given
-    experiment, else medians over the starts that cycle; period_range over these starts. nan where none cycles.
-    closed_form_period: the relaxation cycle's period by its formula at a symmetric split (its shortest), nan where its
-    conditions do not hold.
-    """
-
-    loop: Loop
-    outcome: str
-    period: float
-    period_range: tuple[float, float]
-    pv_peak_to_peak: float
-    op_peak_to_peak: float
-    mean_square_error: float
-    travel_per_hour: float
-    window: float
-    starts: tuple[LimitCycleStart, ...]
-    closed_form_period: float
-    verdict: str

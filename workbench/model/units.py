@@ -10,7 +10,7 @@ import math
 from workbench.errors import InvalidValue
 from workbench.model.checks import choice, number, ordered_pair
 
-__all__ = ["GAIN_UNITS", "INTEGRAL_UNITS", "gain_from", "gain_in", "integral_time_from", "integral_time_in"]
+__all__ = ["GAIN_UNITS", "INTEGRAL_UNITS", "gain_from", "integral_time_from"]
 
 GAIN_UNITS = ("%/EU", "%/%", "PB %")
 INTEGRAL_UNITS = ("s", "min", "repeats/min")
@@ -37,20 +37,6 @@ def gain_from(value: float, unit: str, pv_range: tuple[float, float] | None = No
     return 100.0 / number(value, "proportional band", above=0.0, unit="%") * 100.0 / span
 
 
-def gain_in(Kc: float, unit: str, pv_range: tuple[float, float] | None = None) -> float:
-    """Return Kc (%/EU) in another unit, the inverse of `gain_from`; a zero gain has no proportional band."""
-    choice(unit, "gain unit", GAIN_UNITS)
-    number(Kc, "Kc", least=0.0, unit="%/EU")
-    if unit == "%/EU":
-        return Kc
-    ratio = Kc * _span(pv_range, unit) / 100.0
-    if unit == "%/%":
-        return ratio
-    if ratio == 0.0:
-        raise InvalidValue("Kc", Kc, "a proportional band needs Kc > 0")
-    return 100.0 / ratio
-
-
 def integral_time_from(value: float, unit: str) -> float:
     """Return Ti in s from s, min or repeats/min (0 repeats/min: no integral action, `math.inf`)."""
     choice(unit, "integral unit", INTEGRAL_UNITS)
@@ -58,12 +44,3 @@ def integral_time_from(value: float, unit: str) -> float:
         rate = number(value, "repeats per minute", least=0.0)
         return 60.0 / rate if rate > 0.0 else math.inf
     return number(value, "Ti", above=0.0, infinite=True, unit=unit) * (60.0 if unit == "min" else 1.0)
-
-
-def integral_time_in(Ti: float, unit: str) -> float:
-    """Return Ti (s) in another unit, the inverse of `integral_time_from`."""
-    choice(unit, "integral unit", INTEGRAL_UNITS)
-    number(Ti, "Ti", above=0.0, infinite=True, unit="s")
-    if unit == "repeats/min":
-        return 0.0 if math.isinf(Ti) else 60.0 / Ti
-    return Ti / 60.0 if unit == "min" else Ti

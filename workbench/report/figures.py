@@ -3,19 +3,17 @@
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Sequence
-from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
 
-from workbench.errors import OutputError
 from workbench.model.record import FloatArray
 from workbench.model.results import DescribingFunction, Estimate, Run
 from workbench.model.study import CaseResult
 from workbench.report import draw
+from workbench.report.files import write_files
 from workbench.report.style import SP, case_style, new_figure, styled, svg_text
 from workbench.report.words import join, label
 
@@ -186,17 +184,7 @@ def convergence_figure(found: Estimate, title: str = "") -> Figure:
 def save_svg(fig: Figure, path: Path | str) -> None:
     """Write a figure as an SVG file, whole or not at all, the same to the byte each time. Raises `OutputError`."""
     target = Path(path)
-    spare = target.with_name(f".{target.name}.{os.getpid()}.tmp")
-    text = svg_file(svg_text(fig))
-    try:
-        target.parent.mkdir(parents=True, exist_ok=True)
-        spare.write_text(text, encoding="utf-8")
-        spare.replace(target)
-    except OSError as error:
-        raise OutputError(f"{target}: cannot be written ({error.strerror or error})") from error
-    finally:
-        with suppress(OSError):
-            spare.unlink()
+    write_files({target.name: svg_file(svg_text(fig))}, target.parent)
 
 
 def svg_file(element: str) -> str:

@@ -8,8 +8,9 @@ from collections.abc import Callable
 from workbench.model.results import Tuned
 from workbench.model.study import Study
 from workbench.report.judge import on_bounds
+from workbench.report.shared import objective_words
 from workbench.report.tables import Cell, Row, Table
-from workbench.report.words import figure, setting
+from workbench.report.words import figure, nearby, setting
 
 __all__ = ["how_tables"]
 
@@ -20,6 +21,10 @@ def how_tables(study: Study) -> list[Table]:
     if not tuned:
         return []
     rows = [Row(title, unit, tuple(Cell(text(t)) for _, t in tuned)) for title, unit, text in _HOW_ROWS]
+    if any(t.weights != study.objective for _, t in tuned):
+        # J of the cases is by the study's weights: a search under its own weights has another J.
+        weights = tuple(Cell(objective_words(t.weights)) for _, t in tuned)
+        rows.insert(1, Row("J of this search", "", weights))
     tables = [Table(tuple(name for name, _ in tuned), tuple(rows), "Tunings")]
     restarts = []
     for name, one in tuned:
@@ -28,7 +33,7 @@ def how_tables(study: Study) -> list[Table]:
             row = tuple(Cell(text) for text in (*cells, f"{r.iterations:,}"))
             restarts.append(Row(name, "", row, group=i == 0))
     if restarts:
-        heads = ("seed", "J after the scan", "J refined", "simulations", "NLPs", "IPOPT iterations")
+        heads = ("search", "J after the scan", "J refined", "simulations", "NLPs", "IPOPT iterations")
         tables.append(Table(heads, tuple(restarts), "Restarts"))
     return tables
 
@@ -40,23 +45,17 @@ def _spread(tuned: Tuned) -> str:
     return f"{figure(best)} to {figure(worst)}"
 
 
-def _agreeing(tuned: Tuned) -> str:
-    best = tuned.spread[0]
-    close = sum(r.refined <= 1.01 * best for r in tuned.restarts if math.isfinite(r.refined))
-    return f"{close} of {len(tuned.restarts)}"
-
-
 _HOW_ROWS: tuple[tuple[str, str, Callable[[Tuned], str]], ...] = (
     ("Status", "", lambda t: t.status.value),
     ("J of the settings as typed in", "", lambda t: figure(t.objective, 5)),
     ("Digits typed in", "", lambda t: str(t.digits)),
     ("J of the unrounded best", "", lambda t: figure(t.nominal, 5)),
-    ("Worst J near the settings", "", lambda t: f"{figure(t.worst, 5)} within ±{figure(100.0 * t.margin, 2)} %"),
+    ("Worst J near the settings", "", lambda t: f"{figure(t.worst, 5)} {nearby(t.margin)}"),
     ("J of the start", "", lambda t: figure(t.start_objective, 5)),
     ("Guard margin", "%", lambda t: figure(t.guard_margin, 3)),
     ("Slips of the valve", "", lambda t: f"{t.slips:,}"),
     ("J over the restarts", "", _spread),
-    ("Restarts within 1 % of the best", "", _agreeing),
+    ("Restarts within 0.1 % of the best", "", lambda t: f"{t.agreeing} of {len(t.restarts)}"),
     ("Simulations", "", lambda t: f"{t.evaluations:,}"),
     ("NLPs solved", "", lambda t: f"{t.solves:,}"),
     ("IPOPT iterations", "", lambda t: f"{t.iterations:,}"),

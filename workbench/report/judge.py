@@ -10,13 +10,17 @@ import math
 import numpy as np
 
 from workbench.kpi.kpis import last_event, reversals, travel
-from workbench.model.experiment import Experiment, Ramp, Step
-from workbench.model.results import LimitCycle, Tuned
-from workbench.model.study import CaseResult
+from workbench.model.experiment import Experiment
+from workbench.model.results import LimitCycle, Run, Tuned
+from workbench.model.study import CaseResult, Study
 from workbench.report.words import figure, given, setting
 
 __all__ = [
     "at_odds",
+    "base_case",
+    "best_case",
+    "df_disagrees",
+    "last_change",
     "on_bounds",
     "over_starts",
     "quiet",
@@ -41,6 +45,31 @@ def unstable(case: CaseResult) -> bool:
         return True
     cycle = case.limit_cycle
     return cycle is not None and cycle.outcome == "undecided" and "unstable" in cycle.starts[0].reason
+
+
+def base_case(study: Study) -> CaseResult | None:
+    """Return the case that others are compared with: the first whose tuning was given."""
+    return next((c for c in study.cases if c.tuned is None), None)
+
+
+def _measure(case: CaseResult) -> float:
+    value = case.run.kpis.mean_square_error if case.objective is None else case.objective
+    return value if math.isfinite(value) else math.inf
+
+
+def best_case(study: Study) -> CaseResult | None:
+    """Return the case of least J (least mean square error without an objective) among those that are verified."""
+    fit = [c for c in study.cases if c.tuned is None or c.tuned.status.success]
+    fit = [c for c in fit if math.isfinite(_measure(c)) and not unstable(c)]
+    return min(fit, key=_measure, default=None)
+
+
+def df_disagrees(case: CaseResult) -> bool:
+    """Return whether describing function and exact simulation give opposite answers on a cycle."""
+    df, cycle = case.describing_function, case.limit_cycle
+    if df is None or cycle is None or cycle.outcome not in ("cycles", "settles"):
+        return False
+    return df.prediction == ("no cycle" if cycle.outcome == "cycles" else "cycle")
 
 
 def over_starts(cycle: LimitCycle, name: str) -> tuple[float, float]:
@@ -116,18 +145,15 @@ def on_bounds(tuned: Tuned) -> list[str]:
     return out
 
 
+def last_change(run: Run) -> float:
+    """Return when the setpoint or the load last changes within the run (s), 0 where neither does."""
+    moves = np.flatnonzero((np.diff(run.sp) != 0.0) | (np.diff(run.load) != 0.0))
+    return float(run.time[moves[-1] + 1]) if moves.size else 0.0
+
+
 def _tail(case: CaseResult, experiment: Experiment) -> tuple[int, int] | None:
     """Return the samples [first, stop) of the second half, once the last change has died out, or None if too few."""
-    last = 0.0
-    for part in (*experiment.setpoint_parts, *experiment.load_parts):
-        if isinstance(part, Step):
-            last = max(last, part.at)
-        elif isinstance(part, Ramp):
-            last = max(last, part.end)
-        elif part.times is not None:
-            last = max(last, part.times[-1])
-        else:
-            last = max(last, (len(part.values) - 1) * case.loop.sample_time)
+    last = last_change(case.run)
     # A change needs time to die out, or its own answer would be taken for the loop's lasting motion.
     start = max((1.0 - TAIL) * experiment.duration, last + SHORTEST * experiment.duration if last > 0.0 else 0.0)
     if experiment.duration - start < SHORTEST * experiment.duration:

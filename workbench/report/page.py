@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import os
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from pathlib import Path
 
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
@@ -14,6 +13,9 @@ from workbench.errors import OutputError
 from workbench.model.record import Record
 from workbench.model.study import NamedEstimate, Study
 from workbench.report import figures
+from workbench.report.cycles import cycle_tables
+from workbench.report.estimates import estimate_table
+from workbench.report.files import write_files
 from workbench.report.how import how_tables
 from workbench.report.over_ensemble import (
     ensemble_tables,
@@ -26,15 +28,10 @@ from workbench.report.over_ensemble import (
 )
 from workbench.report.repair import repair_tables, repair_text
 from workbench.report.results import cases_csv, results_json, run_json
+from workbench.report.shared import loop_lines
 from workbench.report.style import svg_text
 from workbench.report.summary import summarise
-from workbench.report.tables import (
-    case_tables,
-    cycle_tables,
-    difference_table,
-    estimate_table,
-    loop_lines,
-)
+from workbench.report.tables import case_tables, difference_table
 from workbench.report.trade import trade_figure
 from workbench.report.words import join, legible, rule_words, sentences, slug
 
@@ -58,41 +55,18 @@ def write_report(study: Study, folder: Path | str) -> None:
     files["results.json"] = results_json(study)
     files["run.json"] = run_json(study)
     files["report.html"] = render(study, drawn)
-    _put(files, Path(folder))
+    write_files(files, Path(folder))
+    _remove_former(Path(folder), files)
 
 
-def _put(files: Mapping[str, str], folder: Path) -> None:
-    spares: list[tuple[Path, Path]] = []
-    made = not folder.exists()
+def _remove_former(folder: Path, kept: Collection[str]) -> None:
+    """Remove the figures of a former report that are no longer made."""
     try:
-        folder.mkdir(parents=True, exist_ok=True)
-        for name in files:
-            # Found out before the first file is renamed, else half of the report would be new.
-            if (folder / name).is_dir():
-                raise OutputError(f"{folder / name}: is a folder where the report writes a file; move it away")
-        for name, text in files.items():
-            target = folder / name
-            spare = folder / f".{name}.{os.getpid()}.tmp"
-            spares.append((spare, target))
-            with spare.open("w", encoding="utf-8", newline="\n") as out:
-                out.write(text)
-        for spare, target in spares:
-            spare.replace(target)
         for old in folder.glob("*.svg"):
-            if old.name not in files and old.is_file() and _ours(old):
+            if old.name not in kept and old.is_file() and _ours(old):
                 old.unlink()
     except OSError as error:
-        reason = error.strerror or str(error)
-        if isinstance(error, FileExistsError | NotADirectoryError):
-            reason = "a part of this path is a file, not a folder"
-        raise OutputError(f"{folder}: the report cannot be written there ({reason})") from error
-    finally:
-        for spare, _ in spares:
-            # What was renamed is gone; what is left belongs to a run that failed.
-            if spare.exists():
-                spare.unlink()
-        if made and folder.is_dir() and not any(folder.iterdir()):
-            folder.rmdir()
+        raise OutputError(f"{folder}: a former figure cannot be removed ({error.strerror or error})") from error
 
 
 def _ours(path: Path) -> bool:

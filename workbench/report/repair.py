@@ -7,7 +7,8 @@ from collections.abc import Callable
 
 from workbench.model.results import Outcome, Repair
 from workbench.model.study import Study
-from workbench.report.tables import KPI_ROWS, Cell, Row, Table, shown
+from workbench.report.tables import Cell, Row, Table, shown
+from workbench.report.titles import KPI_ROWS
 from workbench.report.words import change, controller_words, figure, setting
 
 __all__ = ["repair_sentence", "repair_tables", "repair_text"]

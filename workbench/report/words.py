@@ -12,6 +12,7 @@ from workbench.model.rule import Amigo, DetunedIntegral, Lambda, Rule, Simc, Zie
 from workbench.model.valve import Choudhury, Deadband, Ideal, Stenman, Valve
 
 __all__ = [
+    "capital",
     "change",
     "controller_words",
     "decimals_of",
@@ -23,6 +24,8 @@ __all__ = [
     "join",
     "label",
     "legible",
+    "lower_first",
+    "nearby",
     "plant_words",
     "published",
     "rule_words",
@@ -199,6 +202,13 @@ def controller_words(controller: PID, digits: int | None = None) -> str:
     return ", ".join(parts)
 
 
+def nearby(margin: float) -> str:
+    """Return where the worst case of a tuning is sought, in words; `margin` is relative, as in `Tuned.margin`."""
+    if margin == 0.0:
+        return "within half the last digit of each setting"
+    return f"within the larger of ±{given(100.0 * margin)} % and half the last digit of each setting"
+
+
 def rule_words(rule: Rule) -> str:
     """Return a rule with its options in words, and its source."""
     if isinstance(rule, Simc):
@@ -270,3 +280,14 @@ def slug(text: str, taken: set[str] | None = None) -> str:
     if taken is not None:
         taken.add(name)
     return name
+
+
+def capital(sentence: str) -> str:
+    """Return a sentence with its first letter a capital."""
+    return sentence[:1].upper() + sentence[1:]
+
+
+def lower_first(sentence: str) -> str:
+    """Return a sentence to stand after a colon: its first word in lower case, unless it is a name or symbol."""
+    first = sentence.split(" ", 1)[0]
+    return sentence[:1].lower() + sentence[1:] if first in ("The", "Both", "It", "Neither", "A", "No") else sentence

@@ -24,9 +24,9 @@ from workbench.scenario.controllers import Controllers, fitting_action, ruled, w
 from workbench.scenario.document import Path
 from workbench.scenario.plan import CaseJob, EnsembleJob, EstimateJob, Scenario
 from workbench.scenario.refusals import Refusals
-from workbench.scenario.robust import RobustEntries
+from workbench.scenario.robust import RobustEntries, measured_in
 from workbench.scenario.rule_entries import DetunedIntegralRule, rule_of
-from workbench.scenario.series import read_series
+from workbench.scenario.series import in_samples, read_series
 from workbench.scenario.units import Quantity
 from workbench.simulate.signals import sample_count
 
@@ -71,20 +71,24 @@ class Builder:
             ruling = Loop(plant, valve, PID(0.0, math.inf), loop.sample_time)
         robust = RobustEntries(self.refusals, ruling)
         shared = None if given.ensemble is None else robust.ensemble(given.ensemble, ("ensemble",))
-        cases = self._cases(given, loop, objective, ruling, None if from_data else plant, robust, shared)
         records = self._records(given)
+        first = next((record for record in records if record is not None), None)
+        sample_time = loop.sample_time if not from_data else None if first is None else first.sample_time
+        cases = self._cases(given, loop, objective, ruling, None if from_data else plant, robust, shared, sample_time)
         whole: Loop | None = None
         if plant is not None and valve is not None and loop.sample_time is not None and not from_data:
             first_controller = cases[0].controller if cases else None
             if not given.cases:
                 first_controller = self._own_controller(loop)
                 if first_controller is not None:
+                    self.controllers.tracks(first_controller, None, ("loop", "controller"), sample_time)
                     there = loop.controller is not None and loop.controller.action is not None
                     self._acts(plant, first_controller, there, ("loop", "controller"), "loop.controller", tune=False)
             whole = self._loop(loop, plant, valve, loop.sample_time, first_controller, given.experiment)
         if experiment is not None:
-            first = next((record for record in records if record is not None), None)
-            sample_time = first.sample_time if from_data and first is not None else loop.sample_time
+            if from_data and sample_time is not None:
+                fitted = partial(in_samples, experiment, sample_time, self.notes)
+                experiment = self.refusals.attempt(("experiment",), fitted) or experiment
             self._fits(experiment, sample_time, whole)
         estimates = self._estimates(given, records, whole, experiment)
         if self.refusals.issues:
@@ -106,7 +110,7 @@ class Builder:
             limit_cycle=given.analyze.limit_cycle,
             repair=given.analyze.repair,
             tradeoff=given.analyze.tradeoff,
-            ensemble=shared or _ensemble(cases, tradeoff=given.analyze.tradeoff),
+            ensemble=shared or measured_in(cases, tradeoff=given.analyze.tradeoff),
             notes=tuple(self.notes),
             warnings=tuple(self.warnings),
         )
@@ -292,10 +296,11 @@ class Builder:
         plant: Plant | None,
         robust: RobustEntries,
         shared: EnsembleJob | None,
+        sample_time: float | None,
     ) -> list[CaseJob]:
         """Return the cases; rules are applied to the loop `ruling` here where it and their base are known already.
 
-        plant: None where it comes from an estimate.
+        plant: None where it comes from an estimate; sample_time: s, None where it is missing.
         """
         own = loop.controller or schema.Controller()
         base_path: Path = ("loop", "controller")
@@ -342,7 +347,7 @@ class Builder:
                     robust=robust.tuning(case.tune, at, shared, above),
                     constraints=robust.constraints(case.tune.constraints, (*at, "constraints")),
                 )
-            if controller is None:
+            if controller is None or not self.controllers.tracks(controller, tune, path, sample_time):
                 continue
             if plant is not None:
                 at = path if tune is None else (*path, "tune")
@@ -483,13 +488,6 @@ def _one(parts: list[Profile]) -> Profile | list[Profile] | None:
 def _common(objectives: list[Objective]) -> Objective | None:
     """Return the objective that all tunings share, if they do."""
     return objectives[0] if objectives and all(one == objectives[0] for one in objectives) else None
-
-
-def _ensemble(cases: list[CaseJob], *, tradeoff: bool) -> EnsembleJob | None:
-    """Return what the cases are measured in where the file gives no common ensemble: the first robust tuning's."""
-    asked = [case.tune.robust for case in cases if case.tune is not None]
-    first = next((one.ensemble for one in asked if one is not None), None)
-    return first or (EnsembleJob() if tradeoff else None)
 
 
 def _one_line(error: Exception) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from workbench.errors import InvalidValue
@@ -113,6 +113,15 @@ class Controllers:
             return controller
 
         return self.refusals.attempt(path, make)
+
+    def tracks(self, controller: PID, tune: TuneJob | None, path: Path, sample_time: float | None) -> bool:
+        """Return whether back-calculation suits the sample time (s), for every Ti of a tuning; refuse it if not."""
+        if sample_time is None:
+            return True
+        least = controller if tune is None else replace(controller, Ti=min(controller.Ti, tune.bounds.Ti[0]))
+        before = len(self.refusals.issues)
+        self.refusals.attempt(path if tune is None else (*path, "tune"), lambda: least.check_tracking(sample_time))
+        return len(self.refusals.issues) == before
 
     def objective(self, given: schema.Objective | None, path: Path) -> Objective | None:
         """Return the weights of an entry."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 
-from workbench.errors import InvalidValue
+from workbench.errors import InvalidValue, RecordError
 from workbench.model.controller import PID
 from workbench.model.experiment import Experiment, Step
 from workbench.model.loop import Loop
@@ -24,6 +24,7 @@ Range = tuple[float, float]
 
 # How long a found loop is simulated to tune it, in samples.
 FEWEST, MOST = 300, 20_000
+NO_EFFECT = 1e-6  # share of PV's span that the whole of OP's moves: below it the gain is a number and no finding
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,7 +32,7 @@ class Wishes:
     """What is asked beside the loop; None leaves it to the scenario or to the loop found.
 
     Bounds of Kc (%/EU), Ti (s), Td (s), equal ends fix; seed of the search; for a loop from a record also the setpoint
-    step (EU), the duration (s) and the controller's action.
+    step (EU, other than 0), the duration (s) and the controller's action. Raises `InvalidValue`.
     """
 
     objective: Objective | None = None
@@ -42,6 +43,10 @@ class Wishes:
     step: float | None = None
     duration: float | None = None
     action: str | None = None
+
+    def __post_init__(self) -> None:
+        if self.step == 0.0:
+            raise InvalidValue("--step", "0 EU", "must be other than 0, or there is nothing to tune for")
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,8 +143,13 @@ def tune_found(found: Estimate, wishes: Wishes, progress: Progress | None = None
     plant's, Ti from a fifth of the plant's time scale, or half of the rule's where that is less, to 20 times that
     scale; a setpoint step of twice the PV change of the least slip (without stiction: of PV's standard deviation) and,
     half way, a load step of half that size at the plant's input; D on PV. What was assumed is said in the result.
-    Raises what tuning raises.
+    Raises `RecordError` where the record does not show the plant's gain, and what tuning raises.
     """
+    doubt = _gain_doubt(found)
+    if doubt:
+        raise RecordError(
+            f"{found.record.source or 'record'}: the record {doubt}; take one in which OP clearly moves PV"
+        )
     plant, Ts = found.plant, found.record.sample_time
     lag = max(plant.dead_time, Ts)
     scale = (plant.time_constant if isinstance(plant, FOPDT) else 4.0 * lag) + lag
@@ -165,7 +175,10 @@ def tune_found(found: Estimate, wishes: Wishes, progress: Progress | None = None
     )
     loop = Loop(plant, found.valve, start, Ts)
     samples = min(max(round(60.0 * scale / Ts), FEWEST), MOST)
-    duration = wishes.duration if wishes.duration is not None else samples * Ts
+    duration = samples * Ts
+    if wishes.duration is not None:
+        # No round duration need be a whole number of samples of a record's own clock.
+        duration = max(1, round(wishes.duration / Ts)) * Ts if wishes.duration > 0.0 else wishes.duration
     step = wishes.step if wishes.step is not None else _round(_usual_step(found, plant, scale))
     load = _round(0.5 * abs(step) / effect)
     at = round(0.5 * duration / Ts) * Ts
@@ -191,6 +204,20 @@ def tune_found(found: Estimate, wishes: Wishes, progress: Progress | None = None
         *_coarse(loop),
     )
     return Retuned("Tuned for the record's loop", tune_case(loop, experiment, job, progress), assumed)
+
+
+def _gain_doubt(found: Estimate) -> str:
+    """Return why the record does not show how the valve acts on PV, or ""."""
+    pair, unit = found.intervals.gain, "EU/%" if isinstance(found.plant, FOPDT) else "EU/(% s)"
+    if pair is not None and pair[0] <= 0.0 <= pair[1]:
+        span = f"{pair[0]:.3g} to {pair[1]:.3g} {unit}"
+        return f"does not show whether the gain is positive or negative (95 % range {span})"
+    record = found.record
+    length = 1.0 if isinstance(found.plant, FOPDT) else len(record) * record.sample_time
+    effect = abs(found.plant.gain) * float(record.op.max() - record.op.min()) * length
+    if effect <= NO_EFFECT * float(record.pv.max() - record.pv.min()):
+        return f"shows no effect of the valve on PV (gain {found.plant.gain:.3g} {unit})"
+    return ""
 
 
 def _usual_step(found: Estimate, plant: Plant, scale: float) -> float:

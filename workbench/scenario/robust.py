@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
@@ -12,12 +12,12 @@ from workbench.model.ensemble import Constraints, Ensemble
 from workbench.model.loop import Loop
 from workbench.scenario import schema
 from workbench.scenario.document import Path
-from workbench.scenario.plan import EnsembleJob, RobustJob, TuneJob
+from workbench.scenario.plan import CaseJob, EnsembleJob, RobustJob, TuneJob
 from workbench.scenario.refusals import Refusals
 from workbench.scenario.robust_entries import CaseTravel, ConstraintsEntry, EnsembleEntry
 from workbench.simulate.signals import sample_count
 
-__all__ = ["RobustEntries", "constraints_of"]
+__all__ = ["RobustEntries", "constraints_of", "measured_in"]
 
 PAIRS = ("setpoint", "load", "load_time", "noise")
 
@@ -80,6 +80,13 @@ class RobustEntries:
             return None
         fields = {name: getattr(given, name) for name in given.model_fields_set}
         return self.refusals.attempt(path, lambda: Constraints(**fields))
+
+
+def measured_in(cases: Sequence[CaseJob], *, tradeoff: bool) -> EnsembleJob | None:
+    """Return what the cases are measured in where the file gives no common ensemble: the first robust tuning's."""
+    asked = [case.tune.robust for case in cases if case.tune is not None]
+    first = next((one.ensemble for one in asked if one is not None), None)
+    return first or (EnsembleJob() if tradeoff else None)
 
 
 def constraints_of(job: TuneJob, loop: Loop, ensemble: Ensemble, cases: Mapping[str, PID]) -> Constraints | None:

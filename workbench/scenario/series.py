@@ -1,21 +1,40 @@
-"""A recorded series for a profile: one column of a CSV or Parquet file against its time column."""
+"""What an experiment takes from recorded data: a column as a profile, and the record's clock for its duration."""
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from workbench.errors import RecordError
-from workbench.model.experiment import Series
+from workbench.model.experiment import Experiment, Series
 from workbench.model.record import FloatArray
 from workbench.record.columns import match_columns, time_unit
 from workbench.record.table import BLANK, OK, Cells, read_csv, read_parquet
 from workbench.record.times import parse_timestamps
 
-__all__ = ["LARGEST", "read_series"]
+__all__ = ["LARGEST", "in_samples", "read_series"]
 
 LARGEST = 64 << 20  # bytes
+CLOCK = 5e-3  # relative change of a duration by which it is fitted to a record's clock
+
+
+def in_samples(experiment: Experiment, sample_time: float, notes: list[str]) -> Experiment:
+    """Return the experiment over whole samples (s) of a record's clock, which no round duration need fit; note it.
+
+    A duration that is further off than half a per cent is left as it is, to be refused. Raises `InvalidValue` where a
+    signal starts after the fitted duration.
+    """
+    ratio = experiment.duration / sample_time
+    samples = round(ratio)
+    if not 1e-9 * samples < abs(ratio - samples) <= CLOCK * samples:
+        return experiment
+    notes.append(
+        f"The experiment takes {samples * sample_time:.6g} s for the {experiment.duration:g} s given: {samples:,} "
+        f"samples of the record's {sample_time:.6g} s."
+    )
+    return replace(experiment, duration=samples * sample_time)
 
 
 def read_series(path: Path, source: str, column: str, time: str | None, resting_value: float | None) -> Series:

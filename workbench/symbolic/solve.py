@@ -275,7 +275,6 @@ class Solver:
             iterations=int(stats["iter_count"]),
             residuals=MappingProxyType(self._residuals(x, g, lower, upper, low, high)),
             complementarity=float(slack.max(initial=0.0)),
-            homotopy=(),
             wall_time=time.perf_counter() - began,
             versions=versions(),
         )
@@ -312,7 +311,6 @@ class Solver:
             iterations=0,
             residuals=MappingProxyType({}),
             complementarity=math.nan,
-            homotopy=(),
             wall_time=time.perf_counter() - began,
             versions=versions(),
         )

@@ -17,21 +17,24 @@ from workbench.tune.complementarity import seeds as complementary_seeds
 from workbench.tune.limits import WORN
 from workbench.tune.problem import Problem
 from workbench.tune.refine import Refined, Refiner, usable
-from workbench.tune.scan import evolve, spread
+from workbench.tune.scan import Population, evolve, spread
 
 __all__ = ["Found", "Progress", "search", "stopper"]
 
 # Sizes of the searches up to 1,000 samples; longer runs get fewer.
 SCAN_MEMBERS, SCAN_GENERATIONS = 200, 200
-JOINTS, JOINT_MEMBERS, JOINT_GENERATIONS = 2, 100, 400
+ISLAND_FRESH, ISLAND_GENERATIONS = 20, 60
+JOINT_MEMBERS, JOINT_GENERATIONS = 80, 200
 DENSE_MEMBERS, DENSE_GENERATIONS, DENSE_GAP = 60, 100, 2e-4
 # Branch programs over all restarts, at few samples; a program's time grows with N. The least J lies at the end of a
 # walk across many decisions, the least worst case within the digits seldom does.
 SOLVES, NOMINAL_SOLVES = 24, 64
 # Samples that each search may simulate at most: some seconds.
-SCAN_SAMPLES, JOINT_SAMPLES, DENSE_SAMPLES = 100_000_000, 300_000_000, 150_000_000
-# Candidates that a scan hands on, and how far apart they are at least in the unit cube.
+SCAN_SAMPLES, JOINT_SAMPLES = 100_000_000, 150_000_000
+# What a scan hands on, and how far apart it is at least in the unit cube: to refinement, and to the worst case, whose
+# valleys often lie away from the best tunings.
 KEPT, GAP = 40, 3e-3
+WIDE, WIDE_GAP = 150, 1e-2
 Progress = Callable[[str, float], None]
 
 
@@ -92,11 +95,11 @@ def search(
     solves = NOMINAL_SOLVES if problem.nominal else SOLVES
     budget = max(1, round(solves / (1.0 + problem.samples / 1000.0) / restarts))
     seeds = [np.random.default_rng([seed, k]) for k in range(restarts)]
-    pool: list[FloatArray] = []
+    pools: list[FloatArray] = []
     for k, rng in enumerate(seeds):
         tell(f"global scan {k + 1} of {restarts}", 0.5 * k / restarts)
         before = problem.work.evaluations
-        tunings, costs = _scan(problem, rng, scale, check)
+        tunings, costs, pool = _scan(problem, rng, scale, check)
         found.add(tunings, costs)
         scanned = float(costs.min(initial=math.inf))
         refined = Refined(np.zeros((0, 3)), np.zeros(0), 0, 0, 0)
@@ -108,7 +111,7 @@ def search(
             refined = refiner.refine(tunings, costs, budget)
             found.add(refined.tunings, refined.costs)
             found.accepted += refined.accepted
-        pool += [tunings, refined.tunings]
+        pools.append(np.concatenate([pool, refined.tunings]))
         best = min(scanned, float(refined.costs.min(initial=math.inf)))
         scanned, best = (v if v < WORN else math.inf for v in (scanned, best))
         found.restarts.append(Restart(k, scanned, best, evaluations, refined.solves, refined.iterations))
@@ -124,35 +127,35 @@ def search(
         found.add(refined.tunings, refined.costs)
         found.accepted += refined.accepted
         found.solves += refined.solves
-        pool.append(refined.tunings)
+        pools.append(refined.tunings)
     tell("the digits to type in" if problem.nominal else "worst case within the digits", 0.55)
-    found.joint = _joint(problem, np.concatenate(pool), [seed, restarts], scale, check)
+    found.joint = _joint(problem, pools, [seed, restarts], scale, check)
     if problem.low[2] == 0.0 and 2 in problem.free and problem.free.size > 1:
         # In three dimensions a search seldom ends with no derivative at all, where often the best tuning lies.
         tell("without derivative", 0.8)
-        _search_face(problem, found, np.concatenate(pool), [seed, restarts + 1], scale, check)
+        _search_face(problem, found, pools, [seed, restarts + 1], scale, check)
 
 
 def _search_face(
     problem: Problem,
     found: Found,
-    pool: FloatArray,
+    pools: list[FloatArray],
     seed: list[int],
     scale: float,
     check: Callable[[], None],
 ) -> None:
     """Scan and search the worst case where Td = 0, the face of the bounds, as if that had been asked for."""
     face = problem.without_derivative()
-    tunings, costs = _scan(face, np.random.default_rng([*seed, JOINTS]), scale, check)
+    tunings, costs, pool = _scan(face, np.random.default_rng([*seed, 0]), scale, check)
     found.add(tunings, costs)
-    start = np.concatenate([tunings, pool * np.array([1.0, 1.0, 0.0])])
-    found.joint = np.concatenate([found.joint, _joint(face, start, seed, scale, check)])
+    flat = [some * np.array([1.0, 1.0, 0.0]) for some in pools]
+    found.joint = np.concatenate([found.joint, _joint(face, [pool, *flat], [*seed, 1], scale, check)])
 
 
 def _scan(
     problem: Problem, rng: np.random.Generator, scale: float, check: Callable[[], None]
-) -> tuple[FloatArray, FloatArray]:
-    """One global search for the least J: its best tunings, well apart, and their J."""
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """One global search for the least J: its best tunings, with their J, and more tunings, further apart."""
     points: list[FloatArray] = []
     values: list[FloatArray] = []
 
@@ -174,16 +177,19 @@ def _scan(
         keep=keep,
     )
     all_points, all_values = np.concatenate(points), np.concatenate(values)
-    chosen = spread(all_points, all_values, KEPT, GAP)
-    tunings = problem.tunings(all_points[chosen])
-    return tunings, problem.values(tunings)
+    tunings = problem.tunings(all_points[spread(all_points, all_values, KEPT, GAP)])
+    pool = problem.tunings(all_points[spread(all_points, all_values, _sized(WIDE, scale), WIDE_GAP)])
+    return tunings, problem.values(tunings), pool
 
 
-def _joint(problem: Problem, pool: FloatArray, seed: list[int], scale: float, check: Callable[[], None]) -> FloatArray:
-    """Search for the least worst case, from the pool of all restarts, at the digits to type in.
+def _joint(
+    problem: Problem, pools: list[FloatArray], seed: list[int], scale: float, check: Callable[[], None]
+) -> FloatArray:
+    """Search for the least worst case, from the pools of all restarts, at the digits to type in.
 
-    First with few points of each neighbourhood, several times, then from the best of those with many. Returns the last
-    population's tunings, the best first.
+    The landscape of worst cases has many valleys: each pool is searched by itself, then the best of all together, and
+    in three dimensions all of that twice, from other members of the pools. So far with few points of each
+    neighbourhood; from the best at last with many. Returns the last population's tunings, the best first.
     """
     points: list[FloatArray] = []
     values: list[FloatArray] = []
@@ -192,28 +198,31 @@ def _joint(problem: Problem, pool: FloatArray, seed: list[int], scale: float, ch
         points.append(some)
         values.append(costs)
 
-    for k in range(JOINTS):
-        # The landscape of worst cases has many valleys, and one search ends in one of them.
-        rng = np.random.default_rng([*seed, k])
-        fresh = rng.random((_sized(JOINT_MEMBERS, scale), problem.free.size))
-        evolve(
-            lambda x, ceilings: problem.worst_below(problem.rounded(problem.tunings(x)), ceilings),
-            np.concatenate([problem.cube(pool), problem.cube(problem.guesses()), fresh]),
-            _sized(JOINT_GENERATIONS, scale),
+    def towards(start: FloatArray, generations: int, rng: np.random.Generator, *, dense: bool = False) -> Population:
+        return evolve(
+            lambda x, ceilings: problem.worst_below(problem.rounded(problem.tunings(x)), ceilings, dense=dense),
+            start,
+            _sized(generations, scale),
             rng,
             stop=stopper(problem, problem.work.simulated + JOINT_SAMPLES, check),
-            keep=keep,
+            keep=keep if not dense else None,
         )
+
+    rounds = max(1, problem.free.size - 1)
+    for k in range(rounds):
+        rng = np.random.default_rng([*seed, k])
+        first = len(points)
+        for pool in [problem.guesses(), *pools]:
+            fresh = rng.random((ISLAND_FRESH, problem.free.size))
+            towards(np.concatenate([problem.cube(pool[k::rounds]), fresh]), ISLAND_GENERATIONS, rng)
+        own, costs = np.concatenate(points[first:]), np.concatenate(values[first:])
+        best = spread(own, costs, _sized(JOINT_MEMBERS, scale), GAP)
+        if best.size:
+            towards(own[best], JOINT_GENERATIONS, rng)
     best = spread(np.concatenate(points), np.concatenate(values), _sized(DENSE_MEMBERS, scale), DENSE_GAP)
     if not best.size:
-        return problem.rounded(pool)
-    population = evolve(
-        lambda x, ceilings: problem.worst_below(problem.rounded(problem.tunings(x)), ceilings, dense=True),
-        np.concatenate(points)[best],
-        _sized(DENSE_GENERATIONS, scale),
-        rng,
-        stop=stopper(problem, problem.work.simulated + DENSE_SAMPLES, check),
-    )
+        return problem.rounded(np.concatenate(pools))
+    population = towards(np.concatenate(points)[best], DENSE_GENERATIONS, rng, dense=True)
     return problem.tunings(population.points)
 
 
