@@ -56,6 +56,7 @@ _HOME = {
     "tune": "tune.tune",
     "apply_rule": "tune.rules",
     "value_of_repair": "tune.repair",
+    "pareto_front": "tune.front",
     "load_scenario": "scenario.loader",
     "run_scenario": "scenario.runner",
     "plot": "report.plot",
@@ -102,6 +103,7 @@ __all__ = [
     "limit_cycle",
     "load_scenario",
     "margins",
+    "pareto_front",
     "plot",
     "read_record",
     "run_scenario",
@@ -161,6 +163,7 @@ if TYPE_CHECKING:
     from workbench.scenario.runner import run_scenario
     from workbench.simulate.run import evaluate, simulate, simulate_batch
     from workbench.tune.ensemble import assess
+    from workbench.tune.front import pareto_front
     from workbench.tune.repair import value_of_repair
     from workbench.tune.rules import apply_rule
     from workbench.tune.tune import tune

@@ -52,8 +52,9 @@ def same(ours: Any, theirs: Any, where: str, rel: float = 1e-6) -> None:
         assert ours == theirs, where
 
 
-def test_four_stories_are_shipped_each_with_its_report():
-    assert set(SHIPPED) >= {"table_2", "stick_slip", "identify_benchmark", "industrial_flow_loop"}
+def test_six_stories_are_shipped_each_with_its_report():
+    told = {"table_2", "stick_slip", "identify_benchmark", "industrial_flow_loop", "robust_retune", "integrating_level"}
+    assert set(SHIPPED) >= told
     for name in SHIPPED:
         folder = ROOT / "reports" / name
         assert {"report.html", "results.json", "cases.csv"} <= {path.name for path in folder.iterdir()}
@@ -79,13 +80,18 @@ def test_given_tunings_come_out_as_committed(name, studies):
 def test_what_was_searched_for_is_as_good_as_committed(name, studies):
     study = study_of(name, studies)
     objectives = {case["name"]: case["objective"] for case in committed(name)["cases"]}
+    found = {one["name"]: one["objective"] for one in committed(name)["tuning"]}
     for case in study.cases:
         if case.tuned is None:
             continue
         assert case.tuned.status is wb.SolveStatus.SOLVED
         again = wb.evaluate(case.loop, study.experiment, case.tuned.weights)[0]
-        assert case.objective == pytest.approx(again, rel=1e-12), "the figure shown is the exact simulation's"
-        assert case.objective <= 1.02 * objectives[case.name]
+        if study.objective is not None:
+            assert case.objective == pytest.approx(again, rel=1e-12), "the figure shown is the exact simulation's"
+        if case.tuned.ensemble is None:
+            assert case.objective <= 1.02 * objectives[case.name]
+        else:
+            assert case.tuned.objective <= 1.02 * found[case.name]
 
 
 @pytest.mark.slow
@@ -111,6 +117,42 @@ def test_table_2_says_what_the_paper_says_where_it_can(studies):
     assert not cases["Case 1"].describing_function.predicts_cycle
     assert cases["Case 1"].limit_cycle.outcome == "cycles"
     assert "Kc K J/S < 1" in cases["Case 1"].agreement
+
+
+@pytest.mark.slow
+def test_robust_tunings_are_worth_what_the_report_says(studies):
+    study = study_of("robust_retune", studies)
+    front = study.front
+    assert front is not None
+    assert front.status is wb.SolveStatus.SOLVED
+    cases = {case.name: case for case in study.cases}
+    best = cases["Robust PI"].robustness
+    assert best.ensemble.draws == 2000
+    assert best.max_sensitivity <= 2.0
+    assert best.diverged == 0
+    assert best.mse_median <= 0.265
+    assert best.travel_median <= 250.0
+    # Cases 4 and 5 pay for their slow integral action with more than twice the error at equal travel.
+    for name, times in (("Case 2", 1.1), ("Case 4", 2.2), ("Case 5", 2.1)):
+        r = cases[name].robustness
+        assert r.mse_mean >= times * front.at(r.travel_mean).mean_square_error, name
+    # Nothing that keeps the constraints lies below the front.
+    for case in study.cases:
+        r = case.robustness
+        point = front.at(r.travel_mean * (1.0 + 1e-9))
+        if case.loop.controller.Kc > 0.0 and r.max_sensitivity <= 2.0 and point is not None:
+            assert point.mean_square_error <= r.mse_mean * (1.0 + 1e-9), case.name
+    assert 0.5 < study.robust_repair.share < 0.9
+
+
+@pytest.mark.slow
+def test_the_level_is_held_better_with_less_wear_than_by_tight_rules(studies):
+    study = study_of("integrating_level", studies)
+    cases = {case.name: case for case in study.cases}
+    calm, found = cases["Robust PI, calmer"], cases["As found"]
+    assert calm.tuned.constraints.valve_travel == 60.0
+    assert calm.robustness.travel_mean <= 65.0
+    assert calm.robustness.mse_mean < 0.2 * found.robustness.mse_mean
 
 
 @pytest.mark.slow

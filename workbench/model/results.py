@@ -276,7 +276,7 @@ class Tuned:
     def agreeing(self) -> int:
         """How many of the restarts ended within 0.1 % of the best of them."""
         best = self.spread[0]
-        return sum(r.refined <= best + 1e-3 * abs(best) for r in self.restarts)
+        return sum(math.isfinite(best) and r.refined <= best + 1e-3 * abs(best) for r in self.restarts)
 
     @property
     def knife_edge(self) -> bool:

@@ -7,8 +7,9 @@ from dataclasses import dataclass, field
 from types import MappingProxyType
 
 from workbench.model.experiment import Experiment
+from workbench.model.front import Front, RobustRepair
 from workbench.model.loop import Loop
-from workbench.model.results import DescribingFunction, Estimate, LimitCycle, Outcome, Repair, Run, Tuned
+from workbench.model.results import DescribingFunction, Estimate, LimitCycle, Outcome, Repair, Robustness, Run, Tuned
 from workbench.model.rule import Rule
 from workbench.model.tuning import Objective
 
@@ -23,6 +24,8 @@ class CaseResult:
     verdict, empty where not both were asked for. `reference`: published figures to show beside ours, by the names of
     `model.results.Kpis`, and `objective`. `note`: the scenario's own words on the case.
     `rule`: the rule that gave the tuning. `repaired`: the figures at this tuning with an ideal valve, where asked for.
+    `robustness`: how it fares over the study's ensemble, on draws that no search has seen, and `robustness_repaired`
+    with an ideal valve; None where the scenario has no ensemble, or the valve does not stick.
     """
 
     name: str
@@ -37,6 +40,8 @@ class CaseResult:
     note: str = ""
     rule: Rule | None = None
     repaired: Outcome | None = None
+    robustness: Robustness | None = None
+    robustness_repaired: Robustness | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,7 +63,8 @@ class Study:
     """A scenario's results. `name` is the file's stem and the report folder's name; `scenario_text` the YAML as given.
 
     `reference_source`: where the reference figures come from, in words. `notes`: what an engineer should know about
-    how the results came about (coarse sampling, rejected rows ...). `times`: seconds by stage, for run.json alone.
+    how the results came about (coarse sampling, rejected rows ...). `front`: the trade-off of error and valve travel;
+    `robust_repair`: what repair is worth over an ensemble. `times`: seconds by stage, for run.json alone.
     """
 
     name: str
@@ -72,4 +78,6 @@ class Study:
     reference_source: str = ""
     notes: tuple[str, ...] = ()
     repair: Repair | None = None
+    front: Front | None = None
+    robust_repair: RobustRepair | None = None
     times: Mapping[str, float] = field(default_factory=lambda: MappingProxyType({}))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 
 from workbench.model.results import Tuned
@@ -39,6 +40,8 @@ def how_tables(study: Study) -> list[Table]:
 
 def _spread(tuned: Tuned) -> str:
     best, worst = tuned.spread
+    if math.isinf(best):
+        return "none kept the constraints"  # before the joint search on all draws
     return f"{figure(best)} to {figure(worst)}"
 
 

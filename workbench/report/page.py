@@ -17,12 +17,22 @@ from workbench.report.cycles import cycle_tables
 from workbench.report.estimates import estimate_table
 from workbench.report.files import write_files
 from workbench.report.how import how_tables
+from workbench.report.over_ensemble import (
+    ensemble_tables,
+    ensemble_text,
+    front_table,
+    front_text,
+    named_points,
+    robust_repair_table,
+    robust_repair_text,
+)
 from workbench.report.repair import repair_tables, repair_text
 from workbench.report.results import cases_csv, results_json, run_json
 from workbench.report.shared import loop_lines
 from workbench.report.style import svg_text
 from workbench.report.summary import summarise
 from workbench.report.tables import case_tables, difference_table
+from workbench.report.trade import trade_figure
 from workbench.report.words import join, legible, rule_words, sentences, slug
 
 __all__ = ["render", "write_report"]
@@ -87,6 +97,12 @@ def render(study: Study, drawn: Mapping[str, str]) -> str:
         cycle_tables=cycle_tables(study),
         estimate_tables=[estimate_table(e) for e in study.estimates],
         how=how_tables(study),
+        ensemble_text=ensemble_text(study),
+        ensemble_tables=ensemble_tables(study),
+        front_text=front_text(study),
+        front_table=None if study.front is None else front_table(study.front),
+        robust_repair_text=robust_repair_text(study),
+        robust_repair_table=robust_repair_table(study),
         repair_tables=repair_tables(study),
         repair_text=repair_text(study.repair) if study.repair is not None else [],
         rules=[(c.name, rule_words(c.rule)) for c in study.cases if c.rule is not None],
@@ -165,6 +181,9 @@ def _figures(study: Study) -> dict[str, str]:
     analysed = [(c.name, c.describing_function) for c in study.cases if c.describing_function is not None]
     if analysed:
         add("frequency.svg", figures.frequency_figure(analysed), "L(jω) and −1/N(A) in the complex plane")
+    if study.front is not None and study.front.sticky:
+        title = "Mean square error against mean valve travel over the ensemble"
+        add("tradeoff.svg", trade_figure(study.front, named_points(study)), title)
     for named, own in zip(study.estimates, names["estimates"], strict=True):
         _estimate_figures(named, own, add)
     return out

@@ -8,10 +8,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from workbench.errors import InvalidValue
+from workbench.model.front import Front
 from workbench.model.record import Record
 from workbench.model.results import DescribingFunction, Estimate, LimitCycle, Run, Tuned
 from workbench.report import draw
 from workbench.report.style import new_figure, styled
+from workbench.report.trade import draw_front
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -19,7 +21,7 @@ if TYPE_CHECKING:
 
 __all__ = ["plot"]
 
-_KINDS = "a Run, Record, Estimate, DescribingFunction, LimitCycle or Tuned"
+_KINDS = "a Run, Record, Estimate, DescribingFunction, LimitCycle, Tuned or Front"
 
 
 def plot(result: object, ax: Any = None) -> Axes | NDArray[Any]:
@@ -27,8 +29,8 @@ def plot(result: object, ax: Any = None) -> Axes | NDArray[Any]:
 
     Run, Record, Estimate: two axes, PV above and OP with the valve's position below (an array of shape (2,)); `ax` may
     be two axes, or one, which gets PV alone. DescribingFunction: the loci in the complex plane. LimitCycle: periods by
-    start. Tuned: objectives by restart. `ax`: where to draw; a new figure by default (`.figure` of the axes, to show or
-    save). Raises `InvalidValue` for anything else.
+    start. Tuned: objectives by restart. Front: error against valve travel, sticky and repaired. `ax`: where to draw; a
+    new figure by default (`.figure` of the axes, to show or save). Raises `InvalidValue` for anything else.
     """
     pairs: dict[type, tuple[Callable[..., None], Callable[..., None]]] = {
         Run: (draw.run_pv, draw.run_op),
@@ -38,6 +40,7 @@ def plot(result: object, ax: Any = None) -> Axes | NDArray[Any]:
     singles: dict[type, Callable[..., None]] = {
         LimitCycle: draw.limit_cycle_starts,
         Tuned: draw.restarts,
+        Front: draw_front,
         DescribingFunction: _loci,
     }
     with styled():

@@ -20,9 +20,10 @@ from io import StringIO
 from typing import Any
 
 from workbench.model.controller import PID
+from workbench.model.front import Front, FrontPoint, RobustRepair
 from workbench.model.loop import Loop
 from workbench.model.plant import FOPDT, Plant
-from workbench.model.results import DescribingFunction, Kpis, LimitCycle, Outcome, Repair, Tuned
+from workbench.model.results import DescribingFunction, Kpis, LimitCycle, Outcome, Repair, Robustness, Tuned
 from workbench.model.rule import Rule
 from workbench.model.study import CaseResult, NamedEstimate, Study
 from workbench.model.tuning import Objective
@@ -135,6 +136,64 @@ def _tuned(name: str, tuned: Tuned) -> dict[str, Any]:
         "evaluations": tuned.evaluations,
         "solves": tuned.solves,
         "iterations": tuned.iterations,
+        **_robust(tuned),
+    }
+
+
+def _robust(tuned: Tuned) -> dict[str, Any]:
+    """Return a tuning's constraints, ensemble and figures over it, as far as it has them."""
+    content = {} if tuned.constraints is None else {"constraints": _plain(tuned.constraints)}
+    if tuned.ensemble is None or tuned.robustness is None:
+        return content
+    return {**content, "ensemble": _plain(tuned.ensemble), "robustness": _robustness(tuned.robustness)}
+
+
+def _robustness(found: Robustness) -> dict[str, Any]:
+    names = ("mse_mean", "mse_median", "mse_p90", "travel_mean", "travel_median", "diverged", "stable")
+    return {
+        "draws": found.ensemble.draws,
+        "seed": found.ensemble.seed,
+        "objective": found.objective,
+        **{name: getattr(found, name) for name in (*names, "max_sensitivity", "gain_margin", "phase_margin")},
+    }
+
+
+def _front(front: Front) -> dict[str, Any]:
+    def points(some: Sequence[FrontPoint]) -> list[dict[str, float]]:
+        return [
+            {
+                "valve_travel": p.valve_travel,
+                "mean_square_error": p.mean_square_error,
+                **{name: getattr(p.controller, name) for name in ("Kc", "Ti", "Td")},
+            }
+            for p in some
+        ]
+
+    return {
+        "status": front.status.name.lower(),
+        "message": front.message,
+        "ensemble": _plain(front.ensemble),
+        "constraints": _plain(front.constraints),
+        "bounds": _plain(front.bounds),
+        "digits": front.digits,
+        "seed": front.seed,
+        "measured_on": {"draws": front.fresh.draws, "seed": front.fresh.seed},
+        "evaluations": front.evaluations,
+        "sticky": points(front.sticky),
+        "repaired": points(front.repaired),
+    }
+
+
+def _robust_repair(repair: RobustRepair) -> dict[str, Any]:
+    names = ("present", "repaired", "best", "best_repaired")
+    return {
+        **{
+            name: {"controller": controller_content(one.loop.controller), **_robustness(one)}
+            for name in names
+            for one in (getattr(repair, name),)
+        },
+        "share_that_only_repair_removes": repair.share,
+        "tuning_repaired": _tuned("repaired", repair.tuned_repaired),
     }
 
 
@@ -176,6 +235,11 @@ def _case(case: CaseResult) -> dict[str, Any]:
         "tuned": case.tuned is not None,
         "rule": _rule(case.rule),
         "repaired": None if case.repaired is None else _outcome(case.repaired),
+        **{
+            name: _robustness(found)
+            for name, found in (("robustness", case.robustness), ("robustness_repaired", case.robustness_repaired))
+            if found is not None
+        },
         "reference": dict(case.reference),
         "note": case.note,
     }
@@ -242,6 +306,8 @@ def results_content(study: Study) -> dict[str, Any]:
         "estimates": estimates,
         "tuning": tuning,
         "repair": _repair(study.repair),
+        **({} if study.front is None else {"tradeoff": _front(study.front)}),
+        **({} if study.robust_repair is None else {"robust_repair": _robust_repair(study.robust_repair)}),
         "reference_source": study.reference_source,
         "notes": list(study.notes),
     }

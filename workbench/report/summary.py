@@ -9,6 +9,7 @@ from workbench.report.advice import case_advice
 from workbench.report.cycles import cycle_sentences
 from workbench.report.estimates import estimate_advice, estimate_sentences
 from workbench.report.judge import on_bounds
+from workbench.report.over_ensemble import robust_advice
 from workbench.report.reference import reference_sentences
 from workbench.report.words import join
 
@@ -32,7 +33,7 @@ def summarise(study: Study) -> Summary:
         do += estimate_advice(named)
     if study.cases:
         found += cycle_sentences(study) + reference_sentences(study) + _bound_sentences(study)
-        do += case_advice(study)
+        do += robust_advice(study) or case_advice(study)
     return Summary(tuple(found), tuple(dict.fromkeys(do)))
 
 

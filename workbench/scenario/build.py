@@ -22,8 +22,9 @@ from workbench.record.reader import read_record
 from workbench.scenario import schema
 from workbench.scenario.controllers import Controllers, fitting_action, ruled, wrong_way
 from workbench.scenario.document import Path
-from workbench.scenario.plan import CaseJob, EstimateJob, Scenario
+from workbench.scenario.plan import CaseJob, EnsembleJob, EstimateJob, Scenario
 from workbench.scenario.refusals import Refusals
+from workbench.scenario.robust import RobustEntries, measured_in
 from workbench.scenario.rule_entries import DetunedIntegralRule, rule_of
 from workbench.scenario.series import in_samples, read_series
 from workbench.scenario.units import Quantity
@@ -68,10 +69,12 @@ class Builder:
         ruling: Loop | None = None
         if plant is not None and valve is not None and loop.sample_time is not None and not from_data:
             ruling = Loop(plant, valve, PID(0.0, math.inf), loop.sample_time)
+        robust = RobustEntries(self.refusals, ruling)
+        shared = None if given.ensemble is None else robust.ensemble(given.ensemble, ("ensemble",))
         records = self._records(given)
         first = next((record for record in records if record is not None), None)
         sample_time = loop.sample_time if not from_data else None if first is None else first.sample_time
-        cases = self._cases(given, loop, objective, ruling, None if from_data else plant, sample_time)
+        cases = self._cases(given, loop, objective, ruling, None if from_data else plant, robust, shared, sample_time)
         whole: Loop | None = None
         if plant is not None and valve is not None and loop.sample_time is not None and not from_data:
             first_controller = cases[0].controller if cases else None
@@ -106,6 +109,8 @@ class Builder:
             describing_function=given.analyze.describing_function,
             limit_cycle=given.analyze.limit_cycle,
             repair=given.analyze.repair,
+            tradeoff=given.analyze.tradeoff,
+            ensemble=shared or measured_in(cases, tradeoff=given.analyze.tradeoff),
             notes=tuple(self.notes),
             warnings=tuple(self.warnings),
         )
@@ -127,6 +132,9 @@ class Builder:
                 self.refusals.refuse(("loop", name), "missing; needed where no recorded data is given to estimate")
         if given.analyze.repair and not given.cases:
             self.refusals.refuse(("analyze", "repair"), "true given without cases; there is no tuning to compare with")
+        if given.analyze.tradeoff and not given.cases:
+            what = "true given without cases; there is no tuning to place on the trade-off"
+            self.refusals.refuse(("analyze", "tradeoff"), what)
         if given.analyze.repair and isinstance(loop.valve, schema.IdealValve):
             self.refusals.refuse(("analyze", "repair"), "true given for an ideal valve; there is nothing to repair")
         if given.experiment is None and (given.cases or simulated):
@@ -286,6 +294,8 @@ class Builder:
         objective: Objective | None,
         ruling: Loop | None,
         plant: Plant | None,
+        robust: RobustEntries,
+        shared: EnsembleJob | None,
         sample_time: float | None,
     ) -> list[CaseJob]:
         """Return the cases; rules are applied to the loop `ruling` here where it and their base are known already.
@@ -330,6 +340,13 @@ class Builder:
                 if found is None:
                     continue
                 controller, tune = found
+                above = [other for other in names if other != name]
+                at = (*path, "tune")
+                tune = replace(
+                    tune,
+                    robust=robust.tuning(case.tune, at, shared, above),
+                    constraints=robust.constraints(case.tune.constraints, (*at, "constraints")),
+                )
             if controller is None or not self.controllers.tracks(controller, tune, path, sample_time):
                 continue
             if plant is not None:

@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import MappingProxyType
+from typing import Any
 
 from workbench.model.controller import PID
+from workbench.model.ensemble import Constraints, Ensemble
 from workbench.model.experiment import Experiment
 from workbench.model.loop import Loop
 from workbench.model.record import Record
 from workbench.model.rule import Rule
 from workbench.model.tuning import Bounds, Objective
 
-__all__ = ["RULE_DIGITS", "CaseJob", "EstimateJob", "Scenario", "TuneJob"]
+__all__ = ["RULE_DIGITS", "CaseJob", "EnsembleJob", "EstimateJob", "RobustJob", "Scenario", "TuneJob"]
 
 RULE_DIGITS = 4  # significant digits of what a rule gives, to be typed in
 
@@ -40,9 +42,42 @@ class EstimateJob:
     note: str = ""
 
 
+@dataclass(frozen=True, eq=False)
+class EnsembleJob:
+    """An ensemble as far as a file says it: values of `Ensemble`'s fields by name."""
+
+    given: Mapping[str, Any] = field(default_factory=lambda: MappingProxyType({}))
+
+    def of(self, loop: Loop) -> Ensemble:
+        """Return it for a loop; what is not given is as in `Ensemble.plant_ready`. Raises `InvalidValue`.
+
+        Where a duration is given alone, the load steps keep their place in it, from 0.2 to 0.5 of it.
+        """
+        given = dict(self.given)
+        if "duration" in given:
+            given.setdefault("load_time", (0.2 * given["duration"], 0.5 * given["duration"]))
+        return replace(Ensemble.plant_ready(loop), **given)
+
+
+@dataclass(frozen=True, eq=False)
+class RobustJob:
+    """What makes a tuning robust: its ensemble, and its budget of valve travel.
+
+    travel_budget: the most mean travel over the ensemble, %, or None; as_case: the case whose own is the budget, or "".
+    """
+
+    ensemble: EnsembleJob
+    travel_budget: float | None = None
+    as_case: str = ""
+
+
 @dataclass(frozen=True, slots=True)
 class TuneJob:
-    """A tuning to be found; the case's controller is its start. digits: None for what `wb.tune` takes by itself."""
+    """A tuning to be found; the case's controller is its start.
+
+    digits: None for what `wb.tune` takes by itself; constraints: None for its default; robust: None for the one
+    experiment alone.
+    """
 
     objective: Objective
     bounds: Bounds
@@ -50,6 +85,8 @@ class TuneJob:
     digits: int | None
     restarts: int
     nominal: bool = False
+    constraints: Constraints | None = None
+    robust: RobustJob | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,8 +115,10 @@ class Scenario:
 
     loop: as given, under the first case's controller; None where plant and valve come from the first estimate, or no
     case asks for a loop. pv_range: EU, or None. objective: what J is computed with for every case, or None. repair:
-    whether to say what repairing the valve is worth. notes: what loading assumed or left out (rejected rows, coarse
-    sampling), for the report. warnings: what can be run and is most likely a mistake.
+    whether to say what repairing the valve is worth. tradeoff: whether to find the front of error against travel.
+    ensemble: what the cases are measured in beside the experiment, None where nothing asks for it. notes: what loading
+    assumed or left out (rejected rows, coarse sampling), for the report. warnings: what can be run and is most likely
+    a mistake.
     """
 
     path: Path
@@ -97,5 +136,7 @@ class Scenario:
     describing_function: bool
     limit_cycle: bool
     repair: bool = False
+    tradeoff: bool = False
+    ensemble: EnsembleJob | None = None
     notes: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()

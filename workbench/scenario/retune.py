@@ -78,7 +78,7 @@ def tune_scenario(plan: Scenario, wishes: Wishes, progress: Progress | None = No
         start = first.controller if first.rule is None else ruled(base, first.controller, first.rule)
         default = TuneJob(plan.objective or Objective(), Bounds(), 0, None, 4)
         jobs = [CaseJob("Tuned", first.where, start, default)]
-    found = []
+    found: list[Retuned] = []
     for case in jobs:
         if case.tune is None:
             continue
@@ -91,11 +91,23 @@ def tune_scenario(plan: Scenario, wishes: Wishes, progress: Progress | None = No
             seed=own.seed if wishes.seed is None else wishes.seed,
         )
         controller = _within(case.controller, wishes)
-        tuned = tune_case(base.with_controller(controller), experiment, job, progress)
+        as_case = own.robust.as_case if own.robust is not None else ""
+        known = {as_case: _controller(as_case, base, cases, found)} if as_case else {}
+        tuned = tune_case(base.with_controller(controller), experiment, job, progress, known)
         found.append(Retuned(case.name, tuned, notes))
         if tuned.status is SolveStatus.INTERRUPTED:
             break
     return found
+
+
+def _controller(name: str, base: Loop, cases: tuple[CaseJob, ...], found: list[Retuned]) -> PID:
+    """Return the controller of the case of that name, tuned already where it asks for a tuning."""
+    case = next(case for case in cases if case.name == name)
+    if case.tune is not None:
+        return next(one.tuned.controller for one in found if one.name == name)
+    if case.rule is None:
+        return case.controller
+    return ruled(base, _controller(case.base, base, cases, found) if case.base else case.controller, case.rule)
 
 
 def _loop(plan: Scenario, progress: Progress | None) -> tuple[Loop, tuple[CaseJob, ...], tuple[str, ...]]:

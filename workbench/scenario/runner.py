@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
@@ -16,7 +16,9 @@ from workbench.analyze.describing_function import describing_function
 from workbench.analyze.limit_cycle import limit_cycle
 from workbench.errors import ScenarioError, WorkbenchError
 from workbench.estimate.estimate import estimate
+from workbench.model.controller import PID
 from workbench.model.experiment import Experiment
+from workbench.model.front import RobustRepair
 from workbench.model.loop import Loop
 from workbench.model.plant import Plant
 from workbench.model.record import Record
@@ -25,9 +27,11 @@ from workbench.model.study import CaseResult, NamedEstimate, Study
 from workbench.model.tuning import Objective
 from workbench.scenario.controllers import fitting_action, ruled, wrong_way
 from workbench.scenario.loader import load_scenario
+from workbench.scenario.over_ensemble import best_robust, front_of, with_robustness
 from workbench.scenario.plan import CaseJob, EstimateJob, Scenario, TuneJob
+from workbench.scenario.robust import constraints_of
 from workbench.simulate.run import evaluate, simulate
-from workbench.tune.repair import repaired_outcome, value_of_repair
+from workbench.tune.repair import repair_over, repaired_outcome, value_of_repair
 from workbench.tune.tune import tune
 
 __all__ = ["Progress", "for_plant", "run_scenario", "simulated_record", "tune_case"]
@@ -42,8 +46,9 @@ def run_scenario(scenario: Scenario | str | os.PathLike[str], *, progress: Progr
     """Run a scenario, given as loaded or as its file's path, and return its `Study`.
 
     Estimates first; the loop is the scenario's, or the first estimate's; each case is given, made by its rule or tuned,
-    simulated exactly, and analysed (describing function, limit cycle and whether they agree); last, where asked for,
-    what repairing the valve is worth. progress: called with a few words and the share done, 0..1. A tuning that did not
+    simulated exactly, and analysed (describing function, limit cycle and whether they agree), and where the scenario
+    has an ensemble, measured over it; last, where asked for, the trade-off of error and valve travel and what repairing
+    the valve is worth. progress: called with a few words and the share done, 0..1. A tuning that did not
     succeed stays in the study with its status. Raises `ScenarioError` for a scenario that is refused, and with the
     entry named where running shows that it cannot be carried out; `KeyboardInterrupt` where a tuning was interrupted.
     """
@@ -62,7 +67,11 @@ class _Runner:
         cases = sum(_SHARE["case"] + (_SHARE["tune"] if case.tune is not None else 0.0) for case in plan.cases)
         searches = 0.0
         if plan.repair:
-            searches = 1.0 if any(case.tune is not None for case in plan.cases) else 2.0
+            alone = [case for case in plan.cases if case.tune is not None and case.tune.robust is None]
+            robust = any(case.tune is not None and case.tune.robust is not None for case in plan.cases)
+            searches = (1.0 if alone else 2.0) + (1.0 if robust else 0.0)
+        searches += 2.0 if plan.tradeoff else 0.0
+        cases += _SHARE["case"] if plan.ensemble is not None else 0.0
         self.total = cases + _SHARE["tune"] * searches + _SHARE["estimate"] * len(plan.estimates) or 1.0
 
     def study(self) -> Study:
@@ -82,12 +91,23 @@ class _Runner:
         if loop is not None:
             for job in jobs:
                 cases.append(self._case(job, loop, cases))
-        repair = None
+        front = None
+        if plan.ensemble is not None and cases:
+            with self._stage("ensemble", "ensemble", _SHARE["case"]) as progress:
+                ensemble = plan.ensemble.of(cases[0].loop)
+                cases = with_robustness(cases, ensemble, plan.objective, progress)
+            if plan.tradeoff:
+                with self._stage("trade-off", "analyze.tradeoff", 2.0 * _SHARE["tune"]) as progress:
+                    front = front_of(cases, jobs, ensemble, progress)
+                if front.status is SolveStatus.INTERRUPTED:
+                    raise KeyboardInterrupt
+        repair, robust_repair = None, None
         if plan.repair and cases:
             if cases[0].repaired is None:
                 notes.append("The valve does not stick: there is nothing to repair.")
             else:
                 repair = self._repair(cases)
+                robust_repair = self._robust_repair(cases)
         if self.tell is not None:
             self.tell("done", 1.0)
         return Study(
@@ -102,6 +122,8 @@ class _Runner:
             reference_source=plan.reference_source,
             notes=tuple(notes),
             repair=repair,
+            front=front,
+            robust_repair=robust_repair,
             times=self.times,
         )
 
@@ -136,8 +158,9 @@ class _Runner:
             with self._stage(f"rule {job.name}", job.where, 0.0):
                 loop = loop.with_controller(ruled(base, under, job.rule))
         if job.tune is not None:
+            controllers = {case.name: case.loop.controller for case in above}
             with self._stage(f"tune {job.name}", job.where, _SHARE["tune"]) as progress:
-                tuned = tune_case(loop, experiment, job.tune, progress)
+                tuned = tune_case(loop, experiment, job.tune, progress, controllers)
             if tuned.status is SolveStatus.INTERRUPTED:
                 raise KeyboardInterrupt
             loop = loop.with_controller(tuned.controller)
@@ -173,13 +196,27 @@ class _Runner:
         """Return what repair is worth to the first given case, from the best search that the cases have made."""
         plan, experiment = self.plan, cases[0].run.experiment
         present = next((case for case in cases if case.tuned is None), cases[0])
-        searches = [case.tuned for case in cases if case.tuned is not None and case.tuned.status.success]
+        # A robust tuning's objective is one over an ensemble, not of this experiment.
+        found = [case.tuned for case in cases if case.tuned is not None and case.tuned.ensemble is None]
+        searches = [one for one in found if one.status.success]
         if plan.objective is not None:
             searches = [one for one in searches if one.weights == plan.objective]
         best = min(searches, key=lambda one: one.objective, default=None)
         with self._stage("value of repair", "analyze.repair", _SHARE["tune"] * (1.0 if searches else 2.0)) as progress:
-            found = value_of_repair(present.loop, experiment, plan.objective, tuned=best, progress=progress)
-        if SolveStatus.INTERRUPTED in (found.tuned.status, found.tuned_repaired.status):
+            repair = value_of_repair(present.loop, experiment, plan.objective, tuned=best, progress=progress)
+        if SolveStatus.INTERRUPTED in (repair.tuned.status, repair.tuned_repaired.status):
+            raise KeyboardInterrupt
+        return repair
+
+    def _robust_repair(self, cases: Sequence[CaseResult]) -> RobustRepair | None:
+        """Return what repair is worth over the ensemble of the best robust tuning, if there is one."""
+        best = best_robust(cases)
+        if best is None:
+            return None
+        present = next((case for case in cases if case.tuned is None), cases[0])
+        with self._stage("value of repair over the ensemble", "analyze.repair", _SHARE["tune"]) as progress:
+            found = repair_over(best, present.loop.controller, progress=progress)
+        if found.tuned_repaired.status is SolveStatus.INTERRUPTED:
             raise KeyboardInterrupt
         return found
 
@@ -232,8 +269,21 @@ def simulated_record(loop: Loop, experiment: Experiment) -> Record:
     )
 
 
-def tune_case(loop: Loop, experiment: Experiment, job: TuneJob, progress: Progress | None = None) -> Tuned:
-    """Return the tuning that a case asks for, started from the loop's controller."""
+def tune_case(
+    loop: Loop,
+    experiment: Experiment,
+    job: TuneJob,
+    progress: Progress | None = None,
+    cases: Mapping[str, PID] | None = None,
+) -> Tuned:
+    """Return the tuning that a case asks for, started from the loop's controller.
+
+    cases: the controllers of the cases above it, by name, of which one may give the budget of valve travel.
+    """
+    ensemble, constraints = None, job.constraints
+    if job.robust is not None:
+        ensemble = job.robust.ensemble.of(loop)
+        constraints = constraints_of(job, loop, ensemble, cases or {})
     return tune(
         loop,
         experiment,
@@ -243,5 +293,7 @@ def tune_case(loop: Loop, experiment: Experiment, job: TuneJob, progress: Progre
         digits=job.digits,
         restarts=job.restarts,
         nominal=job.nominal,
+        robust=ensemble or False,
+        constraints=constraints,
         progress=progress,
     )

@@ -32,6 +32,7 @@ from workbench.scenario.entries import (
     by_key,
     by_presence,
 )
+from workbench.scenario.robust_entries import ConstraintsEntry, EnsembleEntry, RobustEntry, TravelBudget
 from workbench.scenario.rule_entries import RuleEntry
 
 __all__ = [
@@ -257,6 +258,13 @@ class Tune(Tuning, ControllerKeys):
     digits: Annotated[int | None, Field(ge=1, le=12, description="significant digits to be typed in; 4")] = None
     nominal: Annotated[bool, Field(description="the least J itself, a cliff: to compare with, not to type in")] = False
     restarts: Annotated[int, Field(ge=1, le=64)] = 4
+    robust: Annotated[
+        RobustEntry, Field(description="tune over an ensemble of plants: true, or the ensemble written out")
+    ] = None
+    constraints: ConstraintsEntry | None = None
+    travel_budget: Annotated[
+        TravelBudget | None, Field(description="most mean valve travel over the ensemble: %, or a case's own")
+    ] = None
 
 
 KpiName = Literal[
@@ -373,6 +381,9 @@ class Analyze(Closed):
     repair: Annotated[bool, Field(description="what repairing the valve is worth; takes one or two searches more")] = (
         False
     )
+    tradeoff: Annotated[
+        bool, Field(description="error against valve travel over the ensemble, with the cases; takes two searches more")
+    ] = False
 
 
 class ScenarioFile(Closed):
@@ -384,6 +395,10 @@ class ScenarioFile(Closed):
     loop: Loop | None = None
     experiment: Experiment | None = None
     objective: Objective | None = None
+    ensemble: Annotated[
+        EnsembleEntry | None,
+        Field(description="what robust tunings and the trade-off share, and cases are measured in"),
+    ] = None
     estimate: Annotated[list[Estimate], Field(min_length=1, max_length=50), OneOrMany()] | None = None
     cases: Annotated[list[Case], Field(max_length=200)] = Field(default_factory=list)
     analyze: Analyze = Analyze()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from copy import copy
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -11,6 +12,7 @@ from numpy.typing import NDArray
 
 from workbench.analyze.frequency import linear_stable
 from workbench.analyze.margins import loop_margins
+from workbench.model.controller import PID
 from workbench.model.ensemble import UNCERTAIN, Ensemble
 from workbench.model.experiment import Experiment, Noise, Step
 from workbench.model.loop import Loop
@@ -31,6 +33,8 @@ __all__ = ["Circumstances", "Draw", "assess", "corner_loops", "draws", "measured
 CONTROLLER = [c for c in range(kernel.VALVE) if c != kernel.BIAS]
 # Rows of one call of the kernel: what fits well into memory.
 ROWS = 50_000
+# Up to this Ms a response read off its grid is certain to tell a stable loop from an unstable one.
+SURE = 8.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,6 +132,12 @@ class Circumstances:
         self.corners = corner_loops(loop, ensemble)
         self._corner_rows = np.concatenate([coefficients(corner) for corner in self.corners])
 
+    def under(self, controller: PID) -> Circumstances:
+        """Return the same draws under another controller."""
+        other = copy(self)
+        other.loop = self.loop.with_controller(controller)
+        return other
+
     def terms(self, tunings: FloatArray, *, every: bool = False) -> FloatArray:
         """Return the kernel's sums of tunings, shape (M, 3), in every draw, shape (M, draws, FEW_SUMS, or SUMS)."""
         own = coefficients(self.loop, 0.0, tunings)[:, CONTROLLER]
@@ -162,6 +172,16 @@ class Circumstances:
         values = all_values.reshape(-1, count, 3)
         worst = np.column_stack([values[:, :, 0].max(1), values[:, :, 1].min(1), values[:, :, 2].min(1)])
         return worst, np.count_nonzero(~stable.reshape(-1, count), axis=1)
+
+    def unstable_draws(self) -> NDArray[np.bool_]:
+        """Return which draws the circumstances' own controller does not hold, exactly, with ideal valves, (draws,)."""
+        rows = self._rows.copy()
+        rows[:, CONTROLLER] = coefficients(self.loop)[:, CONTROLLER]
+        values, _, stable = loop_margins(rows, self.loop.sample_time)
+        lost: NDArray[np.bool_] = ~(stable & (values[:, 0] <= SURE))
+        for i in np.flatnonzero(lost):
+            lost[i] = not linear_stable(self.members[i].loop.with_controller(self.loop.controller))
+        return lost
 
     def unstable(self, tuning: FloatArray) -> int:
         """Return how many of the nominal and corner plants a tuning (Kc, Ti, Td) does not hold, exactly.
@@ -209,9 +229,7 @@ def measured(given: Circumstances, objective: Objective) -> Robustness:
     travel[~np.isfinite(travel)] = np.inf
     held = given.unstable(tuning[0]) == 0
     Ms, gain, phase = (float(v) for v in given.margins(tuning)[0][0]) if held else (math.inf, 0.0, 0.0)
-    lost = sum(
-        not (math.isfinite(cost) and linear_stable(draw.loop)) for cost, draw in zip(costs, given.members, strict=True)
-    )
+    lost = int(np.count_nonzero(~np.isfinite(costs) | given.unstable_draws()))
     return Robustness(
         loop=given.loop,
         ensemble=given.ensemble,

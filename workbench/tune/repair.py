@@ -11,14 +11,16 @@ import numpy as np
 from workbench.errors import InvalidValue
 from workbench.model.controller import PID
 from workbench.model.experiment import Experiment
+from workbench.model.front import RobustRepair
 from workbench.model.loop import Loop
 from workbench.model.results import Outcome, Repair, SolveStatus, Tuned
 from workbench.model.tuning import Bounds, Objective
 from workbench.model.valve import Ideal
 from workbench.simulate.run import evaluate, simulate
+from workbench.tune.ensemble import Circumstances, measured
 from workbench.tune.tune import tune
 
-__all__ = ["outcome", "repaired_outcome", "value_of_repair"]
+__all__ = ["outcome", "repair_over", "repaired_outcome", "usual_bounds", "value_of_repair"]
 
 Progress = Callable[[str, float], None]
 
@@ -59,7 +61,7 @@ def value_of_repair(
         objective, bounds, seed, digits = tuned.weights, tuned.bounds, tuned.seed, tuned.digits
         restarts = len(tuned.restarts) or restarts
     objective = objective or Objective()
-    bounds = bounds or _bounds(loop.controller)
+    bounds = bounds or usual_bounds(loop.controller)
 
     def part(begin: float, size: float, words: str, share: float) -> None:
         if progress is not None:
@@ -104,6 +106,43 @@ def value_of_repair(
     )
 
 
+def repair_over(tuned: Tuned, present: PID, *, progress: Progress | None = None) -> RobustRepair:
+    """Return what repair is worth over the ensemble of a robust tuning of the sticky loop.
+
+    present: the controller in use. The ideal valve gets a robust tuning of its own under the same objective, bounds,
+    constraints, seed, digits and restarts. Raises `InvalidValue` where `tuned` is not robust or its valve does not
+    stick.
+    """
+    if tuned.ensemble is None or tuned.robustness is None:
+        raise InvalidValue("tuned", "a tuning to one experiment", "must be a robust tuning")
+    loop = tuned.loop
+    if isinstance(loop.valve, Ideal):
+        raise InvalidValue("Loop.valve", loop.valve, "must be a valve that sticks: there is nothing to repair")
+    ideal = replace(loop, valve=Ideal(), controller=tuned.controller)
+    again = tune(
+        ideal,
+        tuned.experiment,
+        tuned.weights,
+        tuned.bounds,
+        tuned.seed,
+        digits=tuned.digits,
+        restarts=len(tuned.restarts) or 1,
+        robust=tuned.ensemble,
+        constraints=tuned.constraints,
+        progress=progress,
+    )
+    fresh = tuned.robustness.ensemble
+    sticky, repaired = Circumstances(loop.with_controller(present), fresh), Circumstances(ideal, fresh)
+    return RobustRepair(
+        present=measured(sticky, tuned.weights),
+        repaired=measured(repaired.under(present), tuned.weights),
+        best=tuned.robustness,
+        best_repaired=measured(repaired.under(again.controller), tuned.weights),
+        tuned=tuned,
+        tuned_repaired=again,
+    )
+
+
 def outcome(loop: Loop, experiment: Experiment, objective: Objective) -> Outcome:
     """Return J and the figures of a loop in an experiment. Raises `InvalidValue`."""
     # A diverging loop overflows; its figures say so.
@@ -121,7 +160,7 @@ def _repaired(loop: Loop, experiment: Experiment) -> tuple[Loop, Experiment]:
     return replace(loop, valve=Ideal()), replace(experiment, stem_offset=0.0)
 
 
-def _bounds(controller: PID) -> Bounds:
+def usual_bounds(controller: PID) -> Bounds:
     """Return the default bounds, wide enough for the present tuning; no derivative where that has none."""
     usual = Bounds()
 

@@ -19,14 +19,15 @@ import numpy as np
 from workbench.model.ensemble import Constraints, Ensemble
 from workbench.model.record import FloatArray
 from workbench.model.results import Restart, Robustness, SolveStatus, Tuned
-from workbench.tune.ensemble import Circumstances, measured, statistic
+from workbench.simulate.signals import sample_count
+from workbench.tune.ensemble import SURE, Circumstances, measured, statistic
 from workbench.tune.limits import NARROW, UNSTABLE, WORN, missed, narrowness, worn
 from workbench.tune.problem import Problem, unit_of
 from workbench.tune.refine import path
 from workbench.tune.scan import OutOfBudget, evolve, spread
 from workbench.tune.verify import digit_steps, stem_guard
 
-__all__ = ["DEFAULT_CONSTRAINTS", "tune_robust"]
+__all__ = ["DEFAULT_CONSTRAINTS", "Judge", "fresh_draws", "guesses", "tune_robust"]
 
 DEFAULT_CONSTRAINTS = Constraints(max_sensitivity=2.0)
 # Sizes of the searches; the first ones see only so many draws.
@@ -36,8 +37,6 @@ JOINT_MEMBERS, JOINT_GENERATIONS, GAP = 32, 30, 3e-3
 STEPS, ROUNDS = (64, 16, 4, 1), 12
 # Fresh draws up to 1,000 samples; longer runs get fewer.
 FRESH, FRESH_SAMPLES = 2_000, 2_000_000
-# Up to this Ms a response read off its grid is certain to tell a stable loop from an unstable one.
-SURE = 8.0
 
 Progress = Callable[[str, float], None]
 
@@ -59,7 +58,7 @@ class _Found:
         return np.concatenate(self.tunings)[int(values.argmin())], float(values.min())
 
 
-class _Judge:
+class Judge:
     """Values of tunings in one ensemble under constraints: the statistic of J, or how far a constraint is broken."""
 
     def __init__(self, problem: Problem, ensemble: Ensemble, constraints: Constraints) -> None:
@@ -68,16 +67,31 @@ class _Judge:
 
     def statistic(self, tunings: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the statistic of J and the mean valve travel (%) of tunings, shape (M, 3) -> (M,) each."""
+        terms = self._terms(tunings, every=bool(self.problem.objective.kpis))
+        with np.errstate(over="ignore", invalid="ignore"):
+            costs = self.given.costs(terms, self.problem.objective)
+            return statistic(costs, self.given.ensemble), terms[:, :, 5].mean(axis=1)
+
+    def means(self, tunings: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the means of square error (EU^2) and valve travel (%) over the draws, shape (M, 3) -> (M,) each.
+
+        inf where a run overflows.
+        """
+        terms = self._terms(tunings, every=False)
+        with np.errstate(over="ignore", invalid="ignore"):
+            errors, travel = terms[:, :, 4].mean(axis=1) / self.given.samples, terms[:, :, 5].mean(axis=1)
+        lost = ~(np.isfinite(errors) & np.isfinite(travel))
+        return np.where(lost, np.inf, errors), np.where(lost, np.inf, travel)
+
+    def _terms(self, tunings: FloatArray, *, every: bool) -> FloatArray:
         runs = tunings.shape[0] * self.given.ensemble.draws
         self.problem.work.evaluations += runs
         self.problem.work.simulated += runs * self.given.samples
         with np.errstate(over="ignore", invalid="ignore"):
-            terms = self.given.terms(tunings, every=bool(self.problem.objective.kpis))
-            costs = self.given.costs(terms, self.problem.objective)
-            return statistic(costs, self.given.ensemble), terms[:, :, 5].mean(axis=1)
+            return self.given.terms(tunings, every=every)
 
-    def values(self, tunings: FloatArray) -> FloatArray:
-        """Return the values of tunings, shape (M, 3) -> (M,)."""
+    def broken(self, tunings: FloatArray) -> FloatArray:
+        """Return how far tunings miss a stable loop and the margins asked for, shape (M, 3) -> (M,): 0 where not."""
         worst, lost = self.given.margins(tunings)
         # The nearer an unstable response passes by -1, the nearer the tuning is to a stable one.
         values = np.where(lost > 0, UNSTABLE * (1.0 + lost + 1.0 / worst[:, 0]), 0.0)
@@ -87,11 +101,22 @@ class _Judge:
             count = self.given.unstable(tunings[i])
             if count:
                 values[i] = UNSTABLE * (1.0 + count)
+        return values
+
+    def values(self, tunings: FloatArray) -> FloatArray:
+        """Return the values of tunings, shape (M, 3) -> (M,)."""
+        values = self.broken(tunings)
         keep = np.flatnonzero(values == 0.0)
         if keep.size:
             costs, travel = self.statistic(tunings[keep])
             values[keep] = worn(costs, travel, self.constraints.valve_travel)
         return values
+
+
+def fresh_draws(ensemble: Ensemble, sample_time: float) -> Ensemble:
+    """Return the draws on which tunings found in an ensemble are measured: unseen ones, of the next seed."""
+    samples = sample_count(ensemble.duration, sample_time)
+    return replace(ensemble, seed=ensemble.seed + 1, draws=min(FRESH, max(ensemble.draws, FRESH_SAMPLES // samples)))
 
 
 def tune_robust(
@@ -112,7 +137,7 @@ def tune_robust(
     """
     began = time.perf_counter()
     asked = DEFAULT_CONSTRAINTS if constraints is None else constraints
-    judge = _Judge(problem, ensemble, asked)
+    judge = Judge(problem, ensemble, asked)
     found = _Found()
     status, notes = SolveStatus.SOLVED, []
 
@@ -145,9 +170,7 @@ def tune_robust(
     tell("fresh draws", 0.9)
     cost = float(judge.statistic(chosen[None, :])[0][0])
     around = float(judge.statistic(problem.around(chosen[None, :], dense=True))[0].max())
-    fresh = replace(
-        ensemble, seed=ensemble.seed + 1, draws=min(FRESH, max(ensemble.draws, FRESH_SAMPLES // judge.given.samples))
-    )
+    fresh = fresh_draws(ensemble, problem.loop.sample_time)
     controller = problem.controller(chosen)
     robustness = measured(Circumstances(problem.loop.with_controller(controller), fresh), problem.objective)
     if problem.free.size == 0:
@@ -187,16 +210,16 @@ def tune_robust(
     )
 
 
-def _search(judge: _Judge, found: _Found, seed: int, restarts: int, stop: Callable[[], bool], tell: Progress) -> float:
+def _search(judge: Judge, found: _Found, seed: int, restarts: int, stop: Callable[[], bool], tell: Progress) -> float:
     """Search on few draws from several seeds, then jointly on all; return the least statistic met before rounding."""
     problem = judge.problem
     free = problem.free.size
     whole = judge.given.ensemble
     few = judge
     if whole.draws > SCAN_DRAWS:
-        few = _Judge(problem, replace(whole, draws=SCAN_DRAWS), judge.constraints)
-    guesses = problem.cube(_guesses(problem))
-    pool, least = [guesses], math.inf
+        few = Judge(problem, replace(whole, draws=SCAN_DRAWS), judge.constraints)
+    first = problem.cube(guesses(problem))
+    pool, least = [first], math.inf
     for k in range(restarts):
         tell(f"global search {k + 1} of {restarts}", 0.5 * k / restarts)
         before = problem.work.evaluations
@@ -207,7 +230,7 @@ def _search(judge: _Judge, found: _Found, seed: int, restarts: int, stop: Callab
             fresh[: SCAN_MEMBERS // 4, -1] = 0.0
         population = evolve(
             lambda points, _: few.values(problem.tunings(points)),
-            np.concatenate([guesses, fresh]),
+            np.concatenate([first, fresh]),
             SCAN_GENERATIONS,
             rng,
             stop=stop,
@@ -227,7 +250,7 @@ def _search(judge: _Judge, found: _Found, seed: int, restarts: int, stop: Callab
     kept = spread(points, values, JOINT_MEMBERS, GAP)
     population = evolve(
         lambda some, _: judge.values(problem.rounded(problem.tunings(some))),
-        points[kept] if kept.size else guesses,
+        points[kept] if kept.size else first,
         JOINT_GENERATIONS,
         np.random.default_rng([seed, restarts]),
         stop=stop,
@@ -236,15 +259,15 @@ def _search(judge: _Judge, found: _Found, seed: int, restarts: int, stop: Callab
     return least
 
 
-def _guesses(problem: Problem) -> FloatArray:
+def guesses(problem: Problem) -> FloatArray:
     """Return tunings worth a try, (M, 3): those of every search, and very cautious ones, which constraints may ask."""
     usual = problem.guesses()
     cautious = usual * np.array([0.03, 2.0, 0.0])
-    guesses: FloatArray = np.clip(np.concatenate([usual, cautious]), problem.low, problem.high)
-    return np.unique(guesses, axis=0)
+    both: FloatArray = np.clip(np.concatenate([usual, cautious]), problem.low, problem.high)
+    return np.unique(both, axis=0)
 
 
-def _walk(judge: _Judge, found: _Found, stop: Callable[[], bool]) -> None:
+def _walk(judge: Judge, found: _Found, stop: Callable[[], bool]) -> None:
     """Walk from the best rounded tuning on the lattice of its digits as long as its value falls."""
     problem = judge.problem
     tuning, value = found.best()
@@ -264,7 +287,7 @@ def _walk(judge: _Judge, found: _Found, stop: Callable[[], bool]) -> None:
 
 
 def _verdict(
-    status: SolveStatus, value: float, asked: Constraints, judge: _Judge, chosen: FloatArray, fresh: Robustness
+    status: SolveStatus, value: float, asked: Constraints, judge: Judge, chosen: FloatArray, fresh: Robustness
 ) -> tuple[SolveStatus, str]:
     """The status that the chosen tuning's own value gives, and why, in words."""
     ended = status is SolveStatus.SOLVED
@@ -283,7 +306,7 @@ def _verdict(
     return status, ""
 
 
-def _missed(asked: Constraints, judge: _Judge, chosen: FloatArray, reached: Robustness) -> list[str]:
+def _missed(asked: Constraints, judge: Judge, chosen: FloatArray, reached: Robustness) -> list[str]:
     margins = reached.max_sensitivity, reached.gain_margin, reached.phase_margin
     return missed(asked, margins, float(judge.statistic(chosen[None, :])[1][0]), "mean valve travel")
 
