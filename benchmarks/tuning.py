@@ -152,9 +152,7 @@ def judged(stated: Stated, criterion: str, tuning: FloatArray) -> float:
     slack = 1e-9 * np.maximum(np.abs(problem.low), np.abs(problem.high))
     if (tuning < problem.low - slack).any() or (tuning > problem.high + slack).any():
         return float("inf")
-    if criterion == "nominal":
-        return float(problem.exact(tuning[None, :])[0])
-    return float(problem.worst_below(tuning[None, :], np.array([np.inf]), dense=True)[0])
+    return stated.value(criterion, tuning)
 
 
 def mark(stated: Stated) -> int:
