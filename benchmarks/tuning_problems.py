@@ -161,7 +161,7 @@ DRAWN: list[tuple[str, str, bool, dict[str, Any], float, float, int, str]] = [
     ("FOPDT", "Ideal", True, {}, 0.2, 1.0, 300, "w4"),
     ("Integrating", "Stenman", False, {}, 0.0, 4.0, 500, ""),
     ("Integrating", "Stenman", True, {"derivative_on": "pv"}, 2.0, 6.0, 600, "load"),
-    ("Integrating", "Choudhury J<S", False, {}, 1.0, 5.0, 400, "w2"),
+    ("Integrating", "Choudhury J<S", False, {}, 1.0, 5.0, 400, "noise"),
     ("Integrating", "Deadband", True, {}, 1.0, 5.0, 500, "noise"),
     ("FOPDT", "Stenman", True, {"form": "series"}, 0.2, 0.8, 400, ""),
     ("FOPDT", "Choudhury J<S", True, {"form": "series", "derivative_on": "pv"}, 0.2, 0.8, 300, "limits"),
