@@ -218,7 +218,7 @@ def measure(problems: list[Stated], methods: list[str], criteria: list[str], cou
             # A line of its own, also after one that was cut off.
             out.write(("" if whole else "\n") + json.dumps(row) + "\n")
         whole = True
-        ratio = row["value"] / stated.best[criterion]["J"]
+        ratio = row["value"] / stated.best.get(criterion, {}).get("J", float("nan"))
         print(
             f"[{number}/{len(plan)}] {stated.name:10s} {criterion:8s} {method:12s} seed {seed}  "
             f"{row['value']:12.6g}  {ratio:9.5f} of best known  {wall:6.2f} s",
@@ -278,13 +278,14 @@ def main() -> None:
     parser.add_argument("--results", type=Path, default=RESULTS)
     parser.add_argument("--table", action="store_true", help="only print the tables of what is there")
     given = parser.parse_args()
-    problems = [p for p in tuning_problems.selected(given.problems) if set(CRITERIA) <= set(p.best)]
+    problems = tuning_problems.selected(given.problems)
     if not given.table:
         try:
             measure(problems, given.methods, given.criteria, given.seeds, given.results)
         except KeyboardInterrupt:
             print("\nstopped: what is there so far")
-    tables(problems, [r for r in measured(given.results, problems) if r["method"] in given.methods])
+    known = [p for p in problems if all("J" in p.best.get(criterion, {}) for criterion in CRITERIA)]
+    tables(known, [r for r in measured(given.results, known) if r["method"] in given.methods])
 
 
 if __name__ == "__main__":

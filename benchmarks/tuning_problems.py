@@ -26,8 +26,9 @@ FILE = Path(__file__).with_name("tuning_problems.json")
 SEED = 20
 # Digits beyond those of any controller: the neighbourhood of a problem is then its margin alone.
 DIGITS, MARGIN = 12, 0.001
-# Optima lie on cliffs; a best value must hold some way off, so that it is the same on every machine.
-HOLD, SAME = 1e-11, 1e-6
+# Optima lie on cliffs; a best value must hold some way off. Not to the last digit: some runs of a two-parameter valve,
+# and most worst cases, change a little with any change of the tuning.
+HOLD, SAME = 1e-11, 1e-3
 DEFINITIONS = {
     "nominal": "J of eq. (2) by exact simulation of the tuning as written",
     "worst": "the largest J at 115 points around the tuning: itself, and p (1 + 0.001 c) for each parameter p with c "

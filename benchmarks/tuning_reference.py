@@ -30,7 +30,7 @@ import numpy as np
 import tuning_problems
 from scipy.optimize import differential_evolution
 from tuning import measured
-from tuning_problems import HOLD, MARGIN, SAME, Stated
+from tuning_problems import HOLD, MARGIN, Stated
 
 from workbench.model.record import FloatArray
 from workbench.tune.problem import Problem
@@ -243,7 +243,7 @@ def taken_over(stated: Stated, criterion: str, best: dict, rows: list[dict], sav
     for row in rows:
         if (row["problem"], row["criterion"]) != (stated.name, criterion):
             continue
-        if row["value"] < (1.0 - SAME) * best.get("J", math.inf):
+        if row["value"] < (1.0 - 1e-9) * best.get("J", math.inf):
             point = stated.problem().cube(np.array([row["tuning"]]))[0]
             tuning = settled(stated, criterion, point, np.random.default_rng(107))
             value = stated.value(criterion, tuning)

@@ -95,7 +95,7 @@ def test_no_search_ended_below_the_best_known_value(problem: tuning_problems.Sta
         assert best["J"] <= (1.0 + 1e-8) * min(ends)
         method, _, seed = best["found_by"].partition(", seed ")
         if seed:
-            assert best["ends"][method][int(seed)] == pytest.approx(best["J"], rel=1e-5)
+            assert best["ends"][method][int(seed)] == pytest.approx(best["J"], rel=1e-3)
         else:
             assert method.partition(",")[0] in tuning.METHODS
 
