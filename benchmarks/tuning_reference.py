@@ -8,8 +8,8 @@ Independent searches from their own seeds, one after the other, none of them wit
 
 - lshade: L-SHADE with a large population over the whole box;
 - de: scipy's differential_evolution, vectorised on the kernel, large populations, three strategies by turns;
-- branch (nominal only): a scan, then branch programs from its best distinct sequences of decisions and across their
-  active guards, without a margin;
+- branch: a scan, then branch programs from its best distinct sequences of decisions and across their active guards,
+  without a margin; for the worst case with one, and pool from there;
 - pool (worst case only): L-SHADE for the least J itself, then L-SHADE for the worst case from several hundred of the
   best distinct points that it passed.
 
@@ -118,47 +118,52 @@ def de(problem: Problem, cost: Cost, seed: int, keeper: Keeper, members: int, ge
     )
 
 
-def branch(problem: Problem, cost: Cost, seed: int, keeper: Keeper, members: int, generations: int) -> None:
+def own_cost(problem: Problem) -> Cost:
+    """J itself of points of the cube, below ceilings."""
+    return lambda points, ceilings: problem.below(problem.tunings(points), ceilings)
+
+
+def branch(problem: Problem, seed: int, keeper: Keeper, members: int, generations: int, guard: float = 0.0) -> None:
     scan = Keeper()
     rng = np.random.default_rng([103, seed])
-    evolve(cost, start_points(problem, members, rng), generations, rng, keep=scan)
+    evolve(own_cost(problem), start_points(problem, members, rng), generations, rng, keep=scan)
     points = scan.best(40, 3e-3)
     tunings = problem.tunings(points)
     costs = problem.exact(tunings)
     keeper(points[:8], costs[:8])
-    refiner = Refiner(problem, 0.0, max(float(costs.min()), 1e-12))
+    refiner = Refiner(problem, guard, max(float(costs.min()), 1e-12))
     refined = refiner.refine(tunings, costs, max(8, round(12_000 / problem.samples)))
     keeper(problem.cube(refined.tunings), refined.costs)
 
 
-def pool(problem: Problem, cost: Cost, seed: int, keeper: Keeper, members: int, generations: int) -> None:
+def pool(
+    problem: Problem, cost: Cost, seed: int, keeper: Keeper, members: int, generations: int, branched: bool
+) -> None:
     passed = Keeper()
     rng = np.random.default_rng([106, seed])
-
-    def own(points: FloatArray, ceilings: FloatArray) -> FloatArray:
-        return problem.below(problem.tunings(points), ceilings)
-
-    evolve(own, start_points(problem, members, rng), generations, rng, keep=passed)
-    # Close ones too: where J is least its neighbourhood is worst, and a little aside it may be all right.
-    start = np.concatenate([passed.best(members, 3e-3), passed.best(members // 4, 3e-4)])
-    evolve(cost, start, generations, rng, keep=keeper)
+    evolve(own_cost(problem), start_points(problem, members, rng), generations, rng, keep=passed)
+    start = [passed.best(members, 3e-3), passed.best(members // 4, 3e-4)]
+    if branched:
+        refined = Keeper()
+        branch(problem, seed, refined, members, generations, 0.01)
+        near = np.concatenate(refined.points)
+        # Close ones too: where J is least its neighbourhood is worst, and a little aside it may be all right.
+        start += [near, *(np.clip(near + rng.normal(0.0, size, near.shape), 0.0, 1.0) for size in (1e-3, 1e-3, 1e-2))]
+    evolve(cost, np.concatenate(start), generations, rng, keep=keeper)
 
 
 def nominal(stated: Stated, method: str, seed: int) -> FloatArray:
     """One search for the least J: the tuning where it ends."""
     problem = stated.problem()
     keeper = Keeper()
-
-    def cost(points: FloatArray, ceilings: FloatArray) -> FloatArray:
-        return problem.below(problem.tunings(points), ceilings)
-
+    cost = own_cost(problem)
     members = 200 * problem.free.size
     if method == "lshade":
         lshade(problem, cost, seed, keeper, members, 400)
     elif method == "de":
         de(problem, cost, seed, keeper, members // 2, 400)
     else:
-        branch(problem, cost, seed, keeper, members // 2, 200)
+        branch(problem, seed, keeper, members // 2, 200)
     rng = np.random.default_rng([104, seed])
     point = polished(cost, keeper.best(12, 3e-3), rng, ((1e-2, 8), (1e-3, 4), (1e-5, 2), (1e-7, 1)))
     return settled(stated, "nominal", point, rng)
@@ -177,8 +182,8 @@ def worst(stated: Stated, method: str, seed: int) -> FloatArray:
 
     if method == "lshade":
         lshade(problem, sparse, seed, keeper, 100 * problem.free.size, 250)
-    elif method == "pool":
-        pool(problem, sparse, seed, keeper, 100 * problem.free.size, 250)
+    elif method in ("pool", "branch"):
+        pool(problem, sparse, seed, keeper, 100 * problem.free.size, 250, method == "branch")
     else:
         de(problem, sparse, seed, keeper, 30 * problem.free.size, 150)
     rng = np.random.default_rng([105, seed])
@@ -210,7 +215,7 @@ def settled(stated: Stated, criterion: str, point: FloatArray, rng: np.random.Ge
     return tuning
 
 
-SEARCHES = {"nominal": (nominal, ("lshade", "de", "branch")), "worst": (worst, ("pool", "lshade", "de"))}
+SEARCHES = {"nominal": (nominal, ("lshade", "de", "branch")), "worst": (worst, ("branch", "pool", "lshade", "de"))}
 
 
 def improved(stated: Stated, criterion: str, best: dict, seconds: float, save: Callable[[dict], None]) -> None:
