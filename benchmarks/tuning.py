@@ -29,7 +29,6 @@ import os
 import platform
 import statistics
 import time
-import zlib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -155,16 +154,11 @@ def judged(stated: Stated, criterion: str, tuning: FloatArray) -> float:
     return stated.value(criterion, tuning)
 
 
-def mark(stated: Stated) -> int:
-    """A number that changes with the problem's statement, so that results of another one do not count."""
-    return zlib.crc32(repr((stated.loop, stated.experiment, stated.objective, stated.bounds)).encode())
-
-
 def measured(file: Path, problems: list[Stated]) -> list[dict[str, Any]]:
     """The results in a file that belong to these problems as they stand."""
     if not file.exists():
         return []
-    marks = {p.name: mark(p) for p in problems}
+    marks = {p.name: p.mark for p in problems}
     rows = []
     for line in file.read_text(encoding="utf-8").splitlines():
         try:
@@ -212,7 +206,7 @@ def measure(problems: list[Stated], methods: list[str], criteria: list[str], cou
             "tuning": tuning.tolist(),
             "wall": round(wall, 3),
             "cpu": round(cpu, 3),
-            "mark": mark(stated),
+            "mark": stated.mark,
         }
         with file.open("a", encoding="utf-8") as out:
             # A line of its own, also after one that was cut off.

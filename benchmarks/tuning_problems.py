@@ -12,6 +12,7 @@ from __future__ import annotations
 import itertools
 import json
 import math
+import zlib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -44,7 +45,10 @@ KINDS = {"plant": ("FOPDT", "Integrating"), "valve": ("Ideal", "Stenman", "Choud
 
 @dataclass(frozen=True)
 class Stated:
-    """One problem as values, and what is known of its best tunings (`nominal`, `worst`: J, tuning, how found)."""
+    """One problem as values, and what is known of its best tunings (`nominal`, `worst`: J, tuning, how found).
+
+    mark: a number that changes with the problem's statement, so that results of another one do not count.
+    """
 
     name: str
     loop: wb.Loop
@@ -52,6 +56,7 @@ class Stated:
     objective: wb.Objective
     bounds: wb.Bounds
     best: dict[str, dict[str, Any]]
+    mark: int
 
     def problem(self, margin: float = MARGIN) -> Problem:
         """The problem as the searches see it."""
@@ -108,6 +113,7 @@ def stated(entry: dict[str, Any]) -> Stated:
         objective=wb.Objective(**entry["objective"]),
         bounds=wb.Bounds(**{name: tuple(pair) for name, pair in entry["bounds"].items()}),
         best=entry.get("best", {}),
+        mark=zlib.crc32(json.dumps({key: part for key, part in entry.items() if key != "best"}).encode()),
     )
 
 
