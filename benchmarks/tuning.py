@@ -215,7 +215,7 @@ def measure(problems: list[Stated], methods: list[str], criteria: list[str], cou
         ratio = row["value"] / stated.best.get(criterion, {}).get("J", float("nan"))
         print(
             f"[{number}/{len(plan)}] {stated.name:10s} {criterion:8s} {method:12s} seed {seed}  "
-            f"{row['value']:12.6g}  {ratio:9.5f} of best known  {wall:6.2f} s",
+            f"{row['value']:12.6g}  {ratio:9.6g} of best known  {wall:6.2f} s",
             flush=True,
         )
 
@@ -237,7 +237,7 @@ def tables(problems: list[Stated], rows: list[dict[str, Any]]) -> None:
             near, close = (sum(x <= 1.0 + limit for x in ratios) / len(some) for limit in (0.001, 0.01))
             wall, cpu = (statistics.median(r[key] for r in some) for key in ("wall", "cpu"))
             cells = [criterion, method, str(len({r["problem"] for r in some})), str(len(some))]
-            cells += [f"{near:.0%}", f"{close:.0%}", f"{statistics.median(ratios):.4f}", f"{max(ratios):.4g}"]
+            cells += [f"{near:.0%}", f"{close:.0%}", f"{statistics.median(ratios):.5g}", f"{max(ratios):.4g}"]
             print(f"| {' | '.join(cells)} | {wall:.2f} | {cpu:.2f} |")
     print("\nRatios to the best known value; times are medians over runs.")
     names = [(c, m) for c in CRITERIA for m in METHODS if any((r["criterion"], r["method"]) == (c, m) for r in rows)]
@@ -254,8 +254,8 @@ def tables(problems: list[Stated], rows: list[dict[str, Any]]) -> None:
         for criterion, method in names:
             own_rows = [r for r in rows if (r["problem"], r["criterion"], r["method"]) == (p.name, criterion, method)]
             ratios = [r["ratio"] for r in own_rows]
-            more = f" ({max(ratios):.4f})" if len(ratios) > 1 else ""
-            cells.append(f"{statistics.median(ratios):.4f}{more}" if ratios else "")
+            more = f" ({max(ratios):.5g})" if len(ratios) > 1 else ""
+            cells.append(f"{statistics.median(ratios):.5g}{more}" if ratios else "")
         print(f"| {' | '.join(cells)} |")
     better = sorted({(r["problem"], r["criterion"]) for r in rows if r["ratio"] < 1.0 - 1e-6})
     if better:
