@@ -29,6 +29,7 @@ import os
 import platform
 import statistics
 import time
+from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -257,6 +258,9 @@ def tables(problems: list[Stated], rows: list[dict[str, Any]]) -> None:
             more = f" ({max(ratios):.5g})" if len(ratios) > 1 else ""
             cells.append(f"{statistics.median(ratios):.5g}{more}" if ratios else "")
         print(f"| {' | '.join(cells)} |")
+    # A method cannot be far from a best value of its own.
+    finders = Counter(p.best[c]["found_by"].partition(",")[0] for p in problems for c in CRITERIA)
+    print("\nBest values found by:", ", ".join(f"{name} {count}" for name, count in finders.most_common()))
     better = sorted({(r["problem"], r["criterion"]) for r in rows if r["ratio"] < 1.0 - 1e-6})
     if better:
         print("\nBelow the best known value:", ", ".join(" ".join(pair) for pair in better))
