@@ -30,8 +30,8 @@ from workbench.tune.limits import NARROW, UNSTABLE, WORN, narrowness, worn
 
 __all__ = ["Problem", "round_to"]
 
-# Random inner points of a neighbourhood: when searching, and when it is looked at closely.
-SPARSE, DENSE = 6, 100
+# Random inner points of a neighbourhood: when searching, when it is looked at closely, and for the last word.
+SPARSE, DENSE, LAST, LAST_SAMPLES = 6, 100, 2000, 2_000_000
 NAMES = ("Kc", "Ti", "Td")
 Mapping = Callable[[FloatArray], FloatArray]
 
@@ -80,6 +80,7 @@ class Problem:
         self.weights = kernel_weights(objective, self.samples, loop.sample_time)
         self._offsets = _offsets(np.random.default_rng(0), SPARSE)
         self._dense = _offsets(np.random.default_rng(1), DENSE)
+        self._last = _offsets(np.random.default_rng(2), max(DENSE, min(LAST, LAST_SAMPLES // self.samples)))
 
     def without_derivative(self) -> Problem:
         """Return the same problem with Td held at 0; its work counts as this one's."""
@@ -126,6 +127,13 @@ class Problem:
         """Return the worst J in the neighbourhood of each tuning, also of a nominal problem."""
         around = self.around(tunings, dense=dense)
         return self._worst(around, around.shape[0] // max(tunings.shape[0], 1), ceilings)
+
+    def last_word(self, tuning: FloatArray, ceiling: float = math.inf) -> float:
+        """Return the worst J in the neighbourhood of one tuning, looked at more closely than searches can afford."""
+        if self.nominal:
+            return float(self.below(tuning[None, :], np.array([ceiling]))[0])
+        points = tuning + self._last * self.radius(tuning[None, :])
+        return float(self._worst(points, points.shape[0], np.array([ceiling]))[0])
 
     def around(self, tunings: FloatArray, *, dense: bool = False) -> FloatArray:
         """Return the points of the neighbourhoods of tunings (M, 3), one group after the other, shape (M points, 3)."""

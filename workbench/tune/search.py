@@ -23,9 +23,11 @@ __all__ = ["Found", "Progress", "search", "stopper"]
 
 # Sizes of the searches up to 1,000 samples; longer runs get fewer.
 SCAN_MEMBERS, SCAN_GENERATIONS = 200, 200
+NOMINAL_MEMBERS, NOMINAL_GENERATIONS = 400, 400
 ISLAND_FRESH, ISLAND_GENERATIONS = 20, 60
 JOINT_MEMBERS, JOINT_GENERATIONS = 80, 200
 DENSE_MEMBERS, DENSE_GENERATIONS, DENSE_GAP = 60, 100, 2e-4
+ROUNDS, VALLEYS = 2, 24
 # Branch programs over all restarts, at few samples; a program's time grows with N. The least J lies at the end of a
 # walk across many decisions, the least worst case within the digits seldom does.
 SOLVES, NOMINAL_SOLVES = 24, 64
@@ -163,7 +165,7 @@ def _scan(
         points.append(some)
         values.append(costs)
 
-    members = _sized(SCAN_MEMBERS, scale)
+    members = _sized(NOMINAL_MEMBERS if problem.nominal else SCAN_MEMBERS, scale)
     start = rng.random((members, problem.free.size))
     if problem.low[2] == 0.0 and 2 in problem.free:
         # PI controllers are always among them.
@@ -171,7 +173,7 @@ def _scan(
     evolve(
         lambda x, ceilings: problem.below(problem.tunings(x), ceilings),
         np.concatenate([problem.cube(problem.guesses()), start]),
-        _sized(SCAN_GENERATIONS, scale),
+        _sized(NOMINAL_GENERATIONS if problem.nominal else SCAN_GENERATIONS, scale),
         rng,
         stop=stopper(problem, problem.work.simulated + SCAN_SAMPLES, check),
         keep=keep,
@@ -188,8 +190,8 @@ def _joint(
     """Search for the least worst case, from the pools of all restarts, at the digits to type in.
 
     The landscape of worst cases has many valleys: each pool is searched by itself, then the best of all together, and
-    in three dimensions all of that twice, from other members of the pools. So far with few points of each
-    neighbourhood; from the best at last with many. Returns the last population's tunings, the best first.
+    all of that twice, from other members of the pools. So far with few points of each neighbourhood; from the best at
+    last with many. Returns the last population's tunings, then the best of the valleys.
     """
     points: list[FloatArray] = []
     values: list[FloatArray] = []
@@ -208,13 +210,12 @@ def _joint(
             keep=keep if not dense else None,
         )
 
-    rounds = max(1, problem.free.size - 1)
-    for k in range(rounds):
+    for k in range(ROUNDS):
         rng = np.random.default_rng([*seed, k])
         first = len(points)
         for pool in [problem.guesses(), *pools]:
             fresh = rng.random((ISLAND_FRESH, problem.free.size))
-            towards(np.concatenate([problem.cube(pool[k::rounds]), fresh]), ISLAND_GENERATIONS, rng)
+            towards(np.concatenate([problem.cube(pool[k::ROUNDS]), fresh]), ISLAND_GENERATIONS, rng)
         own, costs = np.concatenate(points[first:]), np.concatenate(values[first:])
         best = spread(own, costs, _sized(JOINT_MEMBERS, scale), GAP)
         if best.size:
@@ -223,7 +224,8 @@ def _joint(
     if not best.size:
         return problem.rounded(np.concatenate(pools))
     population = towards(np.concatenate(points)[best], DENSE_GENERATIONS, rng, dense=True)
-    return problem.tunings(population.points)
+    valleys = spread(np.concatenate(points), np.concatenate(values), VALLEYS, GAP)
+    return problem.tunings(np.concatenate([population.points, np.concatenate(points)[valleys]]))
 
 
 def _sized(count: int, scale: float) -> int:

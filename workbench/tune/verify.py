@@ -23,6 +23,8 @@ STEPS = (64, 16, 4, 1)
 # A derivative time below this many sample times does nothing but look odd; it is left out where the worst case grows by
 # less than NO_LOSS without it.
 NEGLIGIBLE, NO_LOSS = 0.02, 1e-3
+# Samples of runs, one for each candidate, that may be looked at densely; candidates that get the last word.
+CANDIDATE_SAMPLES, FINALISTS = 200_000, 8
 # At most this many rounds for each step: each round improves the worst case, so this is only a guard.
 ROUNDS = 50
 
@@ -39,8 +41,9 @@ class Choice:
 def choose(problem: Problem, candidates: FloatArray, *, stop: Callable[[], bool] = lambda: False) -> Choice:
     """Return the rounded tuning of the least worst case near the candidates, shape (M, 3), M >= 1.
 
-    Every candidate is rounded and judged by a dense sample of its neighbourhood; the best is then improved step by
-    step on the lattice of its digits. A candidate with a negligible derivative is also judged without it, and its
+    Every candidate is rounded and judged by a dense sample of its neighbourhood; the best are then improved step by
+    step on the lattice of their digits, and the last word is a still closer look at these and the next best, which
+    thin cliffs cannot hide from so easily. A candidate with a negligible derivative is also judged without it, and its
     derivative is left out where that costs next to nothing.
     """
     tried = problem.rounded(candidates)
@@ -48,13 +51,15 @@ def choose(problem: Problem, candidates: FloatArray, *, stop: Callable[[], bool]
         small = tried[tried[:, 2] < NEGLIGIBLE * problem.loop.sample_time]
         tried = np.concatenate([tried, small * np.array([1.0, 1.0, 0.0])])
     tried = np.unique(tried, axis=0)
-    worst = np.concatenate([problem.worst_below(row[None, :], np.array([np.inf]), dense=True) for row in tried])
+    few = problem.worst_below(tried, np.full(tried.shape[0], np.inf))
+    tried = tried[np.argsort(few, kind="stable")[: max(4, CANDIDATE_SAMPLES // problem.samples)]]
+    worst = problem.worst_below(tried, np.full(tried.shape[0], np.inf), dense=True)
     order = np.argsort(worst, kind="stable")
-    results = []
     plain = order[tried[order, 2] == 0.0][:1]
-    for index in dict.fromkeys([*order[:3].tolist(), *plain.tolist()]):
-        best, value = _improved(problem, tried[index], float(worst[index]), stop)
-        results.append((value, float(problem.exact(best[None, :])[0]), best))
+    starts = dict.fromkeys([*order[:3].tolist(), *plain.tolist()])
+    walked = [_improved(problem, tried[index], float(worst[index]), stop)[0] for index in starts]
+    ends = np.unique(np.concatenate([np.array(walked), tried[order[:FINALISTS]]]), axis=0)
+    results = [(problem.last_word(end), float(problem.exact(end[None, :])[0]), end) for end in ends]
     least = min(item[0] for item in results)
     # Worst cases that are as good as equal leave the choice to J itself.
     near = [item for item in results if item[0] <= (1.0 + NO_LOSS) * least] or results
