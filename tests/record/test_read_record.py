@@ -114,7 +114,10 @@ def test_a_wrong_mapping_is_refused(tmp_path: Path, columns: dict[str, str], wor
         ("t,PV,PV,OP\n0,1,2,3\n1,1,2,3\n", ["could each be PV"]),
         ("0,1,2\n1,2,3\n2,3,4\n", ["line 1", "header"]),
         ("PV,OP\n1,2\n2,3\n", ["no time column", "sample_time"]),
-        ("t,PV,OP\n0,1,2\n1,1,2\n1,2,3\n2,1,2\n2,3,2\n3,1,2\n", ["line 4", "'t'", "same time as line 3", "1 times more"]),
+        (
+            "t,PV,OP\n0,1,2\n1,1,2\n1,2,3\n2,1,2\n2,3,2\n3,1,2\n",
+            ["line 4", "'t'", "same time as line 3", "1 times more"],
+        ),
         ("t,PV,OP\n0,1,2\n1,1,2\n0.5,1,2\n2,1,2\n", ["line 4", "'t'", "before line 3"]),
         ("t,PV,OP\n0,bad,2\n1,worse,2\n2,ugly,2\n", ["line 2", "'PV'", "text", "'bad'"]),
         ("t,PV,OP\n0,1,\n1,2,\n2,3,\n", ["line 2", "'OP'", "blank"]),

@@ -6,6 +6,7 @@ output and settings do. Nothing is interpolated over a gap, or over a value that
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -22,7 +23,9 @@ __all__ = ["Samples", "lay"]
 UNEVEN = 0.05  # share of intervals that may break the pattern before the file counts as unevenly sampled
 SPARSE = 0.20  # share of blank cells from which they mean "no new value", as where a row is written per change
 COMMON = 0.90  # share of times that PV and OP must have in common to count as sampled together
-GAP = 10.0  # usual intervals without a value that are a gap in irregular records
+GAP = 10.0  # usual intervals without a value that are a gap in irregular records,
+# unless a compressed archive is often silent for longer: then this many times the longest silence but for the rarest.
+SILENCE, RARE, FEW = 3.0, 0.01, 40
 FINEST = 10.0  # samples that a usual interval may be cut into
 MOST = 20_000_000  # samples on the grid
 
@@ -54,6 +57,7 @@ class Samples:
 def lay(signals: Signals, sample_time: float | None, max_gap: float | None, source: str) -> Samples:
     """Return the loop on one grid. sample_time, max_gap: s, or None for the record's own. Raises `RecordError`."""
     pv, op = _together(signals.by["PV"], signals.by["OP"])
+    why = "PV and OP have times of their own"
     if pv.seconds is op.seconds or np.array_equal(pv.seconds, op.seconds):
         if not signals.timed:
             return _as_recorded(signals, pv, op, 1.0 if sample_time is None else sample_time)
@@ -67,7 +71,10 @@ def lay(signals: Signals, sample_time: float | None, max_gap: float | None, sour
         if not bridging and _is_even(steps, usual) and not any(_sparse(s.cells) for s in (pv, op)):
             _agree(sample_time, usual, signals, source)
             return _as_recorded(signals, pv, op, usual)
-    return _resampled(signals, pv, op, sample_time, max_gap, source)
+        why = "the times are not even" if not _is_even(steps, usual) else "most rows hold only what changed"
+    if max_gap is not None:
+        why = "gaps are to be bridged"
+    return _resampled(signals, pv, op, sample_time, max_gap, source, why)
 
 
 def _together(pv: Signal, op: Signal) -> tuple[Signal, Signal]:
@@ -125,7 +132,13 @@ def _as_recorded(signals: Signals, pv: Signal, op: Signal, usual: float) -> Samp
 
 
 def _resampled(
-    signals: Signals, pv: Signal, op: Signal, sample_time: float | None, max_gap: float | None, source: str
+    signals: Signals,
+    pv: Signal,
+    op: Signal,
+    sample_time: float | None,
+    max_gap: float | None,
+    source: str,
+    why: str,
 ) -> Samples:
     t, y, lines, bad = _good(pv)
     t_op, u, _, bad_op = _good(op)
@@ -140,9 +153,9 @@ def _resampled(
             f"{FINEST:g} samples to one of these are made"
         )
         raise RecordError(msg)
-    limit = GAP * max(usual[0], Ts) if max_gap is None else max_gap
-    limit_op = max(limit, GAP * usual[-1]) if max_gap is None else max_gap
     steps = np.diff(t)
+    limit = max(_gap(steps), GAP * Ts) if max_gap is None else max_gap
+    limit_op = max(limit, _gap(np.diff(t_op))) if max_gap is None else max_gap
     split = steps > limit * (1.0 + 1e-9)
     gaps = int(np.count_nonzero(split))
     if max_gap is None and bad.size:
@@ -185,20 +198,26 @@ def _resampled(
         between=between,
     )
     _others(out, signals, limit)
-    out.notes.append(_method(signals, out, min(usual), limit, max_gap))
+    out.notes.append(_method(signals, out, why, min(usual), limit))
     return out
 
 
-def _method(signals: Signals, out: Samples, usual: float, limit: float, max_gap: float | None) -> str:
+def _gap(steps: FloatArray) -> float:
+    """Return the longest interval, s, that is no gap in an irregular signal's own intervals, shape (N - 1,)."""
+    if steps.size == 0:
+        return 0.0
+    rare = max(4, math.ceil(RARE * steps.size))
+    silence = float(np.sort(steps)[-rare]) if steps.size >= FEW else 0.0
+    return max(GAP * float(np.median(steps)), SILENCE * silence)
+
+
+def _method(signals: Signals, out: Samples, why: str, usual: float, limit: float) -> str:
     held = ["OP", *(name for name in ("SP", "MODE") if name in signals.by)]
     linear = ["PV", *(["valve position"] if out.stem is not None else [])]
-    why = (
-        "resampled as max_gap asks" if max_gap is not None else "not evenly sampled, or PV and OP at times of their own"
-    )
     return (
-        f"{why}: every {out.sample_time:g} s (values came every {usual:.4g} s), {' and '.join(linear)} linear between "
-        f"values, {', '.join(held)} held; {out.between / max(out.pv.size, 1):.0%} of the samples lie between recorded "
-        f"values of PV; more than {limit:.4g} s without a value is a gap"
+        f"resampled, as {why}: every {out.sample_time:g} s (values came every {usual:.4g} s), {' and '.join(linear)} "
+        f"linear between values, {', '.join(held)} held; {out.between / max(out.pv.size, 1):.0%} of the samples lie "
+        f"between recorded values of PV; more than {limit:.4g} s without a value is a gap"
     )
 
 

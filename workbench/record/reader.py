@@ -113,7 +113,7 @@ def read_record(
     parts = part(samples, signals.unit)
     if parts.best[1] - parts.best[0] < 2:
         causes = [*_rejections(signals, samples)[1], *parts.notes]
-        msg = f"{source}: no two clean, evenly spaced rows follow each other" + "".join(f"; {one}" for one in causes)
+        msg = f"{source}: no two clean rows follow each other in one mode" + "".join(f"; {one}" for one in causes)
         raise RecordError(msg)
     return _record(signals, samples, parts, sample_time, scale_pv, scale_op is not None, set(NEEDED) <= given, source)
 
@@ -188,8 +188,8 @@ def _some_usable(signals: Signals, source: str) -> None:
             )
             raise RecordError(msg)
         msg = (
-            f"{source}: {signals.unit} {line}, column {signal.name!r}: no row holds a number, the first is {_WHY[mark]}"
-            f"{_examples(signal, mark)}"
+            f"{source}: {signals.unit} {line}, {signals.what} {signal.name!r}: no row holds a number, the first is "
+            f"{_WHY[mark]}{_examples(signal, mark)}"
         )
         raise RecordError(msg)
 
@@ -223,7 +223,7 @@ def _rejections(signals: Signals, samples: Samples) -> tuple[dict[str, int], lis
         lines = np.concatenate([s.lines[marks == mark] for s, marks in hits])
         counts[f"rejected, {why}"] = int(lines.size)
         # Fields too many are the row's fault, and no column's.
-        where = "" if mark == FIELDS else f", column {signal.name!r}"
+        where = "" if mark == FIELDS else f", {signals.what} {signal.name!r}"
         notes.append(
             f"{lines.size} row{'s' if lines.size > 1 else ''} rejected: {why}{_examples(signal, mark)}, first in "
             f"{signals.unit} {lines.min()}{where}"
@@ -285,7 +285,7 @@ def _kept_said(signals: Signals, samples: Samples, parts: Parts, whole: int, oth
     first, stop = parts.best
     of = f"{signals.rows} rows" if samples.even else f"{whole} samples"
     said = (
-        f"kept the longest clean, evenly sampled stretch: {stop - first} of {of}, {signals.unit}s "
+        f"kept the longest clean stretch: {stop - first} of {of}, {signals.unit}s "
         f"{samples.lines[first]} to {samples.lines[stop - 1]}"
     )
     if samples.gaps:

@@ -38,6 +38,7 @@ class Signals:
 
     rows: of the file. dropped: rows without a readable time or with fields too many, as lines by cause. repeated: rows
     left out since their time occurs again. timed: False where the file has no times; `seconds` then counts samples.
+    what: a signal's name is, a column or a tag.
     """
 
     by: dict[str, Signal]
@@ -47,6 +48,7 @@ class Signals:
     repeated: int = 0
     timed: bool = True
     time_name: str = ""
+    what: str = "column"
     notes: list[str] = field(default_factory=list)
 
 
@@ -87,7 +89,7 @@ def from_wide(table: Table, names: Mapping[str, str], source: str) -> Signals:
 
 def from_tall(table: Table, names: Mapping[str, str], tags: Mapping[str, str] | None, source: str) -> Signals:
     """Return the signals of a historian export with a row per value; tags: which tag is which. Raises `RecordError`."""
-    out = Signals({}, table.unit, table.lines.size, notes=list(table.notes), time_name=names["time"])
+    out = Signals({}, table.unit, table.lines.size, notes=list(table.notes), time_name=names["time"], what="tag")
     codes: dict[str, int] = {}
     of_row = np.array([codes.setdefault(tag, len(codes)) for tag in table.columns["tag"].as_texts()])
     listed = [tag for tag in codes if tag]

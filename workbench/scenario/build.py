@@ -422,7 +422,7 @@ class Builder:
             path: Path = ("estimate", i)
             record = None
             if e.data is None:
-                for name in ("columns", "sample_time"):
+                for name in ("columns", "tags", "sample_time", "pv_range", "op_range", "max_gap"):
                     if getattr(e, name) is not None:
                         self.refusals.refuse((*path, name), "given without data; a simulated record has no such entry")
             else:
@@ -430,9 +430,16 @@ class Builder:
                     self.refusals.refuse(
                         (*path, "noise"), "given with data; only a simulated record can be given noise"
                     )
-                columns = None if e.columns is None else e.columns.model_dump(exclude_none=True)
                 try:
-                    record = read_record(self._beside(e.data), columns=columns, sample_time=e.sample_time)
+                    record = read_record(
+                        self._beside(e.data),
+                        columns=None if e.columns is None else e.columns.model_dump(exclude_none=True),
+                        tags=None if e.tags is None else e.tags.model_dump(exclude_none=True),
+                        sample_time=e.sample_time,
+                        pv_range=e.pv_range or self.controllers.pv_range,
+                        op_range=e.op_range,
+                        max_gap=e.max_gap,
+                    )
                 except (RecordError, InvalidValue, OSError, ValueError) as error:
                     self.refusals.refuse((*path, "data"), _one_line(error))
                 else:
