@@ -105,12 +105,13 @@ def from_tall(table: Table, names: Mapping[str, str], tags: Mapping[str, str] | 
         rows = np.flatnonzero(of_row == codes[listed[i]])
         cells = _values(table, rows, kind, f"{source}: tag {listed[i]!r}")
         if "quality" in table.columns:
-            texts = table.columns["quality"].as_texts()
-            _mark_quality(cells, [texts[k] for k in rows.tolist()], names["quality"], out.notes)
+            said_of = table.columns["quality"].as_texts()
+            _mark_quality(cells, [said_of[k] for k in rows.tolist()], names["quality"], out.notes)
         value = np.where(cells.marks == OK, cells.values, 0.0)
         same = np.concatenate(([False], value[1:] == value[:-1]))
         if cells.texts is not None and kind == "MODE":
-            same[1:] &= [a == b for a, b in zip(cells.texts[1:], cells.texts[:-1], strict=True)]
+            texts = np.array(cells.texts, dtype=object)
+            same[1:] &= (texts[1:] == texts[:-1]).astype(bool)
         order = in_order(times[rows], same, wall_clock)
         _refuse(order, table, names["time"], listed[i], source, rows)
         said.update(order.notes)
