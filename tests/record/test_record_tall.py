@@ -14,7 +14,7 @@ from workbench.errors import RecordError
 from workbench.record.quality import good_quality
 from workbench.record.reader import read_record
 
-START = dt.datetime(2024, 10, 17, 21, 55)
+START = dt.datetime(2024, 10, 17, 21, 55)  # noqa: DTZ001 - a clock on a wall
 
 
 def stamp(second: float) -> str:
@@ -93,7 +93,7 @@ def test_a_tag_twice_at_one_time_counts_once_or_is_refused(tmp_path: Path) -> No
     assert record.counts["repeated"] == 1
     other = [(tag, time, f"{float(value) + 1:g}", good) for tag, time, value, good in rows]
     both = [row for pair in zip(rows, other, strict=True) for row in pair]
-    with pytest.raises(RecordError, match="line 3, column 'Timestamp', tag 'F1.PV': the same time as line 2"):
+    with pytest.raises(RecordError, match=r"line 3, column 'Timestamp', tag 'F1\.PV': the same time as line 2"):
         read_record(write(tmp_path, both))
 
 
@@ -113,7 +113,7 @@ def test_texts_and_qualities_are_rejected_and_counted(tmp_path: Path) -> None:
 
 def test_a_tag_without_one_number_is_refused(tmp_path: Path) -> None:
     rows = [(tag, time, "No Data", "Bad") for tag, time, *_ in rows_of("F1.PV", PV)] + rows_of("F1.OP", OP)
-    with pytest.raises(RecordError, match="line 2, tag 'F1.PV': no row holds a number, the first is text"):
+    with pytest.raises(RecordError, match=r"line 2, tag 'F1\.PV': no row holds a number, the first is text"):
         read_record(write(tmp_path, rows))
 
 
@@ -160,7 +160,7 @@ def test_a_compressed_archive_is_not_interpolated_over_a_gap_or_a_bad_value(tmp_
 
 
 def test_decimal_commas_in_a_tall_export(tmp_path: Path) -> None:
-    rows = [row[:2] + (row[2].replace(".", ","), "Good") for row in rows_of("F.PV", PV) + rows_of("F.OP", OP)]
+    rows = [(*row[:2], row[2].replace(".", ","), "Good") for row in rows_of("F.PV", PV) + rows_of("F.OP", OP)]
     path = tmp_path / "tall.csv"
     path.write_text("Tag;Time;Value;Quality\n" + "\n".join(";".join(row) for row in rows))
     assert read_record(path).pv.tolist() == PV
@@ -189,9 +189,7 @@ def test_a_tall_parquet_export(tmp_path: Path) -> None:
 
 def test_a_wide_file_may_have_qualities_and_tags(tmp_path: Path) -> None:
     lines = ["time,F1.PV,F1.PV quality,F1.OP,F1.OP quality,F2.PV"]
-    lines += [
-        f"{k},{PV[k]},{'Bad' if k == 5 else 'Good'},{OP[k]},{'Bad' if k == 6 else 'Good'},1" for k in range(60)
-    ]
+    lines += [f"{k},{PV[k]},{'Bad' if k == 5 else 'Good'},{OP[k]},{'Bad' if k == 6 else 'Good'},1" for k in range(60)]
     path = tmp_path / "wide.csv"
     path.write_text("\n".join(lines))
     record = read_record(path, tags={"PV": "F1.PV"})

@@ -88,7 +88,9 @@ def test_a_repeated_time_keeps_the_last_row(tmp_path: Path) -> None:
 
 def test_times_cut_to_whole_minutes_are_refused(tmp_path: Path) -> None:
     times: list[object] = [f"2024-10-17 21:{k // 6:02d}" for k in range(120)]
-    with pytest.raises(RecordError, match="the same time as line 2 with other values.*cut to whole seconds or minutes"):
+    with pytest.raises(
+        RecordError, match=r"the same time as line 2 with other values.*cut to whole seconds or minutes"
+    ):
         read_record(write(tmp_path, times))
 
 
@@ -177,9 +179,7 @@ def test_times_come_out_ascending_or_are_refused(times: list[float], wall: bool)
 @given(
     steps=st.lists(st.floats(0.5, 2.0), min_size=40, max_size=120), Ts=st.floats(0.3, 4.0), shift=st.floats(-1e6, 1e6)
 )
-def test_resampling_a_straight_line_gives_the_line(
-    tmp_path: Path, steps: list[float], Ts: float, shift: float
-) -> None:
+def test_resampling_a_straight_line_gives_the_line(tmp_path: Path, steps: list[float], Ts: float, shift: float) -> None:
     times = shift + np.concatenate(([0.0], np.cumsum(steps)))
     path = tmp_path / "loop.csv"
     path.write_text("t,PV,OP\n" + "".join(f"{t!r},{0.5 * (t - shift)!r},{k}\n" for k, t in enumerate(times.tolist())))

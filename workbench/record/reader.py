@@ -38,6 +38,7 @@ from workbench.record.table import (
 __all__ = ["LARGEST", "read_record"]
 
 LARGEST = 1 << 30  # bytes
+SAME = 10  # samples in which PV and OP are equal by chance at most
 SHOWN = 4  # texts or qualities named one by one
 
 _WHY = {
@@ -261,6 +262,9 @@ def _record(
         counts["left out"] = whole - (stop - first)
         notes.append(_kept_said(signals, samples, parts, whole, others))
     best = record_of(samples, first, stop, sample_time, notes)
+    if len(best) > SAME and np.array_equal(best.pv, best.op) and float(np.ptp(best.pv)) > 0.0:
+        msg = f"{source}: PV and OP hold the same values in all {len(best)} kept rows: one signal exported twice?"
+        raise RecordError(msg)
     if not named and best.sp is not None and swapped(best.sp, best.pv, best.op):
         pv, op = signals.by["PV"].name, signals.by["OP"].name
         msg = (
