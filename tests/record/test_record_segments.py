@@ -53,7 +53,7 @@ def test_stretches_of_one_mode_are_kept_apart_and_manual_is_left_out(tmp_path: P
 
 def test_segments_stay_those_of_the_record_when_a_field_is_replaced(tmp_path: Path) -> None:
     mode = ["AUTO"] * 100 + ["CAS"] * 150
-    record = replace(read_record(write(tmp_path, {"PV": noise(250), "OP": noise(250), "MODE": mode})), source="new")
+    record = replace(read_record(write(tmp_path, {"PV": noise(250), "OP": noise(250, 1), "MODE": mode})), source="new")
     assert [len(part) for part in record.segments] == [100, 150]
     assert record.segments[1].source == "new"
     assert all(part.rest == () for part in record.segments)
@@ -64,7 +64,7 @@ def test_segments_stay_those_of_the_record_when_a_field_is_replaced(tmp_path: Pa
 
 def test_a_blank_mode_is_the_mode_before_it(tmp_path: Path) -> None:
     mode = ["AUTO"] * 10 + [""] * 30 + ["CAS"] * 15
-    record = read_record(write(tmp_path, {"PV": noise(55), "OP": noise(55), "MODE": mode}))
+    record = read_record(write(tmp_path, {"PV": noise(55), "OP": noise(55, 1), "MODE": mode}))
     assert record.mode == ("AUTO",) * 40
 
 
