@@ -338,6 +338,34 @@ def test_comments_and_blank_lines_keep_the_line_numbers_right(tmp_path: Path) ->
         read_record(write(tmp_path, text))
 
 
+def test_titles_before_the_header_and_units_below_it(tmp_path: Path) -> None:
+    text = "Trend export, FIC101\nFrom;2024-10-17\n\nt,OP,PV\ns,%,m3/h\n" + table("t|OP|PV").split("\n", 1)[1]
+    record = read_record(write(tmp_path, text))
+    assert record.pv.tolist() == [10.0 - k for k in range(12)]
+    assert "the header is line 4" in record.notes
+    assert any("1 row rejected: no readable time, first in line 5" in note for note in record.notes)
+    with pytest.raises(RecordError, match="no column for PV and OP; the file has 'Trend export', 'FIC101'"):
+        read_record(write(tmp_path, text.replace("t,OP,PV", "a,b,c")))
+
+
+def test_a_day_and_a_clock_in_columns_of_their_own(tmp_path: Path) -> None:
+    rows = [f"17.10.2024,23:59:{k:02d},{k},5" if k < 60 else f"18.10.2024,00:00:{k - 60:02d},{k},5" for k in range(90)]
+    record = read_record(write(tmp_path, "Date,Time,PV,OP\n" + "\n".join(rows)))
+    assert (len(record), record.sample_time, record.pv[-1]) == (90, 1.0, 89.0)
+    assert "first timestamp 17.10.2024 23:59:00" in record.notes
+    alone = write(tmp_path, "Time,PV,OP\n" + "\n".join(row.partition(",")[2] for row in rows))
+    with pytest.raises(RecordError, match="line 2, column 'Time': '23:59:00' is no time that can be read"):
+        read_record(alone)
+
+
+def test_a_name_in_quotes_may_take_two_lines(tmp_path: Path) -> None:
+    text = table("t|OP|PV").replace("t,OP,PV", 't,OP,"PV\n(m3/h)"')
+    record = read_record(write(tmp_path, text))
+    assert record.pv.tolist() == [10.0 - k for k in range(12)]
+    path = write(tmp_path, text.replace("4,40.2", "4,bad"))
+    assert any("first in line 5, column 'OP'" in note for note in read_record(path).notes)
+
+
 def test_parquet_equals_csv(tmp_path: Path) -> None:
     text = table("t|OP|PV|SP|MODE", rows=40)
     from_csv = read_record(write(tmp_path, text))

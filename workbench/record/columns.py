@@ -126,13 +126,17 @@ def match_columns(
 
     header: the file's column names. columns: an explicit mapping from signal (`SIGNALS`, or the columns of a tall
     file, in any case) to column name, which goes before all spellings. A wide file's qualities are found as "quality"
-    (of the row), "PV quality" and "OP quality". Raises `RecordError` for columns that are missing, ambiguous or mapped
-    twice.
+    (of the row), "PV quality" and "OP quality"; the day as "date" where "time" may be but a clock. Raises `RecordError`
+    for columns that are missing, ambiguous or mapped twice.
     """
     names = [h.strip() for h in header]
     wanted = TALL if tall else (*SIGNALS, "quality")
     needed = ("tag", "time", "value") if tall else NEEDED
     found = _match(names, columns, wanted, needed, source, "column")
+    # A day and a clock in columns of their own are one time.
+    days = [i for i, n in enumerate(names) if _plain(n) == "date" and i not in found.values()]
+    if days and "time" in found and _plain(names[found["time"]]) == "time":
+        found["date"] = days[0]
     for signal in () if tall else NEEDED:
         plain = _plain(names[found[signal]])
         stems = [plain] + [plain.removesuffix(word) for word in _AFTER if plain.endswith(word)]

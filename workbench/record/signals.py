@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +19,8 @@ from workbench.record.times import FORMATS_SAID, Order, in_order, parse_timestam
 
 __all__ = ["Signal", "Signals", "from_tall", "from_wide"]
 
+# A time of day without its day.
+_CLOCK = re.compile(r"\d{1,2}:\d\d")
 # A day number as spreadsheets write times; between them lie steps of less than ten minutes, in days.
 _SERIAL = (20_000.0, 80_000.0, 600.0 / 86_400.0)
 
@@ -171,6 +174,9 @@ def _seconds(cells: Cells, name: str, table: Table, source: str, notes: list[str
     """Return seconds, shape (N,), nan for none; whether they are a clock on a wall; and which of them becomes 0."""
     # Rows with fields too many hold a time all the same, or the file would be told that it has none.
     numeric = int(np.count_nonzero(np.isfinite(cells.values)))
+    if "date" in table.columns and _CLOCK.match(next(filter(None, cells.texts or ()), "")):
+        days = table.columns["date"].as_texts()
+        cells = replace(cells, texts=[f"{day} {clock}" for day, clock in zip(days, cells.as_texts(), strict=True)])
     if cells.stamped is not None:
         first, zoned = cells.stamped
         if numeric:

@@ -9,7 +9,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
-from itertools import chain
+from itertools import chain, islice
 from pathlib import Path
 
 import numpy as np
@@ -41,6 +41,7 @@ NUMERIC = ("PV", "OP", "SP", "valve_position")
 
 # Enough to find the delimiter and to tell text from a binary file.
 _HEAD = 65536
+_HEAD_LINES = 50  # in which a header is looked for
 
 
 # Larger values are fill values of a historian, and their squares would overflow.
@@ -194,8 +195,8 @@ def read_csv(path: Path, match: Callable[[list[str]], dict[str, int]], source: s
 
     match: from the header to the column index of each needed signal. Delimiter comma, semicolon or tab, with a decimal
     comma allowed for the latter two; UTF-8 (with or without a byte order mark), UTF-16 or Windows-1252. Lines before
-    the header that are empty or start with # are passed over. A row with more fields than the header is marked FIELDS
-    (a decimal comma in a comma-separated file shows in that way). Raises `RecordError`.
+    the header that are empty, start with # or hold a title are passed over. A row with more fields than the header is
+    marked FIELDS (a decimal comma in a comma-separated file shows in that way). Raises `RecordError`.
     """
     notes: list[str] = []
     with _reading(source):
@@ -205,22 +206,37 @@ def read_csv(path: Path, match: Callable[[list[str]], dict[str, int]], source: s
         if encoding == "cp1252":
             notes.append("the text is not UTF-8 and was read as Windows-1252")
         with path.open(encoding=encoding, newline="") as stream:
-            skipped, first = 0, ""
-            for line in stream:
-                if line.strip() and not line.lstrip().startswith("#"):
-                    first = line
-                    break
-                skipped += 1
-            if not first:
-                msg = f"{source}: empty: no header and no row"
-                raise RecordError(msg)
-            mark = _delimiter(first)
-            reader = csv.reader(chain((first,), stream), delimiter=mark, skipinitialspace=True, strict=False)
+            head_lines = list(islice(stream, _HEAD_LINES))
+            skipped, mark, found = _header(head_lines, match, source)
+            if any(line.strip() and not line.lstrip().startswith("#") for line in head_lines[:skipped]):
+                notes.append(f"the header is line {skipped + 1}")
+            lines = chain(head_lines[skipped:], stream)
+            reader = csv.reader(lines, delimiter=mark, skipinitialspace=True, strict=False)
             header = next(reader)
-            if all(_number(cell, mark != ",")[1] == OK for cell in header):
-                msg = f"{source}: line {skipped + 1}: numbers where the column names should be; a header line is needed"
-                raise RecordError(msg)
-            return _rows(reader, header, match(header), mark, skipped, notes, source), header
+            return _rows(reader, header, found, mark, skipped, notes, source), header
+
+
+def _header(
+    lines: list[str], match: Callable[[list[str]], dict[str, int]], source: str
+) -> tuple[int, str, dict[str, int]]:
+    """Return the number of lines before the header, the delimiter and the columns; titles may stand before a header."""
+    refusal: RecordError | None = None
+    for skipped, line in enumerate(lines):
+        if not line.strip() or line.lstrip().startswith("#"):
+            continue
+        mark = _delimiter(line)
+        # A name in quotes may go on in the next line.
+        cells = next(csv.reader(lines[skipped:], delimiter=mark, skipinitialspace=True, strict=False))
+        if all(_number(cell, mark != ",")[1] == OK for cell in cells):
+            msg = f"{source}: line {skipped + 1}: numbers where the column names should be; a header line is needed"
+            raise refusal or RecordError(msg)
+        try:
+            return skipped, mark, match(cells)
+        except RecordError as error:
+            # If no line is a header, what is wrong with the first one is told.
+            refusal = refusal or error
+    nothing = "empty: no header and no row" if len(lines) < _HEAD_LINES else f"no header in {_HEAD_LINES} lines"
+    raise refusal or RecordError(f"{source}: {nothing}")
 
 
 def _rows(
