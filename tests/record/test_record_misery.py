@@ -154,6 +154,49 @@ def test_random_tall_files_give_a_record_or_our_own_error(
         holds(record)
 
 
+number_or_not = st.one_of(*[st.floats(-1e3, 1e3).map(lambda v: f"{v:.4g}")] * 9, cell.filter(str.isalnum), words)
+history = st.lists(
+    st.tuples(
+        st.sampled_from([0.0, 0.5, 1.0, 1.0, 1.0, 3.0, 40.0]), number_or_not, st.sampled_from(["Good"] * 9 + ["Bad"])
+    ),
+    min_size=2,
+    max_size=40,
+)
+
+
+@quiet
+@given(
+    tags=st.fixed_dictionaries(
+        {"PV": history, "OP": history}, optional={"SP": history, "MODE": history, "ZT": history}
+    ),
+    by_time=st.booleans(),
+    max_gap=st.sampled_from([None, None, 2.0, 1e9]),
+    sample_time=st.sampled_from([None, None, 0.3, 1.0]),
+    op_range=st.sampled_from([None, (-1e3, 1e3)]),
+)
+def test_random_histories_give_a_record_or_our_own_error(
+    tmp_path: Path,
+    tags: dict[str, list[tuple[float, str, str]]],
+    by_time: bool,
+    max_gap: float | None,
+    sample_time: float | None,
+    op_range: tuple[float, float] | None,
+) -> None:
+    rows: list[tuple[float, str]] = []
+    for tag, values in tags.items():
+        times = np.cumsum([step for step, *_ in values]).tolist()
+        rows += [(t, f'F.{tag},{t},"{v}",{q}'.replace('"""', '"')) for t, (_, v, q) in zip(times, values, strict=True)]
+    if by_time:
+        rows.sort(key=lambda row: row[0])
+    path = tmp_path / "tall.csv"
+    path.write_text("\n".join(["tag,time,value,quality", *(text for _, text in rows)]), "utf-8")
+    with suppress(WorkbenchError):
+        record = wb.read_record(path, max_gap=max_gap, sample_time=sample_time, op_range=op_range)
+        holds(record)
+        if "resampled" in record.counts and sample_time is not None:
+            assert record.sample_time == sample_time
+
+
 def holds(record: wb.Record) -> None:
     """What every record promises."""
     assert record.counts["kept"] == len(record) >= 2

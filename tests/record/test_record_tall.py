@@ -111,6 +111,14 @@ def test_texts_and_qualities_are_rejected_and_counted(tmp_path: Path) -> None:
     assert "1 row rejected: bad quality" in said
 
 
+def test_tags_of_different_hours_are_refused(tmp_path: Path) -> None:
+    rows = rows_of("F1.PV", PV) + [
+        (tag, stamp(3600 + 10 * k), v, q) for k, (tag, _, v, q) in enumerate(rows_of("F1.OP", OP))
+    ]
+    with pytest.raises(RecordError, match=r"PV \(0 to 590 s\) and OP \(3600 to 4190 s\) have no sample time in common"):
+        read_record(write(tmp_path, rows))
+
+
 def test_a_tag_without_one_number_is_refused(tmp_path: Path) -> None:
     rows = [(tag, time, "No Data", "Bad") for tag, time, *_ in rows_of("F1.PV", PV)] + rows_of("F1.OP", OP)
     with pytest.raises(RecordError, match=r"line 2, tag 'F1\.PV': no row holds a number, the first is text"):

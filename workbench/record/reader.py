@@ -111,6 +111,10 @@ def read_record(
         msg = f"{source}: no time column; give sample_time in seconds, or the column, columns={{'time': 'name'}}"
         raise RecordError(msg)
     samples = lay(signals, sample_time, max_gap, source)
+    if samples.seconds.size == 0:
+        spans = (f"{s.seconds[0]:g} to {s.seconds[-1]:g} s" for s in (signals.by["PV"], signals.by["OP"]))
+        msg = f"{source}: PV ({next(spans)}) and OP ({next(spans)}) have no sample time in common"
+        raise RecordError(msg)
     parts = part(samples, signals.unit)
     if parts.best[1] - parts.best[0] < 2:
         causes = [*_rejections(signals, samples)[1], *parts.notes]

@@ -50,13 +50,13 @@ def part(samples: Samples, unit: str) -> Parts:
     if kinds is not None:
         follows[1:] &= kinds[1:] == kinds[:-1]
     begins = np.flatnonzero(usable & ~follows)
+    if begins.size == 0:
+        return Parts((0, 0), (), _many(frozen), 0, tuple(notes))
     ends = np.concatenate((begins[1:], [usable.size]))
     # Unusable samples lie behind the last sample that follows.
     stops = np.array(
         [b + 1 + _leading(follows[b + 1 : e]) for b, e in zip(begins.tolist(), ends.tolist(), strict=True)]
     )
-    if begins.size == 0:
-        return Parts((0, 0), (), _many(frozen), 0, tuple(notes))
     length = stops - begins
     manual = np.zeros(begins.size, dtype=bool) if kinds is None else kinds[begins] == MANUAL
     all_manual = not (length[~manual] >= 2).any()
