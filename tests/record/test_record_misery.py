@@ -117,7 +117,9 @@ def test_wrong_wishes_are_refused(tmp_path: Path, reading: dict[str, object], wo
         wb.read_record(path, **reading)  # type: ignore[arg-type]
 
 
-quiet = settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+# A busy machine is no defect.
+CALM = [HealthCheck.function_scoped_fixture, HealthCheck.too_slow]
+quiet = settings(max_examples=100, deadline=None, suppress_health_check=CALM)
 words = st.sampled_from(
     ["", "Bad Input", "I/O Timeout", "No Data", "nan", "inf", "-inf", "1e300", "1,5", '"', "0", "-0.0", "1e-320", "x;y"]
 )
@@ -154,14 +156,9 @@ def test_random_tall_files_give_a_record_or_our_own_error(
         holds(record)
 
 
-number_or_not = st.one_of(*[st.floats(-1e3, 1e3).map(lambda v: f"{v:.4g}")] * 9, cell.filter(str.isalnum), words)
-history = st.lists(
-    st.tuples(
-        st.sampled_from([0.0, 0.5, 1.0, 1.0, 1.0, 3.0, 40.0]), number_or_not, st.sampled_from(["Good"] * 9 + ["Bad"])
-    ),
-    min_size=2,
-    max_size=40,
-)
+value = st.one_of(*[st.integers(-800, 800).map(lambda k: str(k / 8))] * 9, words)
+moment = st.sampled_from([0.0, 0.5, 1.0, 1.0, 1.0, 3.0, 40.0])
+history = st.lists(st.tuples(moment, value, st.sampled_from(["Good"] * 9 + ["Bad"])), min_size=5, max_size=30)
 
 
 @quiet
@@ -265,7 +262,7 @@ def damaged(folder: Path, data: st.DataObject, n: int, modes: bool) -> Path:
 
 
 @pytest.mark.slow
-@settings(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=25, deadline=None, suppress_health_check=CALM)
 @given(data=st.data(), n=st.integers(60, 300), modes=st.booleans())
 def test_damaged_records_are_estimated_or_refused(tmp_path: Path, data: st.DataObject, n: int, modes: bool) -> None:
     said = outcome(damaged(tmp_path, data, n, modes))
