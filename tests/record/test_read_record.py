@@ -180,10 +180,14 @@ def test_usual_encodings_are_read(tmp_path: Path, encoding: str) -> None:
     assert any("Windows-1252" in note for note in record.notes) == (encoding == "cp1252")
 
 
-@pytest.mark.parametrize("sep", [",", ";", "\t"])
+@pytest.mark.parametrize("sep", [",", ";", "\t", "|"])
 def test_delimiters_and_quotes(tmp_path: Path, sep: str) -> None:
     quoted = "\n".join(sep.join(f'"{c}"' for c in line.split(sep)) for line in table("t|OP|PV", sep=sep).splitlines())
     assert read_record(write(tmp_path, quoted)).pv.tolist() == [10.0 - k for k in range(12)]
+
+
+def test_percent_signs_are_no_text(tmp_path: Path) -> None:
+    assert read_record(write(tmp_path, "t,PV,OP\n0,1,5.5%\n1,2,6 %\n2,3,7\n")).op.tolist() == [5.5, 6, 7]
 
 
 def test_decimal_commas_where_the_delimiter_allows_them(tmp_path: Path) -> None:

@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from workbench.errors import RecordError
-from workbench.model.checks import number, ordered_pair
+from workbench.model.checks import instance, number, ordered_pair
 from workbench.model.record import Record
 from workbench.record.checks import held_said, op_said, swapped, within_range
 from workbench.record.columns import NEEDED, is_tall, match_columns
@@ -86,8 +86,10 @@ def read_record(
         number(sample_time, "sample_time", above=0.0, unit="s")
     if max_gap is not None:
         number(max_gap, "max_gap", above=0.0, unit="s")
-    scale_pv = None if pv_range is None else ordered_pair(tuple(pv_range), "pv_range")
-    scale_op = None if op_range is None else ordered_pair(tuple(op_range), "op_range")
+    for where, mapping in (("columns", columns), ("tags", tags)):
+        instance(mapping, (Mapping, type(None)), where, "a mapping such as {'PV': 'FIC101.PV'}")
+    scale_pv = None if pv_range is None else ordered_pair(pv_range, "pv_range")
+    scale_op = None if op_range is None else ordered_pair(op_range, "op_range")
     found: dict[str, int] = {}
     tall = False
 
@@ -206,6 +208,8 @@ def _examples(signal: Signal, mark: int) -> str:
     common = words.most_common(SHOWN)
     if len(words) == 1:
         return f" ({common[0][0]!r})"
+    if len(words) > SHOWN and common[0][1] == 1:
+        return f" ({common[0][0]!r} and {len(words) - 1} others)"
     return f" ({', '.join(f'{text!r} {many}' for text, many in common)}{' ...' if len(words) > SHOWN else ''})"
 
 

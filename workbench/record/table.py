@@ -88,7 +88,7 @@ class Table:
 
 
 def _number(cell: str, decimal_comma: bool) -> tuple[float, int]:
-    text = cell.strip()
+    text = cell.strip().removesuffix("%")
     if not text:
         return math.nan, BLANK
     if decimal_comma and "," in text:
@@ -185,18 +185,18 @@ def _reading(source: str) -> Iterator[None]:
 
 def _delimiter(line: str) -> str:
     bare = "".join(part for i, part in enumerate(line.split('"')) if i % 2 == 0)
-    counts = {mark: bare.count(mark) for mark in ("\t", ";", ",")}
+    counts = {mark: bare.count(mark) for mark in ("\t", ";", "|", ",")}
     # A comma may be a decimal comma or part of a name where another delimiter is there.
-    return next((mark for mark in ("\t", ";") if counts[mark]), ",")
+    return next((mark for mark in ("\t", ";", "|") if counts[mark]), ",")
 
 
 def read_csv(path: Path, match: Callable[[list[str]], dict[str, int]], source: str) -> tuple[Table, list[str]]:
     """Return the needed columns of a CSV file and its header.
 
-    match: from the header to the column index of each needed signal. Delimiter comma, semicolon or tab, with a decimal
-    comma allowed for the latter two; UTF-8 (with or without a byte order mark), UTF-16 or Windows-1252. Lines before
-    the header that are empty, start with # or hold a title are passed over. A row with more fields than the header is
-    marked FIELDS (a decimal comma in a comma-separated file shows in that way). Raises `RecordError`.
+    match: from the header to the column index of each needed signal. Delimiter comma, semicolon, tab or bar, with a
+    decimal comma allowed for all but the first; UTF-8 (with or without a byte order mark), UTF-16 or Windows-1252.
+    Lines before the header that are empty, start with # or hold a title are passed over. A row with more fields than
+    the header is marked FIELDS (a decimal comma in a comma-separated file shows in that way). Raises `RecordError`.
     """
     notes: list[str] = []
     with _reading(source):
