@@ -1,7 +1,7 @@
 """How fast 24 h of a loop at 1 s (86,400 samples of SP, PV, OP and MODE) are read, by kind of file.
 
-Run by hand: `python benchmarks/reading.py`. Each figure is the best of five, in processor time of one core, with the file in the
-system's cache; the peak is that of the whole process after the kinds before it.
+Run by hand: `python benchmarks/reading.py`. Each figure is the best of five, in processor time of one core, with the
+file in the system's cache; the peak is that of the whole process.
 """
 
 from __future__ import annotations
