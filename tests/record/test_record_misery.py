@@ -205,6 +205,7 @@ def test_random_histories_give_a_record_or_our_own_error(
 def holds(record: wb.Record) -> None:
     """What every record promises."""
     assert record.counts["kept"] == len(record) >= 2
+    assert record.counts.get("left out", 0) >= sum(len(part) for part in record.rest)
     for part in record.segments:
         assert np.isfinite(part.pv).all()
         assert np.isfinite(part.op).all()

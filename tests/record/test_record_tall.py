@@ -43,8 +43,8 @@ def test_an_even_tall_export_is_the_wide_file_to_the_last_digit(tmp_path: Path) 
     assert record.sp is not None
     assert set(record.sp.tolist()) == {50.5}
     assert (record.sample_time, record.start, record.rest) == (10.0, 0.0, ())
-    assert record.counts["rows"] == 180
-    assert not any("resampled" in note for note in record.notes)
+    assert dict(record.counts) == {"rows": 180, "kept": 60, "rejected": 0, "gaps": 0}
+    assert record.notes == ("first timestamp 2024-10-17 21:55:00",)
 
 
 def test_the_rows_may_come_in_any_order_of_tags(tmp_path: Path) -> None:

@@ -265,10 +265,10 @@ def _record(
         counts["resampled"] = total
     notes = [*signals.notes, *samples.notes, *said, *parts.notes]
     others = sum(e - b for b, e in parts.others)
-    whole = signals.rows - counts["rejected"] - signals.repeated if samples.even else total
+    whole = int(np.count_nonzero(samples.usable)) if samples.even else total
     if stop - first < whole:
         counts["left out"] = whole - (stop - first)
-        notes.append(_kept_said(signals, samples, parts, whole, others))
+        notes.append(_kept_said(signals, samples, parts, others))
     best = record_of(samples, first, stop, sample_time, notes)
     if len(best) > SAME and np.array_equal(best.pv, best.op) and float(np.ptp(best.pv)) > 0.0:
         msg = f"{source}: PV and OP hold the same values in all {len(best)} kept rows: one signal exported twice?"
@@ -293,9 +293,10 @@ def _record(
     )
 
 
-def _kept_said(signals: Signals, samples: Samples, parts: Parts, whole: int, others: int) -> str:
+def _kept_said(signals: Signals, samples: Samples, parts: Parts, others: int) -> str:
     first, stop = parts.best
-    of = f"{signals.rows} rows" if samples.even else f"{whole} samples"
+    rows = samples.even and signals.what == "column"
+    of = f"{signals.rows} rows" if rows else f"{samples.seconds.size} samples"
     said = (
         f"kept the longest clean stretch: {stop - first} of {of}, {signals.unit}s "
         f"{samples.lines[first]} to {samples.lines[stop - 1]}"
