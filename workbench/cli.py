@@ -5,7 +5,6 @@ from __future__ import annotations
 import functools
 import io
 import os
-import re
 import sys
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
@@ -19,7 +18,8 @@ try:
     import typer
 
     from workbench import __version__
-    from workbench.errors import InvalidValue, OutputError, RecordError, ScenarioError, WorkbenchError
+    from workbench.cli_input import Reading, quantity, read_data, span
+    from workbench.errors import InvalidValue, OutputError, ScenarioError, WorkbenchError
 except KeyboardInterrupt:  # while the command starts
     sys.stderr.write("workbench: interrupted\n")
     sys.exit(130)
@@ -185,7 +185,11 @@ METHOD = typer.Option("--method", help="profile (global over stiction, start and
 VALVE = typer.Option("--valve", help="Valve model: stenman.")
 PLANT = typer.Option("--plant", help="Plant model: fopdt or integrating.")
 COLUMN = typer.Option("--column", metavar="SIGNAL=NAME", help="Which column is SP, PV, OP, MODE, time, valve_position.")
-SAMPLE_TIME = typer.Option("--sample-time", metavar="TIME", help='Where the data has no time column, such as "5 s".')
+TAG = typer.Option("--tag", metavar="SIGNAL=NAME", help="The same for the tags of a historian's tall export.")
+SAMPLE_TIME = typer.Option("--sample-time", metavar="TIME", help='Where the data has no even times, such as "5 s".')
+PV_RANGE = typer.Option("--pv-range", metavar="LOW:HIGH", help="Of the transmitter, EU; values beyond are left out.")
+OP_RANGE = typer.Option("--op-range", metavar="LOW:HIGH", help="What the data calls 0 and 100 % of OP, such as 4:20.")
+MAX_GAP = typer.Option("--max-gap", metavar="TIME", help="The longest time without a value that is bridged.")
 
 
 @app.command()
@@ -198,7 +202,11 @@ def estimate(
     plant: Annotated[str, PLANT] = "fopdt",
     start: Annotated[str | None, typer.Option("--start", help="Initial stiction of two_step, %.")] = None,
     column: Annotated[list[str] | None, COLUMN] = None,
+    tag: Annotated[list[str] | None, TAG] = None,
     sample_time: Annotated[str | None, SAMPLE_TIME] = None,
+    pv_range: Annotated[str | None, PV_RANGE] = None,
+    op_range: Annotated[str | None, OP_RANGE] = None,
+    max_gap: Annotated[str | None, MAX_GAP] = None,
     out: Annotated[
         Path | None, typer.Option("--out", metavar="DIR", help="Where figure and CSV go (default: reports).")
     ] = None,
@@ -207,12 +215,13 @@ def estimate(
     from workbench import cli_output
     from workbench.scenario import units
 
-    how = How(method, valve, plant, None if start is None else _quantity("--start", start, units.percent))
+    how = How(method, valve, plant, None if start is None else quantity("--start", start, units.percent))
     folder = None if as_json and out is None else (out or Path("reports")) / f"{data.stem}_estimate"
     if folder is not None:
         _writable(folder)
     with _progress() as progress:
-        found = _found(data, column, sample_time, how, progress)
+        reading = Reading(column, tag, sample_time, pv_range, op_range, max_gap)
+        found = _found(data, reading, how, progress)
         written = cli_output.write_estimate(found, folder) if folder is not None else []
     if as_json:
         typer.echo(cli_output.estimate_json(found), nl=False)
@@ -246,7 +255,11 @@ def tune(
     valve: Annotated[str, VALVE] = "stenman",
     plant: Annotated[str, PLANT] = "fopdt",
     column: Annotated[list[str] | None, COLUMN] = None,
+    tag: Annotated[list[str] | None, TAG] = None,
     sample_time: Annotated[str | None, SAMPLE_TIME] = None,
+    pv_range: Annotated[str | None, PV_RANGE] = None,
+    op_range: Annotated[str | None, OP_RANGE] = None,
+    max_gap: Annotated[str | None, MAX_GAP] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print the result as JSON.")] = False,
 ) -> int:
     """Tune a scenario's loop, or the loop estimated from a record, and print the settings to type in."""
@@ -255,19 +268,20 @@ def tune(
 
     wishes = retune.Wishes(
         objective=None if objective is None else _weights(objective),
-        Kc=None if Kc is None else _range("--Kc", Kc, units.bare),
-        Ti=None if Ti is None else _range("--Ti", Ti, units.integral_time),
-        Td=None if Td is None else _range("--Td", Td, units.time),
+        Kc=None if Kc is None else span("--Kc", Kc, units.bare),
+        Ti=None if Ti is None else span("--Ti", Ti, units.integral_time),
+        Td=None if Td is None else span("--Td", Td, units.time),
         seed=seed,
         step=step,
-        duration=None if duration is None else _quantity("--duration", duration, units.time),
+        duration=None if duration is None else quantity("--duration", duration, units.time),
         action=action,
     )
     with _progress() as progress:
         if source.suffix.lower() in (".yaml", ".yml"):
             results = retune.tune_scenario(_checked([source])[0], wishes, progress)
         else:
-            found = _found(source, column, sample_time, How(method, valve, plant), progress)
+            reading = Reading(column, tag, sample_time, pv_range, op_range, max_gap)
+            found = _found(source, reading, How(method, valve, plant), progress)
             results = [retune.tune_found(found, wishes, progress)]
     code = 0
     if as_json:
@@ -318,58 +332,18 @@ class How:
                 raise InvalidValue(f"--{option}", getattr(self, option), "must be one of " + ", ".join(allowed))
 
 
-def _found(
-    data: Path,
-    column: Sequence[str] | None,
-    sample_time: str | None,
-    how: How,
-    progress: Progress,
-) -> Estimate:
+def _found(data: Path, reading: Reading, how: How, progress: Progress) -> Estimate:
     """Return the estimate of a data file."""
-    from workbench.scenario import units
-
-    columns = {}
-    for given in column or ():
-        signal, sign, name = given.partition("=")
-        if not sign or not name.strip():
-            raise InvalidValue("--column", given, "must be SIGNAL=NAME, such as PV=FIC101.PV")
-        columns[signal.strip()] = name.strip()
-    seconds = None if sample_time is None else _quantity("--sample-time", sample_time, units.time)
     from workbench.estimate.estimate import estimate as estimate_record
-    from workbench.record.reader import read_record
 
-    try:
-        record = read_record(data, columns=columns or None, sample_time=seconds)
-    except RecordError as error:
-        raise RecordError(_as_options(str(error))) from None
     return estimate_record(
-        record,
+        read_data(data, reading),
         method=how.method,
         valve=how.valve,
         plant=how.plant,
         start=how.start,
         progress=functools.partial(progress, "estimate"),
     )
-
-
-def _as_options(message: str) -> str:
-    """Return a reader's message with the command's options in place of the arguments of Python."""
-    message = re.sub(r"columns=\{'(\w+)': '([^']*)'\}", r'--column "\1=\2"', message)
-    return message.replace("give sample_time in seconds", 'give --sample-time, such as "5 s"')
-
-
-def _quantity(option: str, text: str, read: Callable[[object], float]) -> float:
-    try:
-        return read(text)
-    except InvalidValue as error:
-        raise InvalidValue(option, error.given, error.allowed) from None
-
-
-def _range(option: str, text: str, read: Callable[[object], float]) -> tuple[float, float]:
-    """Return (low, high) of `low:high`; one value fixes."""
-    low, sign, high = text.partition(":")
-    first = _quantity(option, low.strip(), read)
-    return (first, _quantity(option, high.strip(), read)) if sign else (first, first)
 
 
 def _weights(text: str) -> Objective:
@@ -382,7 +356,7 @@ def _weights(text: str) -> Objective:
         if name not in weights or not sign:
             allowed = f"must be weights such as w1=0.5,w3=0.5, of {', '.join(weights)}"
             raise InvalidValue("--objective", text, allowed)
-        weights[name] = _quantity("--objective", value, units.bare)
+        weights[name] = quantity("--objective", value, units.bare)
     w1, w2, w3, w4 = (weights.pop(name) for name in ("w1", "w2", "w3", "w4"))
     return Objective(w1, w2, w3, w4, weights)
 

@@ -18,7 +18,7 @@ from workbench.report.figures import estimate_figure, svg_file
 from workbench.report.files import write_files
 from workbench.report.results import controller_content, results_content, strict
 from workbench.report.style import svg_text
-from workbench.report.words import controller_words, figure, given, interval, nearby, plant_words, valve_words
+from workbench.report.words import controller_words, figure, interval, nearby, plant_words, valve_words
 from workbench.scenario.retune import Retuned
 
 __all__ = ["estimate_json", "estimate_lines", "exit_code", "tuned_json", "tuned_lines", "write_estimate"]
@@ -29,9 +29,8 @@ VERDICTS = {"stiction": "the valve sticks", "no_stiction": "no stiction found", 
 def estimate_lines(found: Estimate) -> list[str]:
     """Return model, stiction with its interval, verdict and reasons, one line each."""
     record = found.record
-    seconds = len(record) * record.sample_time
-    lines = [f"Record     {len(record)} samples of {given(record.sample_time)} s ({figure(seconds / 3600.0, 3)} h)"]
-    lines += [f"           {note}" for note in record.notes]
+    first, *kept = record.summary()
+    lines = [f"Record     {first}", *(f"           {note}" for note in kept)]
     lines.append(f"Model      {plant_words(found.plant)}")
     # An undecided record gives no number to rely on, whatever the fit's own interval says.
     sure = _sure(found)

@@ -114,14 +114,16 @@ def test_a_wrong_mapping_is_refused(tmp_path: Path, columns: dict[str, str], wor
         ("t,PV,PV,OP\n0,1,2,3\n1,1,2,3\n", ["could each be PV"]),
         ("0,1,2\n1,2,3\n2,3,4\n", ["line 1", "header"]),
         ("PV,OP\n1,2\n2,3\n", ["no time column", "sample_time"]),
-        ("t,PV,OP\n0,1,2\n1,1,2\n1,1,2\n2,1,2\n", ["line 4", "'t'", "same time"]),
+        (
+            "t,PV,OP\n0,1,2\n1,1,2\n1,2,3\n2,1,2\n2,3,2\n3,1,2\n",
+            ["line 4", "'t'", "same time as line 3", "1 times more"],
+        ),
         ("t,PV,OP\n0,1,2\n1,1,2\n0.5,1,2\n2,1,2\n", ["line 4", "'t'", "before line 3"]),
         ("t,PV,OP\n0,bad,2\n1,worse,2\n2,ugly,2\n", ["line 2", "'PV'", "text", "'bad'"]),
         ("t,PV,OP\n0,1,\n1,2,\n2,3,\n", ["line 2", "'OP'", "blank"]),
         ("t,PV,OP\n0,nan,2\n1,nan,2\n", ["line 2", "'PV'", "not finite"]),
         ("t,PV,OP\n0,1,inf\n1,2,-inf\n", ["'OP'", "not finite"]),
         ("time,PV,OP\nyesterday,1,2\ntoday,1,2\n", ["line 2", "'time'", "'yesterday'", "allowed"]),
-        ("t,PV,OP\n0,1,2\n1,1,2\n5,1,2\n6,1,2\n8,1,2\n", ["not evenly sampled", "line"]),
         ("t,PV,OP\n0,1,5,2,5\n1,1,5,2,5\n", ["line 2", "more fields than the header", "decimal comma"]),
         ("t,PV,OP\n0,1,2\n", ["at least two"]),
         ("t,PV,OP\n0,1,2\n1,x,2\n2,1,2\n3,x,2\n4,1,2\n", ["no two clean"]),
@@ -178,10 +180,14 @@ def test_usual_encodings_are_read(tmp_path: Path, encoding: str) -> None:
     assert any("Windows-1252" in note for note in record.notes) == (encoding == "cp1252")
 
 
-@pytest.mark.parametrize("sep", [",", ";", "\t"])
+@pytest.mark.parametrize("sep", [",", ";", "\t", "|"])
 def test_delimiters_and_quotes(tmp_path: Path, sep: str) -> None:
     quoted = "\n".join(sep.join(f'"{c}"' for c in line.split(sep)) for line in table("t|OP|PV", sep=sep).splitlines())
     assert read_record(write(tmp_path, quoted)).pv.tolist() == [10.0 - k for k in range(12)]
+
+
+def test_percent_signs_are_no_text(tmp_path: Path) -> None:
+    assert read_record(write(tmp_path, "t,PV,OP\n0,1,5.5%\n1,2,6 %\n2,3,7\n")).op.tolist() == [5.5, 6, 7]
 
 
 def test_decimal_commas_where_the_delimiter_allows_them(tmp_path: Path) -> None:
@@ -282,8 +288,10 @@ def test_a_damaged_parquet_file_is_called_one(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("modes", "words"),
     [
-        (["AUTO"] * 15 + ["Man"] * 5, "MODE: AUTO 75.0 %, MAN 25.0 %; 25.0% of the kept samples are in manual"),
-        (["1"] * 15 + ["0.0"] * 5, "MODE: 1 75.0 %, 0 25.0 %; 25.0% of the kept samples are in manual"),
+        (["AUTO"] * 15 + ["Man"] * 5, "stretches of one mode are kept apart; the 5 samples in manual are left out"),
+        (["1"] * 15 + ["0.0"] * 5, "MODE: 1 75.0 %, 0 25.0 %; stretches of one mode are kept apart; the 5 samples"),
+        (["AUTO"] * 12 + ["Cas"] * 8, "MODE: AUTO 60.0 %, CAS 40.0 %; stretches of one mode are kept apart"),
+        (["MAN"] * 20, "MODE: MAN 100.0 %; the controller was never in automatic: OP is not its answer to PV"),
         (["CAS"] * 20, None),
         (["0"] * 20, None),
     ],
@@ -291,8 +299,9 @@ def test_a_damaged_parquet_file_is_called_one(tmp_path: Path) -> None:
 def test_samples_in_manual_are_said(tmp_path: Path, modes: list[str], words: str | None) -> None:
     rows = "".join(f"{k},{k},{2 * k},{mode}\n" for k, mode in enumerate(modes))
     record = read_record(write(tmp_path, "t,PV,OP,MODE\n" + rows))
-    said = [note for note in record.notes if "MODE" in note]
-    assert said == ([] if words is None else [words])
+    said = " ".join(note for note in record.notes if "MODE" in note)
+    assert (words in said) if words else said == ""
+    assert len(set(record.mode or ())) == 1
 
 
 def test_a_gap_splits_the_record_and_is_said(tmp_path: Path) -> None:
@@ -328,9 +337,37 @@ def test_a_constant_signal_is_read(tmp_path: Path) -> None:
 
 
 def test_comments_and_blank_lines_keep_the_line_numbers_right(tmp_path: Path) -> None:
-    text = "# export of FIC101\n\nt,PV,OP\n0,1,2\n\n1,1,2\n1,1,2\n"
+    text = "# export of FIC101\n\nt,PV,OP\n0,1,2\n\n1,1,2\n0.5,1,2\n"
     with pytest.raises(RecordError, match="line 7"):
         read_record(write(tmp_path, text))
+
+
+def test_titles_before_the_header_and_units_below_it(tmp_path: Path) -> None:
+    text = "Trend export, FIC101\nFrom;2024-10-17\n\nt,OP,PV\ns,%,m3/h\n" + table("t|OP|PV").split("\n", 1)[1]
+    record = read_record(write(tmp_path, text))
+    assert record.pv.tolist() == [10.0 - k for k in range(12)]
+    assert "the header is line 4" in record.notes
+    assert any("1 row rejected: no readable time, first in line 5" in note for note in record.notes)
+    with pytest.raises(RecordError, match="no column for PV and OP; the file has 'Trend export', 'FIC101'"):
+        read_record(write(tmp_path, text.replace("t,OP,PV", "a,b,c")))
+
+
+def test_a_day_and_a_clock_in_columns_of_their_own(tmp_path: Path) -> None:
+    rows = [f"17.10.2024,23:59:{k:02d},{k},5" if k < 60 else f"18.10.2024,00:00:{k - 60:02d},{k},5" for k in range(90)]
+    record = read_record(write(tmp_path, "Date,Time,PV,OP\n" + "\n".join(rows)))
+    assert (len(record), record.sample_time, record.pv[-1]) == (90, 1.0, 89.0)
+    assert "first timestamp 17.10.2024 23:59:00" in record.notes
+    alone = write(tmp_path, "Time,PV,OP\n" + "\n".join(row.partition(",")[2] for row in rows))
+    with pytest.raises(RecordError, match="line 2, column 'Time': '23:59:00' is no time that can be read"):
+        read_record(alone)
+
+
+def test_a_name_in_quotes_may_take_two_lines(tmp_path: Path) -> None:
+    text = table("t|OP|PV").replace("t,OP,PV", 't,OP,"PV\n(m3/h)"')
+    record = read_record(write(tmp_path, text))
+    assert record.pv.tolist() == [10.0 - k for k in range(12)]
+    path = write(tmp_path, text.replace("4,40.2", "4,bad"))
+    assert any("first in line 5, column 'OP'" in note for note in read_record(path).notes)
 
 
 def test_parquet_equals_csv(tmp_path: Path) -> None:
@@ -348,7 +385,7 @@ def test_parquet_equals_csv(tmp_path: Path) -> None:
 def test_parquet_timestamps_and_missing_values(tmp_path: Path) -> None:
     stamps = pa.array(np.datetime64("2024-10-17T21:55:00", "ms") + 10_000 * np.arange(30).astype("timedelta64[ms]"))
     pv = pa.array([None if i == 3 else float(i) for i in range(30)], pa.float64())
-    tags = {"time": stamps, "FIC1.PV": pv, "FIC1.OP": pa.array(range(30), pa.int32())}
+    tags = {"time": stamps, "FIC1.PV": pv, "FIC1.OP": pa.array(range(5, 35), pa.int32())}
     pq.write_table(pa.table(tags), tmp_path / "loop.pq")
     record = read_record(tmp_path / "loop.pq")
     assert (len(record), record.sample_time, record.start) == (26, 10.0, 40.0)

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import NDArray
 
 from workbench.errors import InvalidValue
-from workbench.model.checks import number
+from workbench.model.checks import number, ordered_pair
 
 __all__ = ["FloatArray", "Record"]
 
@@ -42,8 +42,10 @@ class Record:
 
     pv (EU) and op (%) are needed, shape (N,), finite, evenly sampled every sample_time s from `start` s on; op[k] is
     the output that the controller computed in the sample of pv[k]. sp (EU), valve_position (% of travel, measured by
-    a positioner) and mode (text per sample) where recorded. `notes` say what reading kept, rejected and assumed;
-    `counts` the same in numbers. Arrays are copied and read-only. Raises `InvalidValue`.
+    a positioner) and mode (text per sample) where recorded. pv_range: (low, high) of the transmitter, EU, where known.
+    `notes` say what reading kept, rejected and assumed; `counts` the same in numbers. Gaps, bad values and changes of
+    mode part what a plant records: the record is the best stretch, and `rest` holds the others of the same loop.
+    Arrays are copied and read-only. Raises `InvalidValue`.
     """
 
     pv: FloatArray
@@ -56,6 +58,8 @@ class Record:
     source: str = ""
     notes: tuple[str, ...] = ()
     counts: Mapping[str, int] = field(default_factory=dict)
+    pv_range: tuple[float, float] | None = None
+    rest: tuple[Record, ...] = ()
 
     def __post_init__(self) -> None:
         pv = _signal(self.pv, "Record.pv", None)
@@ -71,6 +75,9 @@ class Record:
                 raise InvalidValue("Record.mode", f"{len(mode)} samples", f"must have the {pv.size} samples of PV")
             object.__setattr__(self, "mode", mode)
         object.__setattr__(self, "start", number(self.start, "Record.start", unit="s"))
+        if self.pv_range is not None:
+            object.__setattr__(self, "pv_range", ordered_pair(self.pv_range, "Record.pv_range"))
+        object.__setattr__(self, "rest", tuple(self.rest))
         object.__setattr__(self, "notes", tuple(self.notes))
         object.__setattr__(self, "counts", MappingProxyType(dict(self.counts)))
 
@@ -81,3 +88,17 @@ class Record:
     def time(self) -> FloatArray:
         """Sample times, s, shape (N,), from `start` on."""
         return self.start + self.sample_time * np.arange(self.pv.size, dtype=np.float64)
+
+    @property
+    def segments(self) -> tuple[Record, ...]:
+        """This stretch and the others of the same loop, in the order of time; nothing joins one to the next."""
+        return tuple(sorted((replace(self, rest=()), *self.rest), key=lambda r: r.start))
+
+    def summary(self) -> tuple[str, ...]:
+        """Return what the record is, what was kept and why, in lines of words."""
+        hours = len(self) * self.sample_time / 3600.0
+        lines = [f"{len(self)} samples of {self.sample_time:.6g} s ({hours:.3g} h)"]
+        if self.rest:
+            many = sum(len(r) for r in self.rest)
+            lines[0] += f"; {len(self.rest)} other stretch{'es' if len(self.rest) > 1 else ''} of {many} samples"
+        return (*lines, *self.notes)

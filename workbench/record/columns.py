@@ -1,4 +1,4 @@
-"""Which column of a file is which signal: usual spellings, tag suffixes, explicit mapping."""
+"""Which column of a file, or which tag of a tall one, is which signal: usual spellings, suffixes, explicit mapping."""
 
 from __future__ import annotations
 
@@ -7,10 +7,14 @@ from collections.abc import Mapping, Sequence
 
 from workbench.errors import RecordError
 
-__all__ = ["SIGNALS", "match_columns"]
+__all__ = ["SIGNALS", "TAGGED", "is_tall", "match_columns", "match_tags", "time_unit"]
 
 SIGNALS = ("time", "SP", "PV", "OP", "MODE", "valve_position")
+# A tall file, as historians export them, has a row per value: tag, time, value and perhaps its quality.
+TALL = ("tag", "time", "value", "quality")
+TAGGED = ("SP", "PV", "OP", "MODE", "valve_position")
 NEEDED = ("PV", "OP")
+NAMED = 12  # names of a file listed in a message
 
 # The signal's own name first; the spellings after it count less where a file holds both.
 _OWN: dict[str, tuple[str, ...]] = {
@@ -20,6 +24,9 @@ _OWN: dict[str, tuple[str, ...]] = {
     "OP": ("op",),
     "MODE": ("mode",),
     "valve_position": ("valveposition",),
+    "quality": ("quality",),
+    "tag": ("tag", "tagname"),
+    "value": ("value",),
 }
 _SPELLINGS: dict[str, tuple[str, ...]] = {
     "time": ("seconds", "second", "sec", "secs", "s", "datetime", "date", "elapsed", "elapsedtime", "minutes", "hours"),
@@ -28,6 +35,9 @@ _SPELLINGS: dict[str, tuple[str, ...]] = {
     "OP": ("output", "co", "mv", "out", "controlleroutput", "manipulatedvariable", "outputvalue", "u"),
     "MODE": ("mod", "controllermode", "controlmode", "operatingmode"),
     "valve_position": ("valvepos", "stem", "stemposition", "position", "zt", "pos", "zi", "valvetravel", "valve"),
+    "quality": ("qual", "qualitycode", "status", "statuscode", "isgood", "opcquality", "confidence", "questionable"),
+    "tag": ("tagid", "point", "pointname", "pointid", "item", "itemid", "itemname", "name", "signal", "variable"),
+    "value": ("val", "reading", "average", "avg", "pointvalue", "itemvalue"),
 }
 _SUFFIXES: dict[str, tuple[str, ...]] = {
     "time": (),
@@ -36,7 +46,13 @@ _SUFFIXES: dict[str, tuple[str, ...]] = {
     "OP": ("op", "co", "mv", "out", "output"),
     "MODE": ("mode", "mod"),
     "valve_position": ("zt", "zi", "pos", "position", "stem"),
+    "quality": (),
+    "tag": (),
+    "value": (),
 }
+# What control systems write after the signal: FIC101/PID1/PV.CV, FIC101/PID1/MODE.ACTUAL.
+_AFTER = ("cv", "value", "val", "actual")
+_QUALITIES = ("quality", "status", "qual", "good", "isgood", "st")
 # Time columns may carry their unit, as in t_s, "time [min]" or time_ms.
 _TIME_UNITS = {
     "s": 1.0,
@@ -78,6 +94,8 @@ def _tier(name: str, signal: str) -> int | None:
     # "valve position %" and the like: a unit word after the name.
     if tokens[-1] in ("pct", "percent", "eu") and "".join(tokens[:-1]) in _OWN[signal] + _SPELLINGS[signal]:
         return 1
+    if tokens[-1] in _AFTER and len(tokens) > 2:
+        tokens = tokens[:-1]
     return 2 if tokens[-1] in _SUFFIXES[signal] else None
 
 
@@ -87,31 +105,81 @@ def time_unit(name: str) -> float:
     return _TIME_UNITS.get(tokens[-1], 1.0) if tokens else 1.0
 
 
-def match_columns(header: Sequence[str], columns: Mapping[str, str] | None, source: str) -> dict[str, int]:
-    """Return the column index of each signal found; PV and OP always.
+def is_tall(header: Sequence[str], columns: Mapping[str, str] | None) -> bool:
+    """Whether a header is that of a tall file: tag, time and value, and not PV and OP in columns of their own."""
+    given = {_plain(str(key)) for key in columns or {}}
+    if {"tag", "value"} & given:
+        return True
+    if {_plain(signal) for signal in NEEDED} <= given:
+        return False
 
-    header: the file's column names. columns: an explicit mapping from signal (`SIGNALS`, in any case) to column name,
-    which goes before all spellings. Raises `RecordError` for columns that are missing, ambiguous or mapped twice.
+    def there(signal: str) -> bool:
+        return signal in given or any(_tier(name.strip(), signal) is not None for name in header)
+
+    return there("tag") and there("value") and there("time") and not all(there(signal) for signal in NEEDED)
+
+
+def match_columns(
+    header: Sequence[str], columns: Mapping[str, str] | None, source: str, tall: bool = False
+) -> dict[str, int]:
+    """Return the column index of each signal found; PV and OP always, or tag, time and value of a tall file.
+
+    header: the file's column names. columns: an explicit mapping from signal (`SIGNALS`, or the columns of a tall
+    file, in any case) to column name, which goes before all spellings. A wide file's qualities are found as "quality"
+    (of the row), "PV quality" and "OP quality"; the day as "date" where "time" may be but a clock. Raises `RecordError`
+    for columns that are missing, ambiguous or mapped twice.
     """
     names = [h.strip() for h in header]
-    there = ", ".join(repr(n) for n in names)
+    wanted = TALL if tall else (*SIGNALS, "quality")
+    needed = ("tag", "time", "value") if tall else NEEDED
+    found = _match(names, columns, wanted, needed, source, "column")
+    # A day and a clock in columns of their own are one time.
+    days = [i for i, n in enumerate(names) if _plain(n) == "date" and i not in found.values()]
+    if days and "time" in found and _plain(names[found["time"]]) == "time":
+        found["date"] = days[0]
+    for signal in () if tall else NEEDED:
+        plain = _plain(names[found[signal]])
+        stems = [plain] + [plain.removesuffix(word) for word in _AFTER if plain.endswith(word)]
+        own = [i for i, n in enumerate(names) if _plain(n) in {stem + word for stem in stems for word in _QUALITIES}]
+        if own and own[0] not in found.values():
+            found[f"{signal} quality"] = own[0]
+    return found
+
+
+def match_tags(tags: Sequence[str], mapping: Mapping[str, str] | None, source: str) -> dict[str, int]:
+    """Return which of a tall file's tags is which signal; PV and OP always. As `match_columns`."""
+    return _match(list(tags), mapping, TAGGED, NEEDED, source, "tag")
+
+
+def _match(
+    names: list[str],
+    mapping: Mapping[str, str] | None,
+    wanted: Sequence[str],
+    needed: Sequence[str],
+    source: str,
+    what: str,
+) -> dict[str, int]:
+    there = ", ".join(repr(n) for n in names[:NAMED]) + (
+        f" and {len(names) - NAMED} more" if len(names) > NAMED else ""
+    )
+    argument = f"{what}s"
     found: dict[str, int] = {}
-    for key, wanted in (columns or {}).items():
-        signal = next((s for s in SIGNALS if _plain(s) == _plain(str(key))), None)
+    for key, given in (mapping or {}).items():
+        signal = next((s for s in wanted if _plain(s) == _plain(str(key))), None)
         if signal is None:
-            msg = f"{source}: columns: {key!r} given; must be one of {', '.join(SIGNALS)}"
+            msg = f"{source}: {argument}: {key!r} given; must be one of {', '.join(wanted)}"
             raise RecordError(msg)
-        fits = [i for i, n in enumerate(names) if n == str(wanted).strip()]
+        fits = [i for i, n in enumerate(names) if n == str(given).strip()]
         if len(fits) != 1:
-            what = "there is no such column" if not fits else f"{len(fits)} columns have this name"
-            msg = f"{source}: column {wanted!r} given for {signal}: {what}; the file has {there}"
+            why = f"there is no such {what}" if not fits else f"{len(fits)} {argument} have this name"
+            msg = f"{source}: {what} {given!r} given for {signal}: {why}; the file has {there}"
             raise RecordError(msg)
         if fits[0] in found.values():
-            msg = f"{source}: column {wanted!r} is given for more than one signal; each needs its own"
+            msg = f"{source}: {what} {given!r} is given for more than one signal; each needs its own"
             raise RecordError(msg)
         found[signal] = fits[0]
     taken = set(found.values())
-    for signal in SIGNALS:
+    for signal in wanted:
         if signal in found:
             continue
         tiers: dict[int, list[int]] = {}
@@ -122,20 +190,20 @@ def match_columns(header: Sequence[str], columns: Mapping[str, str] | None, sour
         if not tiers:
             continue
         best = tiers[min(tiers)]
-        if len(best) > 1:
-            which = ", ".join(repr(names[i]) for i in best)
+        if len(best) > 1 and signal != "quality":
+            which = ", ".join(repr(names[i]) for i in best[:NAMED])
             msg = (
-                f"{source}: columns {which} could each be {signal}; say which one, "
-                f"for example columns={{{signal!r}: {names[best[0]]!r}}}"
+                f"{source}: {argument} {which} could each be {signal}; say which one, "
+                f"for example {argument}={{{signal!r}: {names[best[0]]!r}}}"
             )
             raise RecordError(msg)
         found[signal] = best[0]
         taken.add(best[0])
-    missing = [s for s in NEEDED if s not in found]
+    missing = [s for s in needed if s not in found]
     if missing:
         msg = (
-            f"{source}: no column for {' and '.join(missing)}; the file has {there or 'no named column'}; "
-            f"give the mapping, for example columns={{{missing[0]!r}: 'name in the file'}}"
+            f"{source}: no {what} for {' and '.join(missing)}; the file has {there or f'no named {what}'}; "
+            f"give the mapping, for example {argument}={{{missing[0]!r}: 'name in the file'}}"
         )
         raise RecordError(msg)
     return found

@@ -1,65 +1,103 @@
 """`wb.read_record`: a CSV or Parquet file of one loop to a `Record`, with everything that was left out said.
 
-Policy. Rows whose PV, OP or time holds no finite number are rejected and counted; they and gaps in time split the file,
-and the longest clean, evenly sampled stretch is kept (nothing is interpolated). Times that do not ascend are refused.
-A missing SP cell holds the value before it, as a setpoint does; a stem signal with bad cells is left out.
+Policy. Values that are no finite numbers, of bad quality or beyond their range are rejected and counted; they, gaps in
+time, a frozen sensor and changes of mode part the file into stretches, of which the longest that is not in manual is
+the record and the others are its `rest`. Evenly spaced rows are taken as they are; anything else is resampled (see
+`grid`). Times that leave a doubt are refused.
 """
 
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from workbench.errors import RecordError
-from workbench.model.checks import number
-from workbench.model.record import FloatArray, Record
-from workbench.record.columns import match_columns, time_unit
-from workbench.record.modes import manual_share, mode_words
-from workbench.record.table import BLANK, FIELDS, NOT_FINITE, OK, TEXT, Cells, Table, read_csv, read_parquet
-from workbench.record.times import FORMATS_SAID, parse_timestamps
+from workbench.model.checks import instance, number, ordered_pair
+from workbench.model.record import Record
+from workbench.record.checks import held_said, op_said, swapped, within_range
+from workbench.record.columns import NEEDED, is_tall, match_columns
+from workbench.record.grid import Samples, lay
+from workbench.record.segments import Parts, part, record_of
+from workbench.record.signals import Signal, Signals, from_tall, from_wide
+from workbench.record.table import (
+    BLANK,
+    FIELDS,
+    NOT_FINITE,
+    OK,
+    QUALITY,
+    RANGE,
+    TEXT,
+    read_csv,
+    read_parquet,
+)
 
-__all__ = ["JITTER", "LARGEST", "read_record"]
+__all__ = ["LARGEST", "read_record"]
 
 LARGEST = 1 << 30  # bytes
-JITTER = 0.2  # of the sample time, by which an interval may differ from it
-UNEVEN = 0.05  # share of intervals that may break the pattern before the file counts as unevenly sampled
+SAME = 10  # samples in which PV and OP are equal by chance at most
+SHOWN = 4  # texts or qualities named one by one
 
 _WHY = {
     BLANK: "blank",
     TEXT: "text",
     NOT_FINITE: "not finite",
     FIELDS: "more fields than the header",
+    QUALITY: "bad quality",
+    RANGE: "out of range",
 }
 
 
 def read_record(
-    path: str | os.PathLike[str], *, columns: Mapping[str, str] | None = None, sample_time: float | None = None
+    path: str | os.PathLike[str],
+    *,
+    columns: Mapping[str, str] | None = None,
+    tags: Mapping[str, str] | None = None,
+    sample_time: float | None = None,
+    pv_range: Sequence[float] | None = None,
+    op_range: Sequence[float] | None = None,
+    max_gap: float | None = None,
 ) -> Record:
     """Read one loop's record from a CSV or Parquet file.
 
-    path: of the file, at most 1 GiB. columns: which column is which signal ("time", "SP", "PV", "OP", "MODE",
-    "valve_position"), where the usual spellings do not tell; only PV and OP are needed. sample_time: s, needed where
-    the file has no time column; where it has one, taken in its place if both agree within 1 %. PV keeps its unit, OP
-    is in %.
+    path: of the file, at most 1 GiB; wide (a column per signal) or tall, as historians export (a row per value, with
+    tag, time, value and perhaps quality). columns: which column is which signal ("time", "SP", "PV", "OP", "MODE",
+    "valve_position"; "tag", "value" and "quality" of a tall file), where the usual spellings do not tell; only PV and
+    OP are needed. tags: which tag, or column of a wide file, is which signal ({"PV": "FIC101.PV"}), by default told by
+    its ending. sample_time: s, needed where the file has no time column; where the rows are even, taken in the place of
+    their own if both agree within 1 %; else the sample time to resample to (default: the usual interval).
 
-    Returns a `Record` of the longest clean, evenly sampled stretch; its `notes` and `counts` (rows, kept, rejected,
-    gaps ...) say what was left out. Times become seconds: as given, or from the first timestamp on. Raises
-    `RecordError` naming file, line and column.
+    pv_range: (low, high) of the transmitter, EU; op_range: (low, high) of OP in the file's unit, which are 0 and 100 %.
+    Values beyond a given range are rejected (NAMUR NE 43). max_gap: s, the longest time without a good value of PV or
+    OP that is interpolated or held over; by default not even one missing row of an even file, and ten usual intervals
+    of others.
+
+    Returns a `Record` in PV's unit and OP in %: the longest clean stretch in one mode, the others as its `rest`; its
+    `notes` and `counts` (rows, kept, rejected, gaps ...) say what was done and left out. Times become seconds: as
+    given, or from the first timestamp on. Raises `RecordError` naming file, line and column, and `InvalidValue`.
     """
     file = Path(path)
     source = str(path)
     _check_file(file, source)
     if sample_time is not None:
         number(sample_time, "sample_time", above=0.0, unit="s")
+    if max_gap is not None:
+        number(max_gap, "max_gap", above=0.0, unit="s")
+    for where, mapping in (("columns", columns), ("tags", tags)):
+        instance(mapping, (Mapping, type(None)), where, "a mapping such as {'PV': 'FIC101.PV'}")
+    scale_pv = None if pv_range is None else ordered_pair(pv_range, "pv_range")
+    scale_op = None if op_range is None else ordered_pair(op_range, "op_range")
     found: dict[str, int] = {}
+    tall = False
 
     def match(header: list[str]) -> dict[str, int]:
-        found.update(match_columns(header, columns, source))
+        nonlocal tall
+        tall = is_tall(header, columns)
+        named = columns if tall or not tags else {**(columns or {}), **tags}
+        found.update(match_columns(header, named, source, tall))
         return found
 
     table, header = (read_parquet if _is_parquet(file) else read_csv)(file, match, source)
@@ -67,7 +105,24 @@ def read_record(
     if table.lines.size == 0:
         msg = f"{source}: a header and no row of data"
         raise RecordError(msg)
-    return _assemble(table, names, sample_time, source)
+    signals = from_tall(table, names, tags, source) if tall else from_wide(table, names, source)
+    given = {str(key).upper() for key in {**(columns or {}), **(tags or {})}}
+    _scale(signals, scale_pv, scale_op, source)
+    _some_usable(signals, source)
+    if not signals.timed and sample_time is None:
+        msg = f"{source}: no time column; give sample_time in seconds, or the column, columns={{'time': 'name'}}"
+        raise RecordError(msg)
+    samples = lay(signals, sample_time, max_gap, source)
+    if samples.seconds.size == 0:
+        spans = (f"{s.seconds[0]:g} to {s.seconds[-1]:g} s" for s in (signals.by["PV"], signals.by["OP"]))
+        msg = f"{source}: PV ({next(spans)}) and OP ({next(spans)}) have no sample time in common"
+        raise RecordError(msg)
+    parts = part(samples, signals.unit)
+    if parts.best[1] - parts.best[0] < 2:
+        causes = [*_rejections(signals, samples)[1], *parts.notes]
+        msg = f"{source}: no two clean rows follow each other in one mode" + "".join(f"; {one}" for one in causes)
+        raise RecordError(msg)
+    return _record(signals, samples, parts, sample_time, scale_pv, scale_op is not None, set(NEEDED) <= given, source)
 
 
 def _check_file(file: Path, source: str) -> None:
@@ -107,245 +162,147 @@ def _is_parquet(file: Path) -> bool:
         raise RecordError(msg) from None
 
 
-@dataclass(frozen=True)
-class _Clock:
-    """Times of the rows, s, shape (N,), nan where a row has none; the sample time; what to say."""
+def _scale(
+    signals: Signals, pv_range: tuple[float, float] | None, op_range: tuple[float, float] | None, source: str
+) -> None:
+    if pv_range is not None:
+        within_range(signals.by["PV"].cells, pv_range, "PV", source)
+    if op_range is not None:
+        cells = signals.by["OP"].cells
+        within_range(cells, op_range, "OP", source)
+        if op_range != (0.0, 100.0):
+            low, high = op_range
+            cells.values = 100.0 * (cells.values - low) / (high - low)
+            signals.notes.append(f"OP taken in % of its range, {low:g} to {high:g}")
 
-    seconds: FloatArray
-    sample_time: float
-    notes: tuple[str, ...]
 
-
-def _assemble(table: Table, names: Mapping[str, str], sample_time: float | None, source: str) -> Record:
-    rows = table.lines.size
-    bad = np.zeros(rows, np.int8)
-    for signal in ("PV", "OP"):
-        cells = table.columns[signal]
-        bad = np.where(bad == OK, cells.marks, bad)
-    if not (bad == OK).any():
-        raise RecordError(_nothing_usable(table, names, source))
-    clock = _clock(table, names, sample_time, source)
-    no_time = (bad == OK) & ~np.isfinite(clock.seconds)
-    good = (bad == OK) & ~no_time
-    if not good.any():
-        raise RecordError(_nothing_usable(table, names, source))
-    first, stop, gaps = _longest(clock, good, table, source)
-    if stop - first < 2:
-        causes = [
-            _rejected(table, names, bad == mark, said, int(np.count_nonzero(bad == mark)))
-            for mark, said in _WHY.items()
-            if (bad == mark).any()
-        ]
-        if no_time.any():
-            causes.append(f"{np.count_nonzero(no_time)} without a readable time")
-        msg = f"{source}: no two clean, evenly spaced rows follow each other" + "".join(f"; {one}" for one in causes)
-        raise RecordError(msg)
-    part = slice(first, stop)
-    counts = {"rows": rows, "kept": stop - first, "rejected": int(np.count_nonzero(~good)), "gaps": gaps}
-    notes = [*table.notes, *clock.notes]
-    for mark, why in _WHY.items():
-        many = int(np.count_nonzero(bad == mark))
-        if many:
-            counts[f"rejected, {why}"] = many
-            notes.append(_rejected(table, names, bad == mark, why, many))
-    if no_time.any():
-        counts["rejected, time"] = int(np.count_nonzero(no_time))
-        at = int(table.lines[np.argmax(no_time)])
-        notes.append(f"{counts['rejected, time']} rows rejected: no readable time, first in {table.unit} {at}")
-    if stop - first < rows:
-        counts["left out"] = rows - (stop - first) - counts["rejected"]
-        notes.append(
-            f"kept the longest clean, evenly sampled stretch: {stop - first} of {rows} rows, {table.unit}s "
-            f"{table.lines[first]} to {table.lines[stop - 1]}"
-            + (f"; {gaps} gap{'s' if gaps > 1 else ''} in time" if gaps else "")
+def _some_usable(signals: Signals, source: str) -> None:
+    """Raise `RecordError` where PV or OP has no usable value at all."""
+    for name in NEEDED:
+        signal = signals.by[name]
+        if (signal.cells.marks == OK).any():
+            continue
+        if signal.lines.size == 0:
+            cause, lines = next(iter(signals.dropped.items()))
+            hint = "; is it a decimal comma in a comma-separated file?" if cause == _WHY[FIELDS] else ""
+            msg = f"{source}: {signals.unit} {min(lines)}: {cause}, and no row of {signal.name!r} without{hint}"
+            raise RecordError(msg)
+        mark, line = int(signal.cells.marks[0]), int(signal.lines[0])
+        if mark == FIELDS:
+            msg = (
+                f"{source}: {signals.unit} {line}: {_WHY[mark]}, and no row without; is it a decimal comma in a "
+                "comma-separated file?"
+            )
+            raise RecordError(msg)
+        msg = (
+            f"{source}: {signals.unit} {line}, {signals.what} {signal.name!r}: no row holds a number, the first is "
+            f"{_WHY[mark]}{_examples(signal, mark)}"
         )
-    Ts, start, jitter = _grid(clock, part)
-    if jitter > 1e-6:
-        notes.append(f"times differ from the even grid by up to {jitter:.1%} of the sample time; taken as even")
-    if sample_time is not None and sample_time != Ts:
-        notes.append(f"the sample time is taken as {sample_time:g} s, as given; the times show {Ts:.9g} s")
-        Ts = sample_time
-    sp = _setpoint(table.columns.get("SP"), part, notes)
-    valve = _stem(table.columns.get("valve_position"), part, notes)
-    mode = table.columns["MODE"].texts if "MODE" in table.columns else None
-    if mode is None and "MODE" in table.columns:
-        mode = [f"{v:g}" for v in table.columns["MODE"].values.tolist()]
-    kept_mode = None if mode is None else tuple(mode[part])
-    manual = 0.0 if kept_mode is None else manual_share(kept_mode)
-    if kept_mode is not None and manual > 0.0:
-        notes.append(f"MODE: {mode_words(kept_mode)}; {manual:.1%} of the kept samples are in manual")
-    return Record(
-        pv=table.columns["PV"].values[part],
-        op=table.columns["OP"].values[part],
-        sample_time=Ts,
-        sp=sp,
-        valve_position=valve,
-        mode=kept_mode,
-        start=start,
+        raise RecordError(msg)
+
+
+def _examples(signal: Signal, mark: int) -> str:
+    words = signal.cells.words if mark == TEXT else signal.cells.qualities if mark == QUALITY else None
+    if not words:
+        return ""
+    common = words.most_common(SHOWN)
+    if len(words) == 1:
+        return f" ({common[0][0]!r})"
+    if len(words) > SHOWN and common[0][1] == 1:
+        return f" ({common[0][0]!r} and {len(words) - 1} others)"
+    return f" ({', '.join(f'{text!r} {many}' for text, many in common)}{' ...' if len(words) > SHOWN else ''})"
+
+
+def _rejections(signals: Signals, samples: Samples) -> tuple[dict[str, int], list[str]]:
+    """Return how many rows (of a tall file: values) were rejected for each cause, and that in words."""
+    counts: dict[str, int] = {}
+    notes: list[str] = []
+    pv, op = signals.by["PV"], signals.by["OP"]
+    if pv.cells.marks.size == op.cells.marks.size and np.array_equal(pv.lines, op.lines):
+        # One row, one rejection: PV's cause goes before OP's.
+        hits = [(pv, pv.cells.marks), (op, np.where(pv.cells.marks == OK, op.cells.marks, OK))]
+    else:
+        hits = [(pv, pv.cells.marks), (op, op.cells.marks)]
+    for mark, why in _WHY.items():
+        if mark == BLANK and not samples.even:
+            continue
+        signal = next((s for s, marks in hits if (marks == mark).any()), None)
+        if signal is None:
+            continue
+        lines = np.concatenate([s.lines[marks == mark] for s, marks in hits])
+        counts[f"rejected, {why}"] = int(lines.size)
+        # Fields too many are the row's fault, and no column's.
+        where = "" if mark == FIELDS else f", {signals.what} {signal.name!r}"
+        notes.append(
+            f"{lines.size} row{'s' if lines.size > 1 else ''} rejected: {why}{_examples(signal, mark)}, first in "
+            f"{signals.unit} {lines.min()}{where}"
+        )
+    for cause, dropped in signals.dropped.items():
+        counts[f"rejected, {cause}"] = len(dropped)
+        many = f"{len(dropped)} row{'s' if len(dropped) > 1 else ''}"
+        notes.append(f"{many} rejected: {cause}, first in {signals.unit} {min(dropped)}")
+    return counts, notes
+
+
+def _record(
+    signals: Signals,
+    samples: Samples,
+    parts: Parts,
+    sample_time: float | None,
+    pv_range: tuple[float, float] | None,
+    scaled: bool,
+    named: bool,
+    source: str,
+) -> Record:
+    first, stop = parts.best
+    rejected, said = _rejections(signals, samples)
+    total = samples.seconds.size
+    counts = {"rows": signals.rows, "kept": stop - first, "rejected": sum(rejected.values()), "gaps": samples.gaps}
+    counts |= rejected
+    counts |= {name: many for name, many in (("repeated", signals.repeated), ("frozen", parts.frozen)) if many}
+    counts |= {name: many for name, many in (("manual", parts.manual), ("between", samples.between)) if many}
+    if not samples.even:
+        counts["resampled"] = total
+    notes = [*signals.notes, *samples.notes, *said, *parts.notes]
+    others = sum(e - b for b, e in parts.others)
+    whole = int(np.count_nonzero(samples.usable)) if samples.even else total
+    if stop - first < whole:
+        counts["left out"] = whole - (stop - first)
+        notes.append(_kept_said(signals, samples, parts, others))
+    best = record_of(samples, first, stop, sample_time, notes)
+    if len(best) > SAME and np.array_equal(best.pv, best.op) and float(np.ptp(best.pv)) > 0.0:
+        msg = f"{source}: PV and OP hold the same values in all {len(best)} kept rows: one signal exported twice?"
+        raise RecordError(msg)
+    if not named and best.sp is not None and swapped(best.sp, best.pv, best.op):
+        pv, op = signals.by["PV"].name, signals.by["OP"].name
+        msg = (
+            f"{source}: the setpoint goes with {op!r}, read as OP, and not with {pv!r}, read as PV: swapped? Say which "
+            f"is which, PV and OP both, for example tags={{'PV': {pv!r}, 'OP': {op!r}}}"
+        )
+        raise RecordError(msg)
+    notes += held_said(best.pv, best.op, np.ones(len(best), dtype=bool)) if samples.even else []
+    notes += op_said(best.op, scaled)
+    rest = [record_of(samples, b, e, sample_time, []) for b, e in parts.others]
+    return replace(
+        best,
         source=source,
         notes=tuple(notes),
         counts=counts,
+        pv_range=pv_range,
+        rest=tuple(replace(one, source=source, pv_range=pv_range, counts={"kept": len(one)}) for one in rest),
     )
 
 
-def _rejected(table: Table, names: Mapping[str, str], which: NDArray[np.bool_], why: str, many: int) -> str:
-    row = int(np.argmax(which))
-    signal = "PV" if table.columns["PV"].marks[row] != OK else "OP"
-    text = f" ({table.columns[signal].first_text!r})" if why == "text" and table.columns[signal].first_text else ""
-    # Fields too many are the row's fault, and no column's.
-    where = "" if table.columns[signal].marks[row] == FIELDS else f", column {names[signal]!r}"
-    return f"{many} row{'s' if many > 1 else ''} rejected: {why}{text}, first in {table.unit} {table.lines[row]}{where}"
-
-
-def _nothing_usable(table: Table, names: Mapping[str, str], source: str) -> str:
-    for signal in ("PV", "OP"):
-        cells = table.columns[signal]
-        if not (cells.marks == OK).any():
-            row = int(np.argmax(cells.marks != OK))
-            why = _WHY[int(cells.marks[row])]
-            text = f" ({cells.first_text!r})" if cells.marks[row] == TEXT else ""
-            if cells.marks[row] == FIELDS:
-                return (
-                    f"{source}: {table.unit} {table.lines[row]}: {why}, and no row without; is it a decimal comma in a "
-                    "comma-separated file?"
-                )
-            return (
-                f"{source}: {table.unit} {table.lines[row]}, column {names[signal]!r}: no row holds a number, "
-                f"the first is {why}{text}"
-            )
-    row = int(np.argmax((table.columns["PV"].marks != OK) | (table.columns["OP"].marks != OK)))
-    return f"{source}: {table.unit} {table.lines[row]}: no row holds PV, OP and time together"
-
-
-def _clock(table: Table, names: Mapping[str, str], sample_time: float | None, source: str) -> _Clock:
-    rows = table.lines.size
-    if "time" not in table.columns:
-        if sample_time is None:
-            msg = f"{source}: no time column; give sample_time in seconds, or the column, columns={{'time': 'name'}}"
-            raise RecordError(msg)
-        return _Clock(np.arange(rows, dtype=np.float64) * sample_time, sample_time, ())
-    cells = table.columns["time"]
-    seconds, notes = _seconds(cells, names["time"], table, source)
-    known = np.flatnonzero(np.isfinite(seconds) & (cells.marks != FIELDS))
-    seconds[cells.marks == FIELDS] = np.nan
-    steps = np.diff(seconds[known])
-    if (steps <= 0.0).any():
-        at = int(np.argmax(steps <= 0.0))
-        what = "the same time as" if steps[at] == 0.0 else f"{-steps[at]:g} s before"
-        row, before = int(table.lines[known[at + 1]]), int(table.lines[known[at]])
-        msg = (
-            f"{source}: {table.unit} {row}, column {names['time']!r}: {what} {table.unit} {before}; times must ascend "
-            "(a changed clock, daylight saving or two exports in one file do this)"
-        )
-        raise RecordError(msg)
-    if steps.size == 0:
-        msg = f"{source}: {known.size} row{'s' if known.size != 1 else ''} with a time; at least two are needed"
-        raise RecordError(msg)
-    usual = float(np.median(steps))
-    if sample_time is not None and abs(usual - sample_time) > 0.01 * sample_time:
-        msg = (
-            f"{source}: sample_time {sample_time:g} s given, but column {names['time']!r} has {usual:g} s between "
-            "rows; leave sample_time out, or the time column"
-        )
-        raise RecordError(msg)
-    return _Clock(seconds, usual, tuple(notes))
-
-
-def _seconds(cells: Cells, name: str, table: Table, source: str) -> tuple[FloatArray, list[str]]:
-    """Return seconds, shape (N,), nan where a row has no time, and notes."""
-    numeric = int(np.count_nonzero(cells.marks == OK))
-    texts = cells.texts
-    if texts is None or numeric * 2 > np.count_nonzero(cells.marks != BLANK):
-        unit = time_unit(name)
-        values = cells.values * unit
-        # Milliseconds since 1970 are far beyond any count of seconds in use.
-        if unit == 1.0 and numeric and float(np.nanmedian(np.abs(values))) > 1e11:
-            return values / 1000.0, [f"column {name!r} read as milliseconds since 1970"]
-        return values, [] if unit == 1.0 else [f"column {name!r} read in units of {unit:g} s"]
-    parsed = parse_timestamps(texts)
-    if isinstance(parsed, str):
-        msg = f"{source}: column {name!r}: {parsed}"
-        raise RecordError(msg)
-    seconds, note = parsed
-    usable = np.isfinite(seconds)
-    if not usable.any():
-        msg = (
-            f"{source}: {table.unit} {table.lines[0]}, column {name!r}: {texts[0]!r} is no time that can be read; "
-            f"allowed: {FORMATS_SAID}"
-        )
-        raise RecordError(msg)
-    first = int(np.argmax(usable))
-    notes = [note] if note else []
-    notes.append(f"first timestamp {texts[first]}")
-    return seconds - seconds[first], notes
-
-
-def _longest(clock: _Clock, good: NDArray[np.bool_], table: Table, source: str) -> tuple[int, int, int]:
-    """Return (first, stop, gaps): the longest run of good rows whose intervals keep to the sample time."""
-    usual = clock.sample_time
-    seconds = clock.seconds
-    follows = np.zeros(good.size, dtype=bool)
-    steps = np.diff(seconds)
-    with np.errstate(invalid="ignore"):
-        even = np.abs(steps - usual) <= JITTER * usual
-        gap = steps > (1.0 + JITTER) * usual
-    follows[1:] = good[1:] & good[:-1] & even
-    neighbours = good[1:] & good[:-1]
-    uneven = int(np.count_nonzero(neighbours & ~even))
-    if uneven > max(UNEVEN * np.count_nonzero(neighbours), 1 if neighbours.sum() < 40 else 0):
-        at = int(np.argmax(neighbours & ~even))
-        msg = (
-            f"{source}: not evenly sampled: {uneven} of {np.count_nonzero(neighbours)} intervals differ from the usual "
-            f"{usual:g} s by more than {JITTER:.0%}, the first ({steps[at]:g} s) after {table.unit} "
-            f"{table.lines[at]}; export at a fixed interval"
-        )
-        raise RecordError(msg)
-    best, best_first, best_stop, first = 0, 0, 0, -1
-    breaks = np.flatnonzero(~follows)
-    for i, begin in enumerate(breaks.tolist()):
-        stop = int(breaks[i + 1]) if i + 1 < breaks.size else good.size
-        first = begin
-        length = stop - first if good[first] else 0
-        if length > best:
-            best, best_first, best_stop = length, first, stop
-    return best_first, best_stop, int(np.count_nonzero(gap & neighbours))
-
-
-def _grid(clock: _Clock, part: slice) -> tuple[float, float, float]:
-    """Return (sample time, start, largest deviation from the even grid as a share of the sample time)."""
-    times = clock.seconds[part]
-    n = times.size
-    usual = clock.sample_time
-    grid = times[0] + usual * np.arange(n)
-    off = float(np.abs(times - grid).max()) / usual
-    if off > 1e-6:
-        # A rounded or drifting clock: the mean interval is the better sample time.
-        usual = float(times[-1] - times[0]) / (n - 1)
-        off = float(np.abs(times - times[0] - usual * np.arange(n)).max()) / usual
-    return usual, float(times[0]), off
-
-
-def _setpoint(cells: Cells | None, part: slice, notes: list[str]) -> FloatArray | None:
-    if cells is None:
-        return None
-    values, good = cells.values[part].copy(), cells.marks[part] == OK
-    missing = int(np.count_nonzero(~good))
-    if missing == values.size:
-        notes.append("SP left out: no cell of the kept rows holds a number")
-        return None
-    if missing:
-        held = np.maximum.accumulate(np.where(good, np.arange(values.size), -1))
-        held[held < 0] = int(np.argmax(good))
-        values = values[held]
-        notes.append(f"SP: {missing} cells without a number hold the value before them")
-    return values
-
-
-def _stem(cells: Cells | None, part: slice, notes: list[str]) -> FloatArray | None:
-    if cells is None:
-        return None
-    missing = int(np.count_nonzero(cells.marks[part] != OK))
-    if missing:
-        notes.append(f"valve position left out: {missing} of the kept cells hold no number")
-        return None
-    return cells.values[part]
+def _kept_said(signals: Signals, samples: Samples, parts: Parts, others: int) -> str:
+    first, stop = parts.best
+    rows = samples.even and signals.what == "column"
+    of = f"{signals.rows} rows" if rows else f"{samples.seconds.size} samples"
+    said = (
+        f"kept the longest clean stretch: {stop - first} of {of}, {signals.unit}s "
+        f"{samples.lines[first]} to {samples.lines[stop - 1]}"
+    )
+    if samples.gaps:
+        said += f"; {samples.gaps} gap{'s' if samples.gaps > 1 else ''} in time"
+    if parts.others:
+        said += f"; {len(parts.others)} more stretch{'es' if len(parts.others) > 1 else ''} with {others} samples"
+    return said

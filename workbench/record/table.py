@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import csv
-import io
 import math
 from array import array
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from dataclasses import dataclass, field
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field, replace
+from itertools import chain, islice
 from pathlib import Path
 
 import numpy as np
@@ -17,22 +18,62 @@ from numpy.typing import NDArray
 from workbench.errors import RecordError
 from workbench.model.record import FloatArray
 
-__all__ = ["BLANK", "NOT_FINITE", "OK", "TEXT", "Cells", "Table", "read_csv", "read_parquet"]
+__all__ = [
+    "BLANK",
+    "FIELDS",
+    "NOT_FINITE",
+    "NUMERIC",
+    "OK",
+    "QUALITY",
+    "RANGE",
+    "TEXT",
+    "Cells",
+    "Table",
+    "number_cells",
+    "read_csv",
+    "read_parquet",
+]
 
-OK, BLANK, TEXT, NOT_FINITE, FIELDS = range(5)
+# What a cell is; all but OK and BLANK are a value that was recorded and cannot be used.
+OK, BLANK, TEXT, NOT_FINITE, FIELDS, QUALITY, RANGE = range(7)
+# The signals that are numbers and nothing else; the other columns are kept as text too.
+NUMERIC = ("PV", "OP", "SP", "valve_position")
 
 # Enough to find the delimiter and to tell text from a binary file.
 _HEAD = 65536
+_HEAD_LINES = 50  # in which a header is looked for
+
+
+# Larger values are fill values of a historian, and their squares would overflow.
+LIMIT = 1e100
 
 
 @dataclass
 class Cells:
-    """One column: values (nan where bad) and marks (OK, BLANK, TEXT, NOT_FINITE, FIELDS), with the first bad text."""
+    """One column: values (nan where bad) and marks, shape (N,), with the texts that stood for numbers, counted.
+
+    texts: the cells as text, where they may be timestamps, modes, tags or qualities. stamped: (the first in words,
+    whether they carry a zone) of a Parquet file's timestamps; `values` are then seconds since 1970. qualities: that
+    were not good, counted.
+    """
 
     values: FloatArray
     marks: NDArray[np.int8]
-    first_text: str = ""
+    words: Counter[str] = field(default_factory=Counter)
     texts: list[str] | None = None
+    stamped: tuple[str, bool] | None = None
+    qualities: Counter[str] = field(default_factory=Counter)
+
+    def take(self, rows: NDArray[np.int64]) -> Cells:
+        """Return the cells of these rows, shape (M,), in this order."""
+        texts = None if self.texts is None else [self.texts[i] for i in rows.tolist()]
+        return replace(self, values=self.values[rows], marks=self.marks[rows], texts=texts)
+
+    def as_texts(self) -> list[str]:
+        """Return the cells as text."""
+        if self.texts is not None:
+            return self.texts
+        return ["" if mark == BLANK else f"{v:g}" for v, mark in zip(self.values.tolist(), self.marks, strict=True)]
 
 
 @dataclass
@@ -43,38 +84,73 @@ class Table:
     lines: NDArray[np.int64]
     unit: str
     notes: list[str] = field(default_factory=list)
+    decimal_comma: bool = False
 
 
 def _number(cell: str, decimal_comma: bool) -> tuple[float, int]:
-    text = cell.strip()
+    text = cell.strip().removesuffix("%")
     if not text:
         return math.nan, BLANK
-    if decimal_comma and "," in text and "." not in text:
-        text = text.replace(",", ".")
+    if decimal_comma and "," in text:
+        # Of two marks the last is the decimal one, and the other parts thousands.
+        last = text.rfind(",") > text.rfind(".")
+        text = text.replace(".", "").replace(",", ".") if last else text.replace(",", "")
     try:
         value = float(text) if "_" not in text else None
     except ValueError:
         value = None
     if value is None:
         return math.nan, TEXT
-    return (value, OK) if math.isfinite(value) else (math.nan, NOT_FINITE)
+    return (value, OK) if abs(value) <= LIMIT else (math.nan, NOT_FINITE)
 
 
-class _Numbers:
-    """Collects one numeric column."""
+def _marked(values: FloatArray) -> Cells:
+    """Return cells of numbers that may not be finite."""
+    fine = np.abs(values) <= LIMIT
+    return Cells(np.where(fine, values, np.nan), np.where(fine, OK, NOT_FINITE).astype(np.int8))
 
-    def __init__(self, decimal_comma: bool) -> None:
-        self.values, self.marks, self.comma, self.first = array("d"), array("b"), decimal_comma, ""
 
-    def add(self, cell: str) -> None:
-        value, mark = _number(cell, self.comma)
-        if mark == TEXT and not self.first:
-            self.first = cell.strip()
-        self.values.append(value)
-        self.marks.append(mark)
+def number_cells(listed: Sequence[str], decimal_comma: bool, where: str) -> Cells:
+    """Return the numbers of a column's cells.
 
-    def cells(self) -> Cells:
-        return Cells(np.array(self.values, dtype=np.float64), np.array(self.marks, dtype=np.int8), self.first)
+    decimal_comma: whether a comma may be the decimal mark. Raises `RecordError`, beginning with `where`, for a column
+    in which some cells have a decimal comma and others a decimal point: one of them parts thousands, but which?
+    """
+    together = "\n".join(listed)
+    if decimal_comma and "," in together and "." in together:
+        comma = next((c for c in listed if "," in c and "." not in c and _number(c, True)[1] == OK), None)
+        point = next((c for c in listed if "." in c and "," not in c and _number(c, True)[1] == OK), None)
+        if comma is not None and point is not None:
+            msg = (
+                f"{where}: decimal commas ({comma.strip()!r}) and decimal points ({point.strip()!r}) in one column; "
+                "export with one of them"
+            )
+            raise RecordError(msg)
+    comma_only = decimal_comma and "." not in together
+    if "_" not in together and (comma_only or "," not in together) and together.count("\n") == len(listed) - 1:
+        # Nearly always every cell is a number, and this takes a tenth of the time.
+        with suppress(ValueError):
+            return _marked(np.array(list(map(float, together.replace(",", ".").split("\n"))), dtype=np.float64))
+    values, marks, words = array("d"), array("b"), Counter[str]()
+    for cell in listed:
+        value, mark = _number(cell, decimal_comma)
+        if mark == TEXT:
+            words[cell.strip()] += 1
+        values.append(value)
+        marks.append(mark)
+    return Cells(np.array(values, dtype=np.float64), np.array(marks, dtype=np.int8), words)
+
+
+def text_cells(listed: list[str], decimal_comma: bool, where: str, numbers: bool = True) -> Cells:
+    """Return a column of text; with its numbers as well where `numbers` asks for them and its first cells are such."""
+    some = [c for c in listed[:1000] if c.strip()][:50]
+    if numbers and sum(_number(c, decimal_comma)[1] != TEXT for c in some) * 2 >= len(some):
+        cells = number_cells(listed, decimal_comma, where)
+    else:
+        blank = np.array([not c for c in listed], dtype=bool)
+        cells = Cells(np.full(len(listed), np.nan), np.where(blank, BLANK, TEXT).astype(np.int8))
+    cells.texts = listed
+    return cells
 
 
 def _encoding(head: bytes, source: str) -> str:
@@ -109,18 +185,18 @@ def _reading(source: str) -> Iterator[None]:
 
 def _delimiter(line: str) -> str:
     bare = "".join(part for i, part in enumerate(line.split('"')) if i % 2 == 0)
-    counts = {mark: bare.count(mark) for mark in ("\t", ";", ",")}
+    counts = {mark: bare.count(mark) for mark in ("\t", ";", "|", ",")}
     # A comma may be a decimal comma or part of a name where another delimiter is there.
-    return next((mark for mark in ("\t", ";") if counts[mark]), ",")
+    return next((mark for mark in ("\t", ";", "|") if counts[mark]), ",")
 
 
 def read_csv(path: Path, match: Callable[[list[str]], dict[str, int]], source: str) -> tuple[Table, list[str]]:
     """Return the needed columns of a CSV file and its header.
 
-    match: from the header to the column index of each needed signal. Delimiter comma, semicolon or tab, with a decimal
-    comma allowed for the latter two; UTF-8 (with or without a byte order mark), UTF-16 or Windows-1252. Lines before
-    the header that are empty or start with # are passed over. A row with more fields than the header is marked FIELDS
-    (a decimal comma in a comma-separated file shows in that way). Raises `RecordError`.
+    match: from the header to the column index of each needed signal. Delimiter comma, semicolon, tab or bar, with a
+    decimal comma allowed for all but the first; UTF-8 (with or without a byte order mark), UTF-16 or Windows-1252.
+    Lines before the header that are empty, start with # or hold a title are passed over. A row with more fields than
+    the header is marked FIELDS (a decimal comma in a comma-separated file shows in that way). Raises `RecordError`.
     """
     notes: list[str] = []
     with _reading(source):
@@ -130,27 +206,37 @@ def read_csv(path: Path, match: Callable[[list[str]], dict[str, int]], source: s
         if encoding == "cp1252":
             notes.append("the text is not UTF-8 and was read as Windows-1252")
         with path.open(encoding=encoding, newline="") as stream:
-            skipped, first = 0, ""
-            for line in stream:
-                if line.strip() and not line.lstrip().startswith("#"):
-                    first = line
-                    break
-                skipped += 1
-            if not first:
-                msg = f"{source}: empty: no header and no row"
-                raise RecordError(msg)
-            mark = _delimiter(first)
-            reader = csv.reader(_chain(first, stream), delimiter=mark, skipinitialspace=True, strict=False)
+            head_lines = list(islice(stream, _HEAD_LINES))
+            skipped, mark, found = _header(head_lines, match, source)
+            if any(line.strip() and not line.lstrip().startswith("#") for line in head_lines[:skipped]):
+                notes.append(f"the header is line {skipped + 1}")
+            lines = chain(head_lines[skipped:], stream)
+            reader = csv.reader(lines, delimiter=mark, skipinitialspace=True, strict=False)
             header = next(reader)
-            if all(_number(cell, mark != ",")[1] == OK for cell in header):
-                msg = f"{source}: line {skipped + 1}: numbers where the column names should be; a header line is needed"
-                raise RecordError(msg)
-            return _rows(reader, header, match(header), mark, skipped, notes), header
+            return _rows(reader, header, found, mark, skipped, notes, source), header
 
 
-def _chain(first: str, stream: io.TextIOWrapper) -> Iterator[str]:
-    yield first
-    yield from stream
+def _header(
+    lines: list[str], match: Callable[[list[str]], dict[str, int]], source: str
+) -> tuple[int, str, dict[str, int]]:
+    """Return the number of lines before the header, the delimiter and the columns; titles may stand before a header."""
+    refusal: RecordError | None = None
+    for skipped, line in enumerate(lines):
+        if not line.strip() or line.lstrip().startswith("#"):
+            continue
+        mark = _delimiter(line)
+        # A name in quotes may go on in the next line.
+        cells = next(csv.reader(lines[skipped:], delimiter=mark, skipinitialspace=True, strict=False))
+        if all(_number(cell, mark != ",")[1] == OK for cell in cells):
+            msg = f"{source}: line {skipped + 1}: numbers where the column names should be; a header line is needed"
+            raise refusal or RecordError(msg)
+        try:
+            return skipped, mark, match(cells)
+        except RecordError as error:
+            # If no line is a header, what is wrong with the first one is told.
+            refusal = refusal or error
+    nothing = "empty: no header and no row" if len(lines) < _HEAD_LINES else f"no header in {_HEAD_LINES} lines"
+    raise refusal or RecordError(f"{source}: {nothing}")
 
 
 def _rows(
@@ -160,37 +246,28 @@ def _rows(
     mark: str,
     skipped: int,
     notes: list[str],
+    source: str,
 ) -> Table:
-    numbers = {name: _Numbers(mark != ",") for name in found if name not in ("time", "MODE")}
-    texts: dict[str, list[str]] = {name: [] for name in found if name in ("time", "MODE")}
-    lines, wide = array("q"), array("b")
+    lines, rows = array("q"), []
     for row in reader:
         if not row or (len(row) == 1 and not row[0].strip()):
             continue
         lines.append(reader.line_num + skipped)  # type: ignore[attr-defined]
-        # A trailing delimiter makes one empty field more; that is harmless.
-        wide.append(len(row) > len(header) and any(cell.strip() for cell in row[len(header) :]))
-        for name, collected in numbers.items():
-            collected.add(row[found[name]] if found[name] < len(row) else "")
-        for name, listed in texts.items():
-            listed.append(row[found[name]].strip() if found[name] < len(row) else "")
-    columns = {name: collected.cells() for name, collected in numbers.items()}
-    for name, listed in texts.items():
-        columns[name] = text_cells(listed, mark != ",")
-    too_wide = np.array(wide, dtype=bool)
+        rows.append(row)
+    columns: dict[str, Cells] = {}
+    for name, i in found.items():
+        listed = [row[i] if i < len(row) else "" for row in rows]
+        where = f"{source}: column {header[i].strip()!r}"
+        if name in NUMERIC:
+            columns[name] = number_cells(listed, mark != ",", where)
+        else:
+            columns[name] = text_cells([cell.strip() for cell in listed], mark != ",", where, name == "time")
+    # A trailing delimiter makes one empty field more; that is harmless.
+    width = len(header)
+    wide = [k for k, row in enumerate(rows) if len(row) > width and any(cell.strip() for cell in row[width:])]
     for cells in columns.values():
-        cells.marks[too_wide] = FIELDS
-    return Table(columns, np.array(lines, dtype=np.int64), "line", notes)
-
-
-def text_cells(listed: list[str], decimal_comma: bool) -> Cells:
-    """Return a column that may hold numbers or text, with both."""
-    collected = _Numbers(decimal_comma)
-    for cell in listed:
-        collected.add(cell)
-    cells = collected.cells()
-    cells.texts = listed
-    return cells
+        cells.marks[wide] = FIELDS
+    return Table(columns, np.array(lines, dtype=np.int64), "line", notes, mark != ",")
 
 
 def read_parquet(path: Path, match: Callable[[list[str]], dict[str, int]], source: str) -> tuple[Table, list[str]]:
@@ -206,7 +283,10 @@ def read_parquet(path: Path, match: Callable[[list[str]], dict[str, int]], sourc
                 msg = f"{source}: several columns have the same name; each needs its own"
                 raise RecordError(msg)
             table = file.read(columns=[header[i] for i in found.values()])
-            columns = {name: _arrow_cells(table.column(header[i])) for name, i in found.items()}
+            columns = {
+                name: _arrow_cells(table.column(header[i]), name, f"{source}: column {header[i]!r}")
+                for name, i in found.items()
+            }
             rows = table.num_rows
     except (pa.ArrowException, OSError, ValueError, KeyError, NotImplementedError) as error:
         if isinstance(error, RecordError):
@@ -218,7 +298,7 @@ def read_parquet(path: Path, match: Callable[[list[str]], dict[str, int]], sourc
     return Table(columns, np.arange(1, rows + 1, dtype=np.int64), "row"), header
 
 
-def _arrow_cells(column: object) -> Cells:
+def _arrow_cells(column: object, name: str, where: str) -> Cells:
     import pyarrow as pa
     import pyarrow.compute as pc
 
@@ -227,15 +307,20 @@ def _arrow_cells(column: object) -> Cells:
     if pa.types.is_dictionary(kind):
         chunk = chunk.dictionary_decode()
         kind = chunk.type
+    if pa.types.is_date(kind):
+        chunk, kind = pc.cast(chunk, pa.timestamp("us")), pa.timestamp("us")
+    missing = np.asarray(pc.is_null(chunk).to_numpy(zero_copy_only=False), dtype=bool)
     if pa.types.is_timestamp(kind):
-        listed = [
-            "" if t is None else str(t) for t in pc.cast(chunk, pa.timestamp("us", kind.tz), safe=False).to_pylist()
-        ]
-        return text_cells(listed, False)
+        fine = pc.cast(chunk, pa.timestamp("us", kind.tz), safe=False)
+        values = np.where(missing, np.nan, np.asarray(fine.cast(pa.int64()).fill_null(0)) / 1e6)
+        first = "" if missing.all() else str(fine[int(np.argmin(missing))].as_py())
+        marks = np.where(missing, BLANK, OK).astype(np.int8)
+        return Cells(values, marks, stamped=(first, kind.tz is not None))
+    if pa.types.is_boolean(kind):
+        chunk, kind = pc.cast(chunk, pa.int8()), pa.int8()
     if pa.types.is_integer(kind) or pa.types.is_floating(kind) or pa.types.is_decimal(kind):
-        values = np.array(pc.cast(chunk, pa.float64()).to_numpy(zero_copy_only=False), dtype=np.float64)
-        marks = np.where(np.isfinite(values), OK, NOT_FINITE).astype(np.int8)
-        marks[np.asarray(pc.is_null(chunk).to_numpy(zero_copy_only=False), dtype=bool)] = BLANK
-        values[marks != OK] = np.nan
-        return Cells(values, marks)
-    return text_cells(["" if v is None else str(v) for v in chunk.to_pylist()], False)
+        cells = _marked(np.array(pc.cast(chunk, pa.float64()).to_numpy(zero_copy_only=False), dtype=np.float64))
+        cells.marks[missing] = BLANK
+        return cells
+    listed = ["" if v is None else str(v).strip() for v in chunk.to_pylist()]
+    return text_cells(listed, False, where) if name not in NUMERIC else number_cells(listed, False, where)

@@ -1,16 +1,27 @@
-"""Times of samples: from numbers or timestamps to seconds, and how evenly they are spaced."""
+"""Times of samples: from numbers or timestamps to seconds that ascend, and what was done to make them."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from datetime import UTC, datetime
+from functools import lru_cache
 from itertools import pairwise
 
 import numpy as np
+from numpy.typing import NDArray
 
 from workbench.model.record import FloatArray
 
-__all__ = ["FORMATS_SAID", "parse_timestamps"]
+__all__ = ["FORMATS_SAID", "JITTER", "Order", "in_order", "parse_timestamps"]
+
+JITTER = 0.2  # of the sample time, by which an interval may differ from it
+HOUR = 3600.0
+DUPLICATES = 0.2  # share of times that may repeat with other values before they say nothing
+# Of an hour that goes by twice, only this many sample times may be missing: anything longer is no changed clock.
+SLACK = 10.0
+_EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
+_SUNDAY, _NIGHT = 3, 4.0  # 1 January 1970 was a Thursday; clocks change before four in the morning
 
 _DAYS = ("%Y/%m/%d", "%d.%m.%Y", "%d.%m.%y", "%d-%b-%Y", "%d-%b-%y", "%d %b %Y", "%d/%m/%Y", "%m/%d/%Y", "%d-%m-%Y")
 _CLOCKS = ("%H:%M:%S", "%H:%M:%S.%f", "%H:%M", "%I:%M:%S %p", "%I:%M %p")
@@ -27,35 +38,45 @@ def _iso(text: str) -> datetime | None:
         return None
 
 
-def _formatted(text: str, form: str) -> datetime | None:
+@lru_cache(maxsize=4096)
+def _day(text: str, form: str) -> datetime | None:
     try:
         return datetime.strptime(text, form)  # noqa: DTZ007 - zones are settled for the whole column
     except ValueError:
         return None
 
 
-def _seconds(stamps: Sequence[datetime | None]) -> FloatArray | None:
-    """Seconds since 1970 (nan where None), or None where some stamps have a zone and some have none."""
-    known = [s for s in stamps if s is not None]
-    aware = [s.tzinfo is not None for s in known]
-    if any(aware) and not all(aware):
+def _formatted(text: str, form: str) -> datetime | None:
+    day_form, gap, clock_form = form.partition(" %H")
+    if not gap or clock_form not in (":%M:%S", ":%M"):
+        return _day(text, form)
+    # strptime takes ten times as long as reading the few days once and the clock by hand.
+    day_text, _, clock = text.rpartition(" ")
+    day, parts = _day(day_text, day_form), clock.split(":")
+    if day is None or len(parts) != clock_form.count("%") + 1 or not all(p.isdecimal() and len(p) < 3 for p in parts):
         return None
-    out = np.full(len(stamps), np.nan)
-    for i, stamp in enumerate(stamps):
-        if stamp is not None:
-            try:
-                out[i] = (stamp if stamp.tzinfo is not None else stamp.replace(tzinfo=UTC)).timestamp()
-            except (OverflowError, ValueError):
-                continue
-    return out
+    hour, minute, second = (*map(int, parts), 0)[:3]
+    return day.replace(hour=hour, minute=minute, second=second) if hour < 24 and minute < 60 and second < 60 else None
 
 
-def parse_timestamps(cells: Sequence[str]) -> tuple[FloatArray, str] | str:
-    """Return (seconds, note) of timestamps, shape (N,), nan where a cell is none; or a refusal in words.
+def _seconds(stamps: Sequence[datetime | None]) -> tuple[FloatArray, bool] | None:
+    """Seconds since 1970 (nan where None) and whether with a zone, or None where only some have a zone."""
+    known = [s for s in stamps if s is not None]
+    aware = {s.tzinfo is not None for s in known}
+    if len(aware) > 1:
+        return None
+    if aware != {True}:
+        clock = np.array(stamps, dtype="datetime64[us]")
+        return np.where(np.isnat(clock), np.nan, clock.astype(np.int64) / 1e6), False
+    return np.array([np.nan if s is None else (s - _EPOCH).total_seconds() for s in stamps]), True
+
+
+def parse_timestamps(cells: Sequence[str]) -> tuple[FloatArray, str, bool] | str:
+    """Return (seconds, note, zoned) of timestamps, shape (N,), nan where a cell is none; or a refusal in words.
 
     The spelling is settled for the whole column: the one that reads most cells, and of two that read the same (day or
-    month first) the one whose times ascend; the note says so where both do. Stamps without a zone are taken as one
-    clock without jumps.
+    month first) the one whose times run in one direction; the note says so where both do. zoned: whether the stamps
+    carry a zone; without one they are a clock on a wall, which may have been changed.
     """
     # Fractions with a comma are ISO 8601, and Python reads them as such.
     stamps = [_iso(c) for c in cells]
@@ -69,12 +90,96 @@ def parse_timestamps(cells: Sequence[str]) -> tuple[FloatArray, str] | str:
             other = [_formatted(c, form) for c in cells]
             count = sum(s is not None for s in other)
             plain = [s for s in other if s is not None]
-            ascending = all(b > a for a, b in pairwise(plain))
-            if (count, ascending) > best:
-                best, stamps, note = (count, ascending), other, f"timestamps read as {form}"
-            elif (count, ascending) == best and ascending and count > 0 and other != stamps:
+            one_way = all(b > a for a, b in pairwise(plain)) or all(b < a for a, b in pairwise(plain))
+            if (count, one_way) > best:
+                best, stamps, note = (count, one_way), other, f"timestamps read as {form}"
+            elif (count, one_way) == best and one_way and count > 0 and other != stamps:
                 note += f" (as {form} they would ascend as well)"
-    seconds = _seconds(stamps)
-    if seconds is None:
+    parsed = _seconds(stamps)
+    if parsed is None:
         return "some timestamps carry a time zone and some do not; all or none must"
-    return seconds, note
+    return parsed[0], note, parsed[1]
+
+
+@dataclass(frozen=True)
+class Order:
+    """Times in ascending order: `rows` (M,) picks them from the file, `seconds` (M,) are theirs, strictly ascending.
+
+    repeated: rows left out since a later one has the same time. notes: what was done, in words. refusal: why the times
+    make no order, with {row} and {before} for the lines of the two rows in `between`; else "".
+    """
+
+    rows: NDArray[np.int64]
+    seconds: FloatArray
+    repeated: int
+    notes: tuple[str, ...]
+    refusal: str = ""
+    between: tuple[int, int] = (0, 0)
+
+
+def in_order(seconds: FloatArray, same: NDArray[np.bool_], wall_clock: bool) -> Order:
+    """Bring times into ascending order as far as that leaves no doubt.
+
+    seconds: as in the file, shape (N,), nan for none (those rows are left out). same: where a row holds the same
+    values as the row before. wall_clock: timestamps without a zone. A file from the latest time to the earliest is
+    turned round; of rows with one time the last counts; a wall clock that was put back or forward by an hour at the
+    change of daylight saving runs on. Anything else is refused.
+    """
+    rows = np.flatnonzero(np.isfinite(seconds))
+    times, notes = seconds[rows], []
+    steps = np.diff(times)
+    if steps.size and (steps <= 0.0).all() and (steps < 0.0).any():
+        rows, times = rows[::-1], times[::-1]
+        same = np.concatenate((same[1:], [False]))
+        steps = np.diff(times)
+        notes.append("the file goes from the latest time to the earliest; turned round")
+    if wall_clock:
+        times, said = _clock_changes(times)
+        notes += said
+        steps = np.diff(times)
+    back = np.flatnonzero(steps < 0.0)
+    if back.size:
+        at = int(back[0])
+        refusal = (
+            f"{-steps[at]:g} s before {{before}}; times must ascend (a changed clock, daylight saving or two exports "
+            "in one file do this)"
+        )
+        return Order(rows, times, 0, tuple(notes), refusal, (int(rows[at + 1]), int(rows[at])))
+    twice = np.flatnonzero(steps == 0.0)
+    if twice.size:
+        other = twice[~same[rows[twice + 1]]]
+        if other.size > max(DUPLICATES * times.size, 1):
+            at = int(other[0])
+            refusal = (
+                f"the same time as {{before}} with other values, and {other.size - 1} times more; times must ascend "
+                "(times cut to whole seconds or minutes, or several loops in one file, do this)"
+            )
+            return Order(rows, times, 0, tuple(notes), refusal, (int(rows[at + 1]), int(rows[at])))
+        keep = np.concatenate((steps > 0.0, [True]))
+        rows, times = rows[keep], times[keep]
+        which = f"{other.size} of them with other values" if other.size else "with the same values"
+        notes.append(f"{twice.size} row{'s' if twice.size > 1 else ''} of a time that occurs again left out, {which}")
+    return Order(rows, times, int(twice.size), tuple(notes))
+
+
+def _clock_changes(times: FloatArray) -> tuple[FloatArray, list[str]]:
+    """Return times of a wall clock with the hour of daylight saving taken out, and what was done."""
+    steps = np.diff(times)
+    usual = float(np.median(steps[steps > 0.0])) if (steps > 0.0).any() else 0.0
+    if not 0.0 < usual < HOUR / SLACK:
+        return times, []
+    notes = []
+    back = np.flatnonzero((steps > -HOUR) & (steps <= SLACK * usual - HOUR))
+    even = np.abs(steps - usual - HOUR) <= JITTER * usual
+    hours = (times[:-1] % (24.0 * HOUR)) / HOUR
+    sunday = np.floor(times[:-1] / (24.0 * HOUR)) % 7 == _SUNDAY
+    forward = np.flatnonzero(even & sunday & (hours < _NIGHT))
+    shift = np.zeros(times.size)
+    for many, at, sign, words in (
+        (back.size, back, 1.0, "back an hour (daylight saving ends)"),
+        (forward.size, forward, -1.0, "forward an hour (daylight saving begins)"),
+    ):
+        if many > 0:
+            shift[at + 1] += sign * HOUR
+            notes.append(f"the clock goes {words}{f' {many} times' if many > 1 else ''}; the times run on through it")
+    return times + np.cumsum(shift), notes

@@ -18,7 +18,6 @@ from workbench.model.record import Record
 from workbench.model.rule import Rule
 from workbench.model.tuning import Objective
 from workbench.model.valve import Choudhury, Deadband, Ideal, Stenman, Valve
-from workbench.record.reader import read_record
 from workbench.scenario import schema
 from workbench.scenario.controllers import Controllers, fitting_action, ruled, wrong_way
 from workbench.scenario.document import Path
@@ -26,7 +25,7 @@ from workbench.scenario.plan import CaseJob, EnsembleJob, EstimateJob, Scenario
 from workbench.scenario.refusals import Refusals
 from workbench.scenario.robust import RobustEntries, measured_in
 from workbench.scenario.rule_entries import DetunedIntegralRule, rule_of
-from workbench.scenario.series import in_samples, read_series
+from workbench.scenario.series import in_samples, read_data, read_series
 from workbench.scenario.units import Quantity
 from workbench.simulate.signals import sample_count
 
@@ -422,7 +421,7 @@ class Builder:
             path: Path = ("estimate", i)
             record = None
             if e.data is None:
-                for name in ("columns", "sample_time"):
+                for name in ("columns", "tags", "sample_time", "pv_range", "op_range", "max_gap"):
                     if getattr(e, name) is not None:
                         self.refusals.refuse((*path, name), "given without data; a simulated record has no such entry")
             else:
@@ -430,9 +429,8 @@ class Builder:
                     self.refusals.refuse(
                         (*path, "noise"), "given with data; only a simulated record can be given noise"
                     )
-                columns = None if e.columns is None else e.columns.model_dump(exclude_none=True)
                 try:
-                    record = read_record(self._beside(e.data), columns=columns, sample_time=e.sample_time)
+                    record = read_data(self._beside(e.data), e, self.controllers.pv_range)
                 except (RecordError, InvalidValue, OSError, ValueError) as error:
                     self.refusals.refuse((*path, "data"), _one_line(error))
                 else:

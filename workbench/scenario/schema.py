@@ -348,6 +348,22 @@ class Columns(Closed):
     SP: Name | None = None
     MODE: Name | None = None
     valve_position: Name | None = None
+    tag: Annotated[Name | None, Field(description="of a tall export, as value and quality")] = None
+    value: Name | None = None
+    quality: Name | None = None
+
+
+class Tags(Closed):
+    """Which tag of a historian's tall export, or column, is which signal, where the tags' endings do not say it."""
+
+    PV: Name | None = None
+    OP: Name | None = None
+    SP: Name | None = None
+    MODE: Name | None = None
+    valve_position: Name | None = None
+
+
+Span = Annotated[list[Number], Field(min_length=2, max_length=2)]
 
 
 class Estimate(Closed):
@@ -357,7 +373,13 @@ class Estimate(Closed):
     data: Annotated[FileName | None, Field(description="CSV or Parquet file, relative to the scenario")] = None
     simulate: Annotated[bool, Field(description="estimate from a record simulated with loop and experiment")] = False
     columns: Columns | None = None
-    sample_time: Annotated[PositiveTime | None, Field(description="where the data has no time column")] = None
+    tags: Tags | None = None
+    sample_time: Annotated[PositiveTime | None, Field(description="where the data has no even times")] = None
+    pv_range: Annotated[Span | None, Field(description="[low, high] of PV in EU; the loop's where not given")] = None
+    op_range: Annotated[Span | None, Field(description="[low, high]: what the data calls 0 and 100 % of OP")] = None
+    max_gap: Annotated[PositiveTime | None, Field(description="the longest time without a value that is bridged")] = (
+        None
+    )
     noise: Annotated[Noise | None, Field(description="of the simulated record, instead of the experiment's")] = None
     method: Literal["profile", "two_step"] = "profile"
     valve: Literal["stenman"] = "stenman"

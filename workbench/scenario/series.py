@@ -1,4 +1,4 @@
-"""What an experiment takes from recorded data: a column as a profile, and the record's clock for its duration."""
+"""Recorded data of a scenario: records to estimate from, their clock for the experiment, and columns as profiles."""
 
 from __future__ import annotations
 
@@ -9,12 +9,14 @@ import numpy as np
 
 from workbench.errors import RecordError
 from workbench.model.experiment import Experiment, Series
-from workbench.model.record import FloatArray
+from workbench.model.record import FloatArray, Record
 from workbench.record.columns import match_columns, time_unit
+from workbench.record.reader import read_record
 from workbench.record.table import BLANK, OK, Cells, read_csv, read_parquet
 from workbench.record.times import parse_timestamps
+from workbench.scenario import schema
 
-__all__ = ["LARGEST", "in_samples", "read_series"]
+__all__ = ["LARGEST", "in_samples", "read_data", "read_series"]
 
 LARGEST = 64 << 20  # bytes
 CLOCK = 5e-3  # relative change of a duration by which it is fitted to a record's clock
@@ -35,6 +37,19 @@ def in_samples(experiment: Experiment, sample_time: float, notes: list[str]) -> 
         f"samples of the record's {sample_time:.6g} s."
     )
     return replace(experiment, duration=samples * sample_time)
+
+
+def read_data(path: Path, given: schema.Estimate, pv_range: tuple[float, float] | None) -> Record:
+    """Return the record that an estimate's entries ask for; pv_range: the loop's, EU, where the estimate has none."""
+    return read_record(
+        path,
+        columns=None if given.columns is None else given.columns.model_dump(exclude_none=True),
+        tags=None if given.tags is None else given.tags.model_dump(exclude_none=True),
+        sample_time=given.sample_time,
+        pv_range=given.pv_range or pv_range,
+        op_range=given.op_range,
+        max_gap=given.max_gap,
+    )
 
 
 def read_series(path: Path, source: str, column: str, time: str | None, resting_value: float | None) -> Series:

@@ -1,0 +1,195 @@
+"""Times as clocks and historians write them: changed clocks, order, repeats, uneven spacing, gaps."""
+
+from __future__ import annotations
+
+import datetime as dt
+from pathlib import Path
+from zoneinfo import ZoneInfo
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from workbench.errors import RecordError
+from workbench.record.reader import read_record
+from workbench.record.times import in_order
+
+BERLIN = ZoneInfo("Europe/Berlin")
+
+
+def write(folder: Path, times: list[object], header: str = "time,PV,OP") -> Path:
+    """PV is the row's number, so that a record tells which rows it holds."""
+    path = folder / "loop.csv"
+    path.write_text(header + "\n" + "".join(f"{t},{k},{k % 7}\n" for k, t in enumerate(times)), encoding="utf-8")
+    return path
+
+
+def local(start: dt.datetime, many: int, every: int, form: str = "%Y-%m-%d %H:%M:%S") -> list[object]:
+    """Clock times in Berlin of samples that are even in truth."""
+    return [(start + dt.timedelta(seconds=every * k)).astimezone(BERLIN).strftime(form) for k in range(many)]
+
+
+@pytest.mark.parametrize(
+    ("start", "words"),
+    [
+        (dt.datetime(2024, 10, 26, 23, 30, tzinfo=dt.UTC), "the clock goes back an hour"),
+        (dt.datetime(2024, 3, 31, 0, 30, tzinfo=dt.UTC), "the clock goes forward an hour"),
+    ],
+)
+def test_a_clock_without_zone_runs_on_through_daylight_saving(tmp_path: Path, start: dt.datetime, words: str) -> None:
+    record = read_record(write(tmp_path, local(start, 600, 10)))
+    assert len(record) == 600
+    assert record.sample_time == 10.0
+    assert sum(words in note for note in record.notes) == 1
+
+
+def test_stamps_with_a_zone_need_no_mending(tmp_path: Path) -> None:
+    start = dt.datetime(2024, 10, 26, 23, 30, tzinfo=dt.UTC)
+    record = read_record(write(tmp_path, local(start, 600, 10, "%Y-%m-%dT%H:%M:%S%z")))
+    assert len(record) == 600
+    assert not any("clock" in note for note in record.notes)
+
+
+def test_an_hour_missing_on_a_weekday_is_a_gap(tmp_path: Path) -> None:
+    start = dt.datetime(2024, 3, 27, 0, 30)  # noqa: DTZ001 - a clock on a wall
+    times: list[object] = [start + dt.timedelta(seconds=10 * k + (3600 if k >= 200 else 0)) for k in range(600)]
+    record = read_record(write(tmp_path, times))
+    assert (len(record), record.counts["gaps"]) == (400, 1)
+    assert [len(part) for part in record.segments] == [200, 400]
+
+
+def test_a_clock_set_back_by_anything_else_is_refused(tmp_path: Path) -> None:
+    start = dt.datetime(2024, 10, 27, 0, 30)  # noqa: DTZ001
+    times: list[object] = [start + dt.timedelta(seconds=10 * k - (1800 if k >= 300 else 0)) for k in range(600)]
+    with pytest.raises(RecordError, match="line 302, column 'time': 1790 s before line 301; times must ascend"):
+        read_record(write(tmp_path, times))
+
+
+def test_newest_first_is_turned_round(tmp_path: Path) -> None:
+    record = read_record(write(tmp_path, [10 * (59 - k) for k in range(60)]))
+    assert record.pv.tolist() == [59.0 - k for k in range(60)]
+    assert any("turned round" in note for note in record.notes)
+
+
+def test_a_repeated_time_keeps_the_last_row(tmp_path: Path) -> None:
+    path = tmp_path / "loop.csv"
+    rows = [f"{k},{k},{k % 5}\n" for k in range(50)]
+    rows.insert(21, "20,-1,3\n")
+    path.write_text("t,PV,OP\n" + "".join(rows))
+    record = read_record(path)
+    assert record.pv[20] == -1.0
+    assert (len(record), record.counts["repeated"]) == (50, 1)
+    assert any("1 row of a time that occurs again left out, 1 of them with other values" in n for n in record.notes)
+    rows[21] = rows[20]
+    path.write_text("t,PV,OP\n" + "".join(rows))
+    assert any(note.endswith("left out, with the same values") for note in read_record(path).notes)
+
+
+def test_times_cut_to_whole_minutes_are_refused(tmp_path: Path) -> None:
+    times: list[object] = [f"2024-10-17 21:{k // 6:02d}" for k in range(120)]
+    with pytest.raises(
+        RecordError, match=r"the same time as line 2 with other values.*cut to whole seconds or minutes"
+    ):
+        read_record(write(tmp_path, times))
+
+
+def test_days_as_spreadsheets_count_them(tmp_path: Path) -> None:
+    record = read_record(write(tmp_path, [f"{45291.5 + 5 * k / 86400:.8f}" for k in range(100)], "Timestamp,PV,OP"))
+    assert (len(record), record.sample_time) == (100, pytest.approx(5.0, rel=1e-4))
+    assert any("as spreadsheets count them" in note for note in record.notes)
+
+
+def test_uneven_times_are_resampled_and_said(tmp_path: Path) -> None:
+    rng = np.random.default_rng(1)
+    times = np.round(np.cumsum(rng.uniform(2.0, 9.0, 300)), 3)
+    path = tmp_path / "loop.csv"
+    path.write_text("t,PV,OP,SP\n" + "".join(f"{t},{3 * t + 1},{k},{k % 2}\n" for k, t in enumerate(times)))
+    record = read_record(path, sample_time=5.0)
+    assert record.sample_time == 5.0
+    assert record.pv == pytest.approx(3.0 * record.time + 1.0)
+    before = np.searchsorted(times, record.time, side="right") - 1
+    assert record.op.tolist() == before.tolist()
+    assert record.sp is not None
+    assert record.sp.tolist() == (before % 2).tolist()
+    assert record.rest == ()
+    assert any(note.startswith("resampled, as the times are not even: every 5 s") for note in record.notes)
+    usual = read_record(path)
+    assert usual.sample_time == pytest.approx(float(np.median(np.diff(times))), rel=1e-3)
+
+
+def test_rows_that_hold_only_what_changed_are_filled(tmp_path: Path) -> None:
+    path = tmp_path / "loop.csv"
+    rows = [f"{k},{k if k % 2 == 0 else ''},{'' if k % 5 else k}\n" for k in range(101)]
+    path.write_text("t,PV,OP\n" + "".join(rows))
+    record = read_record(path, sample_time=1.0)
+    assert record.pv.tolist() == [float(k) for k in range(101)]
+    assert record.op.tolist() == [float(5 * (k // 5)) for k in range(101)]
+    assert "rejected, blank" not in record.counts
+    assert any("most rows hold only what changed" in note for note in record.notes)
+
+
+def test_gaps_are_bridged_only_up_to_max_gap(tmp_path: Path) -> None:
+    times = [10 * k for k in range(300) if k not in (50, 51) and not 150 <= k < 170]
+    path = tmp_path / "loop.csv"
+    path.write_text("t,PV,OP\n" + "".join(f"{t},{'x' if t == 2500 else t},{t + 1}\n" for t in times))
+    parted = read_record(path)
+    assert [len(part) for part in parted.segments] == [50, 98, 80, 49]
+    assert (parted.counts["gaps"], parted.counts["rejected, text"]) == (2, 1)
+    bridged = read_record(path, max_gap=60.0)
+    assert [len(part) for part in bridged.segments] == [150, 130]
+    first = bridged.segments[0]
+    assert first.pv.tolist() == first.time.tolist()
+    assert first.op[49:53].tolist() == [491.0, 491.0, 491.0, 521.0]
+    assert any("resampled, as gaps are to be bridged" in note for note in bridged.notes)
+    assert "1 row rejected: text ('x'), first in line 230, column 'PV'" in bridged.notes
+
+
+def test_a_sample_time_far_below_the_recorded_interval_is_refused(tmp_path: Path) -> None:
+    path = write(tmp_path, [k**1.5 for k in range(100)])
+    with pytest.raises(RecordError, match=r"sample_time 0.01 s is too short: values are recorded every 10.\d+ s"):
+        read_record(path, sample_time=0.01)
+    path = write(tmp_path, [*range(50), *(10**9 + k**1.01 for k in range(50))])
+    with pytest.raises(RecordError, match="at most 20,000,000 are made; give a longer sample_time, or a shorter max_"):
+        read_record(path, max_gap=1e12)
+
+
+CALM = [HealthCheck.function_scoped_fixture, HealthCheck.too_slow]  # a busy machine is no defect
+quiet = settings(max_examples=100, deadline=None, suppress_health_check=CALM)
+
+
+@quiet
+@given(
+    times=st.lists(
+        st.one_of(st.integers(-50, 50).map(float), st.floats(allow_nan=True, allow_infinity=True)), max_size=30
+    ),
+    wall=st.booleans(),
+)
+def test_times_come_out_ascending_or_are_refused(times: list[float], wall: bool) -> None:
+    seconds = np.array([t if abs(t) < 1e100 else np.nan for t in times], dtype=np.float64)
+    order = in_order(seconds, np.zeros(seconds.size, dtype=bool), wall)
+    if not order.refusal:
+        assert (np.diff(order.seconds) > 0.0).all()
+        assert order.rows.size + order.repeated == np.count_nonzero(np.isfinite(seconds))
+        assert order.notes or order.seconds.tolist() == seconds[order.rows].tolist()
+    else:
+        assert "{before}" in order.refusal
+
+
+@quiet
+@given(
+    steps=st.lists(st.floats(0.5, 2.0), min_size=40, max_size=120), Ts=st.floats(0.3, 4.0), shift=st.floats(-1e6, 1e6)
+)
+def test_resampling_a_straight_line_gives_the_line(tmp_path: Path, steps: list[float], Ts: float, shift: float) -> None:
+    times = shift + np.concatenate(([0.0], np.cumsum(steps)))
+    path = tmp_path / "loop.csv"
+    path.write_text("t,PV,OP\n" + "".join(f"{t!r},{0.5 * (t - shift)!r},{k}\n" for k, t in enumerate(times.tolist())))
+    try:
+        record = read_record(path, sample_time=Ts)
+    except RecordError as refusal:
+        # Nearly even times are taken as they are, and then the sample time must be theirs.
+        assert "sample_time" in str(refusal)  # noqa: PT017
+        return
+    if record.counts.get("resampled"):
+        assert record.pv == pytest.approx(0.5 * (record.time - shift), abs=1e-8)
+        assert record.start >= times[0] - 1e-9 * abs(shift)

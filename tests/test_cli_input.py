@@ -1,0 +1,134 @@
+"""The command's options on reading data: tags, ranges, gaps, and what a wrong one says."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+import workbench as wb
+from workbench.cli import app
+
+
+def call(*arguments: object) -> tuple[int, str, str]:
+    result = CliRunner().invoke(app, [str(a) for a in arguments])
+    if result.exception is not None and not isinstance(result.exception, SystemExit):
+        raise result.exception
+    return result.exit_code, result.stdout, result.stderr
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A tall export of a sticky loop, OP in mA, PV bad for a while and the loop in manual at the end."""
+    monkeypatch.chdir(tmp_path)
+    loop = wb.Loop(wb.FOPDT(1.0, 6.0, 2.0), wb.Stenman(1.0), wb.PID(0.6, 15.0), 1.0)
+    parts = (wb.Step(2.0), wb.Step(1.5, 300.0))
+    run = wb.simulate(loop, wb.Experiment(900.0, parts, noise=wb.Noise(0.02, 3)))
+    lines = ["Tag,Timestamp,Value,Quality"]
+    for k in range(900):
+        pv = "Bad Input,Bad" if k in (40, 41) else f"{run.pv[k] + 20.0:.4f},Good"
+        lines.append(f"FIC7.MEAS,{k},{pv}")
+        lines.append(f"FIC7.OUT,{k},{4.0 + 0.16 * (run.op[k] + 40.0):.5f},Good")
+        lines.append(f"FIC7.MODE,{k},{'AUTO' if k < 800 else 'MAN'},Good")
+        lines.append(f"FIC8.PV,{k},1,Good")
+    (tmp_path / "tall.csv").write_text("\n".join(lines))
+    return tmp_path
+
+
+def test_a_historian_export_is_estimated_with_tags_and_ranges(folder: Path) -> None:
+    reading = ("--tag", "PV=FIC7.MEAS", "--op-range", "4:20", "--pv-range", "0:50")
+    code, out, err = call("estimate", "tall.csv", *reading)
+    assert (code, err) == (0, "")
+    for words in (
+        "Record     758 samples of 1 s (0.211 h); 1 other stretch of 40 samples",
+        "tags not used: FIC8.PV",
+        "OP taken in % of its range, 4 to 20",
+        "2 rows rejected: text ('Bad Input'), first in line 162, tag 'FIC7.MEAS'",
+        "the 100 samples in manual are left out",
+        "Verdict    the valve sticks",
+    ):
+        assert words in out, words
+    code, out, _ = call("estimate", "tall.csv", "--json", "--max-gap", "5 s", *reading)
+    record = json.loads(out)["record"]
+    assert code == 0
+    assert record["samples"] == 800
+    assert record["counts"]["between"] == 2
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--tag", "PV"], "--tag: PV given; must be SIGNAL=NAME"),
+        (["--tag", "FLOW=FIC7.MEAS"], "tags: 'FLOW' given; must be one of"),
+        (["--op-range", "20:4"], "--op-range: 20:4 given; must be LOW:HIGH with LOW < HIGH"),
+        (["--op-range", "4-20"], "--op-range: 4-20 given"),
+        (["--max-gap", "5"], "--max-gap: 5 given; must be a time with its unit"),
+        (["--tag", "PV=FIC7.MEAS", "--pv-range", "500:600"], "PV runs from 19"),
+    ],
+)
+@pytest.mark.parametrize("command", ["estimate", "tune"])
+def test_wrong_reading_is_one_clear_line(folder: Path, command: str, arguments: list[str], words: str) -> None:
+    code, out, err = call(command, "tall.csv", *arguments)
+    assert (code, out) == (2, "")
+    assert words in err
+    assert len(err.splitlines()) == 1
+
+
+def test_a_file_without_a_known_tag_asks_for_the_option(folder: Path) -> None:
+    text = (folder / "tall.csv").read_text()
+    (folder / "tall.csv").write_text(text.replace("FIC8.PV", "FIC8").replace("FIC7.MEAS", "FLOW"))
+    code, _, err = call("estimate", "tall.csv")
+    assert code == 2
+    assert "no tag for PV; the file has 'FLOW', 'FIC7.OUT', 'FIC7.MODE', 'FIC8'" in err
+    assert '--tag "PV=name in the file"' in err
+
+
+def test_two_loops_in_a_file_ask_for_the_option(folder: Path) -> None:
+    text = (folder / "tall.csv").read_text()
+    (folder / "two.csv").write_text(text.replace("FIC7.MEAS", "FIC7.PV"))
+    code, _, err = call("estimate", "two.csv")
+    assert code == 2
+    assert """tags 'FIC7.PV', 'FIC8.PV' could each be PV; say which one, for example --tag "PV=FIC7.PV\"""" in err
+
+
+SCENARIO = """\
+title: From a historian
+loop: {controller: {Kc: 0.6, Ti: 15 s}}
+estimate:
+  data: tall.csv
+  tags: {PV: FIC7.MEAS}
+  op_range: [4, 20]
+  pv_range: [0, 50]
+  max_gap: 5 s
+"""
+
+
+def test_a_scenario_says_the_same(folder: Path) -> None:
+    from workbench.scenario.loader import load_scenario
+
+    (folder / "plan.yaml").write_text(SCENARIO)
+    record = load_scenario(folder / "plan.yaml").estimates[0].record
+    assert record is not None
+    assert (len(record), record.pv_range) == (800, (0.0, 50.0))
+    assert 35.0 < record.op.min() < record.op.max() < 50.0
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("[4, 20]", "[20, 4]", "op_range"),
+        ("[0, 50]", "[500, 600]", "PV runs from 19"),
+        ("PV: FIC7.MEAS", "PV: FIC9", "tag 'FIC9' given for PV: there is no such tag"),
+        ("PV: FIC7.MEAS", "FLOW: FIC7", "tags.FLOW"),
+        ("5 s", "0 s", "max_gap"),
+    ],
+)
+def test_a_wrong_scenario_is_refused_where_it_is_wrong(folder: Path, old: str, new: str, words: str) -> None:
+    assert old in SCENARIO
+    (folder / "plan.yaml").write_text(SCENARIO.replace(old, new))
+    code, _, err = call("check", "plan.yaml")
+    assert code == 2
+    assert words in err
+    assert err.startswith("plan.yaml:")

@@ -1,0 +1,93 @@
+"""What the command's options say: quantities, ranges, and how to read data. Readers load where they are used."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from workbench.errors import InvalidValue, RecordError
+
+if TYPE_CHECKING:
+    from workbench.model.record import Record
+
+__all__ = ["Reading", "quantity", "read_data", "span"]
+
+
+@dataclass(frozen=True)
+class Reading:
+    """The options on reading data, as typed; None where not given."""
+
+    column: Sequence[str] | None
+    tag: Sequence[str] | None
+    sample_time: str | None
+    pv_range: str | None
+    op_range: str | None
+    max_gap: str | None
+
+
+def quantity(option: str, text: str, read: Callable[[object], float]) -> float:
+    """Return an option's value; raises `InvalidValue` naming the option."""
+    try:
+        return read(text)
+    except InvalidValue as error:
+        raise InvalidValue(option, error.given, error.allowed) from None
+
+
+def span(option: str, text: str, read: Callable[[object], float]) -> tuple[float, float]:
+    """Return (low, high) of `low:high`; one value fixes."""
+    low, sign, high = text.partition(":")
+    first = quantity(option, low.strip(), read)
+    return (first, quantity(option, high.strip(), read)) if sign else (first, first)
+
+
+def read_data(data: Path, reading: Reading) -> Record:
+    """Return the record of a data file. Raises `RecordError` and `InvalidValue` in terms of the options."""
+    from workbench.record.reader import read_record
+    from workbench.scenario import units
+
+    ranges: dict[str, tuple[float, float] | None] = {}
+    for option, text in (("--pv-range", reading.pv_range), ("--op-range", reading.op_range)):
+        ranges[option] = None if text is None else span(option, text, units.bare)
+        pair = ranges[option]
+        if pair is not None and not pair[0] < pair[1]:
+            raise InvalidValue(option, str(text), "must be LOW:HIGH with LOW < HIGH, such as 0:100")
+    times: dict[str, float | None] = {}
+    for option, text in (("--sample-time", reading.sample_time), ("--max-gap", reading.max_gap)):
+        times[option] = None if text is None else quantity(option, text, units.time)
+    try:
+        return read_record(
+            data,
+            columns=_mapping("--column", reading.column) or None,
+            tags=_mapping("--tag", reading.tag) or None,
+            sample_time=times["--sample-time"],
+            pv_range=ranges["--pv-range"],
+            op_range=ranges["--op-range"],
+            max_gap=times["--max-gap"],
+        )
+    except RecordError as error:
+        raise RecordError(_as_options(str(error))) from None
+
+
+def _mapping(option: str, given: Sequence[str] | None) -> dict[str, str]:
+    out = {}
+    for text in given or ():
+        signal, sign, name = text.partition("=")
+        if not sign or not name.strip():
+            raise InvalidValue(option, text, "must be SIGNAL=NAME, such as PV=FIC101.PV")
+        out[signal.strip()] = name.strip()
+    return out
+
+
+def _as_options(message: str) -> str:
+    """Return a reader's message with the command's options in place of the arguments of Python."""
+
+    def options(found: re.Match[str]) -> str:
+        pairs = re.findall(r"'(\w+)': '([^']*)'", found[2])
+        return " ".join(f'--{found[1]} "{signal}={name}"' for signal, name in pairs)
+
+    message = re.sub(r"\b(column|tag)s=\{([^}]*)\}", options, message)
+    message = message.replace("give sample_time in seconds", 'give --sample-time, such as "5 s"')
+    return message.replace("sample_time", "--sample-time").replace("max_gap", "--max-gap")

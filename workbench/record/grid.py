@@ -1,0 +1,270 @@
+"""A loop's signals on one even grid of time: as recorded where they are even, else resampled by a stated method.
+
+Method: PV and a measured stem are interpolated linearly; OP, SP and MODE hold their last value, as the controller's
+output and settings do. Nothing is interpolated over a gap, or over a value that was recorded as bad.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from workbench.errors import RecordError
+from workbench.model.record import FloatArray
+from workbench.record.signals import Signal, Signals
+from workbench.record.table import BLANK, OK, Cells
+from workbench.record.times import JITTER
+
+__all__ = ["Samples", "lay"]
+
+UNEVEN = 0.05  # share of intervals that may break the pattern before the file counts as unevenly sampled
+SPARSE = 0.20  # share of blank cells from which they mean "no new value", as where a row is written per change
+COMMON = 0.90  # share of times that PV and OP must have in common to count as sampled together
+GAP = 10.0  # usual intervals without a value that are a gap in irregular records,
+# unless a compressed archive is often silent for longer: then this many times the longest silence but for the rarest.
+SILENCE, RARE, FEW = 3.0, 0.01, 40
+FINEST = 10.0  # samples that a usual interval may be cut into
+MOST = 20_000_000  # samples on the grid
+
+
+@dataclass
+class Samples:
+    """A loop on one grid, shape (N,): usable where PV and OP are both known, joined where a sample follows the last.
+
+    sample_time: s. even: whether the samples are the recorded rows themselves. gaps: in time. between: samples whose
+    PV lies between recorded values. lines: of the file. sp and stem are nan where unknown.
+    """
+
+    seconds: FloatArray
+    pv: FloatArray
+    op: FloatArray
+    usable: NDArray[np.bool_]
+    joined: NDArray[np.bool_]
+    sample_time: float
+    lines: NDArray[np.int64]
+    even: bool
+    gaps: int
+    sp: FloatArray | None = None
+    stem: FloatArray | None = None
+    mode: list[str] | None = None
+    between: int = 0
+    notes: list[str] = field(default_factory=list)
+
+
+def lay(signals: Signals, sample_time: float | None, max_gap: float | None, source: str) -> Samples:
+    """Return the loop on one grid. sample_time, max_gap: s, or None for the record's own. Raises `RecordError`."""
+    pv, op = _together(signals.by["PV"], signals.by["OP"])
+    why = "PV and OP have times of their own"
+    if pv.seconds is op.seconds or np.array_equal(pv.seconds, op.seconds):
+        if not signals.timed:
+            return _as_recorded(signals, pv, op, 1.0 if sample_time is None else sample_time)
+        steps = np.diff(pv.seconds)
+        if steps.size == 0:
+            many = f"{pv.seconds.size} row{'s' if pv.seconds.size != 1 else ''}"
+            msg = f"{source}: {many} with a time; at least two are needed"
+            raise RecordError(msg)
+        usual = float(np.median(steps))
+        bridging = max_gap is not None and max_gap > (1.0 + JITTER) * usual
+        if not bridging and _is_even(steps, usual) and not any(_sparse(s.cells) for s in (pv, op)):
+            _agree(sample_time, usual, signals, source)
+            return _as_recorded(signals, pv, op, usual)
+        why = "the times are not even" if not _is_even(steps, usual) else "most rows hold only what changed"
+    if max_gap is not None:
+        why = "gaps are to be bridged"
+    return _resampled(signals, pv, op, sample_time, max_gap, source, why)
+
+
+def _together(pv: Signal, op: Signal) -> tuple[Signal, Signal]:
+    """Return PV and OP of a tall file on the times of either, where they are nearly all common, with blanks between."""
+    if pv.seconds.size == op.seconds.size and np.array_equal(pv.seconds, op.seconds):
+        return pv, op
+    union = np.union1d(pv.seconds, op.seconds)
+    common = pv.seconds.size + op.seconds.size - union.size
+    if common < COMMON * union.size:
+        return pv, op
+    lines = np.zeros(union.size, dtype=np.int64)
+    places = []
+    for signal in (op, pv):
+        places.append(np.searchsorted(union, signal.seconds))
+        lines[places[-1]] = signal.lines
+    spread = []
+    for signal, at in zip((op, pv), places, strict=True):
+        values, marks = np.full(union.size, np.nan), np.full(union.size, BLANK, dtype=np.int8)
+        values[at], marks[at] = signal.cells.values, signal.cells.marks
+        cells = Cells(values, marks, signal.cells.words, qualities=signal.cells.qualities)
+        spread.append(Signal(signal.name, union, cells, lines))
+    return spread[1], spread[0]
+
+
+def _is_even(steps: FloatArray, usual: float) -> bool:
+    uneven = int(np.count_nonzero(~(np.abs(steps - usual) <= JITTER * usual)))
+    return uneven <= max(UNEVEN * steps.size, 1 if steps.size < 40 else 0)
+
+
+def _sparse(cells: Cells) -> bool:
+    blank = int(np.count_nonzero(cells.marks == BLANK))
+    return blank >= SPARSE * cells.marks.size and int(np.count_nonzero(cells.marks == OK)) > 1
+
+
+def _agree(sample_time: float | None, usual: float, signals: Signals, source: str) -> None:
+    if sample_time is not None and abs(usual - sample_time) > 0.01 * sample_time:
+        msg = (
+            f"{source}: sample_time {sample_time:g} s given, but column {signals.time_name!r} has {usual:g} s between "
+            "rows; leave sample_time out, or the time column"
+        )
+        raise RecordError(msg)
+
+
+def _as_recorded(signals: Signals, pv: Signal, op: Signal, usual: float) -> Samples:
+    """The rows themselves: as they are evenly spaced, nothing is interpolated."""
+    seconds = pv.seconds * (1.0 if signals.timed else usual)
+    steps = np.diff(seconds)
+    usable = (pv.cells.marks == OK) & (op.cells.marks == OK)
+    joined = np.zeros(seconds.size, dtype=bool)
+    joined[1:] = np.abs(steps - usual) <= JITTER * usual
+    gaps = int(np.count_nonzero(steps > (1.0 + JITTER) * usual))
+    out = Samples(seconds, pv.cells.values, op.cells.values, usable, joined, usual, pv.lines, True, gaps)
+    _others(out, signals, np.inf)
+    return out
+
+
+def _resampled(
+    signals: Signals,
+    pv: Signal,
+    op: Signal,
+    sample_time: float | None,
+    max_gap: float | None,
+    source: str,
+    why: str,
+) -> Samples:
+    t, y, lines, bad = _good(pv)
+    t_op, u, _, bad_op = _good(op)
+    usual = [float(np.median(np.diff(times))) for times in (t, t_op) if times.size > 1]
+    if t.size < 2 or not usual:
+        msg = f"{source}: {t.size} usable value{'s' if t.size != 1 else ''} of PV; at least two are needed"
+        raise RecordError(msg)
+    Ts = float(f"{min(usual):.4g}") if sample_time is None else sample_time
+    if Ts <= 0.0 or not np.isfinite(Ts) or Ts * FINEST < min(usual) * (1.0 - 1e-9):
+        msg = (
+            f"{source}: sample_time {Ts:g} s is too short: values are recorded every {min(usual):.4g} s; at most "
+            f"{FINEST:g} samples to one of these are made"
+        )
+        raise RecordError(msg)
+    steps = np.diff(t)
+    limit = max(_gap(steps), GAP * Ts) if max_gap is None else max_gap
+    limit_op = max(limit, _gap(np.diff(t_op))) if max_gap is None else max_gap
+    split = steps > limit * (1.0 + 1e-9)
+    gaps = int(np.count_nonzero(split))
+    if max_gap is None and bad.size:
+        split |= np.diff(np.searchsorted(bad, t)) > 0
+    zero = max(float(t[0]), float(t_op[0]))
+    first = np.concatenate(([0], np.flatnonzero(split) + 1))
+    last = np.concatenate((first[1:] - 1, [t.size - 1]))
+    begin = np.maximum(np.ceil((t[first] - zero) / Ts - 1e-6), 0.0)
+    end = np.floor((t[last] - zero) / Ts + 1e-6)
+    counts = np.maximum(end - begin + 1.0, 0.0)
+    if not float(counts.sum()) <= MOST:
+        msg = (
+            f"{source}: {counts.sum():.3g} samples of {Ts:g} s would be needed, at most {MOST:,} are made; give a "
+            "longer sample_time, or a shorter max_gap"
+        )
+        raise RecordError(msg)
+    each = counts.astype(np.int64)
+    k = np.concatenate([b + np.arange(n) for b, n in zip(begin.tolist(), each.tolist(), strict=True)] or [np.zeros(0)])
+    which = np.repeat(np.arange(each.size), each)
+    seconds = zero + Ts * k
+    joined = np.zeros(k.size, dtype=bool)
+    joined[1:] = (np.diff(which) == 0) & (np.diff(k) == 1.0)
+    at_op = np.searchsorted(t_op, seconds + 1e-6 * Ts, side="right") - 1
+    age = seconds - t_op[np.maximum(at_op, 0)]
+    usable = (at_op >= 0) & (age <= limit_op * (1.0 + 1e-9))
+    if max_gap is None and bad_op.size:
+        usable &= np.searchsorted(bad_op, seconds, side="right") == np.searchsorted(bad_op, t_op)[np.maximum(at_op, 0)]
+    at = np.clip(np.searchsorted(t, seconds + 1e-6 * Ts, side="right") - 1, 0, t.size - 1)
+    between = int(np.count_nonzero(np.abs(seconds - t[at]) > 1e-6 * Ts))
+    out = Samples(
+        seconds,
+        np.interp(seconds, t, y),
+        u[np.maximum(at_op, 0)],
+        usable,
+        joined,
+        Ts,
+        lines[at],
+        even=False,
+        gaps=gaps,
+        between=between,
+    )
+    _others(out, signals, limit)
+    out.notes.append(_method(signals, out, why, min(usual), limit))
+    return out
+
+
+def _gap(steps: FloatArray) -> float:
+    """Return the longest interval, s, that is no gap in an irregular signal's own intervals, shape (N - 1,)."""
+    if steps.size == 0:
+        return 0.0
+    rare = max(4, math.ceil(RARE * steps.size))
+    silence = float(np.sort(steps)[-rare]) if steps.size >= FEW else 0.0
+    return max(GAP * float(np.median(steps)), SILENCE * silence)
+
+
+def _method(signals: Signals, out: Samples, why: str, usual: float, limit: float) -> str:
+    held = ["OP", *(name for name in ("SP", "MODE") if name in signals.by)]
+    linear = ["PV", *(["valve position"] if out.stem is not None else [])]
+    return (
+        f"resampled, as {why}: every {out.sample_time:g} s (values came every {usual:.4g} s), {' and '.join(linear)} "
+        f"linear between values, {', '.join(held)} held; {out.between / max(out.pv.size, 1):.0%} of the samples lie "
+        f"between recorded values of PV; more than {limit:.4g} s without a value is a gap"
+    )
+
+
+def _good(signal: Signal) -> tuple[FloatArray, FloatArray, NDArray[np.int64], FloatArray]:
+    """Return times, values and lines of the good cells, shape (M,), and the times of bad ones."""
+    good = signal.cells.marks == OK
+    bad = ~good & (signal.cells.marks != BLANK)
+    return signal.seconds[good], signal.cells.values[good], signal.lines[good], signal.seconds[bad]
+
+
+def _others(out: Samples, signals: Signals, limit: float) -> None:
+    """Add SP, MODE and the stem where they were recorded; at the rows' own times cell by cell."""
+    for name in ("SP", "MODE", "valve_position"):
+        signal = signals.by.get(name)
+        if signal is None:
+            continue
+        own = out.even and (not signals.timed or np.array_equal(signal.seconds, out.seconds))
+        if name == "MODE":
+            out.mode = _held_texts(signal, out.seconds, own)
+            continue
+        t, values, _, _ = _good(signal)
+        if t.size == 0:
+            found = np.full(out.seconds.size, np.nan)
+        elif own:
+            found = np.where(signal.cells.marks == OK, signal.cells.values, np.nan)
+        elif name == "SP":
+            at = np.searchsorted(t, out.seconds + 1e-6 * out.sample_time, side="right") - 1
+            found = np.where(at >= 0, values[np.maximum(at, 0)], np.nan)
+        else:
+            found = np.interp(out.seconds, t, values, left=np.nan, right=np.nan)
+            after = np.clip(np.searchsorted(t, out.seconds, side="left"), 0, t.size - 1)
+            before = np.clip(np.searchsorted(t, out.seconds, side="right") - 1, 0, t.size - 1)
+            found[t[after] - t[before] > limit] = np.nan
+        if name == "SP":
+            out.sp = found
+        else:
+            out.stem = found
+
+
+def _held_texts(signal: Signal, seconds: FloatArray, own: bool) -> list[str]:
+    texts = signal.cells.as_texts()
+    filled = np.flatnonzero([bool(text) for text in texts])
+    if filled.size == 0:
+        return [""] * seconds.size
+    # A blank mode is the mode before it; before the first nothing is known.
+    if own:
+        at = np.searchsorted(filled, np.arange(len(texts)), side="right") - 1
+    else:
+        at = np.searchsorted(signal.seconds[filled], seconds, side="right") - 1
+    return [texts[filled[i]] if i >= 0 else "" for i in at.tolist()]

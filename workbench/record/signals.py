@@ -1,0 +1,222 @@
+"""From a file's columns to a loop's signals, each with its own ascending times: wide files and tall exports alike."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from workbench.errors import RecordError
+from workbench.model.record import FloatArray
+from workbench.record.columns import NEEDED, match_tags, time_unit
+from workbench.record.quality import good_quality
+from workbench.record.table import BLANK, FIELDS, NOT_FINITE, NUMERIC, OK, QUALITY, Cells, Table, number_cells
+from workbench.record.times import FORMATS_SAID, Order, in_order, parse_timestamps
+
+__all__ = ["Signal", "Signals", "from_tall", "from_wide"]
+
+# A time of day without its day.
+_CLOCK = re.compile(r"\d{1,2}:\d\d")
+# A day number as spreadsheets write times; between them lie steps of less than ten minutes, in days.
+_SERIAL = (20_000.0, 80_000.0, 600.0 / 86_400.0)
+
+
+@dataclass
+class Signal:
+    """One signal as recorded: times, s, strictly ascending, shape (N,), its cells, and the line of each."""
+
+    name: str
+    seconds: FloatArray
+    cells: Cells
+    lines: NDArray[np.int64]
+
+
+@dataclass
+class Signals:
+    """A loop's signals by their kind (PV, OP, SP, MODE, valve_position).
+
+    rows: of the file. dropped: rows without a readable time or with fields too many, as lines by cause. repeated: rows
+    left out since their time occurs again. timed: False where the file has no times; `seconds` then counts samples.
+    what: a signal's name is, a column or a tag.
+    """
+
+    by: dict[str, Signal]
+    unit: str
+    rows: int
+    dropped: dict[str, list[int]] = field(default_factory=dict)
+    repeated: int = 0
+    timed: bool = True
+    time_name: str = ""
+    what: str = "column"
+    notes: list[str] = field(default_factory=list)
+
+
+def from_wide(table: Table, names: Mapping[str, str], source: str) -> Signals:
+    """Return the signals of a file with a column each; names: of the columns. Raises `RecordError`."""
+    rows = table.lines.size
+    out = Signals({}, table.unit, rows, notes=list(table.notes), time_name=names.get("time", ""))
+    for key in ("quality", "PV quality", "OP quality"):
+        if key in table.columns:
+            for signal in NEEDED if key == "quality" else (key.split()[0],):
+                _mark_quality(table.columns[signal], table.columns[key].as_texts(), names[key], out.notes)
+    kinds = [s for s in ("PV", "OP", "SP", "MODE", "valve_position") if s in table.columns]
+    if "time" not in table.columns:
+        seconds, order_rows = np.arange(rows, dtype=np.float64), np.arange(rows)
+        out.timed = False
+    else:
+        times, wall_clock, zero = _seconds(table.columns["time"], names["time"], table, source, out.notes)
+        times[table.columns["time"].marks == FIELDS] = np.nan
+        same = np.ones(rows, dtype=bool)
+        for signal in NEEDED:
+            cells = table.columns[signal]
+            same[1:] &= np.where(cells.marks[1:] == OK, cells.values[1:], 0.0) == np.where(
+                cells.marks[:-1] == OK, cells.values[:-1], 0.0
+            )
+        order = in_order(times, same, wall_clock)
+        _refuse(order, table, names["time"], "", source)
+        out.notes += order.notes
+        out.repeated = order.repeated
+        _dropped(out, times, table, np.arange(rows))
+        seconds, order_rows = order.seconds - zero, order.rows
+    lines = table.lines[order_rows]
+    whole = order_rows.size == rows and bool((np.diff(order_rows) == 1).all())
+    for signal in kinds:
+        cells = table.columns[signal] if whole else table.columns[signal].take(order_rows)
+        out.by[signal] = Signal(names[signal], seconds, cells, lines)
+    return out
+
+
+def from_tall(table: Table, names: Mapping[str, str], tags: Mapping[str, str] | None, source: str) -> Signals:
+    """Return the signals of a historian export with a row per value; tags: which tag is which. Raises `RecordError`."""
+    out = Signals({}, table.unit, table.lines.size, notes=list(table.notes), time_name=names["time"], what="tag")
+    codes: dict[str, int] = {}
+    of_row = np.array([codes.setdefault(tag, len(codes)) for tag in table.columns["tag"].as_texts()])
+    listed = [tag for tag in codes if tag]
+    found = match_tags(listed, tags, source)
+    others = [tag for i, tag in enumerate(listed) if i not in found.values()]
+    if others:
+        more = f" and {len(others) - 5} more" if len(others) > 5 else ""
+        out.notes.append(f"tags not used: {', '.join(others[:5])}{more}")
+    times, wall_clock, zero = _seconds(table.columns["time"], names["time"], table, source, out.notes)
+    times[table.columns["time"].marks == FIELDS] = np.nan
+    said: Counter[str] = Counter()
+    for kind, i in found.items():
+        rows = np.flatnonzero(of_row == codes[listed[i]])
+        cells = _values(table, rows, kind, f"{source}: tag {listed[i]!r}")
+        if "quality" in table.columns:
+            said_of = table.columns["quality"].as_texts()
+            _mark_quality(cells, [said_of[k] for k in rows.tolist()], names["quality"], out.notes)
+        value = np.where(cells.marks == OK, cells.values, 0.0)
+        same = np.concatenate(([False], value[1:] == value[:-1]))
+        if cells.texts is not None and kind == "MODE":
+            texts = np.array(cells.texts, dtype=object)
+            same[1:] &= (texts[1:] == texts[:-1]).astype(bool)
+        order = in_order(times[rows], same, wall_clock)
+        _refuse(order, table, names["time"], listed[i], source, rows)
+        said.update(order.notes)
+        out.repeated += order.repeated
+        _dropped(out, times, table, rows)
+        out.by[kind] = Signal(listed[i], order.seconds - zero, cells.take(order.rows), table.lines[rows[order.rows]])
+    out.notes += [note if many == 1 else f"{note} (in {many} tags)" for note, many in said.items()]
+    return out
+
+
+def _dropped(out: Signals, times: FloatArray, table: Table, rows: NDArray[np.int64]) -> None:
+    """Note the rows that have no usable time."""
+    wide = table.columns["time"].marks[rows] == FIELDS
+    for cause, hit in (("more fields than the header", wide), ("no readable time", np.isnan(times[rows]) & ~wide)):
+        if hit.any():
+            out.dropped.setdefault(cause, []).extend(table.lines[rows[hit]].tolist())
+
+
+def _values(table: Table, rows: NDArray[np.int64], signal: str, where: str) -> Cells:
+    """Return one tag's values; MODE as text."""
+    values = table.columns["value"]
+    if values.texts is None:
+        return values.take(rows)
+    texts = [values.texts[i] for i in rows.tolist()]
+    if signal in NUMERIC:
+        cells = number_cells(texts, table.decimal_comma, where)
+    else:
+        cells = Cells(np.full(rows.size, np.nan), np.array([BLANK if not t else OK for t in texts], np.int8))
+    cells.marks[values.marks[rows] == FIELDS] = FIELDS
+    cells.texts = texts
+    return cells
+
+
+def _mark_quality(cells: Cells, texts: list[str], name: str, notes: list[str]) -> None:
+    good, bad, note = good_quality(texts, name)
+    hit = ~good & np.isin(cells.marks, (OK, NOT_FINITE))
+    cells.marks[hit] = QUALITY
+    cells.values[hit] = np.nan
+    cells.qualities.update(bad)
+    if note and note not in notes:
+        notes.append(note)
+
+
+def _refuse(
+    order: Order, table: Table, name: str, tag: str, source: str, rows: NDArray[np.int64] | None = None
+) -> None:
+    if not order.refusal:
+        return
+    row, earlier = (int(table.lines[k if rows is None else rows[k]]) for k in order.between)
+    which = f", tag {tag!r}" if tag else ""
+    said = order.refusal.format(before=f"{table.unit} {earlier}")
+    msg = f"{source}: {table.unit} {row}, column {name!r}{which}: {said}"
+    raise RecordError(msg)
+
+
+def _seconds(cells: Cells, name: str, table: Table, source: str, notes: list[str]) -> tuple[FloatArray, bool, float]:
+    """Return seconds, shape (N,), nan for none; whether they are a clock on a wall; and which of them becomes 0."""
+    # Rows with fields too many hold a time all the same, or the file would be told that it has none.
+    numeric = int(np.count_nonzero(np.isfinite(cells.values)))
+    if "date" in table.columns and _CLOCK.match(next(filter(None, cells.texts or ()), "")):
+        days = table.columns["date"].as_texts()
+        cells = replace(cells, texts=[f"{day} {clock}" for day, clock in zip(days, cells.as_texts(), strict=True)])
+    if cells.stamped is not None:
+        first, zoned = cells.stamped
+        if numeric:
+            notes.append(f"first timestamp {first}")
+        return cells.values.copy(), not zoned, float(np.nanmin(cells.values)) if numeric else 0.0
+    texts = cells.texts
+    if texts is None or numeric * 2 > np.count_nonzero(cells.marks != BLANK):
+        return _counted(cells.values * time_unit(name), name, notes), False, 0.0
+    parsed = parse_timestamps(texts)
+    if isinstance(parsed, str):
+        msg = f"{source}: column {name!r}: {parsed}"
+        raise RecordError(msg)
+    seconds, note, zoned = parsed
+    usable = np.isfinite(seconds)
+    if not usable.any():
+        msg = (
+            f"{source}: {table.unit} {table.lines[0]}, column {name!r}: {texts[0]!r} is no time that can be read; "
+            f"allowed: {FORMATS_SAID}"
+        )
+        raise RecordError(msg)
+    notes += [note] if note else []
+    earliest = int(np.argmin(np.where(usable, seconds, np.inf)))
+    notes.append(f"first timestamp {texts[earliest]}")
+    return seconds, not zoned, float(seconds[earliest])
+
+
+def _counted(values: FloatArray, name: str, notes: list[str]) -> FloatArray:
+    """Return numeric times in seconds."""
+    unit = time_unit(name)
+    fine = values[np.isfinite(values)]
+    if unit != 1.0:
+        notes.append(f"column {name!r} read in units of {unit:g} s")
+        return values
+    # Milliseconds since 1970 are far beyond any count of seconds in use.
+    if fine.size and float(np.median(np.abs(fine))) > 1e11:
+        notes.append(f"column {name!r} read as milliseconds since 1970")
+        return values / 1000.0
+    low, high, step = _SERIAL
+    if fine.size > 1 and low < fine.min() and fine.max() < high and 0.0 < np.median(np.abs(np.diff(fine))) < step:
+        notes.append(f"column {name!r} read as days, as spreadsheets count them")
+        # They are rounded to about a millisecond's hundredth.
+        return np.round(values * 86_400.0, 3)
+    return values
