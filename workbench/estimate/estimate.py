@@ -14,7 +14,7 @@ from workbench.estimate.fit import Fit, fit_linear, fit_nothing, predict, standa
 from workbench.estimate.profile import Candidate, Profile, islands, path_of, search
 from workbench.estimate.two_parameter import look
 from workbench.estimate.two_step import akaike, two_step
-from workbench.estimate.verdict import WIDE_D, Evidence, judge
+from workbench.estimate.verdict import ENOUGH_SLIPS, WIDE_D, Evidence, judge
 from workbench.model.checks import choice, number
 from workbench.model.record import FloatArray, Record
 from workbench.model.results import Estimate, Intervals, Iteration, LinearFit
@@ -56,9 +56,10 @@ def estimate(
 
     Returns an `Estimate`; beside the model stands the linear fit that ignores stiction. Where stiction does not help
     ("no_stiction") the model is that linear fit with an ideal valve. intervals.d is the hull of all d whose fit the
-    record cannot tell from the best; identifiable is False where that is wider than a tenth of d, or where the stem
-    moved fewer than ten times. Raises `RecordError` for a record that holds no information (too short, PV or OP
-    constant) and `InvalidValue` for arguments that are not allowed.
+    record cannot tell from the best, and None below ten stem moves, which do not pin the stem's unknown start;
+    identifiable is True where the verdict is "stiction" and that hull is at most a tenth of d wide. Raises
+    `RecordError` for a record that holds no information (too short, PV or OP constant) and `InvalidValue` for
+    arguments that are not allowed.
     """
     if not isinstance(record, Record):
         raise InvalidValue("estimate.record", type(record).__name__, "must be a Record (see read_record)")
@@ -91,12 +92,12 @@ def _silent(share: float) -> None:
     """Ignore the progress."""
 
 
-def _longest(data: Centred, max_dead_time: float | None, usual: int) -> int:
-    """The longest dead time to search, in samples; a quarter of the record at most."""
+def _longest(data: Centred, max_dead_time: float | None, usual: int) -> float:
+    """The longest dead time to search, in samples, never above `max_dead_time`; a quarter of the record at most."""
     most = max(data.samples // 4, 1)
     if max_dead_time is None:
         return min(usual, max(data.samples // 10, 1) if usual == DELAYS else most)
-    return min(math.ceil(max_dead_time / data.sample_time - 1e-9), most)
+    return min(max_dead_time / data.sample_time, float(most))
 
 
 def _profile(data: Centred, max_dead_time: float | None, tell: Callable[[float], None]) -> Profile | None:
@@ -126,7 +127,7 @@ def _answer(
     stem = None if found is None else _stem(data, found)
     # The rival of the verdict is as causal as the stem model: a long dead time passes for half a cycle.
     delays = found.limits.theta[1] if found is not None else float(_longest(data, None, DELAYS))
-    rival = linear if linear.theta <= delays else fit_linear(data, int(delays))
+    rival = linear if linear.theta <= delays else fit_linear(data, delays)
     wide = [] if found is None else [c.fit.sse / n for c in found.fits if c.d >= WIDE_D * data.op_range]
     dead_band, dead_band_sse = look(data, rival, delays)
     evidence = Evidence(
@@ -274,5 +275,6 @@ def _stem(data: Centred, found: Profile) -> _Stem:
     if best.fit.gain != 0.0:
         errors = standard_errors(data, x, best.first, best.fit, clamped)
     d = (min(c.d_low for c in found.alike), max(c.d_high for c in found.alike))
-    intervals = _ranges(data, [c.fit for c in found.alike], errors, d if found.best.d_high > found.best.d_low else None)
+    known = best.d_high > best.d_low and best.slips >= ENOUGH_SLIPS
+    intervals = _ranges(data, [c.fit for c in found.alike], errors, d if known else None)
     return _Stem(position, prediction, _bias(data, best.fit), intervals)

@@ -115,15 +115,15 @@ def fit_path(
     return _fit(out)
 
 
-def fit_linear(data: Centred, longest: int) -> Fit:
+def fit_linear(data: Centred, longest: float) -> Fit:
     """Return the fit that ignores stiction: the stem is OP itself, the dead time anywhere up to `longest` samples.
 
     The input before the record is an unknown constant, as for the stem.
     """
-    limits = Limits((LEAST_TAU, float(data.samples)), (0.0, float(max(longest, 1))))
+    limits = Limits((LEAST_TAU, float(data.samples)), (0.0, float(longest)))
     out = np.empty(kernel.FIT)
     inf = math.inf
-    delays = np.unique(np.round(np.linspace(0, longest, min(longest + 1, 80)))).tolist()
+    delays = np.unique(np.floor(np.linspace(0, longest, min(int(longest) + 1, 80)))).tolist()
     taus = [1.0] if data.integrating else np.geomspace(0.3, data.samples / 4.0, 14).tolist()
     grid = [
         (kernel.oe_cost(data.y, data.u, 0, -inf, inf, data.sign, data.integrating, tau, theta, out), tau, theta)

@@ -49,8 +49,110 @@ def stem_slips(op: Floats, d: float, first: int, at: Ints) -> tuple[int, float]:
 
 
 @compiled
+def _sift_down(keys: Floats, links: Ints, size: int, i: int) -> None:
+    """Restore the order of a heap below place i: the least key on top, each with its link (slip, slip before)."""
+    while True:
+        child = 2 * i + 1
+        if child >= size:
+            return
+        if child + 1 < size and keys[child + 1] < keys[child]:
+            child += 1
+        if keys[i] <= keys[child]:
+            return
+        keys[i], keys[child] = keys[child], keys[i]
+        links[i, 0], links[child, 0] = links[child, 0], links[i, 0]
+        links[i, 1], links[child, 1] = links[child, 1], links[i, 1]
+        i = child
+
+
+@compiled
+def _sift_up(keys: Floats, links: Ints, i: int) -> None:
+    """Restore the order of a heap above place i."""
+    while i > 0:
+        parent = (i - 1) // 2
+        if keys[parent] <= keys[i]:
+            return
+        keys[i], keys[parent] = keys[parent], keys[i]
+        links[i, 0], links[parent, 0] = links[parent, 0], links[i, 0]
+        links[i, 1], links[parent, 1] = links[parent, 1], links[i, 1]
+        i = parent
+
+
+@compiled
+def _fill(op: Floats, first: int, after: Ints, keys: Floats, links: Ints) -> int:
+    """Fill the heap with a path's slips by their size; return their number."""
+    size, k = 0, first
+    while after[k] < op.size:
+        keys[size] = abs(op[after[k]] - op[k])
+        links[size, 0], links[size, 1] = after[k], k
+        size += 1
+        k = after[k]
+    for i in range(size // 2 - 1, -1, -1):
+        _sift_down(keys, links, size, i)
+    return size
+
+
+@compiled
+def _hold(totals: Floats, sums: Floats, delays: Ints, x: float, begin: int, end: int, weight: float) -> None:
+    """Add, `weight` times, what a stem at x during [begin, end) adds to each delay's sums of x, x^2, x y and x y_+1."""
+    n = sums.size - 2
+    for j in range(delays.size):
+        start, stop = min(begin + delays[j], n), min(end + delays[j], n)
+        if start >= stop:
+            break
+        share = weight * x * (stop - start)
+        totals[j, 0] += share
+        totals[j, 1] += x * share
+        totals[j, 2] += weight * x * (sums[stop] - sums[start])
+        totals[j, 3] += weight * x * (sums[stop + 1] - sums[start + 1])
+
+
+@compiled
+def _grouped(sums: Floats, squares: Floats, products: Floats, n1: int, out: Floats) -> None:
+    """Write what PV alone gives a delay: rows after the first slip n2, their sums of y and y_+1, and yy, zz, yz.
+
+    The last three are within two groups, rows before the first slip has an effect (n1 of them) and rows after it.
+    """
+    n = sums.size - 2
+    n2 = n - n1
+    out[0] = n2
+    if n2 < 3:
+        return
+    out[1], out[2] = sums[n] - sums[n1], sums[n + 1] - sums[n1 + 1]
+    out[3] = squares[n] - out[1] ** 2 / n2
+    out[4] = squares[n + 1] - squares[1] - out[2] ** 2 / n2
+    out[5] = products[n] - out[1] * out[2] / n2
+    if n1 > 0:
+        out[3] -= sums[n1] ** 2 / n1
+        out[4] -= (sums[n1 + 1] - sums[1]) ** 2 / n1
+        out[5] -= sums[n1] * (sums[n1 + 1] - sums[1]) / n1
+
+
+@compiled
+def _one_step(total: Floats, group: Floats, fixed_pole: float, sign: float) -> float:
+    """Sum of squares of the one-step fit at one delay; inf where there is none."""
+    n2, yy, zz, yz = group[0], group[3], group[4], group[5]
+    if n2 < 3.0:
+        return math.inf
+    xx = total[1] - total[0] * total[0] / n2
+    xy = total[2] - total[0] * group[1] / n2
+    xz = total[3] - total[0] * group[2] / n2
+    if xx <= 1e-12 * n2:
+        return math.inf
+    a = fixed_pole
+    if math.isnan(a):
+        det = yy * xx - xy * xy
+        a = (yz * xx - xz * xy) / det if det > 1e-14 * yy * xx else 0.0
+        a = min(max(a, 0.0), 0.9999)
+    b = (xz - a * xy) / xx
+    if b * sign < 0.0:
+        return math.inf
+    cost: float = zz - 2.0 * a * yz + a * a * yy - b * (xz - a * xy)
+    return cost
+
+
+@compiled
 def walk(
-    y: Floats,
     sums: Floats,
     squares: Floats,
     products: Floats,
@@ -66,62 +168,82 @@ def walk(
 ) -> int:
     """Walk every stem path that starts at `first`, for d from d_from up to d_to, and fit the plant to each.
 
-    One-step-ahead least squares `y_{k+1} = a y_k + b x_{k-m} + c` for each whole delay m, with another constant while
-    x_{k-m} is the unknown stem before `first`. a is kept within [0, 0.9999], or at `fixed_pole` where that is not nan;
-    b keeps the sign `sign` (0: either). sums, squares, products: prefix sums of y_k, y_k^2, y_k y_{k+1}. `step`: least
-    relative step of d, 0 to meet every path. Written: rows (D_LOW, D_HIGH, DELAY, COST, SLIPS), COST the sum of squares
-    at the best delay; the last path is the one of a single slip. Returns the number of rows.
+    One-step-ahead least squares `y_{k+1} = a y_k + b x_{k-m} + c` for each whole delay m (ascending), with another
+    constant while x_{k-m} is the unknown stem before `first`. a is kept within [0, 0.9999], or at `fixed_pole` where
+    that is not nan; b keeps the sign `sign` (0: either). sums, squares, products: prefix sums of y_k, y_k^2,
+    y_k y_{k+1}. `step`: least relative step of d, 0 to meet every path. Written: rows (D_LOW, D_HIGH, DELAY, COST,
+    SLIPS), COST the sum of squares at the best delay; the last path is the one of a single slip. Returns the number of
+    rows.
+
+    Slips stand in a linked list and, by size, in a heap. As d passes a slip's size, the stem is re-routed from the slip
+    before it until it meets an old slip again; the sums change by the altered stretches alone.
     """
-    n = y.size - 1
-    at = np.empty(op.size, np.int64)
+    last = op.size
+    after = np.full(last, -1, np.int64)  # the next slip, `last` for none; -1 for a sample that is no slip
+    before = np.empty(last + 1, np.int64)
+    at = np.empty(last, np.int64)
+    slips, _ = stem_slips(op, d_from, first, at)
+    totals = np.zeros((delays.size, 4))
+    groups = np.zeros((delays.size, 6))
+    for j in range(delays.size):
+        _grouped(sums, squares, products, min(first + delays[j], last - 1), groups[j])
+    for i in range(slips):
+        end = last if i == slips - 1 else at[i + 1]
+        after[at[i]] = end
+        before[end] = at[i]
+        _hold(totals, sums, delays, op[at[i]], at[i], end, 1.0)
+    keys = np.empty(slips + 64)
+    links = np.empty((slips + 64, 2), np.int64)
+    size = _fill(op, first, after, keys, links)
     d = d_from
     count = 0
     while d < d_to and count < rows.shape[0]:
-        slips, smallest = stem_slips(op, d, first, at)
+        # A link that is larger than d holds, however the others came about: so all smaller ones go, in any order.
+        while size > 0:
+            k, p = links[0, 0], links[0, 1]
+            stale = after[k] < 0 or before[k] != p
+            if not stale and keys[0] > d:
+                break
+            size -= 1
+            keys[0], links[0, 0], links[0, 1] = keys[size], links[size, 0], links[size, 1]
+            _sift_down(keys, links, size, 0)
+            if stale:
+                continue
+            _hold(totals, sums, delays, op[p], p, k, -1.0)
+            j, origin, x = k, p, op[p]
+            while True:
+                if j == last or abs(op[j] - x) > d:
+                    met = j == last or after[j] >= 0
+                    _hold(totals, sums, delays, x, origin, j, 1.0)
+                    after[origin] = j
+                    before[j] = origin
+                    if j < last:
+                        if size == keys.size:
+                            more_keys = np.empty(2 * size)
+                            more_links = np.empty((2 * size, 2), np.int64)
+                            more_keys[:size] = keys
+                            more_links[:size] = links
+                            keys, links = more_keys, more_links
+                        keys[size] = abs(op[j] - x)
+                        links[size, 0], links[size, 1] = j, origin
+                        size += 1
+                        _sift_up(keys, links, size - 1)
+                    if met:
+                        break
+                    slips += 1
+                    origin, x = j, op[j]
+                elif after[j] >= 0:
+                    # An old slip that no longer happens.
+                    _hold(totals, sums, delays, op[j], j, after[j], -1.0)
+                    after[j] = -1
+                    slips -= 1
+                j += 1
         best, best_delay = math.inf, 0
         for j in range(delays.size):
-            m = delays[j]
-            n1 = min(first + m, n)
-            n2 = n - n1
-            if n2 < 3:
-                continue
-            # Within-group sums: rows before the first slip has an effect, and rows after it.
-            yy = squares[n] - (sums[n] - sums[n1]) ** 2 / n2
-            zz = squares[n + 1] - squares[1] - (sums[n + 1] - sums[n1 + 1]) ** 2 / n2
-            yz = products[n] - (sums[n] - sums[n1]) * (sums[n + 1] - sums[n1 + 1]) / n2
-            if n1 > 0:
-                yy -= sums[n1] ** 2 / n1
-                zz -= (sums[n1 + 1] - sums[1]) ** 2 / n1
-                yz -= sums[n1] * (sums[n1 + 1] - sums[1]) / n1
-            sx, xx, xy, xz = 0.0, 0.0, 0.0, 0.0
-            for i in range(slips):
-                begin = min(at[i] + m, n)
-                end = n if i == slips - 1 else min(at[i + 1] + m, n)
-                if begin >= end:
-                    break
-                x = op[at[i]]
-                length = end - begin
-                sx += x * length
-                xx += x * x * length
-                xy += x * (sums[end] - sums[begin])
-                xz += x * (sums[end + 1] - sums[begin + 1])
-            xx -= sx * sx / n2
-            xy -= sx * (sums[n] - sums[n1]) / n2
-            xz -= sx * (sums[n + 1] - sums[n1 + 1]) / n2
-            if xx <= 1e-12 * n2:
-                continue
-            a = fixed_pole
-            if math.isnan(a):
-                det = yy * xx - xy * xy
-                a = (yz * xx - xz * xy) / det if det > 1e-14 * yy * xx else 0.0
-                a = min(max(a, 0.0), 0.9999)
-            b = (xz - a * xy) / xx
-            if b * sign < 0.0:
-                continue
-            cost = zz - 2.0 * a * yz + a * a * yy - b * (xz - a * xy)
+            cost = _one_step(totals[j], groups[j], fixed_pole, sign)
             if cost < best:
-                best, best_delay = cost, m
-        after = max(smallest, d * (1.0 + step))
+                best, best_delay = cost, delays[j]
+        smallest = keys[0] if size > 0 else math.inf
         if best < math.inf:
             rows[count, D_LOW] = d
             rows[count, D_HIGH] = min(smallest, d_to)
@@ -131,7 +253,7 @@ def walk(
             count += 1
         if slips == 1:
             break
-        d = after
+        d = max(smallest, d * (1.0 + step))
     return count
 
 

@@ -99,7 +99,6 @@ def _walk(
     buffer = np.empty((4 * data.samples + 1000, kernel.ROW))
     pole = 1.0 if data.integrating else math.nan
     count = kernel.walk(
-        data.y,
         data.sums,
         data.squares,
         data.products,
@@ -168,7 +167,9 @@ def _windows(data: Centred) -> list[tuple[int, int]]:
     return [(b, b + size) for b in sorted({0, *chosen})]
 
 
-def _glimpse(part: Centred, delays: NDArray[np.int64], progress: Callable[[float], None]) -> _Glimpse | None:
+def _glimpse(
+    part: Centred, delays: NDArray[np.int64], longest: float, progress: Callable[[float], None]
+) -> _Glimpse | None:
     """Search one window exactly; its best paths are told apart by output-error fits, as noise misleads one step."""
     if not part.op_range > 0.0 or not float(np.ptp(part.y)) > 0.0:
         return None
@@ -176,7 +177,7 @@ def _glimpse(part: Centred, delays: NDArray[np.int64], progress: Callable[[float
     if not rows.size:
         return None
     by_cost = rows[np.argsort(rows[:, COST], kind="stable")]
-    limits = Limits((LEAST_TAU, float(part.samples)), (0.0, float(max(delays[-1], 1))))
+    limits = Limits((LEAST_TAU, float(part.samples)), (0.0, longest))
     picked = np.unique(np.vstack([_best_per_bin(by_cost, 30), by_cost[:20]]), axis=0)
     fits = sorted((_fitted(part, row, limits) for row in picked), key=lambda c: c.fit.sse)
     near = by_cost[np.abs(np.log(by_cost[:, LOW] / fits[0].d_low)) < 0.03][:30]
@@ -185,7 +186,7 @@ def _glimpse(part: Centred, delays: NDArray[np.int64], progress: Callable[[float
     best = _distinct([c for c in fits if c.fit.gain != 0.0], 3)
     if not best:
         return None
-    linear = fit_linear(part, int(delays[-1]))
+    linear = fit_linear(part, longest)
     clear = best[0].fit.sse < CLEARLY * linear.sse and best[0].slips > 1
     return _Glimpse(tuple(c.d_low for c in best), tuple(c.fit.theta for c in best), clear)
 
@@ -203,7 +204,7 @@ def _firsts_for(u: NDArray[np.float64], d: float, most: int) -> NDArray[np.int64
 
 
 def _scan_long(
-    data: Centred, delays: NDArray[np.int64], progress: Callable[[float], None]
+    data: Centred, delays: NDArray[np.int64], longest: float, progress: Callable[[float], None]
 ) -> tuple[NDArray[np.float64], list[float]]:
     """As `_scan`, for long records: likely d from the most active windows, then the whole record; and the likely d.
 
@@ -213,7 +214,7 @@ def _scan_long(
     windows = _windows(data)
     glimpses = []
     for i, (begin, stop) in enumerate(windows):
-        seen = _glimpse(data.part(begin, stop), delays, _silent)
+        seen = _glimpse(data.part(begin, stop), delays, longest, _silent)
         glimpses += [] if seen is None else [seen]
         progress(0.5 * (i + 1) / len(windows))
     clear = [g for g in glimpses if g.clear]
@@ -291,19 +292,19 @@ def _fitted(data: Centred, row: NDArray[np.float64], limits: Limits, like: Fit |
     return Candidate(first, float(row[LOW]), float(row[HIGH]), slips, min(fits, key=lambda f: f.sse))
 
 
-def search(data: Centred, max_delay: int, progress: Callable[[float], None]) -> Profile | None:
+def search(data: Centred, max_delay: float, progress: Callable[[float], None]) -> Profile | None:
     """Return the best stem path and plant, or None where no path fits.
 
-    max_delay: samples.
+    max_delay: samples, the longest dead time.
     """
-    limits = Limits((LEAST_TAU, float(data.samples)), (0.0, float(max(max_delay, 1))))
-    delays = integers(np.arange(max_delay + 1))
+    limits = Limits((LEAST_TAU, float(data.samples)), (0.0, float(max_delay)))
+    delays = integers(np.arange(math.floor(max_delay + 1e-9) + 1))
     exact = data.samples <= EXACT
     likely: list[float] = []
     if exact:
         rows = _scan(data, delays, lambda share: progress(0.6 * share))
     else:
-        rows, likely = _scan_long(data, delays, lambda share: progress(0.6 * share))
+        rows, likely = _scan_long(data, delays, float(max_delay), lambda share: progress(0.6 * share))
     if not rows.size:
         return None
     by_cost = rows[np.argsort(rows[:, COST], kind="stable")]

@@ -28,7 +28,7 @@ def look(data: Centred, linear: Fit, longest: float) -> tuple[Choudhury, float]:
     The stem starts in the middle of its band at OP's first value; unlike the one-parameter stem it forgets its start
     once it has moved.
     """
-    limits = Limits((LEAST_TAU, float(data.samples)), (0.0, max(longest, 1.0)))
+    limits = Limits((LEAST_TAU, float(data.samples)), (0.0, longest))
     best = (Choudhury(0.0, 0.0), math.inf)
     tau, theta = max(linear.tau, LEAST_TAU), min(linear.theta, longest)
     for band in (np.geomspace(NARROWEST, WIDEST, BANDS) * data.op_range).tolist():

@@ -380,8 +380,9 @@ class Estimate:
 
     plant and valve: the model (valve `Ideal()` where no stiction helps). valve_position: the estimated stem, % of
     OP's scale, shape (N,). prediction: PV simulated from that stem, EU, shape (N,). bias: PV at stem 0, EU.
-    verdict: "stiction", "no_stiction" or "undecided", with `reasons` in words. identifiable: whether d (or S) is
-    pinned by the data and not only its product with the gain. residual_variance (EU^2) and aic by the paper's eq. (1);
+    verdict: "stiction", "no_stiction" or "undecided", with `reasons` in words. identifiable: True for a
+    "stiction" verdict whose d (or S) the data pin to a tenth, with ten stem moves or more, and not only its product
+    with the gain. residual_variance (EU^2) and aic by the paper's eq. (1);
     noise_sd: standard deviation of PV about the prediction, EU. slips: stem moves in the record. profile_d and
     profile_cost: residual variance against d. iterations: the two-step algorithm's history.
     """
