@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from workbench.simulate.compiled import compiled
 
-__all__ = ["oe_columns", "oe_cost", "oe_fit", "stem_slips", "walk"]
+__all__ = ["fit_stems", "oe_columns", "oe_cost", "oe_fit", "rest_range", "stem_path", "stem_slips", "walk"]
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -24,6 +24,10 @@ ROW = 5
 # Entries that `oe_fit` and `oe_cost` write.
 SSE, TAU, THETA, GAIN, BIAS, START, TRANSIENT = range(7)
 FIT = 7
+# A step of d that takes more than this share of the slips is routed anew.
+MANY = 0.05
+# Time constants after which nothing is left of a start in double precision.
+DIED = 40.0
 
 
 @compiled
@@ -46,6 +50,37 @@ def stem_slips(op: Floats, d: float, first: int, at: Ints) -> tuple[int, float]:
             at[count] = k
             count += 1
     return count, smallest
+
+
+@compiled
+def stem_path(op: Floats, d: float, first: int, x: Floats) -> int:
+    """Write the stem's path, 0 before `first`; return the number of slips, the one at `first` included."""
+    x[:first] = 0.0
+    held = op[first]
+    slips = 1
+    for k in range(first, op.size):
+        if abs(op[k] - held) > d:
+            held = op[k]
+            slips += 1
+        x[k] = held
+    return slips
+
+
+@compiled
+def rest_range(op: Floats, first: int, d_low: float, d_high: float, slack: float) -> tuple[float, float]:
+    """Range of x0 for which a stem with d in [d_low, d_high) rests until it slips at `first`; infinite for first 0.
+
+    Widened by `slack` times d_high on both sides.
+    """
+    if first == 0:
+        return -math.inf, math.inf
+    top, bottom = op[:first].max(), op[:first].min()
+    low, high = top - d_high, bottom + d_high
+    if op[first] > top:
+        high = min(high, op[first] - d_low)
+    else:
+        low = max(low, op[first] + d_low)
+    return min(low, high) - slack * d_high, max(low, high) + slack * d_high
 
 
 @compiled
@@ -90,6 +125,23 @@ def _fill(op: Floats, first: int, after: Ints, keys: Floats, links: Ints) -> int
     for i in range(size // 2 - 1, -1, -1):
         _sift_down(keys, links, size, i)
     return size
+
+
+@compiled
+def _route(
+    sums: Floats, op: Floats, d: float, first: int, delays: Ints, after: Ints, before: Ints, totals: Floats
+) -> int:
+    """Write the path of d as a linked list with its sums; return the number of slips."""
+    at = np.empty(op.size, np.int64)
+    slips, _ = stem_slips(op, d, first, at)
+    after[:] = -1
+    totals[:] = 0.0
+    for i in range(slips):
+        end = op.size if i == slips - 1 else at[i + 1]
+        after[at[i]] = end
+        before[end] = at[i]
+        _hold(totals, sums, delays, op[at[i]], at[i], end, 1.0)
+    return slips
 
 
 @compiled
@@ -179,25 +231,26 @@ def walk(
     before it until it meets an old slip again; the sums change by the altered stretches alone.
     """
     last = op.size
-    after = np.full(last, -1, np.int64)  # the next slip, `last` for none; -1 for a sample that is no slip
+    after = np.empty(last, np.int64)  # the next slip, `last` for none; -1 for a sample that is no slip
     before = np.empty(last + 1, np.int64)
-    at = np.empty(last, np.int64)
-    slips, _ = stem_slips(op, d_from, first, at)
-    totals = np.zeros((delays.size, 4))
+    totals = np.empty((delays.size, 4))
     groups = np.zeros((delays.size, 6))
     for j in range(delays.size):
         _grouped(sums, squares, products, min(first + delays[j], last - 1), groups[j])
-    for i in range(slips):
-        end = last if i == slips - 1 else at[i + 1]
-        after[at[i]] = end
-        before[end] = at[i]
-        _hold(totals, sums, delays, op[at[i]], at[i], end, 1.0)
-    keys = np.empty(slips + 64)
-    links = np.empty((slips + 64, 2), np.int64)
-    size = _fill(op, first, after, keys, links)
+    keys = np.empty(last + 1)
+    links = np.empty((last + 1, 2), np.int64)
     d = d_from
+    slips = _route(sums, op, d, first, delays, after, before, totals)
+    size = _fill(op, first, after, keys, links)
     count = 0
     while d < d_to and count < rows.shape[0]:
+        if step > 0.0:
+            small = 0
+            for i in range(size):
+                small += keys[i] <= d
+            if small > MANY * slips:
+                slips = _route(sums, op, d, first, delays, after, before, totals)
+                size = _fill(op, first, after, keys, links)
         # A link that is larger than d holds, however the others came about: so all smaller ones go, in any order.
         while size > 0:
             k, p = links[0, 0], links[0, 1]
@@ -349,7 +402,11 @@ def oe_cost(
     s, g, r = 0.0, 0.0 if integrating else 1.0, 0.0 if integrating else 1.0
     sy, ss, sg, sr, gy, gg, gr, ry, rr, yy = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     s1, g1, r1, y1 = 0.0, 0.0, 0.0, 0.0
-    for k in range(n):
+    # What x0 and the transient do dies out; after that many samples the stem's response alone is left.
+    settled = n
+    if not integrating and pole < 1.0:
+        settled = int(min(first + m + 2.0 + (DIED / -math.log(pole) if pole > 0.0 else 0.0), float(n)))
+    for k in range(settled):
         v = y[k]
         y1 += v
         yy += v * v
@@ -377,6 +434,14 @@ def oe_cost(
         else:
             g += c1
         r = r + 1.0 if integrating else r * pole
+    for k in range(settled, n):
+        v = y[k]
+        y1 += v
+        yy += v * v
+        s1 += s
+        ss += s * s
+        sy += s * v
+        s = pole * s + (c0 * x[k - m] + c1 * x[k - m - 1])
     gram[0, 0], gram[0, 1], gram[0, 2], gram[0, 3] = n, s1, g1, r1
     gram[1, 0], gram[1, 1], gram[1, 2], gram[1, 3] = s1, ss, sg, sr
     gram[2, 0], gram[2, 1], gram[2, 2], gram[2, 3] = g1, sg, gg, gr
@@ -497,3 +562,64 @@ def oe_fit(
         if costs[i] < costs[best]:
             best = i
     return oe_cost(y, x, first, low, high, sign, integrating, math.exp(points[best, 0]), points[best, 1], out)
+
+
+@compiled
+def fit_stems(
+    y: Floats,
+    op: Floats,
+    paths: Floats,
+    slack: float,
+    sign: float,
+    integrating: bool,
+    tau: float,
+    tau_limits: tuple[float, float],
+    theta_limits: tuple[float, float],
+    evaluations: int,
+    tolerance: float,
+    fits: Floats,
+    slips: Ints,
+) -> None:
+    """Fit the output-error model to many stem paths: rows (first, d_low, d_high, theta), theta where the search starts.
+
+    tau: where it starts, nan for the best of ten from .3 samples to a quarter of its upper limit. evaluations: as in
+    `oe_fit`, 0 for the cost at the start itself. Written: fits, shape (paths, FIT), and slips, shape (paths,).
+    """
+    x = np.empty(op.size)
+    low_tau, high_tau = max(tau_limits[0], 0.3), tau_limits[1] / 4.0
+    for i in range(paths.shape[0]):
+        first, d_low, d_high = int(paths[i, 0]), paths[i, 1], paths[i, 2]
+        theta = min(max(paths[i, 3], theta_limits[0]), theta_limits[1])
+        slips[i] = stem_path(op, d_low, first, x)
+        low, high = rest_range(op, first, d_low, d_high, slack)
+        out = fits[i]
+        start = tau
+        if integrating:
+            start = 1.0
+        elif math.isnan(tau):
+            least = math.inf
+            for j in range(10):
+                trial = low_tau * (high_tau / low_tau) ** (j / 9.0)
+                cost = oe_cost(y, x, first, low, high, sign, False, trial, theta, out)
+                if cost < least:
+                    least, start = cost, trial
+        if evaluations == 0:
+            oe_cost(y, x, first, low, high, sign, integrating, start, theta, out)
+        else:
+            oe_fit(
+                y,
+                x,
+                first,
+                low,
+                high,
+                sign,
+                integrating,
+                start,
+                theta,
+                tau_limits,
+                theta_limits,
+                0.15,
+                evaluations,
+                tolerance,
+                out,
+            )
