@@ -182,7 +182,7 @@ def schema() -> int:
 
 
 METHOD = typer.Option("--method", help="profile (global over stiction, start and delay) or two_step (alternating).")
-VALVE = typer.Option("--valve", help="Valve model: stenman.")
+VALVE = typer.Option("--valve", help="Valve model: auto, linear, stenman, choudhury or deadband.")
 PLANT = typer.Option("--plant", help="Plant model: fopdt or integrating.")
 COLUMN = typer.Option("--column", metavar="SIGNAL=NAME", help="Which column is SP, PV, OP, MODE, time, valve_position.")
 SAMPLE_TIME = typer.Option("--sample-time", metavar="TIME", help='Where the data has no time column, such as "5 s".')
@@ -194,7 +194,7 @@ def estimate(
     data: Annotated[Path, typer.Argument(metavar="DATA", help="A loop's record (CSV or Parquet): PV, OP, time.")],
     as_json: Annotated[bool, typer.Option("--json", help="Print the result as JSON; files only with --out.")] = False,
     method: Annotated[str, METHOD] = "profile",
-    valve: Annotated[str, VALVE] = "stenman",
+    valve: Annotated[str, VALVE] = "auto",
     plant: Annotated[str, PLANT] = "fopdt",
     start: Annotated[str | None, typer.Option("--start", help="Initial stiction of two_step, %.")] = None,
     column: Annotated[list[str] | None, COLUMN] = None,
@@ -243,7 +243,7 @@ def tune(
         str | None, typer.Option("--action", help="reverse or direct; by default as the estimated gain needs.")
     ] = None,
     method: Annotated[str, METHOD] = "profile",
-    valve: Annotated[str, VALVE] = "stenman",
+    valve: Annotated[str, VALVE] = "auto",
     plant: Annotated[str, PLANT] = "fopdt",
     column: Annotated[list[str] | None, COLUMN] = None,
     sample_time: Annotated[str | None, SAMPLE_TIME] = None,

@@ -4,32 +4,39 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from workbench.errors import InvalidValue
 from workbench.estimate.data import Centred, centre, plant_of
-from workbench.estimate.fit import Fit, fit_linear, fit_nothing, predict, standard_errors, start_range
+from workbench.estimate.fit import (
+    LEAST_TAU,
+    Fit,
+    Limits,
+    fit_linear,
+    fit_nothing,
+    predict,
+    standard_errors,
+    start_range,
+)
+from workbench.estimate.models import PLANT_PARAMETERS, VALVE_PARAMETERS, bands_of, choose, compared, reasons_of
 from workbench.estimate.profile import Candidate, Profile, islands, path_of, search
-from workbench.estimate.two_parameter import look
+from workbench.estimate.two_parameter import Bands, band_stem, look, repeated
 from workbench.estimate.two_step import akaike, two_step
-from workbench.estimate.verdict import ENOUGH_SLIPS, WIDE_D, Evidence, judge
+from workbench.estimate.verdict import ENOUGH_SLIPS, SHARP, WIDE_D, Evidence, judge
 from workbench.model.checks import choice, number
 from workbench.model.record import FloatArray, Record
 from workbench.model.results import Estimate, Intervals, Iteration, LinearFit
-from workbench.model.valve import Ideal, Stenman
+from workbench.model.valve import Ideal
 from workbench.record.modes import manual_share, mode_words
 
 __all__ = ["estimate"]
 
 METHODS = ("profile", "two_step")
-VALVES = ("stenman",)
+VALVES = ("auto", "linear", "stenman", "choudhury", "deadband")
 PLANTS = ("fopdt", "integrating")
 
-# Numbers of free parameters for AIC: gain, time constant, dead time, bias, input before the record, transient; and d.
-LINEAR_PARAMETERS = 6
-STEM_PARAMETERS = 7
 # Dead times searched by default, in samples, doubled while the best fit lies at the end.
 DELAYS = 30
 LINEAR_DELAYS = 240
@@ -41,7 +48,7 @@ def estimate(
     record: Record,
     *,
     method: str = "profile",
-    valve: str = "stenman",
+    valve: str = "auto",
     plant: str = "fopdt",
     start: float | None = None,
     max_dead_time: float | None = None,
@@ -50,7 +57,9 @@ def estimate(
     """Estimate a loop from a record of PV and OP, in closed loop and without a test.
 
     method: "profile", the global profile over (d, first slip, dead time) with output-error refinement, or "two_step",
-    the paper's alternating algorithm from the stiction `start` (%). valve: "stenman". plant: "fopdt" or "integrating".
+    the paper's alternating algorithm from the stiction `start` (%), whose valve is "stenman". valve: "stenman",
+    "choudhury" (S, J), "deadband" (J = 0), "linear" (none), or "auto", the one that sticks with the lowest BIC. plant:
+    "fopdt" or "integrating".
     max_dead_time: s, the longest dead time searched (default: 30 samples, more where the best fit asks for it).
     progress: called with the share done, 0 to 1.
 
@@ -83,7 +92,7 @@ def estimate(
         found, history = two_step(data, start, _longest(data, max_dead_time, DELAYS))
     else:
         found = _profile(data, max_dead_time, tell)
-    answer = _answer(record, data, method, found, linear, history)
+    answer = _answer(record, data, (method, valve), found, linear, history)
     tell(1.0)
     return answer
 
@@ -120,16 +129,22 @@ class _Stem:
 
 
 def _answer(
-    record: Record, data: Centred, method: str, found: Profile | None, linear: Fit, history: tuple[Iteration, ...]
+    record: Record,
+    data: Centred,
+    asked: tuple[str, str],
+    found: Profile | None,
+    linear: Fit,
+    history: tuple[Iteration, ...],
 ) -> Estimate:
     n = data.samples
+    method, valve = asked
     straight = _linear_result(data, linear)
     stem = None if found is None else _stem(data, found)
     # The rival of the verdict is as causal as the stem model: a long dead time passes for half a cycle.
     delays = found.limits.theta[1] if found is not None else float(_longest(data, None, DELAYS))
     rival = linear if linear.theta <= delays else fit_linear(data, delays)
     wide = [] if found is None else [c.fit.sse / n for c in found.fits if c.d >= WIDE_D * data.op_range]
-    dead_band, dead_band_sse = look(data, rival, delays)
+    coarse = look(data, rival, delays)
     evidence = Evidence(
         samples=n,
         variance=data.variance,
@@ -141,8 +156,8 @@ def _answer(
         op_range=data.op_range,
         nothing=fit_nothing(data) / n,
         wide=min(wide, default=math.inf),
-        two_parameter=dead_band_sse / n,
-        bands=(dead_band.S, dead_band.J),
+        two_parameter=coarse[0].fit.sse / n if coarse else math.inf,
+        bands=(coarse[0].S, coarse[0].J) if coarse else (0.0, 0.0),
         linear_delay=rival.theta / n,
         tau=0.0 if found is None or data.integrating else found.best.fit.tau / n,
         d_range=None if stem is None else stem.intervals.d,
@@ -153,10 +168,26 @@ def _answer(
         iterations=len(history),
     )
     verdict, reasons, identifiable = judge(evidence)
+    bands = {}
+    if method == "profile" and valve not in ("stenman", "linear"):
+        bands = bands_of(data, coarse, Limits((LEAST_TAU, float(n)), (0.0, delays)))
+    models = compared(data, linear, found, bands)
+    chosen = choose(models, "stenman" if method == "two_step" else valve)
+    if chosen in bands and verdict != "no_stiction":
+        limits = Limits((LEAST_TAU, float(n)), (0.0, delays))
+        bands[chosen] = repeated(data, bands[chosen], limits, 0.0 if chosen == "deadband" else None)
+    if verdict != "no_stiction":
+        reasons += reasons_of(models, chosen, valve, bands)
     reasons += _manual_said(record)
+    if chosen in bands:
+        stem = _band(data, bands[chosen], chosen)
+        S = bands[chosen].best.S
+        sharp = bands[chosen].S[1] - bands[chosen].S[0] <= SHARP * S
+        identifiable = verdict == "stiction" and bands[chosen].best.slips >= ENOUGH_SLIPS and sharp
     profile_d = np.array([] if found is None else [c.d for c in found.fits])
     profile_cost = np.array([] if found is None else [c.fit.sse / n for c in found.fits])
-    if found is None or stem is None or verdict == "no_stiction" or found.best.fit.gain == 0.0:
+    best = bands[chosen].best if chosen in bands else None if found is None else found.best
+    if best is None or stem is None or chosen == "linear" or verdict == "no_stiction" or best.fit.gain == 0.0:
         return Estimate(
             record=record,
             method=method,
@@ -168,7 +199,7 @@ def _answer(
             verdict=verdict,
             reasons=reasons,
             intervals=_linear_intervals(data, linear),
-            identifiable=identifiable,
+            identifiable=False,
             residual_variance=straight.residual_variance,
             aic=straight.aic,
             noise_sd=math.sqrt(straight.residual_variance),
@@ -177,13 +208,13 @@ def _answer(
             profile_d=profile_d,
             profile_cost=profile_cost,
             iterations=history,
+            candidates=tuple(models.values()),
         )
-    best = found.best
     return Estimate(
         record=record,
         method=method,
         plant=plant_of(data, best.fit.gain, best.fit.tau, best.fit.theta),
-        valve=Stenman(best.d),
+        valve=models[chosen].valve,
         valve_position=stem.valve_position,
         prediction=stem.prediction,
         bias=stem.bias,
@@ -192,13 +223,14 @@ def _answer(
         intervals=stem.intervals,
         identifiable=identifiable,
         residual_variance=best.fit.sse / n,
-        aic=akaike(data, best.fit.sse, STEM_PARAMETERS - data.integrating),
+        aic=akaike(data, best.fit.sse, PLANT_PARAMETERS + VALVE_PARAMETERS[chosen] - data.integrating),
         noise_sd=math.sqrt(best.fit.sse / n),
         slips=best.slips,
         linear=straight,
         profile_d=profile_d,
         profile_cost=profile_cost,
         iterations=history,
+        candidates=tuple(models.values()),
     )
 
 
@@ -221,7 +253,7 @@ def _linear_result(data: Centred, fit: Fit) -> LinearFit:
         bias=_bias(data, fit),
         prediction=data.pv_mean + predict(data, data.u, 0, fit)[0],
         residual_variance=fit.sse / data.samples,
-        aic=akaike(data, fit.sse, LINEAR_PARAMETERS - data.integrating),
+        aic=akaike(data, fit.sse, PLANT_PARAMETERS - data.integrating),
     )
 
 
@@ -278,3 +310,26 @@ def _stem(data: Centred, found: Profile) -> _Stem:
     known = best.d_high > best.d_low and best.slips >= ENOUGH_SLIPS
     intervals = _ranges(data, [c.fit for c in found.alike], errors, d if known else None)
     return _Stem(position, prediction, _bias(data, best.fit), intervals)
+
+
+def _band(data: Centred, found: Bands, name: str) -> _Stem:
+    """The best two-parameter stem in the record's own scale."""
+    best = found.best
+    x, _ = band_stem(data.u, best.S, best.J, best.first, best.sense)
+    begin = max(best.first, 0)
+    prediction = data.pv_mean + predict(data, x, begin, best.fit)[0]
+    position = x + data.op_middle
+    if begin > 0 and best.fit.gain != 0.0:
+        # Where the stem was before it first slipped, kept to what the valve can hold there.
+        reach = 0.5 * (best.S + best.J)
+        low, high = float(data.u[:begin].max()) - reach, float(data.u[:begin].min()) + reach
+        position[:begin] = data.op_middle + float(
+            np.clip(best.fit.start / best.fit.gain, min(low, high), max(low, high))
+        )
+    errors = (math.nan, math.nan, math.nan)
+    if best.fit.gain != 0.0:
+        errors = standard_errors(data, x, begin, best.fit, clamped=False)
+    ranges = _ranges(data, [b.fit for b in found.alike if b.fit.gain != 0.0] or [best.fit], errors, None)
+    if best.slips >= ENOUGH_SLIPS:
+        ranges = replace(ranges, S=found.S, J=None if name == "deadband" else found.J)
+    return _Stem(position, prediction, _bias(data, best.fit), ranges)

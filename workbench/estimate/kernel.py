@@ -13,7 +13,19 @@ from numpy.typing import NDArray
 
 from workbench.simulate.compiled import compiled
 
-__all__ = ["fit_stems", "oe_columns", "oe_cost", "oe_fit", "rest_range", "stem_path", "stem_slips", "walk"]
+__all__ = [
+    "band_path",
+    "fit_stems",
+    "oe_columns",
+    "oe_cost",
+    "oe_fit",
+    "rest_range",
+    "scan_bands",
+    "stem_path",
+    "stem_slips",
+    "walk",
+    "walk_bands",
+]
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -26,6 +38,8 @@ SSE, TAU, THETA, GAIN, BIAS, START, TRANSIENT = range(7)
 FIT = 7
 # A step of d that takes more than this share of the slips is routed anew.
 MANY = 0.05
+# Entries that `band_path` writes.
+S_LOW, S_HIGH, J_LOW, J_HIGH = range(4)
 # Time constants after which nothing is left of a start in double precision.
 DIED = 40.0
 
@@ -623,3 +637,124 @@ def fit_stems(
                 tolerance,
                 out,
             )
+
+
+@compiled
+def band_path(op: Floats, S: float, J: float, first: int, sense: float, x: Floats, box: Floats) -> int:
+    """Write the path of a two-parameter (Choudhury) stem; return the number of times it slips.
+
+    first: its first slip, the stem before it is unknown and written 0, or -1 for a stem that rests in the middle of its
+    band at OP's first value. sense: of the first slip, +1 or -1, not used for first = -1. A stem that was led to w in
+    sense s stands at `w - s (S - J)/2`; it turns where OP comes back by more than S from w and moves on where OP goes
+    on by more than J. Written into box: (S_LOW, S_HIGH, J_LOW, J_HIGH), the rectangle in which the same slips happen,
+    S_LOW <= S < S_HIGH and J_LOW <= J < J_HIGH (inf for none); for first = -1 it does not bound the first slip.
+    """
+    offset = 0.5 * (S - J)
+    box[S_LOW], box[S_HIGH], box[J_LOW], box[J_HIGH] = 0.0, math.inf, 0.0, math.inf
+    n = op.size
+    if first < 0:
+        band = 0.5 * (S + J)
+        k = 0
+        while k < n and abs(op[k] - op[0]) <= band:
+            x[k] = op[0]
+            k += 1
+        if k == n:
+            return 0
+        sense = 1.0 if op[k] > op[0] else -1.0
+        first = k
+    else:
+        x[:first] = 0.0
+    led = op[first]
+    x[first] = led - sense * offset
+    moving = True
+    slips = 1
+    for k in range(first + 1, n):
+        if moving and (op[k] - op[k - 1]) * sense > 0.0:
+            led = op[k]
+        else:
+            moving = False
+            on = (op[k] - led) * sense
+            if on > J:
+                box[J_HIGH] = min(box[J_HIGH], on)
+                moving = True
+            elif -on > S:
+                box[S_HIGH] = min(box[S_HIGH], -on)
+                sense = -sense
+                moving = True
+            else:
+                box[J_LOW] = max(box[J_LOW], on)
+                box[S_LOW] = max(box[S_LOW], -on)
+            if moving:
+                led = op[k]
+                slips += 1
+        x[k] = led - sense * offset
+    return slips
+
+
+@compiled
+def walk_bands(
+    y: Floats,
+    op: Floats,
+    first: int,
+    sense: float,
+    J: float,
+    S_from: float,
+    S_to: float,
+    least: float,
+    most: float,
+    sign: float,
+    integrating: bool,
+    tau: float,
+    theta: float,
+    rows: Floats,
+) -> int:
+    """Walk S at a fixed J, from S_from up to S_to, and fit the output-error model at (tau, theta) to each path.
+
+    The slips change where S passes the least return of OP at which the stem turned; between such breakpoints the path
+    shifts evenly with S. least, most: relative steps of S, the least and the largest; least = 0 meets every sequence of
+    slips. Written: rows (S, J, COST, SLIPS). Returns their number. first, sense: as in `band_path`.
+    """
+    x = np.empty(op.size)
+    box = np.empty(4)
+    out = np.empty(FIT)
+    S = S_from
+    count = 0
+    while S_to > S and count < rows.shape[0]:
+        slips = band_path(op, S, J, first, sense, x, box)
+        if slips == 0:
+            break
+        oe_cost(y, x, max(first, 0), -math.inf, math.inf, sign, integrating, tau, theta, out)
+        rows[count, 0], rows[count, 1], rows[count, 2], rows[count, 3] = S, J, out[SSE], slips
+        count += 1
+        S = max(min(box[S_HIGH], S * (1.0 + most)), S * (1.0 + least))
+    return count
+
+
+@compiled
+def scan_bands(
+    y: Floats,
+    op: Floats,
+    first: int,
+    sense: float,
+    bands: Floats,
+    sign: float,
+    integrating: bool,
+    plants: Floats,
+    costs: Floats,
+) -> None:
+    """Fit the output-error model at each of some plants to many stems with one start (see `band_path`).
+
+    bands: rows (S, J); plants: rows (tau, theta) in samples. Written: costs, shape (bands, plants), inf where the stem
+    never moves.
+    """
+    x = np.empty(op.size)
+    box = np.empty(4)
+    out = np.empty(FIT)
+    for i in range(bands.shape[0]):
+        if band_path(op, bands[i, 0], bands[i, 1], first, sense, x, box) == 0:
+            costs[i] = math.inf
+            continue
+        for j in range(plants.shape[0]):
+            tau, theta = plants[j, 0], plants[j, 1]
+            cost = oe_cost(y, x, max(first, 0), -math.inf, math.inf, sign, integrating, tau, theta, out)
+            costs[i, j] = cost if out[GAIN] != 0.0 else math.inf

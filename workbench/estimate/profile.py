@@ -29,7 +29,17 @@ from workbench.estimate.fit import (
     start_range,
 )
 
-__all__ = ["Candidate", "Profile", "first_slips", "islands", "path_of", "search"]
+__all__ = [
+    "CHI_SQUARE",
+    "EXACT",
+    "Candidate",
+    "Profile",
+    "active_windows",
+    "first_slips",
+    "islands",
+    "path_of",
+    "search",
+]
 
 # Exact enumeration up to this many samples; longer records are first searched in their most active windows of this
 # length.
@@ -157,8 +167,8 @@ class _Glimpse:
     clear: bool
 
 
-def _windows(data: Centred) -> list[tuple[int, int]]:
-    """The head and the most active stretches, (first, stop) each: where OP ranges and PV varies the most."""
+def _windows(data: Centred, *, head: bool = True) -> list[tuple[int, int]]:
+    """The head, if asked for, and the most active stretches, (first, stop): where OP ranges and PV varies the most."""
     n = data.samples
     size = min(EXACT, n)
     begins = np.unique(np.minimum(np.arange(0, n, size // 2), n - size)).tolist()
@@ -173,7 +183,13 @@ def _windows(data: Centred) -> list[tuple[int, int]]:
             chosen.append(begins[i])
         if len(chosen) == WINDOWS:
             break
-    return [(b, b + size) for b in sorted({0, *chosen})]
+    return [(b, b + size) for b in sorted({0, *chosen} if head else chosen)]
+
+
+def active_windows(data: Centred) -> list[Centred]:
+    """Return the most active stretches of a long record in which both signals move."""
+    parts = [data.part(*window) for window in _windows(data, head=False)]
+    return [part for part in parts if part.op_range > 0.0 and float(np.ptp(part.y)) > 0.0]
 
 
 def _glimpse(
