@@ -176,6 +176,9 @@ def _answer(
     if chosen in bands and verdict != "no_stiction":
         limits = Limits((LEAST_TAU, float(n)), (0.0, delays))
         bands[chosen] = repeated(data, bands[chosen], limits, 0.0 if chosen == "deadband" else None)
+    if chosen in bands and verdict == "stiction":
+        # The range of d is that of another valve than the one chosen.
+        reasons = judge(replace(evidence, d_range=None))[1]
     if verdict != "no_stiction":
         reasons += reasons_of(models, chosen, valve, bands)
     reasons += _manual_said(record)
