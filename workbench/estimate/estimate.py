@@ -213,6 +213,8 @@ def _answer(
             iterations=history,
             candidates=tuple(models.values()),
         )
+    # Of the prediction itself: where the model's columns are nearly dependent, the normal equations lose digits.
+    sse = float(((record.pv - stem.prediction) ** 2).sum())
     return Estimate(
         record=record,
         method=method,
@@ -225,9 +227,9 @@ def _answer(
         reasons=reasons,
         intervals=stem.intervals,
         identifiable=identifiable,
-        residual_variance=best.fit.sse / n,
-        aic=akaike(data, best.fit.sse, PLANT_PARAMETERS + VALVE_PARAMETERS[chosen] - data.integrating),
-        noise_sd=math.sqrt(best.fit.sse / n),
+        residual_variance=sse / n,
+        aic=akaike(data, sse, PLANT_PARAMETERS + VALVE_PARAMETERS[chosen] - data.integrating),
+        noise_sd=math.sqrt(sse / n),
         slips=best.slips,
         linear=straight,
         profile_d=profile_d,
@@ -251,12 +253,14 @@ def _bias(data: Centred, fit: Fit) -> float:
 
 
 def _linear_result(data: Centred, fit: Fit) -> LinearFit:
+    modelled = predict(data, data.u, 0, fit)[0]
+    sse = float(((data.y - modelled) ** 2).sum())
     return LinearFit(
         plant=plant_of(data, fit.gain, fit.tau, fit.theta),
         bias=_bias(data, fit),
-        prediction=data.pv_mean + predict(data, data.u, 0, fit)[0],
-        residual_variance=fit.sse / data.samples,
-        aic=akaike(data, fit.sse, PLANT_PARAMETERS - data.integrating),
+        prediction=data.pv_mean + modelled,
+        residual_variance=sse / data.samples,
+        aic=akaike(data, sse, PLANT_PARAMETERS - data.integrating),
     )
 
 
