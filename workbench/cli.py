@@ -300,7 +300,11 @@ def _checked(files: Sequence[Path]) -> list[Scenario]:
     return plans
 
 
-CHOICES = {"method": ("profile", "two_step"), "valve": ("stenman",), "plant": ("fopdt", "integrating")}
+CHOICES = {
+    "method": ("profile", "two_step"),
+    "valve": ("auto", "linear", "stenman", "choudhury", "deadband"),
+    "plant": ("fopdt", "integrating"),
+}
 
 
 @dataclass(frozen=True, slots=True)
