@@ -151,39 +151,47 @@ def accuracy(loops: int, seed: int) -> None:
                 one = case(rng, kind, plant)
                 cases += [] if one is None else [one]
             told: dict[bool, list[bool]] = {True: [], False: []}
-            ours, theirs, plain, coverage = [], [], [], []
-            kinds, verdicts = [], []
+            found: dict[bool, list[tuple[Case, wb.Estimate, wb.Estimate]]] = {True: [], False: []}
             for c in cases:
                 truth = identifiable(c, plant)
                 try:
-                    found = wb.estimate(c.record, plant=plant)
+                    ours = wb.estimate(c.record, plant=plant)
                     rival = wb.estimate(c.record, plant=plant, method="two_step")
                 except wb.RecordError:
                     continue
-                told[truth].append(found.identifiable)
-                if not truth or c.noise > 0.05:
-                    continue
-                ours.append(errors(c, found))
-                theirs.append(errors(c, rival))
-                plain.append(errors(c, replace(found, plant=found.linear.plant)))
-                coverage.append(covered(c, found))
-                kinds.append(isinstance(found.valve, type(c.loop.valve)))
-                verdicts.append(found.verdict == "stiction")
-            print(f"\n{kind}, {plant}: {len(cases)} loops, {len(ours)} identifiable with noise up to 5 % of the swing")
-            for name, found_errors in (("estimate", ours), ("two-step", theirs), ("linear", plain)):
-                parts = [
-                    f"{'+'.join(names)} {share(within(found_errors, names))}"
-                    for names in (("S",), ("K",), ("S", "K"), ("tau",))
-                    if name != "linear" or "S" not in names
-                ]
-                parts.append(f"theta to 1 sample {share([abs(e['theta']) <= 1.0 for e in found_errors])}")
-                print(f"  {name:9} within limits: {'; '.join(parts)}")
-            text = "; ".join(f"{n} {share([h[n] for h in coverage if n in h])}" for n in ("S", "K", "tau", "theta"))
-            print(f"  coverage of the 95 % intervals: {text}")
-            print(f"  the true kind of valve {share(kinds)}; verdict stiction {share(verdicts)}")
+                told[truth].append(ours.identifiable)
+                if truth and c.noise <= 0.05:
+                    found[c.experiment.load is not None].append((c, ours, rival))
+            print(f"\n{kind}, {plant}: {len(cases)} loops")
+            for load, rows in found.items():
+                print(f"  {'with a load step' if load else 'without load'}: {len(rows)} identifiable, noise up to 5 %")
+                table(rows)
             print(
                 f"  said to be identified: {share(told[True])} that are, {share(told[False])} that are not", flush=True
             )
+
+
+def table(rows: list[tuple[Case, wb.Estimate, wb.Estimate]]) -> None:
+    """Print shares within the limits, coverage and kinds of (case, estimate, two-step estimate)."""
+    ways = {
+        "estimate": [errors(c, ours) for c, ours, _ in rows],
+        "two-step": [errors(c, rival) for c, _, rival in rows],
+        "linear": [errors(c, replace(ours, plant=ours.linear.plant)) for c, ours, _ in rows],
+    }
+    for name, those in ways.items():
+        parts = [
+            f"{'+'.join(names)} {share(within(those, names))}"
+            for names in (("S",), ("K",), ("S", "K"), ("tau",))
+            if name != "linear" or "S" not in names
+        ]
+        parts.append(f"theta to 1 sample {share([abs(e['theta']) <= 1.0 for e in those])}")
+        print(f"    {name:9} within limits: {'; '.join(parts)}")
+    held = [covered(c, ours) for c, ours, _ in rows]
+    text = "; ".join(f"{n} {share([h[n] for h in held if n in h])}" for n in ("S", "K", "tau", "theta"))
+    print(f"    coverage of the 95 % intervals: {text}")
+    kinds = [isinstance(ours.valve, type(c.loop.valve)) for c, ours, _ in rows]
+    verdicts = [ours.verdict == "stiction" for _, ours, _ in rows]
+    print(f"    the true kind of valve {share(kinds)}; verdict stiction {share(verdicts)}")
 
 
 def long_record(samples: int, seed: int = 1) -> wb.Record:
