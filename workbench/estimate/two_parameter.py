@@ -73,8 +73,9 @@ def look(data: Centred, linear: Fit, longest: float) -> list[Band]:
     """
     limits = Limits((LEAST_TAU, float(data.samples)), (0.0, longest))
     tau, theta = max(linear.tau, LEAST_TAU), min(linear.theta, longest)
+    evaluations = 50 if data.samples <= EXACT else 20
     found = [
-        _fit(data, S, share * S, (-1, 0.0), limits, (tau, start), 50, 1e-4)
+        _fit(data, S, share * S, (-1, 0.0), limits, (tau, start), evaluations, 1e-4)
         for S in (np.geomspace(NARROWEST, WIDEST, BANDS) * data.op_range).tolist()
         for share in JUMPS
         for start in {theta, max(theta - S / data.op_range * theta, 0.0)}
