@@ -182,7 +182,7 @@ def schema() -> int:
 
 
 METHOD = typer.Option("--method", help="profile (global over stiction, start and delay) or two_step (alternating).")
-VALVE = typer.Option("--valve", help="Valve model: stenman.")
+VALVE = typer.Option("--valve", help="Valve model: auto, linear, stenman, choudhury or deadband.")
 PLANT = typer.Option("--plant", help="Plant model: fopdt or integrating.")
 COLUMN = typer.Option("--column", metavar="SIGNAL=NAME", help="Which column is SP, PV, OP, MODE, time, valve_position.")
 TAG = typer.Option("--tag", metavar="SIGNAL=NAME", help="The same for the tags of a historian's tall export.")
@@ -198,7 +198,7 @@ def estimate(
     data: Annotated[Path, typer.Argument(metavar="DATA", help="A loop's record (CSV or Parquet): PV, OP, time.")],
     as_json: Annotated[bool, typer.Option("--json", help="Print the result as JSON; files only with --out.")] = False,
     method: Annotated[str, METHOD] = "profile",
-    valve: Annotated[str, VALVE] = "stenman",
+    valve: Annotated[str, VALVE] = "auto",
     plant: Annotated[str, PLANT] = "fopdt",
     start: Annotated[str | None, typer.Option("--start", help="Initial stiction of two_step, %.")] = None,
     column: Annotated[list[str] | None, COLUMN] = None,
@@ -252,7 +252,7 @@ def tune(
         str | None, typer.Option("--action", help="reverse or direct; by default as the estimated gain needs.")
     ] = None,
     method: Annotated[str, METHOD] = "profile",
-    valve: Annotated[str, VALVE] = "stenman",
+    valve: Annotated[str, VALVE] = "auto",
     plant: Annotated[str, PLANT] = "fopdt",
     column: Annotated[list[str] | None, COLUMN] = None,
     tag: Annotated[list[str] | None, TAG] = None,
@@ -314,7 +314,11 @@ def _checked(files: Sequence[Path]) -> list[Scenario]:
     return plans
 
 
-CHOICES = {"method": ("profile", "two_step"), "valve": ("stenman",), "plant": ("fopdt", "integrating")}
+CHOICES = {
+    "method": ("profile", "two_step"),
+    "valve": ("auto", "linear", "stenman", "choudhury", "deadband"),
+    "plant": ("fopdt", "integrating"),
+}
 
 
 @dataclass(frozen=True, slots=True)

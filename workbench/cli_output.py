@@ -46,6 +46,12 @@ def estimate_lines(found: Estimate) -> list[str]:
         f"PV is met within {figure(found.noise_sd, 3)} EU (standard deviation)"
     )
     lines.append(f"Linear fit {plant_words(found.linear.plant)}; it ignores the stiction")
+    if len(found.candidates) > 1:
+        span = min(m.bic for m in found.candidates)
+        for i, model in enumerate(found.candidates):
+            what = f"{valve_words(model.valve)}: residual variance {figure(model.residual_variance, 3)} EU²"
+            criteria = f"AIC {model.aic:.1f}, BIC {model.bic:.1f} (+{model.bic - span:.1f})"
+            lines.append(f"{'Models' if i == 0 else '':<10} {what}, {criteria}")
     lines.append(f"Verdict    {VERDICTS.get(found.verdict, found.verdict)}")
     lines += [f"           {reason}" for reason in found.reasons]
     return lines
@@ -80,6 +86,17 @@ def estimate_json(found: Estimate) -> str:
     content = dict(results_content(study)["estimate"])
     for name in ("truth", "reference", "note"):
         content.pop(name, None)
+    content["candidates"] = [
+        {
+            "valve": valve_words(m.valve),
+            "plant": plant_words(m.plant),
+            "residual_variance": m.residual_variance,
+            "aic": m.aic,
+            "bic": m.bic,
+            "slips": m.slips,
+        }
+        for m in found.candidates
+    ]
     content["valve_position"] = [float(f"{x:.6g}") for x in found.valve_position.tolist()]
     return _json(content)
 

@@ -174,6 +174,17 @@ def test_few_slips_give_no_confident_verdict() -> None:
     assert found.verdict == "undecided"
     assert not found.identifiable
     assert any("stem moves" in reason and "at least 10" in reason for reason in found.reasons)
+    # The stem's unknown start is not pinned then, and no range of d is claimed.
+    assert found.intervals.d is None
+
+
+@pytest.mark.parametrize("longest", [0.0, 0.4, 1.5])
+def test_the_longest_dead_time_is_kept_to(longest: float) -> None:
+    record = record_of(theta=2.4, samples=300)
+    for method in ("profile", "two_step"):
+        found = wb.estimate(record, method=method, max_dead_time=longest)
+        assert found.plant.dead_time <= longest
+        assert found.linear.plant.dead_time <= longest
 
 
 def test_a_valve_that_never_slips_is_said_and_not_guessed() -> None:

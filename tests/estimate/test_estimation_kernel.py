@@ -47,7 +47,6 @@ def test_walking_meets_every_path_once_and_says_how_long_each_holds(op: np.ndarr
     data = centre(Record(np.resize(y, 40), np.resize(op, 40), 1.0), "fopdt")
     rows = np.empty((400, kernel.ROW))
     n = kernel.walk(
-        data.y,
         data.sums,
         data.squares,
         data.products,
@@ -83,7 +82,6 @@ def test_the_one_step_cost_is_numpys_least_squares(first: int, integrating: bool
     delays = np.array([2])
     pole = 1.0 if integrating else math.nan
     kernel.walk(
-        data.y,
         data.sums,
         data.squares,
         data.products,

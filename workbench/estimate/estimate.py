@@ -4,32 +4,39 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from workbench.errors import InvalidValue
 from workbench.estimate.data import Centred, centre, plant_of
-from workbench.estimate.fit import Fit, fit_linear, fit_nothing, predict, standard_errors, start_range
+from workbench.estimate.fit import (
+    LEAST_TAU,
+    Fit,
+    Limits,
+    fit_linear,
+    fit_nothing,
+    predict,
+    standard_errors,
+    start_range,
+)
+from workbench.estimate.models import PLANT_PARAMETERS, VALVE_PARAMETERS, bands_of, choose, compared, reasons_of
 from workbench.estimate.profile import Candidate, Profile, islands, path_of, search
-from workbench.estimate.two_parameter import look
+from workbench.estimate.two_parameter import Bands, band_stem, look, repeated
 from workbench.estimate.two_step import akaike, two_step
-from workbench.estimate.verdict import WIDE_D, Evidence, judge
+from workbench.estimate.verdict import ENOUGH_SLIPS, SHARP, WIDE_D, Evidence, judge
 from workbench.model.checks import choice, number
 from workbench.model.record import FloatArray, Record
 from workbench.model.results import Estimate, Intervals, Iteration, LinearFit
-from workbench.model.valve import Ideal, Stenman
+from workbench.model.valve import Ideal
 from workbench.record.modes import manual_share, mode_words
 
 __all__ = ["estimate"]
 
 METHODS = ("profile", "two_step")
-VALVES = ("stenman",)
+VALVES = ("auto", "linear", "stenman", "choudhury", "deadband")
 PLANTS = ("fopdt", "integrating")
 
-# Numbers of free parameters for AIC: gain, time constant, dead time, bias, input before the record, transient; and d.
-LINEAR_PARAMETERS = 6
-STEM_PARAMETERS = 7
 # Dead times searched by default, in samples, doubled while the best fit lies at the end.
 DELAYS = 30
 LINEAR_DELAYS = 240
@@ -41,7 +48,7 @@ def estimate(
     record: Record,
     *,
     method: str = "profile",
-    valve: str = "stenman",
+    valve: str = "auto",
     plant: str = "fopdt",
     start: float | None = None,
     max_dead_time: float | None = None,
@@ -50,15 +57,18 @@ def estimate(
     """Estimate a loop from a record of PV and OP, in closed loop and without a test.
 
     method: "profile", the global profile over (d, first slip, dead time) with output-error refinement, or "two_step",
-    the paper's alternating algorithm from the stiction `start` (%). valve: "stenman". plant: "fopdt" or "integrating".
+    the paper's alternating algorithm from the stiction `start` (%), whose valve is "stenman". valve: "stenman",
+    "choudhury" (S, J), "deadband" (J = 0), "linear" (none), or "auto", the one that sticks with the lowest BIC. plant:
+    "fopdt" or "integrating".
     max_dead_time: s, the longest dead time searched (default: 30 samples, more where the best fit asks for it).
     progress: called with the share done, 0 to 1.
 
     Returns an `Estimate`; beside the model stands the linear fit that ignores stiction. Where stiction does not help
     ("no_stiction") the model is that linear fit with an ideal valve. intervals.d is the hull of all d whose fit the
-    record cannot tell from the best; identifiable is False where that is wider than a tenth of d, or where the stem
-    moved fewer than ten times. Raises `RecordError` for a record that holds no information (too short, PV or OP
-    constant) and `InvalidValue` for arguments that are not allowed.
+    record cannot tell from the best, and None below ten stem moves, which do not pin the stem's unknown start;
+    identifiable is True where the verdict is "stiction" and that hull is at most a tenth of d wide. Raises
+    `RecordError` for a record that holds no information (too short, PV or OP constant) and `InvalidValue` for
+    arguments that are not allowed.
     """
     if not isinstance(record, Record):
         raise InvalidValue("estimate.record", type(record).__name__, "must be a Record (see read_record)")
@@ -82,7 +92,7 @@ def estimate(
         found, history = two_step(data, start, _longest(data, max_dead_time, DELAYS))
     else:
         found = _profile(data, max_dead_time, tell)
-    answer = _answer(record, data, method, found, linear, history)
+    answer = _answer(record, data, (method, valve), found, linear, history)
     tell(1.0)
     return answer
 
@@ -91,12 +101,12 @@ def _silent(share: float) -> None:
     """Ignore the progress."""
 
 
-def _longest(data: Centred, max_dead_time: float | None, usual: int) -> int:
-    """The longest dead time to search, in samples; a quarter of the record at most."""
+def _longest(data: Centred, max_dead_time: float | None, usual: int) -> float:
+    """The longest dead time to search, in samples, never above `max_dead_time`; a quarter of the record at most."""
     most = max(data.samples // 4, 1)
     if max_dead_time is None:
         return min(usual, max(data.samples // 10, 1) if usual == DELAYS else most)
-    return min(math.ceil(max_dead_time / data.sample_time - 1e-9), most)
+    return min(max_dead_time / data.sample_time, float(most))
 
 
 def _profile(data: Centred, max_dead_time: float | None, tell: Callable[[float], None]) -> Profile | None:
@@ -119,16 +129,22 @@ class _Stem:
 
 
 def _answer(
-    record: Record, data: Centred, method: str, found: Profile | None, linear: Fit, history: tuple[Iteration, ...]
+    record: Record,
+    data: Centred,
+    asked: tuple[str, str],
+    found: Profile | None,
+    linear: Fit,
+    history: tuple[Iteration, ...],
 ) -> Estimate:
     n = data.samples
+    method, valve = asked
     straight = _linear_result(data, linear)
     stem = None if found is None else _stem(data, found)
     # The rival of the verdict is as causal as the stem model: a long dead time passes for half a cycle.
     delays = found.limits.theta[1] if found is not None else float(_longest(data, None, DELAYS))
-    rival = linear if linear.theta <= delays else fit_linear(data, int(delays))
+    rival = linear if linear.theta <= delays else fit_linear(data, delays)
     wide = [] if found is None else [c.fit.sse / n for c in found.fits if c.d >= WIDE_D * data.op_range]
-    dead_band, dead_band_sse = look(data, rival, delays)
+    coarse = look(data, rival, delays)
     evidence = Evidence(
         samples=n,
         variance=data.variance,
@@ -140,8 +156,8 @@ def _answer(
         op_range=data.op_range,
         nothing=fit_nothing(data) / n,
         wide=min(wide, default=math.inf),
-        two_parameter=dead_band_sse / n,
-        bands=(dead_band.S, dead_band.J),
+        two_parameter=coarse[0].fit.sse / n if coarse else math.inf,
+        bands=(coarse[0].S, coarse[0].J) if coarse else (0.0, 0.0),
         linear_delay=rival.theta / n,
         tau=0.0 if found is None or data.integrating else found.best.fit.tau / n,
         d_range=None if stem is None else stem.intervals.d,
@@ -152,10 +168,29 @@ def _answer(
         iterations=len(history),
     )
     verdict, reasons, identifiable = judge(evidence)
+    bands = {}
+    if method == "profile" and valve not in ("stenman", "linear"):
+        bands = bands_of(data, coarse, Limits((LEAST_TAU, float(n)), (0.0, delays)))
+    models = compared(data, linear, found, bands)
+    chosen = choose(models, "stenman" if method == "two_step" else valve)
+    if chosen in bands and verdict != "no_stiction":
+        limits = Limits((LEAST_TAU, float(n)), (0.0, delays))
+        bands[chosen] = repeated(data, bands[chosen], limits, 0.0 if chosen == "deadband" else None)
+    if chosen in bands and verdict == "stiction":
+        # The range of d is that of another valve than the one chosen.
+        reasons = judge(replace(evidence, d_range=None))[1]
+    if verdict != "no_stiction":
+        reasons += reasons_of(models, chosen, valve, bands)
     reasons += _manual_said(record)
+    if chosen in bands:
+        stem = _band(data, bands[chosen], chosen)
+        S = bands[chosen].best.S
+        sharp = bands[chosen].S[1] - bands[chosen].S[0] <= SHARP * S
+        identifiable = verdict == "stiction" and bands[chosen].best.slips >= ENOUGH_SLIPS and sharp
     profile_d = np.array([] if found is None else [c.d for c in found.fits])
     profile_cost = np.array([] if found is None else [c.fit.sse / n for c in found.fits])
-    if found is None or stem is None or verdict == "no_stiction" or found.best.fit.gain == 0.0:
+    best = bands[chosen].best if chosen in bands else None if found is None else found.best
+    if best is None or stem is None or chosen == "linear" or verdict == "no_stiction" or best.fit.gain == 0.0:
         return Estimate(
             record=record,
             method=method,
@@ -167,7 +202,7 @@ def _answer(
             verdict=verdict,
             reasons=reasons,
             intervals=_linear_intervals(data, linear),
-            identifiable=identifiable,
+            identifiable=False,
             residual_variance=straight.residual_variance,
             aic=straight.aic,
             noise_sd=math.sqrt(straight.residual_variance),
@@ -176,13 +211,15 @@ def _answer(
             profile_d=profile_d,
             profile_cost=profile_cost,
             iterations=history,
+            candidates=tuple(models.values()),
         )
-    best = found.best
+    # Of the prediction itself: where the model's columns are nearly dependent, the normal equations lose digits.
+    sse = float(((record.pv - stem.prediction) ** 2).sum())
     return Estimate(
         record=record,
         method=method,
         plant=plant_of(data, best.fit.gain, best.fit.tau, best.fit.theta),
-        valve=Stenman(best.d),
+        valve=models[chosen].valve,
         valve_position=stem.valve_position,
         prediction=stem.prediction,
         bias=stem.bias,
@@ -190,14 +227,15 @@ def _answer(
         reasons=reasons,
         intervals=stem.intervals,
         identifiable=identifiable,
-        residual_variance=best.fit.sse / n,
-        aic=akaike(data, best.fit.sse, STEM_PARAMETERS - data.integrating),
-        noise_sd=math.sqrt(best.fit.sse / n),
+        residual_variance=sse / n,
+        aic=akaike(data, sse, PLANT_PARAMETERS + VALVE_PARAMETERS[chosen] - data.integrating),
+        noise_sd=math.sqrt(sse / n),
         slips=best.slips,
         linear=straight,
         profile_d=profile_d,
         profile_cost=profile_cost,
         iterations=history,
+        candidates=tuple(models.values()),
     )
 
 
@@ -215,12 +253,14 @@ def _bias(data: Centred, fit: Fit) -> float:
 
 
 def _linear_result(data: Centred, fit: Fit) -> LinearFit:
+    modelled = predict(data, data.u, 0, fit)[0]
+    sse = float(((data.y - modelled) ** 2).sum())
     return LinearFit(
         plant=plant_of(data, fit.gain, fit.tau, fit.theta),
         bias=_bias(data, fit),
-        prediction=data.pv_mean + predict(data, data.u, 0, fit)[0],
-        residual_variance=fit.sse / data.samples,
-        aic=akaike(data, fit.sse, LINEAR_PARAMETERS - data.integrating),
+        prediction=data.pv_mean + modelled,
+        residual_variance=sse / data.samples,
+        aic=akaike(data, sse, PLANT_PARAMETERS - data.integrating),
     )
 
 
@@ -274,5 +314,29 @@ def _stem(data: Centred, found: Profile) -> _Stem:
     if best.fit.gain != 0.0:
         errors = standard_errors(data, x, best.first, best.fit, clamped)
     d = (min(c.d_low for c in found.alike), max(c.d_high for c in found.alike))
-    intervals = _ranges(data, [c.fit for c in found.alike], errors, d if found.best.d_high > found.best.d_low else None)
+    known = best.d_high > best.d_low and best.slips >= ENOUGH_SLIPS
+    intervals = _ranges(data, [c.fit for c in found.alike], errors, d if known else None)
     return _Stem(position, prediction, _bias(data, best.fit), intervals)
+
+
+def _band(data: Centred, found: Bands, name: str) -> _Stem:
+    """The best two-parameter stem in the record's own scale."""
+    best = found.best
+    x, _ = band_stem(data.u, best.S, best.J, best.first, best.sense)
+    begin = max(best.first, 0)
+    prediction = data.pv_mean + predict(data, x, begin, best.fit)[0]
+    position = x + data.op_middle
+    if begin > 0 and best.fit.gain != 0.0:
+        # Where the stem was before it first slipped, kept to what the valve can hold there.
+        reach = 0.5 * (best.S + best.J)
+        low, high = float(data.u[:begin].max()) - reach, float(data.u[:begin].min()) + reach
+        position[:begin] = data.op_middle + float(
+            np.clip(best.fit.start / best.fit.gain, min(low, high), max(low, high))
+        )
+    errors = (math.nan, math.nan, math.nan)
+    if best.fit.gain != 0.0:
+        errors = standard_errors(data, x, begin, best.fit, clamped=False)
+    ranges = _ranges(data, [b.fit for b in found.alike if b.fit.gain != 0.0] or [best.fit], errors, None)
+    if best.slips >= ENOUGH_SLIPS:
+        ranges = replace(ranges, S=found.S, J=None if name == "deadband" else found.J)
+    return _Stem(position, prediction, _bias(data, best.fit), ranges)

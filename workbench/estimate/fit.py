@@ -19,6 +19,7 @@ __all__ = [
     "fit_linear",
     "fit_nothing",
     "fit_path",
+    "fit_stems",
     "inflation",
     "predict",
     "standard_errors",
@@ -58,16 +59,7 @@ def _fit(out: FloatArray) -> Fit:
 
 def start_range(u: FloatArray, first: int, d_low: float, d_high: float) -> tuple[float, float]:
     """Return the range of x0 for which a Stenman stem rests until it slips at `first`; infinite where first is 0."""
-    if first == 0:
-        return -math.inf, math.inf
-    top, bottom = float(u[:first].max()), float(u[:first].min())
-    low, high = top - d_high, bottom + d_high
-    if u[first] > top:
-        high = min(high, float(u[first]) - d_low)
-    else:
-        low = max(low, float(u[first]) + d_low)
-    slack = START_SLACK * d_high
-    return min(low, high) - slack, max(low, high) + slack
+    return kernel.rest_range(u, first, d_low, d_high, START_SLACK)
 
 
 def fit_path(
@@ -115,15 +107,49 @@ def fit_path(
     return _fit(out)
 
 
-def fit_linear(data: Centred, longest: int) -> Fit:
+def fit_stems(
+    data: Centred,
+    paths: FloatArray,
+    limits: Limits,
+    *,
+    tau: float = math.nan,
+    evaluations: int = 120,
+    tolerance: float = 1e-7,
+) -> list[tuple[Fit, int]]:
+    """Return the output-error fit and the number of slips of many stem paths, rows (first, d_low, d_high, theta).
+
+    theta (samples): where the search starts; tau likewise, nan for the best of a coarse list. evaluations: 0 for the
+    fit at those two themselves.
+    """
+    fits = np.empty((len(paths), kernel.FIT))
+    slips = np.empty(len(paths), np.int64)
+    kernel.fit_stems(
+        data.y,
+        data.u,
+        np.ascontiguousarray(paths),
+        START_SLACK,
+        data.sign,
+        data.integrating,
+        tau,
+        limits.tau,
+        limits.theta,
+        evaluations,
+        tolerance,
+        fits,
+        slips,
+    )
+    return [(_fit(out), int(count)) for out, count in zip(fits, slips.tolist(), strict=True)]
+
+
+def fit_linear(data: Centred, longest: float) -> Fit:
     """Return the fit that ignores stiction: the stem is OP itself, the dead time anywhere up to `longest` samples.
 
     The input before the record is an unknown constant, as for the stem.
     """
-    limits = Limits((LEAST_TAU, float(data.samples)), (0.0, float(max(longest, 1))))
+    limits = Limits((LEAST_TAU, float(data.samples)), (0.0, float(longest)))
     out = np.empty(kernel.FIT)
     inf = math.inf
-    delays = np.unique(np.round(np.linspace(0, longest, min(longest + 1, 80)))).tolist()
+    delays = np.unique(np.floor(np.linspace(0, longest, min(int(longest) + 1, 80)))).tolist()
     taus = [1.0] if data.integrating else np.geomspace(0.3, data.samples / 4.0, 14).tolist()
     grid = [
         (kernel.oe_cost(data.y, data.u, 0, -inf, inf, data.sign, data.integrating, tau, theta, out), tau, theta)

@@ -13,7 +13,19 @@ from numpy.typing import NDArray
 
 from workbench.simulate.compiled import compiled
 
-__all__ = ["oe_columns", "oe_cost", "oe_fit", "stem_slips", "walk"]
+__all__ = [
+    "band_path",
+    "fit_stems",
+    "oe_columns",
+    "oe_cost",
+    "oe_fit",
+    "rest_range",
+    "scan_bands",
+    "stem_path",
+    "stem_slips",
+    "walk",
+    "walk_bands",
+]
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -24,6 +36,12 @@ ROW = 5
 # Entries that `oe_fit` and `oe_cost` write.
 SSE, TAU, THETA, GAIN, BIAS, START, TRANSIENT = range(7)
 FIT = 7
+# A step of d that takes more than this share of the slips is routed anew.
+MANY = 0.05
+# Entries that `band_path` writes.
+S_LOW, S_HIGH, J_LOW, J_HIGH = range(4)
+# Time constants after which nothing is left of a start in double precision.
+DIED = 40.0
 
 
 @compiled
@@ -49,8 +67,158 @@ def stem_slips(op: Floats, d: float, first: int, at: Ints) -> tuple[int, float]:
 
 
 @compiled
+def stem_path(op: Floats, d: float, first: int, x: Floats) -> int:
+    """Write the stem's path, 0 before `first`; return the number of slips, the one at `first` included."""
+    x[:first] = 0.0
+    held = op[first]
+    slips = 1
+    for k in range(first, op.size):
+        if abs(op[k] - held) > d:
+            held = op[k]
+            slips += 1
+        x[k] = held
+    return slips
+
+
+@compiled
+def rest_range(op: Floats, first: int, d_low: float, d_high: float, slack: float) -> tuple[float, float]:
+    """Range of x0 for which a stem with d in [d_low, d_high) rests until it slips at `first`; infinite for first 0.
+
+    Widened by `slack` times d_high on both sides.
+    """
+    if first == 0:
+        return -math.inf, math.inf
+    top, bottom = op[:first].max(), op[:first].min()
+    low, high = top - d_high, bottom + d_high
+    if op[first] > top:
+        high = min(high, op[first] - d_low)
+    else:
+        low = max(low, op[first] + d_low)
+    return min(low, high) - slack * d_high, max(low, high) + slack * d_high
+
+
+@compiled
+def _sift_down(keys: Floats, links: Ints, size: int, i: int) -> None:
+    """Restore the order of a heap below place i: the least key on top, each with its link (slip, slip before)."""
+    while True:
+        child = 2 * i + 1
+        if child >= size:
+            return
+        if child + 1 < size and keys[child + 1] < keys[child]:
+            child += 1
+        if keys[i] <= keys[child]:
+            return
+        keys[i], keys[child] = keys[child], keys[i]
+        links[i, 0], links[child, 0] = links[child, 0], links[i, 0]
+        links[i, 1], links[child, 1] = links[child, 1], links[i, 1]
+        i = child
+
+
+@compiled
+def _sift_up(keys: Floats, links: Ints, i: int) -> None:
+    """Restore the order of a heap above place i."""
+    while i > 0:
+        parent = (i - 1) // 2
+        if keys[parent] <= keys[i]:
+            return
+        keys[i], keys[parent] = keys[parent], keys[i]
+        links[i, 0], links[parent, 0] = links[parent, 0], links[i, 0]
+        links[i, 1], links[parent, 1] = links[parent, 1], links[i, 1]
+        i = parent
+
+
+@compiled
+def _fill(op: Floats, first: int, after: Ints, keys: Floats, links: Ints) -> int:
+    """Fill the heap with a path's slips by their size; return their number."""
+    size, k = 0, first
+    while after[k] < op.size:
+        keys[size] = abs(op[after[k]] - op[k])
+        links[size, 0], links[size, 1] = after[k], k
+        size += 1
+        k = after[k]
+    for i in range(size // 2 - 1, -1, -1):
+        _sift_down(keys, links, size, i)
+    return size
+
+
+@compiled
+def _route(
+    sums: Floats, op: Floats, d: float, first: int, delays: Ints, after: Ints, before: Ints, totals: Floats
+) -> int:
+    """Write the path of d as a linked list with its sums; return the number of slips."""
+    at = np.empty(op.size, np.int64)
+    slips, _ = stem_slips(op, d, first, at)
+    after[:] = -1
+    totals[:] = 0.0
+    for i in range(slips):
+        end = op.size if i == slips - 1 else at[i + 1]
+        after[at[i]] = end
+        before[end] = at[i]
+        _hold(totals, sums, delays, op[at[i]], at[i], end, 1.0)
+    return slips
+
+
+@compiled
+def _hold(totals: Floats, sums: Floats, delays: Ints, x: float, begin: int, end: int, weight: float) -> None:
+    """Add, `weight` times, what a stem at x during [begin, end) adds to each delay's sums of x, x^2, x y and x y_+1."""
+    n = sums.size - 2
+    for j in range(delays.size):
+        start, stop = min(begin + delays[j], n), min(end + delays[j], n)
+        if start >= stop:
+            break
+        share = weight * x * (stop - start)
+        totals[j, 0] += share
+        totals[j, 1] += x * share
+        totals[j, 2] += weight * x * (sums[stop] - sums[start])
+        totals[j, 3] += weight * x * (sums[stop + 1] - sums[start + 1])
+
+
+@compiled
+def _grouped(sums: Floats, squares: Floats, products: Floats, n1: int, out: Floats) -> None:
+    """Write what PV alone gives a delay: rows after the first slip n2, their sums of y and y_+1, and yy, zz, yz.
+
+    The last three are within two groups, rows before the first slip has an effect (n1 of them) and rows after it.
+    """
+    n = sums.size - 2
+    n2 = n - n1
+    out[0] = n2
+    if n2 < 3:
+        return
+    out[1], out[2] = sums[n] - sums[n1], sums[n + 1] - sums[n1 + 1]
+    out[3] = squares[n] - out[1] ** 2 / n2
+    out[4] = squares[n + 1] - squares[1] - out[2] ** 2 / n2
+    out[5] = products[n] - out[1] * out[2] / n2
+    if n1 > 0:
+        out[3] -= sums[n1] ** 2 / n1
+        out[4] -= (sums[n1 + 1] - sums[1]) ** 2 / n1
+        out[5] -= sums[n1] * (sums[n1 + 1] - sums[1]) / n1
+
+
+@compiled
+def _one_step(total: Floats, group: Floats, fixed_pole: float, sign: float) -> float:
+    """Sum of squares of the one-step fit at one delay; inf where there is none."""
+    n2, yy, zz, yz = group[0], group[3], group[4], group[5]
+    if n2 < 3.0:
+        return math.inf
+    xx = total[1] - total[0] * total[0] / n2
+    xy = total[2] - total[0] * group[1] / n2
+    xz = total[3] - total[0] * group[2] / n2
+    if xx <= 1e-12 * n2:
+        return math.inf
+    a = fixed_pole
+    if math.isnan(a):
+        det = yy * xx - xy * xy
+        a = (yz * xx - xz * xy) / det if det > 1e-14 * yy * xx else 0.0
+        a = min(max(a, 0.0), 0.9999)
+    b = (xz - a * xy) / xx
+    if b * sign < 0.0:
+        return math.inf
+    cost: float = zz - 2.0 * a * yz + a * a * yy - b * (xz - a * xy)
+    return cost
+
+
+@compiled
 def walk(
-    y: Floats,
     sums: Floats,
     squares: Floats,
     products: Floats,
@@ -66,62 +234,83 @@ def walk(
 ) -> int:
     """Walk every stem path that starts at `first`, for d from d_from up to d_to, and fit the plant to each.
 
-    One-step-ahead least squares `y_{k+1} = a y_k + b x_{k-m} + c` for each whole delay m, with another constant while
-    x_{k-m} is the unknown stem before `first`. a is kept within [0, 0.9999], or at `fixed_pole` where that is not nan;
-    b keeps the sign `sign` (0: either). sums, squares, products: prefix sums of y_k, y_k^2, y_k y_{k+1}. `step`: least
-    relative step of d, 0 to meet every path. Written: rows (D_LOW, D_HIGH, DELAY, COST, SLIPS), COST the sum of squares
-    at the best delay; the last path is the one of a single slip. Returns the number of rows.
+    One-step-ahead least squares `y_{k+1} = a y_k + b x_{k-m} + c` for each whole delay m (ascending), with another
+    constant while x_{k-m} is the unknown stem before `first`. a is kept within [0, 0.9999], or at `fixed_pole` where
+    that is not nan; b keeps the sign `sign` (0: either). sums, squares, products: prefix sums of y_k, y_k^2,
+    y_k y_{k+1}. `step`: least relative step of d, 0 to meet every path. Written: rows (D_LOW, D_HIGH, DELAY, COST,
+    SLIPS), COST the sum of squares at the best delay; the last path is the one of a single slip. Returns the number of
+    rows.
+
+    Slips stand in a linked list and, by size, in a heap. As d passes a slip's size, the stem is re-routed from the slip
+    before it until it meets an old slip again; the sums change by the altered stretches alone.
     """
-    n = y.size - 1
-    at = np.empty(op.size, np.int64)
+    last = op.size
+    after = np.empty(last, np.int64)  # the next slip, `last` for none; -1 for a sample that is no slip
+    before = np.empty(last + 1, np.int64)
+    totals = np.empty((delays.size, 4))
+    groups = np.zeros((delays.size, 6))
+    for j in range(delays.size):
+        _grouped(sums, squares, products, min(first + delays[j], last - 1), groups[j])
+    keys = np.empty(last + 1)
+    links = np.empty((last + 1, 2), np.int64)
     d = d_from
+    slips = _route(sums, op, d, first, delays, after, before, totals)
+    size = _fill(op, first, after, keys, links)
     count = 0
     while d < d_to and count < rows.shape[0]:
-        slips, smallest = stem_slips(op, d, first, at)
+        if step > 0.0:
+            small = 0
+            for i in range(size):
+                small += keys[i] <= d
+            if small > MANY * slips:
+                slips = _route(sums, op, d, first, delays, after, before, totals)
+                size = _fill(op, first, after, keys, links)
+        # A link that is larger than d holds, however the others came about: so all smaller ones go, in any order.
+        while size > 0:
+            k, p = links[0, 0], links[0, 1]
+            stale = after[k] < 0 or before[k] != p
+            if not stale and keys[0] > d:
+                break
+            size -= 1
+            keys[0], links[0, 0], links[0, 1] = keys[size], links[size, 0], links[size, 1]
+            _sift_down(keys, links, size, 0)
+            if stale:
+                continue
+            _hold(totals, sums, delays, op[p], p, k, -1.0)
+            j, origin, x = k, p, op[p]
+            while True:
+                if j == last or abs(op[j] - x) > d:
+                    met = j == last or after[j] >= 0
+                    _hold(totals, sums, delays, x, origin, j, 1.0)
+                    after[origin] = j
+                    before[j] = origin
+                    if j < last:
+                        if size == keys.size:
+                            more_keys = np.empty(2 * size)
+                            more_links = np.empty((2 * size, 2), np.int64)
+                            more_keys[:size] = keys
+                            more_links[:size] = links
+                            keys, links = more_keys, more_links
+                        keys[size] = abs(op[j] - x)
+                        links[size, 0], links[size, 1] = j, origin
+                        size += 1
+                        _sift_up(keys, links, size - 1)
+                    if met:
+                        break
+                    slips += 1
+                    origin, x = j, op[j]
+                elif after[j] >= 0:
+                    # An old slip that no longer happens.
+                    _hold(totals, sums, delays, op[j], j, after[j], -1.0)
+                    after[j] = -1
+                    slips -= 1
+                j += 1
         best, best_delay = math.inf, 0
         for j in range(delays.size):
-            m = delays[j]
-            n1 = min(first + m, n)
-            n2 = n - n1
-            if n2 < 3:
-                continue
-            # Within-group sums: rows before the first slip has an effect, and rows after it.
-            yy = squares[n] - (sums[n] - sums[n1]) ** 2 / n2
-            zz = squares[n + 1] - squares[1] - (sums[n + 1] - sums[n1 + 1]) ** 2 / n2
-            yz = products[n] - (sums[n] - sums[n1]) * (sums[n + 1] - sums[n1 + 1]) / n2
-            if n1 > 0:
-                yy -= sums[n1] ** 2 / n1
-                zz -= (sums[n1 + 1] - sums[1]) ** 2 / n1
-                yz -= sums[n1] * (sums[n1 + 1] - sums[1]) / n1
-            sx, xx, xy, xz = 0.0, 0.0, 0.0, 0.0
-            for i in range(slips):
-                begin = min(at[i] + m, n)
-                end = n if i == slips - 1 else min(at[i + 1] + m, n)
-                if begin >= end:
-                    break
-                x = op[at[i]]
-                length = end - begin
-                sx += x * length
-                xx += x * x * length
-                xy += x * (sums[end] - sums[begin])
-                xz += x * (sums[end + 1] - sums[begin + 1])
-            xx -= sx * sx / n2
-            xy -= sx * (sums[n] - sums[n1]) / n2
-            xz -= sx * (sums[n + 1] - sums[n1 + 1]) / n2
-            if xx <= 1e-12 * n2:
-                continue
-            a = fixed_pole
-            if math.isnan(a):
-                det = yy * xx - xy * xy
-                a = (yz * xx - xz * xy) / det if det > 1e-14 * yy * xx else 0.0
-                a = min(max(a, 0.0), 0.9999)
-            b = (xz - a * xy) / xx
-            if b * sign < 0.0:
-                continue
-            cost = zz - 2.0 * a * yz + a * a * yy - b * (xz - a * xy)
+            cost = _one_step(totals[j], groups[j], fixed_pole, sign)
             if cost < best:
-                best, best_delay = cost, m
-        after = max(smallest, d * (1.0 + step))
+                best, best_delay = cost, delays[j]
+        smallest = keys[0] if size > 0 else math.inf
         if best < math.inf:
             rows[count, D_LOW] = d
             rows[count, D_HIGH] = min(smallest, d_to)
@@ -131,7 +320,7 @@ def walk(
             count += 1
         if slips == 1:
             break
-        d = after
+        d = max(smallest, d * (1.0 + step))
     return count
 
 
@@ -227,7 +416,11 @@ def oe_cost(
     s, g, r = 0.0, 0.0 if integrating else 1.0, 0.0 if integrating else 1.0
     sy, ss, sg, sr, gy, gg, gr, ry, rr, yy = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     s1, g1, r1, y1 = 0.0, 0.0, 0.0, 0.0
-    for k in range(n):
+    # What x0 and the transient do dies out; after that many samples the stem's response alone is left.
+    settled = n
+    if not integrating and pole < 1.0:
+        settled = int(min(first + m + 2.0 + (DIED / -math.log(pole) if pole > 0.0 else 0.0), float(n)))
+    for k in range(settled):
         v = y[k]
         y1 += v
         yy += v * v
@@ -255,6 +448,14 @@ def oe_cost(
         else:
             g += c1
         r = r + 1.0 if integrating else r * pole
+    for k in range(settled, n):
+        v = y[k]
+        y1 += v
+        yy += v * v
+        s1 += s
+        ss += s * s
+        sy += s * v
+        s = pole * s + (c0 * x[k - m] + c1 * x[k - m - 1])
     gram[0, 0], gram[0, 1], gram[0, 2], gram[0, 3] = n, s1, g1, r1
     gram[1, 0], gram[1, 1], gram[1, 2], gram[1, 3] = s1, ss, sg, sr
     gram[2, 0], gram[2, 1], gram[2, 2], gram[2, 3] = g1, sg, gg, gr
@@ -375,3 +576,185 @@ def oe_fit(
         if costs[i] < costs[best]:
             best = i
     return oe_cost(y, x, first, low, high, sign, integrating, math.exp(points[best, 0]), points[best, 1], out)
+
+
+@compiled
+def fit_stems(
+    y: Floats,
+    op: Floats,
+    paths: Floats,
+    slack: float,
+    sign: float,
+    integrating: bool,
+    tau: float,
+    tau_limits: tuple[float, float],
+    theta_limits: tuple[float, float],
+    evaluations: int,
+    tolerance: float,
+    fits: Floats,
+    slips: Ints,
+) -> None:
+    """Fit the output-error model to many stem paths: rows (first, d_low, d_high, theta), theta where the search starts.
+
+    tau: where it starts, nan for the best of ten from .3 samples to a quarter of its upper limit. evaluations: as in
+    `oe_fit`, 0 for the cost at the start itself. Written: fits, shape (paths, FIT), and slips, shape (paths,).
+    """
+    x = np.empty(op.size)
+    low_tau, high_tau = max(tau_limits[0], 0.3), tau_limits[1] / 4.0
+    for i in range(paths.shape[0]):
+        first, d_low, d_high = int(paths[i, 0]), paths[i, 1], paths[i, 2]
+        theta = min(max(paths[i, 3], theta_limits[0]), theta_limits[1])
+        slips[i] = stem_path(op, d_low, first, x)
+        low, high = rest_range(op, first, d_low, d_high, slack)
+        out = fits[i]
+        start = tau
+        if integrating:
+            start = 1.0
+        elif math.isnan(tau):
+            least = math.inf
+            for j in range(10):
+                trial = low_tau * (high_tau / low_tau) ** (j / 9.0)
+                cost = oe_cost(y, x, first, low, high, sign, False, trial, theta, out)
+                if cost < least:
+                    least, start = cost, trial
+        if evaluations == 0:
+            oe_cost(y, x, first, low, high, sign, integrating, start, theta, out)
+        else:
+            oe_fit(
+                y,
+                x,
+                first,
+                low,
+                high,
+                sign,
+                integrating,
+                start,
+                theta,
+                tau_limits,
+                theta_limits,
+                0.15,
+                evaluations,
+                tolerance,
+                out,
+            )
+
+
+@compiled
+def band_path(op: Floats, S: float, J: float, first: int, sense: float, x: Floats, box: Floats) -> int:
+    """Write the path of a two-parameter (Choudhury) stem; return the number of times it slips.
+
+    first: its first slip, the stem before it is unknown and written 0, or -1 for a stem that rests in the middle of its
+    band at OP's first value. sense: of the first slip, +1 or -1, not used for first = -1. A stem that was led to w in
+    sense s stands at `w - s (S - J)/2`; it turns where OP comes back by more than S from w and moves on where OP goes
+    on by more than J. Written into box: (S_LOW, S_HIGH, J_LOW, J_HIGH), the rectangle in which the same slips happen,
+    S_LOW <= S < S_HIGH and J_LOW <= J < J_HIGH (inf for none); for first = -1 it does not bound the first slip.
+    """
+    offset = 0.5 * (S - J)
+    box[S_LOW], box[S_HIGH], box[J_LOW], box[J_HIGH] = 0.0, math.inf, 0.0, math.inf
+    n = op.size
+    if first < 0:
+        band = 0.5 * (S + J)
+        k = 0
+        while k < n and abs(op[k] - op[0]) <= band:
+            x[k] = op[0]
+            k += 1
+        if k == n:
+            return 0
+        sense = 1.0 if op[k] > op[0] else -1.0
+        first = k
+    else:
+        x[:first] = 0.0
+    led = op[first]
+    x[first] = led - sense * offset
+    moving = True
+    slips = 1
+    for k in range(first + 1, n):
+        if moving and (op[k] - op[k - 1]) * sense > 0.0:
+            led = op[k]
+        else:
+            moving = False
+            on = (op[k] - led) * sense
+            if on > J:
+                box[J_HIGH] = min(box[J_HIGH], on)
+                moving = True
+            elif -on > S:
+                box[S_HIGH] = min(box[S_HIGH], -on)
+                sense = -sense
+                moving = True
+            else:
+                box[J_LOW] = max(box[J_LOW], on)
+                box[S_LOW] = max(box[S_LOW], -on)
+            if moving:
+                led = op[k]
+                slips += 1
+        x[k] = led - sense * offset
+    return slips
+
+
+@compiled
+def walk_bands(
+    y: Floats,
+    op: Floats,
+    first: int,
+    sense: float,
+    J: float,
+    S_from: float,
+    S_to: float,
+    least: float,
+    most: float,
+    sign: float,
+    integrating: bool,
+    tau: float,
+    theta: float,
+    rows: Floats,
+) -> int:
+    """Walk S at a fixed J, from S_from up to S_to, and fit the output-error model at (tau, theta) to each path.
+
+    The slips change where S passes the least return of OP at which the stem turned; between such breakpoints the path
+    shifts evenly with S. least, most: relative steps of S, the least and the largest; least = 0 meets every sequence of
+    slips. Written: rows (S, J, COST, SLIPS). Returns their number. first, sense: as in `band_path`.
+    """
+    x = np.empty(op.size)
+    box = np.empty(4)
+    out = np.empty(FIT)
+    S = S_from
+    count = 0
+    while S_to > S and count < rows.shape[0]:
+        slips = band_path(op, S, J, first, sense, x, box)
+        if slips == 0:
+            break
+        oe_cost(y, x, max(first, 0), -math.inf, math.inf, sign, integrating, tau, theta, out)
+        rows[count, 0], rows[count, 1], rows[count, 2], rows[count, 3] = S, J, out[SSE], slips
+        count += 1
+        S = max(min(box[S_HIGH], S * (1.0 + most)), S * (1.0 + least))
+    return count
+
+
+@compiled
+def scan_bands(
+    y: Floats,
+    op: Floats,
+    first: int,
+    sense: float,
+    bands: Floats,
+    sign: float,
+    integrating: bool,
+    plants: Floats,
+    costs: Floats,
+) -> None:
+    """Fit the output-error model at each of some plants to many stems with one start (see `band_path`).
+
+    bands: rows (S, J); plants: rows (tau, theta) in samples. Written: costs, shape (bands, plants), inf where the stem
+    never moves.
+    """
+    x = np.empty(op.size)
+    box = np.empty(4)
+    out = np.empty(FIT)
+    for i in range(bands.shape[0]):
+        if band_path(op, bands[i, 0], bands[i, 1], first, sense, x, box) == 0:
+            costs[i] = math.inf
+            continue
+        for j in range(plants.shape[0]):
+            tau, theta = plants[j, 0], plants[j, 1]
+            cost = oe_cost(y, x, max(first, 0), -math.inf, math.inf, sign, integrating, tau, theta, out)
+            costs[i, j] = cost if out[GAIN] != 0.0 else math.inf

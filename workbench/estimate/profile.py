@@ -17,9 +17,29 @@ from numpy.typing import NDArray
 
 from workbench.estimate import kernel
 from workbench.estimate.data import Centred, integers
-from workbench.estimate.fit import LEAST_TAU, Fit, Limits, fit_linear, fit_path, inflation, predict, start_range
+from workbench.estimate.fit import (
+    LEAST_TAU,
+    Fit,
+    Limits,
+    fit_linear,
+    fit_path,
+    fit_stems,
+    inflation,
+    predict,
+    start_range,
+)
 
-__all__ = ["Candidate", "Profile", "first_slips", "islands", "path_of", "search"]
+__all__ = [
+    "CHI_SQUARE",
+    "EXACT",
+    "Candidate",
+    "Profile",
+    "active_windows",
+    "first_slips",
+    "islands",
+    "path_of",
+    "search",
+]
 
 # Exact enumeration up to this many samples; longer records are first searched in their most active windows of this
 # length.
@@ -34,6 +54,8 @@ WINDOWS = 3  # most active windows of a long record, beside its head
 CLEARLY = 0.8  # of the linear fit's residual: a stem that leaves less in a window narrows the dead times
 LEAN = 16  # dead times on the whole of a long record
 LIKELY = 8  # bands looked at closely there
+WINNERS = 6  # paths of a long record with a full output-error fit before the search about the best
+REFITS = 60  # and about the best, fewer in a long record
 APART = 0.02  # of d, the least gap between ranges of d that counts
 CHI_SQUARE = 3.841  # 95 %, one degree of freedom
 
@@ -79,11 +101,8 @@ def first_slips(u: NDArray[np.float64]) -> NDArray[np.int64]:
 
 def path_of(u: NDArray[np.float64], d: float, first: int) -> tuple[NDArray[np.float64], int]:
     """Return (stem path, number of slips): shape (N,), 0 before `first`, where the stem is unknown."""
-    at = np.empty(u.size, np.int64)
-    count, _ = kernel.stem_slips(u, d, first, at)
-    x = np.zeros(u.size)
-    x[first:] = np.repeat(u[at[:count]], np.diff(np.append(at[:count], u.size)))
-    return x, count
+    x = np.empty(u.size)
+    return x, kernel.stem_path(u, d, first, x)
 
 
 def _walk(
@@ -99,7 +118,6 @@ def _walk(
     buffer = np.empty((4 * data.samples + 1000, kernel.ROW))
     pole = 1.0 if data.integrating else math.nan
     count = kernel.walk(
-        data.y,
         data.sums,
         data.squares,
         data.products,
@@ -149,8 +167,8 @@ class _Glimpse:
     clear: bool
 
 
-def _windows(data: Centred) -> list[tuple[int, int]]:
-    """The head and the most active stretches, (first, stop) each: where OP ranges and PV varies the most."""
+def _windows(data: Centred, *, head: bool = True) -> list[tuple[int, int]]:
+    """The head, if asked for, and the most active stretches, (first, stop): where OP ranges and PV varies the most."""
     n = data.samples
     size = min(EXACT, n)
     begins = np.unique(np.minimum(np.arange(0, n, size // 2), n - size)).tolist()
@@ -165,10 +183,18 @@ def _windows(data: Centred) -> list[tuple[int, int]]:
             chosen.append(begins[i])
         if len(chosen) == WINDOWS:
             break
-    return [(b, b + size) for b in sorted({0, *chosen})]
+    return [(b, b + size) for b in sorted({0, *chosen} if head else chosen)]
 
 
-def _glimpse(part: Centred, delays: NDArray[np.int64], progress: Callable[[float], None]) -> _Glimpse | None:
+def active_windows(data: Centred) -> list[Centred]:
+    """Return the most active stretches of a long record in which both signals move."""
+    parts = [data.part(*window) for window in _windows(data, head=False)]
+    return [part for part in parts if part.op_range > 0.0 and float(np.ptp(part.y)) > 0.0]
+
+
+def _glimpse(
+    part: Centred, delays: NDArray[np.int64], longest: float, progress: Callable[[float], None]
+) -> _Glimpse | None:
     """Search one window exactly; its best paths are told apart by output-error fits, as noise misleads one step."""
     if not part.op_range > 0.0 or not float(np.ptp(part.y)) > 0.0:
         return None
@@ -176,16 +202,17 @@ def _glimpse(part: Centred, delays: NDArray[np.int64], progress: Callable[[float
     if not rows.size:
         return None
     by_cost = rows[np.argsort(rows[:, COST], kind="stable")]
-    limits = Limits((LEAST_TAU, float(part.samples)), (0.0, float(max(delays[-1], 1))))
+    limits = Limits((LEAST_TAU, float(part.samples)), (0.0, longest))
     picked = np.unique(np.vstack([_best_per_bin(by_cost, 30), by_cost[:20]]), axis=0)
-    fits = sorted((_fitted(part, row, limits) for row in picked), key=lambda c: c.fit.sse)
-    near = by_cost[np.abs(np.log(by_cost[:, LOW] / fits[0].d_low)) < 0.03][:30]
-    fits += [_fitted(part, row, limits, fits[0].fit) for row in near]
-    fits.sort(key=lambda c: c.fit.sse)
+    fits = _fitted(part, picked, limits)
+    near = by_cost[np.abs(np.log(by_cost[:, LOW] / fits[0].d_low)) < 0.03]
+    fits = _refitted(
+        part, sorted([*fits, *_fitted(part, near, limits, fits[0].fit, 0)], key=lambda c: c.fit.sse), limits, 8
+    )
     best = _distinct([c for c in fits if c.fit.gain != 0.0], 3)
     if not best:
         return None
-    linear = fit_linear(part, int(delays[-1]))
+    linear = fit_linear(part, longest)
     clear = best[0].fit.sse < CLEARLY * linear.sse and best[0].slips > 1
     return _Glimpse(tuple(c.d_low for c in best), tuple(c.fit.theta for c in best), clear)
 
@@ -203,7 +230,7 @@ def _firsts_for(u: NDArray[np.float64], d: float, most: int) -> NDArray[np.int64
 
 
 def _scan_long(
-    data: Centred, delays: NDArray[np.int64], progress: Callable[[float], None]
+    data: Centred, delays: NDArray[np.int64], longest: float, progress: Callable[[float], None]
 ) -> tuple[NDArray[np.float64], list[float]]:
     """As `_scan`, for long records: likely d from the most active windows, then the whole record; and the likely d.
 
@@ -213,7 +240,7 @@ def _scan_long(
     windows = _windows(data)
     glimpses = []
     for i, (begin, stop) in enumerate(windows):
-        seen = _glimpse(data.part(begin, stop), delays, _silent)
+        seen = _glimpse(data.part(begin, stop), delays, longest, _silent)
         glimpses += [] if seen is None else [seen]
         progress(0.5 * (i + 1) / len(windows))
     clear = [g for g in glimpses if g.clear]
@@ -281,29 +308,47 @@ def _silent(share: float) -> None:
     """Ignore the progress."""
 
 
-def _fitted(data: Centred, row: NDArray[np.float64], limits: Limits, like: Fit | None = None) -> Candidate:
-    first = int(row[FIRST])
-    x, slips = path_of(data.u, float(row[LOW]), first)
-    bounds = start_range(data.u, first, float(row[LOW]), float(row[HIGH]))
-    fits = [fit_path(data, x, first, bounds, limits, float(row[DELAY]))]
+def _fitted(
+    data: Centred, rows: NDArray[np.float64], limits: Limits, like: Fit | None = None, evaluations: int = 120
+) -> list[Candidate]:
+    """Output-error fits of rows, the best first; started from `like`, or from a coarse list and the row's delay."""
+    paths = rows[:, [FIRST, LOW, HIGH, DELAY]]
     if like is not None:
-        fits.append(fit_path(data, x, first, bounds, limits, like.theta, tau=like.tau))
-    return Candidate(first, float(row[LOW]), float(row[HIGH]), slips, min(fits, key=lambda f: f.sse))
+        paths[:, 3] = like.theta
+    tau = math.nan if like is None else like.tau
+    fits = fit_stems(data, paths, limits, tau=tau, evaluations=evaluations)
+    found = [
+        Candidate(int(row[FIRST]), float(row[LOW]), float(row[HIGH]), slips, fit)
+        for row, (fit, slips) in zip(rows, fits, strict=True)
+    ]
+    return sorted(found, key=lambda c: c.fit.sse)
 
 
-def search(data: Centred, max_delay: int, progress: Callable[[float], None]) -> Profile | None:
+def _refitted(data: Centred, found: list[Candidate], limits: Limits, most: int) -> list[Candidate]:
+    """The candidates, best first, of which the `most` best are fitted on from their own plant."""
+    better = [
+        Candidate(c.first, c.d_low, c.d_high, c.slips, min(c.fit, fit, key=lambda f: f.sse))
+        for c in found[:most]
+        for fit, _ in fit_stems(
+            data, np.array([[c.first, c.d_low, c.d_high, c.fit.theta]]), limits, tau=c.fit.tau, evaluations=80
+        )
+    ]
+    return sorted([*better, *found[most:]], key=lambda c: c.fit.sse)
+
+
+def search(data: Centred, max_delay: float, progress: Callable[[float], None]) -> Profile | None:
     """Return the best stem path and plant, or None where no path fits.
 
-    max_delay: samples.
+    max_delay: samples, the longest dead time.
     """
-    limits = Limits((LEAST_TAU, float(data.samples)), (0.0, float(max(max_delay, 1))))
-    delays = integers(np.arange(max_delay + 1))
+    limits = Limits((LEAST_TAU, float(data.samples)), (0.0, float(max_delay)))
+    delays = integers(np.arange(math.floor(max_delay + 1e-9) + 1))
     exact = data.samples <= EXACT
     likely: list[float] = []
     if exact:
         rows = _scan(data, delays, lambda share: progress(0.6 * share))
     else:
-        rows, likely = _scan_long(data, delays, lambda share: progress(0.6 * share))
+        rows, likely = _scan_long(data, delays, float(max_delay), lambda share: progress(0.6 * share))
     if not rows.size:
         return None
     by_cost = rows[np.argsort(rows[:, COST], kind="stable")]
@@ -314,18 +359,20 @@ def search(data: Centred, max_delay: int, progress: Callable[[float], None]) -> 
     chosen.append(by_cost[np.sort(order)[:12]])
     chosen += [by_cost[np.abs(np.log(by_cost[:, LOW] / d)) < 0.01][:2] for d in likely]
     picked = np.unique(np.vstack(chosen), axis=0)
-    fits = [_fitted(data, row, limits) for row in picked]
+    fits = _fitted(data, picked, limits, evaluations=120 if exact else 12)
+    if not exact:
+        fits = _refitted(data, fits, limits, WINNERS)
     progress(0.8)
-    fits.sort(key=lambda c: c.fit.sse)
     # Closer around the best few: every path there, judged by the output-error fit.
     done = {(c.first, c.d_low) for c in fits}
     around = np.zeros(len(by_cost), dtype=bool)
     for best in _distinct(fits, 3):
         around |= np.abs(np.log(by_cost[:, LOW] / best.d_low)) < 0.03
-    near = by_cost[around][: int(400 * effort) + 20]
-    like = fits[0].fit
-    fits += [_fitted(data, row, limits, like) for row in near if (int(row[FIRST]), float(row[LOW])) not in done]
-    fits.sort(key=lambda c: c.fit.sse)
+    near = by_cost[around][: int(2000 * effort)]
+    near = near[[(int(row[FIRST]), float(row[LOW])) not in done for row in near]]
+    if near.size:
+        fits = sorted([*fits, *_fitted(data, near, limits, fits[0].fit, 0)], key=lambda c: c.fit.sse)
+    fits = _refitted(data, fits, limits, int(REFITS * effort))
     best = _polished(data, fits[0], limits)
     progress(1.0)
     at_limit = best.fit.theta > limits.theta[1] - 0.5

@@ -64,7 +64,6 @@ def _plant_step(data: Centred, d: float, delays: list[int]) -> tuple[int, Fit]:
         x, _ = path_of(u, d, first)
         rows = np.empty((1, kernel.ROW))
         count = kernel.walk(
-            data.y,
             data.sums,
             data.squares,
             data.products,
@@ -115,10 +114,10 @@ def _stiction_step(data: Centred, d: float, first: int, fit: Fit) -> float:
     return float(found[0])
 
 
-def two_step(data: Centred, start: float | None, max_delay: int) -> tuple[Profile, tuple[Iteration, ...]]:
+def two_step(data: Centred, start: float | None, max_delay: float) -> tuple[Profile, tuple[Iteration, ...]]:
     """Run the algorithm from `start` (%, a quarter of OP's range by default); return its end and its history."""
     d = 0.25 * data.op_range if start is None else start
-    delays = list(range(max_delay + 1))
+    delays = list(range(math.floor(max_delay + 1e-9) + 1))
     history: list[Iteration] = []
     seen: list[Candidate] = []
     for _ in range(ROUNDS):

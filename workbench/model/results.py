@@ -26,6 +26,7 @@ __all__ = [
     "Crossing",
     "DescribingFunction",
     "Estimate",
+    "FittedModel",
     "Intervals",
     "Iteration",
     "Kpis",
@@ -374,16 +375,33 @@ class LinearFit:
     aic: float
 
 
+@dataclass(frozen=True, slots=True)
+class FittedModel:
+    """One model held against a record: valve, plant, residual variance (EU^2), AIC and BIC, times that the stem slips.
+
+    AIC and BIC do not fall below what the record resolves: fits better than that are equally good.
+    """
+
+    valve: Valve
+    plant: Plant
+    residual_variance: float
+    aic: float
+    bic: float
+    slips: int
+
+
 @dataclass(frozen=True, eq=False)
 class Estimate:
     """A loop estimated from a record.
 
     plant and valve: the model (valve `Ideal()` where no stiction helps). valve_position: the estimated stem, % of
     OP's scale, shape (N,). prediction: PV simulated from that stem, EU, shape (N,). bias: PV at stem 0, EU.
-    verdict: "stiction", "no_stiction" or "undecided", with `reasons` in words. identifiable: whether d (or S) is
-    pinned by the data and not only its product with the gain. residual_variance (EU^2) and aic by the paper's eq. (1);
+    verdict: "stiction", "no_stiction" or "undecided", with `reasons` in words. identifiable: True for a
+    "stiction" verdict whose d (or S) the data pin to a tenth, with ten stem moves or more, and not only its product
+    with the gain. residual_variance (EU^2) and aic by the paper's eq. (1);
     noise_sd: standard deviation of PV about the prediction, EU. slips: stem moves in the record. profile_d and
-    profile_cost: residual variance against d. iterations: the two-step algorithm's history.
+    profile_cost: residual variance against d. iterations: the two-step algorithm's history. candidates: the models
+    compared, the lowest BIC first.
     """
 
     record: Record
@@ -405,3 +423,4 @@ class Estimate:
     profile_d: FloatArray
     profile_cost: FloatArray
     iterations: tuple[Iteration, ...] = ()
+    candidates: tuple[FittedModel, ...] = ()

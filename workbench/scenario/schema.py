@@ -382,7 +382,7 @@ class Estimate(Closed):
     )
     noise: Annotated[Noise | None, Field(description="of the simulated record, instead of the experiment's")] = None
     method: Literal["profile", "two_step"] = "profile"
-    valve: Literal["stenman"] = "stenman"
+    valve: Literal["auto", "linear", "stenman", "choudhury", "deadband"] = "auto"
     plant: Literal["fopdt", "integrating"] = "fopdt"
     start: Annotated[Band | None, Field(description="initial stiction of the two-step method, %")] = None
     reference: EstimateReference | None = None

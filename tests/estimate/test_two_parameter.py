@@ -1,0 +1,127 @@
+"""Two-parameter valves and dead band: the path, its rectangle in (S, J), the search, and the choice by BIC."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+import workbench as wb
+from workbench.cli_output import estimate_lines
+from workbench.estimate import kernel
+from workbench.estimate.two_parameter import band_stem
+from workbench.model.valve import Choudhury
+from workbench.simulate.run import valve_response
+
+outputs = arrays(np.float64, st.integers(3, 60), elements=st.integers(-40, 40).map(lambda i: i / 8.0))
+bands = st.floats(0.05, 6.0)
+
+
+@settings(deadline=None, max_examples=150)
+@given(op=outputs, S=bands, J=st.floats(0.0, 6.0))
+def test_the_path_is_the_simulations(op: np.ndarray, S: float, J: float) -> None:
+    # Off the eighths that OP moves by, so that rounding decides no slip.
+    S, J = S + 1e-4, J + 3e-4
+    x, slips = band_stem(op, S, J)
+    assert np.abs(x - valve_response(Choudhury(S, J), op, float(op[0]))).max() < 1e-9
+    assert (slips > 0) == bool(np.abs(op - op[0]).max() > 0.5 * (S + J))
+
+
+@settings(deadline=None, max_examples=150)
+@given(op=outputs, S=bands, J=st.floats(0.0, 6.0), a=st.floats(0.0, 0.999), b=st.floats(0.0, 0.999))
+def test_the_same_slips_happen_within_the_rectangle(op: np.ndarray, S: float, J: float, a: float, b: float) -> None:
+    x, y, box = np.empty(op.size), np.empty(op.size), np.empty(4)
+    slips = kernel.band_path(op, S, J, 0, 1.0, x, box)
+    top = np.minimum(box, 50.0)
+    other = (top[0] + a * (top[1] - top[0]), top[2] + b * (top[3] - top[2]))
+    assert box[0] <= S < box[1]
+    assert box[2] <= J < box[3]
+    assert kernel.band_path(op, other[0], other[1], 0, 1.0, y, box) == slips
+    # Both paths are led alike; they stand apart by half the change of S - J.
+    apart = 0.5 * abs((other[0] - other[1]) - (S - J))
+    assert np.abs(np.abs(y - x) - apart).max() < 1e-9
+
+
+def record_of(
+    valve: wb.Choudhury | wb.Deadband | wb.Stenman, samples: int, sd: float = 0.1, seed: int = 2
+) -> wb.Record:
+    steps = [wb.Step(4.0 * (-1) ** i, at=float(t)) for i, t in enumerate(range(0, samples, max(samples // 3, 400)))]
+    loop = wb.Loop(wb.FOPDT(2.0, 5.0, 1.0), valve, wb.PID(Kc=0.5, Ti=20.0), 1.0)
+    run = wb.simulate(loop, wb.Experiment(float(samples), setpoint=steps, noise=wb.Noise(sd, seed)))
+    return wb.Record(run.pv + 50.0, run.op + 40.0, 1.0)
+
+
+@pytest.mark.parametrize(("S", "J"), [(3.0, 1.0), (5.0, 0.5), (2.0, 2.0)])
+def test_stick_band_and_slip_jump_are_found_under_noise(S: float, J: float) -> None:
+    record = record_of(wb.Choudhury(S, J), 1000)
+    found = wb.estimate(record)
+    assert isinstance(found.valve, wb.Choudhury)
+    assert pytest.approx((S, J), rel=0.02) == (found.valve.S, found.valve.J)
+    assert found.plant.gain == pytest.approx(2.0, rel=0.02)
+    assert found.plant.time_constant == pytest.approx(5.0, rel=0.05)
+    assert found.noise_sd == pytest.approx(0.1, rel=0.2)
+    assert found.intervals.S is not None
+    assert found.intervals.J is not None
+    assert found.intervals.S[0] <= found.valve.S <= found.intervals.S[1]
+    assert found.intervals.J[0] <= found.valve.J <= found.intervals.J[1]
+    assert found.intervals.d is None
+    assert found.residual_variance == pytest.approx(float(np.mean((record.pv - found.prediction) ** 2)), rel=1e-4)
+
+
+def test_a_dead_band_is_found_and_told_from_stiction() -> None:
+    found = wb.estimate(record_of(wb.Deadband(2.0), 1400))
+    assert isinstance(found.valve, wb.Deadband)
+    assert found.valve.b == pytest.approx(2.0, rel=0.03)
+    assert found.candidates[0].valve == found.valve
+    assert found.plant.gain == pytest.approx(2.0, rel=0.03)
+
+
+def test_the_lowest_bic_is_chosen_and_the_table_is_whole() -> None:
+    record = record_of(wb.Stenman(2.0), 1000)
+    found = wb.estimate(record)
+    assert isinstance(found.valve, wb.Stenman)
+    names = [type(m.valve).__name__ for m in found.candidates]
+    assert sorted(names) == ["Choudhury", "Deadband", "Ideal", "Stenman"]
+    assert found.candidates[0].valve == found.valve
+    bics = [m.bic for m in found.candidates]
+    assert bics == sorted(bics)
+    free = {"Ideal": 6, "Stenman": 7, "Deadband": 7, "Choudhury": 8}
+    for model in found.candidates:
+        p = free[type(model.valve).__name__]
+        assert model.aic == pytest.approx(1000.0 * np.log(model.residual_variance) + 2.0 * p)
+        assert model.bic - model.aic == pytest.approx(p * (np.log(1000.0) - 2.0))
+    printed = "\n".join(estimate_lines(found))
+    assert "BIC" in printed
+    assert "dead band" in printed
+
+
+def test_the_valve_asked_for_is_the_valve_given() -> None:
+    record = record_of(wb.Choudhury(3.0, 1.0), 1000)
+    kinds = {"stenman": wb.Stenman, "deadband": wb.Deadband, "choudhury": wb.Choudhury, "linear": wb.Ideal}
+    for name, kind in kinds.items():
+        found = wb.estimate(record, valve=name)
+        assert isinstance(found.valve, kind)
+        assert not (name == "linear" and found.identifiable)
+    with pytest.raises(wb.InvalidValue, match=r"estimate\.valve"):
+        wb.estimate(record, valve="kano")
+
+
+def test_parts_that_disagree_leave_the_stick_band_open() -> None:
+    """A search may end away from the truth; it seldom ends there in both halves, and then nothing is claimed."""
+    found = wb.estimate(record_of(wb.Choudhury(3.0, 1.0), 1400))
+    assert isinstance(found.valve, wb.Choudhury)
+    if abs(found.valve.S - 3.0) > 0.06:
+        assert not found.identifiable
+        assert any("S is not identified" in reason for reason in found.reasons)
+    else:
+        assert found.intervals.S is not None
+        assert found.intervals.S[0] <= 3.0 <= found.intervals.S[1]
+
+
+def test_a_long_record_is_searched_in_its_most_active_stretch() -> None:
+    found = wb.estimate(record_of(wb.Stenman(2.0), 3000))
+    assert isinstance(found.valve, wb.Stenman)
+    assert found.valve.d == pytest.approx(2.0, rel=0.01)
+    assert {type(m.valve).__name__ for m in found.candidates} >= {"Stenman", "Ideal", "Choudhury"}

@@ -1,0 +1,100 @@
+"""The models that a record is held against, their AIC and BIC, and the choice among them."""
+
+from __future__ import annotations
+
+import math
+
+from workbench.estimate.data import Centred, plant_of
+from workbench.estimate.fit import Fit, Limits
+from workbench.estimate.profile import Profile
+from workbench.estimate.two_parameter import Band, Bands, search_bands
+from workbench.estimate.verdict import SHARP
+from workbench.model.results import FittedModel
+from workbench.model.valve import Choudhury, Deadband, Ideal, Stenman, Valve
+
+__all__ = ["STICKING", "bands_of", "choose", "compared", "reasons_of"]
+
+# Free parameters beside those of the valve: gain, time constant, dead time, bias, input before the record, transient;
+# an integrating plant has no time constant.
+PLANT_PARAMETERS = 6
+VALVE_PARAMETERS = {"linear": 0, "stenman": 1, "deadband": 1, "choudhury": 2}
+STICKING = ("stenman", "deadband", "choudhury")
+UNKNOWN_JUMP = 0.25  # of S: a range of J wider than this does not identify it
+
+
+def _valve(name: str, d: float, band: Band | None) -> Valve:
+    if band is not None:
+        return Deadband(band.S) if name == "deadband" else Choudhury(band.S, band.J)
+    return Stenman(d) if name == "stenman" else Ideal()
+
+
+def bands_of(data: Centred, coarse: list[Band], limits: Limits) -> dict[str, Bands]:
+    """Return the searches over two-parameter valves that found a stem: "deadband" (J = 0) and "choudhury" (any J)."""
+    found = {"deadband": search_bands(data, coarse, limits, 0.0), "choudhury": search_bands(data, coarse, limits, None)}
+    return {name: bands for name, bands in found.items() if bands is not None}
+
+
+def compared(data: Centred, linear: Fit, found: Profile | None, bands: dict[str, Bands]) -> dict[str, FittedModel]:
+    """Return every model by its name, the lowest BIC first.
+
+    `AIC = N log V + 2 p` and `BIC = N log V + p log N` (H. Akaike, IEEE Trans. Autom. Control 19 (1974) 716-723;
+    G. Schwarz, Ann. Statist. 6 (1978) 461-464), V at least what the record resolves, so that rounding decides nothing.
+    """
+    fits: dict[str, tuple[Fit, int]] = {"linear": (linear, 0)}
+    if found is not None:
+        fits["stenman"] = (found.best.fit, found.best.slips)
+    fits |= {name: (b.best.fit, b.best.slips) for name, b in bands.items()}
+    n, d = data.samples, math.nan if found is None else found.best.d
+    models = {}
+    for name, (fit, slips) in fits.items():
+        p = PLANT_PARAMETERS - data.integrating + VALVE_PARAMETERS[name]
+        level = n * math.log(max(fit.sse / n, data.floor))
+        models[name] = FittedModel(
+            valve=_valve(name, d, bands[name].best if name in bands else None),
+            plant=plant_of(data, fit.gain, fit.tau, fit.theta),
+            residual_variance=fit.sse / n,
+            aic=level + 2.0 * p,
+            bic=level + p * math.log(n),
+            slips=slips,
+        )
+    return dict(sorted(models.items(), key=lambda item: item[1].bic))
+
+
+def choose(models: dict[str, FittedModel], valve: str) -> str:
+    """Return the name of the model asked for, or for "auto" of the sticking one with the lowest BIC."""
+    if valve == "auto":
+        return next((name for name in models if name in STICKING), "linear")
+    return valve if valve in models else "linear"
+
+
+def reasons_of(models: dict[str, FittedModel], chosen: str, valve: str, bands: dict[str, Bands]) -> tuple[str, ...]:
+    """Return why a two-parameter valve was chosen, and what of it the record does not identify, in words."""
+    if chosen not in bands:
+        return ()
+    said = []
+    model, found = models[chosen], bands[chosen]
+    if valve == "auto" and "stenman" in models:
+        said.append(
+            f"of the sticking valves compared, {_words(model.valve)} has the lowest BIC: it leaves "
+            f"{model.residual_variance:.3g} EU² of PV's variance, d = {models['stenman'].valve.stick_band:.3g} % alone "
+            f"{models['stenman'].residual_variance:.3g}"
+        )
+    low, high = found.S
+    if high - low > SHARP * found.best.S:
+        said.append(
+            f"the stick band S is not identified: from {low:.3g} to {high:.3g} % it fits as well, or parts of the "
+            "record differ by as much"
+        )
+    low, high = found.J
+    if chosen == "choudhury" and high - low > UNKNOWN_JUMP * found.best.S:
+        said.append(
+            f"the slip jump J is not identified: from {low:.3g} to {high:.3g} % it fits as well, or parts of the "
+            "record differ by as much; more slips, or a measured stem, would tell"
+        )
+    return tuple(said)
+
+
+def _words(valve: Valve) -> str:
+    if isinstance(valve, Deadband):
+        return f"a dead band of {valve.b:.3g} %"
+    return f"one with stick band S = {valve.stick_band:.3g} % and slip jump J = {valve.slip_jump:.3g} %"
