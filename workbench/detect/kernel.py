@@ -1,4 +1,4 @@
-"""The stem test's compiled part: a lag driven by stem paths, whitened, and its least squares against whitened PV."""
+"""The stem test's compiled part: a lag driven by whitened stem paths, and its least squares against whitened PV."""
 
 from __future__ import annotations
 
@@ -10,61 +10,62 @@ from workbench.simulate.compiled import compiled
 __all__ = ["lagged", "screen", "taps"]
 
 Floats = NDArray[np.float64]
+Bools = NDArray[np.bool_]
 
 
 @compiled
-def lagged(x: Floats, pole: float, a: Floats, z: Floats) -> None:
-    """Write into z the lag `l_k = pole l_{k-1} + (1 - pole) (x_{k-1} - x_0)`, l_0 = 0, filtered by `sum a_i l_{k-i}`."""
-    n, order = x.size, a.size
+def lagged(drive: Floats, pole: float, z: Floats) -> None:
+    """Write into z the lag `z_k = pole z_{k-1} + (1 - pole) drive_{k-1}`, z_0 = 0."""
     lag = 0.0
     z[0] = 0.0
-    for k in range(1, n):
-        lag = pole * lag + (1.0 - pole) * (x[k - 1] - x[0])
+    for k in range(1, drive.size):
+        lag = pole * lag + (1.0 - pole) * drive[k - 1]
         z[k] = lag
-    for k in range(n - 1, -1, -1):
-        total = 0.0
-        for i in range(min(order, k + 1)):
-            total += a[i] * z[k - i]
-        z[k] = total
 
 
 @compiled
-def _project(target: Floats, pole: float, first: int, e: Floats, t: Floats) -> float:
+def _project(target: Floats, live: Bools, pole: float, first: int, e: Floats, t: Floats) -> float:
     """Write into e the unit transient less its mean, into t the target less mean and transient; return its power.
 
-    Only samples from `first` on count.
+    Only live samples from `first` on count; the others are left 0.
     """
     n = target.size
-    count = n - first
+    count = 0
     value, mean, mean_t = 1.0, 0.0, 0.0
     for k in range(first, n):
-        e[k] = value
+        e[k], t[k] = 0.0, 0.0
+        if live[k]:
+            count += 1
+            e[k] = value
+            mean += value
+            mean_t += target[k]
         value *= pole
-        mean += e[k]
-        mean_t += target[k]
     mean /= count
     mean_t /= count
     power, common = 0.0, 0.0
     for k in range(first, n):
-        e[k] -= mean
-        power += e[k] * e[k]
-        common += e[k] * target[k]
+        if live[k]:
+            e[k] -= mean
+            power += e[k] * e[k]
+            common += e[k] * target[k]
     # A transient as slow as many records is no longer apart from the constant.
     scale = 1.0 / np.sqrt(power) if power > 1e-12 * count else 0.0
     left = 0.0
     for k in range(first, n):
-        e[k] *= scale
-        t[k] = target[k] - mean_t - common * scale * e[k]
-        left += t[k] * t[k]
+        if live[k]:
+            e[k] *= scale
+            t[k] = target[k] - mean_t - common * scale * e[k]
+            left += t[k] * t[k]
     return left
 
 
 @compiled
 def screen(
     target: Floats,
-    paths: Floats,
+    live: Bools,
+    drives: Floats,
     poles: Floats,
-    a: Floats,
+    first: int,
     delays: NDArray[np.int64],
     sign: float,
     best: Floats,
@@ -73,28 +74,30 @@ def screen(
 ) -> None:
     """Write for each path i the least sum of squares best[i] over poles and dead times, and where it is.
 
-    target: PV whitened by a, (N,); paths: (P, N); sign: that the gain must have, or 0. A constant and a transient with
+    target: whitened PV, (N,); live: the samples that count, from `first` on; drives: whitened inputs, (P, N); sign: that the gain must have, or 0. A constant and a transient with
     the plant's pole are free.
     """
     n = target.size
-    first = a.size - 1
+    count = live[first:].sum()
     z, e, t = np.empty(n), np.zeros(n), np.zeros(n)
     best[:] = np.inf
     for j in range(poles.size):
-        left = _project(target, poles[j], first, e, t)
-        for i in range(paths.shape[0]):
-            lagged(paths[i], poles[j], a, z)
+        left = _project(target, live, poles[j], first, e, t)
+        for i in range(drives.shape[0]):
+            lagged(drives[i], poles[j], z)
             for d in range(delays.size):
                 delay = delays[d]
                 power, total, on_e, common = 0.0, 0.0, 0.0, 0.0
                 for k in range(max(first, delay), n):
+                    if not live[k]:
+                        continue
                     v = z[k - delay]
                     power += v * v
                     total += v
                     on_e += v * e[k]
                     common += v * t[k]
                 whole = power
-                power -= total * total / (n - first) + on_e * on_e
+                power -= total * total / count + on_e * on_e
                 sse = left
                 if power > 1e-9 * whole and common * sign >= 0.0:
                     sse -= common * common / power
@@ -105,19 +108,23 @@ def screen(
 
 
 @compiled
-def taps(target: Floats, x: Floats, pole: float, a: Floats, delay: int, sign: float, gains: Floats) -> float:
+def taps(
+    target: Floats, live: Bools, drive: Floats, pole: float, first: int, delay: int, sign: float, gains: Floats
+) -> float:
     """Return the sum of squares of a plant whose gain two neighbouring dead times share; write both parts into gains.
 
     Where the parts would differ in sign one dead time has all of it, where the gain would have the wrong sign none.
     """
     n = target.size
-    first = a.size - 1
+    count = live[first:].sum()
     z, e, t = np.empty(n), np.zeros(n), np.zeros(n)
-    left = _project(target, pole, first, e, t)
-    lagged(x, pole, a, z)
+    left = _project(target, live, pole, first, e, t)
+    lagged(drive, pole, z)
     m0, m1, e0, e1 = 0.0, 0.0, 0.0, 0.0
     p00, p01, p11, c0, c1 = 0.0, 0.0, 0.0, 0.0, 0.0
     for k in range(max(first, delay), n):
+        if not live[k]:
+            continue
         v = z[k - delay]
         w = z[k - delay - 1] if k > delay else 0.0
         m0 += v
@@ -130,7 +137,6 @@ def taps(target: Floats, x: Floats, pole: float, a: Floats, delay: int, sign: fl
         c0 += v * t[k]
         c1 += w * t[k]
     whole = p00
-    count = n - first
     p00 -= m0 * m0 / count + e0 * e0
     p01 -= m0 * m1 / count + e0 * e1
     p11 -= m1 * m1 / count + e1 * e1

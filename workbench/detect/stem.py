@@ -22,11 +22,12 @@ from numpy.typing import NDArray
 from scipy.signal import lfilter
 
 from workbench.detect import kernel
+from workbench.model.detection import StemTest
 from workbench.model.record import FloatArray
 from workbench.model.valve import Choudhury, Stenman
 from workbench.simulate.run import valve_response
 
-__all__ = ["StemTest", "stem_test"]
+__all__ = ["Law", "laws_of", "stem_test"]
 
 # Valves: widths as a share of OP's range, from what noise leaves visible to what lets the stem move at all.
 WIDTHS = np.geomspace(0.03, 0.95, 20).tolist()  # d
@@ -37,40 +38,18 @@ WIDE = 0.25  # of OP's range: a band that matters to the loop
 FINE = (0.85, 0.93, 1.08, 1.17)  # refinement of the widths
 KEPT = 3  # best paths that are refined
 # Plants: time constants and dead times, in samples.
-COARSE_TAUS, FINE_TAUS = 7, 22
+COARSE_TAUS, FINE_TAUS = 8, 28
 SHORTEST = 0.3
-ORDER = 4  # of the autoregression: noise on a drift needs two, a cycle left over two more
-SPREADS = (1.25, 1.08, 1.03)  # refinement of the time constant
+LONGEST = 10.0  # records: as good as an integrating plant
+SHORT, LONG, PER_ORDER = 8, 30, 100  # order of the autoregression: samples/100 within limits; white noise on a slow drift is no short one
+SPREADS = (1.25, 1.08, 1.03)  # refinement of the time constant, the dead time by whole samples beside it
+STEPS = 12  # at most, at each of them
 ROUNDS = 3  # of plant and autoregression in turn
 WINDOW, WINDOWS = 3000, 3  # samples of one stretch, and the stretches of a long record
 PER_CYCLE = 100  # samples of a cycle: more are thinned out
+HOLD = 5  # samples in which both signals stand still: a running controller with an error moves OP in every one
+MOST_HELD = 0.5  # of a record, above which it is the loop itself that rests
 FLOOR = 0.005  # of PV's standard deviation: no record is good for less
-
-
-@dataclass(frozen=True, slots=True)
-class StemTest:
-    """How a sticking stem compares with the linear loop; time constant and dead time of the linear one in s.
-
-    improvement: share of the linear rival's innovation variance that the stem explains; likelihood: the log likelihood
-    ratio, N times its logarithm. wide: the same ratio for the best stem with a band of a quarter of OP's range or
-    more, at most 0 where such a stem fits no better. left: share of PV's variance that the linear rival leaves as
-    innovations; unfollowed: likewise without any input. band: width (%) of the best stem's stick band (Stenman: d);
-    jump: its slip jump; moves: times that it set off or turned.
-    """
-
-    improvement: float
-    likelihood: float
-    simulated: float
-    wide: float
-    left: float
-    unexplained: float
-    unfollowed: float
-    band: float
-    jump: float
-    moves: int
-    samples: int
-    time_constant: float
-    dead_time: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,7 +67,7 @@ class _Fit:
 class _Candidate:
     """A valve and its log likelihood ratios over the linear rival: of the innovations, and of the simulated PV."""
 
-    law: _Law
+    law: Law
     innovations: float
     simulated: float
 
@@ -100,7 +79,7 @@ class _Candidate:
 
 
 @dataclass(frozen=True, slots=True)
-class _Law:
+class Law:
     """A valve of the grid and where its stem rests at the start: OP less stem, %."""
 
     valve: Stenman | Choudhury
@@ -108,24 +87,28 @@ class _Law:
 
     @property
     def band(self) -> float:
+        """Width of the stick band, % (Stenman: d)."""
         return self.valve.d if isinstance(self.valve, Stenman) else self.valve.S
 
     def path(self, u: FloatArray) -> FloatArray:
+        """Return the stem under OP, %, shape (N,)."""
         return valve_response(self.valve, u, float(u[0]), float(u[0]) - self.rest)
 
-    def scaled(self, factor: float) -> Iterator[_Law]:
+    def scaled(self, factor: float) -> Iterator[Law]:
+        """Yield this law with its widths scaled."""
         v, rest = self.valve, self.rest * min(factor, 1.0)
         if isinstance(v, Stenman):
-            yield _Law(Stenman(v.d * factor), rest)
+            yield Law(Stenman(v.d * factor), rest)
         else:
-            yield _Law(Choudhury(v.S * factor, v.J * factor), rest)
-            yield _Law(Choudhury(v.S, v.J * factor), rest * min(factor, 1.0))
+            yield Law(Choudhury(v.S * factor, v.J * factor), rest)
+            yield Law(Choudhury(v.S, v.J * factor), rest * min(factor, 1.0))
 
 
-def _laws(width: float) -> list[_Law]:
-    stenman = [_Law(Stenman(w * width), s * w * width) for w in WIDTHS for s in STARTS]
+def laws_of(width: float) -> list[Law]:
+    """Return the grid of valves for an OP that moves over `width` (%)."""
+    stenman = [Law(Stenman(w * width), s * w * width) for w in WIDTHS for s in STARTS]
     laws = [Choudhury(b * width, j * b * width) for b in BANDS for j in JUMPS]
-    return stenman + [_Law(v, s * 0.5 * (v.S + v.J)) for v in laws for s in STARTS]
+    return stenman + [Law(v, s * 0.5 * (v.S + v.J)) for v in laws for s in STARTS]
 
 
 def dead_times(n: int, period: float) -> list[int]:
@@ -141,12 +124,28 @@ def dead_times(n: int, period: float) -> list[int]:
     return tried
 
 
+def _held(y: FloatArray, u: FloatArray) -> NDArray[np.bool_]:
+    """Return the samples in which PV and OP both kept their values for a while: nobody recorded the loop then."""
+    still = np.concatenate([[False], (np.diff(y) == 0.0) & (np.diff(u) == 0.0)])
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], still.astype(np.int8), [0]])))
+    held = np.zeros(y.size, dtype=bool)
+    for first, stop in edges.reshape(-1, 2).tolist():
+        if stop - first >= HOLD:
+            held[first:stop] = True
+    return held
+
+
 class _Rivals:
     """PV of one stretch and all that both rivals share."""
 
-    def __init__(self, y: FloatArray, delays: list[int], sign: float) -> None:
+    def __init__(self, y: FloatArray, delays: list[int], sign: float, held: NDArray[np.bool_]) -> None:
         self.y, self.n, self.sign = y, y.size, sign
+        # An innovation is known where neither its sample nor one of those that it is predicted from was held.
+        self.order = min(max(y.size // PER_ORDER, SHORT), LONG)
+        self.live = np.convolve(held, np.ones(self.order + 1))[: y.size] == 0.0
+        self.count = int(self.live[self.order :].sum())
         self.delays = np.array(delays, dtype=np.int64)
+        self.longest = delays[-1]
 
     def least(
         self, paths: FloatArray, a: FloatArray, taus: Sequence[float]
@@ -156,7 +155,8 @@ class _Rivals:
         tau_at, delay_at = np.zeros(best.size, dtype=np.int64), np.zeros(best.size, dtype=np.int64)
         poles = np.exp(-1.0 / np.asarray(taus))
         target = lfilter(a, [1.0], self.y)
-        kernel.screen(target, paths, poles, a, self.delays, self.sign, best, tau_at, delay_at)
+        drives = lfilter(a, [1.0], paths - paths[:, :1], axis=1)
+        kernel.screen(target, self.live, drives, poles, self.order, self.delays, self.sign, best, tau_at, delay_at)
         return best, tau_at, delay_at
 
     def plant(self, x: FloatArray, a: FloatArray, taus: Sequence[float]) -> _Fit:
@@ -164,72 +164,84 @@ class _Rivals:
         _, tau_at, delay_at = self.least(x[None, :], a, taus)
         tau, near = taus[int(tau_at[0])], int(self.delays[delay_at[0]])
         target, gains = lfilter(a, [1.0], self.y), np.zeros(2)
+        drive = lfilter(a, [1.0], x - x[0])
         best = (math.inf, tau, near, 0.0, 0.0)
         for spread in SPREADS:
-            centre, middle = best[1], best[2]
-            for factor in (1.0 / spread, 1.0, spread):
-                for delay in range(max(middle - 1, 0), middle + 2):
-                    pole = math.exp(-1.0 / (centre * factor))
-                    cost = kernel.taps(target, x, pole, a, delay, self.sign, gains)
-                    if cost < best[0]:
-                        best = (cost, centre * factor, delay, float(gains[0]), float(gains[1]))
+            for _ in range(STEPS):
+                before = best[0]
+                centre, middle = best[1], best[2]
+                for trial in (centre / spread, centre, min(centre * spread, LONGEST * self.n)):
+                    for delay in range(max(middle - 1, 0), min(middle + 1, self.longest) + 1):
+                        pole = math.exp(-1.0 / trial)
+                        cost = kernel.taps(target, self.live, drive, pole, self.order, delay, self.sign, gains)
+                        if cost < best[0]:
+                            best = (cost, trial, delay, float(gains[0]), float(gains[1]))
+                if not best[0] < before:
+                    break
         cost, tau, delay, g0, g1 = best
         lag = np.empty(self.n)
-        kernel.lagged(x, math.exp(-1.0 / tau), np.ones(1), lag)
+        kernel.lagged(x - x[0], math.exp(-1.0 / tau), lag)
         answer = np.zeros(self.n)
         answer[delay:] = g0 * lag[: self.n - delay]
         answer[delay + 1 :] += g1 * lag[: self.n - delay - 1]
-        return _Fit(cost / (self.n - a.size + 1), tau, delay, a, self.y - answer)
+        return _Fit(cost / self.count, tau, delay, a, self.y - answer)
 
     def settle(self, x: FloatArray, a: FloatArray, taus: Sequence[float], rounds: int) -> _Fit:
         """Return the rival driven by x: plant and autoregression fitted in turn, the best round."""
         fits = []
         for _ in range(rounds):
             fit = self.plant(x, a, taus)
-            variance, a = _autoregression(fit.residual, math.exp(-1.0 / fit.tau))
+            variance, a = self.noise(fit.residual, math.exp(-1.0 / fit.tau))
             fits.append(_Fit(variance, fit.tau, fit.delay, a, fit.residual))
         return min(fits, key=lambda f: f.variance)
 
+    def noise(self, e: FloatArray, pole: float) -> tuple[float, FloatArray]:
+        """Return the innovation variance and whitening filter (1, -a_1, .., -a_p) of a residual, by least squares.
 
-def _autoregression(e: FloatArray, pole: float) -> tuple[float, FloatArray]:
-    """Return the innovation variance and whitening filter (1, -a_1, .., -a_p) of a residual, by least squares.
-
-    A constant and a transient with the plant's pole, which the residual still holds, are fitted along.
-    """
-    n = e.size - ORDER
-    lags = [e[ORDER - 1 - i : e.size - 1 - i] for i in range(ORDER)]
-    columns = np.column_stack([*lags, np.ones(n), pole ** np.arange(n, dtype=np.float64)])
-    scale = np.sqrt((columns**2).sum(axis=0))
-    scale[scale == 0.0] = 1.0
-    terms, *_ = np.linalg.lstsq(columns / scale, e[ORDER:], rcond=1e-10)
-    left = e[ORDER:] - columns @ (terms / scale)
-    return float(np.mean(left**2)), np.concatenate([[1.0], -terms[:ORDER] / scale[:ORDER]])
+        A constant and a transient with the plant's pole, which the residual still holds, are fitted along.
+        """
+        order = self.order
+        n, live = e.size - order, self.live[order:]
+        lags = [e[order - 1 - i : e.size - 1 - i] for i in range(order)]
+        columns = np.column_stack([*lags, np.ones(n), pole ** np.arange(n, dtype=np.float64)])[live]
+        scale = np.sqrt((columns**2).sum(axis=0))
+        scale[scale == 0.0] = 1.0
+        columns /= scale
+        # A pole just below a sample's makes the transient no more than the constant: the pseudo-inverse shares it.
+        terms = np.linalg.pinv(columns.T @ columns, rcond=1e-12, hermitian=True) @ (columns.T @ e[order:][live])
+        left = e[order:][live] - columns @ terms
+        return float(np.mean(left**2)), np.concatenate([[1.0], -terms[:order] / scale[:order]])
 
 
 def _stretch(y: FloatArray, u: FloatArray, sample_time: float, period: float, sign: float) -> StemTest:
-    y, u = y - y.mean(), u - u.mean()
-    n = y.size
-    floor = FLOOR**2 * float(y.var())
-    rivals = _Rivals(y, dead_times(n, period / sample_time), sign)
-    fine = np.geomspace(SHORTEST, n, FINE_TAUS).tolist()
-    white = np.concatenate([[1.0], np.zeros(ORDER)])
-    unfollowed, alone = _autoregression(y, 0.5)
+    held = _held(y, u)
+    if held.mean() > MOST_HELD:
+        held[:] = False
+    at = np.arange(y.size)
+    u = np.interp(at, at[~held], u[~held])
+    y, u = y - y[~held].mean(), u - u.mean()
+    power = float(y[~held].var())
+    floor = FLOOR**2 * power
+    rivals = _Rivals(y, dead_times(y.size, period / sample_time), sign, held)
+    fine = np.geomspace(SHORTEST, LONGEST * y.size, FINE_TAUS).tolist()
+    white = np.concatenate([[1.0], np.zeros(rivals.order)])
+    unfollowed, alone = rivals.noise(y, 0.5)
     # The two ends of what noise may be: none but white, and all of PV. Each may lead to a better plant.
     linear = min((rivals.settle(u, a, fine, ROUNDS) for a in (white, alone)), key=lambda f: f.variance)
 
     straight = rivals.plant(u, white, fine)
-    laws = _laws(float(np.ptp(u)))
+    laws = laws_of(float(np.ptp(u)))
     paths = np.array([law.path(u) for law in laws])
-    coarse = np.geomspace(SHORTEST, n, COARSE_TAUS).tolist()
+    coarse = np.geomspace(SHORTEST, LONGEST * y.size, COARSE_TAUS).tolist()
     wide = np.array([law.band >= WIDE * float(np.ptp(u)) for law in laws])
 
-    def judged(law: _Law, path: FloatArray) -> _Candidate:
+    def judged(law: Law, path: FloatArray) -> _Candidate:
         fit = rivals.settle(path, linear.a, fine, 2)
         simulated = rivals.plant(path, white, fine)
         return _Candidate(
             law,
-            n * math.log((linear.variance + floor) / (fit.variance + floor)),
-            n * math.log((straight.variance + floor) / (simulated.variance + floor)),
+            rivals.count * math.log((linear.variance + floor) / (fit.variance + floor)),
+            rivals.count * math.log((straight.variance + floor) / (simulated.variance + floor)),
         )
 
     by_innovations = rivals.least(paths, linear.a, coarse)[0]
@@ -245,11 +257,10 @@ def _stretch(y: FloatArray, u: FloatArray, sample_time: float, period: float, si
     law = best.law
     moving = np.diff(law.path(u)) != 0.0
     gain = best.innovations
-    power = float(y.var())
     return StemTest(
-        improvement=1.0 - math.exp(-gain / n),
+        improvement=1.0 - math.exp(-gain / rivals.count),
         likelihood=gain,
-        simulated=1.0 - math.exp(-best.simulated / n),
+        simulated=1.0 - math.exp(-best.simulated / rivals.count),
         wide=broad.innovations,
         left=linear.variance / power,
         unexplained=straight.variance / power,
@@ -257,9 +268,9 @@ def _stretch(y: FloatArray, u: FloatArray, sample_time: float, period: float, si
         band=law.band,
         jump=law.valve.slip_jump,
         moves=int((moving[1:] & ~moving[:-1]).sum()) + int(moving[0]),
-        samples=n,
-        time_constant=linear.tau * sample_time,
-        dead_time=linear.delay * sample_time,
+        samples=rivals.count,
+        time_constant=straight.tau * sample_time,
+        dead_time=straight.delay * sample_time,
     )
 
 

@@ -8,13 +8,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from workbench.detect.detect import detect
 from workbench.errors import InvalidValue
 from workbench.estimate.data import Centred, centre, plant_of
 from workbench.estimate.fit import Fit, fit_linear, fit_nothing, predict, standard_errors, start_range
 from workbench.estimate.profile import Candidate, Profile, islands, path_of, search
 from workbench.estimate.two_parameter import look
 from workbench.estimate.two_step import akaike, two_step
-from workbench.estimate.verdict import WIDE_D, Evidence, judge
+from workbench.estimate.verdict import WIDE_D, Evidence, agree, judge
 from workbench.model.checks import choice, number
 from workbench.model.record import FloatArray, Record
 from workbench.model.results import Estimate, Intervals, Iteration, LinearFit
@@ -152,6 +153,8 @@ def _answer(
         iterations=len(history),
     )
     verdict, reasons, identifiable = judge(evidence)
+    verdict, reasons = agree(evidence, verdict, reasons, detect(record))
+    identifiable = identifiable and verdict == "stiction"
     reasons += _manual_said(record)
     profile_d = np.array([] if found is None else [c.d for c in found.fits])
     profile_cost = np.array([] if found is None else [c.fit.sse / n for c in found.fits])
