@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from workbench.model.study import Study
     from workbench.model.tuning import Objective
     from workbench.scenario.plan import Scenario
+    from workbench.score import Scored
 
 __all__ = ["app", "main"]
 
@@ -282,6 +283,26 @@ def tune(
     return code
 
 
+@app.command()
+@guarded
+def score(
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Records and labels.csv (file,label[,tag]).")],
+    out: Annotated[Path | None, typer.Option("--out", metavar="DIR", help="Where score.json goes (default: DIR).")] = None,
+) -> int:
+    """Estimate every labelled record of a folder and score the verdicts: accuracy, confusion, each loop."""
+    from workbench import score as scoring
+
+    lines = scoring.labelled(folder)
+    target = folder if out is None else out
+    _writable(target)
+    with _progress() as progress:
+        scored = scoring.score(lines, progress)
+    content = scoring.score_content(scored)
+    _print_score(scored, content)
+    typer.echo(f"Written: {scoring.write_score(content, target)}")
+    return 0
+
+
 # arguments ---------------------------------------------------------------------------------------------------------
 
 
@@ -468,3 +489,35 @@ def _print_study(study: Study) -> None:
             *([] if case.objective is None else [figure(case.objective, 5)]),
         )
     console.print(table)
+
+
+def _print_score(scored: Sequence[Scored], content: dict[str, Any]) -> None:
+    """Print each record's verdict, then confusion and accuracy."""
+    from rich.console import Console
+    from rich.table import Table
+    from rich.text import Text
+
+    from workbench.report.words import figure
+
+    console = Console(width=None if sys.stdout.isatty() else 140, highlight=False, markup=False)
+    table = Table(box=None, pad_edge=False)
+    for title in ("file", "tag", "label", "verdict", ""):
+        table.add_column(title, overflow="fold")
+    for title in ("S, %", "J, %", "K", "tau, s", "theta, s", "time, s"):
+        table.add_column(title, justify="right")
+    for one in scored:
+        right = "right" if one.verdict == one.label else "open" if one.verdict == "undecided" else "wrong"
+        values = (one.S, one.J, one.gain, one.time_constant, one.dead_time)
+        shown = ["" if value != value else figure(value) for value in values]
+        table.add_row(Text(one.file), Text(one.tag), one.label, one.verdict, right, *shown, f"{one.seconds:.2f}")
+    console.print(table)
+    for one in scored:
+        if one.error:
+            console.print(Text(f"Not used: {one.error}"))
+    for label, verdicts in content["confusion"].items():
+        counts = ", ".join(f"{verdict} {many}" for verdict, many in verdicts.items())
+        console.print(Text(f"label {label}: {counts}"))
+    console.print(
+        f"accuracy {content['accuracy']:.1%} of {content['records']} records, {content['accuracy_by_tag']:.1%} of "
+        f"{content['tags']} tags (undecided counts as wrong)"
+    )

@@ -23,7 +23,7 @@ LONGEST = 0.10  # of the record, the longest dead time with which the linear mod
 WIDE_D = 0.20  # of OP's range: a stem that sticks as wide as this and fits as well keeps the valve suspect
 SLOWEST = 0.25  # of the record, the longest time constant that the record can show
 NEAR_NOTHING = 0.25  # of d: where bands as narrow as this fit as well, stiction is not needed
-MOST = 0.5  # improvement by which the model alone may decide
+MOST, CERTAIN = 0.5, 0.9  # improvement by which the model alone decides: where detection does not, and against it
 NAMED = 4  # separate ranges of d named one by one
 SHARP = 0.10  # widest range of d, relative, that counts as identified
 
@@ -176,10 +176,11 @@ def agree(e: Evidence, verdict: str, reasons: tuple[str, ...], found: Detection)
     if found.verdict == verdict:
         return verdict, found.reasons + reasons
     improvement = 1.0 - e.stem / e.linear if e.linear > 0.0 else 0.0
-    if e.slips == 0 or e.gain == 0.0 or (verdict == "stiction" and found.verdict == "no_stiction"):
-        final = "undecided" if found.verdict == "stiction" or verdict == "stiction" else found.verdict
-    elif verdict == "stiction" and improvement >= MOST and found.test is not None:
+    sticks = verdict == "stiction" and found.test is not None
+    if sticks and improvement >= (CERTAIN if found.verdict == "no_stiction" else MOST):
         final = "stiction"
+    elif sticks and found.verdict == "no_stiction":
+        final = "undecided"
     else:
         final = found.verdict
     model = tuple(f"by the fitted models alone: {reason}" for reason in reasons)
