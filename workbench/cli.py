@@ -287,7 +287,9 @@ def tune(
 @guarded
 def score(
     folder: Annotated[Path, typer.Argument(metavar="DIR", help="Records and labels.csv (file,label[,tag]).")],
-    out: Annotated[Path | None, typer.Option("--out", metavar="DIR", help="Where score.json goes (default: DIR).")] = None,
+    out: Annotated[
+        Path | None, typer.Option("--out", metavar="DIR", help="Where score.json goes (default: DIR).")
+    ] = None,
 ) -> int:
     """Estimate every labelled record of a folder and score the verdicts: accuracy, confusion, each loop."""
     from workbench import score as scoring

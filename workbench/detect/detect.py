@@ -14,7 +14,7 @@ from workbench.detect.direct import stem_evidence
 from workbench.detect.load import DETECTIONS, load_index
 from workbench.detect.oscillation import oscillation_of
 from workbench.detect.shape import movement_index, triangle_index
-from workbench.detect.stem import stem_test
+from workbench.detect.stem import Fitted, stem_test
 from workbench.detect.verdict import decide
 from workbench.errors import InvalidValue, RecordError
 from workbench.model.detection import Detection, Oscillation
@@ -27,11 +27,12 @@ OSCILLATES = 0.3  # oscillation index from which a period is one
 PATTERN = 20  # parts of a period over which moves are coded
 
 
-def detect(record: Record, *, bicoherence: bool = False) -> Detection:
-    """Return the evidence for and against a sticking valve in a record, without a model of the loop.
+def detect(record: Record, *, bicoherence: bool = False, fitted: Fitted | None = None) -> Detection:
+    """Return the evidence for and against a sticking valve in a record.
 
     bicoherence: also the bicoherence of SP - PV with its indices and the ellipse of PV against OP, which want long
-    records. Raises `RecordError` for fewer than 30 samples and `InvalidValue` for anything that is not a record.
+    records. fitted: a valve and its stem (%, shape (N,)) from a model of the loop, which the stem test then tries beside
+    its own. Raises `RecordError` for fewer than 30 samples and `InvalidValue` for anything that is not a record.
     """
     if not isinstance(record, Record):
         raise InvalidValue("detect.record", type(record).__name__, "must be a Record (see read_record)")
@@ -62,7 +63,7 @@ def detect(record: Record, *, bicoherence: bool = False) -> Detection:
     period = cycle.period if oscillates else math.nan
     samples = period / record.sample_time
     error = control_error(record)
-    test = stem_test(record.pv, record.op, record.sample_time, period, gain_sign(record))
+    test = stem_test(record.pv, record.op, record.sample_time, period, gain_sign(record), fitted)
     stem = None if record.valve_position is None else stem_evidence(record.op, record.valve_position)
     verdict, reasons = ("undecided", [dead]) if dead else decide(cycle, test, stem)
     load = load_index(error, record.sample_time, period)

@@ -27,21 +27,27 @@ from workbench.model.record import FloatArray
 from workbench.model.valve import Choudhury, Stenman
 from workbench.simulate.run import valve_response
 
-__all__ = ["Law", "laws_of", "stem_test"]
+__all__ = ["Fitted", "Law", "laws_of", "stem_test"]
+
+Fitted = tuple[Stenman | Choudhury, FloatArray]
 
 # Valves: widths as a share of OP's range, from what noise leaves visible to what lets the stem move at all.
-WIDTHS = np.geomspace(0.03, 0.95, 20).tolist()  # d
-BANDS = np.geomspace(0.04, 0.97, 14).tolist()  # S
+WIDTHS = np.geomspace(0.03, 0.95, 70).tolist()  # d
+BANDS = np.geomspace(0.04, 0.97, 24).tolist()  # S
 JUMPS = (0.0, 0.3, 1.0)  # J/S
 STARTS = (-0.8, 0.0, 0.8)  # where the stem may rest at the start: OP less stem, as a share of what holds it
 WIDE = 0.25  # of OP's range: a band that matters to the loop
-FINE = (0.85, 0.93, 1.08, 1.17)  # refinement of the widths
+FINE = (0.92, 1.09, 0.96, 1.04, 0.98, 1.02)  # refinement of the widths
 KEPT = 3  # best paths that are refined
 # Plants: time constants and dead times, in samples.
 COARSE_TAUS, FINE_TAUS = 8, 28
 SHORTEST = 0.3
 LONGEST = 10.0  # records: as good as an integrating plant
-SHORT, LONG, PER_ORDER = 8, 30, 100  # order of the autoregression: samples/100 within limits; white noise on a slow drift is no short one
+SHORT, LONG, PER_ORDER = (
+    8,
+    30,
+    100,
+)  # order of the autoregression: samples/100 within limits; white noise on a slow drift is no short one
 SPREADS = (1.25, 1.08, 1.03)  # refinement of the time constant, the dead time by whole samples beside it
 STEPS = 12  # at most, at each of them
 ROUNDS = 3  # of plant and autoregression in turn
@@ -68,6 +74,7 @@ class _Candidate:
     """A valve and its log likelihood ratios over the linear rival: of the innovations, and of the simulated PV."""
 
     law: Law
+    path: FloatArray
     innovations: float
     simulated: float
 
@@ -213,7 +220,9 @@ class _Rivals:
         return float(np.mean(left**2)), np.concatenate([[1.0], -terms[:order] / scale[:order]])
 
 
-def _stretch(y: FloatArray, u: FloatArray, sample_time: float, period: float, sign: float) -> StemTest:
+def _stretch(
+    y: FloatArray, u: FloatArray, sample_time: float, period: float, sign: float, fitted: Fitted | None
+) -> StemTest:
     held = _held(y, u)
     if held.mean() > MOST_HELD:
         held[:] = False
@@ -240,6 +249,7 @@ def _stretch(y: FloatArray, u: FloatArray, sample_time: float, period: float, si
         simulated = rivals.plant(path, white, fine)
         return _Candidate(
             law,
+            path,
             rivals.count * math.log((linear.variance + floor) / (fit.variance + floor)),
             rivals.count * math.log((straight.variance + floor) / (simulated.variance + floor)),
         )
@@ -252,10 +262,12 @@ def _stretch(y: FloatArray, u: FloatArray, sample_time: float, period: float, si
     for factor in FINE:
         for law in best.law.scaled(factor):
             best = max(best, judged(law, law.path(u)), key=lambda c: c.both)
+    if fitted is not None:
+        best = max(best, judged(Law(fitted[0], 0.0), fitted[1]), key=lambda c: c.both)
     likely = int(np.argmin(np.where(wide, by_innovations, math.inf)))
     broad = best if best.law.band >= WIDE * float(np.ptp(u)) else judged(laws[likely], paths[likely])
     law = best.law
-    moving = np.diff(law.path(u)) != 0.0
+    moving = np.diff(best.path) != 0.0
     gain = best.innovations
     return StemTest(
         improvement=1.0 - math.exp(-gain / rivals.count),
@@ -274,27 +286,33 @@ def _stretch(y: FloatArray, u: FloatArray, sample_time: float, period: float, si
     )
 
 
-def stem_test(pv: FloatArray, op: FloatArray, sample_time: float, period: float, sign: float) -> StemTest:
+def stem_test(
+    pv: FloatArray, op: FloatArray, sample_time: float, period: float, sign: float, fitted: Fitted | None = None
+) -> StemTest:
     """Return the stem test of PV (EU) and OP (%), shape (N,), both moving.
 
     period: s, of PV's oscillation, nan where it has none. sign: that the plant's gain must have, +1 or -1, 0 where it
-    is not known. A cycle of more than 100 samples is thinned to that, and of a long record three stretches of 3,000
+    is not known. fitted: a valve and its stem, %, shape (N,), from a model of the loop, tried beside the grid. A cycle of more than 100 samples is thinned to that, and of a long record three stretches of 3,000
     samples are looked at, evenly spaced, whose likelihoods add up; the rest is told for the first of them.
     """
     thin = max(int(period / sample_time / PER_CYCLE), 1) if math.isfinite(period) else 1
     pv, op, step = pv[::thin], op[::thin], thin * sample_time
     n = pv.size
+
+    def part(first: int, stop: int) -> Fitted | None:
+        return None if fitted is None else (fitted[0], fitted[1][::thin][first:stop])
+
     if n <= WINDOW:
-        return _stretch(pv, op, step, period, sign)
+        return _stretch(pv, op, step, period, sign, part(0, n))
     count = min(-(-n // WINDOW), WINDOWS)
     starts = np.linspace(0, n - WINDOW, count).astype(int).tolist()
     parts = [
-        _stretch(pv[s : s + WINDOW], op[s : s + WINDOW], step, period, sign)
+        _stretch(pv[s : s + WINDOW], op[s : s + WINDOW], step, period, sign, part(s, s + WINDOW))
         for s in starts
         if np.ptp(pv[s : s + WINDOW]) > 0.0 and np.ptp(op[s : s + WINDOW]) > 0.0
     ]
     if not parts:
-        return _stretch(pv, op, step, period, sign)
+        return _stretch(pv, op, step, period, sign, part(0, n))
     total = sum(p.samples for p in parts)
     gain = sum(p.likelihood for p in parts)
     lead = max(parts, key=lambda p: p.likelihood)

@@ -4,13 +4,12 @@ Stiction is found where a sticking stem beats the linear loop by every measure a
 by an amount that matters to what can be predicted (`PREDICTS`) and to the simulated PV (`EXPLAINS`), and where the
 linear loop leaves something to explain at all (`LEFT`). The thresholds are stated, not fitted:
 
-LIKELIHOOD: twice the logarithm of a likelihood ratio with two free widths exceeds 20 by chance once in 22,000; over the
-some 200 valves of the grid that is 1 %.
+LIKELIHOOD: twice the logarithm of a likelihood ratio with two free widths exceeds 15 by chance once in 1,800; over the
+grid, some tens of stems that differ, that is about 2 %.
 PREDICTS: a real linear plant is no first-order lag; what its shape leaves unmodelled was below 3 % of the innovations'
 variance in nine of ten simulated loops.
-EXPLAINS, LEFT: a tenth of the error, as much as a fit of one more parameter gains on any drifting record; and a linear
-model that leaves less than 5 % of PV's variance has explained it.
-CLOSE: two thirds of each of these is no acquittal.
+EXPLAINS, LEFT: 5 % of the error, and of PV's variance; a linear model that leaves less has explained PV.
+CLOSE: two thirds of each of these is no acquittal, nor is twice the likelihood alone.
 SLOW: under integral action alone a self-regulating loop is at its stability limit with a period of at most four times
 dead time and time constant together (pure dead time: exactly four dead times; proportional action: less). A slower
 cycle is not its own, and so smooth that the valve's part does not show.
@@ -34,11 +33,12 @@ from dataclasses import dataclass
 class Thresholds:
     """The rule's thresholds (see the module's first lines); a benchmark moves each by a fifth."""
 
-    likelihood: float = 20.0
+    likelihood: float = 15.0
     predicts: float = 0.03
-    explains: float = 0.10
+    explains: float = 0.05
     left: float = 0.05
     close: float = 2.0 / 3.0
+    alone: float = 2.0
     slow: float = 4.0
     cycles: float = 0.5  # oscillation index of a cycle that dominates PV
     direct: float = 0.01  # share of a recorded stem's variance: closer than a tenth of its moves it follows
@@ -64,7 +64,8 @@ def decide(
     if _exceeds(test, limits, 1.0):
         kind = "the stem slips as it sets off" if test.jump > 0.1 * test.band else "a dead band without visible slip"
         return "stiction", [f"{beats}: {kind}"]
-    if _exceeds(test, limits, limits.close):
+    alone = test.unexplained >= limits.left and test.likelihood >= limits.alone * limits.likelihood
+    if alone or _exceeds(test, limits, limits.close):
         return "undecided", [f"{beats}: nearly enough to find stiction, too much to exclude it"]
     own = test.time_constant + test.dead_time
     if oscillation.index >= limits.cycles and oscillation.regularity > 1.0:

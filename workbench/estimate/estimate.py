@@ -153,7 +153,8 @@ def _answer(
         iterations=len(history),
     )
     verdict, reasons, identifiable = judge(evidence)
-    verdict, reasons = agree(evidence, verdict, reasons, detect(record))
+    fitted = None if found is None or stem is None else (Stenman(found.best.d), stem.valve_position)
+    verdict, reasons = agree(evidence, verdict, reasons, detect(record, fitted=fitted))
     identifiable = identifiable and verdict == "stiction"
     reasons += _manual_said(record)
     profile_d = np.array([] if found is None else [c.d for c in found.fits])
