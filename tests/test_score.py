@@ -71,7 +71,7 @@ def test_a_folder_is_scored_and_a_bad_record_counts_as_undecided(tmp_path: Path)
     (tmp_path / "labels.csv").write_text("file,label,tag\nsticky.csv,stiction,FIC1\nbad.csv,stiction,FIC2\n", "utf-8")
     seen: list[str] = []
     lines = labelled(tmp_path)
-    found = score(lines, lambda name, share: seen.append(name))
+    found = score(lines, lambda name, _: seen.append(name))
     assert seen == ["sticky.csv", "bad.csv"]
     assert [one.verdict for one in found] == ["stiction", "undecided"]
     assert found[1].error

@@ -29,7 +29,6 @@ if TYPE_CHECKING:
     from workbench.model.study import Study
     from workbench.model.tuning import Objective
     from workbench.scenario.plan import Scenario
-    from workbench.score import Scored
 
 __all__ = ["app", "main"]
 
@@ -292,6 +291,9 @@ def score(
     ] = None,
 ) -> int:
     """Estimate every labelled record of a folder and score the verdicts: accuracy, confusion, each loop."""
+    from rich.console import Console
+
+    from workbench import cli_output
     from workbench import score as scoring
 
     lines = scoring.labelled(folder)
@@ -300,7 +302,9 @@ def score(
     with _progress() as progress:
         scored = scoring.score(lines, progress)
     content = scoring.score_content(scored)
-    _print_score(scored, content)
+    console = Console(width=None if sys.stdout.isatty() else 140, highlight=False, markup=False)
+    for part in cli_output.score_parts(scored, content):
+        console.print(part)
     typer.echo(f"Written: {scoring.write_score(content, target)}")
     return 0
 
@@ -491,35 +495,3 @@ def _print_study(study: Study) -> None:
             *([] if case.objective is None else [figure(case.objective, 5)]),
         )
     console.print(table)
-
-
-def _print_score(scored: Sequence[Scored], content: dict[str, Any]) -> None:
-    """Print each record's verdict, then confusion and accuracy."""
-    from rich.console import Console
-    from rich.table import Table
-    from rich.text import Text
-
-    from workbench.report.words import figure
-
-    console = Console(width=None if sys.stdout.isatty() else 140, highlight=False, markup=False)
-    table = Table(box=None, pad_edge=False)
-    for title in ("file", "tag", "label", "verdict", ""):
-        table.add_column(title, overflow="fold")
-    for title in ("S, %", "J, %", "K", "tau, s", "theta, s", "time, s"):
-        table.add_column(title, justify="right")
-    for one in scored:
-        right = "right" if one.verdict == one.label else "open" if one.verdict == "undecided" else "wrong"
-        values = (one.S, one.J, one.gain, one.time_constant, one.dead_time)
-        shown = ["" if value != value else figure(value) for value in values]
-        table.add_row(Text(one.file), Text(one.tag), one.label, one.verdict, right, *shown, f"{one.seconds:.2f}")
-    console.print(table)
-    for one in scored:
-        if one.error:
-            console.print(Text(f"Not used: {one.error}"))
-    for label, verdicts in content["confusion"].items():
-        counts = ", ".join(f"{verdict} {many}" for verdict, many in verdicts.items())
-        console.print(Text(f"label {label}: {counts}"))
-    console.print(
-        f"accuracy {content['accuracy']:.1%} of {content['records']} records, {content['accuracy_by_tag']:.1%} of "
-        f"{content['tags']} tags (undecided counts as wrong)"
-    )

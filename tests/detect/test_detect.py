@@ -29,7 +29,7 @@ def run_of(valve: object, *, seed: int = 1, plant: object = None, load: float = 
     run = wb.simulate(
         loop, wb.Experiment(float(n), load=wb.Series(drift), noise=wb.Noise(0.1, seed), setpoint=wb.Step(3.0))
     )
-    return wb.Record(run.pv + 50.0, run.op + 40.0, 1.0, sp=run.sp + 50.0, valve_position=None)
+    return wb.Record(run.pv + 50.0, run.op + 40.0, 1.0, sp=run.sp + 50.0)
 
 
 @pytest.mark.parametrize("valve", [wb.Stenman(2.0), wb.Choudhury(2.0, 2.0), wb.Choudhury(3.0, 1.0)])
@@ -93,7 +93,7 @@ def test_a_recorded_stem_decides() -> None:
     ("changed", "verdict"),
     [
         ({}, "stiction"),
-        ({"likelihood": 19.0}, "undecided"),
+        ({"likelihood": 14.0}, "undecided"),
         ({"unexplained": 0.04}, "no_stiction"),
         ({"improvement": 0.001, "likelihood": 1.0, "simulated": 0.001}, "no_stiction"),
     ],
@@ -140,7 +140,7 @@ def test_records_that_tell_nothing() -> None:
     assert wb.detect(wb.Record(ramp, np.ones(100), 1.0)).test is None
     with pytest.raises(wb.RecordError, match="29 samples given; at least 30"):
         wb.detect(wb.Record(ramp[:29], ramp[:29], 1.0))
-    with pytest.raises(wb.InvalidValue, match="detect.record"):
+    with pytest.raises(wb.InvalidValue, match=r"detect\.record"):
         wb.detect("loop.csv")
 
 

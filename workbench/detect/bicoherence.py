@@ -1,4 +1,4 @@
-"""Is the loop nonlinear? Bicoherence with the NGI and NLI, and the ellipse of PV against OP for the apparent stiction."""
+"""Is the loop nonlinear? Bicoherence with the NGI and NLI, and the ellipse of PV against OP: apparent stiction."""
 
 from __future__ import annotations
 

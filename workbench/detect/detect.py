@@ -31,8 +31,8 @@ def detect(record: Record, *, bicoherence: bool = False, fitted: Fitted | None =
     """Return the evidence for and against a sticking valve in a record.
 
     bicoherence: also the bicoherence of SP - PV with its indices and the ellipse of PV against OP, which want long
-    records. fitted: a valve and its stem (%, shape (N,)) from a model of the loop, which the stem test then tries beside
-    its own. Raises `RecordError` for fewer than 30 samples and `InvalidValue` for anything that is not a record.
+    records. fitted: a valve and its stem (%, shape (N,)) from a model of the loop, which the stem test tries
+    beside its own. Raises `RecordError` for fewer than 30 samples and `InvalidValue` for anything that is not a record.
     """
     if not isinstance(record, Record):
         raise InvalidValue("detect.record", type(record).__name__, "must be a Record (see read_record)")

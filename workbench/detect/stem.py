@@ -292,8 +292,9 @@ def stem_test(
     """Return the stem test of PV (EU) and OP (%), shape (N,), both moving.
 
     period: s, of PV's oscillation, nan where it has none. sign: that the plant's gain must have, +1 or -1, 0 where it
-    is not known. fitted: a valve and its stem, %, shape (N,), from a model of the loop, tried beside the grid. A cycle of more than 100 samples is thinned to that, and of a long record three stretches of 3,000
-    samples are looked at, evenly spaced, whose likelihoods add up; the rest is told for the first of them.
+    is not known. fitted: a valve and its stem, %, shape (N,), from a model of the loop, tried beside the grid. A cycle
+    of more than 100 samples is thinned to that, and of a long record three stretches of 3,000 samples are looked at,
+    evenly spaced, whose likelihoods add up; the rest is told for the clearest of them.
     """
     thin = max(int(period / sample_time / PER_CYCLE), 1) if math.isfinite(period) else 1
     pv, op, step = pv[::thin], op[::thin], thin * sample_time

@@ -57,8 +57,8 @@ def decide(
         if direct is not None:
             return direct
     beats = (
-        f"a stem that sticks over {test.band:.3g} % leaves {test.improvement:.1%} less of PV unpredicted than OP itself "
-        f"does (log likelihood ratio {test.likelihood:.0f}) and {test.simulated:.0%} less of simulated PV; the linear "
+        f"a stem that sticks over {test.band:.3g} % leaves {test.improvement:.1%} less of PV unpredicted than OP "
+        f"itself does (log likelihood ratio {test.likelihood:.0f}) and {test.simulated:.0%} less of simulated PV; the linear "
         f"loop leaves {test.unexplained:.1%} of PV's variance"
     )
     if _exceeds(test, limits, 1.0):
@@ -68,17 +68,13 @@ def decide(
     if alone or _exceeds(test, limits, limits.close):
         return "undecided", [f"{beats}: nearly enough to find stiction, too much to exclude it"]
     own = test.time_constant + test.dead_time
+    loop = f"a linear loop with time constant {test.time_constant:.3g} s and dead time {test.dead_time:.3g} s"
     if oscillation.index >= limits.cycles and oscillation.regularity > 1.0:
         cycle = f"PV cycles with a period of {oscillation.period:.3g} s"
         if oscillation.period > limits.slow * own:
-            return "undecided", [
-                f"{cycle}, too slow for a linear loop with time constant {test.time_constant:.3g} s and dead time "
-                f"{test.dead_time:.3g} s to cycle by itself, and so smooth that no stick shows: an external oscillation "
-                "or a valve"
-            ]
+            return "undecided", [f"{cycle}, too slow for {loop} to make by itself, and smooth: external, or a valve"]
         return "no_stiction", [
-            f"{cycle}, which a linear loop of time constant {test.time_constant:.3g} s and dead time "
-            f"{test.dead_time:.3g} s can have by itself: tight tuning, or an external oscillation near it",
+            f"{cycle}, which {loop} can make by itself: tight tuning, or an external oscillation near it",
             "a sticking stem explains PV no better than OP itself",
         ]
     return "no_stiction", ["a sticking stem explains PV no better than OP itself: stiction adds nothing that matters"]

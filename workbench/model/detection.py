@@ -24,7 +24,7 @@ class Oscillation:
 
 @dataclass(frozen=True, eq=False)
 class Bicoherence:
-    """Squared bicoherence, `values` at (frequency_1, frequency_2), cycles per sample, each of shape (M,); NGI and NLI."""
+    """Squared bicoherence, `values` at (frequency_1, frequency_2), cycles per sample, shape (M,); NGI and NLI."""
 
     frequency_1: FloatArray
     frequency_2: FloatArray
