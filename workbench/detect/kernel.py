@@ -74,8 +74,8 @@ def screen(
 ) -> None:
     """Write for each path i the least sum of squares best[i] over poles and dead times, and where it is.
 
-    target: whitened PV, (N,); live: the samples that count, from `first` on; drives: whitened inputs, (P, N); sign: that
-    the gain must have, or 0. A constant and a transient with the plant's pole are free.
+    target: whitened PV, (N,); live: the samples that count, from `first` on; drives: whitened inputs, (P, N); sign:
+    that the gain must have, or 0. A constant and a transient with the plant's pole are free.
     """
     n = target.size
     count = live[first:].sum()

@@ -37,7 +37,8 @@ BANDS = np.geomspace(0.04, 0.97, 24).tolist()  # S
 JUMPS = (0.0, 0.3, 1.0)  # J/S
 STARTS = (-0.8, 0.0, 0.8)  # where the stem may rest at the start: OP less stem, as a share of what holds it
 WIDE = 0.25  # of OP's range: a band that matters to the loop
-FINE = (0.92, 1.09, 0.96, 1.04, 0.98, 1.02)  # refinement of the widths
+ZOOM = (0.94, 0.96, 0.98, 1.02, 1.04, 1.06)  # the widths looked at between those of the grid
+FINE = (0.99, 1.01, 0.97, 1.03)  # refinement of the widths
 KEPT = 3  # best paths that are refined
 # Plants: time constants and dead times, in samples.
 COARSE_TAUS, FINE_TAUS = 8, 28
@@ -100,6 +101,15 @@ class Law:
     def path(self, u: FloatArray) -> FloatArray:
         """Return the stem under OP, %, shape (N,)."""
         return valve_response(self.valve, u, float(u[0]), float(u[0]) - self.rest)
+
+    def neighbours(self) -> Iterator[Law]:
+        """Yield this law with widths up to the next ones of the grid."""
+        for factor in ZOOM:
+            if isinstance(self.valve, Stenman):
+                yield Law(Stenman(self.valve.d * factor), self.rest)
+            else:
+                for jump in (self.valve.J, 0.85 * self.valve.J, 1.15 * self.valve.J + 0.1 * self.valve.S):
+                    yield Law(Choudhury(self.valve.S * factor, jump), self.rest)
 
     def scaled(self, factor: float) -> Iterator[Law]:
         """Yield this law with its widths scaled."""
@@ -220,6 +230,12 @@ class _Rivals:
         return float(np.mean(left**2)), np.concatenate([[1.0], -terms[:order] / scale[:order]])
 
 
+def _best(by_innovations: FloatArray, by_simulation: FloatArray) -> list[int]:
+    """Return the best few by either measure."""
+    first: list[int] = np.argsort(by_innovations, kind="stable")[:KEPT].tolist()
+    return first + [i for i in np.argsort(by_simulation, kind="stable")[:KEPT].tolist() if i not in first]
+
+
 def _stretch(
     y: FloatArray, u: FloatArray, sample_time: float, period: float, sign: float, fitted: Fitted | None
 ) -> StemTest:
@@ -242,7 +258,6 @@ def _stretch(
     laws = laws_of(float(np.ptp(u)))
     paths = np.array([law.path(u) for law in laws])
     coarse = np.geomspace(SHORTEST, LONGEST * y.size, COARSE_TAUS).tolist()
-    wide = np.array([law.band >= WIDE * float(np.ptp(u)) for law in laws])
 
     def judged(law: Law, path: FloatArray) -> _Candidate:
         fit = rivals.settle(path, linear.a, fine, 2)
@@ -256,8 +271,14 @@ def _stretch(
 
     by_innovations = rivals.least(paths, linear.a, coarse)[0]
     by_simulation = rivals.least(paths, white, coarse)[0]
-    first = np.argsort(by_innovations, kind="stable")[:KEPT].tolist()
-    first += [i for i in np.argsort(by_simulation, kind="stable")[:KEPT].tolist() if i not in first]
+    # A stem of a width a little off slips at other times: the neighbourhood of the best is searched once more.
+    near = [law for i in _best(by_innovations, by_simulation) for law in laws[i].neighbours()]
+    closer = np.array([law.path(u) for law in near])
+    laws, paths = laws + near, np.vstack([paths, closer])
+    by_innovations = np.concatenate([by_innovations, rivals.least(closer, linear.a, coarse)[0]])
+    by_simulation = np.concatenate([by_simulation, rivals.least(closer, white, coarse)[0]])
+    wide = np.array([law.band >= WIDE * float(np.ptp(u)) for law in laws])
+    first = _best(by_innovations, by_simulation)
     best = max((judged(laws[i], paths[i]) for i in first), key=lambda c: c.both)
     for factor in FINE:
         for law in best.law.scaled(factor):

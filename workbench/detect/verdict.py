@@ -9,7 +9,7 @@ grid, some tens of stems that differ, that is about 2 %.
 PREDICTS: a real linear plant is no first-order lag; what its shape leaves unmodelled was below 3 % of the innovations'
 variance in nine of ten simulated loops.
 EXPLAINS, LEFT: 5 % of the error, and of PV's variance; a linear model that leaves less has explained PV.
-CLOSE: two thirds of each of these is no acquittal, nor is twice the likelihood alone.
+CLOSE: two thirds of each of these is no acquittal, nor is three times the likelihood alone.
 SLOW: under integral action alone a self-regulating loop is at its stability limit with a period of at most four times
 dead time and time constant together (pure dead time: exactly four dead times; proportional action: less). A slower
 cycle is not its own, and so smooth that the valve's part does not show.
@@ -38,7 +38,7 @@ class Thresholds:
     explains: float = 0.05
     left: float = 0.05
     close: float = 2.0 / 3.0
-    alone: float = 2.0
+    alone: float = 3.0
     slow: float = 4.0
     cycles: float = 0.5  # oscillation index of a cycle that dominates PV
     direct: float = 0.01  # share of a recorded stem's variance: closer than a tenth of its moves it follows
@@ -58,8 +58,8 @@ def decide(
             return direct
     beats = (
         f"a stem that sticks over {test.band:.3g} % leaves {test.improvement:.1%} less of PV unpredicted than OP "
-        f"itself does (log likelihood ratio {test.likelihood:.0f}) and {test.simulated:.0%} less of simulated PV; the linear "
-        f"loop leaves {test.unexplained:.1%} of PV's variance"
+        f"itself does (log likelihood ratio {test.likelihood:.0f}) and {test.simulated:.0%} less of simulated PV; the "
+        f"linear loop leaves {test.unexplained:.1%} of PV's variance"
     )
     if _exceeds(test, limits, 1.0):
         kind = "the stem slips as it sets off" if test.jump > 0.1 * test.band else "a dead band without visible slip"
