@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from workbench.detect.action import control_error, gain_sign
+from workbench.detect.action import control_error, feedback, gain_sign
 from workbench.detect.bicoherence import bicoherence_of, ellipse_of
 from workbench.detect.causes import dead_signal, other_causes
 from workbench.detect.correlation import cross_correlation, histogram_fit
@@ -24,6 +24,8 @@ __all__ = ["FEWEST_SAMPLES", "detect"]
 
 FEWEST_SAMPLES = 30
 OSCILLATES = 0.3  # oscillation index from which a period is one
+FOLLOWS = 15.0  # log likelihood ratio of PV with and without OP, as in the verdict
+ACTS = 0.05  # share of OP's moves that the error must explain for a controller to be seen
 PATTERN = 20  # parts of a period over which moves are coded
 
 
@@ -66,6 +68,10 @@ def detect(record: Record, *, bicoherence: bool = False, fitted: Fitted | None =
     test = stem_test(record.pv, record.op, record.sample_time, period, gain_sign(record), fitted)
     stem = None if record.valve_position is None else stem_evidence(record.op, record.valve_position)
     verdict, reasons = ("undecided", [dead]) if dead else decide(cycle, test, stem)
+    follows = test.samples * math.log(max(test.unfollowed, 1e-300) / max(test.left, 1e-300))
+    if verdict == "no_stiction" and follows < FOLLOWS and feedback(record)[0] < ACTS:
+        verdict = "undecided"
+        reasons = ["neither does PV follow OP nor OP the error: the record does not show a loop at work"]
     load = load_index(error, record.sample_time, period)
     return Detection(
         record=record,

@@ -55,7 +55,7 @@ ROUNDS = 3  # of plant and autoregression in turn
 WINDOW, WINDOWS = 3000, 3  # samples of one stretch, and the stretches of a long record
 PER_CYCLE = 100  # samples of a cycle: more are thinned out
 HOLD = 5  # samples in which both signals stand still: a running controller with an error moves OP in every one
-MOST_HELD = 0.5  # of a record, above which it is the loop itself that rests
+LEAST_LIVE = 0.25  # of a record: where less is left it is the loop itself that rests
 FLOOR = 0.005  # of PV's standard deviation: no record is good for less
 
 
@@ -152,14 +152,23 @@ def _held(y: FloatArray, u: FloatArray) -> NDArray[np.bool_]:
     return held
 
 
+def _order(n: int) -> int:
+    return min(max(n // PER_ORDER, SHORT), LONG)
+
+
+def _innovations(held: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    live: NDArray[np.bool_] = np.convolve(held, np.ones(_order(held.size) + 1))[: held.size] == 0.0
+    return live
+
+
 class _Rivals:
     """PV of one stretch and all that both rivals share."""
 
     def __init__(self, y: FloatArray, delays: list[int], sign: float, held: NDArray[np.bool_]) -> None:
         self.y, self.n, self.sign = y, y.size, sign
         # An innovation is known where neither its sample nor one of those that it is predicted from was held.
-        self.order = min(max(y.size // PER_ORDER, SHORT), LONG)
-        self.live = np.convolve(held, np.ones(self.order + 1))[: y.size] == 0.0
+        self.order = _order(y.size)
+        self.live = _innovations(held)
         self.count = int(self.live[self.order :].sum())
         self.delays = np.array(delays, dtype=np.int64)
         self.longest = delays[-1]
@@ -240,7 +249,7 @@ def _stretch(
     y: FloatArray, u: FloatArray, sample_time: float, period: float, sign: float, fitted: Fitted | None
 ) -> StemTest:
     held = _held(y, u)
-    if held.mean() > MOST_HELD:
+    if not _innovations(held)[_order(y.size) :].mean() > LEAST_LIVE:
         held[:] = False
     at = np.arange(y.size)
     u = np.interp(at, at[~held], u[~held])

@@ -8,7 +8,8 @@ LIKELIHOOD: twice the logarithm of a likelihood ratio with two free widths excee
 grid, some tens of stems that differ, that is about 2 %.
 PREDICTS: a real linear plant is no first-order lag; what its shape leaves unmodelled was below 3 % of the innovations'
 variance in nine of ten simulated loops.
-EXPLAINS, LEFT: 5 % of the error, and of PV's variance; a linear model that leaves less has explained PV.
+EXPLAINS, LEFT: 5 % of the error, and of PV's variance; a linear model that leaves less has explained PV, unless the
+stem predicts clearly better, by five times PREDICTS (CLEAR).
 CLOSE: two thirds of each of these is no acquittal, nor is three times the likelihood alone.
 SLOW: under integral action alone a self-regulating loop is at its stability limit with a period of at most four times
 dead time and time constant together (pure dead time: exactly four dead times; proportional action: less). A slower
@@ -39,6 +40,7 @@ class Thresholds:
     left: float = 0.05
     close: float = 2.0 / 3.0
     alone: float = 3.0
+    clear: float = 5.0
     slow: float = 4.0
     cycles: float = 0.5  # oscillation index of a cycle that dominates PV
     direct: float = 0.01  # share of a recorded stem's variance: closer than a tenth of its moves it follows
@@ -82,7 +84,7 @@ def decide(
 
 def _exceeds(test: StemTest, limits: Thresholds, share: float) -> bool:
     return (
-        test.unexplained >= limits.left
+        (test.unexplained >= limits.left or test.improvement >= limits.clear * limits.predicts)
         and test.likelihood >= share * limits.likelihood
         and test.improvement >= share * limits.predicts
         and test.simulated >= share * limits.explains
