@@ -5,14 +5,13 @@ from __future__ import annotations
 import csv
 import json
 import math
-import os
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from workbench.errors import OutputError, RecordError
+from workbench.errors import RecordError
 
 if TYPE_CHECKING:
     from workbench.model.results import Estimate
@@ -181,16 +180,7 @@ def _number(value: float) -> float | None:
 
 def write_score(content: dict[str, Any], out: Path) -> Path:
     """Write OUT/score.json whole; raises `OutputError` where that is not possible."""
-    path = out / "score.json"
-    spare = path.with_name(f".score.{os.getpid()}.tmp")
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-        try:
-            text = json.dumps(content, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
-            spare.write_text(text, encoding="utf-8", newline="\n")
-            spare.replace(path)
-        finally:
-            spare.unlink(missing_ok=True)
-    except OSError as error:
-        raise OutputError(f"{path}: cannot be written ({error.strerror or error})") from None
-    return path
+    from workbench.report.files import write_files
+
+    write_files({"score.json": json.dumps(content, indent=2, ensure_ascii=False, allow_nan=False) + "\n"}, out)
+    return out / "score.json"

@@ -179,7 +179,7 @@ def agree(e: Evidence, verdict: str, reasons: tuple[str, ...], found: Detection)
     sticks = verdict == "stiction" and found.test is not None
     if sticks and improvement >= (CERTAIN if found.verdict == "no_stiction" else MOST):
         final = "stiction"
-    elif found.verdict == "no_stiction" and (sticks or e.slips == 0 or improvement >= MOST):
+    elif found.verdict == "no_stiction" and (sticks or e.slips == 0):
         final = "undecided"
     else:
         final = found.verdict
