@@ -94,7 +94,7 @@ def test_a_recorded_stem_decides() -> None:
     [
         ({}, "stiction"),
         ({"likelihood": 14.0}, "undecided"),
-        ({"unexplained": 0.04}, "no_stiction"),
+        ({"unexplained": 0.04, "improvement": 0.1}, "no_stiction"),
         ({"improvement": 0.001, "likelihood": 1.0, "simulated": 0.001}, "no_stiction"),
     ],
 )
