@@ -21,11 +21,12 @@ ALLOWED = {
     "record": {"model"},
     "simulate": {"model", "kpi"},
     "symbolic": {"model"},
-    "estimate": {"model", "kpi", "record", "simulate"},
+    "detect": {"model", "kpi", "record", "simulate"},
+    "estimate": {"model", "kpi", "record", "simulate", "detect"},
     "analyze": {"model", "kpi", "simulate", "symbolic"},
     "tune": {"model", "kpi", "simulate", "symbolic", "analyze"},
     "report": {"model", "kpi"},
-    "scenario": {"model", "kpi", "record", "simulate", "estimate", "analyze", "tune", "report"},
+    "scenario": {"model", "kpi", "record", "simulate", "detect", "estimate", "analyze", "tune", "report"},
 }
 
 
@@ -72,7 +73,7 @@ def test_importing_the_package_loads_nothing_heavy():
 def test_every_public_name_is_there_and_stays_the_public_one():
     for name in wb.__all__:
         assert getattr(wb, name) is not None
-    for name in ("simulate", "estimate", "tune"):
+    for name in ("simulate", "detect", "estimate", "tune"):
         assert callable(getattr(wb, name)), "the folder of this name must not take its place"
     with pytest.raises(AttributeError, match="no attribute 'simulte'"):
         _ = wb.simulte

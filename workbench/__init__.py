@@ -44,10 +44,12 @@ _HOME = {
     "Ensemble": "model.ensemble",
     "Constraints": "model.ensemble",
     "SolveStatus": "model.results",
+    "Detection": "model.detection",
     "simulate": "simulate.run",
     "simulate_batch": "simulate.run",
     "evaluate": "simulate.run",
     "read_record": "record.reader",
+    "detect": "detect.detect",
     "estimate": "estimate.estimate",
     "describing_function": "analyze.describing_function",
     "limit_cycle": "analyze.limit_cycle",
@@ -70,6 +72,7 @@ __all__ = [
     "Choudhury",
     "Constraints",
     "Deadband",
+    "Detection",
     "DetunedIntegral",
     "Ensemble",
     "Experiment",
@@ -98,6 +101,7 @@ __all__ = [
     "apply_rule",
     "assess",
     "describing_function",
+    "detect",
     "estimate",
     "evaluate",
     "limit_cycle",
@@ -128,7 +132,7 @@ def __dir__() -> list[str]:
 
 
 class _Package(ModuleType):
-    """Keeps `wb.simulate`, `wb.estimate` and `wb.tune` the public functions.
+    """Keeps `wb.simulate`, `wb.detect`, `wb.estimate` and `wb.tune` the public functions.
 
     The import system would bind the folders of the same names here, whenever the first module of one is imported.
     """
@@ -145,9 +149,11 @@ if TYPE_CHECKING:
     from workbench.analyze.describing_function import describing_function
     from workbench.analyze.limit_cycle import limit_cycle
     from workbench.analyze.margins import margins
+    from workbench.detect.detect import detect
     from workbench.errors import InvalidValue, OutputError, RecordError, ScenarioError, SolveError, WorkbenchError
     from workbench.estimate.estimate import estimate
     from workbench.model.controller import PID
+    from workbench.model.detection import Detection
     from workbench.model.ensemble import Constraints, Ensemble
     from workbench.model.experiment import Experiment, Noise, Ramp, Series, Step
     from workbench.model.loop import Loop

@@ -296,6 +296,33 @@ def tune(
     return code
 
 
+@app.command()
+@guarded
+def score(
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Records and labels.csv (file,label[,tag]).")],
+    out: Annotated[
+        Path | None, typer.Option("--out", metavar="DIR", help="Where score.json goes (default: DIR).")
+    ] = None,
+) -> int:
+    """Estimate every labelled record of a folder and score the verdicts: accuracy, confusion, each loop."""
+    from rich.console import Console
+
+    from workbench import cli_output
+    from workbench import score as scoring
+
+    lines = scoring.labelled(folder)
+    target = folder if out is None else out
+    _writable(target)
+    with _progress() as progress:
+        scored = scoring.score(lines, progress)
+    content = scoring.score_content(scored)
+    console = Console(width=None if sys.stdout.isatty() else 140, highlight=False, markup=False)
+    for part in cli_output.score_parts(scored, content):
+        console.print(part)
+    typer.echo(f"Written: {scoring.write_score(content, target)}")
+    return 0
+
+
 # arguments ---------------------------------------------------------------------------------------------------------
 
 

@@ -5,11 +5,14 @@ from __future__ import annotations
 import csv
 import io
 import json
-from collections.abc import Sequence
+import math
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from rich.table import Table
+from rich.text import Text
 
 from workbench.model.results import Estimate, SolveStatus
 from workbench.model.study import NamedEstimate, Study
@@ -20,8 +23,9 @@ from workbench.report.results import controller_content, results_content, strict
 from workbench.report.style import svg_text
 from workbench.report.words import controller_words, figure, interval, nearby, plant_words, valve_words
 from workbench.scenario.retune import Retuned
+from workbench.score import Scored
 
-__all__ = ["estimate_json", "estimate_lines", "exit_code", "tuned_json", "tuned_lines", "write_estimate"]
+__all__ = ["estimate_json", "estimate_lines", "exit_code", "score_parts", "tuned_json", "tuned_lines", "write_estimate"]
 
 VERDICTS = {"stiction": "the valve sticks", "no_stiction": "no stiction found", "undecided": "undecided"}
 
@@ -169,6 +173,32 @@ def tuned_json(results: Sequence[Retuned]) -> str:
             }
         )
     return _json({"tunings": content})
+
+
+def score_parts(scored: Sequence[Scored], content: Mapping[str, Any]) -> list[Table | Text]:
+    """Return what a score shows: the table of records, those that could not be used, confusion and accuracy."""
+    table = Table(box=None, pad_edge=False)
+    for title in ("file", "tag", "label", "verdict", ""):
+        table.add_column(title, overflow="fold")
+    for title in ("S, %", "J, %", "K", "tau, s", "theta, s", "time, s"):
+        table.add_column(title, justify="right")
+    for one in scored:
+        right = "right" if one.verdict == one.label else "open" if one.verdict == "undecided" else "wrong"
+        values = (one.S, one.J, one.gain, one.time_constant, one.dead_time)
+        shown = [figure(value) if math.isfinite(value) else "" for value in values]
+        table.add_row(Text(one.file), Text(one.tag), one.label, one.verdict, right, *shown, f"{one.seconds:.2f}")
+    parts: list[Table | Text] = [table]
+    parts += [Text(f"Not used: {one.error}") for one in scored if one.error]
+    for label, verdicts in content["confusion"].items():
+        counts = ", ".join(f"{verdict} {many}" for verdict, many in verdicts.items())
+        parts.append(Text(f"label {label}: {counts}"))
+    parts.append(
+        Text(
+            f"accuracy {content['accuracy']:.1%} of {content['records']} records, {content['accuracy_by_tag']:.1%} of "
+            f"{content['tags']} tags (undecided counts as wrong)"
+        )
+    )
+    return parts
 
 
 def exit_code(status: SolveStatus) -> int:

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from workbench.detect.detect import detect
 from workbench.errors import InvalidValue
 from workbench.estimate.data import Centred, centre, plant_of
 from workbench.estimate.fit import (
@@ -24,11 +25,11 @@ from workbench.estimate.models import PLANT_PARAMETERS, VALVE_PARAMETERS, bands_
 from workbench.estimate.profile import Candidate, Profile, islands, path_of, search
 from workbench.estimate.two_parameter import Bands, band_stem, look, repeated
 from workbench.estimate.two_step import akaike, two_step
-from workbench.estimate.verdict import ENOUGH_SLIPS, SHARP, WIDE_D, Evidence, judge
+from workbench.estimate.verdict import ENOUGH_SLIPS, SHARP, WIDE_D, Evidence, agree, judge
 from workbench.model.checks import choice, number
 from workbench.model.record import FloatArray, Record
 from workbench.model.results import Estimate, Intervals, Iteration, LinearFit
-from workbench.model.valve import Ideal
+from workbench.model.valve import Ideal, Stenman
 from workbench.record.modes import manual_share, mode_words
 
 __all__ = ["estimate"]
@@ -167,18 +168,21 @@ def _answer(
         method=method,
         iterations=len(history),
     )
-    verdict, reasons, identifiable = judge(evidence)
     bands = {}
+    limits = Limits((LEAST_TAU, float(n)), (0.0, delays))
     if method == "profile" and valve not in ("stenman", "linear"):
-        bands = bands_of(data, coarse, Limits((LEAST_TAU, float(n)), (0.0, delays)))
+        bands = bands_of(data, coarse, limits)
     models = compared(data, linear, found, bands)
     chosen = choose(models, "stenman" if method == "two_step" else valve)
-    if chosen in bands and verdict != "no_stiction":
-        limits = Limits((LEAST_TAU, float(n)), (0.0, delays))
-        bands[chosen] = repeated(data, bands[chosen], limits, 0.0 if chosen == "deadband" else None)
+    verdict, reasons, identifiable = judge(evidence)
     if chosen in bands and verdict == "stiction":
         # The range of d is that of another valve than the one chosen.
         reasons = judge(replace(evidence, d_range=None))[1]
+    fitted = None if found is None or stem is None else (Stenman(found.best.d), stem.valve_position)
+    verdict, reasons = agree(evidence, verdict, reasons, detect(record, fitted=fitted))
+    identifiable = identifiable and verdict == "stiction"
+    if chosen in bands and verdict != "no_stiction":
+        bands[chosen] = repeated(data, bands[chosen], limits, 0.0 if chosen == "deadband" else None)
     if verdict != "no_stiction":
         reasons += reasons_of(models, chosen, valve, bands)
     reasons += _manual_said(record)

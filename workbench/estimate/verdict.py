@@ -1,14 +1,17 @@
-"""The verdict on the valve, from how much better a sticking stem explains PV than the linear loop does.
+"""What the fitted models say about the valve, and the one verdict of detection and model together.
 
-The measure is the relative output-error gain over a causal linear model of low order, `1 - R_stem/R_linear` with R the
-residual as a share of PV's variance. Where too little speaks for either side the answer is "undecided".
+The model's measure is the relative output-error gain over a causal linear model of low order, `1 - R_stem/R_linear`
+with R the residual as a share of PV's variance. Detection decides; the model can only make it more careful, or decide
+where detection does not and the stem explains most of what the linear model leaves.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
-__all__ = ["ENOUGH_SLIPS", "WIDE_D", "Evidence", "judge"]
+from workbench.model.detection import Detection
+
+__all__ = ["ENOUGH_SLIPS", "WIDE_D", "Evidence", "agree", "judge"]
 
 ENOUGH_SLIPS = 10  # fewer do not pin the unknown start of the stem
 GAIN = 0.10  # least improvement over the linear model that counts
@@ -20,6 +23,7 @@ LONGEST = 0.10  # of the record, the longest dead time with which the linear mod
 WIDE_D = 0.20  # of OP's range: a stem that sticks as wide as this and fits as well keeps the valve suspect
 SLOWEST = 0.25  # of the record, the longest time constant that the record can show
 NEAR_NOTHING = 0.25  # of d: where bands as narrow as this fit as well, stiction is not needed
+MOST, CERTAIN = 0.5, 0.9  # improvement by which the model alone decides: where detection does not, and against it
 NAMED = 4  # separate ranges of d named one by one
 SHARP = 0.10  # widest range of d, relative, that counts as identified
 
@@ -165,3 +169,19 @@ def _search_said(e: Evidence, reasons: list[str]) -> None:
         reasons.append("the dead time lies at the end of the range searched; a larger max_dead_time may fit better")
     if e.method != "two_step" and not e.exact:
         reasons.append("the record is long: d was searched closely only about its likeliest values")
+
+
+def agree(e: Evidence, verdict: str, reasons: tuple[str, ...], found: Detection) -> tuple[str, tuple[str, ...]]:
+    """Return the one verdict of the model (`judge`) and of detection, and the reasons of both."""
+    if found.verdict == verdict:
+        return verdict, found.reasons + reasons
+    improvement = 1.0 - e.stem / e.linear if e.linear > 0.0 else 0.0
+    sticks = verdict == "stiction" and found.test is not None
+    if sticks and improvement >= (CERTAIN if found.verdict == "no_stiction" else MOST):
+        final = "stiction"
+    elif found.verdict == "no_stiction" and (sticks or e.slips == 0):
+        final = "undecided"
+    else:
+        final = found.verdict
+    model = tuple(f"by the fitted models alone: {reason}" for reason in reasons)
+    return final, found.reasons + model

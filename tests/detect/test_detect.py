@@ -1,0 +1,165 @@
+"""`wb.detect`: verdicts on simulated and real loops, other causes in words, and bad records."""
+
+from __future__ import annotations
+
+import math
+import os
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import workbench as wb
+from workbench.detect.stem import stem_test
+from workbench.detect.verdict import Thresholds, decide
+from workbench.model.detection import Oscillation, StemEvidence, StemTest
+
+RECORDS = Path(os.environ.get("WORKBENCH_RECORDS", Path(__file__).resolve().parents[2].parent / "shared" / "data"))
+QUIET = Oscillation(0.0, math.nan, 0.0, 0.0)
+FOUND = StemTest(0.3, 200.0, 0.4, 200.0, 0.05, 0.3, 0.06, 2.0, 1.0, 40, 1000, 5.0, 1.0)
+
+
+def run_of(valve: object, *, seed: int = 1, plant: object = None, load: float = 0.3, n: int = 1200) -> wb.Record:
+    rng = np.random.default_rng(seed)
+    drift = np.cumsum(rng.normal(size=n)) * load / math.sqrt(n)
+    loop = wb.Loop(plant or wb.FOPDT(2.0, 5.0, 1.0), valve, wb.PID(Kc=0.5, Ti=15.0), 1.0)
+    run = wb.simulate(
+        loop, wb.Experiment(float(n), load=wb.Series(drift), noise=wb.Noise(0.1, seed), setpoint=wb.Step(3.0))
+    )
+    return wb.Record(run.pv + 50.0, run.op + 40.0, 1.0, sp=run.sp + 50.0)
+
+
+@pytest.mark.parametrize("valve", [wb.Stenman(2.0), wb.Choudhury(2.0, 2.0), wb.Choudhury(3.0, 1.0)])
+def test_a_sticky_valve_is_found(valve: object) -> None:
+    found = wb.detect(run_of(valve))
+    assert found.verdict == "stiction"
+    assert found.test is not None
+    assert found.test.improvement > 0.03
+    assert any("sticks" in reason for reason in found.reasons)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_healthy_valve_is_not_accused(seed: int) -> None:
+    assert wb.detect(run_of(wb.Ideal(), seed=seed, load=2.0)).verdict != "stiction"
+
+
+@settings(deadline=None, max_examples=12)
+@given(seed=st.integers(0, 10**6), smooth=st.integers(1, 30))
+def test_noise_is_no_stiction(seed: int, smooth: int) -> None:
+    rng = np.random.default_rng(seed)
+    pv, op = (np.convolve(rng.normal(size=400), np.ones(smooth), "same") for _ in range(2))
+    found = wb.detect(wb.Record(pv, op, 1.0))
+    assert found.verdict != "stiction"
+    assert found.reasons
+
+
+def test_scaling_and_shifting_change_nothing() -> None:
+    record = run_of(wb.Stenman(2.0))
+    other = wb.Record(7.0 * record.pv - 3.0, record.op + 11.0, 60.0, sp=7.0 * record.sp - 3.0)
+    first, second = wb.detect(record), wb.detect(other)
+    assert first.verdict == second.verdict
+    assert second.test.likelihood == pytest.approx(first.test.likelihood, rel=1e-3)
+    assert second.test.time_constant == pytest.approx(60.0 * first.test.time_constant, rel=1e-3)
+
+
+def test_stretches_that_nobody_recorded_do_not_count() -> None:
+    record = run_of(wb.Stenman(2.0))
+    pv, op = record.pv.copy(), record.op.copy()
+    for first in (200, 500, 900):
+        pv[first : first + 40], op[first : first + 40] = pv[first], op[first]
+    held = stem_test(pv, op, 1.0, math.nan, 1.0)
+    assert held.samples < 1200 - 3 * 39
+    assert wb.detect(wb.Record(pv, op, 1.0, sp=record.sp)).verdict == "stiction"
+
+
+def test_a_long_record_is_looked_at_in_stretches() -> None:
+    record = run_of(wb.Stenman(2.0), n=12000)
+    found = wb.detect(record)
+    assert found.verdict == "stiction"
+    assert 0 < found.test.samples <= 9000
+
+
+def test_a_recorded_stem_decides() -> None:
+    record = run_of(wb.Ideal())
+    follows = replace(record, valve_position=record.op)
+    assert wb.detect(follows).verdict == "no_stiction"
+    assert "it follows" in wb.detect(follows).reasons[0]
+
+
+@pytest.mark.parametrize(
+    ("changed", "verdict"),
+    [
+        ({}, "stiction"),
+        ({"likelihood": 14.0}, "undecided"),
+        ({"unexplained": 0.04, "improvement": 0.1}, "no_stiction"),
+        ({"improvement": 0.001, "likelihood": 1.0, "simulated": 0.001}, "no_stiction"),
+    ],
+)
+def test_the_rule(changed: dict[str, float], verdict: str) -> None:
+    assert decide(QUIET, replace(FOUND, **changed), None)[0] == verdict
+
+
+def test_a_smooth_cycle_is_acquitted_only_where_the_loop_can_make_it() -> None:
+    linear = replace(FOUND, improvement=0.0, likelihood=0.0, simulated=0.0)
+    own, slow = Oscillation(0.9, 20.0, 5.0, 40.0), Oscillation(0.9, 60.0, 5.0, 40.0)
+    assert decide(own, linear, None)[0] == "no_stiction"
+    assert "tight tuning" in decide(own, linear, None)[1][0]
+    assert decide(slow, linear, None)[0] == "undecided"
+    assert decide(slow, linear, None, Thresholds(slow=11.0))[0] == "no_stiction"
+
+
+def test_a_stem_that_sticks_on_record_is_found_whatever_pv_says() -> None:
+    linear = replace(FOUND, improvement=0.0, likelihood=0.0, simulated=0.0)
+    assert decide(QUIET, linear, StemEvidence(2.0, 1.0, 0.2, 0.01))[0] == "stiction"
+    assert decide(QUIET, FOUND, StemEvidence(2.0, 1.0, 0.2, 0.19))[0] == "stiction"
+
+
+def test_a_pv_that_stands_still_while_op_ramps_decides_nothing() -> None:
+    pv = np.concatenate([np.linspace(1.0, 0.0, 60), np.zeros(300)])
+    found = wb.detect(wb.Record(pv, np.linspace(5.0, 80.0, 360), 1.0))
+    assert found.verdict == "undecided"
+    assert "a valve that no longer moves" in found.reasons[0]
+
+
+def test_a_saturated_output_and_a_cycling_setpoint_are_said() -> None:
+    record = run_of(wb.Ideal())
+    clipped = replace(record, op=np.clip(record.op, np.median(record.op), None))
+    assert any("may be saturated" in reason for reason in wb.detect(clipped).reasons)
+    wave = np.sin(2.0 * math.pi * np.arange(1200) / 50.0)
+    noise = np.random.default_rng(2).normal(size=(2, 1200)) * 0.05
+    driven = wb.Record(wave + noise[0], wave + noise[1], 1.0, sp=wave)
+    assert any("outer loop" in reason for reason in wb.detect(driven).reasons)
+
+
+def test_records_that_tell_nothing() -> None:
+    ramp = np.linspace(0.0, 1.0, 100)
+    assert "PV is constant" in wb.detect(wb.Record(np.ones(100), ramp, 1.0)).reasons[0]
+    assert wb.detect(wb.Record(ramp, np.ones(100), 1.0)).test is None
+    with pytest.raises(wb.RecordError, match="29 samples given; at least 30"):
+        wb.detect(wb.Record(ramp[:29], ramp[:29], 1.0))
+    with pytest.raises(wb.InvalidValue, match=r"detect\.record"):
+        wb.detect("loop.csv")
+
+
+def test_bicoherence_and_ellipse_come_when_asked_for() -> None:
+    record = run_of(wb.Choudhury(2.0, 2.0), load=0.0)
+    assert wb.detect(record).bicoherence is None
+    found = wb.detect(record, bicoherence=True)
+    assert found.bicoherence is not None
+    assert found.ellipse is None or found.ellipse.apparent_stiction > 0.0
+
+
+@pytest.mark.slow
+def test_verdicts_on_real_loops() -> None:
+    if not RECORDS.is_dir():
+        pytest.skip(f"no folder of real records at {RECORDS}; set WORKBENCH_RECORDS")
+    for kind, least in (("isdb", 6), ("plant", 36)):
+        rows = (RECORDS / kind / "labels.csv").read_text(encoding="utf-8").splitlines()
+        place = rows[0].split(",").index("label")
+        cells = [row.split(",") for row in rows[1:]]
+        answers = [(c[place], wb.detect(wb.read_record(RECORDS / kind / c[0])).verdict) for c in cells]
+        assert sum(label == verdict for label, verdict in answers) >= least
+        assert {verdict for label, verdict in answers if verdict != label} <= {"undecided"}

@@ -1,0 +1,1 @@
+"""Evidence for and against stiction in a record, independent of a fitted model."""

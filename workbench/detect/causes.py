@@ -1,0 +1,67 @@
+"""What else may be the matter with a loop: saturation, a sensor that stands still, a setpoint that cycles, manual."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from workbench.detect.oscillation import oscillation_of
+from workbench.model.detection import Oscillation
+from workbench.model.record import FloatArray, Record
+from workbench.record.modes import manual_share
+
+__all__ = ["dead_signal", "other_causes"]
+
+MUCH = 0.2  # of the record, worth a word
+HALF = 0.5  # of the record and of OP's range: PV no longer tells about the valve
+ALIKE = 0.2  # relative difference of two periods that are one
+CYCLES = 0.5  # oscillation index of a setpoint that cycles
+
+
+def _longest_stay(signal: FloatArray) -> tuple[int, int]:
+    """Return [first, stop) of the longest stretch in which a signal keeps its value exactly."""
+    edges = np.concatenate([[0], np.flatnonzero(np.diff(signal) != 0.0) + 1, [signal.size]])
+    longest = int(np.argmax(np.diff(edges)))
+    return int(edges[longest]), int(edges[longest + 1])
+
+
+def dead_signal(record: Record) -> str:
+    """Say that PV or OP cannot tell about the valve, or return nothing.
+
+    PV that keeps one value over half the record while OP moves over half its range tells only that PV did not answer.
+    """
+    n = len(record)
+    for name, signal, why in (("PV", record.pv, "frozen or saturated"), ("OP", record.op, "in manual or saturated")):
+        if not np.ptp(signal) > 1e-9 * max(1e-9, float(np.abs(signal).max())):
+            return f"{name} is constant over all {n} samples ({why}): nothing can be told about the valve"
+    first, stop = _longest_stay(record.pv)
+    moved = float(np.ptp(record.op[first:stop]))
+    if stop - first >= HALF * n and moved >= HALF * float(np.ptp(record.op)):
+        return (
+            f"PV kept the value {record.pv[first]:.4g} over {(stop - first) / n:.0%} of the record while OP moved by "
+            f"{moved:.3g} %: a valve that no longer moves, no flow, or a sensor at its end or frozen"
+        )
+    return ""
+
+
+def other_causes(record: Record, oscillation: Oscillation) -> list[str]:
+    """Return in words what else may explain how PV moves."""
+    said = []
+    n = len(record)
+    for end, name in ((float(record.op.min()), "lowest"), (float(record.op.max()), "highest")):
+        share = float((record.op == end).mean())
+        if share >= MUCH:
+            said.append(f"OP stays at its {name} value, {end:.4g} %, in {share:.0%} of the record: it may be saturated")
+    if record.mode is not None and manual_share(record.mode) >= MUCH:
+        said.append(f"the controller was in manual in {manual_share(record.mode):.0%} of the record")
+    first, stop = _longest_stay(record.pv)
+    if stop - first >= MUCH * n:
+        said.append(f"PV keeps the value {record.pv[first]:.4g} over {(stop - first) / n:.0%} of the record")
+    if record.sp is not None and np.count_nonzero(np.diff(record.sp)) >= MUCH * n:
+        outer = oscillation_of(record.sp, record.sample_time)
+        if outer.index >= CYCLES and abs(outer.period / oscillation.period - 1.0) <= ALIKE:
+            said.append(
+                f"SP cycles with PV's period ({outer.period:.3g} s): in a cascade the outer loop may drive the cycle"
+            )
+        else:
+            said.append("SP moves all the time, as in a cascade")
+    return said

@@ -1,0 +1,98 @@
+"""`wb.detect`: a record to the evidence for and against stiction, and the verdict."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from workbench.detect.action import control_error, feedback, gain_sign
+from workbench.detect.bicoherence import bicoherence_of, ellipse_of
+from workbench.detect.causes import dead_signal, other_causes
+from workbench.detect.correlation import cross_correlation, histogram_fit
+from workbench.detect.direct import stem_evidence
+from workbench.detect.load import DETECTIONS, load_index
+from workbench.detect.oscillation import oscillation_of
+from workbench.detect.shape import movement_index, triangle_index
+from workbench.detect.stem import Fitted, stem_test
+from workbench.detect.verdict import decide
+from workbench.errors import InvalidValue, RecordError
+from workbench.model.detection import Detection, Oscillation
+from workbench.model.record import Record
+
+__all__ = ["FEWEST_SAMPLES", "detect"]
+
+FEWEST_SAMPLES = 30
+OSCILLATES = 0.3  # oscillation index from which a period is one
+FOLLOWS = 15.0  # log likelihood ratio of PV with and without OP, as in the verdict
+ACTS = 0.05  # share of OP's moves that the error must explain for a controller to be seen
+PATTERN = 20  # parts of a period over which moves are coded
+
+
+def detect(record: Record, *, bicoherence: bool = False, fitted: Fitted | None = None) -> Detection:
+    """Return the evidence for and against a sticking valve in a record.
+
+    bicoherence: also the bicoherence of SP - PV with its indices and the ellipse of PV against OP, which want long
+    records. fitted: a valve and its stem (%, shape (N,)) from a model of the loop, which the stem test tries
+    beside its own. Raises `RecordError` for fewer than 30 samples and `InvalidValue` for anything that is not a record.
+    """
+    if not isinstance(record, Record):
+        raise InvalidValue("detect.record", type(record).__name__, "must be a Record (see read_record)")
+    if len(record) < FEWEST_SAMPLES:
+        where = record.source or "record"
+        msg = f"{where}: {len(record)} samples given; at least {FEWEST_SAMPLES} are needed to detect stiction"
+        raise RecordError(msg)
+    dead = dead_signal(record)
+    constant = not (np.ptp(record.pv) > 0.0 and np.ptp(record.op) > 0.0)
+    cycle = oscillation_of(record.pv, record.sample_time)
+    nothing = (math.nan, math.nan)
+    if constant:
+        return Detection(
+            record=record,
+            verdict="undecided",
+            reasons=(dead,),
+            oscillation=cycle,
+            load_index=0.0,
+            correlation=nothing,
+            histogram=math.nan,
+            triangle=math.nan,
+            triangle_pv=math.nan,
+            movement=nothing,
+            test=None,
+            stem=None,
+        )
+    oscillates = cycle.index >= OSCILLATES and cycle.regularity > 1.0
+    period = cycle.period if oscillates else math.nan
+    samples = period / record.sample_time
+    error = control_error(record)
+    test = stem_test(record.pv, record.op, record.sample_time, period, gain_sign(record), fitted)
+    stem = None if record.valve_position is None else stem_evidence(record.op, record.valve_position)
+    verdict, reasons = ("undecided", [dead]) if dead else decide(cycle, test, stem)
+    follows = test.samples * math.log(max(test.unfollowed, 1e-300) / max(test.left, 1e-300))
+    if verdict == "no_stiction" and follows < FOLLOWS and feedback(record)[0] < ACTS:
+        verdict = "undecided"
+        reasons = ["neither does PV follow OP nor OP the error: the record does not show a loop at work"]
+    load = load_index(error, record.sample_time, period)
+    return Detection(
+        record=record,
+        verdict=verdict,
+        reasons=(*reasons, *_cycle_said(cycle, oscillates, load), *other_causes(record, cycle)),
+        oscillation=cycle,
+        load_index=load,
+        correlation=cross_correlation(record.pv, record.op, samples),
+        histogram=histogram_fit(record.pv, samples),
+        triangle=triangle_index(record.op) if oscillates else math.nan,
+        triangle_pv=triangle_index(record.pv) if oscillates else math.nan,
+        movement=movement_index(record.pv, record.op, max(int(samples / PATTERN), 1) if oscillates else 1),
+        test=test,
+        stem=stem,
+        bicoherence=bicoherence_of(error) if bicoherence else None,
+        ellipse=ellipse_of(record.pv, record.op, samples) if bicoherence else None,
+    )
+
+
+def _cycle_said(cycle: Oscillation, oscillates: bool, load: float) -> list[str]:
+    if not oscillates:
+        return []
+    often = ", load disturbances come often enough to count as an oscillation" if load >= DETECTIONS else ""
+    return [f"PV oscillates with a period of {cycle.period:.3g} s (index {cycle.index:.2f}{often})"]

@@ -1,0 +1,110 @@
+"""The verdict: one rule over the stem test, the cycle and the recorded stem; the other statistics are told beside it.
+
+Stiction is found where a sticking stem beats the linear loop by every measure at once: significantly (`LIKELIHOOD`),
+by an amount that matters to what can be predicted (`PREDICTS`) and to the simulated PV (`EXPLAINS`), and where the
+linear loop leaves something to explain at all (`LEFT`). The thresholds are stated, not fitted:
+
+LIKELIHOOD: twice the logarithm of a likelihood ratio with two free widths exceeds 15 by chance once in 1,800; over the
+grid, some tens of stems that differ, that is about 2 %.
+PREDICTS: a real linear plant is no first-order lag; what its shape leaves unmodelled was below 3 % of the innovations'
+variance in nine of ten simulated loops.
+EXPLAINS, LEFT: 5 % of the error, and of PV's variance; a linear model that leaves less has explained PV, unless the
+stem predicts clearly better, by five times PREDICTS (CLEAR).
+FEW: a stem that sticks over a quarter of OP's range or more and moved at most four times, two cycles, cannot be told
+from a linear loop that leaves as much as LEFT either way.
+CLOSE: two thirds of each of these is no acquittal, nor is three times the likelihood where there is something to
+explain or the stem explains most (MOST) of the little there is.
+SLOW: under integral action alone a self-regulating loop is at its stability limit with a period of at most four times
+dead time and time constant together (pure dead time: exactly four dead times; proportional action: less). A slower
+cycle is not its own, and so smooth that the valve's part does not show.
+
+Phase and shape of a cycle (cross-correlation, ellipse, triangle) measure the tuning as much as the valve; they are
+evidence told to the reader, and decide nothing.
+"""
+
+from __future__ import annotations
+
+import math
+
+from workbench.model.detection import Oscillation, StemEvidence, StemTest
+
+__all__ = ["Thresholds", "decide"]
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, slots=True)
+class Thresholds:
+    """The rule's thresholds (see the module's first lines); a benchmark moves each by a fifth."""
+
+    likelihood: float = 15.0
+    predicts: float = 0.03
+    explains: float = 0.05
+    left: float = 0.05
+    close: float = 2.0 / 3.0
+    alone: float = 3.0
+    clear: float = 5.0
+    slow: float = 4.0
+    cycles: float = 0.5  # oscillation index of a cycle that dominates PV
+    few: float = 4.0
+    most: float = 0.5
+    direct: float = 0.01  # share of a recorded stem's variance: closer than a tenth of its moves it follows
+
+
+def decide(
+    oscillation: Oscillation,
+    test: StemTest,
+    stem: StemEvidence | None,
+    thresholds: Thresholds | None = None,
+) -> tuple[str, list[str]]:
+    """Return ("stiction", "no_stiction" or "undecided", the reasons in words)."""
+    limits = Thresholds() if thresholds is None else thresholds
+    if stem is not None:
+        direct = _direct(stem, limits)
+        if direct is not None:
+            return direct
+    beats = (
+        f"a stem that sticks over {test.band:.3g} % leaves {test.improvement:.1%} less of PV unpredicted than OP "
+        f"itself does (log likelihood ratio {test.likelihood:.0f}) and {test.simulated:.0%} less of simulated PV; the "
+        f"linear loop leaves {test.unexplained:.1%} of PV's variance"
+    )
+    if _exceeds(test, limits, 1.0):
+        kind = "the stem slips as it sets off" if test.jump > 0.1 * test.band else "a dead band without visible slip"
+        return "stiction", [f"{beats}: {kind}"]
+    much = test.unexplained >= limits.left or test.simulated >= limits.most
+    alone = much and test.likelihood >= limits.alone * limits.likelihood
+    if alone or _exceeds(test, limits, limits.close):
+        return "undecided", [f"{beats}: nearly enough to find stiction, too much to exclude it"]
+    if test.unexplained >= limits.left and 0.0 < test.likelihood <= test.wide and test.moves <= limits.few:
+        times = "once" if test.moves == 1 else f"{test.moves} times"
+        hardly = f"OP hardly leaves a band of {test.band:.3g} %, within which a stem that moved {times} fits as well"
+        return "undecided", [f"{hardly}: the record is too short, or too quiet, to exclude it"]
+    own = test.time_constant + test.dead_time
+    loop = f"a linear loop with time constant {test.time_constant:.3g} s and dead time {test.dead_time:.3g} s"
+    if oscillation.index >= limits.cycles and oscillation.regularity > 1.0:
+        cycle = f"PV cycles with a period of {oscillation.period:.3g} s"
+        if oscillation.period > limits.slow * own:
+            return "undecided", [f"{cycle}, too slow for {loop} to make by itself, and smooth: external, or a valve"]
+        return "no_stiction", [
+            f"{cycle}, which {loop} can make by itself: tight tuning, or an external oscillation near it",
+            "a sticking stem explains PV no better than OP itself",
+        ]
+    return "no_stiction", ["a sticking stem explains PV no better than OP itself: stiction adds nothing that matters"]
+
+
+def _exceeds(test: StemTest, limits: Thresholds, share: float) -> bool:
+    return (
+        (test.unexplained >= limits.left or test.improvement >= limits.clear * limits.predicts)
+        and test.likelihood >= share * limits.likelihood
+        and test.improvement >= share * limits.predicts
+        and test.simulated >= share * limits.explains
+    )
+
+
+def _direct(stem: StemEvidence, limits: Thresholds) -> tuple[str, list[str]] | None:
+    left = f"the recorded stem leaves OP's line by {math.sqrt(stem.follows):.0%} of its moves"
+    if stem.follows < limits.direct:
+        return "no_stiction", [f"{left}: it follows"]
+    if stem.sticks <= 0.5 * stem.follows:
+        return "stiction", [f"{left}, and one that sticks over {stem.band:.3g} % explains most of that"]
+    return None

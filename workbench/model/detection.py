@@ -1,0 +1,111 @@
+"""What detection answers with: the evidence by method, and the verdict. No computing."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from workbench.model.record import FloatArray, Record
+
+__all__ = ["Bicoherence", "Detection", "Ellipse", "Oscillation", "StemEvidence", "StemTest"]
+
+
+@dataclass(frozen=True, slots=True)
+class Oscillation:
+    """PV's strongest oscillation: index 0 (noise) to 1 (perfect sinusoid), period (s, nan where there is none).
+
+    regularity: of the autocorrelation's zero crossings, above 1 for a regular oscillation; cycles: periods recorded.
+    """
+
+    index: float
+    period: float
+    regularity: float
+    cycles: float
+
+
+@dataclass(frozen=True, eq=False)
+class Bicoherence:
+    """Squared bicoherence, `values` at (frequency_1, frequency_2), cycles per sample, shape (M,); NGI and NLI."""
+
+    frequency_1: FloatArray
+    frequency_2: FloatArray
+    values: FloatArray
+    ngi: float
+    nli: float
+    segments: int
+
+
+@dataclass(frozen=True, slots=True)
+class Ellipse:
+    """PV against OP over the cycle: centre (op %, pv EU), covariance (OP OP, OP PV, PV PV), apparent stiction (%)."""
+
+    op: float
+    pv: float
+    covariance: tuple[float, float, float]
+    apparent_stiction: float
+
+
+@dataclass(frozen=True, slots=True)
+class StemEvidence:
+    """A recorded stem against OP: shares of the position's variance left by OP itself and by the best sticking stem.
+
+    band, jump: of that stem, %.
+    """
+
+    band: float
+    jump: float
+    follows: float
+    sticks: float
+
+
+@dataclass(frozen=True, slots=True)
+class StemTest:
+    """How a sticking stem compares with the linear loop; time constant and dead time of the linear one in s.
+
+    improvement: share of the linear rival's innovation variance that the stem explains; likelihood: the log likelihood
+    ratio, N times its logarithm; simulated: share of the error of the linear rival's simulated PV that the stem
+    explains. wide: the likelihood ratio of the best stem with a band of a quarter of OP's range or more. left: share of
+    PV's variance that the linear rival leaves as innovations, unfollowed: likewise without any input; unexplained: what
+    its simulated PV leaves. band: width (%) of the best stem's stick band (Stenman: d); jump: its slip jump; moves:
+    times that it set off or turned.
+    """
+
+    improvement: float
+    likelihood: float
+    simulated: float
+    wide: float
+    left: float
+    unexplained: float
+    unfollowed: float
+    band: float
+    jump: float
+    moves: int
+    samples: int
+    time_constant: float
+    dead_time: float
+
+
+@dataclass(frozen=True, eq=False)
+class Detection:
+    """The evidence for and against stiction in a record, and the verdict "stiction", "no_stiction" or "undecided".
+
+    reasons: the evidence behind the verdict in words, other causes included. load_index: weighted number of load
+    disturbances in 50 periods, oscillating from 10 on. correlation: Horch's two asymmetries, near 1 stiction, near 0
+    none; histogram: -1 to 1, positive stiction in an integrating loop; triangle: He's index of OP, triangle_pv: of PV,
+    above 0.6 stiction, below 0.4 none; movement: Yamashita's rho_1 and rho_3, above 0.25 stiction. All nan where the
+    record does not give them. bicoherence and ellipse: None unless asked for. test: None where PV or OP never moves.
+    """
+
+    record: Record
+    verdict: str
+    reasons: tuple[str, ...]
+    oscillation: Oscillation
+    load_index: float
+    correlation: tuple[float, float]
+    histogram: float
+    triangle: float
+    triangle_pv: float
+    movement: tuple[float, float]
+    test: StemTest | None
+    stem: StemEvidence | None
+    bicoherence: Bicoherence | None = None
+    ellipse: Ellipse | None = None
