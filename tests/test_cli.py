@@ -12,10 +12,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import typer.core
 from typer.testing import CliRunner
 
 import workbench as wb
-from workbench.cli import app
+from workbench.cli import app, main
 from workbench.model.results import SolveStatus
 from workbench.scenario import runner as scenario_runner
 
@@ -373,3 +374,15 @@ def test_bad_arguments_of_tune_are_one_clear_line(folder: Path, arguments: list[
     assert (code, out) == (2, "")
     assert words in err
     assert len(err.splitlines()) == 1
+
+
+def test_an_interrupt_before_a_command_starts_is_one_line_too(monkeypatch, capsys) -> None:
+    def interrupted(*_: object, **__: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(typer.core.TyperGroup, "make_context", interrupted)
+    monkeypatch.setattr(sys, "argv", ["workbench", "check", "any.yaml"])
+    with pytest.raises(SystemExit) as ended:
+        main()
+    assert ended.value.code == 130
+    assert capsys.readouterr().err == "workbench: interrupted\n"

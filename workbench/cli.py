@@ -57,6 +57,11 @@ def main() -> None:
     except KeyboardInterrupt:
         code = INTERRUPTED
         sys.stderr.write("workbench: interrupted\n")
+    except SystemExit as end:
+        # Typer ends an interrupt that comes before a command does, without a word.
+        if end.__context__ is not None and isinstance(end.__context__.__cause__, KeyboardInterrupt):
+            sys.stderr.write("workbench: interrupted\n")
+        raise
     except OSError as error:
         # Such as a full disk where the output goes; what is left of it must not be tried again at the end.
         code = FAILED

@@ -120,7 +120,7 @@ def test_the_result_says_how_sure_it_is():
 def test_complementarity_starts_join_the_search():
     short = wb.Experiment(80.0, wb.Step(4.0))
     plain, more = (wb.tune(LOOP, short, bounds=PI, restarts=1, nominal=True, complementarity=n) for n in (0, 2))
-    assert more.objective <= plain.objective
+    assert more.objective <= plain.objective * (1.0 + 1e-9)
     assert more.solves > sum(restart.solves for restart in more.restarts)
     assert plain.solves == sum(restart.solves for restart in plain.restarts)
 

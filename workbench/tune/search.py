@@ -25,7 +25,8 @@ __all__ = ["Found", "Progress", "search", "stopper"]
 SCAN_MEMBERS, SCAN_GENERATIONS = 200, 200
 NOMINAL_MEMBERS, NOMINAL_GENERATIONS = 400, 400
 ISLAND_FRESH, ISLAND_GENERATIONS = 20, 60
-JOINT_MEMBERS, JOINT_GENERATIONS = 80, 200
+# Members and generations in three dimensions, and in one or two, where there is time for more.
+JOINT, JOINT_FLAT = (80, 200), (200, 400)
 DENSE_MEMBERS, DENSE_GENERATIONS, DENSE_GAP = 60, 100, 2e-4
 ROUNDS, VALLEYS = 2, 24
 # Branch programs over all restarts, at few samples; a program's time grows with N. The least J lies at the end of a
@@ -210,6 +211,7 @@ def _joint(
             keep=keep if not dense else None,
         )
 
+    members, generations = JOINT if problem.free.size > 2 else JOINT_FLAT
     for k in range(ROUNDS):
         rng = np.random.default_rng([*seed, k])
         first = len(points)
@@ -217,9 +219,9 @@ def _joint(
             fresh = rng.random((ISLAND_FRESH, problem.free.size))
             towards(np.concatenate([problem.cube(pool[k::ROUNDS]), fresh]), ISLAND_GENERATIONS, rng)
         own, costs = np.concatenate(points[first:]), np.concatenate(values[first:])
-        best = spread(own, costs, _sized(JOINT_MEMBERS, scale), GAP)
+        best = spread(own, costs, _sized(members, scale), GAP)
         if best.size:
-            towards(own[best], JOINT_GENERATIONS, rng)
+            towards(own[best], generations, rng)
     best = spread(np.concatenate(points), np.concatenate(values), _sized(DENSE_MEMBERS, scale), DENSE_GAP)
     if not best.size:
         return problem.rounded(np.concatenate(pools))
