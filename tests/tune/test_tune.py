@@ -251,8 +251,7 @@ def test_a_pid_search_is_no_worse_than_the_pi_within_its_bounds() -> None:
     ends = wb.Bounds(Kc=(0.2, 10.0), Ti=(60.0, 3600.0), Td=(0.0, 0.0))
     plain = wb.tune(loop, task, weights, ends, restarts=1)
     full = wb.tune(loop, task, weights, replace(ends, Td=(0.0, 120.0)), restarts=1)
-    # The worst case has several valleys here, at 51.66, 52.60 and 52.69: two searches may end in different ones.
-    assert full.worst <= 1.025 * plain.worst
+    assert full.worst <= 1.003 * plain.worst
     assert full.controller.Td == 0.0 or full.controller.Td >= 0.02 * 5.0
 
 
