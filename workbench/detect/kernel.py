@@ -78,26 +78,24 @@ def screen(
     that the gain must have, or 0. A constant and a transient with the plant's pole are free.
     """
     n = target.size
-    count = live[first:].sum()
-    z, e, t = np.empty(n), np.zeros(n), np.zeros(n)
+    weight = np.zeros(n)
+    weight[first:] = live[first:]
+    count = weight.sum()
+    z, squares, e, t = np.empty(n), np.empty(n), np.zeros(n), np.zeros(n)
     best[:] = np.inf
     for j in range(poles.size):
         left = _project(target, live, poles[j], first, e, t)
         for i in range(drives.shape[0]):
             lagged(drives[i], poles[j], z)
+            squares[:] = z * z
             for d in range(delays.size):
+                # Before its dead time is over the response is nought.
                 delay = delays[d]
-                power, total, on_e, common = 0.0, 0.0, 0.0, 0.0
-                for k in range(max(first, delay), n):
-                    if not live[k]:
-                        continue
-                    v = z[k - delay]
-                    power += v * v
-                    total += v
-                    on_e += v * e[k]
-                    common += v * t[k]
-                whole = power
-                power -= total * total / count + on_e * on_e
+                whole = np.dot(squares[: n - delay], weight[delay:])
+                total = np.dot(z[: n - delay], weight[delay:])
+                on_e = np.dot(z[: n - delay], e[delay:])
+                common = np.dot(z[: n - delay], t[delay:])
+                power = whole - total * total / count - on_e * on_e
                 sse = left
                 if power > 1e-9 * whole and common * sign >= 0.0:
                     sse -= common * common / power

@@ -13,8 +13,9 @@ enough for a verdict; `estimate` finds the model.
 
 from __future__ import annotations
 
+import copy
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -33,13 +34,13 @@ Fitted = tuple[Stenman | Choudhury, FloatArray]
 
 # Valves: widths as a share of OP's range, from what noise leaves visible to what lets the stem move at all.
 WIDTHS = np.geomspace(0.03, 0.95, 70).tolist()  # d
-BANDS = np.geomspace(0.04, 0.97, 24).tolist()  # S
-JUMPS = (0.0, 0.3, 1.0)  # J/S
+BANDS = np.geomspace(0.04, 0.97, 48).tolist()  # S
+JUMPS = (0.0, 0.3, 0.9, 1.4)  # J/S
 STARTS = (-0.8, 0.0, 0.8)  # where the stem may rest at the start: OP less stem, as a share of what holds it
 WIDE = 0.25  # of OP's range: a band that matters to the loop
-ZOOM = (0.94, 0.96, 0.98, 1.02, 1.04, 1.06)  # the widths looked at between those of the grid
-FINE = (0.99, 1.01, 0.97, 1.03)  # refinement of the widths
-KEPT = 3  # best paths that are refined
+CLOSER = (0.06, 0.03, 0.012, 0.005)  # widths are searched on by up to twice these shares
+KEPT, KEPT_WIDE = 3, 2  # best of a screening that are judged, and of the wide ones
+SAME_BAND = 0.1  # relative
 # Plants: time constants and dead times, in samples.
 COARSE_TAUS, FINE_TAUS = 8, 28
 SHORTEST = 0.3
@@ -56,6 +57,8 @@ WINDOW, WINDOWS = 3000, 3  # samples of one stretch, and the stretches of a long
 PER_CYCLE = 100  # samples of a cycle: more are thinned out
 HOLD = 5  # samples in which both signals stand still: a running controller with an error moves OP in every one
 LEAST_LIVE = 0.25  # of a record: where less is left it is the loop itself that rests
+FEWEST_PERIODS = 3  # of a sinusoidal disturbance that the linear rival may have beside it
+FINER = 4  # its frequency against that of the record's own
 FLOOR = 0.005  # of PV's standard deviation: no record is good for less
 
 
@@ -76,6 +79,7 @@ class _Candidate:
 
     law: Law
     path: FloatArray
+    fit: _Fit
     innovations: float
     simulated: float
 
@@ -102,30 +106,31 @@ class Law:
         """Return the stem under OP, %, shape (N,)."""
         return valve_response(self.valve, u, float(u[0]), float(u[0]) - self.rest)
 
-    def neighbours(self) -> Iterator[Law]:
-        """Yield this law with widths up to the next ones of the grid."""
-        for factor in ZOOM:
-            if isinstance(self.valve, Stenman):
-                yield Law(Stenman(self.valve.d * factor), self.rest)
-            else:
-                for jump in (self.valve.J, 0.85 * self.valve.J, 1.15 * self.valve.J + 0.1 * self.valve.S):
-                    yield Law(Choudhury(self.valve.S * factor, jump), self.rest)
-
-    def scaled(self, factor: float) -> Iterator[Law]:
-        """Yield this law with its widths scaled."""
-        v, rest = self.valve, self.rest * min(factor, 1.0)
+    def about(self, spread: float) -> list[Law]:
+        """Return laws about this one: widths scaled by up to twice the spread, the jump and the rest moved."""
+        factors = [1.0 + spread * f for f in (-2.0, -1.0, -0.5, 0.5, 1.0, 2.0)]
+        v, rest = self.valve, self.rest
+        found: list[Law] = []
         if isinstance(v, Stenman):
-            yield Law(Stenman(v.d * factor), rest)
+            found += [Law(Stenman(v.d * f), r) for f in (*factors, 1.0) for r in (rest * f, rest - 4.0 * spread * v.d)]
+            found.append(Law(v, rest + 4.0 * spread * v.d))
         else:
-            yield Law(Choudhury(v.S * factor, v.J * factor), rest)
-            yield Law(Choudhury(v.S, v.J * factor), rest * min(factor, 1.0))
+            jumps = (v.J, v.J * (1.0 + 3.0 * spread) + spread * v.S, max(v.J * (1.0 - 3.0 * spread) - spread * v.S, 0.0))
+            found += [Law(Choudhury(v.S * f, J), rest) for f in (*factors, 1.0) for J in jumps]
+            found += [Law(v, rest + f * spread * v.S) for f in (-3.0, 3.0)]
+        return [law for law in found if abs(law.rest) <= law.reach]
+
+    @property
+    def reach(self) -> float:
+        """How far OP may be from a stem at rest, %."""
+        return self.valve.d if isinstance(self.valve, Stenman) else 0.5 * (self.valve.S + self.valve.J)
 
 
 def laws_of(width: float) -> list[Law]:
     """Return the grid of valves for an OP that moves over `width` (%)."""
     stenman = [Law(Stenman(w * width), s * w * width) for w in WIDTHS for s in STARTS]
     laws = [Choudhury(b * width, j * b * width) for b in BANDS for j in JUMPS]
-    return stenman + [Law(v, s * 0.5 * (v.S + v.J)) for v in laws for s in STARTS]
+    return stenman + [Law(v, 0.0) for v in laws]
 
 
 def dead_times(n: int, period: float) -> list[int]:
@@ -221,6 +226,26 @@ class _Rivals:
             fits.append(_Fit(variance, fit.tau, fit.delay, a, fit.residual))
         return min(fits, key=lambda f: f.variance)
 
+    def beside_sinusoid(self, x: FloatArray, fit: _Fit, taus: Sequence[float]) -> _Fit:
+        """Return the rival driven by x beside a sinusoidal disturbance, the strongest of what `fit` leaves."""
+        n, order = self.n, self.order
+        angle = _strongest(fit.residual)
+        waves = np.column_stack([np.cos(angle * np.arange(n)), np.sin(angle * np.arange(n)), np.ones(n)])
+        wave, fits = np.zeros(n), []
+        for _ in range(2):
+            columns = lfilter(fit.a, [1.0], waves, axis=0)[order:][self.live[order:]]
+            target = lfilter(fit.a, [1.0], fit.residual + wave)[order:][self.live[order:]]
+            terms, *_ = np.linalg.lstsq(columns, target, rcond=None)
+            wave = waves[:, :2] @ terms[:2]
+            fit = self._less(wave).settle(x, fit.a, taus, 2)
+            fits.append(fit)
+        return min(fits, key=lambda f: f.variance)
+
+    def _less(self, wave: FloatArray) -> _Rivals:
+        rivals = copy.copy(self)
+        rivals.y = self.y - wave
+        return rivals
+
     def noise(self, e: FloatArray, pole: float) -> tuple[float, FloatArray]:
         """Return the innovation variance and whitening filter (1, -a_1, .., -a_p) of a residual, by least squares.
 
@@ -239,10 +264,87 @@ class _Rivals:
         return float(np.mean(left**2)), np.concatenate([[1.0], -terms[:order] / scale[:order]])
 
 
-def _best(by_innovations: FloatArray, by_simulation: FloatArray) -> list[int]:
-    """Return the best few by either measure."""
-    first: list[int] = np.argsort(by_innovations, kind="stable")[:KEPT].tolist()
-    return first + [i for i in np.argsort(by_simulation, kind="stable")[:KEPT].tolist() if i not in first]
+def _strongest(e: FloatArray) -> float:
+    """Return the angular frequency, rad a sample, of the strongest sinusoid with three periods or more in e."""
+    n = e.size
+    power = np.abs(np.fft.rfft((e - e.mean()) * np.hanning(n), FINER * n)) ** 2
+    lowest = FEWEST_PERIODS * FINER
+    return 2.0 * math.pi * (lowest + int(np.argmax(power[lowest : FINER * n // 4]))) / (FINER * n)
+
+
+def _best(costs: FloatArray, most: int) -> list[int]:
+    """Return where the lowest finite costs are, the lowest first."""
+    first: list[int] = np.argsort(costs, kind="stable")[:most].tolist()
+    return [i for i in first if math.isfinite(costs[i])]
+
+
+def _apart(met: list[_Candidate]) -> list[_Candidate]:
+    """Return the best few of which no two have nearly one band."""
+    kept: list[_Candidate] = []
+    for c in sorted(met, key=lambda c: -c.innovations):
+        if len(kept) < KEPT and all(abs(math.log(c.law.band / k.law.band)) > SAME_BAND for k in kept):
+            kept.append(c)
+    return kept
+
+
+class _Search:
+    """The search for the stem that beats the linear rival of one stretch."""
+
+    def __init__(self, rivals: _Rivals, u: FloatArray, power: float) -> None:
+        self.rivals, self.u, self.power = rivals, u, power
+        self.fine = np.geomspace(SHORTEST, LONGEST * rivals.n, FINE_TAUS).tolist()
+        self.white = np.concatenate([[1.0], np.zeros(rivals.order)])
+        self.unfollowed, alone = rivals.noise(rivals.y, 0.5)
+        # The two ends of what noise may be: none but white, and all of PV. Each may lead to a better plant.
+        linear = (rivals.settle(u, a, self.fine, ROUNDS) for a in (self.white, alone))
+        self.linear = min(linear, key=lambda f: f.variance)
+        # A sinusoid from outside is no valve's work; an autoregression under noise does not see all of it.
+        self.rival = min(self.linear, rivals.beside_sinusoid(u, self.linear, self.fine), key=lambda f: f.variance)
+        self.straight = rivals.plant(u, self.white, self.fine)
+
+    def _gain(self, rival: _Fit, fit: _Fit) -> float:
+        floor = FLOOR**2 * self.power
+        return self.rivals.count * math.log((rival.variance + floor) / (fit.variance + floor))
+
+    def judged(self, law: Law, path: FloatArray, a: FloatArray) -> _Candidate:
+        """Return a valve with its likelihoods, its plant and noise fitted in turn from the whitening filter a."""
+        fit = self.rivals.settle(path, a, self.fine, 2)
+        simulated = self.rivals.plant(path, self.white, self.fine)
+        return _Candidate(law, path, fit, self._gain(self.rival, fit), self._gain(self.straight, simulated))
+
+    def met(self, fitted: Fitted | None) -> list[_Candidate]:
+        """Return the valves judged: the best of the grid, and those found closer and closer about them."""
+        laws = laws_of(float(np.ptp(self.u)))
+        paths = np.array([law.path(self.u) for law in laws])
+        wide = np.array([law.band >= WIDE * float(np.ptp(self.u)) for law in laws])
+        coarse = np.geomspace(SHORTEST, LONGEST * self.rivals.n, COARSE_TAUS).tolist()
+        found: list[_Candidate] = []
+        if fitted is not None:
+            found += [self.judged(Law(fitted[0], 0.0), fitted[1], a) for a in (self.white, self.linear.a)]
+
+        def screened(a: FloatArray) -> FloatArray:
+            costs = self.rivals.least(paths, a, coarse)[0]
+            found.extend(self.judged(laws[i], paths[i], a) for i in _best(costs, KEPT))
+            return costs
+
+        # The linear rival's noise holds what the stem would explain, white noise what it would not: once more with
+        # the noise of the best so far.
+        screened(self.linear.a)
+        screened(self.white)
+        a = max(found, key=lambda c: c.innovations).fit.a
+        costs = np.where(wide, screened(a), math.inf)
+        found += [self.judged(laws[i], paths[i], a) for i in _best(costs, KEPT_WIDE)]
+        return found + [self.closer(c) for c in _apart(found)]
+
+    def closer(self, best: _Candidate) -> _Candidate:
+        """Return the best about a candidate, closer and closer: a stem a little off slips at other times."""
+        for spread in CLOSER:
+            laws = best.law.about(spread)
+            paths = np.array([law.path(self.u) for law in laws])
+            costs = self.rivals.least(paths, best.fit.a, [best.fit.tau * f for f in (0.85, 1.0, 1.18)])[0]
+            near = [self.judged(laws[i], paths[i], best.fit.a) for i in _best(costs, 2)]
+            best = max([best, *near], key=lambda c: c.innovations)
+        return best
 
 
 def _stretch(
@@ -255,64 +357,26 @@ def _stretch(
     u = np.interp(at, at[~held], u[~held])
     y, u = y - y[~held].mean(), u - u.mean()
     power = float(y[~held].var())
-    floor = FLOOR**2 * power
     rivals = _Rivals(y, dead_times(y.size, period / sample_time), sign, held)
-    fine = np.geomspace(SHORTEST, LONGEST * y.size, FINE_TAUS).tolist()
-    white = np.concatenate([[1.0], np.zeros(rivals.order)])
-    unfollowed, alone = rivals.noise(y, 0.5)
-    # The two ends of what noise may be: none but white, and all of PV. Each may lead to a better plant.
-    linear = min((rivals.settle(u, a, fine, ROUNDS) for a in (white, alone)), key=lambda f: f.variance)
-
-    straight = rivals.plant(u, white, fine)
-    laws = laws_of(float(np.ptp(u)))
-    paths = np.array([law.path(u) for law in laws])
-    coarse = np.geomspace(SHORTEST, LONGEST * y.size, COARSE_TAUS).tolist()
-
-    def judged(law: Law, path: FloatArray) -> _Candidate:
-        fit = rivals.settle(path, linear.a, fine, 2)
-        simulated = rivals.plant(path, white, fine)
-        return _Candidate(
-            law,
-            path,
-            rivals.count * math.log((linear.variance + floor) / (fit.variance + floor)),
-            rivals.count * math.log((straight.variance + floor) / (simulated.variance + floor)),
-        )
-
-    by_innovations = rivals.least(paths, linear.a, coarse)[0]
-    by_simulation = rivals.least(paths, white, coarse)[0]
-    # A stem of a width a little off slips at other times: the neighbourhood of the best is searched once more.
-    near = [law for i in _best(by_innovations, by_simulation) for law in laws[i].neighbours()]
-    closer = np.array([law.path(u) for law in near])
-    laws, paths = laws + near, np.vstack([paths, closer])
-    by_innovations = np.concatenate([by_innovations, rivals.least(closer, linear.a, coarse)[0]])
-    by_simulation = np.concatenate([by_simulation, rivals.least(closer, white, coarse)[0]])
-    wide = np.array([law.band >= WIDE * float(np.ptp(u)) for law in laws])
-    first = _best(by_innovations, by_simulation)
-    best = max((judged(laws[i], paths[i]) for i in first), key=lambda c: c.both)
-    for factor in FINE:
-        for law in best.law.scaled(factor):
-            best = max(best, judged(law, law.path(u)), key=lambda c: c.both)
-    if fitted is not None:
-        best = max(best, judged(Law(fitted[0], 0.0), fitted[1]), key=lambda c: c.both)
-    likely = int(np.argmin(np.where(wide, by_innovations, math.inf)))
-    broad = best if best.law.band >= WIDE * float(np.ptp(u)) else judged(laws[likely], paths[likely])
-    law = best.law
+    search = _Search(rivals, u, power)
+    met = search.met(fitted)
+    best, both = max(met, key=lambda c: c.innovations), max(met, key=lambda c: c.both)
     moving = np.diff(best.path) != 0.0
-    gain = best.innovations
     return StemTest(
-        improvement=1.0 - math.exp(-gain / rivals.count),
-        likelihood=gain,
-        simulated=1.0 - math.exp(-best.simulated / rivals.count),
-        wide=broad.innovations,
-        left=linear.variance / power,
-        unexplained=straight.variance / power,
-        unfollowed=unfollowed / power,
-        band=law.band,
-        jump=law.valve.slip_jump,
+        predicting=best.innovations,
+        improvement=1.0 - math.exp(-both.innovations / rivals.count),
+        likelihood=both.innovations,
+        simulated=1.0 - math.exp(-both.simulated / rivals.count),
+        wide=max((c.innovations for c in met if c.law.band >= WIDE * float(np.ptp(u))), default=0.0),
+        left=search.linear.variance / power,
+        unexplained=search.straight.variance / power,
+        unfollowed=search.unfollowed / power,
+        band=best.law.band,
+        jump=best.law.valve.slip_jump,
         moves=int((moving[1:] & ~moving[:-1]).sum()) + int(moving[0]),
         samples=rivals.count,
-        time_constant=straight.tau * sample_time,
-        dead_time=straight.delay * sample_time,
+        time_constant=search.straight.tau * sample_time,
+        dead_time=search.straight.delay * sample_time,
     )
 
 
@@ -346,8 +410,9 @@ def stem_test(
         return _stretch(pv, op, step, period, sign, part(0, n))
     total = sum(p.samples for p in parts)
     gain = sum(p.likelihood for p in parts)
-    lead = max(parts, key=lambda p: p.likelihood)
+    lead = max(parts, key=lambda p: p.predicting)
     return StemTest(
+        predicting=sum(p.predicting for p in parts),
         improvement=1.0 - math.exp(-gain / total),
         likelihood=gain,
         simulated=float(np.median([p.simulated for p in parts])),

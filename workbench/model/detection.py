@@ -61,14 +61,16 @@ class StemEvidence:
 class StemTest:
     """How a sticking stem compares with the linear loop; time constant and dead time of the linear one in s.
 
-    improvement: share of the linear rival's innovation variance that the stem explains; likelihood: the log likelihood
-    ratio, N times its logarithm; simulated: share of the error of the linear rival's simulated PV that the stem
-    explains. wide: the likelihood ratio of the best stem with a band of a quarter of OP's range or more. left: share of
+    predicting: the log likelihood ratio of the stem that predicts PV best, N times the logarithm of the ratio of
+    innovation variances; band: width (%) of its stick band (Stenman: d); jump: its slip jump; moves: times that it set
+    off or turned. likelihood: the same ratio of the stem best by prediction and simulation together; improvement: share
+    of the linear rival's innovation variance that it explains; simulated: share of the error of the linear rival's
+    simulated PV that it explains. The linear rival of the innovations may have a sinusoidal disturbance. wide: the likelihood ratio of the best stem with a band of a quarter of OP's range or more. left: share of
     PV's variance that the linear rival leaves as innovations, unfollowed: likewise without any input; unexplained: what
-    its simulated PV leaves. band: width (%) of the best stem's stick band (Stenman: d); jump: its slip jump; moves:
-    times that it set off or turned.
+    its simulated PV leaves.
     """
 
+    predicting: float
     improvement: float
     likelihood: float
     simulated: float
