@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 
@@ -11,8 +12,9 @@ from workbench.detect.bicoherence import bicoherence_of, ellipse_of
 from workbench.detect.causes import dead_signal, other_causes
 from workbench.detect.correlation import cross_correlation, histogram_fit
 from workbench.detect.direct import stem_evidence
+from workbench.detect.evidence import statistics_of
 from workbench.detect.load import DETECTIONS, load_index
-from workbench.detect.oscillation import oscillation_of
+from workbench.detect.oscillation import no_period, oscillation_of
 from workbench.detect.shape import movement_index, triangle_index
 from workbench.detect.stem import Fitted, stem_test
 from workbench.detect.verdict import decide
@@ -23,7 +25,6 @@ from workbench.model.record import Record
 __all__ = ["FEWEST_SAMPLES", "detect"]
 
 FEWEST_SAMPLES = 30
-OSCILLATES = 0.3  # oscillation index from which a period is one
 FOLLOWS = 15.0  # log likelihood ratio of PV with and without OP, as in the verdict
 ACTS = 0.05  # share of OP's moves that the error must explain for a controller to be seen
 PATTERN = 20  # parts of a period over which moves are coded
@@ -47,7 +48,7 @@ def detect(record: Record, *, bicoherence: bool = False, fitted: Fitted | None =
     cycle = oscillation_of(record.pv, record.sample_time)
     nothing = (math.nan, math.nan)
     if constant:
-        return Detection(
+        found = Detection(
             record=record,
             verdict="undecided",
             reasons=(dead,),
@@ -61,7 +62,8 @@ def detect(record: Record, *, bicoherence: bool = False, fitted: Fitted | None =
             test=None,
             stem=None,
         )
-    oscillates = cycle.index >= OSCILLATES and cycle.regularity > 1.0
+        return replace(found, statistics=statistics_of(found, bicoherence))
+    oscillates = not no_period(cycle)
     period = cycle.period if oscillates else math.nan
     samples = period / record.sample_time
     error = control_error(record)
@@ -73,7 +75,7 @@ def detect(record: Record, *, bicoherence: bool = False, fitted: Fitted | None =
         verdict = "undecided"
         reasons = ["neither does PV follow OP nor OP the error: the record does not show a loop at work"]
     load = load_index(error, record.sample_time, period)
-    return Detection(
+    found = Detection(
         record=record,
         verdict=verdict,
         reasons=(*reasons, *_cycle_said(cycle, oscillates, load), *other_causes(record, cycle)),
@@ -89,6 +91,7 @@ def detect(record: Record, *, bicoherence: bool = False, fitted: Fitted | None =
         bicoherence=bicoherence_of(error) if bicoherence else None,
         ellipse=ellipse_of(record.pv, record.op, samples) if bicoherence else None,
     )
+    return replace(found, statistics=statistics_of(found, bicoherence))
 
 
 def _cycle_said(cycle: Oscillation, oscillates: bool, load: float) -> list[str]:
