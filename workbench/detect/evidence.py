@@ -5,10 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 
+from workbench.detect.action import control_error
 from workbench.detect.bicoherence import LONG, NONLINEAR, SHORTEST
 from workbench.detect.correlation import LAGS, VALUES
 from workbench.detect.load import DETECTIONS
-from workbench.detect.oscillation import OSCILLATES, REGULAR, no_period
+from workbench.detect.oscillation import OSCILLATES, REGULAR, no_period, oscillation_of
 from workbench.detect.shape import TRIANGLES, UNANSWERED
 from workbench.detect.verdict import Thresholds
 from workbench.model.detection import Detection, Statistic
@@ -16,6 +17,7 @@ from workbench.model.detection import Detection, Statistic
 __all__ = ["statistics_of"]
 
 FOR, AGAINST, OPEN = "for stiction", "against stiction", "no decision"
+STILL = "PV or OP never moves"
 
 
 def statistics_of(found: Detection, bicoherence: bool) -> tuple[Statistic, ...]:
@@ -25,7 +27,7 @@ def statistics_of(found: Detection, bicoherence: bool) -> tuple[Statistic, ...]:
     stem test and the recorded stem, which stand on `Thresholds`.
     """
     dead = found.test is None  # PV or OP never moves
-    why = "PV or OP never moves" if dead else no_period(found.oscillation)
+    why = STILL if dead else no_period(found.oscillation)
     return (
         *_stem_test(found),
         *_recorded_stem(found),
@@ -82,9 +84,12 @@ def _stem_test(found: Detection) -> Iterator[Statistic]:
     for name, measures, unit, value, least in rows:
         needed = f"stiction needs {least:g}{' %' if unit else ''} or more"
         says = "enough for stiction" if value >= least else "too little for stiction"
-        if name == rows[-1][0]:
-            says = "there is something to explain" if value >= least else "a linear loop explains PV"
-        says = _undefined("PV or OP never moves") if math.isnan(value) else says
+        if name == rows[-1][0] and test is not None:
+            clear = limits.clear * limits.predicts
+            needed += f", or a prediction better by {100.0 * clear:g} %"
+            little = "little, but the stem predicts clearly better" if test.improvement >= clear else "too little"
+            says = "there is something to explain" if value >= least else little
+        says = _undefined(STILL) if math.isnan(value) else says
         yield Statistic(name, measures, "", value, unit, needed, says, decides=True)
 
 
@@ -113,6 +118,14 @@ def _oscillation(found: Detection, why: str) -> Iterator[Statistic]:
     cycle = found.oscillation
     seen = math.isfinite(cycle.period)
     none = "" if seen else _undefined("PV's autocorrelation crosses zero less than four times in half the record")
+    beside = ""
+    if no_period(cycle) and found.test is not None:
+        error = oscillation_of(control_error(found.record), found.record.sample_time)
+        if error.regularity > REGULAR and error.index > cycle.index:
+            beside = (
+                f"; SP − PV has a regular cycle of {error.period:.3g} s (index {error.index:.2f}), which moves of SP "
+                "hide in PV: a stretch at constant SP would show it"
+            )
     yield Statistic(
         "Oscillation index",
         "autocorrelation of PV one period on: 0 for noise, 1 for a perfect sinusoid",
@@ -120,7 +133,7 @@ def _oscillation(found: Detection, why: str) -> Iterator[Statistic]:
         cycle.index if seen else math.nan,
         "",
         f"from {OSCILLATES:g} on a cycle",
-        none or ("PV cycles" if cycle.index >= OSCILLATES else "hardly a cycle"),
+        (none or ("PV cycles" if cycle.index >= OSCILLATES else "hardly a cycle")) + beside,
     )
     yield Statistic(
         "Oscillation period",
@@ -171,8 +184,8 @@ def _phase(found: Detection, why: str) -> Iterator[Statistic]:
         "how much better a bell than a sinusoid's two humps describes PV's second derivative; integrating loops",
         "Horch 2000",
         found.histogram,
-        "−1 to 1",
-        "above 0 stiction, below none",
+        "",
+        "from −1 to 1, above 0 stiction",
         _says(found.histogram, 0.0, 0.0, why or "fewer than 12 samples in a period, or too short a record"),
     )
 
@@ -185,11 +198,11 @@ def _shape(found: Detection, why: str) -> Iterator[Statistic]:
             f"misfit of half sines over that of half sines and triangles together, fitted to {name}; {loops} loops",
             "He, Wang, Pottmann and Qin 2007",
             value,
-            "0 to 1",
+            "",
             f"from {some:g} on stiction, up to {none:g} none",
             _says(value, none, some, why or "no half period has six samples"),
         )
-    still = "PV or OP never moves" if found.test is None else "the record holds no three moves"
+    still = STILL if found.test is None else "the record holds no three moves"
     whats = ("while PV stands still", "while PV stands still, less what a stem would not do next")
     for name, value, what in zip(("ρ₁", "ρ₃"), found.movement, whats, strict=True):
         yield Statistic(
@@ -197,7 +210,7 @@ def _shape(found: Detection, why: str) -> Iterator[Statistic]:
             f"share of the time in which OP moves {what}; flow loops",
             "Yamashita 2006",
             value,
-            "0 to 1",
+            "",
             f"above {UNANSWERED:g} stiction",
             _undefined(still) if math.isnan(value) else FOR if value > UNANSWERED else AGAINST,
         )
@@ -210,6 +223,10 @@ def _nonlinear(found: Detection, why: str, asked: bool) -> Iterator[Statistic]:
         short = f"the record is too short: {n} samples, at least {SHORTEST} needed"
         missing = "SP − PV never moves" if n >= SHORTEST else short
     doubt = "" if n >= LONG else f", but in a record shorter than the authors' {LONG:,} samples chance shows as well"
+    period = found.oscillation.period / found.record.sample_time
+    if bic is not None and period * float(bic.frequency_1.min()) > 1.0:
+        length = 1.0 / float(bic.frequency_1.min())
+        doubt += f"; with segments of {length:.0f} samples it does not see the cycle, which takes {period:.0f}"
     ngi, nli = (math.nan, math.nan) if bic is None else (bic.ngi, bic.nli)
     yield Statistic(
         "Non-Gaussianity NGI",
@@ -218,7 +235,7 @@ def _nonlinear(found: Detection, why: str, asked: bool) -> Iterator[Statistic]:
         ngi,
         "",
         "above 0 not Gaussian",
-        _undefined(missing) if bic is None else f"not Gaussian{doubt}" if ngi > 0.0 else "Gaussian: linear",
+        _undefined(missing) if bic is None else "not Gaussian" if ngi > 0.0 else "Gaussian: linear",
     )
     nonlinear = ngi > 0.0 and nli > NONLINEAR
     yield Statistic(
@@ -242,7 +259,7 @@ def _nonlinear(found: Detection, why: str, asked: bool) -> Iterator[Statistic]:
         "",
         _undefined(missing)
         if ellipse is None
-        else f"{ellipse.apparent_stiction:.3g} % of dead band at most"
+        else "stiction as the loop shows it: the valve's own may be larger or smaller"
         if nonlinear
         else "no measure of stiction: the loop is not shown to be nonlinear",
     )
