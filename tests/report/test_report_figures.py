@@ -177,6 +177,14 @@ def test_a_phase_plot_draws_each_stretch_once() -> None:
     assert np.nanmin(y) == pytest.approx(-1.0)
 
 
+def test_a_phase_plot_of_noise_alone_is_bounded() -> None:
+    x, y = np.random.default_rng(0).normal(size=(2, 60000))
+    px, py = draw.phase(x, y)
+    assert 2000 < np.isfinite(px).sum() <= 5000
+    assert np.nanmax(px) > 3.0
+    assert np.nanmin(py) < -3.0
+
+
 def test_no_global_setting_is_left_behind(study: Study) -> None:
     before = dict(mpl.rcParams)
     svg_text(figures.trend_figure(study.cases[0].run), "t")

@@ -118,7 +118,7 @@ def _oscillation(found: Detection, why: str) -> Iterator[Statistic]:
     cycle = found.oscillation
     seen = math.isfinite(cycle.period)
     none = "" if seen else _undefined("PV's autocorrelation crosses zero less than four times in half the record")
-    beside = ""
+    brief, beside = "" if seen else _undefined(why), ""
     if no_period(cycle) and found.test is not None:
         error = oscillation_of(control_error(found.record), found.record.sample_time)
         if error.regularity > REGULAR and error.index > cycle.index:
@@ -142,7 +142,7 @@ def _oscillation(found: Detection, why: str) -> Iterator[Statistic]:
         cycle.period,
         "s",
         "",
-        none or f"{cycle.cycles:.3g} periods recorded",
+        brief or f"{cycle.cycles:.3g} periods recorded",
     )
     yield Statistic(
         "Regularity",
@@ -151,7 +151,7 @@ def _oscillation(found: Detection, why: str) -> Iterator[Statistic]:
         cycle.regularity if seen else math.nan,
         "",
         f"above {REGULAR:g} regular",
-        none or ("a regular oscillation" if cycle.regularity > REGULAR else "not regular"),
+        brief or ("a regular oscillation" if cycle.regularity > REGULAR else "not regular"),
     )
     often = found.load_index >= DETECTIONS
     yield Statistic(

@@ -84,7 +84,8 @@ def seen(signal: FloatArray, limit: float = BEYOND) -> FloatArray:
 def phase(x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return a phase plot's line with every stretch drawn once; nan separates stretches that do not join.
 
-    Points are told apart on a grid over the signals' ranges, of 400 x 400 cells, or coarser where noise fills it.
+    Points are told apart on a grid over the signals' ranges, of 400 x 400 cells, or coarser where noise fills it; of
+    noise that fills even that, a part of the stretches is drawn.
     """
     both = np.isfinite(seen(x)) & np.isfinite(seen(y))
     x, y = x[both], y[both]
@@ -96,6 +97,7 @@ def phase(x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
             break
     if first.size == 0:
         return x[moved], y[moved]
+    first = first[:: math.ceil(first.size / STRETCHES)]  # of a cloud of noise, evenly over time
     # A stretch that does not begin where the last one ended is set off by a gap.
     gap = np.concatenate(([False], np.diff(first) != 1))
     ends = np.concatenate(([0], np.cumsum(1 + 2 * gap[1:]))) + 1  # place of each stretch's end in the line

@@ -298,5 +298,5 @@ def _would_tell(found: Estimate, groups: dict[str, list[str]]) -> list[str]:
             f"The {join(coarse)} {verb} of the size of the sampling, {given(Ts)} s: a record sampled faster would tell."
         )
     if slow:
-        said.append(f"A setpoint change in the record would show the {join(slow)} better.")
+        said.append(f"More setpoint changes in the record would show the {join(slow)} better.")
     return said
