@@ -86,14 +86,15 @@ def test_bicoherence_counts_with_both_indices_and_a_long_record(sticky: Detectio
         one = np.zeros(1)
         wave = np.sin(np.arange(samples) / 7.0)
         record = wb.Record(wave, wave, 1.0)
-        return table(replace(sticky, record=record, bicoherence=Bicoherence(one, one, one, ngi, nli, 0.1, 30)))
+        bicoherence = Bicoherence(one, one, one, ngi, nli, 0.1, 30)
+        return table(replace(sticky, record=record, stretch=(0, samples), bicoherence=bicoherence))
 
     assert of(0.1, 0.02, 5000)["Nonlinearity NLI"].says == "nonlinear"
     assert of(0.1, 0.005, 5000)["Nonlinearity NLI"].says == "not shown to be nonlinear"
     assert of(0.0, 0.02, 5000)["Nonlinearity NLI"].says == "not shown to be nonlinear"
     assert of(0.0, 0.02, 5000)["Non-Gaussianity NGI"].says == "Gaussian: linear"
-    assert "shorter than the authors' 4,096 samples" in of(0.1, 0.02, 1000)["Nonlinearity NLI"].says
-    assert "dead band at most" in of(0.1, 0.02, 5000)["Apparent stiction"].says
+    assert "fewer samples than the authors' 4,096" in of(0.1, 0.02, 1000)["Nonlinearity NLI"].says
+    assert "as the loop shows it" in of(0.1, 0.02, 5000)["Apparent stiction"].says
     assert "no measure of stiction" in of(0.0, 0.02, 5000)["Apparent stiction"].says
 
 
@@ -131,3 +132,31 @@ def test_the_shortest_record_with_a_bicoherence_is_the_one_named(samples: int) -
 def test_signals_that_never_move_define_nothing() -> None:
     still = wb.detect(wb.Record(np.ones(200), np.linspace(0.0, 1.0, 200), 1.0))
     assert all(row.says.startswith("not defined here: ") and math.isnan(row.value) for row in still.statistics)
+
+
+def cycling(periods: float, n: int, level: float) -> np.ndarray:
+    return level + np.sin(2.0 * math.pi * periods * np.arange(n) / n)
+
+
+def test_the_statistics_of_a_cycle_are_of_a_stretch_at_constant_setpoint() -> None:
+    rng = np.random.default_rng(3)
+    pv = np.concatenate([rng.normal(size=450), cycling(12.0, 420, 50.0), rng.normal(size=130)])
+    sp = np.repeat([0.0, 50.0, 0.0], [450, 420, 130])
+    op = np.roll(pv, 9) + 0.01 * rng.normal(size=1000)
+    found = wb.detect(wb.Record(pv, op, 1.0, sp=sp), bicoherence=True)
+    # The longest stretch holds noise alone, the last is too short; over the whole record the steps outweigh the cycle.
+    assert found.stretch == (450, 870)
+    assert found.cycle.period == pytest.approx(35.0, rel=0.03)
+    assert found.oscillation.period != pytest.approx(35.0, rel=0.2)
+    alone = wb.detect(wb.Record(pv[450:870], op[450:870], 1.0, sp=sp[450:870]), bicoherence=True)
+    assert alone.stretch == (0, 420)
+    assert alone.correlation == found.correlation
+    assert alone.movement == found.movement
+    assert alone.load_index == found.load_index
+    assert (alone.triangle, alone.histogram, alone.ellipse) == (found.triangle, found.histogram, found.ellipse)
+
+
+def test_a_setpoint_that_moves_all_the_time_leaves_the_whole_record() -> None:
+    wave = cycling(12.0, 600, 0.0)
+    for sp in (np.linspace(0.0, 1.0, 600), np.repeat([0.0, 1.0, 0.0, 1.0], 150), None):
+        assert wb.detect(wb.Record(wave, np.roll(wave, 9), 1.0, sp=sp)).stretch == (0, 600)

@@ -108,6 +108,16 @@ def test_plot_of_a_detection(found: Detection) -> None:
     assert len(plain[2].get_lines()) == 1
 
 
+def test_figures_are_of_the_stretch_that_the_statistics_are_of(found: Detection) -> None:
+    part = replace(found, stretch=(1000, 1600))
+    drawn = lines(figures.autocorrelation_figure(part).axes[0])["autocorrelation of PV"]
+    x, y = drawn.get_data()
+    own = autocorrelation(found.record.pv[1000:1600])
+    assert y == pytest.approx(np.interp(x, 2.0 * np.arange(600), own))
+    phase = figures.apparent_stiction_figure(part).axes[0].get_lines()[0].get_ydata()
+    assert np.nanmax(phase) == found.record.pv[1000:1600].max()
+
+
 def test_a_signal_without_period_is_drawn_and_says_so() -> None:
     ramp = wb.Record(np.linspace(0.0, 1.0, 200), np.linspace(0.0, 1.0, 200) ** 2, 1.0)
     ax = wb.plot(wb.detect(ramp))[0]
@@ -131,6 +141,8 @@ def test_detection_is_told_beside_the_estimate(estimated: Make, found: Detection
     assert found.verdict == "stiction"
     assert detection_words(named, found).endswith("stiction, as the estimate does.")
     assert "which is the verdict that counts" in detection_words(named, replace(found, verdict="undecided"))
+    part = detection_words(named, replace(found, stretch=(100, 1101)))
+    assert "at constant SP from 200 s to 37 min" in part
 
 
 def page_of(study: Study, folder: Path) -> str:

@@ -5,11 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 
-from workbench.detect.action import control_error
 from workbench.detect.bicoherence import LONG, NONLINEAR, SHORTEST
 from workbench.detect.correlation import LAGS, VALUES
 from workbench.detect.load import DETECTIONS
-from workbench.detect.oscillation import OSCILLATES, REGULAR, no_period, oscillation_of
+from workbench.detect.oscillation import OSCILLATES, REGULAR, no_period
 from workbench.detect.shape import TRIANGLES, UNANSWERED
 from workbench.detect.verdict import Thresholds
 from workbench.model.detection import Detection, Statistic
@@ -27,7 +26,7 @@ def statistics_of(found: Detection, bicoherence: bool) -> tuple[Statistic, ...]:
     stem test and the recorded stem, which stand on `Thresholds`.
     """
     dead = found.test is None  # PV or OP never moves
-    why = STILL if dead else no_period(found.oscillation)
+    why = STILL if dead else no_period(found.cycle)
     return (
         *_stem_test(found),
         *_recorded_stem(found),
@@ -115,17 +114,10 @@ def _recorded_stem(found: Detection) -> Iterator[Statistic]:
 
 
 def _oscillation(found: Detection, why: str) -> Iterator[Statistic]:
-    cycle = found.oscillation
+    cycle = found.cycle
     seen = math.isfinite(cycle.period)
     none = "" if seen else _undefined("PV's autocorrelation crosses zero less than four times in half the record")
-    brief, beside = "" if seen else _undefined(why), ""
-    if no_period(cycle) and found.test is not None:
-        error = oscillation_of(control_error(found.record), found.record.sample_time)
-        if error.regularity > REGULAR and error.index > cycle.index:
-            beside = (
-                f"; SP − PV has a regular cycle of {error.period:.3g} s (index {error.index:.2f}), which moves of SP "
-                "hide in PV: a stretch at constant SP would show it"
-            )
+    brief = "" if seen else _undefined(why)
     yield Statistic(
         "Oscillation index",
         "autocorrelation of PV one period on: 0 for noise, 1 for a perfect sinusoid",
@@ -133,7 +125,7 @@ def _oscillation(found: Detection, why: str) -> Iterator[Statistic]:
         cycle.index if seen else math.nan,
         "",
         f"from {OSCILLATES:g} on a cycle",
-        (none or ("PV cycles" if cycle.index >= OSCILLATES else "hardly a cycle")) + beside,
+        none or ("PV cycles" if cycle.index >= OSCILLATES else "hardly a cycle"),
     )
     yield Statistic(
         "Oscillation period",
@@ -217,13 +209,14 @@ def _shape(found: Detection, why: str) -> Iterator[Statistic]:
 
 
 def _nonlinear(found: Detection, why: str, asked: bool) -> Iterator[Statistic]:
-    n, bic = len(found.record), found.bicoherence
+    n, bic = found.stretch[1] - found.stretch[0], found.bicoherence
+    where = "" if n == len(found.record) else " at constant SP"
     missing = "not asked for (bicoherence=True)"
     if asked:
-        short = f"the record is too short: {n} samples, at least {SHORTEST} needed"
+        short = f"the record is too short: {n} samples{where}, at least {SHORTEST} needed"
         missing = "SP − PV never moves" if n >= SHORTEST else short
-    doubt = "" if n >= LONG else f", but in a record shorter than the authors' {LONG:,} samples chance shows as well"
-    period = found.oscillation.period / found.record.sample_time
+    doubt = "" if n >= LONG else f", but in fewer samples than the authors' {LONG:,} chance shows as well"
+    period = found.cycle.period / found.record.sample_time
     if bic is not None and period * float(bic.frequency_1.min()) > 1.0:
         length = 1.0 / float(bic.frequency_1.min())
         doubt += f"; with segments of {length:.0f} samples it does not see the cycle, which takes {period:.0f}"

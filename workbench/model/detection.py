@@ -116,12 +116,18 @@ class Detection:
     triangle_pv: of PV, above 0.6 stiction, below 0.4 none; movement: Yamashita's rho_1 and rho_3, above 0.25 stiction.
     All nan where the record does not give them. bicoherence and ellipse: None unless asked for. test: None where PV or
     OP never moves. statistics: all of it once more as a table in words, what decides the verdict first.
+
+    oscillation is that of the whole record. stretch: the samples [first, stop) that the statistics of a cycle are of:
+    the stretch at constant SP, at least a third of the record long, in which PV cycles most strongly, or the whole
+    record without such a stretch; cycle: PV's oscillation there.
     """
 
     record: Record
     verdict: str
     reasons: tuple[str, ...]
     oscillation: Oscillation
+    stretch: tuple[int, int]
+    cycle: Oscillation
     load_index: float
     correlation: tuple[float, float]
     histogram: float

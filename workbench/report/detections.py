@@ -7,18 +7,27 @@ from collections.abc import Sequence
 from workbench.model.detection import Detection
 from workbench.model.study import NamedEstimate
 from workbench.report.tables import Cell, Row, Table
-from workbench.report.words import figure
+from workbench.report.words import duration, figure
 
 __all__ = ["detection_table", "detection_words", "first_with"]
 
 
 def detection_words(named: NamedEstimate, found: Detection) -> str:
-    """Return the verdict of detection beside that of the estimate."""
+    """Return the verdict of detection beside that of the estimate, and of which stretch the statistics are."""
     said = f"Without the fitted model, detection says {found.verdict.replace('_', ' ')}"
     if found.verdict == named.found.verdict:
-        return f"{said}, as the estimate does."
-    ours = named.found.verdict.replace("_", " ")
-    return f"{said}; with the fitted model the estimate says {ours}, which is the verdict that counts."
+        said += ", as the estimate does."
+    else:
+        ours = named.found.verdict.replace("_", " ")
+        said += f"; with the fitted model the estimate says {ours}, which is the verdict that counts."
+    first, stop = found.stretch
+    if stop - first < len(found.record):
+        begin, end = found.record.time[first], found.record.time[stop - 1]
+        said += (
+            f" The published statistics and their figures are of the stretch at constant SP from {duration(begin)} to "
+            f"{duration(end)}, in which PV cycles most strongly: a setpoint change would outweigh the cycle."
+        )
+    return said
 
 
 def first_with(estimates: Sequence[NamedEstimate], index: int) -> str:

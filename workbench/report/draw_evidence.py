@@ -34,8 +34,8 @@ def _legend(ax: Axes, columns: int) -> None:
 
 def pv_autocorrelation(ax: Axes, found: Detection) -> None:
     """Draw PV's autocorrelation against the lag, with the zero crossings that give the period, and the period."""
-    record, cycle = found.record, found.oscillation
-    acf = autocorrelation(record.pv)
+    record, cycle = found.record, found.cycle
+    acf = autocorrelation(record.pv[slice(*found.stretch)])
     crossings = zero_crossings(acf)[0]
     cyclic = math.isfinite(cycle.period)
     reach = max(acf.size // 2, 2)
@@ -51,7 +51,7 @@ def pv_autocorrelation(ax: Axes, found: Detection) -> None:
         ax.plot(crossings * scale, np.zeros_like(crossings), "o", color="#D55E00", markersize=3, label="zero crossings")
         ax.axvline(cycle.period / unit, label=f"period {duration(cycle.period)}", **{**OP, "color": "#000000"})
     else:
-        remark(ax, "fewer than four zero crossings in half the record: no period")
+        remark(ax, "fewer than four zero crossings in half the lags: no period")
     ax.set_ylabel("autocorrelation")
     ax.set_xlabel(f"lag ({name})")
     ax.margins(x=0.01)
@@ -80,7 +80,7 @@ def bicoherence_map(ax: Axes, found: Detection) -> None:
             ax.add_patch(PathPatch(_cells(x[inside], y[inside], step), facecolor=shade, edgecolor="none", linewidth=0))
     keys = [Patch(facecolor=c, label=f"{a:.2f} to {b:.2f}") for (a, b), c in zip(pairwise(edges), shades, strict=True)]
     ax.plot([0.0, top, top / 2.0, 0.0], [0.0, 0.0, top / 2.0, 0.0], color="#888888", linewidth=0.6)
-    period = found.oscillation.period
+    period = found.cycle.period
     if math.isfinite(period):
         ax.axvline(3600.0 / period, color="#000000", linewidth=0.7, linestyle=":")
         at = (3600.0 / period, 0.52 * top)
@@ -117,8 +117,8 @@ def _cells(x: FloatArray, y: FloatArray, step: float) -> Path:
 
 def apparent_stiction(ax: Axes, found: Detection) -> None:
     """Draw PV against OP with the ellipse fitted to the cycle, and its width along OP, the apparent stiction."""
-    record, ellipse = found.record, found.ellipse
-    x, y = phase(record.op, record.pv)
+    record, ellipse, part = found.record, found.ellipse, slice(*found.stretch)
+    x, y = phase(record.op[part], record.pv[part])
     ax.plot(x, y, **{**PV, "linewidth": 0.6, "alpha": 0.55})
     ax.set_xlabel("OP (%)")
     ax.set_ylabel("PV (EU)")
