@@ -9,11 +9,12 @@ import pytest
 
 from workbench.detect.action import gain_sign
 from workbench.detect.bicoherence import bicoherence_of, ellipse_of
-from workbench.detect.correlation import cross_correlation, histogram_fit
+from workbench.detect.correlation import LAGS, VALUES, cross_correlation, histogram_fit
 from workbench.detect.direct import stem_evidence
 from workbench.detect.load import DETECTIONS, load_index
 from workbench.detect.oscillation import oscillation_of
 from workbench.detect.shape import movement_index, triangle_index
+from workbench.kpi.oscillation import autocorrelation, zero_crossings
 from workbench.model.record import Record
 from workbench.model.valve import Choudhury
 from workbench.simulate.run import valve_response
@@ -116,3 +117,29 @@ def test_the_sign_of_the_gain_follows_the_controller_and_is_open_where_its_terms
     assert gain_sign(record) == 1.0
     assert gain_sign(reverse) == -1.0
     assert gain_sign(torn) == 0.0
+
+
+@pytest.mark.parametrize("degrees", [20.0, 30.0, 45.0, 60.0, 80.0])
+def test_cross_correlation_of_sinusoids_out_of_phase_lies_at_the_published_limits(degrees: float) -> None:
+    phase = math.radians(degrees)
+    lags, values = cross_correlation(np.sin(ANGLE - phase), SINE, PERIOD)
+    assert lags == pytest.approx(degrees / 90.0, abs=0.02)
+    assert values == pytest.approx((1.0 - math.cos(phase)) / (1.0 + math.cos(phase)), abs=0.02)
+    # The limits of both asymmetries stand for the same phases: 30 and 60 degrees.
+    for value, (none, some) in ((lags, LAGS), (values, VALUES)):
+        assert (value < none, value > some) == (degrees < 30.0, degrees > 60.0) or degrees in (30.0, 60.0)
+
+
+def test_triangles_count_by_the_stretch_and_not_by_the_sample() -> None:
+    # Slow half periods of lines and fast ones of a sinusoid: by mean squared errors they weigh alike.
+    slow = 1.0 - np.abs(np.linspace(-1.0, 1.0, 400))
+    fast = np.sin(np.linspace(0.0, math.pi, 42))
+    signal = np.concatenate([[-0.5], slow[1:-1], -slow[1:-1], fast[1:-1], -fast[1:-1], [0.5]])
+    # 1/3 - (8/pi^2)^2/2 of a triangle is no sine, 1/2 - 3 (4/pi^2)^2 of a sine no triangle; by the sample: 0.87.
+    assert triangle_index(signal) == pytest.approx(0.4, abs=0.1)
+
+
+def test_zero_crossings_are_those_of_the_cosine_that_a_sinusoid_has() -> None:
+    lags, before = zero_crossings(autocorrelation(SINE))
+    assert lags == pytest.approx(PERIOD * (0.25 + 0.5 * np.arange(11)), abs=0.2)
+    assert np.all((lags > before) & (lags <= before + 1))

@@ -17,7 +17,9 @@ from matplotlib.figure import Figure
 
 from workbench.errors import InvalidValue, OutputError
 from workbench.model.record import Record
+from workbench.model.results import FittedModel
 from workbench.model.study import CaseResult, Study
+from workbench.model.valve import Ideal
 from workbench.report import draw, figures
 from workbench.report.plot import plot
 from workbench.report.style import CASES, svg_text
@@ -79,18 +81,38 @@ def test_frequency(study: Study) -> None:
     assert left < -1.0 < right
 
 
-@pytest.mark.parametrize("linear", [False, True])
-def test_estimates(estimated: Make, linear: bool) -> None:
+def test_estimates(estimated: Make) -> None:
     found, _ = estimated()
-    fig = figures.linear_fit_figure(found) if linear else figures.estimate_figure(found)
-    above, below = fig.axes
+    above, below = figures.estimate_figure(found).axes
     assert np.array_equal(lines(above)["PV"][1], found.record.pv)
-    if linear:
-        assert np.array_equal(lines(above)["prediction without stiction"][1], found.linear.prediction)
-        assert set(lines(below)) == {"OP"}
-    else:
-        assert np.array_equal(lines(above)["prediction"][1], found.prediction)
-        assert np.array_equal(lines(below)["valve (estimated)"][1], found.valve_position)
+    assert np.array_equal(lines(above)["prediction"][1], found.prediction)
+    assert np.array_equal(lines(below)["valve (estimated)"][1], found.valve_position)
+
+
+def test_the_fit_that_ignores_stiction_stands_below_the_right_one_with_both_parameter_sets(estimated: Make) -> None:
+    found, _ = estimated()
+    above, below = figures.linear_fit_figure(found).axes
+    for ax in (above, below):
+        assert np.array_equal(lines(ax)["PV"][1], found.record.pv)
+    assert np.array_equal(lines(above)["prediction"][1], found.prediction)
+    assert np.array_equal(lines(below)["prediction without stiction"][1], found.linear.prediction)
+    assert above.get_ylim() == below.get_ylim()
+    assert above.get_title("left").startswith("d 2.00 %, gain 1.99 EU/%, time constant 5.03 s, dead time 1.00 s")
+    assert below.get_title("left").startswith("gain 1.25 EU/%, time constant 63.0 s, dead time 50.0 s")
+
+
+def test_the_stem_is_drawn_against_op_with_the_measured_one_where_there_is_one(estimated: Make) -> None:
+    found, _ = estimated()
+    left, right = figures.op_stem_figure(found).axes
+    assert set(lines(left)) == {"PV", "prediction"}
+    assert set(lines(right)) == {"no friction", "estimated"}
+    x, y = lines(right)["estimated"]
+    drawn = {(round(a, 9), round(b, 9)) for a, b in zip(x, y, strict=True) if np.isfinite(a)}
+    assert drawn <= {(round(a, 9), round(b, 9)) for a, b in zip(found.record.op, found.valve_position, strict=True)}
+    measured = replace(found, record=replace(found.record, valve_position=found.record.op + 0.5), valve=Ideal())
+    x, y = lines(figures.op_stem_figure(measured).axes[1])["measured"]
+    assert np.nanmax(np.abs(y - x - 0.5)) < 1e-12
+    assert "estimated" not in lines(figures.op_stem_figure(measured).axes[1])
 
 
 def test_a_window_of_the_estimate(estimated: Make) -> None:
@@ -104,10 +126,26 @@ def test_profile_shows_the_interval_and_the_estimate(estimated: Make) -> None:
     whole, near = figures.profile_figure(found).axes
     shaded = [p.get_x() for p in whole.patches]
     assert shaded == [1.99]
-    assert np.array_equal(lines(whole)["residual variance"][1], found.profile_cost)
+    # The paper's eq. (1), one parameter more than the linear fit has.
+    n, linear = len(found.record), found.linear
+    shift = linear.aic - n * np.log(linear.residual_variance) + 2.0
+    assert lines(whole)["AIC"][1] == pytest.approx(n * np.log(found.profile_cost) + shift)
+    assert lines(whole)["linear fit"][1][0] == pytest.approx(linear.aic)
+    assert lines(whole)["d = 2.003 %"][1] == [found.aic]
     assert lines(whole)["d = 2.003 %"][0] == [2.003]
     low, high = near.get_xlim()
     assert low < 1.99 < 2.01 < high < 2.5
+
+
+def test_no_aic_is_drawn_below_what_the_record_resolves(estimated: Make) -> None:
+    found, _ = estimated()
+    floor = FittedModel(found.valve, found.plant, 1e-20, -1000.0, -990.0, 44)
+    clean = replace(
+        found, candidates=(floor,), residual_variance=1e-20, aic=-1e5, profile_cost=found.profile_cost - 0.0101
+    )
+    drawn = lines(figures.profile_figure(clean).axes[0])
+    assert drawn["AIC"][1].min() == -1000.0
+    assert drawn["d = 2.003 %"][1] == [-1000.0]
 
 
 def test_convergence(estimated: Make) -> None:
@@ -137,6 +175,14 @@ def test_a_phase_plot_draws_each_stretch_once() -> None:
     assert x.size < 60
     assert np.nanmax(x) == 1.0
     assert np.nanmin(y) == pytest.approx(-1.0)
+
+
+def test_a_phase_plot_of_noise_alone_is_bounded() -> None:
+    x, y = np.random.default_rng(0).normal(size=(2, 60000))
+    px, py = draw.phase(x, y)
+    assert 2000 < np.isfinite(px).sum() <= 5000
+    assert np.nanmax(px) > 3.0
+    assert np.nanmin(py) < -3.0
 
 
 def test_no_global_setting_is_left_behind(study: Study) -> None:

@@ -172,6 +172,19 @@ def test_the_value_of_repair_stops_at_an_interrupted_tuning(monkeypatch: pytest.
     assert len(calls) == 1
 
 
+def test_estimates_from_one_record_share_its_evidence() -> None:
+    text = LOOP.replace("{derivative_filter: none}", "{Kc: 0.5, Ti: 20 s}").replace("150 s", "400 s")
+    text += "estimate:\n  - {name: a, simulate: true}\n  - {name: b, simulate: true, method: two_step, start: 1.9}\n"
+    text += "  - {name: c, simulate: true, noise: {sd: 0.1, seed: 1}}\n"
+    first, again, noisy = (named.detection for named in run_scenario(plan(text)).estimates)
+    assert first is not None
+    assert noisy is not None
+    assert again is first
+    assert noisy is not first
+    assert first.bicoherence is not None
+    assert wb.detect(noisy.record, bicoherence=True).statistics == noisy.statistics
+
+
 def test_an_estimated_negative_gain_makes_the_action_direct_where_none_is_given() -> None:
     jobs = plan(LOOP + CASES).cases
     assert not any(job.action_given for job in jobs)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 
 from workbench.detect.oscillation import oscillation_of
@@ -9,11 +11,12 @@ from workbench.model.detection import Oscillation
 from workbench.model.record import FloatArray, Record
 from workbench.record.modes import manual_share
 
-__all__ = ["dead_signal", "other_causes"]
+__all__ = ["dead_signal", "other_causes", "steady_stretches"]
 
 MUCH = 0.2  # of the record, worth a word
 HALF = 0.5  # of the record and of OP's range: PV no longer tells about the valve
 ALIKE = 0.2  # relative difference of two periods that are one
+STEADY = 1.0 / 3.0  # of the record, the least stretch at constant SP that may stand for its cycle
 CYCLES = 0.5  # oscillation index of a setpoint that cycles
 
 
@@ -22,6 +25,20 @@ def _longest_stay(signal: FloatArray) -> tuple[int, int]:
     edges = np.concatenate([[0], np.flatnonzero(np.diff(signal) != 0.0) + 1, [signal.size]])
     longest = int(np.argmax(np.diff(edges)))
     return int(edges[longest]), int(edges[longest + 1])
+
+
+def steady_stretches(record: Record) -> list[tuple[int, int]]:
+    """Return each stretch [first, stop) of at least a third of the record at constant SP, or the whole without one.
+
+    The longest comes first. The published statistics of a cycle take it to be stationary: a setpoint change would
+    outweigh it.
+    """
+    n = len(record)
+    if record.sp is None:
+        return [(0, n)]
+    edges = np.concatenate([[0], np.flatnonzero(np.diff(record.sp) != 0.0) + 1, [n]]).tolist()
+    long = [(a, b) for a, b in pairwise(edges) if b - a >= STEADY * n]
+    return sorted(long, key=lambda ends: ends[0] - ends[1]) or [(0, n)]
 
 
 def dead_signal(record: Record) -> str:

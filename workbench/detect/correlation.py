@@ -8,7 +8,11 @@ import numpy as np
 
 from workbench.model.record import FloatArray
 
-__all__ = ["cross_correlation", "histogram_fit"]
+__all__ = ["LAGS", "VALUES", "cross_correlation", "histogram_fit"]
+
+# Up to the first no stiction, from the second on stiction: for a sinusoid the phases of 30 and 60 degrees.
+LAGS = (1.0 / 3.0, 2.0 / 3.0)
+VALUES = ((2.0 - math.sqrt(3.0)) / (2.0 + math.sqrt(3.0)), 1.0 / 3.0)
 
 BINS = 31
 LONGEST = 2.0  # periods searched for the crossings
@@ -17,12 +21,13 @@ LONGEST = 2.0  # periods searched for the crossings
 def cross_correlation(pv: FloatArray, op: FloatArray, period: float) -> tuple[float, float]:
     """Return (asymmetry of the crossings, asymmetry of the values) of the cross-correlation of OP and PV, 0 to 1 each.
 
-    An odd function, both near 1, speaks for stiction, an even one, both near 0, against; above 2/3 and below 1/3 count,
-    between lies no decision. With the lags of the first zero crossings right and left of zero, tau_r and tau_l, the
-    value at zero r_0 and the extreme one r_opt between them: `|tau_l - tau_r|/(tau_l + tau_r)` and
-    `|r_0 - r_opt|/|r_0 + r_opt|`. For an oscillating self-regulating loop under PI control (A. Horch, "A simple method
-    for detection of stiction in control valves", Control Engineering Practice 7 (1999) 1221-1231). period: in samples;
-    (nan, nan) where it is nan or the function does not cross zero on both sides.
+    An odd function, both near 1, speaks for stiction, an even one, both near 0, against. With the lags of the first
+    zero crossings right and left of zero, tau_r and tau_l, the value at zero r_0 and the extreme one r_opt between
+    them: `|tau_l - tau_r|/(tau_l + tau_r)` and `|r_0 - r_opt|/|r_0 + r_opt|`. Stiction from 2/3 (`LAGS`) and from 1/3
+    (`VALUES`) on, none up to 1/3 and (2 - sqrt 3)/(2 + sqrt 3) = 0.072, between them no decision: sinusoids 60 and 30
+    degrees out of phase have just these values. For an oscillating self-regulating loop under PI control (A. Horch, "A
+    simple method for detection of stiction in control valves", Control Engineering Practice 7 (1999) 1221-1231).
+    period: in samples; (nan, nan) where it is nan or the function does not cross zero on both sides.
     """
     if not math.isfinite(period):
         return math.nan, math.nan

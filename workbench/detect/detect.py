@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 
 from workbench.detect.action import control_error, feedback, gain_sign
 from workbench.detect.bicoherence import bicoherence_of, ellipse_of
-from workbench.detect.causes import dead_signal, other_causes
+from workbench.detect.causes import dead_signal, other_causes, steady_stretches
 from workbench.detect.correlation import cross_correlation, histogram_fit
 from workbench.detect.direct import stem_evidence
+from workbench.detect.evidence import statistics_of
 from workbench.detect.load import DETECTIONS, load_index
-from workbench.detect.oscillation import oscillation_of
+from workbench.detect.oscillation import no_period, oscillation_of
 from workbench.detect.shape import movement_index, triangle_index
 from workbench.detect.stem import Fitted, stem_test
 from workbench.detect.verdict import decide
@@ -23,7 +25,6 @@ from workbench.model.record import Record
 __all__ = ["FEWEST_SAMPLES", "detect"]
 
 FEWEST_SAMPLES = 30
-OSCILLATES = 0.3  # oscillation index from which a period is one
 FOLLOWS = 15.0  # log likelihood ratio of PV with and without OP, as in the verdict
 ACTS = 0.05  # share of OP's moves that the error must explain for a controller to be seen
 PATTERN = 20  # parts of a period over which moves are coded
@@ -44,14 +45,16 @@ def detect(record: Record, *, bicoherence: bool = False, fitted: Fitted | None =
         raise RecordError(msg)
     dead = dead_signal(record)
     constant = not (np.ptp(record.pv) > 0.0 and np.ptp(record.op) > 0.0)
-    cycle = oscillation_of(record.pv, record.sample_time)
+    whole = oscillation_of(record.pv, record.sample_time)
     nothing = (math.nan, math.nan)
     if constant:
-        return Detection(
+        found = Detection(
             record=record,
             verdict="undecided",
             reasons=(dead,),
-            oscillation=cycle,
+            oscillation=whole,
+            stretch=(0, len(record)),
+            cycle=whole,
             load_index=0.0,
             correlation=nothing,
             histogram=math.nan,
@@ -61,34 +64,45 @@ def detect(record: Record, *, bicoherence: bool = False, fitted: Fitted | None =
             test=None,
             stem=None,
         )
-    oscillates = cycle.index >= OSCILLATES and cycle.regularity > 1.0
-    period = cycle.period if oscillates else math.nan
-    samples = period / record.sample_time
-    error = control_error(record)
+        return replace(found, statistics=statistics_of(found, bicoherence))
+    period = math.nan if no_period(whole) else whole.period
     test = stem_test(record.pv, record.op, record.sample_time, period, gain_sign(record), fitted)
     stem = None if record.valve_position is None else stem_evidence(record.op, record.valve_position)
-    verdict, reasons = ("undecided", [dead]) if dead else decide(cycle, test, stem)
+    verdict, reasons = ("undecided", [dead]) if dead else decide(whole, test, stem)
     follows = test.samples * math.log(max(test.unfollowed, 1e-300) / max(test.left, 1e-300))
     if verdict == "no_stiction" and follows < FOLLOWS and feedback(record)[0] < ACTS:
         verdict = "undecided"
         reasons = ["neither does PV follow OP nor OP the error: the record does not show a loop at work"]
-    load = load_index(error, record.sample_time, period)
-    return Detection(
+    stretch, cycle = _strongest(record)
+    pv, op, error = (signal[slice(*stretch)] for signal in (record.pv, record.op, control_error(record)))
+    oscillates = not no_period(cycle)
+    samples = cycle.period / record.sample_time if oscillates else math.nan
+    load = load_index(error, record.sample_time, samples * record.sample_time)
+    found = Detection(
         record=record,
         verdict=verdict,
-        reasons=(*reasons, *_cycle_said(cycle, oscillates, load), *other_causes(record, cycle)),
-        oscillation=cycle,
+        reasons=(*reasons, *_cycle_said(cycle, oscillates, load), *other_causes(record, whole)),
+        oscillation=whole,
+        stretch=stretch,
+        cycle=cycle,
         load_index=load,
-        correlation=cross_correlation(record.pv, record.op, samples),
-        histogram=histogram_fit(record.pv, samples),
-        triangle=triangle_index(record.op) if oscillates else math.nan,
-        triangle_pv=triangle_index(record.pv) if oscillates else math.nan,
-        movement=movement_index(record.pv, record.op, max(int(samples / PATTERN), 1) if oscillates else 1),
+        correlation=cross_correlation(pv, op, samples),
+        histogram=histogram_fit(pv, samples),
+        triangle=triangle_index(op) if oscillates else math.nan,
+        triangle_pv=triangle_index(pv) if oscillates else math.nan,
+        movement=movement_index(pv, op, max(int(samples / PATTERN), 1) if oscillates else 1),
         test=test,
         stem=stem,
         bicoherence=bicoherence_of(error) if bicoherence else None,
-        ellipse=ellipse_of(record.pv, record.op, samples) if bicoherence else None,
+        ellipse=ellipse_of(pv, op, samples) if bicoherence else None,
     )
+    return replace(found, statistics=statistics_of(found, bicoherence))
+
+
+def _strongest(record: Record) -> tuple[tuple[int, int], Oscillation]:
+    """Return the stretch at constant SP in which PV cycles most strongly, and its oscillation there."""
+    cycles = [(ends, oscillation_of(record.pv[slice(*ends)], record.sample_time)) for ends in steady_stretches(record)]
+    return max(cycles, key=lambda found: found[1].index)
 
 
 def _cycle_said(cycle: Oscillation, oscillates: bool, load: float) -> list[str]:

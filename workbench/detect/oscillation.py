@@ -6,11 +6,23 @@ import math
 
 import numpy as np
 
-from workbench.kpi.oscillation import CROSSINGS, autocorrelation
+from workbench.kpi.oscillation import autocorrelation, zero_crossings
 from workbench.model.detection import Oscillation
 from workbench.model.record import FloatArray
 
-__all__ = ["oscillation_of"]
+__all__ = ["OSCILLATES", "REGULAR", "no_period", "oscillation_of"]
+
+OSCILLATES = 0.3  # index from which a period is one
+REGULAR = 1.0  # regularity above which an oscillation is one, as published
+
+
+def no_period(cycle: Oscillation) -> str:
+    """Return why the statistics of a cycle are not defined for this record, or nothing where PV has a period."""
+    if math.isnan(cycle.period):
+        return "PV shows no cycle"
+    if cycle.index < OSCILLATES:
+        return "PV's cycle is too weak"
+    return "" if cycle.regularity > REGULAR else "PV's cycle is not regular"
 
 
 def oscillation_of(pv: FloatArray, sample_time: float) -> Oscillation:
@@ -24,16 +36,14 @@ def oscillation_of(pv: FloatArray, sample_time: float) -> Oscillation:
     """
     acf = autocorrelation(pv)
     n = pv.size
-    half = acf[: max(n // 2 + 1, 2)]
-    after = np.flatnonzero((half[:-1] > 0.0) != (half[1:] > 0.0))
-    if after.size < 4:
+    crossings, before = zero_crossings(acf)
+    if crossings.size < 4:
         return Oscillation(index=0.0, period=math.nan, regularity=0.0, cycles=0.0)
-    crossings = (after + half[after] / (half[after] - half[after + 1]))[:CROSSINGS]
     intervals = np.diff(crossings)
     mean, spread = float(intervals.mean()), float(intervals.std(ddof=1))
-    first, last = int(after[1]) + 1, int(after[2]) + 1
-    peak = first + int(np.argmax(half[first:last]))
-    index = float(half[peak]) * n / (n - peak)
+    first, last = int(before[1]) + 1, int(before[2]) + 1
+    peak = first + int(np.argmax(acf[first:last]))
+    index = float(acf[peak]) * n / (n - peak)
     return Oscillation(
         index=min(max(index, 0.0), 1.0),
         period=2.0 * mean * sample_time,

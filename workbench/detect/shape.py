@@ -8,8 +8,10 @@ import numpy as np
 
 from workbench.model.record import FloatArray
 
-__all__ = ["movement_index", "triangle_index"]
+__all__ = ["TRIANGLES", "UNANSWERED", "movement_index", "triangle_index"]
 
+TRIANGLES = (0.4, 0.6)  # up to the first no stiction, from the second on stiction, as published
+UNANSWERED = 0.25  # rho_1 and rho_3 of random moves: two of the eight codes with a move; more is stiction, as published
 FEWEST = 6  # samples of half a period that show a shape
 STEADY = 0.5  # of the mean size of moves: less is no move
 
@@ -17,12 +19,12 @@ STEADY = 0.5  # of the mean size of moves: less is no move
 def triangle_index(signal: FloatArray) -> float:
     """Return He's stiction index of an oscillating signal, shape (N,): near 1 triangles, near 0 sinusoids.
 
-    For each stretch between zero crossings the squared error of a half sine and of two straight lines that meet at the
-    peak, both fitted by least squares, `index = sum(e_sine)/(sum(e_sine) + sum(e_triangle))`: above 0.6 stiction, below
-    0.4 none (Q.P. He, J. Wang, M. Pottmann, S.J. Qin, "A curve fitting method for detecting valve stiction in
-    oscillating control loops", Ind. Eng. Chem. Res. 46 (2007) 4549-4560). Taken of OP for a self-regulating plant and
-    of PV for an integrating one: what comes out of the first integrator after the valve. nan where no half period has
-    six samples.
+    For each stretch between zero crossings the mean squared error of a half sine and of two straight lines that meet at
+    the peak, both fitted by least squares; with their means over the stretches `index = MSE_sine/(MSE_sine +
+    MSE_triangle)`: from 0.6 on stiction, up to 0.4 none (Q.P. He, J. Wang, M. Pottmann, S.J. Qin, "A curve fitting
+    method for detecting valve stiction in oscillating control loops", Ind. Eng. Chem. Res. 46 (2007) 4549-4560). Taken
+    of OP for a self-regulating plant and of PV for an integrating one: what comes out of the first integrator after the
+    valve. nan where no half period has six samples.
     """
     x = signal - signal.mean()
     ends = np.flatnonzero((x[:-1] > 0.0) != (x[1:] > 0.0)) + 1
@@ -33,11 +35,11 @@ def triangle_index(signal: FloatArray) -> float:
             continue
         at = (np.arange(half.size) + 0.5) / half.size
         arch = np.sin(math.pi * at)
-        sine += float(((half - arch * (half @ arch) / (arch @ arch)) ** 2).sum())
+        sine += float(((half - arch * (half @ arch) / (arch @ arch)) ** 2).mean())
         best = math.inf
         for peak in at[1:-1].tolist():
             roof = np.minimum(at / peak, (1.0 - at) / (1.0 - peak))
-            best = min(best, float(((half - roof * (half @ roof) / (roof @ roof)) ** 2).sum()))
+            best = min(best, float(((half - roof * (half @ roof) / (roof @ roof)) ** 2).mean()))
         triangle += best
     return sine / (sine + triangle) if sine + triangle > 0.0 else math.nan
 
@@ -45,7 +47,8 @@ def triangle_index(signal: FloatArray) -> float:
 def movement_index(pv: FloatArray, op: FloatArray, step: int) -> tuple[float, float]:
     """Return Yamashita's indices (rho_1, rho_3) of OP against PV: shares of time, above 0.25 stiction.
 
-    Moves over `step` samples are coded I, S or D (up, steady, down) by half of their mean size. rho_1: the share of
+    Moves over `step` samples are coded I, S or D (up, steady, down) by half of their mean size (the published method
+    leaves that limit to its user). rho_1: the share of
     times with OP moving and PV steady (IS, DS) of all that are not steady in both; rho_3: less those that the next
     code contradicts, a stem that sets off against OP or at once falls asleep (ISDD, ISDI, ISSD, ISID, ISDS and the
     mirrored DSII, DSID, DSSI, DSDI, DSIS) (Y. Yamashita, "An automatic method for detection of valve stiction in

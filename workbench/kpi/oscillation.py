@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from workbench.model.record import FloatArray
 
-__all__ = ["autocorrelation", "oscillation"]
+__all__ = ["autocorrelation", "oscillation", "zero_crossings"]
 
 # Thornhill, Huang, Zhang (2003) take the intervals between the first eleven zero crossings; later lags are too noisy.
 CROSSINGS = 11
@@ -25,6 +26,17 @@ def autocorrelation(signal: FloatArray) -> FloatArray:
     return acf
 
 
+def zero_crossings(acf: FloatArray) -> tuple[FloatArray, NDArray[np.intp]]:
+    """Return (lags, last lags before them) at which an autocorrelation crosses zero, in samples.
+
+    acf: as `autocorrelation` gives it, shape (N,). At most the first eleven crossings within the first half of the
+    lags; the lags are linear between samples.
+    """
+    half = acf[: max(acf.size // 2 + 1, 2)]
+    before = np.flatnonzero((half[:-1] > 0.0) != (half[1:] > 0.0))[:CROSSINGS]
+    return before + half[before] / (half[before] - half[before + 1]), before
+
+
 def oscillation(signal: FloatArray, sample_time: float) -> tuple[float, float]:
     """Return (index, period in s) of a signal of shape (N,).
 
@@ -37,17 +49,15 @@ def oscillation(signal: FloatArray, sample_time: float) -> tuple[float, float]:
     record holds no full oscillation: (0, nan).
     """
     acf = autocorrelation(signal)
-    half = acf[: max(signal.size // 2 + 1, 2)]
-    after = np.flatnonzero((half[:-1] > 0.0) != (half[1:] > 0.0))
-    if after.size < 4:
+    crossings, before = zero_crossings(acf)
+    if crossings.size < 4:
         return 0.0, float("nan")
-    crossings = (after + half[after] / (half[after] - half[after + 1]))[:CROSSINGS]
     period = 2.0 * float(np.diff(crossings).mean()) * sample_time
-    first, second, third, fourth = (int(i) for i in after[:4])
-    trough = first + 1 + int(np.argmin(half[first + 1 : second + 1]))
-    peak = second + 1 + int(np.argmax(half[second + 1 : third + 1]))
-    next_trough = third + 1 + int(np.argmin(half[third + 1 : fourth + 1]))
+    first, second, third, fourth = (int(i) for i in before[:4])
+    trough = first + 1 + int(np.argmin(acf[first + 1 : second + 1]))
+    peak = second + 1 + int(np.argmax(acf[second + 1 : third + 1]))
+    next_trough = third + 1 + int(np.argmin(acf[third + 1 : fourth + 1]))
     share = (peak - trough) / (next_trough - trough)
-    rise = half[peak] - (half[trough] + share * (half[next_trough] - half[trough]))
-    fall = (half[0] + trough / peak * (half[peak] - half[0])) - half[trough]
+    rise = acf[peak] - (acf[trough] + share * (acf[next_trough] - acf[trough]))
+    fall = (acf[0] + trough / peak * (acf[peak] - acf[0])) - acf[trough]
     return float(np.clip(rise / fall, 0.0, 1.0)), period

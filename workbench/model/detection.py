@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from workbench.model.record import FloatArray, Record
 
-__all__ = ["Bicoherence", "Detection", "Ellipse", "Oscillation", "StemEvidence", "StemTest"]
+__all__ = ["Bicoherence", "Detection", "Ellipse", "Oscillation", "Statistic", "StemEvidence", "StemTest"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,13 +24,17 @@ class Oscillation:
 
 @dataclass(frozen=True, eq=False)
 class Bicoherence:
-    """Squared bicoherence, `values` at (frequency_1, frequency_2), cycles per sample, shape (M,); NGI and NLI."""
+    """Squared bicoherence, `values` at (frequency_1, frequency_2), cycles per sample, shape (M,); NGI and NLI.
+
+    critical: the value that a linear Gaussian signal exceeds at one frequency pair in twenty over so many segments.
+    """
 
     frequency_1: FloatArray
     frequency_2: FloatArray
     values: FloatArray
     ngi: float
     nli: float
+    critical: float
     segments: int
 
 
@@ -86,21 +90,46 @@ class StemTest:
     dead_time: float
 
 
+@dataclass(frozen=True, slots=True)
+class Statistic:
+    """One statistic in words: what it measures, by whose definition, its limits, and what it says of this record.
+
+    source: the publication, empty where the definition is this product's own. value: nan where the record does not give
+    it, which `says` explains then. decides: whether the verdict rests on it.
+    """
+
+    name: str
+    measures: str
+    source: str
+    value: float
+    unit: str
+    limits: str
+    says: str
+    decides: bool = False
+
+
 @dataclass(frozen=True, eq=False)
 class Detection:
     """The evidence for and against stiction in a record, and the verdict "stiction", "no_stiction" or "undecided".
 
     reasons: the evidence behind the verdict in words, other causes included. load_index: weighted number of load
-    disturbances in 50 periods, oscillating from 10 on. correlation: Horch's two asymmetries, near 1 stiction, near 0
-    none; histogram: -1 to 1, positive stiction in an integrating loop; triangle: He's index of OP, triangle_pv: of PV,
-    above 0.6 stiction, below 0.4 none; movement: Yamashita's rho_1 and rho_3, above 0.25 stiction. All nan where the
-    record does not give them. bicoherence and ellipse: None unless asked for. test: None where PV or OP never moves.
+    disturbances in 50 periods, oscillating from 10 on. correlation: Horch's two asymmetries, of lags and values, near 1
+    stiction, near 0 none; histogram: -1 to 1, positive stiction in an integrating loop; triangle: He's index of OP,
+    triangle_pv: of PV, above 0.6 stiction, below 0.4 none; movement: Yamashita's rho_1 and rho_3, above 0.25 stiction.
+    All nan where the record does not give them. bicoherence and ellipse: None unless asked for. test: None where PV or
+    OP never moves. statistics: all of it once more as a table in words, what decides the verdict first.
+
+    oscillation is that of the whole record. stretch: the samples [first, stop) that the statistics of a cycle are of:
+    the stretch at constant SP, at least a third of the record long, in which PV cycles most strongly, or the whole
+    record without such a stretch; cycle: PV's oscillation there.
     """
 
     record: Record
     verdict: str
     reasons: tuple[str, ...]
     oscillation: Oscillation
+    stretch: tuple[int, int]
+    cycle: Oscillation
     load_index: float
     correlation: tuple[float, float]
     histogram: float
@@ -111,3 +140,4 @@ class Detection:
     stem: StemEvidence | None
     bicoherence: Bicoherence | None = None
     ellipse: Ellipse | None = None
+    statistics: tuple[Statistic, ...] = ()

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
 
+from workbench.model.detection import Detection
 from workbench.model.experiment import Experiment
 from workbench.model.front import Front, RobustRepair
 from workbench.model.loop import Loop
@@ -48,7 +49,9 @@ class CaseResult:
 class NamedEstimate:
     """One estimate under its scenario name; `truth` where the record was simulated from a known loop.
 
-    `reference`: published figures to show beside ours, by the names d, gain, time_constant, dead_time.
+    `reference`: published figures to show beside ours, by the names d, gain, time_constant, dead_time. `detection`: the
+    evidence for and against stiction in the same record, without the fitted model; one and the same object for
+    estimates from one record.
     """
 
     name: str
@@ -56,6 +59,7 @@ class NamedEstimate:
     truth: Loop | None = None
     reference: Mapping[str, float] = field(default_factory=lambda: MappingProxyType({}))
     note: str = ""
+    detection: Detection | None = None
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from workbench.model.record import FloatArray, Record
 from workbench.model.results import DescribingFunction, Estimate, LimitCycle, Run, Tuned
+from workbench.model.valve import Stenman
 from workbench.report.style import LINEAR, OP, PREDICTION, PV, SP, VALVE, Style, case_style
 from workbench.report.words import ROUNDING, duration, figure, given, label
 
@@ -33,9 +34,11 @@ __all__ = [
     "model_pv",
     "near_best",
     "op_stem",
+    "op_stem_found",
     "phase",
     "profile",
     "pv_op",
+    "pv_op_found",
     "record_op",
     "record_pv",
     "remark",
@@ -81,7 +84,8 @@ def seen(signal: FloatArray, limit: float = BEYOND) -> FloatArray:
 def phase(x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return a phase plot's line with every stretch drawn once; nan separates stretches that do not join.
 
-    Points are told apart on a grid over the signals' ranges, of 400 x 400 cells, or coarser where noise fills it.
+    Points are told apart on a grid over the signals' ranges, of 400 x 400 cells, or coarser where noise fills it; of
+    noise that fills even that, a part of the stretches is drawn.
     """
     both = np.isfinite(seen(x)) & np.isfinite(seen(y))
     x, y = x[both], y[both]
@@ -93,6 +97,7 @@ def phase(x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
             break
     if first.size == 0:
         return x[moved], y[moved]
+    first = first[:: math.ceil(first.size / STRETCHES)]  # of a cloud of noise, evenly over time
     # A stretch that does not begin where the last one ended is set off by a gap.
     gap = np.concatenate(([False], np.diff(first) != 1))
     ends = np.concatenate(([0], np.cumsum(1 + 2 * gap[1:]))) + 1  # place of each stretch's end in the line
@@ -210,6 +215,30 @@ def model_pv(ax: Axes, found: Estimate, unit: float = 1.0, part: slice = slice(N
     _finish(ax, "PV (EU)")
 
 
+def pv_op_found(ax: Axes, found: Estimate) -> None:
+    """Draw PV and its prediction against OP."""
+    for signal, text, style in ((found.record.pv, "PV", PV), (found.prediction, "prediction", PREDICTION)):
+        x, y = phase(found.record.op, signal)
+        ax.plot(x, y, label=text, **{**style, "linewidth": 0.8})
+    ax.set_xlabel("OP (%)")
+    _finish(ax, "PV (EU)")
+
+
+def op_stem_found(ax: Axes, found: Estimate) -> None:
+    """Draw the estimated valve position against OP, the measured one where there is one, and a valve that follows."""
+    op, measured = found.record.op, found.record.valve_position
+    ends = [float(op.min()), float(op.max())]
+    ax.plot(ends, ends, label="no friction", **{**LINEAR, "linewidth": 0.7})
+    if measured is not None:
+        x, y = phase(op, measured)
+        ax.plot(x, y, label="measured", **{**SP, "linewidth": 0.8})
+    if found.valve.hold > 0.0:
+        x, y = phase(op, found.valve_position)
+        ax.plot(x, y, label="estimated", **{**VALVE, "linewidth": 0.8})
+    ax.set_xlabel("OP (%)")
+    _finish(ax, "valve (%)")
+
+
 def model_op(ax: Axes, found: Estimate, unit: float = 1.0, part: slice = slice(None), *, stem: bool = True) -> None:
     """Draw OP with the estimated valve position (and the measured one where there is one)."""
     time = found.record.time[part] / unit
@@ -257,13 +286,25 @@ def near_best(found: Estimate) -> tuple[float, float] | None:
     return None if width > 0.1 * float(np.ptp(found.profile_d)) else (low - 4.0 * width, high + 4.0 * width)
 
 
-def profile(ax: Axes, found: Estimate, window: tuple[float, float] | None = None) -> None:
-    """Draw the residual variance against d, with the interval shaded, the estimate and the linear fit's level.
+def _level(found: Estimate, variance: Any) -> Any:
+    """Return `N log V` of residual variances, those of rounding error taken for 1e-12 EU²."""
+    return len(found.record) * np.log(np.maximum(variance, ROUNDING))
 
-    window: (low, high) of d, %, without the linear fit; the whole profile by default.
+
+def profile(ax: Axes, found: Estimate, window: tuple[float, float] | None = None) -> None:
+    """Draw the AIC of the fit at each d, with the interval shaded, the estimate and the linear fit's level.
+
+    AIC is the paper's eq. (1), `N log V + 2 p`; every d has one parameter more than the linear fit. window: (low, high)
+    of d, %, without the linear fit; the whole profile by default.
     """
     finite = np.isfinite(found.profile_cost)
-    d, cost = found.profile_d[finite], np.maximum(found.profile_cost[finite], ROUNDING)
+    plain = found.linear
+    # Two for each parameter of the linear fit; a residual that is rounding error hides them.
+    parameters = plain.aic - _level(found, plain.residual_variance) if plain.residual_variance >= ROUNDING else 0.0
+    # What no model's AIC falls below, the record does not resolve.
+    least = min((model.aic for model in found.candidates), default=-math.inf)
+    d = found.profile_d[finite]
+    cost = np.maximum(_level(found, found.profile_cost[finite]) + parameters + 2.0, least)
     order = np.argsort(d, kind="stable")
     d, cost = d[order], cost[order]
     if window is not None:
@@ -275,23 +316,18 @@ def profile(ax: Axes, found: Estimate, window: tuple[float, float] | None = None
         ax.axvspan(low, high, color="#56B4E9", alpha=0.35, linewidth=0, label="95 % range of d")
     x, y = thin(d, cost)
     marks: Style = {} if window is None or x.size > 200 else {"marker": ".", "markersize": 3}
-    ax.plot(x, y, label="residual variance", **{**PV, "linewidth": 0.9}, **marks)
+    ax.plot(x, y, label="AIC", **{**PV, "linewidth": 0.9}, **marks)
     if window is None:
-        ax.axhline(found.linear.residual_variance, label="linear fit", **LINEAR)
+        ax.axhline(_level(found, plain.residual_variance) + parameters, label="linear fit", **LINEAR)
     best = found.valve.stick_band
     if best > 0.0:
-        ax.plot(
-            [best],
-            [max(found.residual_variance, ROUNDING)],
-            "o",
-            color="#D55E00",
-            markersize=4,
-            label=f"d = {figure(best)} %",
-        )
-    _log(ax.yaxis)
+        known = found.residual_variance >= ROUNDING
+        at = found.aic if known else _level(found, found.residual_variance) + parameters + 2.0
+        name = "d" if isinstance(found.valve, Stenman) else "S"
+        ax.plot([best], [max(at, least)], "o", color="#D55E00", markersize=4, label=f"{name} = {figure(best)} %")
     ax.set_xlabel("d (%)")
     if window is None:
-        _finish(ax, "residual variance (EU²)")
+        _finish(ax, "AIC")
         return
     ax.set_xlim(*window)
     ax.xaxis.set_major_locator(MaxNLocator(5))

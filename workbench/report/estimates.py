@@ -7,15 +7,18 @@ import re
 
 from workbench.model.loop import Loop
 from workbench.model.plant import FOPDT, Plant
+from workbench.model.results import Estimate
 from workbench.model.study import NamedEstimate
 from workbench.model.valve import Choudhury, Deadband, Ideal, Stenman, Valve
 from workbench.report.results import aic
 from workbench.report.tables import Cell, Row, Table
 from workbench.report.titles import kpi_title
-from workbench.report.words import decimals_of, difference, figure, given, interval, published, valve_words
+from workbench.report.words import decimals_of, difference, figure, given, interval, join, published, valve_words
 
-__all__ = ["estimate_advice", "estimate_sentences", "estimate_table"]
+__all__ = ["candidates_table", "estimate_advice", "estimate_sentences", "estimate_table", "known_sentences"]
 
+KNOWN, ROUGH = 0.1, 0.5  # width of a 95 % range over the value, up to which a parameter is known, or roughly known
+COARSE = 2.0  # samples: a time below that is one that the sampling hides
 NO_BIAS = 1e-6  # share of PV's span below which a bias is rounding error
 
 
@@ -195,3 +198,105 @@ def _off_by(value: float, true: float) -> str:
         return figure(value - true, 2)
     percent = 100.0 * (value / true - 1.0)
     return "under 0.01 %" if abs(percent) < 0.01 else f"{figure(percent, 2)} %"
+
+
+def candidates_table(found: Estimate) -> Table | None:
+    """Return the models held against the record, the lowest BIC first, AIC and BIC's lowest in bold; None without."""
+    if not found.candidates:
+        return None
+    models = found.candidates
+    unit = "EU/%" if isinstance(found.plant, FOPDT) else "EU/(% s)"
+    timed = isinstance(found.plant, FOPDT)
+    heads = ["valve, %", f"gain, {unit}", *(["time constant, s"] if timed else []), "dead time, s"]
+    heads += ["stem moves", "residual variance, EU²", "AIC", "BIC", "BIC above the lowest"]
+    aics, bics = [m.aic for m in models], [m.bic for m in models]
+    rows = []
+    for model in models:
+        parameters = ", ".join(f"{name}\u00a0{figure(value, 3)}" for name, value in _valve_parameters(model.valve))
+        plant = _plant_parameters(model.plant)
+        cells = [Cell(parameters or "–"), *(Cell(figure(value, 3)) for value in plant.values())]
+        cells += [Cell(f"{model.slips:,}"), Cell(figure(model.residual_variance, 3))]
+        cells.append(Cell(_whole(model.aic), best=model.aic == min(aics)))
+        cells.append(Cell(_whole(model.bic), best=model.bic == min(bics)))
+        cells.append(Cell(_whole(model.bic - min(bics))))
+        used = type(model.valve) is type(found.valve)
+        rows.append(Row(f"{_KINDS.get(type(model.valve), 'other')}{' (used)' if used else ''}", "", tuple(cells)))
+    return Table(tuple(heads), tuple(rows))
+
+
+_KINDS: dict[type, str] = {
+    Ideal: "No stiction",
+    Stenman: "One parameter (Stenman)",
+    Choudhury: "Two parameters (Choudhury)",
+    Deadband: "Dead band",
+}
+
+
+def _whole(value: float) -> str:
+    return f"{value:,.0f}".replace("-", "−")
+
+
+def known_sentences(found: Estimate) -> list[str]:
+    """Return which parameters the record pins down and which not, by their 95 % ranges, and what would tell more."""
+    values = dict(_valve_parameters(found.valve)) | _plant_parameters(found.plant)
+    groups: dict[str, list[str]] = {"known": [], "roughly": [], "hardly": [], "none": []}
+    for name, value in values.items():
+        pair = getattr(found.intervals, "S" if name == "b" else name, None)
+        groups[_how_known(name, value, pair, found.record.sample_time)].append(name)
+
+    def names(which: str) -> str:
+        titles = [kpi_title(name)[0] for name in groups[which]]
+        return join([title[:1].lower() + title[1:] for title in titles])
+
+    said = []
+    if found.verdict == "undecided":
+        said.append("Whether the valve sticks is open, so these are the figures of a model that may be wrong.")
+    if groups["known"]:
+        said.append(f"Pinned down, the 95 % range no wider than a tenth of the value: {names('known')}.")
+    if groups["roughly"]:
+        said.append(f"Roughly known, the range no wider than half the value: {names('roughly')}.")
+    if groups["hardly"]:
+        said.append(f"Hardly known, the range wider than that: {names('hardly')}.")
+    if groups["none"]:
+        said.append(f"Given without a range: {names('none')}.")
+    return said + _would_tell(found, groups)
+
+
+def _how_known(name: str, value: float, pair: tuple[float, float] | None, sample_time: float) -> str:
+    if pair is None:
+        return "none"
+    # A time far below the sampling is known well enough where its range is.
+    scale = max(abs(value), sample_time) if name in ("time_constant", "dead_time") else abs(value)
+    width = (pair[1] - pair[0]) / scale if scale > 0.0 else math.inf
+    return "known" if width <= KNOWN else "roughly" if width <= ROUGH else "hardly"
+
+
+def _would_tell(found: Estimate, groups: dict[str, list[str]]) -> list[str]:
+    """What to do about what is not known."""
+    said = []
+    valve, vague = found.valve, {*groups["roughly"], *groups["hardly"], *groups["none"]}
+    band = valve.stick_band
+    if found.verdict == "stiction" and not found.identifiable and band > 0.0:
+        step = abs(found.plant.gain) * band
+        size = f" (gain times band: {figure(step, 2)} EU)" if isinstance(found.plant, FOPDT) else ""
+        said.append(
+            f"Give maintenance the range of the stiction, not its value{size}. A setpoint change that moves OP by "
+            f"clearly more than {given(band, 2)} %, or a longer record, would narrow it."
+        )
+    if "J" in vague:
+        said.append("How far the stem jumps once it breaks loose, J, would show in more slips, or in a measured stem.")
+    if vague & {"gain", "dead_time"} and found.verdict != "undecided":
+        said.append("When tuning by a rule, take the upper end of the ranges of gain and dead time: the cautious side.")
+    Ts = found.record.sample_time
+    values = _plant_parameters(found.plant)
+    times = {n: kpi_title(n)[0].lower() for n in ("time_constant", "dead_time") if n in groups["hardly"]}
+    coarse = [title for n, title in times.items() if values[n] < COARSE * Ts]
+    slow = [title for title in times.values() if title not in coarse]
+    if coarse:
+        verb = "is" if len(coarse) == 1 else "are"
+        said.append(
+            f"The {join(coarse)} {verb} of the size of the sampling, {given(Ts)} s: a record sampled faster would tell."
+        )
+    if slow:
+        said.append(f"More setpoint changes in the record would show the {join(slow)} better.")
+    return said

@@ -9,19 +9,26 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from workbench.model.record import FloatArray
+from workbench.model.detection import Detection
+from workbench.model.record import FloatArray, Record
 from workbench.model.results import DescribingFunction, Estimate, Run
 from workbench.model.study import CaseResult
+from workbench.model.valve import Ideal
 from workbench.report import draw
+from workbench.report.draw_evidence import apparent_stiction, bicoherence_map, pv_autocorrelation
 from workbench.report.files import write_files
 from workbench.report.style import SP, case_style, new_figure, styled, svg_text
-from workbench.report.words import join, label
+from workbench.report.words import join, label, parameter_words
 
 __all__ = [
+    "apparent_stiction_figure",
+    "autocorrelation_figure",
+    "bicoherence_figure",
     "convergence_figure",
     "estimate_figure",
     "frequency_figure",
     "linear_fit_figure",
+    "op_stem_figure",
     "overlay_figure",
     "profile_figure",
     "pv_op_figure",
@@ -120,22 +127,12 @@ def frequency_figure(named: Sequence[tuple[str, DescribingFunction]]) -> Figure:
     return fig
 
 
-def _pair(found: Estimate, title: str, window: tuple[float, float] | None, *, linear: bool) -> Figure:
-    with styled():
-        fig = new_figure(WIDTH, 3.4)
-        above, below = fig.subplots(2, 1, sharex=True)
-        record = found.record
-        part = slice(None)
-        if window is not None:
-            first = max(0, math.floor((window[0] - record.start) / record.sample_time))
-            part = slice(first, max(first + 2, math.ceil((window[1] - record.start) / record.sample_time)))
-        time = record.time[part]
-        unit, name = draw.time_axis(float(time[-1]))
-        draw.model_pv(above, found, unit, part, linear=linear)
-        draw.model_op(below, found, unit, part, stem=not linear)
-        below.set_xlabel(f"time ({name})")
-        above.set_title(label(title, 55), loc="left")
-    return fig
+def _part(record: Record, window: tuple[float, float] | None) -> slice:
+    """Return the samples of a record within a window (s, in the record's time), at least two; all by default."""
+    if window is None:
+        return slice(None)
+    first = max(0, math.floor((window[0] - record.start) / record.sample_time))
+    return slice(first, max(first + 2, math.ceil((window[1] - record.start) / record.sample_time)))
 
 
 def estimate_figure(found: Estimate, title: str = "", window: tuple[float, float] | None = None) -> Figure:
@@ -143,16 +140,80 @@ def estimate_figure(found: Estimate, title: str = "", window: tuple[float, float
 
     window: (start, end) in the record's time, s; the whole record by default.
     """
-    return _pair(found, title, window, linear=False)
+    with styled():
+        fig = new_figure(WIDTH, 3.4)
+        above, below = fig.subplots(2, 1, sharex=True)
+        part = _part(found.record, window)
+        unit, name = draw.time_axis(float(found.record.time[part][-1]))
+        draw.model_pv(above, found, unit, part)
+        draw.model_op(below, found, unit, part)
+        below.set_xlabel(f"time ({name})")
+        above.set_title(label(title, 55), loc="left")
+    return fig
 
 
 def linear_fit_figure(found: Estimate, title: str = "", window: tuple[float, float] | None = None) -> Figure:
-    """Return PV with the prediction of the fit that ignores stiction above, OP below, like the paper's Fig. 3."""
-    return _pair(found, title, window, linear=True)
+    """Return PV with the model's prediction above, and below with that of the fit that ignores stiction.
+
+    Each with its parameters, like the paper's Figs. 3 and 4. window: as in `estimate_figure`.
+    """
+    plain = found.linear
+    with styled():
+        fig = new_figure(WIDTH, 3.6)
+        above, below = fig.subplots(2, 1, sharex=True, sharey=True)
+        part = _part(found.record, window)
+        unit, name = draw.time_axis(float(found.record.time[part][-1]))
+        draw.model_pv(above, found, unit, part)
+        draw.model_pv(below, found, unit, part, linear=True)
+        below.set_xlabel(f"time ({name})")
+        with_stiction = parameter_words(found.valve, found.plant, found.residual_variance)
+        without = parameter_words(Ideal(), plain.plant, plain.residual_variance)
+        for ax, text in ((above, with_stiction), (below, without)):
+            ax.set_title(text, loc="left", fontsize=7, fontweight="normal")
+        if title:
+            fig.suptitle(label(title, 55), x=0.01, ha="left", fontsize=8.5, fontweight="bold")
+    return fig
+
+
+def op_stem_figure(found: Estimate, title: str = "") -> Figure:
+    """Return PV and its prediction against OP, and beside it the estimated stem (and the measured one, Fig. 2)."""
+    with styled():
+        fig = new_figure(WIDTH, 2.9)
+        left, right = fig.subplots(1, 2)
+        draw.pv_op_found(left, found)
+        draw.op_stem_found(right, found)
+        left.set_title(label(title, 30), loc="left")
+    return fig
+
+
+def autocorrelation_figure(found: Detection, title: str = "") -> Figure:
+    """Return PV's autocorrelation with its zero crossings and the period."""
+    with styled():
+        fig = new_figure(WIDTH, 2.0)
+        ax = fig.subplots()
+        pv_autocorrelation(ax, found)
+        ax.set_title(label(title, 35), loc="left")
+    return fig
+
+
+def bicoherence_figure(found: Detection) -> Figure:
+    """Return the squared bicoherence over both frequencies, with NGI and NLI."""
+    with styled():
+        fig = new_figure(4.6, 2.9)
+        bicoherence_map(fig.subplots(), found)
+    return fig
+
+
+def apparent_stiction_figure(found: Detection) -> Figure:
+    """Return PV against OP with the ellipse of the cycle and the apparent stiction."""
+    with styled():
+        fig = new_figure(2.5, 2.9)
+        apparent_stiction(fig.subplots(), found)
+    return fig
 
 
 def profile_figure(found: Estimate, title: str = "") -> Figure:
-    """Return the residual variance against d, with the 95 % range shaded; a narrow range also from near."""
+    """Return the AIC against d, with the 95 % range shaded; a narrow range also from near."""
     with styled():
         fig = new_figure(WIDTH, 2.6)
         near = draw.near_best(found)

@@ -12,9 +12,11 @@ from matplotlib.figure import Figure
 from workbench.errors import OutputError
 from workbench.model.record import Record
 from workbench.model.study import NamedEstimate, Study
+from workbench.model.valve import Ideal
 from workbench.report import figures
 from workbench.report.cycles import cycle_tables
-from workbench.report.estimates import estimate_table
+from workbench.report.detections import detection_table, detection_words, first_with
+from workbench.report.estimates import candidates_table, estimate_table, known_sentences
 from workbench.report.files import write_files
 from workbench.report.how import how_tables
 from workbench.report.over_ensemble import (
@@ -96,6 +98,9 @@ def render(study: Study, drawn: Mapping[str, str]) -> str:
         difference_table=difference_table(study),
         cycle_tables=cycle_tables(study),
         estimate_tables=[estimate_table(e) for e in study.estimates],
+        known=[known_sentences(e.found) for e in study.estimates],
+        candidates_tables=[candidates_table(e.found) for e in study.estimates],
+        evidence=[_evidence(study, place) for place in range(len(study.estimates))],
         how=how_tables(study),
         ensemble_text=ensemble_text(study),
         ensemble_tables=ensemble_tables(study),
@@ -115,6 +120,23 @@ def render(study: Study, drawn: Mapping[str, str]) -> str:
 def _finalize(value: object) -> object:
     """Make text fit for a page; what is markup already stays as it is."""
     return legible(value) if isinstance(value, str) and not isinstance(value, Markup) else value
+
+
+def _evidence(study: Study, place: int) -> dict[str, object] | None:
+    """Return what the page says of an estimate's detection: once for each record."""
+    named = study.estimates[place]
+    if named.detection is None:
+        return None
+    earlier = first_with(study.estimates, place)
+    if earlier:
+        return {"earlier": earlier}
+    found = named.detection
+    return {
+        "earlier": "",
+        "words": detection_words(named, found),
+        "reasons": found.reasons,
+        "table": detection_table(found),
+    }
 
 
 def _agreements(study: Study) -> list[tuple[str, str]]:
@@ -143,15 +165,25 @@ def figure_names(study: Study) -> dict[str, list[dict[str, str]]]:
         cases.append({"trend": f"trend_{stem}.svg", "pv_op": f"pv_op_{stem}.svg"})
     taken = set()
     estimates = []
-    for named in study.estimates:
+    for place, named in enumerate(study.estimates):
         stem = slug(named.name, taken)
-        names = {"fit": f"estimate_{stem}.svg", "linear": f"linear_fit_{stem}.svg"}
+        names = {"fit": f"estimate_{stem}.svg"}
+        if not isinstance(named.found.valve, Ideal):
+            names["linear"] = f"linear_fit_{stem}.svg"
+        if "linear" in names or named.found.record.valve_position is not None:
+            names["stem"] = f"op_stem_{stem}.svg"
         if _detail(named.found.record) is not None:
             names["detail"] = f"detail_{stem}.svg"
         if named.found.profile_d.size > 1:
             names["profile"] = f"profile_{stem}.svg"
         if len(named.found.iterations) > 1:
             names["convergence"] = f"convergence_{stem}.svg"
+        evidence = named.detection
+        if evidence is not None and not first_with(study.estimates, place):
+            if evidence.test is not None:
+                names |= {"autocorrelation": f"autocorrelation_{stem}.svg", "ellipse": f"ellipse_{stem}.svg"}
+            if evidence.bicoherence is not None:
+                names["bicoherence"] = f"bicoherence_{stem}.svg"
         estimates.append(names)
     return {"cases": cases, "estimates": estimates}
 
@@ -200,12 +232,21 @@ def _estimate_figures(named: NamedEstimate, own: Mapping[str, str], add: object)
     window = _detail(found.record)
     if window is not None:
         add(own["detail"], figures.estimate_figure(found, name, window), f"{name}: a stretch of the same from near")
-    add(
-        own["linear"],
-        figures.linear_fit_figure(found, name, window),
-        f"{name}: PV with the prediction of the fit that ignores stiction",
-    )
+    if "linear" in own:
+        add(
+            own["linear"],
+            figures.linear_fit_figure(found, name, window),
+            f"{name}: PV with the prediction of the model, and of the fit that ignores stiction",
+        )
+    if "stem" in own:
+        add(own["stem"], figures.op_stem_figure(found, name), f"{name}: PV and valve position against OP")
     if "profile" in own:
-        add(own["profile"], figures.profile_figure(found, name), f"{name}: residual variance against d")
+        add(own["profile"], figures.profile_figure(found, name), f"{name}: AIC against d")
     if "convergence" in own:
         add(own["convergence"], figures.convergence_figure(found, name), f"{name}: convergence of the two-step method")
+    evidence = named.detection
+    if evidence is not None and "autocorrelation" in own:
+        add(own["autocorrelation"], figures.autocorrelation_figure(evidence, name), f"{name}: autocorrelation of PV")
+        add(own["ellipse"], figures.apparent_stiction_figure(evidence), f"{name}: PV against OP with the ellipse")
+    if evidence is not None and "bicoherence" in own:
+        add(own["bicoherence"], figures.bicoherence_figure(evidence), f"{name}: squared bicoherence of SP − PV")

@@ -8,10 +8,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from workbench.errors import InvalidValue
+from workbench.model.detection import Detection
 from workbench.model.front import Front
 from workbench.model.record import Record
 from workbench.model.results import DescribingFunction, Estimate, LimitCycle, Run, Tuned
 from workbench.report import draw
+from workbench.report.draw_evidence import apparent_stiction, bicoherence_map, pv_autocorrelation
 from workbench.report.style import new_figure, styled
 from workbench.report.trade import draw_front
 
@@ -21,16 +23,18 @@ if TYPE_CHECKING:
 
 __all__ = ["plot"]
 
-_KINDS = "a Run, Record, Estimate, DescribingFunction, LimitCycle, Tuned or Front"
+_KINDS = "a Run, Record, Estimate, Detection, DescribingFunction, LimitCycle, Tuned or Front"
 
 
 def plot(result: object, ax: Any = None) -> Axes | NDArray[Any]:
     """Draw a result and return its axes.
 
     Run, Record, Estimate: two axes, PV above and OP with the valve's position below (an array of shape (2,)); `ax` may
-    be two axes, or one, which gets PV alone. DescribingFunction: the loci in the complex plane. LimitCycle: periods by
-    start. Tuned: objectives by restart. Front: error against valve travel, sticky and repaired. `ax`: where to draw; a
-    new figure by default (`.figure` of the axes, to show or save). Raises `InvalidValue` for anything else.
+    be two axes, or one, which gets PV alone. Detection: three axes, PV's autocorrelation, the bicoherence and PV
+    against OP with its ellipse (shape (3,); the last two want `detect(record, bicoherence=True)`); `ax` may be three
+    axes, or one, which gets the autocorrelation alone. DescribingFunction: the loci in the complex plane. LimitCycle:
+    periods by start. Tuned: objectives by restart. Front: error against valve travel, sticky and repaired. `ax`: where
+    to draw; a new figure by default (`.figure` of the axes, to show or save). Raises `InvalidValue` for anything else.
     """
     pairs: dict[type, tuple[Callable[..., None], Callable[..., None]]] = {
         Run: (draw.run_pv, draw.run_op),
@@ -47,10 +51,25 @@ def plot(result: object, ax: Any = None) -> Axes | NDArray[Any]:
         for kind, (above, below) in pairs.items():
             if isinstance(result, kind):
                 return _two(result, ax, above, below)
+        if isinstance(result, Detection):
+            return _evidence(result, ax)
         for kind, one in singles.items():
             if isinstance(result, kind):
                 return _one(result, ax, one)
     raise InvalidValue("plot", type(result).__name__, f"must be {_KINDS}")
+
+
+def _evidence(found: Detection, ax: Any) -> Axes | NDArray[Any]:
+    axes = list(new_figure(6.4, 7.0).subplots(3, 1, height_ratios=(2, 3, 3))) if ax is None else _axes(ax, (1, 3))
+    parts = (pv_autocorrelation, bicoherence_map, apparent_stiction)
+    for target, part in zip(axes, parts, strict=False):
+        part(target, found)
+    if len(axes) == 1:
+        single: Axes = axes[0]
+        return single
+    out = np.empty(3, dtype=object)
+    out[:] = axes
+    return out
 
 
 def _loci(ax: Axes, df: DescribingFunction) -> None:

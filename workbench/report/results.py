@@ -20,10 +20,20 @@ from io import StringIO
 from typing import Any
 
 from workbench.model.controller import PID
+from workbench.model.detection import Detection
 from workbench.model.front import Front, FrontPoint, RobustRepair
 from workbench.model.loop import Loop
 from workbench.model.plant import FOPDT, Plant
-from workbench.model.results import DescribingFunction, Kpis, LimitCycle, Outcome, Repair, Robustness, Tuned
+from workbench.model.results import (
+    DescribingFunction,
+    FittedModel,
+    Kpis,
+    LimitCycle,
+    Outcome,
+    Repair,
+    Robustness,
+    Tuned,
+)
 from workbench.model.rule import Rule
 from workbench.model.study import CaseResult, NamedEstimate, Study
 from workbench.model.tuning import Objective
@@ -250,6 +260,19 @@ def aic(value: float, residual_variance: float) -> float:
     return value if residual_variance >= ROUNDING else math.nan
 
 
+def _detection(found: Detection) -> dict[str, Any]:
+    return {
+        "verdict": found.verdict,
+        "reasons": list(found.reasons),
+        "statistics": [{n: getattr(s, n) for n in ("name", "value", "unit", "says")} for s in found.statistics],
+    }
+
+
+def _candidate(model: FittedModel) -> dict[str, Any]:
+    criteria = {name: aic(getattr(model, name), model.residual_variance) for name in ("aic", "bic")}
+    return {**_plain(model), "plant": _plant(model.plant), "valve": _valve(model.valve), **criteria}
+
+
 def _estimate(named: NamedEstimate) -> dict[str, Any]:
     found = named.found
     return {
@@ -281,6 +304,8 @@ def _estimate(named: NamedEstimate) -> dict[str, Any]:
             "notes": list(found.record.notes),
             "counts": dict(found.record.counts),
         },
+        "candidates": [_candidate(c) for c in found.candidates],
+        **({} if named.detection is None else {"detection": _detection(named.detection)}),
         "truth": None if named.truth is None else _loop(named.truth),
         "reference": dict(named.reference),
         "note": named.note,

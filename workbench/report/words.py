@@ -26,6 +26,7 @@ __all__ = [
     "legible",
     "lower_first",
     "nearby",
+    "parameter_words",
     "plant_words",
     "published",
     "rule_words",
@@ -243,6 +244,19 @@ def valve_words(valve: Valve) -> str:
     if isinstance(valve, Deadband):
         return f"dead band (backlash) of {given(valve.b)} %"
     return type(valve).__name__
+
+
+def parameter_words(valve: Valve, plant: Plant, residual_variance: float) -> str:
+    """Return a fitted model's parameters and its residual variance on one line."""
+    band = {Stenman: "d", Deadband: "dead band"}.get(type(valve), "S")
+    parts = [] if isinstance(valve, Ideal) else [f"{band} {figure(valve.stick_band, 3)} %"]
+    if isinstance(valve, Choudhury):
+        parts.append(f"J {figure(valve.J, 3)} %")
+    parts.append(f"gain {figure(plant.gain, 3)} {'EU/%' if isinstance(plant, FOPDT) else 'EU/(% s)'}")
+    if isinstance(plant, FOPDT):
+        parts.append(f"time constant {figure(plant.time_constant, 3)} s")
+    parts.append(f"dead time {figure(plant.dead_time, 3)} s")
+    return f"{', '.join(parts)}: residual variance {figure(residual_variance, 3)} EU²"
 
 
 def plant_words(plant: Plant) -> str:

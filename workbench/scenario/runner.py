@@ -14,9 +14,11 @@ import numpy as np
 from workbench.analyze.agreement import agreement
 from workbench.analyze.describing_function import describing_function
 from workbench.analyze.limit_cycle import limit_cycle
+from workbench.detect.detect import detect
 from workbench.errors import ScenarioError, WorkbenchError
 from workbench.estimate.estimate import estimate
 from workbench.model.controller import PID
+from workbench.model.detection import Detection
 from workbench.model.experiment import Experiment
 from workbench.model.front import RobustRepair
 from workbench.model.loop import Loop
@@ -63,6 +65,7 @@ class _Runner:
         self.plan = plan
         self.tell = progress
         self.times: dict[str, float] = {}
+        self.detections: list[Detection] = []
         self.done = 0.0
         cases = sum(_SHARE["case"] + (_SHARE["tune"] if case.tune is not None else 0.0) for case in plan.cases)
         searches = 0.0
@@ -146,7 +149,17 @@ class _Runner:
                 start=job.start,
                 progress=partial(progress, ""),
             )
-        return NamedEstimate(job.name, found, job.truth, job.reference, job.note)
+            detection = self._detection(record)
+        return NamedEstimate(job.name, found, job.truth, job.reference, job.note, detection)
+
+    def _detection(self, record: Record) -> Detection:
+        """Return the evidence in a record, once for estimates from the same one."""
+        for known in self.detections:
+            if np.array_equal(known.record.pv, record.pv) and np.array_equal(known.record.op, record.op):
+                return known
+        found = detect(record, bicoherence=True)
+        self.detections.append(found)
+        return found
 
     def _case(self, job: CaseJob, base: Loop, above: Sequence[CaseResult]) -> CaseResult:
         plan, experiment = self.plan, self.plan.experiment

@@ -1,0 +1,258 @@
+"""The evidence in words: every statistic with what it measures, its source, its limits, and what it says."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+from workbench.detect.bicoherence import LONG, NONLINEAR, SHORTEST
+from workbench.detect.correlation import LAGS, VALUES
+from workbench.detect.load import DETECTIONS
+from workbench.detect.oscillation import OSCILLATES, REGULAR, no_period
+from workbench.detect.shape import TRIANGLES, UNANSWERED
+from workbench.detect.verdict import Thresholds
+from workbench.model.detection import Detection, Statistic
+
+__all__ = ["statistics_of"]
+
+FOR, AGAINST, OPEN = "for stiction", "against stiction", "no decision"
+STILL = "PV or OP never moves"
+
+
+def statistics_of(found: Detection, bicoherence: bool) -> tuple[Statistic, ...]:
+    """Return every statistic of a detection, what decides the verdict first.
+
+    bicoherence: whether the bicoherence and the ellipse were asked for. Limits are those of the sources, but for the
+    stem test and the recorded stem, which stand on `Thresholds`.
+    """
+    dead = found.test is None  # PV or OP never moves
+    why = STILL if dead else no_period(found.cycle)
+    return (
+        *_stem_test(found),
+        *_recorded_stem(found),
+        *_oscillation(found, why),
+        *_phase(found, why),
+        *_shape(found, why),
+        *_nonlinear(found, why, bicoherence),
+    )
+
+
+def _undefined(why: str) -> str:
+    return f"not defined here: {why}"
+
+
+def _says(value: float, none: float, some: float, why: str) -> str:
+    """Return which side of two limits a statistic lies on: up to `none` no stiction, from `some` on stiction."""
+    if math.isnan(value):
+        return _undefined(why)
+    return AGAINST if value <= none else FOR if value >= some else OPEN
+
+
+def _stem_test(found: Detection) -> Iterator[Statistic]:
+    test, limits = found.test, Thresholds()
+    rows = (
+        (
+            "Stem test, prediction",
+            "share of what a linear loop leaves of PV unpredicted, one sample ahead, that a sticking stem explains",
+            "%",
+            math.nan if test is None else 100.0 * test.improvement,
+            100.0 * limits.predicts,
+        ),
+        (
+            "Stem test, likelihood",
+            "log likelihood ratio of the loop with the sticking stem to the linear one",
+            "",
+            math.nan if test is None else test.likelihood,
+            limits.likelihood,
+        ),
+        (
+            "Stem test, simulation",
+            "share of what the linear loop leaves of PV when simulated from OP alone that the stem explains",
+            "%",
+            math.nan if test is None else 100.0 * test.simulated,
+            100.0 * limits.explains,
+        ),
+        (
+            "Left by the linear loop",
+            "share of PV's variance that the linear loop, simulated from OP alone, leaves: what there is to explain",
+            "%",
+            math.nan if test is None else 100.0 * test.unexplained,
+            100.0 * limits.left,
+        ),
+    )
+    for name, measures, unit, value, least in rows:
+        needed = f"stiction needs {least:g}{' %' if unit else ''} or more"
+        says = "enough for stiction" if value >= least else "too little for stiction"
+        if name == rows[-1][0] and test is not None:
+            clear = limits.clear * limits.predicts
+            needed += f", or a prediction better by {100.0 * clear:g} %"
+            little = "little, but the stem predicts clearly better" if test.improvement >= clear else "too little"
+            says = "there is something to explain" if value >= least else little
+        says = _undefined(STILL) if math.isnan(value) else says
+        yield Statistic(name, measures, "", value, unit, needed, says, decides=True)
+
+
+def _recorded_stem(found: Detection) -> Iterator[Statistic]:
+    stem, limits = found.stem, Thresholds()
+    if found.record.valve_position is None:
+        return
+    value = math.nan if stem is None else 100.0 * math.sqrt(stem.follows)
+    says = _undefined("OP never moves")
+    if stem is not None:
+        follows, sticks = stem.follows < limits.direct, stem.sticks <= 0.5 * stem.follows
+        says = "the stem follows OP" if follows else f"it sticks over {stem.band:.3g} %" if sticks else OPEN
+    yield Statistic(
+        "Recorded stem",
+        "how far the measured valve position leaves a straight line through OP, as a share of its moves",
+        "",
+        value,
+        "%",
+        f"below {100.0 * math.sqrt(limits.direct):g} % it follows; else stiction where a sticking stem explains half",
+        says,
+        decides=True,
+    )
+
+
+def _oscillation(found: Detection, why: str) -> Iterator[Statistic]:
+    cycle = found.cycle
+    seen = math.isfinite(cycle.period)
+    none = "" if seen else _undefined("PV's autocorrelation crosses zero less than four times in half the record")
+    brief = "" if seen else _undefined(why)
+    yield Statistic(
+        "Oscillation index",
+        "autocorrelation of PV one period on: 0 for noise, 1 for a perfect sinusoid",
+        "",
+        cycle.index if seen else math.nan,
+        "",
+        f"from {OSCILLATES:g} on a cycle",
+        none or ("PV cycles" if cycle.index >= OSCILLATES else "hardly a cycle"),
+    )
+    yield Statistic(
+        "Oscillation period",
+        "twice the mean interval between zero crossings of PV's autocorrelation",
+        "Thornhill, Huang and Zhang 2003",
+        cycle.period,
+        "s",
+        "",
+        brief or f"{cycle.cycles:.3g} periods recorded",
+    )
+    yield Statistic(
+        "Regularity",
+        "mean of those intervals over three times their standard deviation",
+        "Thornhill, Huang and Zhang 2003",
+        cycle.regularity if seen else math.nan,
+        "",
+        f"above {REGULAR:g} regular",
+        brief or ("a regular oscillation" if cycle.regularity > REGULAR else "not regular"),
+    )
+    often = found.load_index >= DETECTIONS
+    yield Statistic(
+        "Load index",
+        "weighted number of load disturbances in 50 periods, counted by the error's area between zero crossings",
+        "Hägglund 1995",
+        math.nan if why else found.load_index,
+        "",
+        f"from {DETECTIONS:g} on an oscillation",
+        _undefined(why) if why else "an oscillation that matters" if often else "fewer than an oscillation makes",
+    )
+
+
+def _phase(found: Detection, why: str) -> Iterator[Statistic]:
+    crossing = why or "the cross-correlation does not cross zero on both sides of lag 0"
+    both = (("lags", LAGS, "of its zero crossings about lag 0"), ("values", VALUES, "of its value at lag 0"))
+    for value, (name, (none, some), what) in zip(found.correlation, both, strict=True):
+        yield Statistic(
+            f"Cross-correlation, {name}",
+            f"asymmetry {what}, OP with PV: 1 where PV lags a quarter of a cycle, 0 in or against phase; "
+            "self-regulating loops",
+            "Horch 1999",
+            value,
+            "",
+            f"from {some:.3g} on stiction, up to {none:.3g} none",
+            _says(value, none, some, crossing),
+        )
+    yield Statistic(
+        "Histogram fit",
+        "how much better a bell than a sinusoid's two humps describes PV's second derivative; integrating loops",
+        "Horch 2000",
+        found.histogram,
+        "",
+        "from −1 to 1, above 0 stiction",
+        _says(found.histogram, 0.0, 0.0, why or "fewer than 12 samples in a period, or too short a record"),
+    )
+
+
+def _shape(found: Detection, why: str) -> Iterator[Statistic]:
+    none, some = TRIANGLES
+    for name, value, loops in (("OP", found.triangle, "self-regulating"), ("PV", found.triangle_pv, "integrating")):
+        yield Statistic(
+            f"Triangles in {name}",
+            f"misfit of half sines over that of half sines and triangles together, fitted to {name}; {loops} loops",
+            "He, Wang, Pottmann and Qin 2007",
+            value,
+            "",
+            f"from {some:g} on stiction, up to {none:g} none",
+            _says(value, none, some, why or "no half period has six samples"),
+        )
+    still = STILL if found.test is None else "the record holds no three moves"
+    whats = ("while PV stands still", "while PV stands still, less what a stem would not do next")
+    for name, value, what in zip(("ρ₁", "ρ₃"), found.movement, whats, strict=True):
+        yield Statistic(
+            f"Moves without answer, {name}",
+            f"share of the time in which OP moves {what}; flow loops",
+            "Yamashita 2006",
+            value,
+            "",
+            f"above {UNANSWERED:g} stiction",
+            _undefined(still) if math.isnan(value) else FOR if value > UNANSWERED else AGAINST,
+        )
+
+
+def _nonlinear(found: Detection, why: str, asked: bool) -> Iterator[Statistic]:
+    n, bic = found.stretch[1] - found.stretch[0], found.bicoherence
+    where = "" if n == len(found.record) else " at constant SP"
+    missing = "not asked for (bicoherence=True)"
+    if asked:
+        short = f"the record is too short: {n} samples{where}, at least {SHORTEST} needed"
+        missing = "SP − PV never moves" if n >= SHORTEST else short
+    doubt = "" if n >= LONG else f", but in fewer samples than the authors' {LONG:,} chance shows as well"
+    period = found.cycle.period / found.record.sample_time
+    if bic is not None and period * float(bic.frequency_1.min()) > 1.0:
+        length = 1.0 / float(bic.frequency_1.min())
+        doubt += f"; with segments of {length:.0f} samples it does not see the cycle, which takes {period:.0f}"
+    ngi, nli = (math.nan, math.nan) if bic is None else (bic.ngi, bic.nli)
+    yield Statistic(
+        "Non-Gaussianity NGI",
+        "how far the significant bicoherences of SP − PV exceed what a linear Gaussian signal shows",
+        "Choudhury, Shook and Shah 2006",
+        ngi,
+        "",
+        "above 0 not Gaussian",
+        _undefined(missing) if bic is None else "not Gaussian" if ngi > 0.0 else "Gaussian: linear",
+    )
+    nonlinear = ngi > 0.0 and nli > NONLINEAR
+    yield Statistic(
+        "Nonlinearity NLI",
+        "how far the largest bicoherence of SP − PV exceeds the others' mean and two standard deviations",
+        "Choudhury, Shah and Thornhill 2004",
+        nli,
+        "",
+        f"with NGI above 0: above {NONLINEAR:g} nonlinear",
+        _undefined(missing) if bic is None else f"nonlinear{doubt}" if nonlinear else "not shown to be nonlinear",
+    )
+    ellipse = found.ellipse
+    missing = (why or "fewer than two periods recorded") if asked else missing
+    yield Statistic(
+        "Apparent stiction",
+        "width along OP of the ellipse fitted to PV against OP over the cycle; it means stiction in a nonlinear loop "
+        "alone, any phase between OP and PV opens it",
+        "Choudhury, Shah, Thornhill and Shook 2006",
+        math.nan if ellipse is None else ellipse.apparent_stiction,
+        "%",
+        "",
+        _undefined(missing)
+        if ellipse is None
+        else "stiction as the loop shows it: the valve's own may be larger or smaller"
+        if nonlinear
+        else "no measure of stiction: the loop is not shown to be nonlinear",
+    )
