@@ -50,24 +50,33 @@ def _says(value: float, none: float, some: float, why: str) -> str:
 
 def _stem_test(found: Detection) -> Iterator[Statistic]:
     test, limits = found.test, Thresholds()
+    alone = math.nan if test is None else test.predicting
     rows = (
         (
+            "Stem test, prediction alone",
+            "share of what a linear loop leaves of PV unpredicted that the stem explains which predicts best",
+            "%",
+            math.nan if test is None else 100.0 * (1.0 - math.exp(-alone / test.samples)),
+            100.0 * limits.sole_predicts,
+        ),
+        ("Stem test, its likelihood", "log likelihood ratio of that stem to the linear loop", "", alone, limits.sole),
+        (
             "Stem test, prediction",
-            "share of what a linear loop leaves of PV unpredicted, one sample ahead, that a sticking stem explains",
+            "the same share for the stem that is best by prediction and simulation together",
             "%",
             math.nan if test is None else 100.0 * test.improvement,
             100.0 * limits.predicts,
         ),
         (
             "Stem test, likelihood",
-            "log likelihood ratio of the loop with the sticking stem to the linear one",
+            "log likelihood ratio of that stem to the linear loop",
             "",
             math.nan if test is None else test.likelihood,
             limits.likelihood,
         ),
         (
             "Stem test, simulation",
-            "share of what the linear loop leaves of PV when simulated from OP alone that the stem explains",
+            "share of what the linear loop leaves of PV when simulated from OP alone that it explains",
             "%",
             math.nan if test is None else 100.0 * test.simulated,
             100.0 * limits.explains,
@@ -81,11 +90,12 @@ def _stem_test(found: Detection) -> Iterator[Statistic]:
         ),
     )
     for name, measures, unit, value, least in rows:
-        needed = f"stiction needs {least:g}{' %' if unit else ''} or more"
+        route = "the first two by themselves" if "alone" in name or "its" in name else "these three together"
+        needed = f"stiction needs {least:g}{' %' if unit else ''} or more, {route}"
         says = "enough for stiction" if value >= least else "too little for stiction"
         if name == rows[-1][0] and test is not None:
             clear = limits.clear * limits.predicts
-            needed += f", or a prediction better by {100.0 * clear:g} %"
+            needed = f"stiction needs {least:g} % or more, or a prediction better by {100.0 * clear:g} %"
             little = "little, but the stem predicts clearly better" if test.improvement >= clear else "too little"
             says = "there is something to explain" if value >= least else little
         says = _undefined(STILL) if math.isnan(value) else says

@@ -39,8 +39,7 @@ JUMPS = (0.0, 0.3, 0.9, 1.4)  # J/S
 STARTS = (-0.8, 0.0, 0.8)  # where the stem may rest at the start: OP less stem, as a share of what holds it
 WIDE = 0.25  # of OP's range: a band that matters to the loop
 CLOSER = (0.06, 0.03, 0.012, 0.005)  # widths are searched on by up to twice these shares
-KEPT, KEPT_WIDE = 3, 2  # best of a screening that are judged, and of the wide ones
-SAME_BAND = 0.1  # relative
+CLASSES = (0.1, 0.25, 0.5)  # of OP's range: between narrow and wide bands
 # Plants: time constants and dead times, in samples.
 COARSE_TAUS, FINE_TAUS = 8, 28
 SHORTEST = 0.3
@@ -85,9 +84,8 @@ class _Candidate:
 
     @property
     def both(self) -> float:
-        if min(self.innovations, self.simulated) <= 0.0:
-            return min(self.innovations, self.simulated)
-        return self.innovations * self.simulated
+        """The less of both."""
+        return min(self.innovations, self.simulated)
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,7 +113,8 @@ class Law:
             found += [Law(Stenman(v.d * f), r) for f in (*factors, 1.0) for r in (rest * f, rest - 4.0 * spread * v.d)]
             found.append(Law(v, rest + 4.0 * spread * v.d))
         else:
-            jumps = (v.J, v.J * (1.0 + 3.0 * spread) + spread * v.S, max(v.J * (1.0 - 3.0 * spread) - spread * v.S, 0.0))
+            more = 3.0 * spread * v.J + spread * v.S
+            jumps = (v.J, v.J + more, max(v.J - more, 0.0))
             found += [Law(Choudhury(v.S * f, J), rest) for f in (*factors, 1.0) for J in jumps]
             found += [Law(v, rest + f * spread * v.S) for f in (-3.0, 3.0)]
         return [law for law in found if abs(law.rest) <= law.reach]
@@ -273,18 +272,9 @@ def _strongest(e: FloatArray) -> float:
 
 
 def _best(costs: FloatArray, most: int) -> list[int]:
-    """Return where the lowest finite costs are, the lowest first."""
+    """Return where the lowest costs are, the lowest first."""
     first: list[int] = np.argsort(costs, kind="stable")[:most].tolist()
-    return [i for i in first if math.isfinite(costs[i])]
-
-
-def _apart(met: list[_Candidate]) -> list[_Candidate]:
-    """Return the best few of which no two have nearly one band."""
-    kept: list[_Candidate] = []
-    for c in sorted(met, key=lambda c: -c.innovations):
-        if len(kept) < KEPT and all(abs(math.log(c.law.band / k.law.band)) > SAME_BAND for k in kept):
-            kept.append(c)
-    return kept
+    return first
 
 
 class _Search:
@@ -316,25 +306,26 @@ class _Search:
         """Return the valves judged: the best of the grid, and those found closer and closer about them."""
         laws = laws_of(float(np.ptp(self.u)))
         paths = np.array([law.path(self.u) for law in laws])
-        wide = np.array([law.band >= WIDE * float(np.ptp(self.u)) for law in laws])
+        classes = np.digitize([law.band for law in laws], np.array(CLASSES) * float(np.ptp(self.u)))
         coarse = np.geomspace(SHORTEST, LONGEST * self.rivals.n, COARSE_TAUS).tolist()
         found: list[_Candidate] = []
         if fitted is not None:
             found += [self.judged(Law(fitted[0], 0.0), fitted[1], a) for a in (self.white, self.linear.a)]
 
-        def screened(a: FloatArray) -> FloatArray:
-            costs = self.rivals.least(paths, a, coarse)[0]
-            found.extend(self.judged(laws[i], paths[i], a) for i in _best(costs, KEPT))
-            return costs
-
         # The linear rival's noise holds what the stem would explain, white noise what it would not: once more with
-        # the noise of the best so far.
-        screened(self.linear.a)
-        screened(self.white)
-        a = max(found, key=lambda c: c.innovations).fit.a
-        costs = np.where(wide, screened(a), math.inf)
-        found += [self.judged(laws[i], paths[i], a) for i in _best(costs, KEPT_WIDE)]
-        return found + [self.closer(c) for c in _apart(found)]
+        # the noise of the best so far. Wide and narrow stems are looked at apart: neither is to crowd out the other.
+        for start in (self.linear.a, self.white, None):
+            a = max(found, key=lambda c: c.innovations).fit.a if start is None else start
+            costs = self.rivals.least(paths, a, coarse)[0]
+            for part in range(len(CLASSES) + 1):
+                i = _best(np.where(classes == part, costs, math.inf), 1)[0]
+                found.append(self.judged(laws[i], paths[i], a))
+        kinds = np.digitize([c.law.band for c in found], np.array(CLASSES) * float(np.ptp(self.u)))
+        leaders = [
+            max((c for c, kind in zip(found, kinds, strict=True) if kind == part), key=lambda c: c.innovations)
+            for part in range(len(CLASSES) + 1)
+        ]
+        return found + [self.closer(c) for c in leaders]
 
     def closer(self, best: _Candidate) -> _Candidate:
         """Return the best about a candidate, closer and closer: a stem a little off slips at other times."""

@@ -6,13 +6,13 @@ and to the simulated PV (`EXPLAINS`); or by prediction alone, which a slow load 
 (`SOLE`, `SOLE_PREDICTS`). The thresholds are stated, not fitted:
 
 LIKELIHOOD: a likelihood ratio with two free widths exceeds 30 by chance once in three million; over the search, some
-hundreds of stems that differ, that is less than once in 1,000. What noise and plant leave unmodelled made it exceed 30
-in one of a hundred simulated healthy loops, and 50 (SOLE) in none of 400.
+hundreds of stems that differ, that is less than once in 1,000. What linear models leave of a plant and its loads is not
+chance: hence SOLE.
 PREDICTS: a real linear plant is no first-order lag; what its shape leaves unmodelled was below 3 % of the innovations'
 variance in nine of ten simulated loops, and below 6 % (SOLE_PREDICTS) wherever the likelihood was beyond SOLE.
 EXPLAINS, LEFT: 5 % of the error, and of PV's variance; a linear model that leaves less has explained PV, unless the
 stem predicts clearly better, by five times PREDICTS (CLEAR), and simulates better too.
-CLOSE: two thirds of each of these is no acquittal.
+CLOSE: four fifths of each of these is no acquittal.
 FEW: a stem that sticks over a quarter of OP's range or more and moved at most four times, two cycles, cannot be told
 from a linear loop that leaves as much as LEFT, unless PV is seen to follow OP and the stem's lead is chance (CHANCE).
 SLOW: under integral action alone a self-regulating loop is at its stability limit with a period of at most four times
@@ -42,9 +42,9 @@ class Thresholds:
     predicts: float = 0.03
     explains: float = 0.05
     left: float = 0.05
-    sole: float = 50.0
+    sole: float = 45.0
     sole_predicts: float = 0.06
-    close: float = 2.0 / 3.0
+    close: float = 0.8
     clear: float = 5.0
     chance: float = 10.0
     slow: float = 4.0

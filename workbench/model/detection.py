@@ -69,9 +69,10 @@ class StemTest:
     innovation variances; band: width (%) of its stick band (Stenman: d); jump: its slip jump; moves: times that it set
     off or turned. likelihood: the same ratio of the stem best by prediction and simulation together; improvement: share
     of the linear rival's innovation variance that it explains; simulated: share of the error of the linear rival's
-    simulated PV that it explains. The linear rival of the innovations may have a sinusoidal disturbance. wide: the likelihood ratio of the best stem with a band of a quarter of OP's range or more. left: share of
-    PV's variance that the linear rival leaves as innovations, unfollowed: likewise without any input; unexplained: what
-    its simulated PV leaves.
+    simulated PV that it explains. The linear rival of the innovations may have a sinusoidal disturbance. wide: the
+    likelihood ratio of the best stem with a band of a quarter of OP's range or more, 0 without one. left: share of PV's
+    variance that the linear rival leaves as innovations, unfollowed: likewise without any input; unexplained: what its
+    simulated PV leaves.
     """
 
     predicting: float
