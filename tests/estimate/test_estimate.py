@@ -264,7 +264,7 @@ def test_separate_ranges_of_d_are_told_apart() -> None:
     good = [candidate(1.0, 1.1, 1.0), candidate(1.1, 1.15, 1.0), candidate(1.9, 2.0, 1.0)]
     limits = Limits((0.05, 100.0), (0.0, 30.0))
     fits = (*good, candidate(1.5, 1.6, 9.0))
-    profile = Profile(good[0], tuple(good), fits, 4, True, limits, False)
+    profile = Profile(good[0], tuple(good), fits, np.empty((0, 6)), (), True, limits, False)
     assert islands(profile) == ((1.0, 1.15), (1.9, 2.0))
     # Nothing worse was met between: one range.
     assert islands(Profile(good[0], tuple(good), tuple(good), 3, True, limits, False)) == ((1.0, 2.0),)

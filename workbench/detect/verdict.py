@@ -42,7 +42,7 @@ class Thresholds:
     predicts: float = 0.03
     explains: float = 0.05
     left: float = 0.05
-    sole: float = 45.0
+    sole: float = 40.0
     sole_predicts: float = 0.06
     close: float = 0.8
     clear: float = 5.0

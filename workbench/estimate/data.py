@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.signal import lfilter
 
 from workbench.errors import RecordError
 from workbench.model.plant import FOPDT, Integrating, Plant
 from workbench.model.record import FloatArray, Record
 
-__all__ = ["FEWEST_SAMPLES", "Centred", "centre", "gain_sign", "integers", "plant_of"]
+__all__ = ["FEWEST_SAMPLES", "WHITE", "Centred", "centre", "gain_sign", "integers", "plant_of"]
 
 FEWEST_SAMPLES = 30
+WHITE = np.ones(1)
 # What a record can resolve: fits whose rms residual is below this share of PV's standard deviation are equally good.
 RESOLUTION = 1e-3
 # Share of OP's moves that error and its change must explain for the controller's action to count as known.
@@ -25,7 +27,9 @@ class Centred:
     """PV and OP less `pv_mean` and `op_middle`, with prefix sums of y, y^2 and y_k y_{k+1}; floor: EU^2 (resolution).
 
     op_range: OP's peak to peak, %. integrating: the kind of plant that is fitted. sign: of the
-    plant's gain, +1 or -1 where the controller's action shows, else 0.
+    plant's gain, +1 or -1 where the controller's action shows, else 0. a: the filter (1, -a_1, .., -a_p) that leaves
+    the disturbance white, (1,) where it is taken to be; target: y filtered by it. skip: the first samples, which do not
+    count: they answer to what the stem did before the record.
     """
 
     y: FloatArray
@@ -41,14 +45,26 @@ class Centred:
     floor: float
     op_range: float
     sign: float
+    a: FloatArray
+    target: FloatArray
+    skip: int
 
     @property
     def samples(self) -> int:
         """N."""
         return int(self.y.size)
 
+    def whitened(self, a: FloatArray, skip: int) -> Centred:
+        """Return the same record, its disturbance the autoregression that the filter a leaves white."""
+        return replace(self, a=a, target=lfilter(a, [1.0], self.y), skip=max(skip, a.size - 1))
+
+    def innovations(self, prediction: FloatArray) -> FloatArray:
+        """Return what a prediction of y leaves, filtered, without the samples that do not count: shape (N - skip,)."""
+        left: FloatArray = lfilter(self.a, [1.0], self.y - prediction)[self.skip :]
+        return left
+
     def part(self, first: int, stop: int) -> Centred:
-        """Return the samples [first, stop) alone, centred as the whole."""
+        """Return the samples [first, stop) alone, centred as the whole, any disturbance white."""
         return _centred(self.y[first:stop], self.u[first:stop], self)
 
 
@@ -73,6 +89,9 @@ def _centred(y: FloatArray, u: FloatArray, whole: Centred) -> Centred:
         floor=whole.floor,
         op_range=float(np.ptp(u)),
         sign=whole.sign,
+        a=WHITE,
+        target=y,
+        skip=0,
     )
 
 
@@ -138,6 +157,9 @@ def centre(record: Record, plant: str) -> Centred:
         floor=floor,
         op_range=float(np.ptp(u)),
         sign=gain_sign(record),
+        a=WHITE,
+        target=y,
+        skip=0,
     )
 
 

@@ -15,6 +15,8 @@ from workbench.estimate.fit import (
     LEAST_TAU,
     Fit,
     Limits,
+    again_linear,
+    disturbance,
     fit_linear,
     fit_nothing,
     predict,
@@ -22,8 +24,8 @@ from workbench.estimate.fit import (
     start_range,
 )
 from workbench.estimate.models import PLANT_PARAMETERS, VALVE_PARAMETERS, bands_of, choose, compared, reasons_of
-from workbench.estimate.profile import Candidate, Profile, islands, path_of, search
-from workbench.estimate.two_parameter import Bands, band_stem, look, repeated
+from workbench.estimate.profile import Candidate, Profile, islands, path_of, profile_of, search
+from workbench.estimate.two_parameter import Band, Bands, band_stem, look, repeated
 from workbench.estimate.two_step import akaike, two_step
 from workbench.estimate.verdict import ENOUGH_SLIPS, SHARP, WIDE_D, Evidence, agree, judge
 from workbench.model.checks import choice, number
@@ -42,6 +44,8 @@ PLANTS = ("fopdt", "integrating")
 DELAYS = 30
 LINEAR_DELAYS = 240
 NORMAL = 1.96
+STARTING = 20  # of the record at most is left out at its start
+COLOURINGS = 2  # rounds of model and disturbance in turn
 MUCH_MANUAL = 0.05  # share of the record in manual that is worth a word
 
 
@@ -119,6 +123,46 @@ def _profile(data: Centred, max_dead_time: float | None, tell: Callable[[float],
         longest *= 2
 
 
+def _coloured(
+    data: Centred, found: Profile | None, coarse: list[Band], linear: Fit, delays: float
+) -> tuple[Centred, Profile | None, list[Band], Fit]:
+    """The record and the fits in the measure of the disturbance that the best stem leaves.
+
+    The first samples, up to the dead time, no longer count: where the record starts within a cycle, they answer to
+    slips before it.
+    """
+    theta = max(linear.theta if found is None else found.best.fit.theta, min(linear.theta, delays))
+    skip = min(math.ceil(theta) + 2, data.samples // STARTING)
+    for turn in range(COLOURINGS):
+        band = min(coarse, key=lambda b: b.fit.sse, default=None)
+        if found is not None and (band is None or found.best.fit.sse <= band.fit.sse):
+            best = found.best
+            prediction = predict(data, path_of(data.u, best.d_low, best.first)[0], best.first, best.fit)[0]
+        elif band is not None:
+            x = band_stem(data.u, band.S, band.J, band.first, band.sense)[0]
+            prediction = predict(data, x, max(band.first, 0), band.fit)[0]
+        else:
+            prediction = predict(data, data.u, 0, linear)[0]
+        a = disturbance((data.y - prediction)[skip:], data.floor)
+        if turn > 0 and a.size == data.a.size == 1:
+            break
+        data = data.whitened(a, skip)
+        linear = again_linear(data, linear, delays)
+        coarse = look(data, linear, delays)
+        if found is not None:
+            limits, likely = found.limits, [*found.likely, *(c.d_low for c in found.alike[:1])]
+            found = profile_of(data, found.rows, likely, limits, _silent, (found.best,))
+    return data, found, coarse, linear
+
+
+def _coloured_linear(data: Centred, linear: Fit, delays: float) -> tuple[Centred, Fit]:
+    """The record and its linear fit in the measure of the disturbance that this leaves."""
+    for _ in range(COLOURINGS):
+        data = data.whitened(disturbance(data.y - predict(data, data.u, 0, linear)[0], data.floor), 0)
+        linear = again_linear(data, linear, delays)
+    return data, linear
+
+
 @dataclass(frozen=True, eq=False)
 class _Stem:
     """The best stem model in the record's own scale."""
@@ -140,25 +184,31 @@ def _answer(
     n = data.samples
     method, valve = asked
     straight = _linear_result(data, linear)
-    stem = None if found is None else _stem(data, found)
+    plain = found
     # The rival of the verdict is as causal as the stem model: a long dead time passes for half a cycle.
     delays = found.limits.theta[1] if found is not None else float(_longest(data, None, DELAYS))
     rival = linear if linear.theta <= delays else fit_linear(data, delays)
     wide = [] if found is None else [c.fit.sse / n for c in found.fits if c.d >= WIDE_D * data.op_range]
     coarse = look(data, rival, delays)
+    white = coarse[0] if coarse else None
+    # The verdict weighs what each model leaves of PV; the model itself is fitted in the measure that its disturbance
+    # asks for.
+    if method != "two_step":
+        data, found, coarse, linear = _coloured(data, found, coarse, linear, delays)
+    stem = None if found is None else _stem(data, found)
     evidence = Evidence(
         samples=n,
         variance=data.variance,
         linear=rival.sse / n,
-        stem=math.inf if found is None else found.best.fit.sse / n,
+        stem=math.inf if plain is None else plain.best.fit.sse / n,
         slips=0 if found is None else found.best.slips,
         d=math.nan if found is None else found.best.d,
         gain=0.0 if found is None else found.best.fit.gain,
         op_range=data.op_range,
         nothing=fit_nothing(data) / n,
         wide=min(wide, default=math.inf),
-        two_parameter=coarse[0].fit.sse / n if coarse else math.inf,
-        bands=(coarse[0].S, coarse[0].J) if coarse else (0.0, 0.0),
+        two_parameter=white.fit.sse / n if white is not None else math.inf,
+        bands=(white.S, white.J) if white is not None else (0.0, 0.0),
         linear_delay=rival.theta / n,
         tau=0.0 if found is None or data.integrating else found.best.fit.tau / n,
         d_range=None if stem is None else stem.intervals.d,
@@ -191,6 +241,9 @@ def _answer(
         S = bands[chosen].best.S
         sharp = bands[chosen].S[1] - bands[chosen].S[0] <= SHARP * S
         identifiable = verdict == "stiction" and bands[chosen].best.slips >= ENOUGH_SLIPS and sharp
+    if verdict == "no_stiction" or chosen == "linear":
+        data, linear = _coloured_linear(data, linear, delays)
+        straight = _linear_result(data, linear)
     profile_d = np.array([] if found is None else [c.d for c in found.fits])
     profile_cost = np.array([] if found is None else [c.fit.sse / n for c in found.fits])
     best = bands[chosen].best if chosen in bands else None if found is None else found.best

@@ -1,4 +1,4 @@
-"""Output-error fits: of a plant to a given stem path, and the linear fit that ignores stiction."""
+"""Output-error fits, whitened where the disturbance is coloured: of a plant to a stem path, and of the linear loop."""
 
 from __future__ import annotations
 
@@ -6,9 +6,10 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.signal import lfilter
 
 from workbench.estimate import kernel
-from workbench.estimate.data import Centred
+from workbench.estimate.data import WHITE, Centred
 from workbench.model.plant import FOPDT, Integrating
 from workbench.model.record import FloatArray
 from workbench.simulate.coefficients import discretise
@@ -16,6 +17,8 @@ from workbench.simulate.coefficients import discretise
 __all__ = [
     "Fit",
     "Limits",
+    "again_linear",
+    "disturbance",
     "fit_linear",
     "fit_nothing",
     "fit_path",
@@ -30,6 +33,8 @@ __all__ = [
 LEAST_TAU = 0.05
 # A real valve does not hold exactly; the stem's start may leave its exact range by this share of d.
 START_SLACK = 0.02
+ORDERS = 8  # most of a disturbance's autoregression
+LOUD = 4.0  # times what the record resolves: quieter residuals tell nothing of a disturbance
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,11 +89,13 @@ def fit_path(
     if tau is None and not data.integrating:
         best = math.inf
         for trial in np.geomspace(max(limits.tau[0], 0.3), limits.tau[1] / 4.0, 10).tolist():
-            cost = kernel.oe_cost(data.y, x, first, low, high, data.sign, False, trial, theta, out)
+            cost = kernel.fit_cost(
+                data.target, x, first, low, high, data.sign, False, trial, theta, data.a, data.skip, out
+            )
             if cost < best:
                 best, tau = cost, trial
     kernel.oe_fit(
-        data.y,
+        data.target,
         x,
         first,
         low,
@@ -102,6 +109,8 @@ def fit_path(
         0.15,
         evaluations,
         tolerance,
+        data.a,
+        data.skip,
         out,
     )
     return _fit(out)
@@ -124,7 +133,7 @@ def fit_stems(
     fits = np.empty((len(paths), kernel.FIT))
     slips = np.empty(len(paths), np.int64)
     kernel.fit_stems(
-        data.y,
+        data.target,
         data.u,
         np.ascontiguousarray(paths),
         START_SLACK,
@@ -135,6 +144,8 @@ def fit_stems(
         limits.theta,
         evaluations,
         tolerance,
+        data.a,
+        data.skip,
         fits,
         slips,
     )
@@ -152,7 +163,13 @@ def fit_linear(data: Centred, longest: float) -> Fit:
     delays = np.unique(np.floor(np.linspace(0, longest, min(int(longest) + 1, 80)))).tolist()
     taus = [1.0] if data.integrating else np.geomspace(0.3, data.samples / 4.0, 14).tolist()
     grid = [
-        (kernel.oe_cost(data.y, data.u, 0, -inf, inf, data.sign, data.integrating, tau, theta, out), tau, theta)
+        (
+            kernel.fit_cost(
+                data.target, data.u, 0, -inf, inf, data.sign, data.integrating, tau, theta, data.a, data.skip, out
+            ),
+            tau,
+            theta,
+        )
         for tau in taus
         for theta in delays
     ]
@@ -160,6 +177,17 @@ def fit_linear(data: Centred, longest: float) -> Fit:
     fits = [
         fit_path(data, data.u, 0, (-inf, inf), limits, theta, tau=tau, evaluations=160, tolerance=1e-9)
         for _, tau, theta in grid[:6]
+    ]
+    return min(fits, key=lambda f: f.sse)
+
+
+def again_linear(data: Centred, linear: Fit, longest: float) -> Fit:
+    """Return the linear fit in the measure of data's disturbance, from that in another."""
+    limits, free = Limits((LEAST_TAU, float(data.samples)), (0.0, float(longest))), (-math.inf, math.inf)
+    fits = [
+        fit_path(data, data.u, 0, free, limits, min(theta, longest), tau=tau, evaluations=160, tolerance=1e-9)
+        for tau in {linear.tau, max(linear.tau / 4.0, LEAST_TAU)}
+        for theta in {linear.theta, 0.0}
     ]
     return min(fits, key=lambda f: f.sse)
 
@@ -208,12 +236,12 @@ def inflation(residuals: FloatArray) -> float:
 def standard_errors(data: Centred, x: FloatArray, first: int, fit: Fit, clamped: bool) -> tuple[float, float, float]:
     """Return standard errors of (gain, tau, theta), tau and theta in samples, with the path fixed.
 
-    From the Jacobian of the prediction, the larger of the error for white residuals and the one that allows for their
-    autocorrelation. clamped: x0 is held at
-    an end of its range, so that gain and start move together. nan where the data do not say.
+    From the Jacobian of the (filtered) prediction, the larger of the error for white residuals and the one that allows
+    for their autocorrelation. clamped: x0 is held at an end of its range, so that gain and start move together. nan
+    where the data do not say.
     """
     base, columns = predict(data, x, first, fit)
-    residuals = data.y - base
+    residuals = data.innovations(base)
     vectors = [columns[0], columns[1] + fit.start / fit.gain * columns[2] if clamped and fit.gain else columns[1]]
     names = ["bias", "gain"]
     for name, step in (("tau", 1e-3 * fit.tau), ("theta", 1e-2)):
@@ -227,7 +255,7 @@ def standard_errors(data: Centred, x: FloatArray, first: int, fit: Fit, clamped:
     if not clamped:
         vectors.append(columns[2])
     vectors.append(columns[3])
-    jacobian = np.array(vectors)
+    jacobian = lfilter(data.a, [1.0], np.array(vectors), axis=1)[:, data.skip :]
     scale = np.sqrt((jacobian**2).sum(axis=1))
     kept = scale > 0.0
     jacobian, scale = jacobian[kept] / scale[kept, None], scale[kept]
@@ -254,6 +282,31 @@ def _score_covariance(jacobian: FloatArray, residuals: FloatArray) -> FloatArray
         total += (1.0 - lag / (window + 1.0)) * (part + part.T)
     covariance: FloatArray = total * (n / max(n - jacobian.shape[0], 1))
     return covariance
+
+
+def disturbance(residuals: FloatArray, floor: float) -> FloatArray:
+    """Return the filter (1, -a_1, .., -a_p) that leaves a residual white, (1,) where it is so or below `floor` (EU^2).
+
+    The autoregression of lowest BIC up to ORDERS (G. Schwarz, Ann. Statist. 6 (1978) 461-464), by Levinson's recursion
+    on the autocorrelation (J. Durbin, Rev. Int. Stat. Inst. 28 (1960) 233-244).
+    """
+    n = residuals.size
+    left = residuals - residuals.mean()
+    power = float(left @ left) / n
+    if not power > LOUD * floor:
+        return WHITE
+    lags = np.array([float(left[k:] @ left[: n - k]) / n for k in range(ORDERS + 1)])
+    best, least, a, variance = WHITE, n * math.log(power), np.ones(1), power
+    for p in range(1, ORDERS + 1):
+        partial = -float(a @ lags[p:0:-1]) / variance
+        a = np.concatenate([a, [0.0]]) + partial * np.concatenate([a, [0.0]])[::-1]
+        variance *= 1.0 - partial * partial
+        if not variance > 0.0:
+            break
+        bic = n * math.log(variance) + p * math.log(n)
+        if bic < least:
+            best, least = a, bic
+    return best
 
 
 def _moved(fit: Fit, name: str, step: float) -> Fit:

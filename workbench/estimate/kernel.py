@@ -461,24 +461,90 @@ def oe_cost(
     gram[2, 0], gram[2, 1], gram[2, 2], gram[2, 3] = g1, sg, gg, gr
     gram[3, 0], gram[3, 1], gram[3, 2], gram[3, 3] = r1, sr, gr, rr
     b[0], b[1], b[2], b[3] = y1, sy, gy, ry
+    return _least(gram, b, yy, low, high, sign, tau, theta, out)
+
+
+@compiled
+def whitened_cost(
+    y: Floats,
+    x: Floats,
+    first: int,
+    low: float,
+    high: float,
+    sign: float,
+    integrating: bool,
+    tau: float,
+    theta: float,
+    a: Floats,
+    skip: int,
+    out: Floats,
+) -> float:
+    """As `oe_cost` where the residual is an autoregression, y being PV filtered by a = (1, -a_1, .., -a_p).
+
+    The columns are filtered here (generalized least squares). The first `skip` samples, p or more, do not count.
+    """
+    n, p = y.size, a.size - 1
+    step = math.floor(theta + 1e-9)
+    f = theta - step
+    if f < 1e-9:
+        f = 0.0
+    if integrating:
+        pole, c0, c1 = 1.0, 1.0 - f, f
+    else:
+        pole = math.exp(-1.0 / tau)
+        part = pole ** (1.0 - f)
+        c0, c1 = 1.0 - part, part - pole
+    columns = np.empty((4, n))
+    oe_columns(x, first, pole, step, c0, c1, integrating, columns)
+    gram = np.zeros((4, 4))
+    b = np.zeros(4)
+    row = np.empty(4)
+    yy = 0.0
+    for k in range(skip, n):
+        for i in range(4):
+            total = columns[i, k]
+            for j in range(1, p + 1):
+                total += a[j] * columns[i, k - j]
+            row[i] = total
+        v = y[k]
+        yy += v * v
+        for i in range(4):
+            b[i] += row[i] * v
+            for j in range(i + 1):
+                gram[i, j] += row[i] * row[j]
+    for i in range(4):
+        for j in range(i):
+            gram[j, i] = gram[i, j]
+    return _least(gram, b, yy, low, high, sign, tau, theta, out)
+
+
+@compiled
+def _least(
+    gram: Floats, b: Floats, yy: float, low: float, high: float, sign: float, tau: float, theta: float, out: Floats
+) -> float:
+    """Solve the normal equations of `oe_columns` with x0 in [low, high] and the gain's sign (see `oe_cost`)."""
+    whole, right = gram.copy(), b.copy()
     explained = _solve(gram, 4, b)
     if b[1] * sign < 0.0:
         # A gain of the other sign is the controller's inverse, not the plant: the stem then has no part in PV.
-        gram[0, 0], gram[0, 1] = n, r1
-        gram[1, 0], gram[1, 1] = r1, rr
-        b[0], b[1] = y1, ry
+        for i in range(2):
+            b[i] = right[3 * i]
+            for j in range(2):
+                gram[i, j] = whole[3 * i, 3 * j]
         explained = _solve(gram, 2, b)
         b[3], b[1], b[2] = b[1], 0.0, 0.0
     elif math.isfinite(low) or math.isfinite(high):
         gain = b[1]
         x0 = b[2] / gain if gain != 0.0 else math.inf
         if not low <= x0 <= high:
+            # The nearer end: stem and start move together, as one column.
             x0 = low if (not x0 > low) else high
-            ts, t1, ty, tr = ss + 2.0 * x0 * sg + x0 * x0 * gg, s1 + x0 * g1, sy + x0 * gy, sr + x0 * gr
-            gram[0, 0], gram[0, 1], gram[0, 2] = n, t1, r1
-            gram[1, 0], gram[1, 1], gram[1, 2] = t1, ts, tr
-            gram[2, 0], gram[2, 1], gram[2, 2] = r1, tr, rr
-            b[0], b[1], b[2] = y1, ty, ry
+            gram[0, 0], gram[0, 2], gram[2, 2] = whole[0, 0], whole[0, 3], whole[3, 3]
+            gram[0, 1] = whole[0, 1] + x0 * whole[0, 2]
+            gram[1, 1] = whole[1, 1] + 2.0 * x0 * whole[1, 2] + x0 * x0 * whole[2, 2]
+            gram[1, 2] = whole[1, 3] + x0 * whole[2, 3]
+            gram[1, 0], gram[2, 0], gram[2, 1] = gram[0, 1], gram[0, 2], gram[1, 2]
+            b[0], b[1], b[2] = right[0], right[1] + x0 * right[2], right[3]
             explained = _solve(gram, 3, b)
             b[3] = b[2]
             b[2] = x0 * b[1]
@@ -486,6 +552,27 @@ def oe_cost(
     out[SSE], out[TAU], out[THETA] = sse, tau, theta
     out[GAIN], out[BIAS], out[START], out[TRANSIENT] = b[1], b[0], b[2], b[3]
     return sse
+
+
+@compiled
+def fit_cost(
+    y: Floats,
+    x: Floats,
+    first: int,
+    low: float,
+    high: float,
+    sign: float,
+    integrating: bool,
+    tau: float,
+    theta: float,
+    a: Floats,
+    skip: int,
+    out: Floats,
+) -> float:
+    """Return `oe_cost` where no sample is skipped and a is (1,), else `whitened_cost`, whose y is PV filtered by a."""
+    if skip == 0:
+        return oe_cost(y, x, first, low, high, sign, integrating, tau, theta, out)
+    return whitened_cost(y, x, first, low, high, sign, integrating, tau, theta, a, skip, out)
 
 
 @compiled
@@ -504,9 +591,11 @@ def oe_fit(
     spread: float,
     evaluations: int,
     tolerance: float,
+    a: Floats,
+    skip: int,
     out: Floats,
 ) -> float:
-    """Minimise `oe_cost` over (log tau, theta) by Nelder and Mead's simplex within limits; return the sum of squares.
+    """Minimise `fit_cost` over (log tau, theta) by Nelder and Mead's simplex within limits; return the sum of squares.
 
     spread: the first simplex's size, in log tau and, times three, in samples of dead time. Ends after `evaluations`, or
     when the simplex's costs agree to `tolerance` relative. For an integrating plant tau is not used.
@@ -526,7 +615,9 @@ def oe_fit(
     points[2, 1] += side if points[0, 1] + side <= theta_limits[1] else -side
     points[2, 1] = max(points[2, 1], theta_limits[0])
     for i in range(3):
-        costs[i] = oe_cost(y, x, first, low, high, sign, integrating, math.exp(points[i, 0]), points[i, 1], out)
+        costs[i] = fit_cost(
+            y, x, first, low, high, sign, integrating, math.exp(points[i, 0]), points[i, 1], a, skip, out
+        )
     used = 3
     while used < evaluations:
         # Order: best, middle, worst.
@@ -557,7 +648,7 @@ def oe_fit(
                 trial[c] = centre[c] + factor * (points[2, c] - centre[c])
             trial[0] = min(max(trial[0], low_tau), high_tau)
             trial[1] = min(max(trial[1], theta_limits[0]), theta_limits[1])
-            value = oe_cost(y, x, first, low, high, sign, integrating, math.exp(trial[0]), trial[1], out)
+            value = fit_cost(y, x, first, low, high, sign, integrating, math.exp(trial[0]), trial[1], a, skip, out)
             used += 1
             if value < kept:
                 kept = value
@@ -569,13 +660,15 @@ def oe_fit(
             for i in range(1, 3):
                 for c in range(2):
                     points[i, c] = 0.5 * (points[i, c] + points[0, c])
-                costs[i] = oe_cost(y, x, first, low, high, sign, integrating, math.exp(points[i, 0]), points[i, 1], out)
+                costs[i] = fit_cost(
+                    y, x, first, low, high, sign, integrating, math.exp(points[i, 0]), points[i, 1], a, skip, out
+                )
                 used += 1
     best = 0
     for i in range(1, 3):
         if costs[i] < costs[best]:
             best = i
-    return oe_cost(y, x, first, low, high, sign, integrating, math.exp(points[best, 0]), points[best, 1], out)
+    return fit_cost(y, x, first, low, high, sign, integrating, math.exp(points[best, 0]), points[best, 1], a, skip, out)
 
 
 @compiled
@@ -591,6 +684,8 @@ def fit_stems(
     theta_limits: tuple[float, float],
     evaluations: int,
     tolerance: float,
+    a: Floats,
+    skip: int,
     fits: Floats,
     slips: Ints,
 ) -> None:
@@ -614,11 +709,11 @@ def fit_stems(
             least = math.inf
             for j in range(10):
                 trial = low_tau * (high_tau / low_tau) ** (j / 9.0)
-                cost = oe_cost(y, x, first, low, high, sign, False, trial, theta, out)
+                cost = fit_cost(y, x, first, low, high, sign, False, trial, theta, a, skip, out)
                 if cost < least:
                     least, start = cost, trial
         if evaluations == 0:
-            oe_cost(y, x, first, low, high, sign, integrating, start, theta, out)
+            fit_cost(y, x, first, low, high, sign, integrating, start, theta, a, skip, out)
         else:
             oe_fit(
                 y,
@@ -635,6 +730,8 @@ def fit_stems(
                 0.15,
                 evaluations,
                 tolerance,
+                a,
+                skip,
                 out,
             )
 
@@ -706,13 +803,16 @@ def walk_bands(
     integrating: bool,
     tau: float,
     theta: float,
+    a: Floats,
+    skip: int,
     rows: Floats,
 ) -> int:
-    """Walk S at a fixed J, from S_from up to S_to, and fit the output-error model at (tau, theta) to each path.
+    """Walk S at a fixed J, from S_from up to S_to, and fit the model at (tau, theta) to each path.
 
-    The slips change where S passes the least return of OP at which the stem turned; between such breakpoints the path
-    shifts evenly with S. least, most: relative steps of S, the least and the largest; least = 0 meets every sequence of
-    slips. Written: rows (S, J, COST, SLIPS). Returns their number. first, sense: as in `band_path`.
+    y, a: as in `fit_cost`. The slips change where S passes the least return of OP at which the stem turned; between
+    such breakpoints the path shifts evenly with S. least, most: relative steps of S, the least and the largest; least =
+    0 meets every sequence of slips. Written: rows (S, J, COST, SLIPS). Returns their number. first, sense: as in
+    `band_path`.
     """
     x = np.empty(op.size)
     box = np.empty(4)
@@ -723,7 +823,7 @@ def walk_bands(
         slips = band_path(op, S, J, first, sense, x, box)
         if slips == 0:
             break
-        oe_cost(y, x, max(first, 0), -math.inf, math.inf, sign, integrating, tau, theta, out)
+        fit_cost(y, x, max(first, 0), -math.inf, math.inf, sign, integrating, tau, theta, a, skip, out)
         rows[count, 0], rows[count, 1], rows[count, 2], rows[count, 3] = S, J, out[SSE], slips
         count += 1
         S = max(min(box[S_HIGH], S * (1.0 + most)), S * (1.0 + least))
@@ -740,9 +840,11 @@ def scan_bands(
     sign: float,
     integrating: bool,
     plants: Floats,
+    a: Floats,
+    skip: int,
     costs: Floats,
 ) -> None:
-    """Fit the output-error model at each of some plants to many stems with one start (see `band_path`).
+    """Fit the model at each of some plants to many stems with one start (see `band_path`; y, a: as in `fit_cost`).
 
     bands: rows (S, J); plants: rows (tau, theta) in samples. Written: costs, shape (bands, plants), inf where the stem
     never moves.
@@ -756,5 +858,5 @@ def scan_bands(
             continue
         for j in range(plants.shape[0]):
             tau, theta = plants[j, 0], plants[j, 1]
-            cost = oe_cost(y, x, max(first, 0), -math.inf, math.inf, sign, integrating, tau, theta, out)
+            cost = fit_cost(y, x, max(first, 0), -math.inf, math.inf, sign, integrating, tau, theta, a, skip, out)
             costs[i, j] = cost if out[GAIN] != 0.0 else math.inf

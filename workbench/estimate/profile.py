@@ -38,6 +38,7 @@ __all__ = [
     "first_slips",
     "islands",
     "path_of",
+    "profile_of",
     "search",
 ]
 
@@ -80,12 +81,17 @@ class Candidate:
 
 @dataclass(frozen=True, eq=False)
 class Profile:
-    """The search's result: the best path; those the data cannot tell from it; best fits along d; what was searched."""
+    """The search's result: the best path; those the data cannot tell from it; best fits along d; what was searched.
+
+    rows: every path met, (first, d_low, d_high, dead time, one-step cost, slips), the lowest cost first; likely: bands
+    that windows of a long record prefer.
+    """
 
     best: Candidate
     alike: tuple[Candidate, ...]
     fits: tuple[Candidate, ...]
-    paths: int
+    rows: NDArray[np.float64]
+    likely: tuple[float, ...]
     exact: bool
     limits: Limits
     at_limit: bool
@@ -352,6 +358,22 @@ def search(data: Centred, max_delay: float, progress: Callable[[float], None]) -
     if not rows.size:
         return None
     by_cost = rows[np.argsort(rows[:, COST], kind="stable")]
+    return profile_of(data, by_cost, likely, limits, progress)
+
+
+def profile_of(
+    data: Centred,
+    by_cost: NDArray[np.float64],
+    likely: list[float],
+    limits: Limits,
+    progress: Callable[[float], None],
+    beside: tuple[Candidate, ...] = (),
+) -> Profile:
+    """Return the profile of the paths in by_cost by fits in the measure of data's disturbance.
+
+    beside: candidates fitted in another measure, which are fitted again.
+    """
+    exact = data.samples <= EXACT
     # Output-error fits cost some 5 ns x 120 a sample; their number keeps the whole within seconds.
     effort = float(np.clip(3000.0 / data.samples, 0.1, 1.0))
     chosen = [_best_per_bin(by_cost, max(int(BINS * effort), 24)), by_cost[: int(40 * effort) + 4]]
@@ -360,6 +382,7 @@ def search(data: Centred, max_delay: float, progress: Callable[[float], None]) -
     chosen += [by_cost[np.abs(np.log(by_cost[:, LOW] / d)) < 0.01][:2] for d in likely]
     picked = np.unique(np.vstack(chosen), axis=0)
     fits = _fitted(data, picked, limits, evaluations=120 if exact else 12)
+    fits = sorted([*fits, *_again(data, beside, limits)], key=lambda c: c.fit.sse)
     if not exact:
         fits = _refitted(data, fits, limits, WINNERS)
     progress(0.8)
@@ -376,7 +399,31 @@ def search(data: Centred, max_delay: float, progress: Callable[[float], None]) -
     best = _polished(data, fits[0], limits)
     progress(1.0)
     at_limit = best.fit.theta > limits.theta[1] - 0.5
-    return Profile(best, _alike(data, best, fits), _envelope(data, [best, *fits]), len(rows), exact, limits, at_limit)
+    return Profile(
+        best=best,
+        alike=_alike(data, best, fits),
+        fits=_envelope(data, [best, *fits]),
+        rows=by_cost,
+        likely=tuple(likely),
+        exact=exact,
+        limits=limits,
+        at_limit=at_limit,
+    )
+
+
+def _again(data: Centred, found: tuple[Candidate, ...], limits: Limits) -> list[Candidate]:
+    """The candidates at their own plants in another measure, unsorted."""
+    return [
+        Candidate(c.first, c.d_low, c.d_high, c.slips, fit)
+        for c in found
+        for fit, _ in fit_stems(
+            data,
+            np.array([[c.first, c.d_low, c.d_high, c.fit.theta]]),
+            limits,
+            tau=c.fit.tau,
+            evaluations=0,
+        )
+    ]
 
 
 def _best_per_bin(by_cost: NDArray[np.float64], bins: int) -> NDArray[np.float64]:
@@ -413,7 +460,7 @@ def _alike(data: Centred, best: Candidate, fits: list[Candidate]) -> tuple[Candi
     f the variance that the record can resolve, below which all fits are equally good.
     """
     x, _ = path_of(data.u, best.d_low, best.first)
-    residuals = data.y - predict(data, x, best.first, best.fit)[0]
+    residuals = data.innovations(predict(data, x, best.first, best.fit)[0])
     n = data.samples
     effective = n / inflation(residuals)
     base = max(best.fit.sse / n, data.floor)
@@ -448,7 +495,7 @@ def _halves(data: Centred, fits: list[Candidate]) -> list[Candidate]:
     costs = np.empty((len(fits), 2))
     for i, c in enumerate(fits):
         x, _ = path_of(data.u, c.d_low, c.first)
-        squares = (data.y - predict(data, x, c.first, c.fit)[0]) ** 2
+        squares = data.innovations(predict(data, x, c.first, c.fit)[0]) ** 2
         costs[i] = squares[:half].sum(), squares[half:].sum()
     # Below the resolution, one fit is as good as another.
     costs = np.maximum(costs, half * data.floor)

@@ -116,7 +116,7 @@ def _line(
     """Rows (S, J, COST, SLIPS) along S at one J, with the start and plant of `like`; steps: least and largest."""
     rows = np.empty((4000, 4))
     count = kernel.walk_bands(
-        data.y,
+        data.target,
         data.u,
         like.first,
         like.sense,
@@ -129,6 +129,8 @@ def _line(
         data.integrating,
         like.fit.tau,
         like.fit.theta,
+        data.a,
+        data.skip,
         rows,
     )
     return rows[:count].copy()
@@ -146,7 +148,9 @@ def _start_costs(data: Centred, b: Band) -> list[tuple[float, int, float]]:
     band, plant, cost = np.array([[b.S, b.J]]), np.array([[b.fit.tau, b.fit.theta]]), np.empty((1, 1))
     found = []
     for first, sense in starts:
-        kernel.scan_bands(data.y, data.u, first, sense, band, data.sign, data.integrating, plant, cost)
+        kernel.scan_bands(
+            data.target, data.u, first, sense, band, data.sign, data.integrating, plant, data.a, data.skip, cost
+        )
         found.append((float(cost[0, 0]), first, sense))
     return sorted(found)
 
@@ -173,7 +177,10 @@ def _scanned(
     bands = np.column_stack([np.repeat(S, shares.size), (S[:, None] * shares).ravel()])
     costs = np.empty((len(starts), len(bands), len(plants)))
     for i, (first, sense) in enumerate(starts):
-        kernel.scan_bands(data.y, data.u, first, sense, bands, data.sign, data.integrating, np.array(plants), costs[i])
+        pairs = np.array(plants)
+        kernel.scan_bands(
+            data.target, data.u, first, sense, bands, data.sign, data.integrating, pairs, data.a, data.skip, costs[i]
+        )
     least = costs.min(axis=(0, 2))
     chosen: list[int] = []
     for i in np.argsort(least, kind="stable").tolist():
@@ -328,7 +335,7 @@ def _ranges(data: Centred, best: Band, bands: list[Band], rows: NDArray[np.float
     """What the record cannot tell from the best: the 95 % likelihood region, and what each half would choose."""
     n = data.samples
     x, _ = band_stem(data.u, best.S, best.J, best.first, best.sense)
-    effective = n / inflation(data.y - predict(data, x, max(best.first, 0), best.fit)[0])
+    effective = n / inflation(data.innovations(predict(data, x, max(best.first, 0), best.fit)[0]))
     most = max(best.fit.sse / n, data.floor) * math.exp(CHI_SQUARE / effective) * n
     alike = [best, *(b for b in bands if max(b.fit.sse, n * data.floor) <= most)]
     if best.slips >= 2 * HALF_SLIPS:
@@ -345,7 +352,7 @@ def _halves(data: Centred, bands: list[Band]) -> list[Band]:
     costs = np.empty((len(bands), 2))
     for i, b in enumerate(bands):
         x, _ = band_stem(data.u, b.S, b.J, b.first, b.sense)
-        squares = (data.y - predict(data, x, max(b.first, 0), b.fit)[0]) ** 2
+        squares = data.innovations(predict(data, x, max(b.first, 0), b.fit)[0]) ** 2
         costs[i] = squares[:half].sum(), squares[half:].sum()
     costs = np.maximum(costs, half * data.floor)
     return [bands[int(i)] for i in np.argmin(costs, axis=0)]

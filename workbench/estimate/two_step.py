@@ -139,4 +139,6 @@ def two_step(data: Centred, start: float | None, max_delay: float) -> tuple[Prof
     best = min(seen, key=lambda c: c.fit.sse)
     limits = Limits((LEAST_TAU, float(data.samples)), (0.0, float(max_delay)))
     along = tuple(sorted(seen, key=lambda c: c.d_low))
-    return Profile(best, (best,), along, len(seen), False, limits, best.fit.theta >= max_delay), tuple(history)
+    return Profile(best, (best,), along, np.empty((0, 6)), (), False, limits, best.fit.theta >= max_delay), tuple(
+        history
+    )
