@@ -5,7 +5,30 @@ from __future__ import annotations
 from workbench.analyze.relaxation import relaxation_condition
 from workbench.model.results import DescribingFunction, LimitCycle
 
-__all__ = ["agreement"]
+__all__ = ["COMPARISONS", "agreement", "comparison"]
+
+COMPARISONS = (
+    "agrees",
+    "misses a relaxation cycle",
+    "misses a cycle",
+    "predicts a cycle that does not exist",
+    "no verdict",
+)
+
+
+def comparison(df: DescribingFunction, cycle: LimitCycle) -> str:
+    """Return the class of a describing function's verdict beside the exact one, one of `COMPARISONS`.
+
+    A loop that cycles from some starts only counts as one that cycles; crossings that are all unstable predict none.
+    """
+    if cycle.outcome == "undecided":
+        return "no verdict"
+    predicted, cycles = df.prediction == "cycle", cycle.outcome in ("cycles", "depends")
+    if predicted == cycles:
+        return "agrees"
+    if predicted:
+        return "predicts a cycle that does not exist"
+    return "misses a relaxation cycle" if relaxation_condition(df.loop) else "misses a cycle"
 
 
 def agreement(df: DescribingFunction, cycle: LimitCycle) -> str:
@@ -27,12 +50,13 @@ def _compared(df: DescribingFunction, cycle: LimitCycle) -> str:
         "cycle": f"The describing function predicts a cycle with a period of {_time(df.period)}",
         "no cycle": "The describing function predicts no cycle",
     }.get(df.prediction, unstable)
-    if cycle.outcome == "undecided":
+    kind = comparison(df, cycle)
+    if kind == "no verdict":
         return f"{told}; the exact simulation gives no verdict to compare with."
     if cycle.outcome == "settles":
         return _settled(df, cycle, told)
     start = " from some starts" if cycle.outcome == "depends" else ""
-    if df.prediction == "cycle":
+    if kind == "agrees":
         period = _off(df.period / cycle.period - 1.0)
         swing = _off(2.0 * df.pv_amplitude / cycle.pv_peak_to_peak - 1.0)
         return (
@@ -43,7 +67,7 @@ def _compared(df: DescribingFunction, cycle: LimitCycle) -> str:
             f"{unstable}, so the describing function gives no period; by exact simulation the loop cycles{start}, with "
             f"a period of {_time(cycle.period)}."
         )
-    if relaxation_condition(df.loop):
+    if kind == "misses a relaxation cycle":
         cause = "a relaxation cycle, its blind spot wherever Kc K J/S < 1 and Ti > tau + theta, as here"
         return f"{told}, but the loop cycles{start}: {cause}."
     return f"{told}, but by exact simulation the loop cycles{start}, with a period of {_time(cycle.period)}."

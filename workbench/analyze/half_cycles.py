@@ -1,87 +1,72 @@
-"""From samples to half cycles: what happens between two reversals of the stem, in one compiled pass."""
+"""Figures of half cycles: what happened between two reversals of the stem, as `simulate.kernel.collect` counted it."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from workbench.model.record import FloatArray
-from workbench.simulate.compiled import compiled
+from workbench.simulate import kernel
 
-__all__ = ["COLUMNS", "Block", "collect", "fresh_carry"]
-
-# Columns of a half cycle [start, end): sample numbers, extremes of PV and OP, sum of squared errors, stem travel.
-START, END, Y_HIGH, Y_LOW, U_HIGH, U_LOW, SQUARES, TRAVEL = range(8)
-COLUMNS = 8
-# Carried between chunks: the half cycle begun so far, then the stem's reference, direction and last move.
-STEM, DIRECTION, MOVED = range(8, 11)
-CARRIED = 11
+__all__ = ["Block", "fresh_carry", "mean_period"]
 
 
 def fresh_carry(stem: float) -> FloatArray:
     """Return what `collect` carries along, for a stem at rest at `stem` (%) that has not moved yet."""
-    carry = np.zeros(CARRIED)
-    carry[STEM] = stem
-    carry[MOVED] = -1.0
-    carry[Y_HIGH] = carry[U_HIGH] = -np.inf
-    carry[Y_LOW] = carry[U_LOW] = np.inf
+    carry = np.zeros(kernel.CARRIED)
+    carry[kernel.STEM_AT] = stem
+    carry[kernel.Y_HIGH] = carry[kernel.U_HIGH] = -np.inf
+    carry[kernel.Y_LOW] = carry[kernel.U_LOW] = np.inf
     return carry
 
 
-@compiled
-def collect(
-    y: FloatArray, u: FloatArray, x: FloatArray, r: float, first: int, dust: float, carry: FloatArray, rows: FloatArray
-) -> int:
-    """Write the half cycles that end within this chunk into `rows` (at least u.size of them); return how many.
-
-    A half cycle runs from one reversal of the stem to the next, the first from the first move of all: a staircase of
-    slips in one direction is one half cycle. Moves are counted once they add up to more than `dust` (%), so that
-    rounding reverses nothing. `first` is the number of the chunk's first sample; `carry` from `fresh_carry`.
-    """
-    count = 0
-    for k in range(u.size):
-        move = x[k] - carry[8]
-        if abs(move) > dust:
-            direction = 1.0 if move > 0.0 else -1.0
-            if direction != carry[9]:
-                if carry[9] != 0.0:
-                    for column in range(8):
-                        rows[count, column] = carry[column]
-                    rows[count, 1] = first + k
-                    count += 1
-                carry[0] = first + k
-                carry[2], carry[3], carry[4], carry[5] = -np.inf, np.inf, -np.inf, np.inf
-                carry[6], carry[7] = 0.0, 0.0
-                carry[9] = direction
-            carry[7] += abs(move)
-            carry[8] = x[k]
-            carry[10] = first + k
-        carry[2] = max(carry[2], y[k])
-        carry[3] = min(carry[3], y[k])
-        carry[4] = max(carry[4], u[k])
-        carry[5] = min(carry[5], u[k])
-        carry[6] += (r - y[k]) * (r - y[k])
-    return count
+def mean_period(halves: FloatArray, sample_time: float) -> float:
+    """Return the mean period (s) of an even number of successive half cycles."""
+    samples = float(halves[-1, kernel.END] - halves[0, kernel.START])
+    return float(2.0 * samples * sample_time / halves.shape[0])
 
 
 class Block:
     """Figures of an even number of successive half cycles.
 
     period: s, mean over its cycles; pv_peak_to_peak (EU) and op_peak_to_peak (%): median over its cycles of max - min;
-    mean_square_error: EU^2; travel_per_hour: %.
+    mean_square_error: EU^2; travel_per_hour: %; slips_per_hour, reversals_per_hour.
     """
 
-    __slots__ = ("mean_square_error", "op_peak_to_peak", "period", "pv_peak_to_peak", "travel_per_hour")
-
     def __init__(self, halves: FloatArray, sample_time: float) -> None:
-        samples = halves[-1, END] - halves[0, START]
-        first, second = halves[0::2], halves[1::2]
-        self.period = float(samples * sample_time * 2.0 / halves.shape[0])
-        self.pv_peak_to_peak = _swing(first, second, Y_HIGH, Y_LOW)
-        self.op_peak_to_peak = _swing(first, second, U_HIGH, U_LOW)
-        self.mean_square_error = float(halves[:, SQUARES].sum() / samples)
-        self.travel_per_hour = float(halves[:, TRAVEL].sum() / (samples * sample_time) * 3600.0)
+        self._halves = halves
+        self.period = mean_period(halves, sample_time)
+        self.pv_peak_to_peak = self._swing(kernel.Y_HIGH, kernel.Y_LOW)
+        self._samples = float(halves[-1, kernel.END] - halves[0, kernel.START])
+        self._per_hour = 3600.0 / (self._samples * sample_time)
 
+    @property
+    def op_peak_to_peak(self) -> float:
+        """%, median over cycles."""
+        return self._swing(kernel.U_HIGH, kernel.U_LOW)
 
-def _swing(first: FloatArray, second: FloatArray, high: int, low: int) -> float:
-    swings = np.maximum(first[:, high], second[:, high]) - np.minimum(first[:, low], second[:, low])
-    return float(np.median(swings))
+    @property
+    def mean_square_error(self) -> float:
+        """EU^2."""
+        return float(self._halves[:, kernel.SQUARES].sum()) / self._samples
+
+    @property
+    def travel_per_hour(self) -> float:
+        """%."""
+        return float(self._halves[:, kernel.STEM_TRAVEL].sum()) * self._per_hour
+
+    @property
+    def slips_per_hour(self) -> float:
+        """Breakaways of the stem from rest."""
+        return float(self._halves[:, kernel.SLIPS].sum()) * self._per_hour
+
+    @property
+    def reversals_per_hour(self) -> float:
+        """Changes of the stem's direction."""
+        return float(self._halves.shape[0] * self._per_hour)
+
+    def _swing(self, high: int, low: int) -> float:
+        first, second = self._halves[0::2], self._halves[1::2]
+        swings = np.maximum(first[:, high], second[:, high]) - np.minimum(first[:, low], second[:, low])
+        swings.sort()
+        middle = swings.size // 2
+        return float(swings[middle] if swings.size % 2 else 0.5 * (swings[middle - 1] + swings[middle]))

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from workbench.analyze.long_run import Start, follow
-from workbench.analyze.relaxation import relaxation_period
+from workbench.analyze.relaxation import relaxation_cycle
 from workbench.model.checks import instance
 from workbench.model.experiment import Experiment
 from workbench.model.loop import Loop
@@ -30,10 +30,10 @@ def limit_cycle(
 ) -> LimitCycle:
     """Return the loop's long-run behaviour: settles, cycles, depends on the start, or undecided.
 
-    Eight starts are followed (`standard_starts`), each as `long_run.follow` says. With an experiment its signals are
-    applied without the noise, the last values held for good, and its outcome and figures are the result's; the other
-    starts tell whether they depend on it. Without one the figures are medians over the starts that cycle, and the
-    outcome is "depends" where some starts cycle and others settle.
+    Eight starts are followed (`standard_starts`), each from slip to slip as `long_run.follow` says. With an experiment
+    its signals are applied without the noise, the last values held for good, and its outcome and figures are the
+    result's; the other starts tell whether they depend on it. Without one the figures are medians over the starts that
+    cycle, and the outcome is "depends" where some starts cycle and others settle.
 
     `progress` is called with the share done, 0 .. 1. Raises `InvalidValue` for an experiment that does not fit the loop
     or a controller that has no ideal equivalent.
@@ -96,9 +96,9 @@ def _summary(loop: Loop, starts: tuple[LimitCycleStart, ...], given: bool) -> Li
         values = [float(getattr(start, name)) for start in shown]
         return float(np.median(values)) if values else math.nan
 
-    periods = [start.period for start in cycling]
-    spread = (min(periods), max(periods)) if periods else (math.nan, math.nan)
-    closed_form = relaxation_period(loop)
+    ranges = [start.period_range for start in cycling]
+    spread = (min(low for low, _ in ranges), max(high for _, high in ranges)) if ranges else (math.nan, math.nan)
+    closed_form = relaxation_cycle(loop)
     result = LimitCycle(
         loop=loop,
         outcome=outcome,
@@ -110,8 +110,11 @@ def _summary(loop: Loop, starts: tuple[LimitCycleStart, ...], given: bool) -> Li
         travel_per_hour=middle("travel_per_hour"),
         window=middle("window"),
         starts=starts,
-        closed_form_period=closed_form,
+        closed_form_period=math.nan if closed_form is None else closed_form.period,
         verdict="",
+        slips_per_hour=middle("slips_per_hour"),
+        reversals_per_hour=middle("reversals_per_hour"),
+        closed_form=closed_form,
     )
     return replace(result, verdict=_verdict(result, given))
 
@@ -161,7 +164,9 @@ def _elsewhere(cycle: LimitCycle, others: tuple[LimitCycleStart, ...], given: bo
     low, high = cycle.period_range
     parts = []
     if cycle.outcome in ("cycles", "depends") and high > 1.05 * low:
-        parts.append(f"periods run from {low:.4g} to {high:.4g} s, depending on the start")
+        drifts = any(start.period_range[1] > 1.05 * start.period_range[0] for start in cycle.starts)
+        lasts = " and on how long the loop has been cycling" if drifts else ""
+        parts.append(f"periods run from {low:.4g} to {high:.4g} s, depending on the start{lasts}")
     if given:
         for name, words in (("cycles", "it cycles"), ("settles", "it settles")):
             count = sum(start.outcome == name for start in others)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +11,15 @@ from numpy.typing import NDArray
 from workbench.model.loop import Loop
 from workbench.model.record import FloatArray
 
-__all__ = ["ComplexArray", "Crossing", "DescribingFunction", "LimitCycle", "LimitCycleStart"]
+__all__ = [
+    "ComplexArray",
+    "Crossing",
+    "DescribingFunction",
+    "LimitCycle",
+    "LimitCycleStart",
+    "RelaxationCycle",
+    "Waveform",
+]
 
 ComplexArray = NDArray[np.complex128]
 
@@ -72,13 +80,43 @@ class DescribingFunction:
         return "unstable crossings only" if math.isnan(self.period) else "cycle"
 
 
+@dataclass(frozen=True, eq=False)
+class Waveform:
+    """One late cycle, from one upward turn of the stem to the next: time (s, from 0), pv (EU), op and valve (%).
+
+    Each of shape (P,); exact at each of these samples, which leave out samples in between where a cycle is long.
+    """
+
+    time: FloatArray
+    pv: FloatArray
+    op: FloatArray
+    valve: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class RelaxationCycle:
+    """A relaxation cycle in closed form at a split of the setpoint between the stem's two positions (0 < split < 1).
+
+    period: s; pv_peak_to_peak: EU; mean_square_error: EU^2; stem_move: %, of each of a cycle's two moves.
+    """
+
+    split: float
+    period: float
+    pv_peak_to_peak: float
+    mean_square_error: float
+    stem_move: float
+
+
 @dataclass(frozen=True, slots=True)
 class LimitCycleStart:
     """The outcome from one start, noise-free, by exact simulation.
 
-    name: the start in words. outcome: "settles", "cycles" or "undecided", with `reason`. first_period and period: of
-    the first full cycle and late (s). Peak to peak in EU and %, median over late cycles; mean_square_error (EU^2);
-    travel_per_hour (%); window: simulated time needed to see it (s). nan where there is no cycle.
+    name: the start in words. outcome: "settles", "cycles" or "undecided", with `reason`, which says by which way.
+    first_period and period: of the first full cycle and late (s), the latter's means over blocks of cycles within
+    period_range. Peak to peak in EU and %, median over late cycles; mean_square_error (EU^2); travel_per_hour (%),
+    slips_per_hour (breakaways of the stem from rest) and reversals_per_hour; window: simulated time needed to see it
+    (s); waveform of a late cycle. nan, and no waveform, where there is no cycle. rest_pv (EU), rest_stem (%) and
+    rest_error (SP - PV, EU): where it settles, nan elsewhere.
     """
 
     name: str
@@ -91,16 +129,24 @@ class LimitCycleStart:
     mean_square_error: float
     travel_per_hour: float
     window: float
+    period_range: tuple[float, float] = (math.nan, math.nan)
+    slips_per_hour: float = math.nan
+    reversals_per_hour: float = math.nan
+    rest_pv: float = math.nan
+    rest_stem: float = math.nan
+    rest_error: float = math.nan
+    waveform: Waveform | None = field(default=None, compare=False, repr=False)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, eq=False)
 class LimitCycle:
     """The exact long-run behaviour of a loop.
 
     outcome: "settles", "cycles", "depends" (on the start) or "undecided". The figures are those of the given
-    experiment, else medians over the starts that cycle; period_range over these starts. nan where none cycles.
+    experiment, else medians over the starts that cycle; period_range over the late cycles of all these starts. nan
+    where none cycles.
     closed_form_period: the relaxation cycle's period by its formula at a symmetric split (its shortest), nan where its
-    conditions do not hold.
+    conditions do not hold, and closed_form the whole of it, or None. Units as in `LimitCycleStart`.
     """
 
     loop: Loop
@@ -115,3 +161,12 @@ class LimitCycle:
     starts: tuple[LimitCycleStart, ...]
     closed_form_period: float
     verdict: str
+    slips_per_hour: float = math.nan
+    reversals_per_hour: float = math.nan
+    closed_form: RelaxationCycle | None = None
+
+    @property
+    def share(self) -> float:
+        """Share of the starts that cycle among those that cycle or settle, 0 .. 1; nan where none was decided."""
+        outcomes = [start.outcome for start in self.starts if start.outcome != "undecided"]
+        return outcomes.count("cycles") / len(outcomes) if outcomes else math.nan

@@ -12,7 +12,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workbench.errors import SolveError
-from workbench.model.analyses import Crossing, DescribingFunction, LimitCycle, LimitCycleStart
+from workbench.model.analyses import (
+    Crossing,
+    DescribingFunction,
+    LimitCycle,
+    LimitCycleStart,
+    RelaxationCycle,
+    Waveform,
+)
 from workbench.model.controller import PID
 from workbench.model.ensemble import Constraints, Ensemble
 from workbench.model.experiment import Experiment
@@ -36,12 +43,14 @@ __all__ = [
     "Margins",
     "NlpResult",
     "Outcome",
+    "RelaxationCycle",
     "Repair",
     "Restart",
     "Robustness",
     "Run",
     "SolveStatus",
     "Tuned",
+    "Waveform",
 ]
 
 

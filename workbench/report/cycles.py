@@ -248,6 +248,8 @@ _CYCLE_ROWS: tuple[tuple[str, str, Callable[[CaseResult], str]], ...] = (
     ("Mean square error, all starts", "EU²", _all_starts("mean_square_error")),
     ("Valve travel an hour", "%", _of_cycle(lambda c: figure(c.travel_per_hour, 3))),
     ("Valve travel an hour, all starts", "%", _all_starts("travel_per_hour")),
+    ("Slips an hour", "", _of_cycle(lambda c: figure(c.slips_per_hour, 3))),
+    ("Stem reversals an hour", "", _of_cycle(lambda c: figure(c.reversals_per_hour, 3))),
     ("Time after the last change to see it", "", _of_cycle(lambda c: duration(c.window))),
     ("Describing function", "", _of_df(lambda d: d.prediction)),
     ("Predicted period", "", _of_df(lambda d: duration(d.period))),

@@ -116,8 +116,10 @@ def _describing_function(df: DescribingFunction | None) -> dict[str, Any] | None
 def _limit_cycle(cycle: LimitCycle | None) -> dict[str, Any] | None:
     if cycle is None:
         return None
-    content = {f.name: getattr(cycle, f.name) for f in fields(cycle) if f.name not in ("loop", "starts")}
-    return {**content, "starts": [_plain(s) for s in cycle.starts]}
+    content = {f.name: getattr(cycle, f.name) for f in fields(cycle) if f.name not in ("loop", "starts", "closed_form")}
+    form = None if cycle.closed_form is None else _plain(cycle.closed_form)
+    starts = [{name: v for name, v in _plain(start).items() if name != "waveform"} for start in cycle.starts]
+    return {**content, "closed_form": form, "starts": starts}
 
 
 def _tuned(name: str, tuned: Tuned) -> dict[str, Any]:
