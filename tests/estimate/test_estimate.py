@@ -267,7 +267,9 @@ def test_separate_ranges_of_d_are_told_apart() -> None:
     profile = Profile(good[0], tuple(good), fits, np.empty((0, 6)), (), True, limits, False)
     assert islands(profile) == ((1.0, 1.15), (1.9, 2.0))
     # Nothing worse was met between: one range.
-    assert islands(Profile(good[0], tuple(good), tuple(good), 3, True, limits, False)) == ((1.0, 2.0),)
+    assert islands(Profile(good[0], tuple(good), tuple(good), np.empty((0, 6)), (), True, limits, False)) == (
+        (1.0, 2.0),
+    )
 
 
 def evidence(**changed: object) -> Evidence:

@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
+from scipy.signal import lfilter
 
 from workbench.estimate import kernel
 from workbench.estimate.data import centre
@@ -168,11 +169,41 @@ def test_the_simplex_finds_time_constant_and_dead_time() -> None:
     pole = math.exp(-1.0 / 6.0)
     kernel.oe_columns(op, 0, pole, 3, 1 - pole**0.6, pole**0.6 - pole, False, columns)
     y = 1.5 * columns[1]
+    white = np.ones(1)
     cost = kernel.oe_fit(
-        y, op, 0, -np.inf, np.inf, 0.0, False, 3.0, 2.0, (0.05, 300.0), (0.0, 30.0), 0.15, 400, 1e-14, out
+        y, op, 0, -np.inf, np.inf, 0.0, False, 3.0, 2.0, (0.05, 300.0), (0.0, 30.0), 0.15, 400, 1e-14, white, 0, out
     )
     assert cost < 1e-8 * float(y @ y)
     assert (out[kernel.TAU], out[kernel.THETA], out[kernel.GAIN]) == pytest.approx((6.0, 3.4, 1.5), rel=1e-3)
+
+
+@pytest.mark.parametrize("integrating", [False, True])
+@pytest.mark.parametrize("bounds", [(-np.inf, np.inf), (1.0, 2.0)])
+def test_the_whitened_cost_is_least_squares_of_the_filtered_columns(
+    integrating: bool, bounds: tuple[float, float]
+) -> None:
+    rng = np.random.default_rng(4)
+    op, y = np.cumsum(rng.normal(0, 0.5, 200)), rng.normal(size=200)
+    a, skip, first, theta = np.array([1.0, -1.2, 0.4]), 7, 3, 2.3
+    pole = 1.0 if integrating else math.exp(-1.0 / 6.0)
+    part = 0.7 if integrating else 1.0 - pole**0.7
+    columns = np.empty((4, 200))
+    kernel.oe_columns(op, first, pole, 2, part, 1.0 - pole - part if not integrating else 0.3, integrating, columns)
+    filtered, target = lfilter(a, [1.0], columns, axis=1)[:, skip:], lfilter(a, [1.0], y)
+    free, *_ = np.linalg.lstsq(filtered.T, target[skip:], rcond=None)
+    if np.isfinite(bounds[0]):
+        x0 = float(np.clip(free[2] / free[1], *bounds))
+        held = np.array([filtered[0], filtered[1] + x0 * filtered[2], filtered[3]])
+        left = target[skip:] - np.linalg.lstsq(held.T, target[skip:], rcond=None)[0] @ held
+    else:
+        left = target[skip:] - free @ filtered
+    out = np.empty(kernel.FIT)
+    cost = kernel.fit_cost(target, op, first, *bounds, 0.0, integrating, 6.0, theta, a, skip, out)
+    assert cost == pytest.approx(float(left @ left), rel=1e-9)
+    # Without a filter and with nothing skipped it is the output-error cost itself.
+    plain = kernel.fit_cost(y, op, first, *bounds, 0.0, integrating, 6.0, theta, np.ones(1), 0, out)
+    again = kernel.whitened_cost(y, op, first, *bounds, 0.0, integrating, 6.0, theta, np.ones(1), 0, out)
+    assert plain == pytest.approx(again, rel=1e-9)
 
 
 def test_compiled_and_python_agree() -> None:

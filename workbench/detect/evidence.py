@@ -95,8 +95,15 @@ def _stem_test(found: Detection) -> Iterator[Statistic]:
         says = "enough for stiction" if value >= least else "too little for stiction"
         if name == rows[-1][0] and test is not None:
             clear = limits.clear * limits.predicts
-            needed = f"stiction needs {least:g} % or more, or a prediction better by {100.0 * clear:g} %"
-            little = "little, but the stem predicts clearly better" if test.improvement >= clear else "too little"
+            needed = (
+                f"stiction needs {least:g} % or more, or a prediction better by {100.0 * clear:g} % and a simulation "
+                f"better by {100.0 * limits.most:g} %"
+            )
+            little = (
+                "little, but the stem predicts clearly better"
+                if test.improvement >= clear and test.simulated >= limits.most
+                else "too little"
+            )
             says = "there is something to explain" if value >= least else little
         says = _undefined(STILL) if math.isnan(value) else says
         yield Statistic(name, measures, "", value, unit, needed, says, decides=True)

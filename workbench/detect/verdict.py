@@ -11,7 +11,7 @@ chance: hence SOLE.
 PREDICTS: a real linear plant is no first-order lag; what its shape leaves unmodelled was below 3 % of the innovations'
 variance in nine of ten simulated loops, and below 6 % (SOLE_PREDICTS) wherever the likelihood was beyond SOLE.
 EXPLAINS, LEFT: 5 % of the error, and of PV's variance; a linear model that leaves less has explained PV, unless the
-stem predicts clearly better, by five times PREDICTS (CLEAR), and simulates better too.
+stem predicts clearly better, by three times PREDICTS (CLEAR), and explains most (MOST) of the little that is left.
 CLOSE: four fifths of each of these is no acquittal.
 FEW: a stem that sticks over a quarter of OP's range or more and moved at most four times, two cycles, cannot be told
 from a linear loop that leaves as much as LEFT, unless PV is seen to follow OP and the stem's lead is chance (CHANCE).
@@ -45,7 +45,8 @@ class Thresholds:
     sole: float = 40.0
     sole_predicts: float = 0.06
     close: float = 0.8
-    clear: float = 5.0
+    clear: float = 3.0
+    most: float = 0.5
     chance: float = 10.0
     slow: float = 4.0
     cycles: float = 0.5  # oscillation index of a cycle that dominates PV
@@ -101,8 +102,9 @@ def decide(
 
 
 def _exceeds(test: StemTest, limits: Thresholds, share: float) -> bool:
+    clear = test.improvement >= share * limits.clear * limits.predicts and test.simulated >= share * limits.most
     return (
-        (test.unexplained >= limits.left or test.improvement >= limits.clear * limits.predicts)
+        (test.unexplained >= limits.left or clear)
         and test.likelihood >= share * limits.likelihood
         and test.improvement >= share * limits.predicts
         and test.simulated >= share * limits.explains

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from workbench.detect.detect import detect
+from workbench.detect.stem import Fitted
 from workbench.errors import InvalidValue
 from workbench.estimate.data import Centred, centre, plant_of
 from workbench.estimate.fit import (
@@ -23,15 +24,23 @@ from workbench.estimate.fit import (
     standard_errors,
     start_range,
 )
-from workbench.estimate.models import PLANT_PARAMETERS, VALVE_PARAMETERS, bands_of, choose, compared, reasons_of
+from workbench.estimate.models import (
+    PLANT_PARAMETERS,
+    VALVE_PARAMETERS,
+    bands_of,
+    choose,
+    compared,
+    reasons_of,
+    refitted,
+)
 from workbench.estimate.profile import Candidate, Profile, islands, path_of, profile_of, search
-from workbench.estimate.two_parameter import Band, Bands, band_stem, look, repeated
+from workbench.estimate.two_parameter import Bands, band_stem, look, repeated
 from workbench.estimate.two_step import akaike, two_step
 from workbench.estimate.verdict import ENOUGH_SLIPS, SHARP, WIDE_D, Evidence, agree, judge
 from workbench.model.checks import choice, number
 from workbench.model.record import FloatArray, Record
 from workbench.model.results import Estimate, Intervals, Iteration, LinearFit
-from workbench.model.valve import Ideal, Stenman
+from workbench.model.valve import Choudhury, Ideal, Stenman
 from workbench.record.modes import manual_share, mode_words
 
 __all__ = ["estimate"]
@@ -123,36 +132,44 @@ def _profile(data: Centred, max_dead_time: float | None, tell: Callable[[float],
         longest *= 2
 
 
-def _coloured(
-    data: Centred, found: Profile | None, coarse: list[Band], linear: Fit, delays: float
-) -> tuple[Centred, Profile | None, list[Band], Fit]:
-    """The record and the fits in the measure of the disturbance that the best stem leaves.
+def _left(data: Centred, found: Profile | None, bands: dict[str, Bands], linear: Fit) -> FloatArray:
+    """What the best stem leaves of y, EU."""
+    best = None if found is None else found.best
+    band = min((b.best for b in bands.values()), key=lambda b: b.fit.sse, default=None)
+    if band is not None and (best is None or band.fit.sse < best.fit.sse):
+        x = band_stem(data.u, band.S, band.J, band.first, band.sense)[0]
+        return data.y - predict(data, x, max(band.first, 0), band.fit)[0]
+    if best is not None:
+        return data.y - predict(data, path_of(data.u, best.d_low, best.first)[0], best.first, best.fit)[0]
+    return data.y - predict(data, data.u, 0, linear)[0]
 
-    The first samples, up to the dead time, no longer count: where the record starts within a cycle, they answer to
-    slips before it.
+
+def _settled(
+    data: Centred, found: Profile | None, bands: dict[str, Bands], linear: Fit, delays: float
+) -> tuple[Centred, Profile | None, dict[str, Bands], Fit]:
+    """The record and its models in the measure of the disturbance that the best stem leaves.
+
+    Where the record starts within a cycle, its first samples, up to the dead time, answer to slips before it: they no
+    longer count. A PV that starts where it does not come again starts from rest, with a setpoint move.
     """
-    theta = max(linear.theta if found is None else found.best.fit.theta, min(linear.theta, delays))
-    skip = min(math.ceil(theta) + 2, data.samples // STARTING)
+    theta = max(0.0 if found is None else found.best.fit.theta, min(linear.theta, delays))
+    later = data.y[data.samples // 4 :]
+    within = bool(later.min() <= data.y[0] <= later.max())
+    skip = min(math.ceil(theta) + 2, data.samples // STARTING) if within else 0
     for turn in range(COLOURINGS):
-        band = min(coarse, key=lambda b: b.fit.sse, default=None)
-        if found is not None and (band is None or found.best.fit.sse <= band.fit.sse):
-            best = found.best
-            prediction = predict(data, path_of(data.u, best.d_low, best.first)[0], best.first, best.fit)[0]
-        elif band is not None:
-            x = band_stem(data.u, band.S, band.J, band.first, band.sense)[0]
-            prediction = predict(data, x, max(band.first, 0), band.fit)[0]
-        else:
-            prediction = predict(data, data.u, 0, linear)[0]
-        a = disturbance((data.y - prediction)[skip:], data.floor)
+        a = disturbance(_left(data, found, bands, linear)[skip:], data.floor)
         if turn > 0 and a.size == data.a.size == 1:
             break
+        coloured = a.size > 1
         data = data.whitened(a, skip)
         linear = again_linear(data, linear, delays)
-        coarse = look(data, linear, delays)
         if found is not None:
-            limits, likely = found.limits, [*found.likely, *(c.d_low for c in found.alike[:1])]
-            found = profile_of(data, found.rows, likely, limits, _silent, (found.best,))
-    return data, found, coarse, linear
+            likely = [*found.likely, found.best.d_low]
+            found = profile_of(data, found.rows, likely, found.limits, _silent, (found.best,))
+        limits = Limits((LEAST_TAU, float(data.samples)), (0.0, delays))
+        if bands:
+            bands = bands_of(data, look(data, linear, delays), limits) if coloured else refitted(data, bands, limits)
+    return data, found, bands, linear
 
 
 def _coloured_linear(data: Centred, linear: Fit, delays: float) -> tuple[Centred, Fit]:
@@ -190,11 +207,13 @@ def _answer(
     rival = linear if linear.theta <= delays else fit_linear(data, delays)
     wide = [] if found is None else [c.fit.sse / n for c in found.fits if c.d >= WIDE_D * data.op_range]
     coarse = look(data, rival, delays)
-    white = coarse[0] if coarse else None
+    bands = {}
+    if method == "profile" and valve not in ("stenman", "linear"):
+        bands = bands_of(data, coarse, Limits((LEAST_TAU, float(n)), (0.0, delays)))
     # The verdict weighs what each model leaves of PV; the model itself is fitted in the measure that its disturbance
     # asks for.
-    if method != "two_step":
-        data, found, coarse, linear = _coloured(data, found, coarse, linear, delays)
+    if method == "profile":
+        data, found, bands, linear = _settled(data, found, bands, linear, delays)
     stem = None if found is None else _stem(data, found)
     evidence = Evidence(
         samples=n,
@@ -207,8 +226,8 @@ def _answer(
         op_range=data.op_range,
         nothing=fit_nothing(data) / n,
         wide=min(wide, default=math.inf),
-        two_parameter=white.fit.sse / n if white is not None else math.inf,
-        bands=(white.S, white.J) if white is not None else (0.0, 0.0),
+        two_parameter=coarse[0].fit.sse / n if coarse else math.inf,
+        bands=(coarse[0].S, coarse[0].J) if coarse else (0.0, 0.0),
         linear_delay=rival.theta / n,
         tau=0.0 if found is None or data.integrating else found.best.fit.tau / n,
         d_range=None if stem is None else stem.intervals.d,
@@ -218,17 +237,18 @@ def _answer(
         method=method,
         iterations=len(history),
     )
-    bands = {}
     limits = Limits((LEAST_TAU, float(n)), (0.0, delays))
-    if method == "profile" and valve not in ("stenman", "linear"):
-        bands = bands_of(data, coarse, limits)
     models = compared(data, linear, found, bands)
     chosen = choose(models, "stenman" if method == "two_step" else valve)
     verdict, reasons, identifiable = judge(evidence)
     if chosen in bands and verdict == "stiction":
         # The range of d is that of another valve than the one chosen.
         reasons = judge(replace(evidence, d_range=None))[1]
-    fitted = None if found is None or stem is None else (Stenman(found.best.d), stem.valve_position)
+    fitted: Fitted | None = None if found is None or stem is None else (Stenman(found.best.d), stem.valve_position)
+    leader = next((name for name in models if name in bands), None)
+    if leader is not None and models[leader].bic < models.get("stenman", models[leader]).bic + 1e-9:
+        pair = bands[leader].best
+        fitted = (Choudhury(pair.S, pair.J), _band(data, bands[leader], leader).valve_position)
     verdict, reasons = agree(evidence, verdict, reasons, detect(record, fitted=fitted))
     identifiable = identifiable and verdict == "stiction"
     if chosen in bands and verdict != "no_stiction":
@@ -286,7 +306,7 @@ def _answer(
         identifiable=identifiable,
         residual_variance=sse / n,
         aic=akaike(data, sse, PLANT_PARAMETERS + VALVE_PARAMETERS[chosen] - data.integrating),
-        noise_sd=math.sqrt(sse / n),
+        noise_sd=float(np.sqrt(np.mean((record.pv - stem.prediction)[data.skip :] ** 2))),
         slips=best.slips,
         linear=straight,
         profile_d=profile_d,

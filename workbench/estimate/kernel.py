@@ -42,6 +42,7 @@ MANY = 0.05
 S_LOW, S_HIGH, J_LOW, J_HIGH = range(4)
 # Time constants after which nothing is left of a start in double precision.
 DIED = 40.0
+FADED = 0.05  # of a transient, at the first sample that counts, from which it is left out
 
 
 @compiled
@@ -512,6 +513,9 @@ def whitened_cost(
             b[i] += row[i] * v
             for j in range(i + 1):
                 gram[i, j] += row[i] * row[j]
+    if not integrating and pole**skip < FADED:
+        # The transient has died out before the samples that count.
+        gram[3, :], gram[:, 3], b[3] = 0.0, 0.0, 0.0
     for i in range(4):
         for j in range(i):
             gram[j, i] = gram[i, j]

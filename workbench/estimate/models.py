@@ -7,12 +7,12 @@ import math
 from workbench.estimate.data import Centred, plant_of
 from workbench.estimate.fit import Fit, Limits
 from workbench.estimate.profile import Profile
-from workbench.estimate.two_parameter import Band, Bands, search_bands
+from workbench.estimate.two_parameter import Band, Bands, refit, search_bands
 from workbench.estimate.verdict import SHARP
 from workbench.model.results import FittedModel
 from workbench.model.valve import Choudhury, Deadband, Ideal, Stenman, Valve
 
-__all__ = ["STICKING", "bands_of", "choose", "compared", "reasons_of"]
+__all__ = ["STICKING", "bands_of", "choose", "compared", "reasons_of", "refitted"]
 
 # Free parameters beside those of the valve: gain, time constant, dead time, bias, input before the record, transient;
 # an integrating plant has no time constant.
@@ -30,8 +30,15 @@ def _valve(name: str, d: float, band: Band | None) -> Valve:
 
 def bands_of(data: Centred, coarse: list[Band], limits: Limits) -> dict[str, Bands]:
     """Return the searches over two-parameter valves that found a stem: "deadband" (J = 0) and "choudhury" (any J)."""
-    found = {"deadband": search_bands(data, coarse, limits, 0.0), "choudhury": search_bands(data, coarse, limits, None)}
+    dead = search_bands(data, coarse, limits, 0.0)
+    any_jump = search_bands(data, coarse, limits, None, () if dead is None else (dead.best,))
+    found = {"deadband": dead, "choudhury": any_jump}
     return {name: bands for name, bands in found.items() if bands is not None}
+
+
+def refitted(data: Centred, found: dict[str, Bands], limits: Limits) -> dict[str, Bands]:
+    """Return the same searches with each best stem fitted anew, in the measure that data has now."""
+    return {name: refit(data, bands, limits) for name, bands in found.items()}
 
 
 def compared(data: Centred, linear: Fit, found: Profile | None, bands: dict[str, Bands]) -> dict[str, FittedModel]:

@@ -21,7 +21,7 @@ from workbench.estimate.fit import LEAST_TAU, Fit, Limits, fit_linear, fit_path,
 from workbench.estimate.profile import CHI_SQUARE, EXACT, active_windows, first_slips
 from workbench.model.record import FloatArray
 
-__all__ = ["Band", "Bands", "band_stem", "look", "repeated", "search_bands"]
+__all__ = ["Band", "Bands", "band_stem", "look", "refit", "repeated", "search_bands"]
 
 BANDS = 14
 NARROWEST, WIDEST = 0.04, 0.95  # of OP's range
@@ -30,7 +30,7 @@ GRID = 90  # values of S in the close grid
 SHARES = (0.0, 0.08, 0.16, 0.26, 0.38, 0.5, 0.65, 0.8, 0.95, 1.1, 1.35)  # of J in it, of S
 PICKED = 14  # points of the grid that get their own plant
 SEEDS = 4  # of them, about which S and J are walked
-REACHES = ((0.06, 0.15), (0.02, 0.05), (0.006, 0.015))  # how far, of S: along S and along J
+REACHES = ((0.06, 0.15), (0.02, 0.05), (0.006, 0.015), (0.002, 0.005))  # how far, of S: along S and along J
 LINES = 13  # of J in each
 REFITS = 6  # best lines of which each gets its own plant
 MOST_STARTS = 3  # starts at which the grid is scanned
@@ -244,7 +244,7 @@ def _best_of(bands: list[Band]) -> Band:
 
 
 def _short(
-    data: Centred, coarse: list[Band], only: float | None, limits: Limits
+    data: Centred, coarse: list[Band], only: float | None, limits: Limits, beside: tuple[Band, ...] = ()
 ) -> tuple[list[Band], NDArray[np.float64]]:
     """Search a short record: the close grid, then closer about its best few; all stems met and the last rows."""
     coarse = [b for b in coarse if b.fit.gain != 0.0][:SEEDS]
@@ -258,7 +258,7 @@ def _short(
         met += _scanned(data, [(b.fit.tau, b.fit.theta) for b in met[:2]], starts, only, limits)
     bands: list[Band] = []
     ends = []
-    for seed in _apart(sorted(met, key=lambda b: b.fit.sse)):
+    for seed in _apart(sorted([*met, *beside], key=lambda b: b.fit.sse)):
         best = _started(data, seed, limits)
         bands.append(best)
         for reach in REACHES[:2]:
@@ -270,22 +270,27 @@ def _short(
         return [], np.empty((0, 4))
     best = _started(data, _best_of(ends), limits)
     rows = np.empty((0, 4))
-    for reach in REACHES[1:]:
-        found, rows = _closer(data, best, reach, 0.05 * reach[0], only, limits)
+    for reach in (*REACHES[1:], *REACHES[2:]):
+        found, walked = _closer(data, best, reach, 0.05 * reach[0], only, limits)
+        rows = np.vstack([rows, walked])
         bands += found
         best = _best_of([best, *found])
     return [best, *bands], rows
 
 
-def search_bands(data: Centred, coarse: list[Band], limits: Limits, only: float | None) -> Bands | None:
+def search_bands(
+    data: Centred, coarse: list[Band], limits: Limits, only: float | None, beside: tuple[Band, ...] = ()
+) -> Bands | None:
     """Return the best stem and its ranges, or None where none moves.
+
+    beside: stems found otherwise, from which a short record is searched on too.
 
     coarse: the answer of `look`; a long record is searched in its most active stretch alone, and the stem of that
     is walked closer on the whole. only: J as a share of S (0: a dead band).
     """
     rows = np.empty((0, 4))
     if data.samples <= EXACT:
-        bands, rows = _short(data, coarse, only, limits)
+        bands, rows = _short(data, coarse, only, limits, beside)
     else:
         bands = []
         for part in active_windows(data)[:1]:
@@ -308,6 +313,16 @@ def search_bands(data: Centred, coarse: list[Band], limits: Limits, only: float 
     start = (best.first, best.sense)
     best = _best_of([best, _fit(data, best.S, best.J, start, limits, (best.fit.tau, best.fit.theta), 300)])
     return _ranges(data, best, bands, rows)
+
+
+def refit(data: Centred, found: Bands, limits: Limits) -> Bands:
+    """Return the same stems fitted anew from their own plants, the best first; the ranges stay."""
+    bands = [
+        _fit(data, b.S, b.J, (b.first, b.sense), limits, (b.fit.tau, b.fit.theta), 80) for b in found.alike[:REFITS]
+    ]
+    b = found.best
+    bands.append(_fit(data, b.S, b.J, (b.first, b.sense), limits, (b.fit.tau, b.fit.theta), 200))
+    return Bands(_best_of(bands), tuple(bands), found.S, found.J)
 
 
 def repeated(data: Centred, found: Bands, limits: Limits, only: float | None) -> Bands:
