@@ -24,7 +24,7 @@ import numpy as np
 import workbench as wb
 from workbench.estimate import kernel
 from workbench.estimate.data import centre
-from workbench.estimate.profile import LEAST_D
+from workbench.estimate.stems import LEAST_D
 
 SAMPLES = 1000
 NOISE = (0.0, 0.01, 0.02, 0.05, 0.1, 0.2)  # of PV's swing

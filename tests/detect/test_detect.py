@@ -134,7 +134,10 @@ def test_a_recorded_stem_decides() -> None:
     [
         ({}, "stiction"),
         ({"predicting": 30.0, "likelihood": 26.0}, "undecided"),
-        ({"unexplained": 0.04, "improvement": 0.1}, "no_stiction"),
+        # The linear loop leaves little: the stem must explain most of it.
+        ({"unexplained": 0.04, "improvement": 0.1, "simulated": 0.3}, "undecided"),
+        ({"unexplained": 0.04, "improvement": 0.03, "likelihood": 30.0}, "no_stiction"),
+        ({"unexplained": 0.04, "improvement": 0.1, "simulated": 0.6}, "stiction"),
         # By prediction alone: enough; a little less; many samples, of which it explains too little.
         ({"simulated": -1.0}, "stiction"),
         ({"predicting": 70.0, "simulated": -1.0}, "stiction"),

@@ -14,7 +14,7 @@ from scipy.signal import lfilter
 from workbench.estimate import kernel
 from workbench.estimate.data import centre
 from workbench.estimate.fit import Fit, predict
-from workbench.estimate.profile import first_slips, path_of
+from workbench.estimate.stems import first_slips, path_of
 from workbench.model.plant import FOPDT, Integrating
 from workbench.model.record import Record
 from workbench.model.valve import Stenman

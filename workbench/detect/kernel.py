@@ -7,10 +7,21 @@ from numpy.typing import NDArray
 
 from workbench.simulate.compiled import compiled
 
-__all__ = ["lagged", "screen", "taps"]
+__all__ = ["lagged", "screen", "taps", "whiten"]
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
+
+
+@compiled
+def whiten(a: Floats, rows: Floats, out: Floats) -> None:
+    """Write each row filtered by a = (1, -a_1, .., -a_p), shape (R, N), as if it had been 0 before."""
+    for i in range(rows.shape[0]):
+        for k in range(rows.shape[1]):
+            total = 0.0
+            for j in range(min(a.size, k + 1)):
+                total += a[j] * rows[i, k - j]
+            out[i, k] = total
 
 
 @compiled

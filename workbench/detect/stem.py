@@ -20,7 +20,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import lfilter
 
 from workbench.detect import kernel
 from workbench.model.detection import StemTest
@@ -28,7 +27,7 @@ from workbench.model.record import FloatArray
 from workbench.model.valve import Choudhury, Stenman
 from workbench.simulate.run import valve_response
 
-__all__ = ["Fitted", "Law", "laws_of", "stem_test"]
+__all__ = ["Fitted", "Law", "laws_of", "stem_test", "whitened"]
 
 Fitted = tuple[Stenman | Choudhury, FloatArray]
 
@@ -145,6 +144,15 @@ def dead_times(n: int, period: float) -> list[int]:
     return tried
 
 
+def whitened(a: FloatArray, rows: FloatArray) -> FloatArray:
+    """Return signals, shape (N,) or (R, N), filtered by a = (1, -a_1, .., -a_p), as if they had been 0 before."""
+    if a.size == 1:
+        return rows
+    out = np.empty(rows.shape)
+    kernel.whiten(a, np.atleast_2d(np.ascontiguousarray(rows)), np.atleast_2d(out))
+    return out
+
+
 def _held(y: FloatArray, u: FloatArray) -> NDArray[np.bool_]:
     """Return the samples in which PV and OP both kept their values for a while: nobody recorded the loop then."""
     still = np.concatenate([[False], (np.diff(y) == 0.0) & (np.diff(u) == 0.0)])
@@ -184,8 +192,8 @@ class _Rivals:
         best = np.empty(paths.shape[0])
         tau_at, delay_at = np.zeros(best.size, dtype=np.int64), np.zeros(best.size, dtype=np.int64)
         poles = np.exp(-1.0 / np.asarray(taus))
-        target = lfilter(a, [1.0], self.y)
-        drives = lfilter(a, [1.0], paths - paths[:, :1], axis=1)
+        target = whitened(a, self.y)
+        drives = whitened(a, paths - paths[:, :1])
         kernel.screen(target, self.live, drives, poles, self.order, self.delays, self.sign, best, tau_at, delay_at)
         return best, tau_at, delay_at
 
@@ -193,8 +201,8 @@ class _Rivals:
         """Return the best plant driven by x, in the measure of the whitening filter a, the dead time in between too."""
         _, tau_at, delay_at = self.least(x[None, :], a, taus)
         tau, near = taus[int(tau_at[0])], int(self.delays[delay_at[0]])
-        target, gains = lfilter(a, [1.0], self.y), np.zeros(2)
-        drive = lfilter(a, [1.0], x - x[0])
+        target, gains = whitened(a, self.y), np.zeros(2)
+        drive = whitened(a, x - x[0])
         best = (math.inf, tau, near, 0.0, 0.0)
         for spread in SPREADS:
             for _ in range(STEPS):
@@ -232,8 +240,8 @@ class _Rivals:
         waves = np.column_stack([np.cos(angle * np.arange(n)), np.sin(angle * np.arange(n)), np.ones(n)])
         wave, fits = np.zeros(n), []
         for _ in range(2):
-            columns = lfilter(fit.a, [1.0], waves, axis=0)[order:][self.live[order:]]
-            target = lfilter(fit.a, [1.0], fit.residual + wave)[order:][self.live[order:]]
+            columns = whitened(fit.a, waves.T).T[order:][self.live[order:]]
+            target = whitened(fit.a, fit.residual + wave)[order:][self.live[order:]]
             terms, *_ = np.linalg.lstsq(columns, target, rcond=None)
             wave = waves[:, :2] @ terms[:2]
             fit = self._less(wave).settle(x, fit.a, taus, 2)
@@ -296,11 +304,16 @@ class _Search:
         floor = FLOOR**2 * self.power
         return self.rivals.count * math.log((rival.variance + floor) / (fit.variance + floor))
 
-    def judged(self, law: Law, path: FloatArray, a: FloatArray) -> _Candidate:
-        """Return a valve with its likelihoods, its plant and noise fitted in turn from the whitening filter a."""
-        fit = self.rivals.settle(path, a, self.fine, 2)
-        simulated = self.rivals.plant(path, self.white, self.fine)
-        return _Candidate(law, path, fit, self._gain(self.rival, fit), self._gain(self.straight, simulated))
+    def judged(self, law: Law, path: FloatArray, a: FloatArray, taus: Sequence[float] | None = None) -> _Candidate:
+        """Return a valve with its likelihoods, its plant and noise fitted in turn from the whitening filter a.
+
+        taus: the time constants to start from, samples; then its simulation is not looked at.
+        """
+        fit = self.rivals.settle(path, a, self.fine if taus is None else taus, 2)
+        simulated = -math.inf
+        if taus is None:
+            simulated = self._gain(self.straight, self.rivals.plant(path, self.white, self.fine))
+        return _Candidate(law, path, fit, self._gain(self.rival, fit), simulated)
 
     def met(self, fitted: Fitted | None) -> list[_Candidate]:
         """Return the valves judged: the best of the grid, and those found closer and closer about them."""
@@ -332,10 +345,11 @@ class _Search:
         for spread in CLOSER:
             laws = best.law.about(spread)
             paths = np.array([law.path(self.u) for law in laws])
-            costs = self.rivals.least(paths, best.fit.a, [best.fit.tau * f for f in (0.85, 1.0, 1.18)])[0]
-            near = [self.judged(laws[i], paths[i], best.fit.a) for i in _best(costs, 2)]
+            taus = [best.fit.tau * f for f in (0.85, 1.0, 1.18)]
+            costs = self.rivals.least(paths, best.fit.a, taus)[0]
+            near = [self.judged(laws[i], paths[i], best.fit.a, taus) for i in _best(costs, 2)]
             best = max([best, *near], key=lambda c: c.innovations)
-        return best
+        return self.judged(best.law, best.path, best.fit.a)
 
 
 def _stretch(

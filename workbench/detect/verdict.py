@@ -12,7 +12,7 @@ PREDICTS: a real linear plant is no first-order lag; what its shape leaves unmod
 variance in nine of ten simulated loops, and below 6 % (SOLE_PREDICTS) wherever the likelihood was beyond SOLE.
 EXPLAINS, LEFT: 5 % of the error, and of PV's variance; a linear model that leaves less has explained PV, unless the
 stem predicts clearly better, by three times PREDICTS (CLEAR), and explains most (MOST) of the little that is left.
-CLOSE: four fifths of each of these is no acquittal.
+CLOSE: four fifths of each of these is no acquittal, nor is a likelihood beyond SOLE by itself.
 FEW: a stem that sticks over a quarter of OP's range or more and moved at most four times, two cycles, cannot be told
 from a linear loop that leaves as much as LEFT, unless PV is seen to follow OP and the stem's lead is chance (CHANCE).
 SLOW: under integral action alone a self-regulating loop is at its stability limit with a period of at most four times
@@ -80,6 +80,7 @@ def decide(
         kind = "the stem slips as it sets off" if test.jump > 0.1 * test.band else "a dead band without visible slip"
         return "stiction", [f"{beats}: {kind}", f"{both}; {linear}"]
     likely = test.unexplained >= limits.left and test.predicting >= limits.sole
+    likely = likely or (test.likelihood >= limits.sole and test.simulated >= limits.explains)
     if likely or _exceeds(test, limits, limits.close) or _predicts(test, limits, limits.close):
         return "undecided", [f"{beats}: nearly enough to find stiction, too much to exclude it", f"{both}; {linear}"]
     follows = test.samples * math.log(max(test.unfollowed, 1e-300) / max(test.left, 1e-300))

@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import lfilter
 
+from workbench.detect.stem import whitened
 from workbench.errors import RecordError
 from workbench.model.plant import FOPDT, Integrating, Plant
 from workbench.model.record import FloatArray, Record
@@ -56,11 +56,11 @@ class Centred:
 
     def whitened(self, a: FloatArray, skip: int) -> Centred:
         """Return the same record, its disturbance the autoregression that the filter a leaves white."""
-        return replace(self, a=a, target=lfilter(a, [1.0], self.y), skip=max(skip, a.size - 1))
+        return replace(self, a=a, target=whitened(a, self.y), skip=max(skip, a.size - 1))
 
     def innovations(self, prediction: FloatArray) -> FloatArray:
         """Return what a prediction of y leaves, filtered, without the samples that do not count: shape (N - skip,)."""
-        left: FloatArray = lfilter(self.a, [1.0], self.y - prediction)[self.skip :]
+        left: FloatArray = whitened(self.a, self.y - prediction)[self.skip :]
         return left
 
     def part(self, first: int, stop: int) -> Centred:

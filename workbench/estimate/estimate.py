@@ -33,7 +33,8 @@ from workbench.estimate.models import (
     reasons_of,
     refitted,
 )
-from workbench.estimate.profile import Candidate, Profile, islands, path_of, profile_of, search
+from workbench.estimate.profile import Candidate, Profile, islands, profile_again, profile_of, search
+from workbench.estimate.stems import path_of
 from workbench.estimate.two_parameter import Bands, band_stem, look, repeated
 from workbench.estimate.two_step import akaike, two_step
 from workbench.estimate.verdict import ENOUGH_SLIPS, SHARP, WIDE_D, Evidence, agree, judge
@@ -158,14 +159,17 @@ def _settled(
     skip = min(math.ceil(theta) + 2, data.samples // STARTING) if within else 0
     for turn in range(COLOURINGS):
         a = disturbance(_left(data, found, bands, linear)[skip:], data.floor)
-        if turn > 0 and a.size == data.a.size == 1:
+        if a.size == data.a.size == 1 and (turn > 0 or skip == 0):
             break
         coloured = a.size > 1
         data = data.whitened(a, skip)
         linear = again_linear(data, linear, delays)
         if found is not None:
             likely = [*found.likely, found.best.d_low]
-            found = profile_of(data, found.rows, likely, found.limits, _silent, (found.best,))
+            if coloured:
+                found = profile_of(data, found.rows, likely, found.limits, _silent, (found.best,))
+            else:
+                found = profile_again(data, found)
         limits = Limits((LEAST_TAU, float(data.samples)), (0.0, delays))
         if bands:
             bands = bands_of(data, look(data, linear, delays), limits) if coloured else refitted(data, bands, limits)

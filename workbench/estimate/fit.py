@@ -6,8 +6,8 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.signal import lfilter
 
+from workbench.detect.stem import whitened
 from workbench.estimate import kernel
 from workbench.estimate.data import WHITE, Centred
 from workbench.model.plant import FOPDT, Integrating
@@ -255,7 +255,7 @@ def standard_errors(data: Centred, x: FloatArray, first: int, fit: Fit, clamped:
     if not clamped:
         vectors.append(columns[2])
     vectors.append(columns[3])
-    jacobian = lfilter(data.a, [1.0], np.array(vectors), axis=1)[:, data.skip :]
+    jacobian = whitened(data.a, np.array(vectors))[:, data.skip :]
     scale = np.sqrt((jacobian**2).sum(axis=1))
     kept = scale > 0.0
     jacobian, scale = jacobian[kept] / scale[kept, None], scale[kept]

@@ -10,12 +10,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from workbench.estimate import kernel
 from workbench.estimate.data import Centred, integers
 from workbench.estimate.fit import (
     LEAST_TAU,
@@ -28,6 +27,20 @@ from workbench.estimate.fit import (
     predict,
     start_range,
 )
+from workbench.estimate.stems import (
+    COST,
+    DELAY,
+    FIRST,
+    HIGH,
+    LEAST_D,
+    LOW,
+    first_slips,
+    firsts_for,
+    path_of,
+    scan,
+    thin,
+    walk,
+)
 
 __all__ = [
     "CHI_SQUARE",
@@ -35,9 +48,8 @@ __all__ = [
     "Candidate",
     "Profile",
     "active_windows",
-    "first_slips",
     "islands",
-    "path_of",
+    "profile_again",
     "profile_of",
     "search",
 ]
@@ -45,22 +57,17 @@ __all__ = [
 # Exact enumeration up to this many samples; longer records are first searched in their most active windows of this
 # length.
 EXACT = 1500
-STARTS = 48  # first slips scanned in the first round
 BINS = 120  # of log d, one output-error fit each
-MOST_STARTS = 400  # and in the second, at wider bands
-WIDE_D = 0.08  # of OP's range
-LEAST_D = 0.005  # of OP's range: below it a stem is OP
 HALF_SLIPS = 5  # in each half of a record, for the halves to be compared
 WINDOWS = 3  # most active windows of a long record, beside its head
 CLEARLY = 0.8  # of the linear fit's residual: a stem that leaves less in a window narrows the dead times
 LEAN = 16  # dead times on the whole of a long record
 LIKELY = 8  # bands looked at closely there
 WINNERS = 6  # paths of a long record with a full output-error fit before the search about the best
+LIKELIEST = 60  # paths of which the halves of the record choose
 REFITS = 60  # and about the best, fewer in a long record
 APART = 0.02  # of d, the least gap between ranges of d that counts
 CHI_SQUARE = 3.841  # 95 %, one degree of freedom
-
-FIRST, LOW, HIGH, DELAY, COST, SLIPS = range(6)
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,73 +102,6 @@ class Profile:
     exact: bool
     limits: Limits
     at_limit: bool
-
-
-def first_slips(u: NDArray[np.float64]) -> NDArray[np.int64]:
-    """Return the samples at which the stem may first slip: 0, and where OP exceeds all that was before it."""
-    highs = np.maximum.accumulate(u)
-    lows = np.minimum.accumulate(u)
-    new = np.flatnonzero((u[1:] > highs[:-1]) | (u[1:] < lows[:-1])) + 1
-    return integers(np.concatenate([[0], new]))
-
-
-def path_of(u: NDArray[np.float64], d: float, first: int) -> tuple[NDArray[np.float64], int]:
-    """Return (stem path, number of slips): shape (N,), 0 before `first`, where the stem is unknown."""
-    x = np.empty(u.size)
-    return x, kernel.stem_path(u, d, first, x)
-
-
-def _walk(
-    data: Centred, first: int, d_from: float, d_to: float, step: float, delays: NDArray[np.int64]
-) -> NDArray[np.float64]:
-    """Rows (FIRST, LOW, HIGH, DELAY, COST, SLIPS) of the paths from `first` with d in [d_from, d_to)."""
-    least = d_from
-    if first > 0:
-        # The stem held before `first`, so that OP had stayed within a band of 2 d.
-        least = max(d_from, 0.5 * float(np.ptp(data.u[:first])))
-    if least >= d_to:
-        return np.empty((0, 6))
-    buffer = np.empty((4 * data.samples + 1000, kernel.ROW))
-    pole = 1.0 if data.integrating else math.nan
-    count = kernel.walk(
-        data.sums,
-        data.squares,
-        data.products,
-        data.u,
-        first,
-        least,
-        d_to,
-        step,
-        delays,
-        pole,
-        data.sign,
-        buffer,
-    )
-    return np.column_stack([np.full(count, float(first)), buffer[:count]])
-
-
-def _thin(firsts: NDArray[np.int64], most: int) -> NDArray[np.int64]:
-    if firsts.size <= most:
-        return firsts
-    return firsts[np.unique(np.round(np.linspace(0, firsts.size - 1, most)).astype(np.int64))]
-
-
-def _scan(data: Centred, delays: NDArray[np.int64], progress: Callable[[float], None]) -> NDArray[np.float64]:
-    """All paths over all first slips (the likely ones first, then those beside the best), at every delay."""
-    d_from, d_to = LEAST_D * data.op_range, 1.0001 * data.op_range
-    firsts = first_slips(data.u)
-    chosen = _thin(firsts, STARTS)
-    found = []
-    for i, first in enumerate(chosen.tolist()):
-        found.append(_walk(data, first, d_from, d_to, 0.0, delays))
-        progress((i + 1) / chosen.size)
-    rows = np.vstack(found)
-    if rows.size == 0 or chosen.size == firsts.size:
-        return rows
-    # Every other first slip as well, at bands where a late first slip can matter: small ones slip early.
-    rest = np.setdiff1d(firsts, chosen)
-    beside = [_walk(data, f, WIDE_D * data.op_range, d_to, 0.0, delays) for f in _thin(rest, MOST_STARTS).tolist()]
-    return np.vstack([rows, *beside])
 
 
 @dataclass(frozen=True, eq=False)
@@ -204,7 +144,7 @@ def _glimpse(
     """Search one window exactly; its best paths are told apart by output-error fits, as noise misleads one step."""
     if not part.op_range > 0.0 or not float(np.ptp(part.y)) > 0.0:
         return None
-    rows = _scan(part, delays, progress)
+    rows = scan(part, delays, progress)
     if not rows.size:
         return None
     by_cost = rows[np.argsort(rows[:, COST], kind="stable")]
@@ -221,18 +161,6 @@ def _glimpse(
     linear = fit_linear(part, longest)
     clear = best[0].fit.sse < CLEARLY * linear.sse and best[0].slips > 1
     return _Glimpse(tuple(c.d_low for c in best), tuple(c.fit.theta for c in best), clear)
-
-
-def _firsts_for(u: NDArray[np.float64], d: float, most: int) -> NDArray[np.int64]:
-    """The first slips that a band d allows, at most `most`, spread over the OP at which they happen."""
-    firsts = first_slips(u)
-    held = np.maximum.accumulate(u) - np.minimum.accumulate(u)
-    firsts = integers(firsts[(firsts == 0) | (0.5 * held[np.maximum(firsts - 1, 0)] <= d)])
-    if firsts.size <= most:
-        return firsts
-    width = float(np.ptp(u[firsts])) / most
-    _, kept = np.unique(np.floor(u[firsts] / width), return_index=True)
-    return integers(np.sort(firsts[kept]))
 
 
 def _scan_long(
@@ -254,12 +182,12 @@ def _scan_long(
     if clear:
         low, high = min(g.delays[0] for g in clear) - 4, max(g.delays[0] for g in clear) + 4
         lean = delays[(delays >= low) & (delays <= high)]
-    lean = _thin(lean, LEAN)
+    lean = thin(lean, LEAN)
     likely = [d for g in clear for d in g.bands[:2]] + [g.bands[0] for g in glimpses if not g.clear]
     # Some paths over every d, for what no window is long enough to show.
     found = [
-        _walk(data, first, LEAST_D * data.op_range, data.op_range, 0.01, lean)
-        for first in _thin(_firsts_for(data.u, data.op_range, 40), 8).tolist()
+        walk(data, first, LEAST_D * data.op_range, data.op_range, 0.01, lean)
+        for first in thin(firsts_for(data.u, data.op_range, 40), 8).tolist()
     ]
     rows = np.vstack(found)
     progress(0.7)
@@ -271,8 +199,8 @@ def _scan_long(
             centres.append(d)
     paths = max(4e5 / data.samples, 4.0)
     for d in centres:
-        firsts = _firsts_for(data.u, 1.01 * d, 100).tolist()
-        found += [_walk(data, first, 0.995 * d, 1.005 * d, 0.01 / paths, lean) for first in firsts]
+        firsts = firsts_for(data.u, 1.01 * d, 100).tolist()
+        found += [walk(data, first, 0.995 * d, 1.005 * d, 0.01 / paths, lean) for first in firsts]
     rows = np.vstack(found)
     progress(0.8)
     # Closer and closer: the best of every likely band over 2 %, then every path about the best.
@@ -282,7 +210,7 @@ def _scan_long(
         if near.size:
             row = near[np.argmin(near[:, COST])]
             step = 0.04 / max(1e7 / data.samples, 100.0)
-            found.append(_walk(data, int(row[FIRST]), 0.98 * row[LOW], 1.02 * row[LOW], step, lean))
+            found.append(walk(data, int(row[FIRST]), 0.98 * row[LOW], 1.02 * row[LOW], step, lean))
     rows = np.vstack(found)
     progress(0.9)
     # The best bands from every first slip again, as a band that is right to four digits may still have started wrongly.
@@ -291,8 +219,8 @@ def _scan_long(
     for d in rows[np.argsort(rows[:, COST], kind="stable")][:1000, LOW].tolist():
         if len(bands) < 2 and all(abs(d / b - 1.0) > 2e-3 for b in bands):
             bands.append(d)
-            firsts = _firsts_for(data.u, 1.01 * d, 150).tolist()
-            found += [_walk(data, first, 0.9995 * d, 1.0005 * d, 1e-3 / paths, lean) for first in firsts]
+            firsts = firsts_for(data.u, 1.01 * d, 150).tolist()
+            found += [walk(data, first, 0.9995 * d, 1.0005 * d, 1e-3 / paths, lean) for first in firsts]
     rows = np.vstack(found)
     done: list[tuple[float, float]] = []
     for row in rows[np.argsort(rows[:, COST], kind="stable")][:1000]:
@@ -302,7 +230,7 @@ def _scan_long(
         done.append((first, d))
         beside = int(np.searchsorted(all_firsts, int(first)))
         others = all_firsts[max(beside - 4, 0) : beside + 5].tolist()
-        found += [_walk(data, other, 0.9995 * d, 1.0005 * d, 0.0, lean) for other in others]
+        found += [walk(data, other, 0.9995 * d, 1.0005 * d, 0.0, lean) for other in others]
         if len(done) == 4:
             break
     rows = np.vstack(found)
@@ -352,7 +280,7 @@ def search(data: Centred, max_delay: float, progress: Callable[[float], None]) -
     exact = data.samples <= EXACT
     likely: list[float] = []
     if exact:
-        rows = _scan(data, delays, lambda share: progress(0.6 * share))
+        rows = scan(data, delays, lambda share: progress(0.6 * share))
     else:
         rows, likely = _scan_long(data, delays, float(max_delay), lambda share: progress(0.6 * share))
     if not rows.size:
@@ -374,8 +302,7 @@ def profile_of(
     beside: candidates fitted in another measure, which are fitted again.
     """
     exact = data.samples <= EXACT
-    # Output-error fits cost some 5 ns x 120 a sample; their number keeps the whole within seconds.
-    effort = float(np.clip(3000.0 / data.samples, 0.1, 1.0))
+    effort = _effort(data)
     chosen = [_best_per_bin(by_cost, max(int(BINS * effort), 24)), by_cost[: int(40 * effort) + 4]]
     _, order = np.unique(by_cost[:, FIRST], return_index=True)
     chosen.append(by_cost[np.sort(order)[:12]])
@@ -409,6 +336,23 @@ def profile_of(
         limits=limits,
         at_limit=at_limit,
     )
+
+
+def profile_again(data: Centred, found: Profile) -> Profile:
+    """Return a profile in a measure that differs little: its likeliest paths fitted on from their own plants."""
+    ranked = sorted(found.fits, key=lambda c: c.fit.sse)
+    fits = sorted(_again(data, (found.best, *ranked), found.limits), key=lambda c: c.fit.sse)
+    fits = _refitted(data, fits, found.limits, int(REFITS * _effort(data)))
+    best = _polished(data, fits[0], found.limits)
+    at_limit = best.fit.theta > found.limits.theta[1] - 0.5
+    return replace(
+        found, best=best, alike=_alike(data, best, fits), fits=_envelope(data, [best, *fits]), at_limit=at_limit
+    )
+
+
+def _effort(data: Centred) -> float:
+    """Output-error fits cost some 5 ns x 120 a sample; their number keeps the whole within seconds."""
+    return float(np.clip(3000.0 / data.samples, 0.1, 1.0))
 
 
 def _again(data: Centred, found: tuple[Candidate, ...], limits: Limits) -> list[Candidate]:
@@ -465,7 +409,7 @@ def _alike(data: Centred, best: Candidate, fits: list[Candidate]) -> tuple[Candi
     effective = n / inflation(residuals)
     base = max(best.fit.sse / n, data.floor)
     region = [c for c in fits if effective * math.log(max(c.fit.sse / n, data.floor) / base) <= CHI_SQUARE]
-    return (best, *region, *_halves(data, fits))
+    return (best, *region, *_halves(data, fits[:LIKELIEST]))
 
 
 def islands(found: Profile) -> tuple[tuple[float, float], ...]:

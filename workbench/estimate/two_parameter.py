@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 from workbench.estimate import kernel
 from workbench.estimate.data import Centred
 from workbench.estimate.fit import LEAST_TAU, Fit, Limits, fit_linear, fit_path, inflation, predict
-from workbench.estimate.profile import CHI_SQUARE, EXACT, active_windows, first_slips
+from workbench.estimate.profile import CHI_SQUARE, EXACT, active_windows
+from workbench.estimate.stems import first_slips
 from workbench.model.record import FloatArray
 
 __all__ = ["Band", "Bands", "band_stem", "look", "refit", "repeated", "search_bands"]
@@ -33,7 +34,10 @@ SEEDS = 4  # of them, about which S and J are walked
 REACHES = ((0.06, 0.15), (0.02, 0.05), (0.006, 0.015), (0.002, 0.005))  # how far, of S: along S and along J
 LINES = 13  # of J in each
 REFITS = 6  # best lines of which each gets its own plant
-MOST_STARTS = 3  # starts at which the grid is scanned
+MOST_STARTS = 3  # starts at which the grid is scanned, beside a stem that stands at either end of its band
+ENDS = ((0, 1.0), (0, -1.0))
+PLANTS, MORE_PLANTS = 3, 6  # at which it is scanned, for any J and for a dead band
+WIDTH_APART = 0.3  # of log S, between stems whose plants are scanned
 STARTS = 12  # first slips tried beside the stem that rests in the middle of its band
 HALF_SLIPS = 5  # in each half of a record, for the halves to be compared
 
@@ -207,6 +211,15 @@ def _likely_starts(data: Centred, bands: list[Band]) -> list[tuple[int, float]]:
     return sorted(votes, key=lambda start: -votes[start])[:MOST_STARTS]
 
 
+def _plants(bands: list[Band], most: int) -> list[tuple[float, float]]:
+    """The plants (tau, theta) of the best stems, of which no two have nearly one S: each width has its own plant."""
+    kept: list[Band] = []
+    for b in bands:
+        if len(kept) < most and all(abs(math.log(b.S / k.S)) > WIDTH_APART for k in kept):
+            kept.append(b)
+    return [(b.fit.tau, b.fit.theta) for b in kept]
+
+
 def _closer(
     data: Centred, seed: Band, reach: tuple[float, float], step: float, only: float | None, limits: Limits
 ) -> tuple[list[Band], NDArray[np.float64]]:
@@ -247,15 +260,15 @@ def _short(
     data: Centred, coarse: list[Band], only: float | None, limits: Limits, beside: tuple[Band, ...] = ()
 ) -> tuple[list[Band], NDArray[np.float64]]:
     """Search a short record: the close grid, then closer about its best few; all stems met and the last rows."""
-    coarse = [b for b in coarse if b.fit.gain != 0.0][:SEEDS]
+    coarse = [b for b in coarse if b.fit.gain != 0.0 and (only is None or only * b.S == b.J)]
     if not coarse:
         return [], np.empty((0, 4))
-    starts = _likely_starts(data, coarse)
-    met = _scanned(data, [(b.fit.tau, b.fit.theta) for b in coarse[:2]], starts, only, limits)
+    starts = list(dict.fromkeys([*_likely_starts(data, coarse[:SEEDS]), *ENDS]))
+    met = _scanned(data, _plants(coarse, PLANTS if only is None else MORE_PLANTS), starts, only, limits)
     # The grid is scanned again at the plants that its best stems have: stiction and plant make up for each other.
     if met:
-        starts = _likely_starts(data, met[:SEEDS])
-        met += _scanned(data, [(b.fit.tau, b.fit.theta) for b in met[:2]], starts, only, limits)
+        starts = list(dict.fromkeys([*_likely_starts(data, met[:SEEDS]), *ENDS]))
+        met += _scanned(data, _plants(met, PLANTS if only is None else MORE_PLANTS), starts, only, limits)
     bands: list[Band] = []
     ends = []
     for seed in _apart(sorted([*met, *beside], key=lambda b: b.fit.sse)):

@@ -1,0 +1,115 @@
+"""One-parameter stem paths: where they may first slip, and the walk over every path of d, costed at every dead time."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from workbench.estimate import kernel
+from workbench.estimate.data import Centred, integers
+
+__all__ = [
+    "COST",
+    "DELAY",
+    "FIRST",
+    "HIGH",
+    "LEAST_D",
+    "LOW",
+    "SLIPS",
+    "first_slips",
+    "firsts_for",
+    "path_of",
+    "scan",
+    "thin",
+    "walk",
+]
+
+STARTS = 48  # first slips scanned in the first round
+MOST_STARTS = 400  # and in the second, at wider bands
+WIDE_D = 0.08  # of OP's range
+LEAST_D = 0.005  # of OP's range: below it a stem is OP
+
+FIRST, LOW, HIGH, DELAY, COST, SLIPS = range(6)
+
+
+def first_slips(u: NDArray[np.float64]) -> NDArray[np.int64]:
+    """Return the samples at which the stem may first slip: 0, and where OP exceeds all that was before it."""
+    highs = np.maximum.accumulate(u)
+    lows = np.minimum.accumulate(u)
+    new = np.flatnonzero((u[1:] > highs[:-1]) | (u[1:] < lows[:-1])) + 1
+    return integers(np.concatenate([[0], new]))
+
+
+def path_of(u: NDArray[np.float64], d: float, first: int) -> tuple[NDArray[np.float64], int]:
+    """Return (stem path, number of slips): shape (N,), 0 before `first`, where the stem is unknown."""
+    x = np.empty(u.size)
+    return x, kernel.stem_path(u, d, first, x)
+
+
+def walk(
+    data: Centred, first: int, d_from: float, d_to: float, step: float, delays: NDArray[np.int64]
+) -> NDArray[np.float64]:
+    """Return rows (FIRST, LOW, HIGH, DELAY, COST, SLIPS) of the paths from `first` with d in [d_from, d_to)."""
+    least = d_from
+    if first > 0:
+        # The stem held before `first`, so that OP had stayed within a band of 2 d.
+        least = max(d_from, 0.5 * float(np.ptp(data.u[:first])))
+    if least >= d_to:
+        return np.empty((0, 6))
+    buffer = np.empty((4 * data.samples + 1000, kernel.ROW))
+    pole = 1.0 if data.integrating else math.nan
+    count = kernel.walk(
+        data.sums,
+        data.squares,
+        data.products,
+        data.u,
+        first,
+        least,
+        d_to,
+        step,
+        delays,
+        pole,
+        data.sign,
+        buffer,
+    )
+    return np.column_stack([np.full(count, float(first)), buffer[:count]])
+
+
+def thin(firsts: NDArray[np.int64], most: int) -> NDArray[np.int64]:
+    """Return at most `most` of some samples, evenly chosen, the first and the last among them."""
+    if firsts.size <= most:
+        return firsts
+    return firsts[np.unique(np.round(np.linspace(0, firsts.size - 1, most)).astype(np.int64))]
+
+
+def scan(data: Centred, delays: NDArray[np.int64], progress: Callable[[float], None]) -> NDArray[np.float64]:
+    """Return all paths over all first slips (the likely ones first, then those beside the best), at every delay."""
+    d_from, d_to = LEAST_D * data.op_range, 1.0001 * data.op_range
+    firsts = first_slips(data.u)
+    chosen = thin(firsts, STARTS)
+    found = []
+    for i, first in enumerate(chosen.tolist()):
+        found.append(walk(data, first, d_from, d_to, 0.0, delays))
+        progress((i + 1) / chosen.size)
+    rows = np.vstack(found)
+    if rows.size == 0 or chosen.size == firsts.size:
+        return rows
+    # Every other first slip as well, at bands where a late first slip can matter: small ones slip early.
+    rest = np.setdiff1d(firsts, chosen)
+    beside = [walk(data, f, WIDE_D * data.op_range, d_to, 0.0, delays) for f in thin(rest, MOST_STARTS).tolist()]
+    return np.vstack([rows, *beside])
+
+
+def firsts_for(u: NDArray[np.float64], d: float, most: int) -> NDArray[np.int64]:
+    """Return the first slips that a band d allows, at most `most`, spread over the OP at which they happen."""
+    firsts = first_slips(u)
+    held = np.maximum.accumulate(u) - np.minimum.accumulate(u)
+    firsts = integers(firsts[(firsts == 0) | (0.5 * held[np.maximum(firsts - 1, 0)] <= d)])
+    if firsts.size <= most:
+        return firsts
+    width = float(np.ptp(u[firsts])) / most
+    _, kept = np.unique(np.floor(u[firsts] / width), return_index=True)
+    return integers(np.sort(firsts[kept]))
