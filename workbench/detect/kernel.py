@@ -93,17 +93,29 @@ def screen(
     weight[first:] = live[first:]
     count = weight.sum()
     z, squares, e, t = np.empty(n), np.empty(n), np.zeros(n), np.zeros(n)
+    # Where every sample counts, prefix sums give the response's own sums for every dead time.
+    whole_record = count == n - first
+    sums, powers = np.zeros(n + 1), np.zeros(n + 1)
     best[:] = np.inf
     for j in range(poles.size):
         left = _project(target, live, poles[j], first, e, t)
         for i in range(drives.shape[0]):
             lagged(drives[i], poles[j], z)
-            squares[:] = z * z
+            if whole_record:
+                for k in range(n):
+                    sums[k + 1] = sums[k] + z[k]
+                    powers[k + 1] = powers[k] + z[k] * z[k]
+            else:
+                squares[:] = z * z
             for d in range(delays.size):
                 # Before its dead time is over the response is nought.
                 delay = delays[d]
-                whole = np.dot(squares[: n - delay], weight[delay:])
-                total = np.dot(z[: n - delay], weight[delay:])
+                if whole_record:
+                    begin = max(first - delay, 0)
+                    whole, total = powers[n - delay] - powers[begin], sums[n - delay] - sums[begin]
+                else:
+                    whole = np.dot(squares[: n - delay], weight[delay:])
+                    total = np.dot(z[: n - delay], weight[delay:])
                 on_e = np.dot(z[: n - delay], e[delay:])
                 common = np.dot(z[: n - delay], t[delay:])
                 power = whole - total * total / count - on_e * on_e

@@ -33,7 +33,7 @@ from workbench.estimate.models import (
     reasons_of,
     refitted,
 )
-from workbench.estimate.profile import Candidate, Profile, islands, profile_again, profile_of, search
+from workbench.estimate.profile import EXACT, Candidate, Profile, islands, profile_again, profile_of, search
 from workbench.estimate.stems import path_of
 from workbench.estimate.two_parameter import Bands, band_stem, look, repeated
 from workbench.estimate.two_step import akaike, two_step
@@ -159,7 +159,8 @@ def _settled(
     skip = min(math.ceil(theta) + 2, data.samples // STARTING) if within else 0
     for turn in range(COLOURINGS):
         a = disturbance(_left(data, found, bands, linear)[skip:], data.floor)
-        if a.size == data.a.size == 1 and (turn > 0 or skip == 0):
+        # Of a long record the first few samples are nothing.
+        if a.size == data.a.size == 1 and (turn > 0 or skip == 0 or data.samples > EXACT):
             break
         coloured = a.size > 1
         data = data.whitened(a, skip)
