@@ -22,7 +22,7 @@ ALLOWED = {
     "simulate": {"model", "kpi"},
     "symbolic": {"model"},
     "detect": {"model", "kpi", "record", "simulate"},
-    "estimate": {"model", "kpi", "record", "simulate", "detect"},
+    "estimate": {"model", "kpi", "record", "simulate", "symbolic", "detect"},
     "analyze": {"model", "kpi", "simulate", "symbolic"},
     "tune": {"model", "kpi", "simulate", "symbolic", "analyze"},
     "report": {"model", "kpi"},

@@ -310,7 +310,7 @@ def test_estimate_as_json_writes_no_file(folder: Path) -> None:
     [
         (["none.csv"], "no such file"),
         (["."], "directory"),
-        (["loop.csv", "--method", "magic"], "--method: magic given; must be one of profile, two_step"),
+        (["loop.csv", "--method", "magic"], "--method: magic given; must be one of profile, joint, two_step"),
         (["loop.csv", "--column", "PV"], "must be SIGNAL=NAME"),
         (["loop.csv", "--column", "PV=none"], "no such column"),
         (["loop.csv", "--sample-time", "5"], '--sample-time: 5 given; must be a time with its unit, such as "5 s"'),

@@ -186,9 +186,9 @@ def schema() -> int:
     return 0
 
 
-METHOD = typer.Option("--method", help="profile (global over stiction, start and delay) or two_step (alternating).")
+METHOD = typer.Option("--method", help="profile (global), joint (that, refined by IPOPT) or two_step (alternating).")
 VALVE = typer.Option("--valve", help="Valve model: auto, linear, stenman, choudhury or deadband.")
-PLANT = typer.Option("--plant", help="Plant model: fopdt or integrating.")
+PLANT = typer.Option("--plant", help="Plant model: fopdt, integrating or auto (the lower BIC).")
 COLUMN = typer.Option("--column", metavar="SIGNAL=NAME", help="Which column is SP, PV, OP, MODE, time, valve_position.")
 TAG = typer.Option("--tag", metavar="SIGNAL=NAME", help="The same for the tags of a historian's tall export.")
 SAMPLE_TIME = typer.Option("--sample-time", metavar="TIME", help='Where the data has no even times, such as "5 s".')
@@ -347,9 +347,9 @@ def _checked(files: Sequence[Path]) -> list[Scenario]:
 
 
 CHOICES = {
-    "method": ("profile", "two_step"),
+    "method": ("profile", "joint", "two_step"),
     "valve": ("auto", "linear", "stenman", "choudhury", "deadband"),
-    "plant": ("fopdt", "integrating"),
+    "plant": ("fopdt", "integrating", "auto"),
 }
 
 

@@ -14,7 +14,7 @@ import numpy as np
 from rich.table import Table
 from rich.text import Text
 
-from workbench.model.results import Estimate, SolveStatus
+from workbench.model.results import Estimate, NoiseModel, Repeats, SolveStatus
 from workbench.model.study import NamedEstimate, Study
 from workbench.model.valve import Ideal, Stenman
 from workbench.report.figures import estimate_figure, svg_file
@@ -44,11 +44,16 @@ def estimate_lines(found: Estimate) -> list[str]:
             lines.append(f"           {name.replace('_', ' ')}: {interval(pair, unit)} ({sure})")
     lines.append(f"Valve      {valve_words(found.valve)}")
     lines += [f"           {line}" for line in _stiction_ranges(found)]
+    if found.repeats is not None:
+        first, *others = _repeats_lines(found.repeats)
+        lines += [f"Parts      {first}", *(f"           {line}" for line in others)]
     stem = found.valve_position
     lines.append(
         f"Stem       {found.slips} moves, {figure(float(stem.min()))} to {figure(float(stem.max()))} %; "
         f"PV is met within {figure(found.noise_sd, 3)} EU (standard deviation)"
     )
+    if found.noise_model is not None:
+        lines.append(f"Noise      {_noise_words(found.noise_model)}")
     lines.append(f"Linear fit {plant_words(found.linear.plant)}; it ignores the stiction")
     if len(found.candidates) > 1:
         span = min(m.bic for m in found.candidates)
@@ -59,6 +64,31 @@ def estimate_lines(found: Estimate) -> list[str]:
     lines.append(f"Verdict    {VERDICTS.get(found.verdict, found.verdict)}")
     lines += [f"           {reason}" for reason in found.reasons]
     return lines
+
+
+def _repeats_lines(found: Repeats) -> list[str]:
+    """Return what parts of the record say by themselves, each way and over time."""
+    lines = [
+        f"{figure(part.start, 6)} to {figure(part.end, 6)} s by itself, with the same process: "
+        f"{figure(part.band, 3)} % (95 %: {interval(part.interval, '%', 3)}; {part.slips} stem moves)"
+        for part in found.parts
+    ]
+    for what, value, pair, unit in (
+        ("upward less downward", found.difference, found.difference_interval, "%"),
+        ("drift", found.drift, found.drift_interval, "%/h"),
+    ):
+        if value is not None:
+            lines.append(f"{what}: {figure(value, 2)} {unit} (95 %: {interval(pair, unit, 2)})")
+    return lines
+
+
+def _noise_words(noise: NoiseModel) -> str:
+    """Return the disturbance that the joint refinement found."""
+    what = "white" if not noise.ar else f"autoregressive, coefficients {', '.join(figure(a, 3) for a in noise.ar)}"
+    text = f"{what}; one sample ahead PV is foretold within {figure(noise.innovation_sd, 3)} EU (standard deviation)"
+    if noise.drift_interval is not None:
+        text += f"; PV drifts by {figure(noise.drift, 3)} EU/s (95 %: {interval(noise.drift_interval, 'EU/s')})"
+    return text
 
 
 def _stiction_ranges(found: Estimate) -> list[str]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -21,8 +21,6 @@ from workbench.estimate.fit import (
     fit_linear,
     fit_nothing,
     predict,
-    standard_errors,
-    start_range,
 )
 from workbench.estimate.models import (
     PLANT_PARAMETERS,
@@ -33,29 +31,33 @@ from workbench.estimate.models import (
     reasons_of,
     refitted,
 )
-from workbench.estimate.profile import EXACT, Candidate, Profile, islands, profile_again, profile_of, search
+from workbench.estimate.paths import Path, band_paths, linear_path, stem_paths
+from workbench.estimate.plants import foretelling_bic
+from workbench.estimate.profile import EXACT, Profile, islands, profile_again, profile_of, search
+from workbench.estimate.repeat import repeats_of, words_of
+from workbench.estimate.scale import NORMAL, band_of, bias_of, linear_intervals, linear_result, ranges_of, stem_of
 from workbench.estimate.stems import path_of
 from workbench.estimate.two_parameter import Bands, band_stem, look, repeated
 from workbench.estimate.two_step import akaike, two_step
 from workbench.estimate.verdict import ENOUGH_SLIPS, SHARP, WIDE_D, Evidence, agree, judge
 from workbench.model.checks import choice, number
 from workbench.model.record import FloatArray, Record
-from workbench.model.results import Estimate, Intervals, Iteration, LinearFit
-from workbench.model.valve import Choudhury, Ideal, Stenman
+from workbench.model.results import Estimate, Iteration, NoiseModel
+from workbench.model.valve import Choudhury, Deadband, Ideal, Stenman
 from workbench.record.modes import manual_share, mode_words
 
 __all__ = ["estimate"]
 
-METHODS = ("profile", "two_step")
+METHODS = ("profile", "joint", "two_step")
 VALVES = ("auto", "linear", "stenman", "choudhury", "deadband")
-PLANTS = ("fopdt", "integrating")
+PLANTS = ("fopdt", "integrating", "auto")
 
 # Dead times searched by default, in samples, doubled while the best fit lies at the end.
 DELAYS = 30
 LINEAR_DELAYS = 240
-NORMAL = 1.96
 STARTING = 20  # of the record at most is left out at its start
 COLOURINGS = 2  # rounds of model and disturbance in turn
+CLEAR_BIC = 10.0  # R. Kass, A. Raftery, J. Am. Stat. Assoc. 90 (1995) 773-795: "very strong" evidence above it
 MUCH_MANUAL = 0.05  # share of the record in manual that is worth a word
 
 
@@ -71,10 +73,12 @@ def estimate(
 ) -> Estimate:
     """Estimate a loop from a record of PV and OP, in closed loop and without a test.
 
-    method: "profile", the global profile over (d, first slip, dead time) with output-error refinement, or "two_step",
-    the paper's alternating algorithm from the stiction `start` (%), whose valve is "stenman". valve: "stenman",
-    "choudhury" (S, J), "deadband" (J = 0), "linear" (none), or "auto", the one that sticks with the lowest BIC. plant:
-    "fopdt" or "integrating".
+    method: "profile", the global profile over (d, first slip, dead time) with output-error refinement; "joint", the
+    same and then the plant of its best few stem paths refined by nonlinear programs, with a drift and a coloured
+    disturbance (see `estimate.joint`; `noise_model` holds them); or "two_step", the paper's alternating algorithm from
+    the stiction `start` (%), whose valve is "stenman". valve: "stenman", "choudhury" (S, J), "deadband" (J = 0),
+    "linear" (none), or "auto", the one that sticks with the lowest BIC. plant: "fopdt", "integrating", or "auto", the
+    one with the lower BIC among the same valves (twice the time).
     max_dead_time: s, the longest dead time searched (default: 30 samples, more where the best fit asks for it).
     progress: called with the share done, 0 to 1.
 
@@ -97,6 +101,8 @@ def estimate(
     if max_dead_time is not None:
         max_dead_time = number(max_dead_time, "estimate.max_dead_time", least=0.0, unit="s")
     tell = progress if progress is not None else _silent
+    if plant == "auto":
+        return _better_plant(record, (method, valve), start, max_dead_time, tell)
     data = centre(record, plant)
     tell(0.0)
     linear = fit_linear(data, _longest(data, max_dead_time, LINEAR_DELAYS))
@@ -106,10 +112,56 @@ def estimate(
     if method == "two_step":
         found, history = two_step(data, start, _longest(data, max_dead_time, DELAYS))
     else:
-        found = _profile(data, max_dead_time, tell)
-    answer = _answer(record, data, (method, valve), found, linear, history)
+        found = _profile(data, max_dead_time, (lambda share: tell(0.1 + 0.4 * share)) if method == "joint" else tell)
+    answer, paths = _answer(record, data, (method, valve), found, linear, history)
+    if method == "joint":
+        answer = _joint(data, answer, paths, max_dead_time, lambda share: tell(0.5 + 0.5 * share))
+    repeats = repeats_of(data, answer)
+    said = words_of(repeats) if repeats is not None and answer.verdict == "stiction" else ()
     tell(1.0)
-    return answer
+    return replace(answer, repeats=repeats, reasons=answer.reasons + said)
+
+
+def _better_plant(
+    record: Record,
+    asked: tuple[str, str],
+    start: float | None,
+    max_dead_time: float | None,
+    tell: Callable[[float], None],
+) -> Estimate:
+    """The estimate with the plant of the lower BIC, and in words by how much."""
+    method, valve = asked
+    quick = "profile" if method == "joint" else method
+    shares = 3 if method == "joint" else 2
+
+    def part(i: int) -> Callable[[float], None]:
+        return lambda share: tell((i + share) / shares)
+
+    found = {
+        plant: estimate(
+            record,
+            method=quick,
+            valve=valve,
+            plant=plant,
+            start=start,
+            max_dead_time=max_dead_time,
+            progress=part(i),
+        )
+        for i, plant in enumerate(("fopdt", "integrating"))
+    }
+    bics = {plant: foretelling_bic(centre(record, plant), one) for plant, one in found.items()}
+    plant = min(bics, key=lambda name: bics[name])
+    answer = found[plant]
+    if method == "joint":
+        answer = estimate(
+            record, method=method, valve=valve, plant=plant, max_dead_time=max_dead_time, progress=part(2)
+        )
+    words = {"fopdt": "a first-order process", "integrating": "an integrating process"}
+    by = max(bics.values()) - bics[plant]
+    said = f"{words[plant]} has the lower BIC, by {by:.3g}"
+    if by < CLEAR_BIC:
+        said += ": the record hardly tells it from " + next(w for name, w in words.items() if name != plant)
+    return replace(answer, reasons=(*answer.reasons, said))
 
 
 def _silent(share: float) -> None:
@@ -185,16 +237,6 @@ def _coloured_linear(data: Centred, linear: Fit, delays: float) -> tuple[Centred
     return data, linear
 
 
-@dataclass(frozen=True, eq=False)
-class _Stem:
-    """The best stem model in the record's own scale."""
-
-    valve_position: FloatArray
-    prediction: FloatArray
-    bias: float
-    intervals: Intervals
-
-
 def _answer(
     record: Record,
     data: Centred,
@@ -202,10 +244,11 @@ def _answer(
     found: Profile | None,
     linear: Fit,
     history: tuple[Iteration, ...],
-) -> Estimate:
+) -> tuple[Estimate, list[Path]]:
+    """The estimate, and the likeliest stem paths of its valve."""
     n = data.samples
     method, valve = asked
-    straight = _linear_result(data, linear)
+    straight = linear_result(data, linear)
     plain = found
     # The rival of the verdict is as causal as the stem model: a long dead time passes for half a cycle.
     delays = found.limits.theta[1] if found is not None else float(_longest(data, None, DELAYS))
@@ -213,13 +256,13 @@ def _answer(
     wide = [] if found is None else [c.fit.sse / n for c in found.fits if c.d >= WIDE_D * data.op_range]
     coarse = look(data, rival, delays)
     bands = {}
-    if method == "profile" and valve not in ("stenman", "linear"):
+    if method != "two_step" and valve not in ("stenman", "linear"):
         bands = bands_of(data, coarse, Limits((LEAST_TAU, float(n)), (0.0, delays)))
     # The verdict weighs what each model leaves of PV; the model itself is fitted in the measure that its disturbance
     # asks for.
-    if method == "profile":
+    if method != "two_step":
         data, found, bands, linear = _settled(data, found, bands, linear, delays)
-    stem = None if found is None else _stem(data, found)
+    stem = None if found is None else stem_of(data, found)
     evidence = Evidence(
         samples=n,
         variance=data.variance,
@@ -253,7 +296,7 @@ def _answer(
     leader = next((name for name in models if name in bands), None)
     if leader is not None and models[leader].bic < models.get("stenman", models[leader]).bic + 1e-9:
         pair = bands[leader].best
-        fitted = (Choudhury(pair.S, pair.J), _band(data, bands[leader], leader).valve_position)
+        fitted = (Choudhury(pair.S, pair.J), band_of(data, bands[leader], leader).valve_position)
     verdict, reasons = agree(evidence, verdict, reasons, detect(record, fitted=fitted))
     identifiable = identifiable and verdict == "stiction"
     if chosen in bands and verdict != "no_stiction":
@@ -262,18 +305,18 @@ def _answer(
         reasons += reasons_of(models, chosen, valve, bands)
     reasons += _manual_said(record)
     if chosen in bands:
-        stem = _band(data, bands[chosen], chosen)
+        stem = band_of(data, bands[chosen], chosen)
         S = bands[chosen].best.S
         sharp = bands[chosen].S[1] - bands[chosen].S[0] <= SHARP * S
         identifiable = verdict == "stiction" and bands[chosen].best.slips >= ENOUGH_SLIPS and sharp
     if verdict == "no_stiction" or chosen == "linear":
         data, linear = _coloured_linear(data, linear, delays)
-        straight = _linear_result(data, linear)
+        straight = linear_result(data, linear)
     profile_d = np.array([] if found is None else [c.d for c in found.fits])
     profile_cost = np.array([] if found is None else [c.fit.sse / n for c in found.fits])
     best = bands[chosen].best if chosen in bands else None if found is None else found.best
     if best is None or stem is None or chosen == "linear" or verdict == "no_stiction" or best.fit.gain == 0.0:
-        return Estimate(
+        unstuck = Estimate(
             record=record,
             method=method,
             plant=straight.plant,
@@ -283,7 +326,7 @@ def _answer(
             bias=straight.bias,
             verdict=verdict,
             reasons=reasons,
-            intervals=_linear_intervals(data, linear),
+            intervals=linear_intervals(data, linear),
             identifiable=False,
             residual_variance=straight.residual_variance,
             aic=straight.aic,
@@ -295,9 +338,10 @@ def _answer(
             iterations=history,
             candidates=tuple(models.values()),
         )
+        return unstuck, linear_path(data, linear)
     # Of the prediction itself: where the model's columns are nearly dependent, the normal equations lose digits.
     sse = float(((record.pv - stem.prediction) ** 2).sum())
-    return Estimate(
+    sticking = Estimate(
         record=record,
         method=method,
         plant=plant_of(data, best.fit.gain, best.fit.tau, best.fit.theta),
@@ -319,6 +363,72 @@ def _answer(
         iterations=history,
         candidates=tuple(models.values()),
     )
+    if chosen in bands:
+        return sticking, band_paths(data, bands[chosen], chosen)
+    return sticking, [] if found is None else stem_paths(data, found)
+
+
+def _joint(
+    data: Centred, plain: Estimate, paths: list[Path], max_dead_time: float | None, tell: Callable[[float], None]
+) -> Estimate:
+    """The estimate with its plant, start and path by the joint refinement; its verdict stays."""
+    # CasADi is loaded for this method alone.
+    from workbench.estimate.joint import refine
+
+    n = data.samples
+    usual = LINEAR_DELAYS if isinstance(plain.valve, Ideal) else 2.0 * paths[0].fit.theta + DELAYS
+    limits = Limits((LEAST_TAU, float(n)), (0.0, _longest(data, max_dead_time, int(usual))))
+    found = refine(data, paths, limits, tell)
+    best = found.best
+    if best is None:
+        failed = f"the joint refinement ended as {found.status.value}: the profile's own fit is shown"
+        return replace(plain, reasons=(*plain.reasons, failed))
+    path, fit = best.path, best.fit
+    prediction = data.pv_mean + best.prediction(data)
+    position = path.x + data.op_middle
+    if path.first > 0 and fit.gain != 0.0:
+        position[: path.first] = data.op_middle + fit.start / fit.gain
+    ranges = ranges_of(data, [r.fit for r in found.alike], found.errors, plain.intervals.d)
+    if ranges.d is not None and path.d is not None:
+        ranges = replace(ranges, d=(min(ranges.d[0], path.d[0]), max(ranges.d[1], path.d[1])))
+    if isinstance(path.valve, Choudhury | Deadband):
+        ranges = replace(ranges, S=_with(plain.intervals.S, path.valve.stick_band))
+    if isinstance(path.valve, Choudhury):
+        ranges = replace(ranges, J=_with(plain.intervals.J, path.valve.J))
+    sse = float(((plain.record.pv - prediction) ** 2).sum())
+    kind = type(path.valve).__name__.lower() if path.slips else "linear"
+    p = PLANT_PARAMETERS + VALVE_PARAMETERS[kind] - data.integrating + best.drifts
+    span = n * data.sample_time
+    half = NORMAL * found.drift_error
+    begin, stop = found.stretch
+    said = (f"the record is long: the joint refinement used its samples {begin} to {stop}",) if stop - begin < n else ()
+    return replace(
+        plain,
+        reasons=plain.reasons + said,
+        plant=plant_of(data, fit.gain, fit.tau, fit.theta),
+        valve=path.valve,
+        valve_position=position,
+        prediction=prediction,
+        bias=bias_of(data, fit),
+        intervals=ranges,
+        residual_variance=sse / n,
+        aic=akaike(data, sse, p),
+        noise_sd=math.sqrt(sse / n),
+        slips=path.slips,
+        noise_model=NoiseModel(
+            ar=best.a,
+            innovation_sd=found.innovation_sd,
+            drift=best.drift / span,
+            drift_interval=((best.drift - half) / span, (best.drift + half) / span) if best.drifts else None,
+            compared=found.compared,
+            iterations=found.iterations,
+        ),
+    )
+
+
+def _with(pair: tuple[float, float] | None, value: float) -> tuple[float, float] | None:
+    """A range that holds a value too."""
+    return None if pair is None else (min(pair[0], value), max(pair[1], value))
 
 
 def _manual_said(record: Record) -> tuple[str, ...]:
@@ -327,98 +437,3 @@ def _manual_said(record: Record) -> tuple[str, ...]:
         return ()
     said = f"the controller was in manual in {share:.0%} of the record ({mode_words(record.mode)})"
     return (f"{said}: a stretch in automatic alone would show the loop better",)
-
-
-def _bias(data: Centred, fit: Fit) -> float:
-    """PV at stem 0; for an integrating plant, PV at the record's start."""
-    return data.pv_mean + fit.bias - (0.0 if data.integrating else fit.gain * data.op_middle)
-
-
-def _linear_result(data: Centred, fit: Fit) -> LinearFit:
-    modelled = predict(data, data.u, 0, fit)[0]
-    sse = float(((data.y - modelled) ** 2).sum())
-    return LinearFit(
-        plant=plant_of(data, fit.gain, fit.tau, fit.theta),
-        bias=_bias(data, fit),
-        prediction=data.pv_mean + modelled,
-        residual_variance=sse / data.samples,
-        aic=akaike(data, sse, PLANT_PARAMETERS - data.integrating),
-    )
-
-
-def _linear_intervals(data: Centred, fit: Fit) -> Intervals:
-    if fit.gain == 0.0:
-        return Intervals()
-    errors = standard_errors(data, data.u, 0, fit, clamped=False)
-    return _ranges(data, [fit], errors, None)
-
-
-def _ranges(
-    data: Centred, fits: list[Fit], errors: tuple[float, float, float], d: tuple[float, float] | None
-) -> Intervals:
-    """Hulls over fits that are alike, each widened by 1.96 standard errors."""
-    Ts = data.sample_time
-
-    def hull(values: list[float], error: float, unit: float, least: float = -math.inf) -> tuple[float, float] | None:
-        if not math.isfinite(error):
-            return None
-        low, high = (min(values) - NORMAL * error) * unit, (max(values) + NORMAL * error) * unit
-        return max(low, least), high
-
-    return Intervals(
-        d=d,
-        gain=hull([f.gain for f in fits], errors[0], 1.0 / Ts if data.integrating else 1.0),
-        time_constant=None if data.integrating else hull([f.tau for f in fits], errors[1], Ts, 0.0),
-        dead_time=hull([f.theta for f in fits], errors[2], Ts, 0.0),
-    )
-
-
-def _start(data: Centred, best: Candidate) -> tuple[float, bool]:
-    """The stem before the first slip (centred), and whether it was set to an end of its range."""
-    low, high = start_range(data.u, best.first, best.d_low, best.d_high)
-    if best.fit.gain == 0.0:
-        return float(data.u[best.first]), False
-    free = best.fit.start / best.fit.gain
-    if math.isinf(low):
-        # Nothing of OP's record tells where the stem was before sample 0; it does not show within the record.
-        return free, False
-    return float(np.clip(free, low, high)), not low * (1 + 1e-9) < free < high * (1 - 1e-9)
-
-
-def _stem(data: Centred, found: Profile) -> _Stem:
-    best = found.best
-    x, _ = path_of(data.u, best.d_low, best.first)
-    start, clamped = _start(data, best)
-    prediction = data.pv_mean + predict(data, x, best.first, best.fit)[0]
-    position = x + data.op_middle
-    position[: best.first] = start + data.op_middle
-    errors = (math.nan, math.nan, math.nan)
-    if best.fit.gain != 0.0:
-        errors = standard_errors(data, x, best.first, best.fit, clamped)
-    d = (min(c.d_low for c in found.alike), max(c.d_high for c in found.alike))
-    known = best.d_high > best.d_low and best.slips >= ENOUGH_SLIPS
-    intervals = _ranges(data, [c.fit for c in found.alike], errors, d if known else None)
-    return _Stem(position, prediction, _bias(data, best.fit), intervals)
-
-
-def _band(data: Centred, found: Bands, name: str) -> _Stem:
-    """The best two-parameter stem in the record's own scale."""
-    best = found.best
-    x, _ = band_stem(data.u, best.S, best.J, best.first, best.sense)
-    begin = max(best.first, 0)
-    prediction = data.pv_mean + predict(data, x, begin, best.fit)[0]
-    position = x + data.op_middle
-    if begin > 0 and best.fit.gain != 0.0:
-        # Where the stem was before it first slipped, kept to what the valve can hold there.
-        reach = 0.5 * (best.S + best.J)
-        low, high = float(data.u[:begin].max()) - reach, float(data.u[:begin].min()) + reach
-        position[:begin] = data.op_middle + float(
-            np.clip(best.fit.start / best.fit.gain, min(low, high), max(low, high))
-        )
-    errors = (math.nan, math.nan, math.nan)
-    if best.fit.gain != 0.0:
-        errors = standard_errors(data, x, begin, best.fit, clamped=False)
-    ranges = _ranges(data, [b.fit for b in found.alike if b.fit.gain != 0.0] or [best.fit], errors, None)
-    if best.slips >= ENOUGH_SLIPS:
-        ranges = replace(ranges, S=found.S, J=None if name == "deadband" else found.J)
-    return _Stem(position, prediction, _bias(data, best.fit), ranges)

@@ -25,6 +25,7 @@ __all__ = [
     "fit_stems",
     "inflation",
     "predict",
+    "score_covariance",
     "standard_errors",
     "start_range",
 ]
@@ -262,12 +263,12 @@ def standard_errors(data: Centred, x: FloatArray, first: int, fit: Fit, clamped:
     names = [n for n, k in zip(names, kept.tolist(), strict=False) if k]
     inverse = np.linalg.pinv(jacobian @ jacobian.T, rcond=1e-12)
     white = float(residuals @ residuals) / max(data.samples - len(vectors), 1) + data.floor
-    spread = np.maximum(np.diag(inverse) * white, np.diag(inverse @ _score_covariance(jacobian, residuals) @ inverse))
+    spread = np.maximum(np.diag(inverse) * white, np.diag(inverse @ score_covariance(jacobian, residuals) @ inverse))
     found = {n: math.sqrt(max(float(spread[i]), 0.0)) / float(scale[i]) for i, n in enumerate(names)}
     return found.get("gain", math.nan), found.get("tau", math.nan), found.get("theta", math.nan)
 
 
-def _score_covariance(jacobian: FloatArray, residuals: FloatArray) -> FloatArray:
+def score_covariance(jacobian: FloatArray, residuals: FloatArray) -> FloatArray:
     """Return the covariance of the sum of scores, shape (p, p), with a Bartlett window over their autocorrelation.
 
     W. Newey, K. West, "A simple, positive semi-definite, heteroskedasticity and autocorrelation consistent covariance

@@ -21,6 +21,7 @@ __all__ = [
     "oe_fit",
     "rest_range",
     "scan_bands",
+    "scan_held",
     "stem_path",
     "stem_slips",
     "walk",
@@ -40,6 +41,8 @@ FIT = 7
 MANY = 0.05
 # Entries that `band_path` writes.
 S_LOW, S_HIGH, J_LOW, J_HIGH = range(4)
+# Entries that `scan_held` writes for each band beside its cost: where it started, its slips, bias, start, transient.
+HELD = 6
 # Time constants after which nothing is left of a start in double precision.
 DIED = 40.0
 FADED = 0.05  # of a transient, at the first sample that counts, from which it is left out
@@ -864,3 +867,155 @@ def scan_bands(
             tau, theta = plants[j, 0], plants[j, 1]
             cost = fit_cost(y, x, max(first, 0), -math.inf, math.inf, sign, integrating, tau, theta, a, skip, out)
             costs[i, j] = cost if out[GAIN] != 0.0 else math.inf
+
+
+@compiled
+def each_way_path(op: Floats, gap: float, up: float, down: float, first: int, sense: float, x: Floats) -> int:
+    """Write the path of a stem that sticks differently upward and downward, 0 before its first slip; return its slips.
+
+    gap nan: a Stenman stem, which slips to OP where OP leads by more than `up` above or `down` below. Else the stem of
+    `band_path`, gap = S - J apart in its two directions, with the slip jumps J = up and down: having been led to w in
+    sense s it moves on beyond J of s and turns beyond gap + J of the other sense.
+    """
+    x[:first] = 0.0
+    slips = 1
+    if math.isnan(gap):
+        held = op[first]
+        for k in range(first, op.size):
+            lead = op[k] - held
+            if lead > up or -lead > down:
+                held = op[k]
+                slips += 1
+            x[k] = held
+        return slips
+    led = op[first]
+    x[first] = led - sense * 0.5 * gap
+    moving = True
+    for k in range(first + 1, op.size):
+        if moving and (op[k] - op[k - 1]) * sense > 0.0:
+            led = op[k]
+        else:
+            moving = False
+            on = (op[k] - led) * sense
+            if on > (up if sense > 0.0 else down):
+                moving = True
+            elif -on > gap + (down if sense > 0.0 else up):
+                sense = -sense
+                moving = True
+            if moving:
+                led = op[k]
+                slips += 1
+        x[k] = led - sense * 0.5 * gap
+    return slips
+
+
+@compiled
+def _held_cost(
+    y: Floats,
+    x: Floats,
+    first: int,
+    low: float,
+    high: float,
+    gain: float,
+    integrating: bool,
+    pole: float,
+    m: int,
+    c0: float,
+    c1: float,
+    terms: Floats,
+) -> float:
+    """Sum of squares at a plant that is held, gain included: bias, x0 (within low..high) and transient are free.
+
+    The model is that of `oe_columns`. Written into terms: bias, gain times x0, transient.
+    """
+    gram = np.zeros((3, 3))
+    b = np.zeros(3)
+    s, g, r = 0.0, 0.0 if integrating else 1.0, 0.0 if integrating else 1.0
+    power = 0.0
+    for k in range(y.size):
+        z = y[k] - gain * s
+        power += z * z
+        b[0] += z
+        b[1] += g * z
+        b[2] += r * z
+        gram[0, 1] += g
+        gram[0, 2] += r
+        gram[1, 1] += g * g
+        gram[1, 2] += g * r
+        gram[2, 2] += r * r
+        near, far = k - m, k - m - 1
+        s = pole * s
+        g = pole * g
+        if near >= first:
+            s += c0 * x[near]
+        else:
+            g += c0
+        if far >= first:
+            s += c1 * x[far]
+        else:
+            g += c1
+        r = r + 1.0 if integrating else r * pole
+    gram[0, 0] = y.size
+    gram[1, 0], gram[2, 0], gram[2, 1] = gram[0, 1], gram[0, 2], gram[1, 2]
+    kept, right = gram.copy(), b.copy()
+    explained = _solve(gram, 3, b)
+    free = b[1] / gain
+    if free < low or free > high:
+        start = gain * (low if free < low else high)
+        power += start * start * kept[1, 1] - 2.0 * start * right[1]
+        gram[0, 0], gram[0, 1], gram[1, 0], gram[1, 1] = kept[0, 0], kept[0, 2], kept[2, 0], kept[2, 2]
+        b[0], b[1] = right[0] - start * kept[0, 1], right[2] - start * kept[1, 2]
+        explained = _solve(gram, 2, b)
+        b[2] = b[1]
+        b[1] = start
+    terms[0], terms[1], terms[2] = b[0], b[1], b[2]
+    return max(power - explained, 0.0)
+
+
+@compiled
+def scan_held(
+    y: Floats,
+    op: Floats,
+    starts: Floats,
+    bands: Floats,
+    slack: float,
+    gain: float,
+    integrating: bool,
+    pole: float,
+    m: int,
+    c0: float,
+    c1: float,
+    costs: Floats,
+    found: Floats,
+) -> None:
+    """Hold a plant and try many stems, each from the start that suits it best.
+
+    starts: rows (first, sense); bands: rows (gap, up, down), see `each_way_path`. slack: share of a Stenman stem's band
+    by which it may have rested beyond it until `first`. Written: costs, sums of squares, inf where the stem can have
+    slipped at none of the starts; found, rows (first, sense, slips, bias, start, transient).
+    """
+    x = np.empty(op.size)
+    terms = np.empty(3)
+    for i in range(bands.shape[0]):
+        gap, up, down = bands[i, 0], bands[i, 1], bands[i, 2]
+        costs[i] = math.inf
+        for j in range(starts.shape[0]):
+            first, sense = int(starts[j, 0]), starts[j, 1]
+            low, high = -math.inf, math.inf
+            if first > 0:
+                top, bottom = op[:first].max(), op[:first].min()
+                room = slack * max(up, down)
+                if math.isnan(gap):
+                    low, high = top - up - room, bottom + down + room
+                    if sense > 0.0:
+                        high = min(high, op[first] - up + room)
+                    else:
+                        low = max(low, op[first] + down - room)
+                if low > high or top - bottom > up + down + (0.0 if math.isnan(gap) else gap) + room:
+                    continue
+            slips = each_way_path(op, gap, up, down, first, sense, x)
+            cost = _held_cost(y, x, first, low, high, gain, integrating, pole, m, c0, c1, terms)
+            if cost < costs[i]:
+                costs[i] = cost
+                found[i, 0], found[i, 1], found[i, 2] = first, sense, slips
+                found[i, 3], found[i, 4], found[i, 5] = terms[0], terms[1], terms[2]

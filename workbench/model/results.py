@@ -42,9 +42,12 @@ __all__ = [
     "LinearFit",
     "Margins",
     "NlpResult",
+    "NoiseModel",
     "Outcome",
+    "Part",
     "RelaxationCycle",
     "Repair",
+    "Repeats",
     "Restart",
     "Robustness",
     "Run",
@@ -399,6 +402,61 @@ class FittedModel:
     slips: int
 
 
+@dataclass(frozen=True, slots=True)
+class NoiseModel:
+    """What disturbs PV beside the loop, as method "joint" finds it: `n_k = ar[0] n_{k-1} + ar[1] n_{k-2} + .. + e_k`.
+
+    ar: as many coefficients as the order chosen, 0 to 4. innovation_sd: standard deviation of e, EU: how well PV is
+    foretold one sample ahead. drift: of PV, EU/s (0 where none was chosen), with its 95 % range. compared: (order,
+    with a drift, BIC) of each model held against the record, less a common constant. iterations: IPOPT's.
+    """
+
+    ar: tuple[float, ...]
+    innovation_sd: float
+    drift: float
+    drift_interval: tuple[float, float] | None
+    compared: tuple[tuple[int, bool, float], ...]
+    iterations: int
+
+
+@dataclass(frozen=True, slots=True)
+class Part:
+    """A stretch of a record by itself, at the plant of the whole: from `start` to `end` (s, the record's clock).
+
+    band: how far OP moves before the stem turns there, d or S, %, with its 95 % range; up and down: the same before it
+    moves upward and downward, nan for a dead band, where a difference cannot be seen. slips: stem moves in it.
+    """
+
+    start: float
+    end: float
+    band: float
+    interval: tuple[float, float]
+    up: float
+    down: float
+    slips: int
+
+
+@dataclass(frozen=True, slots=True)
+class Repeats:
+    """Whether a valve's stiction repeats: over parts of the record, upward and downward, and in time.
+
+    spread: of the parts' bands, standard deviation over their mean. drift: of the band, %/h, and difference: band
+    upward less band downward, %; each with its 95 % range, None where the parts are too few to tell.
+    """
+
+    parts: tuple[Part, ...]
+    spread: float
+    drift: float | None
+    drift_interval: tuple[float, float] | None
+    difference: float | None
+    difference_interval: tuple[float, float] | None
+
+    @property
+    def band(self) -> float:
+        """The mean of the parts' bands, %."""
+        return math.fsum(p.band for p in self.parts) / len(self.parts)
+
+
 @dataclass(frozen=True, eq=False)
 class Estimate:
     """A loop estimated from a record.
@@ -410,7 +468,8 @@ class Estimate:
     with the gain. residual_variance (EU^2) and aic by the paper's eq. (1);
     noise_sd: standard deviation of PV about the prediction, EU. slips: stem moves in the record. profile_d and
     profile_cost: residual variance against d. iterations: the two-step algorithm's history. candidates: the models
-    compared, the lowest BIC first.
+    compared, the lowest BIC first. noise_model: drift and coloured disturbance of method "joint", None otherwise.
+    repeats: what parts of the record say by themselves; None without stiction or with too few stem moves.
     """
 
     record: Record
@@ -433,3 +492,5 @@ class Estimate:
     profile_cost: FloatArray
     iterations: tuple[Iteration, ...] = ()
     candidates: tuple[FittedModel, ...] = ()
+    noise_model: NoiseModel | None = None
+    repeats: Repeats | None = None

@@ -31,6 +31,7 @@ from workbench.model.results import (
     LimitCycle,
     Outcome,
     Repair,
+    Repeats,
     Robustness,
     Tuned,
 )
@@ -275,6 +276,10 @@ def _candidate(model: FittedModel) -> dict[str, Any]:
     return {**_plain(model), "plant": _plant(model.plant), "valve": _valve(model.valve), **criteria}
 
 
+def _repeats(found: Repeats) -> dict[str, Any]:
+    return {**_plain(found), "parts": [_plain(part) for part in found.parts]}
+
+
 def _estimate(named: NamedEstimate) -> dict[str, Any]:
     found = named.found
     return {
@@ -291,6 +296,8 @@ def _estimate(named: NamedEstimate) -> dict[str, Any]:
         "aic": aic(found.aic, found.residual_variance),
         "noise_sd": found.noise_sd,
         "slips": found.slips,
+        "noise_model": None if found.noise_model is None else _plain(found.noise_model),
+        "repeats": None if found.repeats is None else _repeats(found.repeats),
         "linear": {
             "plant": _plant(found.linear.plant),
             "bias": found.linear.bias,

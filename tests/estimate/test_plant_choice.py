@@ -1,0 +1,80 @@
+"""plant="auto": first order or integrating, on loops of known truth, and the random runs of the search beside it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+import workbench as wb
+from workbench.cli import app
+from workbench.estimate.data import centre
+from workbench.estimate.plants import foretelling_bic
+
+
+def record_of(plant: wb.FOPDT | wb.Integrating, valve: object, seed: int, load: float = 0.0) -> wb.Record:
+    Kc, Ti, scale = (0.5, 15.0, 2.0) if isinstance(plant, wb.FOPDT) else (0.8, 60.0, 1.0)
+    loop = wb.Loop(plant, valve, wb.PID(Kc=Kc, Ti=Ti), 1.0)
+    rng = np.random.default_rng(seed)
+    disturbance = np.zeros(800)
+    for k in range(1, 800):
+        disturbance[k] = 0.8 * disturbance[k - 1] + rng.normal(0.0, 0.6 * load)
+    steps = [wb.Step(3.0 * scale, 40.0), wb.Step(-4.0 * scale, 450.0)]
+    experiment = wb.Experiment(
+        800.0, setpoint=steps, load=wb.Series(tuple(disturbance.tolist())), noise=wb.Noise(0.03 * scale, seed)
+    )
+    run = wb.simulate(loop, experiment)
+    return wb.Record(run.pv + 50.0, run.op + 40.0, 1.0)
+
+
+PLANTS = (wb.FOPDT(2.0, 8.0, 1.5), wb.Integrating(0.06, 2.5))
+
+
+@pytest.mark.parametrize("valve", [wb.Stenman(2.0), wb.Choudhury(2.5, 1.0), wb.Ideal()])
+@pytest.mark.parametrize("plant", PLANTS)
+def test_the_plant_of_the_record_is_chosen_and_said(plant: wb.FOPDT | wb.Integrating, valve: object) -> None:
+    found = wb.estimate(record_of(plant, valve, 1), plant="auto")
+    assert type(found.plant) is type(plant)
+    assert found.plant.gain == pytest.approx(plant.gain, rel=0.1)
+    words = "a first-order process" if isinstance(plant, wb.FOPDT) else "an integrating process"
+    assert any(reason.startswith(f"{words} has the lower BIC, by ") for reason in found.reasons)
+
+
+def test_the_other_plant_foretells_worse_under_a_load() -> None:
+    # Along the stem of its own fit each plant is judged by what it foretells one sample ahead.
+    for plant in PLANTS:
+        record = record_of(plant, wb.Stenman(2.0), 3, load=0.2)
+        bic = {
+            name: foretelling_bic(centre(record, name), wb.estimate(record, plant=name))
+            for name in ("fopdt", "integrating")
+        }
+        own, other = ("fopdt", "integrating") if isinstance(plant, wb.FOPDT) else ("integrating", "fopdt")
+        assert bic[own] < bic[other] - 10.0
+
+
+def test_the_joint_refinement_follows_the_choice() -> None:
+    shares: list[float] = []
+    found = wb.estimate(record_of(PLANTS[1], wb.Stenman(2.0), 2), method="joint", plant="auto", progress=shares.append)
+    assert found.method == "joint"
+    assert isinstance(found.plant, wb.Integrating)
+    assert found.noise_model is not None
+    assert shares == sorted(shares)
+    assert shares[-1] == 1.0
+
+
+def test_a_record_without_information_is_refused_as_ever() -> None:
+    with pytest.raises(wb.RecordError, match="OP is constant"):
+        wb.estimate(wb.Record(np.arange(100.0), np.full(100, 45.0), 1.0), plant="auto")
+
+
+def test_the_command_takes_joint_and_auto(tmp_path: object) -> None:
+    record = record_of(PLANTS[0], wb.Stenman(2.0), 1)
+    path = f"{tmp_path}/loop.csv"
+    rows = [f"{k},{pv},{op}" for k, (pv, op) in enumerate(zip(record.pv, record.op, strict=True))]
+    with open(path, "w", encoding="utf-8") as file:  # noqa: PTH123
+        file.write("\n".join(["time,PV,OP", *rows]) + "\n")
+    result = CliRunner().invoke(app, ["estimate", path, "--method", "joint", "--plant", "auto", "--out", f"{tmp_path}"])
+    assert result.exit_code == 0, result.output
+    assert "a first-order process has the lower BIC" in result.output
+    assert "one sample ahead PV is foretold within" in result.output
+    assert "Parts" in result.output

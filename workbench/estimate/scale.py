@@ -1,0 +1,131 @@
+"""Fits in the record's own scale: plants, stems, predictions and their 95 % ranges."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from workbench.estimate.data import Centred, plant_of
+from workbench.estimate.fit import Fit, predict, standard_errors, start_range
+from workbench.estimate.models import PLANT_PARAMETERS
+from workbench.estimate.profile import Candidate, Profile
+from workbench.estimate.stems import path_of
+from workbench.estimate.two_parameter import Bands, band_stem
+from workbench.estimate.two_step import akaike
+from workbench.estimate.verdict import ENOUGH_SLIPS
+from workbench.model.record import FloatArray
+from workbench.model.results import Intervals, LinearFit
+
+__all__ = ["NORMAL", "Stem", "band_of", "bias_of", "linear_intervals", "linear_result", "ranges_of", "stem_of"]
+
+NORMAL = 1.96
+
+
+@dataclass(frozen=True, eq=False)
+class Stem:
+    """The best stem model in the record's own scale."""
+
+    valve_position: FloatArray
+    prediction: FloatArray
+    bias: float
+    intervals: Intervals
+
+
+def bias_of(data: Centred, fit: Fit) -> float:
+    """Return PV at stem 0; for an integrating plant, PV at the record's start."""
+    return data.pv_mean + fit.bias - (0.0 if data.integrating else fit.gain * data.op_middle)
+
+
+def linear_result(data: Centred, fit: Fit) -> LinearFit:
+    """Return the linear fit as a result, its AIC by the paper's eq. (1)."""
+    modelled = predict(data, data.u, 0, fit)[0]
+    sse = float(((data.y - modelled) ** 2).sum())
+    return LinearFit(
+        plant=plant_of(data, fit.gain, fit.tau, fit.theta),
+        bias=bias_of(data, fit),
+        prediction=data.pv_mean + modelled,
+        residual_variance=sse / data.samples,
+        aic=akaike(data, sse, PLANT_PARAMETERS - data.integrating),
+    )
+
+
+def linear_intervals(data: Centred, fit: Fit) -> Intervals:
+    """Return the ranges of the linear fit's plant, none where OP has no part in PV."""
+    if fit.gain == 0.0:
+        return Intervals()
+    errors = standard_errors(data, data.u, 0, fit, clamped=False)
+    return ranges_of(data, [fit], errors, None)
+
+
+def ranges_of(
+    data: Centred, fits: list[Fit], errors: tuple[float, float, float], d: tuple[float, float] | None
+) -> Intervals:
+    """Return hulls over fits that are alike, each widened by 1.96 standard errors."""
+    Ts = data.sample_time
+
+    def hull(values: list[float], error: float, unit: float, least: float = -math.inf) -> tuple[float, float] | None:
+        if not math.isfinite(error):
+            return None
+        low, high = (min(values) - NORMAL * error) * unit, (max(values) + NORMAL * error) * unit
+        return max(low, least), high
+
+    return Intervals(
+        d=d,
+        gain=hull([f.gain for f in fits], errors[0], 1.0 / Ts if data.integrating else 1.0),
+        time_constant=None if data.integrating else hull([f.tau for f in fits], errors[1], Ts, 0.0),
+        dead_time=hull([f.theta for f in fits], errors[2], Ts, 0.0),
+    )
+
+
+def _start(data: Centred, best: Candidate) -> tuple[float, bool]:
+    """The stem before the first slip (centred), and whether it was set to an end of its range."""
+    low, high = start_range(data.u, best.first, best.d_low, best.d_high)
+    if best.fit.gain == 0.0:
+        return float(data.u[best.first]), False
+    free = best.fit.start / best.fit.gain
+    if math.isinf(low):
+        # Nothing of OP's record tells where the stem was before sample 0; it does not show within the record.
+        return free, False
+    return float(np.clip(free, low, high)), not low * (1 + 1e-9) < free < high * (1 - 1e-9)
+
+
+def stem_of(data: Centred, found: Profile) -> Stem:
+    """Return the best one-parameter stem; d has a range where enough slips pin it."""
+    best = found.best
+    x, _ = path_of(data.u, best.d_low, best.first)
+    start, clamped = _start(data, best)
+    prediction = data.pv_mean + predict(data, x, best.first, best.fit)[0]
+    position = x + data.op_middle
+    position[: best.first] = start + data.op_middle
+    errors = (math.nan, math.nan, math.nan)
+    if best.fit.gain != 0.0:
+        errors = standard_errors(data, x, best.first, best.fit, clamped)
+    d = (min(c.d_low for c in found.alike), max(c.d_high for c in found.alike))
+    known = best.d_high > best.d_low and best.slips >= ENOUGH_SLIPS
+    intervals = ranges_of(data, [c.fit for c in found.alike], errors, d if known else None)
+    return Stem(position, prediction, bias_of(data, best.fit), intervals)
+
+
+def band_of(data: Centred, found: Bands, name: str) -> Stem:
+    """Return the best two-parameter stem in the record's own scale."""
+    best = found.best
+    x, _ = band_stem(data.u, best.S, best.J, best.first, best.sense)
+    begin = max(best.first, 0)
+    prediction = data.pv_mean + predict(data, x, begin, best.fit)[0]
+    position = x + data.op_middle
+    if begin > 0 and best.fit.gain != 0.0:
+        # Where the stem was before it first slipped, kept to what the valve can hold there.
+        reach = 0.5 * (best.S + best.J)
+        low, high = float(data.u[:begin].max()) - reach, float(data.u[:begin].min()) + reach
+        position[:begin] = data.op_middle + float(
+            np.clip(best.fit.start / best.fit.gain, min(low, high), max(low, high))
+        )
+    errors = (math.nan, math.nan, math.nan)
+    if best.fit.gain != 0.0:
+        errors = standard_errors(data, x, begin, best.fit, clamped=False)
+    ranges = ranges_of(data, [b.fit for b in found.alike if b.fit.gain != 0.0] or [best.fit], errors, None)
+    if best.slips >= ENOUGH_SLIPS:
+        ranges = replace(ranges, S=found.S, J=None if name == "deadband" else found.J)
+    return Stem(position, prediction, bias_of(data, best.fit), ranges)
