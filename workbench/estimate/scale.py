@@ -125,7 +125,9 @@ def band_of(data: Centred, found: Bands, name: str) -> Stem:
     errors = (math.nan, math.nan, math.nan)
     if best.fit.gain != 0.0:
         errors = standard_errors(data, x, begin, best.fit, clamped=False)
-    ranges = ranges_of(data, [b.fit for b in found.alike if b.fit.gain != 0.0] or [best.fit], errors, None)
+    # The valve's own width and jump take part in what the plant may be: parts of the record differ in all of them.
+    fits = [fit for fit in (*(b.fit for b in found.alike), *found.parts) if fit.gain != 0.0]
+    ranges = ranges_of(data, fits or [best.fit], errors, None)
     if best.slips >= ENOUGH_SLIPS:
         ranges = replace(ranges, S=found.S, J=None if name == "deadband" else found.J)
     return Stem(position, prediction, bias_of(data, best.fit), ranges)

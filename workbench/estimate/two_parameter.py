@@ -56,12 +56,16 @@ class Band:
 
 @dataclass(frozen=True, eq=False)
 class Bands:
-    """The best stem, those that the record cannot tell from it, and their ranges of S and J, %."""
+    """The best stem, those that the record cannot tell from it, and their ranges of S and J, %.
+
+    parts: the fits that parts of the record have by themselves (see `repeated`).
+    """
 
     best: Band
     alike: tuple[Band, ...]
     S: tuple[float, float]
     J: tuple[float, float]
+    parts: tuple[Fit, ...] = ()
 
 
 def band_stem(u: FloatArray, S: float, J: float, first: int = -1, sense: float = 0.0) -> tuple[FloatArray, int]:
@@ -346,7 +350,7 @@ def repeated(data: Centred, found: Bands, limits: Limits, only: float | None) ->
     """
     n = data.samples
     parts = [data.part(0, n // 2), data.part(n // 2, n)] if n <= EXACT else active_windows(data)[:2]
-    S, J = [*found.S], [*found.J]
+    S, J, fits = [*found.S], [*found.J], []
     for part in parts:
         if not part.op_range > 0.0 or not float(np.ptp(part.y)) > 0.0:
             continue
@@ -356,7 +360,8 @@ def repeated(data: Centred, found: Bands, limits: Limits, only: float | None) ->
         if met and _best_of(met).slips >= HALF_SLIPS:
             S.append(_best_of(met).S)
             J.append(_best_of(met).J)
-    return Bands(found.best, found.alike, (min(S), max(S)), (min(J), max(J)))
+            fits.append(_best_of(met).fit)
+    return Bands(found.best, found.alike, (min(S), max(S)), (min(J), max(J)), tuple(fits))
 
 
 def _ranges(data: Centred, best: Band, bands: list[Band], rows: NDArray[np.float64]) -> Bands:
