@@ -70,8 +70,8 @@ class _Scale:
 class _Follower:
     """One run: the kernel's state, the chunk last looked at, and the half cycles since the signals last changed."""
 
-    def __init__(self, loop: Loop, start: Start) -> None:
-        self.loop = loop
+    def __init__(self, loop: Loop, start: Start, traced: bool) -> None:
+        self.loop, self.traced = loop, traced
         self.row = coefficients(loop, start.stem_offset)[0]
         self.table = np.empty((kernel.DOUBLINGS, kernel.FILTER_SUM + 1))
         kernel.doublings(self.row, self.table)
@@ -236,7 +236,7 @@ class _Follower:
         return Waveform(time, points[cycle, 0].copy(), points[cycle, 1].copy(), points[cycle, 2].copy())
 
 
-def follow(loop: Loop, start: Start) -> LimitCycleStart:
+def follow(loop: Loop, start: Start, *, traced: bool = True) -> LimitCycleStart:
     """Follow one start, with at most `BUDGET` samples of the kernel after the last change of its signals.
 
     Settles: the stem rests where OP will never reach the end of the stick band (known in closed form), or OP, stem and
@@ -244,9 +244,10 @@ def follow(loop: Loop, start: Start) -> LimitCycleStart:
     Cycles: after at least `LEAST` samples and `LEAST_REVERSALS`, the latest three blocks of 16, 32, .. 1,024 stem
     reversals agree in turn (period 3 %, PV's swing 2 %), or the budget is spent and PV's swing is steady; the last
     block gives the figures, `reason` says how steady they are. Undecided: PV grows without bound, or the budget is
-    spent without that. `window` runs from the last change of the signals to the end of the first full cycle.
+    spent without that. `window` runs from the last change of the signals to the end of the first full cycle. traced:
+    whether the waveform of a late cycle is kept.
     """
-    run = _Follower(loop, start)
+    run = _Follower(loop, start, traced)
     # Without friction the loop is linear while within its limits, and slow damping is no cycle.
     frictionless = loop.valve.stick_band == loop.valve.slip_jump == 0.0
     linear = frictionless and linear_stable(loop)
@@ -343,7 +344,7 @@ def _cycle(run: _Follower, start: Start, end: int, reason: str) -> LimitCycleSta
         period_range=(min(block.period, *periods), max(block.period, *periods)),
         slips_per_hour=block.slips_per_hour,
         reversals_per_hour=block.reversals_per_hour,
-        waveform=run.waveform(block.period),
+        waveform=run.waveform(block.period) if run.traced else None,
     )
 
 
