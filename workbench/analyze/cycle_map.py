@@ -1,4 +1,4 @@
-"""`wb.cycle_map`: what each tuning of a plane does in the long run, by exact simulation, with the textbook's borders."""
+"""`wb.cycle_map`: what each tuning of a plane does in the long run, exactly, with the textbook's borders."""
 
 from __future__ import annotations
 
@@ -32,6 +32,9 @@ Pair = tuple[float, float]
 # theta, or sample time and dead time of an integrating plant; Td in the same. How far beyond a tuning a map reaches.
 KC_SHARES, TI_LAGS, TI_DELAYS, TD_LAGS = (0.02, 1.2), (0.3, 60.0), (2.0, 200.0), (0.0, 1.0)
 BEYOND = 1.3
+# Samples before a cell's cycle may be called late: a fifth of what `limit_cycle` takes gives the same on all cells that
+# were compared (benchmarks/cycle_maps.py).
+LEAST = 20_000
 FIGURES = ("period", "pv_peak_to_peak", "mean_square_error", "travel_per_hour", "window")
 
 
@@ -61,8 +64,8 @@ def cycle_map(
 
     Kc: (low, high) in %/EU, low > 0; Ti, Td: (low, high) in s, Ti's low > 0; in the controller's own form. A range that
     is not given is `map_ranges`'. points: cells along (Kc, Ti or Td), one number for both. Each cell is followed from
-    `starts` of the starts of `limit_cycle`, evenly chosen, by its own rules: its figures are medians over those that
-    cycle. Rows are shared out over the machine's cores.
+    `starts` of the starts of `limit_cycle`, evenly chosen, by its own rules but for 20,000 samples in place of 100,000
+    before a cycle is late: its figures are medians over those that cycle. Rows are shared out over the machine's cores.
 
     progress: called with the share done, 0 .. 1; an error or interrupt that it raises, like Ctrl-C, ends the work
     within a cell. Raises `InvalidValue` for ranges of both Ti and Td, bad ranges or counts, and tunings in them that
@@ -187,7 +190,7 @@ def _row(loops: list[Loop], count: int, stop: threading.Event) -> _Row:
             break
         all_starts = standard_starts(loop)
         each = np.arange(min(count, len(all_starts))) * len(all_starts) // min(count, len(all_starts))
-        found = tuple(follow(loop, all_starts[i], traced=False) for i in each)
+        found = tuple(follow(loop, all_starts[i], least=LEAST, traced=False) for i in each)
         outcome[k], stable[k] = OUTCOMES.index(together(found)), linear_stable(loop)
         cycling = [one for one in found if one.outcome == "cycles"]
         if cycling:

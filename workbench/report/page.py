@@ -16,8 +16,8 @@ from workbench.model.valve import Ideal
 from workbench.report import figures
 from workbench.report.cycles import cycle_tables
 from workbench.report.detections import detection_table, detection_words, first_with
-from workbench.report.estimates import candidates_table, estimate_table, known_sentences
 from workbench.report.draw_map import map_figure
+from workbench.report.estimates import candidates_table, estimate_table, known_sentences
 from workbench.report.files import write_files
 from workbench.report.how import how_tables
 from workbench.report.over_ensemble import (

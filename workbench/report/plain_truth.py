@@ -1,5 +1,6 @@
-"""The plain truth about stick-slip cycles, from measured runs of the loop: what tuning changes, what it cannot, and when
-to repair the valve; and what a map of tunings shows.
+"""The plain truth about stick-slip cycles, from measured runs: what tuning changes, what it cannot, when to repair.
+
+And what a map of tunings shows.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from workbench.model.plant import FOPDT
 from workbench.model.results import LimitCycle
 from workbench.model.study import CaseResult, Study
 from workbench.report.draw_map import MapPoint
-from workbench.report.judge import unstable
+from workbench.report.judge import over_starts, span_words, unstable
 from workbench.report.words import duration, figure, given, join
 
 __all__ = ["lasting", "map_points", "map_text"]
@@ -26,12 +27,11 @@ ROOM = 2.0  # gain margin below which a tuning is said to be near instability
 
 @dataclass(frozen=True, slots=True)
 class _Seen:
-    """A tuning whose cycle was measured: where it is, in words, and its late figures (EU, s, EU^2, % an hour)."""
+    """A tuning whose cycle was measured: where it is, in words, and medians over its starts (EU, s, % an hour)."""
 
     where: str
     swing: float
     period: float
-    error: float
     travel: float
 
 
@@ -55,12 +55,13 @@ def map_text(found: CycleMap) -> list[str]:
     fixed = "Td" if found.axis == "Ti" else "Ti"
     rows, columns = found.outcome.shape
     stable = int(found.linear_stable.sum())
-    text = [
+    made = (
         f"Each of {columns} × {rows} tunings (Kc {_span(found.Kc)} %/EU, {found.axis} {_span(found.values)} s, "
         f"{fixed} {given(getattr(pid, fixed))} s) was followed exactly and without noise from {found.starts} "
         f"{'start' if found.starts == 1 else 'starts'}; figures are medians over the starts that cycle. With an ideal "
         f"valve the loop is stable at {stable:,} of them."
-    ]
+    )
+    text = [made]
     if stable:
         text.append(f"Of these, {_outcomes(found, stable)}.")
     text += _borders(found)
@@ -137,10 +138,10 @@ def lasting(study: Study, best: CaseResult) -> list[str]:
         return []
     out: list[str] = _by_tuning(study)
     if loop.valve.slip_jump > 0.0 and isinstance(loop.plant, FOPDT):
-        step = abs(loop.plant.gain) * loop.valve.slip_jump
+        step, jump = abs(loop.plant.gain) * loop.valve.slip_jump, given(loop.valve.slip_jump, 3)
         out.append(
-            f"What no tuning removes: this valve moves in steps of at least {given(loop.valve.slip_jump, 3)} %, which "
-            f"is {given(step, 3)} EU of PV. While the controller integrates, it hunts for a setpoint between two "
+            f"What no tuning removes: this valve moves in steps of at least {jump} %, each of which moves PV by "
+            f"{given(step, 3)} EU in the end. While the controller integrates, it hunts for a setpoint between two "
             "steps, the more slowly the weaker the integral action. Repairing the valve ends that; an integral dead "
             "band stops it at the price of a lasting offset."
         )
@@ -159,10 +160,11 @@ def _by_tuning(study: Study) -> list[str]:
     ]
     if not some:
         return []
-    return [
+    text = (
         f"What tuning removes: the part of the cycle of {join(some)} that is not the valve's. With an ideal valve the "
         "loop would be unstable there; less gain or slower integral action ends that, and leaves the valve's own cycle."
-    ]
+    )
+    return [text]
 
 
 def _measured(study: Study) -> list[_Seen]:
@@ -171,17 +173,22 @@ def _measured(study: Study) -> list[_Seen]:
     for case in study.cases:
         cycle = case.limit_cycle
         alone = case.describing_function is not None and not case.describing_function.linear_stable
+        cycling = [] if cycle is None else [start for start in cycle.starts if start.outcome == "cycles"]
         if cycle is not None and cycle.outcome == "cycles" and not alone and not unstable(case):
-            out.append(_seen(case.name, cycle))
+            swing, period, travel = (
+                float(np.median([getattr(start, name) for start in cycling]))
+                for name in ("pv_peak_to_peak", "period", "travel_per_hour")
+            )
+            out.append(_Seen(case.name, swing, period, travel))
     found = study.cycle_map
     if found is not None:
         cells = (found.least("pv_peak_to_peak"), found.least("travel_per_hour"))
-        out += [_seen(_where(found, cell), cell) for cell in cells if cell is not None]
+        out += [
+            _Seen(_where(found, cell), cell.pv_peak_to_peak, cell.period, cell.travel_per_hour)
+            for cell in cells
+            if cell is not None
+        ]
     return out
-
-
-def _seen(where: str, one: LimitCycle | MapCell) -> _Seen:
-    return _Seen(where, one.pv_peak_to_peak, one.period, one.mean_square_error, one.travel_per_hour)
 
 
 def _where(found: CycleMap, cell: MapCell) -> str:
@@ -209,15 +216,26 @@ def _slower(study: Study) -> list[str]:
                 continue
             if not 1.0 / ALIKE <= now.pv_peak_to_peak / was.pv_peak_to_peak <= ALIKE:
                 continue
-            return [
-                f"Slower integral action spares the valve and does not shrink the cycle: from {fast.name} (Ti "
-                f"{given(a.Ti)} s) to {slow.name} (Ti {given(b.Ti)} s) the period goes from {duration(was.period)} to "
-                f"{duration(now.period)} and valve travel from {figure(was.travel_per_hour, 3)} to "
-                f"{figure(now.travel_per_hour, 3)} % an hour, while PV goes on swinging "
-                f"{figure(now.pv_peak_to_peak, 3)} EU, with a mean square error of {figure(now.mean_square_error, 3)} "
-                f"instead of {figure(was.mean_square_error, 3)} EU²."
-            ]
+            return [_slowed(fast, was, slow, now)]
     return []
+
+
+def _slowed(fast: CaseResult, was: LimitCycle, slow: CaseResult, now: LimitCycle) -> str:
+    """Compare two cycles of one gain and swing, over all their starts: which of them comes is chosen by the start."""
+
+    def both(name: str) -> tuple[str, str]:
+        return span_words(over_starts(was, name)), span_words(over_starts(now, name))
+
+    travel, error = both("travel_per_hour"), both("mean_square_error")
+    periods = [over_starts(cycle, "period") for cycle in (was, now)]
+    spans = [duration(a) if b <= ALIKE * a else f"{duration(a)} to {duration(b)}" for a, b in periods]
+    return (
+        f"Slower integral action spares the valve and does not shrink the cycle: {fast.name} (Ti "
+        f"{given(fast.loop.controller.Ti)} s) cycles every {spans[0]} and moves the valve {travel[0]} % an hour, "
+        f"{slow.name} (Ti {given(slow.loop.controller.Ti)} s) every {spans[1]} and {travel[1]} %, but PV swings "
+        f"{figure(now.pv_peak_to_peak, 3)} EU all the same. The mean square error, {error[0]} and {error[1]} EU², is a "
+        "matter of where the setpoint lies between two positions of the stem."
+    )
 
 
 def _at_best(study: Study) -> list[str]:
@@ -227,11 +245,10 @@ def _at_best(study: Study) -> list[str]:
         return []
     least, calm = min(seen, key=lambda one: one.swing), min(seen, key=lambda one: one.travel)
     found = study.cycle_map
-    count = sum(c.limit_cycle is not None for c in study.cases)
-    many = f"the {count} tunings" if found is None else f"all tunings, {found.count('cycles'):,} of the map among them,"
+    many = f"{len(seen)} tunings" if found is None else f"all tunings, {found.count('cycles'):,} of the map among them,"
     text = (
-        f"When to repair: of {many} whose cycle was measured here, PV swings least, {figure(least.swing, 3)} EU every "
-        f"{duration(least.period)}, with {least.where}, at {figure(least.travel, 3)} % of valve travel an hour"
+        f"When to repair: of {many} whose cycle was measured here (medians over the starts), PV swings least, "
+        f"{figure(least.swing, 3)} EU every {duration(least.period)}, with {least.where}, at {figure(least.travel, 3)} % of valve travel an hour"
     )
     if calm.where != least.where:
         text += (

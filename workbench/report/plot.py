@@ -35,9 +35,10 @@ def plot(result: object, ax: Any = None) -> Axes | NDArray[Any]:
     be two axes, or one, which gets PV alone. Detection: three axes, PV's autocorrelation, the bicoherence and PV
     against OP with its ellipse (shape (3,); the last two want `detect(record, bicoherence=True)`); `ax` may be three
     axes, or one, which gets the autocorrelation alone. DescribingFunction: the loci in the complex plane. LimitCycle:
-    periods by start. CycleMap: four axes, the late period, PV's swing, mean square error and valve travel an hour (shape
-    (4,)); `ax` may be four axes, or one, which gets the period alone. Tuned: objectives by restart. Front: error against valve travel, sticky and repaired. `ax`: where
-    to draw; a new figure by default (`.figure` of the axes, to show or save). Raises `InvalidValue` for anything else.
+    periods by start. CycleMap: four axes, late period, PV's swing, mean square error and valve travel an hour (shape
+    (4,)); `ax` may be four axes, or one, which gets the period alone. Tuned: objectives by restart. Front: error
+    against valve travel, sticky and repaired. `ax`: where to draw; a new figure by default (`.figure` of the axes, to
+    show or save). Raises `InvalidValue` for anything else.
     """
     pairs: dict[type, tuple[Callable[..., None], Callable[..., None]]] = {
         Run: (draw.run_pv, draw.run_op),
