@@ -128,8 +128,9 @@ def draw_map(ax: Axes, found: CycleMap, name: str, title: str, points: Sequence[
 
 def _shades(count: int) -> tuple[str, ...]:
     """Return so many of the shades, spread over all of them."""
-    places = np.linspace(0, len(SHADES) - 1, count).round().astype(int) if count > 1 else [len(SHADES) // 2]
-    return tuple(SHADES[i] for i in places)
+    if count == 1:
+        return (SHADES[len(SHADES) // 2],)
+    return tuple(SHADES[i] for i in np.linspace(0, len(SHADES) - 1, count).round().astype(int))
 
 
 def _bands(values: FloatArray, *, time: bool) -> list[tuple[float, float, str]]:

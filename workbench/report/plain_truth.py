@@ -246,13 +246,29 @@ def _at_best(study: Study) -> list[str]:
     least, calm = min(seen, key=lambda one: one.swing), min(seen, key=lambda one: one.travel)
     found = study.cycle_map
     many = f"{len(seen)} tunings" if found is None else f"all tunings, {found.count('cycles'):,} of the map among them,"
+    travel = f"{figure(least.travel, 3)} % of valve travel an hour"
     text = (
         f"When to repair: of {many} whose cycle was measured here (medians over the starts), PV swings least, "
-        f"{figure(least.swing, 3)} EU every {duration(least.period)}, with {least.where}, at {figure(least.travel, 3)} % of valve travel an hour"
+        f"{figure(least.swing, 3)} EU every {duration(least.period)}, with {least.where}, at {travel}"
     )
     if calm.where != least.where:
         text += (
             f"; the valve moves least, {figure(calm.travel, 3)} % an hour, with {calm.where}, where PV swings "
             f"{figure(calm.swing, 3)} EU every {duration(calm.period)}"
         )
-    return [f"{text}. What the process or the valve cannot bear of that is a matter of repair, not of tuning."]
+    return [
+        f"{text}. What the process or the valve cannot bear of that is a matter of repair, not of tuning.{_rest(study)}"
+    ]
+
+
+def _rest(study: Study) -> str:
+    """Name the tunings that come to rest, which the sentence on those that cycle leaves out."""
+    found = study.cycle_map
+    cells = 0 if found is None else found.count("settles")
+    some = [c.name for c in study.cases if c.limit_cycle is not None and c.limit_cycle.outcome == "settles"]
+    some += [f"{cells:,} of the map"] if cells else []
+    return (
+        f" These left out, which come to rest from the start given or from every start tried: {join(some)}."
+        if some
+        else ""
+    )
