@@ -81,6 +81,16 @@ def test_every_value_lies_in_one_of_at_most_eight_bands(values, time, others):
     assert len({words for *_, words in bands}) == len(bands)
 
 
+@pytest.mark.parametrize(
+    "values", [[1e-9, 1e12] + [3.0] * 200, [1e-9] + [3.0] * 200, [1e12] + [3.0] * 200, [np.nextafter(1.0, 0.0)]]
+)
+def test_outliers_fall_into_open_bands(values):
+    bands = _bands(np.array(values), time=False)
+    assert len(bands) <= 2
+    for value in values:
+        assert sum(low <= value < high for low, high, _ in bands) == 1
+
+
 def test_bands_are_round_and_finer_for_narrow_ranges():
     assert [words for *_, words in _bands(np.array([1.0, 1.1, 1.3]), time=False)] == ["1 to 1.2", "1.2 to 1.5"]
     assert [words for *_, words in _bands(np.array([40.0, 200.0]), time=True)] == [
@@ -121,6 +131,16 @@ def test_a_map_without_any_cycle_is_drawn():
     fig = map_figure(made("settles"))
     assert "comes to rest" in texts(fig)
     assert svg_text(fig, "map").startswith("<svg")
+
+
+@pytest.mark.parametrize(
+    ("Kc", "expected"), [((0.1, 10.0), ["0.1", "0.2", "0.5", "1", "2", "5", "10"]), ((1.1, 1.9), ["1.1", "1.9"])]
+)
+def test_ticks_are_round_where_there_is_room(Kc, expected):
+    own = Figure().subplots()
+    wb.plot(made(Kc=np.geomspace(*Kc, 5)), own)
+    assert [label.get_text() for label in own.get_xticklabels()] == expected
+    assert all(-1e-6 <= place <= 4.0 + 1e-6 for place in own.get_xticks())
 
 
 def test_the_figure_is_the_same_to_the_byte_each_time():

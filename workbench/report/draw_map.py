@@ -146,15 +146,18 @@ def _bands(values: FloatArray, *, time: bool) -> list[tuple[float, float, str]]:
     for scale in _scales(low, high, time=time):
         # Rounding must not shut out a value that is itself a limit.
         first = max(i for i, edge in enumerate(scale) if edge <= low * (1.0 + 1e-12))
-        last = min(i for i, edge in enumerate(scale) if edge > high)
+        last = max(first + 1, min(i for i, edge in enumerate(scale) if edge > high))
         if last - first <= len(SHADES):
             break
     edges = scale[first : last + 1]
     words = [_time(edge) if time else given(edge, 3) for edge in edges]
     out = [(a, b, f"{v} to {w}") for (a, b), (v, w) in zip(pairwise(edges), pairwise(words), strict=True)]
-    if least < edges[0]:
+    below, above = least < edges[0], most >= edges[-1]
+    if below and above and len(out) == 1:
+        return [(0.0, edges[1], f"below {words[1]}"), (edges[1], math.inf, f"{words[1]} and more")]
+    if below:
         out[0] = (0.0, edges[1], f"below {words[1]}")
-    if most >= edges[-1]:
+    if above:
         out[-1] = (edges[-2], math.inf, f"{words[-2]} and more")
     return out
 
@@ -293,6 +296,8 @@ def _ticks(axis: Any, values: FloatArray, *, logarithmic: bool) -> None:
         round_ones = [step * k for k in range(math.ceil(low / step), math.floor(high / step) + 1)]
         at = round_ones
     kept = [(a, v) for a, v in zip(at, round_ones, strict=True) if low - 1e-9 <= a <= high + 1e-9]
+    if len(kept) < 2:  # too narrow for round numbers
+        kept = [(a, math.exp(a) if logarithmic else a) for a in (low, high)]
     scale = (values.size - 1) / (high - low)
     axis.set_ticks([(a - low) * scale for a, _ in kept], [given(v, 3) for _, v in kept])
 
