@@ -21,6 +21,7 @@ from workbench.report.words import duration, figure, given, join
 __all__ = ["lasting", "map_points", "map_text"]
 
 ALIKE = 1.1  # ratio up to which two swings count as the same
+ENDS = (0.05, 0.95)  # quantiles between which a range is told
 SLOWER = 2.0  # ratio of integral times from which on one is called slower
 ROOM = 2.0  # gain margin below which a tuning is said to be near instability
 
@@ -109,10 +110,12 @@ def _borders(found: CycleMap) -> list[str]:
     cycles = blind & found.cycles
     if cycles.any():
         swing, period = found.pv_peak_to_peak[cycles], found.period[cycles]
+        low, high = np.quantile(swing, ENDS)
+        alike = ", whatever the tuning" if high <= ALIKE * low else ""
         out.append(
             f"Where Kc K J/S < 1 and Ti > tau + theta ({int(blind.sum()):,} stable tunings) a slip's own echo does not "
             f"set off the next one, and only the integral action moves the valve on: the relaxation cycle. There PV "
-            f"swings {_range(swing)} EU at all but a tenth of them, whatever the tuning (K J is "
+            f"swings {_range(swing)} EU at all but a tenth of them{alike} (K J is "
             f"{given(abs(found.loop.plant.gain) * found.loop.valve.slip_jump, 3)} EU), while the period runs from "
             f"{duration(float(period.min()))} to {duration(float(period.max()))}."
         )
@@ -121,7 +124,7 @@ def _borders(found: CycleMap) -> list[str]:
 
 def _range(values: np.ndarray) -> str:
     """Return the range that leaves out a twentieth at each end."""
-    low, high = (figure(float(q), 3) for q in np.quantile(values, (0.05, 0.95)))
+    low, high = (figure(float(q), 3) for q in np.quantile(values, ENDS))
     return low if low == high else f"{low} to {high}"
 
 
