@@ -235,6 +235,10 @@ def test_what_remains_at_best_is_the_least_of_all_that_was_measured(study: Study
     assert "Kc 3.16 %/EU and Ti 3.00 s" in told
     assert "within a factor 2" not in told
     assert "the valve moves least, 0.333 % an hour, with Kc 0.100 %/EU and Ti 300 s" in told
+    assert "is a matter of repair, not of tuning" in told
+    plain = " ".join(lasting(study, best))
+    assert f"of {len(study.cases)} tunings whose cycle" in plain
+    assert "Whether another tuning would do, a map of tunings shows" in plain
     near = made(Kc=np.array([0.1, 0.3, 1.0, 3.0, 5.0]))
     assert "within a factor 2 in gain of instability" in " ".join(lasting(replace(study, cycle_map=near), best))
 

@@ -259,9 +259,10 @@ def _at_best(study: Study) -> list[str]:
             f"; the valve moves least, {figure(calm.travel, 3)} % an hour, with {calm.where}, where PV swings "
             f"{figure(calm.swing, 3)} EU every {duration(calm.period)}"
         )
-    return [
-        f"{text}. What the process or the valve cannot bear of that is a matter of repair, not of tuning.{_rest(study)}"
-    ]
+    end = "What the process or the valve cannot bear of that is a matter of repair, not of tuning."
+    if found is None:
+        end = "Whether another tuning would do, a map of tunings shows; what none of them does is a matter of repair."
+    return [f"{text}. {end}{_rest(study)}"]
 
 
 def _rest(study: Study) -> str:
