@@ -53,6 +53,7 @@ _HOME = {
     "estimate": "estimate.estimate",
     "describing_function": "analyze.describing_function",
     "limit_cycle": "analyze.limit_cycle",
+    "cycle_map": "analyze.cycle_map",
     "margins": "analyze.margins",
     "assess": "tune.ensemble",
     "tune": "tune.tune",
@@ -100,6 +101,7 @@ __all__ = [
     "__version__",
     "apply_rule",
     "assess",
+    "cycle_map",
     "describing_function",
     "detect",
     "estimate",
@@ -146,6 +148,7 @@ class _Package(ModuleType):
 sys.modules[__name__].__class__ = _Package
 
 if TYPE_CHECKING:
+    from workbench.analyze.cycle_map import cycle_map
     from workbench.analyze.describing_function import describing_function
     from workbench.analyze.limit_cycle import limit_cycle
     from workbench.analyze.margins import margins

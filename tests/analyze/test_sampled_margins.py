@@ -22,20 +22,8 @@ linear_loops = st.builds(
 )
 
 
-@pytest.mark.parametrize(
-    ("plant", "pid"),
-    [
-        (PAPER_PLANT, wb.PID(1.61, 12.2)),
-        (PAPER_PLANT, wb.PID(1.53, 7.7, 0.33)),
-        (wb.FOPDT(0.8, 20.0, 7.4), wb.PID(1.2, 25.0, 2.0, derivative_filter=math.inf)),
-        (wb.FOPDT(2.0, 3.0, 11.3), wb.PID(0.2, 5.0)),
-        (wb.Integrating(0.05, 3.6), wb.PID(1.5, 40.0, 1.5)),
-    ],
-)
-def test_as_python_control_finds_them(plant, pid):
-    loop = wb.Loop(plant, wb.Ideal(), pid, 1.0)
-    found = wb.margins(loop)
-    # The same law built from transfer functions: backward integral, filtered difference, zero-order hold of the plant.
+def transfer_functions(plant, pid):
+    """The sampled law at Ts = 1 built anew: backward integral, filtered difference, zero-order hold of the plant."""
     z = control.tf([1.0, 0.0], [1.0], 1.0)
     Tf = pid.Td / pid.derivative_filter
     C = pid.Kc * (1.0 + z / (z - 1.0) / pid.Ti)
@@ -49,6 +37,26 @@ def test_as_python_control_finds_them(plant, pid):
     else:
         a, shares = 1.0, [1.0 - f, f]
     G = plant.gain * control.tf(shares, [1.0, -a], 1.0) * control.tf([1.0], [1.0] + [0.0] * (whole + 1), 1.0)
+    return C, G
+
+
+LOOPS = pytest.mark.parametrize(
+    ("plant", "pid"),
+    [
+        (PAPER_PLANT, wb.PID(1.61, 12.2)),
+        (PAPER_PLANT, wb.PID(1.53, 7.7, 0.33)),
+        (wb.FOPDT(0.8, 20.0, 7.4), wb.PID(1.2, 25.0, 2.0, derivative_filter=math.inf)),
+        (wb.FOPDT(2.0, 3.0, 11.3), wb.PID(0.2, 5.0)),
+        (wb.Integrating(0.05, 3.6), wb.PID(1.5, 40.0, 1.5)),
+    ],
+)
+
+
+@LOOPS
+def test_as_python_control_finds_them(plant, pid):
+    loop = wb.Loop(plant, wb.Ideal(), pid, 1.0)
+    found = wb.margins(loop)
+    C, G = transfer_functions(plant, pid)
     w = np.unique(np.concatenate([np.geomspace(1e-5, math.pi, 5000), np.linspace(1e-3, math.pi, 5000)]))[:-1]
     L = control.frequency_response(C * G, w).complex
     measured = control.stability_margins(control.frd(L, w), returnall=True)
@@ -58,6 +66,31 @@ def test_as_python_control_finds_them(plant, pid):
     assert found.phase_margin == pytest.approx(min(p % 360.0 for p in measured[1]), abs=0.1)
     S = 1.0 / abs(1.0 + control.frequency_response(C * G, np.array([found.frequency])).complex[0])
     assert found.max_sensitivity == pytest.approx(S, rel=1e-4)
+
+
+@LOOPS
+def test_the_step_response_of_the_repaired_loop_is_python_controls(plant, pid):
+    run = wb.simulate(wb.Loop(plant, wb.Ideal(), pid, 1.0), wb.Experiment(150.0, wb.Step(2.0)))
+    C, G = transfer_functions(plant, pid)
+    closed = control.minreal(control.feedback(C * G, 1.0), verbose=False)
+    theirs = control.forced_response(closed, np.arange(150.0), 2.0 * np.ones(150)).outputs
+    assert np.abs(run.pv - theirs).max() < 1e-5
+
+
+@given(loop=linear_loops, whole=st.integers(1, 40))
+def test_the_delay_margin_is_the_dead_time_that_makes_the_loop_unstable(loop, whole):
+    found = wb.margins(loop)
+    if not found.stable:
+        assert found.delay_margin == 0.0
+        return
+    # Whole samples of further dead time are a lag of just that, and nothing else.
+    more = whole * loop.sample_time
+    if abs(more / found.delay_margin - 1.0) > 0.02:
+        later = replace(loop, plant=replace(loop.plant, dead_time=loop.plant.dead_time + more))
+        if more < found.delay_margin:
+            assert linear_stable(later)
+        elif more < 1.5 * found.delay_margin:
+            assert not linear_stable(later)
 
 
 @given(loop=linear_loops)
@@ -112,3 +145,4 @@ def test_no_action_at_all_leaves_all_margins_open():
     assert (found.stable, found.max_sensitivity) == (True, 1.0)
     assert math.isinf(found.gain_margin)
     assert math.isinf(found.phase_margin)
+    assert math.isinf(found.delay_margin)

@@ -32,7 +32,7 @@ def test_the_best_case_is_recommended_with_its_changes(study: Study) -> None:
     )
     assert "valve travel +38 %" in told
     assert "the cycle remains: PV swings 2.01 EU every 12.0 s" in told
-    assert "steps of at least 2 %, which is 2 EU of PV" in told
+    assert "steps of at least 2 %, each of which moves PV by 2 EU in the end" in told
 
 
 def test_an_unsuccessful_search_is_never_recommended(study: Study, tuned: Make) -> None:

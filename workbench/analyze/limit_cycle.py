@@ -18,7 +18,7 @@ from workbench.model.results import LimitCycle, LimitCycleStart
 from workbench.simulate.run import signals
 from workbench.simulate.signals import Signals
 
-__all__ = ["limit_cycle", "standard_starts"]
+__all__ = ["limit_cycle", "standard_starts", "together"]
 
 # Each start's stem offset, as a share of what the valve holds, and its shift of the resting stem, in slip jumps. They
 # put the setpoint at different places between two stem positions, and begin at rest as well as stuck near a slip.
@@ -90,7 +90,7 @@ def standard_starts(loop: Loop) -> tuple[Start, ...]:
 def _summary(loop: Loop, starts: tuple[LimitCycleStart, ...], given: bool) -> LimitCycle:
     cycling = [start for start in starts if start.outcome == "cycles"]
     shown = [start for start in starts[:1] if start.outcome == "cycles"] if given else cycling
-    outcome = starts[0].outcome if given else _together(starts)
+    outcome = starts[0].outcome if given else together(starts)
 
     def middle(name: str) -> float:
         values = [float(getattr(start, name)) for start in shown]
@@ -119,7 +119,8 @@ def _summary(loop: Loop, starts: tuple[LimitCycleStart, ...], given: bool) -> Li
     return replace(result, verdict=_verdict(result, given))
 
 
-def _together(starts: tuple[LimitCycleStart, ...]) -> str:
+def together(starts: tuple[LimitCycleStart, ...]) -> str:
+    """Return the outcome of several starts: "depends" where some cycle and some settle."""
     outcomes = {start.outcome for start in starts}
     if {"cycles", "settles"} <= outcomes:
         return "depends"

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from workbench.analyze.frequency import linear_stable
-from workbench.analyze.half_cycles import Block, fresh_carry, mean_period
+from workbench.analyze.half_cycles import Block, fresh_carry
 from workbench.model.analyses import Waveform
 from workbench.model.loop import Loop
 from workbench.model.plant import FOPDT
@@ -70,8 +70,8 @@ class _Scale:
 class _Follower:
     """One run: the kernel's state, the chunk last looked at, and the half cycles since the signals last changed."""
 
-    def __init__(self, loop: Loop, start: Start) -> None:
-        self.loop = loop
+    def __init__(self, loop: Loop, start: Start, traced: bool) -> None:
+        self.loop, self.traced = loop, traced
         self.row = coefficients(loop, start.stem_offset)[0]
         self.table = np.empty((kernel.DOUBLINGS, kernel.FILTER_SUM + 1))
         kernel.doublings(self.row, self.table)
@@ -236,17 +236,18 @@ class _Follower:
         return Waveform(time, points[cycle, 0].copy(), points[cycle, 1].copy(), points[cycle, 2].copy())
 
 
-def follow(loop: Loop, start: Start) -> LimitCycleStart:
+def follow(loop: Loop, start: Start, *, least: int = LEAST, traced: bool = True) -> LimitCycleStart:
     """Follow one start, with at most `BUDGET` samples of the kernel after the last change of its signals.
 
     Settles: the stem rests where OP will never reach the end of the stick band (known in closed form), or OP, stem and
     PV have stood still, to 1e-8 of the stick band, at OP's limit; or a two-parameter stem slides onto the setpoint.
-    Cycles: after at least `LEAST` samples and `LEAST_REVERSALS`, the latest three blocks of 16, 32, .. 1,024 stem
+    Cycles: after at least `least` samples and `LEAST_REVERSALS`, the latest three blocks of 16, 32, .. 1,024 stem
     reversals agree in turn (period 3 %, PV's swing 2 %), or the budget is spent and PV's swing is steady; the last
     block gives the figures, `reason` says how steady they are. Undecided: PV grows without bound, or the budget is
-    spent without that. `window` runs from the last change of the signals to the end of the first full cycle.
+    spent without that. `window` runs from the last change of the signals to the end of the first full cycle. traced:
+    whether the waveform of a late cycle is kept.
     """
-    run = _Follower(loop, start)
+    run = _Follower(loop, start, traced)
     # Without friction the loop is linear while within its limits, and slow damping is no cycle.
     frictionless = loop.valve.stick_band == loop.valve.slip_jump == 0.0
     linear = frictionless and linear_stable(loop)
@@ -276,7 +277,7 @@ def follow(loop: Loop, start: Start) -> LimitCycleStart:
             block = Block(run.halves[first : first + size], loop.sample_time)
             agreed = agreed + 1 if before is not None and _agree(before, block) else 0
             first, size, before = first + size, min(2 * size, LAST_BLOCK), block
-        late = run.samples >= LEAST and run.halves.shape[0] > LEAST_REVERSALS
+        late = run.samples >= least and run.halves.shape[0] > LEAST_REVERSALS
         if before is not None and agreed >= AGREEMENTS and late:
             return _cycle(run, start, first, "successive blocks of reversals agree")
     if linear and run.calms_down():
@@ -328,7 +329,8 @@ def _cycle(run: _Follower, start: Start, end: int, reason: str) -> LimitCycleSta
     early = 1 + max(FIRST_BLOCK, int(np.searchsorted(halves[:end, kernel.START], LEAST)))
     begin = min(early, end - half)
     part = min(FIRST_BLOCK, half)
-    periods = [mean_period(halves[k : k + part], Ts) for k in range(begin, end - part + 1, part)]
+    first = np.arange(begin, end - part + 1, part)
+    periods = 2.0 * Ts / part * (halves[first + part - 1, kernel.END] - halves[first, kernel.START])
     return LimitCycleStart(
         name=start.name,
         outcome="cycles",
@@ -340,10 +342,10 @@ def _cycle(run: _Follower, start: Start, end: int, reason: str) -> LimitCycleSta
         mean_square_error=block.mean_square_error,
         travel_per_hour=block.travel_per_hour,
         window=float(halves[2, kernel.END]) * Ts,
-        period_range=(min(block.period, *periods), max(block.period, *periods)),
+        period_range=(min(block.period, float(periods.min())), max(block.period, float(periods.max()))),
         slips_per_hour=block.slips_per_hour,
         reversals_per_hour=block.reversals_per_hour,
-        waveform=run.waveform(block.period),
+        waveform=run.waveform(block.period) if run.traced else None,
     )
 
 

@@ -1,4 +1,4 @@
-"""Maximum sensitivity, gain and phase margin of the sampled loop with an ideal valve, for one loop or many at once.
+"""Maximum sensitivity, gain, phase and delay margin of the sampled loop with an ideal valve, for one or many.
 
 All of it on the sampled law itself, its hold included, as that is the loop that runs: a continuous model of the same
 loop promises margins that sampling has used up.
@@ -32,14 +32,19 @@ def margins(loop: Loop) -> Margins:
     """Return the margins of a loop with an ideal valve, as it is sampled, without its output limits.
 
     Ms = max |1/(1 + L)| over frequencies up to pi/Ts; gain margin: the least factor on Kc above 1 at which the loop
-    becomes unstable; phase margin: the least phase lag, degrees, that does so. Source of the definitions: K.J. Astrom,
-    T. Hagglund, "Advanced PID Control", ISA (2006), sections 4.6 and 7.5. An unstable loop has Ms = inf and margins 0.
+    becomes unstable; phase margin: the least phase lag, degrees, that does so; delay margin: the least further dead
+    time, s, that does so (as a lag of w times it, exact for whole samples). Source of the definitions: K.J. Astrom, T.
+    Hagglund, "Advanced PID Control", ISA (2006), sections 4.6 and 7.5. An unstable loop has Ms = inf and margins 0.
     """
     if not linear_stable(loop):
-        return Margins(loop, False, math.inf, math.nan, 0.0, 0.0)
-    values, at, _ = loop_margins(coefficients(loop), loop.sample_time)
+        return Margins(loop, False, math.inf, math.nan, 0.0, 0.0, 0.0)
+    rows = coefficients(loop)
+    values, at, _ = loop_margins(rows, loop.sample_time)
     Ms, gain, phase = (float(v) for v in values[0])
-    return Margins(loop, True, Ms, float(at[0]), gain, phase)
+    w = _grid(rows)
+    lag, share = _unit_crossings(_response(rows, w))
+    delay = float((lag / (w[:-1] * (w[1:] / w[:-1]) ** share)).min()) * loop.sample_time
+    return Margins(loop, True, Ms, float(at[0]), gain, phase, delay)
 
 
 def loop_margins(rows: FloatArray, sample_time: float) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:
@@ -49,19 +54,24 @@ def loop_margins(rows: FloatArray, sample_time: float) -> tuple[FloatArray, Floa
     loop's frequency response: the margins mean something for stable loops only, and stability, by the argument
     principle, may be wrong within some per cent of its limit (`frequency.linear_stable` decides there).
     """
-    longest = float(rows[:, kernel.DELAY].max(initial=0.0)) + 2.0
-    # Above the first turn of the dead time's phase the response needs even steps, below it even ratios.
-    turn = math.pi / longest
-    decades = math.log10(turn / LEAST)
-    slow = np.geomspace(LEAST, turn, max(2, math.ceil(PER_DECADE * decades)))
-    fast = np.linspace(turn, math.pi, math.ceil(PER_TURN / 2 * longest))
-    w = np.concatenate([slow, fast[1:]])
+    w = _grid(rows)
     values, at, stable = np.empty((rows.shape[0], 3)), np.empty(rows.shape[0]), np.empty(rows.shape[0], np.bool_)
     size = max(1, MOST // w.size)
     for begin in range(0, rows.shape[0], size):
         part = slice(begin, begin + size)
         values[part], at[part], stable[part] = _margins(rows[part], w)
     return values, at / sample_time, stable
+
+
+def _grid(rows: FloatArray) -> FloatArray:
+    """Return frequencies times Ts, rising to pi, at which the responses of these rows are well resolved."""
+    longest = float(rows[:, kernel.DELAY].max(initial=0.0)) + 2.0
+    # Above the first turn of the dead time's phase the response needs even steps, below it even ratios.
+    turn = math.pi / longest
+    decades = math.log10(turn / LEAST)
+    slow = np.geomspace(LEAST, turn, max(2, math.ceil(PER_DECADE * decades)))
+    fast = np.linspace(turn, math.pi, math.ceil(PER_TURN / 2 * longest))
+    return np.concatenate([slow, fast[1:]])
 
 
 def _response(rows: FloatArray, w: FloatArray) -> ComplexArray:
@@ -145,14 +155,21 @@ def _gain_margin(L: ComplexArray) -> FloatArray:
 
 def _phase_margin(L: ComplexArray) -> FloatArray:
     """The least lag (degrees) that turns a point of |L| = 1 into -1; inf where |L| never crosses 1."""
+    least: FloatArray = np.degrees(_unit_crossings(L)[0]).min(axis=1)
+    return least
+
+
+def _unit_crossings(L: ComplexArray) -> tuple[FloatArray, FloatArray]:
+    """Return, between each two frequencies, the lag (rad) that turns |L| = 1 there into -1, inf where |L| does not
+    cross 1, and the crossing's place between them, 0 .. 1, in log magnitude; shape (M, F - 1) each.
+    """
     with np.errstate(divide="ignore"):
         size = np.log(np.abs(L))
     crossing = (size[:, :-1] >= 0.0) != (size[:, 1:] >= 0.0)
     with np.errstate(divide="ignore", invalid="ignore"):
-        share = size[:, :-1] / (size[:, :-1] - size[:, 1:])
+        share = np.where(crossing, size[:, :-1] / (size[:, :-1] - size[:, 1:]), 0.0)
     turn = np.angle(L[:, 1:] / np.where(L[:, :-1] == 0.0, 1.0, L[:, :-1]))
     phase = np.angle(-L[:, :-1]) + share * turn
     # Of lag alone: a point beyond -180 degrees needs nearly a whole turn.
-    lag = np.degrees(np.remainder(phase, 2.0 * math.pi))
-    least: FloatArray = np.where(crossing, lag, np.inf).min(axis=1)
-    return least
+    lag = np.where(crossing, np.remainder(phase, 2.0 * math.pi), np.inf)
+    return lag, share

@@ -180,7 +180,8 @@ class Margins:
     """The margins of a sampled loop with an ideal valve.
 
     max_sensitivity: Ms, inf where the loop is unstable; frequency: where it is reached, rad/s, nan then. gain_margin:
-    factor on Kc, phase_margin: degrees; inf where no gain or no lag makes the loop unstable, 0 for an unstable loop.
+    factor on Kc, phase_margin: degrees, delay_margin: s of further dead time; inf where nothing of the kind makes the
+    loop unstable, 0 for an unstable loop.
     """
 
     loop: Loop
@@ -189,6 +190,7 @@ class Margins:
     frequency: float
     gain_margin: float
     phase_margin: float
+    delay_margin: float
 
 
 @dataclass(frozen=True, eq=False)

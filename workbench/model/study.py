@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
 
+from workbench.model.cycle_map import CycleMap
 from workbench.model.detection import Detection
 from workbench.model.experiment import Experiment
 from workbench.model.front import Front, RobustRepair
@@ -68,7 +69,8 @@ class Study:
 
     `reference_source`: where the reference figures come from, in words. `notes`: what an engineer should know about
     how the results came about (coarse sampling, rejected rows ...). `front`: the trade-off of error and valve travel;
-    `robust_repair`: what repair is worth over an ensemble. `times`: seconds by stage, for run.json alone.
+    `robust_repair`: what repair is worth over an ensemble. `cycle_map`: the long-run behaviour over a plane of tunings.
+    `times`: seconds by stage, for run.json alone.
     """
 
     name: str
@@ -84,4 +86,5 @@ class Study:
     repair: Repair | None = None
     front: Front | None = None
     robust_repair: RobustRepair | None = None
+    cycle_map: CycleMap | None = None
     times: Mapping[str, float] = field(default_factory=lambda: MappingProxyType({}))

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import math
-
-from workbench.model.plant import FOPDT
 from workbench.model.study import CaseResult, Study
 from workbench.report.cycles import better_late, by_start, late_errors, late_figures, swing
 from workbench.report.judge import at_odds, base_case, best_case, quiet, run_travel, unstable
+from workbench.report.plain_truth import lasting
 from workbench.report.repair import repair_sentence
-from workbench.report.words import change, controller_words, figure, given, nearby
+from workbench.report.words import change, controller_words, figure, nearby
 
 __all__ = ["case_advice"]
 
@@ -36,7 +34,7 @@ def case_advice(study: Study) -> list[str]:
             out += _recommendation(base, best)
         out += _remaining(study, base, best)
         out += _less_wear(study, best)
-    out += _lasting(study, best)
+    out += lasting(study, best)
     if study.repair is not None:
         out.append(repair_sentence(study.repair, (base or study.cases[0]).name))
     if best.tuned is not None:
@@ -164,22 +162,4 @@ def _remaining(study: Study, base: CaseResult | None, best: CaseResult) -> list[
         if at_odds(best, study.experiment):
             text += f"; in the run itself the valve travels {figure(run_travel(best, study.experiment), 3)} % an hour"
         out.append(f"{text}; from another start it may still cycle." if loop.valve.slip_jump > 0.0 else f"{text}.")
-    return out
-
-
-def _lasting(study: Study, best: CaseResult) -> list[str]:
-    """Say what no tuning removes while the controller integrates, but not of a valve whose stiction is undecided."""
-    out: list[str] = []
-    if any(e.found.verdict == "undecided" and e.found.valve == best.loop.valve for e in study.estimates):
-        return out
-    cycle, loop = best.limit_cycle, best.loop
-    stuck = cycle is None or cycle.outcome != "settles"
-    if stuck and loop.valve.slip_jump > 0.0 and math.isfinite(loop.controller.Ti) and isinstance(loop.plant, FOPDT):
-        step = abs(loop.plant.gain) * loop.valve.slip_jump
-        out.append(
-            f"What no tuning removes: this valve moves in steps of at least {given(loop.valve.slip_jump, 3)} %, which "
-            f"is {given(step, 3)} EU of PV. While the controller integrates, it hunts for a setpoint between two "
-            "steps, the more slowly the weaker the integral action. Repairing the valve ends that; an integral dead "
-            "band stops it at the price of a lasting offset."
-        )
     return out

@@ -77,7 +77,7 @@ def bicoherence_map(ax: Axes, found: Detection) -> None:
     for i, ((low, high), shade) in enumerate(zip(pairwise(edges), shades, strict=True)):
         inside = (bic.values > low) & (bic.values <= high if i < len(shades) - 1 else True)
         if inside.any():
-            ax.add_patch(PathPatch(_cells(x[inside], y[inside], step), facecolor=shade, edgecolor="none", linewidth=0))
+            ax.add_patch(PathPatch(cells(x[inside], y[inside], step), facecolor=shade, edgecolor="none", linewidth=0))
     keys = [Patch(facecolor=c, label=f"{a:.2f} to {b:.2f}") for (a, b), c in zip(pairwise(edges), shades, strict=True)]
     ax.plot([0.0, top, top / 2.0, 0.0], [0.0, 0.0, top / 2.0, 0.0], color="#888888", linewidth=0.6)
     period = found.cycle.period
@@ -101,7 +101,7 @@ def bicoherence_map(ax: Axes, found: Detection) -> None:
     )
 
 
-def _cells(x: FloatArray, y: FloatArray, step: float) -> Path:
+def cells(x: FloatArray, y: FloatArray, step: float) -> Path:
     """Return squares about grid points as one path, those beside each other in a row as one rectangle."""
     columns, rows = np.round(x / step).astype(int), np.round(y / step).astype(int)
     order = np.lexsort((columns, rows))

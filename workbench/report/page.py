@@ -16,6 +16,7 @@ from workbench.model.valve import Ideal
 from workbench.report import figures
 from workbench.report.cycles import cycle_tables
 from workbench.report.detections import detection_table, detection_words, first_with
+from workbench.report.draw_map import map_figure
 from workbench.report.estimates import candidates_table, estimate_table, known_sentences
 from workbench.report.files import write_files
 from workbench.report.how import how_tables
@@ -28,6 +29,7 @@ from workbench.report.over_ensemble import (
     robust_repair_table,
     robust_repair_text,
 )
+from workbench.report.plain_truth import map_points, map_text
 from workbench.report.repair import repair_tables, repair_text
 from workbench.report.results import cases_csv, results_json, run_json
 from workbench.report.shared import loop_lines
@@ -108,6 +110,7 @@ def render(study: Study, drawn: Mapping[str, str]) -> str:
         front_table=None if study.front is None else front_table(study.front),
         robust_repair_text=robust_repair_text(study),
         robust_repair_table=robust_repair_table(study),
+        map_text=[] if study.cycle_map is None else map_text(study.cycle_map),
         repair_tables=repair_tables(study),
         repair_text=repair_text(study.repair) if study.repair is not None else [],
         rules=[(c.name, rule_words(c.rule)) for c in study.cases if c.rule is not None],
@@ -216,6 +219,9 @@ def _figures(study: Study) -> dict[str, str]:
     if study.front is not None and study.front.sticky:
         title = "Mean square error against mean valve travel over the ensemble"
         add("tradeoff.svg", trade_figure(study.front, named_points(study)), title)
+    if study.cycle_map is not None:
+        title = "Late period, PV swing, mean square error and valve travel over a plane of tunings"
+        add("map.svg", map_figure(study.cycle_map, map_points(study)), title)
     for named, own in zip(study.estimates, names["estimates"], strict=True):
         _estimate_figures(named, own, add)
     return out

@@ -8,12 +8,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from workbench.errors import InvalidValue
+from workbench.model.cycle_map import CycleMap
 from workbench.model.detection import Detection
 from workbench.model.front import Front
 from workbench.model.record import Record
 from workbench.model.results import DescribingFunction, Estimate, LimitCycle, Run, Tuned
 from workbench.report import draw
 from workbench.report.draw_evidence import apparent_stiction, bicoherence_map, pv_autocorrelation
+from workbench.report.draw_map import map_figure, map_panels
 from workbench.report.style import new_figure, styled
 from workbench.report.trade import draw_front
 
@@ -23,7 +25,7 @@ if TYPE_CHECKING:
 
 __all__ = ["plot"]
 
-_KINDS = "a Run, Record, Estimate, Detection, DescribingFunction, LimitCycle, Tuned or Front"
+_KINDS = "a Run, Record, Estimate, Detection, DescribingFunction, LimitCycle, CycleMap, Tuned or Front"
 
 
 def plot(result: object, ax: Any = None) -> Axes | NDArray[Any]:
@@ -33,8 +35,10 @@ def plot(result: object, ax: Any = None) -> Axes | NDArray[Any]:
     be two axes, or one, which gets PV alone. Detection: three axes, PV's autocorrelation, the bicoherence and PV
     against OP with its ellipse (shape (3,); the last two want `detect(record, bicoherence=True)`); `ax` may be three
     axes, or one, which gets the autocorrelation alone. DescribingFunction: the loci in the complex plane. LimitCycle:
-    periods by start. Tuned: objectives by restart. Front: error against valve travel, sticky and repaired. `ax`: where
-    to draw; a new figure by default (`.figure` of the axes, to show or save). Raises `InvalidValue` for anything else.
+    periods by start. CycleMap: four axes, late period, PV's swing, mean square error and valve travel an hour (shape
+    (4,)); `ax` may be four axes, or one, which gets the period alone. Tuned: objectives by restart. Front: error
+    against valve travel, sticky and repaired. `ax`: where to draw; a new figure by default (`.figure` of the axes, to
+    show or save). Raises `InvalidValue` for anything else.
     """
     pairs: dict[type, tuple[Callable[..., None], Callable[..., None]]] = {
         Run: (draw.run_pv, draw.run_op),
@@ -53,10 +57,23 @@ def plot(result: object, ax: Any = None) -> Axes | NDArray[Any]:
                 return _two(result, ax, above, below)
         if isinstance(result, Detection):
             return _evidence(result, ax)
+        if isinstance(result, CycleMap):
+            return _map(result, ax)
         for kind, one in singles.items():
             if isinstance(result, kind):
                 return _one(result, ax, one)
     raise InvalidValue("plot", type(result).__name__, f"must be {_KINDS}")
+
+
+def _map(found: CycleMap, ax: Any) -> Axes | NDArray[Any]:
+    if ax is None:
+        return np.array(map_figure(found).axes, dtype=object)
+    axes = _axes(ax, (1, 4))
+    map_panels(axes, found)
+    if len(axes) == 1:
+        single: Axes = axes[0]
+        return single
+    return np.array(axes, dtype=object)
 
 
 def _evidence(found: Detection, ax: Any) -> Axes | NDArray[Any]:

@@ -20,6 +20,7 @@ from io import StringIO
 from typing import Any
 
 from workbench.model.controller import PID
+from workbench.model.cycle_map import OUTCOMES, CycleMap
 from workbench.model.detection import Detection
 from workbench.model.front import Front, FrontPoint, RobustRepair
 from workbench.model.loop import Loop
@@ -197,6 +198,26 @@ def _front(front: Front) -> dict[str, Any]:
     }
 
 
+def _map(found: CycleMap) -> dict[str, Any]:
+    """Return a map by rows; each row of a figure is one text, its cells at four digits ("-" for none)."""
+
+    def rows(values: Any) -> list[str]:
+        return [" ".join("-" if math.isnan(v) else f"{v:.4g}" for v in row) for row in values.tolist()]
+
+    fields_of = ("period", "pv_peak_to_peak", "mean_square_error", "travel_per_hour", "window")
+    return {
+        "axis": found.axis,
+        "controller": controller_content(found.loop.controller),
+        "starts": found.starts,
+        "Kc": found.Kc.tolist(),
+        found.axis: found.values.tolist(),
+        "outcome": [" ".join(OUTCOMES[k] for k in row) for row in found.outcome.tolist()],
+        "linear_stable": ["".join("1" if v else "0" for v in row) for row in found.linear_stable.tolist()],
+        "describing_function_factor": rows(found.crossing),
+        **{name: rows(getattr(found, name)) for name in fields_of},
+    }
+
+
 def _robust_repair(repair: RobustRepair) -> dict[str, Any]:
     names = ("present", "repaired", "best", "best_repaired")
     return {
@@ -341,6 +362,7 @@ def results_content(study: Study) -> dict[str, Any]:
         "tuning": tuning,
         "repair": _repair(study.repair),
         **({} if study.front is None else {"tradeoff": _front(study.front)}),
+        **({} if study.cycle_map is None else {"map": _map(study.cycle_map)}),
         **({} if study.robust_repair is None else {"robust_repair": _robust_repair(study.robust_repair)}),
         "reference_source": study.reference_source,
         "notes": list(study.notes),

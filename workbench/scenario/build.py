@@ -21,6 +21,7 @@ from workbench.model.valve import Choudhury, Deadband, Ideal, Stenman, Valve
 from workbench.scenario import schema
 from workbench.scenario.controllers import Controllers, fitting_action, ruled, wrong_way
 from workbench.scenario.document import Path
+from workbench.scenario.map_entries import map_job
 from workbench.scenario.plan import CaseJob, EnsembleJob, EstimateJob, Scenario
 from workbench.scenario.refusals import Refusals
 from workbench.scenario.robust import RobustEntries, measured_in
@@ -90,6 +91,7 @@ class Builder:
                 experiment = self.refusals.attempt(("experiment",), fitted) or experiment
             self._fits(experiment, sample_time, whole)
         estimates = self._estimates(given, records, whole, experiment)
+        mapped = map_job(given.analyze.map, self.refusals, cases=bool(given.cases))
         if self.refusals.issues:
             return None
         return Scenario(
@@ -109,6 +111,7 @@ class Builder:
             limit_cycle=given.analyze.limit_cycle,
             repair=given.analyze.repair,
             tradeoff=given.analyze.tradeoff,
+            cycle_map=mapped,
             ensemble=shared or measured_in(cases, tradeoff=given.analyze.tradeoff),
             notes=tuple(self.notes),
             warnings=tuple(self.warnings),

@@ -20,6 +20,7 @@ from pydantic import (
 )
 from pydantic_core import CoreSchema, core_schema
 
+from workbench.errors import InvalidValue
 from workbench.scenario import units
 
 __all__ = [
@@ -40,6 +41,7 @@ __all__ = [
     "Seed",
     "Size",
     "Time",
+    "TrueOr",
     "Words",
     "by_key",
     "by_presence",
@@ -118,6 +120,26 @@ class OnlyName:
 
     def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
         return {"anyOf": [{"enum": list(self.names), "type": "string"}, handler(schema)]}
+
+
+class TrueOr:
+    """Annotation of a mapping that may be written as true (the mapping without entries) or false (none)."""
+
+    def __init__(self, what: str) -> None:
+        self.what = what
+
+    def _mapped(self, value: object) -> object:
+        if isinstance(value, bool):
+            return {} if value else None
+        if value is not None and not isinstance(value, dict):
+            raise InvalidValue("", value, f"must be true, false, or a mapping ({self.what} written out)")
+        return value
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        return core_schema.no_info_before_validator_function(self._mapped, handler(source))
+
+    def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
+        return {"anyOf": [{"type": "boolean"}, handler(schema)]}
 
 
 def _pick(tag: Callable[[dict[str, Any]], object], variants: tuple[str, ...], key: str) -> Discriminator:

@@ -16,7 +16,7 @@ from workbench.model.record import Record
 from workbench.model.rule import Rule
 from workbench.model.tuning import Bounds, Objective
 
-__all__ = ["RULE_DIGITS", "CaseJob", "EnsembleJob", "EstimateJob", "RobustJob", "Scenario", "TuneJob"]
+__all__ = ["RULE_DIGITS", "CaseJob", "EnsembleJob", "EstimateJob", "MapJob", "RobustJob", "Scenario", "TuneJob"]
 
 RULE_DIGITS = 4  # significant digits of what a rule gives, to be typed in
 
@@ -109,6 +109,22 @@ class CaseJob:
     note: str = ""
 
 
+@dataclass(frozen=True, slots=True)
+class MapJob:
+    """A map over Kc (%/EU) and Ti, or Kc and Td (s): ranges, None for those that suit the loop and its cases.
+
+    at_Ti, at_Td: the parameter that is not an axis, None for the first case's.
+    """
+
+    Kc: tuple[float, float] | None
+    Ti: tuple[float, float] | None
+    Td: tuple[float, float] | None
+    at_Ti: float | None
+    at_Td: float | None
+    points: int
+    starts: int
+
+
 @dataclass(frozen=True, eq=False)
 class Scenario:
     """A checked scenario file.
@@ -116,6 +132,7 @@ class Scenario:
     loop: as given, under the first case's controller; None where plant and valve come from the first estimate, or no
     case asks for a loop. pv_range: EU, or None. objective: what J is computed with for every case, or None. repair:
     whether to say what repairing the valve is worth. tradeoff: whether to find the front of error against travel.
+    cycle_map: the map to draw, or None.
     ensemble: what the cases are measured in beside the experiment, None where nothing asks for it. notes: what loading
     assumed or left out (rejected rows, coarse sampling), for the report. warnings: what can be run and is most likely
     a mistake.
@@ -137,6 +154,7 @@ class Scenario:
     limit_cycle: bool
     repair: bool = False
     tradeoff: bool = False
+    cycle_map: MapJob | None = None
     ensemble: EnsembleJob | None = None
     notes: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()

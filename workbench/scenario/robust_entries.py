@@ -2,13 +2,22 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
-from pydantic import Discriminator, Field, GetCoreSchemaHandler, GetJsonSchemaHandler, Tag
-from pydantic_core import CoreSchema, core_schema
+from pydantic import Discriminator, Field, Tag
 
-from workbench.errors import InvalidValue
-from workbench.scenario.entries import Band, Closed, Name, NonNegative, Number, Percent, PositiveTime, Seed, Time
+from workbench.scenario.entries import (
+    Band,
+    Closed,
+    Name,
+    NonNegative,
+    Number,
+    Percent,
+    PositiveTime,
+    Seed,
+    Time,
+    TrueOr,
+)
 
 __all__ = ["CaseTravel", "ConstraintsEntry", "EnsembleEntry", "RobustEntry", "TravelBudget"]
 
@@ -42,25 +51,7 @@ class EnsembleEntry(Closed):
     level: Annotated[float | None, Field(gt=0, lt=1, description="of percentile and cvar")] = None
 
 
-class _TrueOr:
-    """Annotation of a mapping that may be written as true (the mapping without entries) or false (none)."""
-
-    @staticmethod
-    def _mapped(value: object) -> object:
-        if isinstance(value, bool):
-            return {} if value else None
-        if value is not None and not isinstance(value, dict):
-            raise InvalidValue("", value, "must be true, false, or a mapping (an ensemble written out)")
-        return value
-
-    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
-        return core_schema.no_info_before_validator_function(self._mapped, handler(source))
-
-    def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
-        return {"anyOf": [{"type": "boolean"}, handler(schema)]}
-
-
-RobustEntry = Annotated[EnsembleEntry | None, _TrueOr()]
+RobustEntry = Annotated[EnsembleEntry | None, TrueOr("an ensemble")]
 
 
 class ConstraintsEntry(Closed):

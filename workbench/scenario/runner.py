@@ -12,12 +12,14 @@ from functools import partial
 import numpy as np
 
 from workbench.analyze.agreement import agreement
+from workbench.analyze.cycle_map import cycle_map, map_ranges
 from workbench.analyze.describing_function import describing_function
 from workbench.analyze.limit_cycle import limit_cycle
 from workbench.detect.detect import detect
 from workbench.errors import ScenarioError, WorkbenchError
 from workbench.estimate.estimate import estimate
 from workbench.model.controller import PID
+from workbench.model.cycle_map import CycleMap
 from workbench.model.detection import Detection
 from workbench.model.experiment import Experiment
 from workbench.model.front import RobustRepair
@@ -30,7 +32,7 @@ from workbench.model.tuning import Objective
 from workbench.scenario.controllers import fitting_action, ruled, wrong_way
 from workbench.scenario.loader import load_scenario
 from workbench.scenario.over_ensemble import best_robust, front_of, with_robustness
-from workbench.scenario.plan import CaseJob, EstimateJob, Scenario, TuneJob
+from workbench.scenario.plan import CaseJob, EstimateJob, MapJob, Scenario, TuneJob
 from workbench.scenario.robust import constraints_of
 from workbench.simulate.run import evaluate, simulate
 from workbench.tune.repair import repair_over, repaired_outcome, value_of_repair
@@ -41,7 +43,7 @@ __all__ = ["Progress", "for_plant", "run_scenario", "simulated_record", "tune_ca
 Progress = Callable[[str, float], None]
 
 # Shares of the whole by which progress is told; a tuning takes the time of many simulations.
-_SHARE = {"estimate": 3.0, "case": 1.0, "tune": 8.0}
+_SHARE = {"estimate": 3.0, "case": 1.0, "tune": 8.0, "map": 8.0}
 
 
 def run_scenario(scenario: Scenario | str | os.PathLike[str], *, progress: Progress | None = None) -> Study:
@@ -49,10 +51,11 @@ def run_scenario(scenario: Scenario | str | os.PathLike[str], *, progress: Progr
 
     Estimates first; the loop is the scenario's, or the first estimate's; each case is given, made by its rule or tuned,
     simulated exactly, and analysed (describing function, limit cycle and whether they agree), and where the scenario
-    has an ensemble, measured over it; last, where asked for, the trade-off of error and valve travel and what repairing
-    the valve is worth. progress: called with a few words and the share done, 0..1. A tuning that did not
-    succeed stays in the study with its status. Raises `ScenarioError` for a scenario that is refused, and with the
-    entry named where running shows that it cannot be carried out; `KeyboardInterrupt` where a tuning was interrupted.
+    has an ensemble, measured over it; last, where asked for, the trade-off of error and valve travel, the map of a
+    plane of tunings, and what repairing the valve is worth. progress: called with a few words and the share done, 0..1.
+    A tuning that did not succeed stays in the study with its status. Raises `ScenarioError` for a scenario that is
+    refused, and with the entry named where running shows that it cannot be carried out; `KeyboardInterrupt` where a
+    tuning was interrupted.
     """
     plan = scenario if isinstance(scenario, Scenario) else load_scenario(scenario)
     return _Runner(plan, progress).study()
@@ -74,6 +77,7 @@ class _Runner:
             robust = any(case.tune is not None and case.tune.robust is not None for case in plan.cases)
             searches = (1.0 if alone else 2.0) + (1.0 if robust else 0.0)
         searches += 2.0 if plan.tradeoff else 0.0
+        cases += _SHARE["map"] if plan.cycle_map is not None else 0.0
         cases += _SHARE["case"] if plan.ensemble is not None else 0.0
         self.total = cases + _SHARE["tune"] * searches + _SHARE["estimate"] * len(plan.estimates) or 1.0
 
@@ -104,6 +108,10 @@ class _Runner:
                     front = front_of(cases, jobs, ensemble, progress)
                 if front.status is SolveStatus.INTERRUPTED:
                     raise KeyboardInterrupt
+        mapped = None
+        if plan.cycle_map is not None and cases:
+            with self._stage("map", "analyze.map", _SHARE["map"]) as progress:
+                mapped = _map(plan.cycle_map, cases, partial(progress, ""))
         repair, robust_repair = None, None
         if plan.repair and cases:
             if cases[0].repaired is None:
@@ -127,6 +135,7 @@ class _Runner:
             repair=repair,
             front=front,
             robust_repair=robust_repair,
+            cycle_map=mapped,
             times=self.times,
         )
 
@@ -272,6 +281,19 @@ def for_plant(jobs: Sequence[CaseJob], plant: Plant) -> tuple[tuple[CaseJob, ...
             notes.append(f"{job.name}: {wrong}.")
         fitted.append(job)
     return tuple(fitted), notes
+
+
+def _map(job: MapJob, cases: Sequence[CaseResult], progress: Callable[[float], None]) -> CycleMap:
+    """Return the map that a job asks for, under the first case's controller."""
+    loop = cases[0].loop
+    Ti, Td = loop.controller.Ti if job.at_Ti is None else job.at_Ti, loop.controller.Td
+    Td = Td if job.at_Td is None else job.at_Td
+    loop = loop.with_controller(replace(loop.controller, Ti=Ti, Td=Td))
+    axis = "Td" if job.Td is not None else "Ti"
+    ranges = map_ranges(loop, [case.loop.controller for case in cases], axis=axis)
+    for name in ranges:
+        ranges[name] = getattr(job, name) or ranges[name]
+    return cycle_map(loop, **ranges, points=job.points, starts=job.starts, progress=progress)
 
 
 def simulated_record(loop: Loop, experiment: Experiment) -> Record:

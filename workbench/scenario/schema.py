@@ -32,6 +32,7 @@ from workbench.scenario.entries import (
     by_key,
     by_presence,
 )
+from workbench.scenario.map_entries import MapEntry
 from workbench.scenario.robust_entries import ConstraintsEntry, EnsembleEntry, RobustEntry, TravelBudget
 from workbench.scenario.rule_entries import RuleEntry
 
@@ -406,6 +407,7 @@ class Analyze(Closed):
     tradeoff: Annotated[
         bool, Field(description="error against valve travel over the ensemble, with the cases; takes two searches more")
     ] = False
+    map: Annotated[MapEntry, Field(description="the long-run behaviour over a plane of tunings, with the cases")] = None
 
 
 class ScenarioFile(Closed):

@@ -18,7 +18,7 @@ from workbench.model.tuning import Objective
 from workbench.simulate import kernel
 from workbench.simulate.signals import Signals
 
-__all__ = ["kernel_weights", "sums", "weigh", "worst"]
+__all__ = ["cores", "kernel_weights", "sums", "weigh", "worst"]
 
 # Fewer samples than this, some milliseconds, are not worth a second thread.
 WORTH_SHARING = 400_000
@@ -86,14 +86,19 @@ def worst(
     return result, sum(counts)
 
 
+def cores() -> int:
+    """Return how many of the machine's cores this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
 def _shared(count: int, samples: int, work: Callable[[slice], None]) -> None:
     """Do `work` on parts of range(count), each of so many samples, on all cores if it is worth it."""
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    if cores == 1 or count * samples < WORTH_SHARING or count < 2 * cores:
+    workers = cores()
+    if workers == 1 or count * samples < WORTH_SHARING or count < 2 * workers:
         work(slice(0, count))
         return
     # More parts than cores: runs that are given up early make some parts short.
-    edges = np.linspace(0, count, min(4 * cores, count) + 1).astype(int).tolist()
+    edges = np.linspace(0, count, min(4 * workers, count) + 1).astype(int).tolist()
     parts = [slice(a, b) for a, b in itertools.pairwise(edges)]
-    with ThreadPoolExecutor(cores) as pool:
+    with ThreadPoolExecutor(workers) as pool:
         list(pool.map(work, parts))
