@@ -23,8 +23,11 @@ _HOME = {
     "Integrating": "model.plant",
     "Ideal": "model.valve",
     "Stenman": "model.valve",
+    "He": "model.valve",
     "Choudhury": "model.valve",
+    "Kano": "model.valve",
     "Deadband": "model.valve",
+    "Directional": "model.valve",
     "PID": "model.controller",
     "Loop": "model.loop",
     "Step": "model.experiment",
@@ -74,11 +77,14 @@ __all__ = [
     "Deadband",
     "Detection",
     "DetunedIntegral",
+    "Directional",
     "Ensemble",
     "Experiment",
+    "He",
     "Ideal",
     "Integrating",
     "InvalidValue",
+    "Kano",
     "Lambda",
     "Loop",
     "NoCrossing",
@@ -162,7 +168,7 @@ if TYPE_CHECKING:
     from workbench.model.results import SolveStatus
     from workbench.model.rule import Amigo, DetunedIntegral, Lambda, NoCrossing, Simc, ZieglerNichols
     from workbench.model.tuning import Bounds, Objective
-    from workbench.model.valve import Choudhury, Deadband, Ideal, Stenman
+    from workbench.model.valve import Choudhury, Deadband, Directional, He, Ideal, Kano, Stenman
     from workbench.record.reader import read_record
     from workbench.report.plot import plot
     from workbench.scenario.loader import load_scenario

@@ -21,9 +21,9 @@ from workbench.simulate.kernel import (
     HALF_CYCLE,
     SLIPS,
     SQUARES,
+    STAIRS,
     START,
     STEM_TRAVEL,
-    STENMAN,
     Y_HIGH,
     Y_LOW,
     collect,
@@ -211,7 +211,7 @@ def test_half_cycles_run_from_reversal_to_reversal_however_the_run_is_cut(stem: 
     for cut in cuts * 60:
         part = slice(first, first + cut)
         rows = np.empty((u[part].size, HALF_CYCLE))
-        count = collect(STENMAN, y[first:], u[part], x[part], branch[part], r, first, 1e-9, carry, rows)
+        count = collect(STAIRS, y[first:], u[part], x[part], branch[part], r, first, 1e-9, carry, rows)
         found.append(rows[:count])
         first += cut
         if first >= x.size:

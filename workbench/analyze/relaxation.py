@@ -20,7 +20,7 @@ from workbench.model.analyses import RelaxationCycle
 from workbench.model.controller import IdealTerms
 from workbench.model.loop import Loop
 from workbench.model.plant import FOPDT
-from workbench.model.valve import Stenman
+from workbench.model.valve import Directional
 from workbench.simulate.coefficients import discretise
 
 __all__ = ["relaxation_condition", "relaxation_cycle", "relaxation_period"]
@@ -88,6 +88,8 @@ def relaxation_cycle(loop: Loop, split: float = 0.5) -> RelaxationCycle | None:
     gain = loop.controller.signed_gain * terms.Kc * loop.plant.gain
     if valve.stick_band <= 0.0 or valve.slip_jump <= 0.0 or gain <= 0.0 or math.isinf(terms.Ti):
         return None
+    if isinstance(valve, Directional):
+        return None
     if isinstance(loop.plant, FOPDT):
         return _self_regulating(loop, loop.plant, terms, split)
     return _integrating(loop, terms, split)
@@ -100,13 +102,13 @@ def _self_regulating(loop: Loop, plant: FOPDT, terms: IdealTerms, split: float) 
     ki, m = terms.Kc * Ts / terms.Ti, step.delay
     lag = m + (step.pole + step.c1) / (1.0 - step.pole)
     # OP's step beyond the band at a slip is half of ki K M/2 in the mean over both sides, whatever the split.
-    sticks_at_once = isinstance(loop.valve, Stenman)
+    sticks_at_once = loop.valve.sticks_at_once
     own = 1.0 - ki * K / 2.0 * (0.5 if sticks_at_once else m + 0.5)
     if own < OWN:
         return None
     M = J / own
     if sticks_at_once:
-        S, way, lag_more = M, 0.0, 0.0
+        S, way, lag_more = M + (S - J), 0.0, 0.0
     else:
         way = (m - 0.5) * ki * K * M / 2.0
         lag_more = m * ki * K / 2.0 * (m + 1) / 2.0
@@ -136,7 +138,7 @@ def _integrating(loop: Loop, terms: IdealTerms, split: float) -> RelaxationCycle
     S, J, K, theta = loop.valve.stick_band, loop.valve.slip_jump, abs(loop.plant.gain), loop.plant.dead_time
     Kc, Ti = terms.Kc, terms.Ti
     kp = Kc * (1.0 + loop.sample_time / (2.0 * Ti))
-    moves_on = not isinstance(loop.valve, Stenman)
+    moves_on = not loop.valve.sticks_at_once
     if terms.Td > (0.0 if moves_on else theta):
         return None
     M, Y, more, beyond = J, 0.0, 0.0, 0.0

@@ -17,7 +17,7 @@ from workbench.model.plant import FOPDT, Integrating, Plant
 from workbench.model.record import Record
 from workbench.model.rule import Rule
 from workbench.model.tuning import Objective
-from workbench.model.valve import Choudhury, Deadband, Ideal, Stenman, Valve
+from workbench.model.valve import Choudhury, Deadband, Directional, He, Ideal, Kano, Stenman, Valve
 from workbench.scenario import schema
 from workbench.scenario.controllers import Controllers, fitting_action, ruled, wrong_way
 from workbench.scenario.document import Path
@@ -162,14 +162,7 @@ class Builder:
 
     def _valve(self, loop: schema.Loop) -> Valve | None:
         v = loop.valve
-        path = ("loop", "valve")
-        if isinstance(v, schema.StenmanValve):
-            return self.refusals.attempt(path, lambda: Stenman(v.d))
-        if isinstance(v, schema.ChoudhuryValve):
-            return self.refusals.attempt(path, lambda: Choudhury(v.S, v.J))
-        if isinstance(v, schema.DeadbandValve):
-            return self.refusals.attempt(path, lambda: Deadband(v.b))
-        return None if v is None else Ideal()
+        return None if v is None else self.refusals.attempt(("loop", "valve"), lambda: _valve_of(v))
 
     def _loop(
         self,
@@ -490,3 +483,21 @@ def _common(objectives: list[Objective]) -> Objective | None:
 
 def _one_line(error: Exception) -> str:
     return " ".join(str(error).split())
+
+
+def _valve_of(v: schema.Valve) -> Valve:
+    match v:
+        case schema.StenmanValve():
+            return Stenman(v.d)
+        case schema.HeValve():
+            return He(v.fs, v.fd)
+        case schema.ChoudhuryValve():
+            return Choudhury(v.S, v.J)
+        case schema.KanoValve():
+            return Kano(v.S, v.J)
+        case schema.DeadbandValve():
+            return Deadband(v.b)
+        case schema.DirectionalValve():
+            return Directional(Choudhury(v.up.S, v.up.J), Choudhury(v.down.S, v.down.J))
+        case schema.IdealValve():
+            return Ideal()
