@@ -64,11 +64,11 @@ def relaxation_cycle(loop: Loop, split: float = 0.5) -> RelaxationCycle | None:
     `(K M)^2 [a(1-a) - (tau/T)(1 - e^(-aT/tau))(1 - e^(-(1-a)T/tau))/(1 - e^(-T/tau))]`. At rest the error is a K M on
     one side and (1 - a) K M on the other; the integral has to move OP by the stick band less the echo Kc K M, and the
     lag L holds the old error that much longer: `L = Ts (m + b/(1 - a_p))`, b the share of a step that PV still lacks m
-    + 1 samples later: tau + theta - Ts/2 nearly. Stenman: M = S = J = d. A two-parameter stem moves on with OP until PV
-    answers, m samples later: `M = J/(1 - Kc Ts K (m + 1/2)/(2 Ti))`, OP's way to the next slip is shorter by that, and
-    the split is driven to 1/2, as only there both moves are equal. The derivative is at rest at every slip. Conditions:
-    Ti > tau + theta; the echo, the derivative's kick included, at most 0.9 S; half cycles of at least 4 tau + theta; M
-    <= 2 J.
+    + 1 samples later: tau + theta - Ts/2 nearly. Stenman, He: M = J, as they stick at once. A two-parameter stem moves
+    on with OP until PV answers, m samples later: `M = J/(1 - Kc Ts K (m + 1/2)/(2 Ti))`, OP's way to the next slip is
+    shorter by that, and the split is driven to 1/2, as only there both moves are equal. The derivative is at rest at
+    every slip. Conditions: Ti > tau + theta; the echo, the derivative's kick included, at most 0.9 S; half cycles of at
+    least 4 tau + theta; M <= 2 J.
 
     Integrating plant, PI or PID: PV is a triangle, as wide as `Y = [S + kp K M theta - (Kc/Ti) K M theta^2/2 - Kc Td
     K M]/(kp - Kc theta/Ti)`, kp = Kc (1 + Ts/(2 Ti)), `T = Y/(K M a (1 - a))`, mean square error Y^2/12: no Ti in it,
