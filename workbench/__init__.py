@@ -51,6 +51,7 @@ _HOME = {
     "simulate": "simulate.run",
     "simulate_batch": "simulate.run",
     "evaluate": "simulate.run",
+    "signature": "simulate.signature",
     "read_record": "record.reader",
     "detect": "detect.detect",
     "estimate": "estimate.estimate",
@@ -117,6 +118,7 @@ __all__ = [
     "plot",
     "read_record",
     "run_scenario",
+    "signature",
     "simulate",
     "simulate_batch",
     "tune",
@@ -174,6 +176,7 @@ if TYPE_CHECKING:
     from workbench.scenario.loader import load_scenario
     from workbench.scenario.runner import run_scenario
     from workbench.simulate.run import evaluate, simulate, simulate_batch
+    from workbench.simulate.signature import signature
     from workbench.tune.ensemble import assess
     from workbench.tune.front import pareto_front
     from workbench.tune.repair import value_of_repair

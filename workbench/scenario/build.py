@@ -17,7 +17,7 @@ from workbench.model.plant import FOPDT, Integrating, Plant
 from workbench.model.record import Record
 from workbench.model.rule import Rule
 from workbench.model.tuning import Objective
-from workbench.model.valve import Choudhury, Deadband, Directional, He, Ideal, Kano, Stenman, Valve
+from workbench.model.valve import Valve
 from workbench.scenario import schema
 from workbench.scenario.controllers import Controllers, fitting_action, ruled, wrong_way
 from workbench.scenario.document import Path
@@ -27,6 +27,7 @@ from workbench.scenario.robust import RobustEntries, measured_in
 from workbench.scenario.rule_entries import DetunedIntegralRule, rule_of
 from workbench.scenario.series import in_samples, read_data, read_series
 from workbench.scenario.units import Quantity
+from workbench.scenario.valves import valve_of
 from workbench.simulate.signals import sample_count
 
 __all__ = ["MAX_SAMPLES", "Builder"]
@@ -162,7 +163,7 @@ class Builder:
 
     def _valve(self, loop: schema.Loop) -> Valve | None:
         v = loop.valve
-        return None if v is None else self.refusals.attempt(("loop", "valve"), lambda: _valve_of(v))
+        return None if v is None else self.refusals.attempt(("loop", "valve"), lambda: valve_of(v))
 
     def _loop(
         self,
@@ -483,21 +484,3 @@ def _common(objectives: list[Objective]) -> Objective | None:
 
 def _one_line(error: Exception) -> str:
     return " ".join(str(error).split())
-
-
-def _valve_of(v: schema.Valve) -> Valve:
-    match v:
-        case schema.StenmanValve():
-            return Stenman(v.d)
-        case schema.HeValve():
-            return He(v.fs, v.fd)
-        case schema.ChoudhuryValve():
-            return Choudhury(v.S, v.J)
-        case schema.KanoValve():
-            return Kano(v.S, v.J)
-        case schema.DeadbandValve():
-            return Deadband(v.b)
-        case schema.DirectionalValve():
-            return Directional(Choudhury(v.up.S, v.up.J), Choudhury(v.down.S, v.down.J))
-        case schema.IdealValve():
-            return Ideal()
