@@ -35,9 +35,13 @@ valves = st.one_of(
     st.builds(lambda S, share: wb.Kano(S, share * S), S=numbers(0.1, 6.0), share=numbers(0.0, 1.0)),
     st.builds(wb.Deadband, b=numbers(0.1, 5.0)),
     st.builds(
-        wb.Directional,
-        up=st.builds(wb.Choudhury, S=numbers(0.1, 6.0), J=numbers(0.0, 6.0)),
-        down=st.builds(wb.Choudhury, S=numbers(0.1, 6.0), J=numbers(0.0, 6.0)),
+        lambda S, share, S_down, share_down: wb.Directional(
+            wb.Choudhury(S, share * S), wb.Choudhury(S_down, share_down * S_down)
+        ),
+        S=numbers(0.1, 6.0),
+        share=numbers(0.0, 1.0),
+        S_down=numbers(0.1, 6.0),
+        share_down=numbers(0.0, 1.0),
     ),
 )
 plants = st.one_of(

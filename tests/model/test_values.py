@@ -31,6 +31,7 @@ NAN = math.nan
         (lambda: wb.Kano(1.0, NAN), "Kano.J", "finite"),
         (lambda: wb.Kano(1.0, 1.1), "Kano.J", "at most S"),
         (lambda: wb.Directional(wb.Choudhury(1.0, 1.0), wb.Stenman(1.0)), "Directional.down", "Choudhury"),
+        (lambda: wb.Directional(wb.Choudhury(1.0, 0.0), wb.Choudhury(0.5, 2.0)), "Directional.down", "at most 1.5 %"),
         (lambda: wb.PID(-1.0, 5.0), "PID.Kc", "direct"),
         (lambda: wb.PID(1.0, 0.0), "PID.Ti", "> 0"),
         (lambda: wb.PID(1.0, 5.0, -1.0), "PID.Td", ">= 0"),

@@ -109,6 +109,7 @@ def slow_loops(draw):
     K, theta = draw(numbers(0.2, 3.0)), draw(numbers(0.0, 20.0))
     plant = wb.Integrating(K / tau, theta) if integrating else wb.FOPDT(K, tau, theta)
     two_parameter = st.builds(wb.Choudhury, S=numbers(0.3, 6.0), J=numbers(0.0, 6.0))
+    less_jump = st.builds(lambda S, share: wb.Choudhury(S, share * S), S=numbers(0.3, 6.0), share=numbers(0.0, 1.0))
     valve = draw(
         st.one_of(
             st.builds(wb.Stenman, d=numbers(0.3, 4.0)),
@@ -116,7 +117,7 @@ def slow_loops(draw):
             two_parameter,
             st.builds(lambda S, share: wb.Kano(S, share * S), S=numbers(0.3, 6.0), share=numbers(0.0, 1.0)),
             st.builds(wb.Deadband, b=numbers(0.3, 5.0)),
-            st.builds(wb.Directional, up=two_parameter, down=two_parameter),
+            st.builds(wb.Directional, up=less_jump, down=less_jump),
         )
     )
     kind = draw(st.sampled_from(["none", "unfiltered", "filtered", "equal poles"]))

@@ -23,9 +23,8 @@ def test_dead_band_is_s_and_resolution_is_j(valve):
     found = wb.signature(valve)
     if isinstance(valve, wb.Directional):
         up, down = valve.up, valve.down
-        # The stem's distance behind the input one way, and the lead that it needs the other way; a jump beyond that
-        # leaves nothing to swallow.
-        bands = [max((a.S - a.J + b.S + b.J) / 2.0, 0.0) for a, b in ((up, down), (down, up))]
+        # The stem's distance behind the input one way, and the lead that it needs the other way.
+        bands = [(a.S - a.J + b.S + b.J) / 2.0 for a, b in ((up, down), (down, up))]
         assert reads(found, bands, (down.J, up.J))
     else:
         assert reads(found, (valve.stick_band,) * 2, (valve.slip_jump,) * 2)

@@ -108,11 +108,11 @@ def test_kanos_first_slip_needs_the_jump_upward_and_the_band_downward():
 @given(
     seed=st.integers(0, 10_000),
     S=st.tuples(numbers(0.1, 5.0), numbers(0.1, 5.0)),
-    J=st.tuples(numbers(0.0, 5.0), numbers(0.0, 5.0)),
+    share=st.tuples(numbers(0.0, 1.0), numbers(0.0, 1.0)),
 )
-def test_directional_law_with_equal_ways_and_seen_from_below(seed, S, J):
+def test_directional_law_with_equal_ways_and_seen_from_below(seed, S, share):
     op = outputs(seed)
-    up, down = wb.Choudhury(S[0], J[0]), wb.Choudhury(S[1], J[1])
+    up, down = wb.Choudhury(S[0], share[0] * S[0]), wb.Choudhury(S[1], share[1] * S[1])
     np.testing.assert_array_equal(valve_response(wb.Directional(up, up), op), valve_response(up, op))
     mirrored = -valve_response(wb.Directional(down, up), -op)
     np.testing.assert_array_equal(valve_response(wb.Directional(up, down), op), mirrored)

@@ -67,18 +67,9 @@ def directional_response(A: FloatArray, valve: Directional) -> ComplexArray:
     """
     up, down = valve.up, valve.down
     offsets = (up.stick_band - up.slip_jump + down.stick_band - down.slip_jump) / 2.0
-    top, bottom = _swallowed(valve)
-    # Where a long jump upward leaves the stem beyond the other way's band, the reversal swallows nothing.
-    halves = [two_parameter_response(A, S, S - offsets) for S in (top, bottom)]
-    N: ComplexArray = np.where(np.asarray(A) >= 0.5 * max(top, bottom), 0.5 * (halves[0] + halves[1]), 0.0)
+    halves = [two_parameter_response(A, S, S - offsets) for S in valve.swallowed]
+    N: ComplexArray = np.where(np.asarray(A) >= 0.5 * max(valve.swallowed), 0.5 * (halves[0] + halves[1]), 0.0)
     return N
-
-
-def _swallowed(valve: Directional) -> tuple[float, float]:
-    """The input change that the top and the bottom reversal swallow, %."""
-    up, down = valve.up, valve.down
-    top = (up.stick_band - up.slip_jump + down.stick_band + down.slip_jump) / 2.0
-    return max(top, 0.0), max(up.stick_band + down.stick_band - top, 0.0)
 
 
 def staircase_response(A: FloatArray, step: float, lag: float = 0.0, *, between: bool) -> ComplexArray:
@@ -119,7 +110,7 @@ def locus_pieces(valve: Valve) -> tuple[Piece, ...]:
         stairs = [_stairs_piece(J, lag, n, between) for between in (True, False) for n in range(1, STAIRS + 1)]
         return (*stairs, _dead_band_tail(S, lag + (STAIRS + 1.0) * J)) if lag > 0.0 else tuple(stairs)
     if isinstance(valve, Directional):
-        low = 0.5 * max(_swallowed(valve))
+        low = 0.5 * max(valve.swallowed)
         scale = max(S, valve.up.slip_jump, valve.down.slip_jump)
         return (_smooth_piece(low, scale, lambda A: directional_response(A, valve)),)
     if isinstance(valve, He | Choudhury | Kano | Deadband):

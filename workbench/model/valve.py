@@ -244,7 +244,8 @@ class Directional:
     the stem slips up where `u_k - x_{k-1} > (S + J)/2` of `up`, and down where `x_{k-1} - u_k > (S + J)/2` of `down`;
     moving, it follows `(S - J)/2` of that direction's pair behind u, until the input stands or turns. With equal pairs
     it is that valve. On reversal it swallows `(S_up - J_up)/2 + (S_down + J_down)/2` at the top and the mirrored sum at
-    the bottom. Raises `InvalidValue`.
+    the bottom. A jump so long that one of these is negative would carry the stem beyond what holds it there, and is
+    refused. Raises `InvalidValue`.
     """
 
     up: Choudhury | Deadband
@@ -253,6 +254,20 @@ class Directional:
     def __post_init__(self) -> None:
         instance(self.up, (Choudhury, Deadband), "Directional.up", "a Choudhury or a Deadband")
         instance(self.down, (Choudhury, Deadband), "Directional.down", "a Choudhury or a Deadband")
+        for name, swallowed in zip(("up", "down"), self.swallowed, strict=True):
+            if swallowed < 0.0:
+                most = 2.0 * swallowed + getattr(self, name).slip_jump
+                allowed = (
+                    f"must be at most {most:g} %: beyond that the friction of the other way does not hold the stem"
+                )
+                raise InvalidValue(f"Directional.{name}", f"slip jump {getattr(self, name).slip_jump:g} %", allowed)
+
+    @property
+    def swallowed(self) -> tuple[float, float]:
+        """The change of the input that the turn at the top, after a way up, and that at the bottom swallow, %."""
+        ways = ((self.up, self.down), (self.down, self.up))
+        top, bottom = ((a.stick_band - a.slip_jump) / 2.0 + b.hold for a, b in ways)
+        return top, bottom
 
     @property
     def stick_band(self) -> float:

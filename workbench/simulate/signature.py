@@ -20,20 +20,22 @@ __all__ = ["signature"]
 
 Levels = NDArray[np.int64]
 
-# In the largest of the valve's widths (stick band, jump, hold), or in % for a valve without friction: half the ramp,
-# and by default the widths in a step. Steps are held so long, in samples, that every stem comes to rest.
-REACH, STEPS_A_WIDTH, FEWEST, MOST, HELD = 4, 200, 5, 100_000, 4
+# In the largest of the valve's widths (stick band, jump, hold), or in % for a valve without friction: half the ramp.
+# Steps in a width and in a jump by default, and at most then; in a width at least and at most. Steps are held so long,
+# in samples, that every stem comes to rest.
+REACH, STEPS_A_WIDTH, STEPS_A_JUMP, FINEST, FEWEST, MOST, HELD = 4, 200, 20, 4000, 5, 100_000, 4
 
 
 def signature(valve: Valve, *, step: float | None = None) -> Signature:
     """Simulate a valve's signature: a slow ramp up, down and up again, and small steps up and down.
 
-    step: size of the ramp's and of the small steps, %; a 200th of the valve's largest width (stick band, jump, hold) by
-    default, and between a 5th and a 100,000th of it. The dead band is the largest change of the input after a turn that
-    did not move the stem, the resolution the largest one in the same direction, over small steps that are held until
-    the stem rests; true values lie at most a step above. Each turn is made where the stem has just moved, as
-    elsewhere a stem that moves in stairs may rest anywhere within its stair. By the laws the dead band is S and the
-    resolution J of every valve; `Directional` has its own pair for each way.
+    step: size of the ramp's and of the small steps, %, between a 5th and a 100,000th of the valve's largest width
+    (stick band, jump, hold); by default a 200th of it, or less, down to a 4,000th, for a 20th of the jump. The dead
+    band is the largest change of the input after a turn that did not move the stem, the resolution the largest one in
+    the same direction, over small steps that are held until the stem rests; true values lie at most a step above. Each
+    turn is made where the stem has just moved, as elsewhere a stem that moves in stairs may rest anywhere within its
+    stair. By the laws the dead band is S and the resolution J of every valve; `Directional` has its own pair for each
+    way.
 
     Terms and procedure follow ANSI/ISA-TR75.25.02-2000, "Control valve response measurement from step inputs"; the
     input is OP as the valve sees it, without positioner or transmitter. Raises `InvalidValue`.
@@ -41,7 +43,10 @@ def signature(valve: Valve, *, step: float | None = None) -> Signature:
     instance(valve, get_args(Valve), "signature.valve", "one of the valve types")
     ways = (valve.up, valve.down) if isinstance(valve, Directional) else (valve,)
     width = max(w for v in ways for w in (v.stick_band, v.slip_jump, v.hold)) or 1.0
-    size = width / STEPS_A_WIDTH if step is None else number(step, "signature.step", above=0.0, unit="%")
+    least = min((v.slip_jump for v in ways if v.slip_jump > 0.0), default=width)
+    size = max(width / FINEST, min(width / STEPS_A_WIDTH, least / STEPS_A_JUMP))
+    if step is not None:
+        size = number(step, "signature.step", above=0.0, unit="%")
     count = math.ceil(width / size - 1e-9)
     if not FEWEST <= count <= MOST:
         allowed = f"must lie between {width / MOST:g} and {width / FEWEST:g} % for this valve"
