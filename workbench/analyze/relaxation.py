@@ -4,7 +4,8 @@ Between two slips the stem rests, and only the integral of the error, and the ec
 and the proportional action, move OP. Both are known sums, and OP has to travel the stick band from slip to slip: that
 gives the period. The sums are those of the sampled loop, so that the figures need no fine sampling.
 
-Where it stops: a dead band alone (J = 0) has no jump, hence no two positions, and no such cycle. Where an echo crosses
+Where it stops: a dead band alone (J = 0) has no jump, hence no two positions, and no such cycle. Where friction differs
+by direction the moves up and down differ too, and the slips do not close to two positions. Where an echo crosses
 the stick band by itself (Kc K J/S near 1 and above) the describing function's domain begins. On an integrating plant
 cycles of two slips a half cycle, twice as wide, may exist beside the one described here, chosen by the start.
 """

@@ -238,7 +238,7 @@ class Deadband:
 
 @dataclass(frozen=True, slots=True)
 class Directional:
-    """Two-parameter stiction that differs by direction, as with a leaning stem, a worn seat or an uneven packing.
+    """Two-parameter stiction that differs by direction.
 
     up, down: the friction of each direction, as the `Choudhury` (or `Deadband`) valve that has it both ways. At rest
     the stem slips up where `u_k - x_{k-1} > (S + J)/2` of `up`, and down where `x_{k-1} - u_k > (S + J)/2` of `down`;
