@@ -30,8 +30,19 @@ def numbers(low: float, high: float) -> st.SearchStrategy[float]:
 valves = st.one_of(
     st.just(wb.Ideal()),
     st.builds(wb.Stenman, d=numbers(0.1, 4.0)),
+    st.builds(lambda fs, share: wb.He(fs, share * fs), fs=numbers(0.1, 4.0), share=numbers(0.0, 1.0)),
     st.builds(wb.Choudhury, S=numbers(0.1, 6.0), J=numbers(0.0, 6.0)),
+    st.builds(lambda S, share: wb.Kano(S, share * S), S=numbers(0.1, 6.0), share=numbers(0.0, 1.0)),
     st.builds(wb.Deadband, b=numbers(0.1, 5.0)),
+    st.builds(
+        lambda S, share, S_down, share_down: wb.Directional(
+            wb.Choudhury(S, share * S), wb.Choudhury(S_down, share_down * S_down)
+        ),
+        S=numbers(0.1, 6.0),
+        share=numbers(0.0, 1.0),
+        S_down=numbers(0.1, 6.0),
+        share_down=numbers(0.0, 1.0),
+    ),
 )
 plants = st.one_of(
     st.builds(wb.FOPDT, gain=numbers(0.2, 3.0), time_constant=numbers(1.0, 40.0), dead_time=numbers(0.0, 12.0)),
@@ -83,6 +94,7 @@ def independent_simulation(loop: wb.Loop, r: Any, load: Any, noise: Any, offset:
     integral = derivative = s_last = x = y = 0.0
     u_last = offset
     moving, direction = False, 0
+    stopped_at, came, stands = 0.0, 1, True  # Kano's u_s, d and stp
     v: list[float] = []
     out: dict[str, list[float]] = {"pv": [], "op": [], "valve": []}
 
@@ -117,15 +129,26 @@ def independent_simulation(loop: wb.Loop, r: Any, load: Any, noise: Any, offset:
             x = u
         elif isinstance(valve, wb.Stenman):
             x = x if abs(u - x) <= valve.d else u
+        elif isinstance(valve, wb.He):
+            x = x if abs(u - x) <= valve.fs else u - math.copysign(valve.fd, u - x)
+        elif isinstance(valve, wb.Kano):
+            if not stands and (u - u_last) * came <= 0:
+                stopped_at, stands = u_last, True
+            if stands and -came * (u - stopped_at) > valve.S:
+                came, stands = -came, False
+            elif stands and came * (u - stopped_at) > valve.J:
+                stands = False
+            x = x if stands else u - came * ((valve.S - valve.J) / 2)
         else:
-            S, J = (valve.b, 0.0) if isinstance(valve, wb.Deadband) else (valve.S, valve.J)
-            if moving and (u - u_last) * direction > 0:
-                x = u - direction * ((S - J) / 2)
-            else:
+            ways = (valve.up, valve.down) if isinstance(valve, wb.Directional) else (valve, valve)
+            up, down = ((law.b, 0.0) if isinstance(law, wb.Deadband) else (law.S, law.J) for law in ways)
+            if not (moving and (u - u_last) * direction > 0):
+                direction = 1 if u > x else -1
+                S, J = up if direction > 0 else down
                 moving = abs(u - x) > (S + J) / 2
-                if moving:
-                    direction = 1 if u > x else -1
-                    x = u - direction * ((S - J) / 2)
+            if moving:
+                S, J = up if direction > 0 else down
+                x = u - direction * ((S - J) / 2)
         u_last = u
         v.append(x + load[k])
         out["pv"].append(measured)

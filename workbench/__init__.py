@@ -23,8 +23,11 @@ _HOME = {
     "Integrating": "model.plant",
     "Ideal": "model.valve",
     "Stenman": "model.valve",
+    "He": "model.valve",
     "Choudhury": "model.valve",
+    "Kano": "model.valve",
     "Deadband": "model.valve",
+    "Directional": "model.valve",
     "PID": "model.controller",
     "Loop": "model.loop",
     "Step": "model.experiment",
@@ -48,6 +51,7 @@ _HOME = {
     "simulate": "simulate.run",
     "simulate_batch": "simulate.run",
     "evaluate": "simulate.run",
+    "signature": "simulate.signature",
     "read_record": "record.reader",
     "detect": "detect.detect",
     "estimate": "estimate.estimate",
@@ -75,11 +79,14 @@ __all__ = [
     "Deadband",
     "Detection",
     "DetunedIntegral",
+    "Directional",
     "Ensemble",
     "Experiment",
+    "He",
     "Ideal",
     "Integrating",
     "InvalidValue",
+    "Kano",
     "Lambda",
     "Loop",
     "NoCrossing",
@@ -113,6 +120,7 @@ __all__ = [
     "plot",
     "read_record",
     "run_scenario",
+    "signature",
     "simulate",
     "simulate_batch",
     "tune",
@@ -165,12 +173,13 @@ if TYPE_CHECKING:
     from workbench.model.results import SolveStatus
     from workbench.model.rule import Amigo, DetunedIntegral, Lambda, NoCrossing, Simc, ZieglerNichols
     from workbench.model.tuning import Bounds, Objective
-    from workbench.model.valve import Choudhury, Deadband, Ideal, Stenman
+    from workbench.model.valve import Choudhury, Deadband, Directional, He, Ideal, Kano, Stenman
     from workbench.record.reader import read_record
     from workbench.report.plot import plot
     from workbench.scenario.loader import load_scenario
     from workbench.scenario.runner import run_scenario
     from workbench.simulate.run import evaluate, simulate, simulate_batch
+    from workbench.simulate.signature import signature
     from workbench.tune.ensemble import assess
     from workbench.tune.front import pareto_front
     from workbench.tune.repair import value_of_repair

@@ -121,3 +121,22 @@ def test_exact_cycles_follow_the_closed_form_at_their_own_split(loop: wb.Loop) -
     assert exact.waveform.time[-1] == pytest.approx(closed.period, rel=0.07)
     assert high - low == pytest.approx(closed.stem_move, rel=0.1)
     assert exact.pv_peak_to_peak == pytest.approx(closed.pv_peak_to_peak, rel=0.07)
+
+
+@pytest.mark.parametrize(("plant", "Ti"), [(wb.FOPDT(1.0, 8.0, 2.0), 300.0), (wb.Integrating(0.02, 2.0), 2000.0)])
+def test_hes_stem_sticks_at_once_but_has_a_wider_band(plant: wb.FOPDT | wb.Integrating, Ti: float) -> None:
+    loop = wb.Loop(plant, wb.He(2.0, 1.0), wb.PID(0.8, Ti), 1.0)
+    starts = [start for start in wb.limit_cycle(loop).starts if start.waveform is not None]
+    assert starts
+    for start in starts:
+        x = start.waveform.valve
+        split = float((x[:-1].mean() - x.min()) / (x.max() - x.min()))
+        closed = relaxation_cycle(loop, split)
+        assert closed is not None
+        assert start.period == pytest.approx(closed.period, rel=0.02)
+        assert start.pv_peak_to_peak == pytest.approx(closed.pv_peak_to_peak, rel=0.02)
+
+
+def test_unlike_directions_have_no_closed_form() -> None:
+    ways = wb.Directional(wb.Choudhury(2.0, 1.0), wb.Choudhury(2.0, 1.5))
+    assert relaxation_cycle(replace(paper_loop(0.5, 20.0), valve=ways)) is None

@@ -26,6 +26,12 @@ NAN = math.nan
         (lambda: wb.Stenman(-1.0), "Stenman.d", ">= 0"),
         (lambda: wb.Choudhury(1.0, -0.1), "Choudhury.J", ">= 0"),
         (lambda: wb.Deadband(NAN), "Deadband.b", "finite"),
+        (lambda: wb.He(-1.0, 0.0), "He.fs", ">= 0"),
+        (lambda: wb.He(1.0, 1.1), "He.fd", "at most fs"),
+        (lambda: wb.Kano(1.0, NAN), "Kano.J", "finite"),
+        (lambda: wb.Kano(1.0, 1.1), "Kano.J", "at most S"),
+        (lambda: wb.Directional(wb.Choudhury(1.0, 1.0), wb.Stenman(1.0)), "Directional.down", "Choudhury"),
+        (lambda: wb.Directional(wb.Choudhury(1.0, 0.0), wb.Choudhury(0.5, 2.0)), "Directional.down", "at most 1.5 %"),
         (lambda: wb.PID(-1.0, 5.0), "PID.Kc", "direct"),
         (lambda: wb.PID(1.0, 0.0), "PID.Ti", "> 0"),
         (lambda: wb.PID(1.0, 5.0, -1.0), "PID.Td", ">= 0"),
@@ -109,6 +115,9 @@ def test_valves_know_band_jump_and_hold():
         (wb.Stenman(2.0), (2.0, 2.0, 2.0)),
         (wb.Choudhury(5.0, 1.0), (5.0, 1.0, 3.0)),
         (wb.Deadband(3.0), (3.0, 0.0, 1.5)),
+        (wb.He(4.0, 1.0), (5.0, 3.0, 4.0)),
+        (wb.Kano(5.0, 1.0), (5.0, 1.0, 1.0)),
+        (wb.Directional(wb.Choudhury(5.0, 1.0), wb.Deadband(3.0)), (4.0, 0.0, 1.5)),
     ]:
         assert (valve.stick_band, valve.slip_jump, valve.hold) == figures
 

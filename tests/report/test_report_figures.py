@@ -19,11 +19,12 @@ from workbench.errors import InvalidValue, OutputError
 from workbench.model.record import Record
 from workbench.model.results import FittedModel
 from workbench.model.study import CaseResult, Study
-from workbench.model.valve import Ideal
+from workbench.model.valve import Choudhury, Directional, Ideal
 from workbench.report import draw, figures
 from workbench.report.plot import plot
 from workbench.report.style import CASES, svg_text
 from workbench.report.words import figure
+from workbench.simulate.signature import signature
 
 Make = Callable[..., Any]
 
@@ -264,3 +265,16 @@ def test_a_record_without_setpoint() -> None:
     above, _ = plot(Record(pv=np.arange(5.0), op=np.ones(5), sample_time=2.0))
     assert set(lines(above)) == {"PV"}
     assert list(lines(above)["PV"][0]) == [0.0, 2.0, 4.0, 6.0, 8.0]
+
+
+def test_plot_draws_a_signature() -> None:
+    found = signature(Choudhury(3.0, 1.0))
+    ramp, steps = plot(found)
+    assert [line.get_label() for line in ramp.get_lines()] == ["no friction", "stem"]
+    assert "dead band 3 %" in ramp.texts[0].get_text()
+    assert "resolution 0.99 %" in steps.texts[0].get_text()
+    np.testing.assert_array_equal(steps.get_lines()[1].get_ydata(), found.steps_op)
+    unlike = signature(Directional(Choudhury(4.0, 1.0), Choudhury(3.0, 2.0)))
+    single = Figure().subplots()
+    assert plot(unlike, single) is single
+    assert "3 % up, 4 % down" in single.texts[0].get_text()

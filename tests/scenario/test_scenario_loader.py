@@ -13,7 +13,7 @@ from workbench.model.controller import PID
 from workbench.model.experiment import Noise, Ramp, Series, Step
 from workbench.model.plant import FOPDT, Integrating
 from workbench.model.tuning import Bounds, Objective
-from workbench.model.valve import Choudhury, Stenman
+from workbench.model.valve import Choudhury, Directional, He, Kano, Stenman, Valve
 from workbench.scenario.loader import load_scenario, read_scenario
 from workbench.scenario.plan import Scenario
 
@@ -57,6 +57,23 @@ def test_a_scenario_becomes_the_models_values() -> None:
     assert plan.objective is None
     assert (plan.describing_function, plan.limit_cycle) == (True, True)
     assert plan.text == GOOD
+
+
+@pytest.mark.parametrize(
+    ("text", "valve"),
+    [
+        ("{type: he, fs: 13.07 %, fd: 12.19}", He(13.07, 12.19)),
+        ("{type: kano, S: 3, J: 1 %}", Kano(3.0, 1.0)),
+        (
+            "{type: directional, up: {S: 4, J: 1}, down: {S: 3 %, J: 2}}",
+            Directional(Choudhury(4.0, 1.0), Choudhury(3.0, 2.0)),
+        ),
+    ],
+)
+def test_every_valve_can_be_written(text: str, valve: Valve) -> None:
+    loop = read(GOOD.replace("{type: stenman, d: 2.0}", text)).loop
+    assert loop is not None
+    assert loop.valve == valve
 
 
 def test_units_of_control_systems_become_ours() -> None:
@@ -332,6 +349,8 @@ BAD: list[tuple[str, str, str, str]] = [
     ("dead_time: 1 s", "dead_time: §1 d", "loop.plant.dead_time", "at most the experiment's duration (100 s)"),
     ("d: 2.0", "d: §-2.0", "loop.valve.d", "-2.0 given; must be >= 0"),
     ("d: 2.0", "d: §2 s", "loop.valve.d", "2 s given"),
+    ("{type: stenman, d: 2.0}", "{type: he, fs: 1, fd: §2}", "loop.valve.fd", "2 % given; must be at most fs (1 %)"),
+    ("{type: stenman, d: 2.0}", "{type: kano, S: 1, J: §2}", "loop.valve.J", "2 % given; must be at most S (1 %)"),
     ("d: 2.0", "d: §{x: 1}", "loop.valve.d", "a mapping given"),
     ("derivative_filter: none", "derivative_filter: §0", "loop.controller.derivative_filter", "must be above 0"),
     ("derivative_filter: none", "output_limits: §[5, 9]", "loop.controller.output_limits", "must enclose 0"),

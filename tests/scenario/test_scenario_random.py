@@ -44,7 +44,10 @@ def scenarios(draw: st.DrawFn) -> dict[str, object]:
             [
                 {"type": "ideal"},
                 {"type": "stenman", "d": draw(finite)},
+                {"type": "he", "fs": 2.0, "fd": "0.7 %"},
                 {"type": "choudhury", "S": f"{draw(finite)} %", "J": draw(finite)},
+                {"type": "kano", "S": 3.0, "J": 1.0},
+                {"type": "directional", "up": {"S": draw(finite), "J": 0.0}, "down": {"S": "2 %", "J": 0.5}},
                 {"type": "deadband", "b": draw(finite)},
             ]
         )

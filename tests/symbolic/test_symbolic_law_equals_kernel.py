@@ -9,10 +9,11 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
+from workbench.errors import InvalidValue
 from workbench.model.controller import PID
 from workbench.model.loop import Loop
 from workbench.model.plant import FOPDT, Integrating
-from workbench.model.valve import Choudhury, Deadband, Ideal, Stenman
+from workbench.model.valve import Choudhury, Deadband, Directional, He, Ideal, Kano, Stenman
 from workbench.simulate import kernel
 from workbench.simulate.coefficients import coefficients
 from workbench.simulate.run import rest
@@ -39,6 +40,7 @@ def real(low: float, high: float) -> st.SearchStrategy[float]:
 valves = st.one_of(
     st.just(Ideal()),
     st.builds(Stenman, d=real(0.0, 4.0)),
+    st.builds(lambda fs, share: He(fs, share * fs), fs=real(0.0, 4.0), share=real(0.0, 1.0)),
     st.builds(Choudhury, S=real(0.0, 4.0), J=real(0.0, 5.0)),
     st.builds(Deadband, b=real(0.0, 4.0)),
 )
@@ -178,3 +180,9 @@ def test_a_given_decision_that_the_law_would_not_take_is_obeyed() -> None:
     _, _, _, moved, _ = given_function(shape)(state, past, c, 4.0, 0.0, 0.0, 1, 0, 0)
     assert float(u) == pytest.approx(4.4)
     assert (float(stuck), float(moved)) == (0.0, float(u))
+
+
+@pytest.mark.parametrize("valve", [Kano(2.0, 1.0), Directional(Choudhury(2.0, 1.0), Choudhury(3.0, 1.0))])
+def test_a_law_that_is_not_written_here_is_refused(valve: Kano | Directional) -> None:
+    with pytest.raises(InvalidValue, match="no symbolic form"):
+        shape_of(Loop(FOPDT(1.0, 5.0, 1.0), valve, PID(1.0, 10.0), 1.0))

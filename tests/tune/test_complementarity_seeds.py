@@ -68,4 +68,6 @@ def test_what_it_is_not_made_for_is_refused() -> None:
         seeds(paper(501), STARTS[:1], 15.0)
     with pytest.raises(InvalidValue, match="Stenman"):
         seeds(paper(60, wb.Choudhury(S=2.0, J=1.0)), STARTS[:1], 15.0)
+    with pytest.raises(InvalidValue, match="Stenman"):
+        seeds(paper(60, wb.He(2.0, 0.5)), STARTS[:1], 15.0)
     assert Decisions.from_branch(path(paper(60), STARTS[0]).branch).motion.any()

@@ -51,7 +51,18 @@ def test_fewer_draws_are_the_first_and_seeds_differ(many):
     assert set(draws(LOOP, replace(READY, draws=7, seed=1))).isdisjoint(many)
 
 
-@pytest.mark.parametrize("valve", [wb.Stenman(2.0), wb.Choudhury(S=3.0, J=1.0), wb.Deadband(1.0), wb.Ideal()])
+@pytest.mark.parametrize(
+    "valve",
+    [
+        wb.Stenman(2.0),
+        wb.Choudhury(S=3.0, J=1.0),
+        wb.Deadband(1.0),
+        wb.Ideal(),
+        wb.He(2.0, 1.0),
+        wb.Kano(3.0, 1.0),
+        wb.Directional(wb.Choudhury(3.0, 1.0), wb.Deadband(2.0)),
+    ],
+)
 @pytest.mark.parametrize("plant", [wb.FOPDT(1.0, 5.0, 1.0), wb.Integrating(0.05, 2.0)])
 def test_figures_are_those_of_ordinary_runs(valve, plant):
     loop = replace(LOOP, valve=valve, plant=plant)

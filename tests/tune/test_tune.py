@@ -125,6 +125,7 @@ def test_all_fixed_is_an_evaluation() -> None:
     ("valve", "plant", "controller"),
     [
         (wb.Choudhury(S=2.0, J=0.8), PAPER_PLANT, {"derivative_on": "pv"}),
+        (wb.He(fs=1.5, fd=0.6), PAPER_PLANT, {}),
         (wb.Deadband(b=1.0), PAPER_PLANT, {}),
         (wb.Ideal(), PAPER_PLANT, {}),
         (wb.Stenman(1.0), wb.Integrating(gain=0.1, dead_time=1.5), {"Ti": 40.0}),
@@ -133,7 +134,17 @@ def test_all_fixed_is_an_evaluation() -> None:
         (wb.Stenman(1.0), PAPER_PLANT, {"output_limits": (-2.0, 5.0)}),
         (wb.Stenman(1.0), PAPER_PLANT, {"output_limits": (-2.0, 5.0), "anti_windup": "back_calculation"}),
     ],
-    ids=["Choudhury", "Deadband", "Ideal", "integrating", "series, direct", "parallel", "clamp", "back-calculation"],
+    ids=[
+        "Choudhury",
+        "He",
+        "Deadband",
+        "Ideal",
+        "integrating",
+        "series, direct",
+        "parallel",
+        "clamp",
+        "back-calculation",
+    ],
 )
 def test_every_kind_of_loop(valve, plant, controller) -> None:
     pid = wb.PID(**{"Kc": 0.5, "Ti": 20.0, "Td": 0.0, **controller})
@@ -158,6 +169,17 @@ def test_every_kind_of_loop(valve, plant, controller) -> None:
     problem = Problem(loop, experiment, objective, wb.Bounds(), 4, 0.001)
     best = random[np.argsort(costs)[:20]]
     assert tuned.worst <= 1.002 * problem.worst_below(best, np.full(20, np.inf), dense=True).min()
+
+
+@pytest.mark.parametrize("valve", [wb.Kano(2.0, 0.8), wb.Directional(wb.Choudhury(2.0, 0.8), wb.Choudhury(3.0, 1.0))])
+def test_a_valve_without_branch_programs_is_tuned_by_direct_search(valve) -> None:
+    loop = wb.Loop(PAPER_PLANT, valve, wb.PID(0.5, 20.0), sample_time=1.0)
+    tuned = wb.tune(loop, paper_step(120.0), bounds=wb.Bounds(Td=(0.0, 0.0)), restarts=2)
+    assert tuned.status is wb.SolveStatus.SOLVED
+    assert tuned.solves == 0
+    assert f"do not know the valve {type(valve).__name__}" in tuned.message
+    assert tuned.objective == exact(tuned) < tuned.start_objective
+    assert 0.0 < tuned.guard_margin < math.inf
 
 
 @settings(deadline=None, max_examples=5)

@@ -31,9 +31,9 @@ def describing_function(loop: Loop, *, sampling_delay: bool = False) -> Describi
     continuous unless `sampling_delay`, which takes the sampled loop's own response, hold included. Output limits, noise
     and load are left out, and the method is an approximation: the exact verdict is `limit_cycle`'s.
 
-    Stenman's locus has several pieces (two families of staircases, see `valve_loci.stenman_response`), whose first
-    indices are in `breaks`; a valve without friction has the single point -1, and cycles in a linear loop are none of
-    this method's business. Raises `InvalidValue` where the controller has no ideal equivalent.
+    Stenman's and He's loci have several pieces (two families of staircases, see `valve_loci.staircase_response`), whose
+    first indices are in `breaks`; a valve without friction has the single point -1, and cycles in a linear loop are
+    none of this method's business. Raises `InvalidValue` where the controller has no ideal equivalent.
     """
     instance(loop, Loop, "loop", "a Loop")
     stable = linear_stable(loop)

@@ -19,7 +19,6 @@ from workbench.model.loop import Loop
 from workbench.model.plant import FOPDT
 from workbench.model.record import FloatArray
 from workbench.model.results import LimitCycleStart
-from workbench.model.valve import Stenman
 from workbench.simulate import kernel
 from workbench.simulate.coefficients import coefficients
 from workbench.simulate.run import rest
@@ -188,7 +187,7 @@ class _Follower:
     def _follows(self) -> bool:
         """Whether the stem sticks, but once moving follows OP: two-parameter valves and dead band."""
         valve = self.loop.valve
-        return not isinstance(valve, Stenman) and valve.stick_band + valve.slip_jump > 0.0
+        return not valve.sticks_at_once and valve.stick_band + valve.slip_jump > 0.0
 
     def _resting(self, error: float, cause: str) -> str:
         if abs(error) <= 10.0 * STILL * self.scale.pv:
@@ -289,7 +288,7 @@ def _spent(run: _Follower, start: Start) -> LimitCycleStart:
     """The verdict at the end of the budget: a slow slide, few slow cycles, a drifting or irregular one, or none."""
     run.look(LONGEST_CHUNK)
     # A stem at rest under a constant error is pushed on by the integral action: only a moving one creeps.
-    creeps = bool(np.ptp(run.x[run.x.size // 2 :]) > 0.0) and not isinstance(run.loop.valve, Stenman)
+    creeps = bool(np.ptp(run.x[run.x.size // 2 :]) > 0.0) and not run.loop.valve.sticks_at_once
     if creeps and float(np.abs(run.r - run.y).max()) <= CREPT * run.scale.pv:
         reason = f"PV creeps onto the setpoint (within {CREPT:g} of the stick band by now)"
         return _no_cycle(run, start, "settles", reason)

@@ -4,7 +4,8 @@ Between two slips the stem rests, and only the integral of the error, and the ec
 and the proportional action, move OP. Both are known sums, and OP has to travel the stick band from slip to slip: that
 gives the period. The sums are those of the sampled loop, so that the figures need no fine sampling.
 
-Where it stops: a dead band alone (J = 0) has no jump, hence no two positions, and no such cycle. Where an echo crosses
+Where it stops: a dead band alone (J = 0) has no jump, hence no two positions, and no such cycle. Where friction differs
+by direction the moves up and down differ too, and the slips do not close to two positions. Where an echo crosses
 the stick band by itself (Kc K J/S near 1 and above) the describing function's domain begins. On an integrating plant
 cycles of two slips a half cycle, twice as wide, may exist beside the one described here, chosen by the start.
 """
@@ -20,7 +21,7 @@ from workbench.model.analyses import RelaxationCycle
 from workbench.model.controller import IdealTerms
 from workbench.model.loop import Loop
 from workbench.model.plant import FOPDT
-from workbench.model.valve import Stenman
+from workbench.model.valve import Directional
 from workbench.simulate.coefficients import discretise
 
 __all__ = ["relaxation_condition", "relaxation_cycle", "relaxation_period"]
@@ -64,11 +65,11 @@ def relaxation_cycle(loop: Loop, split: float = 0.5) -> RelaxationCycle | None:
     `(K M)^2 [a(1-a) - (tau/T)(1 - e^(-aT/tau))(1 - e^(-(1-a)T/tau))/(1 - e^(-T/tau))]`. At rest the error is a K M on
     one side and (1 - a) K M on the other; the integral has to move OP by the stick band less the echo Kc K M, and the
     lag L holds the old error that much longer: `L = Ts (m + b/(1 - a_p))`, b the share of a step that PV still lacks m
-    + 1 samples later: tau + theta - Ts/2 nearly. Stenman: M = S = J = d. A two-parameter stem moves on with OP until PV
-    answers, m samples later: `M = J/(1 - Kc Ts K (m + 1/2)/(2 Ti))`, OP's way to the next slip is shorter by that, and
-    the split is driven to 1/2, as only there both moves are equal. The derivative is at rest at every slip. Conditions:
-    Ti > tau + theta; the echo, the derivative's kick included, at most 0.9 S; half cycles of at least 4 tau + theta; M
-    <= 2 J.
+    + 1 samples later: tau + theta - Ts/2 nearly. Stenman, He: M = J, as they stick at once. A two-parameter stem moves
+    on with OP until PV answers, m samples later: `M = J/(1 - Kc Ts K (m + 1/2)/(2 Ti))`, OP's way to the next slip is
+    shorter by that, and the split is driven to 1/2, as only there both moves are equal. The derivative is at rest at
+    every slip. Conditions: Ti > tau + theta; the echo, the derivative's kick included, at most 0.9 S; half cycles of at
+    least 4 tau + theta; M <= 2 J.
 
     Integrating plant, PI or PID: PV is a triangle, as wide as `Y = [S + kp K M theta - (Kc/Ti) K M theta^2/2 - Kc Td
     K M]/(kp - Kc theta/Ti)`, kp = Kc (1 + Ts/(2 Ti)), `T = Y/(K M a (1 - a))`, mean square error Y^2/12: no Ti in it,
@@ -88,6 +89,8 @@ def relaxation_cycle(loop: Loop, split: float = 0.5) -> RelaxationCycle | None:
     gain = loop.controller.signed_gain * terms.Kc * loop.plant.gain
     if valve.stick_band <= 0.0 or valve.slip_jump <= 0.0 or gain <= 0.0 or math.isinf(terms.Ti):
         return None
+    if isinstance(valve, Directional):
+        return None
     if isinstance(loop.plant, FOPDT):
         return _self_regulating(loop, loop.plant, terms, split)
     return _integrating(loop, terms, split)
@@ -100,13 +103,13 @@ def _self_regulating(loop: Loop, plant: FOPDT, terms: IdealTerms, split: float) 
     ki, m = terms.Kc * Ts / terms.Ti, step.delay
     lag = m + (step.pole + step.c1) / (1.0 - step.pole)
     # OP's step beyond the band at a slip is half of ki K M/2 in the mean over both sides, whatever the split.
-    sticks_at_once = isinstance(loop.valve, Stenman)
+    sticks_at_once = loop.valve.sticks_at_once
     own = 1.0 - ki * K / 2.0 * (0.5 if sticks_at_once else m + 0.5)
     if own < OWN:
         return None
     M = J / own
     if sticks_at_once:
-        S, way, lag_more = M, 0.0, 0.0
+        S, way, lag_more = M + (S - J), 0.0, 0.0
     else:
         way = (m - 0.5) * ki * K * M / 2.0
         lag_more = m * ki * K / 2.0 * (m + 1) / 2.0
@@ -136,7 +139,7 @@ def _integrating(loop: Loop, terms: IdealTerms, split: float) -> RelaxationCycle
     S, J, K, theta = loop.valve.stick_band, loop.valve.slip_jump, abs(loop.plant.gain), loop.plant.dead_time
     Kc, Ti = terms.Kc, terms.Ti
     kp = Kc * (1.0 + loop.sample_time / (2.0 * Ti))
-    moves_on = not isinstance(loop.valve, Stenman)
+    moves_on = not loop.valve.sticks_at_once
     if terms.Td > (0.0 if moves_on else theta):
         return None
     M, Y, more, beyond = J, 0.0, 0.0, 0.0

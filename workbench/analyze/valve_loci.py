@@ -14,14 +14,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workbench.model.record import FloatArray
-from workbench.model.valve import Choudhury, Deadband, Stenman, Valve
+from workbench.model.valve import Choudhury, Deadband, Directional, He, Kano, Stenman, Valve
 
-__all__ = ["Piece", "locus_pieces", "stenman_response", "two_parameter_response"]
+__all__ = ["Piece", "directional_response", "locus_pieces", "staircase_response", "two_parameter_response"]
 
 ComplexArray = NDArray[np.complex128]
 
-# A staircase's ripple about -1 has fallen below a tenth at this many stick bands.
-STENMAN_BANDS = 20
+# Stairs above the mean up to which a staircase's locus is drawn stair by stair: its ripple about -1 (He: about the
+# dead band's locus) has then fallen below a tenth (about a hundredth).
+STAIRS = 20
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,61 +57,89 @@ def two_parameter_response(A: FloatArray, S: float, J: float) -> ComplexArray:
     return N
 
 
-def stenman_response(A: FloatArray, d: float, *, between: bool) -> ComplexArray:
-    """Return N(A), shape (M,), of the one-parameter valve by the exact integrals of its staircase; 0 where it rests.
+def directional_response(A: FloatArray, valve: Directional) -> ComplexArray:
+    """Return N(A), shape (M,), of a stem whose friction differs by direction; 0 where A (%) moves it one way only.
 
-    In continuous time a slip happens at `|u - x| = d` and lands on u, so that the stem keeps to stairs d apart. Which
-    stairs depends on the start; two of the answers have no mean: stairs at 0, +-d, .. (`between` false: the answer from
-    rest; it moves from A = d on) and at +-d/2, +-3d/2, .. (`between` true: the input's mean lies between two stairs, as
-    a loop with integral action settles it; from A = d/2 on). With v over all stairs but the lowest, each crossed upward
-    at u = v and, mirrored, downward: `N A = (2d/pi) sum_v [sqrt(1 - (v/A)^2) - j v/A]`.
+    It follows o_u behind u upward and o_d downward (`(S - J)/2` of each way), and slips at leads b_u and b_d
+    (`(S + J)/2`); the top reversal swallows `S_t = o_u + b_d`, the bottom one `S_b = o_d + b_u`. But for a constant,
+    each half of its answer is that of a symmetric stem with the offset `(o_u + o_d)/2`, so that N is the mean of the
+    closed forms for S_t and S_b with that offset. Moves from `A = max(S_t, S_b)/2` on.
+    """
+    up, down = valve.up, valve.down
+    offsets = (up.stick_band - up.slip_jump + down.stick_band - down.slip_jump) / 2.0
+    halves = [two_parameter_response(A, S, S - offsets) for S in valve.swallowed]
+    N: ComplexArray = np.where(np.asarray(A) >= 0.5 * max(valve.swallowed), 0.5 * (halves[0] + halves[1]), 0.0)
+    return N
+
+
+def staircase_response(A: FloatArray, step: float, lag: float = 0.0, *, between: bool) -> ComplexArray:
+    """Return N(A), shape (M,), of a stem that sticks at once, by the exact integrals of its staircase; 0 at rest.
+
+    step, lag: %; Stenman's d and 0, He's fs - fd and fd. In continuous time a slip happens at `|u - x| = step + lag`
+    and lands `lag` behind u, so that the stem keeps to stairs one step apart. Which stairs depends on the start; two of
+    the answers have no mean: stairs at 0, +-step, .. (`between` false: the answer from rest; it moves from A = step +
+    lag on) and at +-step/2, +-3step/2, .. (`between` true: the input's mean lies between two stairs, as a loop with
+    integral action settles it; from A = step/2 + lag on). With v over all stairs but the lowest, each reached upward at
+    u = v + lag and, mirrored, downward: `N A = (2 step/pi) sum_v [sqrt(1 - c^2) - j c]`, `c = (v + lag)/A`.
     """
     A = np.asarray(A, dtype=np.float64)
     half = 0.5 if between else 0.0
-    top = np.floor(A / d + half).astype(np.int64)  # stairs above the mean
+    top = np.floor((A - lag) / step + half).astype(np.int64)  # stairs above the mean
     N = np.zeros(A.shape, np.complex128)
     for n in np.unique(top[top > 0]).tolist():
-        v = d * (np.arange(-n + (2 if between else 1), n + 1) - half)
+        v = step * (np.arange(-n + (2 if between else 1), n + 1) - half) + lag
         a = A[top == n]
         ratio = np.minimum(v / a[:, None], 1.0)
-        N[top == n] = 2.0 * d / (math.pi * a) * (np.sqrt(1.0 - ratio**2) - 1j * ratio).sum(axis=1)
+        N[top == n] = 2.0 * step / (math.pi * a) * (np.sqrt(1.0 - ratio**2) - 1j * ratio).sum(axis=1)
     return N
 
 
 def locus_pieces(valve: Valve) -> tuple[Piece, ...]:
     """Return the continuous pieces of a valve's locus -1/N(A), none for a valve without friction.
 
-    Two-parameter valve and dead band: one piece, from A = S/2 (just above it where J = 0, as the locus is infinite
-    there) to 10,000 S. Stenman: the stairs either side of the mean first, then those with one at the mean (see
-    `stenman_response`), each cut where A reaches another stair, up to 20 d.
+    Two-parameter valves and dead band: one piece, from A = S/2 (just above it where J = 0, as the locus is infinite
+    there) to 10,000 S. Stenman and He: the stairs either side of the mean first, then those with one at the mean (see
+    `staircase_response`), each cut where A reaches another stair, up to 20 stairs; He's then goes on, to 10,000 S, as
+    the locus of a dead band of S, about which its stairs ripple.
     """
-    if isinstance(valve, Stenman):
-        if valve.d == 0.0:
-            return ()
-        return tuple(
-            _stenman_piece(valve.d, n, between) for between in (True, False) for n in range(1, STENMAN_BANDS + 1)
-        )
-    if isinstance(valve, Choudhury | Deadband):
-        S, J = valve.stick_band, valve.slip_jump
-        return () if S == 0.0 and J == 0.0 else (_two_parameter_piece(S, J),)
+    S, J = valve.stick_band, valve.slip_jump
+    if S == 0.0 and J == 0.0:
+        return ()
+    if isinstance(valve, Stenman | He) and J > 0.0:
+        lag = valve.fd if isinstance(valve, He) else 0.0
+        stairs = [_stairs_piece(J, lag, n, between) for between in (True, False) for n in range(1, STAIRS + 1)]
+        return (*stairs, _dead_band_tail(S, lag + (STAIRS + 1.0) * J)) if lag > 0.0 else tuple(stairs)
+    if isinstance(valve, Directional):
+        low = 0.5 * max(valve.swallowed)
+        scale = max(S, valve.up.slip_jump, valve.down.slip_jump)
+        return (_smooth_piece(low, scale, lambda A: directional_response(A, valve)),)
+    if isinstance(valve, He | Choudhury | Kano | Deadband):
+        return (_smooth_piece(0.5 * S, max(S, J), lambda A: two_parameter_response(A, S, J)),)
     return ()
 
 
-def _two_parameter_piece(S: float, J: float) -> Piece:
-    scale = max(S, J)
+def _smooth_piece(start: float, scale: float, N: Callable[[FloatArray], ComplexArray]) -> Piece:
     low, decades = 1e-7, 11.0
 
     def amplitude(t: FloatArray) -> FloatArray:
-        grown: FloatArray = 0.5 * S + scale * low * 10.0 ** (decades * np.asarray(t, dtype=np.float64))
+        grown: FloatArray = start + scale * low * 10.0 ** (decades * np.asarray(t, dtype=np.float64))
         return grown
 
-    return Piece(amplitude, lambda A: two_parameter_response(A, S, J), np.linspace(0.0, 1.0, 600))
+    return Piece(amplitude, N, np.linspace(0.0, 1.0, 600))
 
 
-def _stenman_piece(d: float, n: int, between: bool) -> Piece:
-    start = d * (n - 0.5) if between else d * n
+def _dead_band_tail(S: float, start: float) -> Piece:
+    def amplitude(t: FloatArray) -> FloatArray:
+        grown: FloatArray = start * (1e4 * S / start) ** np.asarray(t, dtype=np.float64)
+        return grown
+
+    return Piece(amplitude, lambda A: two_parameter_response(A, S, 0.0), np.linspace(0.0, 1.0, 300))
+
+
+def _stairs_piece(step: float, lag: float, n: int, between: bool) -> Piece:
+    start = lag + (step * (n - 0.5) if between else step * n)
     # Just short of the next stair, and (by t squared) dense where the newest stair's root begins.
-    length = d * (1.0 - 1e-9)
+    length = step * (1.0 - 1e-9)
 
     def amplitude(t: FloatArray) -> FloatArray:
         t = np.asarray(t, dtype=np.float64)
@@ -119,6 +148,6 @@ def _stenman_piece(d: float, n: int, between: bool) -> Piece:
 
     def N(A: FloatArray) -> ComplexArray:
         inside = np.clip(A, start * (1.0 + 1e-12), start + length)
-        return stenman_response(inside, d, between=between)
+        return staircase_response(inside, step, lag, between=between)
 
     return Piece(amplitude, N, np.linspace(0.0, 1.0, 80 if n <= 2 else 24))

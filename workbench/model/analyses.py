@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from workbench.model.loop import Loop
 from workbench.model.record import FloatArray
+from workbench.model.valve import Valve
 
 __all__ = [
     "ComplexArray",
@@ -18,6 +19,7 @@ __all__ = [
     "LimitCycle",
     "LimitCycleStart",
     "RelaxationCycle",
+    "Signature",
     "Waveform",
 ]
 
@@ -170,3 +172,36 @@ class LimitCycle:
         """Share of the starts that cycle among those that cycle or settle, 0 .. 1; nan where none was decided."""
         outcomes = [start.outcome for start in self.starts if start.outcome != "undecided"]
         return outcomes.count("cycles") / len(outcomes) if outcomes else math.nan
+
+
+@dataclass(frozen=True, eq=False)
+class Signature:
+    """A valve's signature, as `wb.signature` measures it on the simulated test bench.
+
+    ramp_op and ramp_stem (%, shape (N,)): a slow ramp up, down and up again; steps_op and steps_stem (%, shape (M,)):
+    small steps up, then down, each held. step: the size of both, %. dead_band_down and dead_band_up: the change of the
+    input after its turn downward, or upward, that the valve swallows, %; resolution_up and resolution_down: the change
+    in the same direction that it swallows, %. All four are read from the runs, and lie at most a step below the true
+    values.
+    """
+
+    valve: Valve
+    step: float
+    ramp_op: FloatArray
+    ramp_stem: FloatArray
+    steps_op: FloatArray
+    steps_stem: FloatArray
+    dead_band_down: float
+    dead_band_up: float
+    resolution_up: float
+    resolution_down: float
+
+    @property
+    def dead_band(self) -> float:
+        """The larger of both dead bands, %."""
+        return max(self.dead_band_down, self.dead_band_up)
+
+    @property
+    def resolution(self) -> float:
+        """The coarser of both resolutions, %."""
+        return max(self.resolution_up, self.resolution_down)

@@ -1,16 +1,21 @@
 """Valves that stick: how the stem position x follows the controller output u, both in % of travel.
 
-Every valve knows its stick band S (the width of input change that it swallows on reversal), its slip jump J and
-whether it would rest at a given distance between input and stem. The laws themselves stand in the simulation kernel.
+Every valve knows its stick band S (the width of input change that it swallows on reversal), its slip jump J, whether
+it would rest at a given distance between input and stem, and whether its stem, once it slips, sticks again at once or
+goes on with the input. The laws themselves stand in the simulation kernel.
+
+In forces, of a spring and diaphragm with friction f_s at rest and f_d in motion (both in % of the input's span):
+`S = f_s + f_d`, `J = f_s - f_d`; the stem slips where u is further than f_s from it, and moves f_d behind u.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
-from workbench.model.checks import number
+from workbench.errors import InvalidValue
+from workbench.model.checks import instance, number
 
-__all__ = ["Choudhury", "Deadband", "Ideal", "Stenman", "Valve"]
+__all__ = ["Choudhury", "Deadband", "Directional", "He", "Ideal", "Kano", "Stenman", "Valve"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,6 +36,11 @@ class Ideal:
     def hold(self) -> float:
         """Largest |u - x|, %, at which the stem at rest stays where it is: 0."""
         return 0.0
+
+    @property
+    def sticks_at_once(self) -> bool:
+        """Whether the stem sticks again after each sample's slip: no, it never sticks."""
+        return False
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,6 +71,53 @@ class Stenman:
     def hold(self) -> float:
         """Largest |u - x|, %, at which the stem stays: d."""
         return self.d
+
+    @property
+    def sticks_at_once(self) -> bool:
+        """Whether the stem sticks again after each sample's slip: yes."""
+        return True
+
+
+@dataclass(frozen=True, slots=True)
+class He:
+    """Stiction by static and dynamic friction: `x_k = x_{k-1}` if `|u_k - x_{k-1}| <= fs`, else `u_k - s fd`.
+
+    s is the sign of `u_k - x_{k-1}`; fs and fd: %, `fs >= fd >= 0`. As published it accumulates the residual force
+    `u_r + u_k - u_{k-1}`, which is `u_k - x_{k-1}`, and sticks again after each sample's slip: `He(d, 0)` is
+    `Stenman(d)`, `He(b/2, b/2)` is `Deadband(b)` but for rounding, and between them a ramp becomes a staircase of steps
+    J. Source: Q.P. He, J. Wang, M. Pottmann, S.J. Qin, "A curve fitting method for detecting valve stiction in
+    oscillating control loops", Ind. Eng. Chem. Res. 46 (2007) 4549-4560. Raises `InvalidValue`.
+    """
+
+    fs: float
+    fd: float
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "fs", number(self.fs, "He.fs", least=0.0, unit="%"))
+        object.__setattr__(self, "fd", number(self.fd, "He.fd", least=0.0, unit="%"))
+        if self.fd > self.fs:
+            allowed = f"must be at most fs ({self.fs:g} %): friction in motion does not exceed that at rest"
+            raise InvalidValue("He.fd", f"{self.fd:g} %", allowed)
+
+    @property
+    def stick_band(self) -> float:
+        """S, %: fs + fd."""
+        return self.fs + self.fd
+
+    @property
+    def slip_jump(self) -> float:
+        """J, %: fs - fd, the least slip."""
+        return self.fs - self.fd
+
+    @property
+    def hold(self) -> float:
+        """Largest |u - x|, %, at which the stem stays: fs."""
+        return self.fs
+
+    @property
+    def sticks_at_once(self) -> bool:
+        """Whether the stem sticks again after each sample's slip: yes."""
+        return True
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,6 +153,55 @@ class Choudhury:
         """Largest |u - x|, %, at which the stem at rest stays: (S + J)/2."""
         return (self.S + self.J) / 2.0
 
+    @property
+    def sticks_at_once(self) -> bool:
+        """Whether the stem sticks again after each sample's slip: no, it goes on until the input turns."""
+        return False
+
+
+@dataclass(frozen=True, slots=True)
+class Kano:
+    """Two-parameter stiction as Kano writes it: stick band plus dead band S, slip jump J, both in %, `S >= J >= 0`.
+
+    It remembers u_s, the input at which the stem stopped, and d (1 or -1), the direction in which it moved before. At
+    rest it slips in direction d where `d (u_k - u_s) > J`, and the other way, d changing its sign, where
+    `-d (u_k - u_s) > S`; moving, `x_k = u_k - d (S - J)/2` until the input stands or turns. Starts at rest with u_s at
+    the stem and d = 1, so that the first slip upward needs J and the first downward S; from the first reversal that the
+    stem follows on, it is the law of `Choudhury`. J > S would be a negative friction in motion and is refused.
+    Source: M. Kano, H. Maruta, H. Kugemoto, K. Shimizu, "Practical model and detection algorithm for valve stiction",
+    IFAC Proc. Volumes 37 (9) (DYCOPS 2004) 859-864. Raises `InvalidValue`.
+    """
+
+    S: float
+    J: float
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "S", number(self.S, "Kano.S", least=0.0, unit="%"))
+        object.__setattr__(self, "J", number(self.J, "Kano.J", least=0.0, unit="%"))
+        if self.J > self.S:
+            allowed = f"must be at most S ({self.S:g} %): more would be a negative friction in motion"
+            raise InvalidValue("Kano.J", f"{self.J:g} %", allowed)
+
+    @property
+    def stick_band(self) -> float:
+        """S, %."""
+        return self.S
+
+    @property
+    def slip_jump(self) -> float:
+        """J, %."""
+        return self.J
+
+    @property
+    def hold(self) -> float:
+        """Largest |u - x|, %, at which the stem stays before its first move, either way: J."""
+        return self.J
+
+    @property
+    def sticks_at_once(self) -> bool:
+        """Whether the stem sticks again after each sample's slip: no, it goes on until the input turns."""
+        return False
+
 
 @dataclass(frozen=True, slots=True)
 class Deadband:
@@ -124,5 +230,64 @@ class Deadband:
         """Largest |u - x|, %, at which the stem at rest stays: b/2."""
         return self.b / 2.0
 
+    @property
+    def sticks_at_once(self) -> bool:
+        """Whether the stem sticks again after each sample's slip: no, it goes on until the input turns."""
+        return False
 
-Valve = Ideal | Stenman | Choudhury | Deadband
+
+@dataclass(frozen=True, slots=True)
+class Directional:
+    """Two-parameter stiction that differs by direction.
+
+    up, down: the friction of each direction, as the `Choudhury` (or `Deadband`) valve that has it both ways. At rest
+    the stem slips up where `u_k - x_{k-1} > (S + J)/2` of `up`, and down where `x_{k-1} - u_k > (S + J)/2` of `down`;
+    moving, it follows `(S - J)/2` of that direction's pair behind u, until the input stands or turns. With equal pairs
+    it is that valve. On reversal it swallows `(S_up - J_up)/2 + (S_down + J_down)/2` at the top and the mirrored sum at
+    the bottom. A jump so long that one of these is negative would carry the stem beyond what holds it there, and is
+    refused. Raises `InvalidValue`.
+    """
+
+    up: Choudhury | Deadband
+    down: Choudhury | Deadband
+
+    def __post_init__(self) -> None:
+        instance(self.up, (Choudhury, Deadband), "Directional.up", "a Choudhury or a Deadband")
+        instance(self.down, (Choudhury, Deadband), "Directional.down", "a Choudhury or a Deadband")
+        for name, swallowed in zip(("up", "down"), self.swallowed, strict=True):
+            if swallowed < 0.0:
+                most = 2.0 * swallowed + getattr(self, name).slip_jump
+                allowed = (
+                    f"must be at most {most:g} %: beyond that the friction of the other way does not hold the stem"
+                )
+                raise InvalidValue(f"Directional.{name}", f"slip jump {getattr(self, name).slip_jump:g} %", allowed)
+
+    @property
+    def swallowed(self) -> tuple[float, float]:
+        """The change of the input that the turn at the top, after a way up, and that at the bottom swallow, %."""
+        ways = ((self.up, self.down), (self.down, self.up))
+        top, bottom = ((a.stick_band - a.slip_jump) / 2.0 + b.hold for a, b in ways)
+        return top, bottom
+
+    @property
+    def stick_band(self) -> float:
+        """S, %: the mean of both directions', which is that of both reversals' too."""
+        return (self.up.stick_band + self.down.stick_band) / 2.0
+
+    @property
+    def slip_jump(self) -> float:
+        """J, %: the smaller of both directions'."""
+        return min(self.up.slip_jump, self.down.slip_jump)
+
+    @property
+    def hold(self) -> float:
+        """Largest |u - x|, %, at which the stem at rest stays, either way: the smaller of both directions'."""
+        return min(self.up.hold, self.down.hold)
+
+    @property
+    def sticks_at_once(self) -> bool:
+        """Whether the stem sticks again after each sample's slip: no, it goes on until the input turns."""
+        return False
+
+
+Valve = Ideal | Stenman | He | Choudhury | Kano | Deadband | Directional

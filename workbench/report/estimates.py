@@ -9,7 +9,7 @@ from workbench.model.loop import Loop
 from workbench.model.plant import FOPDT, Plant
 from workbench.model.results import Estimate
 from workbench.model.study import NamedEstimate
-from workbench.model.valve import Choudhury, Deadband, Ideal, Stenman, Valve
+from workbench.model.valve import Choudhury, Deadband, He, Ideal, Kano, Stenman, Valve
 from workbench.report.results import aic
 from workbench.report.tables import Cell, Row, Table
 from workbench.report.titles import kpi_title
@@ -134,8 +134,8 @@ def _valve_parameters(valve: Valve) -> list[tuple[str, float]]:
     """Return a valve's parameters by their names, in order."""
     if isinstance(valve, Stenman):
         return [("d", valve.d)]
-    if isinstance(valve, Choudhury):
-        return [("S", valve.S), ("J", valve.J)]
+    if isinstance(valve, Choudhury | Kano | He):
+        return [("S", valve.stick_band), ("J", valve.slip_jump)]
     return [("b", valve.b)] if isinstance(valve, Deadband) else []
 
 

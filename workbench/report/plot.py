@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from workbench.errors import InvalidValue
+from workbench.model.analyses import Signature
 from workbench.model.cycle_map import CycleMap
 from workbench.model.detection import Detection
 from workbench.model.front import Front
@@ -16,6 +17,7 @@ from workbench.model.results import DescribingFunction, Estimate, LimitCycle, Ru
 from workbench.report import draw
 from workbench.report.draw_evidence import apparent_stiction, bicoherence_map, pv_autocorrelation
 from workbench.report.draw_map import map_figure, map_panels
+from workbench.report.draw_signature import signature_ramp, signature_steps
 from workbench.report.style import new_figure, styled
 from workbench.report.trade import draw_front
 
@@ -25,7 +27,7 @@ if TYPE_CHECKING:
 
 __all__ = ["plot"]
 
-_KINDS = "a Run, Record, Estimate, Detection, DescribingFunction, LimitCycle, CycleMap, Tuned or Front"
+_KINDS = "a Run, Record, Estimate, Detection, DescribingFunction, LimitCycle, CycleMap, Tuned, Front or Signature"
 
 
 def plot(result: object, ax: Any = None) -> Axes | NDArray[Any]:
@@ -37,8 +39,9 @@ def plot(result: object, ax: Any = None) -> Axes | NDArray[Any]:
     axes, or one, which gets the autocorrelation alone. DescribingFunction: the loci in the complex plane. LimitCycle:
     periods by start. CycleMap: four axes, late period, PV's swing, mean square error and valve travel an hour (shape
     (4,)); `ax` may be four axes, or one, which gets the period alone. Tuned: objectives by restart. Front: error
-    against valve travel, sticky and repaired. `ax`: where to draw; a new figure by default (`.figure` of the axes, to
-    show or save). Raises `InvalidValue` for anything else.
+    against valve travel, sticky and repaired. Signature: two axes, the stem against the slow ramp, and the small steps
+    with its answer (shape (2,)); `ax` may be two axes, or one, which gets the ramp alone. `ax`: where to draw; a new
+    figure by default (`.figure` of the axes, to show or save). Raises `InvalidValue` for anything else.
     """
     pairs: dict[type, tuple[Callable[..., None], Callable[..., None]]] = {
         Run: (draw.run_pv, draw.run_op),
@@ -59,6 +62,8 @@ def plot(result: object, ax: Any = None) -> Axes | NDArray[Any]:
             return _evidence(result, ax)
         if isinstance(result, CycleMap):
             return _map(result, ax)
+        if isinstance(result, Signature):
+            return _signature(result, ax)
         for kind, one in singles.items():
             if isinstance(result, kind):
                 return _one(result, ax, one)
@@ -81,10 +86,22 @@ def _evidence(found: Detection, ax: Any) -> Axes | NDArray[Any]:
     parts = (pv_autocorrelation, bicoherence_map, apparent_stiction)
     for target, part in zip(axes, parts, strict=False):
         part(target, found)
+    return _together(axes)
+
+
+def _signature(found: Signature, ax: Any) -> Axes | NDArray[Any]:
+    axes = list(new_figure(6.4, 3.2).subplots(1, 2)) if ax is None else _axes(ax, (1, 2))
+    for target, part in zip(axes, (signature_ramp, signature_steps), strict=False):
+        part(target, found)
+    return _together(axes)
+
+
+def _together(axes: list[Any]) -> Axes | NDArray[Any]:
+    """One axes as it is, several as an array."""
     if len(axes) == 1:
         single: Axes = axes[0]
         return single
-    out = np.empty(3, dtype=object)
+    out = np.empty(len(axes), dtype=object)
     out[:] = axes
     return out
 
@@ -113,10 +130,6 @@ def _two(result: Any, ax: Any, above: Callable[..., None], below: Callable[..., 
     unit, name = draw.time_axis(float(time[-1]))
     above(axes[0], result, unit)
     axes[-1].set_xlabel(f"time ({name})")
-    if len(axes) == 1:
-        single: Axes = axes[0]
-        return single
-    below(axes[1], result, unit)
-    out = np.empty(2, dtype=object)
-    out[:] = axes
-    return out
+    if len(axes) > 1:
+        below(axes[1], result, unit)
+    return _together(axes)

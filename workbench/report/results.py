@@ -39,7 +39,7 @@ from workbench.model.results import (
 from workbench.model.rule import Rule
 from workbench.model.study import CaseResult, NamedEstimate, Study
 from workbench.model.tuning import Objective
-from workbench.model.valve import Valve
+from workbench.model.valve import Directional, Valve
 from workbench.report.words import ROUNDING
 
 __all__ = ["cases_csv", "controller_content", "results_content", "results_json", "run_json", "strict"]
@@ -95,7 +95,8 @@ def _plant(plant: Plant) -> dict[str, Any]:
 
 
 def _valve(valve: Valve) -> dict[str, Any]:
-    return {"type": type(valve).__name__.lower(), **_plain(valve)}
+    parts = {"up": _plain(valve.up), "down": _plain(valve.down)} if isinstance(valve, Directional) else _plain(valve)
+    return {"type": type(valve).__name__.lower(), **parts}
 
 
 def _loop(loop: Loop) -> dict[str, Any]:

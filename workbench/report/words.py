@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from workbench.model.controller import PID
 from workbench.model.plant import FOPDT, Plant
 from workbench.model.rule import Amigo, DetunedIntegral, Lambda, Rule, Simc, ZieglerNichols
-from workbench.model.valve import Choudhury, Deadband, Ideal, Stenman, Valve
+from workbench.model.valve import Choudhury, Deadband, Directional, He, Ideal, Kano, Stenman, Valve
 
 __all__ = [
     "capital",
@@ -243,6 +243,12 @@ def valve_words(valve: Valve) -> str:
         return f"Choudhury's two-parameter stiction, S = {given(valve.S)} %, J = {given(valve.J)} %"
     if isinstance(valve, Deadband):
         return f"dead band (backlash) of {given(valve.b)} %"
+    if isinstance(valve, Kano):
+        return f"Kano's two-parameter stiction, S = {given(valve.S)} %, J = {given(valve.J)} %"
+    if isinstance(valve, He):
+        return f"He's stiction by static and dynamic friction, f_s = {given(valve.fs)} %, f_d = {given(valve.fd)} %"
+    if isinstance(valve, Directional):
+        return f"stiction that differs by direction: up {valve_words(valve.up)}; down {valve_words(valve.down)}"
     return type(valve).__name__
 
 

@@ -17,7 +17,7 @@ from workbench.model.plant import FOPDT, Integrating, Plant
 from workbench.model.record import Record
 from workbench.model.rule import Rule
 from workbench.model.tuning import Objective
-from workbench.model.valve import Choudhury, Deadband, Ideal, Stenman, Valve
+from workbench.model.valve import Valve
 from workbench.scenario import schema
 from workbench.scenario.controllers import Controllers, fitting_action, ruled, wrong_way
 from workbench.scenario.document import Path
@@ -28,6 +28,7 @@ from workbench.scenario.robust import RobustEntries, measured_in
 from workbench.scenario.rule_entries import DetunedIntegralRule, rule_of
 from workbench.scenario.series import in_samples, read_data, read_series
 from workbench.scenario.units import Quantity
+from workbench.scenario.valves import valve_of
 from workbench.simulate.signals import sample_count
 
 __all__ = ["MAX_SAMPLES", "Builder"]
@@ -165,14 +166,7 @@ class Builder:
 
     def _valve(self, loop: schema.Loop) -> Valve | None:
         v = loop.valve
-        path = ("loop", "valve")
-        if isinstance(v, schema.StenmanValve):
-            return self.refusals.attempt(path, lambda: Stenman(v.d))
-        if isinstance(v, schema.ChoudhuryValve):
-            return self.refusals.attempt(path, lambda: Choudhury(v.S, v.J))
-        if isinstance(v, schema.DeadbandValve):
-            return self.refusals.attempt(path, lambda: Deadband(v.b))
-        return None if v is None else Ideal()
+        return None if v is None else self.refusals.attempt(("loop", "valve"), lambda: valve_of(v))
 
     def _loop(
         self,

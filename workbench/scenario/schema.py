@@ -88,12 +88,28 @@ class StenmanValve(Closed):
     d: Annotated[Band, Field(description="stiction, % of travel")]
 
 
+class HeValve(Closed):
+    """Stiction by static and dynamic friction: the stem slips beyond fs and comes to rest fd behind the input."""
+
+    type: Literal["he"]
+    fs: Annotated[Band, Field(description="static friction, % of the input's span")]
+    fd: Annotated[Band, Field(description="dynamic friction, % of the input's span; at most fs")]
+
+
 class ChoudhuryValve(Closed):
     """Two-parameter stiction: stick band plus dead band S, slip jump J."""
 
     type: Literal["choudhury"]
     S: Annotated[Band, Field(description="stick band plus dead band, % of travel")]
     J: Annotated[Band, Field(description="slip jump, % of travel")]
+
+
+class KanoValve(Closed):
+    """Two-parameter stiction by the input at which the stem stopped: stick band plus dead band S, slip jump J."""
+
+    type: Literal["kano"]
+    S: Annotated[Band, Field(description="stick band plus dead band, % of travel")]
+    J: Annotated[Band, Field(description="slip jump, % of travel; at most S")]
 
 
 class DeadbandValve(Closed):
@@ -103,6 +119,21 @@ class DeadbandValve(Closed):
     b: Annotated[Band, Field(description="full band, % of travel")]
 
 
+class OneWay(Closed):
+    """Two-parameter stiction of one direction."""
+
+    S: Annotated[Band, Field(description="stick band plus dead band, % of travel")]
+    J: Annotated[Band, Field(description="slip jump, % of travel")]
+
+
+class DirectionalValve(Closed):
+    """Two-parameter stiction that differs between the way up and the way down."""
+
+    type: Literal["directional"]
+    up: OneWay
+    down: OneWay
+
+
 Plant = Annotated[
     Annotated[FopdtPlant, Tag("<fopdt>")] | Annotated[IntegratingPlant, Tag("<integrating>")],
     by_key("type", "fopdt", "integrating"),
@@ -110,9 +141,12 @@ Plant = Annotated[
 Valve = Annotated[
     Annotated[IdealValve, Tag("<ideal>")]
     | Annotated[StenmanValve, Tag("<stenman>")]
+    | Annotated[HeValve, Tag("<he>")]
     | Annotated[ChoudhuryValve, Tag("<choudhury>")]
-    | Annotated[DeadbandValve, Tag("<deadband>")],
-    by_key("type", "ideal", "stenman", "choudhury", "deadband"),
+    | Annotated[KanoValve, Tag("<kano>")]
+    | Annotated[DeadbandValve, Tag("<deadband>")]
+    | Annotated[DirectionalValve, Tag("<directional>")],
+    by_key("type", "ideal", "stenman", "he", "choudhury", "kano", "deadband", "directional"),
 ]
 
 

@@ -12,7 +12,7 @@ from workbench.model.controller import PID
 from workbench.model.loop import Loop
 from workbench.model.plant import FOPDT, Plant
 from workbench.model.record import FloatArray
-from workbench.model.valve import Choudhury, Deadband, Stenman, Valve
+from workbench.model.valve import Choudhury, Deadband, Directional, He, Kano, Stenman, Valve
 from workbench.simulate import kernel
 
 __all__ = ["Discrete", "ValveLaw", "coefficients", "discretise", "valve_law"]
@@ -29,11 +29,16 @@ class Discrete(NamedTuple):
 
 
 class ValveLaw(NamedTuple):
-    """A valve in the kernel's terms: its kind, the band within which it holds, its offset while moving."""
+    """A valve in the kernel's terms: its kind, the leads u - x at which it slips and those that it keeps while moving.
+
+    All in %; band and offset for the way up, band_down and offset_down for the way down.
+    """
 
     kind: int
     band: float
     offset: float
+    band_down: float
+    offset_down: float
 
 
 def discretise(plant: Plant, sample_time: float) -> Discrete:
@@ -56,12 +61,22 @@ def discretise(plant: Plant, sample_time: float) -> Discrete:
 def valve_law(valve: Valve) -> ValveLaw:
     """Return a valve in the kernel's terms."""
     if isinstance(valve, Stenman):
-        return ValveLaw(kernel.STENMAN, valve.d, 0.0)
-    if isinstance(valve, Choudhury):
-        return ValveLaw(kernel.TWO_PARAMETER, (valve.S + valve.J) / 2.0, (valve.S - valve.J) / 2.0)
+        return _same_both_ways(kernel.STAIRS, valve.d, 0.0)
+    if isinstance(valve, He):
+        return _same_both_ways(kernel.STAIRS, valve.fs, valve.fd)
+    if isinstance(valve, Choudhury | Kano):
+        kind = kernel.KANO if isinstance(valve, Kano) else kernel.TWO_PARAMETER
+        return _same_both_ways(kind, (valve.S + valve.J) / 2.0, (valve.S - valve.J) / 2.0)
     if isinstance(valve, Deadband):
-        return ValveLaw(kernel.TWO_PARAMETER, valve.b / 2.0, valve.b / 2.0)
-    return ValveLaw(kernel.IDEAL, 0.0, 0.0)
+        return _same_both_ways(kernel.TWO_PARAMETER, valve.b / 2.0, valve.b / 2.0)
+    if isinstance(valve, Directional):
+        up, down = valve_law(valve.up), valve_law(valve.down)
+        return ValveLaw(kernel.DIRECTIONAL, up.band, up.offset, down.band, down.offset)
+    return _same_both_ways(kernel.IDEAL, 0.0, 0.0)
+
+
+def _same_both_ways(kind: int, band: float, offset: float) -> ValveLaw:
+    return ValveLaw(kind, band, offset, band, offset)
 
 
 def coefficients(loop: Loop, stem_offset: float = 0.0, tunings: FloatArray | None = None) -> FloatArray:
@@ -89,7 +104,9 @@ def coefficients(loop: Loop, stem_offset: float = 0.0, tunings: FloatArray | Non
     rows[:, kernel.WINDUP] = float(pid.anti_windup == "back_calculation")
     rows[:, kernel.TS_TT] = Ts / (Ti if pid.tracking_time is None else pid.tracking_time)
     law = valve_law(loop.valve)
-    rows[:, kernel.VALVE], rows[:, kernel.BAND], rows[:, kernel.OFFSET] = law
+    rows[:, kernel.VALVE] = law.kind
+    rows[:, kernel.BAND], rows[:, kernel.OFFSET] = law.band, law.offset
+    rows[:, kernel.BAND_DOWN], rows[:, kernel.OFFSET_DOWN] = law.band_down, law.offset_down
     plant = discretise(loop.plant, Ts)
     rows[:, kernel.POLE], rows[:, kernel.GAIN] = plant.pole, plant.gain
     rows[:, kernel.C0], rows[:, kernel.C1], rows[:, kernel.DELAY] = plant.c0, plant.c1, plant.delay

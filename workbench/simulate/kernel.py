@@ -56,13 +56,16 @@ Floats = NDArray[np.float64]
 
 # Columns of a coefficient row.
 KC, KI, KD, TF, TF_TS, WEIGHT, ON_PV, BIAS, LOW, HIGH, WINDUP, TS_TT = range(12)
-VALVE, BAND, OFFSET, POLE, GAIN, C0, C1, DELAY = range(12, 20)
-COEFFICIENTS = 20
+VALVE, BAND, OFFSET, POLE, GAIN, C0, C1, DELAY, BAND_DOWN, OFFSET_DOWN = range(12, 22)
+COEFFICIENTS = 22
 # KC signed gain; KI = Kc Ts/Ti; KD = Kc Td; TF_TS = Tf + Ts; ON_PV 1 for derivative on PV; WINDUP 0 clamp,
 # 1 back-calculation.
-# VALVE 0 ideal, 1 Stenman, 2 two-parameter; BAND d or (S + J)/2; OFFSET (S - J)/2; POLE a, 1 for integrating;
-# GAIN K, or K Ts for integrating; C0, C1 the shares of v_{k-m} and v_{k-m-1}; DELAY m.
-IDEAL, STENMAN, TWO_PARAMETER = 0, 1, 2
+# VALVE one of the five below; BAND the lead u - x beyond which the stem slips, OFFSET the lead that it keeps while it
+# moves: both upward, downward the last two columns (the same but for DIRECTIONAL); POLE a, 1 for integrating; GAIN K,
+# or K Ts for integrating; C0, C1 the shares of v_{k-m} and v_{k-m-1}; DELAY m.
+# STAIRS sticks again after each sample's slip (Stenman, He). TWO_PARAMETER goes on moving (Choudhury, dead band), and
+# so do KANO, whose band lies OFFSET lower until its first move, and DIRECTIONAL.
+IDEAL, STAIRS, TWO_PARAMETER, KANO, DIRECTIONAL = range(5)
 
 # Columns of a run's sums over e_k = r_k - y_k (measured), u_k and x_k: squares of e_1..e_N, of u, of e_N, of moves of u
 # and of e_0..e_{N-1}; |moves of x|; where all are asked for, |e|, e, u, |moves of u|, x, x^2, stem reversals, y, y^2.
@@ -75,6 +78,8 @@ WEIGHTS = 13
 # Entries of a state.
 I_TERM, D_TERM, S_LAST, U_LAST, X_LAST, MOTION, Y = range(7)
 STATES = 7
+# MOTION: -1 down, 0 at rest, 1 up; a stem of KANO's that has moved before rests as RESTED.
+RESTED = 2
 
 # Columns of a half cycle [start, end) of the stem: sample numbers, extremes of PV and OP, sum of squared errors, stem
 # travel, slips (breakaways from rest). Carried beside the one begun: the stem's last position that counted, its
@@ -97,13 +102,21 @@ DONE, RESTS, AWAY = range(3)
 
 @compiled
 def valve_step(
-    kind: int, band: float, offset: float, u: float, u_last: float, x: float, motion: int
+    kind: int,
+    band: float,
+    offset: float,
+    band_down: float,
+    offset_down: float,
+    u: float,
+    u_last: float,
+    x: float,
+    motion: int,
 ) -> tuple[float, int]:
-    """One sample of a valve: the new stem position and motion (-1 down, 0 at rest, 1 up; Stenman: of this slip)."""
-    if kind == STENMAN:
+    """One sample of a valve: the new stem position and motion (see MOTION; STAIRS: of this slip)."""
+    if kind == STAIRS:
         if abs(u - x) <= band:
             return x, 0
-        return u, 1 if u > x else -1
+        return (u - offset, 1) if u > x else (u + offset, -1)
     if kind == TWO_PARAMETER:
         if motion != 0 and (u - u_last) * motion > 0.0:
             return u - motion * offset, motion
@@ -111,17 +124,35 @@ def valve_step(
             motion = 1 if u > x else -1
             return u - motion * offset, motion
         return x, 0
+    if kind >= KANO:
+        if abs(motion) == 1 and (u - u_last) * motion > 0.0:
+            return (u - offset if motion == 1 else u + offset_down), motion
+        lower = offset if kind == KANO and motion == 0 else 0.0
+        if u - x > band - lower:
+            return u - offset, 1
+        if x - u > band_down + lower:
+            return u + offset_down, -1
+        return x, RESTED if kind == KANO and motion != 0 else 0
     return u, 0
 
 
 @compiled
 def valve_path(
-    kind: int, band: float, offset: float, op: Floats, u_last: float, x_last: float, motion: int, x: Floats
+    kind: int,
+    band: float,
+    offset: float,
+    band_down: float,
+    offset_down: float,
+    op: Floats,
+    u_last: float,
+    x_last: float,
+    motion: int,
+    x: Floats,
 ) -> int:
     """Write into `x` the stem's path under a given output; return the last motion."""
     for k in range(op.size):
         u = op[k]
-        x_last, motion = valve_step(kind, band, offset, u, u_last, x_last, motion)
+        x_last, motion = valve_step(kind, band, offset, band_down, offset_down, u, u_last, x_last, motion)
         x[k] = x_last
         u_last = u
     return motion
@@ -149,7 +180,7 @@ def run_loop(
     kc, ki, kd, tf, tf_ts = c[KC], c[KI], c[KD], c[TF], c[TF_TS]
     weight, on_pv, bias = c[WEIGHT], c[ON_PV] != 0.0, c[BIAS]
     low, high, back, ts_tt = c[LOW], c[HIGH], c[WINDUP] != 0.0, c[TS_TT]
-    kind, band, offset = int(c[VALVE]), c[BAND], c[OFFSET]
+    kind, band, offset, band_down, offset_down = int(c[VALVE]), c[BAND], c[OFFSET], c[BAND_DOWN], c[OFFSET_DOWN]
     a, gain, c0, c1, m = c[POLE], c[GAIN], c[C0], c[C1], int(c[DELAY])
     n = u.size
     i_term, d_term, s_last, u_last, x_last = state[I_TERM], state[D_TERM], state[S_LAST], state[U_LAST], state[X_LAST]
@@ -182,12 +213,12 @@ def run_loop(
             if back:
                 i_term += ts_tt * (limited - out)
             out = limited
-        x_last, motion = valve_step(kind, band, offset, out, u_last, x_last, motion)
+        x_last, motion = valve_step(kind, band, offset, band_down, offset_down, out, u_last, x_last, motion)
         u_last = out
         u[k] = out
         x[k] = x_last
         v[k] = x_last + load[k]
-        branch[k] = motion + 1 + 3 * (limit + 1) + 9 * undone
+        branch[k] = (1 if motion == RESTED else motion + 1) + 3 * (limit + 1) + 9 * undone
         near = v[k - m] if k >= m else past[m - k - 1]
         far = v[k - m - 1] if k > m else past[m - k]
         plant = a * plant + gain * (c0 * near + c1 * far)
@@ -389,7 +420,7 @@ def collect(
     A half cycle runs from one reversal of the stem to the next, the first from the first move of all: a staircase of
     slips in one direction is one half cycle. Moves are counted once they add up to more than `dust` (%), so that
     rounding reverses nothing. `first` is the number of the stretch's first sample; `kind` the valve's. A slip is a move
-    out of rest or against the motion before, with Stenman's valve, which sticks at once, every move.
+    out of rest or against the motion before, and where the stem sticks at once (STAIRS) every move.
     """
     count = 0
     stem, direction, motion_last = carry[STEM_AT], carry[DIRECTION], carry[MOTION_LAST]
@@ -413,7 +444,7 @@ def collect(
             travel += abs(move)
             stem = x[k]
         motion = branch[k] % 3 - 1.0
-        if motion != 0.0 and (kind == STENMAN or motion != motion_last):
+        if motion != 0.0 and (kind == STAIRS or motion != motion_last):
             slips += 1.0
         motion_last = motion
         y_high = max(y_high, y[k])
@@ -550,7 +581,8 @@ def jump(
     """
     at, n, trial, last, cut = scratch[0], scratch[1], scratch[2], scratch[3], scratch[4]
     x = state[X_LAST]
-    low, high = max(x - c[BAND], c[LOW]), min(x + c[BAND], c[HIGH])
+    lower = c[OFFSET] if c[VALVE] == KANO and state[MOTION] == 0.0 else 0.0
+    low, high = max(x - (c[BAND_DOWN] + lower), c[LOW]), min(x + (c[BAND] - lower), c[HIGH])
     _begin(c, r, x + load, state, at)
     n[:] = 0.0
     n[POWER] = n[FILTER] = 1.0
@@ -603,7 +635,8 @@ def jump(
     state[I_TERM], state[D_TERM] = _integral(c, at, n), _derivative(c, at, n)
     state[S_LAST] = -y if c[ON_PV] != 0.0 else e
     state[U_LAST] = u
-    state[MOTION] = 0.0
+    if state[MOTION] != RESTED:
+        state[MOTION] = 0.0
     _join(n, table[0], cut)
     state[Y] = at[Y_FIRST] + at[SLOPE] * cut[RISE]
     errors = cut[SAMPLES] * at[E_FIRST] - 2.0 * at[SLOPE] * cut[RISE_SUM]
@@ -614,7 +647,7 @@ def jump(
 @compiled
 def _rests(c: Floats, load: float, state: Floats, past: Floats) -> bool:
     """Whether the stem rests, away from OP's limits, and the plant's input has not changed for the dead time."""
-    if c[VALVE] == IDEAL or c[POLE] == 0.0 or (c[VALVE] == TWO_PARAMETER and state[MOTION] != 0.0):
+    if c[VALVE] == IDEAL or c[POLE] == 0.0 or (c[VALVE] != STAIRS and abs(state[MOTION]) == 1.0):
         return False
     v = state[X_LAST] + load
     return bool((past == v).all())

@@ -16,8 +16,9 @@ from typing import Any, NamedTuple
 
 import casadi as ca
 
+from workbench.errors import InvalidValue
 from workbench.model.loop import Loop
-from workbench.model.valve import Choudhury, Deadband, Stenman
+from workbench.model.valve import Choudhury, Deadband, He, Ideal, Stenman, Valve
 
 __all__ = [
     "COEFFICIENTS",
@@ -25,6 +26,7 @@ __all__ = [
     "STATE",
     "Shape",
     "controller_function",
+    "expressed",
     "given_function",
     "given_run_function",
     "law_function",
@@ -48,8 +50,9 @@ GUARDS = ("lead", "move", "first", "step", "after")
 class Shape:
     """What gives the expressions their shape, as opposed to their numbers.
 
-    valve: "ideal", "stenman" or "two_parameter" (Choudhury and Deadband). delay: whole dead time m in samples. on_pv:
-    derivative on PV. limited: the output has limits. back: anti-windup by back-calculation instead of clamping.
+    valve: "ideal", "stairs" (Stenman, He) or "two_parameter" (Choudhury, Deadband). delay: whole dead time m in
+    samples. on_pv: derivative on PV. limited: the output has limits. back: anti-windup by back-calculation instead of
+    clamping.
     """
 
     valve: str
@@ -98,12 +101,21 @@ class Output(NamedTuple):
     after: Expression
 
 
+def expressed(valve: Valve) -> bool:
+    """Return whether a valve's law is written here: `Kano` and `Directional` are the kernel's alone."""
+    return isinstance(valve, Ideal | Stenman | He | Choudhury | Deadband)
+
+
 def shape_of(loop: Loop) -> Shape:
-    """Return the shape of a loop's expressions; m = floor(theta/Ts + 1e-9)."""
+    """Return the shape of a loop's expressions; m = floor(theta/Ts + 1e-9).
+
+    Raises `InvalidValue` for a valve whose law is not written here.
+    """
     valve = loop.valve
-    kind = "two_parameter" if isinstance(valve, Choudhury | Deadband) else "ideal"
-    if isinstance(valve, Stenman):
-        kind = "stenman"
+    if not expressed(valve):
+        allowed = "has no symbolic form and no nonlinear program: Ideal, Stenman, He, Choudhury and Deadband have"
+        raise InvalidValue("Loop.valve", type(valve).__name__, allowed)
+    kind = "stairs" if valve.sticks_at_once else "ideal" if isinstance(valve, Ideal) else "two_parameter"
     pid = loop.controller
     return Shape(
         valve=kind,
@@ -178,8 +190,8 @@ def valve_by_law(
     lead = u - x_last
     slips = ca.fabs(lead) > c.band
     way = ca.if_else(u > x_last, 1, -1)
-    if shape.valve == "stenman":
-        return ca.if_else(slips, u, x_last), ca.if_else(slips, way, 0)
+    if shape.valve == "stairs":
+        return ca.if_else(slips, u - way * c.offset, x_last), ca.if_else(slips, way, 0)
     goes_on = ca.logic_and(motion != 0, (u - u_last) * motion > 0)
     new = ca.if_else(goes_on, motion, ca.if_else(slips, way, 0))
     return ca.if_else(new == 0, x_last, u - new * c.offset), new

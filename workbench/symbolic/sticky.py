@@ -20,6 +20,7 @@ from workbench.errors import InvalidValue
 from workbench.model.loop import Loop
 from workbench.model.record import FloatArray
 from workbench.model.tuning import Bounds, Objective
+from workbench.model.valve import Stenman
 from workbench.symbolic.branch import Decisions
 from workbench.symbolic.full_space import FullSpace
 from workbench.symbolic.mpcc import Homotopy, Mpcc, MpccResult, MpccSolver, Pairs, RelaxedSolver
@@ -73,7 +74,7 @@ class StickyProgram:
         method: Callable[[Mpcc], MpccSolver] = relaxed,
     ) -> None:
         space = FullSpace(loop, coefficients, r, load, noise, objective, bounds, size=size)
-        if space.shape.valve != "stenman":
+        if not isinstance(loop.valve, Stenman):
             raise InvalidValue("Loop.valve", loop.valve, "the complementarity form is written for Stenman valves")
         if space.shape.limited:
             raise InvalidValue(

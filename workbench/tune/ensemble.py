@@ -20,7 +20,7 @@ from workbench.model.plant import FOPDT, Plant
 from workbench.model.record import FloatArray
 from workbench.model.results import Robustness
 from workbench.model.tuning import Objective
-from workbench.model.valve import Choudhury, Deadband, Ideal, Stenman, Valve
+from workbench.model.valve import Choudhury, Deadband, Directional, He, Ideal, Kano, Stenman, Valve
 from workbench.simulate import kernel
 from workbench.simulate.batch import kernel_weights, sums, weigh
 from workbench.simulate.coefficients import coefficients
@@ -89,12 +89,22 @@ def _valve(valve: Valve, stiction: float) -> Valve:
     match valve:
         case Stenman():
             return Stenman(valve.d * stiction)
-        case Choudhury():
-            return Choudhury(valve.S * stiction, valve.J * stiction)
-        case Deadband():
-            return Deadband(valve.b * stiction)
+        case He():
+            return He(valve.fs * stiction, valve.fd * stiction)
+        case Kano():
+            return Kano(valve.S * stiction, valve.J * stiction)
+        case Choudhury() | Deadband():
+            return _two_parameter(valve, stiction)
+        case Directional():
+            return Directional(_two_parameter(valve.up, stiction), _two_parameter(valve.down, stiction))
         case Ideal():
             return valve
+
+
+def _two_parameter(valve: Choudhury | Deadband, stiction: float) -> Choudhury | Deadband:
+    if isinstance(valve, Deadband):
+        return Deadband(valve.b * stiction)
+    return Choudhury(valve.S * stiction, valve.J * stiction)
 
 
 def corner_loops(loop: Loop, ensemble: Ensemble) -> tuple[Loop, ...]:

@@ -15,13 +15,12 @@ from numpy.typing import NDArray
 
 from workbench.model.record import FloatArray
 from workbench.model.results import SolveStatus
-from workbench.model.valve import Stenman
 from workbench.simulate import kernel
 from workbench.simulate.batch import weigh
 from workbench.simulate.coefficients import coefficients
 from workbench.simulate.run import rest
 from workbench.symbolic.branch import BranchProgram, BranchSolution, Decisions
-from workbench.symbolic.loop import COEFFICIENTS
+from workbench.symbolic.loop import COEFFICIENTS, expressed
 from workbench.symbolic.solve import held_interrupt
 from workbench.tune.problem import Problem
 
@@ -79,7 +78,8 @@ class Refined:
 
 def usable(problem: Problem) -> bool:
     """Whether branch programs of this problem are worth their time."""
-    return problem.samples <= MOST_SAMPLES and problem.free.size > 0 and eq_2_alone(problem)
+    short = problem.samples <= MOST_SAMPLES and problem.free.size > 0
+    return short and eq_2_alone(problem) and expressed(problem.loop.valve)
 
 
 def eq_2_alone(problem: Problem) -> bool:
@@ -170,7 +170,7 @@ class Refiner:
             )
         if held.asked:
             raise KeyboardInterrupt
-        self._strict = isinstance(valve, Stenman)
+        self._strict = valve.sticks_at_once
         self._seen: set[bytes] = set()
 
     def refine(self, tunings: FloatArray, costs: FloatArray, budget: int, seeds: Sequence[Seed] = ()) -> Refined:

@@ -11,7 +11,7 @@ import numpy as np
 
 from workbench.model.record import FloatArray
 from workbench.model.tuning import DigitStep
-from workbench.model.valve import Choudhury, Deadband, Stenman
+from workbench.model.valve import Ideal, Kano
 from workbench.simulate.coefficients import valve_law
 from workbench.tune.problem import NAMES, Problem, unit_of
 from workbench.tune.refine import path
@@ -120,17 +120,21 @@ def digit_steps(
 def stem_guard(problem: Problem, tuning: FloatArray) -> float:
     """Return the least distance (%) of the run to a decision between stem at rest and slip; inf without stiction."""
     valve = problem.loop.valve
+    if isinstance(valve, Ideal):
+        return math.inf
     law = valve_law(valve)
     run = path(problem, tuning)
     # A run that overflows has no distances after that.
     with np.errstate(invalid="ignore", over="ignore"):
-        lead = np.abs(run.u - np.append(0.0, run.x[:-1]))
-        distance = np.abs(lead - law.band)
-    if isinstance(valve, Choudhury | Deadband):
-        # While the stem goes on moving it is the input's direction that decides, not its distance.
+        lead = run.u - np.append(0.0, run.x[:-1])
         motion = run.branch % 3 - 1
+        lower = np.zeros(lead.size)
+        if isinstance(valve, Kano):
+            # Up to its first move the band lies lower.
+            lower[np.cumsum(np.append(0, motion[:-1] != 0)) == 0] = law.offset
+        distance = np.minimum(np.abs(lead - law.band + lower), np.abs(lead + law.band_down + lower))
+    if not valve.sticks_at_once:
+        # While the stem goes on moving it is the input's direction that decides, not its distance.
         before = np.append(0, motion[:-1])
         distance = distance[~((motion != 0) & (motion == before))]
-    elif not isinstance(valve, Stenman):
-        return math.inf
     return float(distance[np.isfinite(distance)].min(initial=math.inf))

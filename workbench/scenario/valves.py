@@ -1,0 +1,27 @@
+"""A valve's entry in a scenario as the model's valve."""
+
+from __future__ import annotations
+
+from workbench.model.valve import Choudhury, Deadband, Directional, He, Ideal, Kano, Stenman, Valve
+from workbench.scenario import schema
+
+__all__ = ["valve_of"]
+
+
+def valve_of(v: schema.Valve) -> Valve:
+    """Return the valve of an entry. Raises `InvalidValue` where its parameters do not go together."""
+    match v:
+        case schema.StenmanValve():
+            return Stenman(v.d)
+        case schema.HeValve():
+            return He(v.fs, v.fd)
+        case schema.ChoudhuryValve():
+            return Choudhury(v.S, v.J)
+        case schema.KanoValve():
+            return Kano(v.S, v.J)
+        case schema.DeadbandValve():
+            return Deadband(v.b)
+        case schema.DirectionalValve():
+            return Directional(Choudhury(v.up.S, v.up.J), Choudhury(v.down.S, v.down.J))
+        case schema.IdealValve():
+            return Ideal()
