@@ -20,6 +20,7 @@ from workbench.estimate.fit import (
     disturbance,
     fit_linear,
     fit_nothing,
+    grounded,
     predict,
 )
 from workbench.estimate.models import (
@@ -186,15 +187,15 @@ def _profile(data: Centred, max_dead_time: float | None, tell: Callable[[float],
 
 
 def _left(data: Centred, found: Profile | None, bands: dict[str, Bands], linear: Fit) -> FloatArray:
-    """What the best stem leaves of y, EU."""
-    best = None if found is None else found.best
+    """What the best stem leaves of y, EU, over the samples that count."""
+    x, first, fit = data.u, 0, linear
     band = min((b.best for b in bands.values()), key=lambda b: b.fit.sse, default=None)
-    if band is not None and (best is None or band.fit.sse < best.fit.sse):
-        x = band_stem(data.u, band.S, band.J, band.first, band.sense)[0]
-        return data.y - predict(data, x, max(band.first, 0), band.fit)[0]
-    if best is not None:
-        return data.y - predict(data, path_of(data.u, best.d_low, best.first)[0], best.first, best.fit)[0]
-    return data.y - predict(data, data.u, 0, linear)[0]
+    if found is not None:
+        best = found.best
+        x, first, fit = path_of(data.u, best.d_low, best.first)[0], best.first, best.fit
+    if band is not None and (found is None or band.fit.sse < fit.sse):
+        x, first, fit = band_stem(data.u, band.S, band.J, band.first, band.sense)[0], max(band.first, 0), band.fit
+    return (data.y - predict(data, x, first, grounded(data, x, first, fit))[0])[data.skip :]
 
 
 def _settled(
@@ -210,7 +211,7 @@ def _settled(
     within = bool(later.min() <= data.y[0] <= later.max())
     skip = min(math.ceil(theta) + 2, data.samples // STARTING) if within else 0
     for turn in range(COLOURINGS):
-        a = disturbance(_left(data, found, bands, linear)[skip:], data.floor)
+        a = disturbance(_left(data, found, bands, linear)[max(skip - data.skip, 0) :], data.floor)
         # Of a long record the first few samples are nothing.
         if a.size == data.a.size == 1 and (turn > 0 or skip == 0 or data.samples > EXACT):
             break
@@ -232,7 +233,7 @@ def _settled(
 def _coloured_linear(data: Centred, linear: Fit, delays: float) -> tuple[Centred, Fit]:
     """The record and its linear fit in the measure of the disturbance that this leaves."""
     for _ in range(COLOURINGS):
-        data = data.whitened(disturbance(data.y - predict(data, data.u, 0, linear)[0], data.floor), 0)
+        data = data.whitened(disturbance(_left(data, None, {}, linear), data.floor), 0)
         linear = again_linear(data, linear, delays)
     return data, linear
 
@@ -249,7 +250,7 @@ def _answer(
     n = data.samples
     method, valve = asked
     straight = linear_result(data, linear)
-    plain = found
+    unsettled, plain = data, linear
     # The rival of the verdict is as causal as the stem model: a long dead time passes for half a cycle.
     delays = found.limits.theta[1] if found is not None else float(_longest(data, None, DELAYS))
     rival = linear if linear.theta <= delays else fit_linear(data, delays)
@@ -263,11 +264,12 @@ def _answer(
     if method != "two_step":
         data, found, bands, linear = _settled(data, found, bands, linear, delays)
     stem = None if found is None else stem_of(data, found)
+    left = math.inf if stem is None else float(np.mean((record.pv - stem.prediction) ** 2))
     evidence = Evidence(
         samples=n,
         variance=data.variance,
         linear=rival.sse / n,
-        stem=math.inf if plain is None else plain.best.fit.sse / n,
+        stem=left,
         slips=0 if found is None else found.best.slips,
         d=math.nan if found is None else found.best.d,
         gain=0.0 if found is None else found.best.fit.gain,
@@ -309,13 +311,14 @@ def _answer(
         S = bands[chosen].best.S
         sharp = bands[chosen].S[1] - bands[chosen].S[0] <= SHARP * S
         identifiable = verdict == "stiction" and bands[chosen].best.slips >= ENOUGH_SLIPS and sharp
-    if verdict == "no_stiction" or chosen == "linear":
-        data, linear = _coloured_linear(data, linear, delays)
+    best = bands[chosen].best if chosen in bands else None if found is None else found.best
+    stuck = best is not None and chosen != "linear" and verdict != "no_stiction" and best.fit.gain != 0.0
+    if not stuck:
+        data, linear = _coloured_linear(unsettled, plain, max(plain.theta + DELAYS, delays))
         straight = linear_result(data, linear)
     profile_d = np.array([] if found is None else [c.d for c in found.fits])
     profile_cost = np.array([] if found is None else [c.fit.sse / n for c in found.fits])
-    best = bands[chosen].best if chosen in bands else None if found is None else found.best
-    if best is None or stem is None or chosen == "linear" or verdict == "no_stiction" or best.fit.gain == 0.0:
+    if best is None or stem is None or not stuck:
         unstuck = Estimate(
             record=record,
             method=method,

@@ -23,6 +23,7 @@ __all__ = [
     "fit_nothing",
     "fit_path",
     "fit_stems",
+    "grounded",
     "inflation",
     "predict",
     "score_covariance",
@@ -215,6 +216,33 @@ def predict(data: Centred, x: FloatArray, first: int, fit: Fit) -> tuple[FloatAr
     return np.array([fit.bias, fit.gain, fit.start, fit.transient]) @ columns, columns
 
 
+def grounded(
+    data: Centred, x: FloatArray, first: int, fit: Fit, bounds: tuple[float, float] = (-math.inf, math.inf)
+) -> Fit:
+    """Return a fit with its bias, start and transient by least squares on PV itself, its plant as it is.
+
+    Where the first samples do not count, or a filter takes what is slow, these three are hardly seen in the measure
+    that the plant was found in. bounds: the range of x0 (see `start_range`).
+    """
+    if data.skip == 0 and data.a.size == 1:
+        return fit
+    columns = predict(data, x, first, fit)[1]
+    rest = data.y - fit.gain * columns[1]
+
+    def solved(kept: list[int], target: FloatArray) -> list[float]:
+        terms, *_ = np.linalg.lstsq(columns[kept].T, target, rcond=1e-8)
+        values: list[float] = terms.tolist()
+        return values
+
+    bias, start, transient = solved([0, 2, 3], rest)
+    low, high = sorted((fit.gain * bounds[0], fit.gain * bounds[1])) if fit.gain != 0.0 else (0.0, 0.0)
+    if not low <= start <= high:
+        start = min(max(start, low), high)
+        bias, transient = solved([0, 3], rest - start * columns[2])
+    left = data.y - np.array([bias, fit.gain, start, transient]) @ columns
+    return Fit(float(left @ left), fit.tau, fit.theta, fit.gain, bias, start, transient)
+
+
 def inflation(residuals: FloatArray) -> float:
     """Return by how much autocorrelation inflates the variance of a mean: 1 + 2 sum of the autocorrelation, >= 1.
 
@@ -262,7 +290,7 @@ def standard_errors(data: Centred, x: FloatArray, first: int, fit: Fit, clamped:
     jacobian, scale = jacobian[kept] / scale[kept, None], scale[kept]
     names = [n for n, k in zip(names, kept.tolist(), strict=False) if k]
     inverse = np.linalg.pinv(jacobian @ jacobian.T, rcond=1e-12)
-    white = float(residuals @ residuals) / max(data.samples - len(vectors), 1) + data.floor
+    white = float(residuals @ residuals) / max(residuals.size - len(vectors), 1) + data.floor
     spread = np.maximum(np.diag(inverse) * white, np.diag(inverse @ score_covariance(jacobian, residuals) @ inverse))
     found = {n: math.sqrt(max(float(spread[i]), 0.0)) / float(scale[i]) for i, n in enumerate(names)}
     return found.get("gain", math.nan), found.get("tau", math.nan), found.get("theta", math.nan)

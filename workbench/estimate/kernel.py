@@ -45,7 +45,7 @@ S_LOW, S_HIGH, J_LOW, J_HIGH = range(4)
 HELD = 6
 # Time constants after which nothing is left of a start in double precision.
 DIED = 40.0
-FADED = 0.05  # of a transient, at the first sample that counts, from which it is left out
+FADED = 1e-6  # of a transient, at the first sample that counts, from which it is left out
 
 
 @compiled

@@ -5,10 +5,12 @@ from __future__ import annotations
 import math
 
 from workbench.estimate.data import Centred, plant_of
-from workbench.estimate.fit import Fit, Limits
+from workbench.estimate.fit import Fit, Limits, grounded
 from workbench.estimate.profile import Profile
-from workbench.estimate.two_parameter import Band, Bands, refit, search_bands
+from workbench.estimate.stems import path_of
+from workbench.estimate.two_parameter import Band, Bands, band_stem, refit, search_bands
 from workbench.estimate.verdict import SHARP
+from workbench.model.record import FloatArray
 from workbench.model.results import FittedModel
 from workbench.model.valve import Choudhury, Deadband, Ideal, Stenman, Valve
 
@@ -45,21 +47,25 @@ def compared(data: Centred, linear: Fit, found: Profile | None, bands: dict[str,
     """Return every model by its name, the lowest BIC first.
 
     `AIC = N log V + 2 p` and `BIC = N log V + p log N` (H. Akaike, IEEE Trans. Autom. Control 19 (1974) 716-723;
-    G. Schwarz, Ann. Statist. 6 (1978) 461-464), V at least what the record resolves, so that rounding decides nothing.
+    G. Schwarz, Ann. Statist. 6 (1978) 461-464), V that of the innovations where the disturbance is coloured, at least
+    what the record resolves, so that rounding decides nothing. The residual variance told is what is left of PV.
     """
-    fits: dict[str, tuple[Fit, int]] = {"linear": (linear, 0)}
+    fits: dict[str, tuple[Fit, int, FloatArray, int]] = {"linear": (linear, 0, data.u, 0)}
     if found is not None:
-        fits["stenman"] = (found.best.fit, found.best.slips)
-    fits |= {name: (b.best.fit, b.best.slips) for name, b in bands.items()}
+        best = found.best
+        fits["stenman"] = (best.fit, best.slips, path_of(data.u, best.d_low, best.first)[0], best.first)
+    for name, one in bands.items():
+        b = one.best
+        fits[name] = (b.fit, b.slips, band_stem(data.u, b.S, b.J, b.first, b.sense)[0], max(b.first, 0))
     n, d = data.samples, math.nan if found is None else found.best.d
     models = {}
-    for name, (fit, slips) in fits.items():
+    for name, (fit, slips, x, first) in fits.items():
         p = PLANT_PARAMETERS - data.integrating + VALVE_PARAMETERS[name]
         level = n * math.log(max(fit.sse / n, data.floor))
         models[name] = FittedModel(
             valve=_valve(name, d, bands[name].best if name in bands else None),
             plant=plant_of(data, fit.gain, fit.tau, fit.theta),
-            residual_variance=fit.sse / n,
+            residual_variance=grounded(data, x, first, fit).sse / n,
             aic=level + 2.0 * p,
             bic=level + p * math.log(n),
             slips=slips,

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from workbench.estimate.data import Centred, plant_of
-from workbench.estimate.fit import Fit, predict, standard_errors, start_range
+from workbench.estimate.fit import Fit, grounded, predict, standard_errors, start_range
 from workbench.estimate.models import PLANT_PARAMETERS
 from workbench.estimate.profile import Candidate, Profile
 from workbench.estimate.stems import path_of
@@ -40,6 +40,7 @@ def bias_of(data: Centred, fit: Fit) -> float:
 
 def linear_result(data: Centred, fit: Fit) -> LinearFit:
     """Return the linear fit as a result, its AIC by the paper's eq. (1)."""
+    fit = grounded(data, data.u, 0, fit)
     modelled = predict(data, data.u, 0, fit)[0]
     sse = float(((data.y - modelled) ** 2).sum())
     return LinearFit(
@@ -96,7 +97,11 @@ def stem_of(data: Centred, found: Profile) -> Stem:
     best = found.best
     x, _ = path_of(data.u, best.d_low, best.first)
     start, clamped = _start(data, best)
-    prediction = data.pv_mean + predict(data, x, best.first, best.fit)[0]
+    bounds = start_range(data.u, best.first, best.d_low, best.d_high)
+    whole = grounded(data, x, best.first, best.fit, bounds)
+    if best.first > 0 and whole.gain != 0.0:
+        start = float(np.clip(whole.start / whole.gain, *bounds))
+    prediction = data.pv_mean + predict(data, x, best.first, whole)[0]
     position = x + data.op_middle
     position[: best.first] = start + data.op_middle
     errors = (math.nan, math.nan, math.nan)
@@ -105,7 +110,7 @@ def stem_of(data: Centred, found: Profile) -> Stem:
     d = (min(c.d_low for c in found.alike), max(c.d_high for c in found.alike))
     known = best.d_high > best.d_low and best.slips >= ENOUGH_SLIPS
     intervals = ranges_of(data, [c.fit for c in found.alike], errors, d if known else None)
-    return Stem(position, prediction, bias_of(data, best.fit), intervals)
+    return Stem(position, prediction, bias_of(data, whole), intervals)
 
 
 def band_of(data: Centred, found: Bands, name: str) -> Stem:
@@ -113,15 +118,14 @@ def band_of(data: Centred, found: Bands, name: str) -> Stem:
     best = found.best
     x, _ = band_stem(data.u, best.S, best.J, best.first, best.sense)
     begin = max(best.first, 0)
-    prediction = data.pv_mean + predict(data, x, begin, best.fit)[0]
+    whole = grounded(data, x, begin, best.fit)
+    prediction = data.pv_mean + predict(data, x, begin, whole)[0]
     position = x + data.op_middle
     if begin > 0 and best.fit.gain != 0.0:
         # Where the stem was before it first slipped, kept to what the valve can hold there.
         reach = 0.5 * (best.S + best.J)
         low, high = float(data.u[:begin].max()) - reach, float(data.u[:begin].min()) + reach
-        position[:begin] = data.op_middle + float(
-            np.clip(best.fit.start / best.fit.gain, min(low, high), max(low, high))
-        )
+        position[:begin] = data.op_middle + float(np.clip(whole.start / whole.gain, min(low, high), max(low, high)))
     errors = (math.nan, math.nan, math.nan)
     if best.fit.gain != 0.0:
         errors = standard_errors(data, x, begin, best.fit, clamped=False)
@@ -130,4 +134,4 @@ def band_of(data: Centred, found: Bands, name: str) -> Stem:
     ranges = ranges_of(data, fits or [best.fit], errors, None)
     if best.slips >= ENOUGH_SLIPS:
         ranges = replace(ranges, S=found.S, J=None if name == "deadband" else found.J)
-    return Stem(position, prediction, bias_of(data, best.fit), ranges)
+    return Stem(position, prediction, bias_of(data, whole), ranges)

@@ -393,7 +393,8 @@ class LinearFit:
 class FittedModel:
     """One model held against a record: valve, plant, residual variance (EU^2), AIC and BIC, times that the stem slips.
 
-    AIC and BIC do not fall below what the record resolves: fits better than that are equally good.
+    AIC and BIC are those of the innovations where the disturbance is coloured, and do not fall below what the record
+    resolves: fits better than that are equally good.
     """
 
     valve: Valve
@@ -467,10 +468,11 @@ class Estimate:
     OP's scale, shape (N,). prediction: PV simulated from that stem, EU, shape (N,). bias: PV at stem 0, EU.
     verdict: "stiction", "no_stiction" or "undecided", with `reasons` in words. identifiable: True for a
     "stiction" verdict whose d (or S) the data pin to a tenth, with ten stem moves or more, and not only its product
-    with the gain. residual_variance (EU^2) and aic by the paper's eq. (1);
-    noise_sd: standard deviation of PV about the prediction, EU. slips: stem moves in the record. profile_d and
-    profile_cost: residual variance against d. iterations: the two-step algorithm's history. candidates: the models
-    compared, the lowest BIC first. noise_model: drift and coloured disturbance of method "joint", None otherwise.
+    with the gain. residual_variance (EU^2) and aic by the paper's eq. (1); noise_sd: standard deviation of PV about the
+    prediction, EU. slips: stem moves in the record. profile_d and profile_cost: variance of the innovations (EU^2)
+    against d, the residual's where the disturbance is white. iterations: the two-step algorithm's history. candidates:
+    the models compared, the lowest BIC first. noise_model: drift and coloured disturbance of method "joint", None
+    otherwise.
     repeats: what parts of the record say by themselves; None without stiction or with too few stem moves.
     """
 

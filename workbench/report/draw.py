@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from workbench.model.record import FloatArray, Record
 from workbench.model.results import DescribingFunction, Estimate, LimitCycle, Run, Tuned
-from workbench.model.valve import Stenman
+from workbench.model.valve import Ideal, Stenman
 from workbench.report.style import LINEAR, OP, PREDICTION, PV, SP, VALVE, Style, case_style
 from workbench.report.words import ROUNDING, duration, figure, given, label
 
@@ -318,11 +318,12 @@ def profile(ax: Axes, found: Estimate, window: tuple[float, float] | None = None
     marks: Style = {} if window is None or x.size > 200 else {"marker": ".", "markersize": 3}
     ax.plot(x, y, label="AIC", **{**PV, "linewidth": 0.9}, **marks)
     if window is None:
-        ax.axhline(_level(found, plain.residual_variance) + parameters, label="linear fit", **LINEAR)
+        rival = next((m.aic for m in found.candidates if isinstance(m.valve, Ideal)), plain.aic)
+        ax.axhline(rival, label="linear fit", **LINEAR)
     best = found.valve.stick_band
     if best > 0.0:
-        known = found.residual_variance >= ROUNDING
-        at = found.aic if known else _level(found, found.residual_variance) + parameters + 2.0
+        # In the curve's own measure, which differs from the residual's where the disturbance is coloured.
+        at = next((m.aic for m in found.candidates if m.valve == found.valve), found.aic)
         name = "d" if isinstance(found.valve, Stenman) else "S"
         ax.plot([best], [max(at, least)], "o", color="#D55E00", markersize=4, label=f"{name} = {figure(best)} %")
     ax.set_xlabel("d (%)")
