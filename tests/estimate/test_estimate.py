@@ -551,3 +551,55 @@ def test_no_real_loop_without_stiction_is_accused_and_none_ends_in_a_traceback()
                 wrong.append(name)
     assert not wrong
     assert right >= 42
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_a_load_step_is_a_disturbance_and_leaves_stiction_and_gain(seed: int) -> None:
+    loop = wb.Loop(wb.FOPDT(2.0, 5.0, 1.0), wb.Stenman(2.0), wb.PID(Kc=0.5, Ti=20.0), 1.0)
+    steps = [wb.Step(8.0), wb.Step(-6.0, at=500.0)]
+    run = wb.simulate(loop, wb.Experiment(1000.0, steps, wb.Step(0.7, at=700.0), wb.Noise(0.1, seed)))
+    found = wb.estimate(wb.Record(run.pv + 50.0, run.op + 40.0, 1.0))
+    assert isinstance(found.valve, wb.Stenman)
+    assert found.valve.d == pytest.approx(2.0, rel=0.01)
+    assert found.plant.gain == pytest.approx(2.0, rel=0.05)
+    assert found.plant.time_constant == pytest.approx(5.0, rel=0.1)
+
+
+def test_a_noise_free_cycle_does_not_identify_the_stiction_alone() -> None:
+    # K d and the shape are fixed; d makes up for gain and dead time (and the record starts within the cycle).
+    loop = wb.Loop(wb.FOPDT(2.0, 5.0, 1.0), wb.Stenman(2.0), wb.PID(Kc=0.5, Ti=20.0), 1.0)
+    run = wb.simulate(loop, wb.Experiment(2000.0, wb.Step(4.0)))
+    found = wb.estimate(wb.Record(run.pv[1000:] + 50.0, run.op[1000:] + 40.0, 1.0))
+    assert found.verdict == "stiction"
+    assert not found.identifiable
+    assert found.intervals.d is not None
+    assert found.intervals.d[0] < 1.9
+    assert found.intervals.d[1] > 2.1
+    assert found.intervals.gain is not None
+    assert found.intervals.gain[0] < 1.9 < 2.1 < found.intervals.gain[1]
+    assert found.valve.stick_band * found.plant.gain == pytest.approx(4.0, rel=0.01)
+
+
+def test_a_healthy_loop_with_a_long_dead_time_keeps_it_and_its_limit() -> None:
+    loop = wb.Loop(wb.FOPDT(1.0, 8.0, 60.0), wb.Ideal(), wb.PID(Kc=0.05, Ti=20.0), 1.0)
+    run = wb.simulate(loop, wb.Experiment(600.0, wb.Step(5.0, at=60.0), None, wb.Noise(0.2, 1)))
+    record = wb.Record(run.pv, run.op, 1.0)
+    found = wb.estimate(record, valve="linear")
+    assert found.plant.gain == pytest.approx(1.0, rel=0.05)
+    assert found.plant.dead_time + found.plant.time_constant == pytest.approx(68.0, rel=0.1)
+    assert wb.estimate(record, valve="linear", max_dead_time=20.0).plant.dead_time <= 20.0 + 1e-9
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_fast_plant_under_a_coloured_load_is_simulated_from_the_start(seed: int) -> None:
+    # Start and transient have died out in the samples that count; they are told in PV's own measure.
+    rng = np.random.default_rng(seed)
+    load = np.zeros(200)
+    for k in range(1, 200):
+        load[k] = 0.9 * load[k - 1] + 0.15 * rng.normal()
+    loop = wb.Loop(wb.FOPDT(1.0, 0.35, 1.0), wb.Stenman(2.0), wb.PID(Kc=0.3, Ti=3.0), 1.0)
+    experiment = wb.Experiment(200.0, wb.Step(5.0, at=60.0), wb.Series(load.tolist()), wb.Noise(0.1, seed))
+    run = wb.simulate(loop, experiment)
+    found = wb.estimate(wb.Record(run.pv, run.op, 1.0))
+    assert float(np.abs(run.pv - found.prediction).max()) < 3.0 * float(np.std(run.pv))
+    assert found.residual_variance < 0.3 * float(np.var(run.pv))

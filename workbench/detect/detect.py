@@ -17,7 +17,7 @@ from workbench.detect.load import DETECTIONS, load_index
 from workbench.detect.oscillation import no_period, oscillation_of
 from workbench.detect.shape import movement_index, triangle_index
 from workbench.detect.stem import Fitted, stem_test
-from workbench.detect.verdict import decide
+from workbench.detect.verdict import decide, follows
 from workbench.errors import InvalidValue, RecordError
 from workbench.model.detection import Detection, Oscillation
 from workbench.model.record import Record
@@ -69,8 +69,7 @@ def detect(record: Record, *, bicoherence: bool = False, fitted: Fitted | None =
     test = stem_test(record.pv, record.op, record.sample_time, period, gain_sign(record), fitted)
     stem = None if record.valve_position is None else stem_evidence(record.op, record.valve_position)
     verdict, reasons = ("undecided", [dead]) if dead else decide(whole, test, stem)
-    follows = test.samples * math.log(max(test.unfollowed, 1e-300) / max(test.left, 1e-300))
-    if verdict == "no_stiction" and follows < FOLLOWS and feedback(record)[0] < ACTS:
+    if verdict == "no_stiction" and follows(test) < FOLLOWS and feedback(record)[0] < ACTS:
         verdict = "undecided"
         reasons = ["neither does PV follow OP nor OP the error: the record does not show a loop at work"]
     stretch, cycle = _strongest(record)

@@ -26,12 +26,11 @@ evidence told to the reader, and decide nothing.
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 from workbench.model.detection import Oscillation, StemEvidence, StemTest
 
-__all__ = ["Thresholds", "decide"]
-
-from dataclasses import dataclass
+__all__ = ["Thresholds", "decide", "follows"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,9 +82,8 @@ def decide(
     likely = likely or (test.likelihood >= limits.sole and test.simulated >= limits.explains)
     if likely or _exceeds(test, limits, limits.close) or _predicts(test, limits, limits.close):
         return "undecided", [f"{beats}: nearly enough to find stiction, too much to exclude it", f"{both}; {linear}"]
-    follows = test.samples * math.log(max(test.unfollowed, 1e-300) / max(test.left, 1e-300))
     rests = test.moves <= limits.few and test.predicting <= test.wide and test.unexplained >= limits.left
-    if rests and (test.predicting >= limits.chance or follows < limits.chance):
+    if rests and (test.predicting >= limits.chance or follows(test) < limits.chance):
         times = "once" if test.moves == 1 else f"{test.moves} times"
         hardly = f"OP hardly leaves a band of {test.band:.3g} %, within which a stem that moved {times} fits as well"
         return "undecided", [f"{hardly}: the record is too short, or too quiet, to exclude it"]
@@ -100,6 +98,11 @@ def decide(
             "a sticking stem explains PV no better than OP itself",
         ]
     return "no_stiction", ["a sticking stem explains PV no better than OP itself: stiction adds nothing that matters"]
+
+
+def follows(test: StemTest) -> float:
+    """Return the log likelihood ratio of PV with OP to PV without: how clearly PV is seen to follow."""
+    return test.samples * math.log(max(test.unfollowed, 1e-300) / max(test.left, 1e-300))
 
 
 def _exceeds(test: StemTest, limits: Thresholds, share: float) -> bool:

@@ -106,7 +106,8 @@ def estimate(
         return _better_plant(record, (method, valve), start, max_dead_time, tell)
     data = centre(record, plant)
     tell(0.0)
-    linear = fit_linear(data, _longest(data, max_dead_time, LINEAR_DELAYS))
+    longest = _longest(data, max_dead_time, LINEAR_DELAYS)
+    linear = fit_linear(data, longest)
     tell(0.1)
     history: tuple[Iteration, ...] = ()
     found: Profile | None
@@ -114,7 +115,7 @@ def estimate(
         found, history = two_step(data, start, _longest(data, max_dead_time, DELAYS))
     else:
         found = _profile(data, max_dead_time, (lambda share: tell(0.1 + 0.4 * share)) if method == "joint" else tell)
-    answer, paths = _answer(record, data, (method, valve), found, linear, history)
+    answer, paths = _answer(record, data, (method, valve), found, (linear, longest), history)
     if method == "joint":
         answer = _joint(data, answer, paths, max_dead_time, lambda share: tell(0.5 + 0.5 * share))
     repeats = repeats_of(data, answer)
@@ -243,10 +244,11 @@ def _answer(
     data: Centred,
     asked: tuple[str, str],
     found: Profile | None,
-    linear: Fit,
+    straight_fit: tuple[Fit, float],
     history: tuple[Iteration, ...],
 ) -> tuple[Estimate, list[Path]]:
-    """The estimate, and the likeliest stem paths of its valve."""
+    """The estimate, and the likeliest stem paths of its valve; straight_fit: the linear fit and its longest delay."""
+    linear, longest = straight_fit
     n = data.samples
     method, valve = asked
     straight = linear_result(data, linear)
@@ -314,7 +316,7 @@ def _answer(
     best = bands[chosen].best if chosen in bands else None if found is None else found.best
     stuck = best is not None and chosen != "linear" and verdict != "no_stiction" and best.fit.gain != 0.0
     if not stuck:
-        data, linear = _coloured_linear(unsettled, plain, max(plain.theta + DELAYS, delays))
+        data, linear = _coloured_linear(unsettled, plain, longest)
         straight = linear_result(data, linear)
     profile_d = np.array([] if found is None else [c.d for c in found.fits])
     profile_cost = np.array([] if found is None else [c.fit.sse / n for c in found.fits])
