@@ -27,7 +27,7 @@ from workbench.model.record import FloatArray
 from workbench.model.valve import Choudhury, Stenman
 from workbench.simulate.run import valve_response
 
-__all__ = ["Fitted", "Law", "laws_of", "stem_test", "whitened"]
+__all__ = ["Fitted", "Law", "dead_times", "laws_of", "stem_test", "whitened"]
 
 Fitted = tuple[Stenman | Choudhury, FloatArray]
 

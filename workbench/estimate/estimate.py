@@ -227,7 +227,7 @@ def _settled(
                 found = profile_again(data, found)
         limits = Limits((LEAST_TAU, float(data.samples)), (0.0, delays))
         if bands:
-            bands = bands_of(data, look(data, linear, delays), limits) if coloured else refitted(data, bands, limits)
+            bands = bands_of(data, look(data, delays), limits) if coloured else refitted(data, bands, limits)
     return data, found, bands, linear
 
 
@@ -257,7 +257,7 @@ def _answer(
     delays = found.limits.theta[1] if found is not None else float(_longest(data, None, DELAYS))
     rival = linear if linear.theta <= delays else fit_linear(data, delays)
     wide = [] if found is None else [c.fit.sse / n for c in found.fits if c.d >= WIDE_D * data.op_range]
-    coarse = look(data, rival, delays)
+    coarse = look(data, delays)
     bands = {}
     if method != "two_step" and valve not in ("stenman", "linear"):
         bands = bands_of(data, coarse, Limits((LEAST_TAU, float(n)), (0.0, delays)))

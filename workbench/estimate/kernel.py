@@ -22,6 +22,7 @@ __all__ = [
     "rest_range",
     "scan_bands",
     "scan_held",
+    "screen_bands",
     "stem_path",
     "stem_slips",
     "walk",
@@ -867,6 +868,107 @@ def scan_bands(
             tau, theta = plants[j, 0], plants[j, 1]
             cost = fit_cost(y, x, max(first, 0), -math.inf, math.inf, sign, integrating, tau, theta, a, skip, out)
             costs[i, j] = cost if out[GAIN] != 0.0 else math.inf
+
+
+@compiled
+def screen_bands(
+    y: Floats,
+    op: Floats,
+    bands: Floats,
+    poles: Floats,
+    delays: Ints,
+    sign: float,
+    a: Floats,
+    skip: int,
+    found: Floats,
+) -> None:
+    """Write for each (S, J) the best of a grid of plants, found[i, start] = (COST, pole, delay), for four starts.
+
+    bands: rows (S, J); y, a: as in `fit_cost`; delays: whole samples. COST: n times the mean square that is left, inf
+    where the stem never moves. Starts: either end of the band, its middle, and any: from where the paths from both ends
+    have met the stem is known; what was before is a constant and a transient with the plant's pole, and does not count.
+    Where they meet after half the record, that is no start. An integrating plant is a pole just below 1.
+    """
+    n, p = y.size, a.size - 1
+    paths, w, z = np.empty((4, n)), np.empty(n), np.empty(n)
+    box = np.empty(4)
+    # Sums over the samples from k on: of y, y^2, and of y and z weighted by pole^(i - k).
+    sum_y, sum_yy = np.zeros(n + 1), np.zeros(n + 1)
+    fading_y, fading_z = np.zeros((poles.size, n + 1)), np.zeros(n + 1)
+    sum_z, sum_zz = np.zeros(n + 1), np.zeros(n + 1)
+    for k in range(n - 1, -1, -1):
+        sum_y[k] = sum_y[k + 1] + y[k]
+        sum_yy[k] = sum_yy[k + 1] + y[k] * y[k]
+        for j in range(poles.size):
+            fading_y[j, k] = y[k] + poles[j] * fading_y[j, k + 1]
+    found[:, :, 0] = math.inf
+    found[:, :, 1:] = 0.0
+    for i in range(bands.shape[0]):
+        S, J = bands[i, 0], bands[i, 1]
+        band_path(op, S, J, 0, 1.0, paths[0], box)
+        band_path(op, S, J, 0, -1.0, paths[1], box)
+        moves = band_path(op, S, J, -1, 0.0, paths[2], box) > 0
+        met = n
+        while met > 0 and paths[0, met - 1] == paths[1, met - 1]:
+            met -= 1
+        for way in range(4):
+            start = 3 - way
+            if (start == 2 and not moves) or (start == 3 and 2 * met > n):
+                continue
+            # A start that is known asks for nearly the plant of one that is not.
+            any_cost, near_pole, near_delay = found[i, 3, 0], found[i, 3, 1], found[i, 3, 2]
+            known = 0
+            if start == 3:
+                known = met + p
+                paths[3, met:] = paths[0, met:]
+                paths[3, :met] = paths[0, met]
+            x = paths[start]
+            for k in range(n):
+                total = x[k] - x[0]
+                for j in range(1, min(p, k) + 1):
+                    total += a[j] * (x[k - j] - x[0])
+                w[k] = total
+            for j in range(poles.size):
+                if any_cost < math.inf and abs(j - near_pole) > 1.0:
+                    continue
+                pole = poles[j]
+                lag = 0.0
+                for k in range(n):
+                    z[k] = lag
+                    lag = pole * lag + (1.0 - pole) * w[k]
+                for k in range(n - 1, -1, -1):
+                    sum_z[k] = sum_z[k + 1] + z[k]
+                    sum_zz[k] = sum_zz[k + 1] + z[k] * z[k]
+                    fading_z[k] = z[k] + pole * fading_z[k + 1]
+                for d in range(delays.size):
+                    if any_cost < math.inf and abs(d - near_delay) > 2.0:
+                        continue
+                    delay = delays[d]
+                    b = max(skip, known + delay + 1 if known > 0 else 0)
+                    from_z = max(b, delay) - delay
+                    count = n - b
+                    if count < 8:
+                        continue
+                    left = pole**count
+                    se, see = (1.0 - left) / (1.0 - pole), (1.0 - left * left) / (1.0 - pole * pole)
+                    sy, sye = sum_y[b], fading_y[j, b]
+                    sz, szz = sum_z[from_z] - sum_z[n - delay], sum_zz[from_z] - sum_zz[n - delay]
+                    size = n - delay - from_z
+                    sze = pole ** (from_z + delay - b) * (fading_z[from_z] - pole**size * fading_z[n - delay])
+                    szy = np.dot(z[from_z : n - delay], y[from_z + delay :])
+                    yy = sum_yy[b] - sy * sy / count
+                    zz, zy = szz - sz * sz / count, szy - sz * sy / count
+                    ee = see - se * se / count
+                    if ee > 1e-10 * see:
+                        ey, ze = sye - se * sy / count, sze - sz * se / count
+                        yy -= ey * ey / ee
+                        zz -= ze * ze / ee
+                        zy -= ze * ey / ee
+                    if zz > 1e-9 * szz and zy * sign >= 0.0:
+                        yy -= zy * zy / zz
+                        cost = max(yy, 0.0) * n / count
+                        if cost < found[i, start, 0]:
+                            found[i, start, 0], found[i, start, 1], found[i, start, 2] = cost, j, d
 
 
 @compiled

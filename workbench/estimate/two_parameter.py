@@ -15,30 +15,34 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from workbench.detect.stem import dead_times
 from workbench.estimate import kernel
 from workbench.estimate.data import Centred
-from workbench.estimate.fit import LEAST_TAU, Fit, Limits, fit_linear, fit_path, inflation, predict
+from workbench.estimate.fit import LEAST_TAU, Fit, Limits, fit_path, inflation, predict
 from workbench.estimate.profile import CHI_SQUARE, EXACT, active_windows
-from workbench.estimate.stems import first_slips
+from workbench.estimate.stems import first_slips, thin
 from workbench.model.record import FloatArray
 
 __all__ = ["Band", "Bands", "band_stem", "look", "refit", "repeated", "search_bands"]
 
-BANDS = 14
 NARROWEST, WIDEST = 0.04, 0.95  # of OP's range
-JUMPS = (0.0, 0.3, 0.8)  # J as a share of S
-GRID = 90  # values of S in the close grid
-SHARES = (0.0, 0.08, 0.16, 0.26, 0.38, 0.5, 0.65, 0.8, 0.95, 1.1, 1.35)  # of J in it, of S
-PICKED = 14  # points of the grid that get their own plant
+GRID = 48  # values of S looked at
+SHARES = (0.0, 0.12, 0.27, 0.45, 0.7, 1.0, 1.35)  # of J, of S
+FINER, FINER_TAUS = (-0.04, -0.02, 0.0, 0.02, 0.04), (0.7, 0.85, 1.0, 1.2, 1.45)  # about the best of them, of each
+SHORTEST, LONGEST, TAUS = 0.3, 10.0, 9  # time constants looked at: samples, records, how many
+PICKED = 14  # stems of the grid that get their own plant,
+NEAR, NEAR_JUMP = 0.05, 0.1  # no two of them as near as that, of S
+SPREADS = (0.1, 0.04, 0.015, 0.005)  # of S: how far stems with plants of their own are looked at about a seed,
+STEPS = 6  # how often at most, each time about the best so far,
+AROUND, QUICK = 5, 14  # how many values of S, and evaluations of each
+ACROSS, ACROSS_GRID = 0.07, 29  # of S: how far a close grid about the best goes, and how many values of S it has
+CROSSINGS = 3  # of it at most
 SEEDS = 4  # of them, about which S and J are walked
-REACHES = ((0.06, 0.15), (0.02, 0.05), (0.006, 0.015), (0.002, 0.005))  # how far, of S: along S and along J
+REACHES = ((0.006, 0.015), (0.002, 0.005))  # how far, of S: along S and along J
 LINES = 13  # of J in each
 REFITS = 6  # best lines of which each gets its own plant
-MOST_STARTS = 3  # starts at which the grid is scanned, beside a stem that stands at either end of its band
-ENDS = ((0, 1.0), (0, -1.0))
-PLANTS, MORE_PLANTS = 3, 6  # at which it is scanned, for any J and for a dead band
-WIDTH_APART = 0.3  # of log S, between stems whose plants are scanned
-STARTS = 12  # first slips tried beside the stem that rests in the middle of its band
+OUTWARDS = (0.004, 0.5, 1.5)  # of S: the least and the largest step away from the best, each to the one before
+STARTS = 60  # first slips tried beside the stem that rests in the middle of its band
 HALF_SLIPS = 5  # in each half of a record, for the halves to be compared
 
 
@@ -74,21 +78,58 @@ def band_stem(u: FloatArray, S: float, J: float, first: int = -1, sense: float =
     return x, kernel.band_path(u, S, J, first, sense, x, np.empty(4))
 
 
-def look(data: Centred, linear: Fit, longest: float) -> list[Band]:
-    """Return the best fits over a coarse grid of (S, J), the best first, with dead times up to `longest` samples.
+def look(data: Centred, longest: float) -> list[Band]:
+    """Return the best fits over a grid of (S, J), starts and plants, the best first, with dead times up to `longest`.
 
-    The stem starts in the middle of its band at OP's first value. Empty where no stem of the grid moves.
+    Each of the grid's stems has the best of a grid of plants; the best few that differ are then fitted with their own.
+    Of a long record that is done in its most active stretches, and their best fitted to the whole. Empty where no stem
+    of the grid moves.
     """
     limits = Limits((LEAST_TAU, float(data.samples)), (0.0, longest))
-    tau, theta = max(linear.tau, LEAST_TAU), min(linear.theta, longest)
-    evaluations = 50 if data.samples <= EXACT else 20
-    found = [
-        _fit(data, S, share * S, (-1, 0.0), limits, (tau, start), evaluations, 1e-4)
-        for S in (np.geomspace(NARROWEST, WIDEST, BANDS) * data.op_range).tolist()
-        for share in JUMPS
-        for start in {theta, max(theta - S / data.op_range * theta, 0.0)}
-    ]
-    return sorted((b for b in found if b.slips > 0), key=lambda b: b.fit.sse)
+    if data.samples > EXACT:
+        seen = [b for part in active_windows(data) for b in look(part, min(longest, part.samples / 4.0))[:SEEDS]]
+        found = [_fit(data, b.S, b.J, (-1, 0.0), limits, (b.fit.tau, b.fit.theta), 20, 1e-4) for b in seen]
+    else:
+        taus = np.geomspace(SHORTEST, LONGEST * data.samples, TAUS)
+        delays = [float(d) for d in dead_times(data.samples, math.nan) if d <= longest]
+        S = np.geomspace(NARROWEST, WIDEST, GRID) * data.op_range
+        grid = np.column_stack([np.repeat(S, len(SHARES)), (S[:, None] * np.array(SHARES)).ravel()])
+        found = [_placed(data, seed, limits) for seed in _screened(data, grid, taus, delays, PICKED)]
+    return sorted((b for b in found if b.slips > 0 and b.fit.gain != 0.0), key=lambda b: b.fit.sse)
+
+
+def _screened(
+    data: Centred, grid: FloatArray, taus: FloatArray, delays: list[float], most: int
+) -> list[tuple[float, float, float, float]]:
+    """The best (S, J, tau, theta) of a grid of rows (S, J) that differ, each with the best plant of a grid."""
+    grid = grid[grid.sum(axis=1) < 2.0 * data.op_range]
+    found = np.empty((len(grid), 4, 3))
+    poles, whole = np.exp(-1.0 / taus), np.array(delays, dtype=np.int64)
+    kernel.screen_bands(data.target, data.u, grid, poles, whole, data.sign, data.a, data.skip, found)
+    chosen: list[tuple[float, float, float, float]] = []
+    # A start that is known uses all of the record, one that is not may leave its liveliest part out: both are asked.
+    started = np.argmin(found[:, :3, 0], axis=1)
+    for starts, share in ((started, (most + 1) // 2), (np.full(len(grid), 3), most)):
+        best = found[np.arange(len(grid)), starts]
+        for i in np.argsort(best[:, 0], kind="stable").tolist():
+            S, J = grid[i].tolist()
+            apart = all(abs(S / c[0] - 1.0) > NEAR or abs(J - c[1]) > NEAR_JUMP * S for c in chosen)
+            if apart and len(chosen) < share and math.isfinite(best[i, 0]):
+                chosen.append((S, J, float(taus[int(best[i, 1])]), delays[int(best[i, 2])]))
+    return chosen
+
+
+def _placed(data: Centred, seed: tuple[float, float, float, float], limits: Limits) -> Band:
+    """The best stem of a finer grid about a seed (S, J, tau, theta), with the start that suits it and its own plant."""
+    S, J, tau, theta = seed
+    widths = S * (1.0 + np.array(FINER))
+    jumps = np.unique(np.maximum(J + 2.0 * S * np.array(FINER), 0.0))
+    grid = np.column_stack([np.repeat(widths, jumps.size), np.tile(jumps, widths.size)])
+    delays = [d for d in (theta + step for step in range(-3, 4)) if 0.0 <= d <= limits.theta[1]]
+    near = _screened(data, grid, tau * np.array(FINER_TAUS), delays, 1)
+    S, J, tau, theta = near[0] if near else seed
+    least = _start_costs(data, (S, J), (tau, theta))[0]
+    return _fit(data, S, J, least[1:], limits, (tau, theta), 60, 1e-5)
 
 
 def _fit(
@@ -144,20 +185,21 @@ def _line(
     return rows[:count].copy()
 
 
-def _start_costs(data: Centred, b: Band) -> list[tuple[float, int, float]]:
-    """(cost, first, sense) of a stem's starts, ascending: each at which OP lets it slip first, at the stem's plant."""
+def _start_costs(
+    data: Centred, band: tuple[float, float], plant: tuple[float, float]
+) -> list[tuple[float, int, float]]:
+    """(cost, first, sense) of a stem's starts, ascending: each sample at which OP lets it slip first, at one plant."""
     u = data.u
     firsts = first_slips(u)
     held = np.maximum.accumulate(u) - np.minimum.accumulate(u)
-    firsts = firsts[(firsts == 0) | (held[np.maximum(firsts - 1, 0)] <= b.S + b.J)]
-    chosen = firsts[np.unique(np.round(np.linspace(0, firsts.size - 1, min(STARTS, firsts.size))).astype(np.int64))]
+    firsts = firsts[(firsts == 0) | (held[np.maximum(firsts - 1, 0)] <= sum(band))]
     starts = [(-1, 0.0), (0, 1.0), (0, -1.0)]
-    starts += [(f, 1.0 if u[f] > u[:f].max() else -1.0) for f in chosen.tolist() if f > 0]
-    band, plant, cost = np.array([[b.S, b.J]]), np.array([[b.fit.tau, b.fit.theta]]), np.empty((1, 1))
+    starts += [(f, 1.0 if u[f] > u[:f].max() else -1.0) for f in thin(firsts, STARTS).tolist() if f > 0]
+    pair, plants, cost = np.array([band]), np.array([plant]), np.empty((1, 1))
     found = []
     for first, sense in starts:
         kernel.scan_bands(
-            data.target, data.u, first, sense, band, data.sign, data.integrating, plant, data.a, data.skip, cost
+            data.target, data.u, first, sense, pair, data.sign, data.integrating, plants, data.a, data.skip, cost
         )
         found.append((float(cost[0, 0]), first, sense))
     return sorted(found)
@@ -165,63 +207,11 @@ def _start_costs(data: Centred, b: Band) -> list[tuple[float, int, float]]:
 
 def _started(data: Centred, b: Band, limits: Limits) -> Band:
     """The same stem from the start that suits it best."""
-    least, first, sense = _start_costs(data, b)[0]
+    least, first, sense = _start_costs(data, (b.S, b.J), (b.fit.tau, b.fit.theta))[0]
     if least >= b.fit.sse or (first, sense) == (b.first, b.sense):
         return b
     other = _fit(data, b.S, b.J, (first, sense), limits, (b.fit.tau, b.fit.theta))
     return other if other.fit.sse < b.fit.sse and other.fit.gain != 0.0 else b
-
-
-def _scanned(
-    data: Centred,
-    plants: list[tuple[float, float]],
-    starts: list[tuple[int, float]],
-    only: float | None,
-    limits: Limits,
-) -> list[Band]:
-    """The best stems over a close grid of (S, J) at some plants and starts, each with its own plant then."""
-    S = np.geomspace(NARROWEST, WIDEST, GRID) * data.op_range
-    shares = np.array(SHARES if only is None else [only])
-    bands = np.column_stack([np.repeat(S, shares.size), (S[:, None] * shares).ravel()])
-    costs = np.empty((len(starts), len(bands), len(plants)))
-    for i, (first, sense) in enumerate(starts):
-        pairs = np.array(plants)
-        kernel.scan_bands(
-            data.target, data.u, first, sense, bands, data.sign, data.integrating, pairs, data.a, data.skip, costs[i]
-        )
-    least = costs.min(axis=(0, 2))
-    chosen: list[int] = []
-    for i in np.argsort(least, kind="stable").tolist():
-        S_i, J_i = bands[i]
-        near = any(abs(S_i / bands[j, 0] - 1.0) < 0.05 and abs(J_i - bands[j, 1]) < 0.15 * S_i for j in chosen)
-        if not near and math.isfinite(least[i]):
-            chosen.append(i)
-        if len(chosen) == PICKED:
-            break
-    found = []
-    for i in chosen:
-        start, plant = np.unravel_index(int(np.argmin(costs[:, i])), (len(starts), len(plants)))
-        at = (float(bands[i, 0]), float(bands[i, 1]))
-        found.append(_fit(data, *at, starts[int(start)], limits, plants[int(plant)], 60))
-    return sorted((b for b in found if b.fit.gain != 0.0 and b.slips > 0), key=lambda b: b.fit.sse)
-
-
-def _likely_starts(data: Centred, bands: list[Band]) -> list[tuple[int, float]]:
-    """The starts that suit some stems best: those that more of them prefer first."""
-    votes: dict[tuple[int, float], int] = {}
-    for b in bands:
-        for rank, (_, first, sense) in enumerate(_start_costs(data, b)[:3]):
-            votes[first, sense] = votes.get((first, sense), 0) + 3 - rank
-    return sorted(votes, key=lambda start: -votes[start])[:MOST_STARTS]
-
-
-def _plants(bands: list[Band], most: int) -> list[tuple[float, float]]:
-    """The plants (tau, theta) of the best stems, of which no two have nearly one S: each width has its own plant."""
-    kept: list[Band] = []
-    for b in bands:
-        if len(kept) < most and all(abs(math.log(b.S / k.S)) > WIDTH_APART for k in kept):
-            kept.append(b)
-    return [(b.fit.tau, b.fit.theta) for b in kept]
 
 
 def _closer(
@@ -247,6 +237,61 @@ def _closer(
     return [b for b in fits if b.fit.gain != 0.0 and b.slips > 0], np.vstack(lines)
 
 
+def _nearer(data: Centred, seed: Band, spreads: tuple[float, ...], only: float | None, limits: Limits) -> list[Band]:
+    """All stems met from a seed on by steps of less and less size towards the best about it."""
+    met = [seed]
+    for spread in spreads:
+        for _ in range(STEPS):
+            best = _started(data, _best_of(met), limits)
+            met += [best, *_about(data, best, spread, only, limits)]
+            if _best_of(met) is best:
+                break
+    return met
+
+
+def _across(data: Centred, b: Band, only: float | None, limits: Limits) -> list[Band]:
+    """The best few of a close grid of (S, J) about a stem, at plants close to its own."""
+    widths = b.S * (1.0 + np.linspace(-ACROSS, ACROSS, ACROSS_GRID))
+    jumps = np.unique(np.maximum(b.J + 3.0 * ACROSS * b.S * np.linspace(-1.0, 1.0, 9), 0.0))
+    grid = np.column_stack([np.repeat(widths, jumps.size), np.tile(jumps, widths.size)])
+    if only is not None:
+        grid = np.column_stack([widths, only * widths])
+    thetas = {min(max(b.fit.theta + step, 0.0), limits.theta[1]) for step in (-0.3, 0.0, 0.3)}
+    plants = [(b.fit.tau * factor, theta) for factor in (0.93, 1.0, 1.07) for theta in sorted(thetas)]
+    pairs, costs = np.array(plants), np.empty((len(grid), len(plants)))
+    kernel.scan_bands(
+        data.target, data.u, b.first, b.sense, grid, data.sign, data.integrating, pairs, data.a, data.skip, costs
+    )
+    chosen = np.argsort(costs.min(axis=1), kind="stable")[:SEEDS].tolist()
+    found = []
+    for i in chosen:
+        S, J = grid[i].tolist()
+        found.append(_fit(data, S, J, (b.first, b.sense), limits, plants[int(np.argmin(costs[i]))], 40))
+    return found
+
+
+def _about(data: Centred, seed: Band, spread: float, only: float | None, limits: Limits) -> list[Band]:
+    """The stems about a seed, up to a share of S away in S and twice that in J, each with its own plant."""
+    steps = np.linspace(-1.0, 1.0, AROUND) * spread
+    plant, start = (seed.fit.tau, seed.fit.theta), (seed.first, seed.sense)
+    jumps = [-spread, 0.0, spread] if only is None else [0.0]
+    found = [
+        _fit(
+            data,
+            S := seed.S * (1.0 + float(step)),
+            max(seed.J + 2.0 * float(jump) * seed.S, 0.0) if only is None else only * S,
+            start,
+            limits,
+            plant,
+            QUICK,
+            1e-5,
+        )
+        for step in steps
+        for jump in jumps
+    ]
+    return [b for b in found if b.fit.gain != 0.0 and b.slips > 0]
+
+
 def _apart(bands: list[Band]) -> list[Band]:
     """The first few of some stems that differ in S."""
     kept: list[Band] = []
@@ -264,30 +309,28 @@ def _short(
     data: Centred, coarse: list[Band], only: float | None, limits: Limits, beside: tuple[Band, ...] = ()
 ) -> tuple[list[Band], NDArray[np.float64]]:
     """Search a short record: the close grid, then closer about its best few; all stems met and the last rows."""
-    coarse = [b for b in coarse if b.fit.gain != 0.0 and (only is None or only * b.S == b.J)]
-    if not coarse:
-        return [], np.empty((0, 4))
-    starts = list(dict.fromkeys([*_likely_starts(data, coarse[:SEEDS]), *ENDS]))
-    met = _scanned(data, _plants(coarse, PLANTS if only is None else MORE_PLANTS), starts, only, limits)
-    # The grid is scanned again at the plants that its best stems have: stiction and plant make up for each other.
-    if met:
-        starts = list(dict.fromkeys([*_likely_starts(data, met[:SEEDS]), *ENDS]))
-        met += _scanned(data, _plants(met, PLANTS if only is None else MORE_PLANTS), starts, only, limits)
+    met = [b for b in coarse if b.fit.gain != 0.0]
+    if only is not None:
+        met = [_fit(data, b.S, only * b.S, (b.first, b.sense), limits, (b.fit.tau, b.fit.theta)) for b in met]
     bands: list[Band] = []
     ends = []
     for seed in _apart(sorted([*met, *beside], key=lambda b: b.fit.sse)):
-        best = _started(data, seed, limits)
-        bands.append(best)
-        for reach in REACHES[:2]:
-            found, _ = _closer(data, best, reach, 0.1 * reach[0], only, limits)
-            bands += found
-            best = _best_of([best, *found])
-        ends.append(best)
+        met = _nearer(data, seed, SPREADS, only, limits)
+        bands += met
+        ends.append(_best_of(met))
     if not ends:
         return [], np.empty((0, 4))
-    best = _started(data, _best_of(ends), limits)
+    # Between two sequences of slips lies many a worse one, which steps along the valley of S and plant do not cross.
+    best = _best_of(ends)
+    for _ in range(CROSSINGS):
+        met = [m for seed in _across(data, best, only, limits) for m in _nearer(data, seed, SPREADS[2:], only, limits)]
+        bands += met
+        before, best = best, _best_of([best, *met])
+        if best is before:
+            break
+    best = _started(data, best, limits)
     rows = np.empty((0, 4))
-    for reach in (*REACHES[1:], *REACHES[2:]):
+    for reach in (*REACHES, *REACHES):
         found, walked = _closer(data, best, reach, 0.05 * reach[0], only, limits)
         rows = np.vstack([rows, walked])
         bands += found
@@ -311,15 +354,14 @@ def search_bands(
     else:
         bands = []
         for part in active_windows(data)[:1]:
-            seen = look(part, fit_linear(part, limits.theta[1]), limits.theta[1])
-            found = _short(part, seen, only, limits)[0]
+            found = _short(part, look(part, limits.theta[1]), only, limits)[0]
             if found:
                 best = _best_of(found)
                 bands.append(_fit(data, best.S, best.J, (-1, 0.0), limits, (best.fit.tau, best.fit.theta), 40))
         bands = [b for b in bands if b.slips > 0]
         if bands:
             best = _best_of(bands)
-            for reach in REACHES[2:]:
+            for reach in REACHES:
                 found, rows = _closer(data, best, reach, 0.2 * reach[0], only, limits)
                 bands += found
                 best = _best_of([best, *found])
@@ -329,7 +371,7 @@ def search_bands(
     best = _best_of(bands)
     start = (best.first, best.sense)
     best = _best_of([best, _fit(data, best.S, best.J, start, limits, (best.fit.tau, best.fit.theta), 300)])
-    return _ranges(data, best, bands, rows)
+    return _ranges(data, best, bands, rows, only, limits)
 
 
 def refit(data: Centred, found: Bands, limits: Limits) -> Bands:
@@ -343,10 +385,11 @@ def refit(data: Centred, found: Bands, limits: Limits) -> Bands:
 
 
 def repeated(data: Centred, found: Bands, limits: Limits, only: float | None) -> Bands:
-    """Return the ranges widened by what parts of the record say, each searched by itself.
+    """Return the ranges widened to what parts of the record say that reject the best stem, each searched by itself.
 
     The parts are the halves, of a long record its two most active stretches. What they disagree on is not known, and
-    a search that ended away from the truth seldom ends there twice.
+    a search that ended away from the truth seldom ends there twice. A part in which the best stem is as likely as its
+    own says nothing against it: it may hold too few slips to tell any stem from another.
     """
     n = data.samples
     parts = [data.part(0, n // 2), data.part(n // 2, n)] if n <= EXACT else active_windows(data)[:2]
@@ -356,27 +399,66 @@ def repeated(data: Centred, found: Bands, limits: Limits, only: float | None) ->
             continue
         longest = min(limits.theta[1], part.samples / 4.0)
         own = Limits((LEAST_TAU, float(part.samples)), (0.0, longest))
-        met, _ = _short(part, look(part, fit_linear(part, longest), longest), only, own)
-        if met and _best_of(met).slips >= HALF_SLIPS:
-            S.append(_best_of(met).S)
-            J.append(_best_of(met).J)
-            fits.append(_best_of(met).fit)
+        met, _ = _short(part, look(part, longest), only, own)
+        if not met or _best_of(met).slips < HALF_SLIPS:
+            continue
+        best = _best_of(met)
+        if _rejects(part, best, _here(part, found.best, own)):
+            S.append(best.S)
+            J.append(best.J)
+            fits.append(best.fit)
     return Bands(found.best, found.alike, (min(S), max(S)), (min(J), max(J)), tuple(fits))
 
 
-def _ranges(data: Centred, best: Band, bands: list[Band], rows: NDArray[np.float64]) -> Bands:
+def _here(part: Centred, b: Band, limits: Limits) -> Band:
+    """The same stem on a part of the record, from the start that suits it there and with a plant of its own."""
+    theta = min(b.fit.theta, limits.theta[1])
+    start = _start_costs(part, (b.S, b.J), (b.fit.tau, theta))[0][1:]
+    return _fit(part, b.S, b.J, start, limits, (b.fit.tau, theta), 120)
+
+
+def _rejects(part: Centred, own: Band, other: Band) -> bool:
+    """Whether a part's own best stem is significantly likelier there than another."""
+    ratio = max(other.fit.sse / part.samples, part.floor) / max(own.fit.sse / part.samples, part.floor)
+    return _effective(part, own) * math.log(ratio) > CHI_SQUARE
+
+
+def _effective(data: Centred, b: Band) -> float:
+    """The number of independent samples that what a stem leaves is worth."""
+    x, _ = band_stem(data.u, b.S, b.J, b.first, b.sense)
+    return data.samples / inflation(data.innovations(predict(data, x, max(b.first, 0), b.fit)[0]))
+
+
+def _ranges(
+    data: Centred, best: Band, bands: list[Band], rows: NDArray[np.float64], only: float | None, limits: Limits
+) -> Bands:
     """What the record cannot tell from the best: the 95 % likelihood region, and what each half would choose."""
     n = data.samples
-    x, _ = band_stem(data.u, best.S, best.J, best.first, best.sense)
-    effective = n / inflation(data.innovations(predict(data, x, max(best.first, 0), best.fit)[0]))
-    most = max(best.fit.sse / n, data.floor) * math.exp(CHI_SQUARE / effective) * n
+    most = max(best.fit.sse / n, data.floor) * math.exp(CHI_SQUARE / _effective(data, best)) * n
     alike = [best, *(b for b in bands if max(b.fit.sse, n * data.floor) <= most)]
     if best.slips >= 2 * HALF_SLIPS:
         alike += _halves(data, sorted(bands, key=lambda b: b.fit.sse)[:60])
+    alike += _outwards(data, best, most, only, limits)
     near = rows[np.maximum(rows[:, 2], n * data.floor) <= most]
     S = [b.S for b in alike] + near[:, 0].tolist()
     J = [b.J for b in alike] + near[:, 1].tolist()
     return Bands(best, tuple(alike), (min(S), max(S)), (min(J), max(J)))
+
+
+def _outwards(data: Centred, best: Band, most: float, only: float | None, limits: Limits) -> list[Band]:
+    """The stems met in steps of S away from the best, each way until the record tells them apart."""
+    met, plant, start = [], (best.fit.tau, best.fit.theta), (best.first, best.sense)
+    for way in (-1.0, 1.0):
+        step = OUTWARDS[0]
+        while step <= OUTWARDS[1]:
+            S = best.S * (1.0 + way * step)
+            jumps = {max(best.J + f * step * S, 0.0) for f in (-1.0, 0.0, 1.0)} if only is None else {only * S}
+            there = _started(data, _best_of([_fit(data, S, J, start, limits, plant, 24) for J in jumps]), limits)
+            if there.fit.gain == 0.0 or max(there.fit.sse, data.samples * data.floor) > most:
+                break
+            met.append(there)
+            step *= OUTWARDS[2]
+    return met
 
 
 def _halves(data: Centred, bands: list[Band]) -> list[Band]:
