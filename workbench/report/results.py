@@ -320,6 +320,7 @@ def _estimate(named: NamedEstimate) -> dict[str, Any]:
         "slips": found.slips,
         "noise_model": None if found.noise_model is None else _plain(found.noise_model),
         "repeats": None if found.repeats is None else _repeats(found.repeats),
+        "load_steps": [_plain(step) for step in found.load_steps],
         "linear": {
             "plant": _plant(found.linear.plant),
             "bias": found.linear.bias,
