@@ -41,14 +41,14 @@ def ui(
     from workbench.ui.server import start
 
     server = start(loaded, address, port, data)
-    if address not in LOOPBACK:
-        warning = "whoever can reach this address can use the page, and have this machine work"
-        typer.echo(f"Warning: {address}: {warning}", err=True)
-    typer.echo(f"Workbench: {server.url} (Ctrl-C ends it)")
-    if browser:
-        webbrowser.open(server.url)
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # ends as Ctrl-C does: workers too
     try:
+        if address not in LOOPBACK:
+            warning = "whoever can reach this address can use the page, and have this machine work"
+            typer.echo(f"Warning: {address}: {warning}", err=True)
+        typer.echo(f"Workbench: {server.url} (Ctrl-C ends it)")
+        if browser:
+            webbrowser.open(server.url)
         server.io_loop.start()
     except KeyboardInterrupt:
         typer.echo("Workbench: ended")

@@ -64,7 +64,7 @@ _PLANT = Group(
             "fopdt",
             choices=(("fopdt", "first order plus dead time"), ("integrating", "integrating plus dead time")),
         ),
-        Field("loop.plant.gain", "Gain K", "1.0", ("EU/%",), slider="log", hint="integrating: EU/(% s)"),
+        Field("loop.plant.gain", "Gain K", "1", ("EU/%",), slider="log", hint="integrating: EU/(% s)"),
         Field(
             "loop.plant.time_constant",
             "Time constant",
@@ -94,16 +94,16 @@ _VALVE = Group(
                 ("directional", "Choudhury, unlike directions"),
             ),
         ),
-        _valve("d", "Stiction d", "2.0", "stenman"),
+        _valve("d", "Stiction d", "2", "stenman"),
         _valve("fs", "Static friction fs", "1.5", "he"),
         _valve("fd", "Dynamic friction fd", "0.5", "he", hint="at most fs"),
-        _valve("S", "Stick band S", "2.0", "choudhury", "kano"),
-        _valve("J", "Slip jump J", "1.0", "choudhury", "kano"),
-        _valve("b", "Full band b", "2.0", "deadband"),
-        _valve("up.S", "Upward S", "2.0", "directional"),
-        _valve("up.J", "Upward J", "1.0", "directional"),
-        _valve("down.S", "Downward S", "3.0", "directional"),
-        _valve("down.J", "Downward J", "1.0", "directional"),
+        _valve("S", "Stick band S", "2", "choudhury", "kano"),
+        _valve("J", "Slip jump J", "1", "choudhury", "kano"),
+        _valve("b", "Full band b", "2", "deadband"),
+        _valve("up.S", "Upward S", "2", "directional"),
+        _valve("up.J", "Upward J", "1", "directional"),
+        _valve("down.S", "Downward S", "3", "directional"),
+        _valve("down.J", "Downward J", "1", "directional"),
     ),
 )
 _LIMITED = ("loop.controller.limited", ("true",))
@@ -271,7 +271,15 @@ _ESTIMATE = Group(
     ),
 )
 
-GROUPS = MappingProxyType({g.name: g for g in (_PLANT, _VALVE, _CONTROLLER, _EXPERIMENT, _OBJECTIVE, _TUNE, _ESTIMATE)})
+_MAP = Group(
+    "map",
+    "Map",
+    (Field("analyze.map.points", "Cells", "30", choices=tuple((str(n), f"{n} × {n} cells") for n in (15, 30, 60))),),
+)
+
+GROUPS = MappingProxyType(
+    {g.name: g for g in (_PLANT, _VALVE, _CONTROLLER, _EXPERIMENT, _OBJECTIVE, _TUNE, _ESTIMATE, _MAP)}
+)
 FIELDS = MappingProxyType({field.path: field for group in GROUPS.values() for field in group.fields})
 
 

@@ -20,7 +20,8 @@ from bokeh.models import (
     HoverTool,
     Legend,
     Line,
-    LinearColorMapper,
+    LogColorMapper,
+    LogTicker,
     Range1d,
     Scatter,
     Span,
@@ -35,6 +36,7 @@ from workbench.model.record import FloatArray
 from workbench.report import palette as style
 from workbench.report.palette import GROWS, SHADES
 from workbench.report.thinned import seen, time_axis
+from workbench.report.words import label
 from workbench.ui.state import MOST_CASES, CaseRun
 from workbench.ui.trend import Axis, Trend, loop_line
 from workbench.ui.work import Found, MapFound, ReadRecord
@@ -46,6 +48,8 @@ SOFT, GRID, INK = "#555555", "#e4e4e4", "#1a1a1a"
 TEXT = {"text_font": value(FONT), "text_font_size": "12px"}
 NO_SIGNAL = np.array([])
 EMPTY = {"x": NO_SIGNAL, "y": NO_SIGNAL}
+OWN = {"line_color": "#9aa5b1", "line_width": 4.0}  # the page's own run beside the pinned ones
+LABEL = 24  # characters of a name in a picture
 WILD = 1e6  # EU: a diverging case would flatten the others
 MAP_FIGURES = {
     "period": "late period, s",
@@ -193,11 +197,11 @@ class Pictures:
     def _compare(self) -> None:
         pv = self._add("c_pv", "", "PV (EU)")
         stem = self._add("c_stem", "time (s)", "stem (%)", x_range=pv.x_range)
-        places = range(MOST_CASES + 1)
+        places = (MOST_CASES, *range(MOST_CASES))  # the page's own lies under the others
         self.cases = Trend([f"{what}{i}" for i in places for what in ("pv", "valve")], pv.x_range)
         self.axes["c_pv.x"] = self.cases.axis
         for i in places:
-            look = {"line_color": INK, "line_width": 2.2} if i == MOST_CASES else _line(style.case_style(i), 1.4)
+            look = OWN if i == MOST_CASES else _line(style.case_style(i), 1.4)
             _curve(pv, self.cases.source, f"pv{i}_x", f"pv{i}_y", **look)
             _step(stem, self.cases.source, f"valve{i}_x", f"valve{i}_y", **look)
         trade = self._add(
@@ -205,10 +209,11 @@ class Pictures:
             "valve travel (%)",
             "mean square error (EU²)",
             x_axis_type="log",
-            x_range=DataRange1d(),
-            y_range=DataRange1d(),
+            x_range=DataRange1d(range_padding=0.6),
+            y_range=DataRange1d(range_padding=0.2),
         )
         trade.yaxis.formatter = trade.xaxis.formatter = BasicTickFormatter()
+        trade.xaxis.ticker = LogTicker(mantissas=[1, 2, 5])
         self.trade = ColumnDataSource({"x": [], "y": [], "color": [], "name": []})
         dots = trade.add_glyph(self.trade, Scatter(x="x", y="y", size=11, fill_color="color", line_color="white"))
         trade.add_glyph(self.trade, Text(x="x", y="y", text="name", x_offset=9, y_offset=4, **TEXT))
@@ -229,13 +234,14 @@ class Pictures:
             if math.isfinite(kpis.mean_square_error) and kpis.valve_travel > 0.0:
                 points["x"].append(kpis.valve_travel)
                 points["y"].append(kpis.mean_square_error)
-                points["color"].append(INK if place == MOST_CASES else style.case_style(place)["color"])
+                points["color"].append(OWN["line_color"] if place == MOST_CASES else style.case_style(place)["color"])
                 points["name"].append(one.name)
         unit = self._time(float(time[-1]) if time.size else 0.0, "c_stem")
         self.cases.fill(time / unit, signals)
         calm = [one.run for _, one in placed if one.run is not None and float(np.nanmax(np.abs(one.run.pv))) < WILD]
         self._fit("c_pv.y", [run.pv for run in calm])
         self._fit("c_stem.y", [run.valve for run in calm])
+        points["name"] = _labels(points["name"], [*zip(points["x"], points["y"], strict=True)])
         self.trade.data = points
 
     # estimate ------------------------------------------------------------------------------------------------------
@@ -313,10 +319,11 @@ class Pictures:
             y_range=Range1d(1.0, 100.0),
         )
         plane.xaxis.formatter = plane.yaxis.formatter = BasicTickFormatter()
+        plane.xaxis.ticker = plane.yaxis.ticker = LogTicker(mantissas=[1, 2, 5])
         plane.grid.grid_line_color = None
         names = ("left", "right", "bottom", "top", "shade", "value", "outcome")
         self.map = ColumnDataSource({name: [] for name in names})
-        self.mapper = LinearColorMapper(palette=list(SHADES), low=0.0, high=1.0, nan_color=GROWS)
+        self.mapper = LogColorMapper(palette=list(SHADES), low=1.0, high=10.0, nan_color=GROWS)
         self.cells = plane.quad(
             "left",
             "right",
@@ -326,16 +333,13 @@ class Pictures:
             line_color=None,
             fill_color={"field": "shade", "transform": self.mapper},
         )
-        plane.add_layout(self._bar(), "right")
+        ticks = {"ticker": LogTicker(mantissas=[1, 2, 5]), "formatter": BasicTickFormatter()}
+        plane.add_layout(ColorBar(color_mapper=self.mapper, width=12, padding=4, **ticks), "right")
         self.here = ColumnDataSource({"x": [], "y": [], "name": []})
         plane.scatter("x", "y", source=self.here, marker="circle_cross", size=13, fill_color=None, line_color="#000000")
         plane.text("x", "y", text="name", source=self.here, x_offset=9, y_offset=-4, **TEXT)
         tips = [("Kc", "$x"), ("Ti", "$y s"), ("long run", "@outcome"), ("figure", "@value")]
         plane.add_tools(HoverTool(renderers=[self.cells], tooltips=tips))
-
-    def _bar(self) -> ColorBar:
-        self.bar = ColorBar(color_mapper=self.mapper, width=12, padding=4, title="", major_label_text_font_size="11px")
-        return self.bar
 
     def show_loci(self, found: DescribingFunction) -> None:
         """Draw L(jw) and -1/N(A) around the origin and the crossings: full dots are stable cycles, hollow ones not."""
@@ -365,12 +369,12 @@ class Pictures:
             self.axes[name].ends = (-reach, 0.4 * reach)
 
     def show_map(self, found: MapFound, name: str) -> None:
-        """Draw one figure of a map in colour: even in its logarithm; grey where an ideal valve's loop is unstable."""
+        """Draw one figure of a map in colour, even in its logarithm; grey where an ideal valve's loop is unstable."""
         across, up = _edges(found.Kc), _edges(found.values)
         rows, columns = found.outcome.shape
         values = found.figures[name]
         usable = (found.stable > 0.5) & np.isfinite(values) & (values > 0.0)
-        shade = np.where(usable, np.log10(np.where(usable, values, 1.0)), math.nan)
+        shade = np.where(usable, values, math.nan)
         self.map.data = {
             "left": np.tile(across[:-1], rows),
             "right": np.tile(across[1:], rows),
@@ -385,15 +389,24 @@ class Pictures:
         }
         if usable.any():
             low, high = float(np.nanmin(shade)), float(np.nanmax(shade))
-            self.mapper.update(low=low, high=max(high, low + 1e-9))
-        self.bar.title = f"log₁₀ of {MAP_FIGURES[name]}"
+            self.mapper.update(low=low, high=max(high, 1.001 * low))
         self.axes["f_map.x"].ends = float(across[0]), float(across[-1])
         self.axes["f_map.y"].ends = float(up[0]), float(up[-1])
 
     def mark(self, tunings: Sequence[tuple[str, float, float]]) -> None:
         """Mark tunings (name, Kc in %/EU, Ti in s) on the map."""
         inside = [one for one in tunings if one[1] > 0.0 and math.isfinite(one[2])]
-        self.here.data = {"x": [t[1] for t in inside], "y": [t[2] for t in inside], "name": [t[0] for t in inside]}
+        names = _labels([t[0] for t in inside], [t[1:] for t in inside])
+        self.here.data = {"x": [t[1] for t in inside], "y": [t[2] for t in inside], "name": names}
+
+
+def _labels(names: Sequence[str], places: Sequence[tuple[float, float]]) -> list[str]:
+    """Return names fit for a picture, those of one place together at the first of them."""
+    out = []
+    for i, place in enumerate(places):
+        here = [label(name, LABEL) for name, other in zip(names, places, strict=True) if other == place]
+        out.append(", ".join(here) if places.index(place) == i else "")
+    return out
 
 
 def _edges(middles: FloatArray) -> FloatArray:

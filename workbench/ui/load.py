@@ -134,12 +134,11 @@ def controller_entries(pid: PID) -> dict[str, str]:
     entries |= time_entry(f"{path}Ti", pid.Ti) | time_entry(f"{path}Td", pid.Td)
     entries |= {f"{path}form": pid.form, f"{path}structure": pid.structure or OWN_WEIGHT, f"{path}action": pid.action}
     entries[f"{path}derivative_filter"] = number_text(pid.derivative_filter)
-    entries |= {
-        f"{path}derivative_on": pid.derivative_on,
-        f"{path}setpoint_weight": number_text(pid.setpoint_weight),
-        f"{path}limited": "false" if pid.output_limits is None else "true",
-        f"{path}anti_windup": pid.anti_windup,
-    }
+    if pid.structure is None:
+        entries[f"{path}derivative_on"] = pid.derivative_on
+        entries[f"{path}setpoint_weight"] = number_text(pid.setpoint_weight)
+    entries[f"{path}limited"] = "false" if pid.output_limits is None else "true"
+    entries[f"{path}anti_windup"] = pid.anti_windup
     if pid.output_limits is not None:
         entries |= _ends(f"{path}output_limits", pid.output_limits)
     tracking = "" if pid.tracking_time is None else number_text(pid.tracking_time)

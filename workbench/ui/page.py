@@ -382,7 +382,7 @@ class Page:
         return loop.plant, loop.valve, replace(loop.controller, Kc=1.0, Ti=1.0), loop.sample_time
 
     def _do_map(self, _request: Mapping[str, Any]) -> None:
-        self._begin("map", self.session.scenario())
+        self._begin("map", self.session.scenario(mapped=True))
 
     def _do_map_figure(self, request: Mapping[str, Any]) -> None:
         if request["name"] not in MAP_FIGURES:

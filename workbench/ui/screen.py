@@ -80,8 +80,10 @@ def number_text(value: float) -> str:
     return text.removesuffix(".0")
 
 
-def scenario_text(screen: Screen, *, cases: bool = True, tune: bool = False) -> str:
-    """Return the screen as a scenario. cases: with the pinned ones; tune: the tuning asked for instead of any case.
+def scenario_text(screen: Screen, *, cases: bool = True, tune: bool = False, mapped: bool = False) -> str:
+    """Return the screen as a scenario.
+
+    cases: with the pinned ones; tune: the tuning asked for instead of any case; mapped: with the map asked for.
 
     The page's own controller stands in `loop.controller` and is the first case, `ON_SCREEN`, which takes all of it.
     """
@@ -97,6 +99,8 @@ def scenario_text(screen: Screen, *, cases: bool = True, tune: bool = False) -> 
         tree["cases"] = [{"name": words(TUNED), "tune": _tune(screen)}]
     else:
         tree["cases"] = [{"name": words(_free(screen))}, *([_case(case) for case in screen.cases] if cases else [])]
+    if mapped:
+        tree["analyze"] = {"map": {"points": scalar(screen.entries["analyze.map.points"])}}
     return yaml_of(tree)
 
 

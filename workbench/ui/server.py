@@ -15,7 +15,6 @@ from bokeh.server.tornado import BokehTornado
 from bokeh.server.views.ws import WSHandler
 from tornado.httpserver import HTTPServer
 from tornado.ioloop import IOLoop
-from tornado.netutil import bind_sockets
 from tornado.web import StaticFileHandler
 
 from workbench.errors import InvalidValue
@@ -79,8 +78,8 @@ def start(
     def make(document: Document) -> None:
         open_page(document, loaded, data)
 
-    sockets = _bound(address, port)
-    taken = int(sockets[0].getsockname()[1])
+    listening = _bound(address, port)
+    taken = int(listening.getsockname()[1])
     names: tuple[str, ...] = LOOPBACK if address in LOOPBACK else (address,)
     if address == EVERYWHERE:
         names = (*LOOPBACK, socket.gethostname(), socket.getfqdn())
@@ -97,21 +96,23 @@ def start(
         if route.target is WSHandler:
             route.target = _Socket
     http = HTTPServer(application)
-    http.add_sockets(sockets)
+    http.add_socket(listening)
     server = UiServer(IOLoop.current(), application, http, address, taken)
     server.start()
     return server
 
 
-def _bound(address: str, port: int | None) -> list[socket.socket]:
-    """Return listening sockets, at a free port where none was asked for and the usual one is taken."""
+def _bound(address: str, port: int | None) -> socket.socket:
+    """Return a listening socket, at a free port where none was asked for and the usual one is taken."""
     for wanted in (PORT, 0) if port is None else (port,):
         try:
-            return bind_sockets(wanted, address, socket.AF_INET)
+            made = socket.create_server((address, wanted), backlog=128)
         except (OSError, OverflowError, UnicodeError) as error:
             if port is None and wanted == PORT and getattr(error, "errno", None) == errno.EADDRINUSE:
                 continue
             reason = getattr(error, "strerror", None) or str(error)
             where = f"{address}:{wanted}"
             raise InvalidValue("--address and --port", where, f"cannot be served here ({reason})") from None
+        made.setblocking(False)
+        return made
     raise AssertionError("one of the ports is taken or raises")

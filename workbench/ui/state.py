@@ -16,8 +16,10 @@ from workbench.errors import InvalidValue, ScenarioError, WorkbenchError
 from workbench.model.controller import PID
 from workbench.model.experiment import Experiment
 from workbench.model.loop import Loop
+from workbench.model.plant import Plant
 from workbench.model.results import Run
 from workbench.model.tuning import Objective
+from workbench.model.valve import Valve
 from workbench.report.tables import shown
 from workbench.report.titles import KPI_ROWS
 from workbench.report.words import change, controller_words
@@ -31,6 +33,7 @@ __all__ = ["MOST_CASES", "ROWS", "Built", "CaseRun", "Problem", "Session", "prob
 
 MOST_CASES = 12
 MOST_UNDONE = 200
+MODEL_DIGITS = 5  # of an estimate on the page: far more than any record pins down
 FILE = Path("screen.yaml")  # the name under which the page's own scenario is read
 ROWS = (("objective", "Objective J", "", True), *KPI_ROWS)
 
@@ -140,9 +143,12 @@ class Session:
         entries = {"loop.controller.Kc": f"{Kc:.3g}", "loop.controller.Kc.unit": "%/EU"}
         self.change(entries | time_entry(f"loop.controller.{axis}", float(f"{value:.3g}")))
 
-    def use_model(self, plant: object, valve: object, sample_time: float, action: str) -> None:
-        """Put an estimated plant and valve on the page, with the action that the gain needs."""
-        entries = plant_entries(plant) | valve_entries(valve)  # type: ignore[arg-type]
+    def use_model(self, plant: Plant, valve: Valve, sample_time: float, action: str) -> None:
+        """Put an estimated plant and valve on the page, at `MODEL_DIGITS`, with the action that the gain needs."""
+        entries = {
+            path: f"{float(text):.{MODEL_DIGITS}g}" if _is_number(text) else text
+            for path, text in (plant_entries(plant) | valve_entries(valve)).items()
+        }
         entries |= time_entry("loop.sample_time", sample_time) | {"loop.controller.action": action}
         # No round duration need be a whole number of a record's samples.
         duration = self.built.experiment.duration if self.built is not None else 1000.0 * sample_time
@@ -257,9 +263,9 @@ class Session:
 
     # scenarios -----------------------------------------------------------------------------------------------------
 
-    def scenario(self) -> str:
-        """Return the page as a scenario. Raises `ScenarioError` where something on it is refused."""
-        text = scenario_text(self.screen)
+    def scenario(self, *, mapped: bool = False) -> str:
+        """Return the page as a scenario, with a map where asked for. Raises `ScenarioError` where it is refused."""
+        text = scenario_text(self.screen, mapped=mapped)
         try:
             read_scenario(text, FILE)
         except ScenarioError as error:
@@ -285,3 +291,11 @@ def _value(one: CaseRun, name: str) -> float:
     if one.run is None:
         return math.nan
     return one.objective if name == "objective" else float(getattr(one.run.kpis, name))
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True

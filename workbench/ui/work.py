@@ -40,7 +40,6 @@ __all__ = [
 
 Progress = Callable[[str, float], None]
 FILE = "screen.yaml"
-MAP_POINTS, MAP_STARTS = 40, 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -217,15 +216,15 @@ def map_tunings(text: str, folder: str, progress: Progress) -> MapFound:
     from workbench.report.plain_truth import map_text
 
     plan = _plan(text, folder)
-    if plan.loop is None:
-        raise ScenarioError("no loop was given")
+    if plan.loop is None or plan.cycle_map is None:
+        raise ScenarioError("no map was asked for")
     loop: Loop = plan.loop
     ranges = map_ranges(loop, [case.controller for case in plan.cases])
     found = cycle_map(
         loop,
         **ranges,
-        points=MAP_POINTS,
-        starts=MAP_STARTS,
+        points=plan.cycle_map.points,
+        starts=plan.cycle_map.starts,
         progress=lambda share: progress("following every tuning", share),
     )
     names = ("period", "pv_peak_to_peak", "mean_square_error", "travel_per_hour")

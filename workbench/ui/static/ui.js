@@ -11,6 +11,7 @@ const queue = [];
 let bridge = null;
 let waiting = null;
 let number = 0;
+let gesture = 0; // counts drags and runs of key strokes, each of which is undone at once
 let view = "loop";
 let entries = {};
 let notes = "";
@@ -29,7 +30,9 @@ function ask(what, more = {}) {
 }
 
 function pump() {
+  document.documentElement.dataset.idle = String(!waiting && queue.length === 0);
   if (waiting || !bridge || queue.length === 0) return;
+  document.documentElement.dataset.idle = "false";
   waiting = { n: ++number, ...queue.shift() };
   bridge.up = JSON.stringify(waiting);
 }
@@ -196,11 +199,11 @@ function showFigures(figures, problems) {
 }
 
 function swatch(index, own) {
-  const look = own ? { color: "#1a1a1a", dash: "" } : spec.cases[index % spec.cases.length];
+  const look = own ? { color: "#9aa5b1", dash: "" } : spec.cases[index % spec.cases.length];
   const svg = document.createElementNS("http://www.w3.org/2000/svg", "svg");
   const line = document.createElementNS("http://www.w3.org/2000/svg", "line");
   for (const [name, value] of Object.entries({ width: 34, height: 8, "aria-hidden": "true" })) svg.setAttribute(name, value);
-  const drawn = { x1: 0, x2: 34, y1: 4, y2: 4, stroke: look.color, "stroke-width": own ? 3 : 2, "stroke-dasharray": look.dash };
+  const drawn = { x1: 0, x2: 34, y1: 4, y2: 4, stroke: look.color, "stroke-width": own ? 4 : 2, "stroke-dasharray": look.dash };
   for (const [name, value] of Object.entries(drawn)) line.setAttribute(name, value);
   svg.append(line);
   return svg;
@@ -305,7 +308,7 @@ function place(path, asked) {
   const value = Number(entries[path]);
   slider.disabled = entries[path] === "" || !Number.isFinite(value);
   if (slider.disabled) return;
-  const dragged = asked && asked.gesture === `slide:${path}`;
+  const dragged = asked && asked.gesture?.startsWith(`slide ${path} `);
   let range = ranges.get(path);
   if (!dragged && !(range && inside(range, value))) {
     range = suited(path, value);
@@ -349,12 +352,15 @@ function slid(path, done) {
   const text = valueAt(range, Number(slider.value) / 1000);
   entryInputs.get(path).value = text;
   slider.setAttribute("aria-valuetext", text);
-  if (!done) ask("set", { entries: { [path]: text }, gesture: `slide:${path}` });
+  if (!done) ask("set", { entries: { [path]: text }, gesture: `slide ${path} ${gesture}` });
 }
 
 for (const [path, slider] of sliders) {
   slider.addEventListener("input", () => slid(path, false));
-  slider.addEventListener("change", () => slid(path, true));
+  slider.addEventListener("change", () => {
+    slid(path, true);
+    gesture += 1;
+  });
 }
 
 // typing --------------------------------------------------------------------------------------------------------------
@@ -369,12 +375,13 @@ function nudge(path, el, up) {
   if (el.value.trim() === "" || !Number.isFinite(value)) return;
   const size = value === 0 ? (spec.fields[path]?.reach ?? 1) / 10 : 10 ** (Math.floor(Math.log10(Math.abs(value))) - 1);
   el.value = String(Number((value + (up ? size : -size)).toPrecision(6)));
-  ask("set", { entries: { [path]: el.value }, gesture: `nudge:${path}` });
+  ask("set", { entries: { [path]: el.value }, gesture: `nudge ${path} ${gesture}` });
 }
 
 for (const [path, el] of entryInputs) {
   el.addEventListener("change", () => typed(path, el));
   if (el.type !== "text") continue;
+  el.addEventListener("blur", () => (gesture += 1));
   el.addEventListener("keydown", (event) => {
     if (event.key === "ArrowUp" || event.key === "ArrowDown") {
       event.preventDefault();
