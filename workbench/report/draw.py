@@ -13,7 +13,7 @@ from workbench.model.record import FloatArray, Record
 from workbench.model.results import DescribingFunction, Estimate, LimitCycle, Run, Tuned
 from workbench.model.valve import Ideal, Stenman
 from workbench.report.style import LINEAR, OP, PREDICTION, PV, SP, VALVE, Style, case_style
-from workbench.report.thinned import BEYOND, phase, seen, thin, time_axis
+from workbench.report.thinned import BEYOND, but_for_kicks, phase, seen, thin, time_axis
 from workbench.report.words import ROUNDING, duration, figure, given, label
 
 if TYPE_CHECKING:
@@ -77,15 +77,12 @@ def run_op(ax: Axes, run: Run, unit: float = 1.0) -> None:
 
 def without_kicks(ax: Axes, signals: Sequence[FloatArray]) -> None:
     """Limit the y axis to what the signals do but for 1 % at each end, where a first kick dwarfs it; say so."""
-    signals = [s[np.isfinite(s)] for s in signals]
-    signals = [s for s in signals if s.size]
-    if not signals:
+    calm = but_for_kicks(signals)
+    if calm is None:
         return
-    ends = [float(np.quantile(s, q)) for s in signals for q in (0.01, 0.99)]
-    low, high = min(ends), max(ends)
-    least, most = min(float(s.min()) for s in signals), max(float(s.max()) for s in signals)
-    if not 0.0 < high - low < 0.5 * (most - least):
-        return
+    low, high = calm
+    finite = [s[np.isfinite(s)] for s in signals]
+    least, most = (pick(float(pick(s)) for s in finite if s.size) for pick in (min, max))
     pad = 0.15 * (high - low)
     ax.set_ylim(low - pad, high + pad)
     remark(ax, f"first kicks reach from {given(least, 3)} to {given(most, 3)}")

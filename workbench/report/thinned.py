@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from workbench.model.record import FloatArray
 
-__all__ = ["BEYOND", "COLUMNS", "phase", "seen", "thin", "time_axis"]
+__all__ = ["BEYOND", "COLUMNS", "but_for_kicks", "phase", "seen", "thin", "time_axis"]
 
 COLUMNS = 500  # pixel columns of a figure's plot area: half a point of a page-wide trend
 BEYOND = 1e9  # EU or %: a signal that grows past this has left every plant, and its figure
@@ -88,3 +89,15 @@ def time_axis(span: float) -> tuple[float, str]:
     if span > 3.0 * 3600.0:
         return 3600.0, "h"
     return (60.0, "min") if span > 3600.0 else (1.0, "s")
+
+
+def but_for_kicks(signals: Sequence[FloatArray]) -> tuple[float, float] | None:
+    """Return what signals do but for 1 % at each end, where a first kick dwarfs that; None where none does."""
+    kept = [s[np.isfinite(s)] for s in signals]
+    kept = [s for s in kept if s.size]
+    if not kept:
+        return None
+    ends = [float(np.quantile(s, q)) for s in kept for q in (0.01, 0.99)]
+    low, high = min(ends), max(ends)
+    least, most = min(float(s.min()) for s in kept), max(float(s.max()) for s in kept)
+    return (low, high) if 0.0 < high - low < 0.5 * (most - least) else None

@@ -35,7 +35,7 @@ from workbench.model.cycle_map import OUTCOMES
 from workbench.model.record import FloatArray
 from workbench.report import palette as style
 from workbench.report.palette import GROWS, SHADES
-from workbench.report.thinned import seen, time_axis
+from workbench.report.thinned import but_for_kicks, seen, time_axis
 from workbench.report.words import label
 from workbench.ui.state import MOST_CASES, CaseRun
 from workbench.ui.trend import Axis, Trend, loop_line
@@ -175,8 +175,11 @@ class Pictures:
             axis.axis_label = f"time ({words})"
         return unit
 
-    def _fit(self, name: str, signals: Sequence[FloatArray]) -> None:
-        self.axes[name].fit([seen(signal) for signal in signals])
+    def _fit(self, name: str, signals: Sequence[FloatArray], *, kicks: bool = False) -> None:
+        """Fit an axis to signals; kicks: without those that would dwarf what follows."""
+        shown = [seen(signal) for signal in signals]
+        calm = but_for_kicks(shown) if kicks else None
+        self.axes[name].fit(shown if calm is None else [np.array(calm)])
 
     def show_run(self, shown: CaseRun) -> None:
         """Draw the page's own run, as far as it stays finite."""
@@ -187,7 +190,7 @@ class Pictures:
         against = {"pv_op": loop_line(run.op, run.pv), "op_stem": loop_line(run.op, run.valve)}
         self.run.fill(run.time / unit, {"sp": run.sp, "pv": run.pv, "op": run.op, "valve": run.valve}, against)
         self._fit("pv.y", (run.sp, run.pv))
-        self._fit("op.y", (run.op, run.valve))
+        self._fit("op.y", (run.op, run.valve), kicks=True)
         self._fit("pv_op.x", (run.op,))
         self._fit("pv_op.y", (run.pv,))
         self._fit("op_stem.y", (run.valve,))
@@ -240,7 +243,7 @@ class Pictures:
         self.cases.fill(time / unit, signals)
         calm = [one.run for _, one in placed if one.run is not None and float(np.nanmax(np.abs(one.run.pv))) < WILD]
         self._fit("c_pv.y", [run.pv for run in calm])
-        self._fit("c_stem.y", [run.valve for run in calm])
+        self._fit("c_stem.y", [run.valve for run in calm], kicks=True)
         points["name"] = _labels(points["name"], [*zip(points["x"], points["y"], strict=True)])
         self.trade.data = points
 
