@@ -18,7 +18,6 @@ from bokeh.models import (
     CrosshairTool,
     DataRange1d,
     HoverTool,
-    Legend,
     Line,
     LogColorMapper,
     LogTicker,
@@ -38,10 +37,10 @@ from workbench.report.palette import GROWS, SHADES
 from workbench.report.thinned import but_for_kicks, seen, time_axis
 from workbench.report.words import label
 from workbench.ui.state import MOST_CASES, CaseRun
-from workbench.ui.trend import Axis, Trend, loop_line
+from workbench.ui.trend import WHOLE, Axis, Trend, loop_line
 from workbench.ui.work import Found, MapFound, ReadRecord
 
-__all__ = ["Pictures"]
+__all__ = ["LEGENDS", "MAP_FIGURES", "Pictures"]
 
 FONT = '"Segoe UI", Arial, "Liberation Sans", Helvetica, sans-serif'
 SOFT, GRID, INK = "#555555", "#e4e4e4", "#1a1a1a"
@@ -110,11 +109,14 @@ def _step(fig: Any, source: ColumnDataSource, x: str, y: str, **look: Any) -> An
     return fig.add_glyph(source, Step(x=x, y=y, mode="after", **look))
 
 
-def _legend(fig: Any, items: list[tuple[str, list[Any]]]) -> None:
-    legend = Legend(items=items, orientation="horizontal", border_line_color=None, background_fill_alpha=0.0)
-    legend.label_text_font, legend.label_text_font_size, legend.label_text_color = FONT, "12px", INK
-    legend.glyph_width, legend.padding, legend.margin, legend.spacing = 26, 0, 0, 14
-    fig.add_layout(legend, "above")
+# What is drawn in which figure, for the page's own legends: a browser draws those once, not with every picture.
+LEGENDS: dict[str, tuple[tuple[str, style.Style], ...]] = {
+    "pv": (("PV", style.PV), ("SP", style.SP)),
+    "op": (("OP", style.OP), ("stem", style.VALVE)),
+    "e_pv": (("PV", style.PV), ("SP", style.SP), ("model", style.PREDICTION), ("without stiction", style.LINEAR)),
+    "e_op": (("OP", style.OP), ("estimated stem", style.VALVE)),
+    "f_loci": (("L(jω)", style.PV), ("−1/N(A)", style.OP)),
+}
 
 
 class Pictures:
@@ -123,6 +125,7 @@ class Pictures:
     def __init__(self) -> None:
         self.figures: dict[str, Any] = {}
         self.axes: dict[str, Axis] = {}
+        self._dash = _line(style.OP)["line_dash"]
         self._told: dict[str, tuple[float, float]] = {}
         self._loop()
         self._compare()
@@ -131,6 +134,9 @@ class Pictures:
 
     def _add(self, name: str, x: str, y: str, **options: Any) -> Any:
         fig = self.figures[name] = _figure(name, x, y, **options)
+        # The figure below shows the axis that both share; each axis and grid that is not drawn makes a slider quicker.
+        fig.xaxis.visible = bool(x)
+        fig.xgrid.visible = name not in ("pv", "op", "pv_op", "op_stem")
         if isinstance(fig.y_range, Range1d):
             self.axes |= {f"{name}.x": Axis(), f"{name}.y": Axis()}
         return fig
@@ -149,20 +155,19 @@ class Pictures:
         pv = self._add("pv", "", "PV, SP (EU)")
         self.run = Trend(("sp", "pv", "op", "valve", "pv_op", "op_stem"), pv.x_range)
         self.axes["pv.x"] = self.run.axis
-        sp_line = _step(pv, self.run.source, "sp_x", "sp_y", **_line(style.SP, 1.2))
+        _step(pv, self.run.source, "sp_x", "sp_y", **_line(style.SP, 1.2))
         pv_line = _curve(pv, self.run.source, "pv_x", "pv_y", **_line(style.PV))
-        _legend(pv, [("PV", [pv_line]), ("SP", [sp_line])])
         op = self._add("op", "time (s)", "OP, stem (%)", x_range=pv.x_range)
         op_line = _step(op, self.run.source, "op_x", "op_y", **_line(style.OP, 1.2))
-        stem = _step(op, self.run.source, "valve_x", "valve_y", **_line(style.VALVE, 1.7))
-        _legend(op, [("OP", [op_line]), ("stem", [stem])])
+        self._op_line = op_line.glyph
+        _step(op, self.run.source, "valve_x", "valve_y", **_line(style.VALVE, 1.7))
         cross = Span(dimension="height", line_color="#aaaaaa", line_width=1)
         for fig in (pv, op):
             fig.add_tools(CrosshairTool(overlay=cross, dimensions="height"))
         for fig, text, line in ((pv, "pv", pv_line), (op, "op", op_line)):
             rows = [("time", f"@{text}_x"), (text.upper(), f"@{text}_y")]
             fig.add_tools(HoverTool(renderers=[line], tooltips=rows, mode="vline", line_policy="nearest"))
-        pv_op = self._add("pv_op", "OP (%)", "PV (EU)")
+        pv_op = self._add("pv_op", "", "PV (EU)")
         _curve(pv_op, self.run.source, "pv_op_x", "pv_op_y", **_line(style.PV, 1.1))
         op_stem = self._add("op_stem", "OP (%)", "stem (%)", x_range=pv_op.x_range)
         _curve(op_stem, self.run.source, "op_stem_x", "op_stem_y", **_line(style.VALVE, 1.1))
@@ -187,6 +192,10 @@ class Pictures:
         if run is None:
             return
         unit = self._time(float(run.time[-1]), "op")
+        # Dashes finer than a pixel column show nothing, and cost a browser as much as all the rest.
+        dash = "solid" if run.time.size > WHOLE else _line(style.OP)["line_dash"]
+        if self._dash != dash:
+            self._op_line.line_dash = self._dash = dash
         against = {"pv_op": loop_line(run.op, run.pv), "op_stem": loop_line(run.op, run.valve)}
         self.run.fill(run.time / unit, {"sp": run.sp, "pv": run.pv, "op": run.op, "valve": run.valve}, against)
         self._fit("pv.y", (run.sp, run.pv))
@@ -254,17 +263,13 @@ class Pictures:
         self.record = Trend(("sp", "pv", "prediction", "linear", "op", "stem"), pv.x_range)
         self.axes["e_pv.x"] = self.record.axis
         source = self.record.source
-        lines = {
-            "SP": _step(pv, source, "sp_x", "sp_y", **_line(style.SP, 1.1)),
-            "PV": _curve(pv, source, "pv_x", "pv_y", **_line(style.PV)),
-            "model": _curve(pv, source, "prediction_x", "prediction_y", **_line(style.PREDICTION, 1.3)),
-            "without stiction": _curve(pv, source, "linear_x", "linear_y", **_line(style.LINEAR, 1.1)),
-        }
-        _legend(pv, [(text, [lines[text]]) for text in ("PV", "SP", "model", "without stiction")])
+        _step(pv, source, "sp_x", "sp_y", **_line(style.SP, 1.1))
+        _curve(pv, source, "pv_x", "pv_y", **_line(style.PV))
+        _curve(pv, source, "prediction_x", "prediction_y", **_line(style.PREDICTION, 1.3))
+        _curve(pv, source, "linear_x", "linear_y", **_line(style.LINEAR, 1.1))
         op = self._add("e_op", "time (s)", "OP, stem (%)", x_range=pv.x_range)
-        op_line = _step(op, source, "op_x", "op_y", **_line(style.OP, 1.2))
-        stem = _step(op, source, "stem_x", "stem_y", **_line(style.VALVE, 1.6))
-        _legend(op, [("OP", [op_line]), ("estimated stem", [stem])])
+        _step(op, source, "op_x", "op_y", **_line(style.OP, 1.2))
+        _step(op, source, "stem_x", "stem_y", **_line(style.VALVE, 1.6))
         profile = self._add(
             "e_profile",
             "stiction d (%)",
@@ -304,13 +309,12 @@ class Pictures:
         self.crossings = ColumnDataSource({"x": [], "y": [], "fill": [], "tip": []})
         for dimension in ("width", "height"):
             loci.add_layout(Span(location=0, dimension=dimension, line_color="#bbbbbb", line_width=1))
-        l_line = _curve(loci, self.L, "x", "y", **_line(style.PV, 1.8))
-        n_line = _curve(loci, self.locus, "x", "y", **_line(style.OP, 1.6))
+        _curve(loci, self.L, "x", "y", **_line(style.PV, 1.8))
+        _curve(loci, self.locus, "x", "y", **_line(style.OP, 1.6))
         dots = loci.scatter(
             "x", "y", source=self.crossings, size=10, fill_color="fill", line_color="#000000", line_width=1.4
         )
         loci.scatter([-1], [0], marker="cross", size=9, line_color="#000000")
-        _legend(loci, [("L(jω)", [l_line]), ("−1/N(A)", [n_line])])
         loci.add_tools(HoverTool(renderers=[dots], tooltips=[("cycle", "@tip")]))
         plane = self._add(
             "f_map",

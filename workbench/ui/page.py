@@ -30,7 +30,7 @@ from workbench.report import palette
 from workbench.report.tables import Table
 from workbench.ui import export
 from workbench.ui.fields import FIELDS, GROUPS, OWN_WEIGHT
-from workbench.ui.figures import MAP_FIGURES, Pictures
+from workbench.ui.figures import LEGENDS, MAP_FIGURES, Pictures
 from workbench.ui.jobs import Event, Job
 from workbench.ui.load import Loaded, bounds_entries, controller_entries
 from workbench.ui.screen import estimate_text
@@ -457,6 +457,9 @@ def open_page(document: Document, loaded: Loaded | None, data: Path | None = Non
         "views": VIEWS,
         "map_figures": MAP_FIGURES,
         "cases": [{"color": s["color"], "dash": _dash(s)} for s in palette.CASES],
+        "legends": {
+            name: [(text, look["color"], _dash(look)) for text, look in lines] for name, lines in LEGENDS.items()
+        },
         "largest": LARGEST_UPLOAD,
     }
     document.template_variables.update(variables)

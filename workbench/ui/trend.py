@@ -16,7 +16,7 @@ from bokeh.models import ColumnDataSource, Range1d
 from workbench.model.record import FloatArray
 from workbench.report.thinned import phase, seen, thin
 
-__all__ = ["Axis", "Trend", "columns", "loop_line"]
+__all__ = ["WHOLE", "Axis", "Trend", "columns", "loop_line"]
 
 COLUMNS = 700  # of a trend: a pixel or two of the widest screen
 WHOLE = 4 * COLUMNS  # samples that are drawn as they are
