@@ -8,16 +8,12 @@ import math
 from collections.abc import Iterable
 
 from workbench.errors import InvalidValue, ScenarioError
+from workbench.report.results import cell
 from workbench.ui.state import ROWS, Session
 
-__all__ = ["defused", "made"]
+__all__ = ["made"]
 
-_FORMULA = ("=", "+", "-", "@", "\t", "\r")
-
-
-def defused(text: str) -> str:
-    """Return a text that no spreadsheet takes for a formula: an apostrophe before what begins like one."""
-    return f"'{text}" if text.lstrip(" \n").startswith(_FORMULA) else text
+MOST_ROWS = 500_000  # of a table that goes through a browser
 
 
 def made(what: str, session: Session) -> tuple[str, str, str]:
@@ -34,14 +30,10 @@ def made(what: str, session: Session) -> tuple[str, str, str]:
     raise InvalidValue("export", what, "must be one of scenario, trends, figures, report")
 
 
-def _csv(rows: Iterable[Iterable[str]]) -> str:
+def _csv(rows: Iterable[Iterable[object]]) -> str:
     out = io.StringIO()
-    csv.writer(out, lineterminator="\n").writerows(rows)
+    csv.writer(out, lineterminator="\n").writerows([cell(value) for value in row] for row in rows)
     return out.getvalue()
-
-
-def _number(value: float) -> str:
-    return "" if math.isnan(value) else f"{value:.12g}"
 
 
 def _trends(session: Session) -> str:
@@ -50,8 +42,10 @@ def _trends(session: Session) -> str:
     if own is None or own.run is None:
         raise ScenarioError("nothing was simulated")
     run = own.run
+    if run.time.size > MOST_ROWS:
+        raise InvalidValue("samples", f"{run.time.size:,}", f"must be at most {MOST_ROWS:,} to leave as a table")
     columns = [run.time, run.sp, run.pv, run.op, run.valve]
-    rows = ([_number(float(value)) for value in row] for row in zip(*columns, strict=True))
+    rows = zip(*(column.tolist() for column in columns), strict=True)
     return _csv([["time_s", "SP", "PV", "OP", "valve"], *rows])
 
 
@@ -59,10 +53,9 @@ def _figures(session: Session) -> str:
     """Return the pinned cases and the page's own: settings and every figure, a row for each case."""
     own = [session.own] if session.own is not None else []
     names = [name for name, *_ in ROWS if name != "objective"]
-    rows: list[list[str]] = [["case", "Kc", "Ti", "Td", "form", "objective", *names]]
+    rows: list[list[object]] = [["case", "Kc", "Ti", "Td", "form", "objective", *names]]
     for one in [*session.runs(), *own]:
         pid = one.controller
         figures = [math.nan if one.run is None else float(getattr(one.run.kpis, name)) for name in names]
-        settings = [_number(v) for v in (pid.Kc, pid.Ti, pid.Td)]
-        rows.append([defused(one.name), *settings, pid.form, _number(one.objective), *map(_number, figures)])
+        rows.append([one.name, pid.Kc, pid.Ti, pid.Td, pid.form, one.objective, *figures])
     return _csv(rows)

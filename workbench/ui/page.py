@@ -268,7 +268,10 @@ class Page:
             text = content.decode("utf-8-sig")
         except UnicodeDecodeError:
             raise RecordError(f"{name}: is no UTF-8 text; a scenario is UTF-8 text") from None
-        self.session.read(text, _safe(name))
+        data = self.session.read(text, self.folder / _safe(name))
+        if data and not self.task:
+            self.data = Path(data).name
+            self._begin("read", estimate_text(self.session.screen, self.data))
 
     def _take(self, data: Path) -> None:
         """Read a file that the command named, as if it had been uploaded."""

@@ -23,6 +23,7 @@ from workbench.model.valve import Valve
 from workbench.report.tables import shown
 from workbench.report.titles import KPI_ROWS
 from workbench.report.words import change, controller_words
+from workbench.scenario.document import parse, plain
 from workbench.scenario.loader import read_scenario
 from workbench.simulate.run import evaluate, simulate
 from workbench.ui.fields import field_of
@@ -282,15 +283,35 @@ class Session:
             raise ScenarioError("\n".join(problem.text for problem in self.problems)) from None
         return text
 
-    def read(self, text: str, name: str) -> None:
-        """Show the scenario of a text, as if it stood in the file `name`. Raises `ScenarioError`."""
-        self.load(screen_of(read_scenario(text, Path(name), name)))
+    def read(self, text: str, path: Path) -> str:
+        """Show the scenario of a text, as if it stood in the file `path`; return the record that it names, or "".
+
+        Files that it names must lie in that file's folder: a scenario that comes from elsewhere looks at nothing else
+        here. Raises `ScenarioError`.
+        """
+        root, _ = parse(text)
+        for named in _files(None if root is None else plain(root)):
+            if not (path.parent / named).resolve().is_relative_to(path.parent.resolve()):
+                raise ScenarioError(f"{path.name}: {named} given; open that file here first, and name it by itself")
+        loaded = screen_of(read_scenario(text, path, path.name))
+        self.load(loaded)
+        return loaded.data
 
 
 def _value(one: CaseRun, name: str) -> float:
     if one.run is None:
         return math.nan
     return one.objective if name == "objective" else float(getattr(one.run.kpis, name))
+
+
+def _files(data: object) -> list[str]:
+    """Return the files that a scenario's plain data names."""
+    if isinstance(data, list):
+        return [name for one in data for name in _files(one)]
+    if not isinstance(data, dict):
+        return []
+    own = [value for key, value in data.items() if key in ("data", "file") and isinstance(value, str)]
+    return own + [name for value in data.values() for name in _files(value)]
 
 
 def _is_number(text: str) -> bool:

@@ -11,6 +11,7 @@ const queue = [];
 let bridge = null;
 let waiting = null;
 let number = 0;
+let sent = 0; // ms, when the request under way was sent
 let gesture = 0; // counts drags and runs of key strokes, each of which is undone at once
 let view = "loop";
 let entries = {};
@@ -34,8 +35,16 @@ function pump() {
   if (waiting || !bridge || queue.length === 0) return;
   document.documentElement.dataset.idle = "false";
   waiting = { n: ++number, ...queue.shift() };
+  sent = performance.now();
   bridge.up = JSON.stringify(waiting);
 }
+
+// A server that has ended says nothing more.
+setInterval(() => {
+  if (!waiting || performance.now() - sent < 8000) return;
+  byId("message").textContent = "No answer for some seconds. Where `workbench ui` has ended, start it again and reload this page.";
+  byId("message").hidden = false;
+}, 1000);
 
 function taken() {
   const answer = JSON.parse(bridge.down);
@@ -495,7 +504,6 @@ function connect() {
     return;
   }
   bridge.properties.down.change.connect(taken);
-  doc.on_message?.("bokeh", () => {});
   ask("hello");
 }
 connect();
