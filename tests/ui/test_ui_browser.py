@@ -21,7 +21,13 @@ from loops import paper_loop, paper_step
 import workbench as wb
 from workbench.report.tables import shown
 
-sync_api = pytest.importorskip("playwright.sync_api")
+REQUIRED = os.environ.get("WORKBENCH_REQUIRE_BROWSER") == "1"
+try:
+    from playwright import sync_api
+except ImportError:
+    if REQUIRED:
+        raise
+    pytest.skip("playwright is not installed", allow_module_level=True)
 
 ROOT = Path(__file__).parents[2]
 SCREENSHOTS = ROOT / "build" / "screenshots"
@@ -32,12 +38,13 @@ WIDTHS = (1024, 1280, 1920, 2560)
 VIEWS = ("loop", "compare", "estimate", "tune", "frequency", "export")
 
 pytestmark = pytest.mark.slow
+sync_api.expect.set_options(timeout=15_000)
 
 
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Any]:
     if CHROMIUM is None:
-        if os.environ.get("WORKBENCH_REQUIRE_BROWSER") == "1":
+        if REQUIRED:
             pytest.fail("WORKBENCH_REQUIRE_BROWSER=1, and no chromium is installed")
         pytest.skip("no chromium is installed")
     SCREENSHOTS.mkdir(parents=True, exist_ok=True)
@@ -362,6 +369,15 @@ def test_the_layout_holds_at_every_width(opened):
                   .map((el) => el.id || el.textContent)"""
             )
             assert cut == [], f"{view} at {width}"
+
+
+def test_a_server_that_has_ended_is_said(opened):
+    lost = opened("--address", "localhost")
+    lost.served.process.kill()
+    lost.served.process.wait()
+    lost.type("loop.controller.Kc", "0.7")
+    expect(lost.page.locator("#message")).to_contain_text("No answer for some seconds")
+    lost.wrong.clear()  # the browser's own words on the lost connection
 
 
 def test_accessibility_has_no_serious_findings(opened):

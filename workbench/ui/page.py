@@ -185,7 +185,7 @@ class Page:
     # long tasks ----------------------------------------------------------------------------------------------------
 
     def _begin(self, task: str, text: str) -> None:
-        if self.job is not None and self.job.alive:
+        if self.task:
             raise InvalidValue("task", WORDS[task].lower(), f"must wait: {WORDS[self.task].lower()} is under way")
         self.task = task
         holder: list[Job] = []

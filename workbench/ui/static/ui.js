@@ -41,7 +41,7 @@ function pump() {
 
 // A server that has ended says nothing more.
 setInterval(() => {
-  if (!waiting || performance.now() - sent < 8000) return;
+  if (!waiting || performance.now() - sent < 6000) return;
   byId("message").textContent = "No answer for some seconds. Where `workbench ui` has ended, start it again and reload this page.";
   byId("message").hidden = false;
 }, 1000);
