@@ -103,6 +103,16 @@ def test_a_slider_changes_figures_and_pictures(ask):
     assert ask("undo")["message"] == "there is nothing to undo"
 
 
+def test_long_runs_are_drawn_finely_and_short_ones_as_before(ask):
+    lines = ask.page.pictures.figures["op"].renderers
+    before = [(line.glyph.line_width, line.glyph.line_dash) for line in lines]
+    ask("set", entries={"experiment.duration": "20000"})
+    assert {(line.glyph.line_width, tuple(line.glyph.line_dash)) for line in lines} == {(1.0, ())}
+    assert ask.page.pictures.run.source.data["pv_y"].size < 5000
+    ask("undo")
+    assert [(line.glyph.line_width, line.glyph.line_dash) for line in lines] == before
+
+
 def test_what_is_refused_is_told_at_its_field(ask):
     answer = ask("set", entries={"loop.valve.d": "much"})
     assert answer["problems"] == [

@@ -10,7 +10,8 @@ from bokeh.models import Range1d
 from hypothesis import given
 from hypothesis import strategies as st
 
-from workbench.ui.trend import COLUMNS, WHOLE, Axis, Trend, columns, loop_line
+from workbench.report.thinned import COLUMNS
+from workbench.ui.trend import WHOLE, Axis, Trend, columns, loop_line
 
 
 def finite(values: np.ndarray) -> np.ndarray:
@@ -63,7 +64,7 @@ def test_lines_of_any_lengths_make_one_source():
     assert not np.isfinite(made["c_y"]).any()
     assert loop_line(np.arange(10.0), np.ones(10))[0].size == 10
     angle = np.linspace(0, 400, 50 * WHOLE)
-    assert loop_line(np.cos(angle), np.sin(angle))[0].size < 2 * WHOLE
+    assert loop_line(np.cos(angle), np.sin(angle))[0].size < 3 * WHOLE
 
 
 @given(low=st.floats(-1e6, 1e6), span=st.floats(1e-3, 1e6))

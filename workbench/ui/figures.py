@@ -125,7 +125,7 @@ class Pictures:
     def __init__(self) -> None:
         self.figures: dict[str, Any] = {}
         self.axes: dict[str, Axis] = {}
-        self._dash = _line(style.OP)["line_dash"]
+        self._fine = False
         self._told: dict[str, tuple[float, float]] = {}
         self._loop()
         self._compare()
@@ -159,7 +159,6 @@ class Pictures:
         pv_line = _curve(pv, self.run.source, "pv_x", "pv_y", **_line(style.PV))
         op = self._add("op", "time (s)", "OP, stem (%)", x_range=pv.x_range)
         op_line = _step(op, self.run.source, "op_x", "op_y", **_line(style.OP, 1.2))
-        self._op_line = op_line.glyph
         _step(op, self.run.source, "valve_x", "valve_y", **_line(style.VALVE, 1.7))
         cross = Span(dimension="height", line_color="#aaaaaa", line_width=1)
         for fig in (pv, op):
@@ -171,6 +170,8 @@ class Pictures:
         _curve(pv_op, self.run.source, "pv_op_x", "pv_op_y", **_line(style.PV, 1.1))
         op_stem = self._add("op_stem", "OP (%)", "stem (%)", x_range=pv_op.x_range)
         _curve(op_stem, self.run.source, "op_stem_x", "op_stem_y", **_line(style.VALVE, 1.1))
+        glyphs = [renderer.glyph for fig in (pv, op, pv_op, op_stem) for renderer in fig.renderers]
+        self._lines = [(g, {"line_width": g.line_width, "line_dash": g.line_dash}) for g in glyphs]
 
     def _time(self, span: float, name: str) -> float:
         """Return the seconds in the unit that suits a span, after writing it at that figure's time axis."""
@@ -186,16 +187,21 @@ class Pictures:
         calm = but_for_kicks(shown) if kicks else None
         self.axes[name].fit(shown if calm is None else [np.array(calm)])
 
+    def _draw_finely(self, fine: bool) -> None:
+        """Draw long signals in hairlines without dashes, which cost a browser half as much and show as much."""
+        if fine == self._fine:
+            return
+        self._fine = fine
+        for glyph, look in self._lines:
+            glyph.update(**(look | {"line_width": 1.0, "line_dash": "solid"} if fine else look))
+
     def show_run(self, shown: CaseRun) -> None:
         """Draw the page's own run, as far as it stays finite."""
         run = shown.run
         if run is None:
             return
         unit = self._time(float(run.time[-1]), "op")
-        # Dashes finer than a pixel column show nothing, and cost a browser as much as all the rest.
-        dash = "solid" if run.time.size > WHOLE else _line(style.OP)["line_dash"]
-        if self._dash != dash:
-            self._op_line.line_dash = self._dash = dash
+        self._draw_finely(run.time.size > WHOLE)
         against = {"pv_op": loop_line(run.op, run.pv), "op_stem": loop_line(run.op, run.valve)}
         self.run.fill(run.time / unit, {"sp": run.sp, "pv": run.pv, "op": run.op, "valve": run.valve}, against)
         self._fit("pv.y", (run.sp, run.pv))

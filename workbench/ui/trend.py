@@ -14,11 +14,10 @@ import numpy as np
 from bokeh.models import ColumnDataSource, Range1d
 
 from workbench.model.record import FloatArray
-from workbench.report.thinned import phase, seen, thin
+from workbench.report.thinned import COLUMNS, phase, seen, thin
 
 __all__ = ["WHOLE", "Axis", "Trend", "columns", "loop_line"]
 
-COLUMNS = 700  # of a trend: a pixel or two of the widest screen
 WHOLE = 4 * COLUMNS  # samples that are drawn as they are
 STEPS = (1.0, 2.0, 2.5, 5.0, 10.0)
 PAD = 0.03
@@ -107,7 +106,7 @@ class Trend:
         parts = self._stretches()
         lines = dict.fromkeys(self.names, NOTHING)
         for name, signal in self._signals.items():
-            drawn = [thin(self._time[part], signal[part], COLUMNS) for part in parts]
+            drawn = [thin(self._time[part], signal[part]) for part in parts]
             lines[name] = np.concatenate([x for x, _ in drawn]), np.concatenate([y for _, y in drawn])
         self.source.data = columns(lines | self._beside)
 
