@@ -42,7 +42,7 @@ from workbench.model.tuning import Objective
 from workbench.model.valve import Directional, Valve
 from workbench.report.words import ROUNDING
 
-__all__ = ["cases_csv", "controller_content", "results_content", "results_json", "run_json", "strict"]
+__all__ = ["cases_csv", "cell", "controller_content", "results_content", "results_json", "run_json", "strict"]
 
 DIGITS = 12
 _DISTRIBUTIONS = ("stiction-workbench", "casadi", "matplotlib", "numba", "numpy", "scipy")
