@@ -64,6 +64,7 @@ def controllers(draw: st.DrawFn) -> wb.PID:
         output_limits=(-draw(numbers(0.5, 5.0)), draw(numbers(0.5, 5.0))) if limited else None,
         anti_windup=draw(st.sampled_from(["clamp", "back_calculation"])),
         tracking_time=draw(st.one_of(st.none(), numbers(1.0, 50.0))),
+        output_resolution=draw(st.sampled_from([0.0, 0.0, 0.25, 0.7])),
     )
 
 
@@ -111,6 +112,7 @@ def independent_simulation(loop: wb.Loop, r: Any, load: Any, noise: Any, offset:
         derivative = (Tf * derivative + Kc * pid.Td * (s - s_last)) / (Tf + Ts)
         s_last = s
         u = offset + P + integral + derivative
+        held = False
         if pid.output_limits is not None:
             low, high = pid.output_limits
             if pid.anti_windup == "clamp":
@@ -118,12 +120,16 @@ def independent_simulation(loop: wb.Loop, r: Any, load: Any, noise: Any, offset:
                 if (u > high and rises > 0) or (u < low and rises < 0):
                     integral = before
                     u = offset + P + integral + derivative
-                u = min(max(u, low), high)
+                held, u = not low <= u <= high, min(max(u, low), high)
             else:
                 limited = min(max(u, low), high)
                 if limited != u:
                     integral += Ts / (pid.tracking_time or pid.Ti) * (limited - u)
-                u = limited
+                held, u = limited != u, limited
+        if pid.output_resolution > 0 and not held:
+            u = offset + pid.output_resolution * round((u - offset) / pid.output_resolution)
+            low, high = pid.output_limits or (-math.inf, math.inf)
+            u = min(max(u, low), high)
         valve = loop.valve
         if isinstance(valve, wb.Ideal):
             x = u

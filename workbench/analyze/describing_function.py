@@ -28,8 +28,8 @@ def describing_function(loop: Loop, *, sampling_delay: bool = False) -> Describi
 
     A cycle is predicted where `1 + N(A) L(jw) = 0`, N the valve's describing function (`analyze.valve_loci`) and L
     controller times plant, with dead time and derivative filter exact, up to the Nyquist frequency pi/Ts. L is
-    continuous unless `sampling_delay`, which takes the sampled loop's own response, hold included. Output limits, noise
-    and load are left out, and the method is an approximation: the exact verdict is `limit_cycle`'s.
+    continuous unless `sampling_delay`, which takes the sampled loop's own response, hold included. Output limits, OP's
+    resolution, noise and load are left out, and the method is an approximation: the exact verdict is `limit_cycle`'s.
 
     Stenman's and He's loci have several pieces (two families of staircases, see `valve_loci.staircase_response`), whose
     first indices are in `breaks`; a valve without friction has the single point -1, and cycles in a linear loop are
@@ -63,7 +63,7 @@ def describing_function(loop: Loop, *, sampling_delay: bool = False) -> Describi
             period=math.nan,
             pv_amplitude=math.nan,
             linear_stable=stable,
-            verdict=_frictionless(stable),
+            verdict=_frictionless(stable) + _left_out(loop),
         )
     amplitudes = [piece.amplitude(piece.points) for piece in pieces]
     N = np.concatenate([piece.N(A) for piece, A in zip(pieces, amplitudes, strict=True)])
@@ -94,7 +94,7 @@ def describing_function(loop: Loop, *, sampling_delay: bool = False) -> Describi
         period=predicted.period if predicted else math.nan,
         pv_amplitude=predicted.pv_amplitude if predicted else math.nan,
         linear_stable=stable,
-        verdict=_verdict(loop, crossings, predicted, approach, stable),
+        verdict=_verdict(loop, crossings, predicted, approach, stable) + _left_out(loop),
         breaks=tuple(np.cumsum([0] + [A.size for A in amplitudes[:-1]]).tolist()),
     )
 
@@ -174,6 +174,12 @@ def _verdict(
         f"The loci do not cross, so no cycle is predicted; they come as close as {_plain(approach.distance)} at an OP "
         f"amplitude of {_plain(approach.amplitude)} % and a period of {period} s{linear}."
     )
+
+
+def _left_out(loop: Loop) -> str:
+    """A sentence on what else in this loop the loci do not show."""
+    resolution = loop.controller.output_resolution
+    return f" OP's resolution of {_plain(resolution)} % is left out here." if resolution > 0.0 else ""
 
 
 def _plain(value: float) -> str:

@@ -58,14 +58,14 @@ def standard_starts(loop: Loop) -> tuple[Start, ...]:
     """Return the documented starts: four from rest with the stem centred, four with the stem held off its input.
 
     The resting stem position is shifted by 0.5, -1.3, 2.7, -6.2, 0.2, 1.1, -0.75 and -3.4 slip jumps (stick bands
-    where there is no jump), the last four with a stem offset of 0.5, -0.9, 0.9 and -0.5 of what the valve holds: by a
-    setpoint step on a self-regulating plant, and on an integrating one by a load with a setpoint step that moves OP as
-    far. A loop with output limits is not asked to rest beyond 0.8 of them.
+    where there is no jump, else steps of OP's resolution), the last four with a stem offset of 0.5, -0.9, 0.9 and -0.5
+    of what the valve holds: by a setpoint step on a self-regulating plant, and on an integrating one by a load with a
+    setpoint step that moves OP as far. A loop with output limits is not asked to rest beyond 0.8 of them.
     """
     valve, plant = loop.valve, loop.plant
-    unit = valve.slip_jump or valve.stick_band
-    frictionless = unit == 0.0
-    if frictionless:
+    frictionless = valve.slip_jump == valve.stick_band == 0.0
+    unit = valve.slip_jump or valve.stick_band or loop.controller.output_resolution
+    if unit == 0.0:
         unit = 1.0 / abs(plant.gain) if isinstance(plant, FOPDT) else 1.0
     Kc = loop.controller.ideal_terms().Kc
     limits = loop.controller.output_limits or (-math.inf, math.inf)

@@ -248,7 +248,7 @@ def follow(loop: Loop, start: Start, *, least: int = LEAST, traced: bool = True)
     """
     run = _Follower(loop, start, traced)
     # Without friction the loop is linear while within its limits, and slow damping is no cycle.
-    frictionless = loop.valve.stick_band == loop.valve.slip_jump == 0.0
+    frictionless = loop.valve.stick_band == loop.valve.slip_jump == loop.controller.output_resolution == 0.0
     linear = frictionless and linear_stable(loop)
     damped = linear and loop.controller.output_limits is None
     longest = max(LONGEST_CHUNK, 4 * run.past.size)
@@ -358,7 +358,7 @@ def _no_cycle(run: _Follower, start: Start, outcome: str, reason: str) -> LimitC
 
 
 def _scale(loop: Loop, r: float) -> _Scale:
-    band = max(loop.valve.stick_band, loop.valve.slip_jump)
+    band = max(loop.valve.stick_band, loop.valve.slip_jump, loop.controller.output_resolution)
     gain = abs(loop.plant.gain)
     Kc = loop.controller.ideal_terms().Kc
     if isinstance(loop.plant, FOPDT):

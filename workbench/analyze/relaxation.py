@@ -5,7 +5,8 @@ and the proportional action, move OP. Both are known sums, and OP has to travel 
 gives the period. The sums are those of the sampled loop, so that the figures need no fine sampling.
 
 Where it stops: a dead band alone (J = 0) has no jump, hence no two positions, and no such cycle. Where friction differs
-by direction the moves up and down differ too, and the slips do not close to two positions. Where an echo crosses
+by direction the moves up and down differ too, and the slips do not close to two positions. Where OP moves in levels
+(a resolution) the slips wait for the next level, which the sums do not know. Where an echo crosses
 the stick band by itself (Kc K J/S near 1 and above) the describing function's domain begins. On an integrating plant
 cycles of two slips a half cycle, twice as wide, may exist beside the one described here, chosen by the start.
 """
@@ -89,7 +90,7 @@ def relaxation_cycle(loop: Loop, split: float = 0.5) -> RelaxationCycle | None:
     gain = loop.controller.signed_gain * terms.Kc * loop.plant.gain
     if valve.stick_band <= 0.0 or valve.slip_jump <= 0.0 or gain <= 0.0 or math.isinf(terms.Ti):
         return None
-    if isinstance(valve, Directional):
+    if isinstance(valve, Directional) or loop.controller.output_resolution > 0.0:
         return None
     if isinstance(loop.plant, FOPDT):
         return _self_regulating(loop, loop.plant, terms, split)

@@ -51,6 +51,11 @@ class PID:
     `setpoint_weight`: b of the proportional action, 0..1. `action`: "reverse" (OP falls when PV rises, for plants of
     positive gain) or "direct". `output_limits`: (low, high), % in deviation from the resting output, or None.
     `anti_windup`: "clamp" or "back_calculation", with `tracking_time` Tt, s (Ti of the ideal form unless given).
+    `output_resolution`: q, %, >= 0, of the output that leaves the controller, as a converter or a smart positioner has
+    it; 0 for none. After the limits, an output u that no limit holds becomes `bias + q round((u - bias)/q)`, halves to
+    even: levels are counted from the resting output (bias, u before the first sample), which is a level; a level beyond
+    a limit is that limit. Valve, record and figures see the rounded output; the controller does not: its integral, its
+    derivative and back-calculation go on with the unrounded one.
     Raises `InvalidValue`.
     """
 
@@ -65,6 +70,7 @@ class PID:
     output_limits: tuple[float, float] | None = None
     anti_windup: str = "clamp"
     tracking_time: float | None = None
+    output_resolution: float = 0.0
 
     def __post_init__(self) -> None:
         def put(name: str, value: object) -> None:
@@ -86,6 +92,7 @@ class PID:
         choice(self.anti_windup, "PID.anti_windup", ("clamp", "back_calculation"))
         if self.tracking_time is not None:
             put("tracking_time", number(self.tracking_time, "PID.tracking_time", above=0.0, unit="s"))
+        put("output_resolution", number(self.output_resolution, "PID.output_resolution", least=0.0, unit="%"))
         if self.form == "parallel" and self.Kc == 0.0 and self.Td > 0.0 and not math.isinf(self.derivative_filter):
             raise InvalidValue("PID.Kc", self.Kc, "a filtered derivative in the parallel form needs Kc > 0")
 

@@ -79,10 +79,15 @@ def _weights(objective: Objective) -> dict[str, float]:
 
 
 def controller_content(controller: PID) -> dict[str, Any]:
-    """Return a controller in full; an unfiltered derivative's filter and a missing integral time are "none"."""
+    """Return a controller in full; an unfiltered derivative's filter and a missing integral time are "none".
+
+    A resolution is there only where OP has one.
+    """
     content = _plain(controller)
     content["derivative_filter"] = _or_none(controller.derivative_filter)
     content["Ti"] = _or_none(controller.Ti)
+    if controller.output_resolution == 0.0:
+        del content["output_resolution"]
     return {"form": controller.form, "structure": controller.structure, **content}
 
 

@@ -44,6 +44,7 @@ CONTROLLER_ROWS: tuple[tuple[str, Callable[[PID], str]], ...] = (
     ("Output limits", _limits),
     ("Anti-windup", lambda p: "–" if p.output_limits is None else p.anti_windup.replace("_", "-")),
     ("Tracking time", _tracking),
+    ("Output resolution", lambda p: f"{given(p.output_resolution)} %" if p.output_resolution > 0.0 else "–"),
 )
 
 

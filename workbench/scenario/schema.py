@@ -175,6 +175,9 @@ class ControllerKeys(Closed):
     ] = None
     anti_windup: Literal["clamp", "back_calculation"] | None = None
     tracking_time: PositiveTime | None = None
+    output_resolution: Annotated[
+        Band | None, Field(description="OP leaves the controller in multiples of this, % from the resting output; 0")
+    ] = None
 
 
 class Controller(Tuning, ControllerKeys):

@@ -102,6 +102,7 @@ def coefficients(loop: Loop, stem_offset: float = 0.0, tunings: FloatArray | Non
     low, high = (-math.inf, math.inf) if pid.output_limits is None else pid.output_limits
     rows[:, kernel.LOW], rows[:, kernel.HIGH] = low, high
     rows[:, kernel.WINDUP] = float(pid.anti_windup == "back_calculation")
+    rows[:, kernel.RESOLUTION] = pid.output_resolution
     rows[:, kernel.TS_TT] = Ts / (Ti if pid.tracking_time is None else pid.tracking_time)
     law = valve_law(loop.valve)
     rows[:, kernel.VALVE] = law.kind

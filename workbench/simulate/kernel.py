@@ -10,7 +10,8 @@ A loop is a row of `COEFFICIENTS` floats (see the names below), a state is `STAT
 2. u_k = bias + P + I + D, `P = Kc (b r - y)`, `I += (Kc Ts/Ti) e`, `D = (Tf D + Kc Td (s - s_{k-1}))/(Tf + Ts)`,
    s = e or -y
 3. output limits; clamping undoes this sample's I step where u is outside and the step pushes further out; back-
-   calculation adds `(Ts/Tt)(u_limited - u)` to I
+   calculation adds `(Ts/Tt)(u_limited - u)` to I; then OP's resolution q: a u that no limit holds becomes
+   `bias + q rint((u - bias)/q)`, halves to even, and at most the limit; I and D know nothing of it
 4. the valve (model.valve); 5. the plant's exact zero-order-hold step with v = x + load.
 
 `branch` codes the decisions of each sample: `stem + 3 (limit + 1) + 9 undone`, where stem is 0, 1 or 2 for a stem that
@@ -26,7 +27,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from workbench.simulate.compiled import compiled
+from workbench.simulate.compiled import compiled, written_out
 
 __all__ = [
     "CARRIED",
@@ -44,6 +45,7 @@ __all__ = [
     "run_costs",
     "run_events",
     "run_loop",
+    "run_samples",
     "run_worst",
     "trace",
     "valve_path",
@@ -57,12 +59,13 @@ Floats = NDArray[np.float64]
 # Columns of a coefficient row.
 KC, KI, KD, TF, TF_TS, WEIGHT, ON_PV, BIAS, LOW, HIGH, WINDUP, TS_TT = range(12)
 VALVE, BAND, OFFSET, POLE, GAIN, C0, C1, DELAY, BAND_DOWN, OFFSET_DOWN = range(12, 22)
-COEFFICIENTS = 22
+RESOLUTION = 22
+COEFFICIENTS = 23
 # KC signed gain; KI = Kc Ts/Ti; KD = Kc Td; TF_TS = Tf + Ts; ON_PV 1 for derivative on PV; WINDUP 0 clamp,
 # 1 back-calculation.
 # VALVE one of the five below; BAND the lead u - x beyond which the stem slips, OFFSET the lead that it keeps while it
 # moves: both upward, downward the last two columns (the same but for DIRECTIONAL); POLE a, 1 for integrating; GAIN K,
-# or K Ts for integrating; C0, C1 the shares of v_{k-m} and v_{k-m-1}; DELAY m.
+# or K Ts for integrating; C0, C1 the shares of v_{k-m} and v_{k-m-1}; DELAY m. RESOLUTION of OP, %, 0 for none.
 # STAIRS sticks again after each sample's slip (Stenman, He). TWO_PARAMETER goes on moving (Choudhury, dead band), and
 # so do KANO, whose band lies OFFSET lower until its first move, and DIRECTIONAL.
 IDEAL, STAIRS, TWO_PARAMETER, KANO, DIRECTIONAL = range(5)
@@ -137,6 +140,19 @@ def valve_step(
 
 
 @compiled
+def _level(u: float, resolution: float, bias: float, low: float, high: float) -> float:
+    """An output within its limits at its resolution: the nearest level counted from `bias`, or the limit before it."""
+    level = bias + resolution * np.rint((u - bias) / resolution)
+    return float(min(max(level, low), high))
+
+
+@compiled
+def _shown(c: Floats, u: float) -> float:
+    """An output within its limits as the valve sees it."""
+    return _level(u, c[RESOLUTION], c[BIAS], c[LOW], c[HIGH]) if c[RESOLUTION] > 0.0 else u
+
+
+@compiled
 def valve_path(
     kind: int,
     band: float,
@@ -158,8 +174,8 @@ def valve_path(
     return motion
 
 
-@compiled
-def run_loop(
+@written_out
+def run_samples(
     c: Floats,
     r: Floats,
     load: Floats,
@@ -171,11 +187,11 @@ def run_loop(
     x: Floats,
     v: Floats,
     branch: NDArray[np.int8],
+    plain: bool,
 ) -> None:
-    """Run N = u.size samples of one loop from `state`, and leave the state after them in `state` and `past`.
+    """`run_loop`, without what few loops have (a resolution of OP) where `plain`.
 
-    r, load, noise: at least N values; past: at least m + 1. Written: y (N + 1, the plant's true output) and u, x, v,
-    branch (N each). Sample N's output y[N] is in the state; its controller action is the next run's first.
+    Two loops from one source: to ask at every sample for what few loops have would cost all the others.
     """
     kc, ki, kd, tf, tf_ts = c[KC], c[KI], c[KD], c[TF], c[TF_TS]
     weight, on_pv, bias = c[WEIGHT], c[ON_PV] != 0.0, c[BIAS]
@@ -213,6 +229,8 @@ def run_loop(
             if back:
                 i_term += ts_tt * (limited - out)
             out = limited
+        elif not plain and c[RESOLUTION] > 0.0:
+            out = _shown(c, out)
         x_last, motion = valve_step(kind, band, offset, band_down, offset_down, out, u_last, x_last, motion)
         u_last = out
         u[k] = out
@@ -229,6 +247,83 @@ def run_loop(
     length = past.size
     for i in range(length - 1, -1, -1):
         past[i] = v[n - 1 - i] if n - 1 - i >= 0 else past[i - n]
+
+
+@compiled
+def _plain(
+    c: Floats,
+    r: Floats,
+    load: Floats,
+    noise: Floats,
+    state: Floats,
+    past: Floats,
+    y: Floats,
+    u: Floats,
+    x: Floats,
+    v: Floats,
+    branch: NDArray[np.int8],
+) -> None:
+    run_samples(c, r, load, noise, state, past, y, u, x, v, branch, True)
+
+
+@compiled
+def _special(
+    c: Floats,
+    r: Floats,
+    load: Floats,
+    noise: Floats,
+    state: Floats,
+    past: Floats,
+    y: Floats,
+    u: Floats,
+    x: Floats,
+    v: Floats,
+    branch: NDArray[np.int8],
+) -> None:
+    run_samples(c, r, load, noise, state, past, y, u, x, v, branch, False)
+
+
+@written_out
+def _run(
+    c: Floats,
+    r: Floats,
+    load: Floats,
+    noise: Floats,
+    state: Floats,
+    past: Floats,
+    y: Floats,
+    u: Floats,
+    x: Floats,
+    v: Floats,
+    branch: NDArray[np.int8],
+) -> None:
+    """`run_loop` for the kernel's own use: a call of it costs as much as some samples, which this saves."""
+    if c[RESOLUTION] == 0.0:
+        _plain(c, r, load, noise, state, past, y, u, x, v, branch)
+    else:
+        _special(c, r, load, noise, state, past, y, u, x, v, branch)
+
+
+@compiled
+def run_loop(
+    c: Floats,
+    r: Floats,
+    load: Floats,
+    noise: Floats,
+    state: Floats,
+    past: Floats,
+    y: Floats,
+    u: Floats,
+    x: Floats,
+    v: Floats,
+    branch: NDArray[np.int8],
+) -> None:
+    """Run N = u.size samples of one loop from `state`, and leave the state after them in `state` and `past`.
+
+    r, load, noise: at least N values; past: at least m + 1. Written: y (N + 1, the plant's true output) and u, x, v,
+    branch (N each). Sample N's output y[N] is in the state; its controller action is the next run's first.
+    """
+    _run(c, r, load, noise, state, past, y, u, x, v, branch)
 
 
 @compiled
@@ -326,7 +421,7 @@ def run_costs(
         state[:] = 0.0
         state[U_LAST] = rows[i, BIAS]
         past[:] = 0.0
-        run_loop(rows[i], r[j], load[j], noise[j], state, past, y, u, x, v, branch)
+        _run(rows[i], r[j], load[j], noise[j], state, past, y, u, x, v, branch)
         last[0], last[1], last[2] = rows[i, BIAS], 0.0, 0.0
         sums[i] = 0.0
         add_sums(sums[i], last, every, r[j], noise[j], y, u, x)
@@ -376,7 +471,7 @@ def run_worst(
             while begin < n and cost <= ceilings[i]:
                 size = min(chunk, n - begin)
                 end = begin + size
-                run_loop(
+                _run(
                     rows[j],
                     r[begin:end],
                     load[begin:end],
@@ -520,6 +615,24 @@ def _output(c: Floats, at: Floats, n: Floats) -> float:
 
 
 @compiled
+def _room(c: Floats, state: Floats) -> tuple[float, float]:
+    """The least and the largest output, resolution aside, at which the stem at rest stays and no limit is met."""
+    x, q, bias = state[X_LAST], c[RESOLUTION], c[BIAS]
+    lower = c[OFFSET] if c[VALVE] == KANO and state[MOTION] == 0.0 else 0.0
+    down, up = c[BAND_DOWN] + lower, c[BAND] - lower
+    low, high = x - down, x + up
+    if q > 0.0:
+        # The last levels that hold the stem, by the very comparisons of `valve_step`, and half a level more.
+        n = np.ceil((low - bias) / q)
+        n += -1.0 if x - (bias + q * (n - 1.0)) <= down else (1.0 if x - (bias + q * n) > down else 0.0)
+        low = bias + q * (n - 0.5) if low > c[LOW] else low
+        n = np.floor((high - bias) / q)
+        n += 1.0 if bias + q * (n + 1.0) - x <= up else (-1.0 if bias + q * n - x > up else 0.0)
+        high = bias + q * (n + 0.5) if high < c[HIGH] else high
+    return max(low, c[LOW]), min(high, c[HIGH])
+
+
+@compiled
 def _grows(order: int, c: Floats, at: Floats, n: Floats) -> bool:
     """Whether u_{n+1} - u_n is positive (order 1), or that difference's own next step (order 2)."""
     step = -at[SLOPE] * n[POWER]
@@ -580,10 +693,8 @@ def jump(
     zeros OP is monotone. Between the cuts the crossing is bracketed by doubling steps and found by halving them.
     """
     at, n, trial, last, cut = scratch[0], scratch[1], scratch[2], scratch[3], scratch[4]
-    x = state[X_LAST]
-    lower = c[OFFSET] if c[VALVE] == KANO and state[MOTION] == 0.0 else 0.0
-    low, high = max(x - (c[BAND_DOWN] + lower), c[LOW]), min(x + (c[BAND] - lower), c[HIGH])
-    _begin(c, r, x + load, state, at)
+    low, high = _room(c, state)
+    _begin(c, r, state[X_LAST] + load, state, at)
     n[:] = 0.0
     n[POWER] = n[FILTER] = 1.0
     u = _output(c, at, n)
@@ -601,7 +712,7 @@ def jump(
         last[:] = n
         _advance(2, low, high, c, at, table, live, last, trial)
         turn = min(last[SAMPLES] + 1.0, live)
-    carry[U_HIGH], carry[U_LOW] = max(carry[U_HIGH], u), min(carry[U_LOW], u)
+    carry[U_HIGH], carry[U_LOW] = max(carry[U_HIGH], _shown(c, u)), min(carry[U_LOW], _shown(c, u))
     for stage in range(5):
         # Up to the turn of OP's difference, then up to `live`, each cut where that difference changes its sign.
         until = turn if stage < 2 else (live if stage < 4 else end)
@@ -624,7 +735,7 @@ def jump(
             u = _output(c, at, n)
         else:
             n[:] = cut
-        carry[U_HIGH], carry[U_LOW] = max(carry[U_HIGH], u), min(carry[U_LOW], u)
+        carry[U_HIGH], carry[U_LOW] = max(carry[U_HIGH], _shown(c, u)), min(carry[U_LOW], _shown(c, u))
         if outside:
             break
     # n is the last sample at rest.
@@ -634,7 +745,7 @@ def jump(
     carry[MOTION_LAST] = 0.0
     state[I_TERM], state[D_TERM] = _integral(c, at, n), _derivative(c, at, n)
     state[S_LAST] = -y if c[ON_PV] != 0.0 else e
-    state[U_LAST] = u
+    state[U_LAST] = _shown(c, u)
     if state[MOTION] != RESTED:
         state[MOTION] = 0.0
     _join(n, table[0], cut)
@@ -705,9 +816,7 @@ def run_events(
         else:
             chunk = min(2 * chunk, longest)
         size = min(chunk, most - done)
-        run_loop(
-            c, rs[:size], loads[:size], noise[:size], state, past, y[: size + 1], u[:size], x[:size], v[:size], branch
-        )
+        _run(c, rs[:size], loads[:size], noise[:size], state, past, y[: size + 1], u[:size], x[:size], v[:size], branch)
         count += collect(kind, y, u[:size], x[:size], branch, r, first + done, dust, carry, rows[count:])
         done += size
         worked += size
@@ -734,7 +843,7 @@ def trace(
                 left -= jump(c, r, load, state, left, table, carry, scratch)
             size = min(least, left)
             if size > 0:
-                run_loop(
+                _run(
                     c, rs[:size], loads[:size], noise[:size], state, past, y[: size + 1], u[:size], x[:size], v, branch
                 )
                 left -= size

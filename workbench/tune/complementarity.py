@@ -18,6 +18,7 @@ from workbench.model.record import FloatArray
 from workbench.model.results import SolveStatus
 from workbench.model.valve import Stenman
 from workbench.symbolic.branch import Decisions
+from workbench.symbolic.loop import unwritten
 from workbench.symbolic.mpcc import Mpcc, MpccSolver
 from workbench.symbolic.sticky import StickyProgram, relaxed
 from workbench.tune.problem import Problem
@@ -35,6 +36,8 @@ def applicable(problem: Problem) -> None:
         raise InvalidValue("Experiment.duration", f"{problem.samples} samples", f"at most {MOST_SAMPLES} samples here")
     if not isinstance(problem.loop.valve, Stenman):
         raise InvalidValue("loop.valve", type(problem.loop.valve).__name__, "only Stenman's has a complementarity form")
+    if unwritten(problem.loop):
+        raise InvalidValue("loop", unwritten(problem.loop), "has no complementarity form")
     if problem.loop.controller.output_limits is not None:
         raise InvalidValue("PID.output_limits", problem.loop.controller.output_limits, "must be None here")
     if not eq_2_alone(problem):
