@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -84,11 +85,15 @@ def experiments(draw: st.DrawFn, duration: float = 150.0) -> wb.Experiment:
 
 
 def independent_simulation(loop: wb.Loop, r: Any, load: Any, noise: Any, offset: float = 0.0) -> dict[str, list[float]]:
-    """The law written once more, sample by sample, with no code of the package: r, load, noise of N + 1 values."""
+    """The law written once more, sample by sample, with no code of the package.
+
+    r, load (in % of opening), noise: N + 1 values.
+    """
     pid, plant, Ts = loop.controller, loop.plant, loop.sample_time
     n = len(r) - 1
     Kc = pid.Kc if pid.action == "reverse" else -pid.Kc
     Tf = pid.Td / pid.derivative_filter
+    sign = -1 if loop.fail_open else 1
     m = math.floor(plant.dead_time / Ts + 1e-9)
     f = plant.dead_time / Ts - m
     f = 0.0 if f < 1e-9 else f
@@ -156,7 +161,11 @@ def independent_simulation(loop: wb.Loop, r: Any, load: Any, noise: Any, offset:
                 S, J = up if direction > 0 else down
                 x = u - direction * ((S - J) / 2)
         u_last = u
-        v.append(x + load[k])
+        opened = sign * x
+        if loop.characteristic is not None:
+            c = math.log(loop.characteristic.rangeability) / 100
+            opened = math.expm1(c * opened) / c
+        v.append(opened + load[k])
         out["pv"].append(measured)
         out["op"].append(u)
         out["valve"].append(x)
@@ -168,6 +177,16 @@ def independent_simulation(loop: wb.Loop, r: Any, load: Any, noise: Any, offset:
             y = y + plant.gain * Ts * ((1 - f) * past(k - m) + f * past(k - m - 1))
     out["final"] = [y + noise[n]]
     return out
+
+
+def late_cycles(run: wb.Run, begin: float) -> tuple[float, float]:
+    """Median period (s) and PV swing (EU) of a run's cycles from `begin` (s) on, upward turn to upward turn."""
+    moves = np.diff(run.valve)
+    at = np.flatnonzero(moves)
+    turns = at[1:][(moves[at[1:]] > 0.0) & (moves[at[:-1]] < 0.0)] + 1
+    turns = turns[run.time[turns] >= begin]
+    swings = [np.ptp(run.pv[a:b]) for a, b in pairwise(turns)]
+    return float(np.median(np.diff(run.time[turns]))), float(np.median(swings))
 
 
 def as_arrays(n: int, *signals: Any) -> list[np.ndarray]:

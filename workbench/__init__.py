@@ -29,6 +29,7 @@ _HOME = {
     "Deadband": "model.valve",
     "Directional": "model.valve",
     "PID": "model.controller",
+    "EqualPercentage": "model.characteristic",
     "Loop": "model.loop",
     "Step": "model.experiment",
     "Ramp": "model.experiment",
@@ -81,6 +82,7 @@ __all__ = [
     "DetunedIntegral",
     "Directional",
     "Ensemble",
+    "EqualPercentage",
     "Experiment",
     "He",
     "Ideal",
@@ -163,6 +165,7 @@ if TYPE_CHECKING:
     from workbench.detect.detect import detect
     from workbench.errors import InvalidValue, OutputError, RecordError, ScenarioError, SolveError, WorkbenchError
     from workbench.estimate.estimate import estimate
+    from workbench.model.characteristic import EqualPercentage
     from workbench.model.controller import PID
     from workbench.model.detection import Detection
     from workbench.model.ensemble import Constraints, Ensemble

@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from workbench.errors import ScenarioError
+from workbench.model.characteristic import EqualPercentage
 from workbench.report.results import results_content
 from workbench.report.shared import loop_lines
 from workbench.scenario.loader import read_scenario
@@ -64,3 +65,57 @@ def test_a_resolution_of_op_is_read_run_and_told() -> None:
 def test_a_wrong_resolution_is_refused_where_it_stands(wrong: str, told: str) -> None:
     text = GOOD.replace(CONTROLLER, "{derivative_filter: none, " + wrong + "}")
     assert told in refusal(text)
+
+
+CURVED = "sample_time: 1 s\n  characteristic: {type: equal_percentage, rangeability: 50, opening: 35 %}"
+
+
+def test_characteristic_and_fail_open_are_read_run_and_told() -> None:
+    text = GOOD.replace(CONTROLLER, "{action: direct, output_limits: [-20, 35]}").replace(
+        "sample_time: 1 s", f"{CURVED}\n  fail_open: true"
+    )
+    study = run_scenario(read(text))
+    loop = study.cases[0].loop
+    assert (loop.characteristic, loop.fail_open) == (EqualPercentage(50.0, 35.0), True)
+    lines = dict(loop_lines(study))
+    assert "equal percentage, rangeability 50, 35 % open" in lines["Characteristic"]
+    assert "fail-open" in lines["Action of the valve"]
+    content = results_content(study)["loop"]
+    assert content["characteristic"] == {"type": "equal_percentage", "rangeability": 50.0, "opening": 35.0}
+    assert content["fail_open"] is True
+    straight = read(GOOD.replace("sample_time: 1 s", "sample_time: 1 s\n  characteristic: {type: linear}")).loop
+    assert straight == read(GOOD).loop
+
+
+@pytest.mark.parametrize(
+    ("wrong", "told"),
+    [
+        (CURVED, "output_limits: none given; must lie within (-35, 65) %, the travel of a valve"),
+        (CURVED.replace("50", "0.5"), "loop.yaml:7:58: loop.characteristic.rangeability: 0.5 given"),
+        (CURVED.replace("35 %", "120 %"), "loop.characteristic.opening: 120 % given; must be below 100 %"),
+        (
+            CURVED.replace("equal_percentage", "quick_opening"),
+            "loop.yaml:7:26: loop.characteristic.type: quick_opening given",
+        ),
+        ("sample_time: 1 s\n  fail_open: 1", "loop.yaml:7:14: loop.fail_open: 1 given; must be true or false"),
+        (
+            "sample_time: 1 s\n  fail_open: true",
+            "loop.yaml:3:30: loop.plant.gain: 1 given, and reverse action by default; the controller acts the wrong way",
+        ),
+    ],
+)
+def test_a_wrong_characteristic_is_refused_where_it_stands(wrong: str, told: str) -> None:
+    assert told in refusal(GOOD.replace("sample_time: 1 s", wrong))
+
+
+def test_every_case_must_keep_within_the_travel() -> None:
+    text = GOOD.replace(CONTROLLER, "{output_limits: [-20, 20]}").replace("sample_time: 1 s", CURVED)
+    text += "  - {name: Wide, Kc: 1, Ti: 20 s, output_limits: [-40, 20]}\n"
+    assert "loop.yaml:11:50: cases[1].output_limits: (-40, 20) % given; must lie within (-35, 65) %" in refusal(text)
+
+
+def test_a_loop_from_data_has_no_elements_of_its_own() -> None:
+    text = "title: D\nestimate: {data: no.csv}\nloop: {fail_open: true, characteristic: {type: linear}}\n"
+    told = refusal(text)
+    assert "loop.fail_open: given, and estimate.data as well; a loop found in recorded data is linear" in told
+    assert "loop.characteristic: given, and estimate.data as well" in told

@@ -155,6 +155,14 @@ def test_each_jump_equals_the_kernel_restarted_from_the_same_state(loop, r, load
     follow_jumps(loop, r, load, pauses)
 
 
+@settings(max_examples=60)
+@given(loop=slow_loops(), R=numbers(2.0, 100.0), r=numbers(-6.0, 6.0), load=numbers(-2.0, 2.0), pauses=pauses)
+def test_jumps_behind_a_curved_characteristic_equal_the_kernel_too(loop, R, r, load, pauses):
+    assume(loop.valve.slip_jump <= loop.valve.stick_band)
+    pid = replace(loop.controller, output_limits=(-20.0, 20.0), tracking_time=None)
+    follow_jumps(replace(loop, controller=pid, characteristic=wb.EqualPercentage(R, 35.0)), r, load, pauses)
+
+
 @settings(max_examples=80)
 @given(loop=loops, r=numbers(-6.0, 6.0), load=numbers(-2.0, 2.0), pauses=pauses)
 def test_jumps_of_fast_loops_with_limits_equal_the_kernel_too(loop, r, load, pauses):

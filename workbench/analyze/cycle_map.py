@@ -151,7 +151,7 @@ def map_ranges(loop: Loop, tunings: Iterable[PID] = (), *, axis: str = "Ti") -> 
 
 
 def _fitting(loop: Loop) -> str:
-    return "reverse" if loop.plant.gain > 0.0 else "direct"
+    return "reverse" if loop.gain > 0.0 else "direct"
 
 
 def _range(given: object, where: str, *, from_zero: bool) -> Pair:
@@ -198,7 +198,7 @@ def _row(loops: list[Loop], count: int, stop: threading.Event) -> _Row:
         terms, valve, plant = loop.controller.ideal_terms(), loop.valve, loop.plant
         if isinstance(plant, FOPDT) and valve.slip_jump > 0.0 and valve.stick_band > 0.0:
             J_S = valve.slip_jump / valve.stick_band
-            loop_gain[k] = loop.controller.signed_gain * terms.Kc * plant.gain * J_S
+            loop_gain[k] = loop.controller.signed_gain * terms.Kc * loop.gain * J_S
             lag_ratio[k] = terms.Ti / (plant.time_constant + plant.dead_time)
     crossing = np.full(size, math.nan)
     if loops[0].controller.form != "parallel" and not stop.is_set():

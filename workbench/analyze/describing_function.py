@@ -29,7 +29,8 @@ def describing_function(loop: Loop, *, sampling_delay: bool = False) -> Describi
     A cycle is predicted where `1 + N(A) L(jw) = 0`, N the valve's describing function (`analyze.valve_loci`) and L
     controller times plant, with dead time and derivative filter exact, up to the Nyquist frequency pi/Ts. L is
     continuous unless `sampling_delay`, which takes the sampled loop's own response, hold included. Output limits, OP's
-    resolution, noise and load are left out, and the method is an approximation: the exact verdict is `limit_cycle`'s.
+    resolution, noise and load are left out, a curved characteristic counts by its gain at the operating point, and the
+    method is an approximation: the exact verdict is `limit_cycle`'s.
 
     Stenman's and He's loci have several pieces (two families of staircases, see `valve_loci.staircase_response`), whose
     first indices are in `breaks`; a valve without friction has the single point -1, and cycles in a linear loop are
@@ -179,7 +180,10 @@ def _verdict(
 def _left_out(loop: Loop) -> str:
     """A sentence on what else in this loop the loci do not show."""
     resolution = loop.controller.output_resolution
-    return f" OP's resolution of {_plain(resolution)} % is left out here." if resolution > 0.0 else ""
+    words = f" OP's resolution of {_plain(resolution)} % is left out here." if resolution > 0.0 else ""
+    if loop.characteristic is not None:
+        words += " It holds for the gain at the operating point: the curve of the characteristic is left out."
+    return words
 
 
 def _plain(value: float) -> str:

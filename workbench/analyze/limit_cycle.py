@@ -74,11 +74,11 @@ def standard_starts(loop: Loop) -> tuple[Start, ...]:
         stem = min(max(shift * unit, 0.8 * limits[0]), 0.8 * limits[1])
         offset = share * valve.hold
         if isinstance(plant, FOPDT):
-            r, load = plant.gain * stem, 0.0
+            r, load = loop.gain * loop.flow(stem), 0.0
             name = f"setpoint step of {r:+.3g} EU"
         else:
-            r, load = (stem / Kc if Kc > 0.0 else 0.0), -stem
-            name = f"load step of {load:+.3g} % and setpoint step of {r:+.3g} EU"
+            r, load = (stem / Kc if Kc > 0.0 else 0.0), -loop.flow(stem)
+            name = f"load step of {loop.direction * load:+.3g} % and setpoint step of {r:+.3g} EU"
         if offset != 0.0:
             name += f", OP resting {offset:+.3g} % off the stem"
         # Two samples of constant signals say all: the last value is held.

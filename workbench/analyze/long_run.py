@@ -51,7 +51,10 @@ POINTS, TRACED = 800, 3.3
 
 @dataclass(frozen=True, eq=False)
 class Start:
-    """A start: its name, the stem's offset (%), and the signals until they last change (r and load then stay)."""
+    """A start: its name, the stem's offset (%), and the signals until they last change (r and load then stay).
+
+    The load is in OP's direction, as `simulate.run.signals` has it.
+    """
 
     name: str
     stem_offset: float
@@ -139,7 +142,7 @@ class _Follower:
         """Return why an integrating plant's PV drifts away without end, or an empty string; after a `look`."""
         if isinstance(self.loop.plant, FOPDT):
             return ""
-        v = float(self.x[-1]) + self.load
+        v = self.loop.flow(float(self.x[-1])) + self.load
         if self.row[kernel.KC] == 0.0 and self.row[kernel.KD] == 0.0 and v != 0.0:
             return "there is no feedback: PV drifts without end"
         tail = self.u.size // 2

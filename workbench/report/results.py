@@ -105,7 +105,10 @@ def _valve(valve: Valve) -> dict[str, Any]:
 
 
 def _loop(loop: Loop) -> dict[str, Any]:
-    return {"plant": _plant(loop.plant), "valve": _valve(loop.valve), "sample_time": loop.sample_time}
+    content = {"plant": _plant(loop.plant), "valve": _valve(loop.valve), "sample_time": loop.sample_time}
+    if loop.characteristic is not None:
+        content["characteristic"] = {"type": "equal_percentage", **_plain(loop.characteristic)}
+    return content | ({"fail_open": True} if loop.fail_open else {})
 
 
 def _describing_function(df: DescribingFunction | None) -> dict[str, Any] | None:

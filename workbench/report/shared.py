@@ -9,7 +9,7 @@ from workbench.model.controller import PID
 from workbench.model.study import Study
 from workbench.model.tuning import Objective
 from workbench.report.titles import kpi_title
-from workbench.report.words import given, plant_words, setting, valve_words
+from workbench.report.words import given, loop_words, plant_words, setting, valve_words
 
 __all__ = ["CONTROLLER_ROWS", "loop_lines", "objective_words"]
 
@@ -54,6 +54,7 @@ def loop_lines(study: Study) -> list[tuple[str, str]]:
     if study.cases:
         loop = study.cases[0].loop
         lines += [("Plant", plant_words(loop.plant)), ("Valve", valve_words(loop.valve))]
+        lines += loop_words(loop)
         shared = []
         for text, describe in CONTROLLER_ROWS:
             every = {describe(c.loop.controller) for c in study.cases}

@@ -7,6 +7,7 @@ import re
 from collections.abc import Sequence
 
 from workbench.model.controller import PID
+from workbench.model.loop import Loop
 from workbench.model.plant import FOPDT, Plant
 from workbench.model.rule import Amigo, DetunedIntegral, Lambda, Rule, Simc, ZieglerNichols
 from workbench.model.valve import Choudhury, Deadband, Directional, He, Ideal, Kano, Stenman, Valve
@@ -273,6 +274,18 @@ def plant_words(plant: Plant) -> str:
             f"{given(plant.time_constant)} s, dead time {given(plant.dead_time)} s"
         )
     return f"integrating: gain {given(plant.gain)} EU/(% s), dead time {given(plant.dead_time)} s"
+
+
+def loop_words(loop: Loop) -> list[tuple[str, str]]:
+    """Return what few loops have, as (what, text)."""
+    lines = []
+    if loop.fail_open:
+        lines.append(("Action of the valve", "fail-open: a rising OP closes it; loads are in % of opening"))
+    if loop.characteristic is not None:
+        R, opening = loop.characteristic.rangeability, loop.characteristic.opening
+        text = f"equal percentage, rangeability {given(R)}, {given(opening)} % open at the operating point, where the"
+        lines.append(("Characteristic", f"{text} plant's gain holds"))
+    return lines
 
 
 def legible(text: str) -> str:

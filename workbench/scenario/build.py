@@ -21,9 +21,10 @@ from workbench.model.valve import Valve
 from workbench.scenario import schema
 from workbench.scenario.controllers import Controllers, fitting_action, ruled, wrong_way
 from workbench.scenario.document import Path
+from workbench.scenario.element_entries import DESCRIBED, NOT_FROM_DATA, elements_of
 from workbench.scenario.map_entries import map_job
 from workbench.scenario.plan import CaseJob, EnsembleJob, EstimateJob, Scenario
-from workbench.scenario.refusals import Refusals
+from workbench.scenario.refusals import Refusals, one_line
 from workbench.scenario.robust import RobustEntries, measured_in
 from workbench.scenario.rule_entries import DetunedIntegralRule, rule_of
 from workbench.scenario.series import in_samples, read_data, read_series
@@ -50,6 +51,7 @@ class Builder:
     refusals: Refusals = field(default_factory=Refusals)
     notes: list[str] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)
+    fail_open: bool = False
 
     def __post_init__(self) -> None:
         self.controllers = Controllers(self.refusals, None)
@@ -60,6 +62,7 @@ class Builder:
         """Return the scenario, or None where something is refused."""
         from_data = [i for i, e in enumerate(given.estimate or ()) if e.data is not None]
         loop = given.loop or schema.Loop()
+        self.fail_open = loop.fail_open
         self._pv_range(loop)
         if not given.cases and not given.estimate:
             self.refusals.refuse((), "must hold cases to simulate, or an estimate")
@@ -69,7 +72,7 @@ class Builder:
         objective = self.controllers.objective(given.objective, ("objective",))
         ruling: Loop | None = None
         if plant is not None and valve is not None and loop.sample_time is not None and not from_data:
-            ruling = Loop(plant, valve, PID(0.0, math.inf), loop.sample_time)
+            ruling = Loop(plant, valve, PID(0.0, math.inf), loop.sample_time, fail_open=loop.fail_open)
         robust = RobustEntries(self.refusals, ruling)
         shared = None if given.ensemble is None else robust.ensemble(given.ensemble, ("ensemble",))
         records = self._records(given)
@@ -86,6 +89,9 @@ class Builder:
                     there = loop.controller is not None and loop.controller.action is not None
                     self._acts(plant, first_controller, there, ("loop", "controller"), "loop.controller", tune=False)
             whole = self._loop(loop, plant, valve, loop.sample_time, first_controller, given.experiment)
+            if whole is not None and not self.refusals.issues:
+                for i, case in enumerate(cases):
+                    self.refusals.attempt(("cases", i), partial(whole.with_controller, case.controller))
         if experiment is not None:
             if from_data and sample_time is not None:
                 fitted = partial(in_samples, experiment, sample_time, self.notes)
@@ -133,6 +139,8 @@ class Builder:
                 self.refusals.refuse(("loop", name), what)
             if not from_data and not there and (given.cases or simulated):
                 self.refusals.refuse(("loop", name), "missing; needed where no recorded data is given to estimate")
+        for name in sorted(DESCRIBED & loop.model_fields_set) if from_data else ():
+            self.refusals.refuse(("loop", name), NOT_FROM_DATA)
         if given.analyze.repair and not given.cases:
             self.refusals.refuse(("analyze", "repair"), "true given without cases; there is no tuning to compare with")
         if given.analyze.tradeoff and not given.cases:
@@ -179,8 +187,11 @@ class Builder:
     ) -> Loop | None:
         if controller is None:
             return None
+        more = self.refusals.attempt(("loop", "characteristic"), partial(elements_of, given))
+        if more is None:
+            return None
         loop = self.refusals.attempt(
-            ("loop",), lambda: Loop(plant, valve, controller, sample_time, self.controllers.pv_range)
+            ("loop",), lambda: Loop(plant, valve, controller, sample_time, self.controllers.pv_range, **more)
         )
         if loop is None:
             return None
@@ -247,7 +258,7 @@ class Builder:
         try:
             series = read_series(source, part.file, part.column.strip(), part.time, part.resting_value)
         except (RecordError, OSError, ValueError) as error:
-            self.refusals.refuse((*path, "file"), _one_line(error))
+            self.refusals.refuse((*path, "file"), one_line(error))
             return None
         rest = "its first value" if part.resting_value is None else f"{part.resting_value:g}"
         self.notes.append(
@@ -327,7 +338,8 @@ class Builder:
                 if rule is None or controller is None:
                     continue
                 # A default action that does not fit is refused below, in words of its own.
-                fits = plant is None or action_given or controller.action == fitting_action(plant)
+                suited = None if plant is None else fitting_action(plant, fail_open=self.fail_open)
+                fits = suited is None or action_given or controller.action == suited
                 if ruling is not None and fits and (not under or under in known):
                     apply = partial(ruled, ruling, known.get(under, controller), rule)
                     controller = self.refusals.attempt((*path, "rule"), apply)
@@ -378,7 +390,8 @@ class Builder:
         rule: bool = False,
     ) -> None:
         """Refuse a controller that acts the wrong way, or warn where the file itself says so; see `Builder`."""
-        wrong = wrong_way(plant, replace(controller, Kc=1.0) if tune or rule else controller)
+        asked = replace(controller, Kc=1.0) if tune or rule else controller
+        wrong = wrong_way(plant, asked, fail_open=self.fail_open)
         if wrong is None:
             return
         if not action_given:
@@ -429,7 +442,7 @@ class Builder:
                 try:
                     record = read_data(self._beside(e.data), e, self.controllers.pv_range)
                 except (RecordError, InvalidValue, OSError, ValueError) as error:
-                    self.refusals.refuse((*path, "data"), _one_line(error))
+                    self.refusals.refuse((*path, "data"), one_line(error))
                 else:
                     record = replace(record, source=e.data)
                     self.notes += [f"{e.data}: {note}" for note in record.notes]
@@ -483,7 +496,3 @@ def _one(parts: list[Profile]) -> Profile | list[Profile] | None:
 def _common(objectives: list[Objective]) -> Objective | None:
     """Return the objective that all tunings share, if they do."""
     return objectives[0] if objectives and all(one == objectives[0] for one in objectives) else None
-
-
-def _one_line(error: Exception) -> str:
-    return " ".join(str(error).split())

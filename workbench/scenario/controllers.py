@@ -22,18 +22,20 @@ from workbench.scenario.units import Quantity
 __all__ = ["Controllers", "fitting_action", "ruled", "wrong_way"]
 
 
-def fitting_action(plant: Plant) -> str:
+def fitting_action(plant: Plant, *, fail_open: bool = False) -> str:
     """Return the controller action that makes the feedback negative."""
-    return "reverse" if plant.gain > 0.0 else "direct"
+    return "reverse" if (plant.gain > 0.0) != fail_open else "direct"
 
 
-def wrong_way(plant: Plant, controller: PID) -> str | None:
-    """Return what is wrong where controller and plant feed back positively, else None."""
-    if controller.Kc == 0.0 or controller.action == fitting_action(plant):
+def wrong_way(plant: Plant, controller: PID, *, fail_open: bool = False) -> str | None:
+    """Return what is wrong where controller, valve and plant feed back positively, else None."""
+    fitting = fitting_action(plant, fail_open=fail_open)
+    if controller.Kc == 0.0 or controller.action == fitting:
         return None
+    behind = " behind a fail-open valve" if fail_open else ""
     return (
-        f"the controller acts the wrong way, so that errors grow: a plant gain of {plant.gain:g} needs action "
-        f"{fitting_action(plant)}"
+        f"the controller acts the wrong way, so that errors grow: a plant gain of {plant.gain:g}{behind} needs action "
+        f"{fitting}"
     )
 
 

@@ -10,7 +10,7 @@ from typing import TypeVar
 from workbench.errors import InvalidValue
 from workbench.scenario.document import Path
 
-__all__ = ["Refusals"]
+__all__ = ["Refusals", "one_line"]
 
 T = TypeVar("T")
 
@@ -40,3 +40,8 @@ class Refusals:
                 under = (_NAMES.get(match[1], match[1]), *([int(match[2])] if match[2] else []))
             self.refuse(path + under, f"{error.given} given; {error.allowed}")
             return None
+
+
+def one_line(error: Exception) -> str:
+    """Return an error's text on one line."""
+    return " ".join(str(error).split())

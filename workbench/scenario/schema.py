@@ -11,6 +11,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Discriminator, Field, Tag, model_validator
 
+from workbench.scenario.element_entries import Elements
 from workbench.scenario.entries import (
     Band,
     BandValue,
@@ -184,7 +185,7 @@ class Controller(Tuning, ControllerKeys):
     """The controller that the cases start from; each case may override any entry."""
 
 
-class Loop(Closed):
+class Loop(Elements):
     """The loop. Plant, valve and sample_time are left out where they come from recorded data."""
 
     plant: Plant | None = None

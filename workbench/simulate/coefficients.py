@@ -109,7 +109,8 @@ def coefficients(loop: Loop, stem_offset: float = 0.0, tunings: FloatArray | Non
     rows[:, kernel.BAND], rows[:, kernel.OFFSET] = law.band, law.offset
     rows[:, kernel.BAND_DOWN], rows[:, kernel.OFFSET_DOWN] = law.band_down, law.offset_down
     plant = discretise(loop.plant, Ts)
-    rows[:, kernel.POLE], rows[:, kernel.GAIN] = plant.pole, plant.gain
+    rows[:, kernel.POLE], rows[:, kernel.GAIN] = plant.pole, plant.gain * loop.direction
+    rows[:, kernel.CURVE] = loop.curve
     rows[:, kernel.C0], rows[:, kernel.C1], rows[:, kernel.DELAY] = plant.c0, plant.c1, plant.delay
     return rows
 

@@ -12,7 +12,8 @@ A loop is a row of `COEFFICIENTS` floats (see the names below), a state is `STAT
 3. output limits; clamping undoes this sample's I step where u is outside and the step pushes further out; back-
    calculation adds `(Ts/Tt)(u_limited - u)` to I; then OP's resolution q: a u that no limit holds becomes
    `bias + q rint((u - bias)/q)`, halves to even, and at most the limit; I and D know nothing of it
-4. the valve (model.valve); 5. the plant's exact zero-order-hold step with v = x + load.
+4. the valve (model.valve); 5. the plant's exact zero-order-hold step with v = x + load, or `(e^(c x) - 1)/c + load`
+   where the characteristic curves (c not 0). All in OP's direction: behind a fail-open valve gain and load change sign.
 
 `branch` codes the decisions of each sample: `stem + 3 (limit + 1) + 9 undone`, where stem is 0, 1 or 2 for a stem that
 moves down, rests or moves up, limit is -1, 0 or 1 for an output at its low limit, free or at its high limit, and undone
@@ -23,6 +24,8 @@ is taken from slip to slip in closed form.
 """
 
 from __future__ import annotations
+
+import math
 
 import numpy as np
 from numpy.typing import NDArray
@@ -59,13 +62,14 @@ Floats = NDArray[np.float64]
 # Columns of a coefficient row.
 KC, KI, KD, TF, TF_TS, WEIGHT, ON_PV, BIAS, LOW, HIGH, WINDUP, TS_TT = range(12)
 VALVE, BAND, OFFSET, POLE, GAIN, C0, C1, DELAY, BAND_DOWN, OFFSET_DOWN = range(12, 22)
-RESOLUTION = 22
-COEFFICIENTS = 23
+RESOLUTION, CURVE = range(22, 24)
+COEFFICIENTS = 24
 # KC signed gain; KI = Kc Ts/Ti; KD = Kc Td; TF_TS = Tf + Ts; ON_PV 1 for derivative on PV; WINDUP 0 clamp,
 # 1 back-calculation.
 # VALVE one of the five below; BAND the lead u - x beyond which the stem slips, OFFSET the lead that it keeps while it
 # moves: both upward, downward the last two columns (the same but for DIRECTIONAL); POLE a, 1 for integrating; GAIN K,
 # or K Ts for integrating; C0, C1 the shares of v_{k-m} and v_{k-m-1}; DELAY m. RESOLUTION of OP, %, 0 for none.
+# CURVE c of the characteristic, 0 for none.
 # STAIRS sticks again after each sample's slip (Stenman, He). TWO_PARAMETER goes on moving (Choudhury, dead band), and
 # so do KANO, whose band lies OFFSET lower until its first move, and DIRECTIONAL.
 IDEAL, STAIRS, TWO_PARAMETER, KANO, DIRECTIONAL = range(5)
@@ -140,6 +144,12 @@ def valve_step(
 
 
 @compiled
+def _flow(curve: float, x: float) -> float:
+    """What a stem gives the plant; math.expm1, as numpy's own may round otherwise than compiled code."""
+    return math.expm1(curve * x) / curve if curve != 0.0 else x
+
+
+@compiled
 def _level(u: float, resolution: float, bias: float, low: float, high: float) -> float:
     """An output within its limits at its resolution: the nearest level counted from `bias`, or the limit before it."""
     level = bias + resolution * np.rint((u - bias) / resolution)
@@ -189,7 +199,7 @@ def run_samples(
     branch: NDArray[np.int8],
     plain: bool,
 ) -> None:
-    """`run_loop`, without what few loops have (a resolution of OP) where `plain`.
+    """`run_loop`, without what few loops have (OP's resolution, a characteristic) where `plain`.
 
     Two loops from one source: to ask at every sample for what few loops have would cost all the others.
     """
@@ -235,7 +245,7 @@ def run_samples(
         u_last = out
         u[k] = out
         x[k] = x_last
-        v[k] = x_last + load[k]
+        v[k] = (x_last if plain else _flow(c[CURVE], x_last)) + load[k]
         branch[k] = (1 if motion == RESTED else motion + 1) + 3 * (limit + 1) + 9 * undone
         near = v[k - m] if k >= m else past[m - k - 1]
         far = v[k - m - 1] if k > m else past[m - k]
@@ -298,7 +308,7 @@ def _run(
     branch: NDArray[np.int8],
 ) -> None:
     """`run_loop` for the kernel's own use: a call of it costs as much as some samples, which this saves."""
-    if c[RESOLUTION] == 0.0:
+    if c[RESOLUTION] == 0.0 and c[CURVE] == 0.0:
         _plain(c, r, load, noise, state, past, y, u, x, v, branch)
     else:
         _special(c, r, load, noise, state, past, y, u, x, v, branch)
@@ -694,7 +704,7 @@ def jump(
     """
     at, n, trial, last, cut = scratch[0], scratch[1], scratch[2], scratch[3], scratch[4]
     low, high = _room(c, state)
-    _begin(c, r, state[X_LAST] + load, state, at)
+    _begin(c, r, _flow(c[CURVE], state[X_LAST]) + load, state, at)
     n[:] = 0.0
     n[POWER] = n[FILTER] = 1.0
     u = _output(c, at, n)
@@ -760,7 +770,7 @@ def _rests(c: Floats, load: float, state: Floats, past: Floats) -> bool:
     """Whether the stem rests, away from OP's limits, and the plant's input has not changed for the dead time."""
     if c[VALVE] == IDEAL or c[POLE] == 0.0 or (c[VALVE] != STAIRS and abs(state[MOTION]) == 1.0):
         return False
-    v = state[X_LAST] + load
+    v = _flow(c[CURVE], state[X_LAST]) + load
     return bool((past == v).all())
 
 

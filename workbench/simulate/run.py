@@ -37,7 +37,7 @@ class Batch:
 
 
 def signals(loop: Loop, experiment: Experiment) -> Signals:
-    """Return the experiment's signals on the loop's samples.
+    """Return the experiment's signals on the loop's samples, the load in OP's direction.
 
     Raises `InvalidValue` where these are no loop and experiment, the duration is no whole number of samples, or the
     stem offset is no resting state: the valve would not hold it, or OP cannot stand there.
@@ -57,7 +57,7 @@ def signals(loop: Loop, experiment: Experiment) -> Signals:
         raise InvalidValue(where, f"{experiment.stem_offset:g} %", allowed)
     return Signals(
         profile_signal(experiment.setpoint_parts, n, loop.sample_time),
-        profile_signal(experiment.load_parts, n, loop.sample_time),
+        loop.direction * profile_signal(experiment.load_parts, n, loop.sample_time),
         noise_signal(experiment.noise, n),
     )
 
@@ -95,7 +95,7 @@ def simulate(loop: Loop, experiment: Experiment) -> Run:
         pv=measured[:n],
         op=u,
         valve=x,
-        load=given.load[:n],
+        load=loop.direction * given.load[:n],
         branch=branch,
         final_sp=float(given.r[n]),
         final_pv=float(measured[n]),

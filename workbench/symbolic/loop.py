@@ -107,6 +107,8 @@ def unwritten(loop: Loop) -> str:
         return f"the valve {type(loop.valve).__name__}"
     if loop.controller.output_resolution > 0.0:
         return "OP's resolution"
+    if loop.characteristic is not None:
+        return "the curved characteristic"
     return ""
 
 
