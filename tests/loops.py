@@ -92,6 +92,7 @@ def independent_simulation(loop: wb.Loop, r: Any, load: Any, noise: Any, offset:
     pid, plant, Ts = loop.controller, loop.plant, loop.sample_time
     n = len(r) - 1
     Kc = pid.Kc if pid.action == "reverse" else -pid.Kc
+    own = Ts * loop.scan
     Tf = pid.Td / pid.derivative_filter
     sign = -1 if loop.fail_open else 1
     m = math.floor(plant.dead_time / Ts + 1e-9)
@@ -112,16 +113,17 @@ def independent_simulation(loop: wb.Loop, r: Any, load: Any, noise: Any, offset:
         e = r[k] - measured
         P = Kc * (pid.setpoint_weight * r[k] - measured)
         before = integral
-        integral = before + Kc * Ts / pid.Ti * e
+        kept = integral, derivative, s_last
+        integral = before + Kc * own / pid.Ti * e
         s = e if pid.derivative_on == "error" else -measured
-        derivative = (Tf * derivative + Kc * pid.Td * (s - s_last)) / (Tf + Ts)
+        derivative = (Tf * derivative + Kc * pid.Td * (s - s_last)) / (Tf + own)
         s_last = s
         u = offset + P + integral + derivative
         held = False
         if pid.output_limits is not None:
             low, high = pid.output_limits
             if pid.anti_windup == "clamp":
-                rises = Kc * Ts / pid.Ti * e
+                rises = Kc * own / pid.Ti * e
                 if (u > high and rises > 0) or (u < low and rises < 0):
                     integral = before
                     u = offset + P + integral + derivative
@@ -129,12 +131,15 @@ def independent_simulation(loop: wb.Loop, r: Any, load: Any, noise: Any, offset:
             else:
                 limited = min(max(u, low), high)
                 if limited != u:
-                    integral += Ts / (pid.tracking_time or pid.Ti) * (limited - u)
+                    integral += own / (pid.tracking_time or pid.Ti) * (limited - u)
                 held, u = limited != u, limited
         if pid.output_resolution > 0 and not held:
             u = offset + pid.output_resolution * round((u - offset) / pid.output_resolution)
             low, high = pid.output_limits or (-math.inf, math.inf)
             u = min(max(u, low), high)
+        if k % loop.scan:
+            u = u_last
+            integral, derivative, s_last = kept
         valve = loop.valve
         if isinstance(valve, wb.Ideal):
             x = u

@@ -100,7 +100,7 @@ def test_characteristic_and_fail_open_are_read_run_and_told() -> None:
         ("sample_time: 1 s\n  fail_open: 1", "loop.yaml:7:14: loop.fail_open: 1 given; must be true or false"),
         (
             "sample_time: 1 s\n  fail_open: true",
-            "loop.yaml:3:30: loop.plant.gain: 1 given, and reverse action by default; the controller acts the wrong way",
+            "loop.yaml:3:30: loop.plant.gain: 1 given, and reverse action by default; the controller acts the wrong",
         ),
     ],
 )
@@ -119,3 +119,24 @@ def test_a_loop_from_data_has_no_elements_of_its_own() -> None:
     told = refusal(text)
     assert "loop.fail_open: given, and estimate.data as well; a loop found in recorded data is linear" in told
     assert "loop.characteristic: given, and estimate.data as well" in told
+
+
+def test_a_scan_is_read_run_and_told() -> None:
+    study = run_scenario(read(GOOD.replace("sample_time: 1 s", "sample_time: 0.5 s\n  scan: 2")))
+    assert study.cases[0].loop.scan == 2
+    assert (study.cases[0].run.op[1::2] == study.cases[0].run.op[::2]).all()
+    assert dict(loop_lines(study))["Controller scan"] == "every 1 s (2 samples)"
+    assert results_content(study)["loop"]["scan"] == 2
+
+
+@pytest.mark.parametrize(
+    ("wrong", "told"),
+    [
+        ("scan: 0", "loop.yaml:7:9: loop.scan: 0 given; must be >= 1"),
+        ("scan: 2.5", "loop.yaml:7:9: loop.scan: 2.5 given"),
+        ("scan: 2 s", "loop.yaml:7:9: loop.scan: 2 s given"),
+        ("scan: 2", "loop.sample_time: the time between the controller's executions (2 s) is longer than the dead"),
+    ],
+)
+def test_a_wrong_scan_is_refused_where_it_stands(wrong: str, told: str) -> None:
+    assert told in refusal(GOOD.replace("sample_time: 1 s", f"sample_time: 1 s\n  {wrong}"))

@@ -110,20 +110,20 @@ def meeting_gain(loop: Loop) -> float:
 
 def _frequencies(loop: Loop, count: int) -> FloatArray:
     """Log-spaced up to Nyquist, from well below the slowest time in the loop."""
-    times = [loop.sample_time, loop.plant.dead_time]
+    times = [loop.executed.sample_time, loop.plant.dead_time]
     if isinstance(loop.plant, FOPDT):
         times.append(loop.plant.time_constant)
     terms = loop.controller.ideal_terms()
     times += [t for t in (terms.Ti, abs(terms.Td)) if math.isfinite(t)]
-    highest = math.pi / loop.sample_time
+    highest = math.pi / loop.executed.sample_time
     return np.geomspace(1e-4 / max(times), highest * (1.0 - 1e-9), count)
 
 
 def _search_frequencies(loop: Loop) -> FloatArray:
     """The shown range more finely, and linearly where the dead time turns the phase faster than log spacing follows."""
     grid = _frequencies(loop, SEARCHED)
-    delay = loop.plant.dead_time + loop.sample_time
-    turns = math.pi / loop.sample_time * delay
+    Ts = loop.executed.sample_time
+    turns = math.pi / Ts * (loop.plant.dead_time + Ts)
     even = np.linspace(0.0, grid[-1], min(int(turns / 0.05) + 2, LONGEST_SEARCH))[1:]
     return np.unique(np.concatenate([grid, even]))
 
@@ -183,6 +183,8 @@ def _left_out(loop: Loop) -> str:
     words = f" OP's resolution of {_plain(resolution)} % is left out here." if resolution > 0.0 else ""
     if loop.characteristic is not None:
         words += " It holds for the gain at the operating point: the curve of the characteristic is left out."
+    if loop.scan > 1 and not loop.valve.sticks_at_once and loop.valve.stick_band > 0.0:
+        words += " That OP stands between the controller's executions, where this stem sticks, is left out."
     return words
 
 

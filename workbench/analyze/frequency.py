@@ -53,8 +53,11 @@ def plant_response(plant: Plant, frequency: FloatArray) -> ComplexArray:
 
 
 def sampled_controller_response(loop: Loop, frequency: FloatArray) -> ComplexArray:
-    """Return the sampled controller's own response at `z = exp(jw Ts)` (the law of `simulate.kernel`), shape (F,)."""
-    terms, Ts = loop.controller.ideal_terms(), loop.sample_time
+    """Return the sampled controller's own response at `z = exp(jw Ts)` (the law of `simulate.kernel`), shape (F,).
+
+    Here and below Ts is the time between its executions.
+    """
+    terms, Ts = loop.controller.ideal_terms(), loop.executed.sample_time
     back = np.exp(-1j * frequency * Ts)
     C: ComplexArray = (
         loop.controller.signed_gain
@@ -66,8 +69,9 @@ def sampled_controller_response(loop: Loop, frequency: FloatArray) -> ComplexArr
 
 def sampled_plant_response(loop: Loop, frequency: FloatArray) -> ComplexArray:
     """Return the pulse transfer function of zero-order hold and plant at `z = exp(jw Ts)`, shape (F,), exact."""
-    step = discretise(loop.plant, loop.sample_time)
-    back = np.exp(-1j * frequency * loop.sample_time)
+    Ts = loop.executed.sample_time
+    step = discretise(loop.plant, Ts)
+    back = np.exp(-1j * frequency * Ts)
     G: ComplexArray = (
         loop.direction * step.gain * (step.c0 + step.c1 * back) * back ** (step.delay + 1) / (1.0 - step.pole * back)
     )
@@ -95,7 +99,7 @@ def characteristic_polynomial(loop: Loop) -> FloatArray:
     It is that of the sampled loop that the kernel runs, without output limits; a controller without integral (or
     without derivative) has no state for it.
     """
-    terms, Ts = loop.controller.ideal_terms(), loop.sample_time
+    terms, Ts = loop.controller.ideal_terms(), loop.executed.sample_time
     step = discretise(loop.plant, Ts)
     # Polynomials in 1/z, lowest power first, so that they read as the law's differences.
     one, difference = np.array([1.0]), np.array([1.0, -1.0])

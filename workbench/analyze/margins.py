@@ -38,12 +38,12 @@ def margins(loop: Loop) -> Margins:
     """
     if not linear_stable(loop):
         return Margins(loop, False, math.inf, math.nan, 0.0, 0.0, 0.0)
-    rows = coefficients(loop)
-    values, at, _ = loop_margins(rows, loop.sample_time)
+    Ts, rows = loop.executed.sample_time, coefficients(loop.executed)
+    values, at, _ = loop_margins(rows, Ts)
     Ms, gain, phase = (float(v) for v in values[0])
     w = _grid(rows)
     lag, share = _unit_crossings(_response(rows, w))
-    delay = float((lag / (w[:-1] * (w[1:] / w[:-1]) ** share)).min()) * loop.sample_time
+    delay = float((lag / (w[:-1] * (w[1:] / w[:-1]) ** share)).min()) * Ts
     return Margins(loop, True, Ms, float(at[0]), gain, phase, delay)
 
 

@@ -91,6 +91,9 @@ def relaxation_cycle(loop: Loop, split: float = 0.5) -> RelaxationCycle | None:
     gain = loop.controller.signed_gain * terms.Kc * loop.gain
     if valve.stick_band <= 0.0 or valve.slip_jump <= 0.0 or gain <= 0.0 or math.isinf(terms.Ti):
         return None
+    if loop.scan > 1:
+        # Between executions a stem that goes on with OP sticks.
+        return relaxation_cycle(loop.executed, split) if valve.sticks_at_once else None
     if isinstance(valve, Directional) or loop.controller.output_resolution > 0.0 or loop.curve != 0.0:
         return None
     if isinstance(loop.plant, FOPDT):

@@ -8,7 +8,7 @@ from typing import get_args
 
 from workbench.errors import InvalidValue
 from workbench.model.characteristic import EqualPercentage
-from workbench.model.checks import instance, number, ordered_pair
+from workbench.model.checks import instance, number, ordered_pair, whole
 from workbench.model.controller import PID
 from workbench.model.plant import FOPDT, Plant
 from workbench.model.valve import Valve
@@ -23,14 +23,18 @@ LONGEST_DEAD_TIME = 1_000_000
 class Loop:
     """A single loop.
 
-    sample_time: s, > 0, of controller and record alike. pv_range: (low, high) in EU, only for units such as %/% or a
-    proportional band.
+    sample_time: s, > 0, of plant and record, and of the controller unless it scans. pv_range: (low, high) in EU, only
+    for units such as %/% or a proportional band.
 
     `characteristic`: flow against opening, None for in proportion; one that curves needs output limits within the
     travel of 0..100 % about its operating point, as beyond them it says nothing. `fail_open`: whether OP closes the
     valve (air to close), so that an OP of u % above rest opens it by -u %. The stem x is told in OP's direction, load
     and characteristic in the opening's: the plant's input is `v = f(x) + load`, for a fail-open valve `f(-x) + load`,
     and in the loop the plant's gain counts with the opposite sign (`gain`).
+
+    `scan`: n, a whole number >= 1: the controller executes in samples 0, n, 2n, .., with n sample times for its Ts, on
+    what it measures then; in between OP stands. The valve's law runs at every sample, so that a stem that goes on only
+    while its input moves (Choudhury, Kano, dead band) sticks between executions.
 
     Raises `InvalidValue`, also for back-calculation that is unstable at this sample time (see `PID.check_tracking`).
     """
@@ -42,6 +46,7 @@ class Loop:
     pv_range: tuple[float, float] | None = None
     characteristic: EqualPercentage | None = None
     fail_open: bool = False
+    scan: int = 1
 
     def __post_init__(self) -> None:
         if not isinstance(self.plant, get_args(Plant)):
@@ -51,7 +56,8 @@ class Loop:
         if not isinstance(self.controller, PID):
             raise InvalidValue("Loop.controller", self.controller, "must be a PID")
         object.__setattr__(self, "sample_time", number(self.sample_time, "Loop.sample_time", above=0.0, unit="s"))
-        self.controller.check_tracking(self.sample_time)
+        object.__setattr__(self, "scan", whole(self.scan, "Loop.scan", least=1))
+        self.controller.check_tracking(self.scan * self.sample_time)
         if self.plant.dead_time > LONGEST_DEAD_TIME * self.sample_time:
             limit = f"must be at most {LONGEST_DEAD_TIME:,} samples of {self.sample_time:g} s"
             raise InvalidValue("Loop.plant.dead_time", f"{self.plant.dead_time:g} s", limit)
@@ -97,13 +103,19 @@ class Loop:
         """Return the same loop under another controller."""
         return replace(self, controller=controller)
 
+    @property
+    def executed(self) -> Loop:
+        """The loop at the controller's executions alone: with an ideal valve, or one that sticks at once, the same."""
+        return self if self.scan == 1 else replace(self, sample_time=self.scan * self.sample_time, scan=1)
+
     def sampling_note(self) -> str | None:
-        """Return a sentence where the sampling is coarse for the plant (slower than its time constant or dead time)."""
-        slow = []
-        if isinstance(self.plant, FOPDT) and self.sample_time > self.plant.time_constant:
+        """Return a sentence where the controller is slow for the plant (its time constant or its dead time)."""
+        slow, Ts = [], self.scan * self.sample_time
+        if isinstance(self.plant, FOPDT) and Ts > self.plant.time_constant:
             slow.append(f"the time constant ({self.plant.time_constant:g} s)")
-        if 0.0 < self.plant.dead_time < self.sample_time:
+        if 0.0 < self.plant.dead_time < Ts:
             slow.append(f"the dead time ({self.plant.dead_time:g} s)")
         if not slow:
             return None
-        return f"the sample time ({self.sample_time:g} s) is longer than " + " and ".join(slow)
+        what = "sample time" if self.scan == 1 else "time between the controller's executions"
+        return f"the {what} ({Ts:g} s) is longer than " + " and ".join(slow)

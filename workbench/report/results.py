@@ -108,7 +108,8 @@ def _loop(loop: Loop) -> dict[str, Any]:
     content = {"plant": _plant(loop.plant), "valve": _valve(loop.valve), "sample_time": loop.sample_time}
     if loop.characteristic is not None:
         content["characteristic"] = {"type": "equal_percentage", **_plain(loop.characteristic)}
-    return content | ({"fail_open": True} if loop.fail_open else {})
+    more = {"fail_open": loop.fail_open, "scan": loop.scan if loop.scan > 1 else 0}
+    return content | {name: value for name, value in more.items() if value}
 
 
 def _describing_function(df: DescribingFunction | None) -> dict[str, Any] | None:

@@ -281,6 +281,8 @@ def loop_words(loop: Loop) -> list[tuple[str, str]]:
     lines = []
     if loop.fail_open:
         lines.append(("Action of the valve", "fail-open: a rising OP closes it; loads are in % of opening"))
+    if loop.scan > 1:
+        lines.append(("Controller scan", f"every {given(loop.scan * loop.sample_time)} s ({loop.scan} samples)"))
     if loop.characteristic is not None:
         R, opening = loop.characteristic.rangeability, loop.characteristic.opening
         text = f"equal percentage, rangeability {given(R)}, {given(opening)} % open at the operating point, where the"

@@ -72,20 +72,21 @@ class Builder:
         objective = self.controllers.objective(given.objective, ("objective",))
         ruling: Loop | None = None
         if plant is not None and valve is not None and loop.sample_time is not None and not from_data:
-            ruling = Loop(plant, valve, PID(0.0, math.inf), loop.sample_time, fail_open=loop.fail_open)
+            ruling = Loop(plant, valve, PID(0.0, math.inf), loop.sample_time, None, None, loop.fail_open, loop.scan)
         robust = RobustEntries(self.refusals, ruling)
         shared = None if given.ensemble is None else robust.ensemble(given.ensemble, ("ensemble",))
         records = self._records(given)
         first = next((record for record in records if record is not None), None)
         sample_time = loop.sample_time if not from_data else None if first is None else first.sample_time
-        cases = self._cases(given, loop, objective, ruling, None if from_data else plant, robust, shared, sample_time)
+        executed = None if sample_time is None else sample_time * loop.scan
+        cases = self._cases(given, loop, objective, ruling, None if from_data else plant, robust, shared, executed)
         whole: Loop | None = None
         if plant is not None and valve is not None and loop.sample_time is not None and not from_data:
             first_controller = cases[0].controller if cases else None
             if not given.cases:
                 first_controller = self._own_controller(loop)
                 if first_controller is not None:
-                    self.controllers.tracks(first_controller, None, ("loop", "controller"), sample_time)
+                    self.controllers.tracks(first_controller, None, ("loop", "controller"), executed)
                     there = loop.controller is not None and loop.controller.action is not None
                     self._acts(plant, first_controller, there, ("loop", "controller"), "loop.controller", tune=False)
             whole = self._loop(loop, plant, valve, loop.sample_time, first_controller, given.experiment)
@@ -307,7 +308,7 @@ class Builder:
     ) -> list[CaseJob]:
         """Return the cases; rules are applied to the loop `ruling` here where it and their base are known already.
 
-        plant: None where it comes from an estimate; sample_time: s, None where it is missing.
+        plant: None where it comes from an estimate; sample_time: s, the controller's, None where it is missing.
         """
         own = loop.controller or schema.Controller()
         base_path: Path = ("loop", "controller")

@@ -12,9 +12,10 @@ from workbench.scenario.entries import Closed, Number, Percent, by_key
 __all__ = ["DESCRIBED", "NOT_FROM_DATA", "CharacteristicEntry", "elements_of"]
 
 # Entries that only a loop which the file describes can have, and what is said of them elsewhere.
-DESCRIBED = {"characteristic", "fail_open"}
+DESCRIBED = {"characteristic", "fail_open", "scan"}
 NOT_FROM_DATA = (
-    "given, and estimate.data as well; a loop found in recorded data is linear, with the valve's sign in its gain"
+    "given, and estimate.data as well; a loop found in recorded data is linear, with the valve's sign in its gain, and "
+    "executes at every sample"
 )
 
 
@@ -44,6 +45,7 @@ class Elements(Closed):
 
     characteristic: CharacteristicEntry | None = None
     fail_open: Annotated[bool, Field(description="whether OP closes the valve (air to close)")] = False
+    scan: Annotated[int, Field(ge=1, description="the controller executes in samples 0, n, 2n, ..; 1")] = 1
 
 
 def elements_of(given: Elements) -> dict[str, Any]:
@@ -53,4 +55,5 @@ def elements_of(given: Elements) -> dict[str, Any]:
     return {
         "characteristic": None if found is None else EqualPercentage(found.rangeability, found.opening),
         "fail_open": given.fail_open,
+        "scan": given.scan,
     }

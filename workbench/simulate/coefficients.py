@@ -87,7 +87,7 @@ def coefficients(loop: Loop, stem_offset: float = 0.0, tunings: FloatArray | Non
     """
     if tunings is None:
         tunings = np.array([[loop.controller.Kc, loop.controller.Ti, loop.controller.Td]])
-    pid, Ts = loop.controller, loop.sample_time
+    pid, Ts = loop.controller, loop.scan * loop.sample_time
     rows = np.zeros((tunings.shape[0], kernel.COEFFICIENTS))
     Kc, Ti, Td, Tf, weight = _ideal_terms(pid, tunings)
     signed = pid.signed_gain * Kc
@@ -108,9 +108,9 @@ def coefficients(loop: Loop, stem_offset: float = 0.0, tunings: FloatArray | Non
     rows[:, kernel.VALVE] = law.kind
     rows[:, kernel.BAND], rows[:, kernel.OFFSET] = law.band, law.offset
     rows[:, kernel.BAND_DOWN], rows[:, kernel.OFFSET_DOWN] = law.band_down, law.offset_down
-    plant = discretise(loop.plant, Ts)
+    plant = discretise(loop.plant, loop.sample_time)
     rows[:, kernel.POLE], rows[:, kernel.GAIN] = plant.pole, plant.gain * loop.direction
-    rows[:, kernel.CURVE] = loop.curve
+    rows[:, kernel.CURVE], rows[:, kernel.SCAN] = loop.curve, loop.scan
     rows[:, kernel.C0], rows[:, kernel.C1], rows[:, kernel.DELAY] = plant.c0, plant.c1, plant.delay
     return rows
 

@@ -11,7 +11,8 @@ A loop is a row of `COEFFICIENTS` floats (see the names below), a state is `STAT
    s = e or -y
 3. output limits; clamping undoes this sample's I step where u is outside and the step pushes further out; back-
    calculation adds `(Ts/Tt)(u_limited - u)` to I; then OP's resolution q: a u that no limit holds becomes
-   `bias + q rint((u - bias)/q)`, halves to even, and at most the limit; I and D know nothing of it
+   `bias + q rint((u - bias)/q)`, halves to even, and at most the limit; I and D know nothing of it. All of 1 to 3 in
+   every n-th sample only where the controller scans (Ts is then its own); between them u and its code stand
 4. the valve (model.valve); 5. the plant's exact zero-order-hold step with v = x + load, or `(e^(c x) - 1)/c + load`
    where the characteristic curves (c not 0). All in OP's direction: behind a fail-open valve gain and load change sign.
 
@@ -62,14 +63,14 @@ Floats = NDArray[np.float64]
 # Columns of a coefficient row.
 KC, KI, KD, TF, TF_TS, WEIGHT, ON_PV, BIAS, LOW, HIGH, WINDUP, TS_TT = range(12)
 VALVE, BAND, OFFSET, POLE, GAIN, C0, C1, DELAY, BAND_DOWN, OFFSET_DOWN = range(12, 22)
-RESOLUTION, CURVE = range(22, 24)
-COEFFICIENTS = 24
+RESOLUTION, CURVE, SCAN = range(22, 25)
+COEFFICIENTS = 25
 # KC signed gain; KI = Kc Ts/Ti; KD = Kc Td; TF_TS = Tf + Ts; ON_PV 1 for derivative on PV; WINDUP 0 clamp,
 # 1 back-calculation.
 # VALVE one of the five below; BAND the lead u - x beyond which the stem slips, OFFSET the lead that it keeps while it
 # moves: both upward, downward the last two columns (the same but for DIRECTIONAL); POLE a, 1 for integrating; GAIN K,
 # or K Ts for integrating; C0, C1 the shares of v_{k-m} and v_{k-m-1}; DELAY m. RESOLUTION of OP, %, 0 for none.
-# CURVE c of the characteristic, 0 for none.
+# CURVE c of the characteristic, 0 for none. SCAN n, samples from one execution of the controller to the next.
 # STAIRS sticks again after each sample's slip (Stenman, He). TWO_PARAMETER goes on moving (Choudhury, dead band), and
 # so do KANO, whose band lies OFFSET lower until its first move, and DIRECTIONAL.
 IDEAL, STAIRS, TWO_PARAMETER, KANO, DIRECTIONAL = range(5)
@@ -83,8 +84,10 @@ FEW_SUMS, SUMS = 6, 15
 WEIGHTS = 13
 
 # Entries of a state.
-I_TERM, D_TERM, S_LAST, U_LAST, X_LAST, MOTION, Y = range(7)
-STATES = 7
+I_TERM, D_TERM, S_LAST, U_LAST, X_LAST, MOTION, Y, PHASE, CODE = range(9)
+STATES = 9
+# PHASE: samples since the controller's last execution, CODE: what that one decided (branch, stem aside); both where the
+# controller scans.
 # MOTION: -1 down, 0 at rest, 1 up; a stem of KANO's that has moved before rests as RESTED.
 RESTED = 2
 
@@ -199,7 +202,7 @@ def run_samples(
     branch: NDArray[np.int8],
     plain: bool,
 ) -> None:
-    """`run_loop`, without what few loops have (OP's resolution, a characteristic) where `plain`.
+    """`run_loop`, without what few loops have (see `_run`) where `plain`.
 
     Two loops from one source: to ask at every sample for what few loops have would cost all the others.
     """
@@ -214,6 +217,8 @@ def run_samples(
     plant = state[Y]
     y[0] = plant
     for k in range(n):
+        if not plain:
+            i_before, d_before, s_before = i_term, d_term, s_last
         measured = plant + noise[k]
         e = r[k] - measured
         s = -measured if on_pv else e
@@ -241,6 +246,13 @@ def run_samples(
             out = limited
         elif not plain and c[RESOLUTION] > 0.0:
             out = _shown(c, out)
+        if not plain and c[SCAN] > 1.0:
+            if state[PHASE] == 0.0:
+                state[CODE] = 3 * (limit + 1) + 9 * undone
+            else:
+                i_term, d_term, s_last, out = i_before, d_before, s_before, u_last
+                limit, undone = int(state[CODE]) % 9 // 3 - 1, int(state[CODE]) // 9
+            state[PHASE] = (state[PHASE] + 1.0) % c[SCAN]
         x_last, motion = valve_step(kind, band, offset, band_down, offset_down, out, u_last, x_last, motion)
         u_last = out
         u[k] = out
@@ -308,7 +320,7 @@ def _run(
     branch: NDArray[np.int8],
 ) -> None:
     """`run_loop` for the kernel's own use: a call of it costs as much as some samples, which this saves."""
-    if c[RESOLUTION] == 0.0 and c[CURVE] == 0.0:
+    if c[RESOLUTION] == 0.0 and c[CURVE] == 0.0 and c[SCAN] <= 1.0:
         _plain(c, r, load, noise, state, past, y, u, x, v, branch)
     else:
         _special(c, r, load, noise, state, past, y, u, x, v, branch)
@@ -767,7 +779,12 @@ def jump(
 
 @compiled
 def _rests(c: Floats, load: float, state: Floats, past: Floats) -> bool:
-    """Whether the stem rests, away from OP's limits, and the plant's input has not changed for the dead time."""
+    """Whether the stem rests, away from OP's limits, and the plant's input has not changed for the dead time.
+
+    Never where the controller scans: its OP is no sum over every sample's error.
+    """
+    if c[SCAN] > 1.0:
+        return False
     if c[VALVE] == IDEAL or c[POLE] == 0.0 or (c[VALVE] != STAIRS and abs(state[MOTION]) == 1.0):
         return False
     v = _flow(c[CURVE], state[X_LAST]) + load

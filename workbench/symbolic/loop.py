@@ -109,6 +109,8 @@ def unwritten(loop: Loop) -> str:
         return "OP's resolution"
     if loop.characteristic is not None:
         return "the curved characteristic"
+    if loop.scan > 1:
+        return "the controller's scan"
     return ""
 
 

@@ -140,7 +140,7 @@ class Circumstances:
         self._stacked = Signals(*(np.array([getattr(s, name) for s in self.given]) for name in ("r", "load", "noise")))
         self._rows = np.concatenate([coefficients(d.loop, d.experiment.stem_offset) for d in self.members])
         self.corners = corner_loops(loop, ensemble)
-        self._corner_rows = np.concatenate([coefficients(corner) for corner in self.corners])
+        self._corner_rows = np.concatenate([coefficients(corner.executed) for corner in self.corners])
 
     def under(self, controller: PID) -> Circumstances:
         """Return the same draws under another controller."""
@@ -178,7 +178,7 @@ class Circumstances:
         count = self._corner_rows.shape[0]
         rows = np.tile(self._corner_rows, (own.shape[0], 1))
         rows[:, CONTROLLER] = np.repeat(own, count, axis=0)
-        all_values, _, stable = loop_margins(rows, self.loop.sample_time)
+        all_values, _, stable = loop_margins(rows, self.loop.executed.sample_time)
         values = all_values.reshape(-1, count, 3)
         worst = np.column_stack([values[:, :, 0].max(1), values[:, :, 1].min(1), values[:, :, 2].min(1)])
         return worst, np.count_nonzero(~stable.reshape(-1, count), axis=1)
@@ -186,8 +186,10 @@ class Circumstances:
     def unstable_draws(self) -> NDArray[np.bool_]:
         """Return which draws the circumstances' own controller does not hold, exactly, with ideal valves, (draws,)."""
         rows = self._rows.copy()
+        if self.loop.scan > 1:
+            rows = np.concatenate([coefficients(d.loop.executed, d.experiment.stem_offset) for d in self.members])
         rows[:, CONTROLLER] = coefficients(self.loop)[:, CONTROLLER]
-        values, _, stable = loop_margins(rows, self.loop.sample_time)
+        values, _, stable = loop_margins(rows, self.loop.executed.sample_time)
         lost: NDArray[np.bool_] = ~(stable & (values[:, 0] <= SURE))
         for i in np.flatnonzero(lost):
             lost[i] = not linear_stable(self.members[i].loop.with_controller(self.loop.controller))

@@ -158,7 +158,7 @@ class Problem:
 
     def margins(self, tunings: FloatArray) -> tuple[FloatArray, NDArray[np.bool_]]:
         """Return (Ms, gain margin, phase margin in degrees), shape (M, 3), with an ideal valve, and whether stable."""
-        values, _, stable = loop_margins(coefficients(self.loop, 0.0, tunings), self.loop.sample_time)
+        values, _, stable = loop_margins(coefficients(self.loop.executed, 0.0, tunings), self.loop.executed.sample_time)
         return values, stable
 
     def travel(self, tunings: FloatArray) -> FloatArray:

@@ -125,7 +125,8 @@ def ultimate_point(loop: Loop) -> tuple[float, float]:
 
     Of the sampled loop with an ideal valve: where the phase of `sampled_plant_response` first falls to -180 degrees.
     """
-    step, Ts = discretise(loop.plant, loop.sample_time), loop.sample_time
+    Ts = loop.executed.sample_time
+    step = discretise(loop.plant, Ts)
 
     def phase(x: FloatArray | float) -> FloatArray:
         """The phase at w Ts = x without jumps, + pi: each factor's own stays within half a turn up to Nyquist."""
