@@ -28,6 +28,7 @@ _HOME = {
     "Kano": "model.valve",
     "Deadband": "model.valve",
     "Directional": "model.valve",
+    "Positional": "model.valve",
     "PID": "model.controller",
     "EqualPercentage": "model.characteristic",
     "Loop": "model.loop",
@@ -95,6 +96,7 @@ __all__ = [
     "Noise",
     "Objective",
     "OutputError",
+    "Positional",
     "Ramp",
     "Record",
     "RecordError",
@@ -176,7 +178,7 @@ if TYPE_CHECKING:
     from workbench.model.results import SolveStatus
     from workbench.model.rule import Amigo, DetunedIntegral, Lambda, NoCrossing, Simc, ZieglerNichols
     from workbench.model.tuning import Bounds, Objective
-    from workbench.model.valve import Choudhury, Deadband, Directional, He, Ideal, Kano, Stenman
+    from workbench.model.valve import Choudhury, Deadband, Directional, He, Ideal, Kano, Positional, Stenman
     from workbench.record.reader import read_record
     from workbench.report.plot import plot
     from workbench.scenario.loader import load_scenario

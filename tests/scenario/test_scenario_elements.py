@@ -8,6 +8,8 @@ import pytest
 
 from workbench.errors import ScenarioError
 from workbench.model.characteristic import EqualPercentage
+from workbench.model.valve import Choudhury, Positional, Stenman
+from workbench.report.page import write_report
 from workbench.report.results import results_content
 from workbench.report.shared import loop_lines
 from workbench.scenario.loader import read_scenario
@@ -140,3 +142,46 @@ def test_a_scan_is_read_run_and_told() -> None:
 )
 def test_a_wrong_scan_is_refused_where_it_stands(wrong: str, told: str) -> None:
     assert told in refusal(GOOD.replace("sample_time: 1 s", f"sample_time: 1 s\n  {wrong}"))
+
+
+STENMAN = "{type: stenman, d: 2.0}"
+PLACES = "{type: positional, places: [{position: -20 %, S: 6, J: 2}, {position: 10, S: 3 %, J: 1}]}"
+
+
+def test_friction_by_place_is_read_run_and_told(tmp_path: Path) -> None:
+    study = run_scenario(read(GOOD.replace(STENMAN, PLACES)))
+    case = study.cases[0]
+    assert case.loop.valve == Positional((-20.0, 10.0), (Choudhury(6.0, 2.0), Choudhury(3.0, 1.0)))
+    assert case.describing_function is None
+    assert case.limit_cycle is not None
+    assert any("no describing function" in note for note in study.notes)
+    assert "varies along the travel" in dict(loop_lines(study))["Valve"]
+    assert results_content(study)["loop"]["valve"]["positions"] == (-20.0, 10.0)
+    one = read(GOOD.replace(STENMAN, "{type: positional, places: [{position: 0, d: 2}]}")).loop
+    assert one is not None
+    assert one.valve == Positional((0.0,), (Stenman(2.0),))
+    write_report(study, tmp_path)
+    assert "varies along the travel" in (tmp_path / "report.html").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize(
+    ("wrong", "told"),
+    [
+        ("{type: positional, places: []}", "loop.yaml:4:37: loop.valve.places: a list of 0 given"),
+        ("{type: positional}", "loop.valve.places: missing"),
+        (PLACES.replace("10, S: 3 %, J: 1", "10, d: 3"), "loop.yaml:4:69: loop.valve.places[1]: Stenman given; must"),
+        (PLACES.replace("position: 10", "position: -30"), "must be above -20 %"),
+        (
+            PLACES.replace("position: 10", "position: -19"),
+            "friction that changes by 2 % given; must be less than the 1 %",
+        ),
+        (PLACES.replace("J: 1}", "J: 1, K: 2}"), "loop.valve.places[1].K: unknown key"),
+    ],
+)
+def test_a_wrong_table_is_refused_where_it_stands(wrong: str, told: str) -> None:
+    assert told in refusal(GOOD.replace(STENMAN, wrong))
+
+
+def test_a_describing_function_that_was_asked_for_is_refused_where_there_is_none() -> None:
+    text = GOOD.replace(STENMAN, PLACES) + "analyze: {describing_function: true}\n"
+    assert "loop.yaml:10:32: analyze.describing_function: true given; this valve has no describing" in refusal(text)

@@ -45,6 +45,8 @@ def tied(row, u, x):
     if q > 0.0 and abs(abs(math.remainder(u - row[kernel.BIAS], q)) - 0.5 * q) <= TIE:
         return True
     up, down = row[kernel.BAND], row[kernel.BAND_DOWN]
+    if row[kernel.PLACES] > 0.0:
+        up = down = kernel._place(row, x)[0]
     gaps = [u - x - up, u - x + down, u - row[kernel.LOW], u - row[kernel.HIGH]]
     if row[kernel.VALVE] == kernel.KANO:
         # Where its stem has not moved yet.
@@ -60,7 +62,8 @@ def check_jump(row, r, load, state, past, most=FAR):
     y, u, x, branch = run_on(row, r, load, state, past.copy(), max(n, 1))
     # What OP would be at any resolution: nothing of it comes back while the stem rests.
     fine = row.copy()
-    fine[kernel.RESOLUTION], fine[kernel.BAND], fine[kernel.BAND_DOWN] = 0.0, math.inf, math.inf
+    fine[kernel.RESOLUTION], fine[kernel.PLACES] = 0.0, 0.0
+    fine[kernel.BAND], fine[kernel.BAND_DOWN] = math.inf, math.inf
     op = run_on(fine, r, load, before.copy(), past.copy(), max(n, 1) + 1)[1]
     if n == 0:
         state[:] = before
@@ -161,6 +164,14 @@ def test_jumps_behind_a_curved_characteristic_equal_the_kernel_too(loop, R, r, l
     assume(loop.valve.slip_jump <= loop.valve.stick_band)
     pid = replace(loop.controller, output_limits=(-20.0, 20.0), tracking_time=None)
     follow_jumps(replace(loop, controller=pid, characteristic=wb.EqualPercentage(R, 35.0)), r, load, pauses)
+
+
+@settings(max_examples=60)
+@given(loop=slow_loops(), far=numbers(0.5, 2.0), r=numbers(-6.0, 6.0), load=numbers(-2.0, 2.0), pauses=pauses)
+def test_jumps_of_stems_whose_friction_differs_by_place_equal_the_kernel_too(loop, far, r, load, pauses):
+    one_parameter = loop.valve.sticks_at_once
+    ends = (wb.Stenman(1.0), wb.Stenman(1.0 + far)) if one_parameter else (wb.Choudhury(3.0, far), wb.Choudhury(1.0, 0))
+    follow_jumps(replace(loop, valve=wb.Positional((-3.0, 2.0), ends)), r, load, pauses)
 
 
 @settings(max_examples=80)

@@ -15,6 +15,7 @@ from workbench.analyze.frequency import linear_stable
 from workbench.analyze.limit_cycle import STARTS, standard_starts, together
 from workbench.analyze.long_run import follow
 from workbench.analyze.margins import margins
+from workbench.analyze.valve_loci import no_locus
 from workbench.errors import InvalidValue
 from workbench.model.checks import instance, ordered_pair, whole
 from workbench.model.controller import PID
@@ -201,7 +202,7 @@ def _row(loops: list[Loop], count: int, stop: threading.Event) -> _Row:
             loop_gain[k] = loop.controller.signed_gain * terms.Kc * loop.gain * J_S
             lag_ratio[k] = terms.Ti / (plant.time_constant + plant.dead_time)
     crossing = np.full(size, math.nan)
-    if loops[0].controller.form != "parallel" and not stop.is_set():
+    if loops[0].controller.form != "parallel" and not no_locus(loops[0].valve) and not stop.is_set():
         # Kc scales L as a whole, so that one search does for the row.
         crossing = meeting_gain(loops[0]) * loops[0].controller.Kc / np.array([loop.controller.Kc for loop in loops])
     return _Row(outcome, figures, stable, crossing, loop_gain, lag_ratio)

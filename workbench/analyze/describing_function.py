@@ -34,7 +34,8 @@ def describing_function(loop: Loop, *, sampling_delay: bool = False) -> Describi
 
     Stenman's and He's loci have several pieces (two families of staircases, see `valve_loci.staircase_response`), whose
     first indices are in `breaks`; a valve without friction has the single point -1, and cycles in a linear loop are
-    none of this method's business. Raises `InvalidValue` where the controller has no ideal equivalent.
+    none of this method's business. Raises `InvalidValue` where the controller has no ideal equivalent, or the valve no
+    describing function (`valve_loci.no_locus`).
     """
     instance(loop, Loop, "loop", "a Loop")
     stable = linear_stable(loop)

@@ -86,8 +86,12 @@ class _Follower:
         self._prelude(start.given)
         self.carry = fresh_carry(float(self.state[kernel.X_LAST]))
         self.samples = self.worked = 0
-        # Row 0 starts with the first move, the others with a reversal.
-        self.halves = np.empty((0, kernel.HALF_CYCLE))
+        self._kept, self._filled = np.empty((1024, kernel.HALF_CYCLE)), 0
+
+    @property
+    def halves(self) -> FloatArray:
+        """The half cycles so far; row 0 starts with the first move, the others with a reversal."""
+        return self._kept[: self._filled]
 
     def _prelude(self, given: Signals) -> None:
         """Run what comes before the signals' last change."""
@@ -124,8 +128,12 @@ class _Follower:
         self._count(n, n, rows[:count])
 
     def _count(self, samples: int, worked: int, rows: FloatArray) -> None:
-        if rows.size:
-            self.halves = np.concatenate([self.halves, rows])
+        filled = self._filled + rows.shape[0]
+        if filled > self._kept.shape[0]:
+            # Doubled, so that a drifting loop's many thousands are copied a few times, not at every block.
+            self._kept = np.concatenate([self.halves, np.empty((filled, kernel.HALF_CYCLE))])
+        self._kept[self._filled : filled] = rows
+        self._filled = filled
         self.samples += samples
         self.worked += worked
 

@@ -39,7 +39,7 @@ from workbench.model.results import (
 from workbench.model.rule import Rule
 from workbench.model.study import CaseResult, NamedEstimate, Study
 from workbench.model.tuning import Objective
-from workbench.model.valve import Directional, Valve
+from workbench.model.valve import Directional, Positional, Valve
 from workbench.report.words import ROUNDING
 
 __all__ = ["cases_csv", "controller_content", "results_content", "results_json", "run_json", "strict"]
@@ -100,7 +100,12 @@ def _plant(plant: Plant) -> dict[str, Any]:
 
 
 def _valve(valve: Valve) -> dict[str, Any]:
-    parts = {"up": _plain(valve.up), "down": _plain(valve.down)} if isinstance(valve, Directional) else _plain(valve)
+    if isinstance(valve, Directional):
+        parts: dict[str, Any] = {"up": _plain(valve.up), "down": _plain(valve.down)}
+    elif isinstance(valve, Positional):
+        parts = {"positions": valve.positions, "valves": [_valve(one) for one in valve.valves]}
+    else:
+        parts = _plain(valve)
     return {"type": type(valve).__name__.lower(), **parts}
 
 

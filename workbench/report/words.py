@@ -10,7 +10,7 @@ from workbench.model.controller import PID
 from workbench.model.loop import Loop
 from workbench.model.plant import FOPDT, Plant
 from workbench.model.rule import Amigo, DetunedIntegral, Lambda, Rule, Simc, ZieglerNichols
-from workbench.model.valve import Choudhury, Deadband, Directional, He, Ideal, Kano, Stenman, Valve
+from workbench.model.valve import Choudhury, Deadband, Directional, He, Ideal, Kano, Positional, Stenman, Valve
 
 __all__ = [
     "capital",
@@ -250,6 +250,10 @@ def valve_words(valve: Valve) -> str:
         return f"He's stiction by static and dynamic friction, f_s = {given(valve.fs)} %, f_d = {given(valve.fd)} %"
     if isinstance(valve, Directional):
         return f"stiction that differs by direction: up {valve_words(valve.up)}; down {valve_words(valve.down)}"
+    if isinstance(valve, Positional):
+        places = zip(valve.positions, valve.valves, strict=True)
+        text = "; ".join(f"at {given(at)} % {valve_words(one)}" for at, one in places)
+        return f"stiction that varies along the travel, linear between places: {text}"
     return type(valve).__name__
 
 

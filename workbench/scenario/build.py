@@ -19,6 +19,7 @@ from workbench.model.rule import Rule
 from workbench.model.tuning import Objective
 from workbench.model.valve import Valve
 from workbench.scenario import schema
+from workbench.scenario.analyses import check_analyses
 from workbench.scenario.controllers import Controllers, fitting_action, ruled, wrong_way
 from workbench.scenario.document import Path
 from workbench.scenario.element_entries import DESCRIBED, NOT_FROM_DATA, elements_of
@@ -68,6 +69,7 @@ class Builder:
             self.refusals.refuse((), "must hold cases to simulate, or an estimate")
         self._needs(given, loop, bool(from_data))
         plant, valve = self._plant(loop), self._valve(loop)
+        self.notes += check_analyses(given, valve, self.refusals)
         experiment = self._experiment(given.experiment)
         objective = self.controllers.objective(given.objective, ("objective",))
         ruling: Loop | None = None
@@ -142,13 +144,6 @@ class Builder:
                 self.refusals.refuse(("loop", name), "missing; needed where no recorded data is given to estimate")
         for name in sorted(DESCRIBED & loop.model_fields_set) if from_data else ():
             self.refusals.refuse(("loop", name), NOT_FROM_DATA)
-        if given.analyze.repair and not given.cases:
-            self.refusals.refuse(("analyze", "repair"), "true given without cases; there is no tuning to compare with")
-        if given.analyze.tradeoff and not given.cases:
-            what = "true given without cases; there is no tuning to place on the trade-off"
-            self.refusals.refuse(("analyze", "tradeoff"), what)
-        if given.analyze.repair and isinstance(loop.valve, schema.IdealValve):
-            self.refusals.refuse(("analyze", "repair"), "true given for an ideal valve; there is nothing to repair")
         if given.experiment is None and (given.cases or simulated):
             self.refusals.refuse(("experiment",), "missing; needed to simulate (at least duration and setpoint)")
 

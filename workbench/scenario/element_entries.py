@@ -1,4 +1,4 @@
-"""Entries of a loop's further elements: the valve's characteristic."""
+"""Entries of a loop's further elements: the valve's characteristic, its friction by place, the controller's scan."""
 
 from __future__ import annotations
 
@@ -7,9 +7,10 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, Tag
 
 from workbench.model.characteristic import EqualPercentage
-from workbench.scenario.entries import Closed, Number, Percent, by_key
+from workbench.model.valve import MOST_PLACES
+from workbench.scenario.entries import Band, Closed, Number, Percent, by_key, by_presence
 
-__all__ = ["DESCRIBED", "NOT_FROM_DATA", "CharacteristicEntry", "elements_of"]
+__all__ = ["DESCRIBED", "NOT_FROM_DATA", "Elements", "OneParameterPlace", "Place", "PositionalValve", "elements_of"]
 
 # Entries that only a loop which the file describes can have, and what is said of them elsewhere.
 DESCRIBED = {"characteristic", "fail_open", "scan"}
@@ -38,6 +39,33 @@ CharacteristicEntry = Annotated[
     | Annotated[EqualPercentageCharacteristic, Tag("<equal_percentage>")],
     by_key("type", "linear", "equal_percentage"),
 ]
+
+
+class OneParameterPlace(Closed):
+    """Friction at one place of the travel, by one parameter."""
+
+    position: Annotated[Percent, Field(description="stem position, % from rest")]
+    d: Annotated[Band, Field(description="stiction there, % of travel")]
+
+
+class TwoParameterPlace(Closed):
+    """Friction at one place of the travel, by two parameters."""
+
+    position: Annotated[Percent, Field(description="stem position, % from rest")]
+    S: Annotated[Band, Field(description="stick band plus dead band there, % of travel")]
+    J: Annotated[Band, Field(description="slip jump there, % of travel")]
+
+
+Place = Annotated[
+    Annotated[OneParameterPlace, Tag("<d>")] | Annotated[TwoParameterPlace, Tag("<S>")], by_presence("d", "S")
+]
+
+
+class PositionalValve(Closed):
+    """Stiction that varies along the travel: linear between places, which all have d, or all S and J."""
+
+    type: Literal["positional"]
+    places: Annotated[list[Place], Field(min_length=1, max_length=MOST_PLACES, description="by ascending position")]
 
 
 class Elements(Closed):

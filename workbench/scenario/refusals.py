@@ -15,7 +15,7 @@ __all__ = ["Refusals", "one_line"]
 T = TypeVar("T")
 
 # Entries that the file calls otherwise than the model does.
-_NAMES = {"values": "series"}
+_NAMES = {"values": "series", "positions": "places", "valves": "places"}
 _FIELD = re.compile(r"[A-Za-z]+\.([A-Za-z_]+)(?:\[([0-9]+)\])?")
 
 

@@ -15,6 +15,7 @@ from workbench.analyze.agreement import agreement
 from workbench.analyze.cycle_map import cycle_map, map_ranges
 from workbench.analyze.describing_function import describing_function
 from workbench.analyze.limit_cycle import limit_cycle
+from workbench.analyze.valve_loci import no_locus
 from workbench.detect.detect import detect
 from workbench.errors import ScenarioError, WorkbenchError
 from workbench.estimate.estimate import estimate
@@ -191,7 +192,7 @@ class _Runner:
             with np.errstate(over="ignore", invalid="ignore"):
                 run = simulate(loop, experiment)
                 cost = None if plan.objective is None else float(evaluate(loop, experiment, plan.objective)[0])
-            df = describing_function(loop) if plan.describing_function else None
+            df = describing_function(loop) if plan.describing_function and not no_locus(loop.valve) else None
             cycle = (
                 limit_cycle(loop, experiment, progress=partial(progress, "limit cycle")) if plan.limit_cycle else None
             )

@@ -11,7 +11,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Discriminator, Field, Tag, model_validator
 
-from workbench.scenario.element_entries import Elements
+from workbench.scenario.element_entries import Elements, OneParameterPlace, Place, PositionalValve
 from workbench.scenario.entries import (
     Band,
     BandValue,
@@ -46,7 +46,10 @@ __all__ = [
     "Experiment",
     "FilePart",
     "Loop",
+    "OneParameterPlace",
     "Part",
+    "Place",
+    "PositionalValve",
     "RampPart",
     "RuledCase",
     "ScenarioFile",
@@ -146,8 +149,9 @@ Valve = Annotated[
     | Annotated[ChoudhuryValve, Tag("<choudhury>")]
     | Annotated[KanoValve, Tag("<kano>")]
     | Annotated[DeadbandValve, Tag("<deadband>")]
-    | Annotated[DirectionalValve, Tag("<directional>")],
-    by_key("type", "ideal", "stenman", "he", "choudhury", "kano", "deadband", "directional"),
+    | Annotated[DirectionalValve, Tag("<directional>")]
+    | Annotated[PositionalValve, Tag("<positional>")],
+    by_key("type", "ideal", "stenman", "he", "choudhury", "kano", "deadband", "directional", "positional"),
 ]
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from workbench.model.valve import Choudhury, Deadband, Directional, He, Ideal, Kano, Stenman, Valve
+from workbench.model.valve import Choudhury, Deadband, Directional, He, Ideal, Kano, Positional, Stenman, Valve
 from workbench.scenario import schema
 
 __all__ = ["valve_of"]
@@ -23,5 +23,12 @@ def valve_of(v: schema.Valve) -> Valve:
             return Deadband(v.b)
         case schema.DirectionalValve():
             return Directional(Choudhury(v.up.S, v.up.J), Choudhury(v.down.S, v.down.J))
+        case schema.PositionalValve():
+            return Positional(tuple(p.position for p in v.places), tuple(_at(p) for p in v.places))
         case schema.IdealValve():
             return Ideal()
+
+
+def _at(place: schema.Place) -> Stenman | Choudhury:
+    """Return the friction at one place of the travel."""
+    return Stenman(place.d) if isinstance(place, schema.OneParameterPlace) else Choudhury(place.S, place.J)

@@ -12,10 +12,10 @@ from workbench.model.controller import PID
 from workbench.model.loop import Loop
 from workbench.model.plant import FOPDT, Plant
 from workbench.model.record import FloatArray
-from workbench.model.valve import Choudhury, Deadband, Directional, He, Kano, Stenman, Valve
+from workbench.model.valve import Choudhury, Deadband, Directional, He, Kano, Positional, Stenman, Valve
 from workbench.simulate import kernel
 
-__all__ = ["Discrete", "ValveLaw", "coefficients", "discretise", "valve_law"]
+__all__ = ["Discrete", "ValveLaw", "coefficients", "discretise", "valve_law", "valve_row"]
 
 
 class Discrete(NamedTuple):
@@ -31,7 +31,8 @@ class Discrete(NamedTuple):
 class ValveLaw(NamedTuple):
     """A valve in the kernel's terms: its kind, the leads u - x at which it slips and those that it keeps while moving.
 
-    All in %; band and offset for the way up, band_down and offset_down for the way down.
+    All in %; band and offset for the way up, band_down and offset_down for the way down. table: where they differ by
+    place, the positions, then the band at each, then the offset at each; the four are then those at x = 0.
     """
 
     kind: int
@@ -39,6 +40,7 @@ class ValveLaw(NamedTuple):
     offset: float
     band_down: float
     offset_down: float
+    table: tuple[float, ...] = ()
 
 
 def discretise(plant: Plant, sample_time: float) -> Discrete:
@@ -72,7 +74,28 @@ def valve_law(valve: Valve) -> ValveLaw:
     if isinstance(valve, Directional):
         up, down = valve_law(valve.up), valve_law(valve.down)
         return ValveLaw(kernel.DIRECTIONAL, up.band, up.offset, down.band, down.offset)
+    if isinstance(valve, Positional):
+        laws = [valve_law(one) for one in valve.valves]
+        bands, offsets = tuple(law.band for law in laws), tuple(law.offset for law in laws)
+        here = _same_both_ways(laws[0].kind, valve.between(0.0, bands), valve.between(0.0, offsets))
+        return here._replace(table=(*valve.positions, *bands, *offsets))
     return _same_both_ways(kernel.IDEAL, 0.0, 0.0)
+
+
+def valve_row(valve: Valve) -> FloatArray:
+    """Return a coefficient row with the valve's columns alone, as `kernel.valve_path` takes it."""
+    law = valve_law(valve)
+    row = np.zeros(kernel.COEFFICIENTS + len(law.table))
+    _put(row[None, :], law)
+    return row
+
+
+def _put(rows: FloatArray, law: ValveLaw) -> None:
+    rows[:, kernel.VALVE] = law.kind
+    rows[:, kernel.BAND], rows[:, kernel.OFFSET] = law.band, law.offset
+    rows[:, kernel.BAND_DOWN], rows[:, kernel.OFFSET_DOWN] = law.band_down, law.offset_down
+    rows[:, kernel.PLACES] = len(law.table) // 3
+    rows[:, kernel.COEFFICIENTS :] = law.table
 
 
 def _same_both_ways(kind: int, band: float, offset: float) -> ValveLaw:
@@ -80,7 +103,7 @@ def _same_both_ways(kind: int, band: float, offset: float) -> ValveLaw:
 
 
 def coefficients(loop: Loop, stem_offset: float = 0.0, tunings: FloatArray | None = None) -> FloatArray:
-    """Return coefficient rows, shape (M, COEFFICIENTS), of a loop with its own controller (M = 1).
+    """Return coefficient rows, shape (M, COEFFICIENTS or more), of a loop with its own controller (M = 1).
 
     With `tunings`, shape (M, 3) of (Kc, Ti, Td) in the controller's own form, one row for each. Raises `InvalidValue`
     where a controller has no ideal equivalent.
@@ -88,7 +111,9 @@ def coefficients(loop: Loop, stem_offset: float = 0.0, tunings: FloatArray | Non
     if tunings is None:
         tunings = np.array([[loop.controller.Kc, loop.controller.Ti, loop.controller.Td]])
     pid, Ts = loop.controller, loop.scan * loop.sample_time
-    rows = np.zeros((tunings.shape[0], kernel.COEFFICIENTS))
+    law = valve_law(loop.valve)
+    rows = np.zeros((tunings.shape[0], kernel.COEFFICIENTS + len(law.table)))
+    _put(rows, law)
     Kc, Ti, Td, Tf, weight = _ideal_terms(pid, tunings)
     signed = pid.signed_gain * Kc
     rows[:, kernel.KC] = signed
@@ -104,10 +129,6 @@ def coefficients(loop: Loop, stem_offset: float = 0.0, tunings: FloatArray | Non
     rows[:, kernel.WINDUP] = float(pid.anti_windup == "back_calculation")
     rows[:, kernel.RESOLUTION] = pid.output_resolution
     rows[:, kernel.TS_TT] = Ts / (Ti if pid.tracking_time is None else pid.tracking_time)
-    law = valve_law(loop.valve)
-    rows[:, kernel.VALVE] = law.kind
-    rows[:, kernel.BAND], rows[:, kernel.OFFSET] = law.band, law.offset
-    rows[:, kernel.BAND_DOWN], rows[:, kernel.OFFSET_DOWN] = law.band_down, law.offset_down
     plant = discretise(loop.plant, loop.sample_time)
     rows[:, kernel.POLE], rows[:, kernel.GAIN] = plant.pole, plant.gain * loop.direction
     rows[:, kernel.CURVE], rows[:, kernel.SCAN] = loop.curve, loop.scan

@@ -63,14 +63,15 @@ Floats = NDArray[np.float64]
 # Columns of a coefficient row.
 KC, KI, KD, TF, TF_TS, WEIGHT, ON_PV, BIAS, LOW, HIGH, WINDUP, TS_TT = range(12)
 VALVE, BAND, OFFSET, POLE, GAIN, C0, C1, DELAY, BAND_DOWN, OFFSET_DOWN = range(12, 22)
-RESOLUTION, CURVE, SCAN = range(22, 25)
-COEFFICIENTS = 25
+RESOLUTION, CURVE, SCAN, PLACES = range(22, 26)
+COEFFICIENTS = 26
 # KC signed gain; KI = Kc Ts/Ti; KD = Kc Td; TF_TS = Tf + Ts; ON_PV 1 for derivative on PV; WINDUP 0 clamp,
 # 1 back-calculation.
 # VALVE one of the five below; BAND the lead u - x beyond which the stem slips, OFFSET the lead that it keeps while it
 # moves: both upward, downward the last two columns (the same but for DIRECTIONAL); POLE a, 1 for integrating; GAIN K,
 # or K Ts for integrating; C0, C1 the shares of v_{k-m} and v_{k-m-1}; DELAY m. RESOLUTION of OP, %, 0 for none.
 # CURVE c of the characteristic, 0 for none. SCAN n, samples from one execution of the controller to the next.
+# PLACES: how many positions the valve's table has that follows the row: these, then a band each, then an offset each.
 # STAIRS sticks again after each sample's slip (Stenman, He). TWO_PARAMETER goes on moving (Choudhury, dead band), and
 # so do KANO, whose band lies OFFSET lower until its first move, and DIRECTIONAL.
 IDEAL, STAIRS, TWO_PARAMETER, KANO, DIRECTIONAL = range(5)
@@ -166,25 +167,44 @@ def _shown(c: Floats, u: float) -> float:
 
 
 @compiled
-def valve_path(
-    kind: int,
-    band: float,
-    offset: float,
-    band_down: float,
-    offset_down: float,
-    op: Floats,
-    u_last: float,
-    x_last: float,
-    motion: int,
-    x: Floats,
-) -> int:
-    """Write into `x` the stem's path under a given output; return the last motion."""
+def _place(c: Floats, x: float) -> tuple[float, float]:
+    """Band and offset of a stem at x, from the table that follows the row."""
+    n = int(c[PLACES])
+    at = COEFFICIENTS
+    last = at + n - 1
+    if x <= c[at] or n == 1:
+        return c[at + n], c[at + 2 * n]
+    if x >= c[last]:
+        return c[last + n], c[last + 2 * n]
+    while x > c[at + 1]:
+        at += 1
+    share = (x - c[at]) / (c[at + 1] - c[at])
+    band = c[at + n] + share * (c[at + n + 1] - c[at + n])
+    return band, c[at + 2 * n] + share * (c[at + 2 * n + 1] - c[at + 2 * n])
+
+
+@compiled
+def _stem(c: Floats, u: float, u_last: float, x: float, motion: int) -> tuple[float, int]:
+    """One sample of a valve of any kind: the new stem position and motion."""
+    kind = int(c[VALVE])
+    if c[PLACES] == 0.0:
+        return valve_step(kind, c[BAND], c[OFFSET], c[BAND_DOWN], c[OFFSET_DOWN], u, u_last, x, motion)
+    band, offset = _place(c, x)
+    new, motion = valve_step(kind, band, offset, band, offset, u, u_last, x, motion)
+    # Where friction grows along the way a moving stem waits for its input.
+    return (x if (new - x) * motion < 0.0 else new), motion
+
+
+@compiled
+def valve_path(c: Floats, op: Floats, state: Floats, x: Floats) -> None:
+    """Write into `x` the stem's path under a given output, from `state`, which is left as after it."""
+    u_last, x_last, motion = state[U_LAST], state[X_LAST], int(state[MOTION])
     for k in range(op.size):
         u = op[k]
-        x_last, motion = valve_step(kind, band, offset, band_down, offset_down, u, u_last, x_last, motion)
+        x_last, motion = _stem(c, u, u_last, x_last, motion)
         x[k] = x_last
         u_last = u
-    return motion
+    state[U_LAST], state[X_LAST], state[MOTION] = u_last, x_last, motion
 
 
 @written_out
@@ -253,7 +273,10 @@ def run_samples(
                 i_term, d_term, s_last, out = i_before, d_before, s_before, u_last
                 limit, undone = int(state[CODE]) % 9 // 3 - 1, int(state[CODE]) // 9
             state[PHASE] = (state[PHASE] + 1.0) % c[SCAN]
-        x_last, motion = valve_step(kind, band, offset, band_down, offset_down, out, u_last, x_last, motion)
+        if plain:
+            x_last, motion = valve_step(kind, band, offset, band_down, offset_down, out, u_last, x_last, motion)
+        else:
+            x_last, motion = _stem(c, out, u_last, x_last, motion)
         u_last = out
         u[k] = out
         x[k] = x_last
@@ -320,7 +343,7 @@ def _run(
     branch: NDArray[np.int8],
 ) -> None:
     """`run_loop` for the kernel's own use: a call of it costs as much as some samples, which this saves."""
-    if c[RESOLUTION] == 0.0 and c[CURVE] == 0.0 and c[SCAN] <= 1.0:
+    if c[RESOLUTION] == 0.0 and c[CURVE] == 0.0 and c[SCAN] <= 1.0 and c[PLACES] == 0.0:
         _plain(c, r, load, noise, state, past, y, u, x, v, branch)
     else:
         _special(c, r, load, noise, state, past, y, u, x, v, branch)
@@ -642,6 +665,9 @@ def _room(c: Floats, state: Floats) -> tuple[float, float]:
     x, q, bias = state[X_LAST], c[RESOLUTION], c[BIAS]
     lower = c[OFFSET] if c[VALVE] == KANO and state[MOTION] == 0.0 else 0.0
     down, up = c[BAND_DOWN] + lower, c[BAND] - lower
+    if c[PLACES] > 0.0:
+        up = _place(c, x)[0]
+        down = up
     low, high = x - down, x + up
     if q > 0.0:
         # The last levels that hold the stem, by the very comparisons of `valve_step`, and half a level more.

@@ -18,7 +18,7 @@ from workbench.model.tuning import Objective
 from workbench.model.valve import Valve
 from workbench.simulate import kernel
 from workbench.simulate.batch import kernel_weights, sums, weigh
-from workbench.simulate.coefficients import coefficients, valve_law
+from workbench.simulate.coefficients import coefficients, valve_row
 from workbench.simulate.signals import Signals, noise_signal, profile_signal, sample_count
 
 __all__ = ["Batch", "evaluate", "signals", "simulate", "simulate_batch", "valve_response"]
@@ -166,11 +166,9 @@ def valve_response(valve: Valve, op: FloatArray, start: float = 0.0, rest_at: fl
 
     `start` is the output before the first sample, %.
     """
-    law = valve_law(valve)
-    x = np.empty(op.size)
-    kernel.valve_path(
-        *law, np.ascontiguousarray(op, dtype=np.float64), start, start if rest_at is None else rest_at, 0, x
-    )
+    x, state = np.empty(op.size), np.zeros(kernel.STATES)
+    state[kernel.U_LAST], state[kernel.X_LAST] = start, start if rest_at is None else rest_at
+    kernel.valve_path(valve_row(valve), np.ascontiguousarray(op, dtype=np.float64), state, x)
     return x
 
 

@@ -20,7 +20,7 @@ from workbench.model.plant import FOPDT, Plant
 from workbench.model.record import FloatArray
 from workbench.model.results import Robustness
 from workbench.model.tuning import Objective
-from workbench.model.valve import Choudhury, Deadband, Directional, He, Ideal, Kano, Stenman, Valve
+from workbench.model.valve import Choudhury, Deadband, Directional, He, Ideal, Kano, Positional, Stenman, Valve
 from workbench.simulate import kernel
 from workbench.simulate.batch import kernel_weights, sums, weigh
 from workbench.simulate.coefficients import coefficients
@@ -87,18 +87,26 @@ def _plant(plant: Plant, gain: float, time_constant: float, dead_time: float) ->
 
 def _valve(valve: Valve, stiction: float) -> Valve:
     match valve:
+        case Stenman() | He() | Choudhury() | Deadband():
+            return _one_place(valve, stiction)
+        case Kano():
+            return Kano(valve.S * stiction, valve.J * stiction)
+        case Directional():
+            return Directional(_two_parameter(valve.up, stiction), _two_parameter(valve.down, stiction))
+        case Positional():
+            return Positional(valve.positions, tuple(_one_place(one, stiction) for one in valve.valves))
+        case Ideal():
+            return valve
+
+
+def _one_place(valve: Stenman | He | Choudhury | Deadband, stiction: float) -> Stenman | He | Choudhury | Deadband:
+    match valve:
         case Stenman():
             return Stenman(valve.d * stiction)
         case He():
             return He(valve.fs * stiction, valve.fd * stiction)
-        case Kano():
-            return Kano(valve.S * stiction, valve.J * stiction)
-        case Choudhury() | Deadband():
+        case _:
             return _two_parameter(valve, stiction)
-        case Directional():
-            return Directional(_two_parameter(valve.up, stiction), _two_parameter(valve.down, stiction))
-        case Ideal():
-            return valve
 
 
 def _two_parameter(valve: Choudhury | Deadband, stiction: float) -> Choudhury | Deadband:
