@@ -29,6 +29,7 @@ _HOME = {
     "Deadband": "model.valve",
     "Directional": "model.valve",
     "Positional": "model.valve",
+    "Karnopp": "model.karnopp",
     "PID": "model.controller",
     "EqualPercentage": "model.characteristic",
     "Loop": "model.loop",
@@ -90,6 +91,7 @@ __all__ = [
     "Integrating",
     "InvalidValue",
     "Kano",
+    "Karnopp",
     "Lambda",
     "Loop",
     "NoCrossing",
@@ -172,6 +174,7 @@ if TYPE_CHECKING:
     from workbench.model.detection import Detection
     from workbench.model.ensemble import Constraints, Ensemble
     from workbench.model.experiment import Experiment, Noise, Ramp, Series, Step
+    from workbench.model.karnopp import Karnopp
     from workbench.model.loop import Loop
     from workbench.model.plant import FOPDT, Integrating
     from workbench.model.record import Record

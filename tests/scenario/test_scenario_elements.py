@@ -8,6 +8,7 @@ import pytest
 
 from workbench.errors import ScenarioError
 from workbench.model.characteristic import EqualPercentage
+from workbench.model.karnopp import Karnopp
 from workbench.model.valve import Choudhury, Positional, Stenman
 from workbench.report.page import write_report
 from workbench.report.results import results_content
@@ -185,3 +186,34 @@ def test_a_wrong_table_is_refused_where_it_stands(wrong: str, told: str) -> None
 def test_a_describing_function_that_was_asked_for_is_refused_where_there_is_none() -> None:
     text = GOOD.replace(STENMAN, PLACES) + "analyze: {describing_function: true}\n"
     assert "loop.yaml:10:32: analyze.describing_function: true given; this valve has no describing" in refusal(text)
+
+
+KARNOPP = (
+    "{type: karnopp, mass: 1.36, spring: 52500, travel: 0.0847, coulomb: 142.3, static: 170.8, viscous: 612, "
+    "stribeck: 2.54e-4, substep: 2 ms}"
+)
+
+
+def test_a_valve_with_mass_is_read_run_and_told() -> None:
+    study = run_scenario(read(GOOD.replace(STENMAN, KARNOPP)))
+    case = study.cases[0]
+    assert case.loop.valve == Karnopp(1.36, 52500.0, 0.0847, 142.3, 170.8, 612.0, 2.54e-4, 2e-3)
+    assert case.describing_function is None
+    assert case.limit_cycle is not None
+    assert "a stem of 1.36 kg on a spring of 52,500 N/m" in dict(loop_lines(study))["Valve"]
+    assert results_content(study)["loop"]["valve"]["type"] == "karnopp"
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "told"),
+    [
+        ("mass: 1.36", "mass: 0", "loop.yaml:4:32: loop.valve.mass: 0.0 given; must be a finite number > 0 kg"),
+        ("static: 170.8", "static: 100", "loop.valve.static: 100 N given; must be at least the Coulomb friction"),
+        ("viscous: 612", "viscous: -1", "loop.valve.viscous: -1 given; must be >= 0"),
+        ("substep: 2 ms", "substep: 2", "loop.valve.substep: 2 given; must be "),
+        ("substep: 2 ms", "substep: 1 us", "loop.valve.substep: 1 us given"),
+        ("spring: 52500, ", "", "loop.valve.spring: missing"),
+    ],
+)
+def test_a_wrong_mechanism_is_refused_where_it_stands(old: str, new: str, told: str) -> None:
+    assert told in refusal(GOOD.replace(STENMAN, KARNOPP.replace(old, new)))

@@ -174,6 +174,14 @@ def test_jumps_of_stems_whose_friction_differs_by_place_equal_the_kernel_too(loo
     follow_jumps(replace(loop, valve=wb.Positional((-3.0, 2.0), ends)), r, load, pauses)
 
 
+@settings(max_examples=40)
+@given(loop=slow_loops(), fs=numbers(0.3, 3.0), share=numbers(0.3, 1.0), r=numbers(-6.0, 6.0), pauses=pauses)
+def test_jumps_of_a_stem_with_mass_equal_the_kernel_too(loop, fs, share, r, pauses):
+    forces = 50.0 * fs * share, 50.0 * fs
+    valve = wb.Karnopp(1.0, 50_000.0, 0.1, *forces, viscous=600.0, stribeck=3e-4, substep=5e-3)
+    follow_jumps(replace(loop, valve=valve), r, 0.0, pauses)
+
+
 @settings(max_examples=80)
 @given(loop=loops, r=numbers(-6.0, 6.0), load=numbers(-2.0, 2.0), pauses=pauses)
 def test_jumps_of_fast_loops_with_limits_equal_the_kernel_too(loop, r, load, pauses):

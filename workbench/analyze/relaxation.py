@@ -5,11 +5,11 @@ and the proportional action, move OP. Both are known sums, and OP has to travel 
 gives the period. The sums are those of the sampled loop, so that the figures need no fine sampling.
 
 Where it stops: a dead band alone (J = 0) has no jump, hence no two positions, and no such cycle. Where friction differs
-by direction or place the moves differ too, and the slips do not close to two positions. Where OP moves in levels (a
-resolution) the slips wait for the next level, which the sums do not know, and behind a curved characteristic the two
-positions lie in unlike gains. Where an echo crosses the stick band by itself (Kc K J/S near 1 and above) the describing
-function's domain begins. On an integrating plant cycles of two slips a half cycle, twice as wide, may exist beside the
-one described here, chosen by the start.
+by direction or place the moves differ too, and the slips do not close to two positions; a stem with mass lands where
+its motion takes it. Where OP moves in levels (a resolution) the slips wait for the next level, which the sums do not
+know, and behind a curved characteristic the two positions lie in unlike gains. Where an echo crosses the stick band by
+itself (Kc K J/S near 1 and above) the describing function's domain begins. On an integrating plant cycles of two slips
+a half cycle, twice as wide, may exist beside the one described here, chosen by the start.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ import numpy as np
 from workbench.errors import InvalidValue
 from workbench.model.analyses import RelaxationCycle
 from workbench.model.controller import IdealTerms
+from workbench.model.karnopp import Karnopp
 from workbench.model.loop import Loop
 from workbench.model.plant import FOPDT
 from workbench.model.valve import Directional, Positional
@@ -94,7 +95,11 @@ def relaxation_cycle(loop: Loop, split: float = 0.5) -> RelaxationCycle | None:
     if loop.scan > 1:
         # Between executions a stem that goes on with OP sticks.
         return relaxation_cycle(loop.executed, split) if valve.sticks_at_once else None
-    if isinstance(valve, Directional | Positional) or loop.controller.output_resolution > 0.0 or loop.curve != 0.0:
+    if (
+        isinstance(valve, Directional | Positional | Karnopp)
+        or loop.controller.output_resolution > 0.0
+        or loop.curve != 0.0
+    ):
         return None
     if isinstance(loop.plant, FOPDT):
         return _self_regulating(loop, loop.plant, terms, split)

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workbench.errors import InvalidValue
+from workbench.model.karnopp import Karnopp
 from workbench.model.record import FloatArray
 from workbench.model.valve import Choudhury, Deadband, Directional, He, Kano, Positional, Stenman, Valve
 
@@ -99,6 +100,8 @@ def no_locus(valve: Valve) -> str:
     """Return why a valve has no describing function, in words; empty for one that has."""
     if isinstance(valve, Positional):
         return "no describing function: its answer depends on where along the travel it is moved"
+    if isinstance(valve, Karnopp):
+        return "no describing function here: its answer depends on speed as well as amplitude"
     return ""
 
 

@@ -10,6 +10,7 @@ from workbench.errors import InvalidValue
 from workbench.model.characteristic import EqualPercentage
 from workbench.model.checks import instance, number, ordered_pair, whole
 from workbench.model.controller import PID
+from workbench.model.karnopp import Karnopp
 from workbench.model.plant import FOPDT, Plant
 from workbench.model.valve import Valve
 
@@ -17,6 +18,7 @@ __all__ = ["Loop"]
 
 # The kernel keeps the plant input's past: this many samples of dead time are beyond any process.
 LONGEST_DEAD_TIME = 1_000_000
+MOST_SUBSTEPS = 100_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,6 +63,9 @@ class Loop:
         if self.plant.dead_time > LONGEST_DEAD_TIME * self.sample_time:
             limit = f"must be at most {LONGEST_DEAD_TIME:,} samples of {self.sample_time:g} s"
             raise InvalidValue("Loop.plant.dead_time", f"{self.plant.dead_time:g} s", limit)
+        if isinstance(self.valve, Karnopp) and self.valve.substep * MOST_SUBSTEPS < self.sample_time:
+            limit = f"must be at least {self.sample_time / MOST_SUBSTEPS:g} s, a {MOST_SUBSTEPS:,}th of the sample time"
+            raise InvalidValue("Karnopp.substep", f"{self.valve.substep:g} s", limit)
         if self.pv_range is not None:
             object.__setattr__(self, "pv_range", ordered_pair(self.pv_range, "Loop.pv_range"))
         instance(self.fail_open, bool, "Loop.fail_open", "True or False")

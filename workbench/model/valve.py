@@ -14,6 +14,7 @@ from dataclasses import dataclass
 
 from workbench.errors import InvalidValue
 from workbench.model.checks import instance, number
+from workbench.model.karnopp import Karnopp
 
 __all__ = ["Choudhury", "Deadband", "Directional", "He", "Ideal", "Kano", "Positional", "Stenman", "Valve"]
 
@@ -371,4 +372,4 @@ def _followed(valve: Stenman | He | Choudhury | Deadband) -> float:
     return valve.fd if isinstance(valve, He) else (valve.stick_band - valve.slip_jump) / 2.0
 
 
-Valve = Ideal | Stenman | He | Choudhury | Kano | Deadband | Directional | Positional
+Valve = Ideal | Stenman | He | Choudhury | Kano | Deadband | Directional | Positional | Karnopp

@@ -7,6 +7,7 @@ import re
 from collections.abc import Sequence
 
 from workbench.model.controller import PID
+from workbench.model.karnopp import Karnopp
 from workbench.model.loop import Loop
 from workbench.model.plant import FOPDT, Plant
 from workbench.model.rule import Amigo, DetunedIntegral, Lambda, Rule, Simc, ZieglerNichols
@@ -254,6 +255,13 @@ def valve_words(valve: Valve) -> str:
         places = zip(valve.positions, valve.valves, strict=True)
         text = "; ".join(f"at {given(at)} % {valve_words(one)}" for at, one in places)
         return f"stiction that varies along the travel, linear between places: {text}"
+    if isinstance(valve, Karnopp):
+        return (
+            f"a stem of {given(valve.mass)} kg on a spring of {given(valve.spring)} N/m over {given(valve.travel)} m, "
+            f"Coulomb friction {given(valve.coulomb)} N, static {given(valve.static)} N, viscous "
+            f"{given(valve.viscous)} N s/m, Stribeck velocity {given(valve.stribeck)} m/s (by forces alone S = "
+            f"{figure(valve.stick_band, 3)} %, J = {figure(valve.slip_jump, 3)} %)"
+        )
     return type(valve).__name__
 
 

@@ -1,4 +1,4 @@
-"""Entries of a loop's further elements: the valve's characteristic, its friction by place, the controller's scan."""
+"""Entries of a loop's further elements: characteristic, friction by place or as a mechanism, the controller's scan."""
 
 from __future__ import annotations
 
@@ -8,9 +8,18 @@ from pydantic import Field, Tag
 
 from workbench.model.characteristic import EqualPercentage
 from workbench.model.valve import MOST_PLACES
-from workbench.scenario.entries import Band, Closed, Number, Percent, by_key, by_presence
+from workbench.scenario.entries import Band, Closed, NonNegative, Number, Percent, PositiveTime, by_key, by_presence
 
-__all__ = ["DESCRIBED", "NOT_FROM_DATA", "Elements", "OneParameterPlace", "Place", "PositionalValve", "elements_of"]
+__all__ = [
+    "DESCRIBED",
+    "NOT_FROM_DATA",
+    "Elements",
+    "KarnoppValve",
+    "OneParameterPlace",
+    "Place",
+    "PositionalValve",
+    "elements_of",
+]
 
 # Entries that only a loop which the file describes can have, and what is said of them elsewhere.
 DESCRIBED = {"characteristic", "fail_open", "scan"}
@@ -66,6 +75,20 @@ class PositionalValve(Closed):
 
     type: Literal["positional"]
     places: Annotated[list[Place], Field(min_length=1, max_length=MOST_PLACES, description="by ascending position")]
+
+
+class KarnoppValve(Closed):
+    """A stem with mass on a spring under Coulomb, static, Stribeck and viscous friction, to try methods on."""
+
+    type: Literal["karnopp"]
+    mass: Annotated[Number, Field(description="kg, above 0")]
+    spring: Annotated[Number, Field(description="N/m, above 0")]
+    travel: Annotated[Number, Field(description="m, above 0")]
+    coulomb: Annotated[NonNegative, Field(description="friction in motion, N")]
+    static: Annotated[NonNegative, Field(description="friction at rest, N; at least coulomb")]
+    viscous: Annotated[NonNegative, Field(description="N s/m")]
+    stribeck: Annotated[Number, Field(description="Stribeck velocity, m/s, above 0")]
+    substep: Annotated[PositiveTime, Field(description="longest step of the integration; 1 ms")] = 1e-3
 
 
 class Elements(Closed):

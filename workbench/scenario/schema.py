@@ -11,7 +11,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Discriminator, Field, Tag, model_validator
 
-from workbench.scenario.element_entries import Elements, OneParameterPlace, Place, PositionalValve
+from workbench.scenario.element_entries import Elements, KarnoppValve, OneParameterPlace, Place, PositionalValve
 from workbench.scenario.entries import (
     Band,
     BandValue,
@@ -45,6 +45,7 @@ __all__ = [
     "Estimate",
     "Experiment",
     "FilePart",
+    "KarnoppValve",
     "Loop",
     "OneParameterPlace",
     "Part",
@@ -150,8 +151,9 @@ Valve = Annotated[
     | Annotated[KanoValve, Tag("<kano>")]
     | Annotated[DeadbandValve, Tag("<deadband>")]
     | Annotated[DirectionalValve, Tag("<directional>")]
-    | Annotated[PositionalValve, Tag("<positional>")],
-    by_key("type", "ideal", "stenman", "he", "choudhury", "kano", "deadband", "directional", "positional"),
+    | Annotated[PositionalValve, Tag("<positional>")]
+    | Annotated[KarnoppValve, Tag("<karnopp>")],
+    by_key("type", "ideal", "stenman", "he", "choudhury", "kano", "deadband", "directional", "positional", "karnopp"),
 ]
 
 

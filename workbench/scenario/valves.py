@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from workbench.model.karnopp import Karnopp
 from workbench.model.valve import Choudhury, Deadband, Directional, He, Ideal, Kano, Positional, Stenman, Valve
 from workbench.scenario import schema
 
@@ -25,6 +26,9 @@ def valve_of(v: schema.Valve) -> Valve:
             return Directional(Choudhury(v.up.S, v.up.J), Choudhury(v.down.S, v.down.J))
         case schema.PositionalValve():
             return Positional(tuple(p.position for p in v.places), tuple(_at(p) for p in v.places))
+        case schema.KarnoppValve():
+            forces = v.coulomb, v.static, v.viscous
+            return Karnopp(v.mass, v.spring, v.travel, *forces, v.stribeck, v.substep)
         case schema.IdealValve():
             return Ideal()
 

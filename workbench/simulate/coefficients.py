@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from workbench.model.controller import PID
+from workbench.model.karnopp import CREEP, Karnopp
 from workbench.model.loop import Loop
 from workbench.model.plant import FOPDT, Plant
 from workbench.model.record import FloatArray
@@ -32,7 +33,8 @@ class ValveLaw(NamedTuple):
     """A valve in the kernel's terms: its kind, the leads u - x at which it slips and those that it keeps while moving.
 
     All in %; band and offset for the way up, band_down and offset_down for the way down. table: where they differ by
-    place, the positions, then the band at each, then the offset at each; the four are then those at x = 0.
+    place, the positions, then the band at each, then the offset at each; the four are then those at x = 0. Of a valve
+    with mass: what the kernel names `KARNOPP` says.
     """
 
     kind: int
@@ -60,8 +62,16 @@ def discretise(plant: Plant, sample_time: float) -> Discrete:
     return Discrete(1.0, plant.gain * sample_time, 1.0 - f, f, m)
 
 
-def valve_law(valve: Valve) -> ValveLaw:
-    """Return a valve in the kernel's terms."""
+def valve_law(valve: Valve, sample_time: float = 1.0) -> ValveLaw:
+    """Return a valve in the kernel's terms; sample_time: s, of concern to one with mass alone."""
+    if isinstance(valve, Karnopp):
+        n = math.ceil(sample_time / valve.substep - 1e-9)
+        h, k_m, percent = sample_time / n, valve.spring / valve.mass, 100.0 / valve.travel
+        damping = 1.0 + h * valve.viscous / valve.mass + h * h * k_m
+        friction = valve.percent(valve.coulomb), valve.percent(valve.static)
+        speeds = valve.stribeck * percent, CREEP * valve.stribeck * percent
+        law = _same_both_ways(kernel.KARNOPP, valve.hold, friction[0])
+        return law._replace(table=(float(n), h, h * k_m, damping, *friction, *speeds))
     if isinstance(valve, Stenman):
         return _same_both_ways(kernel.STAIRS, valve.d, 0.0)
     if isinstance(valve, He):
@@ -82,9 +92,9 @@ def valve_law(valve: Valve) -> ValveLaw:
     return _same_both_ways(kernel.IDEAL, 0.0, 0.0)
 
 
-def valve_row(valve: Valve) -> FloatArray:
+def valve_row(valve: Valve, sample_time: float = 1.0) -> FloatArray:
     """Return a coefficient row with the valve's columns alone, as `kernel.valve_path` takes it."""
-    law = valve_law(valve)
+    law = valve_law(valve, sample_time)
     row = np.zeros(kernel.COEFFICIENTS + len(law.table))
     _put(row[None, :], law)
     return row
@@ -94,7 +104,7 @@ def _put(rows: FloatArray, law: ValveLaw) -> None:
     rows[:, kernel.VALVE] = law.kind
     rows[:, kernel.BAND], rows[:, kernel.OFFSET] = law.band, law.offset
     rows[:, kernel.BAND_DOWN], rows[:, kernel.OFFSET_DOWN] = law.band_down, law.offset_down
-    rows[:, kernel.PLACES] = len(law.table) // 3
+    rows[:, kernel.PLACES] = 0 if law.kind == kernel.KARNOPP else len(law.table) // 3
     rows[:, kernel.COEFFICIENTS :] = law.table
 
 
@@ -111,7 +121,7 @@ def coefficients(loop: Loop, stem_offset: float = 0.0, tunings: FloatArray | Non
     if tunings is None:
         tunings = np.array([[loop.controller.Kc, loop.controller.Ti, loop.controller.Td]])
     pid, Ts = loop.controller, loop.scan * loop.sample_time
-    law = valve_law(loop.valve)
+    law = valve_law(loop.valve, loop.sample_time)
     rows = np.zeros((tunings.shape[0], kernel.COEFFICIENTS + len(law.table)))
     _put(rows, law)
     Kc, Ti, Td, Tf, weight = _ideal_terms(pid, tunings)

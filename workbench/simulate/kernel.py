@@ -67,14 +67,18 @@ RESOLUTION, CURVE, SCAN, PLACES = range(22, 26)
 COEFFICIENTS = 26
 # KC signed gain; KI = Kc Ts/Ti; KD = Kc Td; TF_TS = Tf + Ts; ON_PV 1 for derivative on PV; WINDUP 0 clamp,
 # 1 back-calculation.
-# VALVE one of the five below; BAND the lead u - x beyond which the stem slips, OFFSET the lead that it keeps while it
+# VALVE one of those below; BAND the lead u - x beyond which the stem slips, OFFSET the lead that it keeps while it
 # moves: both upward, downward the last two columns (the same but for DIRECTIONAL); POLE a, 1 for integrating; GAIN K,
 # or K Ts for integrating; C0, C1 the shares of v_{k-m} and v_{k-m-1}; DELAY m. RESOLUTION of OP, %, 0 for none.
 # CURVE c of the characteristic, 0 for none. SCAN n, samples from one execution of the controller to the next.
 # PLACES: how many positions the valve's table has that follows the row: these, then a band each, then an offset each.
 # STAIRS sticks again after each sample's slip (Stenman, He). TWO_PARAMETER goes on moving (Choudhury, dead band), and
 # so do KANO, whose band lies OFFSET lower until its first move, and DIRECTIONAL.
-IDEAL, STAIRS, TWO_PARAMETER, KANO, DIRECTIONAL = range(5)
+IDEAL, STAIRS, TWO_PARAMETER, KANO, DIRECTIONAL, KARNOPP = range(6)
+# KARNOPP: what follows the row, in % of travel: the number of substeps a sample and their length h (s), h k/m,
+# 1 + h Fv/m + h^2 k/m, Coulomb and static friction over the spring, Stribeck velocity and that below which a stem stops
+# (%/s).
+SUBSTEPS, H, PUSH, DAMPING, SLIDING, STATIC, STRIBECK, SLOW = range(8)
 
 # Columns of a run's sums over e_k = r_k - y_k (measured), u_k and x_k: squares of e_1..e_N, of u, of e_N, of moves of u
 # and of e_0..e_{N-1}; |moves of x|; where all are asked for, |e|, e, u, |moves of u|, x, x^2, stem reversals, y, y^2.
@@ -85,10 +89,10 @@ FEW_SUMS, SUMS = 6, 15
 WEIGHTS = 13
 
 # Entries of a state.
-I_TERM, D_TERM, S_LAST, U_LAST, X_LAST, MOTION, Y, PHASE, CODE = range(9)
-STATES = 9
+I_TERM, D_TERM, S_LAST, U_LAST, X_LAST, MOTION, Y, PHASE, CODE, VELOCITY = range(10)
+STATES = 10
 # PHASE: samples since the controller's last execution, CODE: what that one decided (branch, stem aside); both where the
-# controller scans.
+# controller scans. VELOCITY of KARNOPP's stem, %/s.
 # MOTION: -1 down, 0 at rest, 1 up; a stem of KANO's that has moved before rests as RESTED.
 RESTED = 2
 
@@ -184,9 +188,38 @@ def _place(c: Floats, x: float) -> tuple[float, float]:
 
 
 @compiled
-def _stem(c: Floats, u: float, u_last: float, x: float, motion: int) -> tuple[float, int]:
+def _slide(c: Floats, state: Floats, u: float, x: float) -> tuple[float, int]:
+    """One sample of a stem with mass: its position at the sample's end, and the direction of its move."""
+    at = COEFFICIENTS
+    h, push, damping, slow = c[at + H], c[at + PUSH], c[at + DAMPING], c[at + SLOW]
+    sliding, more, stribeck = c[at + SLIDING], c[at + STATIC] - c[at + SLIDING], c[at + STRIBECK]
+    hold, speed, begin = c[BAND], state[VELOCITY], x
+    for _ in range(int(c[at + SUBSTEPS])):
+        lead = u - x
+        if speed == 0.0:
+            if abs(lead) <= hold:
+                break
+            way = 1.0 if lead > 0.0 else -1.0
+        else:
+            way = 1.0 if speed > 0.0 else -1.0
+        friction = sliding + more * math.exp(-((speed / stribeck) * (speed / stribeck)))
+        new = (speed + push * (lead - way * friction)) / damping
+        if speed != 0.0 and new * way < slow and abs(lead) <= hold:
+            speed = 0.0
+            break
+        # A stem that turns stands for a substep.
+        speed = new if new * way > 0.0 else 0.0
+        x += h * speed
+    state[VELOCITY] = speed
+    return x, 1 if x > begin else (-1 if x < begin else 0)
+
+
+@compiled
+def _stem(c: Floats, state: Floats, u: float, u_last: float, x: float, motion: int) -> tuple[float, int]:
     """One sample of a valve of any kind: the new stem position and motion."""
     kind = int(c[VALVE])
+    if kind == KARNOPP:
+        return _slide(c, state, u, x)
     if c[PLACES] == 0.0:
         return valve_step(kind, c[BAND], c[OFFSET], c[BAND_DOWN], c[OFFSET_DOWN], u, u_last, x, motion)
     band, offset = _place(c, x)
@@ -201,7 +234,7 @@ def valve_path(c: Floats, op: Floats, state: Floats, x: Floats) -> None:
     u_last, x_last, motion = state[U_LAST], state[X_LAST], int(state[MOTION])
     for k in range(op.size):
         u = op[k]
-        x_last, motion = _stem(c, u, u_last, x_last, motion)
+        x_last, motion = _stem(c, state, u, u_last, x_last, motion)
         x[k] = x_last
         u_last = u
     state[U_LAST], state[X_LAST], state[MOTION] = u_last, x_last, motion
@@ -276,7 +309,7 @@ def run_samples(
         if plain:
             x_last, motion = valve_step(kind, band, offset, band_down, offset_down, out, u_last, x_last, motion)
         else:
-            x_last, motion = _stem(c, out, u_last, x_last, motion)
+            x_last, motion = _stem(c, state, out, u_last, x_last, motion)
         u_last = out
         u[k] = out
         x[k] = x_last
@@ -343,7 +376,7 @@ def _run(
     branch: NDArray[np.int8],
 ) -> None:
     """`run_loop` for the kernel's own use: a call of it costs as much as some samples, which this saves."""
-    if c[RESOLUTION] == 0.0 and c[CURVE] == 0.0 and c[SCAN] <= 1.0 and c[PLACES] == 0.0:
+    if c[RESOLUTION] == 0.0 and c[CURVE] == 0.0 and c[SCAN] <= 1.0 and c[PLACES] == 0.0 and c[VALVE] < KARNOPP:
         _plain(c, r, load, noise, state, past, y, u, x, v, branch)
     else:
         _special(c, r, load, noise, state, past, y, u, x, v, branch)
@@ -811,7 +844,10 @@ def _rests(c: Floats, load: float, state: Floats, past: Floats) -> bool:
     """
     if c[SCAN] > 1.0:
         return False
-    if c[VALVE] == IDEAL or c[POLE] == 0.0 or (c[VALVE] != STAIRS and abs(state[MOTION]) == 1.0):
+    if c[VALVE] == IDEAL or c[POLE] == 0.0:
+        return False
+    moves = state[VELOCITY] != 0.0 if c[VALVE] == KARNOPP else c[VALVE] != STAIRS and abs(state[MOTION]) == 1.0
+    if moves:
         return False
     v = _flow(c[CURVE], state[X_LAST]) + load
     return bool((past == v).all())

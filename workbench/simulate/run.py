@@ -161,14 +161,16 @@ def evaluate(loop: Loop, experiment: Experiment, objective: Objective, tunings: 
         return weigh(sums(rows, given, every=bool(objective.kpis)), weights, given.samples)
 
 
-def valve_response(valve: Valve, op: FloatArray, start: float = 0.0, rest_at: float | None = None) -> FloatArray:
+def valve_response(
+    valve: Valve, op: FloatArray, start: float = 0.0, rest_at: float | None = None, sample_time: float = 1.0
+) -> FloatArray:
     """Return the stem (%) under a given output, shape (N,), at rest at `rest_at` (default: at `start`) before it.
 
-    `start` is the output before the first sample, %.
+    `start` is the output before the first sample, %; sample_time: s, of concern to a valve with mass alone.
     """
     x, state = np.empty(op.size), np.zeros(kernel.STATES)
     state[kernel.U_LAST], state[kernel.X_LAST] = start, start if rest_at is None else rest_at
-    kernel.valve_path(valve_row(valve), np.ascontiguousarray(op, dtype=np.float64), state, x)
+    kernel.valve_path(valve_row(valve, sample_time), np.ascontiguousarray(op, dtype=np.float64), state, x)
     return x
 
 

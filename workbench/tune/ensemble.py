@@ -15,6 +15,7 @@ from workbench.analyze.margins import loop_margins
 from workbench.model.controller import PID
 from workbench.model.ensemble import UNCERTAIN, Ensemble
 from workbench.model.experiment import Experiment, Noise, Step
+from workbench.model.karnopp import Karnopp
 from workbench.model.loop import Loop
 from workbench.model.plant import FOPDT, Plant
 from workbench.model.record import FloatArray
@@ -95,6 +96,8 @@ def _valve(valve: Valve, stiction: float) -> Valve:
             return Directional(_two_parameter(valve.up, stiction), _two_parameter(valve.down, stiction))
         case Positional():
             return Positional(valve.positions, tuple(_one_place(one, stiction) for one in valve.valves))
+        case Karnopp():
+            return replace(valve, coulomb=valve.coulomb * stiction, static=valve.static * stiction)
         case Ideal():
             return valve
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from workbench.model.record import FloatArray
 from workbench.model.tuning import DigitStep
-from workbench.model.valve import Ideal, Kano
+from workbench.model.valve import Ideal, Kano, Positional
 from workbench.simulate.coefficients import valve_law
 from workbench.tune.problem import NAMES, Problem, unit_of
 from workbench.tune.refine import path
@@ -128,7 +128,7 @@ def stem_guard(problem: Problem, tuning: FloatArray) -> float:
     with np.errstate(invalid="ignore", over="ignore"):
         before = np.append(0.0, run.x[:-1])
         lead, band, band_down = run.u - before, np.full(run.u.size, law.band), np.full(run.u.size, law.band_down)
-        if law.table:
+        if isinstance(valve, Positional):
             at, bands, _ = np.array(law.table).reshape(3, -1)
             band = band_down = np.interp(before, at, bands)
         motion = run.branch % 3 - 1
