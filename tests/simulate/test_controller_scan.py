@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
-from loops import experiments, independent_simulation, late_cycles, loops, paper_loop, paper_step
+from loops import compensators, experiments, independent_simulation, late_cycles, loops, paper_loop, paper_step
 
 import workbench as wb
 from workbench.simulate import kernel
@@ -38,6 +38,20 @@ def test_the_kernel_equals_the_law_written_independently(loop, experiment, scan)
     assert (run.op[held] == run.op[np.flatnonzero(held) - 1]).all()
     # What OP's limits did goes on with it.
     assert (run.branch[held] // 3 == run.branch[np.flatnonzero(held) - 1] // 3).all()
+
+
+@given(loop=loops, experiment=experiments(), scan=st.integers(1, 3), compensator=compensators)
+def test_a_compensator_counts_executions_and_comes_before_the_rounding(loop, experiment, scan, compensator):
+    try:
+        loop = replace(loop, scan=scan, controller=replace(loop.controller, compensator=compensator))
+    except wb.InvalidValue:  # times that are no whole number of executions
+        assume(False)
+    s = signals(loop, experiment)
+    other = independent_simulation(loop, s.r, s.load, s.noise)
+    run = wb.simulate(loop, experiment)
+    np.testing.assert_array_equal(run.pv, other["pv"])
+    np.testing.assert_array_equal(run.op, other["op"])
+    np.testing.assert_array_equal(run.valve, other["valve"])
 
 
 @given(loop=loops, experiment=experiments(120.0), scan=st.integers(2, 5))

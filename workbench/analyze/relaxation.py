@@ -8,8 +8,9 @@ Where it stops: a dead band alone (J = 0) has no jump, hence no two positions, a
 by direction or place the moves differ too, and the slips do not close to two positions; a stem with mass lands where
 its motion takes it. Where OP moves in levels (a resolution) the slips wait for the next level, which the sums do not
 know, and behind a curved characteristic the two positions lie in unlike gains. Where an echo crosses the stick band by
-itself (Kc K J/S near 1 and above) the describing function's domain begins. On an integrating plant cycles of two slips
-a half cycle, twice as wide, may exist beside the one described here, chosen by the start.
+itself (Kc K J/S near 1 and above) the describing function's domain begins. A compensator moves OP by more than these
+sums. On an integrating plant cycles of two slips a half cycle, twice as wide, may exist beside the one described here,
+chosen by the start.
 """
 
 from __future__ import annotations
@@ -46,7 +47,7 @@ def relaxation_condition(loop: Loop) -> bool:
     the valve on: the cycle that a describing function does not see. Stenman: S = J = d.
     """
     plant, terms, S, J = loop.plant, loop.controller.ideal_terms(), loop.valve.stick_band, loop.valve.slip_jump
-    if not isinstance(plant, FOPDT) or S <= 0.0 or J <= 0.0:
+    if not isinstance(plant, FOPDT) or S <= 0.0 or J <= 0.0 or loop.controller.compensator is not None:
         return False
     gain = loop.controller.signed_gain * terms.Kc * loop.gain * J / S
     return 0.0 < gain < 1.0 and plant.time_constant + plant.dead_time < terms.Ti < math.inf
@@ -91,6 +92,8 @@ def relaxation_cycle(loop: Loop, split: float = 0.5) -> RelaxationCycle | None:
     terms, valve = loop.controller.ideal_terms(), loop.valve
     gain = loop.controller.signed_gain * terms.Kc * loop.gain
     if valve.stick_band <= 0.0 or valve.slip_jump <= 0.0 or gain <= 0.0 or math.isinf(terms.Ti):
+        return None
+    if loop.controller.compensator is not None:
         return None
     if loop.scan > 1:
         # Between executions a stem that goes on with OP sticks.

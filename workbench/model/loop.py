@@ -38,7 +38,8 @@ class Loop:
     what it measures then; in between OP stands. The valve's law runs at every sample, so that a stem that goes on only
     while its input moves (Choudhury, Kano, dead band) sticks between executions.
 
-    Raises `InvalidValue`, also for back-calculation that is unstable at this sample time (see `PID.check_tracking`).
+    Raises `InvalidValue`, also for back-calculation that is unstable at this sample time (see `PID.check_tracking`) and
+    a compensator's times that are no whole number of the controller's executions.
     """
 
     plant: Plant
@@ -59,7 +60,7 @@ class Loop:
             raise InvalidValue("Loop.controller", self.controller, "must be a PID")
         object.__setattr__(self, "sample_time", number(self.sample_time, "Loop.sample_time", above=0.0, unit="s"))
         object.__setattr__(self, "scan", whole(self.scan, "Loop.scan", least=1))
-        self.controller.check_tracking(self.scan * self.sample_time)
+        self.controller.check_sampling(self.scan * self.sample_time)
         if self.plant.dead_time > LONGEST_DEAD_TIME * self.sample_time:
             limit = f"must be at most {LONGEST_DEAD_TIME:,} samples of {self.sample_time:g} s"
             raise InvalidValue("Loop.plant.dead_time", f"{self.plant.dead_time:g} s", limit)

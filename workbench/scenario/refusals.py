@@ -16,7 +16,7 @@ T = TypeVar("T")
 
 # Entries that the file calls otherwise than the model does.
 _NAMES = {"values": "series", "positions": "places", "valves": "places"}
-_FIELD = re.compile(r"[A-Za-z]+\.([A-Za-z_]+)(?:\[([0-9]+)\])?")
+_FIELD = re.compile(r"[A-Za-z]+\.([A-Za-z_]+(?:\.[A-Za-z_]+)*)(?:\[([0-9]+)\])?")
 
 
 @dataclass
@@ -37,7 +37,8 @@ class Refusals:
             match = _FIELD.fullmatch(error.where)
             under: Path = ()
             if match is not None:
-                under = (_NAMES.get(match[1], match[1]), *([int(match[2])] if match[2] else []))
+                names = [_NAMES.get(name, name) for name in match[1].split(".")]
+                under = (*names, *([int(match[2])] if match[2] else []))
             self.refuse(path + under, f"{error.given} given; {error.allowed}")
             return None
 

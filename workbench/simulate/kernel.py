@@ -10,9 +10,10 @@ A loop is a row of `COEFFICIENTS` floats (see the names below), a state is `STAT
 2. u_k = bias + P + I + D, `P = Kc (b r - y)`, `I += (Kc Ts/Ti) e`, `D = (Tf D + Kc Td (s - s_{k-1}))/(Tf + Ts)`,
    s = e or -y
 3. output limits; clamping undoes this sample's I step where u is outside and the step pushes further out; back-
-   calculation adds `(Ts/Tt)(u_limited - u)` to I; then OP's resolution q: a u that no limit holds becomes
-   `bias + q rint((u - bias)/q)`, halves to even, and at most the limit; I and D know nothing of it. All of 1 to 3 in
-   every n-th sample only where the controller scans (Ts is then its own); between them u and its code stand
+   calculation adds `(Ts/Tt)(u_limited - u)` to I; a compensator (model.compensator) changes the I step, or u after
+   this; then OP's resolution q: a u that stands at no limit becomes `bias + q rint((u - bias)/q)`, halves to even, and
+   at most the limit; I and D know nothing of it. All of 1 to 3 in every n-th sample only where the controller scans (Ts
+   is then its own); between them u and its code stand
 4. the valve (model.valve); 5. the plant's exact zero-order-hold step with v = x + load, or `(e^(c x) - 1)/c + load`
    where the characteristic curves (c not 0). All in OP's direction: behind a fail-open valve gain and load change sign.
 
@@ -35,6 +36,7 @@ from workbench.simulate.compiled import compiled, written_out
 
 __all__ = [
     "CARRIED",
+    "CHAIN",
     "COEFFICIENTS",
     "FEW_SUMS",
     "HALF_CYCLE",
@@ -43,9 +45,11 @@ __all__ = [
     "SUMS",
     "WEIGHTS",
     "add_sums",
+    "cascade_worst",
     "collect",
     "doublings",
     "jump",
+    "run_cascade",
     "run_costs",
     "run_events",
     "run_loop",
@@ -63,8 +67,8 @@ Floats = NDArray[np.float64]
 # Columns of a coefficient row.
 KC, KI, KD, TF, TF_TS, WEIGHT, ON_PV, BIAS, LOW, HIGH, WINDUP, TS_TT = range(12)
 VALVE, BAND, OFFSET, POLE, GAIN, C0, C1, DELAY, BAND_DOWN, OFFSET_DOWN = range(12, 22)
-RESOLUTION, CURVE, SCAN, PLACES = range(22, 26)
-COEFFICIENTS = 26
+COMPENSATOR, SIZE, EVERY, WIDTH, LEVEL, EXTRA, RESOLUTION, CURVE, SCAN, PLACES = range(22, 32)
+COEFFICIENTS = 32
 # KC signed gain; KI = Kc Ts/Ti; KD = Kc Td; TF_TS = Tf + Ts; ON_PV 1 for derivative on PV; WINDUP 0 clamp,
 # 1 back-calculation.
 # VALVE one of those below; BAND the lead u - x beyond which the stem slips, OFFSET the lead that it keeps while it
@@ -79,6 +83,11 @@ IDEAL, STAIRS, TWO_PARAMETER, KANO, DIRECTIONAL, KARNOPP = range(6)
 # 1 + h Fv/m + h^2 k/m, Coulomb and static friction over the spring, Stribeck velocity and that below which a stem stops
 # (%/s).
 SUBSTEPS, H, PUSH, DAMPING, SLIDING, STATIC, STRIBECK, SLOW = range(8)
+# COMPENSATOR one of those below. SIZE: a reset band (EU), else an amplitude (%). EVERY, WIDTH in samples: a period and
+# a pulse's length, of TWO_MOVES the sample of the first. LEVEL: of RESET_BAND the share of the integral action that is
+# left, of TWO_MOVES the steady output (%), EXTRA the error that releases it (EU). A SINE starts from (SIZE, WIDTH), a
+# times sine and cosine of half a sample's angle, and turns by the angle of sine EXTRA and cosine LEVEL.
+NONE, RESET_BAND, KNOCKER, REINFORCEMENT, TWO_MOVES, SINE, SQUARE = range(7)
 
 # Columns of a run's sums over e_k = r_k - y_k (measured), u_k and x_k: squares of e_1..e_N, of u, of e_N, of moves of u
 # and of e_0..e_{N-1}; |moves of x|; where all are asked for, |e|, e, u, |moves of u|, x, x^2, stem reversals, y, y^2.
@@ -89,10 +98,10 @@ FEW_SUMS, SUMS = 6, 15
 WEIGHTS = 13
 
 # Entries of a state.
-I_TERM, D_TERM, S_LAST, U_LAST, X_LAST, MOTION, Y, PHASE, CODE, VELOCITY = range(10)
-STATES = 10
-# PHASE: samples since the controller's last execution, CODE: what that one decided (branch, stem aside); both where the
-# controller scans. VELOCITY of KARNOPP's stem, %/s.
+I_TERM, D_TERM, S_LAST, U_LAST, X_LAST, MOTION, Y, CLOCK, MARK, KEPT, PHASE, CODE, VELOCITY = range(13)
+STATES = 13
+# CLOCK, MARK, KEPT: a compensator's, see `_compensated`. PHASE: samples since the controller's last execution, CODE:
+# what that one decided (branch, stem aside); both where the controller scans. VELOCITY of KARNOPP's stem, %/s.
 # MOTION: -1 down, 0 at rest, 1 up; a stem of KANO's that has moved before rests as RESTED.
 RESTED = 2
 
@@ -240,6 +249,57 @@ def valve_path(c: Floats, op: Floats, state: Floats, x: Floats) -> None:
     state[U_LAST], state[X_LAST], state[MOTION] = u_last, x_last, motion
 
 
+@compiled
+def _sign(value: float) -> float:
+    """1, 0 or -1."""
+    return 1.0 if value > 0.0 else (-1.0 if value < 0.0 else 0.0)
+
+
+@compiled
+def _compensated(c: Floats, state: Floats, e: float, out: float, others: float, i_term: float) -> tuple[float, float]:
+    """The OP that the valve sees, and the integral, for the PID law's own output `out` (model.compensator).
+
+    others: all terms of `out` but the integral. CLOCK counts samples: since a period or the run began. MARK: u_c of
+    the sample before (REINFORCEMENT) or of the latest pulse's onset (KNOCKER), the level held (TWO_MOVES), the sine
+    (SINE). KEPT: u_c at the running pulse's onset, 1 while held and 2 from then on, the cosine.
+    """
+    kind, clock, every = int(c[COMPENSATOR]), state[CLOCK], c[EVERY]
+    added = 0.0
+    if kind == KNOCKER:
+        if clock == 0.0:
+            state[MARK] = out
+        if clock == every:
+            state[KEPT] = out
+        if clock >= every:
+            added = c[SIZE] * _sign(out - state[MARK])
+            if clock == every + c[WIDTH] - 1.0:
+                state[MARK] = state[KEPT]
+                clock -= every
+    elif kind == REINFORCEMENT:
+        added = c[SIZE] * _sign(out - (c[BIAS] if clock == 0.0 else state[MARK]))
+        state[MARK] = out
+    elif kind == SQUARE:
+        added = c[SIZE] if 2.0 * clock < every else -c[SIZE]
+        clock = -1.0 if clock == every - 1.0 else clock
+    elif kind == SINE:
+        if clock == 0.0:
+            state[MARK], state[KEPT] = c[SIZE], c[WIDTH]
+        added = state[MARK]
+        state[MARK] = added * c[LEVEL] + state[KEPT] * c[EXTRA]
+        state[KEPT] = state[KEPT] * c[LEVEL] - added * c[EXTRA]
+        clock = -1.0 if clock == every - 1.0 else clock
+    elif state[KEPT] == 1.0:
+        # Held: the integral follows, so that the controller goes on from here when it is released.
+        out = state[MARK]
+        i_term = out - others
+        state[KEPT] = 2.0 if abs(e) > c[EXTRA] else 1.0
+    elif clock == every:
+        state[KEPT], state[MARK] = 1.0, min(max(c[LEVEL], c[LOW]), c[HIGH])
+        added = abs(out - c[LEVEL]) + c[SIZE]
+    state[CLOCK] = clock + 1.0
+    return min(max(out + added, c[LOW]), c[HIGH]), i_term
+
+
 @written_out
 def run_samples(
     c: Floats,
@@ -280,6 +340,8 @@ def run_samples(
         s_last = s
         p_term = kc * (weight * r[k] - measured)
         step = ki * e
+        if not plain and c[COMPENSATOR] == RESET_BAND and abs(e) <= c[SIZE]:
+            step *= c[LEVEL]
         i_last = i_term
         i_term = i_last + step
         out = bias + p_term + i_term + d_term
@@ -297,7 +359,9 @@ def run_samples(
             if back:
                 i_term += ts_tt * (limited - out)
             out = limited
-        elif not plain and c[RESOLUTION] > 0.0:
+        if not plain and c[COMPENSATOR] > RESET_BAND and (c[SCAN] <= 1.0 or state[PHASE] == 0.0):
+            out, i_term = _compensated(c, state, e, out, bias + p_term + d_term, i_term)
+        if not plain and c[RESOLUTION] > 0.0 and low < out < high:
             out = _shown(c, out)
         if not plain and c[SCAN] > 1.0:
             if state[PHASE] == 0.0:
@@ -376,7 +440,8 @@ def _run(
     branch: NDArray[np.int8],
 ) -> None:
     """`run_loop` for the kernel's own use: a call of it costs as much as some samples, which this saves."""
-    if c[RESOLUTION] == 0.0 and c[CURVE] == 0.0 and c[SCAN] <= 1.0 and c[PLACES] == 0.0 and c[VALVE] < KARNOPP:
+    usual = c[COMPENSATOR] == NONE and c[RESOLUTION] == 0.0 and c[SCAN] <= 1.0
+    if usual and c[CURVE] == 0.0 and c[PLACES] == 0.0 and c[VALVE] < KARNOPP:
         _plain(c, r, load, noise, state, past, y, u, x, v, branch)
     else:
         _special(c, r, load, noise, state, past, y, u, x, v, branch)
@@ -840,9 +905,10 @@ def jump(
 def _rests(c: Floats, load: float, state: Floats, past: Floats) -> bool:
     """Whether the stem rests, away from OP's limits, and the plant's input has not changed for the dead time.
 
-    Never where the controller scans: its OP is no sum over every sample's error.
+    Never where the controller scans or has a compensator: its OP is then no sum over every sample's error, and such
+    loops are run sample by sample.
     """
-    if c[SCAN] > 1.0:
+    if c[SCAN] > 1.0 or c[COMPENSATOR] != NONE:
         return False
     if c[VALVE] == IDEAL or c[POLE] == 0.0:
         return False
@@ -938,3 +1004,164 @@ def trace(
                 left -= size
         points[i, 0] = -state[S_LAST] if c[ON_PV] != 0.0 else r - state[S_LAST]
         points[i, 1], points[i, 2] = state[U_LAST], state[X_LAST]
+
+
+# Of a cascade's chain from v to the primary's PV: (w, y) with w the secondary's PV, delayed by the primary's dead time,
+# `w += .., y = A10 w + A11 y + ..`, the inputs' shares of v_{k-m} and v_{k-m-1}, and m, the whole samples of both dead
+# times. SCALE: EU of the secondary per unit of the primary's output; HELD_BACK: 1 where a secondary at its limit holds
+# the primary's integral.
+A00, A10, A11, NEAR_W, NEAR_Y, FAR_W, FAR_Y, CHAIN_DELAY, SCALE, HELD_BACK = range(10)
+CHAIN = 10
+# A cascade's state beside those of its controllers: w, y, and the secondary's limit in the sample before.
+CHAIN_W, CHAIN_Y, LIMIT = range(3)
+
+
+@compiled
+def run_cascade(
+    c1: Floats,
+    c2: Floats,
+    chain: Floats,
+    every: int,
+    r: Floats,
+    added: Floats,
+    load: Floats,
+    noise1: Floats,
+    noise2: Floats,
+    state1: Floats,
+    state2: Floats,
+    past2: Floats,
+    link: Floats,
+    tail: Floats,
+    y1: Floats,
+    u1: Floats,
+    r2: Floats,
+    y2: Floats,
+    u2: Floats,
+    x: Floats,
+    v: Floats,
+    branch: NDArray[np.int8],
+) -> None:
+    """Run N = u2.size samples, whole scans of `every`, of a cascade (model.cascade), and leave the state after them.
+
+    c1: the primary's row with an ideal valve; what it says of a plant is not used. added: what the primary's load makes
+    of its PV (EU). state1, state2, past2: as `run_loop`'s; link: the chain's state; tail[i] = v_{-1-i}, at least m + 1
+    values. Written: y1 and y2 (N + 1, without noise), the rest N each; u1 and r2 are held between scans.
+    """
+    n = u2.size
+    m = int(chain[CHAIN_DELAY])
+    row = c1.copy()
+    row[VALVE], row[POLE], row[GAIN], row[DELAY] = IDEAL, 1.0, 0.0, 0.0
+    pushes = chain[SCALE] * _sign(c2[KC])
+    past1, still, py, one, px, pv = np.zeros(1), np.zeros(1), np.empty(2), np.empty(1), np.empty(1), np.empty(1)
+    code = np.empty(1, np.int8)
+    w, y, limit = link[CHAIN_W], link[CHAIN_Y], link[LIMIT]
+    y1[0] = y + added[0]
+    for first in range(0, n, every):
+        end = first + every
+        e = r[first] - (y1[first] + noise1[first])
+        outward = chain[HELD_BACK] != 0.0 and limit * pushes * c1[KI] * e > 0.0
+        row[KI] = 0.0 if outward else c1[KI]
+        state1[Y] = y1[first]
+        run_loop(row, r[first:end], still, noise1[first:end], state1, past1, py, one, px, pv, code)
+        u1[first:end] = one[0]
+        r2[first:end] = chain[SCALE] * one[0]
+        run_loop(
+            c2,
+            r2[first:end],
+            load[first:end],
+            noise2[first:end],
+            state2,
+            past2,
+            y2[first : end + 1],
+            u2[first:end],
+            x[first:end],
+            v[first:end],
+            branch[first:end],
+        )
+        limit = branch[end - 1] % 9 // 3 - 1.0
+        for k in range(first, end):
+            near = v[k - m] if k >= m else tail[m - k - 1]
+            far = v[k - m - 1] if k > m else tail[m - k]
+            y = chain[A10] * w + chain[A11] * y + (chain[NEAR_Y] * near + chain[FAR_Y] * far)
+            w = chain[A00] * w + (chain[NEAR_W] * near + chain[FAR_W] * far)
+            y1[k + 1] = y + added[k + 1]
+    link[CHAIN_W], link[CHAIN_Y], link[LIMIT] = w, y, limit
+    length = tail.size
+    for i in range(length - 1, -1, -1):
+        tail[i] = v[n - 1 - i] if n - 1 - i >= 0 else tail[i - n]
+
+
+@compiled
+def cascade_worst(
+    rows: Floats,
+    group: int,
+    c2: Floats,
+    chain: Floats,
+    every: int,
+    r: Floats,
+    added: Floats,
+    load: Floats,
+    noise1: Floats,
+    noise2: Floats,
+    weights: Floats,
+    ceilings: Floats,
+    worst: Floats,
+) -> int:
+    """As `run_worst`, of a cascade under many primaries, from rest; returns the samples run.
+
+    J is of the primary's error and of the secondary's output and stem. All signals: N + 1, N whole scans.
+    """
+    n = r.size - 1
+    chunk = min(n, every * (127 // every + 1))
+    y1, y2 = np.empty(chunk + 1), np.empty(chunk + 1)
+    u1, r2, u2, x, v = np.empty(chunk), np.empty(chunk), np.empty(chunk), np.empty(chunk), np.empty(chunk)
+    branch = np.empty(chunk, np.int8)
+    state1, state2, link = np.empty(STATES), np.empty(STATES), np.empty(3)
+    past2, tail = np.empty(int(c2[DELAY]) + 1), np.empty(int(chain[CHAIN_DELAY]) + 1)
+    last, sums = np.empty(3), np.empty(SUMS)
+    every_sum = weights[6:].max() > 0.0
+    samples = 0
+    for i in range(worst.size):
+        worst[i] = 0.0
+        for j in range(i * group, (i + 1) * group):
+            state1[:], state2[:], link[:], past2[:], tail[:], sums[:] = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+            state2[U_LAST] = c2[BIAS]
+            last[0], last[1], last[2] = c2[BIAS], 0.0, 0.0
+            cost, begin = 0.0, 0
+            while begin < n and cost <= ceilings[i]:
+                size = min(chunk, n - begin)
+                end = begin + size
+                run_cascade(
+                    rows[j],
+                    c2,
+                    chain,
+                    every,
+                    r[begin : end + 1],
+                    added[begin : end + 1],
+                    load[begin : end + 1],
+                    noise1[begin : end + 1],
+                    noise2[begin : end + 1],
+                    state1,
+                    state2,
+                    past2,
+                    link,
+                    tail,
+                    y1[: size + 1],
+                    u1[:size],
+                    r2[:size],
+                    y2[: size + 1],
+                    u2[:size],
+                    x[:size],
+                    v[:size],
+                    branch[:size],
+                )
+                errors = noise1[begin : end + 1]
+                add_sums(sums, last, every_sum, r[begin : end + 1], errors, y1[: size + 1], u2[:size], x[:size])
+                cost = weigh(sums, weights, end, n)
+                begin = end
+            samples += begin
+            if not cost <= ceilings[i]:
+                worst[i] = np.inf
+                break
+            worst[i] = max(worst[i], cost)
+    return samples

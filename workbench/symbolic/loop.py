@@ -111,6 +111,8 @@ def unwritten(loop: Loop) -> str:
         return "the curved characteristic"
     if loop.scan > 1:
         return "the controller's scan"
+    if loop.controller.compensator is not None:
+        return f"the compensator {type(loop.controller.compensator).__name__}"
     return ""
 
 

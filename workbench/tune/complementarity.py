@@ -51,7 +51,8 @@ def seeds(
 
     reference: a typical J, above 0. A seed promises J as its program has it, which is no J of any run. Starts whose
     runs overflow are left out, and so are solves without a finite end. Raises `InvalidValue` for valves other than
-    Stenman's, output limits, and runs longer than `MOST_SAMPLES`; KeyboardInterrupt where a solve was interrupted.
+    Stenman's, output limits, a compensator, and runs longer than `MOST_SAMPLES`; KeyboardInterrupt where a solve was
+    interrupted.
     """
     applicable(problem)
     law, size = written(problem)
