@@ -82,6 +82,67 @@ def experiments(draw: st.DrawFn, duration: float = 150.0) -> wb.Experiment:
     )
 
 
+seconds = st.integers(1, 20).map(float)
+compensators = st.one_of(
+    st.builds(wb.IntegralDeadband, band=numbers(0.05, 2.0), ratio=st.sampled_from([1.0, 8.0, math.inf])),
+    st.builds(
+        lambda a, width, more: wb.Knocker(a, width, width + more),
+        a=numbers(0.1, 4.0),
+        width=seconds,
+        more=st.integers(0, 9),
+    ),
+    st.builds(wb.ConstantReinforcement, amplitude=numbers(0.1, 4.0)),
+    st.builds(
+        wb.TwoMove,
+        amplitude=numbers(0.1, 6.0),
+        at=st.one_of(st.just(0.0), seconds),
+        steady_output=numbers(-3.0, 3.0),
+        release=st.one_of(st.just(math.inf), numbers(0.1, 4.0)),
+    ),
+    st.builds(
+        wb.Dither, amplitude=numbers(0.1, 4.0), period=st.sampled_from([2.0, 4.0, 10.0]), shape=st.just("square")
+    ),
+)
+
+
+class IndependentCompensator:
+    """A compensator by its published equation, from the whole history of the controller's own output."""
+
+    def __init__(self, given: Any, Ts: float, offset: float, limits: tuple[float, float] | None) -> None:
+        self.given, self.Ts, self.offset = given, Ts, offset
+        self.limits = limits or (-math.inf, math.inf)
+        self.own: list[float] = []
+        self.held: float | None = None
+
+    def share(self, e: float) -> float:
+        g = self.given
+        return 1.0 / g.ratio if isinstance(g, wb.IntegralDeadband) and abs(e) <= g.band else 1.0
+
+    def output(self, u: float, e: float, rest: float, integral: float) -> tuple[float, float]:
+        g, k = self.given, len(self.own)
+        self.own.append(u)
+        added = 0.0
+        if isinstance(g, wb.Knocker):
+            h, tau = round(g.period / self.Ts), round(g.width / self.Ts)
+            pulse, phase = divmod(k, h)
+            if pulse >= 1 and phase < tau:
+                added = g.amplitude * float(np.sign(u - self.own[(pulse - 1) * h]))
+        elif isinstance(g, wb.ConstantReinforcement):
+            added = g.amplitude * float(np.sign(u - (self.own[k - 1] if k else self.offset)))
+        elif isinstance(g, wb.Dither):
+            n = round(g.period / self.Ts)
+            added = g.amplitude if k % n < n // 2 else -g.amplitude
+        elif isinstance(g, wb.TwoMove):
+            if self.held is not None:
+                u, integral = self.held, self.held - rest
+                if abs(e) > g.release:
+                    self.held = None
+            elif k == round(g.at / self.Ts):
+                self.held = min(max(g.steady_output, self.limits[0]), self.limits[1])
+                added = abs(u - g.steady_output) + g.amplitude
+        return min(max(u + added, self.limits[0]), self.limits[1]), integral
+
+
 def independent_simulation(loop: wb.Loop, r: Any, load: Any, noise: Any, offset: float = 0.0) -> dict[str, list[float]]:
     """The law written once more, sample by sample, with no code of the package: r, load, noise of N + 1 values."""
     pid, plant, Ts = loop.controller, loop.plant, loop.sample_time
@@ -95,6 +156,7 @@ def independent_simulation(loop: wb.Loop, r: Any, load: Any, noise: Any, offset:
     u_last = offset
     moving, direction = False, 0
     stopped_at, came, stands = 0.0, 1, True  # Kano's u_s, d and stp
+    compensator = IndependentCompensator(pid.compensator, Ts, offset, pid.output_limits)
     v: list[float] = []
     out: dict[str, list[float]] = {"pv": [], "op": [], "valve": []}
 
@@ -106,7 +168,8 @@ def independent_simulation(loop: wb.Loop, r: Any, load: Any, noise: Any, offset:
         e = r[k] - measured
         P = Kc * (pid.setpoint_weight * r[k] - measured)
         before = integral
-        integral = before + Kc * Ts / pid.Ti * e
+        rises = Kc * Ts / pid.Ti * e * compensator.share(e)
+        integral = before + rises
         s = e if pid.derivative_on == "error" else -measured
         derivative = (Tf * derivative + Kc * pid.Td * (s - s_last)) / (Tf + Ts)
         s_last = s
@@ -114,7 +177,6 @@ def independent_simulation(loop: wb.Loop, r: Any, load: Any, noise: Any, offset:
         if pid.output_limits is not None:
             low, high = pid.output_limits
             if pid.anti_windup == "clamp":
-                rises = Kc * Ts / pid.Ti * e
                 if (u > high and rises > 0) or (u < low and rises < 0):
                     integral = before
                     u = offset + P + integral + derivative
@@ -124,6 +186,8 @@ def independent_simulation(loop: wb.Loop, r: Any, load: Any, noise: Any, offset:
                 if limited != u:
                     integral += Ts / (pid.tracking_time or pid.Ti) * (limited - u)
                 u = limited
+        if pid.compensator is not None:
+            u, integral = compensator.output(u, e, offset + P + derivative, integral)
         valve = loop.valve
         if isinstance(valve, wb.Ideal):
             x = u

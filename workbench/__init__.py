@@ -29,6 +29,11 @@ _HOME = {
     "Deadband": "model.valve",
     "Directional": "model.valve",
     "PID": "model.controller",
+    "IntegralDeadband": "model.compensator",
+    "Knocker": "model.compensator",
+    "ConstantReinforcement": "model.compensator",
+    "TwoMove": "model.compensator",
+    "Dither": "model.compensator",
     "Loop": "model.loop",
     "Step": "model.experiment",
     "Ramp": "model.experiment",
@@ -75,18 +80,22 @@ __all__ = [
     "Amigo",
     "Bounds",
     "Choudhury",
+    "ConstantReinforcement",
     "Constraints",
     "Deadband",
     "Detection",
     "DetunedIntegral",
     "Directional",
+    "Dither",
     "Ensemble",
     "Experiment",
     "He",
     "Ideal",
+    "IntegralDeadband",
     "Integrating",
     "InvalidValue",
     "Kano",
+    "Knocker",
     "Lambda",
     "Loop",
     "NoCrossing",
@@ -103,6 +112,7 @@ __all__ = [
     "SolveStatus",
     "Stenman",
     "Step",
+    "TwoMove",
     "WorkbenchError",
     "ZieglerNichols",
     "__version__",
@@ -163,6 +173,7 @@ if TYPE_CHECKING:
     from workbench.detect.detect import detect
     from workbench.errors import InvalidValue, OutputError, RecordError, ScenarioError, SolveError, WorkbenchError
     from workbench.estimate.estimate import estimate
+    from workbench.model.compensator import ConstantReinforcement, Dither, IntegralDeadband, Knocker, TwoMove
     from workbench.model.controller import PID
     from workbench.model.detection import Detection
     from workbench.model.ensemble import Constraints, Ensemble

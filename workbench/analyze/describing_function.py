@@ -9,6 +9,7 @@ import numpy as np
 from workbench.analyze.frequency import linear_stable, loop_response
 from workbench.analyze.loci import Approach, Meeting, closest_approach, first_meeting, meetings
 from workbench.analyze.valve_loci import locus_pieces
+from workbench.errors import InvalidValue
 from workbench.model.analyses import ComplexArray, Crossing, DescribingFunction
 from workbench.model.checks import instance
 from workbench.model.loop import Loop
@@ -33,9 +34,13 @@ def describing_function(loop: Loop, *, sampling_delay: bool = False) -> Describi
 
     Stenman's and He's loci have several pieces (two families of staircases, see `valve_loci.staircase_response`), whose
     first indices are in `breaks`; a valve without friction has the single point -1, and cycles in a linear loop are
-    none of this method's business. Raises `InvalidValue` where the controller has no ideal equivalent.
+    none of this method's business. Raises `InvalidValue` where the controller has no ideal equivalent, and for one with
+    a compensator, which L(jw) does not hold.
     """
     instance(loop, Loop, "loop", "a Loop")
+    if loop.controller.compensator is not None:
+        allowed = "must be None: the method holds for the loop without it (`limit_cycle` follows the loop with it)"
+        raise InvalidValue("PID.compensator", type(loop.controller.compensator).__name__, allowed)
     stable = linear_stable(loop)
     shown = _frequencies(loop, SHOWN)
 

@@ -30,7 +30,8 @@ def limit_cycle(
 ) -> LimitCycle:
     """Return the loop's long-run behaviour: settles, cycles, depends on the start, or undecided.
 
-    Eight starts are followed (`standard_starts`), each from slip to slip as `long_run.follow` says. With an experiment
+    Eight starts are followed (`standard_starts`), each from slip to slip as `long_run.follow` says; a loop with a
+    compensator sample by sample, which is as exact, with less patience for cycles of days. With an experiment
     its signals are applied without the noise, the last values held for good, and its outcome and figures are the
     result's; the other starts tell whether they depend on it. Without one the figures are medians over the starts that
     cycle, and the outcome is "depends" where some starts cycle and others settle.

@@ -170,14 +170,34 @@ class _Follower:
         y, u, x = self.y[tail:], self.u[tail:], self.x[tail:]
         still_u = STILL * self.scale.band + 1e-12 * float(np.abs(u).max())
         still_y = STILL * self.scale.pv + 1e-12 * (float(np.abs(y).max()) + abs(self.r))
-        if np.ptp(u) > still_u or np.ptp(x) > still_u or np.ptp(y) > still_y:
+        compensator = int(self.row[kernel.COMPENSATOR])
+        if np.ptp(x) > still_u or np.ptp(y) > still_y or (compensator == kernel.NONE and np.ptp(u) > still_u):
             return ""
         error = self.r - float(y[-1])
+        if compensator != kernel.NONE:
+            return self._compensated(error, tail, still=bool(np.ptp(u) <= still_u))
         if abs(error) <= 10.0 * still_y:
             return self._on_setpoint()
         if self.row[kernel.KI] == 0.0:
             return self._resting(error, "no integral action moves the stem on")
         return self._resting(error, "OP is at its limit") if self.limited else ""
+
+    def _compensated(self, error: float, samples: int, *, still: bool) -> str:
+        """The same for a loop with a compensator whose stem and PV have stood still for so many samples."""
+        row = self.row
+        kind = int(row[kernel.COMPENSATOR])
+        if kind == kernel.TWO_MOVES and self.state[kernel.KEPT] != 2.0:
+            held = self.state[kernel.KEPT] == 1.0 and abs(error) <= row[kernel.EXTRA]
+            return self._resting(error, "OP is held after the two moves") if held else ""
+        if kind == kernel.RESET_BAND and still and row[kernel.LEVEL] == 0.0 and abs(error) <= row[kernel.SIZE]:
+            return self._resting(error, "the integral action rests within its deadband")
+        if kind in (kernel.KNOCKER, kernel.SINE, kernel.SQUARE) and samples < 2 * row[kernel.EVERY]:
+            return ""
+        if abs(error) <= 10.0 * STILL * self.scale.pv:
+            return self._on_setpoint()
+        if row[kernel.KI] == 0.0:
+            return self._resting(error, "no integral action moves the stem on")
+        return self._resting(error, "OP is at its limit") if self.limited and still else ""
 
     def _on_setpoint(self) -> str:
         """By which way PV came to rest on the setpoint; only a stem that sticks at once lands there by a slip."""
@@ -202,7 +222,8 @@ class _Follower:
         """
         tail = self.u.size // 2
         moves = np.diff(self.x[tail:])
-        if not self._follows() or self.row[kernel.KI] == 0.0 or tail <= 4 * self.past.size:
+        linear = self._follows() and self.row[kernel.COMPENSATOR] == kernel.NONE
+        if not linear or self.row[kernel.KI] == 0.0 or tail <= 4 * self.past.size:
             return False
         if not (bool((moves > 0.0).all()) or bool((moves < 0.0).all())):
             return False
@@ -249,7 +270,7 @@ def follow(loop: Loop, start: Start, *, least: int = LEAST, traced: bool = True)
     run = _Follower(loop, start, traced)
     # Without friction the loop is linear while within its limits, and slow damping is no cycle.
     frictionless = loop.valve.stick_band == loop.valve.slip_jump == 0.0
-    linear = frictionless and linear_stable(loop)
+    linear = frictionless and loop.controller.compensator is None and linear_stable(loop)
     damped = linear and loop.controller.output_limits is None
     longest = max(LONGEST_CHUNK, 4 * run.past.size)
     chunk = max(FIRST_CHUNK, min(4 * run.past.size, longest))

@@ -29,7 +29,7 @@ MOST = 2_000_000
 
 
 def margins(loop: Loop) -> Margins:
-    """Return the margins of a loop with an ideal valve, as it is sampled, without its output limits.
+    """Return the margins of a loop with an ideal valve, as it is sampled, without its output limits and compensator.
 
     Ms = max |1/(1 + L)| over frequencies up to pi/Ts; gain margin: the least factor on Kc above 1 at which the loop
     becomes unstable; phase margin: the least phase lag, degrees, that does so; delay margin: the least further dead

@@ -6,7 +6,8 @@ gives the period. The sums are those of the sampled loop, so that the figures ne
 
 Where it stops: a dead band alone (J = 0) has no jump, hence no two positions, and no such cycle. Where friction differs
 by direction the moves up and down differ too, and the slips do not close to two positions. Where an echo crosses
-the stick band by itself (Kc K J/S near 1 and above) the describing function's domain begins. On an integrating plant
+the stick band by itself (Kc K J/S near 1 and above) the describing function's domain begins. A compensator moves OP by
+more than these sums. On an integrating plant
 cycles of two slips a half cycle, twice as wide, may exist beside the one described here, chosen by the start.
 """
 
@@ -43,7 +44,7 @@ def relaxation_condition(loop: Loop) -> bool:
     the valve on: the cycle that a describing function does not see. Stenman: S = J = d.
     """
     plant, terms, S, J = loop.plant, loop.controller.ideal_terms(), loop.valve.stick_band, loop.valve.slip_jump
-    if not isinstance(plant, FOPDT) or S <= 0.0 or J <= 0.0:
+    if not isinstance(plant, FOPDT) or S <= 0.0 or J <= 0.0 or loop.controller.compensator is not None:
         return False
     gain = loop.controller.signed_gain * terms.Kc * plant.gain * J / S
     return 0.0 < gain < 1.0 and plant.time_constant + plant.dead_time < terms.Ti < math.inf
@@ -89,7 +90,7 @@ def relaxation_cycle(loop: Loop, split: float = 0.5) -> RelaxationCycle | None:
     gain = loop.controller.signed_gain * terms.Kc * loop.plant.gain
     if valve.stick_band <= 0.0 or valve.slip_jump <= 0.0 or gain <= 0.0 or math.isinf(terms.Ti):
         return None
-    if isinstance(valve, Directional):
+    if isinstance(valve, Directional) or loop.controller.compensator is not None:
         return None
     if isinstance(loop.plant, FOPDT):
         return _self_regulating(loop, loop.plant, terms, split)

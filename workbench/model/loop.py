@@ -23,7 +23,7 @@ class Loop:
 
     sample_time: s, > 0, of controller and record alike. pv_range: (low, high) in EU, only for units such as %/% or a
     proportional band. Raises `InvalidValue`, also for back-calculation that is unstable at this sample time (see
-    `PID.check_tracking`).
+    `PID.check_tracking`) and a compensator's times that are no whole number of samples.
     """
 
     plant: Plant
@@ -40,7 +40,7 @@ class Loop:
         if not isinstance(self.controller, PID):
             raise InvalidValue("Loop.controller", self.controller, "must be a PID")
         object.__setattr__(self, "sample_time", number(self.sample_time, "Loop.sample_time", above=0.0, unit="s"))
-        self.controller.check_tracking(self.sample_time)
+        self.controller.check_sampling(self.sample_time)
         if self.plant.dead_time > LONGEST_DEAD_TIME * self.sample_time:
             limit = f"must be at most {LONGEST_DEAD_TIME:,} samples of {self.sample_time:g} s"
             raise InvalidValue("Loop.plant.dead_time", f"{self.plant.dead_time:g} s", limit)

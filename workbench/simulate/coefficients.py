@@ -8,6 +8,14 @@ from typing import NamedTuple
 
 import numpy as np
 
+from workbench.model.compensator import (
+    Compensator,
+    ConstantReinforcement,
+    Dither,
+    IntegralDeadband,
+    Knocker,
+    TwoMove,
+)
 from workbench.model.controller import PID
 from workbench.model.loop import Loop
 from workbench.model.plant import FOPDT, Plant
@@ -107,10 +115,37 @@ def coefficients(loop: Loop, stem_offset: float = 0.0, tunings: FloatArray | Non
     rows[:, kernel.VALVE] = law.kind
     rows[:, kernel.BAND], rows[:, kernel.OFFSET] = law.band, law.offset
     rows[:, kernel.BAND_DOWN], rows[:, kernel.OFFSET_DOWN] = law.band_down, law.offset_down
+    for column, value in _compensation(pid.compensator, Ts).items():
+        rows[:, column] = value
     plant = discretise(loop.plant, Ts)
     rows[:, kernel.POLE], rows[:, kernel.GAIN] = plant.pole, plant.gain
     rows[:, kernel.C0], rows[:, kernel.C1], rows[:, kernel.DELAY] = plant.c0, plant.c1, plant.delay
     return rows
+
+
+def _compensation(given: Compensator | None, Ts: float) -> dict[int, float]:
+    """Return a compensator's columns and their values; what is not among them is 0."""
+    c = kernel
+    match given:
+        case None:
+            return {}
+        case IntegralDeadband():
+            return {c.COMPENSATOR: c.RESET_BAND, c.SIZE: given.band, c.LEVEL: 1.0 / given.ratio}
+        case Knocker():
+            every, width = round(given.period / Ts), round(given.width / Ts)
+            return {c.COMPENSATOR: c.KNOCKER, c.SIZE: given.amplitude, c.EVERY: every, c.WIDTH: width}
+        case ConstantReinforcement():
+            return {c.COMPENSATOR: c.REINFORCEMENT, c.SIZE: given.amplitude}
+        case TwoMove():
+            own = {c.SIZE: given.amplitude, c.EVERY: round(given.at / Ts), c.LEVEL: given.steady_output}
+            return {c.COMPENSATOR: c.TWO_MOVES, **own, c.EXTRA: given.release}
+        case Dither():
+            n = round(given.period / Ts)
+            if given.shape == "square":
+                return {c.COMPENSATOR: c.SQUARE, c.SIZE: given.amplitude, c.EVERY: n}
+            a, half, whole = given.amplitude, math.pi / n, 2.0 * math.pi / n
+            start = {c.SIZE: a * math.sin(half), c.WIDTH: a * math.cos(half)}
+            return {c.COMPENSATOR: c.SINE, c.EVERY: n, **start, c.LEVEL: math.cos(whole), c.EXTRA: math.sin(whole)}
 
 
 def _ideal_terms(pid: PID, tunings: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:

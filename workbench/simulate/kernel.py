@@ -10,7 +10,7 @@ A loop is a row of `COEFFICIENTS` floats (see the names below), a state is `STAT
 2. u_k = bias + P + I + D, `P = Kc (b r - y)`, `I += (Kc Ts/Ti) e`, `D = (Tf D + Kc Td (s - s_{k-1}))/(Tf + Ts)`,
    s = e or -y
 3. output limits; clamping undoes this sample's I step where u is outside and the step pushes further out; back-
-   calculation adds `(Ts/Tt)(u_limited - u)` to I
+   calculation adds `(Ts/Tt)(u_limited - u)` to I; a compensator (model.compensator) changes the I step, or u after this
 4. the valve (model.valve); 5. the plant's exact zero-order-hold step with v = x + load.
 
 `branch` codes the decisions of each sample: `stem + 3 (limit + 1) + 9 undone`, where stem is 0, 1 or 2 for a stem that
@@ -26,7 +26,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from workbench.simulate.compiled import compiled
+from workbench.simulate.compiled import compiled, written_out
 
 __all__ = [
     "CARRIED",
@@ -44,6 +44,7 @@ __all__ = [
     "run_costs",
     "run_events",
     "run_loop",
+    "run_samples",
     "run_worst",
     "trace",
     "valve_path",
@@ -57,7 +58,8 @@ Floats = NDArray[np.float64]
 # Columns of a coefficient row.
 KC, KI, KD, TF, TF_TS, WEIGHT, ON_PV, BIAS, LOW, HIGH, WINDUP, TS_TT = range(12)
 VALVE, BAND, OFFSET, POLE, GAIN, C0, C1, DELAY, BAND_DOWN, OFFSET_DOWN = range(12, 22)
-COEFFICIENTS = 22
+COMPENSATOR, SIZE, EVERY, WIDTH, LEVEL, EXTRA = range(22, 28)
+COEFFICIENTS = 28
 # KC signed gain; KI = Kc Ts/Ti; KD = Kc Td; TF_TS = Tf + Ts; ON_PV 1 for derivative on PV; WINDUP 0 clamp,
 # 1 back-calculation.
 # VALVE one of the five below; BAND the lead u - x beyond which the stem slips, OFFSET the lead that it keeps while it
@@ -66,6 +68,11 @@ COEFFICIENTS = 22
 # STAIRS sticks again after each sample's slip (Stenman, He). TWO_PARAMETER goes on moving (Choudhury, dead band), and
 # so do KANO, whose band lies OFFSET lower until its first move, and DIRECTIONAL.
 IDEAL, STAIRS, TWO_PARAMETER, KANO, DIRECTIONAL = range(5)
+# COMPENSATOR one of those below. SIZE: a reset band (EU), else an amplitude (%). EVERY, WIDTH in samples: a period and
+# a pulse's length, of TWO_MOVES the sample of the first. LEVEL: of RESET_BAND the share of the integral action that is
+# left, of TWO_MOVES the steady output (%), EXTRA the error that releases it (EU). A SINE starts from (SIZE, WIDTH), a
+# times sine and cosine of half a sample's angle, and turns by the angle of sine EXTRA and cosine LEVEL.
+NONE, RESET_BAND, KNOCKER, REINFORCEMENT, TWO_MOVES, SINE, SQUARE = range(7)
 
 # Columns of a run's sums over e_k = r_k - y_k (measured), u_k and x_k: squares of e_1..e_N, of u, of e_N, of moves of u
 # and of e_0..e_{N-1}; |moves of x|; where all are asked for, |e|, e, u, |moves of u|, x, x^2, stem reversals, y, y^2.
@@ -76,8 +83,9 @@ FEW_SUMS, SUMS = 6, 15
 WEIGHTS = 13
 
 # Entries of a state.
-I_TERM, D_TERM, S_LAST, U_LAST, X_LAST, MOTION, Y = range(7)
-STATES = 7
+I_TERM, D_TERM, S_LAST, U_LAST, X_LAST, MOTION, Y, CLOCK, MARK, KEPT = range(10)
+STATES = 10
+# CLOCK, MARK, KEPT: a compensator's, see `_compensated`.
 # MOTION: -1 down, 0 at rest, 1 up; a stem of KANO's that has moved before rests as RESTED.
 RESTED = 2
 
@@ -159,7 +167,58 @@ def valve_path(
 
 
 @compiled
-def run_loop(
+def _sign(value: float) -> float:
+    """1, 0 or -1."""
+    return 1.0 if value > 0.0 else (-1.0 if value < 0.0 else 0.0)
+
+
+@compiled
+def _compensated(c: Floats, state: Floats, e: float, out: float, others: float, i_term: float) -> tuple[float, float]:
+    """The OP that the valve sees, and the integral, for the PID law's own output `out` (model.compensator).
+
+    others: all terms of `out` but the integral. CLOCK counts samples: since a period or the run began. MARK: u_c of
+    the sample before (REINFORCEMENT) or of the latest pulse's onset (KNOCKER), the level held (TWO_MOVES), the sine
+    (SINE). KEPT: u_c at the running pulse's onset, 1 while held and 2 from then on, the cosine.
+    """
+    kind, clock, every = int(c[COMPENSATOR]), state[CLOCK], c[EVERY]
+    added = 0.0
+    if kind == KNOCKER:
+        if clock == 0.0:
+            state[MARK] = out
+        if clock == every:
+            state[KEPT] = out
+        if clock >= every:
+            added = c[SIZE] * _sign(out - state[MARK])
+            if clock == every + c[WIDTH] - 1.0:
+                state[MARK] = state[KEPT]
+                clock -= every
+    elif kind == REINFORCEMENT:
+        added = c[SIZE] * _sign(out - (c[BIAS] if clock == 0.0 else state[MARK]))
+        state[MARK] = out
+    elif kind == SQUARE:
+        added = c[SIZE] if 2.0 * clock < every else -c[SIZE]
+        clock = -1.0 if clock == every - 1.0 else clock
+    elif kind == SINE:
+        if clock == 0.0:
+            state[MARK], state[KEPT] = c[SIZE], c[WIDTH]
+        added = state[MARK]
+        state[MARK] = added * c[LEVEL] + state[KEPT] * c[EXTRA]
+        state[KEPT] = state[KEPT] * c[LEVEL] - added * c[EXTRA]
+        clock = -1.0 if clock == every - 1.0 else clock
+    elif state[KEPT] == 1.0:
+        # Held: the integral follows, so that the controller goes on from here when it is released.
+        out = state[MARK]
+        i_term = out - others
+        state[KEPT] = 2.0 if abs(e) > c[EXTRA] else 1.0
+    elif clock == every:
+        state[KEPT], state[MARK] = 1.0, min(max(c[LEVEL], c[LOW]), c[HIGH])
+        added = abs(out - c[LEVEL]) + c[SIZE]
+    state[CLOCK] = clock + 1.0
+    return min(max(out + added, c[LOW]), c[HIGH]), i_term
+
+
+@written_out
+def run_samples(
     c: Floats,
     r: Floats,
     load: Floats,
@@ -171,12 +230,9 @@ def run_loop(
     x: Floats,
     v: Floats,
     branch: NDArray[np.int8],
+    plain: bool,
 ) -> None:
-    """Run N = u.size samples of one loop from `state`, and leave the state after them in `state` and `past`.
-
-    r, load, noise: at least N values; past: at least m + 1. Written: y (N + 1, the plant's true output) and u, x, v,
-    branch (N each). Sample N's output y[N] is in the state; its controller action is the next run's first.
-    """
+    """`run_loop`, without a compensator where `plain`."""
     kc, ki, kd, tf, tf_ts = c[KC], c[KI], c[KD], c[TF], c[TF_TS]
     weight, on_pv, bias = c[WEIGHT], c[ON_PV] != 0.0, c[BIAS]
     low, high, back, ts_tt = c[LOW], c[HIGH], c[WINDUP] != 0.0, c[TS_TT]
@@ -196,6 +252,8 @@ def run_loop(
         s_last = s
         p_term = kc * (weight * r[k] - measured)
         step = ki * e
+        if not plain and c[COMPENSATOR] == RESET_BAND and abs(e) <= c[SIZE]:
+            step *= c[LEVEL]
         i_last = i_term
         i_term = i_last + step
         out = bias + p_term + i_term + d_term
@@ -213,6 +271,8 @@ def run_loop(
             if back:
                 i_term += ts_tt * (limited - out)
             out = limited
+        if not plain and c[COMPENSATOR] > RESET_BAND:
+            out, i_term = _compensated(c, state, e, out, bias + p_term + d_term, i_term)
         x_last, motion = valve_step(kind, band, offset, band_down, offset_down, out, u_last, x_last, motion)
         u_last = out
         u[k] = out
@@ -229,6 +289,32 @@ def run_loop(
     length = past.size
     for i in range(length - 1, -1, -1):
         past[i] = v[n - 1 - i] if n - 1 - i >= 0 else past[i - n]
+
+
+@compiled
+def run_loop(
+    c: Floats,
+    r: Floats,
+    load: Floats,
+    noise: Floats,
+    state: Floats,
+    past: Floats,
+    y: Floats,
+    u: Floats,
+    x: Floats,
+    v: Floats,
+    branch: NDArray[np.int8],
+) -> None:
+    """Run N = u.size samples of one loop from `state`, and leave the state after them in `state` and `past`.
+
+    r, load, noise: at least N values; past: at least m + 1. Written: y (N + 1, the plant's true output) and u, x, v,
+    branch (N each). Sample N's output y[N] is in the state; its controller action is the next run's first.
+    """
+    # Two loops from one source: a test for a compensator at every sample would cost those without one.
+    if c[COMPENSATOR] == NONE:
+        run_samples(c, r, load, noise, state, past, y, u, x, v, branch, True)
+    else:
+        run_samples(c, r, load, noise, state, past, y, u, x, v, branch, False)
 
 
 @compiled
@@ -646,8 +732,13 @@ def jump(
 
 @compiled
 def _rests(c: Floats, load: float, state: Floats, past: Floats) -> bool:
-    """Whether the stem rests, away from OP's limits, and the plant's input has not changed for the dead time."""
+    """Whether the stem rests, away from OP's limits, and the plant's input has not changed for the dead time.
+
+    Never under a compensator, whose OP is no sum over the error alone: such loops are run sample by sample.
+    """
     if c[VALVE] == IDEAL or c[POLE] == 0.0 or (c[VALVE] != STAIRS and abs(state[MOTION]) == 1.0):
+        return False
+    if c[COMPENSATOR] != NONE:
         return False
     v = state[X_LAST] + load
     return bool((past == v).all())

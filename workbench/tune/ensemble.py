@@ -30,7 +30,7 @@ from workbench.simulate.signals import Signals, sample_count
 __all__ = ["Circumstances", "Draw", "assess", "corner_loops", "draws", "measured", "statistic"]
 
 # What a tuning changes in a coefficient row; the rest belongs to the draw.
-CONTROLLER = [c for c in range(kernel.VALVE) if c != kernel.BIAS]
+CONTROLLER = [c for c in range(kernel.VALVE) if c != kernel.BIAS] + list(range(kernel.COMPENSATOR, kernel.EXTRA + 1))
 # Rows of one call of the kernel: what fits well into memory.
 ROWS = 50_000
 # Up to this Ms a response read off its grid is certain to tell a stable loop from an unstable one.

@@ -24,7 +24,7 @@ from workbench.model.loop import Loop
 from workbench.model.record import FloatArray
 from workbench.model.results import SolveStatus, Tuned
 from workbench.model.tuning import Bounds, Objective
-from workbench.symbolic.loop import expressed
+from workbench.symbolic.loop import unwritten
 from workbench.symbolic.solve import versions
 from workbench.tune.complementarity import applicable
 from workbench.tune.limits import missed
@@ -265,9 +265,8 @@ def _message(problem: Problem, found: Found, note: str, tuned: Tuned) -> str:
         parts.append("all parameters are fixed")
     elif not eq_2_alone(problem):
         parts.append("direct search on the exact simulator: branch programs know eq. (2) without constraints only")
-    elif not expressed(problem.loop.valve):
-        kind = type(problem.loop.valve).__name__
-        parts.append(f"direct search on the exact simulator: branch programs do not know the valve {kind}")
+    elif unwritten(problem.loop):
+        parts.append(f"direct search on the exact simulator: branch programs do not know {unwritten(problem.loop)}")
     elif not usable(problem):
         parts.append(f"{problem.samples} samples: direct search on the exact simulator without branch programs")
     elif tuned.solves:
