@@ -156,6 +156,24 @@ def test_the_level_is_held_better_with_less_wear_than_by_tight_rules(studies):
 
 
 @pytest.mark.slow
+def test_compensators_buy_error_with_wear_or_rest_with_an_offset(studies):
+    cases = {case.name: case for case in study_of("compensators", studies).cases}
+    found = cases["As found"].run.kpis
+    for name in ("Knocker", "Constant reinforcement", "Dither"):
+        ours = cases[name].run.kpis
+        assert ours.mean_square_error < 0.5 * found.mean_square_error
+        assert ours.valve_travel > 20.0 * found.valve_travel
+        assert ours.reversals > 10 * found.reversals
+    band = cases["Integral dead band"]
+    assert band.limit_cycle.outcome == "settles"
+    assert band.run.kpis.valve_travel < 0.25 * found.valve_travel
+    assert abs(band.run.kpis.final_error) > 0.5
+    assert cases["Two moves"].limit_cycle.outcome == "cycles", "after the load the steady output is another"
+    assert cases["Retuned"].objective < 0.6 * cases["As found"].objective
+    assert all(case.describing_function is None for case in cases.values() if case.loop.controller.compensator)
+
+
+@pytest.mark.slow
 def test_the_benchmark_record_is_identified(studies):
     estimates = {one.name: one.found for one in study_of("identify_benchmark", studies).estimates}
     clean, noisy = estimates["Global profile, no noise"], estimates["Global profile, noise 0.1"]

@@ -215,6 +215,7 @@ def _slower(study: Study) -> list[str]:
         for slow, now in some:
             a, b = fast.loop.controller, slow.loop.controller
             same = a.form == b.form == "ideal" and a.Kc == b.Kc and a.Td == b.Td
+            same = same and a.compensator is b.compensator is None
             if not same or b.Ti < SLOWER * a.Ti or was.pv_peak_to_peak <= 0.0:
                 continue
             if not 1.0 / ALIKE <= now.pv_peak_to_peak / was.pv_peak_to_peak <= ALIKE:

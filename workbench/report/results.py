@@ -83,6 +83,9 @@ def controller_content(controller: PID) -> dict[str, Any]:
     content = _plain(controller)
     content["derivative_filter"] = _or_none(controller.derivative_filter)
     content["Ti"] = _or_none(controller.Ti)
+    given = content.pop("compensator")
+    if given is not None:
+        content["compensator"] = {"type": type(given).__name__, **_plain(given)}
     return {"form": controller.form, "structure": controller.structure, **content}
 
 
@@ -435,6 +438,8 @@ def cases_csv(study: Study) -> str:
     """Return cases.csv's text: one row for each case."""
     references = reference_names(study.cases)
     head = ["case", "form", "derivative_on", "derivative_filter", "Kc", "Ti", "Td", "objective", *KPI_NAMES]
+    compensated = any(case.loop.controller.compensator is not None for case in study.cases)
+    head += ["compensator"] if compensated else []
     head += ["limit_cycle", "limit_cycle_period", "limit_cycle_pv_peak_to_peak"]
     head += ["describing_function_predicts_cycle", "describing_function_period", "tuning_status"]
     head += [f"reference_{name}" for name in references]
@@ -445,6 +450,7 @@ def cases_csv(study: Study) -> str:
         c, cycle, df = case.loop.controller, case.limit_cycle, case.describing_function
         row: list[object] = [case.name, c.form, c.derivative_on, _or_none(c.derivative_filter), c.Kc, _or_none(c.Ti)]
         row += [c.Td, case.objective, *(getattr(case.run.kpis, name) for name in KPI_NAMES)]
+        row += [None if c.compensator is None else type(c.compensator).__name__] if compensated else []
         row += [None] * 3 if cycle is None else [cycle.outcome, cycle.period, cycle.pv_peak_to_peak]
         row += [None] * 2 if df is None else [df.predicts_cycle, df.period]
         row.append(None if case.tuned is None else case.tuned.status.name.lower())

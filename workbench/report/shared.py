@@ -9,7 +9,7 @@ from workbench.model.controller import PID
 from workbench.model.study import Study
 from workbench.model.tuning import Objective
 from workbench.report.titles import kpi_title
-from workbench.report.words import given, plant_words, setting, valve_words
+from workbench.report.words import compensator_words, given, plant_words, setting, valve_words
 
 __all__ = ["CONTROLLER_ROWS", "loop_lines", "objective_words"]
 
@@ -44,7 +44,12 @@ CONTROLLER_ROWS: tuple[tuple[str, Callable[[PID], str]], ...] = (
     ("Output limits", _limits),
     ("Anti-windup", lambda p: "–" if p.output_limits is None else p.anti_windup.replace("_", "-")),
     ("Tracking time", _tracking),
+    ("Compensator", lambda p: compensator_words(p.compensator)),
 )
+
+
+# Not worth a word where all cases share it.
+UNSAID = (("Output limits", {"none"}), ("Compensator", {"none"}))
 
 
 def loop_lines(study: Study) -> list[tuple[str, str]]:
@@ -58,7 +63,7 @@ def loop_lines(study: Study) -> list[tuple[str, str]]:
             every = {describe(c.loop.controller) for c in study.cases}
             if text == "Derivative filter":  # of no concern where a case has no derivative action
                 every -= {"–"}
-            if len(every) == 1 and every != {"–"} and (text, every) != ("Output limits", {"none"}):
+            if len(every) == 1 and every != {"–"} and (text, every) not in UNSAID:
                 shared.append(f"{text.lower()} {every.pop()}")
         lines.append(("Controller", ", ".join(shared) or "differs from case to case (see the table)"))
         lines.append(("Sample time", f"{given(loop.sample_time)} s"))

@@ -6,6 +6,14 @@ import math
 import re
 from collections.abc import Sequence
 
+from workbench.model.compensator import (
+    Compensator,
+    ConstantReinforcement,
+    Dither,
+    IntegralDeadband,
+    Knocker,
+    TwoMove,
+)
 from workbench.model.controller import PID
 from workbench.model.plant import FOPDT, Plant
 from workbench.model.rule import Amigo, DetunedIntegral, Lambda, Rule, Simc, ZieglerNichols
@@ -14,6 +22,7 @@ from workbench.model.valve import Choudhury, Deadband, Directional, He, Ideal, K
 __all__ = [
     "capital",
     "change",
+    "compensator_words",
     "controller_words",
     "decimals_of",
     "difference",
@@ -188,7 +197,7 @@ def join(parts: Sequence[str]) -> str:
 
 
 def controller_words(controller: PID, digits: int | None = None) -> str:
-    """Return "Kc 2.351 %/EU, Ti 9.500 s" (and Td where there is one), in the controller's own form."""
+    """Return "Kc 2.351 %/EU, Ti 9.500 s" (and Td and compensator where there are), in the controller's own form."""
     gain = {"parallel": ("%/(EU s)", "% s/EU")}.get(controller.form)
     parts = [f"Kc {setting(controller.Kc, digits)} %/EU"]
     if gain is None:
@@ -200,7 +209,31 @@ def controller_words(controller: PID, digits: int | None = None) -> str:
     parts.append(integral)
     if controller.Td > 0.0:
         parts.append(derivative)
+    if controller.compensator is not None:
+        parts.append(compensator_words(controller.compensator))
     return ", ".join(parts)
+
+
+def compensator_words(what: Compensator | None) -> str:
+    """Return what a controller does about stiction besides its law, in words; "none" for nothing."""
+    match what:
+        case None:
+            return "none"
+        case IntegralDeadband():
+            within = f"within ±{given(what.band)} EU"
+            stops = math.isinf(what.ratio)
+            return f"integral dead band {within}" if stops else f"Ti {given(what.ratio)} times as long {within}"
+        case Knocker():
+            a, width, period = given(what.amplitude), given(what.width), given(what.period)
+            return f"knocker, {a} % for {width} s every {period} s"
+        case ConstantReinforcement():
+            return f"constant reinforcement, {given(what.amplitude)} %"
+        case TwoMove():
+            at, to = setting(what.at), given(what.steady_output)
+            ends = "" if math.isinf(what.release) else f", until the error exceeds {given(what.release)} EU"
+            return f"two moves at {at} s, {given(what.amplitude)} % beyond and back to OP {to} %{ends}"
+        case Dither():
+            return f"{what.shape} dither, {given(what.amplitude)} % every {given(what.period)} s"
 
 
 def nearby(margin: float) -> str:

@@ -82,7 +82,7 @@ class Builder:
             if not given.cases:
                 first_controller = self._own_controller(loop)
                 if first_controller is not None:
-                    self.controllers.tracks(first_controller, None, ("loop", "controller"), sample_time)
+                    self.controllers.sampled(first_controller, None, ("loop", "controller"), sample_time)
                     there = loop.controller is not None and loop.controller.action is not None
                     self._acts(plant, first_controller, there, ("loop", "controller"), "loop.controller", tune=False)
             whole = self._loop(loop, plant, valve, loop.sample_time, first_controller, given.experiment)
@@ -343,7 +343,8 @@ class Builder:
                     robust=robust.tuning(case.tune, at, shared, above),
                     constraints=robust.constraints(case.tune.constraints, (*at, "constraints")),
                 )
-            if controller is None or not self.controllers.tracks(controller, tune, path, sample_time):
+            mine_too = "compensator" in entry.model_fields_set
+            if controller is None or not self.controllers.sampled(controller, tune, path, sample_time, own=mine_too):
                 continue
             if plant is not None:
                 at = path if tune is None else (*path, "tune")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 from workbench.errors import InvalidValue
@@ -14,6 +15,7 @@ from workbench.model.rule import Rule
 from workbench.model.tuning import WEIGHABLE, Bounds, Objective
 from workbench.model.units import gain_from
 from workbench.scenario import schema
+from workbench.scenario.compensator_entries import compensator_of
 from workbench.scenario.document import Path
 from workbench.scenario.plan import RULE_DIGITS, CaseJob, TuneJob
 from workbench.scenario.refusals import Refusals
@@ -57,8 +59,14 @@ class Controllers:
         fields: dict[str, Any] = {
             name: getattr(given, name)
             for name in schema.ControllerKeys.model_fields
-            if name in there and name not in ("structure", "output_limits") and getattr(given, name) is not None
+            if name in there
+            and name not in ("structure", "output_limits", "compensator")
+            and getattr(given, name) is not None
         }
+        if "compensator" in there:
+            entry = given.compensator
+            make = None if entry is None else partial(compensator_of, entry)
+            fields["compensator"] = None if make is None else self.refusals.attempt((*path, "compensator"), make)
         if "output_limits" in there:
             fields["output_limits"] = None if given.output_limits is None else tuple(given.output_limits)
         if given.structure is not None:
@@ -114,13 +122,22 @@ class Controllers:
 
         return self.refusals.attempt(path, make)
 
-    def tracks(self, controller: PID, tune: TuneJob | None, path: Path, sample_time: float | None) -> bool:
-        """Return whether back-calculation suits the sample time (s), for every Ti of a tuning; refuse it if not."""
+    def sampled(
+        self, controller: PID, tune: TuneJob | None, path: Path, sample_time: float | None, *, own: bool = True
+    ) -> bool:
+        """Return whether compensator and back-calculation suit the sample time (s), for every Ti of a tuning.
+
+        Refuses what does not. own: whether the entry at `path`, and not loop.controller, says the compensator.
+        """
         if sample_time is None:
             return True
         least = controller if tune is None else replace(controller, Ti=min(controller.Ti, tune.bounds.Ti[0]))
         before = len(self.refusals.issues)
-        self.refusals.attempt(path if tune is None else (*path, "tune"), lambda: least.check_tracking(sample_time))
+        at = path if tune is None else (*path, "tune")
+        self.refusals.attempt(at, lambda: least.check_tracking(sample_time))
+        if controller.compensator is not None:
+            under = (*(at if own else ("loop", "controller")), "compensator")
+            self.refusals.attempt(under, partial(controller.compensator.check, sample_time))
         return len(self.refusals.issues) == before
 
     def objective(self, given: schema.Objective | None, path: Path) -> Objective | None:

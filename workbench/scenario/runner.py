@@ -191,7 +191,9 @@ class _Runner:
             with np.errstate(over="ignore", invalid="ignore"):
                 run = simulate(loop, experiment)
                 cost = None if plan.objective is None else float(evaluate(loop, experiment, plan.objective)[0])
-            df = describing_function(loop) if plan.describing_function else None
+            # The method does not know a compensator.
+            known = plan.describing_function and loop.controller.compensator is None
+            df = describing_function(loop) if known else None
             cycle = (
                 limit_cycle(loop, experiment, progress=partial(progress, "limit cycle")) if plan.limit_cycle else None
             )

@@ -11,6 +11,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Discriminator, Field, Tag, model_validator
 
+from workbench.scenario.compensator_entries import CompensatorEntry
 from workbench.scenario.entries import (
     Band,
     BandValue,
@@ -175,6 +176,9 @@ class ControllerKeys(Closed):
     ] = None
     anti_windup: Literal["clamp", "back_calculation"] | None = None
     tracking_time: PositiveTime | None = None
+    compensator: Annotated[
+        CompensatorEntry | None, Field(description="what the controller does about stiction besides its law")
+    ] = None
 
 
 class Controller(Tuning, ControllerKeys):
