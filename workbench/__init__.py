@@ -35,6 +35,8 @@ _HOME = {
     "TwoMove": "model.compensator",
     "Dither": "model.compensator",
     "Loop": "model.loop",
+    "Cascade": "model.cascade",
+    "CascadeExperiment": "model.cascade",
     "Step": "model.experiment",
     "Ramp": "model.experiment",
     "Series": "model.experiment",
@@ -79,6 +81,8 @@ __all__ = [
     "PID",
     "Amigo",
     "Bounds",
+    "Cascade",
+    "CascadeExperiment",
     "Choudhury",
     "ConstantReinforcement",
     "Constraints",
@@ -173,6 +177,7 @@ if TYPE_CHECKING:
     from workbench.detect.detect import detect
     from workbench.errors import InvalidValue, OutputError, RecordError, ScenarioError, SolveError, WorkbenchError
     from workbench.estimate.estimate import estimate
+    from workbench.model.cascade import Cascade, CascadeExperiment
     from workbench.model.compensator import ConstantReinforcement, Dither, IntegralDeadband, Knocker, TwoMove
     from workbench.model.controller import PID
     from workbench.model.detection import Detection

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from typing import overload
 
 import numpy as np
 
 from workbench.errors import InvalidValue
 from workbench.kpi.kpis import last_event, measure
+from workbench.model.cascade import Cascade, CascadeRun
 from workbench.model.checks import instance, whole
 from workbench.model.experiment import Experiment, Noise
 from workbench.model.loop import Loop
@@ -62,12 +64,21 @@ def signals(loop: Loop, experiment: Experiment) -> Signals:
     )
 
 
-def simulate(loop: Loop, experiment: Experiment) -> Run:
-    """Simulate a loop exactly, from rest.
+@overload
+def simulate(loop: Loop, experiment: Experiment) -> Run: ...
+@overload
+def simulate(loop: Cascade, experiment: Experiment) -> CascadeRun: ...
+def simulate(loop: Loop | Cascade, experiment: Experiment) -> Run | CascadeRun:
+    """Simulate a loop, or a cascade of two, exactly, from rest.
 
     The law is that of `simulate.kernel`; at the start `u_{-1} = stem_offset`, and all else is 0. Returns a `Run` of N =
-    duration/sample_time samples. Raises `InvalidValue` for an experiment that does not fit the loop.
+    duration/sample_time samples; of a `Cascade` (see there) a `CascadeRun`, on the secondary's samples. Raises
+    `InvalidValue` for an experiment that does not fit the loop.
     """
+    if isinstance(loop, Cascade):
+        from workbench.simulate.cascade import simulate_cascade  # which builds on this module
+
+        return simulate_cascade(loop, experiment)
     given = signals(loop, experiment)
     row = coefficients(loop, experiment.stem_offset)[0]
     n = given.samples
