@@ -65,6 +65,8 @@ _HOME = {
     "describing_function": "analyze.describing_function",
     "limit_cycle": "analyze.limit_cycle",
     "cycle_map": "analyze.cycle_map",
+    "cascade_cycle": "analyze.cascade",
+    "tune_cascade": "tune.cascade",
     "margins": "analyze.margins",
     "assess": "tune.ensemble",
     "tune": "tune.tune",
@@ -122,6 +124,7 @@ __all__ = [
     "__version__",
     "apply_rule",
     "assess",
+    "cascade_cycle",
     "cycle_map",
     "describing_function",
     "detect",
@@ -138,6 +141,7 @@ __all__ = [
     "simulate",
     "simulate_batch",
     "tune",
+    "tune_cascade",
     "value_of_repair",
 ]
 
@@ -170,6 +174,7 @@ class _Package(ModuleType):
 sys.modules[__name__].__class__ = _Package
 
 if TYPE_CHECKING:
+    from workbench.analyze.cascade import cascade_cycle
     from workbench.analyze.cycle_map import cycle_map
     from workbench.analyze.describing_function import describing_function
     from workbench.analyze.limit_cycle import limit_cycle
@@ -196,6 +201,7 @@ if TYPE_CHECKING:
     from workbench.scenario.runner import run_scenario
     from workbench.simulate.run import evaluate, simulate, simulate_batch
     from workbench.simulate.signature import signature
+    from workbench.tune.cascade import tune_cascade
     from workbench.tune.ensemble import assess
     from workbench.tune.front import pareto_front
     from workbench.tune.repair import value_of_repair

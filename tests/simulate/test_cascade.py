@@ -160,7 +160,7 @@ def test_a_saturated_secondary_holds_the_primarys_integral():
     for run in runs.values():
         assert (run.secondary.op[500:1500] == 3.0).all()
     held, wound = runs["clamp"].primary.op, runs["none"].primary.op
-    assert held[1499] == held[1000]
+    assert held[1499] == pytest.approx(held[1000], abs=1e-5)
     slope = 1.5 * 5.0 / 80.0 * 1.4 / 5.0
     assert (wound[1499] - wound[999]) / 500.0 == pytest.approx(slope, rel=0.01)
     late = slice(1500, 1700)

@@ -132,9 +132,11 @@ def _answer(cascade: Cascade, disturbance: FloatArray) -> FloatArray:
     n, m = disturbance.size - 1, step.delay
     held = np.concatenate([np.zeros(m + 1), disturbance])
     pushed = step.gain * (step.c0 * held[1 : n + 1] + step.c1 * held[:n])
-    answer = np.zeros(n + 1)
-    for k in range(n if pushed.any() else 0):
-        answer[k + 1] = step.pole * answer[k] + pushed[k]
+    if not pushed.any():
+        return np.zeros(n + 1)
+    from scipy.signal import lfilter
+
+    answer: FloatArray = lfilter([1.0], [1.0, -step.pole], np.append(0.0, pushed))
     return answer
 
 

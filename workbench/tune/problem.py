@@ -51,7 +51,10 @@ class Problem:
     within which its true value is taken to lie: the larger of the margin and half a unit of the last digit. nominal:
     searches look at the tuning alone, not at the worst case of its neighbourhood. constraints: of the loop's own plant
     and this experiment's run; a tuning that breaks one has a value as `limits` ranks it, in place of J.
+    `one_loop`: whether its runs are those of `loop` alone, which branch programs can state.
     """
+
+    one_loop = True
 
     def __init__(
         self,

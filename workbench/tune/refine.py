@@ -79,7 +79,7 @@ class Refined:
 def usable(problem: Problem) -> bool:
     """Whether branch programs of this problem are worth their time."""
     short = problem.samples <= MOST_SAMPLES and problem.free.size > 0
-    return short and eq_2_alone(problem) and not unwritten(problem.loop)
+    return short and problem.one_loop and eq_2_alone(problem) and not unwritten(problem.loop)
 
 
 def eq_2_alone(problem: Problem) -> bool:
