@@ -5,13 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 
+from workbench.model.cascade import CascadeExperiment
 from workbench.model.controller import PID
 from workbench.model.study import Study
 from workbench.model.tuning import Objective
 from workbench.report.titles import kpi_title
 from workbench.report.words import compensator_words, given, plant_words, setting, valve_words
 
-__all__ = ["CONTROLLER_ROWS", "loop_lines", "objective_words"]
+__all__ = ["CONTROLLER_ROWS", "experiment_words", "loop_lines", "objective_words"]
 
 
 def _filter(pid: PID) -> str:
@@ -70,19 +71,22 @@ def loop_lines(study: Study) -> list[tuple[str, str]]:
         if loop.pv_range is not None:
             lines.append(("PV range", f"{given(loop.pv_range[0])} to {given(loop.pv_range[1])} EU"))
     if study.experiment is not None:
-        lines.append(("Experiment", _experiment_words(study)))
+        lines.append(("Experiment", experiment_words(study)))
     if study.objective is not None:
         lines.append(("Objective J", objective_words(study.objective)))
     return lines
 
 
-def _experiment_words(study: Study) -> str:
+def experiment_words(study: Study) -> str:
+    """Return the experiment in words."""
     experiment = study.experiment
     assert experiment is not None  # noqa: S101
     parts = [f"{setting(experiment.duration)} s"]
+    own = experiment.primary_load_parts if isinstance(experiment, CascadeExperiment) else ()
     for name, unit, profile in (
         ("setpoint", "EU", experiment.setpoint_parts),
         ("load", "%", experiment.load_parts),
+        ("primary's load", "EU of the secondary", own),
     ):
         for part in profile:
             kind = type(part).__name__.lower()
@@ -99,6 +103,9 @@ def _experiment_words(study: Study) -> str:
         parts.append(f"measurement noise of standard deviation {given(noise.sd)} EU (seed {noise.seed})")
     else:
         parts.append("no noise")
+    inner = experiment.secondary_noise if isinstance(experiment, CascadeExperiment) else None
+    if inner is not None and inner.sd > 0.0:
+        parts.append(f"on the secondary's {given(inner.sd)} EU (seed {inner.seed})")
     if experiment.stem_offset != 0.0:
         parts.append(f"stem offset {given(experiment.stem_offset)} %")
     return ", ".join(parts)

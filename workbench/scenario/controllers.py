@@ -164,7 +164,7 @@ class Controllers:
         fields = {**base, **self.keys(given, path)}
         form = fields.get("form", "ideal")
         fixed = self.tuning(given, path, form)
-        bounds = self._bounds(given, path, form, fixed)
+        bounds = self.bounds(given.bounds, path, form, fixed)
         own = self.objective(given.objective, (*path, "objective"))
         if bounds is None or (given.objective is not None and own is None):
             return None
@@ -187,10 +187,11 @@ class Controllers:
         )
         return controller, job
 
-    def _bounds(self, given: schema.Tune, path: Path, form: str, fixed: dict[str, float]) -> Bounds | None:
+    def bounds(self, given: schema.Bounds | None, path: Path, form: str, fixed: dict[str, float]) -> Bounds | None:
+        """Return the bounds of the entry at `path`, whose bounds are `given`; fixed parameters are held."""
         pairs: dict[str, tuple[float, float]] = {}
         under = (*path, "bounds")
-        asked = given.bounds or schema.Bounds()
+        asked = given or schema.Bounds()
         if asked.Kc is not None and asked.proportional_band is not None:
             self.refusals.refuse((*under, "proportional_band"), "given, and Kc as well; one of the two is needed")
         for name in ("Kc", "proportional_band"):
@@ -216,7 +217,7 @@ class Controllers:
             at = under if "Ti" not in fixed else path
             self.refusals.refuse((*at, "Ti"), "no integral action given; a tuning needs a finite Ti")
             return None
-        return self.refusals.attempt(under if given.bounds is not None else path, lambda: Bounds(**pairs))
+        return self.refusals.attempt(under if given is not None else path, lambda: Bounds(**pairs))
 
     def _start(
         self,

@@ -29,6 +29,7 @@ from workbench.model.record import Record
 from workbench.model.results import Repair, SolveStatus, Tuned
 from workbench.model.study import CaseResult, NamedEstimate, Study
 from workbench.model.tuning import Objective
+from workbench.scenario.cascade_runner import cascade_study
 from workbench.scenario.controllers import fitting_action, ruled, wrong_way
 from workbench.scenario.loader import load_scenario
 from workbench.scenario.over_ensemble import best_robust, front_of, with_robustness
@@ -58,6 +59,8 @@ def run_scenario(scenario: Scenario | str | os.PathLike[str], *, progress: Progr
     tuning was interrupted.
     """
     plan = scenario if isinstance(scenario, Scenario) else load_scenario(scenario)
+    if plan.cascade:
+        return cascade_study(plan, progress)
     return _Runner(plan, progress).study()
 
 

@@ -1,11 +1,19 @@
-"""A valve's entry in a scenario as the model's valve."""
+"""The entries of plants and valves in a scenario as the model's plants and valves."""
 
 from __future__ import annotations
 
+from workbench.model.plant import FOPDT, Integrating, Plant
 from workbench.model.valve import Choudhury, Deadband, Directional, He, Ideal, Kano, Stenman, Valve
 from workbench.scenario import schema
 
-__all__ = ["valve_of"]
+__all__ = ["plant_of", "valve_of"]
+
+
+def plant_of(p: schema.Plant) -> Plant:
+    """Return the plant of an entry. Raises `InvalidValue`."""
+    if isinstance(p, schema.FopdtPlant):
+        return FOPDT(p.gain, p.time_constant, p.dead_time)
+    return Integrating(p.gain, p.dead_time)
 
 
 def valve_of(v: schema.Valve) -> Valve:

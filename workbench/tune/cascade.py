@@ -31,6 +31,9 @@ __all__ = ["CascadeProblem", "evaluate_cascade", "tune_cascade"]
 
 Progress = Callable[[str, float], None]
 
+# What a sample of a cascade costs, in samples of one loop: the searches' budgets are of these.
+COST = 8
+
 
 class CascadeProblem(Problem):
     """The exact costs of tunings of a cascade's primary, for the searches that know a `Problem`.
@@ -76,7 +79,7 @@ class CascadeProblem(Problem):
 
         shared_out(ceilings.size, group * self.samples, work)
         self.work.evaluations += rows.shape[0]
-        self.work.simulated += sum(counts)
+        self.work.simulated += COST * sum(counts)
         return values
 
 
