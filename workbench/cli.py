@@ -167,7 +167,7 @@ def check(
     for plan in _checked(files):
         parts = [
             f"{len(items)} {word}{'' if len(items) == 1 else 's'}"
-            for items, word in ((plan.estimates, "estimate"), (plan.cases, "case"), (plan.cascade, "case of a cascade"))
+            for items, word in ((plan.estimates, "estimate"), (plan.cases, "case"), (plan.cascade, "cascade case"))
             if items
         ]
         typer.echo(f"{plan.path}: ok ({', '.join(parts)})")

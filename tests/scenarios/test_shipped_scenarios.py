@@ -174,6 +174,25 @@ def test_compensators_buy_error_with_wear_or_rest_with_an_offset(studies):
 
 
 @pytest.mark.slow
+def test_the_cascades_cycle_is_in_both_loops_and_comes_out_as_committed(studies):
+    study = study_of("cascade", studies)
+    ours, theirs = json.loads(results_json(study))["cascade"], committed("cascade")["cascade"]
+    for mine, case in zip(ours["cases"], theirs["cases"], strict=True):
+        if case["tuning"] is None:
+            same(mine, case, case["name"])
+        else:
+            assert mine["objective"] <= 1.02 * case["objective"]
+    cases = {case.name: case for case in study.cascade}
+    found, detuned, tuned = cases["As found"], cases["Primary detuned"], cases["Tuned in turn"]
+    for case in (found, detuned):
+        assert [one.verdict for one in case.detections] == ["no_stiction", "stiction"]
+        assert case.cycle.secondary.sp_peak_to_peak > 0.05
+    assert found.cycle.primary.pv_peak_to_peak > 1.5 * detuned.cycle.primary.pv_peak_to_peak
+    assert tuned.objective < 0.85 * found.objective
+    assert tuned.tuned.primary.status is tuned.tuned.secondary.status is wb.SolveStatus.SOLVED
+
+
+@pytest.mark.slow
 def test_the_benchmark_record_is_identified(studies):
     estimates = {one.name: one.found for one in study_of("identify_benchmark", studies).estimates}
     clean, noisy = estimates["Global profile, no noise"], estimates["Global profile, noise 0.1"]

@@ -21,10 +21,10 @@ from workbench.scenario import schema
 from workbench.scenario.cascade import cascade_scenario
 from workbench.scenario.controllers import Controllers, fitting_action, ruled, wrong_way
 from workbench.scenario.document import Path
-from workbench.scenario.experiments import Experiments, one_line
+from workbench.scenario.experiments import Experiments
 from workbench.scenario.map_entries import map_job
 from workbench.scenario.plan import CaseJob, EnsembleJob, EstimateJob, Scenario
-from workbench.scenario.refusals import Refusals
+from workbench.scenario.refusals import Refusals, one_line
 from workbench.scenario.robust import RobustEntries, measured_in
 from workbench.scenario.rule_entries import DetunedIntegralRule, rule_of
 from workbench.scenario.series import in_samples, read_data

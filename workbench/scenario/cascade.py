@@ -115,15 +115,15 @@ class _Reader:
             return None
         return made
 
-    def acts(self, cascade: Cascade, primary: Path, secondary: Path) -> None:
-        """Refuse controllers that act the wrong way; the primary's plant is seen through the scale."""
+    def acts(self, cascade: Cascade, primary: Path | None, secondary: Path | None) -> None:
+        """Refuse controllers that act the wrong way, of the paths given; the primary acts through the scale."""
         outer = replace(cascade.primary.plant, gain=cascade.primary.plant.gain * cascade.scale)
         for path, plant, loop in (
             (primary, outer, cascade.primary),
             (secondary, cascade.secondary.plant, cascade.secondary),
         ):
             wrong = wrong_way(plant, loop.controller)
-            if wrong is not None:
+            if wrong is not None and path is not None:
                 self.refusals.refuse(path, f"{loop.controller.action} action given; {wrong}")
 
 
@@ -173,7 +173,9 @@ class _Cases:
                 if pids[name] is None:
                     return None
         made = self.cascade.with_controllers(**pids)
-        self.reader.acts(made, (*path, "primary"), (*path, "secondary"))
+        # A case that says nothing of the action has that of the loop's entry, where it is refused already.
+        said = {name for name in pids if (given := getattr(case, name)) is not None and given.action is not None}
+        self.reader.acts(made, *((*path, name) if name in said else None for name in pids))
         return made
 
     def _tune(self, given: schema.TuneCascade, path: Path, cascade: Cascade) -> CascadeTuneJob | None:

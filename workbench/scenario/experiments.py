@@ -12,11 +12,11 @@ from workbench.model.cascade import CascadeExperiment
 from workbench.model.experiment import Experiment, Noise, Profile, Ramp, Series, Step
 from workbench.scenario import entries, schema
 from workbench.scenario.document import Path
-from workbench.scenario.refusals import Refusals
+from workbench.scenario.refusals import Refusals, one_line
 from workbench.scenario.series import read_series
 from workbench.scenario.units import Quantity
 
-__all__ = ["Experiments", "one_line", "one_or_many"]
+__all__ = ["Experiments", "one_or_many"]
 
 
 @dataclass
@@ -118,8 +118,3 @@ class Experiments:
 def one_or_many(parts: list[Profile]) -> Profile | list[Profile] | None:
     """Return the only part itself, as a script would give it."""
     return parts[0] if len(parts) == 1 else parts or None
-
-
-def one_line(error: Exception) -> str:
-    """Return an error's words on one line."""
-    return " ".join(str(error).split())
