@@ -93,6 +93,7 @@ WRONG = [
         "{Kc: 1.5",
     ),
     ("duration: 600 s", "duration: 602 s", "experiment.duration: 602 s given; must be a whole number of", "602"),
+    ("duration: 600 s", "duration: 10000000 s", "experiment.duration: 10,000,000 samples; must be at most", "10000000"),
     ("primary_load: {step: 1,", "primary_load: {step: 1 %,", "1 % given; this load is in EU of the secondary", "1 %"),
     (
         "{name: calmer, primary: {Kc: 0.8}}",
