@@ -53,7 +53,7 @@ def test_seen_alone_only_the_secondary_shows_stiction():
     cycle = wb.cascade_cycle(flow_and_temperature(), STEP)
     verdicts = []
     for run in (cycle.late.primary, cycle.late.secondary):
-        part = slice(-3000, None)
+        part = slice(-1500, None)
         record = wb.Record(pv=run.pv[part], op=run.op[part], sp=run.sp[part], sample_time=1.0)
         verdicts.append(wb.detect(record).verdict)
     assert verdicts == ["no_stiction", "stiction"]

@@ -93,6 +93,8 @@ WRONG = [
         "{Kc: 1.5",
     ),
     ("duration: 600 s", "duration: 602 s", "experiment.duration: 602 s given; must be a whole number of", "602"),
+    ("duration: 600 s", "duration: 10000000 s", "experiment.duration: 10,000,000 samples; must be at most", "10000000"),
+    ("{Kc: 0.8}", "{Kc: 0.8 %/%}", "cases[1].primary.Kc: a gain in %/% given; a cascade takes", "0.8 %/%"),
     ("primary_load: {step: 1,", "primary_load: {step: 1 %,", "1 % given; this load is in EU of the secondary", "1 %"),
     (
         "{name: calmer, primary: {Kc: 0.8}}",
@@ -177,7 +179,7 @@ cases:
 
 
 def test_results_and_report_tell_both_loops(tmp_path):
-    study = wb.run_scenario(read(TEXT))
+    study = wb.run_scenario(read(TEXT.replace("duration: 600 s", "duration: 400 s")))
     content = results_content(study)["cascade"]
     assert [case["name"] for case in content["cases"]] == ["as found", "calmer", "other"]
     first = content["cases"][0]
@@ -213,6 +215,7 @@ def test_results_and_report_tell_both_loops(tmp_path):
     }
 
 
+@pytest.mark.slow
 def test_a_failed_search_is_told_and_sets_the_exit_code(tmp_path, monkeypatch):
     from typer.testing import CliRunner
 
@@ -222,7 +225,7 @@ def test_a_failed_search_is_told_and_sets_the_exit_code(tmp_path, monkeypatch):
     real = cascade_runner.tune_cascade
     monkeypatch.setattr(cascade_runner, "tune_cascade", lambda *a, **k: real(*a, **k, time_limit=1e-6))
     file = tmp_path / "cascade.yaml"
-    file.write_text(TEXT + TUNE)
+    file.write_text(TEXT + TUNE[: TUNE.index("      secondary:")])
     result = CliRunner().invoke(cli.app, ["run", str(file), "--out", str(tmp_path / "out")])
     assert result.exit_code != 0
     assert "tuned, primary: time limit" in result.output

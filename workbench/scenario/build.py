@@ -25,7 +25,7 @@ from workbench.scenario.document import Path
 from workbench.scenario.element_entries import DESCRIBED, NOT_FROM_DATA, elements_of
 from workbench.scenario.experiments import Experiments
 from workbench.scenario.map_entries import map_job
-from workbench.scenario.plan import CaseJob, EnsembleJob, EstimateJob, Scenario
+from workbench.scenario.plan import MAX_SAMPLES, CaseJob, EnsembleJob, EstimateJob, Scenario
 from workbench.scenario.refusals import Refusals, one_line
 from workbench.scenario.robust import RobustEntries, measured_in
 from workbench.scenario.rule_entries import DetunedIntegralRule, rule_of
@@ -33,9 +33,7 @@ from workbench.scenario.series import in_samples, read_data
 from workbench.scenario.valves import plant_of, valve_of
 from workbench.simulate.signals import sample_count
 
-__all__ = ["MAX_SAMPLES", "Builder"]
-
-MAX_SAMPLES = 5_000_000
+__all__ = ["Builder"]
 
 
 @dataclass

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
-from workbench.model.cascade import Cascade
+from workbench.model.cascade import Cascade, CascadeExperiment
 from workbench.model.controller import PID
 from workbench.model.experiment import Experiment
 from workbench.model.loop import Loop
@@ -15,7 +15,7 @@ from workbench.model.valve import Ideal, Valve
 from workbench.scenario import schema
 from workbench.scenario.controllers import Controllers, wrong_way
 from workbench.scenario.document import Path
-from workbench.scenario.plan import CascadeJob, CascadeTuneJob, Scenario
+from workbench.scenario.plan import MAX_SAMPLES, CascadeJob, CascadeTuneJob, Scenario
 from workbench.scenario.refusals import Refusals
 from workbench.scenario.valves import plant_of, valve_of
 from workbench.simulate.cascade import cascade_signals
@@ -43,13 +43,14 @@ def cascade_scenario(builder: Builder, given: schema.ScenarioFile, entry: schema
         refusals.refuse((), "must hold cases to simulate")
     if given.experiment is None:
         refusals.refuse(("experiment",), "missing; needed to simulate (at least duration and setpoint)")
+    builder.controllers.without_range = "a cascade takes its gains per EU"
     experiment = None if given.experiment is None else builder.experiments.of_cascade(given.experiment)
     objective = builder.controllers.objective(given.objective, ("objective",))
     cascade = _Reader(refusals, builder.controllers).cascade(entry)
     jobs: list[CascadeJob] = []
     if cascade is not None:
         if experiment is not None:
-            refusals.attempt(("experiment",), lambda: cascade_signals(cascade, experiment))
+            _fits(builder, cascade, experiment)
         jobs = _Cases(builder, entry, cascade, objective).jobs(given.cases)
     if refusals.issues:
         return None
@@ -72,6 +73,20 @@ def cascade_scenario(builder: Builder, given: schema.ScenarioFile, entry: schema
         notes=tuple(builder.notes),
         warnings=tuple(builder.warnings),
     )
+
+
+def _fits(builder: Builder, cascade: Cascade, experiment: CascadeExperiment) -> None:
+    """Refuse an experiment that does not fit the cascade's samples, or is too long; note coarse sampling."""
+    samples = experiment.duration / cascade.secondary.sample_time
+    if samples > MAX_SAMPLES:
+        what = f"{samples:,.0f} samples; must be at most {MAX_SAMPLES:,}"
+        builder.refusals.refuse(("experiment", "duration"), what)
+        return
+    builder.refusals.attempt(("experiment",), lambda: cascade_signals(cascade, experiment))
+    for name, loop in (("primary", cascade.primary), ("secondary", cascade.secondary)):
+        note = loop.sampling_note()
+        if note is not None:
+            builder.notes.append(f"Coarse sampling of the {name}: {note}.")
 
 
 class _Reader:

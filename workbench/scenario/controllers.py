@@ -50,10 +50,14 @@ def ruled(loop: Loop, controller: PID, rule: Rule) -> PID:
 
 @dataclass
 class Controllers:
-    """Reads controllers and tunings; what is refused goes to `refusals`. pv_range: EU, or None."""
+    """Reads controllers and tunings; what is refused goes to `refusals`.
+
+    pv_range: EU, or None; without_range: what is then said of gains that need one.
+    """
 
     refusals: Refusals
     pv_range: tuple[float, float] | None
+    without_range: str = "needs loop.pv_range: [low, high] in EU"
 
     def keys(self, given: schema.ControllerKeys, path: Path) -> dict[str, Any]:
         """Return the PID's fields that an entry sets."""
@@ -104,7 +108,7 @@ class Controllers:
             return gain_from(quantity.value, quantity.unit, self.pv_range)
         except InvalidValue as error:
             if error.where == "pv_range":
-                self.refusals.refuse(path, f"a gain in {quantity.unit} given; needs loop.pv_range: [low, high] in EU")
+                self.refusals.refuse(path, f"a gain in {quantity.unit} given; {self.without_range}")
             else:
                 self.refusals.refuse(path, f"{error.given} given; {error.allowed}")
             return None

@@ -17,8 +17,21 @@ from workbench.model.record import Record
 from workbench.model.rule import Rule
 from workbench.model.tuning import Bounds, Objective
 
-__all__ = ["RULE_DIGITS", "CaseJob", "EnsembleJob", "EstimateJob", "MapJob", "RobustJob", "Scenario", "TuneJob"]
+__all__ = [
+    "MAX_SAMPLES",
+    "RULE_DIGITS",
+    "CascadeJob",
+    "CascadeTuneJob",
+    "CaseJob",
+    "EnsembleJob",
+    "EstimateJob",
+    "MapJob",
+    "RobustJob",
+    "Scenario",
+    "TuneJob",
+]
 
+MAX_SAMPLES = 5_000_000  # of an experiment
 RULE_DIGITS = 4  # significant digits of what a rule gives, to be typed in
 
 
