@@ -150,9 +150,9 @@ def run(
         _print_study(study)
         for warning in plan.warnings:
             typer.echo(f"Warning: {warning}", err=True)
-        for case in study.cases:
-            if case.tuned is not None and not case.tuned.status.success:
-                typer.echo(f"{case.name}: {case.tuned.status.value}: {case.tuned.message}", err=True)
+        for name, tuned in study.tunings:
+            if not tuned.status.success:
+                typer.echo(f"{name}: {tuned.status.value}: {tuned.message}", err=True)
                 code = FAILED
         typer.echo(f"Report: {out / plan.name / 'report.html'}")
     return code
@@ -167,7 +167,7 @@ def check(
     for plan in _checked(files):
         parts = [
             f"{len(items)} {word}{'' if len(items) == 1 else 's'}"
-            for items, word in ((plan.estimates, "estimate"), (plan.cases, "case"))
+            for items, word in ((plan.estimates, "estimate"), (plan.cases, "case"), (plan.cascade, "cascade case"))
             if items
         ]
         typer.echo(f"{plan.path}: ok ({', '.join(parts)})")
@@ -463,6 +463,11 @@ def _print_study(study: Study) -> None:
         from workbench.report.estimates import estimate_sentences
 
         for sentence in estimate_sentences(named):
+            console.print(Text(sentence))
+    if study.cascade:
+        from workbench.report.cascade import cascade_sentences
+
+        for sentence in [text for part in cascade_sentences(study) for text in part]:
             console.print(Text(sentence))
     if not study.cases:
         return

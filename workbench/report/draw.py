@@ -22,10 +22,12 @@ if TYPE_CHECKING:
 __all__ = [
     "BEYOND",
     "convergence",
+    "finish",
     "frequency",
     "frequency_window",
     "limit_cycle_starts",
     "limit_to",
+    "line",
     "model_op",
     "model_pv",
     "near_best",
@@ -48,31 +50,31 @@ __all__ = [
 ]
 
 
-def _line(ax: Axes, time: FloatArray, signal: FloatArray, text: str, style: Style, *, steps: bool = False) -> None:
+def line(ax: Axes, time: FloatArray, signal: FloatArray, text: str, style: Style, *, steps: bool = False) -> None:
+    """Draw a signal against time, no finer than the figure shows."""
     x, y = thin(time, seen(signal))
     ax.plot(x, y, label=text, drawstyle="steps-post" if steps else "default", **style)
 
 
-def _finish(ax: Axes, ylabel: str, *, columns: int = 4, where: str = "upper left") -> None:
+def finish(ax: Axes, ylabel: str, *, columns: int = 4) -> None:
     """Name the axis and put the legend above the plot, where it hides nothing."""
     ax.set_ylabel(ylabel)
     ax.margins(x=0.01)
-    del where
     ax.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=columns, borderaxespad=0.1, columnspacing=1.2)
 
 
 def run_pv(ax: Axes, run: Run, unit: float = 1.0) -> None:
     """Draw PV and SP against time (s / unit)."""
-    _line(ax, run.time / unit, run.pv, "PV", PV)
-    _line(ax, run.time / unit, run.sp, "SP", SP, steps=True)
-    _finish(ax, "PV, SP (EU)")
+    line(ax, run.time / unit, run.pv, "PV", PV)
+    line(ax, run.time / unit, run.sp, "SP", SP, steps=True)
+    finish(ax, "PV, SP (EU)")
 
 
 def run_op(ax: Axes, run: Run, unit: float = 1.0) -> None:
     """Draw OP and the valve's position against time (s / unit)."""
-    _line(ax, run.time / unit, run.valve, "valve", VALVE, steps=True)
-    _line(ax, run.time / unit, run.op, "OP", OP, steps=True)
-    _finish(ax, "OP, valve (%)")
+    line(ax, run.time / unit, run.valve, "valve", VALVE, steps=True)
+    line(ax, run.time / unit, run.op, "OP", OP, steps=True)
+    finish(ax, "OP, valve (%)")
 
 
 def without_kicks(ax: Axes, signals: Sequence[FloatArray]) -> None:
@@ -107,29 +109,29 @@ def remark(ax: Axes, text: str) -> None:
 
 def record_pv(ax: Axes, record: Record, unit: float = 1.0) -> None:
     """Draw a record's PV, and SP where it was recorded."""
-    _line(ax, record.time / unit, record.pv, "PV", PV)
+    line(ax, record.time / unit, record.pv, "PV", PV)
     if record.sp is not None:
-        _line(ax, record.time / unit, record.sp, "SP", SP, steps=True)
-    _finish(ax, "PV (EU)" if record.sp is None else "PV, SP (EU)")
+        line(ax, record.time / unit, record.sp, "SP", SP, steps=True)
+    finish(ax, "PV (EU)" if record.sp is None else "PV, SP (EU)")
 
 
 def record_op(ax: Axes, record: Record, unit: float = 1.0) -> None:
     """Draw a record's OP, and the measured valve position where there is one."""
     if record.valve_position is not None:
-        _line(ax, record.time / unit, record.valve_position, "valve (measured)", VALVE, steps=True)
-    _line(ax, record.time / unit, record.op, "OP", OP, steps=True)
-    _finish(ax, "OP (%)")
+        line(ax, record.time / unit, record.valve_position, "valve (measured)", VALVE, steps=True)
+    line(ax, record.time / unit, record.op, "OP", OP, steps=True)
+    finish(ax, "OP (%)")
 
 
 def model_pv(ax: Axes, found: Estimate, unit: float = 1.0, part: slice = slice(None), *, linear: bool = False) -> None:
     """Draw PV with the model's prediction, or with that of the fit that ignores stiction."""
     time = found.record.time[part] / unit
-    _line(ax, time, found.record.pv[part], "PV", PV)
+    line(ax, time, found.record.pv[part], "PV", PV)
     if linear:
-        _line(ax, time, found.linear.prediction[part], "prediction without stiction", LINEAR)
+        line(ax, time, found.linear.prediction[part], "prediction without stiction", LINEAR)
     else:
-        _line(ax, time, found.prediction[part], "prediction", PREDICTION)
-    _finish(ax, "PV (EU)")
+        line(ax, time, found.prediction[part], "prediction", PREDICTION)
+    finish(ax, "PV (EU)")
 
 
 def pv_op_found(ax: Axes, found: Estimate) -> None:
@@ -138,7 +140,7 @@ def pv_op_found(ax: Axes, found: Estimate) -> None:
         x, y = phase(found.record.op, signal)
         ax.plot(x, y, label=text, **{**style, "linewidth": 0.8})
     ax.set_xlabel("OP (%)")
-    _finish(ax, "PV (EU)")
+    finish(ax, "PV (EU)")
 
 
 def op_stem_found(ax: Axes, found: Estimate) -> None:
@@ -153,18 +155,18 @@ def op_stem_found(ax: Axes, found: Estimate) -> None:
         x, y = phase(op, found.valve_position)
         ax.plot(x, y, label="estimated", **{**VALVE, "linewidth": 0.8})
     ax.set_xlabel("OP (%)")
-    _finish(ax, "valve (%)")
+    finish(ax, "valve (%)")
 
 
 def model_op(ax: Axes, found: Estimate, unit: float = 1.0, part: slice = slice(None), *, stem: bool = True) -> None:
     """Draw OP with the estimated valve position (and the measured one where there is one)."""
     time = found.record.time[part] / unit
     if stem:
-        _line(ax, time, found.valve_position[part], "valve (estimated)", VALVE, steps=True)
+        line(ax, time, found.valve_position[part], "valve (estimated)", VALVE, steps=True)
         if found.record.valve_position is not None:
-            _line(ax, time, found.record.valve_position[part], "valve (measured)", SP, steps=True)
-    _line(ax, time, found.record.op[part], "OP", OP, steps=True)
-    _finish(ax, "OP, valve (%)" if stem else "OP (%)")
+            line(ax, time, found.record.valve_position[part], "valve (measured)", SP, steps=True)
+    line(ax, time, found.record.op[part], "OP", OP, steps=True)
+    finish(ax, "OP, valve (%)" if stem else "OP (%)")
 
 
 def pv_op(ax: Axes, run: Run) -> None:
@@ -245,7 +247,7 @@ def profile(ax: Axes, found: Estimate, window: tuple[float, float] | None = None
         ax.plot([best], [max(at, least)], "o", color="#D55E00", markersize=4, label=f"{name} = {figure(best)} %")
     ax.set_xlabel("d (%)")
     if window is None:
-        _finish(ax, "AIC")
+        finish(ax, "AIC")
         return
     ax.set_xlim(*window)
     ax.xaxis.set_major_locator(MaxNLocator(5))
@@ -258,11 +260,11 @@ def convergence(ax: Axes, below: Axes, found: Estimate) -> None:
     """
     steps = np.arange(len(found.iterations))
     ax.plot(steps, [i.d for i in found.iterations], "o-", color="#0072B2", markersize=3, linewidth=1.0, label="d")
-    _finish(ax, "d (%)")
+    finish(ax, "d (%)")
     costs = [max(i.residual_variance, ROUNDING) for i in found.iterations]
     below.plot(steps, costs, "s-", color="#D55E00", markersize=3, linewidth=1.0, label="residual variance")
     _log(below.yaxis)
-    _finish(below, "variance (EU²)")
+    finish(below, "variance (EU²)")
     below.set_xlabel("iteration")
     below.xaxis.set_major_locator(MaxNLocator(integer=True))
 
