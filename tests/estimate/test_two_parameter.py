@@ -127,3 +127,27 @@ def test_a_long_record_is_searched_in_its_most_active_stretch() -> None:
     assert isinstance(found.valve, wb.Stenman)
     assert found.valve.d == pytest.approx(2.0, rel=0.01)
     assert {type(m.valve).__name__ for m in found.candidates} >= {"Stenman", "Ideal", "Choudhury"}
+
+
+@pytest.mark.parametrize("valve", [wb.Choudhury(0.8, 0.92), wb.Choudhury(3.0, 1.0)], ids=["overshooting", "usual"])
+def test_a_record_that_starts_within_a_cycle_needs_no_start_to_be_guessed(valve: wb.Choudhury) -> None:
+    loop = wb.Loop(wb.FOPDT(2.3, 5.6, 2.6), valve, wb.PID(Kc=0.25, Ti=6.0), 1.0)
+    steps = [wb.Step(2.0), wb.Step(-3.0, 1400.0)]
+    run = wb.simulate(loop, wb.Experiment(2000.0, setpoint=steps, noise=wb.Noise(0.03, 5)))
+    found = wb.estimate(wb.Record(run.pv[1000:], run.op[1000:], 1.0, sp=run.sp[1000:]))
+    assert found.verdict == "stiction"
+    assert found.valve.stick_band == pytest.approx(valve.S, rel=0.02)
+    assert found.plant.gain == pytest.approx(2.3, rel=0.03)
+
+
+def test_a_part_with_too_few_slips_to_tell_does_not_widen_what_the_whole_says() -> None:
+    # Both setpoint moves lie in the first half; the second hardly slips and would take most bands.
+    loop = wb.Loop(wb.FOPDT(2.0, 5.0, 1.0), wb.Deadband(2.0), wb.PID(Kc=0.5, Ti=20.0), 1.0)
+    steps = [wb.Step(4.0), wb.Step(-6.0, 150.0), wb.Step(5.0, 300.0)]
+    run = wb.simulate(loop, wb.Experiment(1000.0, setpoint=steps, noise=wb.Noise(0.1, 3)))
+    found = wb.estimate(wb.Record(run.pv, run.op, 1.0, sp=run.sp), valve="deadband")
+    assert found.verdict == "stiction"
+    assert found.intervals.S is not None
+    low, high = found.intervals.S
+    assert low <= 2.0 <= high
+    assert high - low < 0.3
