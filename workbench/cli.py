@@ -17,7 +17,7 @@ try:
 
     import typer
 
-    from workbench import __version__
+    from workbench import __version__, cli_fleet
     from workbench.cli_input import Reading, quantity, read_data, span
     from workbench.errors import InvalidValue, OutputError, ScenarioError, WorkbenchError
 except KeyboardInterrupt:  # while the command starts
@@ -326,6 +326,10 @@ def score(
         console.print(part)
     typer.echo(f"Written: {scoring.write_score(content, target)}")
     return 0
+
+
+app.command()(guarded(cli_fleet.fleet))
+app.command("fleet-demo")(guarded(cli_fleet.fleet_demo))
 
 
 # arguments ---------------------------------------------------------------------------------------------------------
