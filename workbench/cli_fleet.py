@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from workbench.fleet.source import Sources
     from workbench.model.fleet import Settings
 
-__all__ = ["fleet", "fleet_demo", "run_manifest"]
+__all__ = ["fleet", "fleet_demo", "parted", "run_site"]
 
 FAILED, INTERRUPTED = 1, 130
 
@@ -70,13 +70,22 @@ def fleet(
     return _run(sources, out, settings, limits, workers, scheduler, resume, previous)
 
 
-def run_manifest(manifest: Path, out: Path) -> int:
-    """Run a manifest as `workbench run` does: with its own depth and the defaults of everything else."""
-    from workbench.fleet.manifest import read_manifest
+def parted(files: Sequence[Path]) -> tuple[dict[str, Sources], list[Path]]:
+    """Return the manifests among YAML files, read, by their names, and the other files, which are scenarios."""
+    from workbench.fleet.manifest import is_manifest, read_manifest
+
+    ours = [path for path in files if is_manifest(path)]
+    sites = {path.stem: read_manifest(path) for path in ours}
+    if len(sites) < len(ours):
+        raise InvalidValue("SCENARIO", ", ".join(str(path) for path in ours), "must differ in name, as reports do")
+    return sites, [path for path in files if path not in ours]
+
+
+def run_site(sources: Sources, out: Path) -> int:
+    """Run a manifest's loops as `workbench run` does: with its own depth and the defaults of everything else."""
     from workbench.fleet.pool import Limits
     from workbench.model.fleet import Settings
 
-    sources = read_manifest(manifest)
     return _run(sources, out, Settings(sources.depth or "screen"), Limits(), None, None, False, None)
 
 

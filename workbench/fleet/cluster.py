@@ -148,7 +148,8 @@ class Cluster:
             return future
 
         ahead = AHEAD * max(sum(self.client.nthreads().values()), 1)
-        queue = as_completed([submit(loop) for loop in islice(waiting, ahead)])
+        first = [submit(loop) for loop in islice(waiting, ahead)]
+        queue = as_completed(first, loop=self.client.loop)
         for future in queue:
             loop = open_.pop(future.key)
             if future.status == "finished":

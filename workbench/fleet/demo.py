@@ -91,9 +91,9 @@ def site(loops: int, samples: int, sample_time: float = 1.0, seed: int = 0) -> I
 def _loop(i: int, word: str, rng: np.random.Generator, n: int, Ts: float, driver: Made | None) -> tuple[Made, int]:
     """Return a loop of this kind and how often its stem turned."""
     kind = "sticky" if word == "root" else word
-    service, plant = _plant(rng, kind, Ts)
+    service, plant = _plant(rng, word, Ts)
     name = f"{service}C{100 + i}"
-    period = float(np.exp(rng.uniform(math.log(120.0), math.log(min(1200.0, n * Ts / 12.0)))))
+    period = float(np.exp(rng.uniform(math.log(120.0), math.log(max(min(1200.0, n * Ts / 12.0), 120.0)))))
     size = float(rng.uniform(1.0, 6.0))  # % of travel
     effect = abs(plant.gain) * (1.0 if isinstance(plant, FOPDT) else 4.0 * (plant.dead_time + 4.0 * Ts))
     controller = _tuning(plant, rng, Ts)
@@ -103,7 +103,8 @@ def _loop(i: int, word: str, rng: np.random.Generator, n: int, Ts: float, driver
     limits = (-45.0, 55.0)
     if kind == "sticky":
         valve, controller = _sticky(plant, size, period, rng, controller)
-        load += float(rng.uniform(0.0, 0.15)) * size * _drift(rng, n + 1, rng.uniform(1.0, 4.0) * period / Ts)
+        restless = 0.04 if word == "root" else 0.15
+        load += float(rng.uniform(0.0, restless)) * size * _drift(rng, n + 1, rng.uniform(1.0, 4.0) * period / Ts)
         stiction = valve.stick_band
     else:
         stiction = 0.0
@@ -144,7 +145,7 @@ def _loop(i: int, word: str, rng: np.random.Generator, n: int, Ts: float, driver
 
 def _plant(rng: np.random.Generator, kind: str, Ts: float) -> tuple[str, Plant]:
     # A level's own integration hides a sinusoidal source, and makes no relaxation cycle by itself.
-    services = "FFFPPTL" if kind in ("quiet", "disturbed", "sticky") else "FFFPPT"
+    services = {"root": "FFP", "coupled": "FFFPPT", "tight": "FFFPPT", "saturated": "FFFPPT"}.get(kind, "FFFPPTL")
     service = services[int(rng.integers(len(services)))]
     gain = float(np.exp(rng.uniform(math.log(0.4), math.log(2.5))))
     if service == "L":

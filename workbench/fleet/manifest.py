@@ -63,7 +63,7 @@ class Entry(_Strict):
     op_range: Annotated[Span | None, Field(strict=False)] = None
     sample_time: Time | None = None
     max_gap: Time | None = None
-    plant: Literal["fopdt", "integrating", "auto"] = "auto"
+    plant: Literal["fopdt", "integrating", "auto"] = "fopdt"
     Kc: Annotated[float, BeforeValidator(_gain), Field(gt=0.0)] | None = None
     Ti: Annotated[float, BeforeValidator(_integral), Field(gt=0.0)] | None = None
     Td: Annotated[float, BeforeValidator(_time), Field(ge=0.0)] = 0.0
@@ -92,9 +92,11 @@ class _Given:
 def is_manifest(path: Path) -> bool:
     """Whether a YAML file is a manifest of loops and no scenario of one: its entry `loops` tells."""
     try:
-        root, _ = parse(path.read_text(encoding="utf-8-sig"))
-    except (OSError, UnicodeError):
+        # Anything else, and anything odd, is for the scenario loader to say.
+        text = path.read_text(encoding="utf-8-sig") if path.is_file() and path.stat().st_size <= LARGEST else ""
+    except (OSError, ValueError):
         return False
+    root = parse(text)[0] if "\nloops:" in f"\n{text}" else None
     return root is not None and root.entries is not None and "loops" in root.entries
 
 

@@ -37,7 +37,7 @@ BAND = (0.6, 1.6)  # of the frequency of the cycle
 INSTANTS = 256  # of the phase, at most
 DRAWN = 96  # points of a trend
 SHOWN, SHOWN_LEAST = 10.0, 2.0  # cycles, and hours where there is none, in a trend
-NOTES = 400  # characters of what reading said
+NOTES = 1200  # characters of reasons and notes
 
 
 @dataclass(frozen=True, slots=True)
@@ -169,7 +169,6 @@ def _measured(loop: LoopSource, record: Record, seen: Seen, found: Detection) ->
         period=cycle.period if oscillates else nan,
         regularity=min(cycle.regularity, 1e6),
         stiction=test.band if test is not None and found.verdict == "stiction" else nan,
-        jump=test.jump if test is not None and found.verdict == "stiction" else nan,
         likelihood=nan if test is None else test.predicting,
         predicts=nan if test is None else 1.0 - math.exp(-test.predicting / test.samples),
         samples=len(record),

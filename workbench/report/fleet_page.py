@@ -19,7 +19,6 @@ __all__ = ["page_name", "render_site"]
 
 # What the page shows at most of each; the files hold all.
 RANKED, DRAWN, GROUPS, MEMBERS, LISTED = 500, 300, 60, 12, 200
-WORDS = 160  # characters of the reasons in a row
 SATURATED = 0.2  # share of the time at an end of OP
 
 
@@ -34,7 +33,6 @@ class Line:
     trend: Markup
     verdict: str
     cells: tuple[tuple[str, str], ...]
-    why: str
 
 
 def render_site(site: Site) -> str:
@@ -144,17 +142,14 @@ def _line(i: int, row: FleetRow, site: Site, drawn: bool) -> Line:
         ),
         (period, _value(row.period if row.oscillates else math.nan)),
         (figure(row.stiction, 3) if math.isfinite(row.stiction) else "–", _value(row.stiction)),
+        (f"{row.predicts:.0%}" if math.isfinite(row.predicts) else "–", _value(row.predicts)),
         (f"{row.automatic:.0%}" if math.isfinite(row.automatic) else "–", _value(row.automatic)),
         (f"{row.saturated:.0%}" if math.isfinite(row.saturated) else "–", _value(row.saturated)),
         (figure(row.op_travel, 3), _value(row.op_travel)),
         (str(row.criticality) if row.criticality else "–", str(row.criticality)),
     )
     trend = spark(row.trend) if drawn else Markup()
-    return Line(i + 1, row.name, page, row, trend, verdict_words(row.verdict), cells, _short(row.reasons))
-
-
-def _short(text: str) -> str:
-    return text if len(text) <= WORDS else text[: WORDS - 1].rsplit(" ", 1)[0] + " …"
+    return Line(i + 1, row.name, page, row, trend, verdict_words(row.verdict), cells)
 
 
 def _group(group: Group, by: dict[str, FleetRow]) -> dict[str, object]:
