@@ -43,6 +43,7 @@ PATTERN = (
 MEMBERS = 4  # loops of a group: the sticky one and those that it drives
 PER_FILE = 40
 REDRAWS = 20
+LEAD = 7200  # samples in which a loop leaves its rest, and which are left out
 START = datetime(2024, 10, 17, tzinfo=UTC)
 MANY = 1_000_000
 
@@ -80,12 +81,12 @@ def site(loops: int, samples: int, sample_time: float = 1.0, seed: int = 0) -> I
         rng = np.random.default_rng([seed, i])
         # A stem that slides on with a load does not cycle, and is no story to tell: drawn again.
         for _ in range(REDRAWS):
-            made, turns = _loop(i, word, rng, samples, sample_time, driver if word == "coupled" else None)
+            made, turns = _loop(i, word, rng, LEAD + samples, sample_time, driver if word == "coupled" else None)
             if made.truth.kind != "sticky" or turns * made.truth.period >= samples * sample_time:
                 break
         if word == "root":
             driver = made
-        yield made
+        yield replace(made, sp=made.sp[LEAD:], pv=made.pv[LEAD:], op=made.op[LEAD:])
 
 
 def _loop(i: int, word: str, rng: np.random.Generator, n: int, Ts: float, driver: Made | None) -> tuple[Made, int]:
@@ -93,7 +94,7 @@ def _loop(i: int, word: str, rng: np.random.Generator, n: int, Ts: float, driver
     kind = "sticky" if word == "root" else word
     service, plant = _plant(rng, word, Ts)
     name = f"{service}C{100 + i}"
-    period = float(np.exp(rng.uniform(math.log(120.0), math.log(max(min(1200.0, n * Ts / 12.0), 120.0)))))
+    period = float(np.exp(rng.uniform(math.log(120.0), math.log(max(min(1200.0, (n - LEAD) * Ts / 12.0), 120.0)))))
     size = float(rng.uniform(1.0, 6.0))  # % of travel
     effect = abs(plant.gain) * (1.0 if isinstance(plant, FOPDT) else 4.0 * (plant.dead_time + 4.0 * Ts))
     controller = _tuning(plant, rng, Ts)
@@ -140,7 +141,7 @@ def _loop(i: int, word: str, rng: np.random.Generator, n: int, Ts: float, driver
     digits = 2 - math.floor(math.log10(max(noise, 1e-9)))
     centre = 10.0 ** math.ceil(math.log10(20.0 * size * effect))
     sp = np.full(n, round(centre / 2.0, 6))
-    return Made(truth, sp, np.round(sp + pv, digits), np.round(op + 45.0, 3)), reversals(stem, 0.0)
+    return Made(truth, sp, np.round(sp + pv, digits), np.round(op + 45.0, 3)), reversals(stem[LEAD:])
 
 
 def _plant(rng: np.random.Generator, kind: str, Ts: float) -> tuple[str, Plant]:
