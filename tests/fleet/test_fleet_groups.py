@@ -12,7 +12,7 @@ def cycling(
     name: str, turns: np.ndarray, period: float = 300.0, first: int = 1000, step: float = 256.0, **more: object
 ):
     phases = (np.rint(turns * 256.0).astype(int) % 256).astype(np.uint8).tobytes()
-    given = {"verdict": "no_stiction", "oscillation_index": 0.8, "predicts": 0.0, **more}
+    given = {"verdict": "no_stiction", "oscillation_index": 0.8, "predicts": 0.0, "swing": 0.8, **more}
     return FleetRow(name, oscillates=True, period=period, phase_step=step, phase_first=first, phases=phases, **given)
 
 
@@ -29,15 +29,16 @@ def test_locked_loops_are_a_group_with_the_sticking_one_first() -> None:
         cycling("late", base + 0.6 + jitter, period=310.0),
         cycling("root", base, verdict="stiction", predicts=0.2),
         cycling("weaker", base + 0.1, verdict="stiction", predicts=0.1),
+        cycling("swings", base + 0.1, verdict="stiction", predicts=0.25, swing=0.1),
         cycling("alone", wandering(1)),
         FleetRow("quiet", verdict="stiction", predicts=0.9),
     ]
     (group,) = grouped(rows)
     assert group.members[0] == "root"
-    assert set(group.members) == {"root", "driven", "late", "weaker"}
+    assert set(group.members) == {"root", "driven", "late", "weaker", "swings"}
     assert group.sticky
     assert group.locked[0] == 1.0
-    assert all(lock > 0.8 for lock in group.locked)
+    assert all(lock > 0.9 for lock in group.locked)
     assert group.period == 300.0
 
 

@@ -16,7 +16,7 @@ from workbench.model.fleet import FleetRow, Group
 
 __all__ = ["grouped"]
 
-LOCKED = 0.8  # coherence from which two loops cycle together
+LOCKED = 0.6  # coherence from which two loops cycle together
 ALIKE = 0.15  # relative difference of two periods that may be one
 FEWEST = 24  # instants that two loops must share
 WIDTH = 256  # of a block of loops that are compared at once
@@ -25,8 +25,10 @@ WIDTH = 256  # of a block of loops that are compared at once
 def grouped(rows: Sequence[FleetRow]) -> tuple[Group, ...]:
     """Return the groups of two loops and more, the largest first; each one's likely root first.
 
-    The root is the loop with the strongest evidence of a sticking valve: its verdict, then the share of PV's
-    unpredicted variance that the stem explains. A group without such a loop begins with its strongest oscillation.
+    The root is the loop with the strongest evidence that its valve sticks and makes the cycle: its verdict, then the
+    share of PV's unpredicted variance that the stem explains, times the share of OP's swing that its stick band is. In
+    a cycle of its own making a controller moves OP as far as the valve sticks and no farther; one that answers to
+    another loop's cycle moves it as it must. A group without such a loop begins with its strongest oscillation.
     """
     cycling = sorted((row for row in rows if row.oscillates and row.phases), key=lambda row: (row.period, row.name))
     if len(cycling) < 2:
@@ -61,7 +63,7 @@ def grouped(rows: Sequence[FleetRow]) -> tuple[Group, ...]:
 def _group(rows: list[FleetRow], signals: NDArray[np.complex64], known: NDArray[np.float32]) -> Group:
     order = sorted(
         range(len(rows)),
-        key=lambda i: (not rows[i].sticks, -(rows[i].predicts if rows[i].sticks else rows[i].oscillation_index)),
+        key=lambda i: (not rows[i].sticks, -_strength(rows[i]), rows[i].name),
     )
     root = order[0]
     locks = _coherence(signals[root : root + 1], known[root : root + 1], signals, known)[0]
@@ -73,6 +75,10 @@ def _group(rows: list[FleetRow], signals: NDArray[np.complex64], known: NDArray[
         rows[root].period,
         rows[root].sticks,
     )
+
+
+def _strength(row: FleetRow) -> float:
+    return row.predicts * min(row.swing, 1.0) if row.sticks else row.oscillation_index
 
 
 def _aligned(rows: Sequence[FleetRow]) -> tuple[NDArray[np.complex64], NDArray[np.float32]]:

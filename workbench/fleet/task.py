@@ -29,8 +29,9 @@ if TYPE_CHECKING:
 
 __all__ = ["Result", "look_at", "read"]
 
-# What a model is fitted to: more samples in a cycle than a verdict needs, for a plant faster than its cycle.
-MODEL_WINDOW, MODEL_CYCLE = 3000, 100
+# What a model is fitted to, samples and samples in a cycle: ten cycles, at the data's own rate as far as that goes, for
+# a plant is faster than its cycle, and thinning biases d. More of a loop whose valve may stick.
+MODEL, MODEL_STICKY = (3000, 300), (5000, 500)
 CYCLES = 8.0  # recorded, from which a phase is worth keeping
 FRESH = 10.0  # samples of a cycle that its phase is read from
 BAND = (0.6, 1.6)  # of the frequency of the cycle
@@ -136,7 +137,7 @@ def _looked_at(loop: LoopSource, settings: Settings) -> Result:
     seen = oscillation_at_any_rate(record.pv, record.sample_time)
     judged = stretch(record, seen)
     found = detect(judged)
-    row = _measured(loop, record, seen, found)
+    row = _measured(loop, record, seen, judged, found)
     estimated: Estimate | None = None
     tuned: Tuned | None = None
     if settings.depth != "screen" and found.test is not None:
@@ -151,7 +152,7 @@ def _looked_at(loop: LoopSource, settings: Settings) -> Result:
     return Result(row, page)
 
 
-def _measured(loop: LoopSource, record: Record, seen: Seen, found: Detection) -> FleetRow:
+def _measured(loop: LoopSource, record: Record, seen: Seen, judged: Record, found: Detection) -> FleetRow:
     cycle, test = seen.oscillation, found.test
     oscillates = cycle.index >= OSCILLATES and cycle.regularity > REGULAR and math.isfinite(cycle.period)
     hours = len(record) * record.sample_time / 3600.0
@@ -171,6 +172,7 @@ def _measured(loop: LoopSource, record: Record, seen: Seen, found: Detection) ->
         stiction=test.band if test is not None and found.verdict == "stiction" else nan,
         likelihood=nan if test is None else test.predicting,
         predicts=nan if test is None else 1.0 - math.exp(-test.predicting / test.samples),
+        swing=nan if test is None else test.band / float(np.ptp(judged.op)),
         samples=len(record),
         sample_time=record.sample_time,
         hours=hours,
@@ -239,7 +241,7 @@ def _estimated(row: FleetRow, loop: LoopSource, record: Record, seen: Seen) -> t
     """Return the row with the loop's model, or with why there is none."""
     from workbench.estimate.estimate import estimate
 
-    part = stretch(record, seen, MODEL_WINDOW, MODEL_CYCLE)
+    part = stretch(record, seen, *(MODEL if row.verdict == "no_stiction" else MODEL_STICKY))
     try:
         found = estimate(part, plant=loop.plant)
     except WorkbenchError as error:
@@ -259,6 +261,7 @@ def _estimated(row: FleetRow, loop: LoopSource, record: Record, seen: Seen) -> t
         model_gain=plant.gain,
         model_time_constant=plant.time_constant if isinstance(plant, FOPDT) else math.nan,
         model_dead_time=plant.dead_time,
+        identifiable=found.identifiable,
     )
     return row, found
 

@@ -81,9 +81,10 @@ class FleetRow:
 
     oscillation_index 0 to 1, period (s) and regularity of PV's strongest oscillation; oscillates: whether that is one.
     verdict: "stiction", "no_stiction", "undecided"; likelihood: log likelihood ratio of the stem that predicts PV best
-    to the linear loop; predicts: share of the unpredicted that it explains. stiction: stick band (d or S), % of travel,
-    as the stem test or the model found it, with its 95 % range from a model; jump: slip jump, %. model_* and plant: of
-    the model; Kc, Ti, Td, form: proposed tuning; gain_of_tuning: objective J with it over that of the present one.
+    to the linear loop; predicts: share of the unpredicted that it explains; swing: its stick band over the range of OP,
+    near 1 where the stick makes the swing. stiction: stick band (d or S), % of travel, as the stem test or the model
+    found it, with its 95 % range from a model; jump: slip jump, %. model_* and plant: of the model; identifiable:
+    whether the record pins its stiction; Kc, Ti, Td, form: proposed tuning; gain_of_tuning: objective J with it over that of the present one.
 
     phase_step (s), phase_first and phases (a byte each, 256 to a turn): the phase of PV's oscillation at the instants
     `phase_step (phase_first + i)` of the data's clock. trend: PV of the latest cycles, a byte each.
@@ -105,6 +106,7 @@ class FleetRow:
     jump: float = math.nan
     likelihood: float = math.nan
     predicts: float = math.nan
+    swing: float = math.nan
     samples: int = 0
     sample_time: float = math.nan
     hours: float = math.nan
@@ -117,6 +119,7 @@ class FleetRow:
     model_gain: float = math.nan
     model_time_constant: float = math.nan
     model_dead_time: float = math.nan
+    identifiable: bool = False
     Kc: float = math.nan
     Ti: float = math.nan
     Td: float = math.nan

@@ -167,6 +167,8 @@ def _stiction(row: FleetRow) -> str:
     words = f"{figure(row.stiction, 3)} %"
     if math.isfinite(row.stiction_low):
         words += f" ({figure(row.stiction_low, 3)} to {figure(row.stiction_high, 3)} %)"
+    if row.plant and not row.identifiable:
+        words += ", a hint: the record does not pin it"
     return words
 
 
