@@ -84,7 +84,8 @@ class FleetRow:
     to the linear loop; predicts: share of the unpredicted that it explains; swing: its stick band over the range of OP,
     near 1 where the stick makes the swing. stiction: stick band (d or S), % of travel, as the stem test or the model
     found it, with its 95 % range from a model; jump: slip jump, %. model_* and plant: of the model; identifiable:
-    whether the record pins its stiction; Kc, Ti, Td, form: proposed tuning; gain_of_tuning: objective J with it over that of the present one.
+    whether the record pins its stiction; Kc, Ti, Td, form: proposed tuning; gain_of_tuning: objective J with it over
+    that of the present one.
 
     phase_step (s), phase_first and phases (a byte each, 256 to a turn): the phase of PV's oscillation at the instants
     `phase_step (phase_first + i)` of the data's clock. trend: PV of the latest cycles, a byte each.
