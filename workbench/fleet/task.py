@@ -31,7 +31,7 @@ __all__ = ["Result", "look_at", "read"]
 
 # What a model is fitted to, samples and samples in a cycle: ten cycles, at the data's own rate as far as that goes, for
 # a plant is faster than its cycle, and thinning biases d. More of a loop whose valve may stick.
-MODEL, MODEL_STICKY = (3000, 300), (5000, 500)
+MODEL, MODEL_STICKY = (2000, 200), (4000, 400)
 CYCLES = 8.0  # recorded, from which a phase is worth keeping
 FRESH = 10.0  # samples of a cycle that its phase is read from
 BAND = (0.6, 1.6)  # of the frequency of the cycle
@@ -142,7 +142,7 @@ def _looked_at(loop: LoopSource, settings: Settings) -> Result:
     tuned: Tuned | None = None
     if settings.depth != "screen" and found.test is not None:
         row, estimated = _estimated(row, loop, record, seen)
-    if settings.depth == "tune" and estimated is not None and estimated.verdict == "stiction":
+    if settings.depth == "tune" and estimated is not None and row.sticks:
         row, tuned = _tuned(row, loop, estimated)
     page = ""
     if row.sticks or row.oscillates:
@@ -238,21 +238,26 @@ def _trend(record: Record, period: float) -> tuple[float, bytes]:
 
 
 def _estimated(row: FleetRow, loop: LoopSource, record: Record, seen: Seen) -> tuple[FleetRow, Estimate | None]:
-    """Return the row with the loop's model, or with why there is none."""
+    """Return the row with the loop's model, or with why there is none.
+
+    Where the evidence excludes stiction the model is linear, and the verdict stands; elsewhere the model has a valve
+    that may stick, and its verdict goes before that of the evidence alone.
+    """
     from workbench.estimate.estimate import estimate
 
-    part = stretch(record, seen, *(MODEL if row.verdict == "no_stiction" else MODEL_STICKY))
+    healthy = row.verdict == "no_stiction"
+    part = stretch(record, seen, *(MODEL if healthy else MODEL_STICKY))
     try:
-        found = estimate(part, plant=loop.plant)
+        found = estimate(part, plant=loop.plant, valve="linear" if healthy else "auto")
     except WorkbenchError as error:
         return replace(row, notes=_line(f"{row.notes}; no model: {error}".lstrip("; "))), None
-    sticks = found.verdict == "stiction"
+    sticks = not healthy and found.verdict == "stiction"
     limits = (found.intervals.d or found.intervals.S) if sticks else None
     plant = found.plant
     row = replace(
         row,
-        verdict=found.verdict,
-        reasons=_line("; ".join(found.reasons)),
+        verdict=row.verdict if healthy else found.verdict,
+        reasons=row.reasons if healthy else _line("; ".join(found.reasons)),
         stiction=found.valve.stick_band if sticks else math.nan,
         jump=found.valve.slip_jump if sticks else math.nan,
         stiction_low=math.nan if limits is None else limits[0],
