@@ -59,7 +59,10 @@ def test_an_interrupted_run_goes_on_and_no_row_is_there_twice(tmp_path: Path) ->
     ]
     once_more = Store(tmp_path, Settings(), resume=True)
     assert set(once_more.done) == {"a", "b"}
-    once_more.finish(list(once_more.done.values()), {"report.html": "x"})
+    once_more.page("a.html", "kept")
+    once_more.page("former.html", "of a loop that no longer has one")
+    once_more.finish(list(once_more.done.values()), {"report.html": "x"}, {"a.html"})
+    assert [path.name for path in (tmp_path / "loops").iterdir()] == ["a.html"]
     assert not (tmp_path / "parts").exists()
     assert set(Store(tmp_path, Settings(), resume=True).done) == {"a", "b"}
 

@@ -105,7 +105,11 @@ def run_fleet(
                 store.flush()
     rows = ranked(store.done.values())
     groups = grouped(rows)
-    pages = frozenset(row.name for row in rows if (folder / "loops" / page_name(row.name)).is_file())
+    pages = frozenset(
+        row.name
+        for row in rows
+        if (row.sticks or row.oscillates) and (folder / "loops" / page_name(row.name)).is_file()
+    )
     changes = None if former is None else changes_since(former, rows)
     site = Site(sources.title, sources.shown, settings, rows, groups, changes, pages)
     seconds = time.perf_counter() - begin
@@ -124,7 +128,7 @@ def run_fleet(
         "run.json": json.dumps(machine, indent=2) + "\n",
         "report.html": render_site(site),
     }
-    store.finish(rows, texts)
+    store.finish(rows, texts, {page_name(name) for name in pages})
     return Outcome(site, resumed, store.dropped, seconds)
 
 

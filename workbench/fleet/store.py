@@ -12,7 +12,7 @@ import json
 import math
 import os
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Container, Iterable, Sequence
 from contextlib import suppress
 from dataclasses import MISSING, asdict, fields
 from pathlib import Path
@@ -156,12 +156,17 @@ class Store:
         """Write a loop's page under its name. Raises `OutputError`."""
         write_files({name: text}, self.folder / "loops")
 
-    def finish(self, rows: Sequence[FleetRow], texts: dict[str, str]) -> None:
-        """Write fleet.parquet and the texts of a whole run, then remove the parts. Raises `OutputError`."""
+    def finish(self, rows: Sequence[FleetRow], texts: dict[str, str], pages: Container[str]) -> None:
+        """Write fleet.parquet and the texts of a whole run; remove the parts, and pages of a former run not in `pages`.
+
+        Raises `OutputError`.
+        """
         self._write(rows, self.folder / ROWS)
         write_files(texts, self.folder)
-        for path in (self.folder / PARTS).glob("part-*.parquet"):
-            path.unlink(missing_ok=True)
+        former = [path for path in (self.folder / "loops").glob("*.html") if path.name not in pages]
+        for path in [*(self.folder / PARTS).glob("part-*.parquet"), *former]:
+            with suppress(OSError):
+                path.unlink()
         with suppress(OSError):
             (self.folder / PARTS).rmdir()
 
