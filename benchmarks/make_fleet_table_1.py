@@ -3,8 +3,8 @@
 Run by hand: `python benchmarks/make_fleet_table_1.py`. Controllers run at 1 s; the historian keeps every fifth sample
 of 6 hours, rounded. Loops with stiction cycle by themselves, from the closed form of the relaxation cycle; of those
 without,
-1, 9 and 16 follow the sticking loop of the same period (2, 8 and 15), 3 and 4 share a source outside, and the others
-have one each. The oscillation index is set by how restless the load is.
+1, 9 and 16 follow the sticking loop of the same period (2, 8 and 15), 3 and 4 share a source outside, as do 10 and 11,
+and the others have one each. The oscillation index is set by how restless the load is.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ TABLE = (
     (0.59, 10.5, 0), (0.46, 12.5, 1.06), (0.94, 14, 0), (0.79, 17, 0.49), (0.74, 17.5, 1.72),
 )  # fmt: skip
 FOLLOWS = {1: 2, 9: 8, 16: 15}
-OUTSIDE = {4: 3}
+OUTSIDE = {4: 3, 11: 10}
 LEAD, HOURS, KEPT = 6, 6, 5
 
 

@@ -49,6 +49,16 @@ def test_without_a_sticking_valve_the_strongest_oscillation_is_first() -> None:
     assert not group.sticky
 
 
+def test_few_cycles_must_be_locked_more_closely() -> None:
+    def pair(n: int) -> tuple[object, ...]:
+        base = wandering(0, n)
+        apart = base + np.linspace(0.0, 0.38, n)  # coherence about 0.78
+        return grouped([cycling("a", base), cycling("b", apart)])
+
+    assert len(pair(200)) == 1  # 171 cycles
+    assert pair(24) == ()  # 20 cycles
+
+
 def test_the_same_period_alone_is_no_group() -> None:
     assert grouped([cycling(str(k), wandering(k)) for k in range(60)]) == ()
 

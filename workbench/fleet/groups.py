@@ -7,6 +7,7 @@ K. Lehnertz, P. David, C.E. Elger, Physica D 144 (2000) 358-369), 1 for locked p
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -16,7 +17,10 @@ from workbench.model.fleet import FleetRow, Group
 
 __all__ = ["grouped"]
 
-LOCKED = 0.6  # coherence from which two loops cycle together
+LOCKED = 0.6  # coherence from which two loops cycle together,
+# and more where they share few cycles: stretches of so many count as independent, which meet by chance less often than
+# so. Of n independent phases the coherence exceeds R with a probability of exp(-n R^2) (Rayleigh).
+MEMORY, CHANCE = 5.0, 0.05
 ALIKE = 0.15  # relative difference of two periods that may be one
 FEWEST = 24  # instants that two loops must share
 WIDTH = 256  # of a block of loops that are compared at once
@@ -33,7 +37,8 @@ def grouped(rows: Sequence[FleetRow]) -> tuple[Group, ...]:
     cycling = sorted((row for row in rows if row.oscillates and row.phases), key=lambda row: (row.period, row.name))
     if len(cycling) < 2:
         return ()
-    signals, known = _aligned(cycling)
+    step = max(row.phase_step for row in cycling)
+    signals, known = _aligned(cycling, step)
     periods = np.array([row.period for row in cycling])
     leader = list(range(len(cycling)))
 
@@ -49,7 +54,11 @@ def grouped(rows: Sequence[FleetRow]) -> tuple[Group, ...]:
         last = int(np.searchsorted(periods, periods[stop - 1] * (1.0 + ALIKE), side="right"))
         locks = _coherence(signals[first:stop], known[first:stop], signals[first:last], known[first:last])
         ratio = periods[None, first:last] / periods[first:stop, None]
-        for a, b in np.argwhere((locks >= LOCKED) & (ratio <= 1.0 + ALIKE) & (ratio >= 1.0)).tolist():
+        cycles = (known[first:stop] @ known[first:last].T) * step / periods[None, first:last]
+        least = np.sqrt(-math.log(CHANCE) * MEMORY / np.maximum(cycles, 1e-9))
+        for a, b in np.argwhere(
+            (locks >= np.maximum(least, LOCKED)) & (ratio <= 1.0 + ALIKE) & (ratio >= 1.0)
+        ).tolist():
             i, j = find(first + a), find(first + b)
             if i != j:
                 leader[max(i, j)] = min(i, j)
@@ -81,12 +90,11 @@ def _strength(row: FleetRow) -> float:
     return row.predicts * min(row.swing, 1.0) if row.sticks else row.oscillation_index
 
 
-def _aligned(rows: Sequence[FleetRow]) -> tuple[NDArray[np.complex64], NDArray[np.float32]]:
+def _aligned(rows: Sequence[FleetRow], step: float) -> tuple[NDArray[np.complex64], NDArray[np.float32]]:
     """Return unit vectors of each loop's phase at instants common to all, and which are known, shape (L, T).
 
-    The instants are those of the longest step: each step is a power of two, and its instants are among the shorter's.
+    step: s, the longest of theirs: each is a power of two, and its instants are among the shorter's.
     """
-    step = max(row.phase_step for row in rows)
     ends = []
     for row in rows:
         many = round(step / row.phase_step)
