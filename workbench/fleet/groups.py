@@ -20,7 +20,7 @@ __all__ = ["grouped"]
 LOCKED = 0.6  # coherence from which two loops cycle together,
 # and more where they share few cycles: stretches of so many count as independent, which meet by chance less often than
 # so. Of n independent phases the coherence exceeds R with a probability of exp(-n R^2) (Rayleigh).
-MEMORY, CHANCE = 5.0, 0.05
+MEMORY, CHANCE = 5.0, 0.01
 ALIKE = 0.15  # relative difference of two periods that may be one
 FEWEST = 24  # instants that two loops must share
 WIDTH = 256  # of a block of loops that are compared at once
@@ -87,7 +87,8 @@ def _group(rows: list[FleetRow], signals: NDArray[np.complex64], known: NDArray[
 
 
 def _strength(row: FleetRow) -> float:
-    return row.predicts * min(row.swing, 1.0) if row.sticks else row.oscillation_index
+    strength = row.predicts * min(row.swing, 1.0) if row.sticks else row.oscillation_index
+    return strength if math.isfinite(strength) else 0.0
 
 
 def _aligned(rows: Sequence[FleetRow], step: float) -> tuple[NDArray[np.complex64], NDArray[np.float32]]:

@@ -1,7 +1,7 @@
 """From a day of a loop to the stretch that tells about its valve: one rate and one window, chosen from the cycle.
 
-The tests of `wb.detect` want some tens of samples in a cycle and some tens of cycles; a day at 1 s holds either far too
-many of the one or of the other. PV's oscillation is looked for at every rate by halves, for at the full rate noise
+The tests of `wb.detect` want up to a hundred samples in a cycle and ten cycles or more; a day at 1 s holds far too many
+of the one or of the other. PV's oscillation is looked for at every rate by halves, for at the full rate noise
 hides a slow cycle; the record is then thinned by means to `PER_CYCLE` samples in a cycle and cut to the window of
 `WINDOW` samples in which the cycle is strongest. A loop without a cycle is thinned by how long PV remembers.
 """
@@ -21,7 +21,7 @@ from workbench.model.record import FloatArray, Record
 
 __all__ = ["Seen", "oscillation_at_any_rate", "stretch", "thinned"]
 
-PER_CYCLE = 40  # samples of a cycle
+PER_CYCLE = 100  # samples of a cycle, as `wb.detect` thins to
 WINDOW = 1500  # samples
 LEAST = 256  # samples at the slowest rate that is looked at
 MEMORY = 5.0  # samples in the time that PV remembers
