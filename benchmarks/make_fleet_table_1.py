@@ -1,9 +1,9 @@
 """Make scenarios/data/fleet_table_1.parquet: 20 simulated loops with the periods and stiction of the paper's Table I.
 
-Run by hand: `python benchmarks/make_fleet_table_1.py`. Controllers run at 5 s, and the historian keeps what they see for
-6 hours, rounded. Loops with stiction cycle by themselves, from the closed form of the relaxation cycle; of those
-without, 1, 9 and 16 follow the sticking loop of the same period (2, 8 and 15), 3 and 4 share a source outside, as do 10
-and 11, and the others have one each. The oscillation index is set by how restless the load is.
+Run by hand: `python benchmarks/make_fleet_table_1.py`. Controllers run at 5 s, and the historian keeps what they see
+for 6 hours, rounded. Loops with stiction cycle by themselves, from the closed form of the relaxation cycle; of those
+without, 1, 9 and 16 follow the sticking loop of the same period (2, 8 and 15), 3 and 4 share a source outside, as do
+10 and 11, and the others have one each. The oscillation index is set by how restless the load is.
 """
 
 from __future__ import annotations

@@ -36,6 +36,7 @@ def test_the_report_tells_the_sticking_valves_and_the_roots(committed) -> None:
         ("FIC108", "FIC109"): True,
         ("FIC115", "FIC116"): True,
         ("FIC103", "FIC104"): False,
+        ("FIC110", "FIC111"): False,
     }
     tuned = {name for name, row in committed.items() if math.isfinite(row.Kc)}
     assert tuned == STICKY
