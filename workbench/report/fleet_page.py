@@ -19,6 +19,7 @@ __all__ = ["page_name", "render_site"]
 
 # What the page shows at most of each; the files hold all.
 RANKED, DRAWN, GROUPS, MEMBERS, LISTED = 500, 300, 60, 12, 200
+WORDS = 260  # characters of the evidence; a loop's page has all
 SATURATED = 0.2  # share of the time at an end of OP
 
 
@@ -61,7 +62,8 @@ def render_site(site: Site) -> str:
             groups=[_group(group, by) for group in site.groups[:GROUPS]],
             more_groups=max(len(site.groups) - GROUPS, 0),
             maintenance=[
-                (row, _stiction(row), drives.get(row.name, 0), driven.get(row.name, "")) for row in sticky[:LISTED]
+                (row, _stiction(row), drives.get(row.name, 0), driven.get(row.name, ""), _short(row.reasons))
+                for row in sticky[:LISTED]
             ],
             more_maintenance=max(len(sticky) - LISTED, 0),
             tuning=tuning[:LISTED],
@@ -142,7 +144,7 @@ def _line(i: int, row: FleetRow, site: Site, drawn: bool) -> Line:
         ),
         (period, _value(row.period if row.oscillates else math.nan)),
         (figure(row.stiction, 3) if math.isfinite(row.stiction) else "–", _value(row.stiction)),
-        (f"{row.predicts:.0%}" if math.isfinite(row.predicts) else "–", _value(row.predicts)),
+        (f"{max(row.predicts, 0.0):.0%}" if math.isfinite(row.predicts) else "–", _value(row.predicts)),
         (f"{row.automatic:.0%}" if math.isfinite(row.automatic) else "–", _value(row.automatic)),
         (f"{row.saturated:.0%}" if math.isfinite(row.saturated) else "–", _value(row.saturated)),
         (figure(row.op_travel, 3), _value(row.op_travel)),
@@ -159,6 +161,10 @@ def _group(group: Group, by: dict[str, FleetRow]) -> dict[str, object]:
         "members": members[:MEMBERS],
         "more": max(len(members) - MEMBERS, 0),
     }
+
+
+def _short(text: str) -> str:
+    return text if len(text) <= WORDS else text[: WORDS - 1].rsplit(" ", 1)[0] + " …"
 
 
 def _stiction(row: FleetRow) -> str:
