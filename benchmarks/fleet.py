@@ -98,8 +98,8 @@ def screen(sources: Sources, folder: Path) -> None:
 
 
 def estimate(sources: Sources, folder: Path) -> None:
-    """Depth estimate over the first sixty loops."""
-    rows, seconds, used, memory = looked_at(sorted(sources.loops, key=_number)[:60], 2, "estimate")
+    """Depth estimate over the first forty loops."""
+    rows, seconds, used, memory = looked_at(sorted(sources.loops, key=_number)[:40], 2, "estimate")
     many = len(rows)
     print(f"estimate: {many} loops, {used / many:.2f} core-seconds a loop ({seconds:.0f} s), worker {memory:.0f} MiB")
     judged(rows, folder)
