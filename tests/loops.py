@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -64,6 +65,7 @@ def controllers(draw: st.DrawFn) -> wb.PID:
         output_limits=(-draw(numbers(0.5, 5.0)), draw(numbers(0.5, 5.0))) if limited else None,
         anti_windup=draw(st.sampled_from(["clamp", "back_calculation"])),
         tracking_time=draw(st.one_of(st.none(), numbers(1.0, 50.0))),
+        output_resolution=draw(st.sampled_from([0.0, 0.0, 0.25, 0.7])),
     )
 
 
@@ -82,12 +84,78 @@ def experiments(draw: st.DrawFn, duration: float = 150.0) -> wb.Experiment:
     )
 
 
+seconds = st.integers(1, 20).map(float)
+compensators = st.one_of(
+    st.builds(wb.IntegralDeadband, band=numbers(0.05, 2.0), ratio=st.sampled_from([1.0, 8.0, math.inf])),
+    st.builds(
+        lambda a, width, more: wb.Knocker(a, width, width + more),
+        a=numbers(0.1, 4.0),
+        width=seconds,
+        more=st.integers(0, 9),
+    ),
+    st.builds(wb.ConstantReinforcement, amplitude=numbers(0.1, 4.0)),
+    st.builds(
+        wb.TwoMove,
+        amplitude=numbers(0.1, 6.0),
+        at=st.one_of(st.just(0.0), seconds),
+        steady_output=numbers(-3.0, 3.0),
+        release=st.one_of(st.just(math.inf), numbers(0.1, 4.0)),
+    ),
+    st.builds(
+        wb.Dither, amplitude=numbers(0.1, 4.0), period=st.sampled_from([2.0, 4.0, 10.0]), shape=st.just("square")
+    ),
+)
+
+
+class IndependentCompensator:
+    """A compensator by its published equation, from the whole history of the controller's own output."""
+
+    def __init__(self, given: Any, Ts: float, offset: float, limits: tuple[float, float] | None) -> None:
+        self.given, self.Ts, self.offset = given, Ts, offset
+        self.limits = limits or (-math.inf, math.inf)
+        self.own: list[float] = []
+        self.held: float | None = None
+
+    def share(self, e: float) -> float:
+        g = self.given
+        return 1.0 / g.ratio if isinstance(g, wb.IntegralDeadband) and abs(e) <= g.band else 1.0
+
+    def output(self, u: float, e: float, rest: float, integral: float) -> tuple[float, float]:
+        g, k = self.given, len(self.own)
+        self.own.append(u)
+        added = 0.0
+        if isinstance(g, wb.Knocker):
+            h, tau = round(g.period / self.Ts), round(g.width / self.Ts)
+            pulse, phase = divmod(k, h)
+            if pulse >= 1 and phase < tau:
+                added = g.amplitude * float(np.sign(u - self.own[(pulse - 1) * h]))
+        elif isinstance(g, wb.ConstantReinforcement):
+            added = g.amplitude * float(np.sign(u - (self.own[k - 1] if k else self.offset)))
+        elif isinstance(g, wb.Dither):
+            n = round(g.period / self.Ts)
+            added = g.amplitude if k % n < n // 2 else -g.amplitude
+        elif isinstance(g, wb.TwoMove):
+            if self.held is not None:
+                u, integral = self.held, self.held - rest
+                if abs(e) > g.release:
+                    self.held = None
+            elif k == round(g.at / self.Ts):
+                self.held = min(max(g.steady_output, self.limits[0]), self.limits[1])
+                added = abs(u - g.steady_output) + g.amplitude
+        return min(max(u + added, self.limits[0]), self.limits[1]), integral
+
+
 def independent_simulation(loop: wb.Loop, r: Any, load: Any, noise: Any, offset: float = 0.0) -> dict[str, list[float]]:
-    """The law written once more, sample by sample, with no code of the package: r, load, noise of N + 1 values."""
+    """The law written once more, sample by sample, with no code of the package.
+
+    r, load (in % of opening), noise: N + 1 values.
+    """
     pid, plant, Ts = loop.controller, loop.plant, loop.sample_time
     n = len(r) - 1
     Kc = pid.Kc if pid.action == "reverse" else -pid.Kc
+    own = Ts * loop.scan
     Tf = pid.Td / pid.derivative_filter
+    sign = -1 if loop.fail_open else 1
     m = math.floor(plant.dead_time / Ts + 1e-9)
     f = plant.dead_time / Ts - m
     f = 0.0 if f < 1e-9 else f
@@ -95,6 +163,7 @@ def independent_simulation(loop: wb.Loop, r: Any, load: Any, noise: Any, offset:
     u_last = offset
     moving, direction = False, 0
     stopped_at, came, stands = 0.0, 1, True  # Kano's u_s, d and stp
+    compensator = IndependentCompensator(pid.compensator, Ts * loop.scan, offset, pid.output_limits)
     v: list[float] = []
     out: dict[str, list[float]] = {"pv": [], "op": [], "valve": []}
 
@@ -106,24 +175,37 @@ def independent_simulation(loop: wb.Loop, r: Any, load: Any, noise: Any, offset:
         e = r[k] - measured
         P = Kc * (pid.setpoint_weight * r[k] - measured)
         before = integral
-        integral = before + Kc * Ts / pid.Ti * e
+        kept = integral, derivative, s_last
+        rises = Kc * own / pid.Ti * e * compensator.share(e)
+        integral = before + rises
         s = e if pid.derivative_on == "error" else -measured
-        derivative = (Tf * derivative + Kc * pid.Td * (s - s_last)) / (Tf + Ts)
+        derivative = (Tf * derivative + Kc * pid.Td * (s - s_last)) / (Tf + own)
         s_last = s
         u = offset + P + integral + derivative
+        held = False
         if pid.output_limits is not None:
             low, high = pid.output_limits
             if pid.anti_windup == "clamp":
-                rises = Kc * Ts / pid.Ti * e
                 if (u > high and rises > 0) or (u < low and rises < 0):
                     integral = before
                     u = offset + P + integral + derivative
-                u = min(max(u, low), high)
+                held, u = not low <= u <= high, min(max(u, low), high)
             else:
                 limited = min(max(u, low), high)
                 if limited != u:
-                    integral += Ts / (pid.tracking_time or pid.Ti) * (limited - u)
-                u = limited
+                    integral += own / (pid.tracking_time or pid.Ti) * (limited - u)
+                held, u = limited != u, limited
+        due = k % loop.scan == 0
+        if pid.compensator is not None and due:
+            u, integral = compensator.output(u, e, offset + P + derivative, integral)
+            held = pid.output_limits is not None and u in pid.output_limits
+        if pid.output_resolution > 0 and not held:
+            u = offset + pid.output_resolution * round((u - offset) / pid.output_resolution)
+            low, high = pid.output_limits or (-math.inf, math.inf)
+            u = min(max(u, low), high)
+        if not due:
+            u = u_last
+            integral, derivative, s_last = kept
         valve = loop.valve
         if isinstance(valve, wb.Ideal):
             x = u
@@ -150,7 +232,11 @@ def independent_simulation(loop: wb.Loop, r: Any, load: Any, noise: Any, offset:
                 S, J = up if direction > 0 else down
                 x = u - direction * ((S - J) / 2)
         u_last = u
-        v.append(x + load[k])
+        opened = sign * x
+        if loop.characteristic is not None:
+            c = math.log(loop.characteristic.rangeability) / 100
+            opened = math.expm1(c * opened) / c
+        v.append(opened + load[k])
         out["pv"].append(measured)
         out["op"].append(u)
         out["valve"].append(x)
@@ -162,6 +248,16 @@ def independent_simulation(loop: wb.Loop, r: Any, load: Any, noise: Any, offset:
             y = y + plant.gain * Ts * ((1 - f) * past(k - m) + f * past(k - m - 1))
     out["final"] = [y + noise[n]]
     return out
+
+
+def late_cycles(run: wb.Run, begin: float) -> tuple[float, float]:
+    """Median period (s) and PV swing (EU) of a run's cycles from `begin` (s) on, upward turn to upward turn."""
+    moves = np.diff(run.valve)
+    at = np.flatnonzero(moves)
+    turns = at[1:][(moves[at[1:]] > 0.0) & (moves[at[:-1]] < 0.0)] + 1
+    turns = turns[run.time[turns] >= begin]
+    swings = [np.ptp(run.pv[a:b]) for a, b in pairwise(turns)]
+    return float(np.median(np.diff(run.time[turns]))), float(np.median(swings))
 
 
 def as_arrays(n: int, *signals: Any) -> list[np.ndarray]:

@@ -28,6 +28,7 @@ ALLOWED = {
     "report": {"model", "kpi"},
     "scenario": {"model", "kpi", "record", "simulate", "detect", "estimate", "analyze", "tune", "report"},
     "fleet": {"model", "kpi", "record", "simulate", "detect", "estimate", "analyze", "tune", "scenario", "report"},
+    "ui": {"model", "kpi", "record", "simulate", "detect", "estimate", "analyze", "tune", "report", "scenario"},
 }
 
 

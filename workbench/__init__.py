@@ -28,8 +28,18 @@ _HOME = {
     "Kano": "model.valve",
     "Deadband": "model.valve",
     "Directional": "model.valve",
+    "Positional": "model.valve",
+    "Karnopp": "model.karnopp",
     "PID": "model.controller",
+    "EqualPercentage": "model.characteristic",
+    "IntegralDeadband": "model.compensator",
+    "Knocker": "model.compensator",
+    "ConstantReinforcement": "model.compensator",
+    "TwoMove": "model.compensator",
+    "Dither": "model.compensator",
     "Loop": "model.loop",
+    "Cascade": "model.cascade",
+    "CascadeExperiment": "model.cascade",
     "Step": "model.experiment",
     "Ramp": "model.experiment",
     "Series": "model.experiment",
@@ -58,6 +68,8 @@ _HOME = {
     "describing_function": "analyze.describing_function",
     "limit_cycle": "analyze.limit_cycle",
     "cycle_map": "analyze.cycle_map",
+    "cascade_cycle": "analyze.cascade",
+    "tune_cascade": "tune.cascade",
     "margins": "analyze.margins",
     "assess": "tune.ensemble",
     "tune": "tune.tune",
@@ -74,25 +86,34 @@ __all__ = [
     "PID",
     "Amigo",
     "Bounds",
+    "Cascade",
+    "CascadeExperiment",
     "Choudhury",
+    "ConstantReinforcement",
     "Constraints",
     "Deadband",
     "Detection",
     "DetunedIntegral",
     "Directional",
+    "Dither",
     "Ensemble",
+    "EqualPercentage",
     "Experiment",
     "He",
     "Ideal",
+    "IntegralDeadband",
     "Integrating",
     "InvalidValue",
     "Kano",
+    "Karnopp",
+    "Knocker",
     "Lambda",
     "Loop",
     "NoCrossing",
     "Noise",
     "Objective",
     "OutputError",
+    "Positional",
     "Ramp",
     "Record",
     "RecordError",
@@ -103,11 +124,13 @@ __all__ = [
     "SolveStatus",
     "Stenman",
     "Step",
+    "TwoMove",
     "WorkbenchError",
     "ZieglerNichols",
     "__version__",
     "apply_rule",
     "assess",
+    "cascade_cycle",
     "cycle_map",
     "describing_function",
     "detect",
@@ -124,6 +147,7 @@ __all__ = [
     "simulate",
     "simulate_batch",
     "tune",
+    "tune_cascade",
     "value_of_repair",
 ]
 
@@ -156,6 +180,7 @@ class _Package(ModuleType):
 sys.modules[__name__].__class__ = _Package
 
 if TYPE_CHECKING:
+    from workbench.analyze.cascade import cascade_cycle
     from workbench.analyze.cycle_map import cycle_map
     from workbench.analyze.describing_function import describing_function
     from workbench.analyze.limit_cycle import limit_cycle
@@ -163,23 +188,28 @@ if TYPE_CHECKING:
     from workbench.detect.detect import detect
     from workbench.errors import InvalidValue, OutputError, RecordError, ScenarioError, SolveError, WorkbenchError
     from workbench.estimate.estimate import estimate
+    from workbench.model.cascade import Cascade, CascadeExperiment
+    from workbench.model.characteristic import EqualPercentage
+    from workbench.model.compensator import ConstantReinforcement, Dither, IntegralDeadband, Knocker, TwoMove
     from workbench.model.controller import PID
     from workbench.model.detection import Detection
     from workbench.model.ensemble import Constraints, Ensemble
     from workbench.model.experiment import Experiment, Noise, Ramp, Series, Step
+    from workbench.model.karnopp import Karnopp
     from workbench.model.loop import Loop
     from workbench.model.plant import FOPDT, Integrating
     from workbench.model.record import Record
     from workbench.model.results import SolveStatus
     from workbench.model.rule import Amigo, DetunedIntegral, Lambda, NoCrossing, Simc, ZieglerNichols
     from workbench.model.tuning import Bounds, Objective
-    from workbench.model.valve import Choudhury, Deadband, Directional, He, Ideal, Kano, Stenman
+    from workbench.model.valve import Choudhury, Deadband, Directional, He, Ideal, Kano, Positional, Stenman
     from workbench.record.reader import read_record
     from workbench.report.plot import plot
     from workbench.scenario.loader import load_scenario
     from workbench.scenario.runner import run_scenario
     from workbench.simulate.run import evaluate, simulate, simulate_batch
     from workbench.simulate.signature import signature
+    from workbench.tune.cascade import tune_cascade
     from workbench.tune.ensemble import assess
     from workbench.tune.front import pareto_front
     from workbench.tune.repair import value_of_repair

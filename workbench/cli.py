@@ -17,7 +17,7 @@ try:
 
     import typer
 
-    from workbench import __version__, cli_fleet
+    from workbench import __version__, cli_fleet, cli_ui
     from workbench.cli_input import Reading, quantity, read_data, span
     from workbench.errors import InvalidValue, OutputError, ScenarioError, WorkbenchError
 except KeyboardInterrupt:  # while the command starts
@@ -151,9 +151,9 @@ def run(
         _print_study(study)
         for warning in plan.warnings:
             typer.echo(f"Warning: {warning}", err=True)
-        for case in study.cases:
-            if case.tuned is not None and not case.tuned.status.success:
-                typer.echo(f"{case.name}: {case.tuned.status.value}: {case.tuned.message}", err=True)
+        for name, tuned in study.tunings:
+            if not tuned.status.success:
+                typer.echo(f"{name}: {tuned.status.value}: {tuned.message}", err=True)
                 code = FAILED
         typer.echo(f"Report: {out / plan.name / 'report.html'}")
     for name, sources in sites.items():
@@ -176,7 +176,7 @@ def check(
     for plan in _checked(others):
         parts = [
             f"{len(items)} {word}{'' if len(items) == 1 else 's'}"
-            for items, word in ((plan.estimates, "estimate"), (plan.cases, "case"))
+            for items, word in ((plan.estimates, "estimate"), (plan.cases, "case"), (plan.cascade, "cascade case"))
             if items
         ]
         typer.echo(f"{plan.path}: ok ({', '.join(parts)})")
@@ -339,6 +339,7 @@ def score(
 
 app.command()(guarded(cli_fleet.fleet))
 app.command("fleet-demo")(guarded(cli_fleet.fleet_demo))
+app.command()(guarded(cli_ui.ui))
 
 
 # arguments ---------------------------------------------------------------------------------------------------------
@@ -473,6 +474,11 @@ def _print_study(study: Study) -> None:
         from workbench.report.estimates import estimate_sentences
 
         for sentence in estimate_sentences(named):
+            console.print(Text(sentence))
+    if study.cascade:
+        from workbench.report.cascade import cascade_sentences
+
+        for sentence in [text for part in cascade_sentences(study) for text in part]:
             console.print(Text(sentence))
     if not study.cases:
         return

@@ -52,6 +52,9 @@ def estimate_lines(found: Estimate) -> list[str]:
         f"Stem       {found.slips} moves, {figure(float(stem.min()))} to {figure(float(stem.max()))} %; "
         f"PV is met within {figure(found.noise_sd, 3)} EU (standard deviation)"
     )
+    for i, step in enumerate(found.load_steps):
+        size = f"{step.size:+.3g} % of OP (95 %: {interval(step.interval, '%', 3)}), nobody recorded it"
+        lines.append(f"{'' if i else 'Load':<10} from {figure(step.at, 6)} s on {size}")
     if found.noise_model is not None:
         lines.append(f"Noise      {_noise_words(found.noise_model)}")
     lines.append(f"Linear fit {plant_words(found.linear.plant)}; it ignores the stiction")

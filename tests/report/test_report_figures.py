@@ -10,11 +10,13 @@ from typing import Any
 import matplotlib as mpl
 import numpy as np
 import pytest
+from cascades import flow_and_temperature
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+import workbench as wb
 from workbench.errors import InvalidValue, OutputError
 from workbench.model.record import Record
 from workbench.model.results import FittedModel
@@ -246,6 +248,16 @@ def test_plot_on_given_axes(study: Study) -> None:
     assert "OP" not in lines(single)
     target = Figure().subplots()
     assert plot(study.cases[0].describing_function, target) is target
+
+
+def test_plot_of_a_cascade_shows_both_loops() -> None:
+    run = wb.simulate(flow_and_temperature(), wb.Experiment(100.0, setpoint=wb.Step(5.0)))
+    axes = plot(run)
+    assert [ax.get_ylabel() for ax in axes] == ["primary (EU)", "secondary (EU)", "OP, valve (%)"]
+    own = Figure().subplots(3, 1)
+    assert list(plot(run, own)) == list(own)
+    with pytest.raises(InvalidValue, match="must be 3 matplotlib Axes"):
+        plot(run, Figure().subplots(2, 1))
 
 
 @pytest.mark.parametrize("wrong", [None, 3, "run", [1, 2]])

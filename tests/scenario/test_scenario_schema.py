@@ -10,6 +10,7 @@ from typing import get_args
 from workbench.model.controller import FORMS, PID, STRUCTURES
 from workbench.model.results import Intervals, Kpis
 from workbench.scenario import schema
+from workbench.scenario.estimate_entries import EstimateReference
 
 
 def test_the_committed_schema_is_current() -> None:
@@ -27,7 +28,7 @@ def test_the_schema_is_closed_everywhere() -> None:
 
 def test_names_are_the_models() -> None:
     assert set(get_args(schema.KpiName)) == {f.name for f in fields(Kpis)} | {"objective"}
-    assert set(schema.EstimateReference.model_fields) == {f.name for f in fields(Intervals)}
+    assert set(EstimateReference.model_fields) == {f.name for f in fields(Intervals)}
     keys = set(schema.ControllerKeys.model_fields) - {"structure"}
     assert keys | {"Kc", "Ti", "Td"} == {f.name for f in fields(PID)}
     given = schema.ControllerKeys.model_json_schema()["properties"]

@@ -156,6 +156,43 @@ def test_the_level_is_held_better_with_less_wear_than_by_tight_rules(studies):
 
 
 @pytest.mark.slow
+def test_compensators_buy_error_with_wear_or_rest_with_an_offset(studies):
+    cases = {case.name: case for case in study_of("compensators", studies).cases}
+    found = cases["As found"].run.kpis
+    for name in ("Knocker", "Constant reinforcement", "Dither"):
+        ours = cases[name].run.kpis
+        assert ours.mean_square_error < 0.5 * found.mean_square_error
+        assert ours.valve_travel > 20.0 * found.valve_travel
+        assert ours.reversals > 10 * found.reversals
+    band = cases["Integral dead band"]
+    assert band.limit_cycle.outcome == "settles"
+    assert band.run.kpis.valve_travel < 0.25 * found.valve_travel
+    assert abs(band.run.kpis.final_error) > 0.5
+    assert cases["Two moves"].limit_cycle.outcome == "cycles", "after the load the steady output is another"
+    assert cases["Retuned"].objective < 0.6 * cases["As found"].objective
+    assert all(case.describing_function is None for case in cases.values() if case.loop.controller.compensator)
+
+
+@pytest.mark.slow
+def test_the_cascades_cycle_is_in_both_loops_and_comes_out_as_committed(studies):
+    study = study_of("cascade", studies)
+    ours, theirs = json.loads(results_json(study))["cascade"], committed("cascade")["cascade"]
+    for mine, case in zip(ours["cases"], theirs["cases"], strict=True):
+        if case["tuning"] is None:
+            same(mine, case, case["name"])
+        else:
+            assert mine["objective"] <= 1.02 * case["objective"]
+    cases = {case.name: case for case in study.cascade}
+    found, detuned, tuned = cases["As found"], cases["Primary detuned"], cases["Tuned in turn"]
+    for case in (found, detuned):
+        assert [one.verdict for one in case.detections] == ["no_stiction", "stiction"]
+        assert case.cycle.secondary.sp_peak_to_peak > 0.05
+    assert found.cycle.primary.pv_peak_to_peak > 1.5 * detuned.cycle.primary.pv_peak_to_peak
+    assert tuned.objective < 0.85 * found.objective
+    assert tuned.tuned.primary.status is tuned.tuned.secondary.status is wb.SolveStatus.SOLVED
+
+
+@pytest.mark.slow
 def test_the_benchmark_record_is_identified(studies):
     estimates = {one.name: one.found for one in study_of("identify_benchmark", studies).estimates}
     clean, noisy = estimates["Global profile, no noise"], estimates["Global profile, noise 0.1"]

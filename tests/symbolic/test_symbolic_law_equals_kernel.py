@@ -153,7 +153,7 @@ def test_a_whole_run_with_its_decisions_given_equals_the_kernels(loop: Loop, see
     load, noise = np.repeat(rng.uniform(-1.0, 1.0, 2), 30), rng.normal(0.0, 0.02, n)
     state, past = rest(row)
     y, u, x, v, branch = np.empty(n + 1), np.empty(n), np.empty(n), np.empty(n), np.empty(n, np.int8)
-    start, start_past = state.copy(), past.copy()
+    start, start_past = state[: len(STATE)].copy(), past.copy()
     kernel.run_loop(row, r, load, noise, state, past, y, u, x, v, branch)
     # A loop that runs away has no digits left to compare.
     assume(float(np.abs(y).max()) < 1e6)

@@ -15,6 +15,7 @@ from workbench.analyze.frequency import linear_stable
 from workbench.analyze.limit_cycle import STARTS, standard_starts, together
 from workbench.analyze.long_run import follow
 from workbench.analyze.margins import margins
+from workbench.analyze.valve_loci import no_locus
 from workbench.errors import InvalidValue
 from workbench.model.checks import instance, ordered_pair, whole
 from workbench.model.controller import PID
@@ -65,7 +66,8 @@ def cycle_map(
     Kc: (low, high) in %/EU, low > 0; Ti, Td: (low, high) in s, Ti's low > 0; in the controller's own form. A range that
     is not given is `map_ranges`'. points: cells along (Kc, Ti or Td), one number for both. Each cell is followed from
     `starts` of the starts of `limit_cycle`, evenly chosen, by its own rules but for 20,000 samples in place of 100,000
-    before a cycle is late: its figures are medians over those that cycle. Rows are shared out over the machine's cores.
+    before a cycle is late: its figures are medians over those that cycle. With a compensator there is no describing
+    function and no closed form, and what is drawn of them is nan. Rows are shared out over the machine's cores.
 
     progress: called with the share done, 0 .. 1; an error or interrupt that it raises, like Ctrl-C, ends the work
     within a cell. Raises `InvalidValue` for ranges of both Ti and Td, bad ranges or counts, and tunings in them that
@@ -151,7 +153,7 @@ def map_ranges(loop: Loop, tunings: Iterable[PID] = (), *, axis: str = "Ti") -> 
 
 
 def _fitting(loop: Loop) -> str:
-    return "reverse" if loop.plant.gain > 0.0 else "direct"
+    return "reverse" if loop.gain > 0.0 else "direct"
 
 
 def _range(given: object, where: str, *, from_zero: bool) -> Pair:
@@ -196,12 +198,15 @@ def _row(loops: list[Loop], count: int, stop: threading.Event) -> _Row:
         if cycling:
             figures[:, k] = [np.median([getattr(one, name) for one in cycling]) for name in FIGURES]
         terms, valve, plant = loop.controller.ideal_terms(), loop.valve, loop.plant
-        if isinstance(plant, FOPDT) and valve.slip_jump > 0.0 and valve.stick_band > 0.0:
+        plain = loop.controller.compensator is None
+        if plain and isinstance(plant, FOPDT) and valve.slip_jump > 0.0 and valve.stick_band > 0.0:
             J_S = valve.slip_jump / valve.stick_band
-            loop_gain[k] = loop.controller.signed_gain * terms.Kc * plant.gain * J_S
+            loop_gain[k] = loop.controller.signed_gain * terms.Kc * loop.gain * J_S
             lag_ratio[k] = terms.Ti / (plant.time_constant + plant.dead_time)
     crossing = np.full(size, math.nan)
-    if loops[0].controller.form != "parallel" and not stop.is_set():
+    # Neither describing function nor closed form knows a compensator.
+    plain = loops[0].controller.compensator is None and not no_locus(loops[0].valve)
+    if plain and loops[0].controller.form != "parallel" and not stop.is_set():
         # Kc scales L as a whole, so that one search does for the row.
         crossing = meeting_gain(loops[0]) * loops[0].controller.Kc / np.array([loop.controller.Kc for loop in loops])
     return _Row(outcome, figures, stable, crossing, loop_gain, lag_ratio)

@@ -9,6 +9,7 @@ import numpy as np
 from workbench.analyze.frequency import linear_stable, loop_response
 from workbench.analyze.loci import Approach, Meeting, closest_approach, first_meeting, meetings
 from workbench.analyze.valve_loci import locus_pieces
+from workbench.errors import InvalidValue
 from workbench.model.analyses import ComplexArray, Crossing, DescribingFunction
 from workbench.model.checks import instance
 from workbench.model.loop import Loop
@@ -28,14 +29,19 @@ def describing_function(loop: Loop, *, sampling_delay: bool = False) -> Describi
 
     A cycle is predicted where `1 + N(A) L(jw) = 0`, N the valve's describing function (`analyze.valve_loci`) and L
     controller times plant, with dead time and derivative filter exact, up to the Nyquist frequency pi/Ts. L is
-    continuous unless `sampling_delay`, which takes the sampled loop's own response, hold included. Output limits, noise
-    and load are left out, and the method is an approximation: the exact verdict is `limit_cycle`'s.
+    continuous unless `sampling_delay`, which takes the sampled loop's own response, hold included. Output limits, OP's
+    resolution, noise and load are left out, a curved characteristic counts by its gain at the operating point, and the
+    method is an approximation: the exact verdict is `limit_cycle`'s.
 
     Stenman's and He's loci have several pieces (two families of staircases, see `valve_loci.staircase_response`), whose
     first indices are in `breaks`; a valve without friction has the single point -1, and cycles in a linear loop are
-    none of this method's business. Raises `InvalidValue` where the controller has no ideal equivalent.
+    none of this method's business. Raises `InvalidValue` where the controller has no ideal equivalent, or the valve no
+    describing function (`valve_loci.no_locus`), and for a controller with a compensator, which L(jw) does not hold.
     """
     instance(loop, Loop, "loop", "a Loop")
+    if loop.controller.compensator is not None:
+        allowed = "must be None: the method holds for the loop without it (`limit_cycle` follows the loop with it)"
+        raise InvalidValue("PID.compensator", type(loop.controller.compensator).__name__, allowed)
     stable = linear_stable(loop)
     shown = _frequencies(loop, SHOWN)
 
@@ -63,7 +69,7 @@ def describing_function(loop: Loop, *, sampling_delay: bool = False) -> Describi
             period=math.nan,
             pv_amplitude=math.nan,
             linear_stable=stable,
-            verdict=_frictionless(stable),
+            verdict=_frictionless(stable) + _left_out(loop),
         )
     amplitudes = [piece.amplitude(piece.points) for piece in pieces]
     N = np.concatenate([piece.N(A) for piece, A in zip(pieces, amplitudes, strict=True)])
@@ -94,7 +100,7 @@ def describing_function(loop: Loop, *, sampling_delay: bool = False) -> Describi
         period=predicted.period if predicted else math.nan,
         pv_amplitude=predicted.pv_amplitude if predicted else math.nan,
         linear_stable=stable,
-        verdict=_verdict(loop, crossings, predicted, approach, stable),
+        verdict=_verdict(loop, crossings, predicted, approach, stable) + _left_out(loop),
         breaks=tuple(np.cumsum([0] + [A.size for A in amplitudes[:-1]]).tolist()),
     )
 
@@ -109,20 +115,20 @@ def meeting_gain(loop: Loop) -> float:
 
 def _frequencies(loop: Loop, count: int) -> FloatArray:
     """Log-spaced up to Nyquist, from well below the slowest time in the loop."""
-    times = [loop.sample_time, loop.plant.dead_time]
+    times = [loop.executed.sample_time, loop.plant.dead_time]
     if isinstance(loop.plant, FOPDT):
         times.append(loop.plant.time_constant)
     terms = loop.controller.ideal_terms()
     times += [t for t in (terms.Ti, abs(terms.Td)) if math.isfinite(t)]
-    highest = math.pi / loop.sample_time
+    highest = math.pi / loop.executed.sample_time
     return np.geomspace(1e-4 / max(times), highest * (1.0 - 1e-9), count)
 
 
 def _search_frequencies(loop: Loop) -> FloatArray:
     """The shown range more finely, and linearly where the dead time turns the phase faster than log spacing follows."""
     grid = _frequencies(loop, SEARCHED)
-    delay = loop.plant.dead_time + loop.sample_time
-    turns = math.pi / loop.sample_time * delay
+    Ts = loop.executed.sample_time
+    turns = math.pi / Ts * (loop.plant.dead_time + Ts)
     even = np.linspace(0.0, grid[-1], min(int(turns / 0.05) + 2, LONGEST_SEARCH))[1:]
     return np.unique(np.concatenate([grid, even]))
 
@@ -174,6 +180,17 @@ def _verdict(
         f"The loci do not cross, so no cycle is predicted; they come as close as {_plain(approach.distance)} at an OP "
         f"amplitude of {_plain(approach.amplitude)} % and a period of {period} s{linear}."
     )
+
+
+def _left_out(loop: Loop) -> str:
+    """A sentence on what else in this loop the loci do not show."""
+    resolution = loop.controller.output_resolution
+    words = f" OP's resolution of {_plain(resolution)} % is left out here." if resolution > 0.0 else ""
+    if loop.characteristic is not None:
+        words += " It holds for the gain at the operating point: the curve of the characteristic is left out."
+    if loop.scan > 1 and not loop.valve.sticks_at_once and loop.valve.stick_band > 0.0:
+        words += " That OP stands between the controller's executions, where this stem sticks, is left out."
+    return words
 
 
 def _plain(value: float) -> str:

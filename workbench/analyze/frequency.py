@@ -1,7 +1,8 @@
 """The loop's linear part in the frequency domain, and whether the loop with an ideal valve is stable.
 
-`L(jw)` is controller times plant, with the sign of the controller's action: the loop with a valve of describing
-function N has the characteristic equation `1 + N L = 0`. Setpoint weight and output limits play no part in it.
+`L(jw)` is controller times plant, with the signs of the controller's action and of a fail-open valve: the loop with a
+valve of describing function N has the characteristic equation `1 + N L = 0`. Setpoint weight and output limits play no
+part in it.
 """
 
 from __future__ import annotations
@@ -52,8 +53,11 @@ def plant_response(plant: Plant, frequency: FloatArray) -> ComplexArray:
 
 
 def sampled_controller_response(loop: Loop, frequency: FloatArray) -> ComplexArray:
-    """Return the sampled controller's own response at `z = exp(jw Ts)` (the law of `simulate.kernel`), shape (F,)."""
-    terms, Ts = loop.controller.ideal_terms(), loop.sample_time
+    """Return the sampled controller's own response at `z = exp(jw Ts)` (the law of `simulate.kernel`), shape (F,).
+
+    Here and below Ts is the time between its executions.
+    """
+    terms, Ts = loop.controller.ideal_terms(), loop.executed.sample_time
     back = np.exp(-1j * frequency * Ts)
     C: ComplexArray = (
         loop.controller.signed_gain
@@ -65,9 +69,12 @@ def sampled_controller_response(loop: Loop, frequency: FloatArray) -> ComplexArr
 
 def sampled_plant_response(loop: Loop, frequency: FloatArray) -> ComplexArray:
     """Return the pulse transfer function of zero-order hold and plant at `z = exp(jw Ts)`, shape (F,), exact."""
-    step = discretise(loop.plant, loop.sample_time)
-    back = np.exp(-1j * frequency * loop.sample_time)
-    G: ComplexArray = step.gain * (step.c0 + step.c1 * back) * back ** (step.delay + 1) / (1.0 - step.pole * back)
+    Ts = loop.executed.sample_time
+    step = discretise(loop.plant, Ts)
+    back = np.exp(-1j * frequency * Ts)
+    G: ComplexArray = (
+        loop.direction * step.gain * (step.c0 + step.c1 * back) * back ** (step.delay + 1) / (1.0 - step.pole * back)
+    )
     return G
 
 
@@ -82,7 +89,7 @@ def loop_response(
     if sampling_delay:
         G = sampled_plant_response(loop, frequency)
         return sampled_controller_response(loop, frequency) * G, G
-    G = plant_response(loop.plant, frequency)
+    G = loop.direction * plant_response(loop.plant, frequency)
     return controller_response(loop.controller, frequency) * G, G
 
 
@@ -92,7 +99,7 @@ def characteristic_polynomial(loop: Loop) -> FloatArray:
     It is that of the sampled loop that the kernel runs, without output limits; a controller without integral (or
     without derivative) has no state for it.
     """
-    terms, Ts = loop.controller.ideal_terms(), loop.sample_time
+    terms, Ts = loop.controller.ideal_terms(), loop.executed.sample_time
     step = discretise(loop.plant, Ts)
     # Polynomials in 1/z, lowest power first, so that they read as the law's differences.
     one, difference = np.array([1.0]), np.array([1.0, -1.0])
@@ -106,7 +113,7 @@ def characteristic_polynomial(loop: Loop) -> FloatArray:
         numerator = _sum(numerator, terms.Td * np.convolve(summing, difference))
     denominator = np.convolve(np.convolve(summing, filtering), np.array([1.0, -step.pole]))
     forward = np.concatenate([np.zeros(step.delay + 1), np.convolve(numerator, np.array([step.c0, step.c1]))])
-    gain = loop.controller.signed_gain * terms.Kc * step.gain
+    gain = loop.controller.signed_gain * terms.Kc * loop.direction * step.gain
     # Roots at z = 0 (the delay's, where nothing feeds back) are stable and only cost time.
     return np.trim_zeros(_sum(denominator, gain * forward), "b")
 

@@ -30,7 +30,8 @@ def limit_cycle(
 ) -> LimitCycle:
     """Return the loop's long-run behaviour: settles, cycles, depends on the start, or undecided.
 
-    Eight starts are followed (`standard_starts`), each from slip to slip as `long_run.follow` says. With an experiment
+    Eight starts are followed (`standard_starts`), each from slip to slip as `long_run.follow` says; a loop with a
+    compensator sample by sample, which is as exact, with less patience for cycles of days. With an experiment
     its signals are applied without the noise, the last values held for good, and its outcome and figures are the
     result's; the other starts tell whether they depend on it. Without one the figures are medians over the starts that
     cycle, and the outcome is "depends" where some starts cycle and others settle.
@@ -58,14 +59,14 @@ def standard_starts(loop: Loop) -> tuple[Start, ...]:
     """Return the documented starts: four from rest with the stem centred, four with the stem held off its input.
 
     The resting stem position is shifted by 0.5, -1.3, 2.7, -6.2, 0.2, 1.1, -0.75 and -3.4 slip jumps (stick bands
-    where there is no jump), the last four with a stem offset of 0.5, -0.9, 0.9 and -0.5 of what the valve holds: by a
-    setpoint step on a self-regulating plant, and on an integrating one by a load with a setpoint step that moves OP as
-    far. A loop with output limits is not asked to rest beyond 0.8 of them.
+    where there is no jump, else steps of OP's resolution), the last four with a stem offset of 0.5, -0.9, 0.9 and -0.5
+    of what the valve holds: by a setpoint step on a self-regulating plant, and on an integrating one by a load with a
+    setpoint step that moves OP as far. A loop with output limits is not asked to rest beyond 0.8 of them.
     """
     valve, plant = loop.valve, loop.plant
-    unit = valve.slip_jump or valve.stick_band
-    frictionless = unit == 0.0
-    if frictionless:
+    frictionless = valve.slip_jump == valve.stick_band == 0.0
+    unit = valve.slip_jump or valve.stick_band or loop.controller.output_resolution
+    if unit == 0.0:
         unit = 1.0 / abs(plant.gain) if isinstance(plant, FOPDT) else 1.0
     Kc = loop.controller.ideal_terms().Kc
     limits = loop.controller.output_limits or (-math.inf, math.inf)
@@ -74,11 +75,11 @@ def standard_starts(loop: Loop) -> tuple[Start, ...]:
         stem = min(max(shift * unit, 0.8 * limits[0]), 0.8 * limits[1])
         offset = share * valve.hold
         if isinstance(plant, FOPDT):
-            r, load = plant.gain * stem, 0.0
+            r, load = loop.gain * loop.flow(stem), 0.0
             name = f"setpoint step of {r:+.3g} EU"
         else:
-            r, load = (stem / Kc if Kc > 0.0 else 0.0), -stem
-            name = f"load step of {load:+.3g} % and setpoint step of {r:+.3g} EU"
+            r, load = (stem / Kc if Kc > 0.0 else 0.0), -loop.flow(stem)
+            name = f"load step of {loop.direction * load:+.3g} % and setpoint step of {r:+.3g} EU"
         if offset != 0.0:
             name += f", OP resting {offset:+.3g} % off the stem"
         # Two samples of constant signals say all: the last value is held.

@@ -51,7 +51,10 @@ POINTS, TRACED = 800, 3.3
 
 @dataclass(frozen=True, eq=False)
 class Start:
-    """A start: its name, the stem's offset (%), and the signals until they last change (r and load then stay)."""
+    """A start: its name, the stem's offset (%), and the signals until they last change (r and load then stay).
+
+    The load is in OP's direction, as `simulate.run.signals` has it.
+    """
 
     name: str
     stem_offset: float
@@ -83,8 +86,12 @@ class _Follower:
         self._prelude(start.given)
         self.carry = fresh_carry(float(self.state[kernel.X_LAST]))
         self.samples = self.worked = 0
-        # Row 0 starts with the first move, the others with a reversal.
-        self.halves = np.empty((0, kernel.HALF_CYCLE))
+        self._kept, self._filled = np.empty((1024, kernel.HALF_CYCLE)), 0
+
+    @property
+    def halves(self) -> FloatArray:
+        """The half cycles so far; row 0 starts with the first move, the others with a reversal."""
+        return self._kept[: self._filled]
 
     def _prelude(self, given: Signals) -> None:
         """Run what comes before the signals' last change."""
@@ -121,8 +128,12 @@ class _Follower:
         self._count(n, n, rows[:count])
 
     def _count(self, samples: int, worked: int, rows: FloatArray) -> None:
-        if rows.size:
-            self.halves = np.concatenate([self.halves, rows])
+        filled = self._filled + rows.shape[0]
+        if filled > self._kept.shape[0]:
+            # Doubled, so that a drifting loop's many thousands are copied a few times, not at every block.
+            self._kept = np.concatenate([self.halves, np.empty((filled, kernel.HALF_CYCLE))])
+        self._kept[self._filled : filled] = rows
+        self._filled = filled
         self.samples += samples
         self.worked += worked
 
@@ -139,7 +150,7 @@ class _Follower:
         """Return why an integrating plant's PV drifts away without end, or an empty string; after a `look`."""
         if isinstance(self.loop.plant, FOPDT):
             return ""
-        v = float(self.x[-1]) + self.load
+        v = self.loop.flow(float(self.x[-1])) + self.load
         if self.row[kernel.KC] == 0.0 and self.row[kernel.KD] == 0.0 and v != 0.0:
             return "there is no feedback: PV drifts without end"
         tail = self.u.size // 2
@@ -170,14 +181,34 @@ class _Follower:
         y, u, x = self.y[tail:], self.u[tail:], self.x[tail:]
         still_u = STILL * self.scale.band + 1e-12 * float(np.abs(u).max())
         still_y = STILL * self.scale.pv + 1e-12 * (float(np.abs(y).max()) + abs(self.r))
-        if np.ptp(u) > still_u or np.ptp(x) > still_u or np.ptp(y) > still_y:
+        compensator = int(self.row[kernel.COMPENSATOR])
+        if np.ptp(x) > still_u or np.ptp(y) > still_y or (compensator == kernel.NONE and np.ptp(u) > still_u):
             return ""
         error = self.r - float(y[-1])
+        if compensator != kernel.NONE:
+            return self._compensated(error, tail, still=bool(np.ptp(u) <= still_u))
         if abs(error) <= 10.0 * still_y:
             return self._on_setpoint()
         if self.row[kernel.KI] == 0.0:
             return self._resting(error, "no integral action moves the stem on")
         return self._resting(error, "OP is at its limit") if self.limited else ""
+
+    def _compensated(self, error: float, samples: int, *, still: bool) -> str:
+        """The same for a loop with a compensator whose stem and PV have stood still for so many samples."""
+        row = self.row
+        kind = int(row[kernel.COMPENSATOR])
+        if kind == kernel.TWO_MOVES and self.state[kernel.KEPT] != 2.0:
+            held = self.state[kernel.KEPT] == 1.0 and abs(error) <= row[kernel.EXTRA]
+            return self._resting(error, "OP is held after the two moves") if held else ""
+        if kind == kernel.RESET_BAND and still and row[kernel.LEVEL] == 0.0 and abs(error) <= row[kernel.SIZE]:
+            return self._resting(error, "the integral action rests within its deadband")
+        if kind in (kernel.KNOCKER, kernel.SINE, kernel.SQUARE) and samples < 2 * row[kernel.EVERY]:
+            return ""
+        if abs(error) <= 10.0 * STILL * self.scale.pv:
+            return self._on_setpoint()
+        if row[kernel.KI] == 0.0:
+            return self._resting(error, "no integral action moves the stem on")
+        return self._resting(error, "OP is at its limit") if self.limited and still else ""
 
     def _on_setpoint(self) -> str:
         """By which way PV came to rest on the setpoint; only a stem that sticks at once lands there by a slip."""
@@ -202,7 +233,8 @@ class _Follower:
         """
         tail = self.u.size // 2
         moves = np.diff(self.x[tail:])
-        if not self._follows() or self.row[kernel.KI] == 0.0 or tail <= 4 * self.past.size:
+        linear = self._follows() and self.row[kernel.COMPENSATOR] == kernel.NONE
+        if not linear or self.row[kernel.KI] == 0.0 or tail <= 4 * self.past.size:
             return False
         if not (bool((moves > 0.0).all()) or bool((moves < 0.0).all())):
             return False
@@ -248,8 +280,8 @@ def follow(loop: Loop, start: Start, *, least: int = LEAST, traced: bool = True)
     """
     run = _Follower(loop, start, traced)
     # Without friction the loop is linear while within its limits, and slow damping is no cycle.
-    frictionless = loop.valve.stick_band == loop.valve.slip_jump == 0.0
-    linear = frictionless and linear_stable(loop)
+    frictionless = loop.valve.stick_band == loop.valve.slip_jump == loop.controller.output_resolution == 0.0
+    linear = frictionless and loop.controller.compensator is None and linear_stable(loop)
     damped = linear and loop.controller.output_limits is None
     longest = max(LONGEST_CHUNK, 4 * run.past.size)
     chunk = max(FIRST_CHUNK, min(4 * run.past.size, longest))
@@ -358,7 +390,7 @@ def _no_cycle(run: _Follower, start: Start, outcome: str, reason: str) -> LimitC
 
 
 def _scale(loop: Loop, r: float) -> _Scale:
-    band = max(loop.valve.stick_band, loop.valve.slip_jump)
+    band = max(loop.valve.stick_band, loop.valve.slip_jump, loop.controller.output_resolution)
     gain = abs(loop.plant.gain)
     Kc = loop.controller.ideal_terms().Kc
     if isinstance(loop.plant, FOPDT):

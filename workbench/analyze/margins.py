@@ -29,7 +29,7 @@ MOST = 2_000_000
 
 
 def margins(loop: Loop) -> Margins:
-    """Return the margins of a loop with an ideal valve, as it is sampled, without its output limits.
+    """Return the margins of a loop with an ideal valve, as it is sampled, without its output limits and compensator.
 
     Ms = max |1/(1 + L)| over frequencies up to pi/Ts; gain margin: the least factor on Kc above 1 at which the loop
     becomes unstable; phase margin: the least phase lag, degrees, that does so; delay margin: the least further dead
@@ -38,12 +38,12 @@ def margins(loop: Loop) -> Margins:
     """
     if not linear_stable(loop):
         return Margins(loop, False, math.inf, math.nan, 0.0, 0.0, 0.0)
-    rows = coefficients(loop)
-    values, at, _ = loop_margins(rows, loop.sample_time)
+    Ts, rows = loop.executed.sample_time, coefficients(loop.executed)
+    values, at, _ = loop_margins(rows, Ts)
     Ms, gain, phase = (float(v) for v in values[0])
     w = _grid(rows)
     lag, share = _unit_crossings(_response(rows, w))
-    delay = float((lag / (w[:-1] * (w[1:] / w[:-1]) ** share)).min()) * loop.sample_time
+    delay = float((lag / (w[:-1] * (w[1:] / w[:-1]) ** share)).min()) * Ts
     return Margins(loop, True, Ms, float(at[0]), gain, phase, delay)
 
 

@@ -5,9 +5,12 @@ and the proportional action, move OP. Both are known sums, and OP has to travel 
 gives the period. The sums are those of the sampled loop, so that the figures need no fine sampling.
 
 Where it stops: a dead band alone (J = 0) has no jump, hence no two positions, and no such cycle. Where friction differs
-by direction the moves up and down differ too, and the slips do not close to two positions. Where an echo crosses
-the stick band by itself (Kc K J/S near 1 and above) the describing function's domain begins. On an integrating plant
-cycles of two slips a half cycle, twice as wide, may exist beside the one described here, chosen by the start.
+by direction or place the moves differ too, and the slips do not close to two positions; a stem with mass lands where
+its motion takes it. Where OP moves in levels (a resolution) the slips wait for the next level, which the sums do not
+know, and behind a curved characteristic the two positions lie in unlike gains. Where an echo crosses the stick band by
+itself (Kc K J/S near 1 and above) the describing function's domain begins. A compensator moves OP by more than these
+sums. On an integrating plant cycles of two slips a half cycle, twice as wide, may exist beside the one described here,
+chosen by the start.
 """
 
 from __future__ import annotations
@@ -19,9 +22,10 @@ import numpy as np
 from workbench.errors import InvalidValue
 from workbench.model.analyses import RelaxationCycle
 from workbench.model.controller import IdealTerms
+from workbench.model.karnopp import Karnopp
 from workbench.model.loop import Loop
 from workbench.model.plant import FOPDT
-from workbench.model.valve import Directional
+from workbench.model.valve import Directional, Positional
 from workbench.simulate.coefficients import discretise
 
 __all__ = ["relaxation_condition", "relaxation_cycle", "relaxation_period"]
@@ -43,9 +47,9 @@ def relaxation_condition(loop: Loop) -> bool:
     the valve on: the cycle that a describing function does not see. Stenman: S = J = d.
     """
     plant, terms, S, J = loop.plant, loop.controller.ideal_terms(), loop.valve.stick_band, loop.valve.slip_jump
-    if not isinstance(plant, FOPDT) or S <= 0.0 or J <= 0.0:
+    if not isinstance(plant, FOPDT) or S <= 0.0 or J <= 0.0 or loop.controller.compensator is not None:
         return False
-    gain = loop.controller.signed_gain * terms.Kc * plant.gain * J / S
+    gain = loop.controller.signed_gain * terms.Kc * loop.gain * J / S
     return 0.0 < gain < 1.0 and plant.time_constant + plant.dead_time < terms.Ti < math.inf
 
 
@@ -86,10 +90,19 @@ def relaxation_cycle(loop: Loop, split: float = 0.5) -> RelaxationCycle | None:
     if not 0.0 < split < 1.0:
         raise InvalidValue("split", split, "must lie between 0 and 1: the setpoint between the two stem positions")
     terms, valve = loop.controller.ideal_terms(), loop.valve
-    gain = loop.controller.signed_gain * terms.Kc * loop.plant.gain
+    gain = loop.controller.signed_gain * terms.Kc * loop.gain
     if valve.stick_band <= 0.0 or valve.slip_jump <= 0.0 or gain <= 0.0 or math.isinf(terms.Ti):
         return None
-    if isinstance(valve, Directional):
+    if loop.controller.compensator is not None:
+        return None
+    if loop.scan > 1:
+        # Between executions a stem that goes on with OP sticks.
+        return relaxation_cycle(loop.executed, split) if valve.sticks_at_once else None
+    if (
+        isinstance(valve, Directional | Positional | Karnopp)
+        or loop.controller.output_resolution > 0.0
+        or loop.curve != 0.0
+    ):
         return None
     if isinstance(loop.plant, FOPDT):
         return _self_regulating(loop, loop.plant, terms, split)

@@ -13,10 +13,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from workbench.errors import InvalidValue
+from workbench.model.karnopp import Karnopp
 from workbench.model.record import FloatArray
-from workbench.model.valve import Choudhury, Deadband, Directional, He, Kano, Stenman, Valve
+from workbench.model.valve import Choudhury, Deadband, Directional, He, Kano, Positional, Stenman, Valve
 
-__all__ = ["Piece", "directional_response", "locus_pieces", "staircase_response", "two_parameter_response"]
+__all__ = ["Piece", "directional_response", "locus_pieces", "no_locus", "staircase_response", "two_parameter_response"]
 
 ComplexArray = NDArray[np.complex128]
 
@@ -94,14 +96,26 @@ def staircase_response(A: FloatArray, step: float, lag: float = 0.0, *, between:
     return N
 
 
+def no_locus(valve: Valve) -> str:
+    """Return why a valve has no describing function, in words; empty for one that has."""
+    if isinstance(valve, Positional):
+        return "no describing function: its answer depends on where along the travel it is moved"
+    if isinstance(valve, Karnopp):
+        return "no describing function here: its answer depends on speed as well as amplitude"
+    return ""
+
+
 def locus_pieces(valve: Valve) -> tuple[Piece, ...]:
     """Return the continuous pieces of a valve's locus -1/N(A), none for a valve without friction.
 
     Two-parameter valves and dead band: one piece, from A = S/2 (just above it where J = 0, as the locus is infinite
     there) to 10,000 S. Stenman and He: the stairs either side of the mean first, then those with one at the mean (see
     `staircase_response`), each cut where A reaches another stair, up to 20 stairs; He's then goes on, to 10,000 S, as
-    the locus of a dead band of S, about which its stairs ripple.
+    the locus of a dead band of S, about which its stairs ripple. Raises `InvalidValue` where `no_locus` gives a reason.
     """
+    if no_locus(valve):
+        allowed = f"has {no_locus(valve)}; wb.limit_cycle tells exactly what the loop does"
+        raise InvalidValue("Loop.valve", type(valve).__name__, allowed)
     S, J = valve.stick_band, valve.slip_jump
     if S == 0.0 and J == 0.0:
         return ()

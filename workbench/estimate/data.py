@@ -29,7 +29,8 @@ class Centred:
     op_range: OP's peak to peak, %. integrating: the kind of plant that is fitted. sign: of the
     plant's gain, +1 or -1 where the controller's action shows, else 0. a: the filter (1, -a_1, .., -a_p) that leaves
     the disturbance white, (1,) where it is taken to be; target: y filtered by it. skip: the first samples, which do not
-    count: they answer to what the stem did before the record.
+    count: they answer to what the stem did before the record. load: EU, shape (N,), what load steps add to PV; y is
+    without it.
     """
 
     y: FloatArray
@@ -48,6 +49,7 @@ class Centred:
     a: FloatArray
     target: FloatArray
     skip: int
+    load: FloatArray
 
     @property
     def samples(self) -> int:
@@ -58,13 +60,17 @@ class Centred:
         """Return the same record, its disturbance the autoregression that the filter a leaves white."""
         return replace(self, a=a, target=whitened(a, self.y), skip=max(skip, a.size - 1))
 
+    def less(self, load: FloatArray) -> Centred:
+        """Return the same record without a load, EU, shape (N,), any disturbance white."""
+        return replace(_centred(self.y - load, self.u, self), load=self.load + load)
+
     def innovations(self, prediction: FloatArray) -> FloatArray:
         """Return what a prediction of y leaves, filtered, without the samples that do not count: shape (N - skip,)."""
         left: FloatArray = whitened(self.a, self.y - prediction)[self.skip :]
         return left
 
     def part(self, first: int, stop: int) -> Centred:
-        """Return the samples [first, stop) alone, centred as the whole, any disturbance white."""
+        """Return the samples [first, stop) alone, centred as the whole, without its load, any disturbance white."""
         return _centred(self.y[first:stop], self.u[first:stop], self)
 
 
@@ -92,6 +98,7 @@ def _centred(y: FloatArray, u: FloatArray, whole: Centred) -> Centred:
         a=WHITE,
         target=y,
         skip=0,
+        load=np.zeros(y.size),
     )
 
 
@@ -160,6 +167,7 @@ def centre(record: Record, plant: str) -> Centred:
         a=WHITE,
         target=y,
         skip=0,
+        load=np.zeros(y.size),
     )
 
 

@@ -23,6 +23,7 @@ from workbench.estimate.fit import (
     grounded,
     predict,
 )
+from workbench.estimate.loads import WHITER, loads_of
 from workbench.estimate.models import (
     PLANT_PARAMETERS,
     VALVE_PARAMETERS,
@@ -42,6 +43,7 @@ from workbench.estimate.two_parameter import Bands, band_stem, look, repeated
 from workbench.estimate.two_step import akaike, two_step
 from workbench.estimate.verdict import ENOUGH_SLIPS, SHARP, WIDE_D, Evidence, agree, judge
 from workbench.model.checks import choice, number
+from workbench.model.load_step import LoadStep
 from workbench.model.record import FloatArray, Record
 from workbench.model.results import Estimate, Iteration, NoiseModel
 from workbench.model.valve import Choudhury, Deadband, Ideal, Stenman
@@ -57,6 +59,7 @@ PLANTS = ("fopdt", "integrating", "auto")
 DELAYS = 30
 LINEAR_DELAYS = 240
 STARTING = 20  # of the record at most is left out at its start
+STEPS_MOST = 2  # load steps
 COLOURINGS = 2  # rounds of model and disturbance in turn
 CLEAR_BIC = 10.0  # R. Kass, A. Raftery, J. Am. Stat. Assoc. 90 (1995) 773-795: "very strong" evidence above it
 MUCH_MANUAL = 0.05  # share of the record in manual that is worth a word
@@ -115,7 +118,8 @@ def estimate(
         found, history = two_step(data, start, _longest(data, max_dead_time, DELAYS))
     else:
         found = _profile(data, max_dead_time, (lambda share: tell(0.1 + 0.4 * share)) if method == "joint" else tell)
-    answer, paths = _answer(record, data, (method, valve), found, (linear, longest), history)
+    answer, paths, load = _answer(record, data, (method, valve), found, (linear, longest), history)
+    data = data.less(load)
     if method == "joint":
         answer = _joint(data, answer, paths, max_dead_time, lambda share: tell(0.5 + 0.5 * share))
     repeats = repeats_of(data, answer)
@@ -187,56 +191,95 @@ def _profile(data: Centred, max_dead_time: float | None, tell: Callable[[float],
         longest *= 2
 
 
-def _left(data: Centred, found: Profile | None, bands: dict[str, Bands], linear: Fit) -> FloatArray:
-    """What the best stem leaves of y, EU, over the samples that count."""
-    x, first, fit = data.u, 0, linear
+def _leading(data: Centred, found: Profile | None, bands: dict[str, Bands], linear: Fit) -> tuple[FloatArray, int, Fit]:
+    """The best stem path, where it starts, and its fit."""
     band = min((b.best for b in bands.values()), key=lambda b: b.fit.sse, default=None)
+    if band is not None and (found is None or band.fit.sse < found.best.fit.sse):
+        return band_stem(data.u, band.S, band.J, band.first, band.sense)[0], max(band.first, 0), band.fit
     if found is not None:
         best = found.best
-        x, first, fit = path_of(data.u, best.d_low, best.first)[0], best.first, best.fit
-    if band is not None and (found is None or band.fit.sse < fit.sse):
-        x, first, fit = band_stem(data.u, band.S, band.J, band.first, band.sense)[0], max(band.first, 0), band.fit
-    return (data.y - predict(data, x, first, grounded(data, x, first, fit))[0])[data.skip :]
+        return path_of(data.u, best.d_low, best.first)[0], best.first, best.fit
+    return data.u, 0, linear
+
+
+def _relieved(
+    whole: Centred,
+    data: Centred,
+    lead: tuple[FloatArray, int, Fit],
+    limits: Limits,
+    skip: int,
+    asked: tuple[int, float],
+) -> tuple[Centred, FloatArray, tuple[LoadStep, ...]]:
+    """The record without the load steps that a stem does not explain, what it leaves of that, EU, and the steps.
+
+    whole: the record with its load; data: as the lead was fitted to it; asked: how many
+    steps at most, and how much whiter they must make what is left.
+    """
+    x, first, fit = lead
+    loads = loads_of(whole, x, first, fit, limits, skip, *asked)
+    if loads.steps:
+        return whole.less(loads.pv), loads.left, loads.steps
+    if data.load.any():
+        left = whole.y - predict(whole, x, first, grounded(whole.whitened(data.a, max(skip, 1)), x, first, fit))[0]
+    else:
+        left = data.y - predict(data, x, first, grounded(data, x, first, fit))[0]
+    return whole, left, ()
 
 
 def _settled(
     data: Centred, found: Profile | None, bands: dict[str, Bands], linear: Fit, delays: float
-) -> tuple[Centred, Profile | None, dict[str, Bands], Fit]:
-    """The record and its models in the measure of the disturbance that the best stem leaves.
+) -> tuple[Centred, Profile | None, dict[str, Bands], Fit, tuple[LoadStep, ...]]:
+    """The record and its models without load steps, in the measure of the disturbance that the best stem leaves.
 
     Where the record starts within a cycle, its first samples, up to the dead time, answer to slips before it: they no
     longer count. A PV that starts where it does not come again starts from rest, with a setpoint move.
     """
+    whole = data
+    steps: tuple[LoadStep, ...] = ()
     theta = max(0.0 if found is None else found.best.fit.theta, min(linear.theta, delays))
     later = data.y[data.samples // 4 :]
     within = bool(later.min() <= data.y[0] <= later.max())
     skip = min(math.ceil(theta) + 2, data.samples // STARTING) if within else 0
-    for turn in range(COLOURINGS):
-        a = disturbance(_left(data, found, bands, linear)[max(skip - data.skip, 0) :], data.floor)
+    limits = Limits((LEAST_TAU, float(data.samples)), (0.0, delays))
+    turn = 0
+    while turn < COLOURINGS or (steps and turn < COLOURINGS + STEPS_MOST):
+        before = steps
+        # One step at a time: what a second seems to explain may be the wrong stem's doing. What the first stems leave
+        # is coloured by their own errors; in the end it must be a step's work that it is not.
+        asked = (min(turn + 1, STEPS_MOST), 1.0 if turn < COLOURINGS else WHITER)
+        bare, left, steps = _relieved(whole, data, _leading(data, found, bands, linear), limits, skip, asked)
+        a = disturbance(left[skip:], data.floor)
+        same = a.size == data.a.size == 1 and not steps and not before
         # Of a long record the first few samples are nothing.
-        if a.size == data.a.size == 1 and (turn > 0 or skip == 0 or data.samples > EXACT):
+        turn += 1
+        if same and (turn > 1 or skip == 0 or data.samples > EXACT):
             break
-        coloured = a.size > 1
-        data = data.whitened(a, skip)
+        data = bare.whitened(a, skip)
+        anew = a.size > 1 or bool(steps) or bool(before)
         linear = again_linear(data, linear, delays)
+        if found is not None and bool(steps) != bool(before):
+            found = search(bare, delays, _silent) or found
         if found is not None:
             likely = [*found.likely, found.best.d_low]
-            if coloured:
+            if anew:
                 found = profile_of(data, found.rows, likely, found.limits, _silent, (found.best,))
             else:
                 found = profile_again(data, found)
-        limits = Limits((LEAST_TAU, float(data.samples)), (0.0, delays))
         if bands:
-            bands = bands_of(data, look(data, delays), limits) if coloured else refitted(data, bands, limits)
-    return data, found, bands, linear
+            bands = bands_of(data, look(data, delays), limits) if anew else refitted(data, bands, limits)
+    return data, found, bands, linear, steps
 
 
-def _coloured_linear(data: Centred, linear: Fit, delays: float) -> tuple[Centred, Fit]:
-    """The record and its linear fit in the measure of the disturbance that this leaves."""
+def _coloured_linear(data: Centred, linear: Fit, delays: float) -> tuple[Centred, Fit, tuple[LoadStep, ...]]:
+    """The record without load steps and its linear fit, in the measure of the disturbance that this leaves."""
+    whole = data
+    steps: tuple[LoadStep, ...] = ()
     for _ in range(COLOURINGS):
-        data = data.whitened(disturbance(_left(data, None, {}, linear), data.floor), 0)
+        limits = Limits((LEAST_TAU, float(data.samples)), (0.0, delays))
+        bare, left, steps = _relieved(whole, data, (data.u, 0, linear), limits, 0, (STEPS_MOST, WHITER))
+        data = bare.whitened(disturbance(left, data.floor), 0)
         linear = again_linear(data, linear, delays)
-    return data, linear
+    return data, linear, steps
 
 
 def _answer(
@@ -246,8 +289,11 @@ def _answer(
     found: Profile | None,
     straight_fit: tuple[Fit, float],
     history: tuple[Iteration, ...],
-) -> tuple[Estimate, list[Path]]:
-    """The estimate, and the likeliest stem paths of its valve; straight_fit: the linear fit and its longest delay."""
+) -> tuple[Estimate, list[Path], FloatArray]:
+    """The estimate, the likeliest stem paths of its valve, and what load steps add to PV, EU, shape (N,).
+
+    straight_fit: the linear fit and its longest delay.
+    """
     linear, longest = straight_fit
     n = data.samples
     method, valve = asked
@@ -261,16 +307,18 @@ def _answer(
     bands = {}
     if method != "two_step" and valve not in ("stenman", "linear"):
         bands = bands_of(data, coarse, Limits((LEAST_TAU, float(n)), (0.0, delays)))
+    steps: tuple[LoadStep, ...] = ()
     # The verdict weighs what each model leaves of PV; the model itself is fitted in the measure that its disturbance
     # asks for.
     if method != "two_step":
-        data, found, bands, linear = _settled(data, found, bands, linear, delays)
+        data, found, bands, linear, steps = _settled(data, found, bands, linear, delays)
     stem = None if found is None else stem_of(data, found)
     left = math.inf if stem is None else float(np.mean((record.pv - stem.prediction) ** 2))
     evidence = Evidence(
         samples=n,
         variance=data.variance,
-        linear=rival.sse / n,
+        # A load step is no stiction: where there is one, both have it.
+        linear=min(rival.sse / n, linear_result(data, linear).residual_variance) if steps else rival.sse / n,
         stem=left,
         slips=0 if found is None else found.best.slips,
         d=math.nan if found is None else found.best.d,
@@ -316,7 +364,7 @@ def _answer(
     best = bands[chosen].best if chosen in bands else None if found is None else found.best
     stuck = best is not None and chosen != "linear" and verdict != "no_stiction" and best.fit.gain != 0.0
     if not stuck:
-        data, linear = _coloured_linear(unsettled, plain, longest)
+        data, linear, steps = _coloured_linear(unsettled, plain, longest)
         straight = linear_result(data, linear)
     profile_d = np.array([] if found is None else [c.d for c in found.fits])
     profile_cost = np.array([] if found is None else [c.fit.sse / n for c in found.fits])
@@ -342,8 +390,9 @@ def _answer(
             profile_cost=profile_cost,
             iterations=history,
             candidates=tuple(models.values()),
+            load_steps=steps,
         )
-        return unstuck, linear_path(data, linear)
+        return unstuck, linear_path(data, linear), data.load
     # Of the prediction itself: where the model's columns are nearly dependent, the normal equations lose digits.
     sse = float(((record.pv - stem.prediction) ** 2).sum())
     sticking = Estimate(
@@ -359,7 +408,7 @@ def _answer(
         intervals=stem.intervals,
         identifiable=identifiable,
         residual_variance=sse / n,
-        aic=akaike(data, sse, PLANT_PARAMETERS + VALVE_PARAMETERS[chosen] - data.integrating),
+        aic=akaike(data, sse, PLANT_PARAMETERS + VALVE_PARAMETERS[chosen] - data.integrating + 2 * len(steps)),
         noise_sd=float(np.sqrt(np.mean((record.pv - stem.prediction)[data.skip :] ** 2))),
         slips=best.slips,
         linear=straight,
@@ -367,10 +416,11 @@ def _answer(
         profile_cost=profile_cost,
         iterations=history,
         candidates=tuple(models.values()),
+        load_steps=steps,
     )
     if chosen in bands:
-        return sticking, band_paths(data, bands[chosen], chosen)
-    return sticking, [] if found is None else stem_paths(data, found)
+        return sticking, band_paths(data, bands[chosen], chosen), data.load
+    return sticking, [] if found is None else stem_paths(data, found), data.load
 
 
 def _joint(
@@ -389,7 +439,7 @@ def _joint(
         failed = f"the joint refinement ended as {found.status.value}: the profile's own fit is shown"
         return replace(plain, reasons=(*plain.reasons, failed))
     path, fit = best.path, best.fit
-    prediction = data.pv_mean + best.prediction(data)
+    prediction = data.pv_mean + data.load + best.prediction(data)
     position = path.x + data.op_middle
     if path.first > 0 and fit.gain != 0.0:
         position[: path.first] = data.op_middle + fit.start / fit.gain

@@ -18,6 +18,7 @@ __all__ = [
     "Fit",
     "Limits",
     "again_linear",
+    "autoregression",
     "disturbance",
     "fit_linear",
     "fit_nothing",
@@ -314,7 +315,12 @@ def score_covariance(jacobian: FloatArray, residuals: FloatArray) -> FloatArray:
 
 
 def disturbance(residuals: FloatArray, floor: float) -> FloatArray:
-    """Return the filter (1, -a_1, .., -a_p) that leaves a residual white, (1,) where it is so or below `floor` (EU^2).
+    """Return the filter (1, -a_1, .., -a_p) that leaves a residual white (see `autoregression`)."""
+    return autoregression(residuals, floor)[0]
+
+
+def autoregression(residuals: FloatArray, floor: float) -> tuple[FloatArray, float]:
+    """Return the filter (1, -a_1, .., -a_p) that leaves a residual white, and its BIC; (1,) below `floor` (EU^2).
 
     The autoregression of lowest BIC up to ORDERS (G. Schwarz, Ann. Statist. 6 (1978) 461-464), by Levinson's recursion
     on the autocorrelation (J. Durbin, Rev. Int. Stat. Inst. 28 (1960) 233-244).
@@ -323,7 +329,7 @@ def disturbance(residuals: FloatArray, floor: float) -> FloatArray:
     left = residuals - residuals.mean()
     power = float(left @ left) / n
     if not power > LOUD * floor:
-        return WHITE
+        return WHITE, n * math.log(max(power, floor, 1e-300))
     lags = np.array([float(left[k:] @ left[: n - k]) / n for k in range(ORDERS + 1)])
     best, least, a, variance = WHITE, n * math.log(power), np.ones(1), power
     for p in range(1, ORDERS + 1):
@@ -335,7 +341,7 @@ def disturbance(residuals: FloatArray, floor: float) -> FloatArray:
         bic = n * math.log(variance) + p * math.log(n)
         if bic < least:
             best, least = a, bic
-    return best
+    return best, least
 
 
 def _moved(fit: Fit, name: str, step: float) -> Fit:

@@ -46,7 +46,7 @@ def linear_result(data: Centred, fit: Fit) -> LinearFit:
     return LinearFit(
         plant=plant_of(data, fit.gain, fit.tau, fit.theta),
         bias=bias_of(data, fit),
-        prediction=data.pv_mean + modelled,
+        prediction=data.pv_mean + data.load + modelled,
         residual_variance=sse / data.samples,
         aic=akaike(data, sse, PLANT_PARAMETERS - data.integrating),
     )
@@ -101,7 +101,7 @@ def stem_of(data: Centred, found: Profile) -> Stem:
     whole = grounded(data, x, best.first, best.fit, bounds)
     if best.first > 0 and whole.gain != 0.0:
         start = float(np.clip(whole.start / whole.gain, *bounds))
-    prediction = data.pv_mean + predict(data, x, best.first, whole)[0]
+    prediction = data.pv_mean + data.load + predict(data, x, best.first, whole)[0]
     position = x + data.op_middle
     position[: best.first] = start + data.op_middle
     errors = (math.nan, math.nan, math.nan)
@@ -119,7 +119,7 @@ def band_of(data: Centred, found: Bands, name: str) -> Stem:
     x, _ = band_stem(data.u, best.S, best.J, best.first, best.sense)
     begin = max(best.first, 0)
     whole = grounded(data, x, begin, best.fit)
-    prediction = data.pv_mean + predict(data, x, begin, whole)[0]
+    prediction = data.pv_mean + data.load + predict(data, x, begin, whole)[0]
     position = x + data.op_middle
     if begin > 0 and best.fit.gain != 0.0:
         # Where the stem was before it first slipped, kept to what the valve can hold there.

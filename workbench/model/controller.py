@@ -10,9 +10,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from typing import get_args
 
 from workbench.errors import InvalidValue
 from workbench.model.checks import choice, number, ordered_pair
+from workbench.model.compensator import Compensator
 
 __all__ = ["PID", "STRUCTURES", "IdealTerms"]
 
@@ -51,7 +53,13 @@ class PID:
     `setpoint_weight`: b of the proportional action, 0..1. `action`: "reverse" (OP falls when PV rises, for plants of
     positive gain) or "direct". `output_limits`: (low, high), % in deviation from the resting output, or None.
     `anti_windup`: "clamp" or "back_calculation", with `tracking_time` Tt, s (Ti of the ideal form unless given).
-    Raises `InvalidValue`.
+    `output_resolution`: q, %, >= 0, of the output that leaves the controller, as a converter or a smart positioner has
+    it; 0 for none. After the limits, an output u that no limit holds becomes `bias + q round((u - bias)/q)`, halves to
+    even: levels are counted from the resting output (bias, u before the first sample), which is a level; a level beyond
+    a limit is that limit. Valve, record and figures see the rounded output; the controller does not: its integral, its
+    derivative and back-calculation go on with the unrounded one.
+    `compensator`: what the controller does about stiction besides this law (`model.compensator`), before the output is
+    rounded, or None. Raises `InvalidValue`.
     """
 
     Kc: float
@@ -65,6 +73,8 @@ class PID:
     output_limits: tuple[float, float] | None = None
     anti_windup: str = "clamp"
     tracking_time: float | None = None
+    output_resolution: float = 0.0
+    compensator: Compensator | None = None
 
     def __post_init__(self) -> None:
         def put(name: str, value: object) -> None:
@@ -86,6 +96,9 @@ class PID:
         choice(self.anti_windup, "PID.anti_windup", ("clamp", "back_calculation"))
         if self.tracking_time is not None:
             put("tracking_time", number(self.tracking_time, "PID.tracking_time", above=0.0, unit="s"))
+        put("output_resolution", number(self.output_resolution, "PID.output_resolution", least=0.0, unit="%"))
+        if self.compensator is not None and not isinstance(self.compensator, get_args(Compensator)):
+            raise InvalidValue("PID.compensator", self.compensator, "must be one of the compensators or None")
         if self.form == "parallel" and self.Kc == 0.0 and self.Td > 0.0 and not math.isinf(self.derivative_filter):
             raise InvalidValue("PID.Kc", self.Kc, "a filtered derivative in the parallel form needs Kc > 0")
 
@@ -122,6 +135,15 @@ class PID:
             return IdealTerms(Kc, Ti, Td, Tf, b)
         weight = (b * Ti + Td) / (Ti + Td) if self.derivative_on == "error" else b * Ti / (Ti + Td)
         return IdealTerms(Kc * (1.0 + Td / Ti), Ti + Td, Td * (Ti - Tf) / (Ti + Td), Tf, weight)
+
+    def check_sampling(self, sample_time: float) -> None:
+        """Refuse what does not suit the sample time (s): times of a compensator, fast back-calculation.
+
+        Raises `InvalidValue`, for back-calculation as `check_tracking` says.
+        """
+        if self.compensator is not None:
+            self.compensator.check(sample_time)
+        self.check_tracking(sample_time)
 
     def check_tracking(self, sample_time: float) -> None:
         """Refuse back-calculation that is too fast for the sample time (s). Raises `InvalidValue`.

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from workbench.errors import InvalidValue
 from workbench.model.checks import number, whole
 
-__all__ = ["Experiment", "Noise", "Profile", "Ramp", "Series", "Step"]
+__all__ = ["Experiment", "Noise", "Profile", "Ramp", "Series", "Step", "profile_parts"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,7 +92,8 @@ class Noise:
         object.__setattr__(self, "seed", whole(self.seed, "Noise.seed"))
 
 
-def _profile(value: object, where: str, last: float) -> tuple[Profile, ...]:
+def profile_parts(value: object, where: str, last: float) -> tuple[Profile, ...]:
+    """Return a profile's parts, checked; `last` (s) is the latest start. Raises `InvalidValue`."""
     if value is None:
         return ()
     parts = (value,) if isinstance(value, Step | Ramp | Series) else tuple(_sequence(value, where))
@@ -126,7 +127,7 @@ class Experiment:
     def __post_init__(self) -> None:
         object.__setattr__(self, "duration", number(self.duration, "Experiment.duration", above=0.0, unit="s"))
         for name in ("setpoint", "load"):
-            parts = _profile(getattr(self, name), f"Experiment.{name}", self.duration)
+            parts = profile_parts(getattr(self, name), f"Experiment.{name}", self.duration)
             if not isinstance(getattr(self, name), Step | Ramp | Series):
                 object.__setattr__(self, name, parts or None)
         if self.noise is not None and not isinstance(self.noise, Noise):
@@ -136,9 +137,9 @@ class Experiment:
     @property
     def setpoint_parts(self) -> tuple[Profile, ...]:
         """The setpoint's parts as a tuple."""
-        return _profile(self.setpoint, "Experiment.setpoint", self.duration)
+        return profile_parts(self.setpoint, "Experiment.setpoint", self.duration)
 
     @property
     def load_parts(self) -> tuple[Profile, ...]:
         """The load's parts as a tuple."""
-        return _profile(self.load, "Experiment.load", self.duration)
+        return profile_parts(self.load, "Experiment.load", self.duration)

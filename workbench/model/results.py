@@ -23,6 +23,7 @@ from workbench.model.analyses import (
 from workbench.model.controller import PID
 from workbench.model.ensemble import Constraints, Ensemble
 from workbench.model.experiment import Experiment
+from workbench.model.load_step import LoadStep
 from workbench.model.loop import Loop
 from workbench.model.plant import Plant
 from workbench.model.record import FloatArray, Record
@@ -468,12 +469,10 @@ class Estimate:
     OP's scale, shape (N,). prediction: PV simulated from that stem, EU, shape (N,). bias: PV at stem 0, EU.
     verdict: "stiction", "no_stiction" or "undecided", with `reasons` in words. identifiable: True for a
     "stiction" verdict whose d (or S) the data pin to a tenth, with ten stem moves or more, and not only its product
-    with the gain. residual_variance (EU^2) and aic by the paper's eq. (1); noise_sd: standard deviation of PV about the
-    prediction, EU. slips: stem moves in the record. profile_d and profile_cost: variance of the innovations (EU^2)
-    against d, the residual's where the disturbance is white. iterations: the two-step algorithm's history. candidates:
-    the models compared, the lowest BIC first. noise_model: drift and coloured disturbance of method "joint", None
-    otherwise.
-    repeats: what parts of the record say by themselves; None without stiction or with too few stem moves.
+    with the gain. residual_variance (EU^2) and aic by the paper's eq. (1); noise_sd: of PV about the prediction, EU.
+    slips: stem moves in the record. profile_d and profile_cost: variance of the innovations (EU^2) against d.
+    iterations: of two-step. candidates: the models compared, the lowest BIC first. noise_model: of "joint", or None.
+    repeats: parts of the record by themselves; None with few moves. load_steps: lasting, and in the prediction.
     """
 
     record: Record
@@ -498,3 +497,4 @@ class Estimate:
     candidates: tuple[FittedModel, ...] = ()
     noise_model: NoiseModel | None = None
     repeats: Repeats | None = None
+    load_steps: tuple[LoadStep, ...] = ()

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
 
+from workbench.model.cascade import CascadeCycle, CascadeRun, CascadeTuned
 from workbench.model.cycle_map import CycleMap
 from workbench.model.detection import Detection
 from workbench.model.experiment import Experiment
@@ -15,7 +16,7 @@ from workbench.model.results import DescribingFunction, Estimate, LimitCycle, Ou
 from workbench.model.rule import Rule
 from workbench.model.tuning import Objective
 
-__all__ = ["CaseResult", "NamedEstimate", "Study"]
+__all__ = ["CascadeResult", "CaseResult", "NamedEstimate", "Study"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,13 +65,30 @@ class NamedEstimate:
 
 
 @dataclass(frozen=True, eq=False)
+class CascadeResult:
+    """One case of a cascade: its run, J (None without an objective), its long run, and what each loop shows alone.
+
+    detections: of the primary's and of the secondary's late record without noise, None where it does not cycle.
+    `tuned` where its controllers were found.
+    """
+
+    name: str
+    run: CascadeRun
+    objective: float | None = None
+    cycle: CascadeCycle | None = None
+    detections: tuple[Detection, Detection] | None = None
+    tuned: CascadeTuned | None = None
+    note: str = ""
+
+
+@dataclass(frozen=True, eq=False)
 class Study:
     """A scenario's results. `name` is the file's stem and the report folder's name; `scenario_text` the YAML as given.
 
     `reference_source`: where the reference figures come from, in words. `notes`: what an engineer should know about
     how the results came about (coarse sampling, rejected rows ...). `front`: the trade-off of error and valve travel;
     `robust_repair`: what repair is worth over an ensemble. `cycle_map`: the long-run behaviour over a plane of tunings.
-    `times`: seconds by stage, for run.json alone.
+    `cascade`: the cases of a cascade, which has no others. `times`: seconds by stage, for run.json alone.
     """
 
     name: str
@@ -87,4 +105,15 @@ class Study:
     front: Front | None = None
     robust_repair: RobustRepair | None = None
     cycle_map: CycleMap | None = None
+    cascade: tuple[CascadeResult, ...] = ()
     times: Mapping[str, float] = field(default_factory=lambda: MappingProxyType({}))
+
+    @property
+    def tunings(self) -> tuple[tuple[str, Tuned], ...]:
+        """Every search under its case's name; of a cascade the secondary's, then the primary's."""
+        found = [(case.name, case.tuned) for case in self.cases]
+        for one in self.cascade:
+            if one.tuned is not None:
+                found.append((f"{one.name}, secondary", one.tuned.secondary))
+                found.append((f"{one.name}, primary", one.tuned.primary))
+        return tuple((name, tuned) for name, tuned in found if tuned is not None)

@@ -14,8 +14,11 @@ from dataclasses import dataclass
 
 from workbench.errors import InvalidValue
 from workbench.model.checks import instance, number
+from workbench.model.karnopp import Karnopp
 
-__all__ = ["Choudhury", "Deadband", "Directional", "He", "Ideal", "Kano", "Stenman", "Valve"]
+__all__ = ["Choudhury", "Deadband", "Directional", "He", "Ideal", "Kano", "Positional", "Stenman", "Valve"]
+
+MOST_PLACES = 64
 
 
 @dataclass(frozen=True, slots=True)
@@ -290,4 +293,83 @@ class Directional:
         return False
 
 
-Valve = Ideal | Stenman | He | Choudhury | Kano | Deadband | Directional
+@dataclass(frozen=True, slots=True)
+class Positional:
+    """Stiction that varies along the travel: tight packing, a worn seat, a bent stem.
+
+    positions: stem positions, % from rest in OP's direction, ascending, 1 to 64; valves: the friction at each, all
+    `Stenman`, all `He`, all `Choudhury` or all `Deadband`. Their parameters are interpolated linearly between the
+    positions and stay beyond the ends. In each sample the law is that valve's with the parameters at x_{k-1}, where the
+    stem stands before it; where this would take a moving stem back against its motion it stays, moving. With one and
+    the same valve everywhere it is that valve. What a stem slips at or follows by, (S + J)/2, (S - J)/2, d, f_s or f_d,
+    may change by less than 1 % for each % of travel: faster, and the spring could not hold a moving stem back. The form
+    is this project's own. Raises `InvalidValue`.
+    """
+
+    positions: tuple[float, ...]
+    valves: tuple[Stenman | He | Choudhury | Deadband, ...]
+
+    def __post_init__(self) -> None:
+        for name in ("positions", "valves"):
+            where = f"Positional.{name}"
+            instance(getattr(self, name), (tuple, list), where, "a tuple")
+            if not 1 <= len(getattr(self, name)) <= MOST_PLACES:
+                raise InvalidValue(where, f"{len(getattr(self, name))} entries", f"must be 1 to {MOST_PLACES}")
+        at = tuple(number(x, f"Positional.positions[{i}]", unit="%") for i, x in enumerate(self.positions))
+        if len(at) != len(self.valves):
+            allowed = f"must be as many as the positions ({len(at)})"
+            raise InvalidValue("Positional.valves", f"{len(self.valves)} entries", allowed)
+        kind = type(self.valves[0])
+        for i, valve in enumerate(self.valves):
+            instance(valve, (Stenman, He, Choudhury, Deadband), f"Positional.valves[{i}]", "a valve of those kinds")
+            if type(valve) is not kind:
+                allowed = f"must be of the first one's kind ({kind.__name__})"
+                raise InvalidValue(f"Positional.valves[{i}]", type(valve).__name__, allowed)
+        object.__setattr__(self, "positions", at)
+        object.__setattr__(self, "valves", tuple(self.valves))
+        for i in range(len(at) - 1):
+            if not at[i] < at[i + 1]:
+                raise InvalidValue(f"Positional.positions[{i + 1}]", f"{at[i + 1]:g} %", f"must be above {at[i]:g} %")
+            a, b = self.valves[i], self.valves[i + 1]
+            change = max(abs(b.hold - a.hold), abs(_followed(b) - _followed(a)))
+            if change >= at[i + 1] - at[i]:
+                allowed = f"must be less than the {at[i + 1] - at[i]:g} % of travel from the position before"
+                raise InvalidValue(f"Positional.valves[{i + 1}]", f"friction that changes by {change:g} %", allowed)
+
+    @property
+    def stick_band(self) -> float:
+        """S, %: the largest."""
+        return max(valve.stick_band for valve in self.valves)
+
+    @property
+    def slip_jump(self) -> float:
+        """J, %: the smallest."""
+        return min(valve.slip_jump for valve in self.valves)
+
+    @property
+    def hold(self) -> float:
+        """Largest |u - x|, %, at which the stem at rest stays where it starts, at x = 0."""
+        return self.between(0.0, tuple(valve.hold for valve in self.valves))
+
+    @property
+    def sticks_at_once(self) -> bool:
+        """Whether the stem sticks again after each sample's slip, as its valves do."""
+        return self.valves[0].sticks_at_once
+
+    def between(self, x: float, values: tuple[float, ...]) -> float:
+        """Return the value at stem position x (%) where `values` stand at the positions."""
+        at = self.positions
+        if x <= at[0]:
+            return values[0]
+        for i in range(len(at) - 1):
+            if x <= at[i + 1]:
+                return values[i] + (x - at[i]) / (at[i + 1] - at[i]) * (values[i + 1] - values[i])
+        return values[-1]
+
+
+def _followed(valve: Stenman | He | Choudhury | Deadband) -> float:
+    """How far behind its input a moving stem stays, %."""
+    return valve.fd if isinstance(valve, He) else (valve.stick_band - valve.slip_jump) / 2.0
+
+
+Valve = Ideal | Stenman | He | Choudhury | Kano | Deadband | Directional | Positional | Karnopp

@@ -1,35 +1,33 @@
-"""What is drawn on given axes: the parts that the figures and `wb.plot` share. Layout only.
-
-Long signals are thinned to what can be seen: the extreme values of each pixel column, and each stretch of a phase plot
-once.
-"""
+"""What is drawn on given axes: the parts that the figures and `wb.plot` share. Layout only."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
-from numpy.typing import NDArray
 
 from workbench.model.record import FloatArray, Record
 from workbench.model.results import DescribingFunction, Estimate, LimitCycle, Run, Tuned
 from workbench.model.valve import Ideal, Stenman
 from workbench.report.style import LINEAR, OP, PREDICTION, PV, SP, VALVE, Style, case_style
+from workbench.report.thinned import BEYOND, but_for_kicks, phase, seen, thin, time_axis
 from workbench.report.words import ROUNDING, duration, figure, given, label
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 __all__ = [
+    "BEYOND",
     "convergence",
+    "finish",
     "frequency",
     "frequency_window",
     "limit_cycle_starts",
     "limit_to",
+    "line",
     "model_op",
     "model_pv",
     "near_best",
@@ -51,121 +49,42 @@ __all__ = [
     "without_kicks",
 ]
 
-COLUMNS = 500  # pixel columns of a figure's plot area: half a point of a page-wide trend
-BEYOND = 1e9  # EU or %: a signal that grows past this has left every plant, and its figure
-GRIDS = (400, 200, 100, 50, 25)  # cells along each side of a phase plot, within which points are one
-STRETCHES = 2500  # of a phase plot, above which the next coarser grid is taken
 
-
-def thin(x: FloatArray, y: FloatArray, columns: int = COLUMNS) -> tuple[FloatArray, FloatArray]:
-    """Return the samples of an evenly spaced signal that show in `columns` pixel columns, in order.
-
-    Signals of up to four samples a column are returned whole; a column's least and largest values are always kept.
-    """
-    n = x.size
-    if n <= 4 * columns:
-        return x, y
-    keep: list[int] = []
-    dense = n > 16 * columns  # a column is a stroke from its least to its largest value
-    edges = np.linspace(0, n, columns + 1).astype(int)
-    for first, stop in pairwise(edges.tolist()):
-        part = y[first:stop]
-        ends = {first, stop - 1} if not dense or first == 0 or stop == n else set()
-        keep += sorted({first + int(np.argmin(part)), first + int(np.argmax(part))} | ends)
-    return x[keep], y[keep]
-
-
-def seen(signal: FloatArray, limit: float = BEYOND) -> FloatArray:
-    """Return a signal with nan where it is not finite or exceeds `limit` in size: the stretch that is not drawn."""
-    with np.errstate(invalid="ignore"):
-        return np.where(np.abs(signal) <= limit, signal, math.nan)
-
-
-def phase(x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return a phase plot's line with every stretch drawn once; nan separates stretches that do not join.
-
-    Points are told apart on a grid over the signals' ranges, of 400 x 400 cells, or coarser where noise fills it; of
-    noise that fills even that, a part of the stretches is drawn.
-    """
-    both = np.isfinite(seen(x)) & np.isfinite(seen(y))
-    x, y = x[both], y[both]
-    if x.size < 2:
-        return x, y
-    for cells in GRIDS:
-        moved, first = _stretches(x, y, cells)
-        if first.size <= STRETCHES:
-            break
-    if first.size == 0:
-        return x[moved], y[moved]
-    first = first[:: math.ceil(first.size / STRETCHES)]  # of a cloud of noise, evenly over time
-    # A stretch that does not begin where the last one ended is set off by a gap.
-    gap = np.concatenate(([False], np.diff(first) != 1))
-    ends = np.concatenate(([0], np.cumsum(1 + 2 * gap[1:]))) + 1  # place of each stretch's end in the line
-    px, py = np.full(int(ends[-1]) + 1, math.nan), np.full(int(ends[-1]) + 1, math.nan)
-    for out, signal in ((px, x), (py, y)):
-        out[ends - 1] = signal[moved[first]]
-        out[ends] = signal[moved[first + 1]]
-    return px, py
-
-
-def _stretches(x: FloatArray, y: FloatArray, cells: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return the samples that enter another cell, and which of the stretches between them are new, in order."""
-    places = []
-    for signal in (x, y):
-        low, high = float(signal.min()), float(signal.max())
-        places.append(np.round((signal - low) * (cells / (high - low) if high > low else 0.0)).astype(np.int64))
-    code = places[0] * 1000 + places[1]
-    moved = np.flatnonzero(np.concatenate(([True], np.diff(code) != 0)))
-    code = code[moved]
-    pair = np.minimum(code[:-1], code[1:]) * 1_000_000 + np.maximum(code[:-1], code[1:])
-    return moved, np.sort(np.unique(pair, return_index=True)[1])
-
-
-def time_axis(span: float) -> tuple[float, str]:
-    """Return the seconds in the unit that suits a span, and the unit: s, min, h."""
-    if span > 3.0 * 3600.0:
-        return 3600.0, "h"
-    return (60.0, "min") if span > 3600.0 else (1.0, "s")
-
-
-def _line(ax: Axes, time: FloatArray, signal: FloatArray, text: str, style: Style, *, steps: bool = False) -> None:
+def line(ax: Axes, time: FloatArray, signal: FloatArray, text: str, style: Style, *, steps: bool = False) -> None:
+    """Draw a signal against time, no finer than the figure shows."""
     x, y = thin(time, seen(signal))
     ax.plot(x, y, label=text, drawstyle="steps-post" if steps else "default", **style)
 
 
-def _finish(ax: Axes, ylabel: str, *, columns: int = 4, where: str = "upper left") -> None:
+def finish(ax: Axes, ylabel: str, *, columns: int = 4) -> None:
     """Name the axis and put the legend above the plot, where it hides nothing."""
     ax.set_ylabel(ylabel)
     ax.margins(x=0.01)
-    del where
     ax.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=columns, borderaxespad=0.1, columnspacing=1.2)
 
 
 def run_pv(ax: Axes, run: Run, unit: float = 1.0) -> None:
     """Draw PV and SP against time (s / unit)."""
-    _line(ax, run.time / unit, run.pv, "PV", PV)
-    _line(ax, run.time / unit, run.sp, "SP", SP, steps=True)
-    _finish(ax, "PV, SP (EU)")
+    line(ax, run.time / unit, run.pv, "PV", PV)
+    line(ax, run.time / unit, run.sp, "SP", SP, steps=True)
+    finish(ax, "PV, SP (EU)")
 
 
 def run_op(ax: Axes, run: Run, unit: float = 1.0) -> None:
     """Draw OP and the valve's position against time (s / unit)."""
-    _line(ax, run.time / unit, run.valve, "valve", VALVE, steps=True)
-    _line(ax, run.time / unit, run.op, "OP", OP, steps=True)
-    _finish(ax, "OP, valve (%)")
+    line(ax, run.time / unit, run.valve, "valve", VALVE, steps=True)
+    line(ax, run.time / unit, run.op, "OP", OP, steps=True)
+    finish(ax, "OP, valve (%)")
 
 
 def without_kicks(ax: Axes, signals: Sequence[FloatArray]) -> None:
     """Limit the y axis to what the signals do but for 1 % at each end, where a first kick dwarfs it; say so."""
-    signals = [s[np.isfinite(s)] for s in signals]
-    signals = [s for s in signals if s.size]
-    if not signals:
+    calm = but_for_kicks(signals)
+    if calm is None:
         return
-    ends = [float(np.quantile(s, q)) for s in signals for q in (0.01, 0.99)]
-    low, high = min(ends), max(ends)
-    least, most = min(float(s.min()) for s in signals), max(float(s.max()) for s in signals)
-    if not 0.0 < high - low < 0.5 * (most - least):
-        return
+    low, high = calm
+    finite = [s[np.isfinite(s)] for s in signals]
+    least, most = (pick(float(pick(s)) for s in finite if s.size) for pick in (min, max))
     pad = 0.15 * (high - low)
     ax.set_ylim(low - pad, high + pad)
     remark(ax, f"first kicks reach from {given(least, 3)} to {given(most, 3)}")
@@ -190,29 +109,29 @@ def remark(ax: Axes, text: str) -> None:
 
 def record_pv(ax: Axes, record: Record, unit: float = 1.0) -> None:
     """Draw a record's PV, and SP where it was recorded."""
-    _line(ax, record.time / unit, record.pv, "PV", PV)
+    line(ax, record.time / unit, record.pv, "PV", PV)
     if record.sp is not None:
-        _line(ax, record.time / unit, record.sp, "SP", SP, steps=True)
-    _finish(ax, "PV (EU)" if record.sp is None else "PV, SP (EU)")
+        line(ax, record.time / unit, record.sp, "SP", SP, steps=True)
+    finish(ax, "PV (EU)" if record.sp is None else "PV, SP (EU)")
 
 
 def record_op(ax: Axes, record: Record, unit: float = 1.0) -> None:
     """Draw a record's OP, and the measured valve position where there is one."""
     if record.valve_position is not None:
-        _line(ax, record.time / unit, record.valve_position, "valve (measured)", VALVE, steps=True)
-    _line(ax, record.time / unit, record.op, "OP", OP, steps=True)
-    _finish(ax, "OP (%)")
+        line(ax, record.time / unit, record.valve_position, "valve (measured)", VALVE, steps=True)
+    line(ax, record.time / unit, record.op, "OP", OP, steps=True)
+    finish(ax, "OP (%)")
 
 
 def model_pv(ax: Axes, found: Estimate, unit: float = 1.0, part: slice = slice(None), *, linear: bool = False) -> None:
     """Draw PV with the model's prediction, or with that of the fit that ignores stiction."""
     time = found.record.time[part] / unit
-    _line(ax, time, found.record.pv[part], "PV", PV)
+    line(ax, time, found.record.pv[part], "PV", PV)
     if linear:
-        _line(ax, time, found.linear.prediction[part], "prediction without stiction", LINEAR)
+        line(ax, time, found.linear.prediction[part], "prediction without stiction", LINEAR)
     else:
-        _line(ax, time, found.prediction[part], "prediction", PREDICTION)
-    _finish(ax, "PV (EU)")
+        line(ax, time, found.prediction[part], "prediction", PREDICTION)
+    finish(ax, "PV (EU)")
 
 
 def pv_op_found(ax: Axes, found: Estimate) -> None:
@@ -221,7 +140,7 @@ def pv_op_found(ax: Axes, found: Estimate) -> None:
         x, y = phase(found.record.op, signal)
         ax.plot(x, y, label=text, **{**style, "linewidth": 0.8})
     ax.set_xlabel("OP (%)")
-    _finish(ax, "PV (EU)")
+    finish(ax, "PV (EU)")
 
 
 def op_stem_found(ax: Axes, found: Estimate) -> None:
@@ -236,18 +155,18 @@ def op_stem_found(ax: Axes, found: Estimate) -> None:
         x, y = phase(op, found.valve_position)
         ax.plot(x, y, label="estimated", **{**VALVE, "linewidth": 0.8})
     ax.set_xlabel("OP (%)")
-    _finish(ax, "valve (%)")
+    finish(ax, "valve (%)")
 
 
 def model_op(ax: Axes, found: Estimate, unit: float = 1.0, part: slice = slice(None), *, stem: bool = True) -> None:
     """Draw OP with the estimated valve position (and the measured one where there is one)."""
     time = found.record.time[part] / unit
     if stem:
-        _line(ax, time, found.valve_position[part], "valve (estimated)", VALVE, steps=True)
+        line(ax, time, found.valve_position[part], "valve (estimated)", VALVE, steps=True)
         if found.record.valve_position is not None:
-            _line(ax, time, found.record.valve_position[part], "valve (measured)", SP, steps=True)
-    _line(ax, time, found.record.op[part], "OP", OP, steps=True)
-    _finish(ax, "OP, valve (%)" if stem else "OP (%)")
+            line(ax, time, found.record.valve_position[part], "valve (measured)", SP, steps=True)
+    line(ax, time, found.record.op[part], "OP", OP, steps=True)
+    finish(ax, "OP, valve (%)" if stem else "OP (%)")
 
 
 def pv_op(ax: Axes, run: Run) -> None:
@@ -328,7 +247,7 @@ def profile(ax: Axes, found: Estimate, window: tuple[float, float] | None = None
         ax.plot([best], [max(at, least)], "o", color="#D55E00", markersize=4, label=f"{name} = {figure(best)} %")
     ax.set_xlabel("d (%)")
     if window is None:
-        _finish(ax, "AIC")
+        finish(ax, "AIC")
         return
     ax.set_xlim(*window)
     ax.xaxis.set_major_locator(MaxNLocator(5))
@@ -341,11 +260,11 @@ def convergence(ax: Axes, below: Axes, found: Estimate) -> None:
     """
     steps = np.arange(len(found.iterations))
     ax.plot(steps, [i.d for i in found.iterations], "o-", color="#0072B2", markersize=3, linewidth=1.0, label="d")
-    _finish(ax, "d (%)")
+    finish(ax, "d (%)")
     costs = [max(i.residual_variance, ROUNDING) for i in found.iterations]
     below.plot(steps, costs, "s-", color="#D55E00", markersize=3, linewidth=1.0, label="residual variance")
     _log(below.yaxis)
-    _finish(below, "variance (EU²)")
+    finish(below, "variance (EU²)")
     below.set_xlabel("iteration")
     below.xaxis.set_major_locator(MaxNLocator(integer=True))
 

@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 from workbench.model.cycle_map import OUTCOMES, CycleMap
 from workbench.model.record import FloatArray
 from workbench.report.draw_evidence import cells
-from workbench.report.style import BLACK, VERMILION, Style, new_figure, styled
+from workbench.report.palette import BLACK, GROWS, SHADES, VERMILION
+from workbench.report.style import Style, new_figure, styled
 from workbench.report.words import given, label
 
 if TYPE_CHECKING:
@@ -33,9 +34,6 @@ PANELS = (
     ("mean_square_error", "mean square error in the cycle (EU²)"),
     ("travel_per_hour", "valve travel an hour (%)"),
 )
-# Eight steps of viridis (S. van der Walt, N. Smith, matplotlib 1.5): even in lightness, so that print without colour
-# keeps their order, and told apart by the colour-blind. The lightest is the least.
-SHADES = ("#fde725", "#a0da39", "#4ac16d", "#1fa187", "#277f8e", "#365c8d", "#46327e", "#440154")
 # Limits of the bands: within each decade, the finest series that needs no more bands than shades; times by the clock.
 SERIES = (
     (1.0, 1.2, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 8.0),
@@ -54,7 +52,7 @@ SPARED = 0.01
 STEPS = (1.0, 2.0, 5.0)
 SIDES, REACH = ((1, 1), (-1, 1), (1, -1), (-1, -1)), 2.5  # of a point, for its number; how far off, in cells
 CASING = "white"  # about lines and points, so that they stand out on every shade
-GROWS, OPEN, RESTS = "#d9d9d9", "#ffffff", "#ffffff"
+OPEN, RESTS = "#ffffff", "#ffffff"
 BORDERS: tuple[tuple[str, str, Style], ...] = (
     ("crossing", "describing function: loci meet from here on", {"color": BLACK, "linestyle": "-", "linewidth": 1.3}),
     ("loop_gain", "Kc K J/S = 1", {"color": BLACK, "linestyle": (0, (5, 2)), "linewidth": 1.0}),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from dataclasses import replace
 
 from workbench.model.loop import Loop
 from workbench.model.plant import FOPDT, Plant
@@ -73,7 +74,7 @@ def _against_truth(named: NamedEstimate, truth: Loop) -> str:
     """Say how far the worst parameter of a simulated record's estimate lies from the truth."""
     found = named.found
     ours = dict(_valve_parameters(found.valve)) | _plant_parameters(found.plant)
-    true = dict(_valve_parameters(truth.valve)) | _plant_parameters(truth.plant)
+    true = _true_parameters(truth)
     decided = found.verdict != "undecided"
     if isinstance(found.valve, Ideal) != isinstance(truth.valve, Ideal):
         wrong = "This is wrong: the" if decided else "The"
@@ -142,7 +143,7 @@ def _valve_parameters(valve: Valve) -> list[tuple[str, float]]:
 def estimate_table(named: NamedEstimate) -> Table:
     """Return an estimate's parameters with their ranges, beside truth, published figures and the linear fit."""
     found, truth = named.found, named.truth
-    true_values = {} if truth is None else dict(_valve_parameters(truth.valve)) | _plant_parameters(truth.plant)
+    true_values = {} if truth is None else _true_parameters(truth)
     linear = _plant_parameters(found.linear.plant)
     heads = ["estimate", "95 % range"]
     heads += ["true value", "off by"] if truth is not None else []
@@ -182,6 +183,11 @@ def estimate_table(named: NamedEstimate) -> Table:
         middle = tuple(Cell("") for _ in range(blanks + 1))
         rows.append(Row(title, unit, (Cell(figure(ours)), *middle, Cell(figure(theirs)))))
     return Table(tuple(heads), tuple(rows))
+
+
+def _true_parameters(truth: Loop) -> dict[str, float]:
+    """The valve's and the plant's, with the sign that a fail-open valve gives the gain."""
+    return dict(_valve_parameters(truth.valve)) | _plant_parameters(replace(truth.plant, gain=truth.gain))
 
 
 def _plant_parameters(plant: Plant) -> dict[str, float]:

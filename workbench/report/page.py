@@ -12,7 +12,9 @@ from workbench.errors import OutputError
 from workbench.model.record import Record
 from workbench.model.study import NamedEstimate, Study
 from workbench.model.valve import Ideal
-from workbench.report import figures
+from workbench.report import draw_cascade, figures
+from workbench.report.cascade import cascade_lines, cascade_tables
+from workbench.report.cascade_results import cascade_csv
 from workbench.report.cycles import cycle_tables
 from workbench.report.detections import detection_table, detection_words, first_with
 from workbench.report.draw_map import map_figure
@@ -54,7 +56,7 @@ def write_report(study: Study, folder: Path | str) -> None:
     """
     drawn = _figures(study)
     files = {name: figures.svg_file(svg) for name, svg in drawn.items()}
-    files["cases.csv"] = cases_csv(study)
+    files["cases.csv"] = cascade_csv(study) if study.cascade else cases_csv(study)
     files["results.json"] = results_json(study)
     files["run.json"] = run_json(study)
     files["report.html"] = render(study, drawn)
@@ -97,6 +99,8 @@ def render(study: Study, drawn: Mapping[str, str]) -> str:
             candidates_tables=[candidates_table(e.found) for e in study.estimates],
             evidence=[_evidence(study, place) for place in range(len(study.estimates))],
             how=how_tables(study),
+            cascade_lines=cascade_lines(study) if study.cascade else [],
+            cascade_tables=cascade_tables(study) if study.cascade else [],
             ensemble_text=ensemble_text(study),
             ensemble_tables=ensemble_tables(study),
             front_text=front_text(study),
@@ -140,11 +144,13 @@ def _agreements(study: Study) -> list[tuple[str, str]]:
 def _seeds(study: Study) -> str:
     noise = None if study.experiment is None else study.experiment.noise
     parts = ["no noise was drawn" if noise is None else f"noise {noise.seed}"]
-    for case in study.cases:
-        if case.tuned is not None:
-            many = len(case.tuned.restarts)
+    searched = [(case.name, case.tuned) for case in study.cases]
+    searched += [(case.name, None if case.tuned is None else case.tuned.primary) for case in study.cascade]
+    for name, tuned in searched:
+        if tuned is not None:
+            many = len(tuned.restarts)
             searches = f" ({many} searches)" if many > 1 else ""
-            parts.append(f"search of {case.name} {case.tuned.seed}{searches}")
+            parts.append(f"search of {name} {tuned.seed}{searches}")
     return "; ".join(parts)
 
 
@@ -177,7 +183,10 @@ def figure_names(study: Study) -> dict[str, list[dict[str, str]]]:
             if evidence.bicoherence is not None:
                 names["bicoherence"] = f"bicoherence_{stem}.svg"
         estimates.append(names)
-    return {"cases": cases, "estimates": estimates}
+    taken = set()
+    stems = [slug(case.name, taken) for case in study.cascade]
+    both = [{kind: f"{kind}_{stem}.svg" for kind in ("trend", "pv_op", "cycle")} for stem in stems]
+    return {"cases": cases, "estimates": estimates, "cascade": both}
 
 
 def _detail(record: Record) -> tuple[float, float] | None:
@@ -211,6 +220,12 @@ def _figures(study: Study) -> dict[str, str]:
     if study.cycle_map is not None:
         title = "Late period, PV swing, mean square error and valve travel over a plane of tunings"
         add("map.svg", map_figure(study.cycle_map, map_points(study)), title)
+    for result, own in zip(study.cascade, names["cascade"], strict=True):
+        add(own["trend"], draw_cascade.trend_figure(result.run), f"{result.name}: both loops against time")
+        add(own["pv_op"], draw_cascade.pv_op_figure(result.run), f"{result.name}: PV against output of each loop")
+        late = None if result.cycle is None else draw_cascade.cycle_figure(result.cycle)
+        if late is not None:
+            add(own["cycle"], late, f"{result.name}: the cycle in both loops, without noise")
     for named, own in zip(study.estimates, names["estimates"], strict=True):
         _estimate_figures(named, own, add)
     return out

@@ -142,11 +142,12 @@ def lasting(study: Study, best: CaseResult) -> list[str]:
     out: list[str] = _by_tuning(study)
     if loop.valve.slip_jump > 0.0 and isinstance(loop.plant, FOPDT):
         step, jump = abs(loop.plant.gain) * loop.valve.slip_jump, given(loop.valve.slip_jump, 3)
+        curved = "" if loop.characteristic is None else " (at the operating point; elsewhere by the characteristic)"
         out.append(
             f"What no tuning removes: this valve moves in steps of at least {jump} %, each of which moves PV by "
-            f"{given(step, 3)} EU in the end. While the controller integrates, it hunts for a setpoint between two "
-            "steps, the more slowly the weaker the integral action. Repairing the valve ends that; an integral dead "
-            "band stops it at the price of a lasting offset."
+            f"{given(step, 3)} EU in the end{curved}. While the controller integrates, it hunts for a setpoint between "
+            "two steps, the more slowly the weaker the integral action. Repairing the valve ends that; an integral "
+            "dead band stops it at the price of a lasting offset."
         )
     return [*out, *_slower(study), *_at_best(study)]
 
@@ -215,6 +216,7 @@ def _slower(study: Study) -> list[str]:
         for slow, now in some:
             a, b = fast.loop.controller, slow.loop.controller
             same = a.form == b.form == "ideal" and a.Kc == b.Kc and a.Td == b.Td
+            same = same and a.compensator is b.compensator is None
             if not same or b.Ti < SLOWER * a.Ti or was.pv_peak_to_peak <= 0.0:
                 continue
             if not 1.0 / ALIKE <= now.pv_peak_to_peak / was.pv_peak_to_peak <= ALIKE:

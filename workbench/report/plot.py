@@ -9,12 +9,14 @@ import numpy as np
 
 from workbench.errors import InvalidValue
 from workbench.model.analyses import Signature
+from workbench.model.cascade import CascadeRun
 from workbench.model.cycle_map import CycleMap
 from workbench.model.detection import Detection
 from workbench.model.front import Front
 from workbench.model.record import Record
 from workbench.model.results import DescribingFunction, Estimate, LimitCycle, Run, Tuned
 from workbench.report import draw
+from workbench.report.draw_cascade import cascade_panels
 from workbench.report.draw_evidence import apparent_stiction, bicoherence_map, pv_autocorrelation
 from workbench.report.draw_map import map_figure, map_panels
 from workbench.report.draw_signature import signature_ramp, signature_steps
@@ -27,7 +29,10 @@ if TYPE_CHECKING:
 
 __all__ = ["plot"]
 
-_KINDS = "a Run, Record, Estimate, Detection, DescribingFunction, LimitCycle, CycleMap, Tuned, Front or Signature"
+_KINDS = (
+    "a Run, Record, Estimate, Detection, DescribingFunction, LimitCycle, CycleMap, Tuned, Front, Signature or "
+    "CascadeRun"
+)
 
 
 def plot(result: object, ax: Any = None) -> Axes | NDArray[Any]:
@@ -40,8 +45,9 @@ def plot(result: object, ax: Any = None) -> Axes | NDArray[Any]:
     periods by start. CycleMap: four axes, late period, PV's swing, mean square error and valve travel an hour (shape
     (4,)); `ax` may be four axes, or one, which gets the period alone. Tuned: objectives by restart. Front: error
     against valve travel, sticky and repaired. Signature: two axes, the stem against the slow ramp, and the small steps
-    with its answer (shape (2,)); `ax` may be two axes, or one, which gets the ramp alone. `ax`: where to draw; a new
-    figure by default (`.figure` of the axes, to show or save). Raises `InvalidValue` for anything else.
+    with its answer (shape (2,)); `ax` may be two axes, or one, which gets the ramp alone.
+    CascadeRun: three axes, primary, secondary and valve (shape (3,)). `ax`: where to draw; a new figure by default
+    (`.figure` of the axes, to show or save). Raises `InvalidValue` for anything else.
     """
     pairs: dict[type, tuple[Callable[..., None], Callable[..., None]]] = {
         Run: (draw.run_pv, draw.run_op),
@@ -55,6 +61,8 @@ def plot(result: object, ax: Any = None) -> Axes | NDArray[Any]:
         DescribingFunction: _loci,
     }
     with styled():
+        if isinstance(result, CascadeRun):
+            return _cascade(result, ax)
         for kind, (above, below) in pairs.items():
             if isinstance(result, kind):
                 return _two(result, ax, above, below)
@@ -68,6 +76,14 @@ def plot(result: object, ax: Any = None) -> Axes | NDArray[Any]:
             if isinstance(result, kind):
                 return _one(result, ax, one)
     raise InvalidValue("plot", type(result).__name__, f"must be {_KINDS}")
+
+
+def _cascade(run: CascadeRun, ax: Any) -> NDArray[Any]:
+    axes = np.array(
+        list(new_figure(4.6, 3.9).subplots(3, 1, sharex=True)) if ax is None else _axes(ax, (3,)), dtype=object
+    )
+    cascade_panels(axes, run)
+    return axes
 
 
 def _map(found: CycleMap, ax: Any) -> Axes | NDArray[Any]:

@@ -39,10 +39,21 @@ from workbench.model.results import (
 from workbench.model.rule import Rule
 from workbench.model.study import CaseResult, NamedEstimate, Study
 from workbench.model.tuning import Objective
-from workbench.model.valve import Directional, Valve
+from workbench.model.valve import Directional, Positional, Valve
 from workbench.report.words import ROUNDING
 
-__all__ = ["cases_csv", "controller_content", "results_content", "results_json", "run_json", "strict"]
+__all__ = [
+    "cases_csv",
+    "cell",
+    "controller_content",
+    "loop_content",
+    "plain",
+    "results_content",
+    "results_json",
+    "run_json",
+    "strict",
+    "tuned_content",
+]
 
 DIGITS = 12
 _DISTRIBUTIONS = ("stiction-workbench", "casadi", "matplotlib", "numba", "numpy", "scipy")
@@ -70,7 +81,8 @@ def strict(value: Any) -> Any:
     raise TypeError(msg)
 
 
-def _plain(value: Any) -> dict[str, Any]:
+def plain(value: Any) -> dict[str, Any]:
+    """Return a value's fields by name."""
     return {f.name: getattr(value, f.name) for f in fields(value)}
 
 
@@ -79,10 +91,18 @@ def _weights(objective: Objective) -> dict[str, float]:
 
 
 def controller_content(controller: PID) -> dict[str, Any]:
-    """Return a controller in full; an unfiltered derivative's filter and a missing integral time are "none"."""
-    content = _plain(controller)
+    """Return a controller in full; an unfiltered derivative's filter and a missing integral time are "none".
+
+    A resolution and a compensator are there only where it has one.
+    """
+    content = plain(controller)
     content["derivative_filter"] = _or_none(controller.derivative_filter)
     content["Ti"] = _or_none(controller.Ti)
+    if controller.output_resolution == 0.0:
+        del content["output_resolution"]
+    given = content.pop("compensator")
+    if given is not None:
+        content["compensator"] = {"type": type(given).__name__, **plain(given)}
     return {"form": controller.form, "structure": controller.structure, **content}
 
 
@@ -91,16 +111,26 @@ def _or_none(value: float) -> float | str:
 
 
 def _plant(plant: Plant) -> dict[str, Any]:
-    return {"type": "fopdt" if isinstance(plant, FOPDT) else "integrating", **_plain(plant)}
+    return {"type": "fopdt" if isinstance(plant, FOPDT) else "integrating", **plain(plant)}
 
 
 def _valve(valve: Valve) -> dict[str, Any]:
-    parts = {"up": _plain(valve.up), "down": _plain(valve.down)} if isinstance(valve, Directional) else _plain(valve)
+    if isinstance(valve, Directional):
+        parts: dict[str, Any] = {"up": plain(valve.up), "down": plain(valve.down)}
+    elif isinstance(valve, Positional):
+        parts = {"positions": valve.positions, "valves": [_valve(one) for one in valve.valves]}
+    else:
+        parts = plain(valve)
     return {"type": type(valve).__name__.lower(), **parts}
 
 
-def _loop(loop: Loop) -> dict[str, Any]:
-    return {"plant": _plant(loop.plant), "valve": _valve(loop.valve), "sample_time": loop.sample_time}
+def loop_content(loop: Loop) -> dict[str, Any]:
+    """Return plant, valve, sample time and further elements of a loop."""
+    content = {"plant": _plant(loop.plant), "valve": _valve(loop.valve), "sample_time": loop.sample_time}
+    if loop.characteristic is not None:
+        content["characteristic"] = {"type": "equal_percentage", **plain(loop.characteristic)}
+    more = {"fail_open": loop.fail_open, "scan": loop.scan if loop.scan > 1 else 0}
+    return content | {name: value for name, value in more.items() if value}
 
 
 def _describing_function(df: DescribingFunction | None) -> dict[str, Any] | None:
@@ -111,7 +141,7 @@ def _describing_function(df: DescribingFunction | None) -> dict[str, Any] | None
         **{name: getattr(df, name) for name in names},
         "distance_frequency": df.distance_frequency,
         "linear_stable": df.linear_stable,
-        "crossings": [_plain(c) for c in df.crossings],
+        "crossings": [plain(c) for c in df.crossings],
         "verdict": df.verdict,
     }
 
@@ -120,19 +150,20 @@ def _limit_cycle(cycle: LimitCycle | None) -> dict[str, Any] | None:
     if cycle is None:
         return None
     content = {f.name: getattr(cycle, f.name) for f in fields(cycle) if f.name not in ("loop", "starts", "closed_form")}
-    form = None if cycle.closed_form is None else _plain(cycle.closed_form)
-    starts = [{name: v for name, v in _plain(start).items() if name != "waveform"} for start in cycle.starts]
+    form = None if cycle.closed_form is None else plain(cycle.closed_form)
+    starts = [{name: v for name, v in plain(start).items() if name != "waveform"} for start in cycle.starts]
     return {**content, "closed_form": form, "starts": starts}
 
 
-def _tuned(name: str, tuned: Tuned) -> dict[str, Any]:
+def tuned_content(name: str, tuned: Tuned) -> dict[str, Any]:
+    """Return what results.json holds of a search."""
     best, worst = tuned.spread
     return {
         "name": name,
         "status": tuned.status.name.lower(),
         "message": tuned.message,
         "weights": _weights(tuned.weights),
-        "bounds": _plain(tuned.bounds),
+        "bounds": plain(tuned.bounds),
         "digits": tuned.digits,
         "objective": tuned.objective,
         "nominal": tuned.nominal,
@@ -144,10 +175,10 @@ def _tuned(name: str, tuned: Tuned) -> dict[str, Any]:
         "nominal_only": tuned.nominal_only,
         "knife_edge": tuned.knife_edge,
         "agreeing": tuned.agreeing,
-        "steps": [_plain(step) for step in tuned.steps],
+        "steps": [plain(step) for step in tuned.steps],
         "seed": tuned.seed,
         "spread": {"best": best, "worst": worst},
-        "restarts": [_plain(r) for r in tuned.restarts],
+        "restarts": [plain(r) for r in tuned.restarts],
         "evaluations": tuned.evaluations,
         "solves": tuned.solves,
         "iterations": tuned.iterations,
@@ -157,10 +188,10 @@ def _tuned(name: str, tuned: Tuned) -> dict[str, Any]:
 
 def _robust(tuned: Tuned) -> dict[str, Any]:
     """Return a tuning's constraints, ensemble and figures over it, as far as it has them."""
-    content = {} if tuned.constraints is None else {"constraints": _plain(tuned.constraints)}
+    content = {} if tuned.constraints is None else {"constraints": plain(tuned.constraints)}
     if tuned.ensemble is None or tuned.robustness is None:
         return content
-    return {**content, "ensemble": _plain(tuned.ensemble), "robustness": _robustness(tuned.robustness)}
+    return {**content, "ensemble": plain(tuned.ensemble), "robustness": _robustness(tuned.robustness)}
 
 
 def _robustness(found: Robustness) -> dict[str, Any]:
@@ -187,9 +218,9 @@ def _front(front: Front) -> dict[str, Any]:
     return {
         "status": front.status.name.lower(),
         "message": front.message,
-        "ensemble": _plain(front.ensemble),
-        "constraints": _plain(front.constraints),
-        "bounds": _plain(front.bounds),
+        "ensemble": plain(front.ensemble),
+        "constraints": plain(front.constraints),
+        "bounds": plain(front.bounds),
         "digits": front.digits,
         "seed": front.seed,
         "measured_on": {"draws": front.fresh.draws, "seed": front.fresh.seed},
@@ -228,19 +259,19 @@ def _robust_repair(repair: RobustRepair) -> dict[str, Any]:
             for one in (getattr(repair, name),)
         },
         "share_that_only_repair_removes": repair.share,
-        "tuning_repaired": _tuned("repaired", repair.tuned_repaired),
+        "tuning_repaired": tuned_content("repaired", repair.tuned_repaired),
     }
 
 
 def _rule(rule: Rule | None) -> dict[str, Any] | None:
-    return None if rule is None else {"name": rule.name, **_plain(rule), "source": rule.source}
+    return None if rule is None else {"name": rule.name, **plain(rule), "source": rule.source}
 
 
 def _outcome(outcome: Outcome) -> dict[str, Any]:
     return {
         "controller": controller_content(outcome.controller),
         "objective": outcome.objective,
-        "kpis": _plain(outcome.kpis),
+        "kpis": plain(outcome.kpis),
     }
 
 
@@ -253,8 +284,8 @@ def _repair(repair: Repair | None) -> dict[str, Any] | None:
         "share_that_only_repair_removes": {
             name: repair.share(name) for name in ("objective", "error_variance", "mean_square_error")
         },
-        "tuning": _tuned("sticky", repair.tuned),
-        "tuning_repaired": _tuned("repaired", repair.tuned_repaired),
+        "tuning": tuned_content("sticky", repair.tuned),
+        "tuning_repaired": tuned_content("repaired", repair.tuned_repaired),
     }
 
 
@@ -262,7 +293,7 @@ def _case(case: CaseResult) -> dict[str, Any]:
     return {
         "name": case.name,
         "controller": controller_content(case.loop.controller),
-        "kpis": _plain(case.run.kpis),
+        "kpis": plain(case.run.kpis),
         "objective": case.objective,
         "describing_function": _describing_function(case.describing_function),
         "limit_cycle": _limit_cycle(case.limit_cycle),
@@ -295,11 +326,11 @@ def _detection(found: Detection) -> dict[str, Any]:
 
 def _candidate(model: FittedModel) -> dict[str, Any]:
     criteria = {name: aic(getattr(model, name), model.residual_variance) for name in ("aic", "bic")}
-    return {**_plain(model), "plant": _plant(model.plant), "valve": _valve(model.valve), **criteria}
+    return {**plain(model), "plant": _plant(model.plant), "valve": _valve(model.valve), **criteria}
 
 
 def _repeats(found: Repeats) -> dict[str, Any]:
-    return {**_plain(found), "parts": [_plain(part) for part in found.parts]}
+    return {**plain(found), "parts": [plain(part) for part in found.parts]}
 
 
 def _estimate(named: NamedEstimate) -> dict[str, Any]:
@@ -311,15 +342,16 @@ def _estimate(named: NamedEstimate) -> dict[str, Any]:
         "reasons": list(found.reasons),
         "plant": _plant(found.plant),
         "valve": _valve(found.valve),
-        "intervals": _plain(found.intervals),
+        "intervals": plain(found.intervals),
         "identifiable": found.identifiable,
         "bias": found.bias,
         "residual_variance": found.residual_variance,
         "aic": aic(found.aic, found.residual_variance),
         "noise_sd": found.noise_sd,
         "slips": found.slips,
-        "noise_model": None if found.noise_model is None else _plain(found.noise_model),
+        "noise_model": None if found.noise_model is None else plain(found.noise_model),
         "repeats": None if found.repeats is None else _repeats(found.repeats),
+        "load_steps": [plain(step) for step in found.load_steps],
         "linear": {
             "plant": _plant(found.linear.plant),
             "bias": found.linear.bias,
@@ -327,7 +359,7 @@ def _estimate(named: NamedEstimate) -> dict[str, Any]:
             "aic": aic(found.linear.aic, found.linear.residual_variance),
         },
         "iterations": [
-            {**_plain(i), "plant": _plant(i.plant), "aic": aic(i.aic, i.residual_variance)} for i in found.iterations
+            {**plain(i), "plant": _plant(i.plant), "aic": aic(i.aic, i.residual_variance)} for i in found.iterations
         ],
         "record": {
             "samples": len(found.record),
@@ -337,7 +369,7 @@ def _estimate(named: NamedEstimate) -> dict[str, Any]:
         },
         "candidates": [_candidate(c) for c in found.candidates],
         **({} if named.detection is None else {"detection": _detection(named.detection)}),
-        "truth": None if named.truth is None else _loop(named.truth),
+        "truth": None if named.truth is None else loop_content(named.truth),
         "reference": dict(named.reference),
         "note": named.note,
     }
@@ -347,12 +379,12 @@ def results_content(study: Study) -> dict[str, Any]:
     """Return what results.json holds, in plain Python values (see `strict`)."""
     noise = None if study.experiment is None else study.experiment.noise
     estimates = [_estimate(e) for e in study.estimates]
-    tuning = [_tuned(c.name, c.tuned) for c in study.cases if c.tuned is not None]
+    tuning = [tuned_content(c.name, c.tuned) for c in study.cases if c.tuned is not None]
     return {
         "name": study.name,
         "title": study.title,
-        "loop": _loop(study.cases[0].loop) if study.cases else None,
-        "objective": None if study.objective is None else _plain(study.objective),
+        "loop": loop_content(study.cases[0].loop) if study.cases else None,
+        "objective": None if study.objective is None else plain(study.objective),
         "seeds": {
             "noise": None if noise is None else noise.seed,
             "tuning": {t["name"]: t["seed"] for t in tuning},
@@ -365,9 +397,18 @@ def results_content(study: Study) -> dict[str, Any]:
         **({} if study.front is None else {"tradeoff": _front(study.front)}),
         **({} if study.cycle_map is None else {"map": _map(study.cycle_map)}),
         **({} if study.robust_repair is None else {"robust_repair": _robust_repair(study.robust_repair)}),
+        **_cascade(study),
         "reference_source": study.reference_source,
         "notes": list(study.notes),
     }
+
+
+def _cascade(study: Study) -> dict[str, Any]:
+    if not study.cascade:
+        return {}
+    from workbench.report.cascade_results import cascade_content  # which builds on this module
+
+    return {"cascade": cascade_content(study)}
 
 
 def _dump(content: Any) -> str:
@@ -388,15 +429,14 @@ def run_json(study: Study) -> str:
         except PackageNotFoundError:
             versions[name] = "not installed"
     solver: dict[str, str] = {}
-    for case in study.cases:
-        if case.tuned is not None:
-            solver.update(case.tuned.versions)
+    for _, tuned in study.tunings:
+        solver.update(tuned.versions)
     return _dump(
         {
             "name": study.name,
             "written": datetime.now(UTC).isoformat(timespec="seconds"),
             "times": dict(study.times),
-            "tuning_times": {c.name: c.tuned.wall_time for c in study.cases if c.tuned is not None},
+            "tuning_times": {name: tuned.wall_time for name, tuned in study.tunings},
             "versions": {"python": platform.python_version(), **versions},
             "solver": solver,
             "machine": {"platform": platform.platform(), "processor": platform.machine(), "cpus": os.cpu_count()},
@@ -435,6 +475,8 @@ def cases_csv(study: Study) -> str:
     """Return cases.csv's text: one row for each case."""
     references = reference_names(study.cases)
     head = ["case", "form", "derivative_on", "derivative_filter", "Kc", "Ti", "Td", "objective", *KPI_NAMES]
+    compensated = any(case.loop.controller.compensator is not None for case in study.cases)
+    head += ["compensator"] if compensated else []
     head += ["limit_cycle", "limit_cycle_period", "limit_cycle_pv_peak_to_peak"]
     head += ["describing_function_predicts_cycle", "describing_function_period", "tuning_status"]
     head += [f"reference_{name}" for name in references]
@@ -445,6 +487,7 @@ def cases_csv(study: Study) -> str:
         c, cycle, df = case.loop.controller, case.limit_cycle, case.describing_function
         row: list[object] = [case.name, c.form, c.derivative_on, _or_none(c.derivative_filter), c.Kc, _or_none(c.Ti)]
         row += [c.Td, case.objective, *(getattr(case.run.kpis, name) for name in KPI_NAMES)]
+        row += [None if c.compensator is None else type(c.compensator).__name__] if compensated else []
         row += [None] * 3 if cycle is None else [cycle.outcome, cycle.period, cycle.pv_peak_to_peak]
         row += [None] * 2 if df is None else [df.predicts_cycle, df.period]
         row.append(None if case.tuned is None else case.tuned.status.name.lower())

@@ -5,13 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 
+from workbench.model.cascade import CascadeExperiment
 from workbench.model.controller import PID
 from workbench.model.study import Study
 from workbench.model.tuning import Objective
 from workbench.report.titles import kpi_title
-from workbench.report.words import given, plant_words, setting, valve_words
+from workbench.report.words import compensator_words, given, loop_words, plant_words, setting, valve_words
 
-__all__ = ["CONTROLLER_ROWS", "loop_lines", "objective_words"]
+__all__ = ["CONTROLLER_ROWS", "experiment_words", "loop_lines", "objective_words"]
 
 
 def _filter(pid: PID) -> str:
@@ -44,7 +45,13 @@ CONTROLLER_ROWS: tuple[tuple[str, Callable[[PID], str]], ...] = (
     ("Output limits", _limits),
     ("Anti-windup", lambda p: "–" if p.output_limits is None else p.anti_windup.replace("_", "-")),
     ("Tracking time", _tracking),
+    ("Output resolution", lambda p: f"{given(p.output_resolution)} %" if p.output_resolution > 0.0 else "–"),
+    ("Compensator", lambda p: compensator_words(p.compensator)),
 )
+
+
+# Not worth a word where all cases share it.
+UNSAID = (("Output limits", {"none"}), ("Compensator", {"none"}))
 
 
 def loop_lines(study: Study) -> list[tuple[str, str]]:
@@ -53,31 +60,35 @@ def loop_lines(study: Study) -> list[tuple[str, str]]:
     if study.cases:
         loop = study.cases[0].loop
         lines += [("Plant", plant_words(loop.plant)), ("Valve", valve_words(loop.valve))]
+        lines += loop_words(loop)
         shared = []
         for text, describe in CONTROLLER_ROWS:
             every = {describe(c.loop.controller) for c in study.cases}
             if text == "Derivative filter":  # of no concern where a case has no derivative action
                 every -= {"–"}
-            if len(every) == 1 and every != {"–"} and (text, every) != ("Output limits", {"none"}):
+            if len(every) == 1 and every != {"–"} and (text, every) not in UNSAID:
                 shared.append(f"{text.lower()} {every.pop()}")
         lines.append(("Controller", ", ".join(shared) or "differs from case to case (see the table)"))
         lines.append(("Sample time", f"{given(loop.sample_time)} s"))
         if loop.pv_range is not None:
             lines.append(("PV range", f"{given(loop.pv_range[0])} to {given(loop.pv_range[1])} EU"))
     if study.experiment is not None:
-        lines.append(("Experiment", _experiment_words(study)))
+        lines.append(("Experiment", experiment_words(study)))
     if study.objective is not None:
         lines.append(("Objective J", objective_words(study.objective)))
     return lines
 
 
-def _experiment_words(study: Study) -> str:
+def experiment_words(study: Study) -> str:
+    """Return the experiment in words."""
     experiment = study.experiment
     assert experiment is not None  # noqa: S101
     parts = [f"{setting(experiment.duration)} s"]
+    own = experiment.primary_load_parts if isinstance(experiment, CascadeExperiment) else ()
     for name, unit, profile in (
         ("setpoint", "EU", experiment.setpoint_parts),
         ("load", "%", experiment.load_parts),
+        ("primary's load", "EU of the secondary", own),
     ):
         for part in profile:
             kind = type(part).__name__.lower()
@@ -94,6 +105,9 @@ def _experiment_words(study: Study) -> str:
         parts.append(f"measurement noise of standard deviation {given(noise.sd)} EU (seed {noise.seed})")
     else:
         parts.append("no noise")
+    inner = experiment.secondary_noise if isinstance(experiment, CascadeExperiment) else None
+    if inner is not None and inner.sd > 0.0:
+        parts.append(f"on the secondary's {given(inner.sd)} EU (seed {inner.seed})")
     if experiment.stem_offset != 0.0:
         parts.append(f"stem offset {given(experiment.stem_offset)} %")
     return ", ".join(parts)

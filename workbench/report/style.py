@@ -1,7 +1,4 @@
-"""How figures look: colours that survive colour blindness and print, with line styles that tell the same.
-
-The palette is Okabe and Ito's ("Color Universal Design", 2008) without its yellow, which fades on white paper.
-"""
+"""How figures look in matplotlib: its settings, and an SVG of what it has drawn. Colours and lines: `palette`."""
 
 from __future__ import annotations
 
@@ -17,6 +14,8 @@ import matplotlib as mpl
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 
+from workbench.report.palette import CASES, LINEAR, OP, PREDICTION, PV, SP, VALVE, Style, case_style
+
 __all__ = [
     "CASES",
     "LINEAR",
@@ -31,29 +30,6 @@ __all__ = [
     "styled",
     "svg_text",
 ]
-
-Style = dict[str, Any]
-
-BLACK, ORANGE, SKY, GREEN = "#000000", "#E69F00", "#56B4E9", "#009E73"
-BLUE, VERMILION, PURPLE, GREY = "#0072B2", "#D55E00", "#CC79A7", "#767676"
-
-PV: Style = {"color": BLUE, "linestyle": "-", "linewidth": 1.3}
-SP: Style = {"color": BLACK, "linestyle": (0, (5, 2)), "linewidth": 0.9}
-OP: Style = {"color": VERMILION, "linestyle": (0, (4, 1.5)), "linewidth": 1.0}
-VALVE: Style = {"color": GREEN, "linestyle": "-", "linewidth": 1.4}
-PREDICTION: Style = {"color": VERMILION, "linestyle": (0, (4, 1.5)), "linewidth": 1.2}
-LINEAR: Style = {"color": PURPLE, "linestyle": (0, (4, 1.2, 1, 1.2)), "linewidth": 1.3}
-
-CASES: tuple[Style, ...] = (
-    {"color": BLACK, "linestyle": "-"},
-    {"color": ORANGE, "linestyle": (0, (6, 2))},
-    {"color": SKY, "linestyle": "-"},
-    {"color": VERMILION, "linestyle": (0, (2, 1.2))},
-    {"color": PURPLE, "linestyle": (0, (6, 1.5, 1.5, 1.5))},
-    {"color": BLUE, "linestyle": "-"},
-    {"color": GREEN, "linestyle": (0, (4, 1.2))},
-    {"color": GREY, "linestyle": (0, (1, 1))},
-)
 
 _SETTINGS: Any = {
     "font.family": ["DejaVu Sans"],  # shipped with matplotlib: the layout is the same on every machine
@@ -95,11 +71,6 @@ _SETTINGS: Any = {
 }
 
 FONT_STACK = "Arial, 'Liberation Sans', Helvetica, 'DejaVu Sans', sans-serif"
-
-
-def case_style(index: int) -> Style:
-    """Return colour and line style of the case in that place; after eight they begin again."""
-    return CASES[index % len(CASES)]
 
 
 @contextmanager

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 from workbench.model.study import Study
 from workbench.report.advice import case_advice
+from workbench.report.cascade import cascade_sentences
 from workbench.report.cycles import cycle_sentences
 from workbench.report.estimates import estimate_advice, estimate_sentences
 from workbench.report.judge import on_bounds
@@ -34,6 +35,10 @@ def summarise(study: Study) -> Summary:
     if study.cases:
         found += cycle_sentences(study) + reference_sentences(study) + _bound_sentences(study)
         do += robust_advice(study) or case_advice(study)
+    if study.cascade:
+        seen, advice = cascade_sentences(study)
+        found += seen
+        do += advice
     return Summary(tuple(found), tuple(dict.fromkeys(do)))
 
 

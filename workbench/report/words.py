@@ -6,14 +6,25 @@ import math
 import re
 from collections.abc import Sequence
 
+from workbench.model.compensator import (
+    Compensator,
+    ConstantReinforcement,
+    Dither,
+    IntegralDeadband,
+    Knocker,
+    TwoMove,
+)
 from workbench.model.controller import PID
+from workbench.model.karnopp import Karnopp
+from workbench.model.loop import Loop
 from workbench.model.plant import FOPDT, Plant
 from workbench.model.rule import Amigo, DetunedIntegral, Lambda, Rule, Simc, ZieglerNichols
-from workbench.model.valve import Choudhury, Deadband, Directional, He, Ideal, Kano, Stenman, Valve
+from workbench.model.valve import Choudhury, Deadband, Directional, He, Ideal, Kano, Positional, Stenman, Valve
 
 __all__ = [
     "capital",
     "change",
+    "compensator_words",
     "controller_words",
     "decimals_of",
     "difference",
@@ -188,7 +199,7 @@ def join(parts: Sequence[str]) -> str:
 
 
 def controller_words(controller: PID, digits: int | None = None) -> str:
-    """Return "Kc 2.351 %/EU, Ti 9.500 s" (and Td where there is one), in the controller's own form."""
+    """Return "Kc 2.351 %/EU, Ti 9.500 s" (and Td and compensator where there are), in the controller's own form."""
     gain = {"parallel": ("%/(EU s)", "% s/EU")}.get(controller.form)
     parts = [f"Kc {setting(controller.Kc, digits)} %/EU"]
     if gain is None:
@@ -200,7 +211,31 @@ def controller_words(controller: PID, digits: int | None = None) -> str:
     parts.append(integral)
     if controller.Td > 0.0:
         parts.append(derivative)
+    if controller.compensator is not None:
+        parts.append(compensator_words(controller.compensator))
     return ", ".join(parts)
+
+
+def compensator_words(what: Compensator | None) -> str:
+    """Return what a controller does about stiction besides its law, in words; "none" for nothing."""
+    match what:
+        case None:
+            return "none"
+        case IntegralDeadband():
+            within = f"within ±{given(what.band)} EU"
+            stops = math.isinf(what.ratio)
+            return f"integral dead band {within}" if stops else f"Ti {given(what.ratio)} times as long {within}"
+        case Knocker():
+            a, width, period = given(what.amplitude), given(what.width), given(what.period)
+            return f"knocker, {a} % for {width} s every {period} s"
+        case ConstantReinforcement():
+            return f"constant reinforcement, {given(what.amplitude)} %"
+        case TwoMove():
+            at, to = setting(what.at), given(what.steady_output)
+            ends = "" if math.isinf(what.release) else f", until the error exceeds {given(what.release)} EU"
+            return f"two moves at {at} s, {given(what.amplitude)} % beyond and back to OP {to} %{ends}"
+        case Dither():
+            return f"{what.shape} dither, {given(what.amplitude)} % every {given(what.period)} s"
 
 
 def nearby(margin: float) -> str:
@@ -249,6 +284,17 @@ def valve_words(valve: Valve) -> str:
         return f"He's stiction by static and dynamic friction, f_s = {given(valve.fs)} %, f_d = {given(valve.fd)} %"
     if isinstance(valve, Directional):
         return f"stiction that differs by direction: up {valve_words(valve.up)}; down {valve_words(valve.down)}"
+    if isinstance(valve, Positional):
+        places = zip(valve.positions, valve.valves, strict=True)
+        text = "; ".join(f"at {given(at)} % {valve_words(one)}" for at, one in places)
+        return f"stiction that varies along the travel, linear between places: {text}"
+    if isinstance(valve, Karnopp):
+        return (
+            f"a stem of {given(valve.mass)} kg on a spring of {given(valve.spring)} N/m over {given(valve.travel)} m, "
+            f"Coulomb friction {given(valve.coulomb)} N, static {given(valve.static)} N, viscous "
+            f"{given(valve.viscous)} N s/m, Stribeck velocity {given(valve.stribeck)} m/s (by forces alone S = "
+            f"{figure(valve.stick_band, 3)} %, J = {figure(valve.slip_jump, 3)} %)"
+        )
     return type(valve).__name__
 
 
@@ -273,6 +319,20 @@ def plant_words(plant: Plant) -> str:
             f"{given(plant.time_constant)} s, dead time {given(plant.dead_time)} s"
         )
     return f"integrating: gain {given(plant.gain)} EU/(% s), dead time {given(plant.dead_time)} s"
+
+
+def loop_words(loop: Loop) -> list[tuple[str, str]]:
+    """Return what few loops have, as (what, text)."""
+    lines = []
+    if loop.fail_open:
+        lines.append(("Action of the valve", "fail-open: a rising OP closes it; loads are in % of opening"))
+    if loop.scan > 1:
+        lines.append(("Controller scan", f"every {given(loop.scan * loop.sample_time)} s ({loop.scan} samples)"))
+    if loop.characteristic is not None:
+        R, opening = loop.characteristic.rangeability, loop.characteristic.opening
+        text = f"equal percentage, rangeability {given(R)}, {given(opening)} % open at the operating point, where the"
+        lines.append(("Characteristic", f"{text} plant's gain holds"))
+    return lines
 
 
 def legible(text: str) -> str:

@@ -7,33 +7,33 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path as FilePath
-from typing import Any
 
 from workbench.errors import InvalidValue, RecordError
 from workbench.model.controller import PID
-from workbench.model.experiment import Experiment, Noise, Profile, Ramp, Series, Step
+from workbench.model.experiment import Experiment, Series
 from workbench.model.loop import Loop
-from workbench.model.plant import FOPDT, Integrating, Plant
+from workbench.model.plant import Plant
 from workbench.model.record import Record
 from workbench.model.rule import Rule
 from workbench.model.tuning import Objective
 from workbench.model.valve import Valve
 from workbench.scenario import schema
+from workbench.scenario.analyses import check_analyses
+from workbench.scenario.cascade import cascade_scenario
 from workbench.scenario.controllers import Controllers, fitting_action, ruled, wrong_way
 from workbench.scenario.document import Path
+from workbench.scenario.element_entries import DESCRIBED, NOT_FROM_DATA, elements_of
+from workbench.scenario.experiments import Experiments
 from workbench.scenario.map_entries import map_job
-from workbench.scenario.plan import CaseJob, EnsembleJob, EstimateJob, Scenario
-from workbench.scenario.refusals import Refusals
+from workbench.scenario.plan import MAX_SAMPLES, CaseJob, EnsembleJob, EstimateJob, Scenario
+from workbench.scenario.refusals import Refusals, one_line
 from workbench.scenario.robust import RobustEntries, measured_in
 from workbench.scenario.rule_entries import DetunedIntegralRule, rule_of
-from workbench.scenario.series import in_samples, read_data, read_series
-from workbench.scenario.units import Quantity
-from workbench.scenario.valves import valve_of
+from workbench.scenario.series import in_samples, read_data
+from workbench.scenario.valves import plant_of, valve_of
 from workbench.simulate.signals import sample_count
 
-__all__ = ["MAX_SAMPLES", "Builder"]
-
-MAX_SAMPLES = 5_000_000
+__all__ = ["Builder"]
 
 
 @dataclass
@@ -50,42 +50,52 @@ class Builder:
     refusals: Refusals = field(default_factory=Refusals)
     notes: list[str] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)
+    fail_open: bool = False
 
     def __post_init__(self) -> None:
         self.controllers = Controllers(self.refusals, None)
+        self.experiments = Experiments(self.refusals, self.notes, self.file.parent)
 
     # the whole -----------------------------------------------------------------------------------------------------
 
     def scenario(self, given: schema.ScenarioFile) -> Scenario | None:
         """Return the scenario, or None where something is refused."""
+        if given.cascade is not None:
+            return cascade_scenario(self, given, given.cascade)
         from_data = [i for i, e in enumerate(given.estimate or ()) if e.data is not None]
         loop = given.loop or schema.Loop()
+        self.fail_open = loop.fail_open
         self._pv_range(loop)
         if not given.cases and not given.estimate:
             self.refusals.refuse((), "must hold cases to simulate, or an estimate")
         self._needs(given, loop, bool(from_data))
         plant, valve = self._plant(loop), self._valve(loop)
-        experiment = self._experiment(given.experiment)
+        self.notes += check_analyses(given, valve, self.refusals)
+        experiment = self.experiments.plain(given.experiment)
         objective = self.controllers.objective(given.objective, ("objective",))
         ruling: Loop | None = None
         if plant is not None and valve is not None and loop.sample_time is not None and not from_data:
-            ruling = Loop(plant, valve, PID(0.0, math.inf), loop.sample_time)
+            ruling = Loop(plant, valve, PID(0.0, math.inf), loop.sample_time, None, None, loop.fail_open, loop.scan)
         robust = RobustEntries(self.refusals, ruling)
         shared = None if given.ensemble is None else robust.ensemble(given.ensemble, ("ensemble",))
         records = self._records(given)
         first = next((record for record in records if record is not None), None)
         sample_time = loop.sample_time if not from_data else None if first is None else first.sample_time
-        cases = self._cases(given, loop, objective, ruling, None if from_data else plant, robust, shared, sample_time)
+        executed = None if sample_time is None else sample_time * loop.scan
+        cases = self._cases(given, loop, objective, ruling, None if from_data else plant, robust, shared, executed)
         whole: Loop | None = None
         if plant is not None and valve is not None and loop.sample_time is not None and not from_data:
             first_controller = cases[0].controller if cases else None
             if not given.cases:
                 first_controller = self._own_controller(loop)
                 if first_controller is not None:
-                    self.controllers.tracks(first_controller, None, ("loop", "controller"), sample_time)
+                    self.controllers.sampled(first_controller, None, ("loop", "controller"), executed)
                     there = loop.controller is not None and loop.controller.action is not None
                     self._acts(plant, first_controller, there, ("loop", "controller"), "loop.controller", tune=False)
             whole = self._loop(loop, plant, valve, loop.sample_time, first_controller, given.experiment)
+            if whole is not None and not self.refusals.issues:
+                for i, case in enumerate(cases):
+                    self.refusals.attempt(("cases", i), partial(whole.with_controller, case.controller))
         if experiment is not None:
             if from_data and sample_time is not None:
                 fitted = partial(in_samples, experiment, sample_time, self.notes)
@@ -133,13 +143,8 @@ class Builder:
                 self.refusals.refuse(("loop", name), what)
             if not from_data and not there and (given.cases or simulated):
                 self.refusals.refuse(("loop", name), "missing; needed where no recorded data is given to estimate")
-        if given.analyze.repair and not given.cases:
-            self.refusals.refuse(("analyze", "repair"), "true given without cases; there is no tuning to compare with")
-        if given.analyze.tradeoff and not given.cases:
-            what = "true given without cases; there is no tuning to place on the trade-off"
-            self.refusals.refuse(("analyze", "tradeoff"), what)
-        if given.analyze.repair and isinstance(loop.valve, schema.IdealValve):
-            self.refusals.refuse(("analyze", "repair"), "true given for an ideal valve; there is nothing to repair")
+        for name in sorted(DESCRIBED & loop.model_fields_set) if from_data else ():
+            self.refusals.refuse(("loop", name), NOT_FROM_DATA)
         if given.experiment is None and (given.cases or simulated):
             self.refusals.refuse(("experiment",), "missing; needed to simulate (at least duration and setpoint)")
 
@@ -160,9 +165,7 @@ class Builder:
         p = loop.plant
         if p is None:
             return None
-        if isinstance(p, schema.FopdtPlant):
-            return self.refusals.attempt(("loop", "plant"), lambda: FOPDT(p.gain, p.time_constant, p.dead_time))
-        return self.refusals.attempt(("loop", "plant"), lambda: Integrating(p.gain, p.dead_time))
+        return self.refusals.attempt(("loop", "plant"), lambda: plant_of(p))
 
     def _valve(self, loop: schema.Loop) -> Valve | None:
         v = loop.valve
@@ -179,8 +182,11 @@ class Builder:
     ) -> Loop | None:
         if controller is None:
             return None
+        more = self.refusals.attempt(("loop", "characteristic"), partial(elements_of, given))
+        if more is None:
+            return None
         loop = self.refusals.attempt(
-            ("loop",), lambda: Loop(plant, valve, controller, sample_time, self.controllers.pv_range)
+            ("loop",), lambda: Loop(plant, valve, controller, sample_time, self.controllers.pv_range, **more)
         )
         if loop is None:
             return None
@@ -204,61 +210,6 @@ class Builder:
         return self.controllers.pid(path, fields, self.controllers.tuning(given, path, fields.get("form", "ideal")))
 
     # the experiment ------------------------------------------------------------------------------------------------
-
-    def _experiment(self, given: schema.Experiment | None) -> Experiment | None:
-        if given is None:
-            return None
-        path: Path = ("experiment",)
-        noise = self._noise(given.noise, (*path, "noise"))
-        setpoint = self._profile(given.setpoint, (*path, "setpoint"), given.duration)
-        load = self._profile(given.load, (*path, "load"), given.duration)
-        return self.refusals.attempt(
-            path, lambda: Experiment(given.duration, _one(setpoint), _one(load), noise, given.stem_offset)
-        )
-
-    def _noise(self, given: schema.Noise | None, path: Path) -> Noise | None:
-        return None if given is None else self.refusals.attempt(path, lambda: Noise(given.sd, given.seed))
-
-    def _profile(self, parts: list[Any] | None, path: Path, duration: float) -> list[Profile]:
-        found: list[Profile] = []
-        for i, part in enumerate(parts or ()):
-            made = self.refusals.attempt((*path, i), partial(self._part, part, (*path, i)))
-            if made is None:
-                continue
-            begin = made.at if isinstance(made, Step) else made.start if isinstance(made, Ramp) else 0.0
-            if begin > duration:
-                name = "at" if isinstance(made, Step) else "start"
-                what = f"{begin:g} s given; must be within the experiment's duration ({duration:g} s)"
-                self.refusals.refuse((*path, i, name), what)
-                continue
-            found.append(made)
-        return found
-
-    def _part(self, part: object, path: Path) -> Profile | None:
-        if isinstance(part, schema.StepPart):
-            return Step(self._size(part.step, (*path, "step")), part.at)
-        if isinstance(part, schema.RampPart):
-            return Ramp(self._size(part.ramp, (*path, "ramp")), part.start, part.end)
-        if isinstance(part, schema.SeriesPart):
-            return Series(part.series, part.times)
-        if not isinstance(part, schema.FilePart):
-            return None
-        source = self._beside(part.file)
-        try:
-            series = read_series(source, part.file, part.column.strip(), part.time, part.resting_value)
-        except (RecordError, OSError, ValueError) as error:
-            self.refusals.refuse((*path, "file"), _one_line(error))
-            return None
-        rest = "its first value" if part.resting_value is None else f"{part.resting_value:g}"
-        self.notes.append(
-            f"{path[1]}: column {part.column} of {part.file}, {len(series.values)} values as deviations from {rest}."
-        )
-        return series
-
-    def _size(self, given: Quantity, path: Path) -> float:
-        if given.unit == "%" and path[1] == "setpoint":
-            self.refusals.refuse(path, f"{given.value:g} % given; a setpoint is a number in EU")
-        return given.value
 
     def _fits(self, experiment: Experiment, sample_time: float | None, loop: Loop | None) -> None:
         """Refuse an experiment that does not fit the loop's samples, or whose start the valve would not hold."""
@@ -296,7 +247,7 @@ class Builder:
     ) -> list[CaseJob]:
         """Return the cases; rules are applied to the loop `ruling` here where it and their base are known already.
 
-        plant: None where it comes from an estimate; sample_time: s, None where it is missing.
+        plant: None where it comes from an estimate; sample_time: s, the controller's, None where it is missing.
         """
         own = loop.controller or schema.Controller()
         base_path: Path = ("loop", "controller")
@@ -313,6 +264,9 @@ class Builder:
                 self.refusals.refuse((*path, "name"), f"{name!r} given; cases[{names[name]}] has this name already")
             names.setdefault(name, i)
             tune, rule, under = None, None, ""
+            if isinstance(case, schema.CascadedCase):
+                self.refusals.refuse(path, "a case of a cascade given; needs cascade in place of loop")
+                continue
             entry = case.tune if isinstance(case, schema.TunedCase) else case
             action_given = entry.action is not None or "action" in base
             if isinstance(case, schema.GivenCase):
@@ -327,7 +281,8 @@ class Builder:
                 if rule is None or controller is None:
                     continue
                 # A default action that does not fit is refused below, in words of its own.
-                fits = plant is None or action_given or controller.action == fitting_action(plant)
+                suited = None if plant is None else fitting_action(plant, fail_open=self.fail_open)
+                fits = suited is None or action_given or controller.action == suited
                 if ruling is not None and fits and (not under or under in known):
                     apply = partial(ruled, ruling, known.get(under, controller), rule)
                     controller = self.refusals.attempt((*path, "rule"), apply)
@@ -343,7 +298,8 @@ class Builder:
                     robust=robust.tuning(case.tune, at, shared, above),
                     constraints=robust.constraints(case.tune.constraints, (*at, "constraints")),
                 )
-            if controller is None or not self.controllers.tracks(controller, tune, path, sample_time):
+            mine_too = "compensator" in entry.model_fields_set
+            if controller is None or not self.controllers.sampled(controller, tune, path, sample_time, own=mine_too):
                 continue
             if plant is not None:
                 at = path if tune is None else (*path, "tune")
@@ -378,7 +334,8 @@ class Builder:
         rule: bool = False,
     ) -> None:
         """Refuse a controller that acts the wrong way, or warn where the file itself says so; see `Builder`."""
-        wrong = wrong_way(plant, replace(controller, Kc=1.0) if tune or rule else controller)
+        asked = replace(controller, Kc=1.0) if tune or rule else controller
+        wrong = wrong_way(plant, asked, fail_open=self.fail_open)
         if wrong is None:
             return
         if not action_given:
@@ -429,7 +386,7 @@ class Builder:
                 try:
                     record = read_data(self._beside(e.data), e, self.controllers.pv_range)
                 except (RecordError, InvalidValue, OSError, ValueError) as error:
-                    self.refusals.refuse((*path, "data"), _one_line(error))
+                    self.refusals.refuse((*path, "data"), one_line(error))
                 else:
                     record = replace(record, source=e.data)
                     self.notes += [f"{e.data}: {note}" for note in record.notes]
@@ -454,7 +411,7 @@ class Builder:
             if name in names:
                 self.refusals.refuse((*path, "name"), f"{name!r} given; estimate[{names[name]}] has this name already")
             names.setdefault(name, i)
-            noise = self._noise(e.noise, (*path, "noise"))
+            noise = self.experiments.noise(e.noise, (*path, "noise"))
             mine = experiment if noise is None or experiment is None else replace(experiment, noise=noise)
             reference = {} if e.reference is None else e.reference.model_dump(exclude_none=True)
             jobs.append(
@@ -475,15 +432,6 @@ class Builder:
         return jobs
 
 
-def _one(parts: list[Profile]) -> Profile | list[Profile] | None:
-    """Return the only part itself, as a script would give it."""
-    return parts[0] if len(parts) == 1 else parts or None
-
-
 def _common(objectives: list[Objective]) -> Objective | None:
     """Return the objective that all tunings share, if they do."""
     return objectives[0] if objectives and all(one == objectives[0] for one in objectives) else None
-
-
-def _one_line(error: Exception) -> str:
-    return " ".join(str(error).split())

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 from workbench.errors import InvalidValue
@@ -14,6 +15,7 @@ from workbench.model.rule import Rule
 from workbench.model.tuning import WEIGHABLE, Bounds, Objective
 from workbench.model.units import gain_from
 from workbench.scenario import schema
+from workbench.scenario.compensator_entries import compensator_of
 from workbench.scenario.document import Path
 from workbench.scenario.plan import RULE_DIGITS, CaseJob, TuneJob
 from workbench.scenario.refusals import Refusals
@@ -22,18 +24,20 @@ from workbench.scenario.units import Quantity
 __all__ = ["Controllers", "fitting_action", "ruled", "wrong_way"]
 
 
-def fitting_action(plant: Plant) -> str:
+def fitting_action(plant: Plant, *, fail_open: bool = False) -> str:
     """Return the controller action that makes the feedback negative."""
-    return "reverse" if plant.gain > 0.0 else "direct"
+    return "reverse" if (plant.gain > 0.0) != fail_open else "direct"
 
 
-def wrong_way(plant: Plant, controller: PID) -> str | None:
-    """Return what is wrong where controller and plant feed back positively, else None."""
-    if controller.Kc == 0.0 or controller.action == fitting_action(plant):
+def wrong_way(plant: Plant, controller: PID, *, fail_open: bool = False) -> str | None:
+    """Return what is wrong where controller, valve and plant feed back positively, else None."""
+    fitting = fitting_action(plant, fail_open=fail_open)
+    if controller.Kc == 0.0 or controller.action == fitting:
         return None
+    behind = " behind a fail-open valve" if fail_open else ""
     return (
-        f"the controller acts the wrong way, so that errors grow: a plant gain of {plant.gain:g} needs action "
-        f"{fitting_action(plant)}"
+        f"the controller acts the wrong way, so that errors grow: a plant gain of {plant.gain:g}{behind} needs action "
+        f"{fitting}"
     )
 
 
@@ -46,10 +50,14 @@ def ruled(loop: Loop, controller: PID, rule: Rule) -> PID:
 
 @dataclass
 class Controllers:
-    """Reads controllers and tunings; what is refused goes to `refusals`. pv_range: EU, or None."""
+    """Reads controllers and tunings; what is refused goes to `refusals`.
+
+    pv_range: EU, or None; without_range: what is then said of gains that need one.
+    """
 
     refusals: Refusals
     pv_range: tuple[float, float] | None
+    without_range: str = "needs loop.pv_range: [low, high] in EU"
 
     def keys(self, given: schema.ControllerKeys, path: Path) -> dict[str, Any]:
         """Return the PID's fields that an entry sets."""
@@ -57,8 +65,14 @@ class Controllers:
         fields: dict[str, Any] = {
             name: getattr(given, name)
             for name in schema.ControllerKeys.model_fields
-            if name in there and name not in ("structure", "output_limits") and getattr(given, name) is not None
+            if name in there
+            and name not in ("structure", "output_limits", "compensator")
+            and getattr(given, name) is not None
         }
+        if "compensator" in there:
+            entry = given.compensator
+            make = None if entry is None else partial(compensator_of, entry)
+            fields["compensator"] = None if make is None else self.refusals.attempt((*path, "compensator"), make)
         if "output_limits" in there:
             fields["output_limits"] = None if given.output_limits is None else tuple(given.output_limits)
         if given.structure is not None:
@@ -94,7 +108,7 @@ class Controllers:
             return gain_from(quantity.value, quantity.unit, self.pv_range)
         except InvalidValue as error:
             if error.where == "pv_range":
-                self.refusals.refuse(path, f"a gain in {quantity.unit} given; needs loop.pv_range: [low, high] in EU")
+                self.refusals.refuse(path, f"a gain in {quantity.unit} given; {self.without_range}")
             else:
                 self.refusals.refuse(path, f"{error.given} given; {error.allowed}")
             return None
@@ -114,13 +128,22 @@ class Controllers:
 
         return self.refusals.attempt(path, make)
 
-    def tracks(self, controller: PID, tune: TuneJob | None, path: Path, sample_time: float | None) -> bool:
-        """Return whether back-calculation suits the sample time (s), for every Ti of a tuning; refuse it if not."""
+    def sampled(
+        self, controller: PID, tune: TuneJob | None, path: Path, sample_time: float | None, *, own: bool = True
+    ) -> bool:
+        """Return whether compensator and back-calculation suit the sample time (s), for every Ti of a tuning.
+
+        Refuses what does not. own: whether the entry at `path`, and not loop.controller, says the compensator.
+        """
         if sample_time is None:
             return True
         least = controller if tune is None else replace(controller, Ti=min(controller.Ti, tune.bounds.Ti[0]))
         before = len(self.refusals.issues)
-        self.refusals.attempt(path if tune is None else (*path, "tune"), lambda: least.check_tracking(sample_time))
+        at = path if tune is None else (*path, "tune")
+        self.refusals.attempt(at, lambda: least.check_tracking(sample_time))
+        if controller.compensator is not None:
+            under = (*(at if own else ("loop", "controller")), "compensator")
+            self.refusals.attempt(under, partial(controller.compensator.check, sample_time))
         return len(self.refusals.issues) == before
 
     def objective(self, given: schema.Objective | None, path: Path) -> Objective | None:
@@ -147,7 +170,7 @@ class Controllers:
         fields = {**base, **self.keys(given, path)}
         form = fields.get("form", "ideal")
         fixed = self.tuning(given, path, form)
-        bounds = self._bounds(given, path, form, fixed)
+        bounds = self.bounds(given.bounds, path, form, fixed)
         own = self.objective(given.objective, (*path, "objective"))
         if bounds is None or (given.objective is not None and own is None):
             return None
@@ -170,10 +193,11 @@ class Controllers:
         )
         return controller, job
 
-    def _bounds(self, given: schema.Tune, path: Path, form: str, fixed: dict[str, float]) -> Bounds | None:
+    def bounds(self, given: schema.Bounds | None, path: Path, form: str, fixed: dict[str, float]) -> Bounds | None:
+        """Return the bounds of the entry at `path`, whose bounds are `given`; fixed parameters are held."""
         pairs: dict[str, tuple[float, float]] = {}
         under = (*path, "bounds")
-        asked = given.bounds or schema.Bounds()
+        asked = given or schema.Bounds()
         if asked.Kc is not None and asked.proportional_band is not None:
             self.refusals.refuse((*under, "proportional_band"), "given, and Kc as well; one of the two is needed")
         for name in ("Kc", "proportional_band"):
@@ -199,7 +223,7 @@ class Controllers:
             at = under if "Ti" not in fixed else path
             self.refusals.refuse((*at, "Ti"), "no integral action given; a tuning needs a finite Ti")
             return None
-        return self.refusals.attempt(under if given.bounds is not None else path, lambda: Bounds(**pairs))
+        return self.refusals.attempt(under if given is not None else path, lambda: Bounds(**pairs))
 
     def _start(
         self,

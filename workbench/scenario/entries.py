@@ -32,6 +32,7 @@ __all__ = [
     "GainValue",
     "IntegralTime",
     "Name",
+    "Noise",
     "NonNegative",
     "Number",
     "OneOrMany",
@@ -179,3 +180,10 @@ class Closed(BaseModel):
         if isinstance(info.context, dict) and isinstance(data, dict):
             info.context[id(data)] = tuple(field.alias or name for name, field in cls.model_fields.items())
         return data
+
+
+class Noise(Closed):
+    """White Gaussian measurement noise."""
+
+    sd: Annotated[NonNegative, Field(description="standard deviation, EU")]
+    seed: Seed = 0

@@ -8,6 +8,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
+from workbench.model.cascade import Cascade
 from workbench.model.controller import PID
 from workbench.model.ensemble import Constraints, Ensemble
 from workbench.model.experiment import Experiment
@@ -16,8 +17,21 @@ from workbench.model.record import Record
 from workbench.model.rule import Rule
 from workbench.model.tuning import Bounds, Objective
 
-__all__ = ["RULE_DIGITS", "CaseJob", "EnsembleJob", "EstimateJob", "MapJob", "RobustJob", "Scenario", "TuneJob"]
+__all__ = [
+    "MAX_SAMPLES",
+    "RULE_DIGITS",
+    "CascadeJob",
+    "CascadeTuneJob",
+    "CaseJob",
+    "EnsembleJob",
+    "EstimateJob",
+    "MapJob",
+    "RobustJob",
+    "Scenario",
+    "TuneJob",
+]
 
+MAX_SAMPLES = 5_000_000  # of an experiment
 RULE_DIGITS = 4  # significant digits of what a rule gives, to be typed in
 
 
@@ -126,13 +140,36 @@ class MapJob:
 
 
 @dataclass(frozen=True, eq=False)
+class CascadeTuneJob:
+    """A cascade to be tuned in turn; the case's controllers are the start. secondary: None leaves it as it is."""
+
+    bounds: Bounds
+    objective: Objective
+    secondary: tuple[Experiment, Objective, Bounds] | None
+    seed: int
+    restarts: int
+    digits: int
+
+
+@dataclass(frozen=True, eq=False)
+class CascadeJob:
+    """One case of a cascade: the cascade under its controllers. where: its line:column and name."""
+
+    name: str
+    where: str
+    cascade: Cascade
+    tune: CascadeTuneJob | None = None
+    note: str = ""
+
+
+@dataclass(frozen=True, eq=False)
 class Scenario:
     """A checked scenario file.
 
     loop: as given, under the first case's controller; None where plant and valve come from the first estimate, or no
     case asks for a loop. pv_range: EU, or None. objective: what J is computed with for every case, or None. repair:
     whether to say what repairing the valve is worth. tradeoff: whether to find the front of error against travel.
-    cycle_map: the map to draw, or None.
+    cycle_map: the map to draw, or None. cascade: the cases of a cascade, which has no others and no loop.
     ensemble: what the cases are measured in beside the experiment, None where nothing asks for it. notes: what loading
     assumed or left out (rejected rows, coarse sampling), for the report. warnings: what can be run and is most likely
     a mistake.
@@ -156,5 +193,6 @@ class Scenario:
     tradeoff: bool = False
     cycle_map: MapJob | None = None
     ensemble: EnsembleJob | None = None
+    cascade: tuple[CascadeJob, ...] = ()
     notes: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()

@@ -10,13 +10,13 @@ from typing import TypeVar
 from workbench.errors import InvalidValue
 from workbench.scenario.document import Path
 
-__all__ = ["Refusals"]
+__all__ = ["Refusals", "one_line"]
 
 T = TypeVar("T")
 
 # Entries that the file calls otherwise than the model does.
-_NAMES = {"values": "series"}
-_FIELD = re.compile(r"[A-Za-z]+\.([A-Za-z_]+)(?:\[([0-9]+)\])?")
+_NAMES = {"values": "series", "positions": "places", "valves": "places"}
+_FIELD = re.compile(r"[A-Za-z]+\.([A-Za-z_]+(?:\.[A-Za-z_]+)*)(?:\[([0-9]+)\])?")
 
 
 @dataclass
@@ -37,6 +37,12 @@ class Refusals:
             match = _FIELD.fullmatch(error.where)
             under: Path = ()
             if match is not None:
-                under = (_NAMES.get(match[1], match[1]), *([int(match[2])] if match[2] else []))
+                names = [_NAMES.get(name, name) for name in match[1].split(".")]
+                under = (*names, *([int(match[2])] if match[2] else []))
             self.refuse(path + under, f"{error.given} given; {error.allowed}")
             return None
+
+
+def one_line(error: Exception) -> str:
+    """Return an error's text on one line."""
+    return " ".join(str(error).split())

@@ -69,6 +69,10 @@ def tune_scenario(plan: Scenario, wishes: Wishes, progress: Progress | None = No
         if getattr(wishes, name) is not None:
             raise InvalidValue(f"--{name}", getattr(wishes, name), "is for a record; a scenario states its own")
     experiment = plan.experiment
+    if plan.cascade:
+        raise InvalidValue(
+            str(plan.path), "a cascade", "a single loop is needed; a cascade's tuning is its case's task"
+        )
     if not plan.cases or experiment is None:
         raise InvalidValue(str(plan.path), "no case and experiment", "needs both, to know controller and task")
     base, cases, notes = _loop(plan, progress)

@@ -15,6 +15,7 @@ from workbench.analyze.agreement import agreement
 from workbench.analyze.cycle_map import cycle_map, map_ranges
 from workbench.analyze.describing_function import describing_function
 from workbench.analyze.limit_cycle import limit_cycle
+from workbench.analyze.valve_loci import no_locus
 from workbench.detect.detect import detect
 from workbench.errors import ScenarioError, WorkbenchError
 from workbench.estimate.estimate import estimate
@@ -29,6 +30,7 @@ from workbench.model.record import Record
 from workbench.model.results import Repair, SolveStatus, Tuned
 from workbench.model.study import CaseResult, NamedEstimate, Study
 from workbench.model.tuning import Objective
+from workbench.scenario.cascade_runner import cascade_study
 from workbench.scenario.controllers import fitting_action, ruled, wrong_way
 from workbench.scenario.loader import load_scenario
 from workbench.scenario.over_ensemble import best_robust, front_of, with_robustness
@@ -58,6 +60,8 @@ def run_scenario(scenario: Scenario | str | os.PathLike[str], *, progress: Progr
     tuning was interrupted.
     """
     plan = scenario if isinstance(scenario, Scenario) else load_scenario(scenario)
+    if plan.cascade:
+        return cascade_study(plan, progress)
     return _Runner(plan, progress).study()
 
 
@@ -191,7 +195,9 @@ class _Runner:
             with np.errstate(over="ignore", invalid="ignore"):
                 run = simulate(loop, experiment)
                 cost = None if plan.objective is None else float(evaluate(loop, experiment, plan.objective)[0])
-            df = describing_function(loop) if plan.describing_function else None
+            # The method does not know a compensator, and has nothing to say of some valves.
+            known = plan.describing_function and loop.controller.compensator is None and not no_locus(loop.valve)
+            df = describing_function(loop) if known else None
             cycle = (
                 limit_cycle(loop, experiment, progress=partial(progress, "limit cycle")) if plan.limit_cycle else None
             )

@@ -7,10 +7,12 @@ for editors, `schema.json` beside this file, is made from here.
 from __future__ import annotations
 
 import json
-from typing import Annotated, Literal, Self
+from typing import Annotated, Literal
 
-from pydantic import Discriminator, Field, Tag, model_validator
+from pydantic import Discriminator, Field, Tag
 
+from workbench.scenario.compensator_entries import CompensatorEntry
+from workbench.scenario.element_entries import Elements, KarnoppValve, OneParameterPlace, Place, PositionalValve
 from workbench.scenario.entries import (
     Band,
     BandValue,
@@ -20,6 +22,7 @@ from workbench.scenario.entries import (
     GainValue,
     IntegralTime,
     Name,
+    Noise,
     NonNegative,
     Number,
     OneOrMany,
@@ -32,6 +35,7 @@ from workbench.scenario.entries import (
     by_key,
     by_presence,
 )
+from workbench.scenario.estimate_entries import Estimate
 from workbench.scenario.map_entries import MapEntry
 from workbench.scenario.robust_entries import ConstraintsEntry, EnsembleEntry, RobustEntry, TravelBudget
 from workbench.scenario.rule_entries import RuleEntry
@@ -44,8 +48,12 @@ __all__ = [
     "Estimate",
     "Experiment",
     "FilePart",
+    "KarnoppValve",
     "Loop",
+    "OneParameterPlace",
     "Part",
+    "Place",
+    "PositionalValve",
     "RampPart",
     "RuledCase",
     "ScenarioFile",
@@ -145,8 +153,10 @@ Valve = Annotated[
     | Annotated[ChoudhuryValve, Tag("<choudhury>")]
     | Annotated[KanoValve, Tag("<kano>")]
     | Annotated[DeadbandValve, Tag("<deadband>")]
-    | Annotated[DirectionalValve, Tag("<directional>")],
-    by_key("type", "ideal", "stenman", "he", "choudhury", "kano", "deadband", "directional"),
+    | Annotated[DirectionalValve, Tag("<directional>")]
+    | Annotated[PositionalValve, Tag("<positional>")]
+    | Annotated[KarnoppValve, Tag("<karnopp>")],
+    by_key("type", "ideal", "stenman", "he", "choudhury", "kano", "deadband", "directional", "positional", "karnopp"),
 ]
 
 
@@ -175,13 +185,19 @@ class ControllerKeys(Closed):
     ] = None
     anti_windup: Literal["clamp", "back_calculation"] | None = None
     tracking_time: PositiveTime | None = None
+    output_resolution: Annotated[
+        Band | None, Field(description="OP leaves the controller in multiples of this, % from the resting output; 0")
+    ] = None
+    compensator: Annotated[
+        CompensatorEntry | None, Field(description="what the controller does about stiction besides its law")
+    ] = None
 
 
 class Controller(Tuning, ControllerKeys):
     """The controller that the cases start from; each case may override any entry."""
 
 
-class Loop(Closed):
+class Loop(Elements):
     """The loop. Plant, valve and sample_time are left out where they come from recorded data."""
 
     plant: Plant | None = None
@@ -238,13 +254,6 @@ Part = Annotated[
 ]
 
 
-class Noise(Closed):
-    """White Gaussian measurement noise."""
-
-    sd: Annotated[NonNegative, Field(description="standard deviation, EU")]
-    seed: Seed = 0
-
-
 class Experiment(Closed):
     """What is done to the loop, in deviations from its resting point."""
 
@@ -253,6 +262,11 @@ class Experiment(Closed):
     load: Annotated[list[Part], OneOrMany()] | None = None
     noise: Noise | None = None
     stem_offset: Annotated[Percent, Field(description="resting distance of OP from the stem, %")] = 0.0
+    primary_load: (
+        Annotated[list[Part], OneOrMany(), Field(description="of a cascade, at the primary, EU of the secondary")]
+        | None
+    ) = None
+    secondary_noise: Annotated[Noise | None, Field(description="of a cascade, on the secondary's measurement")] = None
 
 
 class Objective(Closed):
@@ -351,83 +365,80 @@ class TunedCase(Closed):
     tune: Tune
 
 
+class CascadeLoop(Closed):
+    """The primary of a cascade; the secondary has a valve besides."""
+
+    plant: Plant
+    controller: Controller
+    sample_time: Annotated[PositiveTime, Field(description="the primary's is a whole number of the secondary's")]
+
+
+class SecondaryLoop(CascadeLoop):
+    """The secondary of a cascade, which holds the valve."""
+
+    valve: Valve
+
+
+class Cascade(Closed):
+    """Two loops, the primary's output the setpoint of the secondary."""
+
+    primary: CascadeLoop
+    secondary: SecondaryLoop
+    scale: Annotated[Number, Field(description="EU of the secondary per unit of the primary's output, not 0")] = 1.0
+    anti_windup: Annotated[
+        Literal["clamp", "none"], Field(description="of the primary while the secondary's output is at a limit")
+    ] = "clamp"
+
+
+class CascadeTunePart(Closed):
+    """What one loop of a cascade is tuned for. Td given here is held at that value."""
+
+    bounds: Bounds
+    Td: Time | None = None
+    objective: Objective | None = None
+
+
+class SecondaryTunePart(CascadeTunePart):
+    """The same for the secondary, by itself: its own experiment, with its setpoint in its own EU."""
+
+    experiment: Experiment
+
+
+class TuneCascade(Closed):
+    """Tuning in turn: the secondary, where it is given, by itself; then the primary in the cascade."""
+
+    secondary: SecondaryTunePart | None = None
+    primary: CascadeTunePart
+    seed: Seed = 0
+    restarts: Annotated[int, Field(ge=1, le=64)] = 2
+    digits: Annotated[int, Field(ge=1, le=12)] = 4
+
+
+class CascadedCase(Closed):
+    """A case of a cascade: other controllers for one loop or both, or their tuning in turn from what they are."""
+
+    name: Name
+    note: Words = ""
+    primary: Controller | None = None
+    secondary: Controller | None = None
+    tune_cascade: TuneCascade | None = None
+
+
 def _kind(data: object) -> str:
     """Return which of the cases a mapping is; what it holds of another one is then an unknown key."""
     given = data if isinstance(data, dict) else {}
+    if not {"primary", "secondary", "tune_cascade"}.isdisjoint(given):
+        return "<cascaded>"
     return "<tuned>" if "tune" in given else "<ruled>" if "rule" in given else "<given>"
 
 
 Case = Annotated[
-    Annotated[GivenCase, Tag("<given>")] | Annotated[RuledCase, Tag("<ruled>")] | Annotated[TunedCase, Tag("<tuned>")],
+    Annotated[GivenCase, Tag("<given>")]
+    | Annotated[RuledCase, Tag("<ruled>")]
+    | Annotated[TunedCase, Tag("<tuned>")]
+    | Annotated[CascadedCase, Tag("<cascaded>")],
     Discriminator(_kind),
 ]
-
-
-class EstimateReference(Closed):
-    """Published figures of the same record: d, S, J in %, gain in EU/%, times with their unit."""
-
-    d: Band | None = None
-    S: Band | None = None
-    J: Band | None = None
-    gain: Number | None = None
-    time_constant: PositiveTime | None = None
-    dead_time: Time | None = None
-
-
-class Columns(Closed):
-    """Which column of the data is which signal, where the usual names do not say it."""
-
-    time: Name | None = None
-    PV: Name | None = None
-    OP: Name | None = None
-    SP: Name | None = None
-    MODE: Name | None = None
-    valve_position: Name | None = None
-    tag: Annotated[Name | None, Field(description="of a tall export, as value and quality")] = None
-    value: Name | None = None
-    quality: Name | None = None
-
-
-class Tags(Closed):
-    """Which tag of a historian's tall export, or column, is which signal, where the tags' endings do not say it."""
-
-    PV: Name | None = None
-    OP: Name | None = None
-    SP: Name | None = None
-    MODE: Name | None = None
-    valve_position: Name | None = None
-
-
-Span = Annotated[list[Number], Field(min_length=2, max_length=2)]
-
-
-class Estimate(Closed):
-    """An estimate of the loop from recorded data, or from a record simulated with this scenario's loop."""
-
-    name: Name | None = None
-    data: Annotated[FileName | None, Field(description="CSV or Parquet file, relative to the scenario")] = None
-    simulate: Annotated[bool, Field(description="estimate from a record simulated with loop and experiment")] = False
-    columns: Columns | None = None
-    tags: Tags | None = None
-    sample_time: Annotated[PositiveTime | None, Field(description="where the data has no even times")] = None
-    pv_range: Annotated[Span | None, Field(description="[low, high] of PV in EU; the loop's where not given")] = None
-    op_range: Annotated[Span | None, Field(description="[low, high]: what the data calls 0 and 100 % of OP")] = None
-    max_gap: Annotated[PositiveTime | None, Field(description="the longest time without a value that is bridged")] = (
-        None
-    )
-    noise: Annotated[Noise | None, Field(description="of the simulated record, instead of the experiment's")] = None
-    method: Literal["profile", "joint", "two_step"] = "profile"
-    valve: Literal["auto", "linear", "stenman", "choudhury", "deadband"] = "auto"
-    plant: Literal["fopdt", "integrating", "auto"] = "fopdt"
-    start: Annotated[Band | None, Field(description="initial stiction of the two-step method, %")] = None
-    reference: EstimateReference | None = None
-    note: Words = ""
-
-    @model_validator(mode="after")
-    def _one_source(self) -> Self:
-        if self.simulate == (self.data is not None):
-            raise ValueError("must hold either data (a file) or simulate: true")
-        return self
 
 
 class Analyze(Closed):
@@ -451,6 +462,7 @@ class ScenarioFile(Closed):
     description: Words = ""
     reference_source: Annotated[Words, Field(description="where the reference figures come from")] = ""
     loop: Loop | None = None
+    cascade: Annotated[Cascade | None, Field(description="two loops in place of loop")] = None
     experiment: Experiment | None = None
     objective: Objective | None = None
     ensemble: Annotated[

@@ -18,7 +18,7 @@ from workbench.model.tuning import Objective
 from workbench.simulate import kernel
 from workbench.simulate.signals import Signals
 
-__all__ = ["cores", "kernel_weights", "sums", "weigh", "worst"]
+__all__ = ["cores", "kernel_weights", "shared_out", "sums", "weigh", "worst"]
 
 # Fewer samples than this, some milliseconds, are not worth a second thread.
 WORTH_SHARING = 400_000
@@ -55,7 +55,7 @@ def sums(
     def work(part: slice) -> None:
         kernel.run_costs(rows[part], which[part], r, load, noise, result[part], longest)
 
-    _shared(rows.shape[0], r.shape[1] - 1, work)
+    shared_out(rows.shape[0], r.shape[1] - 1, work)
     return result
 
 
@@ -82,7 +82,7 @@ def worst(
             )
         )
 
-    _shared(ceilings.size, group * given.samples, work)
+    shared_out(ceilings.size, group * given.samples, work)
     return result, sum(counts)
 
 
@@ -91,7 +91,7 @@ def cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def _shared(count: int, samples: int, work: Callable[[slice], None]) -> None:
+def shared_out(count: int, samples: int, work: Callable[[slice], None]) -> None:
     """Do `work` on parts of range(count), each of so many samples, on all cores if it is worth it."""
     workers = cores()
     if workers == 1 or count * samples < WORTH_SHARING or count < 2 * workers:

@@ -8,14 +8,23 @@ from typing import NamedTuple
 
 import numpy as np
 
+from workbench.model.compensator import (
+    Compensator,
+    ConstantReinforcement,
+    Dither,
+    IntegralDeadband,
+    Knocker,
+    TwoMove,
+)
 from workbench.model.controller import PID
+from workbench.model.karnopp import CREEP, Karnopp
 from workbench.model.loop import Loop
 from workbench.model.plant import FOPDT, Plant
 from workbench.model.record import FloatArray
-from workbench.model.valve import Choudhury, Deadband, Directional, He, Kano, Stenman, Valve
+from workbench.model.valve import Choudhury, Deadband, Directional, He, Kano, Positional, Stenman, Valve
 from workbench.simulate import kernel
 
-__all__ = ["Discrete", "ValveLaw", "coefficients", "discretise", "valve_law"]
+__all__ = ["Discrete", "ValveLaw", "coefficients", "discretise", "valve_law", "valve_row"]
 
 
 class Discrete(NamedTuple):
@@ -31,7 +40,9 @@ class Discrete(NamedTuple):
 class ValveLaw(NamedTuple):
     """A valve in the kernel's terms: its kind, the leads u - x at which it slips and those that it keeps while moving.
 
-    All in %; band and offset for the way up, band_down and offset_down for the way down.
+    All in %; band and offset for the way up, band_down and offset_down for the way down. table: where they differ by
+    place, the positions, then the band at each, then the offset at each; the four are then those at x = 0. Of a valve
+    with mass: what the kernel names `KARNOPP` says.
     """
 
     kind: int
@@ -39,6 +50,7 @@ class ValveLaw(NamedTuple):
     offset: float
     band_down: float
     offset_down: float
+    table: tuple[float, ...] = ()
 
 
 def discretise(plant: Plant, sample_time: float) -> Discrete:
@@ -58,8 +70,16 @@ def discretise(plant: Plant, sample_time: float) -> Discrete:
     return Discrete(1.0, plant.gain * sample_time, 1.0 - f, f, m)
 
 
-def valve_law(valve: Valve) -> ValveLaw:
-    """Return a valve in the kernel's terms."""
+def valve_law(valve: Valve, sample_time: float = 1.0) -> ValveLaw:
+    """Return a valve in the kernel's terms; sample_time: s, of concern to one with mass alone."""
+    if isinstance(valve, Karnopp):
+        n = math.ceil(sample_time / valve.substep - 1e-9)
+        h, k_m, percent = sample_time / n, valve.spring / valve.mass, 100.0 / valve.travel
+        damping = 1.0 + h * valve.viscous / valve.mass + h * h * k_m
+        friction = valve.percent(valve.coulomb), valve.percent(valve.static)
+        speeds = valve.stribeck * percent, CREEP * valve.stribeck * percent
+        law = _same_both_ways(kernel.KARNOPP, valve.hold, friction[0])
+        return law._replace(table=(float(n), h, h * k_m, damping, *friction, *speeds))
     if isinstance(valve, Stenman):
         return _same_both_ways(kernel.STAIRS, valve.d, 0.0)
     if isinstance(valve, He):
@@ -72,7 +92,28 @@ def valve_law(valve: Valve) -> ValveLaw:
     if isinstance(valve, Directional):
         up, down = valve_law(valve.up), valve_law(valve.down)
         return ValveLaw(kernel.DIRECTIONAL, up.band, up.offset, down.band, down.offset)
+    if isinstance(valve, Positional):
+        laws = [valve_law(one) for one in valve.valves]
+        bands, offsets = tuple(law.band for law in laws), tuple(law.offset for law in laws)
+        here = _same_both_ways(laws[0].kind, valve.between(0.0, bands), valve.between(0.0, offsets))
+        return here._replace(table=(*valve.positions, *bands, *offsets))
     return _same_both_ways(kernel.IDEAL, 0.0, 0.0)
+
+
+def valve_row(valve: Valve, sample_time: float = 1.0) -> FloatArray:
+    """Return a coefficient row with the valve's columns alone, as `kernel.valve_path` takes it."""
+    law = valve_law(valve, sample_time)
+    row = np.zeros(kernel.COEFFICIENTS + len(law.table))
+    _put(row[None, :], law)
+    return row
+
+
+def _put(rows: FloatArray, law: ValveLaw) -> None:
+    rows[:, kernel.VALVE] = law.kind
+    rows[:, kernel.BAND], rows[:, kernel.OFFSET] = law.band, law.offset
+    rows[:, kernel.BAND_DOWN], rows[:, kernel.OFFSET_DOWN] = law.band_down, law.offset_down
+    rows[:, kernel.PLACES] = 0 if law.kind == kernel.KARNOPP else len(law.table) // 3
+    rows[:, kernel.COEFFICIENTS :] = law.table
 
 
 def _same_both_ways(kind: int, band: float, offset: float) -> ValveLaw:
@@ -80,15 +121,17 @@ def _same_both_ways(kind: int, band: float, offset: float) -> ValveLaw:
 
 
 def coefficients(loop: Loop, stem_offset: float = 0.0, tunings: FloatArray | None = None) -> FloatArray:
-    """Return coefficient rows, shape (M, COEFFICIENTS), of a loop with its own controller (M = 1).
+    """Return coefficient rows, shape (M, COEFFICIENTS or more), of a loop with its own controller (M = 1).
 
     With `tunings`, shape (M, 3) of (Kc, Ti, Td) in the controller's own form, one row for each. Raises `InvalidValue`
     where a controller has no ideal equivalent.
     """
     if tunings is None:
         tunings = np.array([[loop.controller.Kc, loop.controller.Ti, loop.controller.Td]])
-    pid, Ts = loop.controller, loop.sample_time
-    rows = np.zeros((tunings.shape[0], kernel.COEFFICIENTS))
+    pid, Ts = loop.controller, loop.scan * loop.sample_time
+    law = valve_law(loop.valve, loop.sample_time)
+    rows = np.zeros((tunings.shape[0], kernel.COEFFICIENTS + len(law.table)))
+    _put(rows, law)
     Kc, Ti, Td, Tf, weight = _ideal_terms(pid, tunings)
     signed = pid.signed_gain * Kc
     rows[:, kernel.KC] = signed
@@ -102,15 +145,40 @@ def coefficients(loop: Loop, stem_offset: float = 0.0, tunings: FloatArray | Non
     low, high = (-math.inf, math.inf) if pid.output_limits is None else pid.output_limits
     rows[:, kernel.LOW], rows[:, kernel.HIGH] = low, high
     rows[:, kernel.WINDUP] = float(pid.anti_windup == "back_calculation")
+    rows[:, kernel.RESOLUTION] = pid.output_resolution
     rows[:, kernel.TS_TT] = Ts / (Ti if pid.tracking_time is None else pid.tracking_time)
-    law = valve_law(loop.valve)
-    rows[:, kernel.VALVE] = law.kind
-    rows[:, kernel.BAND], rows[:, kernel.OFFSET] = law.band, law.offset
-    rows[:, kernel.BAND_DOWN], rows[:, kernel.OFFSET_DOWN] = law.band_down, law.offset_down
-    plant = discretise(loop.plant, Ts)
-    rows[:, kernel.POLE], rows[:, kernel.GAIN] = plant.pole, plant.gain
+    for column, value in _compensation(pid.compensator, Ts).items():
+        rows[:, column] = value
+    plant = discretise(loop.plant, loop.sample_time)
+    rows[:, kernel.POLE], rows[:, kernel.GAIN] = plant.pole, plant.gain * loop.direction
+    rows[:, kernel.CURVE], rows[:, kernel.SCAN] = loop.curve, loop.scan
     rows[:, kernel.C0], rows[:, kernel.C1], rows[:, kernel.DELAY] = plant.c0, plant.c1, plant.delay
     return rows
+
+
+def _compensation(given: Compensator | None, Ts: float) -> dict[int, float]:
+    """Return a compensator's columns and their values; what is not among them is 0."""
+    c = kernel
+    match given:
+        case None:
+            return {}
+        case IntegralDeadband():
+            return {c.COMPENSATOR: c.RESET_BAND, c.SIZE: given.band, c.LEVEL: 1.0 / given.ratio}
+        case Knocker():
+            every, width = round(given.period / Ts), round(given.width / Ts)
+            return {c.COMPENSATOR: c.KNOCKER, c.SIZE: given.amplitude, c.EVERY: every, c.WIDTH: width}
+        case ConstantReinforcement():
+            return {c.COMPENSATOR: c.REINFORCEMENT, c.SIZE: given.amplitude}
+        case TwoMove():
+            own = {c.SIZE: given.amplitude, c.EVERY: round(given.at / Ts), c.LEVEL: given.steady_output}
+            return {c.COMPENSATOR: c.TWO_MOVES, **own, c.EXTRA: given.release}
+        case Dither():
+            n = round(given.period / Ts)
+            if given.shape == "square":
+                return {c.COMPENSATOR: c.SQUARE, c.SIZE: given.amplitude, c.EVERY: n}
+            a, half, whole = given.amplitude, math.pi / n, 2.0 * math.pi / n
+            start = {c.SIZE: a * math.sin(half), c.WIDTH: a * math.cos(half)}
+            return {c.COMPENSATOR: c.SINE, c.EVERY: n, **start, c.LEVEL: math.cos(whole), c.EXTRA: math.sin(whole)}
 
 
 def _ideal_terms(pid: PID, tunings: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:

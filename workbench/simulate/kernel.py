@@ -10,8 +10,12 @@ A loop is a row of `COEFFICIENTS` floats (see the names below), a state is `STAT
 2. u_k = bias + P + I + D, `P = Kc (b r - y)`, `I += (Kc Ts/Ti) e`, `D = (Tf D + Kc Td (s - s_{k-1}))/(Tf + Ts)`,
    s = e or -y
 3. output limits; clamping undoes this sample's I step where u is outside and the step pushes further out; back-
-   calculation adds `(Ts/Tt)(u_limited - u)` to I
-4. the valve (model.valve); 5. the plant's exact zero-order-hold step with v = x + load.
+   calculation adds `(Ts/Tt)(u_limited - u)` to I; a compensator (model.compensator) changes the I step, or u after
+   this; then OP's resolution q: a u that stands at no limit becomes `bias + q rint((u - bias)/q)`, halves to even, and
+   at most the limit; I and D know nothing of it. All of 1 to 3 in every n-th sample only where the controller scans (Ts
+   is then its own); between them u and its code stand
+4. the valve (model.valve); 5. the plant's exact zero-order-hold step with v = x + load, or `(e^(c x) - 1)/c + load`
+   where the characteristic curves (c not 0). All in OP's direction: behind a fail-open valve gain and load change sign.
 
 `branch` codes the decisions of each sample: `stem + 3 (limit + 1) + 9 undone`, where stem is 0, 1 or 2 for a stem that
 moves down, rests or moves up, limit is -1, 0 or 1 for an output at its low limit, free or at its high limit, and undone
@@ -23,13 +27,16 @@ is taken from slip to slip in closed form.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
-from workbench.simulate.compiled import compiled
+from workbench.simulate.compiled import compiled, written_out
 
 __all__ = [
     "CARRIED",
+    "CHAIN",
     "COEFFICIENTS",
     "FEW_SUMS",
     "HALF_CYCLE",
@@ -38,12 +45,15 @@ __all__ = [
     "SUMS",
     "WEIGHTS",
     "add_sums",
+    "cascade_worst",
     "collect",
     "doublings",
     "jump",
+    "run_cascade",
     "run_costs",
     "run_events",
     "run_loop",
+    "run_samples",
     "run_worst",
     "trace",
     "valve_path",
@@ -57,15 +67,27 @@ Floats = NDArray[np.float64]
 # Columns of a coefficient row.
 KC, KI, KD, TF, TF_TS, WEIGHT, ON_PV, BIAS, LOW, HIGH, WINDUP, TS_TT = range(12)
 VALVE, BAND, OFFSET, POLE, GAIN, C0, C1, DELAY, BAND_DOWN, OFFSET_DOWN = range(12, 22)
-COEFFICIENTS = 22
+COMPENSATOR, SIZE, EVERY, WIDTH, LEVEL, EXTRA, RESOLUTION, CURVE, SCAN, PLACES = range(22, 32)
+COEFFICIENTS = 32
 # KC signed gain; KI = Kc Ts/Ti; KD = Kc Td; TF_TS = Tf + Ts; ON_PV 1 for derivative on PV; WINDUP 0 clamp,
 # 1 back-calculation.
-# VALVE one of the five below; BAND the lead u - x beyond which the stem slips, OFFSET the lead that it keeps while it
+# VALVE one of those below; BAND the lead u - x beyond which the stem slips, OFFSET the lead that it keeps while it
 # moves: both upward, downward the last two columns (the same but for DIRECTIONAL); POLE a, 1 for integrating; GAIN K,
-# or K Ts for integrating; C0, C1 the shares of v_{k-m} and v_{k-m-1}; DELAY m.
+# or K Ts for integrating; C0, C1 the shares of v_{k-m} and v_{k-m-1}; DELAY m. RESOLUTION of OP, %, 0 for none.
+# CURVE c of the characteristic, 0 for none. SCAN n, samples from one execution of the controller to the next.
+# PLACES: how many positions the valve's table has that follows the row: these, then a band each, then an offset each.
 # STAIRS sticks again after each sample's slip (Stenman, He). TWO_PARAMETER goes on moving (Choudhury, dead band), and
 # so do KANO, whose band lies OFFSET lower until its first move, and DIRECTIONAL.
-IDEAL, STAIRS, TWO_PARAMETER, KANO, DIRECTIONAL = range(5)
+IDEAL, STAIRS, TWO_PARAMETER, KANO, DIRECTIONAL, KARNOPP = range(6)
+# KARNOPP: what follows the row, in % of travel: the number of substeps a sample and their length h (s), h k/m,
+# 1 + h Fv/m + h^2 k/m, Coulomb and static friction over the spring, Stribeck velocity and that below which a stem stops
+# (%/s).
+SUBSTEPS, H, PUSH, DAMPING, SLIDING, STATIC, STRIBECK, SLOW = range(8)
+# COMPENSATOR one of those below. SIZE: a reset band (EU), else an amplitude (%). EVERY, WIDTH in samples: a period and
+# a pulse's length, of TWO_MOVES the sample of the first. LEVEL: of RESET_BAND the share of the integral action that is
+# left, of TWO_MOVES the steady output (%), EXTRA the error that releases it (EU). A SINE starts from (SIZE, WIDTH), a
+# times sine and cosine of half a sample's angle, and turns by the angle of sine EXTRA and cosine LEVEL.
+NONE, RESET_BAND, KNOCKER, REINFORCEMENT, TWO_MOVES, SINE, SQUARE = range(7)
 
 # Columns of a run's sums over e_k = r_k - y_k (measured), u_k and x_k: squares of e_1..e_N, of u, of e_N, of moves of u
 # and of e_0..e_{N-1}; |moves of x|; where all are asked for, |e|, e, u, |moves of u|, x, x^2, stem reversals, y, y^2.
@@ -76,8 +98,10 @@ FEW_SUMS, SUMS = 6, 15
 WEIGHTS = 13
 
 # Entries of a state.
-I_TERM, D_TERM, S_LAST, U_LAST, X_LAST, MOTION, Y = range(7)
-STATES = 7
+I_TERM, D_TERM, S_LAST, U_LAST, X_LAST, MOTION, Y, CLOCK, MARK, KEPT, PHASE, CODE, VELOCITY = range(13)
+STATES = 13
+# CLOCK, MARK, KEPT: a compensator's, see `_compensated`. PHASE: samples since the controller's last execution, CODE:
+# what that one decided (branch, stem aside); both where the controller scans. VELOCITY of KARNOPP's stem, %/s.
 # MOTION: -1 down, 0 at rest, 1 up; a stem of KANO's that has moved before rests as RESTED.
 RESTED = 2
 
@@ -137,25 +161,290 @@ def valve_step(
 
 
 @compiled
-def valve_path(
-    kind: int,
-    band: float,
-    offset: float,
-    band_down: float,
-    offset_down: float,
-    op: Floats,
-    u_last: float,
-    x_last: float,
-    motion: int,
-    x: Floats,
-) -> int:
-    """Write into `x` the stem's path under a given output; return the last motion."""
+def _flow(curve: float, x: float) -> float:
+    """What a stem gives the plant; math.expm1, as numpy's own may round otherwise than compiled code."""
+    return math.expm1(curve * x) / curve if curve != 0.0 else x
+
+
+@compiled
+def _level(u: float, resolution: float, bias: float, low: float, high: float) -> float:
+    """An output within its limits at its resolution: the nearest level counted from `bias`, or the limit before it."""
+    level = bias + resolution * np.rint((u - bias) / resolution)
+    return float(min(max(level, low), high))
+
+
+@compiled
+def _shown(c: Floats, u: float) -> float:
+    """An output within its limits as the valve sees it."""
+    return _level(u, c[RESOLUTION], c[BIAS], c[LOW], c[HIGH]) if c[RESOLUTION] > 0.0 else u
+
+
+@compiled
+def _place(c: Floats, x: float) -> tuple[float, float]:
+    """Band and offset of a stem at x, from the table that follows the row."""
+    n = int(c[PLACES])
+    at = COEFFICIENTS
+    last = at + n - 1
+    if x <= c[at] or n == 1:
+        return c[at + n], c[at + 2 * n]
+    if x >= c[last]:
+        return c[last + n], c[last + 2 * n]
+    while x > c[at + 1]:
+        at += 1
+    share = (x - c[at]) / (c[at + 1] - c[at])
+    band = c[at + n] + share * (c[at + n + 1] - c[at + n])
+    return band, c[at + 2 * n] + share * (c[at + 2 * n + 1] - c[at + 2 * n])
+
+
+@compiled
+def _slide(c: Floats, state: Floats, u: float, x: float) -> tuple[float, int]:
+    """One sample of a stem with mass: its position at the sample's end, and the direction of its move."""
+    at = COEFFICIENTS
+    h, push, damping, slow = c[at + H], c[at + PUSH], c[at + DAMPING], c[at + SLOW]
+    sliding, more, stribeck = c[at + SLIDING], c[at + STATIC] - c[at + SLIDING], c[at + STRIBECK]
+    hold, speed, begin = c[BAND], state[VELOCITY], x
+    for _ in range(int(c[at + SUBSTEPS])):
+        lead = u - x
+        if speed == 0.0:
+            if abs(lead) <= hold:
+                break
+            way = 1.0 if lead > 0.0 else -1.0
+        else:
+            way = 1.0 if speed > 0.0 else -1.0
+        friction = sliding + more * math.exp(-((speed / stribeck) * (speed / stribeck)))
+        new = (speed + push * (lead - way * friction)) / damping
+        if speed != 0.0 and new * way < slow and abs(lead) <= hold:
+            speed = 0.0
+            break
+        # A stem that turns stands for a substep.
+        speed = new if new * way > 0.0 else 0.0
+        x += h * speed
+    state[VELOCITY] = speed
+    return x, 1 if x > begin else (-1 if x < begin else 0)
+
+
+@compiled
+def _stem(c: Floats, state: Floats, u: float, u_last: float, x: float, motion: int) -> tuple[float, int]:
+    """One sample of a valve of any kind: the new stem position and motion."""
+    kind = int(c[VALVE])
+    if kind == KARNOPP:
+        return _slide(c, state, u, x)
+    if c[PLACES] == 0.0:
+        return valve_step(kind, c[BAND], c[OFFSET], c[BAND_DOWN], c[OFFSET_DOWN], u, u_last, x, motion)
+    band, offset = _place(c, x)
+    new, motion = valve_step(kind, band, offset, band, offset, u, u_last, x, motion)
+    # Where friction grows along the way a moving stem waits for its input.
+    return (x if (new - x) * motion < 0.0 else new), motion
+
+
+@compiled
+def valve_path(c: Floats, op: Floats, state: Floats, x: Floats) -> None:
+    """Write into `x` the stem's path under a given output, from `state`, which is left as after it."""
+    u_last, x_last, motion = state[U_LAST], state[X_LAST], int(state[MOTION])
     for k in range(op.size):
         u = op[k]
-        x_last, motion = valve_step(kind, band, offset, band_down, offset_down, u, u_last, x_last, motion)
+        x_last, motion = _stem(c, state, u, u_last, x_last, motion)
         x[k] = x_last
         u_last = u
-    return motion
+    state[U_LAST], state[X_LAST], state[MOTION] = u_last, x_last, motion
+
+
+@compiled
+def _sign(value: float) -> float:
+    """1, 0 or -1."""
+    return 1.0 if value > 0.0 else (-1.0 if value < 0.0 else 0.0)
+
+
+@compiled
+def _compensated(c: Floats, state: Floats, e: float, out: float, others: float, i_term: float) -> tuple[float, float]:
+    """The OP that the valve sees, and the integral, for the PID law's own output `out` (model.compensator).
+
+    others: all terms of `out` but the integral. CLOCK counts samples: since a period or the run began. MARK: u_c of
+    the sample before (REINFORCEMENT) or of the latest pulse's onset (KNOCKER), the level held (TWO_MOVES), the sine
+    (SINE). KEPT: u_c at the running pulse's onset, 1 while held and 2 from then on, the cosine.
+    """
+    kind, clock, every = int(c[COMPENSATOR]), state[CLOCK], c[EVERY]
+    added = 0.0
+    if kind == KNOCKER:
+        if clock == 0.0:
+            state[MARK] = out
+        if clock == every:
+            state[KEPT] = out
+        if clock >= every:
+            added = c[SIZE] * _sign(out - state[MARK])
+            if clock == every + c[WIDTH] - 1.0:
+                state[MARK] = state[KEPT]
+                clock -= every
+    elif kind == REINFORCEMENT:
+        added = c[SIZE] * _sign(out - (c[BIAS] if clock == 0.0 else state[MARK]))
+        state[MARK] = out
+    elif kind == SQUARE:
+        added = c[SIZE] if 2.0 * clock < every else -c[SIZE]
+        clock = -1.0 if clock == every - 1.0 else clock
+    elif kind == SINE:
+        if clock == 0.0:
+            state[MARK], state[KEPT] = c[SIZE], c[WIDTH]
+        added = state[MARK]
+        state[MARK] = added * c[LEVEL] + state[KEPT] * c[EXTRA]
+        state[KEPT] = state[KEPT] * c[LEVEL] - added * c[EXTRA]
+        clock = -1.0 if clock == every - 1.0 else clock
+    elif state[KEPT] == 1.0:
+        # Held: the integral follows, so that the controller goes on from here when it is released.
+        out = state[MARK]
+        i_term = out - others
+        state[KEPT] = 2.0 if abs(e) > c[EXTRA] else 1.0
+    elif clock == every:
+        state[KEPT], state[MARK] = 1.0, min(max(c[LEVEL], c[LOW]), c[HIGH])
+        added = abs(out - c[LEVEL]) + c[SIZE]
+    state[CLOCK] = clock + 1.0
+    return min(max(out + added, c[LOW]), c[HIGH]), i_term
+
+
+@written_out
+def run_samples(
+    c: Floats,
+    r: Floats,
+    load: Floats,
+    noise: Floats,
+    state: Floats,
+    past: Floats,
+    y: Floats,
+    u: Floats,
+    x: Floats,
+    v: Floats,
+    branch: NDArray[np.int8],
+    plain: bool,
+) -> None:
+    """`run_loop`, without what few loops have (see `_run`) where `plain`.
+
+    Two loops from one source: to ask at every sample for what few loops have would cost all the others.
+    """
+    kc, ki, kd, tf, tf_ts = c[KC], c[KI], c[KD], c[TF], c[TF_TS]
+    weight, on_pv, bias = c[WEIGHT], c[ON_PV] != 0.0, c[BIAS]
+    low, high, back, ts_tt = c[LOW], c[HIGH], c[WINDUP] != 0.0, c[TS_TT]
+    kind, band, offset, band_down, offset_down = int(c[VALVE]), c[BAND], c[OFFSET], c[BAND_DOWN], c[OFFSET_DOWN]
+    a, gain, c0, c1, m = c[POLE], c[GAIN], c[C0], c[C1], int(c[DELAY])
+    n = u.size
+    i_term, d_term, s_last, u_last, x_last = state[I_TERM], state[D_TERM], state[S_LAST], state[U_LAST], state[X_LAST]
+    motion = int(state[MOTION])
+    plant = state[Y]
+    y[0] = plant
+    for k in range(n):
+        if not plain:
+            i_before, d_before, s_before = i_term, d_term, s_last
+        measured = plant + noise[k]
+        e = r[k] - measured
+        s = -measured if on_pv else e
+        if kd != 0.0 or d_term != 0.0:
+            d_term = (tf * d_term + kd * (s - s_last)) / tf_ts
+        s_last = s
+        p_term = kc * (weight * r[k] - measured)
+        step = ki * e
+        if not plain and c[COMPENSATOR] == RESET_BAND and abs(e) <= c[SIZE]:
+            step *= c[LEVEL]
+        i_last = i_term
+        i_term = i_last + step
+        out = bias + p_term + i_term + d_term
+        limit, undone = 0, 0
+        if not back and ((out > high and step > 0.0) or (out < low and step < 0.0)):
+            undone = 1
+            i_term = i_last
+            out = bias + p_term + i_term + d_term
+        if out > high:
+            limit = 1
+        elif out < low:
+            limit = -1
+        if limit != 0:
+            limited = high if limit == 1 else low
+            if back:
+                i_term += ts_tt * (limited - out)
+            out = limited
+        if not plain and c[COMPENSATOR] > RESET_BAND and (c[SCAN] <= 1.0 or state[PHASE] == 0.0):
+            out, i_term = _compensated(c, state, e, out, bias + p_term + d_term, i_term)
+        if not plain and c[RESOLUTION] > 0.0 and low < out < high:
+            out = _shown(c, out)
+        if not plain and c[SCAN] > 1.0:
+            if state[PHASE] == 0.0:
+                state[CODE] = 3 * (limit + 1) + 9 * undone
+            else:
+                i_term, d_term, s_last, out = i_before, d_before, s_before, u_last
+                limit, undone = int(state[CODE]) % 9 // 3 - 1, int(state[CODE]) // 9
+            state[PHASE] = (state[PHASE] + 1.0) % c[SCAN]
+        if plain:
+            x_last, motion = valve_step(kind, band, offset, band_down, offset_down, out, u_last, x_last, motion)
+        else:
+            x_last, motion = _stem(c, state, out, u_last, x_last, motion)
+        u_last = out
+        u[k] = out
+        x[k] = x_last
+        v[k] = (x_last if plain else _flow(c[CURVE], x_last)) + load[k]
+        branch[k] = (1 if motion == RESTED else motion + 1) + 3 * (limit + 1) + 9 * undone
+        near = v[k - m] if k >= m else past[m - k - 1]
+        far = v[k - m - 1] if k > m else past[m - k]
+        plant = a * plant + gain * (c0 * near + c1 * far)
+        y[k + 1] = plant
+    state[I_TERM], state[D_TERM], state[S_LAST], state[U_LAST], state[X_LAST] = i_term, d_term, s_last, u_last, x_last
+    state[MOTION] = motion
+    state[Y] = plant
+    length = past.size
+    for i in range(length - 1, -1, -1):
+        past[i] = v[n - 1 - i] if n - 1 - i >= 0 else past[i - n]
+
+
+@compiled
+def _plain(
+    c: Floats,
+    r: Floats,
+    load: Floats,
+    noise: Floats,
+    state: Floats,
+    past: Floats,
+    y: Floats,
+    u: Floats,
+    x: Floats,
+    v: Floats,
+    branch: NDArray[np.int8],
+) -> None:
+    run_samples(c, r, load, noise, state, past, y, u, x, v, branch, True)
+
+
+@compiled
+def _special(
+    c: Floats,
+    r: Floats,
+    load: Floats,
+    noise: Floats,
+    state: Floats,
+    past: Floats,
+    y: Floats,
+    u: Floats,
+    x: Floats,
+    v: Floats,
+    branch: NDArray[np.int8],
+) -> None:
+    run_samples(c, r, load, noise, state, past, y, u, x, v, branch, False)
+
+
+@written_out
+def _run(
+    c: Floats,
+    r: Floats,
+    load: Floats,
+    noise: Floats,
+    state: Floats,
+    past: Floats,
+    y: Floats,
+    u: Floats,
+    x: Floats,
+    v: Floats,
+    branch: NDArray[np.int8],
+) -> None:
+    """`run_loop` for the kernel's own use: a call of it costs as much as some samples, which this saves."""
+    usual = c[COMPENSATOR] == NONE and c[RESOLUTION] == 0.0 and c[SCAN] <= 1.0
+    if usual and c[CURVE] == 0.0 and c[PLACES] == 0.0 and c[VALVE] < KARNOPP:
+        _plain(c, r, load, noise, state, past, y, u, x, v, branch)
+    else:
+        _special(c, r, load, noise, state, past, y, u, x, v, branch)
 
 
 @compiled
@@ -177,58 +466,7 @@ def run_loop(
     r, load, noise: at least N values; past: at least m + 1. Written: y (N + 1, the plant's true output) and u, x, v,
     branch (N each). Sample N's output y[N] is in the state; its controller action is the next run's first.
     """
-    kc, ki, kd, tf, tf_ts = c[KC], c[KI], c[KD], c[TF], c[TF_TS]
-    weight, on_pv, bias = c[WEIGHT], c[ON_PV] != 0.0, c[BIAS]
-    low, high, back, ts_tt = c[LOW], c[HIGH], c[WINDUP] != 0.0, c[TS_TT]
-    kind, band, offset, band_down, offset_down = int(c[VALVE]), c[BAND], c[OFFSET], c[BAND_DOWN], c[OFFSET_DOWN]
-    a, gain, c0, c1, m = c[POLE], c[GAIN], c[C0], c[C1], int(c[DELAY])
-    n = u.size
-    i_term, d_term, s_last, u_last, x_last = state[I_TERM], state[D_TERM], state[S_LAST], state[U_LAST], state[X_LAST]
-    motion = int(state[MOTION])
-    plant = state[Y]
-    y[0] = plant
-    for k in range(n):
-        measured = plant + noise[k]
-        e = r[k] - measured
-        s = -measured if on_pv else e
-        if kd != 0.0 or d_term != 0.0:
-            d_term = (tf * d_term + kd * (s - s_last)) / tf_ts
-        s_last = s
-        p_term = kc * (weight * r[k] - measured)
-        step = ki * e
-        i_last = i_term
-        i_term = i_last + step
-        out = bias + p_term + i_term + d_term
-        limit, undone = 0, 0
-        if not back and ((out > high and step > 0.0) or (out < low and step < 0.0)):
-            undone = 1
-            i_term = i_last
-            out = bias + p_term + i_term + d_term
-        if out > high:
-            limit = 1
-        elif out < low:
-            limit = -1
-        if limit != 0:
-            limited = high if limit == 1 else low
-            if back:
-                i_term += ts_tt * (limited - out)
-            out = limited
-        x_last, motion = valve_step(kind, band, offset, band_down, offset_down, out, u_last, x_last, motion)
-        u_last = out
-        u[k] = out
-        x[k] = x_last
-        v[k] = x_last + load[k]
-        branch[k] = (1 if motion == RESTED else motion + 1) + 3 * (limit + 1) + 9 * undone
-        near = v[k - m] if k >= m else past[m - k - 1]
-        far = v[k - m - 1] if k > m else past[m - k]
-        plant = a * plant + gain * (c0 * near + c1 * far)
-        y[k + 1] = plant
-    state[I_TERM], state[D_TERM], state[S_LAST], state[U_LAST], state[X_LAST] = i_term, d_term, s_last, u_last, x_last
-    state[MOTION] = motion
-    state[Y] = plant
-    length = past.size
-    for i in range(length - 1, -1, -1):
-        past[i] = v[n - 1 - i] if n - 1 - i >= 0 else past[i - n]
+    _run(c, r, load, noise, state, past, y, u, x, v, branch)
 
 
 @compiled
@@ -326,7 +564,7 @@ def run_costs(
         state[:] = 0.0
         state[U_LAST] = rows[i, BIAS]
         past[:] = 0.0
-        run_loop(rows[i], r[j], load[j], noise[j], state, past, y, u, x, v, branch)
+        _run(rows[i], r[j], load[j], noise[j], state, past, y, u, x, v, branch)
         last[0], last[1], last[2] = rows[i, BIAS], 0.0, 0.0
         sums[i] = 0.0
         add_sums(sums[i], last, every, r[j], noise[j], y, u, x)
@@ -376,7 +614,7 @@ def run_worst(
             while begin < n and cost <= ceilings[i]:
                 size = min(chunk, n - begin)
                 end = begin + size
-                run_loop(
+                _run(
                     rows[j],
                     r[begin:end],
                     load[begin:end],
@@ -520,6 +758,27 @@ def _output(c: Floats, at: Floats, n: Floats) -> float:
 
 
 @compiled
+def _room(c: Floats, state: Floats) -> tuple[float, float]:
+    """The least and the largest output, resolution aside, at which the stem at rest stays and no limit is met."""
+    x, q, bias = state[X_LAST], c[RESOLUTION], c[BIAS]
+    lower = c[OFFSET] if c[VALVE] == KANO and state[MOTION] == 0.0 else 0.0
+    down, up = c[BAND_DOWN] + lower, c[BAND] - lower
+    if c[PLACES] > 0.0:
+        up = _place(c, x)[0]
+        down = up
+    low, high = x - down, x + up
+    if q > 0.0:
+        # The last levels that hold the stem, by the very comparisons of `valve_step`, and half a level more.
+        n = np.ceil((low - bias) / q)
+        n += -1.0 if x - (bias + q * (n - 1.0)) <= down else (1.0 if x - (bias + q * n) > down else 0.0)
+        low = bias + q * (n - 0.5) if low > c[LOW] else low
+        n = np.floor((high - bias) / q)
+        n += 1.0 if bias + q * (n + 1.0) - x <= up else (-1.0 if bias + q * n - x > up else 0.0)
+        high = bias + q * (n + 0.5) if high < c[HIGH] else high
+    return max(low, c[LOW]), min(high, c[HIGH])
+
+
+@compiled
 def _grows(order: int, c: Floats, at: Floats, n: Floats) -> bool:
     """Whether u_{n+1} - u_n is positive (order 1), or that difference's own next step (order 2)."""
     step = -at[SLOPE] * n[POWER]
@@ -580,10 +839,8 @@ def jump(
     zeros OP is monotone. Between the cuts the crossing is bracketed by doubling steps and found by halving them.
     """
     at, n, trial, last, cut = scratch[0], scratch[1], scratch[2], scratch[3], scratch[4]
-    x = state[X_LAST]
-    lower = c[OFFSET] if c[VALVE] == KANO and state[MOTION] == 0.0 else 0.0
-    low, high = max(x - (c[BAND_DOWN] + lower), c[LOW]), min(x + (c[BAND] - lower), c[HIGH])
-    _begin(c, r, x + load, state, at)
+    low, high = _room(c, state)
+    _begin(c, r, _flow(c[CURVE], state[X_LAST]) + load, state, at)
     n[:] = 0.0
     n[POWER] = n[FILTER] = 1.0
     u = _output(c, at, n)
@@ -601,7 +858,7 @@ def jump(
         last[:] = n
         _advance(2, low, high, c, at, table, live, last, trial)
         turn = min(last[SAMPLES] + 1.0, live)
-    carry[U_HIGH], carry[U_LOW] = max(carry[U_HIGH], u), min(carry[U_LOW], u)
+    carry[U_HIGH], carry[U_LOW] = max(carry[U_HIGH], _shown(c, u)), min(carry[U_LOW], _shown(c, u))
     for stage in range(5):
         # Up to the turn of OP's difference, then up to `live`, each cut where that difference changes its sign.
         until = turn if stage < 2 else (live if stage < 4 else end)
@@ -624,7 +881,7 @@ def jump(
             u = _output(c, at, n)
         else:
             n[:] = cut
-        carry[U_HIGH], carry[U_LOW] = max(carry[U_HIGH], u), min(carry[U_LOW], u)
+        carry[U_HIGH], carry[U_LOW] = max(carry[U_HIGH], _shown(c, u)), min(carry[U_LOW], _shown(c, u))
         if outside:
             break
     # n is the last sample at rest.
@@ -634,7 +891,7 @@ def jump(
     carry[MOTION_LAST] = 0.0
     state[I_TERM], state[D_TERM] = _integral(c, at, n), _derivative(c, at, n)
     state[S_LAST] = -y if c[ON_PV] != 0.0 else e
-    state[U_LAST] = u
+    state[U_LAST] = _shown(c, u)
     if state[MOTION] != RESTED:
         state[MOTION] = 0.0
     _join(n, table[0], cut)
@@ -646,10 +903,19 @@ def jump(
 
 @compiled
 def _rests(c: Floats, load: float, state: Floats, past: Floats) -> bool:
-    """Whether the stem rests, away from OP's limits, and the plant's input has not changed for the dead time."""
-    if c[VALVE] == IDEAL or c[POLE] == 0.0 or (c[VALVE] != STAIRS and abs(state[MOTION]) == 1.0):
+    """Whether the stem rests, away from OP's limits, and the plant's input has not changed for the dead time.
+
+    Never where the controller scans or has a compensator: its OP is then no sum over every sample's error, and such
+    loops are run sample by sample.
+    """
+    if c[SCAN] > 1.0 or c[COMPENSATOR] != NONE:
         return False
-    v = state[X_LAST] + load
+    if c[VALVE] == IDEAL or c[POLE] == 0.0:
+        return False
+    moves = state[VELOCITY] != 0.0 if c[VALVE] == KARNOPP else c[VALVE] != STAIRS and abs(state[MOTION]) == 1.0
+    if moves:
+        return False
+    v = _flow(c[CURVE], state[X_LAST]) + load
     return bool((past == v).all())
 
 
@@ -705,9 +971,7 @@ def run_events(
         else:
             chunk = min(2 * chunk, longest)
         size = min(chunk, most - done)
-        run_loop(
-            c, rs[:size], loads[:size], noise[:size], state, past, y[: size + 1], u[:size], x[:size], v[:size], branch
-        )
+        _run(c, rs[:size], loads[:size], noise[:size], state, past, y[: size + 1], u[:size], x[:size], v[:size], branch)
         count += collect(kind, y, u[:size], x[:size], branch, r, first + done, dust, carry, rows[count:])
         done += size
         worked += size
@@ -734,9 +998,170 @@ def trace(
                 left -= jump(c, r, load, state, left, table, carry, scratch)
             size = min(least, left)
             if size > 0:
-                run_loop(
+                _run(
                     c, rs[:size], loads[:size], noise[:size], state, past, y[: size + 1], u[:size], x[:size], v, branch
                 )
                 left -= size
         points[i, 0] = -state[S_LAST] if c[ON_PV] != 0.0 else r - state[S_LAST]
         points[i, 1], points[i, 2] = state[U_LAST], state[X_LAST]
+
+
+# Of a cascade's chain from v to the primary's PV: (w, y) with w the secondary's PV, delayed by the primary's dead time,
+# `w += .., y = A10 w + A11 y + ..`, the inputs' shares of v_{k-m} and v_{k-m-1}, and m, the whole samples of both dead
+# times. SCALE: EU of the secondary per unit of the primary's output; HELD_BACK: 1 where a secondary at its limit holds
+# the primary's integral.
+A00, A10, A11, NEAR_W, NEAR_Y, FAR_W, FAR_Y, CHAIN_DELAY, SCALE, HELD_BACK = range(10)
+CHAIN = 10
+# A cascade's state beside those of its controllers: w, y, and the secondary's limit in the sample before.
+CHAIN_W, CHAIN_Y, LIMIT = range(3)
+
+
+@compiled
+def run_cascade(
+    c1: Floats,
+    c2: Floats,
+    chain: Floats,
+    every: int,
+    r: Floats,
+    added: Floats,
+    load: Floats,
+    noise1: Floats,
+    noise2: Floats,
+    state1: Floats,
+    state2: Floats,
+    past2: Floats,
+    link: Floats,
+    tail: Floats,
+    y1: Floats,
+    u1: Floats,
+    r2: Floats,
+    y2: Floats,
+    u2: Floats,
+    x: Floats,
+    v: Floats,
+    branch: NDArray[np.int8],
+) -> None:
+    """Run N = u2.size samples, whole scans of `every`, of a cascade (model.cascade), and leave the state after them.
+
+    c1: the primary's row with an ideal valve; what it says of a plant is not used. added: what the primary's load makes
+    of its PV (EU). state1, state2, past2: as `run_loop`'s; link: the chain's state; tail[i] = v_{-1-i}, at least m + 1
+    values. Written: y1 and y2 (N + 1, without noise), the rest N each; u1 and r2 are held between scans.
+    """
+    n = u2.size
+    m = int(chain[CHAIN_DELAY])
+    row = c1.copy()
+    row[VALVE], row[POLE], row[GAIN], row[DELAY] = IDEAL, 1.0, 0.0, 0.0
+    pushes = chain[SCALE] * _sign(c2[KC])
+    past1, still, py, one, px, pv = np.zeros(1), np.zeros(1), np.empty(2), np.empty(1), np.empty(1), np.empty(1)
+    code = np.empty(1, np.int8)
+    w, y, limit = link[CHAIN_W], link[CHAIN_Y], link[LIMIT]
+    y1[0] = y + added[0]
+    for first in range(0, n, every):
+        end = first + every
+        e = r[first] - (y1[first] + noise1[first])
+        outward = chain[HELD_BACK] != 0.0 and limit * pushes * c1[KI] * e > 0.0
+        row[KI] = 0.0 if outward else c1[KI]
+        state1[Y] = y1[first]
+        run_loop(row, r[first:end], still, noise1[first:end], state1, past1, py, one, px, pv, code)
+        u1[first:end] = one[0]
+        r2[first:end] = chain[SCALE] * one[0]
+        run_loop(
+            c2,
+            r2[first:end],
+            load[first:end],
+            noise2[first:end],
+            state2,
+            past2,
+            y2[first : end + 1],
+            u2[first:end],
+            x[first:end],
+            v[first:end],
+            branch[first:end],
+        )
+        limit = branch[end - 1] % 9 // 3 - 1.0
+        for k in range(first, end):
+            near = v[k - m] if k >= m else tail[m - k - 1]
+            far = v[k - m - 1] if k > m else tail[m - k]
+            y = chain[A10] * w + chain[A11] * y + (chain[NEAR_Y] * near + chain[FAR_Y] * far)
+            w = chain[A00] * w + (chain[NEAR_W] * near + chain[FAR_W] * far)
+            y1[k + 1] = y + added[k + 1]
+    link[CHAIN_W], link[CHAIN_Y], link[LIMIT] = w, y, limit
+    length = tail.size
+    for i in range(length - 1, -1, -1):
+        tail[i] = v[n - 1 - i] if n - 1 - i >= 0 else tail[i - n]
+
+
+@compiled
+def cascade_worst(
+    rows: Floats,
+    group: int,
+    c2: Floats,
+    chain: Floats,
+    every: int,
+    r: Floats,
+    added: Floats,
+    load: Floats,
+    noise1: Floats,
+    noise2: Floats,
+    weights: Floats,
+    ceilings: Floats,
+    worst: Floats,
+) -> int:
+    """As `run_worst`, of a cascade under many primaries, from rest; returns the samples run.
+
+    J is of the primary's error and of the secondary's output and stem. All signals: N + 1, N whole scans.
+    """
+    n = r.size - 1
+    chunk = min(n, every * (127 // every + 1))
+    y1, y2 = np.empty(chunk + 1), np.empty(chunk + 1)
+    u1, r2, u2, x, v = np.empty(chunk), np.empty(chunk), np.empty(chunk), np.empty(chunk), np.empty(chunk)
+    branch = np.empty(chunk, np.int8)
+    state1, state2, link = np.empty(STATES), np.empty(STATES), np.empty(3)
+    past2, tail = np.empty(int(c2[DELAY]) + 1), np.empty(int(chain[CHAIN_DELAY]) + 1)
+    last, sums = np.empty(3), np.empty(SUMS)
+    every_sum = weights[6:].max() > 0.0
+    samples = 0
+    for i in range(worst.size):
+        worst[i] = 0.0
+        for j in range(i * group, (i + 1) * group):
+            state1[:], state2[:], link[:], past2[:], tail[:], sums[:] = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+            state2[U_LAST] = c2[BIAS]
+            last[0], last[1], last[2] = c2[BIAS], 0.0, 0.0
+            cost, begin = 0.0, 0
+            while begin < n and cost <= ceilings[i]:
+                size = min(chunk, n - begin)
+                end = begin + size
+                run_cascade(
+                    rows[j],
+                    c2,
+                    chain,
+                    every,
+                    r[begin : end + 1],
+                    added[begin : end + 1],
+                    load[begin : end + 1],
+                    noise1[begin : end + 1],
+                    noise2[begin : end + 1],
+                    state1,
+                    state2,
+                    past2,
+                    link,
+                    tail,
+                    y1[: size + 1],
+                    u1[:size],
+                    r2[:size],
+                    y2[: size + 1],
+                    u2[:size],
+                    x[:size],
+                    v[:size],
+                    branch[:size],
+                )
+                errors = noise1[begin : end + 1]
+                add_sums(sums, last, every_sum, r[begin : end + 1], errors, y1[: size + 1], u2[:size], x[:size])
+                cost = weigh(sums, weights, end, n)
+                begin = end
+            samples += begin
+            if not cost <= ceilings[i]:
+                worst[i] = np.inf
+                break
+            worst[i] = max(worst[i], cost)
+    return samples

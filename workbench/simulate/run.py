@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from typing import overload
 
 import numpy as np
 
 from workbench.errors import InvalidValue
 from workbench.kpi.kpis import last_event, measure
+from workbench.model.cascade import Cascade, CascadeRun
 from workbench.model.checks import instance, whole
 from workbench.model.experiment import Experiment, Noise
 from workbench.model.loop import Loop
@@ -18,7 +20,7 @@ from workbench.model.tuning import Objective
 from workbench.model.valve import Valve
 from workbench.simulate import kernel
 from workbench.simulate.batch import kernel_weights, sums, weigh
-from workbench.simulate.coefficients import coefficients, valve_law
+from workbench.simulate.coefficients import coefficients, valve_row
 from workbench.simulate.signals import Signals, noise_signal, profile_signal, sample_count
 
 __all__ = ["Batch", "evaluate", "signals", "simulate", "simulate_batch", "valve_response"]
@@ -37,7 +39,7 @@ class Batch:
 
 
 def signals(loop: Loop, experiment: Experiment) -> Signals:
-    """Return the experiment's signals on the loop's samples.
+    """Return the experiment's signals on the loop's samples, the load in OP's direction.
 
     Raises `InvalidValue` where these are no loop and experiment, the duration is no whole number of samples, or the
     stem offset is no resting state: the valve would not hold it, or OP cannot stand there.
@@ -57,17 +59,26 @@ def signals(loop: Loop, experiment: Experiment) -> Signals:
         raise InvalidValue(where, f"{experiment.stem_offset:g} %", allowed)
     return Signals(
         profile_signal(experiment.setpoint_parts, n, loop.sample_time),
-        profile_signal(experiment.load_parts, n, loop.sample_time),
+        loop.direction * profile_signal(experiment.load_parts, n, loop.sample_time),
         noise_signal(experiment.noise, n),
     )
 
 
-def simulate(loop: Loop, experiment: Experiment) -> Run:
-    """Simulate a loop exactly, from rest.
+@overload
+def simulate(loop: Loop, experiment: Experiment) -> Run: ...
+@overload
+def simulate(loop: Cascade, experiment: Experiment) -> CascadeRun: ...
+def simulate(loop: Loop | Cascade, experiment: Experiment) -> Run | CascadeRun:
+    """Simulate a loop, or a cascade of two, exactly, from rest.
 
     The law is that of `simulate.kernel`; at the start `u_{-1} = stem_offset`, and all else is 0. Returns a `Run` of N =
-    duration/sample_time samples. Raises `InvalidValue` for an experiment that does not fit the loop.
+    duration/sample_time samples; of a `Cascade` (see there) a `CascadeRun`, on the secondary's samples. Raises
+    `InvalidValue` for an experiment that does not fit the loop.
     """
+    if isinstance(loop, Cascade):
+        from workbench.simulate.cascade import simulate_cascade  # which builds on this module
+
+        return simulate_cascade(loop, experiment)
     given = signals(loop, experiment)
     row = coefficients(loop, experiment.stem_offset)[0]
     n = given.samples
@@ -95,7 +106,7 @@ def simulate(loop: Loop, experiment: Experiment) -> Run:
         pv=measured[:n],
         op=u,
         valve=x,
-        load=given.load[:n],
+        load=loop.direction * given.load[:n],
         branch=branch,
         final_sp=float(given.r[n]),
         final_pv=float(measured[n]),
@@ -161,16 +172,16 @@ def evaluate(loop: Loop, experiment: Experiment, objective: Objective, tunings: 
         return weigh(sums(rows, given, every=bool(objective.kpis)), weights, given.samples)
 
 
-def valve_response(valve: Valve, op: FloatArray, start: float = 0.0, rest_at: float | None = None) -> FloatArray:
+def valve_response(
+    valve: Valve, op: FloatArray, start: float = 0.0, rest_at: float | None = None, sample_time: float = 1.0
+) -> FloatArray:
     """Return the stem (%) under a given output, shape (N,), at rest at `rest_at` (default: at `start`) before it.
 
-    `start` is the output before the first sample, %.
+    `start` is the output before the first sample, %; sample_time: s, of concern to a valve with mass alone.
     """
-    law = valve_law(valve)
-    x = np.empty(op.size)
-    kernel.valve_path(
-        *law, np.ascontiguousarray(op, dtype=np.float64), start, start if rest_at is None else rest_at, 0, x
-    )
+    x, state = np.empty(op.size), np.zeros(kernel.STATES)
+    state[kernel.U_LAST], state[kernel.X_LAST] = start, start if rest_at is None else rest_at
+    kernel.valve_path(valve_row(valve, sample_time), np.ascontiguousarray(op, dtype=np.float64), state, x)
     return x
 
 

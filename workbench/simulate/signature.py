@@ -14,7 +14,7 @@ from workbench.model.checks import instance, number
 from workbench.model.record import FloatArray
 from workbench.model.valve import Directional, Valve
 from workbench.simulate import kernel
-from workbench.simulate.coefficients import valve_law
+from workbench.simulate.coefficients import valve_row
 
 __all__ = ["signature"]
 
@@ -24,6 +24,7 @@ Levels = NDArray[np.int64]
 # Steps in a width and in a jump by default, and at most then; in a width at least and at most. Steps are held so long,
 # in samples, that every stem comes to rest.
 REACH, STEPS_A_WIDTH, STEPS_A_JUMP, FINEST, FEWEST, MOST, HELD = 4, 200, 20, 4000, 5, 100_000, 4
+BENCH = 1.0  # s a sample
 
 
 def signature(valve: Valve, *, step: float | None = None) -> Signature:
@@ -35,7 +36,8 @@ def signature(valve: Valve, *, step: float | None = None) -> Signature:
     the same direction, over small steps that are held until the stem rests; true values lie at most a step above. Each
     turn is made where the stem has just moved, as elsewhere a stem that moves in stairs may rest anywhere within its
     stair. By the laws the dead band is S and the resolution J of every valve; `Directional` has its own pair for each
-    way.
+    way, `Positional` its own at each place, and `Karnopp`, of which each step of the ramp takes 1 s, what its motion
+    makes of its friction.
 
     Terms and procedure follow ANSI/ISA-TR75.25.02-2000, "Control valve response measurement from step inputs"; the
     input is OP as the valve sees it, without positioner or transmitter. Raises `InvalidValue`.
@@ -74,9 +76,9 @@ class _Bench:
     """A valve whose input is moved in whole steps from 0; keeps the input's levels and the stem's path."""
 
     def __init__(self, valve: Valve, size: float) -> None:
-        self._law, self._size = valve_law(valve), size
+        self._row, self._size = valve_row(valve, BENCH), size
         self._levels, self.stem = np.zeros(1, np.int64), np.zeros(1)
-        self._motion = 0
+        self._state = np.zeros(kernel.STATES)
 
     @property
     def op(self) -> FloatArray:
@@ -99,16 +101,15 @@ class _Bench:
         there = moved[(levels[moved] - target) * way >= 0]
         if there.size:
             levels = levels[: (int(there[0]) // held + 1) * held]
-        path, self._motion = self._path(levels)
+        path, self._state = self._path(levels)
         begin = self.stem.size
         self._levels, self.stem = np.concatenate([self._levels, levels]), np.concatenate([self.stem, path])
         return range(begin, self.stem.size)
 
-    def _path(self, levels: Levels) -> tuple[FloatArray, int]:
-        path = np.empty(levels.size)
-        op, before, stem = _input(levels, self._size), self.level * self._size, float(self.stem[-1])
-        motion = kernel.valve_path(*self._law, op, before, stem, self._motion, path)
-        return path, motion
+    def _path(self, levels: Levels) -> tuple[FloatArray, FloatArray]:
+        path, state = np.empty(levels.size), self._state.copy()
+        kernel.valve_path(self._row, _input(levels, self._size), state, path)
+        return path, state
 
     def _moves(self, part: range) -> Levels:
         """The samples of a sweep in which the stem moves."""

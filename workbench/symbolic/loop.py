@@ -18,7 +18,7 @@ import casadi as ca
 
 from workbench.errors import InvalidValue
 from workbench.model.loop import Loop
-from workbench.model.valve import Choudhury, Deadband, He, Ideal, Stenman, Valve
+from workbench.model.valve import Choudhury, Deadband, He, Ideal, Stenman
 
 __all__ = [
     "COEFFICIENTS",
@@ -26,12 +26,12 @@ __all__ = [
     "STATE",
     "Shape",
     "controller_function",
-    "expressed",
     "given_function",
     "given_run_function",
     "law_function",
     "plant_function",
     "shape_of",
+    "unwritten",
     "valve_function",
 ]
 
@@ -101,20 +101,31 @@ class Output(NamedTuple):
     after: Expression
 
 
-def expressed(valve: Valve) -> bool:
-    """Return whether a valve's law is written here: `Kano` and `Directional` are the kernel's alone."""
-    return isinstance(valve, Ideal | Stenman | He | Choudhury | Deadband)
+def unwritten(loop: Loop) -> str:
+    """Return what of a loop is the kernel's alone, in words: its law is not written here; empty if all of it is."""
+    if not isinstance(loop.valve, Ideal | Stenman | He | Choudhury | Deadband):
+        return f"the valve {type(loop.valve).__name__}"
+    if loop.controller.output_resolution > 0.0:
+        return "OP's resolution"
+    if loop.characteristic is not None:
+        return "the curved characteristic"
+    if loop.scan > 1:
+        return "the controller's scan"
+    if loop.controller.compensator is not None:
+        return f"the compensator {type(loop.controller.compensator).__name__}"
+    return ""
 
 
 def shape_of(loop: Loop) -> Shape:
     """Return the shape of a loop's expressions; m = floor(theta/Ts + 1e-9).
 
-    Raises `InvalidValue` for a valve whose law is not written here.
+    Raises `InvalidValue` where part of its law is not written here.
     """
     valve = loop.valve
-    if not expressed(valve):
-        allowed = "has no symbolic form and no nonlinear program: Ideal, Stenman, He, Choudhury and Deadband have"
-        raise InvalidValue("Loop.valve", type(valve).__name__, allowed)
+    missing = unwritten(loop)
+    if missing:
+        allowed = "has no symbolic form and no nonlinear program (Ideal, Stenman, He, Choudhury, Deadband valves have)"
+        raise InvalidValue("Loop", missing, allowed)
     kind = "stairs" if valve.sticks_at_once else "ideal" if isinstance(valve, Ideal) else "two_parameter"
     pid = loop.controller
     return Shape(

@@ -18,6 +18,7 @@ from workbench.model.record import FloatArray
 from workbench.model.results import SolveStatus
 from workbench.model.valve import Stenman
 from workbench.symbolic.branch import Decisions
+from workbench.symbolic.loop import unwritten
 from workbench.symbolic.mpcc import Mpcc, MpccSolver
 from workbench.symbolic.sticky import StickyProgram, relaxed
 from workbench.tune.problem import Problem
@@ -35,6 +36,8 @@ def applicable(problem: Problem) -> None:
         raise InvalidValue("Experiment.duration", f"{problem.samples} samples", f"at most {MOST_SAMPLES} samples here")
     if not isinstance(problem.loop.valve, Stenman):
         raise InvalidValue("loop.valve", type(problem.loop.valve).__name__, "only Stenman's has a complementarity form")
+    if unwritten(problem.loop):
+        raise InvalidValue("loop", unwritten(problem.loop), "has no complementarity form")
     if problem.loop.controller.output_limits is not None:
         raise InvalidValue("PID.output_limits", problem.loop.controller.output_limits, "must be None here")
     if not eq_2_alone(problem):
@@ -48,7 +51,8 @@ def seeds(
 
     reference: a typical J, above 0. A seed promises J as its program has it, which is no J of any run. Starts whose
     runs overflow are left out, and so are solves without a finite end. Raises `InvalidValue` for valves other than
-    Stenman's, output limits, and runs longer than `MOST_SAMPLES`; KeyboardInterrupt where a solve was interrupted.
+    Stenman's, output limits, a compensator, and runs longer than `MOST_SAMPLES`; KeyboardInterrupt where a solve was
+    interrupted.
     """
     applicable(problem)
     law, size = written(problem)

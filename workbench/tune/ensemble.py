@@ -15,12 +15,13 @@ from workbench.analyze.margins import loop_margins
 from workbench.model.controller import PID
 from workbench.model.ensemble import UNCERTAIN, Ensemble
 from workbench.model.experiment import Experiment, Noise, Step
+from workbench.model.karnopp import Karnopp
 from workbench.model.loop import Loop
 from workbench.model.plant import FOPDT, Plant
 from workbench.model.record import FloatArray
 from workbench.model.results import Robustness
 from workbench.model.tuning import Objective
-from workbench.model.valve import Choudhury, Deadband, Directional, He, Ideal, Kano, Stenman, Valve
+from workbench.model.valve import Choudhury, Deadband, Directional, He, Ideal, Kano, Positional, Stenman, Valve
 from workbench.simulate import kernel
 from workbench.simulate.batch import kernel_weights, sums, weigh
 from workbench.simulate.coefficients import coefficients
@@ -31,6 +32,7 @@ __all__ = ["Circumstances", "Draw", "assess", "corner_loops", "draws", "measured
 
 # What a tuning changes in a coefficient row; the rest belongs to the draw.
 CONTROLLER = [c for c in range(kernel.VALVE) if c != kernel.BIAS]
+CONTROLLER += [*range(kernel.COMPENSATOR, kernel.EXTRA + 1), kernel.RESOLUTION]
 # Rows of one call of the kernel: what fits well into memory.
 ROWS = 50_000
 # Up to this Ms a response read off its grid is certain to tell a stable loop from an unstable one.
@@ -87,18 +89,28 @@ def _plant(plant: Plant, gain: float, time_constant: float, dead_time: float) ->
 
 def _valve(valve: Valve, stiction: float) -> Valve:
     match valve:
+        case Stenman() | He() | Choudhury() | Deadband():
+            return _one_place(valve, stiction)
+        case Kano():
+            return Kano(valve.S * stiction, valve.J * stiction)
+        case Directional():
+            return Directional(_two_parameter(valve.up, stiction), _two_parameter(valve.down, stiction))
+        case Positional():
+            return Positional(valve.positions, tuple(_one_place(one, stiction) for one in valve.valves))
+        case Karnopp():
+            return replace(valve, coulomb=valve.coulomb * stiction, static=valve.static * stiction)
+        case Ideal():
+            return valve
+
+
+def _one_place(valve: Stenman | He | Choudhury | Deadband, stiction: float) -> Stenman | He | Choudhury | Deadband:
+    match valve:
         case Stenman():
             return Stenman(valve.d * stiction)
         case He():
             return He(valve.fs * stiction, valve.fd * stiction)
-        case Kano():
-            return Kano(valve.S * stiction, valve.J * stiction)
-        case Choudhury() | Deadband():
+        case _:
             return _two_parameter(valve, stiction)
-        case Directional():
-            return Directional(_two_parameter(valve.up, stiction), _two_parameter(valve.down, stiction))
-        case Ideal():
-            return valve
 
 
 def _two_parameter(valve: Choudhury | Deadband, stiction: float) -> Choudhury | Deadband:
@@ -140,7 +152,7 @@ class Circumstances:
         self._stacked = Signals(*(np.array([getattr(s, name) for s in self.given]) for name in ("r", "load", "noise")))
         self._rows = np.concatenate([coefficients(d.loop, d.experiment.stem_offset) for d in self.members])
         self.corners = corner_loops(loop, ensemble)
-        self._corner_rows = np.concatenate([coefficients(corner) for corner in self.corners])
+        self._corner_rows = np.concatenate([coefficients(corner.executed) for corner in self.corners])
 
     def under(self, controller: PID) -> Circumstances:
         """Return the same draws under another controller."""
@@ -178,7 +190,7 @@ class Circumstances:
         count = self._corner_rows.shape[0]
         rows = np.tile(self._corner_rows, (own.shape[0], 1))
         rows[:, CONTROLLER] = np.repeat(own, count, axis=0)
-        all_values, _, stable = loop_margins(rows, self.loop.sample_time)
+        all_values, _, stable = loop_margins(rows, self.loop.executed.sample_time)
         values = all_values.reshape(-1, count, 3)
         worst = np.column_stack([values[:, :, 0].max(1), values[:, :, 1].min(1), values[:, :, 2].min(1)])
         return worst, np.count_nonzero(~stable.reshape(-1, count), axis=1)
@@ -186,8 +198,10 @@ class Circumstances:
     def unstable_draws(self) -> NDArray[np.bool_]:
         """Return which draws the circumstances' own controller does not hold, exactly, with ideal valves, (draws,)."""
         rows = self._rows.copy()
+        if self.loop.scan > 1:
+            rows = np.concatenate([coefficients(d.loop.executed, d.experiment.stem_offset) for d in self.members])
         rows[:, CONTROLLER] = coefficients(self.loop)[:, CONTROLLER]
-        values, _, stable = loop_margins(rows, self.loop.sample_time)
+        values, _, stable = loop_margins(rows, self.loop.executed.sample_time)
         lost: NDArray[np.bool_] = ~(stable & (values[:, 0] <= SURE))
         for i in np.flatnonzero(lost):
             lost[i] = not linear_stable(self.members[i].loop.with_controller(self.loop.controller))

@@ -51,7 +51,10 @@ class Problem:
     within which its true value is taken to lie: the larger of the margin and half a unit of the last digit. nominal:
     searches look at the tuning alone, not at the worst case of its neighbourhood. constraints: of the loop's own plant
     and this experiment's run; a tuning that breaks one has a value as `limits` ranks it, in place of J.
+    `one_loop`: whether its runs are those of `loop` alone, which branch programs can state.
     """
+
+    one_loop = True
 
     def __init__(
         self,
@@ -158,7 +161,7 @@ class Problem:
 
     def margins(self, tunings: FloatArray) -> tuple[FloatArray, NDArray[np.bool_]]:
         """Return (Ms, gain margin, phase margin in degrees), shape (M, 3), with an ideal valve, and whether stable."""
-        values, _, stable = loop_margins(coefficients(self.loop, 0.0, tunings), self.loop.sample_time)
+        values, _, stable = loop_margins(coefficients(self.loop.executed, 0.0, tunings), self.loop.executed.sample_time)
         return values, stable
 
     def travel(self, tunings: FloatArray) -> FloatArray:

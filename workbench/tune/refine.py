@@ -20,7 +20,7 @@ from workbench.simulate.batch import weigh
 from workbench.simulate.coefficients import coefficients
 from workbench.simulate.run import rest
 from workbench.symbolic.branch import BranchProgram, BranchSolution, Decisions
-from workbench.symbolic.loop import COEFFICIENTS, expressed
+from workbench.symbolic.loop import COEFFICIENTS, unwritten
 from workbench.symbolic.solve import held_interrupt
 from workbench.tune.problem import Problem
 
@@ -79,7 +79,7 @@ class Refined:
 def usable(problem: Problem) -> bool:
     """Whether branch programs of this problem are worth their time."""
     short = problem.samples <= MOST_SAMPLES and problem.free.size > 0
-    return short and eq_2_alone(problem) and expressed(problem.loop.valve)
+    return short and problem.one_loop and eq_2_alone(problem) and not unwritten(problem.loop)
 
 
 def eq_2_alone(problem: Problem) -> bool:

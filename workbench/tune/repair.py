@@ -43,7 +43,7 @@ def value_of_repair(
     bounds, seed, digits and restarts. tuned: a search of the sticky loop that has been made already; its experiment,
     objective, bounds, seed, digits and number of restarts are then used (and those given here are not). Without bounds:
     the defaults widened to hold the present tuning, and PI where that has Td = 0. A stem offset of the experiment is
-    left out with the ideal valve, which holds none. progress: as `tune`.
+    left out with the ideal valve, which holds none, and so is a compensator. progress: as `tune`.
 
     One setpoint step and nothing else flatters the sticky valve: a search finds the tuning that lands on the setpoint
     and rests there. Give an experiment with the load changes and the noise that the loop has to live with.
@@ -118,7 +118,7 @@ def repair_over(tuned: Tuned, present: PID, *, progress: Progress | None = None)
     loop = tuned.loop
     if isinstance(loop.valve, Ideal):
         raise InvalidValue("Loop.valve", loop.valve, "must be a valve that sticks: there is nothing to repair")
-    ideal = replace(loop, valve=Ideal(), controller=tuned.controller)
+    ideal = _ideal(loop.with_controller(tuned.controller))
     again = tune(
         ideal,
         tuned.experiment,
@@ -135,7 +135,7 @@ def repair_over(tuned: Tuned, present: PID, *, progress: Progress | None = None)
     sticky, repaired = Circumstances(loop.with_controller(present), fresh), Circumstances(ideal, fresh)
     return RobustRepair(
         present=measured(sticky, tuned.weights),
-        repaired=measured(repaired.under(present), tuned.weights),
+        repaired=measured(repaired.under(replace(present, compensator=None)), tuned.weights),
         best=tuned.robustness,
         best_repaired=measured(repaired.under(again.controller), tuned.weights),
         tuned=tuned,
@@ -157,7 +157,12 @@ def repaired_outcome(loop: Loop, experiment: Experiment, objective: Objective) -
 
 
 def _repaired(loop: Loop, experiment: Experiment) -> tuple[Loop, Experiment]:
-    return replace(loop, valve=Ideal()), replace(experiment, stem_offset=0.0)
+    return _ideal(loop), replace(experiment, stem_offset=0.0)
+
+
+def _ideal(loop: Loop) -> Loop:
+    """The loop with an ideal valve; what was there against stiction is taken out with it."""
+    return replace(loop, valve=Ideal(), controller=replace(loop.controller, compensator=None))
 
 
 def usual_bounds(controller: PID) -> Bounds:

@@ -41,9 +41,10 @@ def apply_rule(loop: Loop, rule: Rule, *, digits: int | None = None) -> PID:
         if math.isinf(loop.controller.Ti):
             raise _refused(rule, "a controller without integral action", "there is no integral time to detune")
         return replace(loop.controller, Ti=rule.factor * loop.controller.Ti)
-    if loop.controller.signed_gain * loop.plant.gain < 0.0:
-        needed = "direct" if loop.plant.gain < 0.0 else "reverse"
-        given = f"{loop.controller.action} action with a plant gain of {loop.plant.gain:g}"
+    if loop.controller.signed_gain * loop.gain < 0.0:
+        needed = "direct" if loop.gain < 0.0 else "reverse"
+        behind = " behind a fail-open valve" if loop.fail_open else ""
+        given = f"{loop.controller.action} action with a plant gain of {loop.plant.gain:g}{behind}"
         raise _refused(rule, given, f"a plant of this sign needs action {needed}")
     controller = loop.controller.with_ideal(*_settings(loop, rule))
     if digits is None:
@@ -124,7 +125,8 @@ def ultimate_point(loop: Loop) -> tuple[float, float]:
 
     Of the sampled loop with an ideal valve: where the phase of `sampled_plant_response` first falls to -180 degrees.
     """
-    step, Ts = discretise(loop.plant, loop.sample_time), loop.sample_time
+    Ts = loop.executed.sample_time
+    step = discretise(loop.plant, Ts)
 
     def phase(x: FloatArray | float) -> FloatArray:
         """The phase at w Ts = x without jumps, + pi: each factor's own stays within half a turn up to Nyquist."""
@@ -152,7 +154,9 @@ def _no_crossing(loop: Loop, rule: NoCrossing) -> Settings:
     if loop.valve.stick_band == 0.0 and loop.valve.slip_jump == 0.0:
         raise _refused(rule, "a valve that does not stick", "there is no locus to keep clear of")
     Ti = rule.integral_ratio * (plant.time_constant + plant.dead_time)
-    unit = loop.with_controller(PID(1.0, Ti, action=loop.controller.action))
+    unit = loop.with_controller(
+        PID(1.0, Ti, action=loop.controller.action, output_limits=loop.controller.output_limits)
+    )
     return min(meeting_gain(unit), _stable_gain(unit)) / rule.gain_margin, Ti, 0.0
 
 

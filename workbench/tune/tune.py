@@ -24,7 +24,7 @@ from workbench.model.loop import Loop
 from workbench.model.record import FloatArray
 from workbench.model.results import SolveStatus, Tuned
 from workbench.model.tuning import Bounds, Objective
-from workbench.symbolic.loop import expressed
+from workbench.symbolic.loop import unwritten
 from workbench.symbolic.solve import versions
 from workbench.tune.complementarity import applicable
 from workbench.tune.limits import missed
@@ -35,7 +35,7 @@ from workbench.tune.scan import OutOfBudget
 from workbench.tune.search import Found, Progress, search, stopper
 from workbench.tune.verify import Choice, choose, digit_steps, stem_guard
 
-__all__ = ["tune"]
+__all__ = ["candidates", "check_bounds", "quick", "tune"]
 
 # Digits of a tuning to type in, and of one that is only to be looked at: at a nominal optimum a few digits decide.
 DIGITS, NOMINAL_DIGITS = 4, 12
@@ -133,13 +133,13 @@ def tune(
         search(problem, found, seed, restarts, guard, complementarity, check, tell)
         tell("choosing the digits", 0.9)
         most = problem.work.simulated + CHOICE_SAMPLES
-        chosen = choose(problem, _candidates(problem, found), stop=stopper(problem, most, check))
+        chosen = choose(problem, candidates(problem, found), stop=stopper(problem, most, check))
     except KeyboardInterrupt:
         status, note = SolveStatus.INTERRUPTED, "stopped by the user; the best so far"
-        chosen = _quick(problem, found)
+        chosen = quick(problem, found)
     except OutOfBudget as limit:
         status, note = limit.status, f"stopped at {limit}; the best so far"
-        chosen = _quick(problem, found)
+        chosen = quick(problem, found)
     tell("done", 1.0)
     solves = found.solves + sum(r.solves for r in found.restarts)
     run = path(problem, chosen.tuning)
@@ -224,6 +224,11 @@ def _check(
         number(time_limit, "tune.time_limit", above=0.0, unit="s")
     if max_evaluations is not None:
         number(whole(max_evaluations, "tune.max_evaluations"), "tune.max_evaluations", least=1)
+    check_bounds(loop, bounds)
+
+
+def check_bounds(loop: Loop, bounds: Bounds) -> None:
+    """Raise `InvalidValue` where a free parameter does not start within its bounds."""
     for name in NAMES:
         (low, high), value = getattr(bounds, name), getattr(loop.controller, name)
         slack = 1e-9 * max(abs(low), abs(high))
@@ -232,14 +237,14 @@ def _check(
             raise InvalidValue(f"PID.{name}", value, allowed)
 
 
-def _candidates(problem: Problem, found: Found) -> FloatArray:
+def candidates(problem: Problem, found: Found) -> FloatArray:
     """The tunings among which the digits are chosen."""
     if problem.free.size == 0:
         return problem.low[None, :].copy()
     return np.concatenate([found.joint, found.best(8)])
 
 
-def _quick(problem: Problem, found: Found) -> Choice:
+def quick(problem: Problem, found: Found) -> Choice:
     """The best rounded tuning of an unfinished search, by exact simulation, without a further search."""
     tunings = np.concatenate([found.joint, found.best(40)]) if found.costs else problem.guesses()
     rounded = np.unique(problem.rounded(tunings), axis=0)
@@ -265,9 +270,8 @@ def _message(problem: Problem, found: Found, note: str, tuned: Tuned) -> str:
         parts.append("all parameters are fixed")
     elif not eq_2_alone(problem):
         parts.append("direct search on the exact simulator: branch programs know eq. (2) without constraints only")
-    elif not expressed(problem.loop.valve):
-        kind = type(problem.loop.valve).__name__
-        parts.append(f"direct search on the exact simulator: branch programs do not know the valve {kind}")
+    elif unwritten(problem.loop):
+        parts.append(f"direct search on the exact simulator: branch programs do not know {unwritten(problem.loop)}")
     elif not usable(problem):
         parts.append(f"{problem.samples} samples: direct search on the exact simulator without branch programs")
     elif tuned.solves:

@@ -11,7 +11,7 @@ import numpy as np
 
 from workbench.model.record import FloatArray
 from workbench.model.tuning import DigitStep
-from workbench.model.valve import Ideal, Kano
+from workbench.model.valve import Ideal, Kano, Positional
 from workbench.simulate.coefficients import valve_law
 from workbench.tune.problem import NAMES, Problem, unit_of
 from workbench.tune.refine import path
@@ -126,13 +126,17 @@ def stem_guard(problem: Problem, tuning: FloatArray) -> float:
     run = path(problem, tuning)
     # A run that overflows has no distances after that.
     with np.errstate(invalid="ignore", over="ignore"):
-        lead = run.u - np.append(0.0, run.x[:-1])
+        before = np.append(0.0, run.x[:-1])
+        lead, band, band_down = run.u - before, np.full(run.u.size, law.band), np.full(run.u.size, law.band_down)
+        if isinstance(valve, Positional):
+            at, bands, _ = np.array(law.table).reshape(3, -1)
+            band = band_down = np.interp(before, at, bands)
         motion = run.branch % 3 - 1
         lower = np.zeros(lead.size)
         if isinstance(valve, Kano):
             # Up to its first move the band lies lower.
             lower[np.cumsum(np.append(0, motion[:-1] != 0)) == 0] = law.offset
-        distance = np.minimum(np.abs(lead - law.band + lower), np.abs(lead + law.band_down + lower))
+        distance = np.minimum(np.abs(lead - band + lower), np.abs(lead + band_down + lower))
     if not valve.sticks_at_once:
         # While the stem goes on moving it is the input's direction that decides, not its distance.
         before = np.append(0, motion[:-1])

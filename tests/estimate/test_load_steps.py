@@ -1,0 +1,91 @@
+"""Load steps that nobody recorded: found where they are, told with their size, and never made of a coloured load."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+import workbench as wb
+from workbench.cli_output import estimate_lines
+from workbench.estimate.data import centre
+from workbench.estimate.fit import Limits, fit_path
+from workbench.estimate.loads import WHITER, loads_of
+
+PLANTS = [wb.FOPDT(1.5, 12.0, 3.0), wb.Integrating(0.02, 3.0)]
+
+
+def loop_of(plant: wb.FOPDT | wb.Integrating, valve: wb.Choudhury | wb.Stenman) -> wb.Loop:
+    controller = wb.PID(Kc=0.6, Ti=15.0) if isinstance(plant, wb.FOPDT) else wb.PID(Kc=2.5, Ti=80.0)
+    return wb.Loop(plant, valve, controller, 1.0)
+
+
+MOVE = wb.Step(-6.0, 500.0)
+
+
+def run_of(loop: wb.Loop, load: wb.Step | wb.Series | None, seed: int = 4, move: wb.Step = MOVE) -> wb.Run:
+    steps = [wb.Step(5.0), move]
+    return wb.simulate(loop, wb.Experiment(1000.0, setpoint=steps, load=load, noise=wb.Noise(0.05, seed)))
+
+
+def record_of(run: wb.Run) -> wb.Record:
+    return wb.Record(run.pv + 50.0, run.op + 40.0, 1.0, sp=run.sp + 50.0)
+
+
+@pytest.mark.parametrize("plant", PLANTS, ids=["fopdt", "integrating"])
+def test_a_step_is_found_at_its_time_with_its_size_beside_the_true_stem(plant: wb.FOPDT | wb.Integrating) -> None:
+    loop = loop_of(plant, wb.Choudhury(3.0, 1.0))
+    run = run_of(loop, wb.Step(1.2, 700.0))
+    kind = "integrating" if isinstance(plant, wb.Integrating) else "fopdt"
+    data = centre(record_of(run), kind)
+    stem = run.valve - 0.5 * (run.op.max() + run.op.min())
+    limits, free = Limits((0.05, 1000.0), (0.0, 30.0)), (-math.inf, math.inf)
+    fit = fit_path(data, stem, 0, free, limits, 3.0, tau=12.0)
+    found = loads_of(data, stem, 0, fit, limits, 0, 2, WHITER)
+    assert len(found.steps) == 1
+    step = found.steps[0]
+    # PV begins to answer a dead time after the load has changed.
+    assert step.at == pytest.approx(703.0, abs=3.0)
+    assert step.size == pytest.approx(1.2, rel=0.1)
+    assert np.std(found.left) == pytest.approx(0.05, rel=0.1)
+    # What the step adds to PV is the plant's answer to it.
+    k = np.arange(1000.0)
+    after = np.maximum(k - 703.0, 0.0)
+    true = 1.2 * (0.02 * after if kind == "integrating" else 1.5 * (1.0 - np.exp(-after / 12.0)))
+    assert np.abs(found.pv - true).max() < 0.12 * np.abs(true).max()
+
+
+@pytest.mark.parametrize(
+    ("valve", "move"),
+    [(wb.Choudhury(3.0, 1.0), wb.Step(-3.0, 300.0)), (wb.Stenman(1.5), wb.Step(-6.0, 500.0))],
+    ids=["two-parameter", "stenman"],
+)
+def test_an_estimate_allows_for_the_step_and_says_so(valve: wb.Choudhury | wb.Stenman, move: wb.Step) -> None:
+    record = record_of(run_of(loop_of(PLANTS[0], valve), wb.Step(1.2, 700.0), move=move))
+    found = wb.estimate(record)
+    assert found.verdict == "stiction"
+    assert [round(step.at, -1) for step in found.load_steps] == [700.0]
+    assert found.load_steps[0].interval[0] < found.load_steps[0].size < found.load_steps[0].interval[1]
+    assert found.valve.stick_band == pytest.approx(valve.stick_band, rel=0.03)
+    assert found.plant.gain == pytest.approx(1.5, rel=0.05)
+    # The prediction holds the step: what is left is the noise, before it and after it.
+    left = record.pv - found.prediction
+    assert np.std(left[20:]) == pytest.approx(0.05, rel=0.1)
+    assert abs(left[720:].mean()) < 0.02
+    assert any(line.startswith("Load") and "nobody recorded it" in line for line in estimate_lines(found))
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_no_step_is_made_of_noise_or_of_a_load_that_drifts(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    load = np.zeros(1000)
+    for k in range(1, 1000):
+        load[k] = 0.95 * load[k - 1] + 0.1 * rng.normal()
+    for disturbance in (None, wb.Series(tuple(load.tolist()))):
+        run = run_of(loop_of(PLANTS[0], wb.Stenman(1.5)), disturbance, seed=seed)
+        data = centre(record_of(run), "fopdt")
+        stem = run.valve - 0.5 * (run.op.max() + run.op.min())
+        limits, free = Limits((0.05, 1000.0), (0.0, 30.0)), (-math.inf, math.inf)
+        fit = fit_path(data, stem, 0, free, limits, 3.0, tau=12.0)
+        assert loads_of(data, stem, 0, fit, limits, 0, 2, WHITER).steps == ()

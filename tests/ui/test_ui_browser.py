@@ -1,0 +1,396 @@
+"""The page in a real browser: Debian's Chromium, driven by Playwright; what an engineer does, and what must not happen.
+
+Skipped where there is no Chromium, unless WORKBENCH_REQUIRE_BROWSER=1 says that there must be one. Screenshots go to
+build/screenshots.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import signal
+import subprocess
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from loops import paper_loop, paper_step
+
+import workbench as wb
+from workbench.report.tables import shown
+
+REQUIRED = os.environ.get("WORKBENCH_REQUIRE_BROWSER") == "1"
+try:
+    from playwright import sync_api
+except ImportError:
+    if REQUIRED:
+        raise
+    pytest.skip("playwright is not installed", allow_module_level=True)
+
+ROOT = Path(__file__).parents[2]
+SCREENSHOTS = ROOT / "build" / "screenshots"
+AXE = Path(__file__).parent / "axe" / "axe.min.js"
+PAPER = str(ROOT / "scenarios" / "table_2.yaml")
+CHROMIUM = next((path for name in ("chromium", "chromium-browser") if (path := shutil.which(name))), None)
+WIDTHS = (1024, 1280, 1920, 2560)
+VIEWS = ("loop", "compare", "estimate", "tune", "frequency", "export")
+
+pytestmark = pytest.mark.slow
+sync_api.expect.set_options(timeout=15_000)
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    if CHROMIUM is None:
+        if REQUIRED:
+            pytest.fail("WORKBENCH_REQUIRE_BROWSER=1, and no chromium is installed")
+        pytest.skip("no chromium is installed")
+    SCREENSHOTS.mkdir(parents=True, exist_ok=True)
+    with sync_api.sync_playwright() as playwright:
+        running = playwright.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox", "--disable-gpu"])
+        yield running
+        running.close()
+
+
+class Opened:
+    """A page in a session of its own, with what it said and asked for."""
+
+    def __init__(self, browser: Any, url: str, width: int = 1280, height: int = 900) -> None:
+        self.context = browser.new_context(viewport={"width": width, "height": height}, accept_downloads=True)
+        self.page = self.context.new_page()
+        self.page.set_default_timeout(20_000)
+        self.wrong: list[str] = []
+        self.asked: list[str] = []
+        self.page.on("pageerror", lambda error: self.wrong.append(str(error)))
+        self.page.on("console", lambda said: said.type == "error" and self.wrong.append(said.text))
+        self.page.on("request", lambda request: self.asked.append(request.url))
+        self.page.on("dialog", lambda dialog: (self.wrong.append(f"dialog: {dialog.message}"), dialog.dismiss()))
+        self.page.goto(url)
+        self.page.wait_for_selector("html[data-drawn]")
+
+    def figure(self, name: str) -> Any:
+        return self.page.locator(f'[data-figure="{name}"] dd')
+
+    def entry(self, path: str) -> Any:
+        return self.page.locator(f'[data-entry="{path}"]')
+
+    def type(self, path: str, text: str) -> None:
+        self.entry(path).fill(text)
+        self.entry(path).press("Enter")
+
+    def slide(self, path: str, to: int) -> None:
+        """Drag a slider to a place of 0 to 1000."""
+        self.page.locator(f'[data-slider="{path}"]').evaluate(
+            """(slider, to) => {
+              slider.value = String(to);
+              slider.dispatchEvent(new Event("input", { bubbles: true }));
+              slider.dispatchEvent(new Event("change", { bubbles: true }));
+            }""",
+            to,
+        )
+
+    def settled(self) -> None:
+        """Wait until everything asked for is answered."""
+        self.page.wait_for_selector("html[data-idle=true]")
+
+    def view(self, name: str) -> None:
+        self.page.click(f"#tab-{name}")
+        self.page.wait_for_selector(f"#view-{name}:not([hidden])")
+
+    def picture(self, name: str) -> None:
+        self.page.screenshot(path=SCREENSHOTS / f"{name}.png")
+
+
+@pytest.fixture
+def opened(browser: Any, serve: Callable[..., Any]) -> Iterator[Callable[..., Opened]]:
+    """Open pages; none may have said an error, opened a dialog, or asked anything of another place."""
+    pages: list[Opened] = []
+
+    def make(*arguments: str, **size: int) -> Opened:
+        served = serve(*arguments)
+        pages.append(Opened(browser, served.url, **size))
+        pages[-1].served = served  # type: ignore[attr-defined]
+        return pages[-1]
+
+    yield make
+    for one in pages:
+        one.context.close()
+        home = one.served.url  # type: ignore[attr-defined]
+        assert all(url.startswith((home, "data:", "blob:")) for url in one.asked), one.asked
+        assert one.wrong == []
+
+
+def expect(locator: Any) -> Any:
+    return sync_api.expect(locator)
+
+
+def test_a_slider_of_the_papers_loop_shows_what_the_kernel_gives(opened):
+    paper = opened(PAPER)
+    expect(paper.figure("valve_travel")).to_have_text("12.18 %")
+    expect(paper.page.locator("#title")).to_have_text("Five tunings of one sticky flow loop, and two optimised ones")
+    paper.picture("loop")
+    for to in (650, 300):
+        paper.slide("loop.controller.Kc", to)
+        Kc = float(paper.entry("loop.controller.Kc").input_value())
+        assert Kc != 0.5
+        run = wb.simulate(paper_loop(Kc, 20.0), paper_step())
+        expect(paper.figure("valve_travel")).to_have_text(f"{shown('valve_travel', run.kpis.valve_travel)} %")
+        expect(paper.figure("iae")).to_have_text(f"{shown('iae', run.kpis.iae)} EU s")
+    drawn = paper.page.evaluate(
+        "Array.from(Bokeh.documents[0].get_model_by_name('pv').renderers[1].data_source.get('pv_y'))"
+    )
+    assert drawn == pytest.approx(run.pv.tolist(), rel=1e-6, abs=1e-6)
+    paper.page.click("#undo")
+    paper.page.click("#undo")
+    expect(paper.figure("valve_travel")).to_have_text("12.18 %")
+    expect(paper.page.locator("#undo")).to_be_disabled()
+
+
+def test_the_keyboard_is_enough(opened):
+    paper = opened(PAPER)
+    page = paper.page
+    paper.entry("loop.controller.Kc").focus()
+    page.keyboard.press("ArrowUp")
+    expect(paper.entry("loop.controller.Kc")).to_have_value("0.51")
+    run = wb.simulate(paper_loop(0.51, 20.0), paper_step())
+    expect(paper.figure("valve_travel")).to_have_text(f"{shown('valve_travel', run.kpis.valve_travel)} %")
+    page.keyboard.press("Tab")
+    assert page.evaluate("document.activeElement.dataset.entry") == "loop.controller.Kc.unit"
+    page.keyboard.press("Tab")
+    assert page.evaluate("document.activeElement.dataset.slider") == "loop.controller.Kc"
+    page.keyboard.press("ArrowRight")
+    expect(paper.entry("loop.controller.Kc")).not_to_have_value("0.51")
+    page.keyboard.press("Tab")
+    assert page.evaluate("document.activeElement.dataset.entry") == "loop.controller.Ti"
+    page.keyboard.press("Control+z")
+    expect(paper.entry("loop.controller.Kc")).to_have_value("0.51")
+    page.keyboard.press("Control+z")
+    expect(paper.figure("valve_travel")).to_have_text("12.18 %")
+    page.focus("#tab-loop")
+    page.keyboard.press("ArrowRight")
+    assert page.evaluate("document.activeElement.id") == "tab-compare"
+    expect(page.locator("#view-compare")).to_be_visible()
+    page.keyboard.press("End")
+    expect(page.locator("#view-export")).to_be_visible()
+
+
+def test_what_the_loader_refuses_is_said_at_the_field(opened):
+    paper = opened(PAPER)
+    paper.type("loop.valve.d", "-1")
+    said = paper.page.locator('[data-field="loop.valve.d"] .said')
+    expect(said).to_have_text("loop.valve.d: -1 % given; must be >= 0")
+    assert paper.entry("loop.valve.d").get_attribute("aria-invalid") == "true"
+    paper.picture("refused")
+    paper.type("loop.valve.d", "1")
+    expect(said).to_be_hidden()
+    paper.entry("loop.valve.type").select_option("choudhury")
+    expect(paper.entry("loop.valve.S")).to_be_visible()
+    expect(paper.entry("loop.valve.d")).to_be_hidden()
+
+
+def test_cases_are_pinned_renamed_moved_and_removed(opened):
+    paper = opened(PAPER)
+    page = paper.page
+    paper.view("compare")
+    expect(page.locator("#comparison tbody tr").nth(3).locator("td").nth(1)).to_contain_text("4.013")
+    page.fill("#pin-name", "<script>alert(1)</script>")
+    page.press("#pin-name", "Enter")
+    names = page.locator("#comparison thead input")
+    expect(names).to_have_count(6)
+    expect(names.nth(5)).to_have_value("<script>alert(1)</script>")
+    page.click('[aria-label="<script>alert(1)</script>: to the left"]')
+    expect(names.nth(4)).to_have_value("<script>alert(1)</script>")
+    names.nth(4).fill("Case 1")
+    names.nth(4).press("Enter")
+    expect(page.locator("#message")).to_contain_text("has this name already")
+    expect(names.nth(4)).to_have_value("<script>alert(1)</script>")
+    page.click('[aria-label="Case 1: away"]')
+    expect(names).to_have_count(5)
+    expect(names.nth(0)).to_have_value("Case 2")
+    paper.picture("compare")
+
+
+def test_a_tuning_runs_and_another_is_stopped(opened):
+    paper = opened(PAPER)
+    page = paper.page
+    paper.type("experiment.duration", "120")
+    paper.view("tune")
+    paper.type("tune.restarts", "1")
+    page.click("#tune")
+    expect(page.locator("#progress")).to_be_visible()
+    # The page goes on while the worker searches.
+    paper.slide("loop.plant.gain", 500)
+    expect(page.locator("#tuned li").nth(0)).to_contain_text("Kc", timeout=60_000)
+    expect(page.locator("#progress")).to_be_hidden()
+    page.click("#pin-tuned")
+    paper.view("compare")
+    expect(page.locator("#comparison thead input").nth(5)).to_have_value("Tuned PI")
+    paper.view("tune")
+    paper.type("experiment.duration", "3000")
+    paper.entry("tune.robust").check()
+    paper.type("tune.restarts", "64")
+    page.click("#tune")
+    expect(page.locator("#progress-words")).to_contain_text("Tuning: ")
+    paper.picture("tuning")
+    page.click("#stop")
+    expect(page.locator("#progress")).to_be_hidden(timeout=30_000)
+    expect(page.locator("#message")).to_have_text(re.compile("The tuning ended as interrupted|Tuning was stopped"))
+
+
+@pytest.mark.skipif(os.name != "posix", reason="ends a process by a signal")
+def test_a_dead_worker_leaves_the_page_alive_with_the_reason(opened):
+    paper = opened(PAPER)
+    page = paper.page
+    paper.type("experiment.duration", "3000")
+    paper.view("tune")
+    paper.entry("tune.robust").check()
+    page.click("#tune")
+    expect(page.locator("#progress-words")).to_contain_text("Tuning: ")
+    for worker in children(paper.served.process.pid):
+        os.kill(worker, signal.SIGKILL)
+    expect(page.locator("#message")).to_contain_text("was ended by SIGKILL")
+    paper.type("experiment.duration", "1000")
+    expect(paper.figure("valve_travel")).to_have_text("12.18 %")
+
+
+def children(parent: int) -> list[int]:
+    """The workers that a server has started."""
+    found = subprocess.run(
+        ["ps", "-o", "pid=,args=", "--ppid", str(parent)], capture_output=True, text=True, check=True
+    )
+    return [int(line.split()[0]) for line in found.stdout.splitlines() if "spawn_main" in line]
+
+
+def test_the_scenario_leaves_and_comes_back_to_the_same_screen_and_numbers(opened, tmp_path):
+    paper = opened(PAPER)
+    page = paper.page
+    paper.type("loop.controller.Kc", "0.7")
+    paper.type("experiment.duration", "0.1")
+    paper.entry("experiment.duration.unit").select_option("h")
+    paper.settled()
+    figures = page.locator("#figures").inner_text()
+    paper.view("export")
+    with page.expect_download() as download:
+        page.click('[data-export="scenario"]')
+    path = tmp_path / "scenario.yaml"
+    download.value.save_as(path)
+    assert download.value.suggested_filename == "scenario.yaml"
+    assert page.locator("#scenario").inner_text().strip() == path.read_text().strip()
+    path.write_text(path.read_text() + "analyze: {describing_function: false, limit_cycle: false}\n")
+    study = wb.run_scenario(path)
+    other = opened(PAPER)
+    other.page.set_input_files("#open", path)
+    expect(other.entry("experiment.duration")).to_have_value("0.1")
+    expect(other.entry("experiment.duration.unit")).to_have_value("h")
+    other.settled()
+    assert other.page.locator("#figures").inner_text() == figures
+    travel = shown("valve_travel", study.cases[0].run.kpis.valve_travel)
+    expect(other.figure("valve_travel")).to_have_text(f"{travel} %")
+    with page.expect_download() as download:
+        page.click('[data-export="figures"]')
+    assert Path(download.value.path()).read_text().startswith("case,Kc,Ti,Td")
+
+
+def test_a_bad_record_says_why_and_a_good_one_is_estimated(opened, tmp_path):
+    bad = tmp_path / "bad.csv"
+    bad.write_text("time,SP,<script>alert(1)</script>\n0,1,2\n1,1,2\n")
+    start = opened()
+    page = start.page
+    start.view("estimate")
+    page.set_input_files("#record", bad)
+    expect(page.locator("#message")).to_contain_text("<script>alert(1)</script>")
+    expect(page.locator("#message")).to_contain_text("bad.csv")
+    assert "/tmp" not in page.locator("#message").inner_text()
+    loop = wb.Loop(wb.FOPDT(1.0, 6.0, 2.0), wb.Stenman(1.0), wb.PID(0.6, 15.0), 1.0)
+    run = wb.simulate(loop, wb.Experiment(500.0, (wb.Step(2.0), wb.Step(1.5, 250.0)), noise=wb.Noise(0.02, 3)))
+    rows = [f"{t:g},{r},{y},{u}" for t, r, y, u in zip(run.time, run.sp, run.pv, run.op, strict=True)]
+    good = tmp_path / "<b>good<b>.csv"
+    good.write_text("\n".join(["time,SP,PV,OP", *rows]))
+    page.set_input_files("#record", good)
+    expect(page.locator("#record-summary li").nth(0)).to_contain_text("500 samples of 1 s")
+    page.click("#estimate")
+    expect(page.locator("#verdict strong")).to_have_text("stiction", timeout=60_000)
+    start.picture("estimate")
+    page.click("#use-model")
+    expect(page.locator("#view-loop")).to_be_visible()
+    assert float(start.entry("loop.valve.d").input_value()) == pytest.approx(1.0, rel=0.05)
+
+
+def test_two_sessions_do_not_see_each_other(opened):
+    one, other = opened(PAPER), opened(PAPER)
+    one.type("loop.controller.Kc", "2.01")
+    one.view("compare")
+    one.page.fill("#pin-name", "mine")
+    one.page.press("#pin-name", "Enter")
+    expect(one.page.locator("#comparison thead input")).to_have_count(6)
+    other.view("compare")
+    expect(other.page.locator("#comparison thead input")).to_have_count(5)
+    expect(other.entry("loop.controller.Kc")).to_have_value("0.5")
+    other.view("loop")
+    expect(other.figure("valve_travel")).to_have_text("12.18 %")
+    expect(other.page.locator("#undo")).to_be_disabled()
+
+
+def test_a_click_on_the_map_sets_the_tuning(opened):
+    paper = opened(PAPER)
+    page = paper.page
+    paper.view("frequency")
+    expect(page.locator("#frequency-lines li").nth(1)).to_contain_text("102.4 s")
+    paper.picture("frequency")
+    paper.entry("analyze.map.points").select_option("15")
+    page.click("#map")
+    expect(page.locator("#map-lines li").nth(0)).to_contain_text("15 × 15 tunings", timeout=60_000)
+    page.wait_for_timeout(300)
+    paper.picture("map")
+    box = page.locator("#map-box .picture").bounding_box()
+    page.mouse.click(box["x"] + 0.5 * box["width"], box["y"] + 0.5 * box["height"])
+    expect(paper.entry("loop.controller.Kc")).not_to_have_value("0.5")
+    expect(page.locator("#undo")).to_be_enabled()
+
+
+def test_the_layout_holds_at_every_width(opened):
+    paper = opened(PAPER)
+    page = paper.page
+    for width in WIDTHS:
+        page.set_viewport_size({"width": width, "height": 900 if width < 1900 else 1200})
+        for view in VIEWS:
+            paper.view(view)
+            page.wait_for_timeout(150)
+            if width in (WIDTHS[0], WIDTHS[-1]) or view == "loop":
+                paper.picture(f"{view}_{width}")
+            wide = page.evaluate("document.documentElement.scrollWidth - document.documentElement.clientWidth")
+            assert wide <= 0, f"{view} at {width}"
+            cut = page.evaluate(
+                """() => [...document.querySelectorAll("header button, .row button, #inputs input, #inputs select")]
+                  .filter((el) => el.offsetParent)
+                  .filter((el) => el.getBoundingClientRect().right > document.documentElement.clientWidth + 1)
+                  .map((el) => el.id || el.textContent)"""
+            )
+            assert cut == [], f"{view} at {width}"
+
+
+def test_a_server_that_has_ended_is_said(opened):
+    lost = opened("--address", "localhost")
+    lost.served.process.kill()
+    lost.served.process.wait()
+    lost.type("loop.controller.Kc", "0.7")
+    expect(lost.page.locator("#message")).to_contain_text("No answer for some seconds")
+    lost.wrong.clear()  # the browser's own words on the lost connection
+
+
+def test_accessibility_has_no_serious_findings(opened):
+    paper = opened(PAPER)
+    page = paper.page
+    page.add_script_tag(content=AXE.read_text())
+    for view in VIEWS:
+        paper.view(view)
+        page.wait_for_timeout(200)
+        found = page.evaluate("axe.run(document, { resultTypes: ['violations'] })")
+        serious = [
+            (one["id"], one["help"], [node["target"] for node in one["nodes"]][:4])
+            for one in found["violations"]
+            if one["impact"] in ("serious", "critical")
+        ]
+        assert serious == [], view

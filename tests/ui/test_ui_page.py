@@ -1,0 +1,316 @@
+"""The page's answers to what a browser asks, without a browser: everything is text, whatever is asked."""
+
+from __future__ import annotations
+
+import base64
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from bokeh.document import Document
+from bokeh.events import Tap
+
+import workbench as wb
+from workbench.scenario.loader import load_scenario
+from workbench.ui import page as pages
+from workbench.ui.jobs import Event
+from workbench.ui.load import screen_of
+from workbench.ui.page import Page, open_page
+from workbench.ui.work import MapFound, ReadRecord, Report, TunedCase
+
+SCENARIOS = Path(__file__).parents[2] / "scenarios"
+PAPER = screen_of(load_scenario(SCENARIOS / "table_2.yaml"))  # frozen: every session may begin with it
+
+
+class Asked:
+    """A page, and what it answers."""
+
+    def __init__(self, page: Page) -> None:
+        self.page = page
+        self.number = 0
+
+    def __call__(self, do: str, /, **more: Any) -> dict[str, Any]:
+        self.number += 1
+        self.page.bridge.up = json.dumps({"n": self.number, "do": do, **more})
+        answer = json.loads(self.page.bridge.down)
+        assert answer["ack"] == self.number
+        return answer
+
+    @property
+    def last(self) -> dict[str, Any]:
+        return json.loads(self.page.bridge.down)
+
+
+@pytest.fixture
+def ask():
+    page = open_page(Document(), PAPER)
+    yield Asked(page)
+    page.close()
+
+
+@pytest.fixture
+def begun(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, str]]:
+    """The tasks that a page begins, in place of their processes."""
+    found: list[tuple[str, str]] = []
+
+    class Fake:
+        alive = True
+        stopped = False
+
+        def __init__(self, task: str, text: str, _folder: str, _tell: object) -> None:
+            found.append((task, text))
+
+        def stop(self) -> None:
+            Fake.stopped = True
+
+        def kill(self) -> None:
+            self.alive = False
+
+    monkeypatch.setattr(pages, "Job", Fake)
+    return found
+
+
+def ended(ask: Asked, kind: str, words: str = "", result: object = None) -> dict[str, Any]:
+    assert ask.page.job is not None
+    ask.page.job.alive = False  # type: ignore[misc]
+    ask.page._happened([ask.page.job], Event(kind, words, 1.0, result))
+    return ask.last
+
+
+def test_hello_brings_everything(ask):
+    answer = ask("hello")
+    assert answer["title"] == "Five tunings of one sticky flow loop, and two optimised ones"
+    assert answer["entries"]["loop.valve.d"] == "2"
+    assert [case["name"] for case in answer["cases"]] == [f"Case {i}" for i in range(1, 6)]
+    assert {f["name"]: f["text"] for f in answer["figures"]}["valve_travel"] == "12.18"
+    assert answer["axes"]["pv.y"][0] < 0.0 < 4.0 < answer["axes"]["pv.y"][1]
+
+
+def test_a_slider_changes_figures_and_pictures(ask):
+    ask("hello")
+    before = ask.page.pictures.run.source.data["pv_y"].copy()
+    answer = ask("set", entries={"loop.controller.Kc": "1.2"}, gesture="slide:loop.controller.Kc")
+    loop = ask.page.session.built.loop
+    run = wb.simulate(loop, ask.page.session.built.experiment)
+    drawn = ask.page.pictures.run.source.data["pv_y"]
+    assert np.array_equal(drawn, run.pv.astype(np.float32))
+    assert not np.array_equal(drawn, before)
+    assert answer["undo"]
+    assert answer["problems"] == []
+    assert ask("undo")["entries"]["loop.controller.Kc"] == "0.5"
+    assert ask("undo")["message"] == "there is nothing to undo"
+
+
+def test_long_runs_are_drawn_finely_and_short_ones_as_before(ask):
+    lines = ask.page.pictures.figures["op"].renderers
+    before = [(line.glyph.line_width, line.glyph.line_dash) for line in lines]
+    ask("set", entries={"experiment.duration": "20000"})
+    assert {(line.glyph.line_width, tuple(line.glyph.line_dash)) for line in lines} == {(1.0, ())}
+    assert ask.page.pictures.run.source.data["pv_y"].size < 5000
+    ask("undo")
+    assert [(line.glyph.line_width, line.glyph.line_dash) for line in lines] == before
+
+
+def test_what_is_refused_is_told_at_its_field(ask):
+    answer = ask("set", entries={"loop.valve.d": "much"})
+    assert answer["problems"] == [
+        {"field": "loop.valve.d", "text": 'loop.valve.d: much % given; must be a number of %, such as 2 or "2 %"'}
+    ]
+    assert answer["entries"]["loop.valve.d"] == "much"
+    assert answer["figures"], "the last good run stays"
+    assert ask("export", what="scenario")["message"].startswith("loop.valve.d")
+
+
+NONSENSE: list[tuple[str, dict[str, Any]]] = [
+    ("set", {}),
+    ("set", {"entries": {"loop.plant.gian": "1"}}),
+    ("set", {"entries": []}),
+    ("format_the_disk", {}),
+    ("rename", {"index": 99, "name": "x"}),
+    ("move", {"index": "x", "to": 1}),
+    ("view", {"view": "secret"}),
+    ("export", {"what": "passwords"}),
+    ("map_figure", {"name": "x"}),
+    ("use_model", {}),
+    ("use_tuned", {}),
+    ("pin_tuned", {"name": "x"}),
+    ("estimate", {}),
+    ("upload", {"name": "x.csv", "data": "§"}),
+]
+
+
+def test_requests_that_make_no_sense_are_answered_and_change_nothing(ask):
+    screen = ask.page.session.screen
+    for what, more in NONSENSE:
+        answer = ask(what, **more)
+        assert answer["message"], what
+        assert "Traceback" not in answer["message"]
+        assert ask.page.session.screen is screen
+    for text in ("", "{", "[]", "1", '{"n": 1}', '{"do": "hello"}'):
+        ask.page.ask(text)
+        assert "not understood" in ask.last["message"]
+
+
+def test_comparing_sends_table_and_overlays(ask):
+    answer = ask("view", view="compare")
+    assert [head["name"] for head in answer["comparison"]["heads"]][-1] == "On screen"
+    drawn = ask.page.pictures.cases.source.data
+    assert np.isfinite(drawn["pv4_y"]).any()
+    assert not np.isfinite(drawn["pv7_y"]).any()
+    answer = ask("pin", name="<script>alert(1)</script>")
+    assert [case["name"] for case in answer["cases"]][-1] == "<script>alert(1)</script>"
+    assert ask("rename", index=5, name="Case 1")["message"].startswith("cases[6].name: 'Case 1' given")
+    assert ask("move", index=5, to=0)["comparison"]["heads"][0]["name"] == "<script>alert(1)</script>"
+    assert len(ask("remove", index=0)["cases"]) == 5
+    assert ask("show", index=4)["entries"]["loop.controller.Td"] == "1"
+
+
+def test_frequency_brings_both_verdicts(ask):
+    answer = ask("view", view="frequency")
+    lines = answer["frequency"]["lines"]
+    assert lines[0].startswith("Describing function: The loci do not cross")
+    assert "102.4 s" in lines[1]
+    assert ask.page.pictures.L.data["x"].size > 100
+
+
+def test_the_scenario_is_shown_and_leaves_as_a_file(ask):
+    shown = ask("view", view="export")["scenario"]
+    answer = ask("export", what="scenario")
+    assert answer["download"]["text"] == shown
+    assert answer["download"]["name"] == "scenario.yaml"
+    assert answer["view"] == "export"
+
+
+def test_a_tuning_runs_stops_and_becomes_a_case(ask, begun):
+    answer = ask("tune")
+    assert answer["busy"] == "tune"
+    assert "bounds: {Kc: [0, 10], Ti: [5 s, 600 s]}" in begun[0][1]
+    assert "must wait: tuning is under way" in ask("map")["message"]
+    ask.page._happened([ask.page.job], Event("progress", "searching", 0.25))
+    assert ask.last["progress"] == {"words": "Tuning: searching", "share": 0.25}
+    ask("stop")
+    assert type(ask.page.job).stopped
+    found = TunedCase(wb.PID(2.384, 9.092), False, "interrupted", ("Kc 2.384", "J 10"), 10.0, 226.0)
+    answer = ended(ask, "done", result=found)
+    assert answer["tuned"]["lines"] == ["Kc 2.384", "J 10"]
+    assert answer["message"] == "The tuning ended as interrupted."
+    assert answer["busy"] == ""
+    assert [c["name"] for c in ask("pin_tuned", name="Tuned PI")["cases"]][-1] == "Tuned PI"
+    assert ask("use_tuned")["entries"]["loop.controller.Kc"] == "2.384"
+
+
+def test_a_dead_worker_leaves_the_page_with_the_reason(ask, begun):
+    ask("tune")
+    answer = ended(ask, "failed", "the worker process was ended by SIGKILL")
+    assert answer["message"] == "the worker process was ended by SIGKILL"
+    assert answer["busy"] == ""
+    assert ask("set", entries={"loop.controller.Kc": "0.7"})["problems"] == []
+    ask("tune")
+    assert ended(ask, "stopped")["message"] == "Tuning was stopped."
+
+
+def test_events_of_a_former_task_are_left_out(ask, begun):
+    ask("tune")
+    former = ask.page.job
+    ended(ask, "failed", "first")
+    ask("tune")
+    sent = ask.last["sent"]
+    ask.page._happened([former], Event("done"))
+    assert ask.last["sent"] == sent
+
+
+def test_bounds_that_suit_the_loop_hold_its_tuning(ask):
+    ask("set", entries={"loop.controller.Ti": "5000", "loop.plant.time_constant": "60"})
+    answer = ask("suit_bounds")
+    low, high = (float(answer["entries"][f"tune.bounds.Ti.{end}"]) for end in ("low", "high"))
+    assert low < 5000 < high
+    ask.page.session.tuning()
+
+
+def uploaded(ask: Asked, name: str, content: bytes) -> dict[str, Any]:
+    return ask("upload", name=name, data=base64.b64encode(content).decode())
+
+
+def test_an_upload_is_read_in_the_sessions_own_folder(ask, begun):
+    answer = uploaded(ask, "../../etc/pass wd.csv", b"time,PV,OP\n")
+    assert answer["busy"] == "read"
+    assert "data: pass_wd.csv" in begun[0][1]
+    assert [path.name for path in ask.page.folder.iterdir()] == ["pass_wd.csv"]
+    answer = ended(ask, "failed", f"{ask.page.folder}/pass_wd.csv: a header and no row of data")
+    assert answer["message"] == "pass_wd.csv: a header and no row of data"
+    assert answer["record"] == {"name": "", "summary": []}
+
+
+def test_a_record_is_drawn_and_told(ask, begun):
+    uploaded(ask, "a.csv", b"x")
+    time = np.arange(300.0)
+    record = ReadRecord("a.csv", ("300 samples", "<script>"), time, np.sin(time), np.cos(time), None, 1.0)
+    answer = ended(ask, "done", result=record)
+    assert answer["record"] == {"name": "a.csv", "summary": ["300 samples", "<script>"]}
+    assert ask.page.pictures.record.source.data["pv_y"].size == 300
+
+
+def test_too_large_an_upload_is_refused(ask, begun, monkeypatch):
+    monkeypatch.setattr(pages, "LARGEST_UPLOAD", 100)
+    assert "can be uploaded" in uploaded(ask, "a.csv", b"x" * 101)["message"]
+    assert not begun
+    assert not list(ask.page.folder.iterdir())
+
+
+def test_a_scenario_is_opened_and_a_bad_one_is_told_with_its_lines(ask):
+    assert uploaded(ask, "bad.yaml", b"title: x\ncases: 3\n")["message"].startswith("bad.yaml:2:8: cases: 3 given")
+    assert "no UTF-8" in uploaded(ask, "bad.yaml", b"\xff\xfe")["message"]
+    assert "1 MiB" in uploaded(ask, "bad.yaml", b" " * (1 << 20) + b"x")["message"]
+    text = (SCENARIOS / "stick_slip.yaml").read_bytes()
+    assert uploaded(ask, "stick_slip.yaml", text)["title"].startswith("A stick-slip cycle")
+
+
+def test_a_map_is_drawn_and_a_click_sets_the_tuning(ask, begun):
+    ask("view", view="frequency")
+    ask("map")
+    Kc, Ti = np.geomspace(0.1, 10.0, 5), np.geomspace(1.0, 100.0, 4)
+    ones = np.ones((4, 5))
+    figures = dict.fromkeys(pages.MAP_FIGURES, np.arange(1.0, 21.0).reshape(4, 5))
+    found = MapFound("Ti", Kc, Ti, ones, ones, figures, ("a map",))
+    assert ended(ask, "done", result=found)["frequency"]["map"] == ["a map"]
+    assert len(ask.page.pictures.map.data["left"]) == 20
+    plane = ask.page.pictures.figures["f_map"]
+    plane._trigger_event(Tap(plane, x=2.345, y=12.3456))
+    assert ask.last["entries"]["loop.controller.Kc"] == "2.35"
+    assert ask.last["entries"]["loop.controller.Ti"] == "12.3"
+    assert ask.last["frequency"]["map"] == ["a map"], "another tuning is on the same map"
+    answer = ask("set", entries={"loop.valve.d": "1"})
+    assert "as it stood" in answer["frequency"]["map"][0]
+    ask("map_figure", name="mean_square_error")
+
+
+def test_a_report_leaves_as_a_file(ask, begun):
+    ask("export", what="report")
+    assert begun[0][0] == "report"
+    answer = ended(ask, "done", result=Report("<!DOCTYPE html>"))
+    assert answer["download"] == {"name": "report.html", "type": "text/html", "text": "<!DOCTYPE html>"}
+
+
+def test_closing_ends_the_task_and_removes_what_was_uploaded(begun):
+    page = open_page(Document(), None)
+    asked = Asked(page)
+    uploaded(asked, "a.csv", b"x")
+    folder = page.folder
+    assert folder.exists()
+    page.close()
+    assert not folder.exists()
+    assert not page.job.alive
+
+
+def test_a_file_that_the_command_named_is_read_at_once(begun, tmp_path):
+    (tmp_path / "loop 1.csv").write_text("time,PV,OP\n")
+    page = open_page(Document(), None, tmp_path / "loop 1.csv")
+    assert page.view == "estimate"
+    assert begun[0][0] == "read"
+    assert (page.folder / "loop_1.csv").exists()
+    page.close()
+    page = open_page(Document(), None, tmp_path / "gone.csv")
+    assert "cannot be read" in page.message
+    page.close()

@@ -1,0 +1,288 @@
+"""The screen as texts: to a scenario that the loader takes, back to the same screen, and nothing typed gets out."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from loops import plants, valves
+
+import workbench as wb
+from workbench.errors import ScenarioError
+from workbench.scenario.document import parse, plain
+from workbench.scenario.loader import load_scenario, read_scenario
+from workbench.ui.fields import DEFAULTS, FIELDS, field_of
+from workbench.ui.load import controller_entries, plant_entries, screen_of, valve_entries
+from workbench.ui.screen import Pinned, Screen, estimate_text, number_text, scenario_text
+from workbench.ui.yaml_text import scalar, words, yaml_of
+
+SCENARIOS = Path(__file__).parents[2] / "scenarios"
+FILE = Path("screen.yaml")
+
+
+def on_screen(screen: Screen) -> dict[str, str]:
+    """What a scenario keeps: the settings of a search or an estimate that is not in it belong to the page alone."""
+    return {path: text for path, text in screen.entries.items() if not path.startswith(("tune.", "estimate."))}
+
+
+def read(screen: Screen, **options: bool):
+    return read_scenario(scenario_text(screen, **options), FILE)
+
+
+def test_the_empty_page_is_a_scenario_that_runs():
+    plan = read(Screen())
+    assert plan.loop is not None
+    assert plan.loop.valve == wb.Stenman(2.0)
+    assert plan.loop.controller == wb.PID(Kc=0.5, Ti=20.0)
+    assert plan.experiment == wb.Experiment(1000.0, wb.Step(4.0))
+    assert [case.name for case in plan.cases] == ["On screen"]
+
+
+def test_an_unknown_path_is_no_field():
+    with pytest.raises(KeyError):
+        Screen().with_entries({"loop.plant.gian": "1"})
+
+
+@given(plant=plants, valve=valves)
+def test_every_plant_and_valve_stands_on_the_page_to_the_last_digit(plant, valve):
+    entries = plant_entries(plant) | valve_entries(valve) | {"loop.coarse_sampling": "true"}
+    entries |= {"loop.controller.action": "reverse" if plant.gain > 0 else "direct", "experiment.duration": "5000"}
+    loop = read(Screen().with_entries(entries)).loop
+    assert loop is not None
+    assert loop.plant == plant
+    assert loop.valve == valve
+
+
+@pytest.mark.parametrize(
+    "pid",
+    [
+        wb.PID(0.1 + 0.2, 1 / 3, 1e-7),
+        wb.PID(2.0, math.inf, form="series", derivative_on="pv", derivative_filter=math.inf),
+        wb.PID(2.0, 30.0, 1.0, form="parallel", derivative_on="pv", setpoint_weight=0.0),
+        wb.PID(2.0, 30.0, 1.0, setpoint_weight=0.25, output_limits=(-5.0, 7.5)),
+        wb.PID(2.0, 30.0, output_limits=(-5.0, 7.5), anti_windup="back_calculation", tracking_time=12.0),
+    ],
+)
+def test_every_controller_stands_on_the_page_and_in_a_case_to_the_last_digit(pid):
+    plan = read(replace(Screen().with_entries(controller_entries(pid)), cases=(Pinned("A", pid), Pinned("B", pid))))
+    assert [case.controller for case in plan.cases] == [pid] * 3
+    # A case takes nothing over from the page: whatever stands there.
+    other = wb.PID(9.0, 9.0, 9.0, form="series", output_limits=(-1.0, 1.0), tracking_time=3.0)
+    plan = read(replace(Screen().with_entries(controller_entries(other)), cases=(Pinned("A", pid),)))
+    assert plan.cases[0].controller == other
+    expected = pid
+    if pid.output_limits is None:  # without limits these play no part, and stay as they are on the page
+        assert plan.cases[1].controller.output_limits is None
+        return
+    if pid.anti_windup == "clamp":
+        expected = replace(pid, tracking_time=plan.cases[1].controller.tracking_time)
+    assert plan.cases[1].controller == expected
+
+
+@pytest.mark.parametrize("path", sorted(SCENARIOS.glob("*.yaml")), ids=lambda p: p.stem)
+def test_what_is_loaded_is_exported_and_loads_as_the_same_screen(path):
+    first = screen_of(load_scenario(path)).screen
+    text = scenario_text(first)
+    second = screen_of(read_scenario(text, FILE)).screen
+    assert on_screen(second) == on_screen(first)
+    assert scenario_text(second) == text
+    assert [(c.name, c.controller, c.note, dict(c.reference)) for c in second.cases] == [
+        (c.name, c.controller, c.note, dict(c.reference)) for c in first.cases
+    ]
+
+
+def test_the_papers_cases_come_with_its_scenario_and_what_is_to_be_tuned_is_said():
+    loaded = screen_of(load_scenario(SCENARIOS / "table_2.yaml"))
+    assert [case.name for case in loaded.screen.cases] == [f"Case {i}" for i in range(1, 6)]
+    assert loaded.screen.cases[0].reference["valve_travel"] == 12.18
+    assert any("Optimised PI, Optimised PID" in note for note in loaded.notes)
+    assert loaded.screen.entries["tune.bounds.Ti.high"] == "600"
+
+
+def test_a_scenario_from_data_names_its_record_and_how_it_is_read():
+    loaded = screen_of(load_scenario(SCENARIOS / "industrial_flow_loop.yaml"))
+    assert loaded.data == "data/industrial_flow_loop.csv"
+    assert loaded.screen.entries["experiment.duration"] == "1"
+    assert loaded.screen.entries["experiment.duration.unit"] == "h"
+    text = (
+        "title: t\nestimate: {data: data/industrial_flow_loop.csv, method: joint, plant: auto, columns: {PV: PV}, "
+        "sample_time: 5 s, op_range: [0, 100]}\n"
+    )
+    entries = screen_of(read_scenario(text, SCENARIOS / "x.yaml")).screen.entries
+    found = {path.removeprefix("estimate."): text for path, text in entries.items() if path.startswith("estimate.")}
+    assert found["method"] == "joint"
+    assert found["plant"] == "auto"
+    assert found["columns.PV"] == "PV"
+    assert (found["sample_time"], found["sample_time.unit"]) == ("5", "s")
+    assert (found["op_range.low"], found["op_range.high"]) == ("0", "100")
+
+
+def test_profiles_that_the_fields_do_not_show_are_kept():
+    ramp, series = wb.Ramp(2.0, 10.0, 20.0), wb.Series([1.0, 2.5], [5.0, 600.0])
+    screen = replace(
+        Screen(), more_setpoint=(ramp, wb.Step(1.0, 30.0)), more_load=(series, wb.Series([0.0, 1.0]))
+    ).with_entries({"experiment.load.step": "0.5", "experiment.load.at": "1", "experiment.load.at.unit": "min"})
+    plan = read(screen)
+    assert plan.experiment is not None
+    assert plan.experiment.setpoint_parts == (wb.Step(4.0), ramp, wb.Step(1.0, 30.0))
+    assert plan.experiment.load_parts == (wb.Step(0.5, 60.0), series, wb.Series([0.0, 1.0]))
+    again = screen_of(plan)
+    assert again.screen.more_setpoint == screen.more_setpoint
+    assert again.screen.more_load == screen.more_load
+    assert any("setpoint has 2 more parts" in note for note in again.notes)
+
+
+def test_units_stand_as_they_were_typed():
+    typed = {"loop.pv_range.low": "0", "loop.pv_range.high": "50", "loop.controller.Kc": "150"}
+    typed |= {"loop.controller.Kc.unit": "PB %", "loop.controller.Ti": "2", "loop.controller.Ti.unit": "repeats/min"}
+    screen = Screen().with_entries(typed)
+    plan = read(screen)
+    assert plan.cases[0].controller.Kc == pytest.approx(100 / 150 * 100 / 50)
+    assert plan.cases[0].controller.Ti == 30.0
+    assert dict(screen_of(plan).screen.entries) == dict(screen.entries)
+
+
+def test_the_tuning_asked_for_is_the_scenarios():
+    typed = {"tune.kind": "PID", "tune.robust": "true", "tune.constraints.max_sensitivity": "1.8", "tune.digits": "3"}
+    typed |= {"tune.bounds.Td.high": "1", "tune.bounds.Td.high.unit": "min"}
+    job = read(Screen().with_entries(typed), tune=True).cases[0].tune
+    assert job is not None
+    assert job.bounds == wb.Bounds(Td=(0.0, 60.0))
+    assert job.robust is not None
+    assert job.constraints == wb.Constraints(max_sensitivity=1.8)
+    assert job.digits == 3
+    plain_job = read(Screen(), tune=True).cases[0].tune
+    assert plain_job is not None
+    assert plain_job.bounds.Td == (0.0, 0.0)
+
+
+def test_an_estimate_is_asked_for_in_the_scenarios_words(tmp_path):
+    time = np.arange(200.0)
+    rows = np.column_stack([time, np.sin(time / 9), np.sin(time / 9 + 1)])
+    np.savetxt(tmp_path / "a b.csv", rows, delimiter=",", header="t,x,y", comments="")
+    screen = Screen().with_entries(
+        {
+            "estimate.columns.time": "t",
+            "estimate.columns.PV": "x",
+            "estimate.columns.OP": "y",
+            "estimate.method": "joint",
+        }
+    )
+    plan = read_scenario(estimate_text(screen, "a b.csv"), tmp_path / FILE)
+    assert plan.estimates[0].method == "joint"
+    record = plan.estimates[0].record
+    assert record is not None
+    assert record.pv[1] == pytest.approx(math.sin(1 / 9))
+
+
+# nothing typed gets out of its place ---------------------------------------------------------------------------------
+
+
+@given(text=st.text(max_size=60))
+def test_whatever_is_typed_stays_one_scalar(text):
+    tree = {"a": scalar(text), "b": words(text), "c": "1"}
+    root, problems = parse(yaml_of(tree))
+    if root is None:  # half of a surrogate pair, which no file can hold
+        assert any("\ud800" <= c <= "\udfff" for c in text)
+        return
+    assert not problems
+    found = plain(root)
+    assert isinstance(found, dict)
+    assert list(found) == ["a", "b", "c"]
+    assert found["b"] == text
+    if isinstance(found["a"], str):
+        assert found["a"] == text
+
+
+@pytest.mark.parametrize(
+    "text", ["a: b", "1 # x", "{", "*x", "!!python/object", "\n  evil: 1", "null", "yes", "- a", "'", '"']
+)
+def test_text_for_a_number_is_refused_and_nothing_else_happens(text):
+    with pytest.raises(ScenarioError) as caught:
+        read(Screen().with_entries({"loop.plant.gain": text}))
+    lines = str(caught.value).splitlines()
+    assert all("loop.plant.gain" in line for line in lines)
+
+
+def test_names_that_yaml_would_take_for_something_else_stay_names():
+    names = ("true", "1e3", "null", "a: b", "<script>", "-", "Ünï", "~", "[x]", "  x ")
+    cases = tuple(Pinned(name.strip(), wb.PID(1.0, 2.0)) for name in names)
+    assert [case.name for case in read(replace(Screen(), cases=cases)).cases[1:]] == [name.strip() for name in names]
+
+
+def test_the_pages_own_case_leaves_the_name_to_a_pinned_one():
+    cases = (Pinned("On screen", wb.PID(1.0, 2.0)),)
+    plan = read(replace(Screen(), cases=cases))
+    assert [case.name for case in plan.cases] == ["On screen 2", "On screen"]
+    assert [case.name for case in screen_of(plan).screen.cases] == ["On screen"]
+
+
+# fields --------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("where", "field"),
+    [
+        ("loop.plant.gain", "loop.plant.gain"),
+        ("loop.controller.proportional_band", "loop.controller.Kc"),
+        ("loop.controller.output_limits[1]", "loop.controller.output_limits.high"),
+        ("loop.controller.output_limits", "loop.controller.output_limits.low"),
+        ("experiment.setpoint[0].step", "experiment.setpoint.step"),
+        ("cases[0].tune.bounds.Kc[1]", "tune.bounds.Kc.high"),
+        ("cases[0].tune.bounds.Kc", "tune.bounds.Kc.low"),
+        ("cases[0].tune.constraints.valve_travel", "tune.constraints.valve_travel"),
+        ("estimate.columns.PV", "estimate.columns.PV"),
+        ("loop.valve.up.S", "loop.valve.up.S"),
+        ("nowhere.at.all", None),
+    ],
+)
+def test_a_loaders_message_finds_its_field(where, field):
+    assert field_of(where) == field
+
+
+def test_every_field_can_be_refused_where_it_stands():
+    """What is typed wrongly into any field of the loop or experiment is told at that field or above all of them."""
+    shown = {
+        "loop.plant.time_constant": {},
+        "loop.controller.output_limits.low": {"loop.controller.limited": "true"},
+        "loop.controller.tracking_time": {"loop.controller.limited": "true"},
+    }
+    for path, field in FIELDS.items():
+        if (
+            field.flag
+            or field.choices
+            or not path.startswith(("loop.plant", "loop.controller.K", *shown, "experiment"))
+        ):
+            continue
+        with pytest.raises(ScenarioError) as caught:
+            read(Screen().with_entries({**shown.get(path, {}), **_needed(path), path: "bad?"}))
+        where = str(caught.value).splitlines()[0].split(": ")[1]
+        assert field_of(where) == path, (path, str(caught.value))
+
+
+def _needed(path: str) -> dict[str, str]:
+    """Entries without which a field takes no part."""
+    group = path.rpartition(".")[0]
+    beside = {"experiment.load": {"experiment.load.step": "1"}, "experiment.noise": {"experiment.noise.sd": "1"}}
+    return beside.get(group, {})
+
+
+@given(x=st.floats(allow_nan=False, allow_infinity=False))
+def test_numbers_keep_every_digit(x):
+    assert float(number_text(x)) == x
+
+
+def test_defaults_hold_every_field_with_its_first_unit():
+    for path, field in FIELDS.items():
+        assert DEFAULTS[path] == field.default
+        if field.units:
+            assert DEFAULTS[f"{path}.unit"] == field.units[0]
+        if field.choices:
+            assert field.default in dict(field.choices)
+        if field.when is not None:
+            assert field.when[0] in FIELDS

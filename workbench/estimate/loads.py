@@ -1,0 +1,159 @@
+"""Unmeasured load steps: when PV takes a lasting change that no stem explains, and how much of PV that is.
+
+A step at the plant's input is told from a coloured disturbance by its likelihood: what is left of PV with it and its
+own autoregression must be worth more by BIC than with an autoregression alone, and hardly be coloured (G. Box, G. Tiao,
+"Intervention analysis", J. Am. Stat. Assoc. 70 (1975) 70-79; the search for its time after R. Tsay, "Outliers, level
+shifts, and variance changes in time series", J. Forecasting 7 (1988) 1-20).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from workbench.detect.stem import whitened
+from workbench.estimate.data import WHITE, Centred
+from workbench.estimate.fit import Fit, Limits, autoregression, fit_path, inflation, predict
+from workbench.model.load_step import LoadStep
+from workbench.model.record import FloatArray
+
+__all__ = ["WHITER", "Loads", "loads_of"]
+
+TURNS = 6  # of least squares and output error in turn
+TRIES = 250  # times tried in the first round
+LEAST_BEFORE, LEAST_AFTER = 0.02, 0.02  # of the record, that a step must have on either side
+LONGEST = 6000  # samples: a longer record has its disturbances, none of them single steps
+# A step has a size and a time, and the time is found by a search: three degrees (N. Zhang, D. Siegmund, "A modified
+# Bayes information criterion", Biometrics 63 (2007) 22-32). Beyond these "very strong" evidence (Kass, Raftery 1995).
+DEGREES, CLEAR = 3, 10.0
+# A load that drifts looks like steps too, but what these leave of it is as coloured as before: the sum of its
+# autocorrelation must fall to this share, which a single step in noise passes by far.
+WHITER = 0.4
+NORMAL = 1.96
+
+
+@dataclass(frozen=True, eq=False)
+class Loads:
+    """What load steps add to PV, EU, shape (N,), what the model leaves beside them, and the steps themselves."""
+
+    pv: FloatArray
+    left: FloatArray
+    steps: tuple[LoadStep, ...]
+
+
+def loads_of(
+    data: Centred, x: FloatArray, first: int, fit: Fit, limits: Limits, skip: int, most: int, whiter: float
+) -> Loads:
+    """Return the load steps in a record that the stem path x, shape (N,), does not explain; data: with no load removed.
+
+    skip: the first samples that do not count; most: steps; whiter: WHITER, or 1 while the stem is
+    not yet known. The model is fitted anew beside the steps.
+    """
+    n = data.samples
+    found = Loads(np.zeros(n), np.zeros(n), ())
+    if n > LONGEST or fit.gain == 0.0:
+        return found
+    model = _beside(data, x, first, fit, limits, skip, [])
+    coloured = inflation(model.left[skip:])
+    begin, end = skip + max(int(LEAST_BEFORE * n), 3), n - max(int(LEAST_AFTER * n), 8)
+    times: list[int] = []
+    while len(times) < most and end - begin > 8:
+        trials = []
+        for measure in (model.a, WHITE) if model.a.size > 1 else (WHITE,):
+            at = _likeliest(data, model, measure, (begin, end), skip)
+            trials.append((_beside(data, x, first, model.fit, limits, skip, [*times, at]), at))
+        trial, at = min(trials, key=lambda t: t[0].bic)
+        if not trial.bic < model.bic - CLEAR or trial.terms[1] * fit.gain <= 0.0:
+            break
+        model = trial
+        times.append(at)
+    if not times or inflation(model.left[skip:]) > whiter * coloured:
+        return found
+    gain, errors = float(model.terms[1]), _errors(model, skip)
+    steps = []
+    for at, term, error in zip(times, model.terms[4:].tolist(), errors[4:].tolist(), strict=True):
+        size, half = term / gain, NORMAL * error / abs(gain)
+        steps.append(LoadStep(at * data.sample_time, size, (size - half, size + half)))
+    return Loads(model.load, model.left, tuple(sorted(steps, key=lambda step: step.at)))
+
+
+@dataclass(frozen=True, eq=False)
+class _Model:
+    """A model beside steps: its plant, columns and their terms, what it leaves, and its disturbance with BIC."""
+
+    fit: Fit
+    columns: FloatArray
+    terms: FloatArray
+    left: FloatArray
+    a: FloatArray
+    bic: float
+
+    @property
+    def load(self) -> FloatArray:
+        """What the steps add to PV, EU."""
+        added: FloatArray = self.terms[4:] @ self.columns[4:]
+        return added
+
+
+def _beside(data: Centred, x: FloatArray, first: int, fit: Fit, limits: Limits, skip: int, times: list[int]) -> _Model:
+    """The model with load steps at some samples: their sizes by least squares, the plant by output error, in turn."""
+    for turn in range(TURNS if times else 1):
+        columns = np.array([*predict(data, x, first, fit)[1], *(_step(_answer(data, fit), at) for at in times)])
+        solved, *_ = np.linalg.lstsq(columns[:, skip:].T, data.y[skip:], rcond=1e-10)
+        terms: FloatArray = solved.astype(np.float64)
+        if times and turn < TURNS - 1:
+            bare = data.less(terms[4:] @ columns[4:]).whitened(WHITE, skip)
+            free = (-math.inf, math.inf)
+            again = fit_path(bare, x, first, free, limits, fit.theta, tau=fit.tau, evaluations=30, tolerance=1e-8)
+            fit = fit if again.gain == 0.0 else again
+    left = data.y - terms @ columns
+    a, bic = autoregression(left[skip:], data.floor)
+    return _Model(fit, columns, terms, left, a, bic + DEGREES * len(times) * math.log(data.samples))
+
+
+def _answer(data: Centred, fit: Fit) -> FloatArray:
+    """What PV makes of a unit step of load through a plant of gain 1, shape (N,)."""
+    k = np.arange(data.samples, dtype=np.float64)
+    return k if data.integrating else 1.0 - np.exp(-k / fit.tau)
+
+
+def _step(answer: FloatArray, at: int) -> FloatArray:
+    """What PV makes of a unit step that it begins to answer at a sample."""
+    out = np.zeros(answer.size)
+    out[at:] = answer[: answer.size - at]
+    return out
+
+
+def _likeliest(data: Centred, model: _Model, a: FloatArray, span: tuple[int, int], skip: int) -> int:
+    """The sample in a span at which one more step explains most of PV, in the measure of a filter."""
+    answer = _answer(data, model.fit)
+    base = whitened(a, model.columns)[:, skip:]
+    basis, _ = np.linalg.qr(base.T)
+    target = whitened(a, data.y)[skip:]
+    target = target - basis @ (basis.T @ target)
+
+    def best(times: list[int]) -> int:
+        steps = whitened(a, np.array([_step(answer, at) for at in times]))[:, skip:]
+        across = steps - (steps @ basis) @ basis.T
+        power = (across**2).sum(axis=1)
+        whole = (steps**2).sum(axis=1)
+        apart = power > 1e-6 * whole
+        return times[int(np.argmax(np.where(apart, (across @ target) ** 2 / np.where(apart, power, 1.0), -1.0)))]
+
+    begin, end = span
+    spacing = max((end - begin) // TRIES, 1)
+    at = best(list(range(begin, end, spacing)))
+    return at if spacing == 1 else best(list(range(max(at - spacing, begin), min(at + spacing + 1, end))))
+
+
+def _errors(model: _Model, skip: int) -> FloatArray:
+    """Standard errors of the columns' terms, in the measure of the disturbance that they leave."""
+    matrix = whitened(model.a, model.columns)[:, skip:]
+    scale = np.sqrt((matrix**2).sum(axis=1))
+    scale[scale == 0.0] = 1.0
+    matrix = matrix / scale[:, None]
+    variance = float(np.mean(whitened(model.a, model.left)[skip:] ** 2))
+    spread: FloatArray = np.sqrt(np.diag(np.linalg.pinv(matrix @ matrix.T, rcond=1e-12)) * variance) / scale
+    return spread

@@ -1,0 +1,429 @@
+"""The page's pictures, in the report's colours: trends, phase plots, overlays, estimate, loci and map.
+
+Each figure draws from sources of columns that the session fills; nothing is computed here but what is seen of it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from bokeh.core.properties import value
+from bokeh.models import (
+    BasicTickFormatter,
+    ColorBar,
+    ColumnDataSource,
+    CrosshairTool,
+    DataRange1d,
+    HoverTool,
+    Line,
+    LogColorMapper,
+    LogTicker,
+    Range1d,
+    Scatter,
+    Span,
+    Step,
+    Text,
+)
+from bokeh.plotting import figure
+
+from workbench.model.analyses import DescribingFunction
+from workbench.model.cycle_map import OUTCOMES
+from workbench.model.record import FloatArray
+from workbench.report import palette as style
+from workbench.report.palette import GROWS, SHADES
+from workbench.report.thinned import but_for_kicks, seen, time_axis
+from workbench.report.words import label
+from workbench.ui.state import MOST_CASES, CaseRun
+from workbench.ui.trend import WHOLE, Axis, Trend, loop_line
+from workbench.ui.work import Found, MapFound, ReadRecord
+
+__all__ = ["LEGENDS", "MAP_FIGURES", "Pictures"]
+
+FONT = '"Segoe UI", Arial, "Liberation Sans", Helvetica, sans-serif'
+SOFT, GRID, INK = "#555555", "#e4e4e4", "#1a1a1a"
+TEXT = {"text_font": value(FONT), "text_font_size": "12px"}
+NO_SIGNAL = np.array([])
+EMPTY = {"x": NO_SIGNAL, "y": NO_SIGNAL}
+OWN = {"line_color": "#9aa5b1", "line_width": 4.0}  # the page's own run beside the pinned ones
+LABEL = 24  # characters of a name in a picture
+WILD = 1e6  # EU: a diverging case would flatten the others
+MAP_FIGURES = {
+    "period": "late period, s",
+    "pv_peak_to_peak": "PV peak to peak, EU",
+    "mean_square_error": "mean square error in the cycle, EU²",
+    "travel_per_hour": "valve travel an hour, %",
+}
+
+
+def _line(look: style.Style, width: float = 1.5) -> dict[str, Any]:
+    """Return a line style of the report's figures as Bokeh's."""
+    dash = look["linestyle"]
+    return {
+        "line_color": look["color"],
+        "line_dash": "solid" if dash == "-" else [math.ceil(3 * part) if part > 1 else 2 for part in dash[1]],
+        "line_width": width,
+    }
+
+
+def _figure(name: str, x: str, y: str, **options: Any) -> Any:
+    """Return an empty figure that fills its place on the page."""
+    for axis in ("x_range", "y_range"):
+        options.setdefault(axis, Range1d(0, 1))
+    fig = figure(
+        name=name,
+        sizing_mode="stretch_both",
+        min_height=120,
+        tools="pan,box_zoom,wheel_zoom,reset,save",
+        active_drag="box_zoom",
+        active_scroll=None,
+        toolbar_location="right",
+        x_axis_label=x,
+        y_axis_label=y,
+        **options,
+    )
+    fig.toolbar.logo = None
+    fig.toolbar.autohide = True
+    fig.outline_line_color = None
+    fig.min_border_left, fig.min_border_right = 64, 12
+    for axis in fig.axis:
+        axis.axis_label_text_font = axis.major_label_text_font = FONT
+        axis.axis_label_text_font_style = "normal"
+        axis.axis_label_text_font_size = axis.major_label_text_font_size = "12px"
+        axis.axis_label_text_color = axis.major_label_text_color = SOFT
+        axis.axis_line_color = axis.major_tick_line_color = "#999999"
+        axis.minor_tick_line_color = None
+    fig.grid.grid_line_color = GRID
+    return fig
+
+
+def _curve(fig: Any, source: ColumnDataSource, x: str, y: str, **look: Any) -> Any:
+    """Add a line; with nothing beside the glyph that a page without selections would have to carry."""
+    return fig.add_glyph(source, Line(x=x, y=y, **look))
+
+
+def _step(fig: Any, source: ColumnDataSource, x: str, y: str, **look: Any) -> Any:
+    """Add a line that holds each value until the next."""
+    return fig.add_glyph(source, Step(x=x, y=y, mode="after", **look))
+
+
+# What is drawn in which figure, for the page's own legends: a browser draws those once, not with every picture.
+LEGENDS: dict[str, tuple[tuple[str, style.Style], ...]] = {
+    "pv": (("PV", style.PV), ("SP", style.SP)),
+    "op": (("OP", style.OP), ("stem", style.VALVE)),
+    "e_pv": (("PV", style.PV), ("SP", style.SP), ("model", style.PREDICTION), ("without stiction", style.LINEAR)),
+    "e_op": (("OP", style.OP), ("estimated stem", style.VALVE)),
+    "f_loci": (("L(jω)", style.PV), ("−1/N(A)", style.OP)),
+}
+
+
+class Pictures:
+    """All figures of one session, by name, and what fills them."""
+
+    def __init__(self) -> None:
+        self.figures: dict[str, Any] = {}
+        self.axes: dict[str, Axis] = {}
+        self._fine = False
+        self._told: dict[str, tuple[float, float]] = {}
+        self._loop()
+        self._compare()
+        self._estimate()
+        self._frequency()
+
+    def _add(self, name: str, x: str, y: str, **options: Any) -> Any:
+        fig = self.figures[name] = _figure(name, x, y, **options)
+        # The figure below shows the axis that both share; each axis and grid that is not drawn makes a slider quicker.
+        fig.xaxis.visible = bool(x)
+        fig.xgrid.visible = name not in ("pv", "op", "pv_op", "op_stem")
+        if isinstance(fig.y_range, Range1d):
+            self.axes |= {f"{name}.x": Axis(), f"{name}.y": Axis()}
+        return fig
+
+    def moved(self, *, all_of_them: bool = False) -> dict[str, tuple[float, float]]:
+        """Return the ends of every axis ("pv.y") that changed since they were last asked for."""
+        shared = {"op.x": "pv.x", "op_stem.x": "pv_op.x", "c_stem.x": "c_pv.x", "e_op.x": "e_pv.x"}
+        now = {name: axis.ends for name, axis in self.axes.items() if name not in shared}
+        told = {} if all_of_them else self._told
+        self._told = now
+        return {name: ends for name, ends in now.items() if told.get(name) != ends}
+
+    # the loop ------------------------------------------------------------------------------------------------------
+
+    def _loop(self) -> None:
+        pv = self._add("pv", "", "PV, SP (EU)")
+        self.run = Trend(("sp", "pv", "op", "valve", "pv_op", "op_stem"), pv.x_range)
+        self.axes["pv.x"] = self.run.axis
+        _step(pv, self.run.source, "sp_x", "sp_y", **_line(style.SP, 1.2))
+        pv_line = _curve(pv, self.run.source, "pv_x", "pv_y", **_line(style.PV))
+        op = self._add("op", "time (s)", "OP, stem (%)", x_range=pv.x_range)
+        op_line = _step(op, self.run.source, "op_x", "op_y", **_line(style.OP, 1.2))
+        _step(op, self.run.source, "valve_x", "valve_y", **_line(style.VALVE, 1.7))
+        cross = Span(dimension="height", line_color="#aaaaaa", line_width=1)
+        for fig in (pv, op):
+            fig.add_tools(CrosshairTool(overlay=cross, dimensions="height"))
+        for fig, text, line in ((pv, "pv", pv_line), (op, "op", op_line)):
+            rows = [("time", f"@{text}_x"), (text.upper(), f"@{text}_y")]
+            fig.add_tools(HoverTool(renderers=[line], tooltips=rows, mode="vline", line_policy="nearest"))
+        pv_op = self._add("pv_op", "", "PV (EU)")
+        _curve(pv_op, self.run.source, "pv_op_x", "pv_op_y", **_line(style.PV, 1.1))
+        op_stem = self._add("op_stem", "OP (%)", "stem (%)", x_range=pv_op.x_range)
+        _curve(op_stem, self.run.source, "op_stem_x", "op_stem_y", **_line(style.VALVE, 1.1))
+        glyphs = [renderer.glyph for fig in (pv, op, pv_op, op_stem) for renderer in fig.renderers]
+        self._lines = [(g, {"line_width": g.line_width, "line_dash": g.line_dash}) for g in glyphs]
+
+    def _time(self, span: float, name: str) -> float:
+        """Return the seconds in the unit that suits a span, after writing it at that figure's time axis."""
+        unit, words = time_axis(span)
+        axis = self.figures[name].xaxis[0]
+        if axis.axis_label != f"time ({words})":
+            axis.axis_label = f"time ({words})"
+        return unit
+
+    def _fit(self, name: str, signals: Sequence[FloatArray], *, kicks: bool = False) -> None:
+        """Fit an axis to signals; kicks: without those that would dwarf what follows."""
+        shown = [seen(signal) for signal in signals]
+        calm = but_for_kicks(shown) if kicks else None
+        self.axes[name].fit(shown if calm is None else [np.array(calm)])
+
+    def _draw_finely(self, fine: bool) -> None:
+        """Draw long signals in hairlines without dashes, which cost a browser half as much and show as much."""
+        if fine == self._fine:
+            return
+        self._fine = fine
+        for glyph, look in self._lines:
+            glyph.update(**(look | {"line_width": 1.0, "line_dash": "solid"} if fine else look))
+
+    def show_run(self, shown: CaseRun) -> None:
+        """Draw the page's own run, as far as it stays finite."""
+        run = shown.run
+        if run is None:
+            return
+        unit = self._time(float(run.time[-1]), "op")
+        self._draw_finely(run.time.size > WHOLE)
+        against = {"pv_op": loop_line(run.op, run.pv), "op_stem": loop_line(run.op, run.valve)}
+        self.run.fill(run.time / unit, {"sp": run.sp, "pv": run.pv, "op": run.op, "valve": run.valve}, against)
+        self._fit("pv.y", (run.sp, run.pv))
+        self._fit("op.y", (run.op, run.valve), kicks=True)
+        self._fit("pv_op.x", (run.op,))
+        self._fit("pv_op.y", (run.pv,))
+        self._fit("op_stem.y", (run.valve,))
+
+    # comparing -----------------------------------------------------------------------------------------------------
+
+    def _compare(self) -> None:
+        pv = self._add("c_pv", "", "PV (EU)")
+        stem = self._add("c_stem", "time (s)", "stem (%)", x_range=pv.x_range)
+        places = (MOST_CASES, *range(MOST_CASES))  # the page's own lies under the others
+        self.cases = Trend([f"{what}{i}" for i in places for what in ("pv", "valve")], pv.x_range)
+        self.axes["c_pv.x"] = self.cases.axis
+        for i in places:
+            look = OWN if i == MOST_CASES else _line(style.case_style(i), 1.4)
+            _curve(pv, self.cases.source, f"pv{i}_x", f"pv{i}_y", **look)
+            _step(stem, self.cases.source, f"valve{i}_x", f"valve{i}_y", **look)
+        trade = self._add(
+            "c_trade",
+            "valve travel (%)",
+            "mean square error (EU²)",
+            x_axis_type="log",
+            x_range=DataRange1d(range_padding=0.6),
+            y_range=DataRange1d(range_padding=0.2),
+        )
+        trade.yaxis.formatter = trade.xaxis.formatter = BasicTickFormatter()
+        trade.xaxis.ticker = LogTicker(mantissas=[1, 2, 5])
+        self.trade = ColumnDataSource({"x": [], "y": [], "color": [], "name": []})
+        dots = trade.add_glyph(self.trade, Scatter(x="x", y="y", size=11, fill_color="color", line_color="white"))
+        trade.add_glyph(self.trade, Text(x="x", y="y", text="name", x_offset=9, y_offset=4, **TEXT))
+        trade.add_tools(HoverTool(renderers=[dots], tooltips=[("travel", "@x"), ("mean square error", "@y")]))
+
+    def show_cases(self, runs: Sequence[CaseRun], own: CaseRun | None) -> None:
+        """Draw the pinned cases and the page's own over each other, and all in the plane of error and travel."""
+        placed = [*enumerate(runs[:MOST_CASES]), *([(MOST_CASES, own)] if own is not None else [])]
+        points: dict[str, list[Any]] = {"x": [], "y": [], "color": [], "name": []}
+        signals: dict[str, FloatArray] = {}
+        time = NO_SIGNAL
+        for place, one in placed:
+            if one.run is None:
+                continue
+            time = one.run.time
+            signals |= {f"pv{place}": one.run.pv, f"valve{place}": one.run.valve}
+            kpis = one.run.kpis
+            if math.isfinite(kpis.mean_square_error) and kpis.valve_travel > 0.0:
+                points["x"].append(kpis.valve_travel)
+                points["y"].append(kpis.mean_square_error)
+                points["color"].append(OWN["line_color"] if place == MOST_CASES else style.case_style(place)["color"])
+                points["name"].append(one.name)
+        unit = self._time(float(time[-1]) if time.size else 0.0, "c_stem")
+        self.cases.fill(time / unit, signals)
+        calm = [one.run for _, one in placed if one.run is not None and float(np.nanmax(np.abs(one.run.pv))) < WILD]
+        self._fit("c_pv.y", [run.pv for run in calm])
+        self._fit("c_stem.y", [run.valve for run in calm], kicks=True)
+        points["name"] = _labels(points["name"], [*zip(points["x"], points["y"], strict=True)])
+        self.trade.data = points
+
+    # estimate ------------------------------------------------------------------------------------------------------
+
+    def _estimate(self) -> None:
+        pv = self._add("e_pv", "", "PV (EU)")
+        self.record = Trend(("sp", "pv", "prediction", "linear", "op", "stem"), pv.x_range)
+        self.axes["e_pv.x"] = self.record.axis
+        source = self.record.source
+        _step(pv, source, "sp_x", "sp_y", **_line(style.SP, 1.1))
+        _curve(pv, source, "pv_x", "pv_y", **_line(style.PV))
+        _curve(pv, source, "prediction_x", "prediction_y", **_line(style.PREDICTION, 1.3))
+        _curve(pv, source, "linear_x", "linear_y", **_line(style.LINEAR, 1.1))
+        op = self._add("e_op", "time (s)", "OP, stem (%)", x_range=pv.x_range)
+        _step(op, source, "op_x", "op_y", **_line(style.OP, 1.2))
+        _step(op, source, "stem_x", "stem_y", **_line(style.VALVE, 1.6))
+        profile = self._add(
+            "e_profile",
+            "stiction d (%)",
+            "variance left (EU²)",
+            y_axis_type="log",
+            x_range=DataRange1d(),
+            y_range=DataRange1d(),
+        )
+        profile.yaxis.formatter = BasicTickFormatter()
+        self.profile = ColumnDataSource(EMPTY)
+        _step(profile, self.profile, "x", "y", **_line(style.PV, 1.3))
+
+    def show_record(self, found: Found | None, record: ReadRecord) -> None:
+        """Draw a record, and what was estimated from it, if it was."""
+        unit = self._time(float(record.time[-1] - record.time[0]), "e_op")
+        signals = {"pv": record.pv, "op": record.op} | ({} if record.sp is None else {"sp": record.sp})
+        if found is not None:
+            signals |= {"stem": found.stem, "prediction": found.prediction, "linear": found.linear}
+        self.record.fill(record.time / unit, signals)
+        self._fit("e_pv.y", [signals[name] for name in ("pv", "sp", "prediction") if name in signals])
+        self._fit("e_op.y", [signals[name] for name in ("op", "stem") if name in signals])
+        if found is None or found.profile_d.size < 2:
+            self.profile.data = dict(EMPTY)
+        else:
+            self.profile.data = {"x": found.profile_d, "y": np.maximum(found.profile_cost, 1e-300)}
+
+    # frequency -----------------------------------------------------------------------------------------------------
+
+    def _frequency(self) -> None:
+        loci = self._add(
+            "f_loci",
+            "real part",
+            "imaginary part",
+        )
+        self.L = ColumnDataSource({"x": NO_SIGNAL, "y": NO_SIGNAL})
+        self.locus = ColumnDataSource({"x": NO_SIGNAL, "y": NO_SIGNAL})
+        self.crossings = ColumnDataSource({"x": [], "y": [], "fill": [], "tip": []})
+        for dimension in ("width", "height"):
+            loci.add_layout(Span(location=0, dimension=dimension, line_color="#bbbbbb", line_width=1))
+        _curve(loci, self.L, "x", "y", **_line(style.PV, 1.8))
+        _curve(loci, self.locus, "x", "y", **_line(style.OP, 1.6))
+        dots = loci.scatter(
+            "x", "y", source=self.crossings, size=10, fill_color="fill", line_color="#000000", line_width=1.4
+        )
+        loci.scatter([-1], [0], marker="cross", size=9, line_color="#000000")
+        loci.add_tools(HoverTool(renderers=[dots], tooltips=[("cycle", "@tip")]))
+        plane = self._add(
+            "f_map",
+            "Kc (%/EU)",
+            "Ti (s)",
+            x_axis_type="log",
+            y_axis_type="log",
+            x_range=Range1d(0.1, 10.0),
+            y_range=Range1d(1.0, 100.0),
+        )
+        plane.xaxis.formatter = plane.yaxis.formatter = BasicTickFormatter()
+        plane.xaxis.ticker = plane.yaxis.ticker = LogTicker(mantissas=[1, 2, 5])
+        plane.grid.grid_line_color = None
+        names = ("left", "right", "bottom", "top", "shade", "value", "outcome")
+        self.map = ColumnDataSource({name: [] for name in names})
+        self.mapper = LogColorMapper(palette=list(SHADES), low=1.0, high=10.0, nan_color=GROWS)
+        self.cells = plane.quad(
+            "left",
+            "right",
+            "bottom",
+            "top",
+            source=self.map,
+            line_color=None,
+            fill_color={"field": "shade", "transform": self.mapper},
+        )
+        ticks = {"ticker": LogTicker(mantissas=[1, 2, 5]), "formatter": BasicTickFormatter()}
+        plane.add_layout(ColorBar(color_mapper=self.mapper, width=12, padding=4, **ticks), "right")
+        self.here = ColumnDataSource({"x": [], "y": [], "name": []})
+        plane.scatter("x", "y", source=self.here, marker="circle_cross", size=13, fill_color=None, line_color="#000000")
+        plane.text("x", "y", text="name", source=self.here, x_offset=9, y_offset=-4, **TEXT)
+        tips = [("Kc", "$x"), ("Ti", "$y s"), ("long run", "@outcome"), ("figure", "@value")]
+        plane.add_tools(HoverTool(renderers=[self.cells], tooltips=tips))
+
+    def show_loci(self, found: DescribingFunction) -> None:
+        """Draw L(jw) and -1/N(A) around the origin and the crossings: full dots are stable cycles, hollow ones not."""
+        breaks = [b for b in found.breaks if b > 0]
+        locus = np.insert(found.locus, breaks, complex(math.nan, math.nan)) if breaks else found.locus
+        self.L.data = {"x": found.L.real.copy(), "y": found.L.imag.copy()}
+        self.locus.data = {"x": locus.real.copy(), "y": locus.imag.copy()}
+        at = [
+            complex(
+                np.interp(c.frequency, found.frequencies, found.L.real),
+                np.interp(c.frequency, found.frequencies, found.L.imag),
+            )
+            for c in found.crossings
+        ]
+        self.crossings.data = {
+            "x": [p.real for p in at],
+            "y": [p.imag for p in at],
+            "fill": ["#000000" if c.stable else "#ffffff" for c in found.crossings],
+            "tip": [
+                f"{'stable' if c.stable else 'unstable'}, period {c.period:.3g} s, OP amplitude {c.amplitude:.3g} %"
+                for c in found.crossings
+            ],
+        }
+        reach = max([2.0, *(1.6 * abs(p) for p in at), 1.3 * float(np.abs(found.locus[found.breaks[0]]))])
+        reach = min(reach, 20.0)
+        for name in ("f_loci.x", "f_loci.y"):
+            self.axes[name].ends = (-reach, 0.4 * reach)
+
+    def show_map(self, found: MapFound, name: str) -> None:
+        """Draw one figure of a map in colour, even in its logarithm; grey where an ideal valve's loop is unstable."""
+        across, up = _edges(found.Kc), _edges(found.values)
+        rows, columns = found.outcome.shape
+        values = found.figures[name]
+        usable = (found.stable > 0.5) & np.isfinite(values) & (values > 0.0)
+        shade = np.where(usable, values, math.nan)
+        self.map.data = {
+            "left": np.tile(across[:-1], rows),
+            "right": np.tile(across[1:], rows),
+            "bottom": np.repeat(up[:-1], columns),
+            "top": np.repeat(up[1:], columns),
+            "shade": shade.ravel(),
+            "value": [f"{v:.3g}" if ok else "–" for v, ok in zip(values.ravel(), usable.ravel(), strict=True)],
+            "outcome": [
+                OUTCOMES[int(code)] if steady else "unstable even with an ideal valve"
+                for code, steady in zip(found.outcome.ravel(), found.stable.ravel() > 0.5, strict=True)
+            ],
+        }
+        if usable.any():
+            low, high = float(np.nanmin(shade)), float(np.nanmax(shade))
+            self.mapper.update(low=low, high=max(high, 1.001 * low))
+        self.axes["f_map.x"].ends = float(across[0]), float(across[-1])
+        self.axes["f_map.y"].ends = float(up[0]), float(up[-1])
+
+    def mark(self, tunings: Sequence[tuple[str, float, float]]) -> None:
+        """Mark tunings (name, Kc in %/EU, Ti in s) on the map."""
+        inside = [one for one in tunings if one[1] > 0.0 and math.isfinite(one[2])]
+        names = _labels([t[0] for t in inside], [t[1:] for t in inside])
+        self.here.data = {"x": [t[1] for t in inside], "y": [t[2] for t in inside], "name": names}
+
+
+def _labels(names: Sequence[str], places: Sequence[tuple[float, float]]) -> list[str]:
+    """Return names fit for a picture, those of one place together at the first of them."""
+    out = []
+    for i, place in enumerate(places):
+        here = [label(name, LABEL) for name, other in zip(names, places, strict=True) if other == place]
+        out.append(", ".join(here) if places.index(place) == i else "")
+    return out
+
+
+def _edges(middles: FloatArray) -> FloatArray:
+    """Return the borders of cells in even ratios."""
+    ratio = math.sqrt(float(middles[1] / middles[0]))
+    edges: FloatArray = np.append(middles / ratio, middles[-1] * ratio)
+    return edges

@@ -1,0 +1,480 @@
+"""The page of one session: what the browser asks for, done to the session's state, and what is shown of it.
+
+Browser and server speak through one model of two texts: `up`, a request as JSON, and `down`, the answer. Figures are
+Bokeh's own. Every answer names the request that it answers, so that the browser has one under way at a time.
+"""
+
+from __future__ import annotations
+
+import base64
+import binascii
+import json
+import re
+import shutil
+import tempfile
+from collections.abc import Mapping
+from contextlib import suppress
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from bokeh.core.properties import String
+from bokeh.document import Document
+from bokeh.events import Tap
+from bokeh.model import DataModel
+from jinja2 import Environment, FileSystemLoader, StrictUndefined
+
+from workbench.errors import InvalidValue, RecordError, WorkbenchError
+from workbench.report import palette
+from workbench.report.tables import Table
+from workbench.ui import export
+from workbench.ui.fields import FIELDS, GROUPS, OWN_WEIGHT
+from workbench.ui.figures import LEGENDS, MAP_FIGURES, Pictures
+from workbench.ui.jobs import Event, Job
+from workbench.ui.load import Loaded, bounds_entries, controller_entries
+from workbench.ui.screen import estimate_text
+from workbench.ui.state import Session
+from workbench.ui.work import Found, MapFound, ReadRecord, Report, TunedCase
+
+__all__ = ["LARGEST_UPLOAD", "VIEWS", "Page", "open_page"]
+
+VIEWS = ("loop", "compare", "estimate", "tune", "frequency", "export")
+LARGEST_UPLOAD = 16 << 20  # bytes of a file; a day of SP, PV, OP and MODE at 1 s takes a third of it
+LARGEST_SCENARIO = 1 << 20
+WORDS = {
+    "read": "Reading",
+    "estimate": "Estimating",
+    "tune": "Tuning",
+    "map": "Mapping",
+    "report": "Writing the report",
+}
+
+
+class Bridge(DataModel):  # type: ignore[misc]
+    """What goes up from the browser and comes down to it, as JSON."""
+
+    up = String(default="")
+    down = String(default="")
+
+
+class Page:
+    """One session's page. `send` takes the answers; requests come by `ask`."""
+
+    def __init__(self, document: Document, loaded: Loaded | None, data: Path | None) -> None:
+        self.document = document
+        self.session = Session(loaded)
+        self.pictures = Pictures()
+        self.bridge = Bridge()
+        self.view = "loop"
+        self._own = tempfile.TemporaryDirectory(prefix="workbench-ui-")  # removed at the latest when the program ends
+        self.folder = Path(self._own.name)
+        self.job: Job | None = None
+        self.task = ""
+        self.data = ""
+        self.record: ReadRecord | None = None
+        self.found: Found | None = None
+        self.tuned: TunedCase | None = None
+        self.map: MapFound | None = None
+        self.map_of: object = None
+        self.map_figure = "period"
+        self.sent = 0
+        self.message = ""
+        self.bridge.on_change("up", lambda _attr, _old, new: self.ask(new))
+        self.pictures.figures["f_map"].on_event(Tap, self._tapped)
+        if self.session.own is not None:
+            self.pictures.show_run(self.session.own)
+        if data is not None:
+            self.view = "estimate"
+            self._take(data)
+
+    def close(self) -> None:
+        """End what is under way and remove what was uploaded."""
+        if self.job is not None:
+            self.job.kill()
+        self._own.cleanup()
+
+    # requests ------------------------------------------------------------------------------------------------------
+
+    def ask(self, text: str) -> None:
+        """Do what a request asks; whatever is wrong with it is said on the page."""
+        self.message = ""
+        extra: dict[str, Any] = {}
+        number = 0
+        try:
+            request = json.loads(text)
+            number = int(request["n"])
+            extra = getattr(self, f"_do_{request['do']}")(request) or {}
+        except WorkbenchError as error:
+            self.message = self._plain(str(error))
+        except (KeyError, TypeError, ValueError, IndexError, AttributeError) as error:
+            self.message = f"the page's request was not understood ({type(error).__name__}: {error})"
+        self.show({"ack": number, **extra})
+
+    def show(self, extra: Mapping[str, Any] | None = None) -> None:
+        """Send what the page shows, and draw what its view shows."""
+        session = self.session
+        answer: dict[str, Any] = {
+            "view": self.view,
+            "entries": dict(session.screen.entries),
+            "title": session.screen.title,
+            "problems": [{"field": p.field, "text": self._plain(p.text)} for p in session.problems],
+            "notes": list(session.notes),
+            "message": self.message,
+            "figures": session.figures(),
+            "undo": bool(session.past),
+            "cases": [{"name": case.name, "note": case.note} for case in session.screen.cases],
+            "busy": self.task,
+            **(extra or {}),
+        }
+        if session.own is not None and self.view == "loop":
+            self.pictures.show_run(session.own)
+        if self.view == "compare":
+            runs = session.runs()
+            self.pictures.show_cases(runs, session.own)
+            answer["comparison"] = session.comparison(runs)
+        if self.view == "frequency":
+            answer["frequency"] = self._frequency()
+        if self.view == "export":
+            answer["scenario"] = self._scenario()
+        if self.tuned is not None:
+            answer["tuned"] = {"lines": list(self.tuned.lines), "status": self.tuned.status}
+        answer["axes"] = self.pictures.moved(all_of_them="start" in answer)
+        self._send(answer)
+
+    def _send(self, answer: Mapping[str, Any]) -> None:
+        self.sent += 1
+        self.bridge.down = json.dumps({"sent": self.sent, **answer})
+
+    def _plain(self, text: str) -> str:
+        """Return a message without the name of the session's own folder."""
+        return text.replace(f"{self.folder}/", "").replace(str(self.folder), "")
+
+    def _do_hello(self, _request: Mapping[str, Any]) -> dict[str, Any]:
+        """The page is there: send everything."""
+        return {"record": self._record_words(), "found": self._found_words(), "start": True}
+
+    def _do_set(self, request: Mapping[str, Any]) -> None:
+        entries = {str(path): str(text)[:200] for path, text in request["entries"].items()}
+        self.session.change(entries, str(request.get("gesture", "")))
+
+    def _do_view(self, request: Mapping[str, Any]) -> None:
+        if request["view"] not in VIEWS:
+            raise InvalidValue("view", request["view"], f"must be one of {', '.join(VIEWS)}")
+        self.view = request["view"]
+
+    def _do_undo(self, _request: Mapping[str, Any]) -> None:
+        if not self.session.undo():
+            self.message = "there is nothing to undo"
+
+    def _do_pin(self, request: Mapping[str, Any]) -> None:
+        self.session.pin(str(request["name"]))
+
+    def _do_rename(self, request: Mapping[str, Any]) -> None:
+        self.session.rename(int(request["index"]), str(request["name"]))
+
+    def _do_move(self, request: Mapping[str, Any]) -> None:
+        self.session.move(int(request["index"]), int(request["to"]))
+
+    def _do_remove(self, request: Mapping[str, Any]) -> None:
+        self.session.remove(int(request["index"]))
+
+    def _do_show(self, request: Mapping[str, Any]) -> None:
+        self.session.show(int(request["index"]))
+
+    # long tasks ----------------------------------------------------------------------------------------------------
+
+    def _begin(self, task: str, text: str) -> None:
+        if self.task:
+            raise InvalidValue("task", WORDS[task].lower(), f"must wait: {WORDS[self.task].lower()} is under way")
+        self.task = task
+        holder: list[Job] = []
+        self.job = Job(task, text, str(self.folder), lambda event: self._later(holder, event))
+        holder.append(self.job)
+
+    def _later(self, holder: list[Job], event: Event) -> None:
+        """Hand an event of a job's thread to the document's own."""
+        with suppress(Exception):  # the session may be gone
+            self.document.add_next_tick_callback(partial(self._happened, holder, event))
+
+    def _happened(self, holder: list[Job], event: Event) -> None:
+        if not holder or holder[0] is not self.job:
+            return
+        if event.kind == "progress":
+            words = f"{WORDS[self.task]}: {event.words}" if event.words else WORDS[self.task]
+            self._send({"progress": {"words": words, "share": event.share}})
+            return
+        task, self.task = self.task, ""
+        extra: dict[str, Any] = {"ended": task}
+        self.message = "" if event.kind == "done" else self._plain(event.words)
+        if event.kind == "stopped":
+            self.message = f"{WORDS[task]} was stopped."
+        if event.kind == "done":
+            extra |= self._ended(event.result)
+        if event.kind == "failed" and task == "read":
+            self.data, self.record, self.found = "", None, None
+            extra["record"] = self._record_words()
+        self.show(extra)
+
+    def _ended(self, result: object) -> dict[str, Any]:
+        """Take a task's result and return what the page is to be told of it."""
+        if isinstance(result, ReadRecord):
+            self.record, self.found = result, None
+            self.pictures.show_record(None, result)
+        elif isinstance(result, Found):
+            self.record, self.found = result.record, result
+            self.pictures.show_record(result, result.record)
+        elif isinstance(result, TunedCase):
+            self.tuned = result
+            self.message = "" if result.success else f"The tuning ended as {result.status}."
+        elif isinstance(result, MapFound):
+            self.map, self.map_of = result, self._map_key()
+            self.pictures.show_map(result, self.map_figure)
+        elif isinstance(result, Report):
+            return {"download": {"name": "report.html", "type": "text/html", "text": result.html}}
+        return {"record": self._record_words(), "found": self._found_words()}
+
+    def _do_stop(self, _request: Mapping[str, Any]) -> None:
+        if self.job is not None and self.task:
+            self.job.stop()
+
+    # estimate ------------------------------------------------------------------------------------------------------
+
+    def _do_upload(self, request: Mapping[str, Any]) -> dict[str, Any] | None:
+        """Take a file: a scenario is shown, anything else is a record to be read."""
+        name, coded = str(request["name"]), str(request["data"])
+        try:
+            content = base64.b64decode(coded, validate=True)
+        except binascii.Error:
+            raise RecordError(f"{name}: did not arrive whole") from None
+        if len(content) > LARGEST_UPLOAD:
+            given = f"{len(content) / 2**20:.1f} MiB"
+            raise RecordError(f"{name}: {given} given; at most {LARGEST_UPLOAD >> 20} MiB can be uploaded")
+        if name.lower().endswith((".yaml", ".yml")):
+            self._show_scenario(name, content)
+            return {"start": True}
+        if self.task:
+            raise InvalidValue("file", name, f"must wait: {WORDS[self.task].lower()} is under way")
+        target = self.folder / _safe(name)
+        target.write_bytes(content)
+        self.data = target.name
+        self._begin("read", estimate_text(self.session.screen, self.data))
+        return None
+
+    def _show_scenario(self, name: str, content: bytes) -> None:
+        if len(content) > LARGEST_SCENARIO:
+            raise RecordError(f"{name}: a scenario file is at most 1 MiB")
+        try:
+            text = content.decode("utf-8-sig")
+        except UnicodeDecodeError:
+            raise RecordError(f"{name}: is no UTF-8 text; a scenario is UTF-8 text") from None
+        data = self.session.read(text, self.folder / _safe(name))
+        if data and not self.task:
+            self.data = Path(data).name
+            self._begin("read", estimate_text(self.session.screen, self.data))
+
+    def _take(self, data: Path) -> None:
+        """Read a file that the command named, as if it had been uploaded."""
+        target = self.folder / _safe(data.name)
+        try:
+            shutil.copyfile(data, target)
+        except OSError as error:
+            self.message = f"{data}: cannot be read ({error.strerror})"
+            return
+        self.data = target.name
+        self._begin("read", estimate_text(self.session.screen, self.data))
+
+    def _do_read(self, _request: Mapping[str, Any]) -> None:
+        self._begin("read", estimate_text(self.session.screen, self._given()))
+
+    def _do_estimate(self, _request: Mapping[str, Any]) -> None:
+        self._begin("estimate", estimate_text(self.session.screen, self._given()))
+
+    def _given(self) -> str:
+        if not self.data:
+            raise RecordError("no record; choose or drop a file first")
+        return self.data
+
+    def _do_use_model(self, _request: Mapping[str, Any]) -> None:
+        if self.found is None:
+            raise RecordError("nothing was estimated yet")
+        found = self.found
+        self.session.use_model(found.plant, found.valve, found.record.sample_time, found.action)
+        self.view = "loop"
+
+    def _record_words(self) -> dict[str, Any]:
+        if self.record is None:
+            return {"name": self.data, "summary": []}
+        return {"name": self.data, "summary": list(self.record.summary)}
+
+    def _found_words(self) -> dict[str, Any] | None:
+        if self.found is None:
+            return None
+        found = self.found
+        return {
+            "verdict": found.verdict.replace("_", " "),
+            "sentences": list(found.sentences),
+            "reasons": list(found.reasons),
+            "parameters": _table(found.parameters),
+            "detection": found.detection,
+            "evidence": _table(found.evidence),
+        }
+
+    # tune ----------------------------------------------------------------------------------------------------------
+
+    def _do_tune(self, _request: Mapping[str, Any]) -> None:
+        text = self.session.tuning()
+        self.tuned = None
+        self._begin("tune", text)
+
+    def _do_pin_tuned(self, request: Mapping[str, Any]) -> None:
+        if self.tuned is None:
+            raise InvalidValue("tuning", "none", "must be found first")
+        self.session.pin(str(request["name"]), self.tuned.controller, " ".join(self.tuned.lines[1:]))
+
+    def _do_use_tuned(self, _request: Mapping[str, Any]) -> None:
+        if self.tuned is None:
+            raise InvalidValue("tuning", "none", "must be found first")
+        self.session.change(controller_entries(self.tuned.controller))
+
+    def _do_suit_bounds(self, _request: Mapping[str, Any]) -> None:
+        """Set the bounds to what suits the loop as it stands."""
+        from workbench.analyze.cycle_map import map_ranges
+        from workbench.model.tuning import Bounds
+
+        built = self.session.built
+        if built is None:
+            return
+        ranges = map_ranges(built.loop, [built.loop.controller])
+        Kc, Ti = (tuple(float(f"{end:.3g}") for end in ranges[name]) for name in ("Kc", "Ti"))
+        longest = float(f"{max(built.loop.controller.Td, Ti[1] / 40.0):.3g}")
+        entries = bounds_entries(Bounds((0.0, Kc[1]), (Ti[0], Ti[1]), (0.0, longest)))
+        del entries["tune.kind"]
+        self.session.change(entries)
+
+    # frequency -----------------------------------------------------------------------------------------------------
+
+    def _frequency(self) -> dict[str, Any]:
+        from workbench.analyze.agreement import agreement
+        from workbench.analyze.describing_function import describing_function
+        from workbench.analyze.limit_cycle import limit_cycle
+
+        built = self.session.built
+        if built is None:
+            return {}
+        try:
+            df = describing_function(built.loop)
+            cycle = limit_cycle(built.loop, built.experiment)
+        except WorkbenchError as error:
+            return {"lines": [str(error)]}
+        self.pictures.show_loci(df)
+        cases = [(c.name, c.controller.Kc, c.controller.Ti) for c in self.session.screen.cases]
+        here = built.loop.controller
+        self.pictures.mark([*cases, ("On screen", here.Kc, here.Ti)])
+        lines = [f"Describing function: {df.verdict}", f"Exact: {cycle.verdict}", agreement(df, cycle)]
+        text = [] if self.map is None else list(self.map.text)
+        if self.map is not None and self.map_of != self._map_key():
+            text.insert(0, "This map is of the loop as it stood when it was made; make it anew for the present one.")
+        return {"lines": [line for line in lines if line], "map": text}
+
+    def _map_key(self) -> object:
+        built = self.session.built
+        if built is None:
+            return None
+        loop = built.loop
+        return loop.plant, loop.valve, replace(loop.controller, Kc=1.0, Ti=1.0), loop.sample_time
+
+    def _do_map(self, _request: Mapping[str, Any]) -> None:
+        self._begin("map", self.session.scenario(mapped=True))
+
+    def _do_map_figure(self, request: Mapping[str, Any]) -> None:
+        if request["name"] not in MAP_FIGURES:
+            raise InvalidValue("map figure", request["name"], f"must be one of {', '.join(MAP_FIGURES)}")
+        self.map_figure = request["name"]
+        if self.map is not None:
+            self.pictures.show_map(self.map, self.map_figure)
+
+    def _tapped(self, event: Tap) -> None:
+        """A click on the map sets the tuning."""
+        if self.map is None or event.x is None or event.y is None or event.x <= 0.0 or event.y <= 0.0:
+            return
+        self.message = ""
+        self.session.use_tuning(float(event.x), float(event.y), self.map.axis)
+        self.show()
+
+    # export --------------------------------------------------------------------------------------------------------
+
+    def _scenario(self) -> str:
+        try:
+            return self.session.scenario()
+        except WorkbenchError as error:
+            return "\n".join(f"# {line}" for line in str(error).splitlines())
+
+    def _do_export(self, request: Mapping[str, Any]) -> dict[str, Any] | None:
+        what, session = request["what"], self.session
+        if what == "report":
+            self._begin("report", session.scenario())
+            return None
+        name, kind, text = export.made(what, session)
+        return {"download": {"name": name, "type": kind, "text": text}}
+
+
+def _safe(name: str) -> str:
+    """Return a file name without anything that could lead elsewhere."""
+    kept = re.sub(r"[^A-Za-z0-9._-]+", "_", Path(name.replace("\\", "/")).name).lstrip(".")
+    return kept[-80:] or "record.csv"
+
+
+def _table(table: Table) -> dict[str, Any]:
+    """Return a report's table as plain values."""
+    return {
+        "heads": list(table.heads),
+        "rows": [
+            {"label": row.label, "unit": row.unit, "cells": [{"text": c.text, "small": c.small} for c in row.cells]}
+            for row in table.rows
+        ],
+    }
+
+
+TEMPLATES = Environment(
+    loader=FileSystemLoader(Path(__file__).parent / "templates"),
+    autoescape=True,
+    undefined=StrictUndefined,
+    trim_blocks=True,
+    lstrip_blocks=True,
+)
+
+
+def open_page(document: Document, loaded: Loaded | None, data: Path | None = None) -> Page:
+    """Make one session's page in its document; data: a record to read at once."""
+    page = Page(document, loaded, data)
+    document.title = "Stiction Workbench"
+    document.template = TEMPLATES.get_template("page.html.j2")
+    variables = {
+        "groups": GROUPS,
+        "fields": {
+            path: {"slider": f.slider, "reach": f.reach, "signed": f.signed, "when": f.when}
+            for path, f in FIELDS.items()
+        },
+        "own_weight": OWN_WEIGHT,
+        "views": VIEWS,
+        "map_figures": MAP_FIGURES,
+        "cases": [{"color": s["color"], "dash": _dash(s)} for s in palette.CASES],
+        "legends": {
+            name: [(text, look["color"], _dash(look)) for text, look in lines] for name, lines in LEGENDS.items()
+        },
+        "largest": LARGEST_UPLOAD,
+    }
+    document.template_variables.update(variables)
+    page.bridge.name = "bridge"
+    with document.models.freeze():  # else every root counts all models again
+        for root in (*page.pictures.figures.values(), page.bridge):
+            document.add_root(root)
+    document.on_session_destroyed(lambda _context: page.close())
+    return page
+
+
+def _dash(look: Mapping[str, Any]) -> str:
+    """Return a line style's dashes as SVG writes them."""
+    dash = look["linestyle"]
+    return "" if dash == "-" else " ".join(f"{2 * part:g}" for part in dash[1])

@@ -1,0 +1,283 @@
+"""What stands on the page, as texts, and its way to a scenario: the loader alone says what it means.
+
+A screen is a frozen value, so that undoing a change is going back to the one before.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from types import MappingProxyType
+
+from workbench.model.controller import PID, STRUCTURES
+from workbench.model.experiment import Profile, Ramp, Series, Step
+from workbench.ui.fields import DEFAULTS, FIELDS, OWN_WEIGHT
+from workbench.ui.yaml_text import Tree, scalar, words, yaml_of
+
+__all__ = ["ON_SCREEN", "Pinned", "Screen", "controller_tree", "estimate_text", "number_text", "scenario_text"]
+
+ON_SCREEN = "On screen"  # the case that is the page's own controller
+TUNED = "Tuned"
+_VALVE = {
+    "ideal": (),
+    "stenman": ("d",),
+    "he": ("fs", "fd"),
+    "choudhury": ("S", "J"),
+    "kano": ("S", "J"),
+    "deadband": ("b",),
+    "directional": ("up.S", "up.J", "down.S", "down.J"),
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Pinned:
+    """A case kept to compare with: its name, controller, note, and published figures to show beside ours."""
+
+    name: str
+    controller: PID
+    note: str = ""
+    reference: Mapping[str, float] = field(default_factory=lambda: MappingProxyType({}))
+
+
+@dataclass(frozen=True, eq=False)
+class Screen:
+    """Everything that can be typed or pinned.
+
+    entries: text by path (see `fields`), units under `path.unit`. cases: pinned, the first the base of comparison.
+    more_setpoint, more_load: parts of the experiment's profiles beside the step that the fields show.
+    """
+
+    entries: Mapping[str, str] = field(default_factory=lambda: DEFAULTS)
+    cases: tuple[Pinned, ...] = ()
+    title: str = "A loop with a sticky valve"
+    description: str = ""
+    reference_source: str = ""
+    more_setpoint: tuple[Profile, ...] = ()
+    more_load: tuple[Profile, ...] = ()
+
+    def with_entries(self, changed: Mapping[str, str]) -> Screen:
+        """Return the screen with other texts; unknown paths raise KeyError."""
+        for path in changed:
+            if path not in DEFAULTS:
+                raise KeyError(path)
+        return replace(self, entries=MappingProxyType({**self.entries, **changed}))
+
+    def quantity(self, path: str) -> str:
+        """Return an entry with its unit, as a scenario writes it; "" where nothing is typed."""
+        text = self.entries[path].strip()
+        unit = self.entries.get(f"{path}.unit", "")
+        if not text or text == "none" or unit in ("", "EU", "EU/%", "%/EU", "PB %"):
+            return text
+        return f"{text} {unit}"
+
+
+def number_text(value: float) -> str:
+    """Return a number with every digit that it has, as it is typed: "5", "0.1", "none" for infinity."""
+    if math.isinf(value):
+        return "none" if value > 0 else "-.inf"
+    text = repr(float(value))
+    return text.removesuffix(".0")
+
+
+def scenario_text(screen: Screen, *, cases: bool = True, tune: bool = False, mapped: bool = False) -> str:
+    """Return the screen as a scenario.
+
+    cases: with the pinned ones; tune: the tuning asked for instead of any case; mapped: with the map asked for.
+
+    The page's own controller stands in `loop.controller` and is the first case, `ON_SCREEN`, which takes all of it.
+    """
+    tree: dict[str, Tree] = {"title": words(screen.title)}
+    if screen.description:
+        tree["description"] = words(screen.description)
+    if screen.reference_source and any(case.reference for case in screen.cases):
+        tree["reference_source"] = words(screen.reference_source)
+    tree["loop"] = _loop(screen)
+    tree["experiment"] = _experiment(screen)
+    tree["objective"] = _weights(screen)
+    if tune:
+        tree["cases"] = [{"name": words(TUNED), "tune": _tune(screen)}]
+    else:
+        tree["cases"] = [{"name": words(_free(screen))}, *([_case(case) for case in screen.cases] if cases else [])]
+    if mapped:
+        tree["analyze"] = {"map": {"points": scalar(screen.entries["analyze.map.points"])}}
+    return yaml_of(tree)
+
+
+def _free(screen: Screen) -> str:
+    """Return the name of the page's own case, which no pinned one has."""
+    taken, name, count = {case.name for case in screen.cases}, ON_SCREEN, 2
+    while name in taken:
+        name, count = f"{ON_SCREEN} {count}", count + 1
+    return name
+
+
+def _loop(screen: Screen) -> dict[str, Tree]:
+    entries = screen.entries
+    plant: dict[str, Tree] = {"type": scalar(entries["loop.plant.type"])}
+    names = ("gain", "dead_time") if plant["type"] == "integrating" else ("gain", "time_constant", "dead_time")
+    for name in names:
+        plant[name] = _typed(screen, f"loop.plant.{name}")
+    valve: dict[str, Tree] = {"type": scalar(entries["loop.valve.type"])}
+    for name in _VALVE.get(entries["loop.valve.type"], ()):
+        way, _, own = name.rpartition(".")
+        inside = valve
+        if way:
+            inside = valve.setdefault(way, {})  # type: ignore[assignment]
+        inside[own] = _typed(screen, f"loop.valve.{name}")
+    loop: dict[str, Tree] = {"plant": plant, "valve": valve, "controller": _controller(screen)}
+    loop["sample_time"] = _typed(screen, "loop.sample_time")
+    low, high = (screen.quantity(f"loop.pv_range.{end}") for end in ("low", "high"))
+    if low or high:
+        loop["pv_range"] = [scalar(low), scalar(high)]
+    if entries["loop.coarse_sampling"] == "true":
+        loop["coarse_sampling"] = "true"
+    return loop
+
+
+def _typed(screen: Screen, path: str) -> str:
+    return scalar(screen.quantity(path))
+
+
+def _controller(screen: Screen) -> dict[str, Tree]:
+    entries = screen.entries
+    tree: dict[str, Tree] = {"form": scalar(entries["loop.controller.form"])}
+    structure = entries["loop.controller.structure"]
+    if structure == OWN_WEIGHT:
+        for name in ("derivative_on", "setpoint_weight"):
+            tree[name] = scalar(entries[f"loop.controller.{name}"])
+    else:
+        tree["structure"] = _quote(structure)
+    tree["derivative_filter"] = scalar(entries["loop.controller.derivative_filter"])
+    tree["action"] = scalar(entries["loop.controller.action"])
+    gain = "proportional_band" if entries["loop.controller.Kc.unit"] == "PB %" else "Kc"
+    tree[gain] = _typed(screen, "loop.controller.Kc")
+    for name in ("Ti", "Td"):
+        tree[name] = _typed(screen, f"loop.controller.{name}")
+    if entries["loop.controller.limited"] == "true":
+        tree["output_limits"] = [_typed(screen, f"loop.controller.output_limits.{end}") for end in ("low", "high")]
+        tree["anti_windup"] = scalar(entries["loop.controller.anti_windup"])
+        if screen.quantity("loop.controller.tracking_time"):
+            tree["tracking_time"] = _typed(screen, "loop.controller.tracking_time")
+    return tree
+
+
+def _quote(text: str) -> str:
+    return '"' + text + '"' if text in STRUCTURES else scalar(text)
+
+
+def _is_zero(text: str) -> bool:
+    try:
+        return float(text) == 0.0
+    except ValueError:
+        return False
+
+
+def _experiment(screen: Screen) -> dict[str, Tree]:
+    tree: dict[str, Tree] = {"duration": _typed(screen, "experiment.duration")}
+    for name, unit, more in (("setpoint", "", screen.more_setpoint), ("load", " %", screen.more_load)):
+        path = f"experiment.{name}"
+        parts: list[Tree] = []
+        if not _is_zero(screen.entries[f"{path}.step"]):
+            parts.append({"step": _typed(screen, f"{path}.step"), "at": _typed(screen, f"{path}.at")})
+        parts += [_part(part, unit) for part in more]
+        if parts:
+            tree[name] = parts[0] if len(parts) == 1 else parts
+    if not _is_zero(screen.entries["experiment.noise.sd"]):
+        tree["noise"] = {name: _typed(screen, f"experiment.noise.{name}") for name in ("sd", "seed")}
+    if not _is_zero(screen.entries["experiment.stem_offset"]):
+        tree["stem_offset"] = _typed(screen, "experiment.stem_offset")
+    return tree
+
+
+def _part(part: Profile, unit: str) -> Tree:
+    if isinstance(part, Step):
+        return {"step": number_text(part.size) + unit, "at": f"{number_text(part.at)} s"}
+    if isinstance(part, Ramp):
+        ends: dict[str, Tree] = {"start": f"{number_text(part.start)} s", "end": f"{number_text(part.end)} s"}
+        return {"ramp": number_text(part.size) + unit, **ends}
+    assert isinstance(part, Series)  # noqa: S101 - a profile is one of the three
+    tree: dict[str, Tree] = {"series": [number_text(value) for value in part.values]}
+    if part.times is not None:
+        tree["times"] = [f"{number_text(time)} s" for time in part.times]
+    return tree
+
+
+def _weights(screen: Screen) -> dict[str, Tree]:
+    names = [path for path in FIELDS if path.startswith("objective.")]
+    given = {path.removeprefix("objective."): screen.entries[path].strip() for path in names}
+    return {name: scalar(text) for name, text in given.items() if not _is_zero(text)} or {"w1": "0"}
+
+
+def _tune(screen: Screen) -> dict[str, Tree]:
+    entries = screen.entries
+    bounds: dict[str, Tree] = {
+        name: [_typed(screen, f"tune.bounds.{name}.{end}") for end in ("low", "high")] for name in ("Kc", "Ti", "Td")
+    }
+    tree: dict[str, Tree] = {"bounds": bounds}
+    if entries["tune.kind"] == "PI":
+        del bounds["Td"]
+        tree["Td"] = "0 s"
+    for name in ("digits", "restarts", "seed"):
+        tree[name] = _typed(screen, f"tune.{name}")
+    if entries["tune.robust"] == "true":
+        tree["robust"] = "true"
+    asked = {name: screen.quantity(f"tune.constraints.{name}") for name in ("max_sensitivity", "valve_travel")}
+    kept: dict[str, Tree] = {name: scalar(text) for name, text in asked.items() if text}
+    if kept:
+        tree["constraints"] = kept
+    return tree
+
+
+def controller_tree(pid: PID) -> dict[str, Tree]:
+    """Return a controller with every key that a scenario knows of it, so that nothing is inherited."""
+    tree: dict[str, Tree] = {"Kc": number_text(pid.Kc)}
+    tree["Ti"] = "none" if math.isinf(pid.Ti) else f"{number_text(pid.Ti)} s"
+    tree["Td"] = f"{number_text(pid.Td)} s"
+    tree["form"] = pid.form
+    if pid.structure is None:
+        tree |= {"derivative_on": pid.derivative_on, "setpoint_weight": number_text(pid.setpoint_weight)}
+    else:
+        tree["structure"] = _quote(pid.structure)
+    tree["derivative_filter"] = number_text(pid.derivative_filter)
+    tree["action"] = pid.action
+    if pid.output_limits is None:
+        tree["output_limits"] = "null"
+    else:
+        tree["output_limits"] = [f"{_limit(end)} %" for end in pid.output_limits]
+        tree["anti_windup"] = pid.anti_windup
+        if pid.anti_windup == "back_calculation":
+            Tt = pid.ideal_terms().Ti if pid.tracking_time is None else pid.tracking_time
+            tree["tracking_time"] = f"{number_text(Tt)} s"
+    return tree
+
+
+def _limit(value: float) -> str:
+    return repr(float(value)).removesuffix(".0")
+
+
+def _case(case: Pinned) -> dict[str, Tree]:
+    tree: dict[str, Tree] = {"name": words(case.name), **controller_tree(case.controller)}
+    if case.note:
+        tree["note"] = words(case.note)
+    if case.reference:
+        tree["reference"] = {name: number_text(value) for name, value in case.reference.items()}
+    return tree
+
+
+def estimate_text(screen: Screen, data: str) -> str:
+    """Return the scenario that estimates from the file `data`, which lies beside it."""
+    entries = screen.entries
+    tree: dict[str, Tree] = {"data": words(data)}
+    columns = {name: entries[f"estimate.columns.{name}"].strip() for name in ("time", "SP", "PV", "OP")}
+    named: dict[str, Tree] = {name: words(text) for name, text in columns.items() if text}
+    if named:
+        tree["columns"] = named
+    if screen.quantity("estimate.sample_time"):
+        tree["sample_time"] = _typed(screen, "estimate.sample_time")
+    low, high = (screen.quantity(f"estimate.op_range.{end}") for end in ("low", "high"))
+    if low or high:
+        tree["op_range"] = [scalar(low), scalar(high)]
+    for name in ("method", "valve", "plant"):
+        tree[name] = scalar(entries[f"estimate.{name}"])
+    return yaml_of({"title": words(f"Estimate of {data}"[:80]), "estimate": tree})

@@ -1,0 +1,322 @@
+"""One session's state: the screen with its past, what it means, and the runs and figures that follow from it.
+
+No widgets and no server here: what the page shows can be asked of this alone.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from workbench.errors import InvalidValue, ScenarioError, WorkbenchError
+from workbench.model.controller import PID
+from workbench.model.experiment import Experiment
+from workbench.model.loop import Loop
+from workbench.model.plant import Plant
+from workbench.model.results import Run
+from workbench.model.tuning import Objective
+from workbench.model.valve import Valve
+from workbench.report.tables import shown
+from workbench.report.titles import KPI_ROWS
+from workbench.report.words import change, controller_words
+from workbench.scenario.document import parse, plain
+from workbench.scenario.loader import read_scenario
+from workbench.simulate.run import evaluate, simulate
+from workbench.ui.fields import field_of
+from workbench.ui.load import Loaded, controller_entries, plant_entries, screen_of, time_entry, valve_entries
+from workbench.ui.screen import Pinned, Screen, scenario_text
+
+__all__ = ["MOST_CASES", "ROWS", "Built", "CaseRun", "Problem", "Session", "problems_of"]
+
+MOST_CASES = 12
+MOST_UNDONE = 200
+MODEL_DIGITS = 5  # of an estimate on the page: far more than any record pins down
+FILE = Path("screen.yaml")  # the name under which the page's own scenario is read
+ROWS = (("objective", "Objective J", "", True), *KPI_ROWS)
+
+
+@dataclass(frozen=True, slots=True)
+class Problem:
+    """What is wrong: the field that it is about ("" where none is), and the loader's words."""
+
+    field: str
+    text: str
+
+
+@dataclass(frozen=True, eq=False)
+class Built:
+    """What a screen means: the loop under the page's own controller, and what is done to it."""
+
+    loop: Loop
+    experiment: Experiment
+    objective: Objective
+
+
+@dataclass(frozen=True, eq=False)
+class CaseRun:
+    """One tuning's exact simulation; run is None where the loop as it stands does not take it, `refused` says why."""
+
+    name: str
+    controller: PID
+    run: Run | None
+    objective: float
+    refused: str = ""
+
+
+def problems_of(error: ScenarioError) -> tuple[Problem, ...]:
+    """Return a refusal's lines without the place in a file that nobody has seen: `where: what is wrong`."""
+    found = []
+    for line in str(error).splitlines():
+        parts = line.split(": ", 1)
+        text = parts[1] if len(parts) == 2 and parts[0].startswith(str(FILE)) else line
+        where = text.split(": ", 1)[0]
+        found.append(Problem(field_of(where) or "", text))
+    return tuple(found)
+
+
+class Session:
+    """What one browser tab shows. Sessions share nothing."""
+
+    def __init__(self, loaded: Loaded | None = None) -> None:
+        self.screen = Screen()
+        self.past: list[Screen] = []
+        self.gesture = ""
+        self.problems: tuple[Problem, ...] = ()
+        self.notes: tuple[str, ...] = ()
+        self.built: Built | None = None
+        self.own: CaseRun | None = None
+        if loaded is not None:
+            self.screen, self.notes = loaded.screen, loaded.notes
+        self._build()
+
+    # changes -------------------------------------------------------------------------------------------------------
+
+    def change(self, entries: Mapping[str, str], gesture: str = "") -> None:
+        """Take typed texts by path. Changes of one gesture, such as a slider's, are undone together.
+
+        What the loader refuses stays typed, with `problems` saying why, beside the last run that was good. Raises
+        KeyError for an unknown path.
+        """
+        self._become(self.screen.with_entries(entries), gesture)
+
+    def undo(self) -> bool:
+        """Go back to the screen before the last change; False where there is none."""
+        if not self.past:
+            return False
+        self.screen, self.gesture = self.past.pop(), ""
+        self._build()
+        return True
+
+    def pin(self, name: str, controller: PID | None = None, note: str = "") -> None:
+        """Keep a controller (the page's own by default) as a case. Raises `WorkbenchError`."""
+        if controller is None:
+            controller = self._whole().loop.controller
+        if len(self.screen.cases) >= MOST_CASES:
+            raise InvalidValue("cases", f"{MOST_CASES + 1} cases", f"must be at most {MOST_CASES}; remove one first")
+        self._with_cases((*self.screen.cases, Pinned(name.strip(), controller, note)))
+
+    def rename(self, index: int, name: str) -> None:
+        """Give a pinned case another name. Raises `WorkbenchError`."""
+        cases = list(self.screen.cases)
+        cases[index] = replace(cases[index], name=name.strip())
+        self._with_cases(tuple(cases))
+
+    def remove(self, index: int) -> None:
+        """Remove a pinned case."""
+        self._with_cases(tuple(case for i, case in enumerate(self.screen.cases) if i != index))
+
+    def move(self, index: int, to: int) -> None:
+        """Put a pinned case in another place; the first is the base of comparison."""
+        cases = list(self.screen.cases)
+        cases.insert(min(max(to, 0), len(cases) - 1), cases.pop(index))
+        self._with_cases(tuple(cases))
+
+    def show(self, index: int) -> None:
+        """Put a pinned case's controller on the page."""
+        self.change(controller_entries(self.screen.cases[index].controller))
+
+    def use_tuning(self, Kc: float, value: float, axis: str) -> None:
+        """Put a map's tuning, in %/EU and s, on the page, at three digits."""
+        entries = {"loop.controller.Kc": f"{Kc:.3g}", "loop.controller.Kc.unit": "%/EU"}
+        self.change(entries | time_entry(f"loop.controller.{axis}", float(f"{value:.3g}")))
+
+    def use_model(self, plant: Plant, valve: Valve, sample_time: float, action: str) -> None:
+        """Put an estimated plant and valve on the page, at `MODEL_DIGITS`, with the action that the gain needs."""
+        entries = {
+            path: f"{float(text):.{MODEL_DIGITS}g}" if _is_number(text) else text
+            for path, text in (plant_entries(plant) | valve_entries(valve)).items()
+        }
+        entries |= time_entry("loop.sample_time", sample_time) | {"loop.controller.action": action}
+        # No round duration need be a whole number of a record's samples.
+        duration = self.built.experiment.duration if self.built is not None else 1000.0 * sample_time
+        samples = max(round(duration / sample_time), 1)
+        entries |= time_entry("experiment.duration", samples * sample_time)
+        entries["loop.coarse_sampling"] = "true"  # the record's sampling is what it is
+        self.change(entries)
+
+    def load(self, loaded: Loaded) -> None:
+        """Show another scenario; what stood here before can be had back."""
+        self.notes = loaded.notes
+        self._become(loaded.screen, "")
+
+    def _become(self, screen: Screen, gesture: str) -> None:
+        if not gesture or gesture != self.gesture:
+            self.past = [*self.past[-MOST_UNDONE + 1 :], self.screen]
+        self.gesture = gesture
+        self.screen = screen
+        self._build()
+
+    def _with_cases(self, cases: tuple[Pinned, ...]) -> None:
+        """Take these cases if a scenario may hold them: names that differ and are not blank."""
+        wanted = replace(self.screen, cases=cases)
+        try:
+            read_scenario(scenario_text(replace(Screen(), cases=cases)), FILE)
+        except ScenarioError as error:
+            raise ScenarioError("\n".join(problem.text for problem in problems_of(error))) from None
+        self._become(wanted, "")
+
+    # what follows --------------------------------------------------------------------------------------------------
+
+    def _build(self) -> None:
+        """Read the screen and simulate it; where it is refused the last good run stays."""
+        try:
+            plan = read_scenario(scenario_text(self.screen, cases=False), FILE)
+        except ScenarioError as error:
+            self.problems = problems_of(error)
+            return
+        if plan.loop is None or plan.experiment is None or plan.objective is None:
+            raise AssertionError("a page's scenario holds a loop, an experiment and an objective")
+        self.built = Built(plan.loop, plan.experiment, plan.objective)
+        self.problems = tuple(Problem("loop.controller.action", text) for text in plan.warnings)
+        self.own = self._run("On screen", plan.loop.controller)
+        if self.own.refused:
+            self.problems = (*self.problems, Problem("", self.own.refused))
+
+    def _whole(self) -> Built:
+        if self.built is None or any(p for p in self.problems):
+            text = "\n".join(p.text for p in self.problems) or "nothing to show"
+            raise ScenarioError(text)
+        return self.built
+
+    def _run(self, name: str, controller: PID) -> CaseRun:
+        built = self.built
+        assert built is not None  # noqa: S101 - only asked for once something was built
+        try:
+            loop = built.loop.with_controller(controller)
+            # A diverging loop overflows; its figures say so.
+            with np.errstate(over="ignore", invalid="ignore"):
+                run = simulate(loop, built.experiment)
+                cost = float(evaluate(loop, built.experiment, built.objective)[0])
+        except WorkbenchError as error:
+            return CaseRun(name, controller, None, math.nan, str(error))
+        return CaseRun(name, controller, run, cost)
+
+    def runs(self) -> list[CaseRun]:
+        """Return the pinned cases under the loop and experiment as they stand, in order."""
+        return [] if self.built is None else [self._run(case.name, case.controller) for case in self.screen.cases]
+
+    def figures(self) -> list[dict[str, str]]:
+        """Return the figures of the page's own run: name, title, unit and value as text."""
+        if self.own is None or self.own.run is None:
+            return []
+        values = [_value(self.own, name) for name, *_ in ROWS]
+        return [
+            {"name": name, "title": title, "unit": unit, "text": shown(name, value)}
+            for (name, title, unit, _), value in zip(ROWS, values, strict=True)
+            if not math.isnan(value)
+        ]
+
+    def comparison(self, runs: list[CaseRun]) -> dict[str, object]:
+        """Return the table of the pinned cases and the page's own: heads, and rows of cells.
+
+        A cell is (text, difference from the first case in words, whether it is the least of a figure of which less is
+        better, published figure).
+        """
+        columns = [*runs, *([self.own] if self.own is not None else [])]
+        cases = self.screen.cases
+        rows: list[dict[str, object]] = []
+        for name, title, unit, less in ROWS:
+            values = [_value(one, name) for one in columns]
+            if all(math.isnan(v) for v in values):
+                continue
+            finite = [v for v in values if math.isfinite(v)]
+            best = min(finite) if less and len(finite) > 1 else math.nan
+            cells = []
+            for i, value in enumerate(values):
+                published = cases[i].reference.get(name) if i < len(cases) else None
+                cells.append(
+                    {
+                        "text": shown(name, value),
+                        "difference": "" if i == 0 or math.isnan(value) else change(value, values[0]),
+                        "best": value == best,
+                        "published": "" if published is None else f"{published:g}",
+                    }
+                )
+            rows.append({"title": title, "unit": unit, "cells": cells})
+        heads = [
+            {"name": one.name, "settings": controller_words(one.controller), "refused": one.refused} for one in columns
+        ]
+        return {"heads": heads, "rows": rows}
+
+    # scenarios -----------------------------------------------------------------------------------------------------
+
+    def scenario(self, *, mapped: bool = False) -> str:
+        """Return the page as a scenario, with a map where asked for. Raises `ScenarioError` where it is refused."""
+        text = scenario_text(self.screen, mapped=mapped)
+        try:
+            read_scenario(text, FILE)
+        except ScenarioError as error:
+            raise ScenarioError("\n".join(problem.text for problem in problems_of(error))) from None
+        return text
+
+    def tuning(self) -> str:
+        """Return the scenario of the tuning asked for. Raises `ScenarioError`; `problems` then says where."""
+        text = scenario_text(self.screen, tune=True)
+        try:
+            read_scenario(text, FILE)
+        except ScenarioError as error:
+            self.problems = problems_of(error)
+            raise ScenarioError("\n".join(problem.text for problem in self.problems)) from None
+        return text
+
+    def read(self, text: str, path: Path) -> str:
+        """Show the scenario of a text, as if it stood in the file `path`; return the record that it names, or "".
+
+        Files that it names must lie in that file's folder: a scenario that comes from elsewhere looks at nothing else
+        here. Raises `ScenarioError`.
+        """
+        root, _ = parse(text)
+        for named in _files(None if root is None else plain(root)):
+            if not (path.parent / named).resolve().is_relative_to(path.parent.resolve()):
+                raise ScenarioError(f"{path.name}: {named} given; open that file here first, and name it by itself")
+        loaded = screen_of(read_scenario(text, path, path.name))
+        self.load(loaded)
+        return loaded.data
+
+
+def _value(one: CaseRun, name: str) -> float:
+    if one.run is None:
+        return math.nan
+    return one.objective if name == "objective" else float(getattr(one.run.kpis, name))
+
+
+def _files(data: object) -> list[str]:
+    """Return the files that a scenario's plain data names."""
+    if isinstance(data, list):
+        return [name for one in data for name in _files(one)]
+    if not isinstance(data, dict):
+        return []
+    own = [value for key, value in data.items() if key in ("data", "file") and isinstance(value, str)]
+    return own + [name for value in data.values() for name in _files(value)]
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True

@@ -1,0 +1,509 @@
+// The page's side: what is typed goes up as JSON, one request under way at a time; what comes down is shown as text.
+"use strict";
+
+const spec = JSON.parse(document.getElementById("spec").textContent);
+const byId = (id) => document.getElementById(id);
+const entryInputs = new Map([...document.querySelectorAll("[data-entry]")].map((el) => [el.dataset.entry, el]));
+const sliders = new Map([...document.querySelectorAll("[data-slider]")].map((el) => [el.dataset.slider, el]));
+const boxes = new Map([...document.querySelectorAll("[data-field]")].map((el) => [el.dataset.field, el]));
+const ranges = new Map();
+const queue = [];
+let bridge = null;
+let waiting = null;
+let number = 0;
+let sent = 0; // ms, when the request under way was sent
+let gesture = 0; // counts drags and runs of key strokes, each of which is undone at once
+let view = "loop";
+let entries = {};
+let notes = "";
+
+// requests ------------------------------------------------------------------------------------------------------------
+
+function ask(what, more = {}) {
+  const last = queue[queue.length - 1];
+  // While a request is under way only the latest of what is dragged or typed counts.
+  if (what === "set" && last && last.do === "set" && last.gesture === more.gesture) {
+    Object.assign(last.entries, more.entries);
+  } else {
+    queue.push({ do: what, ...more });
+  }
+  pump();
+}
+
+function pump() {
+  document.documentElement.dataset.idle = String(!waiting && queue.length === 0);
+  if (waiting || !bridge || queue.length === 0) return;
+  document.documentElement.dataset.idle = "false";
+  waiting = { n: ++number, ...queue.shift() };
+  sent = performance.now();
+  bridge.up = JSON.stringify(waiting);
+}
+
+// A server that has ended says nothing more.
+setInterval(() => {
+  if (!waiting || performance.now() - sent < 6000) return;
+  byId("message").textContent = "No answer for some seconds. Where `workbench ui` has ended, start it again and reload this page.";
+  byId("message").hidden = false;
+}, 1000);
+
+function taken() {
+  const answer = JSON.parse(bridge.down);
+  const asked = waiting && answer.ack === waiting.n ? waiting : null;
+  show(answer, asked);
+  if (asked) {
+    waiting = null;
+    // The figures of this answer are painted in this frame; the next request goes out after it.
+    requestAnimationFrame(() => {
+      document.documentElement.dataset.drawn = String(answer.ack);
+      pump();
+    });
+  }
+}
+
+// showing -------------------------------------------------------------------------------------------------------------
+
+function make(tag, text = "", attributes = {}, ...children) {
+  const el = document.createElement(tag);
+  if (text) el.textContent = text;
+  for (const [name, value] of Object.entries(attributes)) el.setAttribute(name, value);
+  el.append(...children);
+  return el;
+}
+
+function list(el, lines) {
+  el.replaceChildren(...(lines || []).map((line) => make("li", line)));
+  el.hidden = !(lines && lines.length);
+}
+
+function show(answer, asked) {
+  if (answer.progress) {
+    byId("progress").hidden = false;
+    byId("progress-words").textContent = answer.progress.words;
+    byId("progress-share").value = answer.progress.share;
+    return;
+  }
+  const before = entries;
+  entries = answer.entries;
+  fitAxes(answer.axes);
+  showEntries(asked, before);
+  showProblems(answer.problems);
+  byId("title").textContent = answer.title;
+  byId("undo").disabled = !answer.undo;
+  byId("message").textContent = answer.message;
+  byId("message").hidden = !answer.message;
+  byId("progress").hidden = !answer.busy;
+  for (const id of ["tune", "map", "estimate", "read"]) byId(id).disabled = Boolean(answer.busy);
+  if (answer.notes.join() !== notes) list(byId("notes"), answer.notes);
+  notes = answer.notes.join();
+  showFigures(answer.figures, answer.problems);
+  if (answer.busy && asked && !["set", "view"].includes(asked.do)) {
+    byId("progress-words").textContent = "Starting";
+    byId("progress-share").removeAttribute("value");
+  }
+  if (answer.comparison) showComparison(answer.comparison, answer.cases.length);
+  if (answer.frequency) {
+    list(byId("frequency-lines"), answer.frequency.lines);
+    list(byId("map-lines"), answer.frequency.map);
+    byId("map-box").hidden = !answer.frequency.map?.length;
+  }
+  if (answer.scenario !== undefined) byId("scenario").textContent = answer.scenario;
+  if (answer.record) showRecord(answer.record);
+  if (answer.found !== undefined) showFound(answer.found);
+  byId("tuned").hidden = !answer.tuned;
+  if (answer.tuned) byId("tuned").querySelector("ul").replaceChildren(...answer.tuned.lines.map((l) => make("li", l)));
+  if (answer.ended === "tune" && answer.tuned && !byId("tuned-name").value) suggest(answer.cases);
+  if (answer.download) download(answer.download);
+  if (answer.view !== view) turn(answer.view, false);
+}
+
+const fitted = new Map();
+
+function fitAxes(axes) {
+  for (const [name, [start, end]] of Object.entries(axes)) {
+    const [figure, axis] = name.split(".");
+    const range = Bokeh.documents[0].get_model_by_name(figure)[`${axis}_range`];
+    const before = fitted.get(name);
+    fitted.set(name, [start, end]);
+    // What the user has zoomed stays until it is reset.
+    const zoomed = before && (range.start !== before[0] || range.end !== before[1]);
+    range.setv({ reset_start: start, reset_end: end, ...(zoomed ? {} : { start, end }) }, { sync: false });
+  }
+}
+
+function suggest(cases) {
+  const names = cases.map((one) => one.name);
+  const base = entries["tune.kind"] === "PI" ? "Tuned PI" : "Tuned PID";
+  let name = base;
+  for (let i = 2; names.includes(name); i += 1) name = `${base} ${i}`;
+  byId("tuned-name").value = name;
+}
+
+function showEntries(asked, before) {
+  const sliding = asked && asked.do === "set" ? asked.entries : {};
+  const queued = new Set(queue.flatMap((one) => (one.do === "set" ? Object.keys(one.entries) : [])));
+  let kinds = false;
+  for (const [path, el] of entryInputs) {
+    const text = entries[path];
+    if (text === before[path] && el.value === text && el.type !== "checkbox") continue;
+    // What is being typed or dragged stays as it is until it is sent.
+    if (queued.has(path) || (asked?.do === "set" && el === document.activeElement && !(path in sliding))) continue;
+    if (el.type === "checkbox") el.checked = text === "true";
+    else if (el.value !== text) el.value = text;
+    kinds ||= el.type !== "text";
+  }
+  if (kinds) {
+    for (const [path, field] of Object.entries(spec.fields)) {
+      if (field.when) boxes.get(path).hidden = !field.when[1].includes(entries[field.when[0]]);
+    }
+  }
+  for (const path of sliders.keys()) {
+    if (entries[path] !== before[path] && !queued.has(path)) place(path, asked);
+  }
+}
+
+function showProblems(problems) {
+  for (const box of document.querySelectorAll(".field.wrong")) {
+    box.classList.remove("wrong");
+    const said = box.querySelector(".said");
+    said.hidden = true;
+    said.textContent = "";
+    const input = box.querySelector("[data-entry]");
+    input.removeAttribute("aria-invalid");
+  }
+  const homeless = [];
+  for (const problem of problems) {
+    const box = problem.field && boxes.get(problem.field);
+    if (!box) {
+      homeless.push(problem.text);
+      continue;
+    }
+    box.classList.add("wrong");
+    const said = box.querySelector(".said");
+    said.textContent = said.textContent ? `${said.textContent} ${problem.text}` : problem.text;
+    said.hidden = false;
+    box.querySelector("[data-entry]").setAttribute("aria-invalid", "true");
+    box.closest("details")?.setAttribute("open", "");
+  }
+  if (homeless.length) {
+    byId("message").textContent = homeless.join("\n");
+    byId("message").hidden = false;
+  }
+}
+
+function showFigures(figures, problems) {
+  const box = byId("figures");
+  box.classList.toggle("stale", problems.length > 0);
+  if (box.children.length !== figures.length) {
+    box.replaceChildren(
+      ...figures.map(() => make("div", "", {}, make("dt"), make("dd"))),
+    );
+  }
+  figures.forEach((figure, i) => {
+    const [title, value] = box.children[i].children;
+    box.children[i].dataset.figure = figure.name;
+    if (title.textContent !== figure.title) title.textContent = figure.title;
+    const text = `${figure.text} ${figure.unit}`.trim();
+    if (value.textContent !== text) value.replaceChildren(figure.text, ...(figure.unit ? [make("small", ` ${figure.unit}`)] : []));
+  });
+}
+
+function swatch(index, own) {
+  const look = own ? { color: "#9aa5b1", dash: "" } : spec.cases[index % spec.cases.length];
+  const svg = document.createElementNS("http://www.w3.org/2000/svg", "svg");
+  const line = document.createElementNS("http://www.w3.org/2000/svg", "line");
+  for (const [name, value] of Object.entries({ width: 34, height: 8, "aria-hidden": "true" })) svg.setAttribute(name, value);
+  const drawn = { x1: 0, x2: 34, y1: 4, y2: 4, stroke: look.color, "stroke-width": own ? 4 : 2, "stroke-dasharray": look.dash };
+  for (const [name, value] of Object.entries(drawn)) line.setAttribute(name, value);
+  svg.append(line);
+  return svg;
+}
+
+function showComparison(table, pinned) {
+  const focus = document.activeElement?.dataset?.keep;
+  const heads = table.heads.map((head, i) => {
+    const own = i >= pinned;
+    const cell = make("th", "", { scope: "col" }, swatch(i, own), make("br"));
+    if (own) {
+      cell.append(make("span", head.name));
+    } else {
+      const name = make("input", "", { type: "text", "aria-label": `Name of case ${i + 1}`, maxlength: "80", "data-keep": `name-${i}` });
+      name.value = head.name;
+      name.addEventListener("change", () => ask("rename", { index: i, name: name.value }));
+      cell.append(name);
+    }
+    cell.append(make("small", head.refused || head.settings));
+    if (!own) {
+      const buttons = [
+        ["←", "to the left", i > 0, () => ask("move", { index: i, to: i - 1 })],
+        ["→", "to the right", i < pinned - 1, () => ask("move", { index: i, to: i + 1 })],
+        ["▲", "on the screen", true, () => ask("show", { index: i })],
+        ["✕", "away", true, () => ask("remove", { index: i })],
+      ].map(([text, words, usable, action]) => {
+        const button = make("button", text, { type: "button", class: "small", "aria-label": `${head.name}: ${words}`, title: words, "data-keep": `${words}-${i}` });
+        button.disabled = !usable;
+        button.addEventListener("click", action);
+        return button;
+      });
+      cell.append(...buttons);
+    }
+    return cell;
+  });
+  const rows = table.rows.map((row) => {
+    const title = make("th", row.title, { scope: "row" });
+    if (row.unit) title.append(make("span", row.unit, { class: "unit" }));
+    const cells = row.cells.map((cell) => {
+      const td = make("td", cell.text, cell.best ? { class: "best" } : {});
+      if (cell.difference) td.append(make("small", cell.difference));
+      if (cell.published) td.append(make("small", `publ. ${cell.published}`));
+      return td;
+    });
+    return make("tr", "", {}, title, ...cells);
+  });
+  const corner = make("th", "Figure", { scope: "col", style: "text-align: left" });
+  byId("comparison").replaceChildren(
+    make("thead", "", {}, make("tr", "", {}, corner, ...heads)),
+    make("tbody", "", {}, ...rows),
+  );
+  if (focus) document.querySelector(`[data-keep="${CSS.escape(focus)}"]`)?.focus();
+}
+
+function tableOf(table, first) {
+  const corner = make("th", first, { scope: "col", style: "text-align: left" });
+  const heads = table.heads.map((head) => make("th", head, { scope: "col", style: "text-align: left" }));
+  const rows = table.rows.map((row) => {
+    const title = make("th", row.label, { scope: "row" });
+    if (row.unit) title.append(make("span", row.unit, { class: "unit" }));
+    const cells = row.cells.map((cell) => {
+      const td = make("td", cell.text);
+      if (cell.small) td.append(make("small", cell.small));
+      return td;
+    });
+    return make("tr", "", {}, title, ...cells);
+  });
+  return make("table", "", {}, make("thead", "", {}, make("tr", "", {}, corner, ...heads)), make("tbody", "", {}, ...rows));
+}
+
+function showRecord(record) {
+  byId("record-name").textContent = record.name;
+  list(byId("record-summary"), record.summary);
+  byId("estimate").disabled = byId("read").disabled = !record.name;
+}
+
+function showFound(found) {
+  byId("use-model").disabled = !found;
+  byId("evidence").hidden = !found;
+  byId("verdict").replaceChildren();
+  byId("parameters").replaceChildren();
+  if (!found) return;
+  const reasons = make("ul");
+  list(reasons, [...found.sentences, ...found.reasons]);
+  byId("verdict").append(make("p", "", {}, "Verdict: ", make("strong", found.verdict)), reasons);
+  byId("parameters").append(tableOf(found.parameters, "Parameter"));
+  byId("evidence").querySelector("div").replaceChildren(make("p", found.detection), tableOf(found.evidence, "Statistic"));
+}
+
+function download(file) {
+  const link = make("a", "", { download: file.name, href: URL.createObjectURL(new Blob([file.text], { type: file.type })) });
+  document.body.append(link);
+  link.click();
+  link.remove();
+  setTimeout(() => URL.revokeObjectURL(link.href), 10000);
+}
+
+// sliders -------------------------------------------------------------------------------------------------------------
+
+function place(path, asked) {
+  const slider = sliders.get(path);
+  const value = Number(entries[path]);
+  slider.disabled = entries[path] === "" || !Number.isFinite(value);
+  if (slider.disabled) return;
+  const dragged = asked && asked.gesture?.startsWith(`slide ${path} `);
+  let range = ranges.get(path);
+  if (!dragged && !(range && inside(range, value))) {
+    range = suited(path, value);
+    ranges.set(path, range);
+  }
+  if (dragged || slider === document.activeElement && slider.matches(":active")) return;
+  slider.value = String(Math.round(1000 * share(range, value)));
+  slider.setAttribute("aria-valuetext", entries[path]);
+}
+
+function suited(path, value) {
+  const field = spec.fields[path];
+  if (field.slider === "log" && value !== 0) return { log: true, sign: Math.sign(value), low: Math.abs(value) / 10, high: Math.abs(value) * 10 };
+  const reach = Math.max(field.reach, 2 * Math.abs(value));
+  return { log: false, low: field.signed || value < 0 ? -reach : 0, high: reach };
+}
+
+function inside(range, value) {
+  if (!range.log) return value >= range.low && value <= range.high;
+  return Math.sign(value) === range.sign && Math.abs(value) >= range.low * 0.999 && Math.abs(value) <= range.high * 1.001;
+}
+
+function share(range, value) {
+  if (range.log) return Math.log(Math.abs(value) / range.low) / Math.log(range.high / range.low);
+  return (value - range.low) / (range.high - range.low);
+}
+
+function valueAt(range, part) {
+  const value = range.log
+    ? range.sign * range.low * (range.high / range.low) ** part
+    : range.low + part * (range.high - range.low);
+  const step = range.log ? 0 : (range.high - range.low) / 1000;
+  const rounded = Math.abs(value) < step / 2 ? 0 : Number(value.toPrecision(3));
+  return String(rounded);
+}
+
+function slid(path, done) {
+  const slider = sliders.get(path);
+  const range = ranges.get(path);
+  if (!range) return;
+  const text = valueAt(range, Number(slider.value) / 1000);
+  entryInputs.get(path).value = text;
+  slider.setAttribute("aria-valuetext", text);
+  if (!done) ask("set", { entries: { [path]: text }, gesture: `slide ${path} ${gesture}` });
+}
+
+for (const [path, slider] of sliders) {
+  slider.addEventListener("input", () => slid(path, false));
+  slider.addEventListener("change", () => {
+    slid(path, true);
+    gesture += 1;
+  });
+}
+
+// typing --------------------------------------------------------------------------------------------------------------
+
+function typed(path, el) {
+  const text = el.type === "checkbox" ? String(el.checked) : el.value.trim();
+  ask("set", { entries: { [path]: text }, gesture: "" });
+}
+
+function nudge(path, el, up) {
+  const value = Number(el.value);
+  if (el.value.trim() === "" || !Number.isFinite(value)) return;
+  const size = value === 0 ? (spec.fields[path]?.reach ?? 1) / 10 : 10 ** (Math.floor(Math.log10(Math.abs(value))) - 1);
+  el.value = String(Number((value + (up ? size : -size)).toPrecision(6)));
+  ask("set", { entries: { [path]: el.value }, gesture: `nudge ${path} ${gesture}` });
+}
+
+for (const [path, el] of entryInputs) {
+  el.addEventListener("change", () => typed(path, el));
+  if (el.type !== "text") continue;
+  el.addEventListener("blur", () => (gesture += 1));
+  el.addEventListener("keydown", (event) => {
+    if (event.key === "ArrowUp" || event.key === "ArrowDown") {
+      event.preventDefault();
+      nudge(path, el, event.key === "ArrowUp");
+    }
+  });
+}
+byId("inputs").addEventListener("submit", (event) => event.preventDefault());
+
+// views ---------------------------------------------------------------------------------------------------------------
+
+const tabs = [...document.querySelectorAll("[role=tab]")];
+
+function turn(name, tell = true) {
+  view = name;
+  for (const tab of tabs) {
+    const on = tab.dataset.view === name;
+    tab.setAttribute("aria-selected", String(on));
+    tab.tabIndex = on ? 0 : -1;
+    byId(`view-${tab.dataset.view}`).hidden = !on;
+  }
+  if (tell) ask("view", { view: name });
+}
+
+for (const [i, tab] of tabs.entries()) {
+  tab.addEventListener("click", () => turn(tab.dataset.view));
+  tab.addEventListener("keydown", (event) => {
+    const to = { ArrowRight: i + 1, ArrowLeft: i - 1, Home: 0, End: tabs.length - 1 }[event.key];
+    if (to === undefined) return;
+    event.preventDefault();
+    const next = tabs[(to + tabs.length) % tabs.length];
+    next.focus();
+    turn(next.dataset.view);
+  });
+}
+
+document.addEventListener("keydown", (event) => {
+  const typing = event.target.matches?.("input[type=text]") && event.target.value !== (entries[event.target.dataset.entry] ?? event.target.value);
+  if ((event.ctrlKey || event.metaKey) && event.key.toLowerCase() === "z" && !event.shiftKey && !typing) {
+    event.preventDefault();
+    ask("undo");
+  }
+});
+byId("undo").addEventListener("click", () => ask("undo"));
+
+// actions -------------------------------------------------------------------------------------------------------------
+
+for (const button of document.querySelectorAll("[data-pin-button]")) {
+  const name = byId(button.dataset.pinButton);
+  const pin = () => {
+    ask("pin", { name: name.value });
+    name.value = "";
+  };
+  button.addEventListener("click", pin);
+  name.addEventListener("keydown", (event) => {
+    if (event.key === "Enter") pin();
+  });
+}
+for (const button of document.querySelectorAll("[data-export]")) {
+  button.addEventListener("click", () => ask("export", { what: button.dataset.export }));
+}
+const plain = { estimate: "estimate", read: "read", "use-model": "use_model", tune: "tune", stop: "stop", map: "map", "suit-bounds": "suit_bounds", "use-tuned": "use_tuned" };
+for (const [id, what] of Object.entries(plain)) byId(id).addEventListener("click", () => ask(what));
+byId("pin-tuned").addEventListener("click", () => ask("pin_tuned", { name: byId("tuned-name").value }));
+byId("map-figure").addEventListener("change", (event) => ask("map_figure", { name: event.target.value }));
+
+function upload(file) {
+  if (!file) return;
+  if (file.size > spec.largest) {
+    byId("message").textContent = `${file.name}: ${(file.size / 1048576).toFixed(1)} MiB given; at most ${spec.largest / 1048576} MiB can be uploaded`;
+    byId("message").hidden = false;
+    return;
+  }
+  const reader = new FileReader();
+  reader.onload = () => {
+    const isScenario = /\.ya?ml$/i.test(file.name);
+    if (!isScenario && view !== "estimate") turn("estimate");
+    ask("upload", { name: file.name, data: reader.result.slice(reader.result.indexOf(",") + 1) });
+  };
+  reader.onerror = () => {
+    byId("message").textContent = `${file.name}: cannot be read`;
+    byId("message").hidden = false;
+  };
+  reader.readAsDataURL(file);
+}
+
+for (const id of ["open", "record"]) {
+  byId(id).addEventListener("change", (event) => {
+    upload(event.target.files[0]);
+    event.target.value = "";
+  });
+}
+document.addEventListener("dragover", (event) => {
+  event.preventDefault();
+  byId("drop").classList.add("over");
+});
+document.addEventListener("dragleave", () => byId("drop").classList.remove("over"));
+document.addEventListener("drop", (event) => {
+  event.preventDefault();
+  byId("drop").classList.remove("over");
+  upload(event.dataTransfer.files[0]);
+});
+
+// the connection ------------------------------------------------------------------------------------------------------
+
+function connect() {
+  const doc = window.Bokeh && Bokeh.documents[0];
+  bridge = doc ? doc.get_model_by_name("bridge") : null;
+  if (!bridge) {
+    setTimeout(connect, 20);
+    return;
+  }
+  bridge.properties.down.change.connect(taken);
+  ask("hello");
+}
+connect();

@@ -1,0 +1,260 @@
+"""What takes long, as functions of plain values for a process of its own: read, estimate, tune, map, report.
+
+Each takes a scenario's text and the folder that its data lies in, so that a worker checks what it is given by the same
+loader; each returns a frozen value of arrays and texts that can be sent back.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from workbench.errors import ScenarioError
+from workbench.model.controller import PID
+from workbench.model.loop import Loop
+from workbench.model.plant import Plant
+from workbench.model.record import FloatArray, Record
+from workbench.model.valve import Valve
+from workbench.report.tables import Table
+from workbench.scenario.loader import read_scenario
+from workbench.scenario.plan import Scenario
+
+__all__ = [
+    "TASKS",
+    "Found",
+    "MapFound",
+    "Progress",
+    "ReadRecord",
+    "Report",
+    "Task",
+    "TunedCase",
+    "estimate_record",
+    "map_tunings",
+    "read_data",
+    "tune_loop",
+    "write_html",
+]
+
+Progress = Callable[[str, float], None]
+FILE = "screen.yaml"
+
+
+@dataclass(frozen=True, eq=False)
+class ReadRecord:
+    """A record as it was read: signals of shape (N,), and in words what was kept. sp: None where not recorded."""
+
+    source: str
+    summary: tuple[str, ...]
+    time: FloatArray
+    pv: FloatArray
+    op: FloatArray
+    sp: FloatArray | None
+    sample_time: float
+
+
+@dataclass(frozen=True, eq=False)
+class Found:
+    """An estimate as the page shows it: signals of shape (N,), the profile over d, tables and sentences.
+
+    action: the controller's, as the gain found needs. linear: the prediction that ignores stiction.
+    """
+
+    record: ReadRecord
+    plant: Plant
+    valve: Valve
+    action: str
+    verdict: str
+    sentences: tuple[str, ...]
+    reasons: tuple[str, ...]
+    stem: FloatArray
+    prediction: FloatArray
+    linear: FloatArray
+    profile_d: FloatArray
+    profile_cost: FloatArray
+    parameters: Table
+    detection: str
+    evidence: Table
+
+
+@dataclass(frozen=True, slots=True)
+class TunedCase:
+    """A tuning found: the controller to type in, whether it was verified, and in words how it fares."""
+
+    controller: PID
+    success: bool
+    status: str
+    lines: tuple[str, ...]
+    objective: float
+    start_objective: float
+
+
+@dataclass(frozen=True, eq=False)
+class MapFound:
+    """A map of tunings: Kc (shape (M,), %/EU) and values (shape (R,), s) of the axis; figures of shape (R, M).
+
+    outcome: place in `model.cycle_map.OUTCOMES`. text: what it shows, in sentences.
+    """
+
+    axis: str
+    Kc: FloatArray
+    values: FloatArray
+    outcome: FloatArray
+    stable: FloatArray
+    figures: dict[str, FloatArray]
+    text: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Report:
+    """A report's page, in one piece."""
+
+    html: str
+
+
+def _plan(text: str, folder: str) -> Scenario:
+    return read_scenario(text, Path(folder) / FILE, FILE)
+
+
+def _record(plan: Scenario) -> Record:
+    record = plan.estimates[0].record if plan.estimates else None
+    if record is None:
+        raise ScenarioError("no record was given")
+    return record
+
+
+def _read(record: Record) -> ReadRecord:
+    return ReadRecord(record.source, record.summary(), record.time, record.pv, record.op, record.sp, record.sample_time)
+
+
+def read_data(text: str, folder: str, progress: Progress) -> ReadRecord:
+    """Return the record that a scenario's first estimate names. Raises `ScenarioError` in the reader's own words."""
+    progress("reading", 0.1)
+    return _read(_record(_plan(text, folder)))
+
+
+def estimate_record(text: str, folder: str, progress: Progress) -> Found:
+    """Return the estimate that a scenario asks for, with the evidence. Raises `WorkbenchError`."""
+    from workbench.detect.detect import detect
+    from workbench.estimate.estimate import estimate
+    from workbench.model.study import NamedEstimate
+    from workbench.report.detections import detection_table, detection_words
+    from workbench.report.estimates import estimate_sentences, estimate_table, known_sentences
+    from workbench.scenario.controllers import fitting_action
+
+    progress("reading", 0.0)
+    plan = _plan(text, folder)
+    job, record = plan.estimates[0], _record(plan)
+    found = estimate(
+        record,
+        method=job.method,
+        valve=job.valve,
+        plant=job.plant,
+        start=job.start,
+        progress=lambda share: progress("estimating", 0.9 * share),
+    )
+    progress("gathering the evidence", 0.9)
+    evidence = detect(record)
+    named = NamedEstimate(job.name, found, detection=evidence)
+    return Found(
+        record=_read(record),
+        plant=found.plant,
+        valve=found.valve,
+        action=fitting_action(found.plant),
+        verdict=found.verdict,
+        sentences=(*estimate_sentences(named), *known_sentences(found)),
+        reasons=found.reasons,
+        stem=found.valve_position,
+        prediction=found.prediction,
+        linear=found.linear.prediction,
+        profile_d=found.profile_d,
+        profile_cost=found.profile_cost,
+        parameters=estimate_table(named),
+        detection=detection_words(named, evidence),
+        evidence=detection_table(evidence),
+    )
+
+
+def tune_loop(text: str, folder: str, progress: Progress) -> TunedCase:
+    """Return the tuning that a scenario's last case asks for; stopped, the best so far. Raises `WorkbenchError`."""
+    from workbench.report.words import change, controller_words, figure, sentences
+    from workbench.scenario.runner import tune_case
+
+    plan = _plan(text, folder)
+    job = plan.cases[-1].tune
+    if plan.loop is None or plan.experiment is None or job is None:
+        raise ScenarioError("no tuning was asked for")
+    tuned = tune_case(plan.loop.with_controller(plan.cases[-1].controller), plan.experiment, job, progress)
+    over = " over the ensemble" if tuned.ensemble is not None else ""
+    gained = change(tuned.objective, tuned.start_objective)
+    cost = (
+        f"J {figure(tuned.objective, 5)}{over}, {gained} against the tuning on the page "
+        f"({figure(tuned.start_objective, 5)}); worst near by {figure(tuned.worst, 5)}"
+    )
+    lines = [controller_words(tuned.controller, tuned.digits), cost, sentences([tuned.message])]
+    if tuned.robustness is not None:
+        fares = tuned.robustness
+        lines.append(
+            f"On fresh draws: median mean square error {figure(fares.mse_median)} EU², median valve travel "
+            f"{figure(fares.travel_median)} %, Ms at the worst corner {figure(fares.max_sensitivity, 3)}."
+        )
+    return TunedCase(
+        tuned.controller,
+        tuned.status.success,
+        tuned.status.value,
+        tuple(lines),
+        tuned.objective,
+        tuned.start_objective,
+    )
+
+
+def map_tunings(text: str, folder: str, progress: Progress) -> MapFound:
+    """Return the map of Kc and Ti around a scenario's cases. Raises `WorkbenchError`."""
+    from workbench.analyze.cycle_map import cycle_map, map_ranges
+    from workbench.report.plain_truth import map_text
+
+    plan = _plan(text, folder)
+    if plan.loop is None or plan.cycle_map is None:
+        raise ScenarioError("no map was asked for")
+    loop: Loop = plan.loop
+    ranges = map_ranges(loop, [case.controller for case in plan.cases])
+    found = cycle_map(
+        loop,
+        **ranges,
+        points=plan.cycle_map.points,
+        starts=plan.cycle_map.starts,
+        progress=lambda share: progress("following every tuning", share),
+    )
+    names = ("period", "pv_peak_to_peak", "mean_square_error", "travel_per_hour")
+    return MapFound(
+        axis=found.axis,
+        Kc=found.Kc,
+        values=found.values,
+        outcome=found.outcome.astype(np.float64),
+        stable=found.linear_stable.astype(np.float64),
+        figures={name: np.where(found.cycles, getattr(found, name), np.nan) for name in names},
+        text=tuple(map_text(found)),
+    )
+
+
+def write_html(text: str, folder: str, progress: Progress) -> Report:
+    """Run a scenario and return its report's page; what is written stays below `folder`. Raises `WorkbenchError`."""
+    from workbench.report.page import write_report
+    from workbench.scenario.runner import run_scenario
+
+    study = run_scenario(_plan(text, folder), progress=progress)
+    target = Path(folder) / "report"
+    write_report(study, target)
+    return Report((target / "report.html").read_text(encoding="utf-8"))
+
+
+Task = Callable[[str, str, Progress], object]
+TASKS: dict[str, Task] = {
+    "read": read_data,
+    "estimate": estimate_record,
+    "tune": tune_loop,
+    "map": map_tunings,
+    "report": write_html,
+}
