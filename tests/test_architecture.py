@@ -27,6 +27,7 @@ ALLOWED = {
     "tune": {"model", "kpi", "simulate", "symbolic", "analyze"},
     "report": {"model", "kpi"},
     "scenario": {"model", "kpi", "record", "simulate", "detect", "estimate", "analyze", "tune", "report"},
+    "fleet": {"model", "kpi", "record", "simulate", "detect", "estimate", "analyze", "tune", "scenario", "report"},
     "ui": {"model", "kpi", "record", "simulate", "detect", "estimate", "analyze", "tune", "report", "scenario"},
 }
 

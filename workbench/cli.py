@@ -17,7 +17,7 @@ try:
 
     import typer
 
-    from workbench import __version__, cli_ui
+    from workbench import __version__, cli_fleet, cli_ui
     from workbench.cli_input import Reading, quantity, read_data, span
     from workbench.errors import InvalidValue, OutputError, ScenarioError, WorkbenchError
 except KeyboardInterrupt:  # while the command starts
@@ -130,10 +130,11 @@ def run(
 ) -> int:
     """Run scenarios and write DIR/<scenario>/report.html with its figures, results.json and cases.csv.
 
-    All files are checked before anything runs.
+    All files are checked before anything runs. A manifest of loops is run as `workbench fleet` runs it.
     """
-    plans = _checked(scenarios)
-    names = [plan.name for plan in plans]
+    sites, others = cli_fleet.parted(scenarios)
+    plans = _checked(others)
+    names = [*sites, *(plan.name for plan in plans)]
     for name in names:
         if names.count(name) > 1:
             raise InvalidValue("SCENARIO", f"{names.count(name)} files named {name}", "must differ, as reports do")
@@ -155,6 +156,8 @@ def run(
                 typer.echo(f"{name}: {tuned.status.value}: {tuned.message}", err=True)
                 code = FAILED
         typer.echo(f"Report: {out / plan.name / 'report.html'}")
+    for name, sources in sites.items():
+        code = max(code, cli_fleet.run_site(sources, out / name))
     return code
 
 
@@ -164,7 +167,13 @@ def check(
     files: Annotated[list[Path], typer.Argument(metavar="FILE", help="Scenario files (YAML).")],
 ) -> int:
     """Check scenario files, and the data that they name, without running them."""
-    for plan in _checked(files):
+    sites, others = cli_fleet.parted(files)
+    for sources in sites.values():
+        typer.echo(f"{sources.shown}: ok ({len(sources.loops)} loops)")
+        for loop in sources.loops:
+            if loop.refusal:
+                typer.echo(f"{sources.shown}: warning: {loop.name}: {loop.refusal}", err=True)
+    for plan in _checked(others):
         parts = [
             f"{len(items)} {word}{'' if len(items) == 1 else 's'}"
             for items, word in ((plan.estimates, "estimate"), (plan.cases, "case"), (plan.cascade, "cascade case"))
@@ -328,6 +337,8 @@ def score(
     return 0
 
 
+app.command()(guarded(cli_fleet.fleet))
+app.command("fleet-demo")(guarded(cli_fleet.fleet_demo))
 app.command()(guarded(cli_ui.ui))
 
 

@@ -42,7 +42,9 @@ class Record:
 
     pv (EU) and op (%) are needed, shape (N,), finite, evenly sampled every sample_time s from `start` s on; op[k] is
     the output that the controller computed in the sample of pv[k]. sp (EU), valve_position (% of travel, measured by
-    a positioner) and mode (text per sample) where recorded. pv_range: (low, high) of the transmitter, EU, where known.
+    a positioner) and mode (text per sample) where recorded. epoch: what time 0 is on the clock of the timestamps, s
+    since 1970, or 0 where times are plain seconds: loops meet at epoch + time. pv_range: (low, high) of the
+    transmitter, EU, where known.
     `notes` say what reading kept, rejected and assumed; `counts` the same in numbers. Gaps, bad values and changes of
     mode part what a plant records: the record is the best stretch, and `rest` holds the others of the same loop.
     Arrays are copied and read-only. Raises `InvalidValue`.
@@ -60,6 +62,7 @@ class Record:
     counts: Mapping[str, int] = field(default_factory=dict)
     pv_range: tuple[float, float] | None = None
     rest: tuple[Record, ...] = ()
+    epoch: float = 0.0
 
     def __post_init__(self) -> None:
         pv = _signal(self.pv, "Record.pv", None)
@@ -75,6 +78,7 @@ class Record:
                 raise InvalidValue("Record.mode", f"{len(mode)} samples", f"must have the {pv.size} samples of PV")
             object.__setattr__(self, "mode", mode)
         object.__setattr__(self, "start", number(self.start, "Record.start", unit="s"))
+        object.__setattr__(self, "epoch", number(self.epoch, "Record.epoch", unit="s"))
         if self.pv_range is not None:
             object.__setattr__(self, "pv_range", ordered_pair(self.pv_range, "Record.pv_range"))
         object.__setattr__(self, "rest", tuple(self.rest))

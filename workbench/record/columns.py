@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 
 from workbench.errors import RecordError
 
-__all__ = ["SIGNALS", "TAGGED", "is_tall", "match_columns", "match_tags", "time_unit"]
+__all__ = ["SIGNALS", "TAGGED", "is_tall", "match_columns", "match_tags", "split_tag", "time_unit"]
 
 SIGNALS = ("time", "SP", "PV", "OP", "MODE", "valve_position")
 # A tall file, as historians export them, has a row per value: tag, time, value and perhaps its quality.
@@ -103,6 +103,22 @@ def time_unit(name: str) -> float:
     """Return the seconds in one unit of a numeric time column, read from its name; 1 where it says nothing."""
     tokens = _tokens(name)
     return _TIME_UNITS.get(tokens[-1], 1.0) if tokens else 1.0
+
+
+def split_tag(tag: str) -> tuple[str, str] | None:
+    """Return (the loop's name, the signal) of a historian's tag by its ending, or None where that tells neither.
+
+    FIC101.PV is PV of FIC101, FIC101/PID1/PV.CV that of FIC101/PID1.
+    """
+    pieces = [(m.group(0).lower(), m.start()) for m in re.finditer(r"[0-9A-Za-z]+", tag)]
+    if len(pieces) > 2 and pieces[-1][0] in _AFTER:
+        pieces.pop()
+    if len(pieces) < 2:
+        return None
+    word, at = pieces[-1]
+    signal = next((s for s in TAGGED if word in _SUFFIXES[s]), None)
+    name = tag[:at].rstrip(" ._-/:\\|[(")
+    return None if signal is None or not name else (name, signal)
 
 
 def is_tall(header: Sequence[str], columns: Mapping[str, str] | None) -> bool:

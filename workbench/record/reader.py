@@ -35,7 +35,7 @@ from workbench.record.table import (
     read_parquet,
 )
 
-__all__ = ["LARGEST", "read_record"]
+__all__ = ["LARGEST", "read_record", "record_from"]
 
 LARGEST = 1 << 30  # bytes
 SAME = 10  # samples in which PV and OP are equal by chance at most
@@ -107,7 +107,23 @@ def read_record(
         raise RecordError(msg)
     signals = from_tall(table, names, tags, source) if tall else from_wide(table, names, source)
     given = {str(key).upper() for key in {**(columns or {}), **(tags or {})}}
-    _scale(signals, scale_pv, scale_op, source)
+    return record_from(signals, sample_time, max_gap, scale_pv, scale_op, set(NEEDED) <= given, source)
+
+
+def record_from(
+    signals: Signals,
+    sample_time: float | None,
+    max_gap: float | None,
+    pv_range: tuple[float, float] | None,
+    op_range: tuple[float, float] | None,
+    named: bool,
+    source: str,
+) -> Record:
+    """Return the record of a loop's signals, wherever they were read from; arguments as `read_record` checked them.
+
+    named: whether the user said which signal is PV and which OP. Raises `RecordError`.
+    """
+    _scale(signals, pv_range, op_range, source)
     _some_usable(signals, source)
     if not signals.timed and sample_time is None:
         msg = f"{source}: no time column; give sample_time in seconds, or the column, columns={{'time': 'name'}}"
@@ -122,7 +138,7 @@ def read_record(
         causes = [*_rejections(signals, samples)[1], *parts.notes]
         msg = f"{source}: no two clean rows follow each other in one mode" + "".join(f"; {one}" for one in causes)
         raise RecordError(msg)
-    return _record(signals, samples, parts, sample_time, scale_pv, scale_op is not None, set(NEEDED) <= given, source)
+    return _record(signals, samples, parts, sample_time, pv_range, op_range is not None, named, source)
 
 
 def _check_file(file: Path, source: str) -> None:
@@ -289,7 +305,11 @@ def _record(
         notes=tuple(notes),
         counts=counts,
         pv_range=pv_range,
-        rest=tuple(replace(one, source=source, pv_range=pv_range, counts={"kept": len(one)}) for one in rest),
+        epoch=signals.epoch,
+        rest=tuple(
+            replace(one, source=source, pv_range=pv_range, epoch=signals.epoch, counts={"kept": len(one)})
+            for one in rest
+        ),
     )
 
 

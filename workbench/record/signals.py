@@ -17,7 +17,7 @@ from workbench.record.quality import good_quality
 from workbench.record.table import BLANK, FIELDS, NOT_FINITE, NUMERIC, OK, QUALITY, Cells, Table, number_cells
 from workbench.record.times import FORMATS_SAID, Order, in_order, parse_timestamps
 
-__all__ = ["Signal", "Signals", "from_tall", "from_wide"]
+__all__ = ["Signal", "Signals", "Tall", "from_tall", "from_wide", "seconds_of"]
 
 # A time of day without its day.
 _CLOCK = re.compile(r"\d{1,2}:\d\d")
@@ -41,7 +41,8 @@ class Signals:
 
     rows: of the file. dropped: rows without a readable time or with fields too many, as lines by cause. repeated: rows
     left out since their time occurs again. timed: False where the file has no times; `seconds` then counts samples.
-    what: a signal's name is, a column or a tag.
+    epoch: what second 0 is on the clock of the file's timestamps, s since 1970, 0 where it has none. what: a signal's
+    name is, a column or a tag.
     """
 
     by: dict[str, Signal]
@@ -51,6 +52,7 @@ class Signals:
     repeated: int = 0
     timed: bool = True
     time_name: str = ""
+    epoch: float = 0.0
     what: str = "column"
     notes: list[str] = field(default_factory=list)
 
@@ -68,7 +70,7 @@ def from_wide(table: Table, names: Mapping[str, str], source: str) -> Signals:
         seconds, order_rows = np.arange(rows, dtype=np.float64), np.arange(rows)
         out.timed = False
     else:
-        times, wall_clock, zero = _seconds(table.columns["time"], names["time"], table, source, out.notes)
+        times, wall_clock, zero = seconds_of(table.columns["time"], names["time"], table, source, out.notes)
         times[table.columns["time"].marks == FIELDS] = np.nan
         same = np.ones(rows, dtype=bool)
         for signal in NEEDED:
@@ -77,11 +79,11 @@ def from_wide(table: Table, names: Mapping[str, str], source: str) -> Signals:
                 cells.marks[:-1] == OK, cells.values[:-1], 0.0
             )
         order = in_order(times, same, wall_clock)
-        _refuse(order, table, names["time"], "", source)
+        _refuse(order, table.lines, table.unit, names["time"], "", source)
         out.notes += order.notes
         out.repeated = order.repeated
-        _dropped(out, times, table, np.arange(rows))
-        seconds, order_rows = order.seconds - zero, order.rows
+        _dropped(out, times, table.columns["time"].marks == FIELDS, table.lines)
+        seconds, order_rows, out.epoch = order.seconds - zero, order.rows, zero
     lines = table.lines[order_rows]
     whole = order_rows.size == rows and bool((np.diff(order_rows) == 1).all())
     for signal in kinds:
@@ -101,36 +103,62 @@ def from_tall(table: Table, names: Mapping[str, str], tags: Mapping[str, str] | 
     if others:
         more = f" and {len(others) - 5} more" if len(others) > 5 else ""
         out.notes.append(f"tags not used: {', '.join(others[:5])}{more}")
-    times, wall_clock, zero = _seconds(table.columns["time"], names["time"], table, source, out.notes)
+    times, wall_clock, out.epoch = seconds_of(table.columns["time"], names["time"], table, source, out.notes)
     times[table.columns["time"].marks == FIELDS] = np.nan
-    said: Counter[str] = Counter()
+    qualities = table.columns["quality"].as_texts() if "quality" in table.columns else None
+    tall = Tall(out, times, wall_clock, table.columns["time"].marks == FIELDS, table.lines, names, source)
     for kind, i in found.items():
         rows = np.flatnonzero(of_row == codes[listed[i]])
         cells = _values(table, rows, kind, f"{source}: tag {listed[i]!r}")
-        if "quality" in table.columns:
-            said_of = table.columns["quality"].as_texts()
-            _mark_quality(cells, [said_of[k] for k in rows.tolist()], names["quality"], out.notes)
+        tall.add(kind, listed[i], rows, cells, None if qualities is None else [qualities[k] for k in rows.tolist()])
+    return tall.done()
+
+
+@dataclass
+class Tall:
+    """A loop's signals as they are put together from the rows of a tall table.
+
+    times: s, nan for none, shape (N,), of a clock on a wall or not; wide: rows with fields too many; lines: of the
+    rows; names: of the columns.
+    """
+
+    out: Signals
+    times: FloatArray
+    wall_clock: bool
+    wide: NDArray[np.bool_]
+    lines: NDArray[np.int64]
+    names: Mapping[str, str]
+    source: str
+    said: Counter[str] = field(default_factory=Counter)
+
+    def add(self, kind: str, tag: str, rows: NDArray[np.int64], cells: Cells, qualities: list[str] | None) -> None:
+        """Add one tag as the signal `kind`; rows: its own, cells and qualities: theirs. Raises `RecordError`."""
+        out, times = self.out, self.times[rows]
+        if qualities is not None:
+            _mark_quality(cells, qualities, self.names["quality"], out.notes)
         value = np.where(cells.marks == OK, cells.values, 0.0)
         same = np.concatenate(([False], value[1:] == value[:-1]))
         if cells.texts is not None and kind == "MODE":
             texts = np.array(cells.texts, dtype=object)
             same[1:] &= (texts[1:] == texts[:-1]).astype(bool)
-        order = in_order(times[rows], same, wall_clock)
-        _refuse(order, table, names["time"], listed[i], source, rows)
-        said.update(order.notes)
+        order = in_order(times, same, self.wall_clock)
+        _refuse(order, self.lines[rows], out.unit, self.names["time"], tag, self.source)
+        self.said.update(order.notes)
         out.repeated += order.repeated
-        _dropped(out, times, table, rows)
-        out.by[kind] = Signal(listed[i], order.seconds - zero, cells.take(order.rows), table.lines[rows[order.rows]])
-    out.notes += [note if many == 1 else f"{note} (in {many} tags)" for note, many in said.items()]
-    return out
+        _dropped(out, times, self.wide[rows], self.lines[rows])
+        out.by[kind] = Signal(tag, order.seconds - out.epoch, cells.take(order.rows), self.lines[rows[order.rows]])
+
+    def done(self) -> Signals:
+        """Return the signals, with what was said of several tags said once."""
+        self.out.notes += [note if many == 1 else f"{note} (in {many} tags)" for note, many in self.said.items()]
+        return self.out
 
 
-def _dropped(out: Signals, times: FloatArray, table: Table, rows: NDArray[np.int64]) -> None:
-    """Note the rows that have no usable time."""
-    wide = table.columns["time"].marks[rows] == FIELDS
-    for cause, hit in (("more fields than the header", wide), ("no readable time", np.isnan(times[rows]) & ~wide)):
+def _dropped(out: Signals, times: FloatArray, wide: NDArray[np.bool_], lines: NDArray[np.int64]) -> None:
+    """Note the rows, shape (N,), that have no usable time; wide: those with fields too many."""
+    for cause, hit in (("more fields than the header", wide), ("no readable time", np.isnan(times) & ~wide)):
         if hit.any():
-            out.dropped.setdefault(cause, []).extend(table.lines[rows[hit]].tolist())
+            out.dropped.setdefault(cause, []).extend(lines[hit].tolist())
 
 
 def _values(table: Table, rows: NDArray[np.int64], signal: str, where: str) -> Cells:
@@ -158,19 +186,17 @@ def _mark_quality(cells: Cells, texts: list[str], name: str, notes: list[str]) -
         notes.append(note)
 
 
-def _refuse(
-    order: Order, table: Table, name: str, tag: str, source: str, rows: NDArray[np.int64] | None = None
-) -> None:
+def _refuse(order: Order, lines: NDArray[np.int64], unit: str, name: str, tag: str, source: str) -> None:
     if not order.refusal:
         return
-    row, earlier = (int(table.lines[k if rows is None else rows[k]]) for k in order.between)
+    row, earlier = (int(lines[k]) for k in order.between)
     which = f", tag {tag!r}" if tag else ""
-    said = order.refusal.format(before=f"{table.unit} {earlier}")
-    msg = f"{source}: {table.unit} {row}, column {name!r}{which}: {said}"
+    said = order.refusal.format(before=f"{unit} {earlier}")
+    msg = f"{source}: {unit} {row}, column {name!r}{which}: {said}"
     raise RecordError(msg)
 
 
-def _seconds(cells: Cells, name: str, table: Table, source: str, notes: list[str]) -> tuple[FloatArray, bool, float]:
+def seconds_of(cells: Cells, name: str, table: Table, source: str, notes: list[str]) -> tuple[FloatArray, bool, float]:
     """Return seconds, shape (N,), nan for none; whether they are a clock on a wall; and which of them becomes 0."""
     # Rows with fields too many hold a time all the same, or the file would be told that it has none.
     numeric = int(np.count_nonzero(np.isfinite(cells.values)))

@@ -29,6 +29,7 @@ __all__ = [
     "TEXT",
     "Cells",
     "Table",
+    "arrow_cells",
     "number_cells",
     "read_csv",
     "read_parquet",
@@ -284,7 +285,7 @@ def read_parquet(path: Path, match: Callable[[list[str]], dict[str, int]], sourc
                 raise RecordError(msg)
             table = file.read(columns=[header[i] for i in found.values()])
             columns = {
-                name: _arrow_cells(table.column(header[i]), name, f"{source}: column {header[i]!r}")
+                name: arrow_cells(table.column(header[i]), name, f"{source}: column {header[i]!r}")
                 for name, i in found.items()
             }
             rows = table.num_rows
@@ -298,7 +299,8 @@ def read_parquet(path: Path, match: Callable[[list[str]], dict[str, int]], sourc
     return Table(columns, np.arange(1, rows + 1, dtype=np.int64), "row"), header
 
 
-def _arrow_cells(column: object, name: str, where: str) -> Cells:
+def arrow_cells(column: object, name: str, where: str) -> Cells:
+    """Return a column of an Arrow table as cells; name: the signal that it is, which tells numbers from text."""
     import pyarrow as pa
     import pyarrow.compute as pc
 

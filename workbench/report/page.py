@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping
 from pathlib import Path
 
-from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 from matplotlib.figure import Figure
 
@@ -38,12 +37,12 @@ from workbench.report.shared import loop_lines
 from workbench.report.style import svg_text
 from workbench.report.summary import summarise
 from workbench.report.tables import case_tables, difference_table
+from workbench.report.templating import environment, style_sheet
 from workbench.report.trade import trade_figure
-from workbench.report.words import join, legible, rule_words, sentences, slug
+from workbench.report.words import join, rule_words, sentences, slug
 
 __all__ = ["render", "write_report"]
 
-TEMPLATES = Path(__file__).parent / "templates"
 DETAIL = 900  # samples of a longer record that a figure of its own shows from near
 
 
@@ -82,51 +81,41 @@ def _ours(path: Path) -> bool:
 
 def render(study: Study, drawn: Mapping[str, str]) -> str:
     """Return report.html for a study and its figures (file name to `<svg>` element), all in one page."""
-    environment = Environment(
-        loader=FileSystemLoader(TEMPLATES),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        keep_trailing_newline=True,
-        finalize=_finalize,
+    return (
+        environment()
+        .get_template("report.html.j2")
+        .render(
+            study=study,
+            css=style_sheet("report.css"),
+            svg={name: Markup(text) for name, text in drawn.items()},  # noqa: S704 - matplotlib has escaped its text
+            names=figure_names(study),
+            summary=summarise(study),
+            loop_lines=loop_lines(study),
+            case_tables=case_tables(study),
+            difference_table=difference_table(study),
+            cycle_tables=cycle_tables(study),
+            estimate_tables=[estimate_table(e) for e in study.estimates],
+            known=[known_sentences(e.found) for e in study.estimates],
+            candidates_tables=[candidates_table(e.found) for e in study.estimates],
+            evidence=[_evidence(study, place) for place in range(len(study.estimates))],
+            how=how_tables(study),
+            cascade_lines=cascade_lines(study) if study.cascade else [],
+            cascade_tables=cascade_tables(study) if study.cascade else [],
+            ensemble_text=ensemble_text(study),
+            ensemble_tables=ensemble_tables(study),
+            front_text=front_text(study),
+            front_table=None if study.front is None else front_table(study.front),
+            robust_repair_text=robust_repair_text(study),
+            robust_repair_table=robust_repair_table(study),
+            map_text=[] if study.cycle_map is None else map_text(study.cycle_map),
+            repair_tables=repair_tables(study),
+            repair_text=repair_text(study.repair) if study.repair is not None else [],
+            rules=[(c.name, rule_words(c.rule)) for c in study.cases if c.rule is not None],
+            agreements=_agreements(study),
+            seeds=_seeds(study),
+            sentences=sentences,
+        )
     )
-    return environment.get_template("report.html.j2").render(
-        study=study,
-        css=Markup((TEMPLATES / "report.css").read_text(encoding="utf-8")),  # noqa: S704 - our own file
-        svg={name: Markup(text) for name, text in drawn.items()},  # noqa: S704 - matplotlib has escaped its text
-        names=figure_names(study),
-        summary=summarise(study),
-        loop_lines=loop_lines(study),
-        case_tables=case_tables(study),
-        difference_table=difference_table(study),
-        cycle_tables=cycle_tables(study),
-        estimate_tables=[estimate_table(e) for e in study.estimates],
-        known=[known_sentences(e.found) for e in study.estimates],
-        candidates_tables=[candidates_table(e.found) for e in study.estimates],
-        evidence=[_evidence(study, place) for place in range(len(study.estimates))],
-        how=how_tables(study),
-        cascade_lines=cascade_lines(study) if study.cascade else [],
-        cascade_tables=cascade_tables(study) if study.cascade else [],
-        ensemble_text=ensemble_text(study),
-        ensemble_tables=ensemble_tables(study),
-        front_text=front_text(study),
-        front_table=None if study.front is None else front_table(study.front),
-        robust_repair_text=robust_repair_text(study),
-        robust_repair_table=robust_repair_table(study),
-        map_text=[] if study.cycle_map is None else map_text(study.cycle_map),
-        repair_tables=repair_tables(study),
-        repair_text=repair_text(study.repair) if study.repair is not None else [],
-        rules=[(c.name, rule_words(c.rule)) for c in study.cases if c.rule is not None],
-        agreements=_agreements(study),
-        seeds=_seeds(study),
-        sentences=sentences,
-    )
-
-
-def _finalize(value: object) -> object:
-    """Make text fit for a page; what is markup already stays as it is."""
-    return legible(value) if isinstance(value, str) and not isinstance(value, Markup) else value
 
 
 def _evidence(study: Study, place: int) -> dict[str, object] | None:

@@ -1,0 +1,194 @@
+"""Folders, data sets and manifests as lists of loops."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+from fleet_helpers import record, tall, write_csv, write_tall
+
+from workbench.errors import InvalidValue, RecordError, ScenarioError
+from workbench.fleet.source import only, sources_of
+from workbench.fleet.task import look_at, read
+from workbench.model.fleet import LoopSource, Settings, Tuning
+
+
+@pytest.fixture(scope="module")
+def one():
+    return record(sticky=True, n=200)
+
+
+def names(path: Path) -> list[str]:
+    return [loop.name for loop in sources_of(path).loops]
+
+
+def by_name(path: Path) -> dict[str, LoopSource]:
+    return {loop.name: loop for loop in sources_of(path).loops}
+
+
+def test_a_folder_of_files_of_all_kinds(tmp_path: Path, one) -> None:
+    write_csv(tmp_path / "b.csv", one)
+    (tmp_path / "unit 2").mkdir()
+    write_csv(tmp_path / "unit 2" / "b.csv", one)
+    for other in ("_truth.csv", ".hidden.csv", "labels.csv", "readme.md"):
+        (tmp_path / other).write_text("no record")
+    pq.write_table(pa.table({"PV": one.pv, "OP": one.op}), tmp_path / "wide.parquet")
+    write_tall(tmp_path / "site" / "unit=1" / "x.parquet", tall("FIC1", one, 0, 100), tall("LIC2", one))
+    write_tall(tmp_path / "site" / "unit=2" / "x.parquet", tall("FIC1", one, 100))
+    (tmp_path / "half.parquet").write_bytes(b"PAR1 and no end")
+    loops = by_name(tmp_path)
+    assert list(loops) == ["FIC1", "LIC2", "b", "half", "unit 2/b", "wide"]
+    assert "no readable Parquet" in loops["half"].refusal
+    assert len(loops["FIC1"].pieces) == 2
+    assert len(read(loops["FIC1"], Settings())) == 200
+    assert len(read(loops["unit 2/b"], Settings())) == 200
+
+
+def test_names_that_two_loops_share_are_refused_and_others_stay(tmp_path: Path, one) -> None:
+    write_csv(tmp_path / "FIC1.csv", one)
+    write_tall(tmp_path / "x.parquet", tall("FIC1", one), tall("FIC2", one))
+    loops = by_name(tmp_path)
+    assert loops["FIC1"].refusal.startswith("2 loops have this name (")
+    assert not loops["FIC2"].refusal
+
+
+def test_tags_without_op_and_tags_of_one_signal_twice(tmp_path: Path, one) -> None:
+    table = tall("FIC1", one)
+    pv_only = table.slice(200)
+    twice = tall("FIC3", one).set_column(0, "tag", pa.array(["FIC3.OUT"] * 200 + ["FIC3.PV"] * 200))
+    odd = pa.table({"tag": ["ALARM"], "time": table.column("time").slice(0, 1), "value": [1.0], "quality": ["Good"]})
+    write_tall(tmp_path / "x.parquet", pv_only, tall("FIC3", one), twice, odd)
+    loops = by_name(tmp_path)
+    assert list(loops) == ["FIC1", "FIC3"]
+    assert loops["FIC1"].refusal == "no tag for OP (tags: FIC1.PV)"
+    assert "'FIC3.OP' and 'FIC3.OUT' are both OP" in loops["FIC3"].refusal
+
+
+def test_nothing_to_look_at(tmp_path: Path) -> None:
+    with pytest.raises(RecordError, match="no such file or folder"):
+        sources_of(tmp_path / "none")
+    with pytest.raises(RecordError, match="holds no record"):
+        sources_of(tmp_path)
+    (tmp_path / "x.json").write_text("{}")
+    with pytest.raises(RecordError, match="is no source of loops"):
+        sources_of(tmp_path / "x.json")
+
+
+def test_patterns_choose_loops(tmp_path: Path, one) -> None:
+    write_tall(tmp_path / "x.parquet", tall("FIC1", one), tall("LIC2", one))
+    sources = sources_of(tmp_path)
+    assert [loop.name for loop in only(sources, ["L*", "X*"]).loops] == ["LIC2"]
+    assert only(sources, []) is sources
+    with pytest.raises(InvalidValue, match="matches none of the 2 loops"):
+        only(sources, ["fic*"])
+
+
+MANIFEST = """\
+title: North
+data: site
+depth: estimate
+loops:
+  - name: FIC1
+    pv_range: [0, 100]
+    plant: integrating
+    Kc: 0.5
+    Ti: 2 repeats/min
+    form: series
+    criticality: 5
+    area: "100"
+  - {name: own tags, tags: {PV: FIC1.PV, OP: LIC2.OP}}
+  - {name: file, file: b.csv, columns: {PV: PV}, sample_time: 1 s}
+  - {name: gone, file: gone.csv}
+  - {name: LIC9}
+  - {name: missing, tags: {PV: FIC1.PV, OP: FIC1.CO}}
+  - {name: twice}
+  - {name: twice}
+"""
+
+
+@pytest.fixture
+def site(tmp_path: Path, one) -> Path:
+    write_tall(tmp_path / "site" / "x.parquet", tall("FIC1", one), tall("LIC2", one))
+    write_csv(tmp_path / "b.csv", one)
+    (tmp_path / "m.yaml").write_text(MANIFEST)
+    return tmp_path
+
+
+def test_a_manifest_in_yaml(site: Path) -> None:
+    sources = sources_of(site / "m.yaml")
+    loops = {loop.name: loop for loop in sources.loops}
+    assert (sources.title, sources.depth) == ("North", "estimate")
+    first = loops["FIC1"]
+    assert first.tuning == Tuning(0.5, 30.0, 0.0, "series")
+    assert (first.pv_range, first.plant, first.criticality, first.area) == ((0.0, 100.0), "integrating", 5, "100")
+    for name in ("FIC1", "own tags", "file"):
+        assert len(read(loops[name], Settings())) == 200
+    refusals = {name: loop.refusal for name, loop in loops.items() if loop.refusal}
+    assert set(refusals) == {"gone", "LIC9", "missing", "twice"}
+    assert refusals["gone"] == f"{site / 'm.yaml'}: line 15: file gone.csv is not there"
+    assert "tag 'FIC1.CO' of OP is not in the data" in refusals["missing"]
+    assert "line 18, line 19" in refusals["twice"]
+    assert look_at(loops["twice"], Settings()).row.reason == refusals["twice"]
+
+
+def test_a_manifest_in_csv(site: Path) -> None:
+    text = (
+        "name,file,PV,OP,pv_low,pv_high,Kc,Ti,criticality,area\n"
+        "\n"
+        "file,b.csv,,,0,100,0.5,20,2,north\n"
+        "tags,,FIC1.PV,LIC2.OP,,,,,,\n"
+    )
+    (site / "m.csv").write_text(text)
+    loops = by_name(site / "m.csv")
+    assert loops["file"].tuning == Tuning(0.5, 20.0)
+    assert loops["file"].pv_range == (0.0, 100.0)
+    assert len(read(loops["file"], Settings())) == 200
+    assert "is not in the data" in loops["tags"].refusal  # a CSV names no data set
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("loops: [{name: a, plnt: x}]", "m.yaml:1:19: loops[0].plnt: unknown entry 'plnt' (did you mean plant?)"),
+        ("loops: [{nam: a}]", "loops[0]: name is missing"),
+        ("loops: []", "at least 1 item"),
+        ("title: x", "loops is missing"),
+        ("loops: [{name: a, Ti: 20}]", 'must be a time with its unit, such as "20 s"'),
+        ("loops: [{name: a, criticality: 9}]", "less than or equal to 5"),
+        ("loops: [{name: a, pv_range: [0]}]", "loops[0].pv_range"),
+        ("loops: [{name: a\n", "not valid YAML"),
+        ("loops: [{name: a}]\ndata: none", "data: none given; no such file or folder"),
+        ("loops: [{name: a}]\ndepth: deep", "depth"),
+        ("", "the file is empty"),
+        ("- a", "m.yaml:1:1"),
+    ],
+)
+def test_manifests_that_are_refused(tmp_path: Path, text: str, message: str) -> None:
+    (tmp_path / "m.yaml").write_text(text)
+    with pytest.raises(ScenarioError) as refused:
+        sources_of(tmp_path / "m.yaml")
+    assert message in str(refused.value)
+    assert "Traceback" not in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("loop,file\na,b.csv\n", "m.csv:1:1: unknown column 'loop'"),
+        ("file\nb.csv\n", "no column 'name'"),
+        ("name,Kc\na,x\n", "m.csv:2:1: Kc: x given; must be a number"),
+        ("name,Kc\na,-1\n", "m.csv:2:1: Kc: -1 given; input should be greater than 0"),
+        ("name,pv_low\na,1\n", "needs both pv_low and pv_high"),
+        ("name\na,b\n", "m.csv:2:1: more cells than columns"),
+        ("name\n", "no loop"),
+        ("name,criticality\na,1.5\n", "m.csv:2:1: criticality: 1.5 given"),
+        ("name,plant\na,level\n", "m.csv:2:1: plant: level given"),
+    ],
+)
+def test_csv_manifests_that_are_refused(tmp_path: Path, text: str, message: str) -> None:
+    (tmp_path / "m.csv").write_text(text)
+    with pytest.raises(ScenarioError) as refused:
+        sources_of(tmp_path / "m.csv")
+    assert message in str(refused.value)

@@ -1,0 +1,163 @@
+"""Rows on disk: parts, resuming, and the CSV for spreadsheets."""
+
+from __future__ import annotations
+
+import csv
+import errno
+import io
+import math
+from pathlib import Path
+
+import pyarrow.parquet as pq
+import pytest
+
+from workbench.errors import OutputError
+from workbench.fleet import store as stores
+from workbench.fleet.store import Store, fleet_csv, read_rows
+from workbench.model.fleet import FleetRow, Settings
+
+ROWS = [
+    FleetRow("b", verdict="stiction", stiction=1.25, oscillates=True, phases=b"\x01\xff", trend=b"\x00\x80"),
+    FleetRow("a", status="failed", reason="=cmd|'/c calc'!A1"),
+    FleetRow("c", criticality=4, reasons="+1\n-2"),
+]
+
+
+def same(a: FleetRow, b: FleetRow) -> bool:
+    """Whether two rows are equal, nan to nan."""
+    ours, theirs = a.values(), b.values()
+    return all(
+        x == y or (isinstance(x, float) and math.isnan(x) and math.isnan(y))
+        for x, y in zip(ours.values(), theirs.values(), strict=True)
+    )
+
+
+def test_rows_come_back_as_they_were(tmp_path: Path) -> None:
+    store = Store(tmp_path, Settings(), resume=False)
+    for row in ROWS:
+        store.add(row)
+    store.flush()
+    (part,) = (tmp_path / "parts").iterdir()
+    rows, _ = read_rows(part)
+    assert all(same(a, b) for a, b in zip(rows, ROWS, strict=True))
+
+
+def test_an_interrupted_run_goes_on_and_no_row_is_there_twice(tmp_path: Path) -> None:
+    store = Store(tmp_path, Settings(), resume=False)
+    store.add(ROWS[0])
+    store.flush()
+    store.add(ROWS[1])  # never written: the run is killed here
+    (tmp_path / "parts" / ".part-000002.parquet.99.tmp").write_bytes(b"half")
+    again = Store(tmp_path, Settings(), resume=True)
+    assert set(again.done) == {"b"}
+    for row in (ROWS[0], ROWS[1]):
+        again.add(row)
+    again.flush()
+    assert sorted(path.name for path in (tmp_path / "parts").iterdir()) == [
+        "part-000001.parquet",
+        "part-000002.parquet",
+    ]
+    once_more = Store(tmp_path, Settings(), resume=True)
+    assert set(once_more.done) == {"a", "b"}
+    once_more.page("a.html", "kept")
+    once_more.page("former.html", "of a loop that no longer has one")
+    once_more.finish(list(once_more.done.values()), {"report.html": "x"}, {"a.html"})
+    assert [path.name for path in (tmp_path / "loops").iterdir()] == ["a.html"]
+    assert not (tmp_path / "parts").exists()
+    assert set(Store(tmp_path, Settings(), resume=True).done) == {"a", "b"}
+
+
+def test_parts_are_written_after_a_batch_or_some_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(stores, "BATCH", 2)
+    store = Store(tmp_path, Settings(), resume=False)
+    store.add(ROWS[0])
+    assert not store.done
+    store.add(ROWS[1])
+    assert set(store.done) == {"a", "b"}
+    monkeypatch.setattr(stores, "PATIENCE", 0.0)
+    store.add(ROWS[2])
+    assert set(store.done) == {"a", "b", "c"}
+
+
+def test_without_resume_a_run_begins_anew(tmp_path: Path) -> None:
+    store = Store(tmp_path, Settings(), resume=False)
+    store.add(ROWS[0])
+    store.flush()
+    fresh = Store(tmp_path, Settings(), resume=False)
+    assert not fresh.done
+    assert fresh.dropped == 1
+    assert not list((tmp_path / "parts").iterdir())
+
+
+def test_other_settings_are_not_resumed(tmp_path: Path) -> None:
+    store = Store(tmp_path, Settings(), resume=False)
+    store.add(ROWS[0])
+    store.flush()
+    with pytest.raises(OutputError, match=r"made with other settings.*--resume"):
+        Store(tmp_path, Settings("estimate"), resume=True)
+
+
+def test_files_that_are_no_rows_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "fleet.parquet"
+    path.write_bytes(b"PAR1 no")
+    with pytest.raises(OutputError, match="cannot be read as the rows"):
+        read_rows(path)
+    pq.write_table(pq.read_table(_other(tmp_path)), path)
+    with pytest.raises(OutputError, match="holds no rows of a fleet run"):
+        Store(tmp_path, Settings(), resume=True)
+
+
+def _other(folder: Path) -> Path:
+    import pyarrow as pa
+
+    pq.write_table(pa.table({"name": ["x"]}), folder / "other.parquet")
+    return folder / "other.parquet"
+
+
+def test_a_row_of_another_version_keeps_what_is_known(tmp_path: Path) -> None:
+    store = Store(tmp_path, Settings(), resume=False)
+    store.add(ROWS[0])
+    store.flush()
+    (part,) = (tmp_path / "parts").iterdir()
+    table = pq.read_table(part)
+    import pyarrow as pa
+
+    changed = table.drop_columns(["verdict"]).append_column("novel", pa.array([1]))
+    pq.write_table(changed.replace_schema_metadata(table.schema.metadata), part)
+    (row,), _ = read_rows(part)
+    assert (row.name, row.verdict, row.stiction) == ("b", "", 1.25)
+
+
+def test_a_full_disk_is_said_and_what_is_there_stays(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    store = Store(tmp_path, Settings(), resume=False)
+    store.add(ROWS[0])
+    store.flush()
+
+    def full(*_: object, **__: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(pq, "write_table", full)
+    store.add(ROWS[1])
+    with pytest.raises(OutputError, match="No space left on device"):
+        store.flush()
+    monkeypatch.undo()
+    assert set(Store(tmp_path, Settings(), resume=True).done) == {"b"}
+
+
+def test_a_folder_that_cannot_be_made(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("x")
+    with pytest.raises(OutputError, match="cannot be written"):
+        Store(tmp_path / "file" / "out", Settings(), resume=False)
+
+
+def test_the_csv_holds_no_formula_and_no_bytes() -> None:
+    rows = list(csv.DictReader(io.StringIO(fleet_csv(ROWS))))
+    assert [row["name"] for row in rows] == ["b", "a", "c"]
+    assert rows[1]["reason"] == "'=cmd|'/c calc'!A1"
+    assert rows[2]["reasons"] == "'+1\n-2"
+    assert rows[0]["stiction"] == "1.25"
+    assert rows[0]["oscillates"] == "yes"
+    assert rows[1]["stiction"] == ""
+    assert not {"phases", "trend"} & set(rows[0])
+    for text in ("-x", "@x", "\tx", "=1+1", "\rx"):
+        assert fleet_csv([FleetRow(text)]).splitlines()[1].lstrip('"').startswith("'")

@@ -1,0 +1,157 @@
+"""One loop's row: what is measured, judged and refused."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from fleet_helpers import record, write_csv
+from hypothesis import given
+from hypothesis import strategies as st
+
+import workbench as wb
+from workbench.errors import RecordError
+from workbench.fleet import task
+from workbench.fleet.groups import grouped
+from workbench.fleet.sampling import oscillation_at_any_rate
+from workbench.model.fleet import FleetRow, LoopSource, Settings, Tuning
+
+SCREEN = Settings()
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("loops")
+    write_csv(path / "sticky.csv", record(sticky=True))
+    write_csv(path / "healthy.csv", record(sticky=False))
+    return path
+
+
+def test_a_sticking_loop(folder: Path) -> None:
+    loop = LoopSource("FIC1", str(folder / "sticky.csv"), criticality=3, area="north")
+    result = task.look_at(loop, SCREEN)
+    row, read = result.row, wb.read_record(folder / "sticky.csv")
+    assert row.verdict == wb.detect(read).verdict == "stiction"
+    assert row.stiction == pytest.approx(2.0, rel=0.3)
+    assert row.oscillates
+    assert row.period == pytest.approx(wb.detect(read).oscillation.period, rel=0.05)
+    assert (row.name, row.criticality, row.area, row.samples) == ("FIC1", 3, "north", 1200)
+    assert row.pv_sd == pytest.approx(float(read.pv.std()))
+    assert row.op_travel == pytest.approx(float(np.abs(np.diff(read.op)).sum()) * 3.0)
+    assert math.isnan(row.automatic)
+    assert row.status == "ok"
+    assert "FIC1" in result.page
+    assert len(row.trend) > 50
+
+
+def test_a_healthy_loop(folder: Path) -> None:
+    result = task.look_at(LoopSource("FIC2", str(folder / "healthy.csv")), SCREEN)
+    assert result.row.verdict == "no_stiction"
+    assert not result.row.oscillates
+    assert math.isnan(result.row.stiction)
+    assert result.page == ""
+
+
+@pytest.mark.slow
+def test_models_and_tunings_come_with_depth(folder: Path) -> None:
+    write_csv(folder / "short.csv", record(sticky=True, n=700))
+    loop = LoopSource("FIC1", str(folder / "short.csv"), tuning=Tuning(0.5, 20.0, 0.0, "series"))
+    result = task.look_at(loop, Settings("tune"))
+    row = result.row
+    assert row.verdict == "stiction"
+    assert row.stiction == pytest.approx(2.0, rel=0.1)
+    assert row.stiction_low <= row.stiction <= row.stiction_high
+    assert row.model_gain == pytest.approx(1.0, rel=0.2)
+    assert row.form == "series"
+    assert 0.0 < row.gain_of_tuning < 1.0  # better than the tuning that it has
+    assert "Proposed tuning" in result.page
+    write_csv(folder / "calm.csv", record(sticky=False, n=300))
+    found = task.look_at(LoopSource("FIC2", str(folder / "calm.csv")), Settings("tune")).row
+    assert found.verdict == "no_stiction"
+    assert math.isnan(found.Kc)
+    assert found.plant == "fopdt"
+
+
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [
+        ("t,PV\n0,1\n1,2\n", "no column for OP"),
+        ("", "empty"),
+        ("t,PV,OP\n" + "\n".join(f"{k},{k},{k % 3}" for k in range(20)), "20 samples given; at least 30"),
+        ("t,PV,OP\n" + "\n".join(f"{(k * 7) % 50},{k % 7},{k % 3}" for k in range(60)), "times must ascend"),
+    ],
+)
+def test_what_is_wrong_with_a_record_is_its_row(tmp_path: Path, text: str, reason: str) -> None:
+    (tmp_path / "a.csv").write_text(text)
+    row = task.look_at(LoopSource("a", str(tmp_path / "a.csv")), SCREEN).row
+    assert row.failed
+    assert reason in row.reason
+    assert "\n" not in row.reason
+
+
+def test_other_refusals_and_accidents_are_rows_too(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert task.look_at(LoopSource("a", refusal="two loops have this name"), SCREEN).row.reason.startswith("two loops")
+    assert "no such file" in task.look_at(LoopSource("a", str(folder / "none.csv")), SCREEN).row.reason
+
+    def breaks(*_: object) -> None:
+        raise ZeroDivisionError("a\ndefect")
+
+    monkeypatch.setattr(task, "detect", breaks)
+    row = task.look_at(LoopSource("a", str(folder / "sticky.csv")), SCREEN).row
+    assert row.reason == "unexpected: ZeroDivisionError: a defect"
+
+
+def test_a_signal_that_stands_still_is_undecided(tmp_path: Path) -> None:
+    still = record(sticky=False)
+    write_csv(tmp_path / "a.csv", replace(still, op=np.full(len(still), 40.0)))
+    row = task.look_at(LoopSource("a", str(tmp_path / "a.csv")), Settings("estimate")).row
+    assert row.verdict == "undecided"
+    assert row.saturated == 1.0
+    assert not row.failed
+
+
+def test_windows_of_time() -> None:
+    base = replace(record(sticky=False, n=600), epoch=1000.0, start=50.0)
+    part = task._within(base, Settings(begin=1100.0, end=1200.0))
+    assert len(part) == 100
+    assert part.epoch + part.start == 1100.0
+    assert np.array_equal(part.pv, base.pv[50:150])
+    late = task._within(base, Settings(last=60.0))
+    assert np.array_equal(late.pv, base.pv[-60:])
+    assert task._within(base, SCREEN) is base
+    with pytest.raises(RecordError, match="no 30 samples"):
+        task._within(base, Settings(begin=0.0, end=1000.0))
+    # The longest stretch within the window is the record, though another one is the longest of all.
+    two = replace(base, rest=(replace(base, start=2000.0, pv=base.pv[:200], op=base.op[:200], sp=None),))
+    assert len(task._within(two, Settings(begin=1600.0))) == 200
+
+
+def test_time_in_automatic() -> None:
+    base = record(sticky=False, n=100)
+    assert task._automatic(replace(base, mode=("AUTO",) * 75 + ("MAN",) * 25)) == 0.75
+    assert task._automatic(replace(base, mode=("AUTO",) * 100, counts={"manual": 300})) == 0.25
+
+
+@given(shift=st.floats(0.0, 1.0), period=st.floats(90.0, 110.0), seed=st.integers(0, 20))
+def test_phases_of_one_clock_differ_by_the_shift(shift: float, period: float, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    n = 8000
+
+    def made(turns: float, start: float) -> FleetRow:
+        at = start + np.arange(n)
+        pv = np.sin(2.0 * math.pi * (at / period + turns)) + rng.normal(0.0, 0.2, n)
+        one = wb.Record(pv, rng.normal(size=n), 1.0, start=start, epoch=1e9)
+        step, first, phases = task._phases(one, oscillation_at_any_rate(one.pv, 1.0))
+        return FleetRow(str(turns), oscillates=True, period=period, phase_step=step, phase_first=first, phases=phases)
+
+    a, b = made(0.0, 0.0), made(shift, 777.0)
+    assert a.phase_step == b.phase_step
+    common = range(max(a.phase_first, b.phase_first), min(a.phase_first + len(a.phases), b.phase_first + len(b.phases)))
+    turns = np.array([b.phases[i - b.phase_first] - a.phases[i - a.phase_first] for i in common]) / 256.0 - shift
+    error = np.abs(turns - np.rint(turns))
+    assert np.median(error) < 0.03
+    (group,) = grouped([replace(a, name="a"), replace(b, name="b")])
+    assert min(group.locked) > 0.9

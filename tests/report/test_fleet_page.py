@@ -1,0 +1,217 @@
+"""The fleet report and a loop's page: escaped, of bounded size, and saying what the rows say."""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import replace
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+
+import workbench as wb
+from workbench.fleet.run import changes_since, ranked
+from workbench.model.fleet import Change, FleetRow, Group, Settings, Site
+from workbench.report.fleet_page import RANKED, render_site
+from workbench.report.lines import panel, spark
+from workbench.report.loop_page import page_name, render_loop
+
+EVIL = "<script>alert('x')</script>\"'&"
+
+
+def rows(many: int) -> tuple[FleetRow, ...]:
+    trend = bytes(range(0, 192, 2))
+    out = []
+    for k in range(many):
+        sticky, cycles = k % 5 == 0, k % 3 == 0
+        out.append(
+            FleetRow(
+                f"FIC{k}",
+                verdict="stiction" if sticky else "no_stiction",
+                oscillates=cycles,
+                oscillation_index=(k % 97) / 97.0,
+                period=60.0 + k % 700 if cycles else math.nan,
+                stiction=1.0 + k % 4 if sticky else math.nan,
+                predicts=0.2,
+                automatic=0.9,
+                saturated=0.1,
+                op_travel=12.0,
+                reasons="a stem that sticks over 1.06 % leaves 57.9% less of PV unpredicted " * 5,
+                trend=trend,
+            )
+        )
+    return ranked(out)
+
+
+def site(many: int, **more: object) -> Site:
+    return Site("A site", "somewhere", Settings(), rows(many), **more)  # type: ignore[arg-type]
+
+
+class Checker(HTMLParser):
+    """Counts elements, and holds that each one that was opened is closed."""
+
+    VOID = frozenset({"meta", "input", "br", "path", "rect"})
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.stack: list[str] = []
+        self.count: dict[str, int] = {}
+
+    def handle_starttag(self, tag: str, _: object) -> None:
+        self.count[tag] = self.count.get(tag, 0) + 1
+        if tag not in self.VOID:
+            self.stack.append(tag)
+
+    def handle_endtag(self, tag: str) -> None:
+        if tag not in self.VOID:
+            assert self.stack.pop() == tag
+
+
+def parsed(page: str) -> Checker:
+    checker = Checker()
+    checker.feed(page)
+    assert not checker.stack
+    return checker
+
+
+def test_the_page_is_bounded_whatever_the_number_of_loops() -> None:
+    names = [f"FIC{k}" for k in range(15_000)]
+    groups = tuple(Group(tuple(names[k : k + 40]), (1.0,) * 40, 300.0, True) for k in range(0, 15_000, 40))
+    changes = tuple(Change(name, "worse", "now oscillates") for name in names)
+    small, large = render_site(site(20)), render_site(site(15_000, groups=groups, changes=changes))
+    assert len(small) < 80_000
+    assert len(large) < 1_200_000
+    checker = parsed(large)
+    assert checker.count["svg"] == 300
+    assert large.count("data-name=") == RANKED
+    assert "14,500 more loops, of lower rank, are in fleet.csv." in large
+    parsed(small)
+
+
+def test_every_text_is_escaped() -> None:
+    evil = FleetRow(
+        EVIL, area=EVIL, verdict="stiction", oscillates=True, oscillation_index=0.9, period=60.0, stiction=2.0,
+        predicts=0.1, op_travel=1.0, reasons=EVIL, trend=b"\x00\xff", Kc=1.0, Ti=2.0, Td=0.0, form=EVIL,
+    )  # fmt: skip
+    failed = FleetRow(EVIL + "2", "failed", EVIL)
+    changes = (Change(EVIL, "worse", EVIL),)
+    groups = (Group((EVIL, EVIL + "2"), (1.0, 0.9), 60.0, True),)
+    page = render_site(Site(EVIL, EVIL, Settings(), (evil, failed), groups, changes, frozenset([EVIL])))
+    assert "<script>alert" not in page
+    assert page.count("<script>") == 1  # our own
+    assert "&lt;script&gt;alert" in page
+    checker = parsed(page)
+    assert checker.count["script"] == 1
+    assert f'href="loops/{page_name(EVIL)}"' in page
+
+
+def test_what_the_page_says() -> None:
+    base = rows(20)
+    sticky = [row.name for row in base if row.sticks]
+    driven = next(row.name for row in base if row.oscillates and not row.sticks)
+    group = Group((sticky[0], driven), (1.0, 0.93), 240.0, True)
+    failed = FleetRow("broken", "failed", "no column for OP")
+    page = render_site(
+        Site("A site", "x", Settings(), (*base, failed), (group,), (Change("new", "new", "was not there"),))
+    )
+    text = re.sub(r"\s+", " ", re.sub(r"<[^>]+>", " ", page))
+    assert "4 valves show stiction" in text
+    assert "2 loops oscillate together in 1 groups; in 1 of them a sticking valve is the likely root" in text
+    assert "broken: no column for OP" in text
+    assert "1 other loop" in text  # that the root drives
+    tuning = text[text.index("For tuning") :]
+    assert driven not in tuning.split("Not looked at")[0].split()  # it follows a sticking valve
+    assert "20%" in text  # of the loops stick
+    assert "new : new was not there" in text
+    quiet = render_site(
+        Site("A site", "x", Settings(), tuple(row for row in base if not row.sticks and not row.oscillates))
+    )
+    assert "No valve shows stiction." in quiet
+    assert "No two loops oscillate together." in quiet
+    assert "Since the run before" not in quiet
+    assert render_site(Site("empty", "x", Settings(), (failed,)))
+
+
+def test_ranking_puts_what_is_urgent_first() -> None:
+    given = [
+        FleetRow("quiet", verdict="no_stiction", oscillation_index=0.1),
+        FleetRow("cycles", verdict="undecided", oscillates=True, oscillation_index=0.9),
+        FleetRow("broken", "failed", "x"),
+        FleetRow("weak", verdict="stiction", oscillation_index=0.3),
+        FleetRow("strong", verdict="stiction", oscillation_index=0.8),
+        FleetRow("critical", verdict="stiction", oscillation_index=0.1, criticality=5),
+    ]
+    expected = ["critical", "strong", "weak", "cycles", "quiet", "broken"]
+    assert [row.name for row in ranked(given)] == expected
+    assert [row.name for row in ranked(given[::-1])] == expected
+
+
+def test_changes_since_the_run_before() -> None:
+    ok = FleetRow("a", verdict="no_stiction", oscillation_index=0.2)
+    sticky = FleetRow("a", verdict="stiction", stiction=2.0, oscillation_index=0.2)
+    cycling = FleetRow("a", verdict="no_stiction", oscillates=True, oscillation_index=0.5)
+    failed = FleetRow("a", "failed", "no file")
+
+    def change(old: FleetRow, new: FleetRow) -> list[tuple[str, str]]:
+        return [(one.kind, one.words) for one in changes_since([old], [new])]
+
+    assert change(ok, ok) == change(failed, failed) == change(sticky, sticky) == []
+    assert change(ok, sticky) == [("worse", "the valve now shows stiction")]
+    assert change(sticky, ok) == [("better", "stiction is no longer found")]
+    assert change(sticky, replace(ok, verdict="undecided"))[0][1].endswith("but undecided")
+    assert change(ok, cycling) == [("worse", "now oscillates")]
+    assert change(cycling, ok) == [("better", "no longer oscillates")]
+    assert change(cycling, replace(cycling, oscillation_index=0.9))[0][0] == "worse"
+    assert change(cycling, replace(cycling, oscillation_index=0.55)) == []
+    assert change(sticky, replace(sticky, stiction=4.0)) == [("worse", "stiction 2 % before, 4 % now")]
+    assert change(sticky, replace(sticky, stiction=2.5)) == []
+    assert change(ok, failed) == [("worse", "could not be read: no file")]
+    assert change(failed, ok) == [("better", "can be read again")]
+    kinds = [one.kind for one in changes_since([ok, replace(ok, name="z")], [replace(ok, name="b"), sticky])]
+    assert kinds == ["worse", "new", "gone"]
+
+
+def test_page_names_are_safe_and_differ() -> None:
+    names = ["FIC101", "unit 2/b", "unit_2_b", "../../etc/passwd", "", "FIC 101", "Ä" * 300, "-x", "con\x00"]
+    found = [page_name(name) for name in names]
+    assert len(set(found)) == len(names)
+    assert found[0] == "FIC101.html"
+    assert all(re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_-]*\.html", name) for name in found)
+    assert all(len(name) < 80 for name in found)
+
+
+def test_a_loops_page() -> None:
+    n = 5000
+    t = np.arange(n)
+    record = wb.Record(np.sin(t / 20.0), np.cos(t / 20.0), 1.0, sp=np.zeros(n))
+    row = FleetRow(
+        EVIL, verdict="stiction", oscillates=True, oscillation_index=0.9, period=125.7, samples=n, sample_time=1.0,
+        hours=1.4, stiction=2.0, saturated=0.0, pv_sd=0.7, op_travel=9.0, reasons=EVIL,
+    )  # fmt: skip
+    evidence = wb.detect(wb.Record(record.pv[:300], record.op[:300], 1.0)).statistics
+    page = render_loop(row, record, record, evidence, None, None)
+    assert "<script>" not in page
+    checker = parsed(page)
+    assert checker.count["svg"] == 4  # the whole, and the latest cycles from near
+    assert len(page) < 80_000
+    assert "2.00 % of travel" in page
+
+
+def test_pictures() -> None:
+    assert spark(b"") == spark(b"\x01") == ""
+    assert spark(b"\x00\xff") == spark(bytes([0, 255]))
+    assert "M0 250l1200 -240" in spark(b"\x00\xff")
+    flat = panel(np.array([0.0, 1.0]), [("pv", np.array([5.0, 5.0]))], "PV")
+    assert "nan" not in flat
+    # A spike in a long signal is still drawn.
+    signal = np.zeros(100_000)
+    signal[5] = 1.0
+    drawn = panel(np.arange(100_000) / 3600.0, [("pv", signal)], "PV")
+    assert len(drawn) < 10_000
+    assert "-142" in drawn
+
+
+@pytest.mark.parametrize("many", [0, 1])
+def test_hardly_any_loops(many: int) -> None:
+    parsed(render_site(site(many)))

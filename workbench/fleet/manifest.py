@@ -1,0 +1,309 @@
+"""The manifest: a site's loops with what is known of each, as YAML or as CSV with a line per loop.
+
+YAML: `title`, `data` (a folder or file of tall Parquet that tags refer to), `depth`, and `loops`, each with a `name`
+and any of `file`, `tags`, `columns`, `pv_range`, `op_range`, `sample_time`, `max_gap`, `plant`, `Kc`, `Ti`, `Td`,
+`form`, `criticality`, `area`. CSV: the same names as columns, PV, OP, SP, MODE for tags, pv_low, pv_high, op_low,
+op_high.
+Paths are looked for beside the manifest.
+"""
+
+from __future__ import annotations
+
+import csv
+from collections import Counter
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
+
+from workbench.errors import InvalidValue, RecordError, ScenarioError
+from workbench.fleet.source import Sources, loops_in, of_tags, tagged
+from workbench.model.fleet import LoopSource, Tuning
+from workbench.record.columns import TAGGED
+from workbench.record.historian import Pieces, tags_of
+from workbench.scenario import units
+from workbench.scenario.document import locate, nearest, parse, plain, spell
+
+__all__ = ["Manifest", "is_manifest", "read_manifest"]
+
+MOST = 50  # mistakes told at once
+LARGEST = 64 << 20  # bytes
+
+
+def _time(value: object) -> float:
+    return units.time(value)
+
+
+def _integral(value: object) -> float:
+    return units.integral_time(value)
+
+
+def _gain(value: object) -> float:
+    return units.bare(value)
+
+
+Name = Annotated[str, Field(min_length=1, max_length=200, pattern=r"\S")]
+Time = Annotated[float, BeforeValidator(_time), Field(gt=0.0)]
+Span = tuple[float, float]
+
+
+class _Strict(BaseModel):
+    model_config = ConfigDict(extra="forbid", strict=True, frozen=True)
+
+
+class Entry(_Strict):
+    """One loop of a manifest."""
+
+    name: Name
+    file: Name | None = None
+    tags: dict[str, Name] | None = None
+    columns: dict[str, Name] | None = None
+    pv_range: Annotated[Span | None, Field(strict=False)] = None
+    op_range: Annotated[Span | None, Field(strict=False)] = None
+    sample_time: Time | None = None
+    max_gap: Time | None = None
+    plant: Literal["fopdt", "integrating", "auto"] = "fopdt"
+    Kc: Annotated[float, BeforeValidator(_gain), Field(gt=0.0)] | None = None
+    Ti: Annotated[float, BeforeValidator(_integral), Field(gt=0.0)] | None = None
+    Td: Annotated[float, BeforeValidator(_time), Field(ge=0.0)] = 0.0
+    form: Literal["ideal", "series", "parallel"] = "ideal"
+    criticality: Annotated[int, Field(ge=1, le=5)] | None = None
+    area: Name | None = None
+
+
+class Manifest(_Strict):
+    """A manifest as a whole."""
+
+    title: Name | None = None
+    data: Name | None = None
+    depth: Literal["screen", "estimate", "tune"] | None = None
+    loops: Annotated[list[Entry], Field(min_length=1)]
+
+
+@dataclass(frozen=True, eq=False)
+class _Given:
+    """A manifest read: its content, and where each loop stands in the file, in words."""
+
+    content: Manifest
+    places: list[str]
+
+
+def is_manifest(path: Path) -> bool:
+    """Whether a YAML file is a manifest of loops and no scenario of one: its entry `loops` tells."""
+    try:
+        # Anything else, and anything odd, is for the scenario loader to say.
+        text = path.read_text(encoding="utf-8-sig") if path.is_file() and path.stat().st_size <= LARGEST else ""
+    except (OSError, ValueError):
+        return False
+    root = parse(text)[0] if "\nloops:" in f"\n{text}" else None
+    return root is not None and root.entries is not None and "loops" in root.entries
+
+
+def read_manifest(path: Path) -> Sources:
+    """Return the loops of a manifest, sorted by name, and of its data set where it names no tags.
+
+    Raises `ScenarioError` with a line for each mistake, `file:line:column: where: what, what is allowed`. A file or tag
+    that is not there, and a name given twice, concern their loop alone: it is refused when its turn comes.
+    """
+    given = _from_csv(path) if path.suffix.lower() == ".csv" else _from_yaml(path)
+    content, folder = given.content, path.parent
+    tags, known = _data(content, folder, path)
+    many = Counter(entry.name for entry in content.loops)
+    loops: dict[str, LoopSource] = {}
+    for entry, place in zip(content.loops, given.places, strict=True):
+        if entry.name in loops:
+            continue
+        if many[entry.name] > 1:
+            places = [p for e, p in zip(content.loops, given.places, strict=True) if e.name == entry.name]
+            refusal = f"{path}: {many[entry.name]} loops have this name ({', '.join(places)}); each needs its own"
+            loops[entry.name] = LoopSource(entry.name, refusal=refusal)
+            continue
+        loops[entry.name] = _loop(entry, folder, tags, known, f"{path}: {place}")
+    title = content.title or path.stem.replace("_", " ")
+    return Sources(title, str(path), tuple(loops[name] for name in sorted(loops)), content.depth)
+
+
+def _data(content: Manifest, folder: Path, path: Path) -> tuple[dict[str, Pieces], dict[str, LoopSource]]:
+    """Return the tags of the manifest's data set and the loops that they tell by themselves."""
+    if content.data is None:
+        return {}, {}
+    data = folder / content.data
+    if not data.exists():
+        raise ScenarioError(f"{path}: data: {content.data} given; no such file or folder beside the manifest")
+    if data.is_dir():
+        tags: dict[str, Pieces] = {}
+        for file in sorted(data.rglob("*.parquet")):
+            if not any(part.startswith((".", "_")) for part in file.relative_to(data).parts):
+                try:
+                    for tag, pieces in tags_of(file).items():
+                        tags[tag] = (*tags.get(tag, ()), *pieces)
+                except RecordError:
+                    continue  # of the loops in it the tags are missing, and they say so
+        if not tags and not loops_in(data):
+            raise ScenarioError(f"{path}: data: {content.data} given; holds no tall Parquet file")
+    else:
+        try:
+            tags = tags_of(data)
+        except RecordError as error:
+            raise ScenarioError(f"{path}: data: {error}") from None
+    return tags, tagged(tags)
+
+
+def _loop(entry: Entry, folder: Path, tags: dict[str, Pieces], known: dict[str, LoopSource], place: str) -> LoopSource:
+    if entry.file is not None:
+        file = folder / entry.file
+        loop = LoopSource(
+            entry.name,
+            str(file),
+            columns=tuple((entry.columns or {}).items()),
+            tags=tuple((entry.tags or {}).items()),
+            refusal="" if file.is_file() else f"{place}: file {entry.file} is not there",
+        )
+    elif entry.tags is not None:
+        loop = of_tags(entry.name, dict(entry.tags), tags)
+    else:
+        loop = known.get(
+            entry.name, LoopSource(entry.name, refusal=f"{place}: no file, no tags, and no tag of this name")
+        )
+    tuning = None
+    if entry.Kc is not None and entry.Ti is not None:
+        tuning = Tuning(entry.Kc, entry.Ti, entry.Td, entry.form)
+    return replace(
+        loop,
+        sample_time=entry.sample_time,
+        pv_range=entry.pv_range,
+        op_range=entry.op_range,
+        max_gap=entry.max_gap,
+        plant=entry.plant,
+        tuning=tuning,
+        area=entry.area or loop.area,
+        criticality=entry.criticality or 0,
+    )
+
+
+def _text(path: Path) -> str:
+    try:
+        if path.stat().st_size > LARGEST:
+            raise ScenarioError(
+                f"{path}: larger than {LARGEST >> 20} MiB; a manifest is a list of loops, not their data"
+            )
+        return path.read_text(encoding="utf-8-sig")
+    except (OSError, UnicodeError) as error:
+        reason = getattr(error, "strerror", None) or "it is no UTF-8 text"
+        raise ScenarioError(f"{path}: cannot be read ({reason})") from None
+
+
+def _from_yaml(path: Path) -> _Given:
+    root, problems = parse(_text(path))
+    if root is None:
+        raise ScenarioError("\n".join(f"{path}:{p.line}:{p.column}: {p.where}: {p.text}" for p in problems))
+    data = plain(root)
+    said = [f"{path}:{p.line}:{p.column}: {p.where}: {p.text}" for p in problems]
+    content: Manifest | None = None
+    try:
+        content = Manifest.model_validate(data)
+    except ValidationError as error:
+        for one in error.errors(include_url=False):
+            node, taken = locate(root, tuple(one["loc"]), key=one["type"] == "extra_forbidden")
+            words = _words(one["type"], one["msg"], one["loc"][-1] if one["loc"] else "", Entry, Manifest)
+            said.append(f"{path}:{node.line}:{node.column}: {spell(taken)}: {words}")
+    if said or content is None:
+        raise ScenarioError("\n".join(said[:MOST]))
+    places = []
+    for i in range(len(content.loops)):
+        node, _ = locate(root, ("loops", i))
+        places.append(f"line {node.line}")
+    return _Given(content, places)
+
+
+def _words(kind: str, message: str, name: object, *models: type[BaseModel]) -> str:
+    """Return a mistake in words: what is wrong, and what is allowed."""
+    if kind == "extra_forbidden":
+        allowed = tuple(dict.fromkeys(field for model in models for field in model.model_fields))
+        return f"unknown entry {name!r}{nearest(name, allowed)}; allowed: {', '.join(allowed)}"
+    if kind == "missing":
+        return f"{name} is missing"
+    text = message.removeprefix("Value error, ")
+    return text[:1].lower() + text[1:]
+
+
+_TEXTS = ("name", "file", "plant", "form", "area")
+_NUMBERS = ("Kc", "Ti", "Td", "sample_time", "max_gap")
+_PAIRS = {"pv_range": ("pv_low", "pv_high"), "op_range": ("op_low", "op_high")}
+
+
+def _from_csv(path: Path) -> _Given:
+    reader = csv.DictReader(_text(path).splitlines(), skipinitialspace=True)
+    known = (*_TEXTS, *_NUMBERS, "criticality", *TAGGED, *(name for pair in _PAIRS.values() for name in pair))
+    folded = {name.casefold(): name for name in known}
+    header = [(name or "").strip() for name in reader.fieldnames or ()]
+    wrong = [name for name in header if name.casefold() not in folded]
+    if "name" not in {name.casefold() for name in header} or wrong:
+        words = f"unknown column {wrong[0]!r}{nearest(wrong[0], known)}" if wrong else "no column 'name'"
+        raise ScenarioError(f"{path}:1:1: {words}; a manifest has a line per loop, with columns of {', '.join(known)}")
+    said: list[str] = []
+    entries: list[Entry] = []
+    places: list[str] = []
+    for row in reader:
+        cells = {
+            folded[k.strip().casefold()]: v.strip() for k, v in row.items() if k and isinstance(v, str) and v.strip()
+        }
+        if not cells:
+            continue
+        line = reader.line_num
+        if None in row:
+            said.append(f"{path}:{line}:1: more cells than columns")
+            continue
+        try:
+            entries.append(Entry.model_validate(_cells(cells)))
+            places.append(f"line {line}")
+        except InvalidValue as error:
+            said.append(f"{path}:{line}:1: {error}")
+        except ValidationError as error:
+            for one in error.errors(include_url=False):
+                where = str(one["loc"][0]) if one["loc"] else "loop"
+                given = f"{cells[where]} given; " if where in cells else ""
+                said.append(f"{path}:{line}:1: {where}: {given}{_words(one['type'], one['msg'], where, Entry)}")
+    if not entries and not said:
+        said.append(f"{path}:2:1: no loop; a manifest has a line per loop")
+    if said:
+        raise ScenarioError("\n".join(said[:MOST]))
+    return _Given(Manifest(loops=entries), places)
+
+
+def _cells(cells: dict[str, str]) -> dict[str, Any]:
+    """Return a CSV line's cells as the entries of a loop. Raises `InvalidValue`."""
+    out: dict[str, Any] = {name: cells[name] for name in _TEXTS if name in cells}
+    for name in ("Ti", "Td", "sample_time", "max_gap"):
+        if name in cells:
+            # A bare number of a column is in seconds, as the column's unit is.
+            out[name] = f"{cells[name]} s" if _is_number(cells[name]) else cells[name]
+    if "Kc" in cells:
+        out["Kc"] = _number("Kc", cells["Kc"])
+    if "criticality" in cells:
+        value = _number("criticality", cells["criticality"])
+        out["criticality"] = int(value) if value.is_integer() else value
+    for name, (low, high) in _PAIRS.items():
+        if low in cells or high in cells:
+            if low not in cells or high not in cells:
+                raise InvalidValue(name, "one end", f"needs both {low} and {high}")
+            out[name] = (_number(low, cells[low]), _number(high, cells[high]))
+    tags = {signal: cells[signal] for signal in TAGGED if signal in cells}
+    if tags:
+        out["tags"] = tags
+    return out
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
+
+
+def _number(name: str, text: str) -> float:
+    if not _is_number(text):
+        raise InvalidValue(name, text, "must be a number")
+    return float(text)

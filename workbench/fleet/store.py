@@ -1,0 +1,191 @@
+"""Rows on disk: parts written as they come, so that a run that was interrupted goes on, and the files of a whole run.
+
+A part is a Parquet file of some rows, written beside its place and renamed; it carries what was asked of the run. Parts
+are removed when fleet.parquet holds all rows.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import math
+import os
+import time
+from collections.abc import Container, Iterable, Sequence
+from contextlib import suppress
+from dataclasses import MISSING, asdict, fields
+from pathlib import Path
+from typing import Any
+
+from workbench import __version__
+from workbench.errors import OutputError
+from workbench.model.fleet import FleetRow, Settings
+from workbench.report.files import write_files
+
+__all__ = ["ROWS", "Store", "fleet_csv", "read_rows"]
+
+ROWS = "fleet.parquet"
+PARTS = "parts"
+BATCH, PATIENCE = 64, 5.0  # rows, and s, after which a part is written
+_MARK = b"workbench.fleet"
+# Not for people: phases and trends.
+_HIDDEN = ("phase_step", "phase_first", "phases", "trend", "trend_hours")
+_RISKY = ("=", "+", "-", "@", "\t", "\r")
+
+
+def _schema(asked: str) -> Any:
+    import pyarrow as pa
+
+    kinds = {"str": pa.string(), "bool": pa.bool_(), "float": pa.float64(), "int": pa.int64(), "bytes": pa.binary()}
+    return pa.schema([(one.name, kinds[str(one.type)]) for one in fields(FleetRow)], metadata={_MARK: asked.encode()})
+
+
+def _asked(settings: Settings) -> str:
+    return json.dumps({"version": __version__, **asdict(settings)}, sort_keys=True)
+
+
+def _table(rows: Sequence[FleetRow], asked: str) -> Any:
+    import pyarrow as pa
+
+    schema = _schema(asked)
+    columns = [pa.array([getattr(row, name) for row in rows], schema.field(name).type) for name in schema.names]
+    return pa.table(columns, schema=schema)
+
+
+def read_rows(path: Path) -> tuple[list[FleetRow], str]:
+    """Return the rows of a part or of a fleet.parquet, and what was asked of the run. Raises `OutputError`.
+
+    Columns that this version does not know are passed over, and those that are missing take their default.
+    """
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    try:
+        table = pq.read_table(path, partitioning=None)
+    except (pa.ArrowException, OSError, ValueError) as error:
+        said = str(error).splitlines()[0] if str(error) else type(error).__name__
+        raise OutputError(f"{path}: cannot be read as the rows of a fleet run ({said})") from None
+    asked = (table.schema.metadata or {}).get(_MARK, b"").decode()
+    if not asked or "name" not in table.column_names:
+        raise OutputError(f"{path}: holds no rows of a fleet run")
+    known = {one.name: one for one in fields(FleetRow)}
+    names = [name for name in table.column_names if name in known]
+    rows = []
+    for values in zip(*(table.column(name).to_pylist() for name in names), strict=True):
+        given: dict[str, Any] = {
+            name: known[name].default if value is None and known[name].default is not MISSING else value
+            for name, value in zip(names, values, strict=True)
+        }
+        rows.append(FleetRow(**given))
+    return rows, asked
+
+
+class Store:
+    """The folder of a run: done holds the rows that are safely there, by name.
+
+    resume: go on with what the folder holds of a run with the same settings, else begin anew. Raises `OutputError` for
+    a folder that cannot be written, or holds another run to resume.
+    """
+
+    def __init__(self, folder: Path, settings: Settings, resume: bool) -> None:
+        self.folder, self.asked = folder, _asked(settings)
+        self.done: dict[str, FleetRow] = {}
+        self.fresh: list[FleetRow] = []
+        self.since = time.monotonic()
+        self.dropped = 0
+        try:
+            (folder / PARTS).mkdir(parents=True, exist_ok=True)
+            for spare in (folder / PARTS).glob(".*.tmp"):
+                spare.unlink()
+        except OSError as error:
+            raise OutputError(f"{folder}: cannot be written ({error.strerror or error})") from None
+        parts = sorted((folder / PARTS).glob("part-*.parquet"))
+        if resume:
+            whole = folder / ROWS
+            for path in [*([whole] if whole.is_file() else []), *parts]:
+                self._take(path)
+        else:
+            for path in parts:
+                path.unlink(missing_ok=True)
+                self.dropped += 1
+        self.number = 1 + max((int(path.stem.split("-")[1]) for path in parts if path.exists()), default=0)
+
+    def _take(self, path: Path) -> None:
+        rows, asked = read_rows(path)
+        if asked != self.asked:
+            raise OutputError(
+                f"{path}: was made with other settings or another version ({asked}); resume with those, or leave "
+                "--resume out to begin anew"
+            )
+        for row in rows:
+            self.done.setdefault(row.name, row)
+
+    def add(self, row: FleetRow) -> None:
+        """Take a row, and write a part where it is time. Raises `OutputError` (such as a full disk)."""
+        self.fresh.append(row)
+        if len(self.fresh) >= BATCH or time.monotonic() - self.since >= PATIENCE:
+            self.flush()
+
+    def flush(self) -> None:
+        """Write the rows taken since the last part. Raises `OutputError`."""
+        self.since = time.monotonic()
+        if not self.fresh:
+            return
+        target = self.folder / PARTS / f"part-{self.number:06d}.parquet"
+        self._write(self.fresh, target)
+        self.number += 1
+        self.done.update((row.name, row) for row in self.fresh)
+        self.fresh = []
+
+    def _write(self, rows: Sequence[FleetRow], target: Path) -> None:
+        import pyarrow as pa
+        import pyarrow.parquet as pq
+
+        spare = target.with_name(f".{target.name}.{os.getpid()}.tmp")
+        try:
+            pq.write_table(_table(rows, self.asked), spare, compression="zstd")
+            spare.replace(target)
+        except (OSError, pa.ArrowException) as error:
+            raise OutputError(f"{target}: cannot be written ({getattr(error, 'strerror', None) or error})") from None
+        finally:
+            with suppress(OSError):
+                spare.unlink(missing_ok=True)
+
+    def page(self, name: str, text: str) -> None:
+        """Write a loop's page under its name. Raises `OutputError`."""
+        write_files({name: text}, self.folder / "loops")
+
+    def finish(self, rows: Sequence[FleetRow], texts: dict[str, str], pages: Container[str]) -> None:
+        """Write fleet.parquet and the texts of a whole run; remove the parts, and pages of a former run not in `pages`.
+
+        Raises `OutputError`.
+        """
+        self._write(rows, self.folder / ROWS)
+        write_files(texts, self.folder)
+        former = [path for path in (self.folder / "loops").glob("*.html") if path.name not in pages]
+        for path in [*(self.folder / PARTS).glob("part-*.parquet"), *former]:
+            with suppress(OSError):
+                path.unlink()
+        with suppress(OSError):
+            (self.folder / PARTS).rmdir()
+
+
+def fleet_csv(rows: Iterable[FleetRow]) -> str:
+    """Return the rows as CSV, without phases and trends; a text that a spreadsheet takes for a formula is quoted."""
+    names = [one.name for one in fields(FleetRow) if one.name not in _HIDDEN]
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(names)
+    for row in rows:
+        writer.writerow([_cell(getattr(row, name)) for name in names])
+    return text.getvalue()
+
+
+def _cell(value: object) -> str:
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, float):
+        return f"{value:.6g}" if math.isfinite(value) else ""
+    text = str(value)
+    return f"'{text}" if text.startswith(_RISKY) else text

@@ -1,0 +1,308 @@
+"""One loop: read, measured, judged and, where asked, modelled and tuned. The same on every engine."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from workbench.detect.detect import detect
+from workbench.detect.oscillation import OSCILLATES, REGULAR
+from workbench.errors import RecordError, WorkbenchError
+from workbench.fleet.sampling import Seen, means, oscillation_at_any_rate, stretch
+from workbench.kpi.kpis import travel
+from workbench.model.fleet import FleetRow, LoopSource, Settings
+from workbench.model.plant import FOPDT
+from workbench.model.record import Record
+from workbench.record.historian import Piece, read_tags
+from workbench.record.modes import manual_share
+from workbench.record.reader import read_record
+from workbench.record.segments import USABLE
+from workbench.report.loop_page import render_loop
+
+if TYPE_CHECKING:
+    from workbench.model.controller import PID
+    from workbench.model.detection import Detection
+    from workbench.model.results import Estimate, Tuned
+
+__all__ = ["Result", "look_at", "read"]
+
+# What a model is fitted to, samples and samples in a cycle: ten cycles, at the data's own rate as far as that goes, for
+# a plant is faster than its cycle, and thinning biases d. More of a loop whose valve may stick.
+MODEL, MODEL_STICKY = (2000, 200), (4000, 400)
+CYCLES = 8.0  # recorded, from which a phase is worth keeping
+FRESH = 10.0  # samples of a cycle that its phase is read from
+BAND = (0.6, 1.6)  # of the frequency of the cycle
+INSTANTS = 256  # of the phase, at most
+DRAWN = 96  # points of a trend
+SHOWN, SHOWN_LEAST = 10.0, 2.0  # cycles, and hours where there is none, in a trend
+NOTES = 1200  # characters of reasons and notes
+
+
+@dataclass(frozen=True, slots=True)
+class Result:
+    """A loop's row, and its page as HTML where it is worth one ("" else)."""
+
+    row: FleetRow
+    page: str = ""
+
+
+def read(loop: LoopSource, settings: Settings) -> Record:
+    """Return the loop's record within the window asked for. Raises `RecordError` and `InvalidValue`."""
+    if loop.refusal:
+        raise RecordError(loop.refusal)
+    if loop.pieces:
+        window = None
+        if settings.begin is not None or settings.end is not None:
+            window = (
+                -math.inf if settings.begin is None else settings.begin,
+                math.inf if settings.end is None else settings.end,
+            )
+        record = read_tags(
+            tuple(Piece(path, groups) for path, groups in loop.pieces),
+            dict(loop.tags),
+            loop.name,
+            window=window,
+            sample_time=loop.sample_time,
+            pv_range=loop.pv_range,
+            op_range=loop.op_range,
+            max_gap=loop.max_gap,
+        )
+    else:
+        record = read_record(
+            loop.path,
+            columns=dict(loop.columns) or None,
+            tags=dict(loop.tags) or None,
+            sample_time=loop.sample_time,
+            pv_range=loop.pv_range,
+            op_range=loop.op_range,
+            max_gap=loop.max_gap,
+        )
+    return _within(record, settings)
+
+
+def _within(record: Record, settings: Settings) -> Record:
+    """Return the longest stretch of a record within the window, the others as its `rest`."""
+    begin = -math.inf if settings.begin is None else settings.begin
+    end = math.inf if settings.end is None else settings.end
+    if settings.last is not None:
+        latest = max(one.epoch + one.start + len(one) * one.sample_time for one in record.segments)
+        begin = max(begin, min(latest, end) - settings.last)
+    if begin == -math.inf and end == math.inf:
+        return record
+    kept: list[Record] = []
+    for one in record.segments:
+        at = one.epoch + one.time
+        where = np.flatnonzero((at >= begin - 1e-9) & (at < end - 1e-9))
+        if where.size >= USABLE:
+            part = slice(int(where[0]), int(where[-1]) + 1)
+            kept.append(
+                replace(
+                    one,
+                    pv=one.pv[part],
+                    op=one.op[part],
+                    sp=None if one.sp is None else one.sp[part],
+                    valve_position=None if one.valve_position is None else one.valve_position[part],
+                    mode=None if one.mode is None else one.mode[part],
+                    start=float(one.time[part.start]),
+                )
+            )
+    if not kept:
+        raise RecordError(f"{record.source}: no {USABLE} samples on end within the window of time")
+    longest = max(kept, key=len)
+    others = tuple(replace(one, notes=()) for one in kept if one is not longest)
+    return replace(longest, rest=others, notes=record.notes, counts=record.counts)
+
+
+def look_at(loop: LoopSource, settings: Settings) -> Result:
+    """Return the result of one loop; whatever is wrong with its data becomes its row's reason."""
+    try:
+        return _looked_at(loop, settings)
+    except WorkbenchError as error:
+        return Result(FleetRow.failure(loop, _line(str(error))))
+    except MemoryError:
+        return Result(FleetRow.failure(loop, "the record does not fit into memory"))
+    except Exception as error:  # noqa: BLE001 - one loop must never stop the others, whatever it meets
+        return Result(FleetRow.failure(loop, _line(f"unexpected: {type(error).__name__}: {error}")))
+
+
+def _line(text: str) -> str:
+    return " ".join(text.split())[:NOTES]
+
+
+def _looked_at(loop: LoopSource, settings: Settings) -> Result:
+    record = read(loop, settings)
+    seen = oscillation_at_any_rate(record.pv, record.sample_time)
+    judged = stretch(record, seen)
+    found = detect(judged)
+    row = _measured(loop, record, seen, judged, found)
+    estimated: Estimate | None = None
+    tuned: Tuned | None = None
+    if settings.depth != "screen" and found.test is not None:
+        row, estimated = _estimated(row, loop, record, seen)
+    if settings.depth == "tune" and estimated is not None and row.sticks:
+        row, tuned = _tuned(row, loop, estimated)
+    page = ""
+    if row.sticks or row.oscillates:
+        page = render_loop(
+            row, record, judged, found.statistics, estimated, None if tuned is None else tuned.controller
+        )
+    return Result(row, page)
+
+
+def _measured(loop: LoopSource, record: Record, seen: Seen, judged: Record, found: Detection) -> FleetRow:
+    cycle, test = seen.oscillation, found.test
+    oscillates = cycle.index >= OSCILLATES and cycle.regularity > REGULAR and math.isfinite(cycle.period)
+    hours = len(record) * record.sample_time / 3600.0
+    step, first, phases = _phases(record, seen) if oscillates and cycle.cycles >= CYCLES else (math.nan, 0, b"")
+    shown, trend = _trend(record, cycle.period if oscillates else math.nan)
+    ends = [float(np.mean(record.op == end)) for end in (record.op.min(), record.op.max())]
+    nan = math.nan
+    return FleetRow(
+        loop.name,
+        area=loop.area,
+        criticality=loop.criticality,
+        verdict=found.verdict,
+        oscillates=oscillates,
+        oscillation_index=cycle.index,
+        period=cycle.period if oscillates else nan,
+        regularity=min(cycle.regularity, 1e6),
+        stiction=test.band if test is not None and found.verdict == "stiction" else nan,
+        likelihood=nan if test is None else test.predicting,
+        predicts=nan if test is None else 1.0 - math.exp(-test.predicting / test.samples),
+        swing=nan if test is None else test.band / float(np.ptp(judged.op)),
+        samples=len(record),
+        sample_time=record.sample_time,
+        hours=hours,
+        automatic=_automatic(record),
+        saturated=max(ends) if np.ptp(record.op) > 0.0 else 1.0,
+        pv_sd=float(record.pv.std()),
+        error_sd=nan if record.sp is None else float((record.sp - record.pv).std()),
+        op_travel=travel(record.op) / hours,
+        reasons=_line("; ".join(found.reasons)),
+        notes=_line("; ".join(note for note in record.notes if not note.startswith("first timestamp"))),
+        trend_hours=shown,
+        phase_step=step,
+        phase_first=first,
+        phases=phases,
+        trend=trend,
+    )
+
+
+def _automatic(record: Record) -> float:
+    """Return the share of the samples in automatic or cascade, nan where no mode is recorded."""
+    if record.mode is None:
+        return math.nan
+    if manual_share(record.mode) > 0.0:
+        return 1.0 - manual_share(record.mode)
+    kept, manual = sum(len(one) for one in record.segments), record.counts.get("manual", 0)
+    return kept / (kept + manual)
+
+
+def _phases(record: Record, seen: Seen) -> tuple[float, int, bytes]:
+    """Return (step in s, number of the first instant, phase at each instant in 256ths of a turn) of PV's oscillation.
+
+    PV is thinned to some ten samples in a cycle and kept in a band about the cycle's frequency; its analytic signal
+    there has the phase. The instants are multiples of the step, a power of two, on the clock of the data, so that any
+    two loops share them.
+    """
+    period = seen.oscillation.period
+    factor = max(int(period / record.sample_time / FRESH), 1)
+    y = means(record.pv, factor)
+    Ts = factor * record.sample_time
+    frequencies = np.fft.fftfreq(y.size, Ts)
+    spectrum = np.fft.fft(y - y.mean())
+    spectrum[(frequencies < BAND[0] / period) | (frequencies > BAND[1] / period)] = 0.0
+    analytic = np.fft.ifft(spectrum)
+    first = record.epoch + record.start + 0.5 * (factor - 1) * record.sample_time
+    step = 2.0 ** math.ceil(math.log2(y.size * Ts / INSTANTS))
+    instants = np.arange(math.ceil(first / step), math.floor((first + (y.size - 1) * Ts) / step) + 1)
+    at = (instants * step - first) / Ts
+    near = np.clip(np.rint(at).astype(int), 0, y.size - 1)
+    turns = np.angle(analytic[near]) / (2.0 * math.pi) + (at - near) * Ts / period
+    return step, int(instants[0]), (np.rint(turns * 256.0).astype(np.int64) % 256).astype(np.uint8).tobytes()
+
+
+def _trend(record: Record, period: float) -> tuple[float, bytes]:
+    """Return (hours, bytes 0 to 255) of PV over its latest cycles, or over the whole record without a cycle."""
+    wanted = len(record) if math.isnan(period) else max(int(SHOWN * period / record.sample_time), DRAWN)
+    pv = record.pv[-wanted:]
+    hours = pv.size * record.sample_time / 3600.0
+    if pv.size > DRAWN:
+        pv = means(pv, pv.size // DRAWN)[-DRAWN:]
+    low, span = float(pv.min()), float(np.ptp(pv))
+    scaled = np.rint(255.0 * (pv - low) / span) if span > 0.0 else np.full(pv.size, 128.0)
+    return hours, scaled.astype(np.uint8).tobytes()
+
+
+def _estimated(row: FleetRow, loop: LoopSource, record: Record, seen: Seen) -> tuple[FleetRow, Estimate | None]:
+    """Return the row with the loop's model, or with why there is none.
+
+    Where the evidence excludes stiction the model is linear, and the verdict stands; elsewhere the model has a valve
+    that may stick, and its verdict goes before that of the evidence alone.
+    """
+    from workbench.estimate.estimate import estimate
+
+    healthy = row.verdict == "no_stiction"
+    part = stretch(record, seen, *(MODEL if healthy else MODEL_STICKY))
+    try:
+        found = estimate(part, plant=loop.plant, valve="linear" if healthy else "auto")
+    except WorkbenchError as error:
+        return replace(row, notes=_line(f"{row.notes}; no model: {error}".lstrip("; "))), None
+    sticks = not healthy and found.verdict == "stiction"
+    limits = (found.intervals.d or found.intervals.S) if sticks else None
+    plant = found.plant
+    row = replace(
+        row,
+        verdict=row.verdict if healthy else found.verdict,
+        reasons=row.reasons if healthy else _line("; ".join(found.reasons)),
+        stiction=found.valve.stick_band if sticks else math.nan,
+        jump=found.valve.slip_jump if sticks else math.nan,
+        stiction_low=math.nan if limits is None else limits[0],
+        stiction_high=math.nan if limits is None else limits[1],
+        plant="fopdt" if isinstance(plant, FOPDT) else "integrating",
+        model_gain=plant.gain,
+        model_time_constant=plant.time_constant if isinstance(plant, FOPDT) else math.nan,
+        model_dead_time=plant.dead_time,
+        identifiable=found.identifiable,
+    )
+    return row, found
+
+
+def _tuned(row: FleetRow, loop: LoopSource, found: Estimate) -> tuple[FleetRow, Tuned | None]:
+    """Return the row with a tuning for the loop found, in the form of the present one."""
+    from workbench.scenario.retune import Wishes, tune_found
+    from workbench.simulate.run import evaluate
+
+    try:
+        tuned = tune_found(found, Wishes()).tuned
+    except WorkbenchError as error:
+        return replace(row, notes=_line(f"{row.notes}; no tuning: {error}".lstrip("; "))), None
+    controller, ratio, note = tuned.controller, math.nan, row.notes
+    if loop.tuning is not None:
+        present = _present(loop, controller)
+        cost = float(evaluate(tuned.loop.with_controller(present), tuned.experiment, tuned.weights)[0])
+        ratio = tuned.objective / cost if cost > 0.0 and math.isfinite(cost) else math.nan
+        try:
+            controller = controller.to_form(loop.tuning.form)
+        except WorkbenchError as error:
+            note = _line(f"{note}; tuning in the ideal form: {error}".lstrip("; "))
+    row = replace(
+        row,
+        Kc=controller.Kc,
+        Ti=controller.Ti,
+        Td=controller.Td,
+        form=controller.form,
+        gain_of_tuning=ratio,
+        notes=note,
+    )
+    return row, tuned
+
+
+def _present(loop: LoopSource, like: PID) -> PID:
+    """Return the present controller, acting as the proposed one does."""
+    assert loop.tuning is not None  # noqa: S101
+    given = loop.tuning
+    return replace(like, Kc=given.Kc, Ti=given.Ti, Td=given.Td, form=given.form)

@@ -1,0 +1,212 @@
+"""Tall Parquet data sets of many loops: where each tag's values are, and one loop's record from them alone.
+
+A data set is a file, or a folder of files (partitioned in any way), with a row per value: tag, time, value and perhaps
+quality. Of each file only the footer is read first, and the column of tags where the footer does not tell; a loop's
+record then takes only the row groups and columns that hold it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from workbench.errors import RecordError
+from workbench.model.record import Record
+from workbench.record.columns import NEEDED, TALL, match_columns
+from workbench.record.reader import record_from
+from workbench.record.signals import Signals, Tall, seconds_of
+from workbench.record.table import FIELDS, Cells, Table, arrow_cells
+
+__all__ = ["Piece", "Pieces", "read_tags", "tags_of"]
+
+
+@dataclass(frozen=True, slots=True)
+class Piece:
+    """Row groups of one Parquet file."""
+
+    path: str
+    groups: tuple[int, ...]
+
+
+Pieces = tuple[Piece, ...]
+
+
+@contextmanager
+def _reading(source: str) -> Iterator[None]:
+    import pyarrow as pa
+
+    try:
+        yield
+    except RecordError:
+        raise
+    except (pa.ArrowException, OSError, ValueError, KeyError, NotImplementedError) as error:
+        said = str(error).splitlines()[0] if str(error) else type(error).__name__
+        raise RecordError(f"{source}: no readable Parquet file: {said}") from None
+
+
+@lru_cache(maxsize=64)
+def _footer(path: str, _stamp: tuple[int, int]) -> Any:
+    import pyarrow.parquet as pq
+
+    return pq.read_metadata(path)
+
+
+def _open(path: str, **how: object) -> Any:
+    """Return the open file; its footer is read once in a process, as files of many loops have long ones."""
+    import pyarrow.parquet as pq
+
+    status = Path(path).stat()
+    return pq.ParquetFile(path, metadata=_footer(path, (status.st_mtime_ns, status.st_size)), **how)
+
+
+def _names(header: list[str], source: str) -> dict[str, str]:
+    """Return the column of each of tag, time, value and quality."""
+    found = match_columns(header, None, source, tall=True)
+    return {signal: header[i] for signal, i in found.items() if signal in TALL}
+
+
+def tags_of(path: str | Path) -> dict[str, Pieces]:
+    """Return which row groups of a tall Parquet file hold which tag. Raises `RecordError` for anything else.
+
+    A row group whose tag has equal least and greatest values in the footer holds that tag alone; of the others the
+    column of tags is read.
+    """
+    source = str(path)
+    groups: dict[str, list[int]] = {}
+    with _reading(source), _open(source) as file:
+        column = _names([str(name) for name in file.schema_arrow.names], source)["tag"]
+        meta = file.metadata
+        at = [meta.schema.column(i).path for i in range(meta.num_columns)].index(column)
+        for group in range(meta.num_row_groups):
+            stats = meta.row_group(group).column(at).statistics
+            if stats is not None and stats.has_min_max and stats.min == stats.max and stats.null_count == 0:
+                tags = [str(stats.min)]
+            else:
+                read = file.read_row_group(group, columns=[column], use_threads=False)
+                tags = [str(tag) for tag in read.column(column).unique().to_pylist() if tag is not None]
+            for tag in tags:
+                groups.setdefault(tag, []).append(group)
+    return {tag: (Piece(source, tuple(found)),) for tag, found in groups.items()}
+
+
+def read_tags(
+    pieces: Pieces,
+    tags: Mapping[str, str],
+    source: str,
+    *,
+    window: tuple[float, float] | None = None,
+    sample_time: float | None = None,
+    pv_range: tuple[float, float] | None = None,
+    op_range: tuple[float, float] | None = None,
+    max_gap: float | None = None,
+) -> Record:
+    """Return one loop's record from the row groups that hold its tags.
+
+    tags: signal to tag; PV and OP at least. window: [start, end) of the timestamps, s since 1970. The rest as
+    `read_record`, whose laws hold here too. source: how messages name the loop. Raises `RecordError`.
+    """
+    for needed in NEEDED:
+        if needed not in tags:
+            raise RecordError(f"{source}: no tag for {needed}; tags: {', '.join(sorted(tags.values())) or 'none'}")
+    with _reading(source):
+        import pyarrow as pa
+        import pyarrow.compute as pc
+
+        parts = [_rows(piece, sorted(set(tags.values())), window, source) for piece in pieces]
+        if not parts:
+            raise RecordError(f"{source}: no row holds {' or '.join(sorted(tags.values()))}")
+        whole = pa.concat_tables(parts, promote_options="permissive")
+        order: list[tuple[str, str, Any]] = []
+        for kind, tag in tags.items():
+            rows = whole.filter(pc.is_in(whole.column("tag"), pa.array([tag]))).combine_chunks()
+            if rows.num_rows:
+                order.append((kind, tag, rows))
+            elif kind in NEEDED:
+                within = "" if window is None else " within the window of time"
+                raise RecordError(f"{source}: tag {tag!r} holds no value{within}")
+        clocks = [arrow_cells(rows.column("time"), "time", f"{source}: column 'time'") for _, _, rows in order]
+        values = [arrow_cells(rows.column("value"), kind, f"{source}: tag {tag!r}") for kind, tag, rows in order]
+        qualities = [_texts(rows.column("quality")) if "quality" in rows.column_names else None for _, _, rows in order]
+    lines = np.arange(1, sum(clock.marks.size for clock in clocks) + 1, dtype=np.int64)
+    signals = Signals({}, "value", lines.size, time_name="time", what="tag")
+    clock = _joined(clocks)
+    table = Table({"time": clock}, lines, "value")
+    times, wall_clock, signals.epoch = seconds_of(clock, "time", table, source, signals.notes)
+    tall = Tall(signals, times, wall_clock, clock.marks == FIELDS, lines, {name: name for name in TALL}, source)
+    first = 0
+    for (kind, tag, _), cells, said in zip(order, values, qualities, strict=True):
+        stop = first + cells.marks.size
+        tall.add(kind, tag, np.arange(first, stop), cells, said)
+        first = stop
+    return record_from(tall.done(), sample_time, max_gap, pv_range, op_range, True, source)
+
+
+def _rows(piece: Piece, tags: list[str], window: tuple[float, float] | None, source: str) -> Any:
+    """Return a piece's rows of these tags within the window as a table of tag, time, value and perhaps quality."""
+    import pyarrow as pa
+    import pyarrow.compute as pc
+
+    with _open(piece.path) as file:
+        names = _names([str(name) for name in file.schema_arrow.names], source)
+        groups = list(piece.groups)
+        if window is not None:
+            groups = [g for g in groups if _meets(file.metadata.row_group(g), names["time"], window)]
+    texts = [names[name] for name in ("tag", "quality") if name in names]
+    with _open(piece.path, read_dictionary=texts) as file:
+        read = file.read_row_groups(groups, columns=list(names.values()), use_threads=False)
+    table = read.select(list(names.values())).rename_columns(list(names))
+    keep = pc.is_in(table.column("tag"), pa.array(tags))
+    if window is not None:
+        seconds = arrow_cells(table.column("time"), "time", source).values
+        keep = pc.and_(keep, pa.array((seconds >= window[0]) & (seconds < window[1])))
+    return table.filter(keep)
+
+
+def _meets(group: Any, column: str, window: tuple[float, float]) -> bool:
+    """Whether a row group's times may lie within the window, as far as its footer tells."""
+    stats = next(
+        (group.column(i).statistics for i in range(group.num_columns) if group.column(i).path_in_schema == column), None
+    )
+    if stats is None or not stats.has_min_max:
+        return True
+    ends = [
+        end.replace(tzinfo=end.tzinfo or UTC).timestamp() if isinstance(end, datetime) else end
+        for end in (stats.min, stats.max)
+    ]
+    if not all(isinstance(end, float | int) for end in ends):
+        return True
+    return bool(ends[0] < window[1] and ends[1] >= window[0])
+
+
+def _texts(column: Any) -> list[str]:
+    """Return a column of texts, or of codes, as a list of texts, "" for none; its few values are made only once."""
+    coded = column.combine_chunks().dictionary_encode() if not _is_dictionary(column) else column.combine_chunks()
+    words = np.array([*("" if v is None else str(v).strip() for v in coded.dictionary.to_pylist()), ""], dtype=object)
+    at = np.asarray(coded.indices.fill_null(len(words) - 1).to_numpy(zero_copy_only=False))
+    texts: list[str] = words[at].tolist()
+    return texts
+
+
+def _is_dictionary(column: Any) -> bool:
+    import pyarrow as pa
+
+    return bool(pa.types.is_dictionary(column.type))
+
+
+def _joined(cells: list[Cells]) -> Cells:
+    """Return the time cells of several tags as one column."""
+    texts = None if any(one.texts is None for one in cells) else [text for one in cells for text in one.texts or ()]
+    stamps = [one.stamped for one in cells]
+    return Cells(
+        np.concatenate([one.values for one in cells]),
+        np.concatenate([one.marks for one in cells]),
+        texts=texts,
+        stamped=None if None in stamps else stamps[0],
+    )

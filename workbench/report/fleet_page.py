@@ -1,0 +1,201 @@
+"""The fleet report: one HTML page whose size is bounded, whatever the number of loops."""
+
+from __future__ import annotations
+
+import math
+import statistics
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from markupsafe import Markup
+
+from workbench.model.fleet import FleetRow, Group, Site
+from workbench.report.lines import spark
+from workbench.report.loop_page import page_name, verdict_words
+from workbench.report.templating import environment, style_sheet
+from workbench.report.words import duration, figure, setting
+
+__all__ = ["page_name", "render_site"]
+
+# What the page shows at most of each; the files hold all.
+RANKED, DRAWN, GROUPS, MEMBERS, LISTED = 500, 300, 60, 12, 200
+WORDS = 260  # characters of the evidence; a loop's page has all
+SATURATED = 0.2  # share of the time at an end of OP
+
+
+@dataclass(frozen=True, slots=True)
+class Line:
+    """A row of the ranking as the template takes it: a cell's text and the value that it is sorted by."""
+
+    rank: int
+    name: str
+    page: str
+    row: FleetRow
+    trend: Markup
+    verdict: str
+    cells: tuple[tuple[str, str], ...]
+
+
+def render_site(site: Site) -> str:
+    """Return report.html for a fleet run."""
+    rows, seen = site.rows, site.looked_at
+    by = {row.name: row for row in rows}
+    sticky = [row for row in seen if row.sticks]
+    pages = {name: f"loops/{page_name(name)}" for name in site.pages}
+    drives = {group.members[0]: len(group.members) - 1 for group in site.groups if group.sticky}
+    driven = {name: group.members[0] for group in site.groups if group.sticky for name in group.members[1:]}
+    areas = sorted({row.area for row in rows[:RANKED] if row.area})
+    ranking = [row for row in rows if not row.failed][:RANKED]
+    tuning = _to_tune(seen, driven)
+    return (
+        environment()
+        .get_template("fleet.html.j2")
+        .render(
+            site=site,
+            css=style_sheet("report.css", "fleet.css"),
+            script=style_sheet("fleet.js"),
+            tiles=_tiles(site),
+            summary=_summary(site, tuning),
+            lines=[_line(i, row, site, i < DRAWN) for i, row in enumerate(ranking)],
+            hidden=len(seen) - len(ranking),
+            areas=areas,
+            groups=[_group(group, by) for group in site.groups[:GROUPS]],
+            more_groups=max(len(site.groups) - GROUPS, 0),
+            maintenance=[
+                (row, _stiction(row), drives.get(row.name, 0), driven.get(row.name, ""), _short(row.reasons))
+                for row in sticky[:LISTED]
+            ],
+            more_maintenance=max(len(sticky) - LISTED, 0),
+            tuning=tuning[:LISTED],
+            more_tuning=max(len(tuning) - LISTED, 0),
+            changes=None if site.changes is None else site.changes[:LISTED],
+            more_changes=max(len(site.changes or ()) - LISTED, 0),
+            failures=site.failures[:LISTED],
+            more_failures=max(len(site.failures) - LISTED, 0),
+            pages=pages,
+            duration=duration,
+            verdict_words=verdict_words,
+        )
+    )
+
+
+def _share(part: int, whole: int) -> str:
+    return f"{part / whole:.0%}" if whole else "–"
+
+
+def _tiles(site: Site) -> list[tuple[str, str]]:
+    seen = site.looked_at
+    many = len(seen)
+    known = [row.automatic for row in seen if math.isfinite(row.automatic)]
+    return [
+        ("loops", f"{len(site.rows):,}"),
+        ("oscillate", _share(sum(row.oscillates for row in seen), many)),
+        ("show stiction", _share(sum(row.sticks for row in seen), many)),
+        ("undecided", _share(sum(row.verdict == "undecided" for row in seen), many)),
+        ("time in automatic", f"{statistics.fmean(known):.1%}" if known else "not recorded"),
+        ("could not be read", f"{len(site.failures):,}"),
+    ]
+
+
+def _summary(site: Site, tuning: Sequence[object]) -> list[str]:
+    seen = site.looked_at
+    sticky = [row for row in seen if row.sticks]
+    lines = []
+    if sticky:
+        worst = ", ".join(row.name for row in sticky[:3])
+        lines.append(f"{len(sticky)} valves show stiction; the most urgent: {worst}.")
+    else:
+        lines.append("No valve shows stiction.")
+    rooted = [group for group in site.groups if group.sticky]
+    if site.groups:
+        loops = sum(len(group.members) for group in site.groups)
+        words = f"{loops} loops oscillate together in {len(site.groups)} groups"
+        if rooted:
+            spared = sum(len(group.members) - 1 for group in rooted)
+            words += (
+                f"; in {len(rooted)} of them a sticking valve is the likely root, and {spared} other loops follow it"
+            )
+        lines.append(f"{words}.")
+    if tuning:
+        lines.append(f"{len(tuning)} loops may gain from another tuning.")
+    ends = sum(row.saturated >= SATURATED for row in seen)
+    if ends:
+        lines.append(f"{ends} loops have OP at its highest or lowest value for a fifth of the time or more.")
+    if site.failures:
+        lines.append(f"{len(site.failures)} loops could not be looked at; the reasons are below.")
+    if site.changes is not None:
+        worse = sum(change.kind == "worse" for change in site.changes)
+        better = sum(change.kind == "better" for change in site.changes)
+        lines.append(f"Since the run before, {worse} loops are worse and {better} better.")
+    return lines
+
+
+def _value(value: float) -> str:
+    return f"{value:.6g}" if math.isfinite(value) else ""
+
+
+def _line(i: int, row: FleetRow, site: Site, drawn: bool) -> Line:
+    page = f"loops/{page_name(row.name)}" if row.name in site.pages else ""
+    period = figure(row.period / 60.0, 3) if row.oscillates else "–"
+    cells = (
+        (
+            f"{row.oscillation_index:.2f}" if math.isfinite(row.oscillation_index) else "–",
+            _value(row.oscillation_index),
+        ),
+        (period, _value(row.period if row.oscillates else math.nan)),
+        (figure(row.stiction, 3) if math.isfinite(row.stiction) else "–", _value(row.stiction)),
+        (f"{max(row.predicts, 0.0):.0%}" if math.isfinite(row.predicts) else "–", _value(row.predicts)),
+        (f"{row.automatic:.0%}" if math.isfinite(row.automatic) else "–", _value(row.automatic)),
+        (f"{row.saturated:.0%}" if math.isfinite(row.saturated) else "–", _value(row.saturated)),
+        (figure(row.op_travel, 3), _value(row.op_travel)),
+        (str(row.criticality) if row.criticality else "–", str(row.criticality)),
+    )
+    trend = spark(row.trend) if drawn else Markup()
+    return Line(i + 1, row.name, page, row, trend, verdict_words(row.verdict), cells)
+
+
+def _group(group: Group, by: dict[str, FleetRow]) -> dict[str, object]:
+    members = [(name, lock, by[name]) for name, lock in zip(group.members, group.locked, strict=True)]
+    return {
+        "group": group,
+        "members": members[:MEMBERS],
+        "more": max(len(members) - MEMBERS, 0),
+    }
+
+
+def _short(text: str) -> str:
+    return text if len(text) <= WORDS else text[: WORDS - 1].rsplit(" ", 1)[0] + " …"
+
+
+def _stiction(row: FleetRow) -> str:
+    if not math.isfinite(row.stiction):
+        return "–"
+    words = f"{figure(row.stiction, 3)} %"
+    if math.isfinite(row.stiction_low):
+        words += f" ({figure(row.stiction_low, 3)} to {figure(row.stiction_high, 3)} %)"
+    if row.plant and not row.identifiable:
+        words += ", a hint: the record does not pin it"
+    return words
+
+
+def _to_tune(rows: Sequence[FleetRow], driven: dict[str, str]) -> list[tuple[FleetRow, str, str]]:
+    """Return (row, settings to type in or "", why) of the loops that another tuning may help."""
+    found = []
+    for row in rows:
+        if math.isfinite(row.Kc):
+            settings = f"Kc {setting(row.Kc)} %/EU, Ti {setting(row.Ti)} s" + (
+                f", Td {setting(row.Td)} s" if row.Td else ""
+            )
+            why = "until the valve is repaired"
+            if math.isfinite(row.gain_of_tuning):
+                why += f"; cost J {row.gain_of_tuning:.2f} times that of the present tuning, on the loop's model"
+            found.append((row, f"{settings} ({row.form})", why))
+        elif row.oscillates and not row.sticks and row.name not in driven:
+            found.append(
+                (
+                    row,
+                    "",
+                    "oscillates without stiction and follows no sticking valve: tight tuning, or a source outside",
+                )
+            )
+    return found

@@ -1,0 +1,131 @@
+"""The page of one loop of a fleet: its figures, its signals where it was judged, the evidence, model and tuning."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+import re
+from collections.abc import Sequence
+
+from workbench.model.controller import PID
+from workbench.model.detection import Statistic
+from workbench.model.fleet import FleetRow
+from workbench.model.record import Record
+from workbench.model.results import Estimate
+from workbench.report.lines import panel
+from workbench.report.templating import environment, style_sheet
+from workbench.report.words import controller_words, duration, figure, interval, plant_words, slug, valve_words
+
+__all__ = ["page_name", "render_loop", "verdict_words"]
+
+VERDICTS = {"stiction": "stiction", "no_stiction": "no stiction", "undecided": "undecided", "": "–"}
+NEAR = 20.0  # cycles drawn
+
+
+def page_name(name: str) -> str:
+    """Return the file name of a loop's page, another one for every name."""
+    if re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_-]{0,60}", name):
+        return f"{name}.html"
+    return f"{slug(name)}-{hashlib.sha256(name.encode()).hexdigest()[:8]}.html"
+
+
+def verdict_words(verdict: str) -> str:
+    """Return a verdict as people read it."""
+    return VERDICTS.get(verdict, verdict)
+
+
+def render_loop(
+    row: FleetRow,
+    record: Record,
+    judged: Record,
+    statistics: Sequence[Statistic],
+    found: Estimate | None,
+    tuned: PID | None,
+) -> str:
+    """Return a loop's page as HTML. judged: the stretch that the verdict rests on; found, tuned: None without one."""
+    near = judged if math.isnan(row.period) else _latest(judged, NEAR * row.period)
+    evidence = [
+        (one.name, one.measures, figure(one.value) + (f" {one.unit}" if one.unit else ""), one.limits, one.says)
+        for one in statistics
+    ]
+    return (
+        environment()
+        .get_template("loop.html.j2")
+        .render(
+            row=row,
+            css=style_sheet("report.css", "fleet.css"),
+            verdict=verdict_words(row.verdict),
+            facts=_facts(row, record, judged),
+            model=_model(row, found),
+            tuning=None if tuned is None else controller_words(tuned),
+            gain=row.gain_of_tuning if math.isfinite(row.gain_of_tuning) else None,
+            pictures=[*_pictures(judged), *(_pictures(near) if len(near) < len(judged) else [])],
+            evidence=evidence,
+        )
+    )
+
+
+def _latest(record: Record, seconds: float) -> Record:
+    count = min(max(int(seconds / record.sample_time), 30), len(record))
+    part = slice(len(record) - count, None)
+    return Record(
+        record.pv[part],
+        record.op[part],
+        record.sample_time,
+        sp=None if record.sp is None else record.sp[part],
+        start=float(record.time[part][0]),
+    )
+
+
+def _pictures(record: Record) -> list[object]:
+    hours = record.time / 3600.0
+    pv = [("pv", record.pv)]
+    if record.sp is not None:
+        pv.insert(0, ("sp", record.sp))
+    return [panel(hours, pv, "PV"), panel(hours, [("op", record.op)], "OP, %")]
+
+
+def _facts(row: FleetRow, record: Record, judged: Record) -> list[tuple[str, str]]:
+    cycle = "none"
+    if row.oscillates:
+        cycle = f"index {row.oscillation_index:.2f}, period {duration(row.period)}"
+    facts = [
+        ("Record", f"{row.samples:,} samples of {figure(row.sample_time)} s, {figure(row.hours, 3)} h"),
+        ("Judged by", f"{len(judged):,} samples of {figure(judged.sample_time)} s, drawn below"),
+        ("Oscillation", cycle),
+        ("Stiction", _stiction(row)),
+        ("PV", f"standard deviation {figure(row.pv_sd)} EU"),
+        (
+            "OP",
+            f"travel {figure(row.op_travel)} % an hour; at its highest or lowest value {row.saturated:.0%} of the time",
+        ),
+    ]
+    if math.isfinite(row.error_sd):
+        facts.append(("SP − PV", f"standard deviation {figure(row.error_sd)} EU"))
+    if math.isfinite(row.automatic):
+        facts.append(("In automatic", f"{row.automatic:.1%} of the time"))
+    if record.rest:
+        facts.append(("Other stretches", f"{len(record.rest)} of the same loop, not looked at"))
+    if row.notes:
+        facts.append(("Notes", row.notes))
+    return facts
+
+
+def _stiction(row: FleetRow) -> str:
+    if not math.isfinite(row.stiction):
+        return "–"
+    words = f"{figure(row.stiction, 3)} % of travel"
+    if math.isfinite(row.stiction_low):
+        words += f" (95 %: {interval((row.stiction_low, row.stiction_high), '%', 3)})"
+    if math.isfinite(row.jump):
+        words += f", slip jump {figure(row.jump, 3)} %"
+    return words
+
+
+def _model(row: FleetRow, found: Estimate | None) -> list[tuple[str, str]]:
+    if found is None:
+        return []
+    lines = [("Plant", plant_words(found.plant)), ("Valve", valve_words(found.valve))]
+    if row.sticks and not found.identifiable:
+        lines.append(("Note", "the record does not pin the stiction by itself: take it as a hint"))
+    return lines
