@@ -23,7 +23,7 @@ from workbench.estimate.fit import (
     grounded,
     predict,
 )
-from workbench.estimate.loads import WHITER, loads_of
+from workbench.estimate.loads import loads_of
 from workbench.estimate.models import (
     PLANT_PARAMETERS,
     VALVE_PARAMETERS,
@@ -208,12 +208,12 @@ def _relieved(
     lead: tuple[FloatArray, int, Fit],
     limits: Limits,
     skip: int,
-    asked: tuple[int, float],
+    asked: tuple[int, bool],
 ) -> tuple[Centred, FloatArray, tuple[LoadStep, ...]]:
     """The record without the load steps that a stem does not explain, what it leaves of that, EU, and the steps.
 
     whole: the record with its load; data: as the lead was fitted to it; asked: how many
-    steps at most, and how much whiter they must make what is left.
+    steps at most, and whether they must explain all that is coloured.
     """
     x, first, fit = lead
     loads = loads_of(whole, x, first, fit, limits, skip, *asked)
@@ -227,14 +227,14 @@ def _relieved(
 
 
 def _settled(
-    data: Centred, found: Profile | None, bands: dict[str, Bands], linear: Fit, delays: float
+    data: Centred, found: Profile | None, bands: dict[str, Bands], linear: Fit, delays: float, most: int = STEPS_MOST
 ) -> tuple[Centred, Profile | None, dict[str, Bands], Fit, tuple[LoadStep, ...]]:
     """The record and its models without load steps, in the measure of the disturbance that the best stem leaves.
 
     Where the record starts within a cycle, its first samples, up to the dead time, answer to slips before it: they no
-    longer count. A PV that starts where it does not come again starts from rest, with a setpoint move.
+    longer count. A PV that starts where it does not come again starts from rest, with a setpoint move. most: load steps.
     """
-    whole = data
+    whole, first = data, (found, bands, linear)
     steps: tuple[LoadStep, ...] = ()
     theta = max(0.0 if found is None else found.best.fit.theta, min(linear.theta, delays))
     later = data.y[data.samples // 4 :]
@@ -242,22 +242,24 @@ def _settled(
     skip = min(math.ceil(theta) + 2, data.samples // STARTING) if within else 0
     limits = Limits((LEAST_TAU, float(data.samples)), (0.0, delays))
     turn = 0
-    while turn < COLOURINGS or (steps and turn < COLOURINGS + STEPS_MOST):
+    while turn < COLOURINGS or (steps and turn < COLOURINGS + most):
         before = steps
         # One step at a time: what a second seems to explain may be the wrong stem's doing. What the first stems leave
         # is coloured by their own errors; in the end it must be a step's work that it is not.
-        asked = (min(turn + 1, STEPS_MOST), 1.0 if turn < COLOURINGS else WHITER)
+        asked = (min(turn + 1, most), turn >= COLOURINGS)
         bare, left, steps = _relieved(whole, data, _leading(data, found, bands, linear), limits, skip, asked)
+        if before and not steps:
+            return _settled(whole, *first, delays, 0)
         a = disturbance(left[skip:], data.floor)
-        same = a.size == data.a.size == 1 and not steps and not before
+        same = a.size == data.a.size == 1 and not steps
         # Of a long record the first few samples are nothing.
         turn += 1
         if same and (turn > 1 or skip == 0 or data.samples > EXACT):
             break
         data = bare.whitened(a, skip)
-        anew = a.size > 1 or bool(steps) or bool(before)
+        anew = a.size > 1 or bool(steps)
         linear = again_linear(data, linear, delays)
-        if found is not None and bool(steps) != bool(before):
+        if found is not None and steps and not before:
             found = search(bare, delays, _silent) or found
         if found is not None:
             likely = [*found.likely, found.best.d_low]
@@ -276,7 +278,7 @@ def _coloured_linear(data: Centred, linear: Fit, delays: float) -> tuple[Centred
     steps: tuple[LoadStep, ...] = ()
     for _ in range(COLOURINGS):
         limits = Limits((LEAST_TAU, float(data.samples)), (0.0, delays))
-        bare, left, steps = _relieved(whole, data, (data.u, 0, linear), limits, 0, (STEPS_MOST, WHITER))
+        bare, left, steps = _relieved(whole, data, (data.u, 0, linear), limits, 0, (STEPS_MOST, True))
         data = bare.whitened(disturbance(left, data.floor), 0)
         linear = again_linear(data, linear, delays)
     return data, linear, steps
