@@ -232,7 +232,7 @@ def _settled(
     """The record and its models without load steps, in the measure of the disturbance that the best stem leaves.
 
     Where the record starts within a cycle, its first samples, up to the dead time, answer to slips before it: they no
-    longer count. A PV that starts where it does not come again starts from rest, with a setpoint move. most: load steps.
+    longer count. A PV that starts where it does not come again starts from rest, with a setpoint move. most: steps.
     """
     whole, first = data, (found, bands, linear)
     steps: tuple[LoadStep, ...] = ()
