@@ -529,7 +529,8 @@ def test_chem23_ends_with_a_model_an_interval_and_a_stem() -> None:
     stenman = next(model for model in found.candidates if isinstance(model.valve, wb.Stenman))
     assert stenman.valve.stick_band == pytest.approx(found.valve.stick_band, rel=0.05)
     assert found.residual_variance < 0.4 * found.linear.residual_variance
-    assert np.ptp(found.valve_position) > 20.0
+    # OP swings by 34 %, of which the band takes all but what moves the stem.
+    assert 4.0 < np.ptp(found.valve_position) < 10.0
 
 
 def labels(kind: str) -> list[tuple[str, str]]:

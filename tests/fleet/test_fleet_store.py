@@ -16,6 +16,7 @@ from workbench.fleet import store as stores
 from workbench.fleet.store import Store, fleet_csv, read_rows
 from workbench.model.fleet import FleetRow, Settings
 
+SITE = "a folder of records"
 ROWS = [
     FleetRow("b", verdict="stiction", stiction=1.25, oscillates=True, phases=b"\x01\xff", trend=b"\x00\x80"),
     FleetRow("a", status="failed", reason="=cmd|'/c calc'!A1"),
@@ -33,7 +34,7 @@ def same(a: FleetRow, b: FleetRow) -> bool:
 
 
 def test_rows_come_back_as_they_were(tmp_path: Path) -> None:
-    store = Store(tmp_path, Settings(), resume=False)
+    store = Store(tmp_path, SITE, Settings(), resume=False)
     for row in ROWS:
         store.add(row)
     store.flush()
@@ -43,12 +44,12 @@ def test_rows_come_back_as_they_were(tmp_path: Path) -> None:
 
 
 def test_an_interrupted_run_goes_on_and_no_row_is_there_twice(tmp_path: Path) -> None:
-    store = Store(tmp_path, Settings(), resume=False)
+    store = Store(tmp_path, SITE, Settings(), resume=False)
     store.add(ROWS[0])
     store.flush()
     store.add(ROWS[1])  # never written: the run is killed here
     (tmp_path / "parts" / ".part-000002.parquet.99.tmp").write_bytes(b"half")
-    again = Store(tmp_path, Settings(), resume=True)
+    again = Store(tmp_path, SITE, Settings(), resume=True)
     assert set(again.done) == {"b"}
     for row in (ROWS[0], ROWS[1]):
         again.add(row)
@@ -57,19 +58,19 @@ def test_an_interrupted_run_goes_on_and_no_row_is_there_twice(tmp_path: Path) ->
         "part-000001.parquet",
         "part-000002.parquet",
     ]
-    once_more = Store(tmp_path, Settings(), resume=True)
+    once_more = Store(tmp_path, SITE, Settings(), resume=True)
     assert set(once_more.done) == {"a", "b"}
     once_more.page("a.html", "kept")
     once_more.page("former.html", "of a loop that no longer has one")
     once_more.finish(list(once_more.done.values()), {"report.html": "x"}, {"a.html"})
     assert [path.name for path in (tmp_path / "loops").iterdir()] == ["a.html"]
     assert not (tmp_path / "parts").exists()
-    assert set(Store(tmp_path, Settings(), resume=True).done) == {"a", "b"}
+    assert set(Store(tmp_path, SITE, Settings(), resume=True).done) == {"a", "b"}
 
 
 def test_parts_are_written_after_a_batch_or_some_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(stores, "BATCH", 2)
-    store = Store(tmp_path, Settings(), resume=False)
+    store = Store(tmp_path, SITE, Settings(), resume=False)
     store.add(ROWS[0])
     assert not store.done
     store.add(ROWS[1])
@@ -80,21 +81,23 @@ def test_parts_are_written_after_a_batch_or_some_time(tmp_path: Path, monkeypatc
 
 
 def test_without_resume_a_run_begins_anew(tmp_path: Path) -> None:
-    store = Store(tmp_path, Settings(), resume=False)
+    store = Store(tmp_path, SITE, Settings(), resume=False)
     store.add(ROWS[0])
     store.flush()
-    fresh = Store(tmp_path, Settings(), resume=False)
+    fresh = Store(tmp_path, SITE, Settings(), resume=False)
     assert not fresh.done
     assert fresh.dropped == 1
     assert not list((tmp_path / "parts").iterdir())
 
 
 def test_other_settings_are_not_resumed(tmp_path: Path) -> None:
-    store = Store(tmp_path, Settings(), resume=False)
+    store = Store(tmp_path, SITE, Settings(), resume=False)
     store.add(ROWS[0])
     store.flush()
-    with pytest.raises(OutputError, match=r"made with other settings.*--resume"):
-        Store(tmp_path, Settings("estimate"), resume=True)
+    with pytest.raises(OutputError, match=r"with other settings.*--resume"):
+        Store(tmp_path, SITE, Settings("estimate"), resume=True)
+    with pytest.raises(OutputError, match="made of another site"):
+        Store(tmp_path, "another folder", Settings(), resume=True)
 
 
 def test_files_that_are_no_rows_are_refused(tmp_path: Path) -> None:
@@ -104,7 +107,7 @@ def test_files_that_are_no_rows_are_refused(tmp_path: Path) -> None:
         read_rows(path)
     pq.write_table(pq.read_table(_other(tmp_path)), path)
     with pytest.raises(OutputError, match="holds no rows of a fleet run"):
-        Store(tmp_path, Settings(), resume=True)
+        Store(tmp_path, SITE, Settings(), resume=True)
 
 
 def _other(folder: Path) -> Path:
@@ -115,7 +118,7 @@ def _other(folder: Path) -> Path:
 
 
 def test_a_row_of_another_version_keeps_what_is_known(tmp_path: Path) -> None:
-    store = Store(tmp_path, Settings(), resume=False)
+    store = Store(tmp_path, SITE, Settings(), resume=False)
     store.add(ROWS[0])
     store.flush()
     (part,) = (tmp_path / "parts").iterdir()
@@ -129,7 +132,7 @@ def test_a_row_of_another_version_keeps_what_is_known(tmp_path: Path) -> None:
 
 
 def test_a_full_disk_is_said_and_what_is_there_stays(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    store = Store(tmp_path, Settings(), resume=False)
+    store = Store(tmp_path, SITE, Settings(), resume=False)
     store.add(ROWS[0])
     store.flush()
 
@@ -141,13 +144,13 @@ def test_a_full_disk_is_said_and_what_is_there_stays(tmp_path: Path, monkeypatch
     with pytest.raises(OutputError, match="No space left on device"):
         store.flush()
     monkeypatch.undo()
-    assert set(Store(tmp_path, Settings(), resume=True).done) == {"b"}
+    assert set(Store(tmp_path, SITE, Settings(), resume=True).done) == {"b"}
 
 
 def test_a_folder_that_cannot_be_made(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("x")
     with pytest.raises(OutputError, match="cannot be written"):
-        Store(tmp_path / "file" / "out", Settings(), resume=False)
+        Store(tmp_path / "file" / "out", SITE, Settings(), resume=False)
 
 
 def test_the_csv_holds_no_formula_and_no_bytes() -> None:

@@ -82,7 +82,7 @@ def run_fleet(
     begin = time.perf_counter()
     tell = progress if progress is not None else _silent
     former = None if previous is None else _former(previous)
-    store = Store(folder, settings, resume)
+    store = Store(folder, sources.shown, settings, resume)
     loops = sources.loops
     names = {loop.name for loop in loops}
     store.done = {name: row for name, row in store.done.items() if name in names}

@@ -41,8 +41,8 @@ def _schema(asked: str) -> Any:
     return pa.schema([(one.name, kinds[str(one.type)]) for one in fields(FleetRow)], metadata={_MARK: asked.encode()})
 
 
-def _asked(settings: Settings) -> str:
-    return json.dumps({"version": __version__, **asdict(settings)}, sort_keys=True)
+def _asked(source: str, settings: Settings) -> str:
+    return json.dumps({"version": __version__, "source": source, **asdict(settings)}, sort_keys=True)
 
 
 def _table(rows: Sequence[FleetRow], asked: str) -> Any:
@@ -84,12 +84,13 @@ def read_rows(path: Path) -> tuple[list[FleetRow], str]:
 class Store:
     """The folder of a run: done holds the rows that are safely there, by name.
 
-    resume: go on with what the folder holds of a run with the same settings, else begin anew. Raises `OutputError` for
+    source: the site, as it was named; a loop of another site may have the same name. resume: go on with what the folder
+    holds of a run of that with the same settings, else begin anew. Raises `OutputError` for
     a folder that cannot be written, or holds another run to resume.
     """
 
-    def __init__(self, folder: Path, settings: Settings, resume: bool) -> None:
-        self.folder, self.asked = folder, _asked(settings)
+    def __init__(self, folder: Path, source: str, settings: Settings, resume: bool) -> None:
+        self.folder, self.asked = folder, _asked(source, settings)
         self.done: dict[str, FleetRow] = {}
         self.fresh: list[FleetRow] = []
         self.since = time.monotonic()
@@ -115,8 +116,8 @@ class Store:
         rows, asked = read_rows(path)
         if asked != self.asked:
             raise OutputError(
-                f"{path}: was made with other settings or another version ({asked}); resume with those, or leave "
-                "--resume out to begin anew"
+                f"{path}: was made of another site, with other settings or another version ({asked}); resume with "
+                "those, or leave --resume out to begin anew"
             )
         for row in rows:
             self.done.setdefault(row.name, row)

@@ -6,11 +6,13 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+from workbench.errors import ScenarioError
 from workbench.model.controller import PID
 from workbench.model.experiment import Profile, Step
+from workbench.model.karnopp import Karnopp
 from workbench.model.plant import FOPDT, Plant
 from workbench.model.tuning import Bounds, Objective
-from workbench.model.valve import Choudhury, Deadband, Directional, He, Ideal, Kano, Stenman, Valve
+from workbench.model.valve import Choudhury, Deadband, Directional, He, Ideal, Kano, Positional, Stenman, Valve
 from workbench.scenario.document import parse, plain
 from workbench.scenario.plan import Scenario
 from workbench.ui.fields import DEFAULTS, FIELDS, OWN_WEIGHT
@@ -33,7 +35,15 @@ def screen_of(plan: Scenario) -> Loaded:
 
     The page's own controller is the first case's. That case is no pinned one where it is the page's own, as
     `scenario_text` writes it.
+
+    Raises `ScenarioError` where the page has no entry for a part of the scenario: it shows no other loop instead.
     """
+    missing = _not_on_the_page(plan)
+    if missing:
+        raise ScenarioError(
+            f"{plan.path.name}: {', '.join(missing)}: this page has no entry for that; the scenario runs with "
+            "`workbench run`"
+        )
     notes = [*plan.warnings, *plan.notes]
     first = plan.cases[0].controller if plan.cases else None if plan.loop is None else plan.loop.controller
     entries: dict[str, str] = {}
@@ -242,6 +252,28 @@ def _written(plan: Scenario) -> Mapping[str, object]:
 def _under(data: Mapping[str, object], name: str) -> Mapping[str, object]:
     inside = data.get(name)
     return inside if isinstance(inside, Mapping) else {}
+
+
+def _not_on_the_page(plan: Scenario) -> list[str]:
+    """Return what of a scenario the page cannot show, in words."""
+    controllers = [case.controller for case in plan.cases]
+    found = ["a cascade"] if plan.cascade else []
+    if plan.loop is not None:
+        loop = plan.loop
+        controllers.append(loop.controller)
+        if isinstance(loop.valve, Positional | Karnopp):
+            found.append(f"a valve of type {type(loop.valve).__name__.lower()}")
+        if loop.characteristic is not None:
+            found.append("a valve's characteristic")
+        if loop.fail_open:
+            found.append("a fail-open valve")
+        if loop.scan != 1:
+            found.append("a controller's scan")
+    if any(c.compensator is not None for c in controllers):
+        found.append("a compensator")
+    if any(c.output_resolution > 0.0 for c in controllers):
+        found.append("an output resolution")
+    return found
 
 
 def _is_own(plan: Scenario) -> bool:
