@@ -99,7 +99,7 @@ def test_a_run_that_is_killed_goes_on(site: Path, whole: Path, tmp_path: Path) -
     ended = subprocess.run([sys.executable, "-c", code, str(site), str(out)], env=environment, timeout=120)
     assert ended.returncode == -signal.SIGKILL
     assert not (out / "report.html").exists()
-    kept = Store(out, Settings(), resume=True).done
+    kept = Store(out, sources.shown, Settings(), resume=True).done
     assert len(kept) == 5
     outcome = run_fleet(sources, out, Settings(), workers=2, resume=True)
     assert outcome.resumed == 5
@@ -120,7 +120,7 @@ def test_an_interrupt_keeps_what_was_found(site: Path, tmp_path: Path) -> None:
     assert b"go on with --resume" in said
     assert b"Traceback" not in said
     # Rows that were found are not looked for again.
-    assert Store(tmp_path, Settings(), resume=True).done
+    assert Store(tmp_path, sources_of(site).shown, Settings(), resume=True).done
 
 
 def test_changes_are_told_since_the_run_before(whole: Path, site: Path, tmp_path: Path) -> None:
