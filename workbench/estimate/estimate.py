@@ -268,7 +268,7 @@ def _settled(
             else:
                 found = profile_again(data, found)
         if bands:
-            bands = bands_of(data, look(data, delays), limits, bands) if anew else refitted(data, bands, limits)
+            bands = bands_of(data, look(data, delays), limits) if anew else refitted(data, bands, limits)
     return data, found, bands, linear, steps
 
 

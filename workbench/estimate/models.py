@@ -30,17 +30,10 @@ def _valve(name: str, d: float, band: Band | None) -> Valve:
     return Stenman(d) if name == "stenman" else Ideal()
 
 
-def bands_of(
-    data: Centred, coarse: list[Band], limits: Limits, before: dict[str, Bands] | None = None
-) -> dict[str, Bands]:
-    """Return the searches over two-parameter valves that found a stem: "deadband" (J = 0) and "choudhury" (any J).
-
-    before: the same in another measure, from whose best stems the search goes on too.
-    """
-    again = {} if before is None else refitted(data, before, limits)
-    dead = search_bands(data, coarse, limits, 0.0, tuple(again[k].best for k in ("deadband",) if k in again))
-    beside = [again[k].best for k in ("choudhury",) if k in again]
-    any_jump = search_bands(data, coarse, limits, None, (*beside, *(() if dead is None else (dead.best,))))
+def bands_of(data: Centred, coarse: list[Band], limits: Limits) -> dict[str, Bands]:
+    """Return the searches over two-parameter valves that found a stem: "deadband" (J = 0) and "choudhury" (any J)."""
+    dead = search_bands(data, coarse, limits, 0.0)
+    any_jump = search_bands(data, coarse, limits, None, () if dead is None else (dead.best,))
     found = {"deadband": dead, "choudhury": any_jump}
     return {name: bands for name, bands in found.items() if bands is not None}
 

@@ -308,26 +308,21 @@ def _best_of(bands: list[Band]) -> Band:
 def _short(
     data: Centred, coarse: list[Band], only: float | None, limits: Limits, beside: tuple[Band, ...] = ()
 ) -> tuple[list[Band], NDArray[np.float64]]:
-    """Search a short record: the close grid, then closer about its best few; all stems met and the last rows.
-
-    Under a coloured disturbance, whose costs take ten times as long, fewer seeds are followed: `beside` are the stems
-    found before it was known.
-    """
-    seeds, spreads, crossings = (SEEDS, SPREADS, CROSSINGS) if data.a.size == 1 else (2, SPREADS[1:], 1)
+    """Search a short record: the close grid, then closer about its best few; all stems met and the last rows."""
     met = [b for b in coarse if b.fit.gain != 0.0]
     if only is not None:
         met = [_fit(data, b.S, only * b.S, (b.first, b.sense), limits, (b.fit.tau, b.fit.theta)) for b in met]
     bands: list[Band] = []
     ends = []
-    for seed in _apart(sorted([*met, *beside], key=lambda b: b.fit.sse))[:seeds]:
-        met = _nearer(data, seed, spreads, only, limits)
+    for seed in _apart(sorted([*met, *beside], key=lambda b: b.fit.sse)):
+        met = _nearer(data, seed, SPREADS, only, limits)
         bands += met
         ends.append(_best_of(met))
     if not ends:
         return [], np.empty((0, 4))
     # Between two sequences of slips lies many a worse one, which steps along the valley of S and plant do not cross.
     best = _best_of(ends)
-    for _ in range(crossings):
+    for _ in range(CROSSINGS):
         met = [m for seed in _across(data, best, only, limits) for m in _nearer(data, seed, SPREADS[2:], only, limits)]
         bands += met
         before, best = best, _best_of([best, *met])
