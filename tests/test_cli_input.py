@@ -132,3 +132,12 @@ def test_a_wrong_scenario_is_refused_where_it_is_wrong(folder: Path, old: str, n
     assert code == 2
     assert words in err
     assert err.startswith("plan.yaml:")
+
+
+@pytest.mark.parametrize("command", ["tune", "ui"])
+def test_a_manifest_of_many_loops_is_named_as_one(command: str) -> None:
+    manifest = Path(__file__).parents[1] / "scenarios" / "fleet_table_1.yaml"
+    result = CliRunner().invoke(app, [command, str(manifest)])
+    assert result.exit_code == 2
+    assert "a manifest of many loops; `workbench fleet` or `workbench run` takes it" in result.output
+    assert "unknown key" not in result.output

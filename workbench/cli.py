@@ -18,7 +18,7 @@ try:
     import typer
 
     from workbench import __version__, cli_fleet, cli_ui
-    from workbench.cli_input import Reading, quantity, read_data, span
+    from workbench.cli_input import Reading, quantity, read_data, scenario_of, span
     from workbench.errors import InvalidValue, OutputError, ScenarioError, WorkbenchError
 except KeyboardInterrupt:  # while the command starts
     sys.stderr.write("workbench: interrupted\n")
@@ -347,12 +347,10 @@ app.command()(guarded(cli_ui.ui))
 
 def _checked(files: Sequence[Path]) -> list[Scenario]:
     """Return the scenarios of all files, or raise one `ScenarioError` that says what is wrong with any of them."""
-    from workbench.scenario.loader import load_scenario
-
     plans, wrong = [], []
     for file in files:
         try:
-            plans.append(load_scenario(file))
+            plans.append(scenario_of(file))
         except ScenarioError as error:
             wrong.append(str(error))
     if wrong:

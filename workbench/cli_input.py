@@ -8,12 +8,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from workbench.errors import InvalidValue, RecordError
+from workbench.errors import InvalidValue, RecordError, ScenarioError
 
 if TYPE_CHECKING:
     from workbench.model.record import Record
+    from workbench.scenario.plan import Scenario
 
-__all__ = ["Reading", "quantity", "read_data", "span"]
+__all__ = ["Reading", "quantity", "read_data", "scenario_of", "span"]
 
 
 @dataclass(frozen=True)
@@ -26,6 +27,16 @@ class Reading:
     pv_range: str | None
     op_range: str | None
     max_gap: str | None
+
+
+def scenario_of(path: Path) -> Scenario:
+    """Return the scenario of a file; raises `ScenarioError`, which says so where it is a site's manifest."""
+    from workbench.fleet.manifest import is_manifest
+    from workbench.scenario.loader import load_scenario
+
+    if is_manifest(path):
+        raise ScenarioError(f"{path}: a manifest of many loops; `workbench fleet` or `workbench run` takes it")
+    return load_scenario(path)
 
 
 def quantity(option: str, text: str, read: Callable[[object], float]) -> float:

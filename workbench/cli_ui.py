@@ -9,6 +9,7 @@ from typing import Annotated
 
 import typer
 
+from workbench.cli_input import scenario_of
 from workbench.errors import RecordError
 
 __all__ = ["ui"]
@@ -29,10 +30,9 @@ def ui(
     """Open the interactive workbench in the browser: loop, comparison, estimate, tuning, frequency, export."""
     loaded, data = None, None
     if source is not None and source.suffix.lower() in (".yaml", ".yml"):
-        from workbench.scenario.loader import load_scenario
         from workbench.ui.load import screen_of
 
-        loaded = screen_of(load_scenario(source))
+        loaded = screen_of(scenario_of(source))
         data = source.parent / loaded.data if loaded.data else None
     elif source is not None:
         if not source.is_file():

@@ -100,3 +100,22 @@ def test_what_cannot_be_tuned_is_refused(options, where):
     given_ = {"cascade": flow_and_temperature(), "experiment": EXPERIMENT, **options}
     with pytest.raises(wb.InvalidValue, match=where):
         wb.tune_cascade(**given_)
+
+
+@pytest.mark.parametrize(
+    "ask",
+    [
+        lambda c: wb.margins(c),
+        lambda c: wb.apply_rule(c, wb.Simc()),
+        lambda c: wb.value_of_repair(c, wb.Experiment(100.0, setpoint=wb.Step(1.0))),
+        lambda c: wb.assess(c),
+        lambda c: wb.limit_cycle(c),
+        lambda c: wb.describing_function(c),
+    ],
+    ids=["margins", "rule", "repair", "ensemble", "limit cycle", "describing function"],
+)
+def test_what_is_asked_of_one_loop_is_refused_of_a_cascade(ask):
+    inner = wb.Loop(wb.FOPDT(1.0, 5.0, 1.0), wb.Stenman(1.0), wb.PID(Kc=0.5, Ti=5.0), 1.0)
+    outer = wb.Loop(wb.FOPDT(1.0, 60.0, 10.0), wb.Ideal(), wb.PID(Kc=0.5, Ti=50.0), 1.0)
+    with pytest.raises(wb.InvalidValue, match=r"^loop: Cascade\(.*a Loop"):
+        ask(wb.Cascade(outer, inner))

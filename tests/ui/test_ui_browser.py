@@ -10,12 +10,12 @@ import os
 import re
 import shutil
 import signal
-import subprocess
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+import psutil
 import pytest
 from loops import paper_loop, paper_step
 
@@ -262,11 +262,8 @@ def test_a_dead_worker_leaves_the_page_alive_with_the_reason(opened):
 
 
 def children(parent: int) -> list[int]:
-    """The workers that a server has started."""
-    found = subprocess.run(
-        ["ps", "-o", "pid=,args=", "--ppid", str(parent)], capture_output=True, text=True, check=True
-    )
-    return [int(line.split()[0]) for line in found.stdout.splitlines() if "spawn_main" in line]
+    """The workers that a server has started (the system's `ps` cuts long command lines)."""
+    return [found.pid for found in psutil.Process(parent).children() if "spawn_main" in " ".join(found.cmdline())]
 
 
 def test_the_scenario_leaves_and_comes_back_to_the_same_screen_and_numbers(opened, tmp_path):

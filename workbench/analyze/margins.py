@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workbench.analyze.frequency import linear_stable
+from workbench.model.checks import instance
 from workbench.model.loop import Loop
 from workbench.model.record import FloatArray
 from workbench.model.results import Margins
@@ -35,7 +36,9 @@ def margins(loop: Loop) -> Margins:
     becomes unstable; phase margin: the least phase lag, degrees, that does so; delay margin: the least further dead
     time, s, that does so (as a lag of w times it, exact for whole samples). Source of the definitions: K.J. Astrom, T.
     Hagglund, "Advanced PID Control", ISA (2006), sections 4.6 and 7.5. An unstable loop has Ms = inf and margins 0.
+    Raises `InvalidValue` for what is no loop.
     """
+    instance(loop, Loop, "loop", "a Loop")
     if not linear_stable(loop):
         return Margins(loop, False, math.inf, math.nan, 0.0, 0.0, 0.0)
     Ts, rows = loop.executed.sample_time, coefficients(loop.executed)

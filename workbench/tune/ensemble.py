@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from workbench.analyze.frequency import linear_stable
 from workbench.analyze.margins import loop_margins
+from workbench.model.checks import instance
 from workbench.model.controller import PID
 from workbench.model.ensemble import UNCERTAIN, Ensemble
 from workbench.model.experiment import Experiment, Noise, Step
@@ -238,6 +239,7 @@ def assess(loop: Loop, ensemble: Ensemble | None = None, objective: Objective | 
     objective: what `Robustness.objective` is the ensemble's statistic of. Every draw is simulated exactly; each can be
     had again by `wb.simulate` of a member of `tune.ensemble.draws`. Raises `InvalidValue`.
     """
+    instance(loop, Loop, "loop", "a Loop")
     return measured(Circumstances(loop, ensemble or Ensemble.plant_ready(loop)), objective or Objective())
 
 

@@ -9,6 +9,7 @@ from functools import partial
 import numpy as np
 
 from workbench.errors import InvalidValue
+from workbench.model.checks import instance
 from workbench.model.controller import PID
 from workbench.model.experiment import Experiment
 from workbench.model.front import RobustRepair
@@ -51,6 +52,7 @@ def value_of_repair(
     Raises `InvalidValue` for a valve that does not stick or another loop's `tuned`, and what `tune` raises;
     KeyboardInterrupt where the first search was interrupted.
     """
+    instance(loop, Loop, "loop", "a Loop")
     if loop.valve.stick_band == 0.0 and loop.valve.slip_jump == 0.0:
         raise InvalidValue("Loop.valve", loop.valve, "must be a valve that sticks: there is nothing to repair")
     if tuned is not None:

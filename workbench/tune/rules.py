@@ -14,7 +14,7 @@ from scipy import optimize
 from workbench.analyze.describing_function import meeting_gain
 from workbench.analyze.frequency import linear_stable, sampled_plant_response
 from workbench.errors import InvalidValue
-from workbench.model.checks import number, whole
+from workbench.model.checks import instance, number, whole
 from workbench.model.controller import PID
 from workbench.model.loop import Loop
 from workbench.model.plant import FOPDT, Plant
@@ -35,6 +35,7 @@ def apply_rule(loop: Loop, rule: Rule, *, digits: int | None = None) -> PID:
     `DetunedIntegral` changes Ti alone and rounds nothing. Raises `InvalidValue` where the rule does not apply, and
     where the form has no equivalent.
     """
+    instance(loop, Loop, "loop", "a Loop")
     if digits is not None:
         number(whole(digits, "apply_rule.digits"), "apply_rule.digits", least=1, most=12)
     if isinstance(rule, DetunedIntegral):
