@@ -70,6 +70,13 @@ def start_range(u: FloatArray, first: int, d_low: float, d_high: float) -> tuple
     return kernel.rest_range(u, first, d_low, d_high, START_SLACK)
 
 
+def drive_of(data: Centred, x: FloatArray, first: int) -> FloatArray:
+    """Return what drives the model in data's measure: the stem path x, shape (N,), from `first` on, filtered."""
+    drive = np.empty_like(x)
+    kernel.drive_of(x, first, data.a, drive)
+    return drive
+
+
 def fit_path(
     data: Centred,
     x: FloatArray,
@@ -89,17 +96,18 @@ def fit_path(
     """
     out = np.empty(kernel.FIT)
     low, high = bounds
+    drive = drive_of(data, x, first)
     if tau is None and not data.integrating:
         best = math.inf
         for trial in np.geomspace(max(limits.tau[0], 0.3), limits.tau[1] / 4.0, 10).tolist():
-            cost = kernel.fit_cost(
-                data.target, x, first, low, high, data.sign, False, trial, theta, data.a, data.skip, out
+            cost = kernel.oe_cost(
+                data.target, drive, first, low, high, data.sign, False, trial, theta, data.a, data.skip, out
             )
             if cost < best:
                 best, tau = cost, trial
     kernel.oe_fit(
         data.target,
-        x,
+        drive,
         first,
         low,
         high,
@@ -165,10 +173,11 @@ def fit_linear(data: Centred, longest: float) -> Fit:
     inf = math.inf
     delays = np.unique(np.floor(np.linspace(0, longest, min(int(longest) + 1, 80)))).tolist()
     taus = [1.0] if data.integrating else np.geomspace(0.3, data.samples / 4.0, 14).tolist()
+    drive = drive_of(data, data.u, 0)
     grid = [
         (
-            kernel.fit_cost(
-                data.target, data.u, 0, -inf, inf, data.sign, data.integrating, tau, theta, data.a, data.skip, out
+            kernel.oe_cost(
+                data.target, drive, 0, -inf, inf, data.sign, data.integrating, tau, theta, data.a, data.skip, out
             ),
             tau,
             theta,

@@ -15,6 +15,7 @@ from workbench.simulate.compiled import compiled
 
 __all__ = [
     "band_path",
+    "drive_of",
     "fit_stems",
     "oe_columns",
     "oe_cost",
@@ -387,9 +388,19 @@ def _solve(gram: Floats, size: int, b: Floats) -> float:
 
 
 @compiled
+def drive_of(x: Floats, first: int, a: Floats, drive: Floats) -> None:
+    """Write what drives the model along a stem path: 0 before `first`, the path from there on, filtered by a."""
+    drive[:first] = 0.0
+    drive[first:] = x[first:]
+    for j in range(1, a.size):
+        for k in range(first + j, x.size):
+            drive[k] += a[j] * x[k - j]
+
+
+@compiled
 def oe_cost(
     y: Floats,
-    x: Floats,
+    drive: Floats,
     first: int,
     low: float,
     high: float,
@@ -397,15 +408,20 @@ def oe_cost(
     integrating: bool,
     tau: float,
     theta: float,
+    a: Floats,
+    skip: int,
     out: Floats,
 ) -> float:
     """Sum of squares of the output-error model at a time constant and dead time (samples), the rest by least squares.
 
-    low, high: the range in which x0 must lie for the stem to rest until `first` (infinite for none); where the free x0
-    falls outside, it is set to the nearer end. sign: the gain's sign, 0 for either. Written into `out` (FIT): SSE, TAU,
+    y: PV, and drive: the stem from `first` on (`drive_of`), both filtered by a = (1, -a_1, .., -a_p), the residual's
+    autoregression (generalized least squares); the first `skip` samples, p or more, do not count. The model's columns
+    are those of `oe_columns`, filtered alike: a first-order lag answers a filtered drive as it answers the drive. low,
+    high: the range in which x0 must lie for the stem to rest until `first` (infinite for none); where the free x0 falls
+    outside, it is set to the nearer end. sign: the gain's sign, 0 for either. Written into `out` (FIT): SSE, TAU,
     THETA, GAIN (per sample for integrating plants), BIAS, START (gain times x0) and TRANSIENT.
     """
-    n = y.size
+    n, p = y.size, a.size - 1
     m = math.floor(theta + 1e-9)
     f = theta - m
     if f < 1e-9:
@@ -416,16 +432,40 @@ def oe_cost(
         pole = math.exp(-1.0 / tau)
         part = pole ** (1.0 - f)
         c0, c1 = 1.0 - part, part - pole
+    # What is left of a start q samples after it has ended, in the filter: rest[0] before, rest[q] then, rest[p+1] = 0.
+    rest = np.zeros(p + 2)
+    lead = 0.0
+    for q in range(p, -1, -1):
+        rest[q] = rest[q + 1] + a[q]
+        lead += q * a[q]
+    whole = rest[0]
+    s = 0.0
+    g = -lead if integrating else whole
+    for k in range(skip):
+        near, far = min(max(k - m - first + 1, 0), p + 1), min(max(k - m - first, 0), p + 1)
+        g = pole * g + (c0 * rest[near] + c1 * rest[far])
+        s = pole * s
+        if k >= m:
+            s += c0 * drive[k - m]
+        if k > m:
+            s += c1 * drive[k - m - 1]
+    r = 0.0
+    if integrating:
+        r = whole * skip - lead
+    elif skip == 0 or pole**skip >= FADED:
+        # Else the transient has died out before the samples that count.
+        for q in range(p + 1):
+            r += a[q] * pole ** (skip - q)
     gram = np.zeros((4, 4))
     b = np.zeros(4)
-    s, g, r = 0.0, 0.0 if integrating else 1.0, 0.0 if integrating else 1.0
     sy, ss, sg, sr, gy, gg, gr, ry, rr, yy = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     s1, g1, r1, y1 = 0.0, 0.0, 0.0, 0.0
     # What x0 and the transient do dies out; after that many samples the stem's response alone is left.
     settled = n
     if not integrating and pole < 1.0:
-        settled = int(min(first + m + 2.0 + (DIED / -math.log(pole) if pole > 0.0 else 0.0), float(n)))
-    for k in range(settled):
+        died = DIED / -math.log(pole) if pole > 0.0 else 0.0
+        settled = int(min(max(first + m, skip) + p + 2.0 + died, float(n)))
+    for k in range(skip, settled):
         v = y[k]
         y1 += v
         yy += v * v
@@ -441,18 +481,14 @@ def oe_cost(
         ry += r * v
         sr += s * r
         gr += g * r
-        near, far = k - m, k - m - 1
+        near, far = min(max(k - m - first + 1, 0), p + 1), min(max(k - m - first, 0), p + 1)
+        g = pole * g + (c0 * rest[near] + c1 * rest[far])
         s = pole * s
-        g = pole * g
-        if near >= first:
-            s += c0 * x[near]
-        else:
-            g += c0
-        if far >= first:
-            s += c1 * x[far]
-        else:
-            g += c1
-        r = r + 1.0 if integrating else r * pole
+        if k >= m:
+            s += c0 * drive[k - m]
+        if k > m:
+            s += c1 * drive[k - m - 1]
+        r = r + whole if integrating else r * pole
     for k in range(settled, n):
         v = y[k]
         y1 += v
@@ -460,69 +496,13 @@ def oe_cost(
         s1 += s
         ss += s * s
         sy += s * v
-        s = pole * s + (c0 * x[k - m] + c1 * x[k - m - 1])
-    gram[0, 0], gram[0, 1], gram[0, 2], gram[0, 3] = n, s1, g1, r1
+        s = pole * s + (c0 * drive[k - m] + c1 * drive[k - m - 1])
+    s1, g1, r1, y1 = whole * s1, whole * g1, whole * r1, whole * y1
+    gram[0, 0], gram[0, 1], gram[0, 2], gram[0, 3] = whole * whole * (n - skip), s1, g1, r1
     gram[1, 0], gram[1, 1], gram[1, 2], gram[1, 3] = s1, ss, sg, sr
     gram[2, 0], gram[2, 1], gram[2, 2], gram[2, 3] = g1, sg, gg, gr
     gram[3, 0], gram[3, 1], gram[3, 2], gram[3, 3] = r1, sr, gr, rr
     b[0], b[1], b[2], b[3] = y1, sy, gy, ry
-    return _least(gram, b, yy, low, high, sign, tau, theta, out)
-
-
-@compiled
-def whitened_cost(
-    y: Floats,
-    x: Floats,
-    first: int,
-    low: float,
-    high: float,
-    sign: float,
-    integrating: bool,
-    tau: float,
-    theta: float,
-    a: Floats,
-    skip: int,
-    out: Floats,
-) -> float:
-    """As `oe_cost` where the residual is an autoregression, y being PV filtered by a = (1, -a_1, .., -a_p).
-
-    The columns are filtered here (generalized least squares). The first `skip` samples, p or more, do not count.
-    """
-    n, p = y.size, a.size - 1
-    step = math.floor(theta + 1e-9)
-    f = theta - step
-    if f < 1e-9:
-        f = 0.0
-    if integrating:
-        pole, c0, c1 = 1.0, 1.0 - f, f
-    else:
-        pole = math.exp(-1.0 / tau)
-        part = pole ** (1.0 - f)
-        c0, c1 = 1.0 - part, part - pole
-    columns = np.empty((4, n))
-    oe_columns(x, first, pole, step, c0, c1, integrating, columns)
-    gram = np.zeros((4, 4))
-    b = np.zeros(4)
-    row = np.empty(4)
-    yy = 0.0
-    for k in range(skip, n):
-        for i in range(4):
-            total = columns[i, k]
-            for j in range(1, p + 1):
-                total += a[j] * columns[i, k - j]
-            row[i] = total
-        v = y[k]
-        yy += v * v
-        for i in range(4):
-            b[i] += row[i] * v
-            for j in range(i + 1):
-                gram[i, j] += row[i] * row[j]
-    if not integrating and pole**skip < FADED:
-        # The transient has died out before the samples that count.
-        gram[3, :], gram[:, 3], b[3] = 0.0, 0.0, 0.0
-    for i in range(4):
-        for j in range(i):
-            gram[j, i] = gram[i, j]
     return _least(gram, b, yy, low, high, sign, tau, theta, out)
 
 
@@ -563,30 +543,9 @@ def _least(
 
 
 @compiled
-def fit_cost(
-    y: Floats,
-    x: Floats,
-    first: int,
-    low: float,
-    high: float,
-    sign: float,
-    integrating: bool,
-    tau: float,
-    theta: float,
-    a: Floats,
-    skip: int,
-    out: Floats,
-) -> float:
-    """Return `oe_cost` where no sample is skipped and a is (1,), else `whitened_cost`, whose y is PV filtered by a."""
-    if skip == 0:
-        return oe_cost(y, x, first, low, high, sign, integrating, tau, theta, out)
-    return whitened_cost(y, x, first, low, high, sign, integrating, tau, theta, a, skip, out)
-
-
-@compiled
 def oe_fit(
     y: Floats,
-    x: Floats,
+    drive: Floats,
     first: int,
     low: float,
     high: float,
@@ -603,7 +562,7 @@ def oe_fit(
     skip: int,
     out: Floats,
 ) -> float:
-    """Minimise `fit_cost` over (log tau, theta) by Nelder and Mead's simplex within limits; return the sum of squares.
+    """Minimise `oe_cost` over (log tau, theta) by Nelder and Mead's simplex within limits; return the sum of squares.
 
     spread: the first simplex's size, in log tau and, times three, in samples of dead time. Ends after `evaluations`, or
     when the simplex's costs agree to `tolerance` relative. For an integrating plant tau is not used.
@@ -623,8 +582,8 @@ def oe_fit(
     points[2, 1] += side if points[0, 1] + side <= theta_limits[1] else -side
     points[2, 1] = max(points[2, 1], theta_limits[0])
     for i in range(3):
-        costs[i] = fit_cost(
-            y, x, first, low, high, sign, integrating, math.exp(points[i, 0]), points[i, 1], a, skip, out
+        costs[i] = oe_cost(
+            y, drive, first, low, high, sign, integrating, math.exp(points[i, 0]), points[i, 1], a, skip, out
         )
     used = 3
     while used < evaluations:
@@ -656,7 +615,7 @@ def oe_fit(
                 trial[c] = centre[c] + factor * (points[2, c] - centre[c])
             trial[0] = min(max(trial[0], low_tau), high_tau)
             trial[1] = min(max(trial[1], theta_limits[0]), theta_limits[1])
-            value = fit_cost(y, x, first, low, high, sign, integrating, math.exp(trial[0]), trial[1], a, skip, out)
+            value = oe_cost(y, drive, first, low, high, sign, integrating, math.exp(trial[0]), trial[1], a, skip, out)
             used += 1
             if value < kept:
                 kept = value
@@ -668,15 +627,17 @@ def oe_fit(
             for i in range(1, 3):
                 for c in range(2):
                     points[i, c] = 0.5 * (points[i, c] + points[0, c])
-                costs[i] = fit_cost(
-                    y, x, first, low, high, sign, integrating, math.exp(points[i, 0]), points[i, 1], a, skip, out
+                costs[i] = oe_cost(
+                    y, drive, first, low, high, sign, integrating, math.exp(points[i, 0]), points[i, 1], a, skip, out
                 )
                 used += 1
     best = 0
     for i in range(1, 3):
         if costs[i] < costs[best]:
             best = i
-    return fit_cost(y, x, first, low, high, sign, integrating, math.exp(points[best, 0]), points[best, 1], a, skip, out)
+    return oe_cost(
+        y, drive, first, low, high, sign, integrating, math.exp(points[best, 0]), points[best, 1], a, skip, out
+    )
 
 
 @compiled
@@ -702,12 +663,13 @@ def fit_stems(
     tau: where it starts, nan for the best of ten from .3 samples to a quarter of its upper limit. evaluations: as in
     `oe_fit`, 0 for the cost at the start itself. Written: fits, shape (paths, FIT), and slips, shape (paths,).
     """
-    x = np.empty(op.size)
+    x, drive = np.empty(op.size), np.empty(op.size)
     low_tau, high_tau = max(tau_limits[0], 0.3), tau_limits[1] / 4.0
     for i in range(paths.shape[0]):
         first, d_low, d_high = int(paths[i, 0]), paths[i, 1], paths[i, 2]
         theta = min(max(paths[i, 3], theta_limits[0]), theta_limits[1])
         slips[i] = stem_path(op, d_low, first, x)
+        drive_of(x, first, a, drive)
         low, high = rest_range(op, first, d_low, d_high, slack)
         out = fits[i]
         start = tau
@@ -717,15 +679,15 @@ def fit_stems(
             least = math.inf
             for j in range(10):
                 trial = low_tau * (high_tau / low_tau) ** (j / 9.0)
-                cost = fit_cost(y, x, first, low, high, sign, False, trial, theta, a, skip, out)
+                cost = oe_cost(y, drive, first, low, high, sign, False, trial, theta, a, skip, out)
                 if cost < least:
                     least, start = cost, trial
         if evaluations == 0:
-            fit_cost(y, x, first, low, high, sign, integrating, start, theta, a, skip, out)
+            oe_cost(y, drive, first, low, high, sign, integrating, start, theta, a, skip, out)
         else:
             oe_fit(
                 y,
-                x,
+                drive,
                 first,
                 low,
                 high,
@@ -817,12 +779,12 @@ def walk_bands(
 ) -> int:
     """Walk S at a fixed J, from S_from up to S_to, and fit the model at (tau, theta) to each path.
 
-    y, a: as in `fit_cost`. The slips change where S passes the least return of OP at which the stem turned; between
+    y, a: as in `oe_cost`. The slips change where S passes the least return of OP at which the stem turned; between
     such breakpoints the path shifts evenly with S. least, most: relative steps of S, the least and the largest; least =
     0 meets every sequence of slips. Written: rows (S, J, COST, SLIPS). Returns their number. first, sense: as in
     `band_path`.
     """
-    x = np.empty(op.size)
+    x, drive = np.empty(op.size), np.empty(op.size)
     box = np.empty(4)
     out = np.empty(FIT)
     S = S_from
@@ -831,7 +793,8 @@ def walk_bands(
         slips = band_path(op, S, J, first, sense, x, box)
         if slips == 0:
             break
-        fit_cost(y, x, max(first, 0), -math.inf, math.inf, sign, integrating, tau, theta, a, skip, out)
+        drive_of(x, max(first, 0), a, drive)
+        oe_cost(y, drive, max(first, 0), -math.inf, math.inf, sign, integrating, tau, theta, a, skip, out)
         rows[count, 0], rows[count, 1], rows[count, 2], rows[count, 3] = S, J, out[SSE], slips
         count += 1
         S = max(min(box[S_HIGH], S * (1.0 + most)), S * (1.0 + least))
@@ -852,21 +815,22 @@ def scan_bands(
     skip: int,
     costs: Floats,
 ) -> None:
-    """Fit the model at each of some plants to many stems with one start (see `band_path`; y, a: as in `fit_cost`).
+    """Fit the model at each of some plants to many stems with one start (see `band_path`; y, a: as in `oe_cost`).
 
     bands: rows (S, J); plants: rows (tau, theta) in samples. Written: costs, shape (bands, plants), inf where the stem
     never moves.
     """
-    x = np.empty(op.size)
+    x, drive = np.empty(op.size), np.empty(op.size)
     box = np.empty(4)
     out = np.empty(FIT)
     for i in range(bands.shape[0]):
         if band_path(op, bands[i, 0], bands[i, 1], first, sense, x, box) == 0:
             costs[i] = math.inf
             continue
+        drive_of(x, max(first, 0), a, drive)
         for j in range(plants.shape[0]):
             tau, theta = plants[j, 0], plants[j, 1]
-            cost = fit_cost(y, x, max(first, 0), -math.inf, math.inf, sign, integrating, tau, theta, a, skip, out)
+            cost = oe_cost(y, drive, max(first, 0), -math.inf, math.inf, sign, integrating, tau, theta, a, skip, out)
             costs[i, j] = cost if out[GAIN] != 0.0 else math.inf
 
 
@@ -884,7 +848,7 @@ def screen_bands(
 ) -> None:
     """Write for each (S, J) the best of a grid of plants, found[i, start] = (COST, pole, delay), for four starts.
 
-    bands: rows (S, J); y, a: as in `fit_cost`; delays: whole samples. COST: n times the mean square that is left, inf
+    bands: rows (S, J); y, a: as in `oe_cost`; delays: whole samples. COST: n times the mean square that is left, inf
     where the stem never moves. Starts: either end of the band, its middle, and any: from where the paths from both ends
     have met the stem is known; what was before is a constant and a transient with the plant's pole, and does not count.
     Where they meet after half the record, that is no start. An integrating plant is a pole just below 1.
