@@ -141,3 +141,19 @@ def test_a_manifest_of_many_loops_is_named_as_one(command: str) -> None:
     assert result.exit_code == 2
     assert "a manifest of many loops; `workbench fleet` or `workbench run` takes it" in result.output
     assert "unknown key" not in result.output
+
+
+@pytest.mark.parametrize(
+    ("entries", "code", "said"),
+    [
+        ("- {name: A, file: a.csv}", 0, "site.yaml: ok (1 loop)"),
+        ("- {name: A, file: a.csv}\n  - {name: B, file: b.csv}", 1, "site.yaml: 1 of 2 loops cannot be read"),
+        ("- {name: B, file: b.csv}", 1, "site.yaml: 1 of 1 loop cannot be read"),
+    ],
+)
+def test_a_manifest_is_checked_as_its_run_would_end(folder: Path, entries: str, code: int, said: str) -> None:
+    (folder / "a.csv").write_text("PV,OP\n1,2\n", encoding="utf-8")
+    (folder / "site.yaml").write_text(f"loops:\n  {entries}\n", encoding="utf-8")
+    ended, out, err = call("check", "site.yaml")
+    assert (ended, out.strip()) == (code, said)
+    assert ("b.csv is not there" in err) == (code == 1)

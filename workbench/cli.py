@@ -168,11 +168,8 @@ def check(
 ) -> int:
     """Check scenario files, and the data that they name, without running them."""
     sites, others = cli_fleet.parted(files)
-    for sources in sites.values():
-        typer.echo(f"{sources.shown}: ok ({len(sources.loops)} loops)")
-        for loop in sources.loops:
-            if loop.refusal:
-                typer.echo(f"{sources.shown}: warning: {loop.name}: {loop.refusal}", err=True)
+    # As the run would end: done, or with loops that failed.
+    code = max((cli_fleet.check_site(sources) for sources in sites.values()), default=0)
     for plan in _checked(others):
         parts = [
             f"{len(items)} {word}{'' if len(items) == 1 else 's'}"
@@ -182,7 +179,7 @@ def check(
         typer.echo(f"{plan.path}: ok ({', '.join(parts)})")
         for warning in plan.warnings:
             typer.echo(f"{plan.path}: warning: {warning}", err=True)
-    return 0
+    return code
 
 
 @app.command()

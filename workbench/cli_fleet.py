@@ -81,6 +81,16 @@ def parted(files: Sequence[Path]) -> tuple[dict[str, Sources], list[Path]]:
     return sites, [path for path in files if path not in ours]
 
 
+def check_site(sources: Sources) -> int:
+    """Say whether a manifest's loops are there to be read; return the exit code, 1 where some are not."""
+    refused = [loop for loop in sources.loops if loop.refusal]
+    loops = f"{len(sources.loops)} loop{'' if len(sources.loops) == 1 else 's'}"
+    typer.echo(f"{sources.shown}: " + (f"{len(refused)} of {loops} cannot be read" if refused else f"ok ({loops})"))
+    for loop in refused:
+        typer.echo(f"{sources.shown}: {loop.name}: {loop.refusal}", err=True)
+    return 1 if refused else 0
+
+
 def run_site(sources: Sources, out: Path) -> int:
     """Run a manifest's loops as `workbench run` does: with its own depth and the defaults of everything else."""
     from workbench.fleet.pool import Limits
