@@ -46,7 +46,7 @@ S_LOW, S_HIGH, J_LOW, J_HIGH = range(4)
 # Entries that `scan_held` writes for each band beside its cost: where it started, its slips, bias, start, transient.
 HELD = 6
 # Time constants after which nothing is left of a start in double precision.
-DIED = 40.0
+DIED = 25.0
 FADED = 1e-6  # of a transient, at the first sample that counts, from which it is left out
 
 
@@ -460,12 +460,9 @@ def oe_cost(
     b = np.zeros(4)
     sy, ss, sg, sr, gy, gg, gr, ry, rr, yy = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     s1, g1, r1, y1 = 0.0, 0.0, 0.0, 0.0
-    # What x0 and the transient do dies out; after that many samples the stem's response alone is left.
-    settled = n
-    if not integrating and pole < 1.0:
-        died = DIED / -math.log(pole) if pole > 0.0 else 0.0
-        settled = int(min(max(first + m, skip) + p + 2.0 + died, float(n)))
-    for k in range(skip, settled):
+    # Until the start has passed the dead time and the filter.
+    passed = min(max(first + m + p + 2, skip), n)
+    for k in range(skip, passed):
         v = y[k]
         y1 += v
         yy += v * v
@@ -489,14 +486,88 @@ def oe_cost(
         if k > m:
             s += c1 * drive[k - m - 1]
         r = r + whole if integrating else r * pole
-    for k in range(settled, n):
+    # From there on start and transient fade as pole^q (integrating: stay, and grow as q), which the sums of s and y
+    # weighted so hold; once they have died out the stem's response alone is left.
+    count = n - passed
+    if not integrating:
+        count = min(count, int(1.0 + (DIED / -math.log(pole) if pole > 0.0 else 0.0)))
+    late_s, late_y, weighted_s, weighted_y = 0.0, 0.0, 0.0, 0.0
+    weight = 0.0 if integrating else 1.0
+    for k in range(passed, passed + count):
         v = y[k]
-        y1 += v
+        late_y += v
         yy += v * v
-        s1 += s
+        late_s += s
         ss += s * s
         sy += s * v
+        weighted_s += weight * s
+        weighted_y += weight * v
         s = pole * s + (c0 * drive[k - m] + c1 * drive[k - m - 1])
+        weight = weight + 1.0 if integrating else weight * pole
+    s1 += late_s
+    y1 += late_y
+    if integrating:
+        sum_q = 0.5 * count * (count - 1.0)
+        sum_qq = sum_q * (2.0 * count - 1.0) / 3.0
+        late_r = count * r + whole * sum_q
+        g1 += count * g
+        gg += count * g * g
+        gy += g * late_y
+        sg += g * late_s
+        r1 += late_r
+        rr += count * r * r + 2.0 * r * whole * sum_q + whole * whole * sum_qq
+        ry += r * late_y + whole * weighted_y
+        sr += r * late_s + whole * weighted_s
+        gr += g * late_r
+    else:
+        sum_e, sum_ee = (1.0 - weight) / (1.0 - pole), (1.0 - weight * weight) / (1.0 - pole * pole)
+        g1 += g * sum_e
+        gg += g * g * sum_ee
+        gy += g * weighted_y
+        sg += g * weighted_s
+        r1 += r * sum_e
+        rr += r * r * sum_ee
+        ry += r * weighted_y
+        sr += r * weighted_s
+        gr += g * r * sum_ee
+    # Four samples at a time: each needs s of the first alone, not of the one before it.
+    k = passed + count
+    pole2, pole3, pole4 = pole * pole, pole * pole * pole, pole * pole * pole * pole
+    sA, sB, ssA, ssB, syA, syB, yA, yB, yyA, yyB = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    while k + 4 <= n:
+        d0, d1, d2 = drive[k - m - 1], drive[k - m], drive[k - m + 1]
+        d3, d4 = drive[k - m + 2], drive[k - m + 3]
+        u0, u1, u2, u3 = c0 * d1 + c1 * d0, c0 * d2 + c1 * d1, c0 * d3 + c1 * d2, c0 * d4 + c1 * d3
+        sb = pole * s + u0
+        sc = pole2 * s + (pole * u0 + u1)
+        sd = pole3 * s + (pole2 * u0 + (pole * u1 + u2))
+        va, vb, vc, vd = y[k], y[k + 1], y[k + 2], y[k + 3]
+        yA += va + vb
+        yB += vc + vd
+        yyA += va * va + vb * vb
+        yyB += vc * vc + vd * vd
+        sA += s + sb
+        sB += sc + sd
+        ssA += s * s + sb * sb
+        ssB += sc * sc + sd * sd
+        syA += s * va + sb * vb
+        syB += sc * vc + sd * vd
+        s = pole4 * s + (pole3 * u0 + (pole2 * u1 + (pole * u2 + u3)))
+        k += 4
+    while k < n:
+        v = y[k]
+        yA += v
+        yyA += v * v
+        sA += s
+        ssA += s * s
+        syA += s * v
+        s = pole * s + (c0 * drive[k - m] + c1 * drive[k - m - 1])
+        k += 1
+    s1 += sA + sB
+    y1 += yA + yB
+    yy += yyA + yyB
+    ss += ssA + ssB
+    sy += syA + syB
     s1, g1, r1, y1 = whole * s1, whole * g1, whole * r1, whole * y1
     gram[0, 0], gram[0, 1], gram[0, 2], gram[0, 3] = whole * whole * (n - skip), s1, g1, r1
     gram[1, 0], gram[1, 1], gram[1, 2], gram[1, 3] = s1, ss, sg, sr
