@@ -11,7 +11,7 @@ import workbench as wb
 from workbench.cli_output import estimate_lines
 from workbench.estimate.data import centre
 from workbench.estimate.fit import Limits, fit_path
-from workbench.estimate.loads import loads_of
+from workbench.estimate.loads import Stem, loads_of
 
 PLANTS = [wb.FOPDT(1.5, 12.0, 3.0), wb.Integrating(0.02, 3.0)]
 
@@ -42,7 +42,7 @@ def test_a_step_is_found_at_its_time_with_its_size_beside_the_true_stem(plant: w
     stem = run.valve - 0.5 * (run.op.max() + run.op.min())
     limits, free = Limits((0.05, 1000.0), (0.0, 30.0)), (-math.inf, math.inf)
     fit = fit_path(data, stem, 0, free, limits, 3.0, tau=12.0)
-    found = loads_of(data, stem, 0, fit, limits, 0, 2, strict=True)
+    found = loads_of(data, [Stem(stem, 0, fit)], limits, 0, 2, strict=True)
     assert len(found.steps) == 1
     step = found.steps[0]
     # PV begins to answer a dead time after the load has changed.
@@ -76,6 +76,28 @@ def test_an_estimate_allows_for_the_step_and_says_so(valve: wb.Choudhury | wb.St
     assert any(line.startswith("Load") and "nobody recorded it" in line for line in estimate_lines(found))
 
 
+@pytest.mark.parametrize(
+    ("plant", "valve", "controller", "load"),
+    [
+        (wb.Integrating(0.02, 3.0), wb.Stenman(2.0), wb.PID(2.0, 60.0), wb.Step(3.0, 400.0)),
+        (wb.Integrating(0.05, 5.0), wb.Choudhury(3.0, 1.0), wb.PID(1.0, 80.0), wb.Step(2.0, 500.0)),
+    ],
+    ids=["stenman", "two-parameter"],
+)
+def test_a_level_under_a_large_load_is_not_taken_for_another(
+    plant: wb.Integrating, valve: wb.Valve, controller: wb.PID, load: wb.Step
+) -> None:
+    """Its PV runs away from the level that it had, which neither the first stem nor an autoregression stands."""
+    run = run_of(wb.Loop(plant, valve, controller, 1.0), load, seed=3, move=wb.Step(-3.0, 600.0))
+    found = wb.estimate(record_of(run), plant="integrating")
+    assert found.verdict == "stiction"
+    assert len(found.load_steps) == 1
+    assert found.load_steps[0].size == pytest.approx(load.size, rel=0.05)
+    assert found.load_steps[0].at == pytest.approx(load.at + plant.dead_time, abs=4.0)
+    assert found.valve.stick_band == pytest.approx(valve.stick_band, rel=0.03)
+    assert found.plant.gain == pytest.approx(plant.gain, rel=0.05)
+
+
 @pytest.mark.parametrize("seed", range(4))
 def test_no_step_is_made_of_noise_or_of_a_load_that_drifts(seed: int) -> None:
     rng = np.random.default_rng(seed)
@@ -88,4 +110,4 @@ def test_no_step_is_made_of_noise_or_of_a_load_that_drifts(seed: int) -> None:
         stem = run.valve - 0.5 * (run.op.max() + run.op.min())
         limits, free = Limits((0.05, 1000.0), (0.0, 30.0)), (-math.inf, math.inf)
         fit = fit_path(data, stem, 0, free, limits, 3.0, tau=12.0)
-        assert loads_of(data, stem, 0, fit, limits, 0, 2, strict=True).steps == ()
+        assert loads_of(data, [Stem(stem, 0, fit)], limits, 0, 2, strict=True).steps == ()

@@ -16,14 +16,9 @@ from workbench.estimate.fit import (
     LEAST_TAU,
     Fit,
     Limits,
-    again_linear,
-    disturbance,
     fit_linear,
     fit_nothing,
-    grounded,
-    predict,
 )
-from workbench.estimate.loads import loads_of
 from workbench.estimate.models import (
     PLANT_PARAMETERS,
     VALVE_PARAMETERS,
@@ -31,15 +26,14 @@ from workbench.estimate.models import (
     choose,
     compared,
     reasons_of,
-    refitted,
 )
 from workbench.estimate.paths import Path, band_paths, linear_path, stem_paths
 from workbench.estimate.plants import foretelling_bic
-from workbench.estimate.profile import EXACT, Profile, islands, profile_again, profile_of, search
+from workbench.estimate.profile import Profile, islands, search
 from workbench.estimate.repeat import repeats_of, words_of
 from workbench.estimate.scale import NORMAL, band_of, bias_of, linear_intervals, linear_result, ranges_of, stem_of
-from workbench.estimate.stems import path_of
-from workbench.estimate.two_parameter import Bands, band_stem, look, repeated
+from workbench.estimate.settled import coloured_linear, settled
+from workbench.estimate.two_parameter import look, repeated
 from workbench.estimate.two_step import akaike, two_step
 from workbench.estimate.verdict import ENOUGH_SLIPS, SHARP, WIDE_D, Evidence, agree, judge
 from workbench.model.checks import choice, number
@@ -58,9 +52,6 @@ PLANTS = ("fopdt", "integrating", "auto")
 # Dead times searched by default, in samples, doubled while the best fit lies at the end.
 DELAYS = 30
 LINEAR_DELAYS = 240
-STARTING = 20  # of the record at most is left out at its start
-STEPS_MOST = 2  # load steps
-COLOURINGS = 2  # rounds of model and disturbance in turn
 CLEAR_BIC = 10.0  # R. Kass, A. Raftery, J. Am. Stat. Assoc. 90 (1995) 773-795: "very strong" evidence above it
 MUCH_MANUAL = 0.05  # share of the record in manual that is worth a word
 
@@ -191,99 +182,6 @@ def _profile(data: Centred, max_dead_time: float | None, tell: Callable[[float],
         longest *= 2
 
 
-def _leading(data: Centred, found: Profile | None, bands: dict[str, Bands], linear: Fit) -> tuple[FloatArray, int, Fit]:
-    """The best stem path, where it starts, and its fit."""
-    band = min((b.best for b in bands.values()), key=lambda b: b.fit.sse, default=None)
-    if band is not None and (found is None or band.fit.sse < found.best.fit.sse):
-        return band_stem(data.u, band.S, band.J, band.first, band.sense)[0], max(band.first, 0), band.fit
-    if found is not None:
-        best = found.best
-        return path_of(data.u, best.d_low, best.first)[0], best.first, best.fit
-    return data.u, 0, linear
-
-
-def _relieved(
-    whole: Centred,
-    data: Centred,
-    lead: tuple[FloatArray, int, Fit],
-    limits: Limits,
-    skip: int,
-    asked: tuple[int, bool],
-) -> tuple[Centred, FloatArray, tuple[LoadStep, ...]]:
-    """The record without the load steps that a stem does not explain, what it leaves of that, EU, and the steps.
-
-    whole: the record with its load; data: as the lead was fitted to it; asked: how many
-    steps at most, and whether they must explain all that is coloured.
-    """
-    x, first, fit = lead
-    loads = loads_of(whole, x, first, fit, limits, skip, *asked)
-    if loads.steps:
-        return whole.less(loads.pv), loads.left, loads.steps
-    if data.load.any():
-        left = whole.y - predict(whole, x, first, grounded(whole.whitened(data.a, max(skip, 1)), x, first, fit))[0]
-    else:
-        left = data.y - predict(data, x, first, grounded(data, x, first, fit))[0]
-    return whole, left, ()
-
-
-def _settled(
-    data: Centred, found: Profile | None, bands: dict[str, Bands], linear: Fit, delays: float, most: int = STEPS_MOST
-) -> tuple[Centred, Profile | None, dict[str, Bands], Fit, tuple[LoadStep, ...]]:
-    """The record and its models without load steps, in the measure of the disturbance that the best stem leaves.
-
-    Where the record starts within a cycle, its first samples, up to the dead time, answer to slips before it: they no
-    longer count. A PV that starts where it does not come again starts from rest, with a setpoint move. most: steps.
-    """
-    whole, first = data, (found, bands, linear)
-    steps: tuple[LoadStep, ...] = ()
-    theta = max(0.0 if found is None else found.best.fit.theta, min(linear.theta, delays))
-    later = data.y[data.samples // 4 :]
-    within = bool(later.min() <= data.y[0] <= later.max())
-    skip = min(math.ceil(theta) + 2, data.samples // STARTING) if within else 0
-    limits = Limits((LEAST_TAU, float(data.samples)), (0.0, delays))
-    turn = 0
-    while turn < COLOURINGS or (steps and turn < COLOURINGS + most):
-        before = steps
-        # One step at a time: what a second seems to explain may be the wrong stem's doing. What the first stems leave
-        # is coloured by their own errors; in the end it must be a step's work that it is not.
-        asked = (min(turn + 1, most), turn >= COLOURINGS)
-        bare, left, steps = _relieved(whole, data, _leading(data, found, bands, linear), limits, skip, asked)
-        if before and not steps:
-            return _settled(whole, *first, delays, 0)
-        a = disturbance(left[skip:], data.floor)
-        same = a.size == data.a.size == 1 and not steps
-        # Of a long record the first few samples are nothing.
-        turn += 1
-        if same and (turn > 1 or skip == 0 or data.samples > EXACT):
-            break
-        data = bare.whitened(a, skip)
-        anew = a.size > 1 or bool(steps)
-        linear = again_linear(data, linear, delays)
-        if found is not None and steps and not before:
-            found = search(bare, delays, _silent) or found
-        if found is not None:
-            likely = [*found.likely, found.best.d_low]
-            if anew:
-                found = profile_of(data, found.rows, likely, found.limits, _silent, (found.best,))
-            else:
-                found = profile_again(data, found)
-        if bands:
-            bands = bands_of(data, look(data, delays), limits) if anew else refitted(data, bands, limits)
-    return data, found, bands, linear, steps
-
-
-def _coloured_linear(data: Centred, linear: Fit, delays: float) -> tuple[Centred, Fit, tuple[LoadStep, ...]]:
-    """The record without load steps and its linear fit, in the measure of the disturbance that this leaves."""
-    whole = data
-    steps: tuple[LoadStep, ...] = ()
-    for _ in range(COLOURINGS):
-        limits = Limits((LEAST_TAU, float(data.samples)), (0.0, delays))
-        bare, left, steps = _relieved(whole, data, (data.u, 0, linear), limits, 0, (STEPS_MOST, True))
-        data = bare.whitened(disturbance(left, data.floor), 0)
-        linear = again_linear(data, linear, delays)
-    return data, linear, steps
-
-
 def _answer(
     record: Record,
     data: Centred,
@@ -313,7 +211,7 @@ def _answer(
     # The verdict weighs what each model leaves of PV; the model itself is fitted in the measure that its disturbance
     # asks for.
     if method != "two_step":
-        data, found, bands, linear, steps = _settled(data, found, bands, linear, delays)
+        data, found, bands, linear, steps = settled(data, found, bands, linear, delays)
     stem = None if found is None else stem_of(data, found)
     left = math.inf if stem is None else float(np.mean((record.pv - stem.prediction) ** 2))
     evidence = Evidence(
@@ -366,7 +264,7 @@ def _answer(
     best = bands[chosen].best if chosen in bands else None if found is None else found.best
     stuck = best is not None and chosen != "linear" and verdict != "no_stiction" and best.fit.gain != 0.0
     if not stuck:
-        data, linear, steps = _coloured_linear(unsettled, plain, longest)
+        data, linear, steps = coloured_linear(unsettled, plain, longest)
         straight = linear_result(data, linear)
     profile_d = np.array([] if found is None else [c.d for c in found.fits])
     profile_cost = np.array([] if found is None else [c.fit.sse / n for c in found.fits])

@@ -23,6 +23,7 @@ __all__ = [
     "rest_range",
     "scan_bands",
     "scan_held",
+    "scan_starts",
     "screen_bands",
     "stem_path",
     "stem_slips",
@@ -835,9 +836,10 @@ def walk_bands(
     op: Floats,
     first: int,
     sense: float,
+    S: float,
     J: float,
-    S_from: float,
-    S_to: float,
+    along: int,
+    end: float,
     least: float,
     most: float,
     sign: float,
@@ -848,19 +850,23 @@ def walk_bands(
     skip: int,
     rows: Floats,
 ) -> int:
-    """Walk S at a fixed J, from S_from up to S_to, and fit the model at (tau, theta) to each path.
+    """Walk S (along = 0) or J (along = 1) from (S, J) up to `end`, and fit the model at (tau, theta) to each path.
 
-    y, a: as in `oe_cost`. The slips change where S passes the least return of OP at which the stem turned; between
-    such breakpoints the path shifts evenly with S. least, most: relative steps of S, the least and the largest; least =
-    0 meets every sequence of slips. Written: rows (S, J, COST, SLIPS). Returns their number. first, sense: as in
-    `band_path`.
+    y, a: as in `oe_cost`. The slips change where S passes the least return of OP at which the stem turned, or J the
+    least advance at which it moved on; between such breakpoints the path shifts evenly. least, most: steps in %, the
+    least and the largest; least = 0 meets every sequence of slips. Written: rows (S, J, COST, SLIPS). Returns their
+    number. first, sense: as in `band_path`.
     """
     x, drive = np.empty(op.size), np.empty(op.size)
     box = np.empty(4)
     out = np.empty(FIT)
-    S = S_from
+    at = S if along == 0 else J
     count = 0
-    while S_to > S and count < rows.shape[0]:
+    while end > at and count < rows.shape[0]:
+        if along == 0:
+            S = at
+        else:
+            J = at
         slips = band_path(op, S, J, first, sense, x, box)
         if slips == 0:
             break
@@ -868,7 +874,7 @@ def walk_bands(
         oe_cost(y, drive, max(first, 0), -math.inf, math.inf, sign, integrating, tau, theta, a, skip, out)
         rows[count, 0], rows[count, 1], rows[count, 2], rows[count, 3] = S, J, out[SSE], slips
         count += 1
-        S = max(min(box[S_HIGH], S * (1.0 + most)), S * (1.0 + least))
+        at = max(min(box[S_HIGH] if along == 0 else box[J_HIGH], at + most), at + least)
     return count
 
 
@@ -903,6 +909,38 @@ def scan_bands(
             tau, theta = plants[j, 0], plants[j, 1]
             cost = oe_cost(y, drive, max(first, 0), -math.inf, math.inf, sign, integrating, tau, theta, a, skip, out)
             costs[i, j] = cost if out[GAIN] != 0.0 else math.inf
+
+
+@compiled
+def scan_starts(
+    y: Floats,
+    op: Floats,
+    S: float,
+    J: float,
+    starts: Floats,
+    sign: float,
+    integrating: bool,
+    tau: float,
+    theta: float,
+    a: Floats,
+    skip: int,
+    costs: Floats,
+) -> None:
+    """Fit the model at one plant to a stem (S, J) from many starts, rows (first, sense): see `band_path`, `oe_cost`.
+
+    Written: costs, inf where the stem never moves.
+    """
+    x, drive = np.empty(op.size), np.empty(op.size)
+    box = np.empty(4)
+    out = np.empty(FIT)
+    for i in range(starts.shape[0]):
+        first = int(starts[i, 0])
+        if band_path(op, S, J, first, starts[i, 1], x, box) == 0:
+            costs[i] = math.inf
+            continue
+        drive_of(x, max(first, 0), a, drive)
+        cost = oe_cost(y, drive, max(first, 0), -math.inf, math.inf, sign, integrating, tau, theta, a, skip, out)
+        costs[i] = cost if out[GAIN] != 0.0 else math.inf
 
 
 @compiled

@@ -9,9 +9,11 @@ shifts, and variance changes in time series", J. Forecasting 7 (1988) 1-20).
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.optimize import minimize
 
 from workbench.detect.stem import whitened
 from workbench.estimate.data import WHITE, Centred
@@ -19,7 +21,7 @@ from workbench.estimate.fit import Fit, Limits, autoregression, fit_path, inflat
 from workbench.model.load_step import LoadStep
 from workbench.model.record import FloatArray
 
-__all__ = ["Loads", "loads_of"]
+__all__ = ["Loads", "Stem", "loads_of"]
 
 TURNS = 6  # of least squares and output error in turn
 TRIES = 250  # times tried in the first round
@@ -32,6 +34,9 @@ DEGREES, CLEAR = 3, 10.0
 # autocorrelation must in the end fall to WHITER of what it was and below WHITE_ENOUGH; single steps in noise pass that
 # by far (a hundredth), of 15 drifts two came to .3 and .4 and the others to .6 and more.
 WHITER, WHITE_ENOUGH = 0.4, 5.0
+FADING = np.array([1.0, -0.9])  # a measure between PV and its moves, in which an unknown stem's errors weigh less
+SPREADS, EVALUATIONS = (0.03, 0.01, -0.01, 0.003), 120  # of a valve's and plant's parameters, in turn
+SHIFT = 0.05  # a move of a dead time by one sample counts as that of a parameter by this share
 NORMAL = 1.96
 
 
@@ -44,53 +49,93 @@ class Loads:
     steps: tuple[LoadStep, ...]
 
 
-def loads_of(
-    data: Centred, x: FloatArray, first: int, fit: Fit, limits: Limits, skip: int, most: int, strict: bool
-) -> Loads:
-    """Return the load steps in a record that the stem path x, shape (N,), does not explain; data: with no load removed.
+@dataclass(frozen=True, eq=False)
+class Stem:
+    """A stem path x, shape (N,), its first slip, the plant fitted to it, and the paths of valves near its own.
 
-    skip: the first samples that do not count; most: steps; strict: what is left beside them must be nearly white,
-    which it cannot be while the stem is not yet known. The model is fitted anew beside the steps.
+    near: the path of the same stem with S (or d) and J multiplied by two factors; None where it has no such parameters.
+    """
+
+    x: FloatArray
+    first: int
+    fit: Fit
+    near: Callable[[float, float], FloatArray] | None = None
+
+
+def loads_of(data: Centred, stems: Sequence[Stem], limits: Limits, skip: int, most: int, strict: bool) -> Loads:
+    """Return the load steps in a record that one of some stem paths does not explain; data: with no load removed.
+
+    skip: the first samples that do not count; most: steps. strict: steps are told by BIC, and what is left beside them
+    must be nearly white. Neither can be while the stem is not yet known, whose errors are coloured and foretold by an
+    autoregression: steps are then told by what they take from PV, the stems compared by what each leaves. The model is
+    fitted anew beside the steps.
     """
     n = data.samples
-    found = Loads(np.zeros(n), np.zeros(n), ())
-    if n > LONGEST or fit.gain == 0.0:
-        return found
-    model = _beside(data, x, first, fit, limits, skip, [])
-    coloured = inflation(model.left[skip:])
-    begin, end = skip + max(int(LEAST_BEFORE * n), 3), n - max(int(LEAST_AFTER * n), 8)
-    times: list[int] = []
-    while len(times) < most and end - begin > 8:
-        trials = []
-        for measure in (model.a, WHITE) if model.a.size > 1 else (WHITE,):
-            at = _likeliest(data, model, measure, (begin, end), skip)
-            trials.append((_beside(data, x, first, model.fit, limits, skip, [*times, at]), at))
-        trial, at = min(trials, key=lambda t: t[0].bic)
-        if not trial.bic < model.bic - CLEAR or trial.terms[1] * fit.gain <= 0.0:
-            break
-        model = trial
-        times.append(at)
-    after = inflation(model.left[skip:])
-    if not times or (strict and after > min(WHITER * coloured, WHITE_ENOUGH)):
-        return found
+    nothing = Loads(np.zeros(n), np.zeros(n), ())
+    stems = [stem for stem in stems if stem.fit.gain != 0.0]
+    if n > LONGEST or not stems:
+        return nothing
+    found = [model for stem in stems if (model := _explained(data, stem, limits, skip, most, strict)) is not None]
+    model = min(found, key=lambda m: m.power(skip), default=None)
+    # Steps beside a worse stem explain nothing that the first one does not by itself.
+    bare = _beside(data, stems[0].x, stems[0].first, stems[0].fit, limits, skip, [])
+    if model is None or not (strict or _takes_more(model, bare, skip)):
+        return nothing
     gain, errors = float(model.terms[1]), _errors(model, skip)
     steps = []
-    for at, term, error in zip(times, model.terms[4:].tolist(), errors[4:].tolist(), strict=True):
+    for at, term, error in zip(model.times, model.terms[4:].tolist(), errors[4:].tolist(), strict=True):
         size, half = term / gain, NORMAL * error / abs(gain)
         steps.append(LoadStep(at * data.sample_time, size, (size - half, size + half)))
     return Loads(model.load, model.left, tuple(sorted(steps, key=lambda step: step.at)))
 
 
+def _takes_more(model: _Model, other: _Model, skip: int) -> bool:
+    """Whether a model leaves clearly less of PV than another, for the independent samples that this leaves."""
+    left = other.left[skip:]
+    return left.size / inflation(left) * math.log(other.power(skip) / model.power(skip)) > CLEAR
+
+
+def _explained(data: Centred, stem: Stem, limits: Limits, skip: int, most: int, strict: bool) -> _Model | None:
+    """The model of one stem with the load steps that it needs, or None where it needs none (see `loads_of`)."""
+    n = data.samples
+    x, first, fit = stem.x, stem.first, stem.fit
+    model = _beside(data, x, first, fit, limits, skip, [])
+    coloured = inflation(model.left[skip:])
+    begin, end = skip + max(int(LEAST_BEFORE * n), 3), n - max(int(LEAST_AFTER * n), 8)
+    while len(model.times) < most and end - begin > 8:
+        measures = [WHITE] if model.a.size == 1 else [model.a, WHITE] if strict else [model.a, WHITE, FADING]
+        trials = []
+        for measure in measures:
+            at = _likeliest(data, model, measure, (begin, end), skip)
+            trials.append(_beside(data, x, first, model.fit, limits, skip, [*model.times, at]))
+        trial = min(trials, key=lambda t: t.bic if strict else t.power(skip))
+        clear = trial.bic < model.bic - CLEAR
+        if not (clear or (not strict and _takes_more(trial, model, skip))) or trial.terms[1] * fit.gain <= 0.0:
+            break
+        model = _refined(data, stem, trial, limits, skip)
+        x = model.x
+    after = inflation(model.left[skip:])
+    if not model.times or (strict and after > min(WHITER * coloured, WHITE_ENOUGH)):
+        return None
+    return model
+
+
 @dataclass(frozen=True, eq=False)
 class _Model:
-    """A model beside steps: its plant, columns and their terms, what it leaves, and its disturbance with BIC."""
+    """A model beside steps: its stem and plant, columns and terms, what it leaves, its disturbance, BIC and times."""
 
+    x: FloatArray
     fit: Fit
     columns: FloatArray
     terms: FloatArray
     left: FloatArray
     a: FloatArray
     bic: float
+    times: tuple[int, ...]
+
+    def power(self, skip: int) -> float:
+        """Mean square of what is left, EU^2."""
+        return float(np.mean(self.left[skip:] ** 2))
 
     @property
     def load(self) -> FloatArray:
@@ -112,7 +157,50 @@ def _beside(data: Centred, x: FloatArray, first: int, fit: Fit, limits: Limits, 
             fit = fit if again.gain == 0.0 else again
     left = data.y - terms @ columns
     a, bic = autoregression(left[skip:], data.floor)
-    return _Model(fit, columns, terms, left, a, bic + DEGREES * len(times) * math.log(data.samples))
+    return _Model(x, fit, columns, terms, left, a, bic + DEGREES * len(times) * math.log(data.samples), tuple(times))
+
+
+def _refined(data: Centred, stem: Stem, model: _Model, limits: Limits, skip: int) -> _Model:
+    """The model with valve and plant moved to where they explain most of PV beside the steps, whose sizes are free.
+
+    What was fitted to PV less a step of nearly the right size has made up for the rest of it.
+    """
+    if stem.near is None:
+        return model
+    near = stem.near
+
+    def valve(point: FloatArray) -> tuple[FloatArray, Fit]:
+        tau = min(max(model.fit.tau * math.exp(point[2]), limits.tau[0]), limits.tau[1])
+        theta = min(max(model.fit.theta + point[3] / SHIFT, limits.theta[0]), limits.theta[1])
+        return near(math.exp(point[0]), math.exp(point[1])), replace(model.fit, tau=tau, theta=theta)
+
+    def left(point: FloatArray) -> float:
+        x, fit = valve(point)
+        answer = _answer(data, fit)
+        columns = np.array([*predict(data, x, stem.first, fit)[1], *(_step(answer, at) for at in model.times)])[
+            :, skip:
+        ]
+        gram, side = columns @ columns.T, columns @ data.y[skip:]
+        terms, *_ = np.linalg.lstsq(gram, side, rcond=1e-12)
+        return float(np.mean((data.y[skip:] - terms @ columns) ** 2))
+
+    point = np.zeros(4)
+    for spread in SPREADS:
+        simplex = point + spread * np.vstack([np.zeros(4), np.eye(4)])
+        point = minimize(
+            left,
+            point,
+            method="Nelder-Mead",
+            options={
+                "initial_simplex": simplex,
+                "maxfev": EVALUATIONS,
+                "xatol": 0.0,
+                "fatol": 1e-6 * model.power(skip),
+            },
+        ).x
+    x, fit = valve(point)
+    moved = _beside(data, x, stem.first, fit, limits, skip, list(model.times))
+    return moved if moved.power(skip) < model.power(skip) and moved.terms[1] * model.fit.gain > 0.0 else model
 
 
 def _answer(data: Centred, fit: Fit) -> FloatArray:

@@ -30,11 +30,13 @@ GRID = 48  # values of S looked at
 SHARES = (0.0, 0.12, 0.27, 0.45, 0.7, 1.0, 1.35)  # of J, of S
 FINER, FINER_TAUS = (-0.04, -0.02, 0.0, 0.02, 0.04), (0.7, 0.85, 1.0, 1.2, 1.45)  # about the best of them, of each
 SHORTEST, LONGEST, TAUS = 0.3, 10.0, 9  # time constants looked at: samples, records, how many
+WALKED_IN = 6
 PICKED = 14  # stems of the grid that get their own plant,
 NEAR, NEAR_JUMP = 0.05, 0.1  # no two of them as near as that, of S
 SPREADS = (0.1, 0.04, 0.015, 0.005)  # of S: how far stems with plants of their own are looked at about a seed,
 STEPS = 6  # how often at most, each time about the best so far,
 AROUND, QUICK = 5, 14  # how many values of S, and evaluations of each
+WALKED, WALKS = 2.0, 2  # of that: how far sequences of slips are walked, and how many of each are fitted
 ACROSS, ACROSS_GRID = 0.07, 29  # of S: how far a close grid about the best goes, and how many values of S it has
 CROSSINGS = 3  # of it at most
 SEEDS = 4  # of them, about which S and J are walked
@@ -44,6 +46,9 @@ REFITS = 6  # best lines of which each gets its own plant
 OUTWARDS = (0.004, 0.5, 1.5)  # of S: the least and the largest step away from the best, each to the one before
 STARTS = 60  # first slips tried beside the stem that rests in the middle of its band
 HALF_SLIPS = 5  # in each half of a record, for the halves to be compared
+
+
+Seed = tuple[float, float, float, float]  # S, J, tau, theta
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,28 +103,55 @@ def look(data: Centred, longest: float) -> list[Band]:
     return sorted((b for b in found if b.slips > 0 and b.fit.gain != 0.0), key=lambda b: b.fit.sse)
 
 
-def _screened(
-    data: Centred, grid: FloatArray, taus: FloatArray, delays: list[float], most: int
-) -> list[tuple[float, float, float, float]]:
+def _screened(data: Centred, grid: FloatArray, taus: FloatArray, delays: list[float], most: int) -> list[Seed]:
     """The best (S, J, tau, theta) of a grid of rows (S, J) that differ, each with the best plant of a grid."""
     grid = grid[grid.sum(axis=1) < 2.0 * data.op_range]
     found = np.empty((len(grid), 4, 3))
     poles, whole = np.exp(-1.0 / taus), np.array(delays, dtype=np.int64)
     kernel.screen_bands(data.target, data.u, grid, poles, whole, data.sign, data.a, data.skip, found)
-    chosen: list[tuple[float, float, float, float]] = []
+    chosen: list[Seed] = []
     # A start that is known uses all of the record, one that is not may leave its liveliest part out: both are asked.
     started = np.argmin(found[:, :3, 0], axis=1)
     for starts, share in ((started, (most + 1) // 2), (np.full(len(grid), 3), most)):
         best = found[np.arange(len(grid)), starts]
         for i in np.argsort(best[:, 0], kind="stable").tolist():
-            S, J = grid[i].tolist()
-            apart = all(abs(S / c[0] - 1.0) > NEAR or abs(J - c[1]) > NEAR_JUMP * S for c in chosen)
-            if apart and len(chosen) < share and math.isfinite(best[i, 0]):
-                chosen.append((S, J, float(taus[int(best[i, 1])]), delays[int(best[i, 2])]))
+            seed = (*grid[i].tolist(), float(taus[int(best[i, 1])]), delays[int(best[i, 2])])
+            if len(chosen) < share and math.isfinite(best[i, 0]) and _differs(seed, chosen):
+                chosen.append(seed)
+    if most == 1:
+        return chosen
+    # A sequence of slips may hold for a range of J too narrow for any grid: at each S all of J is walked.
+    least = np.argmin(found.reshape(len(grid), 4, 3)[:, :, 0], axis=1)
+    best = found[np.arange(len(grid)), least]
+    walked = []
+    for S in np.unique(grid[:, 0]).tolist():
+        here = np.flatnonzero(grid[:, 0] == S)
+        i = int(here[np.argmin(best[here, 0])])
+        if math.isfinite(best[i, 0]):
+            seed = (*grid[i].tolist(), float(taus[int(best[i, 1])]), delays[int(best[i, 2])])
+            walked += _along(data, seed)
+    for _, seed in sorted(walked):
+        if len(chosen) < most + WALKED_IN and _differs(seed, chosen):
+            chosen.append(seed)
     return chosen
 
 
-def _placed(data: Centred, seed: tuple[float, float, float, float], limits: Limits) -> Band:
+def _differs(seed: Seed, chosen: list[Seed]) -> bool:
+    S, J = seed[:2]
+    return all(abs(S / c[0] - 1.0) > NEAR or abs(J - c[1]) > NEAR_JUMP * S for c in chosen)
+
+
+def _along(data: Centred, seed: Seed) -> list[tuple[float, Seed]]:
+    """(cost, seed) of the best of the sequences of slips that J leads through at a seed's S and plant."""
+    S, J, tau, theta = seed
+    _, first, sense = _start_costs(data, (S, J), (tau, theta))[0]
+    like = Band(S, J, first, sense, 0, Fit(0.0, tau, theta, 0.0, 0.0, 0.0, 0.0))
+    rows = _line(data, (S, 0.02 * S), 1, min(1.5 * S, 2.0 * data.op_range - S), like, (0.004 * S, 0.02 * S))
+    order = np.argsort(rows[:, 2], kind="stable")[:1].tolist()
+    return [(float(rows[i, 2]), (S, float(rows[i, 1]), tau, theta)) for i in order]
+
+
+def _placed(data: Centred, seed: Seed, limits: Limits) -> Band:
     """The best stem of a finer grid about a seed (S, J, tau, theta), with the start that suits it and its own plant."""
     S, J, tau, theta = seed
     widths = S * (1.0 + np.array(FINER))
@@ -160,20 +192,22 @@ def _fit(
 
 
 def _line(
-    data: Centred, J: float, S: tuple[float, float], like: Band, steps: tuple[float, float]
+    data: Centred, begin: tuple[float, float], along: int, end: float, like: Band, steps: tuple[float, float]
 ) -> NDArray[np.float64]:
-    """Rows (S, J, COST, SLIPS) along S at one J, with the start and plant of `like`; steps: least and largest."""
+    """Rows (S, J, COST, SLIPS) from (S, J) on along S (0) or J (1), with the start and plant of `like`.
+
+    steps: the least and the largest, %.
+    """
     rows = np.empty((4000, 4))
     count = kernel.walk_bands(
         data.target,
         data.u,
         like.first,
         like.sense,
-        J,
-        S[0],
-        S[1],
-        steps[0],
-        steps[1],
+        *begin,
+        along,
+        end,
+        *steps,
         data.sign,
         data.integrating,
         like.fit.tau,
@@ -195,14 +229,11 @@ def _start_costs(
     firsts = firsts[(firsts == 0) | (held[np.maximum(firsts - 1, 0)] <= sum(band))]
     starts = [(-1, 0.0), (0, 1.0), (0, -1.0)]
     starts += [(f, 1.0 if u[f] > u[:f].max() else -1.0) for f in thin(firsts, STARTS).tolist() if f > 0]
-    pair, plants, cost = np.array([band]), np.array([plant]), np.empty((1, 1))
-    found = []
-    for first, sense in starts:
-        kernel.scan_bands(
-            data.target, data.u, first, sense, pair, data.sign, data.integrating, plants, data.a, data.skip, cost
-        )
-        found.append((float(cost[0, 0]), first, sense))
-    return sorted(found)
+    costs = np.empty(len(starts))
+    kernel.scan_starts(
+        data.target, u, *band, np.array(starts), data.sign, data.integrating, *plant, data.a, data.skip, costs
+    )
+    return sorted((cost, first, sense) for cost, (first, sense) in zip(costs.tolist(), starts, strict=True))
 
 
 def _started(data: Centred, b: Band, limits: Limits) -> Band:
@@ -222,10 +253,10 @@ def _closer(
         J = np.unique(np.maximum(seed.J + np.linspace(-reach[1], reach[1], LINES) * seed.S, 0.0))
     else:
         J = np.array([only * seed.S])
-    S = (seed.S * (1.0 - reach[0]), min(seed.S * (1.0 + reach[0]), data.op_range))
+    low, high = seed.S * (1.0 - reach[0]), min(seed.S * (1.0 + reach[0]), data.op_range)
     # Breakpoints closer than a tenth of the step are passed over: a stem that hardly moves has thousands of them.
-    least = 0.1 * step if data.samples <= EXACT else step
-    lines = [_line(data, j, S, seed, (least, step)) for j in J.tolist()]
+    steps = (0.1 * step * low if data.samples <= EXACT else step * low, step * low)
+    lines = [_line(data, (low, j), 0, high, seed, steps) for j in J.tolist()]
     lines = [line for line in lines if len(line)]
     if not lines:
         return [], np.empty((0, 4))
@@ -243,10 +274,30 @@ def _nearer(data: Centred, seed: Band, spreads: tuple[float, ...], only: float |
     for spread in spreads:
         for _ in range(STEPS):
             best = _started(data, _best_of(met), limits)
-            met += [best, *_about(data, best, spread, only, limits)]
+            met += [best, *_about(data, best, spread, only, limits), *_walked(data, best, spread, only, limits)]
             if _best_of(met) is best:
                 break
     return met
+
+
+def _walked(data: Centred, seed: Band, spread: float, only: float | None, limits: Limits) -> list[Band]:
+    """The best of the sequences of slips along S and along J about a seed, each fitted with its own plant.
+
+    A sequence may hold for a range of J far narrower than what a grid in proportion to S can meet.
+    """
+    if only is not None:
+        return []
+    reach = WALKED * spread * seed.S
+    steps = (0.01 * reach, 0.1 * reach)
+    found = []
+    for along, at in enumerate((seed.S, seed.J)):
+        low = max(at - reach, 0.1 * at)
+        begin = (low, seed.J) if along == 0 else (seed.S, low)
+        rows = _line(data, begin, along, at + reach, seed, steps)
+        found += [tuple(row) for row in rows[np.argsort(rows[:, 2], kind="stable")[:WALKS], :2].tolist()]
+    plant, start = (seed.fit.tau, seed.fit.theta), (seed.first, seed.sense)
+    fits = [_fit(data, S, J, start, limits, plant, QUICK, 1e-5) for S, J in found]
+    return [b for b in fits if b.fit.gain != 0.0 and b.slips > 0]
 
 
 def _across(data: Centred, b: Band, only: float | None, limits: Limits) -> list[Band]:

@@ -1,0 +1,172 @@
+"""A record's models in the measure of what disturbs it: load steps found and taken out, what is left made white.
+
+The stem that explains PV, the load steps beside it and the colour of what remains depend on each other, so that they
+are found in turn.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+from workbench.estimate.data import Centred
+from workbench.estimate.fit import LEAST_TAU, Fit, Limits, again_linear, disturbance, grounded, predict
+from workbench.estimate.loads import Stem, loads_of
+from workbench.estimate.models import bands_of, refitted
+from workbench.estimate.profile import EXACT, Profile, profile_again, profile_of, search
+from workbench.estimate.stems import path_of
+from workbench.estimate.two_parameter import Band, Bands, band_stem, look
+from workbench.model.load_step import LoadStep
+from workbench.model.record import FloatArray
+
+__all__ = ["coloured_linear", "settled"]
+
+STARTING = 20  # of the record at most is left out at its start
+STEPS_MOST = 2  # load steps
+COLOURINGS = 2  # rounds of model and disturbance in turn
+SEEKING = 4  # rounds in which load steps need not yet explain all that is coloured, and as many more in which they must
+SAME_TIME, SAME_SIZE = 5, 0.1  # samples, share: steps that moved less have settled
+
+
+def _leading(data: Centred, found: Profile | None, bands: dict[str, Bands], linear: Fit) -> Stem:
+    """The best stem, with its fit."""
+    band = min((b.best for b in bands.values()), key=lambda b: b.fit.sse, default=None)
+    if band is not None and (found is None or band.fit.sse < found.best.fit.sse):
+        return _of_band(data, band)
+    if found is None:
+        return Stem(data.u, 0, linear)
+    best = found.best
+    return Stem(
+        path_of(data.u, best.d_low, best.first)[0],
+        best.first,
+        best.fit,
+        lambda wider, _: path_of(data.u, best.d_low * wider, best.first)[0],
+    )
+
+
+def _of_band(data: Centred, b: Band) -> Stem:
+    """A two-parameter stem over the whole of a record."""
+    return Stem(
+        band_stem(data.u, b.S, b.J, b.first, b.sense)[0],
+        max(b.first, 0),
+        b.fit,
+        lambda wider, further: band_stem(data.u, b.S * wider, b.J * further, b.first, b.sense)[0],
+    )
+
+
+def _of_halves(data: Centred, delays: float) -> list[Stem]:
+    """The stems, over the whole of a short record, that each half finds by itself: one of them has no such step."""
+    n = data.samples
+    parts = (data.part(0, n // 2), data.part(n // 2, n)) if n <= EXACT else ()
+    best = [b for part in parts for b in look(part, min(delays, part.samples / 4.0))[:1]]
+    return [_of_band(data, replace(b, first=-1, sense=0.0)) for b in best]
+
+
+def _relieved(
+    whole: Centred,
+    data: Centred,
+    lead: Stem,
+    others: Sequence[Stem],
+    limits: Limits,
+    skip: int,
+    asked: tuple[int, bool],
+) -> tuple[Centred, FloatArray, tuple[LoadStep, ...]]:
+    """The record without the load steps that a stem does not explain, what it leaves of that, EU, and the steps.
+
+    whole: the record with its load; data: as the lead was fitted to it; others: stems beside which steps are looked for
+    too; asked: how many steps at most, and whether they must explain all that is coloured.
+    """
+    x, first, fit = lead.x, lead.first, lead.fit
+    loads = loads_of(whole, (lead, *others), limits, skip, *asked)
+    if loads.steps:
+        return whole.less(loads.pv), loads.left, loads.steps
+    if data.load.any():
+        left = whole.y - predict(whole, x, first, grounded(whole.whitened(data.a, max(skip, 1)), x, first, fit))[0]
+    else:
+        left = data.y - predict(data, x, first, grounded(data, x, first, fit))[0]
+    return whole, left, ()
+
+
+def settled(
+    data: Centred, found: Profile | None, bands: dict[str, Bands], linear: Fit, delays: float, most: int = STEPS_MOST
+) -> tuple[Centred, Profile | None, dict[str, Bands], Fit, tuple[LoadStep, ...]]:
+    """The record and its models without load steps, in the measure of the disturbance that the best stem leaves.
+
+    Where the record starts within a cycle, its first samples, up to the dead time, answer to slips before it: they no
+    longer count. A PV that starts where it does not come again starts from rest, with a setpoint move. most: steps.
+    """
+    whole, first = data, (found, bands, linear)
+    steps: tuple[LoadStep, ...] = ()
+    theta = max(0.0 if found is None else found.best.fit.theta, min(linear.theta, delays))
+    later = data.y[data.samples // 4 :]
+    within = bool(later.min() <= data.y[0] <= later.max())
+    skip = min(math.ceil(theta) + 2, data.samples // STARTING) if within else 0
+    limits = Limits((LEAST_TAU, float(data.samples)), (0.0, delays))
+    turn, strict = 0, False
+    while turn < COLOURINGS or (steps and turn < SEEKING + COLOURINGS):
+        before, agreed = steps, strict
+        # One step at a time: what a second seems to explain may be the wrong stem's doing. What the first stems leave
+        # is coloured by their own errors; in the end it must be a step's work that it is not.
+        lead = _leading(data, found, bands, linear)
+        # A stem that was fitted to PV with its load may have taken the load for slips; OP itself has not.
+        others = [] if strict else [Stem(data.u, 0, linear)]
+        asked = (min(turn + 1, most), strict)
+        bare, left, steps = _relieved(whole, data, lead, others, limits, skip, asked)
+        if turn == 0 and most > 0 and disturbance(left[skip:], data.floor).size > 1:
+            others += _of_halves(whole, delays)
+            bare, left, steps = _relieved(whole, data, lead, others, limits, skip, asked)
+        same_steps = _same(before, steps, whole.sample_time)
+        strict = strict or same_steps or turn + 1 >= SEEKING
+        if before and not steps:
+            return settled(whole, *first, delays, 0)
+        a = disturbance(left[skip:], data.floor)
+        same = a.size == data.a.size == 1 and not steps
+        # Of a long record the first few samples are nothing.
+        turn += 1
+        if same and (turn > 1 or skip == 0 or data.samples > EXACT):
+            break
+        data = bare.whitened(a, skip)
+        anew = a.size > 1 or bool(steps)
+        linear = again_linear(data, linear, delays)
+        if found is not None and steps and not same_steps:
+            found = search(bare, delays, _quiet) or found
+        if found is not None:
+            likely = [*found.likely, found.best.d_low]
+            if anew:
+                found = profile_of(data, found.rows, likely, found.limits, _quiet, (found.best,))
+            else:
+                found = profile_again(data, found)
+        if bands:
+            bands = bands_of(data, look(data, delays), limits) if anew else refitted(data, bands, limits)
+        if agreed and same_steps:
+            break
+    return data, found, bands, linear, steps
+
+
+def _same(before: Sequence[LoadStep], steps: Sequence[LoadStep], Ts: float) -> bool:
+    """Whether there are steps, at the times and of the sizes that they had before."""
+    return (
+        bool(steps)
+        and len(before) == len(steps)
+        and all(
+            abs(one.at - other.at) <= SAME_TIME * Ts and abs(one.size - other.size) <= SAME_SIZE * abs(other.size)
+            for one, other in zip(steps, before, strict=True)
+        )
+    )
+
+
+def coloured_linear(data: Centred, linear: Fit, delays: float) -> tuple[Centred, Fit, tuple[LoadStep, ...]]:
+    """The record without load steps and its linear fit, in the measure of the disturbance that this leaves."""
+    whole = data
+    steps: tuple[LoadStep, ...] = ()
+    for _ in range(COLOURINGS):
+        limits = Limits((LEAST_TAU, float(data.samples)), (0.0, delays))
+        bare, left, steps = _relieved(whole, data, Stem(data.u, 0, linear), (), limits, 0, (STEPS_MOST, True))
+        data = bare.whitened(disturbance(left, data.floor), 0)
+        linear = again_linear(data, linear, delays)
+    return data, linear, steps
+
+
+def _quiet(share: float) -> None:
+    """Ignore the progress."""
