@@ -8,9 +8,22 @@ from dataclasses import dataclass
 from workbench.model.load_step import LoadStep
 from workbench.model.plant import Plant
 from workbench.model.record import FloatArray, Record
+from workbench.model.status import SolveStatus
 from workbench.model.valve import Valve
 
-__all__ = ["Estimate", "FittedModel", "Intervals", "Iteration", "LinearFit", "NoiseModel", "Part", "Repeats"]
+__all__ = [
+    "Complementarity",
+    "Estimate",
+    "FittedModel",
+    "Intervals",
+    "Iteration",
+    "LinearFit",
+    "NoiseModel",
+    "Part",
+    "Repeats",
+]
+
+MOST_IN_PROGRAM = 1500  # samples in a complementarity program, whose time grows faster than they do
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,6 +96,31 @@ class NoiseModel:
 
 
 @dataclass(frozen=True, slots=True)
+class Complementarity:
+    """What the complementarity program of method "complementarity" found, beside what the valve's own law makes of it.
+
+    status, iterations, residual (worst violation of a constraint) and complementarity (worst product of a pair): how
+    the program ended, PV and OP of size 1. d (%) and plant: at its end. cost: the mean square of the innovations that
+    it claims, EU^2; exact_cost: of the exact stem path for its d with the plant fitted again, None where that stem does
+    not move; profile_cost: of the profile's best path. partial: samples in which the program's stem moves part of the
+    way, which the valve does not do. taken: whether the estimate is the program's d, which fits better, and not the
+    profile's.
+    """
+
+    status: SolveStatus
+    iterations: int
+    residual: float
+    complementarity: float
+    d: float
+    plant: Plant
+    cost: float
+    exact_cost: float | None
+    profile_cost: float
+    partial: int
+    taken: bool
+
+
+@dataclass(frozen=True, slots=True)
 class Part:
     """A stretch of a record by itself, at the plant of the whole: from `start` to `end` (s, the record's clock).
 
@@ -132,6 +170,7 @@ class Estimate:
     slips: stem moves in the record. profile_d and profile_cost: variance of the innovations (EU^2) against d.
     iterations: of two-step. candidates: the models compared, the lowest BIC first. noise_model: of "joint", or None.
     repeats: parts of the record by themselves; None with few moves. load_steps: lasting, and in the prediction.
+    complementarity: the program of the method of that name, or None.
     """
 
     record: Record
@@ -157,3 +196,4 @@ class Estimate:
     noise_model: NoiseModel | None = None
     repeats: Repeats | None = None
     load_steps: tuple[LoadStep, ...] = ()
+    complementarity: Complementarity | None = None

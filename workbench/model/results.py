@@ -22,6 +22,7 @@ from workbench.model.analyses import (
 from workbench.model.controller import PID
 from workbench.model.ensemble import Constraints, Ensemble
 from workbench.model.estimation import (
+    Complementarity,
     Estimate,
     FittedModel,
     Intervals,
@@ -38,6 +39,7 @@ from workbench.model.status import SolveStatus
 from workbench.model.tuning import Bounds, DigitStep, Objective
 
 __all__ = [
+    "Complementarity",
     "Crossing",
     "DescribingFunction",
     "Estimate",
