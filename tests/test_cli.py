@@ -315,6 +315,7 @@ def test_estimate_as_json_writes_no_file(folder: Path) -> None:
         (["loop.csv", "--column", "PV=none"], "no such column"),
         (["loop.csv", "--sample-time", "5"], '--sample-time: 5 given; must be a time with its unit, such as "5 s"'),
         (["loop.csv", "--start", "2"], "two_step"),
+        (["loop.csv", "--method", "complementarity", "--valve", "deadband"], "knows the Stenman valve alone"),
     ],
 )
 def test_bad_arguments_of_estimate_are_one_clear_line(folder: Path, arguments: list[str], words: str) -> None:

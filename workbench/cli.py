@@ -192,7 +192,7 @@ def schema() -> int:
     return 0
 
 
-METHOD = typer.Option("--method", help="profile (global), joint (that, refined by IPOPT) or two_step (alternating).")
+METHOD = typer.Option("--method", help="profile (global), joint (that, refined), two_step, complementarity.")
 VALVE = typer.Option("--valve", help="Valve model: auto, linear, stenman, choudhury or deadband.")
 PLANT = typer.Option("--plant", help="Plant model: fopdt, integrating or auto (the lower BIC).")
 COLUMN = typer.Option("--column", metavar="SIGNAL=NAME", help="Which column is SP, PV, OP, MODE, time, valve_position.")
@@ -356,7 +356,7 @@ def _checked(files: Sequence[Path]) -> list[Scenario]:
 
 
 CHOICES = {
-    "method": ("profile", "joint", "two_step"),
+    "method": ("profile", "joint", "two_step", "complementarity"),
     "valve": ("auto", "linear", "stenman", "choudhury", "deadband"),
     "plant": ("fopdt", "integrating", "auto"),
 }

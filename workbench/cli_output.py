@@ -14,7 +14,7 @@ import numpy as np
 from rich.table import Table
 from rich.text import Text
 
-from workbench.model.results import Estimate, NoiseModel, Repeats, SolveStatus
+from workbench.model.results import Complementarity, Estimate, NoiseModel, Repeats, SolveStatus
 from workbench.model.study import NamedEstimate, Study
 from workbench.model.valve import Ideal, Stenman
 from workbench.report.figures import estimate_figure, svg_file
@@ -57,6 +57,8 @@ def estimate_lines(found: Estimate) -> list[str]:
         lines.append(f"{'' if i else 'Load':<10} from {figure(step.at, 6)} s on {size}")
     if found.noise_model is not None:
         lines.append(f"Noise      {_noise_words(found.noise_model)}")
+    if found.complementarity is not None:
+        lines.append(f"Program    {_program_words(found.complementarity)}")
     lines.append(f"Linear fit {plant_words(found.linear.plant)}; it ignores the stiction")
     if len(found.candidates) > 1:
         span = min(m.bic for m in found.candidates)
@@ -92,6 +94,15 @@ def _noise_words(noise: NoiseModel) -> str:
     if noise.drift_interval is not None:
         text += f"; PV drifts by {figure(noise.drift, 3)} EU/s (95 %: {interval(noise.drift_interval, 'EU/s')})"
     return text
+
+
+def _program_words(program: Complementarity) -> str:
+    """Return how the complementarity program ended, and where."""
+    return (
+        f"{program.status.value} after {program.iterations:,} iterations, worst violation "
+        f"{figure(program.residual, 2)}, worst product {figure(program.complementarity, 2)}; d = "
+        f"{figure(program.d)} % and {plant_words(program.plant)}"
+    )
 
 
 def _stiction_ranges(found: Estimate) -> list[str]:

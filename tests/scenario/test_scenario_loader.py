@@ -318,6 +318,16 @@ def test_a_missing_loop_is_called_loop() -> None:
     assert line.startswith("loop.yaml:1:1: loop: missing; needed")
 
 
+def test_the_complementarity_method_takes_so_many_samples(tmp_path: Path) -> None:
+    text = GOOD.replace("title: A loop", "title: A\nestimate: {simulate: true, method: complementarity}")
+    assert read(text.replace("100 s", "1500 s")).estimates[0].method == "complementarity"
+    said = "estimate.method: complementarity given for 1,501 samples; at most 1,500"
+    assert said in refusal(text.replace("100 s", "1501 s"))
+    rows = "".join(f"{k},{k % 7},{k % 5}\n" for k in range(1501))
+    (tmp_path / "loop.csv").write_text("time,PV,OP\n" + rows)
+    assert said in refusal("title: A\nestimate: {data: loop.csv, method: complementarity}\n", tmp_path)
+
+
 # what is refused ---------------------------------------------------------------------------------------------------
 
 TUNED = "  - {name: T, tune: {bounds: {Kc: §[1, 3]}}}\n"
@@ -398,6 +408,12 @@ BAD: list[tuple[str, str, str, str]] = [
     ("title: A loop", 'title: §"\\ud800"', "scenario", "half of a character"),
     ("title: A loop", "title: A loop\nestimate: §{simulate: false}", "estimate", "must hold either data"),
     ("title: A loop", "title: A\nestimate: {simulate: true, start: §2}", "estimate.start", "only the two_step method"),
+    (
+        "title: A loop",
+        "title: A\nestimate: {simulate: true, method: complementarity, valve: §deadband}",
+        "estimate.valve",
+        "deadband given; method complementarity knows stenman alone",
+    ),
     ("cases:\n", "cases:\n" + TUNED.replace("[1, 3]", "[3, 1]"), "cases[0].tune.bounds.Kc", "low <= high"),
     (
         "- {name",

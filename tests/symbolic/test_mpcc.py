@@ -54,7 +54,10 @@ def test_a_solved_program(relaxation: str, kind) -> None:
 @pytest.mark.parametrize("relaxation", ["scholtes", "fischer_burmeister"])
 def test_every_step_is_told_and_allows_the_product_that_its_sigma_says(relaxation: str) -> None:
     schedule = Homotopy(relaxation, (1.0, 1e-3, 1e-7), finish=False)
-    result = RelaxedSolver(corner(), schedule).solve(Values(parameters=np.array([3.0, 1.0])))
+    shares: list[float] = []
+    solver = RelaxedSolver(corner(), schedule, tell=shares.append)
+    result = solver.solve(Values(parameters=np.array([3.0, 1.0])))
+    assert shares == [1 / 3, 2 / 3, 1.0]
     assert [step.sigma for step in result.steps] == [1.0, 1e-3, 1e-7]
     for step in result.steps:
         assert step.status.success

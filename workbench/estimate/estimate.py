@@ -30,22 +30,24 @@ from workbench.estimate.models import (
 from workbench.estimate.paths import Path, band_paths, linear_path, stem_paths
 from workbench.estimate.plants import foretelling_bic
 from workbench.estimate.profile import Profile, islands, search
+from workbench.estimate.refined import by_complementarity, jointly, refuse_complementarity
 from workbench.estimate.repeat import repeats_of, words_of
-from workbench.estimate.scale import NORMAL, band_of, bias_of, linear_intervals, linear_result, ranges_of, stem_of
+from workbench.estimate.scale import band_of, linear_intervals, linear_result, stem_of
 from workbench.estimate.settled import coloured_linear, settled
 from workbench.estimate.two_parameter import look, repeated
 from workbench.estimate.two_step import akaike, two_step
 from workbench.estimate.verdict import ENOUGH_SLIPS, SHARP, WIDE_D, Evidence, agree, judge
 from workbench.model.checks import choice, number
 from workbench.model.load_step import LoadStep
-from workbench.model.record import FloatArray, Record
-from workbench.model.results import Estimate, Iteration, NoiseModel
-from workbench.model.valve import Choudhury, Deadband, Ideal, Stenman
+from workbench.model.record import Record
+from workbench.model.results import Estimate, Iteration
+from workbench.model.valve import Choudhury, Ideal, Stenman
 from workbench.record.modes import manual_share, mode_words
 
 __all__ = ["estimate"]
 
-METHODS = ("profile", "joint", "two_step")
+METHODS = ("profile", "joint", "two_step", "complementarity")
+PROGRAMS = ("joint", "complementarity")  # go on from the profile with nonlinear programs
 VALVES = ("auto", "linear", "stenman", "choudhury", "deadband")
 PLANTS = ("fopdt", "integrating", "auto")
 
@@ -70,8 +72,10 @@ def estimate(
 
     method: "profile", the global profile over (d, first slip, dead time) with output-error refinement; "joint", the
     same and then the plant of its best few stem paths refined by nonlinear programs, with a drift and a coloured
-    disturbance (see `estimate.joint`; `noise_model` holds them); or "two_step", the paper's alternating algorithm from
-    the stiction `start` (%), whose valve is "stenman". valve: "stenman", "choudhury" (S, J), "deadband" (J = 0),
+    disturbance (see `estimate.joint`; `noise_model` holds them); "two_step", the paper's alternating algorithm from
+    the stiction `start` (%), whose valve is "stenman"; or "complementarity", for comparison: the profile, and from its
+    best Stenman path one program in plant, d and stem together (see `estimate.complementarity`; the result's field of
+    that name holds what it found; 1,500 samples at most). valve: "stenman", "choudhury" (S, J), "deadband" (J = 0),
     "linear" (none), or "auto", the one that sticks with the lowest BIC. plant: "fopdt", "integrating", or "auto", the
     one with the lower BIC among the same valves (twice the time).
     max_dead_time: s, the longest dead time searched (default: 30 samples, more where the best fit asks for it).
@@ -81,8 +85,8 @@ def estimate(
     ("no_stiction") the model is that linear fit with an ideal valve. intervals.d is the hull of all d whose fit the
     record cannot tell from the best, and None below ten stem moves, which do not pin the stem's unknown start;
     identifiable is True where the verdict is "stiction" and that hull is at most a tenth of d wide. Raises
-    `RecordError` for a record that holds no information (too short, PV or OP constant) and `InvalidValue` for
-    arguments that are not allowed.
+    `RecordError` for a record that holds no information (too short, PV or OP constant) or is too long for the method,
+    and `InvalidValue` for arguments that are not allowed.
     """
     if not isinstance(record, Record):
         raise InvalidValue("estimate.record", type(record).__name__, "must be a Record (see read_record)")
@@ -95,6 +99,9 @@ def estimate(
         start = number(start, "estimate.start", above=0.0, unit="%")
     if max_dead_time is not None:
         max_dead_time = number(max_dead_time, "estimate.max_dead_time", least=0.0, unit="s")
+    if method == "complementarity":
+        refuse_complementarity(record, valve)
+        valve = "stenman"
     tell = progress if progress is not None else _silent
     if plant == "auto":
         return _better_plant(record, (method, valve), start, max_dead_time, tell)
@@ -108,11 +115,14 @@ def estimate(
     if method == "two_step":
         found, history = two_step(data, start, _longest(data, max_dead_time, DELAYS))
     else:
-        found = _profile(data, max_dead_time, (lambda share: tell(0.1 + 0.4 * share)) if method == "joint" else tell)
-    answer, paths, load = _answer(record, data, (method, valve), found, (linear, longest), history)
-    data = data.less(load)
-    if method == "joint":
-        answer = _joint(data, answer, paths, max_dead_time, lambda share: tell(0.5 + 0.5 * share))
+        found = _profile(data, max_dead_time, (lambda share: tell(0.1 + 0.4 * share)) if method in PROGRAMS else tell)
+    answer, paths, settled = _answer(record, data, (method, valve), found, (linear, longest), history)
+    data = data.less(settled.load)
+    if method in PROGRAMS:
+        usual = LINEAR_DELAYS if isinstance(answer.valve, Ideal) else 2.0 * paths[0].fit.theta + DELAYS
+        limits = Limits((LEAST_TAU, float(data.samples)), (0.0, _longest(data, max_dead_time, int(usual))))
+        refine, used = (jointly, data) if method == "joint" else (by_complementarity, settled)
+        answer = refine(used, answer, paths, limits, lambda share: tell(0.5 + 0.5 * share))
     repeats = repeats_of(data, answer)
     said = words_of(repeats) if repeats is not None and answer.verdict == "stiction" else ()
     tell(1.0)
@@ -128,8 +138,8 @@ def _better_plant(
 ) -> Estimate:
     """The estimate with the plant of the lower BIC, and in words by how much."""
     method, valve = asked
-    quick = "profile" if method == "joint" else method
-    shares = 3 if method == "joint" else 2
+    quick = "profile" if method in PROGRAMS else method
+    shares = 3 if method in PROGRAMS else 2
 
     def part(i: int) -> Callable[[float], None]:
         return lambda share: tell((i + share) / shares)
@@ -149,7 +159,7 @@ def _better_plant(
     bics = {plant: foretelling_bic(centre(record, plant), one) for plant, one in found.items()}
     plant = min(bics, key=lambda name: bics[name])
     answer = found[plant]
-    if method == "joint":
+    if method in PROGRAMS:
         answer = estimate(
             record, method=method, valve=valve, plant=plant, max_dead_time=max_dead_time, progress=part(2)
         )
@@ -189,8 +199,8 @@ def _answer(
     found: Profile | None,
     straight_fit: tuple[Fit, float],
     history: tuple[Iteration, ...],
-) -> tuple[Estimate, list[Path], FloatArray]:
-    """The estimate, the likeliest stem paths of its valve, and what load steps add to PV, EU, shape (N,).
+) -> tuple[Estimate, list[Path], Centred]:
+    """The estimate, the likeliest stem paths of its valve, and the record without load steps as it was fitted.
 
     straight_fit: the linear fit and its longest delay.
     """
@@ -292,7 +302,7 @@ def _answer(
             candidates=tuple(models.values()),
             load_steps=steps,
         )
-        return unstuck, linear_path(data, linear), data.load
+        return unstuck, linear_path(data, linear), data
     # Of the prediction itself: where the model's columns are nearly dependent, the normal equations lose digits.
     sse = float(((record.pv - stem.prediction) ** 2).sum())
     sticking = Estimate(
@@ -319,71 +329,8 @@ def _answer(
         load_steps=steps,
     )
     if chosen in bands:
-        return sticking, band_paths(data, bands[chosen], chosen), data.load
-    return sticking, [] if found is None else stem_paths(data, found), data.load
-
-
-def _joint(
-    data: Centred, plain: Estimate, paths: list[Path], max_dead_time: float | None, tell: Callable[[float], None]
-) -> Estimate:
-    """The estimate with its plant, start and path by the joint refinement; its verdict stays."""
-    # CasADi is loaded for this method alone.
-    from workbench.estimate.joint import refine
-
-    n = data.samples
-    usual = LINEAR_DELAYS if isinstance(plain.valve, Ideal) else 2.0 * paths[0].fit.theta + DELAYS
-    limits = Limits((LEAST_TAU, float(n)), (0.0, _longest(data, max_dead_time, int(usual))))
-    found = refine(data, paths, limits, tell)
-    best = found.best
-    if best is None:
-        failed = f"the joint refinement ended as {found.status.value}: the profile's own fit is shown"
-        return replace(plain, reasons=(*plain.reasons, failed))
-    path, fit = best.path, best.fit
-    prediction = data.pv_mean + data.load + best.prediction(data)
-    position = path.x + data.op_middle
-    if path.first > 0 and fit.gain != 0.0:
-        position[: path.first] = data.op_middle + fit.start / fit.gain
-    ranges = ranges_of(data, [r.fit for r in found.alike], found.errors, plain.intervals.d)
-    if ranges.d is not None and path.d is not None:
-        ranges = replace(ranges, d=(min(ranges.d[0], path.d[0]), max(ranges.d[1], path.d[1])))
-    if isinstance(path.valve, Choudhury | Deadband):
-        ranges = replace(ranges, S=_with(plain.intervals.S, path.valve.stick_band))
-    if isinstance(path.valve, Choudhury):
-        ranges = replace(ranges, J=_with(plain.intervals.J, path.valve.J))
-    sse = float(((plain.record.pv - prediction) ** 2).sum())
-    kind = type(path.valve).__name__.lower() if path.slips else "linear"
-    p = PLANT_PARAMETERS + VALVE_PARAMETERS[kind] - data.integrating + best.drifts
-    span = n * data.sample_time
-    half = NORMAL * found.drift_error
-    begin, stop = found.stretch
-    said = (f"the record is long: the joint refinement used its samples {begin} to {stop}",) if stop - begin < n else ()
-    return replace(
-        plain,
-        reasons=plain.reasons + said,
-        plant=plant_of(data, fit.gain, fit.tau, fit.theta),
-        valve=path.valve,
-        valve_position=position,
-        prediction=prediction,
-        bias=bias_of(data, fit),
-        intervals=ranges,
-        residual_variance=sse / n,
-        aic=akaike(data, sse, p),
-        noise_sd=math.sqrt(sse / n),
-        slips=path.slips,
-        noise_model=NoiseModel(
-            ar=best.a,
-            innovation_sd=found.innovation_sd,
-            drift=best.drift / span,
-            drift_interval=((best.drift - half) / span, (best.drift + half) / span) if best.drifts else None,
-            compared=found.compared,
-            iterations=found.iterations,
-        ),
-    )
-
-
-def _with(pair: tuple[float, float] | None, value: float) -> tuple[float, float] | None:
-    """A range that holds a value too."""
-    return None if pair is None else (min(pair[0], value), max(pair[1], value))
+        return sticking, band_paths(data, bands[chosen], chosen), data
+    return sticking, [] if found is None else stem_paths(data, found), data
 
 
 def _manual_said(record: Record) -> tuple[str, ...]:

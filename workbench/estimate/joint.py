@@ -30,6 +30,7 @@ from workbench.estimate.fit import Fit, Limits, predict, score_covariance
 from workbench.estimate.paths import Path
 from workbench.model.record import FloatArray
 from workbench.model.results import SolveStatus
+from workbench.symbolic.loop import held
 from workbench.symbolic.solve import Group, IpoptOptions, Nlp, Solver, Values
 
 __all__ = ["ORDERS", "Refined", "Refinement", "refine"]
@@ -115,9 +116,8 @@ class _Program:
             step = own[GAIN] * ((1.0 - own[SHARE]) * v[0] + own[SHARE] * v[1]) + own[DRIFT] / n
             pole, level = ca.SX(1.0), own[BIAS]
         else:
-            pole = ca.exp(-ca.exp(-own[TAU]))
-            part = ca.exp(-(1.0 - own[SHARE]) * ca.exp(-own[TAU]))
-            step = own[GAIN] * ((1.0 - part) * v[0] + (part - pole) * v[1])
+            pole, c0, c1 = held(ca.exp(own[TAU]), own[SHARE])
+            step = own[GAIN] * (c0 * v[0] + c1 * v[1])
             level = own[BIAS] + own[DRIFT] * ca.DM(_clock(n))
         left = y - w - level
         partial = [own[PARTIAL + i] for i in range(ORDERS)]

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from enum import Enum
 from types import MappingProxyType
 
 import numpy as np
@@ -22,15 +21,25 @@ from workbench.model.analyses import (
 )
 from workbench.model.controller import PID
 from workbench.model.ensemble import Constraints, Ensemble
+from workbench.model.estimation import (
+    Complementarity,
+    Estimate,
+    FittedModel,
+    Intervals,
+    Iteration,
+    LinearFit,
+    NoiseModel,
+    Part,
+    Repeats,
+)
 from workbench.model.experiment import Experiment
-from workbench.model.load_step import LoadStep
 from workbench.model.loop import Loop
-from workbench.model.plant import Plant
-from workbench.model.record import FloatArray, Record
+from workbench.model.record import FloatArray
+from workbench.model.status import SolveStatus
 from workbench.model.tuning import Bounds, DigitStep, Objective
-from workbench.model.valve import Valve
 
 __all__ = [
+    "Complementarity",
     "Crossing",
     "DescribingFunction",
     "Estimate",
@@ -112,26 +121,6 @@ class Run:
 
 # Worst J within the margin over J itself, above which a tuning is a knife-edge.
 KNIFE_EDGE = 1.05
-
-
-class SolveStatus(Enum):
-    """How a solve ended; the one vocabulary for every solver in the project."""
-
-    SOLVED = "solved"  # to the tolerances asked for and, for a tuning, verified by exact re-simulation
-    ACCEPTABLE = "solved to acceptable tolerances"
-    INFEASIBLE = "infeasible"
-    ITERATION_LIMIT = "iteration limit"
-    TIME_LIMIT = "time limit"
-    DIVERGED = "diverged"
-    FAILED = "failed"
-    EVALUATION_LIMIT = "evaluation limit"
-    UNVERIFIED = "not verified by exact re-simulation"
-    INTERRUPTED = "interrupted"
-
-    @property
-    def success(self) -> bool:
-        """Whether the result may be used as a solution."""
-        return self in (SolveStatus.SOLVED, SolveStatus.ACCEPTABLE)
 
 
 @dataclass(frozen=True, eq=False)
@@ -352,149 +341,3 @@ class Repair:
             for one in (self.best, self.best_repaired)
         )
         return 1.0 - repaired / left if left > 0.0 and math.isfinite(left) else math.nan
-
-
-@dataclass(frozen=True, slots=True)
-class Intervals:
-    """95 % ranges (low, high) of what was estimated, or None where the data or the model give none.
-
-    d, S, J in %; gain in EU/% (integrating: EU/(% s)); time_constant and dead_time in s.
-    """
-
-    d: tuple[float, float] | None = None
-    S: tuple[float, float] | None = None
-    J: tuple[float, float] | None = None
-    gain: tuple[float, float] | None = None
-    time_constant: tuple[float, float] | None = None
-    dead_time: tuple[float, float] | None = None
-
-
-@dataclass(frozen=True, slots=True)
-class Iteration:
-    """One step of the two-step algorithm: the stiction (%), the plant fitted to it, the residual variance and AIC."""
-
-    d: float
-    plant: Plant
-    residual_variance: float
-    aic: float
-
-
-@dataclass(frozen=True, eq=False)
-class LinearFit:
-    """The fit that ignores stiction: plant, bias (EU), prediction (EU, shape (N,)), residual variance (EU^2), AIC."""
-
-    plant: Plant
-    bias: float
-    prediction: FloatArray
-    residual_variance: float
-    aic: float
-
-
-@dataclass(frozen=True, slots=True)
-class FittedModel:
-    """One model held against a record: valve, plant, residual variance (EU^2), AIC and BIC, times that the stem slips.
-
-    AIC and BIC are those of the innovations where the disturbance is coloured, and do not fall below what the record
-    resolves: fits better than that are equally good.
-    """
-
-    valve: Valve
-    plant: Plant
-    residual_variance: float
-    aic: float
-    bic: float
-    slips: int
-
-
-@dataclass(frozen=True, slots=True)
-class NoiseModel:
-    """What disturbs PV beside the loop, as method "joint" finds it: `n_k = ar[0] n_{k-1} + ar[1] n_{k-2} + .. + e_k`.
-
-    ar: as many coefficients as the order chosen, 0 to 4. innovation_sd: standard deviation of e, EU: how well PV is
-    foretold one sample ahead. drift: of PV, EU/s (0 where none was chosen), with its 95 % range. compared: (order,
-    with a drift, BIC) of each model held against the record, less a common constant. iterations: IPOPT's.
-    """
-
-    ar: tuple[float, ...]
-    innovation_sd: float
-    drift: float
-    drift_interval: tuple[float, float] | None
-    compared: tuple[tuple[int, bool, float], ...]
-    iterations: int
-
-
-@dataclass(frozen=True, slots=True)
-class Part:
-    """A stretch of a record by itself, at the plant of the whole: from `start` to `end` (s, the record's clock).
-
-    band: how far OP moves before the stem turns there, d or S, %, with its 95 % range; up and down: the same before it
-    moves upward and downward, nan for a dead band, where a difference cannot be seen. slips: stem moves in it.
-    """
-
-    start: float
-    end: float
-    band: float
-    interval: tuple[float, float]
-    up: float
-    down: float
-    slips: int
-
-
-@dataclass(frozen=True, slots=True)
-class Repeats:
-    """Whether a valve's stiction repeats: over parts of the record, upward and downward, and in time.
-
-    spread: of the parts' bands, standard deviation over their mean. drift: of the band, %/h, and difference: band
-    upward less band downward, %; each with its 95 % range, None where the parts are too few to tell.
-    """
-
-    parts: tuple[Part, ...]
-    spread: float
-    drift: float | None
-    drift_interval: tuple[float, float] | None
-    difference: float | None
-    difference_interval: tuple[float, float] | None
-
-    @property
-    def band(self) -> float:
-        """The mean of the parts' bands, %."""
-        return math.fsum(p.band for p in self.parts) / len(self.parts)
-
-
-@dataclass(frozen=True, eq=False)
-class Estimate:
-    """A loop estimated from a record.
-
-    plant and valve: the model (valve `Ideal()` where no stiction helps). valve_position: the estimated stem, % of
-    OP's scale, shape (N,). prediction: PV simulated from that stem, EU, shape (N,). bias: PV at stem 0, EU.
-    verdict: "stiction", "no_stiction" or "undecided", with `reasons` in words. identifiable: True for a
-    "stiction" verdict whose d (or S) the data pin to a tenth, with ten stem moves or more, and not only its product
-    with the gain. residual_variance (EU^2) and aic by the paper's eq. (1); noise_sd: of PV about the prediction, EU.
-    slips: stem moves in the record. profile_d and profile_cost: variance of the innovations (EU^2) against d.
-    iterations: of two-step. candidates: the models compared, the lowest BIC first. noise_model: of "joint", or None.
-    repeats: parts of the record by themselves; None with few moves. load_steps: lasting, and in the prediction.
-    """
-
-    record: Record
-    method: str
-    plant: Plant
-    valve: Valve
-    valve_position: FloatArray
-    prediction: FloatArray
-    bias: float
-    verdict: str
-    reasons: tuple[str, ...]
-    intervals: Intervals
-    identifiable: bool
-    residual_variance: float
-    aic: float
-    noise_sd: float
-    slips: int
-    linear: LinearFit
-    profile_d: FloatArray
-    profile_cost: FloatArray
-    iterations: tuple[Iteration, ...] = ()
-    candidates: tuple[FittedModel, ...] = ()
-    noise_model: NoiseModel | None = None
-    repeats: Repeats | None = None
-    load_steps: tuple[LoadStep, ...] = ()

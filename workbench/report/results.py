@@ -334,7 +334,8 @@ def _repeats(found: Repeats) -> dict[str, Any]:
 
 
 def _estimate(named: NamedEstimate) -> dict[str, Any]:
-    found = named.found
+    found, program = named.found, named.found.complementarity
+    ended = {} if program is None else {"status": program.status.value, "plant": _plant(program.plant)}
     return {
         "name": named.name,
         "method": found.method,
@@ -350,6 +351,7 @@ def _estimate(named: NamedEstimate) -> dict[str, Any]:
         "noise_sd": found.noise_sd,
         "slips": found.slips,
         "noise_model": None if found.noise_model is None else plain(found.noise_model),
+        **({} if program is None else {"complementarity": plain(program) | ended}),
         "repeats": None if found.repeats is None else _repeats(found.repeats),
         "load_steps": [plain(step) for step in found.load_steps],
         "linear": {

@@ -10,6 +10,7 @@ from pathlib import Path as FilePath
 
 from workbench.errors import InvalidValue, RecordError
 from workbench.model.controller import PID
+from workbench.model.estimation import MOST_IN_PROGRAM
 from workbench.model.experiment import Experiment, Series
 from workbench.model.loop import Loop
 from workbench.model.plant import Plant
@@ -413,6 +414,8 @@ class Builder:
             names.setdefault(name, i)
             noise = self.experiments.noise(e.noise, (*path, "noise"))
             mine = experiment if noise is None or experiment is None else replace(experiment, noise=noise)
+            if e.method == "complementarity":
+                self._fits_program(e, path, record, loop, mine)
             reference = {} if e.reference is None else e.reference.model_dump(exclude_none=True)
             jobs.append(
                 EstimateJob(
@@ -430,6 +433,19 @@ class Builder:
                 )
             )
         return jobs
+
+    def _fits_program(
+        self, e: schema.Estimate, path: Path, record: Record | None, loop: Loop | None, mine: Experiment | None
+    ) -> None:
+        """Refuse a valve or a record that the complementarity program does not take."""
+        if e.valve not in ("auto", "stenman"):
+            self.refusals.refuse((*path, "valve"), f"{e.valve} given; method complementarity knows stenman alone")
+        samples = 0 if record is None else len(record)
+        if record is None and loop is not None and mine is not None:
+            samples = sample_count(mine.duration, loop.sample_time)
+        if samples > MOST_IN_PROGRAM:
+            what = f"complementarity given for {samples:,} samples; at most {MOST_IN_PROGRAM:,}"
+            self.refusals.refuse((*path, "method"), what)
 
 
 def _common(objectives: list[Objective]) -> Objective | None:

@@ -74,7 +74,7 @@ class Estimate(Closed):
         None
     )
     noise: Annotated[Noise | None, Field(description="of the simulated record, instead of the experiment's")] = None
-    method: Literal["profile", "joint", "two_step"] = "profile"
+    method: Literal["profile", "joint", "two_step", "complementarity"] = "profile"
     valve: Literal["auto", "linear", "stenman", "choudhury", "deadband"] = "auto"
     plant: Literal["fopdt", "integrating", "auto"] = "fopdt"
     start: Annotated[Band | None, Field(description="initial stiction of the two-step method, %")] = None

@@ -28,6 +28,7 @@ __all__ = [
     "controller_function",
     "given_function",
     "given_run_function",
+    "held",
     "law_function",
     "plant_function",
     "shape_of",
@@ -219,6 +220,15 @@ def valve_as_given(shape: Shape, c: Coefficients, u: Expression, x_last: Express
 def plant_step(c: Coefficients, y: Expression, near: Expression, far: Expression) -> Expression:
     """Return y_{k+1} from y_k, near = v_{k-m} and far = v_{k-m-1} (exact zero-order hold)."""
     return c.pole * y + c.gain * (c.c0 * near + c.c1 * far)
+
+
+def held(time_constant: Expression, share: Expression) -> tuple[Expression, Expression, Expression]:
+    """Return (pole, c0, c1) of a first-order plant under a zero-order hold, all times in samples.
+
+    share: what the dead time has beyond whole samples, 0 to 1.
+    """
+    pole, part = ca.exp(-1.0 / time_constant), ca.exp(-(1.0 - share) / time_constant)
+    return pole, 1.0 - part, part - pole
 
 
 def _split(column: Any) -> Coefficients:

@@ -21,7 +21,7 @@ from __future__ import annotations
 import itertools
 import math
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import Any, Protocol
@@ -181,11 +181,18 @@ class _Point:
 class RelaxedSolver:
     """An `Mpcc` compiled once for one homotopy, to be solved by IPOPT for many starts, parameters and bounds.
 
-    Not to be used from several threads: IPOPT is not safe there.
+    tell: called with the share of the steps done. Not to be used from several threads: IPOPT is not safe there.
     """
 
-    def __init__(self, problem: Mpcc, homotopy: Homotopy | None = None, options: IpoptOptions | None = None) -> None:
+    def __init__(
+        self,
+        problem: Mpcc,
+        homotopy: Homotopy | None = None,
+        options: IpoptOptions | None = None,
+        tell: Callable[[float], None] | None = None,
+    ) -> None:
         self._problem = problem
+        self._tell = tell
         self._homotopy = homotopy or Homotopy()
         nlp = problem.nlp
         self._size = int(nlp.x.numel())
@@ -222,6 +229,8 @@ class RelaxedSolver:
             for sigma in self._homotopy.sigmas:
                 found = self._step(self._relaxed, given, start, sigma, {})
                 points.append(found)
+                if self._tell is not None:
+                    self._tell(len(points) / (len(self._homotopy.sigmas) + self._homotopy.finish))
                 interrupted = found.step.status is SolveStatus.INTERRUPTED
                 failures = 0 if found.step.status.success else failures + 1
                 exact = self._homotopy.relaxation == "l1" and self._good(found)

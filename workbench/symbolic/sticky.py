@@ -12,9 +12,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import casadi as ca
 import numpy as np
+from numpy.typing import NDArray
 
 from workbench.errors import InvalidValue
 from workbench.model.loop import Loop
@@ -26,11 +28,45 @@ from workbench.symbolic.full_space import FullSpace
 from workbench.symbolic.mpcc import Homotopy, Mpcc, MpccResult, MpccSolver, Pairs, RelaxedSolver
 from workbench.symbolic.solve import Group, IpoptOptions, Nlp, Values
 
-__all__ = ["HOMOTOPY", "OPTIONS", "StickyProgram", "StickySolution", "relaxed"]
+__all__ = [
+    "HOMOTOPY",
+    "OPTIONS",
+    "StickyProgram",
+    "StickySolution",
+    "decided",
+    "moved",
+    "relaxed",
+    "unit_steps",
+    "unknown_decisions",
+]
 
 # Fischer-Burmeister's rows are equations: with so few inequalities left a small barrier lets IPOPT take Newton's steps.
 HOMOTOPY = Homotopy("fischer_burmeister", (1.0, 0.1, 1e-2, 1e-4, 1e-6, 1e-8), finish=False)
 OPTIONS = IpoptOptions(tolerance=1e-6, max_iterations=100, max_wall_time=120.0, barrier=1e-3, push=1e-4, scaling="none")
+
+
+def unknown_decisions(n: int) -> Any:
+    """Return the symbols of N samples' decisions, shape (4, N): a, b, and n of each."""
+    return ca.vertcat(*(ca.SX.sym(name, 1, n) for name in ("a", "b", "short_a", "short_b")))
+
+
+def moved(decisions: Any, u: Any, x_last: Any) -> Any:
+    """Return the stem after its decisions, a row of N."""
+    return x_last + (decisions[0, :] + decisions[1, :]) * (u - x_last)
+
+
+def unit_steps(decisions: Any, lead: Any, band: Any) -> Pairs:
+    """Return the pairs that make a and b the unit steps of lead - band and -lead - band, rows of N as `band` is."""
+    a, b, short_a, short_b = (decisions[i, :] for i in range(4))
+    G = ca.vertcat(short_a, short_b, lead - band + short_a, -lead - band + short_b)
+    H = ca.vertcat(a, b, 1.0 - a, 1.0 - b)
+    return Pairs("decisions", ca.vec(G), ca.vec(H))
+
+
+def decided(motion: NDArray[np.int8], lead: FloatArray, band: float) -> FloatArray:
+    """Return the values, shape (4, N), of decisions (-1, 0, 1) that a valve took at these leads."""
+    steps = np.stack([motion > 0, motion < 0]).astype(np.float64)
+    return np.vstack([steps, np.maximum(np.stack([band - lead, band + lead]), 0.0)])
 
 
 def relaxed(problem: Mpcc) -> MpccSolver:
@@ -82,32 +118,27 @@ class StickyProgram:
             )
         self._space, self._reference = space, reference
         n, c = space.samples, space.c
-        a, b, short_a, short_b = (ca.SX.sym(name, 1, n) for name in ("a", "b", "short_a", "short_b"))
-        lead = space.u - space.x_last
+        decisions = unknown_decisions(n)
         rows = space.rows()
-        stem = space.x - (space.x_last + (a + b) * lead)
+        stem = space.x - moved(decisions, space.u, space.x_last)
         law = ca.vertcat(rows.plant, rows.output, stem, rows.integral, *rows.derivative)
         low, high = space.box()
         free = np.full(4 * n, np.inf)
         nlp = Nlp(
-            x=ca.vertcat(space.variables, ca.vec(ca.vertcat(a, b, short_a, short_b))),
+            x=ca.vertcat(space.variables, ca.vec(decisions)),
             objective=space.objective / reference,
             groups=(Group("law", ca.vec(law)), *space.bound_groups()),
             lower=np.concatenate([low, -free]),
             upper=np.concatenate([high, free]),
         )
-        G = ca.vertcat(short_a, short_b, lead - c.band + short_a, -lead - c.band + short_b)
-        H = ca.vertcat(a, b, 1.0 - a, 1.0 - b)
-        self._solver = method(Mpcc(nlp, (Pairs("decisions", ca.vec(G), ca.vec(H)),)))
+        self._solver = method(Mpcc(nlp, (unit_steps(decisions, space.u - space.x_last, c.band),)))
 
     def solve(self, decisions: Decisions, tuning: tuple[float, float, float]) -> StickySolution:
         """Solve from the run that `tuning` makes with these decisions. Never raises for a solve that fails."""
         space = self._space
         start, guards = space.start(tuning, decisions.motion, decisions.limit, decisions.undone)
-        lead, band = guards["lead"] / space.size[1], space.c.band
-        steps = np.stack([decisions.motion > 0, decisions.motion < 0]).astype(np.float64)
-        short = np.maximum(np.stack([band - lead, band + lead]), 0.0)
-        result = self._solver.solve(Values(start=np.concatenate([start, np.vstack([steps, short]).T.ravel()])))
+        steps = decided(decisions.motion, guards["lead"] / space.size[1], space.c.band)
+        result = self._solver.solve(Values(start=np.concatenate([start, steps.T.ravel()])))
         found = result.x[start.size :].reshape(space.samples, 4)
         motion = ((found[:, 0] >= 0.5).astype(np.int8) - (found[:, 1] >= 0.5).astype(np.int8)).astype(np.int8)
         none = np.zeros(space.samples, np.int8)

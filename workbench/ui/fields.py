@@ -247,6 +247,7 @@ _ESTIMATE = Group(
                 ("profile", "profile (global)"),
                 ("joint", "joint (profile, then refined)"),
                 ("two_step", "two-step (the paper's)"),
+                ("complementarity", "complementarity (to compare)"),
             ),
         ),
         Field(
