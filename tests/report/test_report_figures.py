@@ -258,6 +258,10 @@ def test_plot_of_a_cascade_shows_both_loops() -> None:
     assert list(plot(run, own)) == list(own)
     with pytest.raises(InvalidValue, match="must be 3 matplotlib Axes"):
         plot(run, Figure().subplots(2, 1))
+    single = Figure().subplots()
+    assert plot(run, single) is single
+    assert single.get_ylabel() == "primary (EU)"
+    assert single.get_xlabel() == "time (s)"
 
 
 @pytest.mark.parametrize("wrong", [None, 3, "run", [1, 2]])

@@ -27,6 +27,7 @@ from workbench.model.load_step import LoadStep
 from workbench.model.loop import Loop
 from workbench.model.plant import Plant
 from workbench.model.record import FloatArray, Record
+from workbench.model.show import Shown
 from workbench.model.tuning import Bounds, DigitStep, Objective
 from workbench.model.valve import Valve
 
@@ -59,7 +60,7 @@ __all__ = [
 
 
 @dataclass(frozen=True, slots=True)
-class Kpis:
+class Kpis(Shown):
     """The figures of one run or record over its window; `nan` where the signal they need is missing.
 
     Variances are population variances. error_variance, mean_square_error, ise, iae are of SP - PV (EU; iae EU s, ise
@@ -89,7 +90,7 @@ class Kpis:
 
 
 @dataclass(frozen=True, eq=False)
-class Run:
+class Run(Shown):
     """One exact simulation: time (s), sp and pv (EU, pv measured), op and valve (%), each of shape (N,).
 
     load (%) is the disturbance at the plant input, shape (N,). final_sp and final_pv are the values of sample N, which
@@ -177,7 +178,7 @@ class Restart:
 
 
 @dataclass(frozen=True, slots=True)
-class Margins:
+class Margins(Shown):
     """The margins of a sampled loop with an ideal valve.
 
     max_sensitivity: Ms, inf where the loop is unstable; frequency: where it is reached, rad/s, nan then. gain_margin:
@@ -195,7 +196,7 @@ class Margins:
 
 
 @dataclass(frozen=True, eq=False)
-class Robustness:
+class Robustness(Shown):
     """How a loop fares in an ensemble, by exact simulation of each draw.
 
     objective: the ensemble's statistic of J. mean_square_error (EU^2) and valve_travel (%): one value for each draw,
@@ -242,7 +243,7 @@ class Robustness:
 
 
 @dataclass(frozen=True, eq=False)
-class Tuned:
+class Tuned(Shown):
     """A tuning and how it was found.
 
     controller: in the form of the loop's controller, with parameters rounded to `digits` significant digits, the ones
@@ -308,8 +309,7 @@ class Tuned:
     def require_success(self) -> Tuned:
         """Return self if verified, else raise `SolveError`."""
         if not self.status.success:
-            msg = f"the tuning ended as {self.status.value}: {self.message}"
-            raise SolveError(msg)
+            raise SolveError(f"the tuning ended as {self.status.value}: {self.message}")
         return self
 
 
@@ -323,7 +323,7 @@ class Outcome:
 
 
 @dataclass(frozen=True, eq=False)
-class Repair:
+class Repair(Shown):
     """What repairing the valve is worth: a loop with its sticky valve and with an ideal one, in the same experiment.
 
     loop: with its sticky valve and present controller. present and repaired: at the present tuning, with the sticky and
@@ -462,7 +462,7 @@ class Repeats:
 
 
 @dataclass(frozen=True, eq=False)
-class Estimate:
+class Estimate(Shown):
     """A loop estimated from a record.
 
     plant and valve: the model (valve `Ideal()` where no stiction helps). valve_position: the estimated stem, % of

@@ -11,10 +11,10 @@ from io import StringIO
 from typing import Any
 
 from workbench.errors import InvalidValue
+from workbench.model.titles import KPI_ROWS, kpi_title
 from workbench.report.cells import cell
 from workbench.report.compared import Entry, Found, Results
 from workbench.report.tables import Cell, Row, Table, shown
-from workbench.report.titles import KPI_ROWS, kpi_title
 from workbench.report.words import change, duration, figure, given, interval, join, setting
 
 __all__ = ["Comparison", "Line", "comparison", "comparison_csv", "difference_words", "estimate_table", "tables"]
