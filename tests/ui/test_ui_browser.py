@@ -356,7 +356,7 @@ def test_a_click_on_the_map_sets_the_tuning(opened):
 def test_the_front_of_error_and_travel_is_searched_and_drawn(opened):
     paper = opened(PAPER)
     page = paper.page
-    # A quick plant needs few samples.
+    # A quick plant needs few samples; Cases 3 to 5 do not hold all of its draws.
     paper.type("loop.plant.time_constant", "1.2")
     paper.view("compare")
     expect(page.locator("#front-box")).to_be_hidden()
@@ -380,7 +380,7 @@ def test_the_front_of_error_and_travel_is_searched_and_drawn(opened):
     for i in fronts:
         assert travel[i] == sorted(travel[i])
         assert error[i] == sorted(error[i], reverse=True)
-    assert any(3 <= len(xs) <= 6 for xs in travel), "the page's own tuning, and the cases that are stable"
+    assert any(len(xs) == 3 for xs in travel), "the page's own tuning, and the cases that are stable"
 
 
 def test_the_layout_holds_at_every_width(opened):

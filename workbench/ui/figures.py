@@ -244,7 +244,8 @@ class Pictures:
             y_range=DataRange1d(range_padding=0.2),
         )
         fig.yaxis.formatter = fig.xaxis.formatter = BasicTickFormatter()
-        fig.xaxis.ticker = LogTicker(mantissas=[1, 2, 5])
+        for axis in fig.xaxis if name == "c_trade" else fig.axis:
+            axis.ticker = LogTicker(mantissas=[1, 2, 5])
         source = ColumnDataSource({"x": [], "y": [], "color": [], "name": []})
         dots = fig.add_glyph(source, Scatter(x="x", y="y", size=11, fill_color="color", line_color="white"))
         fig.add_glyph(source, Text(x="x", y="y", text="name", x_offset=9, y_offset=4, **TEXT))

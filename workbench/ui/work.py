@@ -6,6 +6,7 @@ loader; each returns a frozen value of arrays and texts that can be sent back.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -115,7 +116,7 @@ class FrontFound:
     """The least error that each amount of valve travel buys, and where the cases lie; means over random circumstances.
 
     sticky and repaired: points of both fronts, by rising travel. cases: (name, mean valve travel in %, mean square
-    error in EU^2), the page's own first. text: what it shows, in sentences.
+    error in EU^2; nan for one that does not hold every plant), the page's own first. text: what it shows.
     """
 
     sticky: tuple[FrontPoint, ...]
@@ -281,7 +282,10 @@ def trade_off(text: str, folder: str, progress: Progress) -> FrontFound:
         cases = with_robustness(cases, ensemble, None, lambda words, share: progress(words, 0.1 * share))
         front = front_of(cases, plan.cases, ensemble, lambda words, share: progress(words, 0.1 + 0.9 * share))
     study = Study("", "", "", "", plan.experiment, None, (), tuple(cases), front=front)
-    placed = [(c.name, c.robustness.travel_mean, c.robustness.mse_mean) for c in cases if c.robustness is not None]
+    # A case that diverges in some draw would flatten the others; the sentences name it.
+    fares = [(c.name, c.robustness) for c in cases if c.robustness is not None]
+    held = [(name, r if r.stable and not r.diverged else None) for name, r in fares]
+    placed = [(name, *((r.travel_mean, r.mse_mean) if r is not None else (math.nan, math.nan))) for name, r in held]
     drawn = f"Means over {front.fresh.draws:,} random steps, loads, noises, plants and valves that no search has seen."
     return FrontFound(front.sticky, front.repaired, tuple(placed), (drawn, *front_text(study)))
 
