@@ -17,7 +17,7 @@ try:
 
     import typer
 
-    from workbench import __version__, cli_fleet, cli_ui
+    from workbench import __version__, cli_compare, cli_fleet, cli_ui
     from workbench.cli_input import Reading, quantity, read_data, scenario_of, span
     from workbench.errors import InvalidValue, OutputError, ScenarioError, WorkbenchError
 except KeyboardInterrupt:  # while the command starts
@@ -334,6 +334,7 @@ def score(
     return 0
 
 
+app.command()(guarded(cli_compare.compare))
 app.command()(guarded(cli_fleet.fleet))
 app.command("fleet-demo")(guarded(cli_fleet.fleet_demo))
 app.command()(guarded(cli_ui.ui))

@@ -256,8 +256,12 @@ def test_plot_of_a_cascade_shows_both_loops() -> None:
     assert [ax.get_ylabel() for ax in axes] == ["primary (EU)", "secondary (EU)", "OP, valve (%)"]
     own = Figure().subplots(3, 1)
     assert list(plot(run, own)) == list(own)
-    with pytest.raises(InvalidValue, match="must be 3 matplotlib Axes"):
+    with pytest.raises(InvalidValue, match="must be 1 or 3 matplotlib Axes"):
         plot(run, Figure().subplots(2, 1))
+    single = Figure().subplots()
+    assert plot(run, single) is single
+    assert single.get_ylabel() == "primary (EU)"
+    assert single.get_xlabel() == "time (s)"
 
 
 @pytest.mark.parametrize("wrong", [None, 3, "run", [1, 2]])

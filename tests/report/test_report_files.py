@@ -21,8 +21,9 @@ from workbench.errors import OutputError
 from workbench.model.results import Kpis
 from workbench.model.study import Study
 from workbench.report import page
+from workbench.report.cells import cell
 from workbench.report.page import figure_names, write_report
-from workbench.report.results import cases_csv, cell, strict
+from workbench.report.results import cases_csv, strict
 
 EVIL = '<script>alert("x")</script>'
 

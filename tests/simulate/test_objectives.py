@@ -71,6 +71,23 @@ def test_the_worst_of_a_group_is_the_greatest_of_its_costs_to_the_bit():
     assert fewer < samples
 
 
+def test_members_that_give_groups_up_are_run_first_without_changing_what_is_found():
+    tunings = np.column_stack([np.linspace(0.5, 2.0, 400), np.full(400, 15.0), np.zeros(400)])
+    tunings[5::8, 0] = 0.01  # of each group the sixth is hopeless
+    rows, s = coefficients(LOOP, 0.0, tunings), signals(LOOP, TASK)
+    weights = kernel_weights(wb.Objective(), s.samples, 0.5)
+    costs = weigh(sums(rows, s), weights, s.samples).reshape(50, 8)
+    ceilings = np.where(np.arange(50) < 40, np.delete(costs, 5, axis=1).max(axis=1), costs.max(axis=1))
+    lost = np.zeros(8, np.int64)
+    found, first = worst(rows, 8, s, weights, ceilings, lost)
+    assert lost.tolist() == [0, 0, 0, 0, 0, 40, 0, 0]
+    again, second = worst(rows, 8, s, weights, ceilings, lost)
+    assert lost[5] == 20 + 40
+    np.testing.assert_array_equal(found, np.where(costs.max(axis=1) <= ceilings, costs.max(axis=1), np.inf))
+    np.testing.assert_array_equal(again, found)
+    assert second < 0.6 * first
+
+
 @pytest.mark.parametrize(
     ("given_", "where"),
     [

@@ -140,3 +140,23 @@ def test_wrong_options_are_refused(wrong, where):
     with pytest.raises(wb.InvalidValue) as caught:
         wb.tune(LOOP, STEP, **wrong)
     assert caught.value.where == where
+
+
+def test_a_worst_case_that_is_known_is_looked_up_and_the_same():
+    problem = Problem(LOOP, STEP, wb.Objective(), wb.Bounds(), 4, 1e-3)
+    rng = np.random.default_rng(0)
+    tunings = np.column_stack([rng.uniform(0.2, 3.0, 60), rng.uniform(5.0, 40.0, 60), np.zeros(60)])
+    ample = np.full(60, np.inf)
+    fresh = problem.worst_below(tunings, ample)
+    ran = problem.work.evaluations
+    assert np.isfinite(fresh).all()
+    tight = np.where(np.arange(60) % 2 == 0, fresh, np.nextafter(fresh, 0.0))
+    np.testing.assert_array_equal(problem.worst_below(tunings, tight), np.where(tight == fresh, fresh, np.inf))
+    assert problem.work.evaluations == ran, "nothing was simulated again"
+    dense = problem.worst_below(tunings, ample, dense=True)
+    assert problem.work.evaluations > ran
+    assert (dense >= fresh * (1.0 - 1e-12)).mean() > 0.5
+    other = Problem(LOOP, STEP, wb.Objective(), wb.Bounds(), 4, 1e-3)
+    lower = other.worst_below(tunings, np.full(60, np.median(fresh)))
+    np.testing.assert_array_equal(lower, np.where(fresh <= np.median(fresh), fresh, np.inf))
+    np.testing.assert_array_equal(other.worst_below(tunings, ample), fresh)

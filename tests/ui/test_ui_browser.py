@@ -353,6 +353,36 @@ def test_a_click_on_the_map_sets_the_tuning(opened):
     expect(page.locator("#undo")).to_be_enabled()
 
 
+def test_the_front_of_error_and_travel_is_searched_and_drawn(opened):
+    paper = opened(PAPER)
+    page = paper.page
+    # A quick plant needs few samples; Cases 3 to 5 do not hold all of its draws.
+    paper.type("loop.plant.time_constant", "1.2")
+    paper.view("compare")
+    expect(page.locator("#front-box")).to_be_hidden()
+    page.click("#front")
+    expect(page.locator("#progress-words")).to_contain_text("Searching the front")
+    expect(page.locator("#front")).to_be_disabled()
+    paper.type("loop.controller.Kc", "0.7")
+    expect(page.locator("#front-lines li").nth(1)).to_contain_text("2,000 random steps", timeout=120_000)
+    expect(page.locator("#front-lines li").nth(0)).to_contain_text("as they stood when it was made")
+    expect(page.locator("#front-box")).to_be_visible()
+    page.wait_for_timeout(300)
+    page.locator("#front-box").scroll_into_view_if_needed()
+    paper.picture("front")
+    drawn = """name => {
+      const figure = Bokeh.documents[0].get_model_by_name("c_front");
+      return figure.renderers.map(r => Array.from(r.data_source.get(name)));
+    }"""
+    travel, error = (page.evaluate(drawn, name) for name in ("x", "y"))
+    fronts = [i for i, xs in enumerate(travel) if len(xs) > 10]
+    assert len(fronts) >= 2
+    for i in fronts:
+        assert travel[i] == sorted(travel[i])
+        assert error[i] == sorted(error[i], reverse=True)
+    assert any(len(xs) == 3 for xs in travel), "the page's own tuning, and the cases that are stable"
+
+
 def test_the_layout_holds_at_every_width(opened):
     paper = opened(PAPER)
     page = paper.page

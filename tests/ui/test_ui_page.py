@@ -13,12 +13,13 @@ from bokeh.document import Document
 from bokeh.events import Tap
 
 import workbench as wb
+from workbench.model.front import FrontPoint
 from workbench.scenario.loader import load_scenario
 from workbench.ui import page as pages
 from workbench.ui.jobs import Event
 from workbench.ui.load import screen_of
 from workbench.ui.page import Page, open_page
-from workbench.ui.work import MapFound, ReadRecord, Report, TunedCase
+from workbench.ui.work import FrontFound, MapFound, ReadRecord, Report, TunedCase
 
 SCENARIOS = Path(__file__).parents[2] / "scenarios"
 PAPER = screen_of(load_scenario(SCENARIOS / "table_2.yaml"))  # frozen: every session may begin with it
@@ -314,3 +315,46 @@ def test_a_file_that_the_command_named_is_read_at_once(begun, tmp_path):
     page = open_page(Document(), None, tmp_path / "gone.csv")
     assert "cannot be read" in page.message
     page.close()
+
+
+def test_the_front_is_drawn_with_the_cases_and_a_click_sets_its_tuning(ask, begun):
+    ask("view", view="compare")
+    assert ask("hello")["front"] == []
+    assert ask("front")["busy"] == "front"
+    task, text = begun[0]
+    assert task == "front"
+    assert "Case 5" in text
+    assert "must wait: searching the front is under way" in ask("map")["message"]
+    ask("set", entries={"loop.controller.Kc": "0.6"})
+    points = tuple(
+        FrontPoint(wb.PID(Kc, 9.5, derivative_filter=np.inf), travel, error)
+        for Kc, travel, error in ((0.4, 10.0, 2.0), (1.3, 200.0, 0.3), (1.5, 0.0, 0.1))
+    )
+    cases = (("On screen", 26.0, 0.9), ("<script>", 26.0, 0.9), ("Wild", np.inf, np.inf))
+    answer = ended(ask, "done", result=FrontFound(points, points[:1], cases, ("Means over draws.",)))
+    assert answer["front"][0].startswith("This is of the loop and the cases as they stood")
+    assert ask("undo")["front"] == ["Means over draws."]
+    pictures = ask.page.pictures
+    assert pictures.fronts[0].data["x"].tolist() == [10.0, 200.0]
+    assert pictures.fronts[1].data["y"].tolist() == [2.0]
+    assert pictures.front.data["name"] == ["On screen, <script>", ""]
+    assert len(set(pictures.front.data["color"])) == 2
+    figure = pictures.figures["c_front"]
+    ask.page._front_tapped(Tap(figure, x=60.0, y=1.0))
+    assert ask.last["entries"]["loop.controller.Kc"] == "0.5", "far from every point"
+    ask.page._front_tapped(Tap(figure, x=205.0, y=0.31))
+    assert ask.last["entries"]["loop.controller.Kc"] == "1.3"
+    assert ask.last["entries"]["loop.controller.Ti"] == "9.5"
+    assert ask("undo")["entries"]["loop.controller.Kc"] == "0.5"
+    assert ask("remove", index=0)["front"][0].startswith("This is of the loop and the cases as they stood")
+    for x, y in ((None, 1.0), (0.0, 1.0)):
+        ask.page._front_tapped(Tap(figure, x=x, y=y))
+
+
+def test_a_front_stopped_before_it_began_draws_nothing_and_says_why(ask, begun):
+    ask("view", view="compare")
+    ask("front")
+    answer = ended(ask, "done", result=FrontFound((), (), (), ("The search was stopped.",)))
+    assert answer["front"] == ["The search was stopped."]
+    ask.page._front_tapped(Tap(ask.page.pictures.figures["c_front"], x=10.0, y=1.0))
+    assert ask.last["front"] == answer["front"]

@@ -21,6 +21,7 @@ from typing import Any
 from workbench import __version__
 from workbench.errors import OutputError
 from workbench.model.fleet import FleetRow, Settings
+from workbench.report.cells import harmless
 from workbench.report.files import write_files
 
 __all__ = ["ROWS", "Store", "fleet_csv", "read_rows"]
@@ -31,7 +32,6 @@ BATCH, PATIENCE = 64, 5.0  # rows, and s, after which a part is written
 _MARK = b"workbench.fleet"
 # Not for people: phases and trends.
 _HIDDEN = ("phase_step", "phase_first", "phases", "trend", "trend_hours")
-_RISKY = ("=", "+", "-", "@", "\t", "\r")
 
 
 def _schema(asked: str) -> Any:
@@ -188,5 +188,4 @@ def _cell(value: object) -> str:
         return "yes" if value else "no"
     if isinstance(value, float):
         return f"{value:.6g}" if math.isfinite(value) else ""
-    text = str(value)
-    return f"'{text}" if text.startswith(_RISKY) else text
+    return harmless(str(value))

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from workbench.model.loop import Loop
 from workbench.model.record import FloatArray
+from workbench.model.show import Shown
 from workbench.model.valve import Valve
 
 __all__ = [
@@ -42,7 +43,7 @@ class Crossing:
 
 
 @dataclass(frozen=True, eq=False)
-class DescribingFunction:
+class DescribingFunction(Shown):
     """Describing-function analysis of a loop.
 
     amplitudes (%, shape (M,)) with the valve's describing function `N` and `locus = -1/N`; frequencies (rad/s, shape
@@ -141,7 +142,7 @@ class LimitCycleStart:
 
 
 @dataclass(frozen=True, eq=False)
-class LimitCycle:
+class LimitCycle(Shown):
     """The exact long-run behaviour of a loop.
 
     outcome: "settles", "cycles", "depends" (on the start) or "undecided". The figures are those of the given
@@ -175,7 +176,7 @@ class LimitCycle:
 
 
 @dataclass(frozen=True, eq=False)
-class Signature:
+class Signature(Shown):
     """A valve's signature, as `wb.signature` measures it on the simulated test bench.
 
     ramp_op and ramp_stem (%, shape (N,)): a slow ramp up, down and up again; steps_op and steps_stem (%, shape (M,)):

@@ -12,6 +12,7 @@ from workbench.model.experiment import Experiment, Noise, Profile, profile_parts
 from workbench.model.loop import Loop
 from workbench.model.record import FloatArray
 from workbench.model.results import Run, Tuned
+from workbench.model.show import Shown
 from workbench.model.valve import Ideal
 
 __all__ = ["Appearance", "Cascade", "CascadeCycle", "CascadeExperiment", "CascadeRun", "CascadeTuned"]
@@ -105,7 +106,7 @@ class CascadeExperiment(Experiment):
 
 
 @dataclass(frozen=True, eq=False)
-class CascadeRun:
+class CascadeRun(Shown):
     """One exact simulation of a cascade, both loops on the secondary's samples: time (s), shape (N,).
 
     secondary: its `sp` is the primary's output times the scale. primary: `op` is its output, held between scans, and
@@ -145,7 +146,7 @@ class Appearance:
 
 
 @dataclass(frozen=True, eq=False)
-class CascadeCycle:
+class CascadeCycle(Shown):
     """A cascade's long run after an experiment, without noise: "settles", "cycles" or "undecided", and why.
 
     period: s; travel_per_hour: of the stem, %; primary and secondary: how the cycle appears in each; nan and None where
@@ -163,7 +164,7 @@ class CascadeCycle:
 
 
 @dataclass(frozen=True, eq=False)
-class CascadeTuned:
+class CascadeTuned(Shown):
     """A cascade tuned in turn: the secondary by itself, the primary in the cascade with the secondary tuned so.
 
     cascade: with the controllers found. secondary: None where it was left as it was. primary: its objective, and all

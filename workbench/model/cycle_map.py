@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from workbench.model.loop import Loop
 from workbench.model.record import FloatArray
+from workbench.model.show import Shown
 
 __all__ = ["MOST", "OUTCOMES", "POINTS", "CycleMap", "MapCell"]
 
@@ -38,7 +39,7 @@ class MapCell:
 
 
 @dataclass(frozen=True, eq=False)
-class CycleMap:
+class CycleMap(Shown):
     """The long-run behaviour of a loop over a plane of tunings, each found by exact noise-free simulation.
 
     axis: "Ti" or "Td", what the rows are; Kc (%/EU, shape (M,)) the columns, rising in even ratios; `values` (s, shape

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from workbench.model.record import FloatArray, Record
+from workbench.model.show import Shown
 
 __all__ = ["Bicoherence", "Detection", "Ellipse", "Oscillation", "Statistic", "StemEvidence", "StemTest"]
 
@@ -110,7 +111,7 @@ class Statistic:
 
 
 @dataclass(frozen=True, eq=False)
-class Detection:
+class Detection(Shown):
     """The evidence for and against stiction in a record, and the verdict "stiction", "no_stiction" or "undecided".
 
     reasons: the evidence behind the verdict in words, other causes included. load_index: weighted number of load

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from workbench.model.load_step import LoadStep
 from workbench.model.plant import Plant
 from workbench.model.record import FloatArray, Record
+from workbench.model.show import Shown
 from workbench.model.status import SolveStatus
 from workbench.model.valve import Valve
 
@@ -159,7 +160,7 @@ class Repeats:
 
 
 @dataclass(frozen=True, eq=False)
-class Estimate:
+class Estimate(Shown):
     """A loop estimated from a record.
 
     plant and valve: the model (valve `Ideal()` where no stiction helps). valve_position: the estimated stem, % of

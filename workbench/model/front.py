@@ -10,6 +10,7 @@ from workbench.model.controller import PID
 from workbench.model.ensemble import Constraints, Ensemble
 from workbench.model.loop import Loop
 from workbench.model.results import Robustness, SolveStatus, Tuned
+from workbench.model.show import Shown
 from workbench.model.tuning import Bounds
 
 __all__ = ["Front", "FrontPoint", "RobustRepair"]
@@ -28,7 +29,7 @@ class FrontPoint:
 
 
 @dataclass(frozen=True, eq=False)
-class Front:
+class Front(Shown):
     """Tunings of which none has both less error and less valve travel than another, over an ensemble.
 
     sticky: for the loop's own valve; repaired: for an ideal valve in its place (empty where the loop's own does not
@@ -60,7 +61,7 @@ class Front:
 
 
 @dataclass(frozen=True, eq=False)
-class RobustRepair:
+class RobustRepair(Shown):
     """What repairing the valve is worth over an ensemble, all on the same fresh draws.
 
     present and repaired: the present tuning with the sticky and with an ideal valve; best and best_repaired: the best

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from workbench.errors import InvalidValue
 from workbench.model.checks import number, ordered_pair
+from workbench.model.show import Shown
 
 __all__ = ["FloatArray", "Record"]
 
@@ -37,7 +38,7 @@ def _signal(value: object, where: str, length: int | None) -> FloatArray:
 
 
 @dataclass(frozen=True, eq=False)
-class Record:
+class Record(Shown):
     """Measured data of one loop.
 
     pv (EU) and op (%) are needed, shape (N,), finite, evenly sampled every sample_time s from `start` s on; op[k] is

@@ -35,6 +35,7 @@ from workbench.model.estimation import (
 from workbench.model.experiment import Experiment
 from workbench.model.loop import Loop
 from workbench.model.record import FloatArray
+from workbench.model.show import Shown
 from workbench.model.status import SolveStatus
 from workbench.model.tuning import Bounds, DigitStep, Objective
 
@@ -68,7 +69,7 @@ __all__ = [
 
 
 @dataclass(frozen=True, slots=True)
-class Kpis:
+class Kpis(Shown):
     """The figures of one run or record over its window; `nan` where the signal they need is missing.
 
     Variances are population variances. error_variance, mean_square_error, ise, iae are of SP - PV (EU; iae EU s, ise
@@ -98,7 +99,7 @@ class Kpis:
 
 
 @dataclass(frozen=True, eq=False)
-class Run:
+class Run(Shown):
     """One exact simulation: time (s), sp and pv (EU, pv measured), op and valve (%), each of shape (N,).
 
     load (%) is the disturbance at the plant input, shape (N,). final_sp and final_pv are the values of sample N, which
@@ -166,7 +167,7 @@ class Restart:
 
 
 @dataclass(frozen=True, slots=True)
-class Margins:
+class Margins(Shown):
     """The margins of a sampled loop with an ideal valve.
 
     max_sensitivity: Ms, inf where the loop is unstable; frequency: where it is reached, rad/s, nan then. gain_margin:
@@ -184,7 +185,7 @@ class Margins:
 
 
 @dataclass(frozen=True, eq=False)
-class Robustness:
+class Robustness(Shown):
     """How a loop fares in an ensemble, by exact simulation of each draw.
 
     objective: the ensemble's statistic of J. mean_square_error (EU^2) and valve_travel (%): one value for each draw,
@@ -231,7 +232,7 @@ class Robustness:
 
 
 @dataclass(frozen=True, eq=False)
-class Tuned:
+class Tuned(Shown):
     """A tuning and how it was found.
 
     controller: in the form of the loop's controller, with parameters rounded to `digits` significant digits, the ones
@@ -297,8 +298,7 @@ class Tuned:
     def require_success(self) -> Tuned:
         """Return self if verified, else raise `SolveError`."""
         if not self.status.success:
-            msg = f"the tuning ended as {self.status.value}: {self.message}"
-            raise SolveError(msg)
+            raise SolveError(f"the tuning ended as {self.status.value}: {self.message}")
         return self
 
 
@@ -312,7 +312,7 @@ class Outcome:
 
 
 @dataclass(frozen=True, eq=False)
-class Repair:
+class Repair(Shown):
     """What repairing the valve is worth: a loop with its sticky valve and with an ideal one, in the same experiment.
 
     loop: with its sticky valve and present controller. present and repaired: at the present tuning, with the sticky and

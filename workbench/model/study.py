@@ -14,6 +14,7 @@ from workbench.model.front import Front, RobustRepair
 from workbench.model.loop import Loop
 from workbench.model.results import DescribingFunction, Estimate, LimitCycle, Outcome, Repair, Robustness, Run, Tuned
 from workbench.model.rule import Rule
+from workbench.model.show import Shown
 from workbench.model.tuning import Objective
 
 __all__ = ["CascadeResult", "CaseResult", "NamedEstimate", "Study"]
@@ -82,7 +83,7 @@ class CascadeResult:
 
 
 @dataclass(frozen=True, eq=False)
-class Study:
+class Study(Shown):
     """A scenario's results. `name` is the file's stem and the report folder's name; `scenario_text` the YAML as given.
 
     `reference_source`: where the reference figures come from, in words. `notes`: what an engineer should know about

@@ -7,9 +7,9 @@ from collections.abc import Callable, Sequence
 
 from workbench.model.cascade import Appearance
 from workbench.model.study import CascadeResult, Study
+from workbench.model.titles import kpi_title
 from workbench.report.shared import CONTROLLER_ROWS, experiment_words, objective_words
 from workbench.report.tables import Cell, Row, Table, shown
-from workbench.report.titles import kpi_title
 from workbench.report.words import (
     change,
     controller_words,

@@ -11,7 +11,8 @@ from typing import Any
 from workbench.model.cascade import Cascade
 from workbench.model.results import Kpis, Tuned
 from workbench.model.study import Study
-from workbench.report.results import cell, controller_content, loop_content, plain, tuned_content
+from workbench.report.cells import cell
+from workbench.report.results import controller_content, loop_content, plain, tuned_content
 from workbench.report.words import compensator_words
 
 __all__ = ["cascade_content", "cascade_csv"]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -27,18 +28,22 @@ def trend_figure(run: CascadeRun) -> Figure:
     return fig
 
 
-def cascade_panels(axes: np.ndarray, run: CascadeRun, part: slice = slice(None), begin: float = 0.0) -> None:
-    """Draw primary, secondary and valve into three axes; part: the samples shown, with time from `begin` (s)."""
+def cascade_panels(axes: Sequence[Axes], run: CascadeRun, part: slice = slice(None), begin: float = 0.0) -> None:
+    """Draw primary, secondary and valve into three axes, or the first of these into one.
+
+    part: the samples shown, with time from `begin` (s).
+    """
     time = run.time[part] - begin
     unit, name = draw.time_axis(float(time[-1]))
-    for ax, one, label in ((axes[0], run.primary, "primary"), (axes[1], run.secondary, "secondary")):
+    for ax, one, label in zip(axes[:2], (run.primary, run.secondary), ("primary", "secondary"), strict=False):
         draw.line(ax, time / unit, one.pv[part], "PV", PV)
         draw.line(ax, time / unit, one.sp[part], "SP", SP, steps=True)
         draw.finish(ax, f"{label} (EU)")
-    draw.line(axes[2], time / unit, run.secondary.valve[part], "valve", VALVE, steps=True)
-    draw.line(axes[2], time / unit, run.secondary.op[part], "OP", OP, steps=True)
-    draw.finish(axes[2], "OP, valve (%)")
-    axes[2].set_xlabel(f"time ({name})")
+    for ax in axes[2:]:
+        draw.line(ax, time / unit, run.secondary.valve[part], "valve", VALVE, steps=True)
+        draw.line(ax, time / unit, run.secondary.op[part], "OP", OP, steps=True)
+        draw.finish(ax, "OP, valve (%)")
+    axes[-1].set_xlabel(f"time ({name})")
 
 
 def pv_op_figure(run: CascadeRun) -> Figure:

@@ -10,10 +10,10 @@ from workbench.model.loop import Loop
 from workbench.model.plant import FOPDT, Plant
 from workbench.model.results import Estimate
 from workbench.model.study import NamedEstimate
+from workbench.model.titles import kpi_title
 from workbench.model.valve import Choudhury, Deadband, He, Ideal, Kano, Stenman, Valve
 from workbench.report.results import aic
 from workbench.report.tables import Cell, Row, Table
-from workbench.report.titles import kpi_title
 from workbench.report.words import decimals_of, difference, figure, given, interval, join, published, valve_words
 
 __all__ = ["candidates_table", "estimate_advice", "estimate_sentences", "estimate_table", "known_sentences"]

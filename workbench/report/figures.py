@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -21,6 +22,7 @@ from workbench.report.style import SP, case_style, new_figure, styled, svg_text
 from workbench.report.words import join, label, parameter_words
 
 __all__ = [
+    "Curves",
     "apparent_stiction_figure",
     "autocorrelation_figure",
     "bicoherence_figure",
@@ -29,6 +31,7 @@ __all__ = [
     "frequency_figure",
     "linear_fit_figure",
     "op_stem_figure",
+    "overlaid",
     "overlay_figure",
     "profile_figure",
     "pv_op_figure",
@@ -53,41 +56,69 @@ def trend_figure(run: Run, title: str = "") -> Figure:
     return fig
 
 
+@dataclass(frozen=True, eq=False)
+class Curves:
+    """One case of an overlay: sp and pv (EU), and below (%) what stands in the lower plot; each (time, s; values)."""
+
+    name: str
+    sp: tuple[FloatArray, FloatArray]
+    pv: tuple[FloatArray, FloatArray]
+    below: tuple[FloatArray, FloatArray]
+
+
 def overlay_figure(cases: Sequence[CaseResult]) -> Figure:
     """Return PV of all cases above and their valve positions below, on one time axis, with the first case's SP."""
+    runs = [(case.name, case.run) for case in cases]
+    curves = [Curves(name, (r.time, r.sp), (r.time, r.pv), (r.time, r.valve)) for name, r in runs]
+    return overlaid(curves, "valve (%)")
+
+
+def overlaid(cases: Sequence[Curves], below_label: str) -> Figure:
+    """Return PV of all cases above and what they have below, on one time axis, with the first case's SP."""
     with styled():
         fig = new_figure(WIDTH, 4.4)
         above, below = fig.subplots(2, 1, sharex=True)
-        unit, name = draw.time_axis(max((float(c.run.time[-1]) for c in cases), default=0.0))
-        pvs, valves = _comparable([c.run.pv for c in cases]), _comparable([c.run.valve for c in cases])
+        unit, name = draw.time_axis(max((float(c.pv[0][-1]) for c in cases), default=0.0))
+        pvs, lower = _comparable([c.pv[1] for c in cases]), _comparable([c.below[1] for c in cases])
         wild = _diverging(cases)
         calm = [i for i in range(len(cases)) if i not in wild]
         for index, case in enumerate(cases):
             style = {**case_style(index), "linewidth": 1.0}
-            x, y = draw.thin(case.run.time / unit, pvs[index])
+            x, y = draw.thin(case.pv[0] / unit, pvs[index])
             above.plot(x, y, label=label(case.name, 30), **style)
-            x, y = draw.thin(case.run.time / unit, valves[index])
+            x, y = draw.thin(case.below[0] / unit, lower[index])
             below.plot(x, y, drawstyle="steps-post", **style)
         if cases:
-            x, y = draw.thin(cases[0].run.time / unit, cases[0].run.sp)
+            x, y = draw.thin(cases[0].sp[0] / unit, cases[0].sp[1])
             above.plot(x, y, label="SP", drawstyle="steps-post", **SP)
         above.set_ylabel("PV (EU)")
-        below.set_ylabel("valve (%)")
+        below.set_ylabel(below_label)
         if wild:
-            draw.limit_to(above, [*(pvs[i] for i in calm), *(c.run.sp for c in cases[:1])])
-            draw.limit_to(below, [valves[i] for i in calm])
+            draw.limit_to(above, [*(pvs[i] for i in calm), *(c.sp[1] for c in cases[:1])])
+            draw.limit_to(below, [lower[i] for i in calm])
             draw.remark(above, f"{join([label(cases[i].name, 30) for i in wild])}: beyond this axis")
-        draw.without_kicks(below, [valves[i] for i in calm])
+        draw.without_kicks(below, [lower[i] for i in calm])
         below.set_xlabel(f"time ({name})")
         above.margins(x=0.01)
-        fig.legend(loc="outside upper center", ncols=min(5, len(cases) + 1), handlelength=3.2)
+        names = [label(case.name, 30) for case in cases] + ["SP"]
+        fig.legend(loc="outside upper center", ncols=_columns(names), handlelength=3.2)
     return fig
 
 
-def _diverging(cases: Sequence[CaseResult]) -> list[int]:
+def _columns(names: Sequence[str]) -> int:
+    """Return how many columns, at most five, a legend of these names may have in a page's width."""
+    for count in range(min(5, len(names)), 1, -1):
+        # Filled from top to bottom; 3.7 points for a letter, 42 for the line before it and what parts columns.
+        columns = np.array_split([len(name) for name in names], count)
+        if sum(3.7 * int(column.max()) + 42.0 for column in columns) <= 72.0 * WIDTH:
+            return count
+    return 1
+
+
+def _diverging(cases: Sequence[Curves]) -> list[int]:
     """Return the cases whose PV reaches more than ten times as far as that of the calmest, and as the setpoint."""
-    reach = [float(np.nanmax(np.abs(draw.seen(c.run.pv)), initial=0.0)) for c in cases]
-    target = max((float(np.abs(c.run.sp).max()) for c in cases), default=0.0)
+    reach = [float(np.nanmax(np.abs(draw.seen(c.pv[1])), initial=0.0)) for c in cases]
+    target = max((float(np.abs(c.sp[1]).max()) for c in cases), default=0.0)
     limit = DIVERGES * max(min((r for r in reach if r > 0.0), default=0.0), target)
     out = [i for i, r in enumerate(reach) if r > limit]
     return out if len(out) < len(cases) else []

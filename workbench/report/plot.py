@@ -46,8 +46,9 @@ def plot(result: object, ax: Any = None) -> Axes | NDArray[Any]:
     (4,)); `ax` may be four axes, or one, which gets the period alone. Tuned: objectives by restart. Front: error
     against valve travel, sticky and repaired. Signature: two axes, the stem against the slow ramp, and the small steps
     with its answer (shape (2,)); `ax` may be two axes, or one, which gets the ramp alone.
-    CascadeRun: three axes, primary, secondary and valve (shape (3,)). `ax`: where to draw; a new figure by default
-    (`.figure` of the axes, to show or save). Raises `InvalidValue` for anything else.
+    CascadeRun: three axes, primary, secondary and valve (shape (3,)); `ax` may be three axes, or one, which gets the
+    primary alone. `ax`: where to draw; a new figure by default (`.figure` of the axes, to show or save). Raises
+    `InvalidValue` for anything else.
     """
     pairs: dict[type, tuple[Callable[..., None], Callable[..., None]]] = {
         Run: (draw.run_pv, draw.run_op),
@@ -78,12 +79,10 @@ def plot(result: object, ax: Any = None) -> Axes | NDArray[Any]:
     raise InvalidValue("plot", type(result).__name__, f"must be {_KINDS}")
 
 
-def _cascade(run: CascadeRun, ax: Any) -> NDArray[Any]:
-    axes = np.array(
-        list(new_figure(4.6, 3.9).subplots(3, 1, sharex=True)) if ax is None else _axes(ax, (3,)), dtype=object
-    )
+def _cascade(run: CascadeRun, ax: Any) -> Axes | NDArray[Any]:
+    axes = list(new_figure(4.6, 3.9).subplots(3, 1, sharex=True)) if ax is None else _axes(ax, (1, 3))
     cascade_panels(axes, run)
-    return axes
+    return _together(axes)
 
 
 def _map(found: CycleMap, ax: Any) -> Axes | NDArray[Any]:

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from workbench.model.study import Study
+from workbench.model.titles import kpi_title
 from workbench.report.results import reference_names
-from workbench.report.titles import kpi_title
 from workbench.report.words import decimals_of, difference, join
 
 __all__ = ["reference_sentences"]

@@ -7,8 +7,8 @@ from collections.abc import Callable
 
 from workbench.model.results import Outcome, Repair
 from workbench.model.study import Study
+from workbench.model.titles import KPI_ROWS
 from workbench.report.tables import Cell, Row, Table, shown
-from workbench.report.titles import KPI_ROWS
 from workbench.report.words import change, controller_words, figure, setting
 
 __all__ = ["repair_sentence", "repair_tables", "repair_text"]

@@ -40,11 +40,13 @@ from workbench.model.rule import Rule
 from workbench.model.study import CaseResult, NamedEstimate, Study
 from workbench.model.tuning import Objective
 from workbench.model.valve import Directional, Positional, Valve
+from workbench.report.cells import DIGITS, cell
+from workbench.report.trends import experiment_content, trends_content
 from workbench.report.words import ROUNDING
 
 __all__ = [
+    "FORMAT",
     "cases_csv",
-    "cell",
     "controller_content",
     "loop_content",
     "plain",
@@ -55,7 +57,9 @@ __all__ = [
     "tuned_content",
 ]
 
-DIGITS = 12
+# Of results.json: told to readers, and raised where what stood in it means something else from then on. Files of
+# the first have no format, experiment or trends.
+FORMAT = 2
 _DISTRIBUTIONS = ("stiction-workbench", "casadi", "matplotlib", "numba", "numpy", "scipy")
 
 
@@ -383,9 +387,11 @@ def results_content(study: Study) -> dict[str, Any]:
     estimates = [_estimate(e) for e in study.estimates]
     tuning = [tuned_content(c.name, c.tuned) for c in study.cases if c.tuned is not None]
     return {
+        "format": FORMAT,
         "name": study.name,
         "title": study.title,
         "loop": loop_content(study.cases[0].loop) if study.cases else None,
+        "experiment": experiment_content(study),
         "objective": None if study.objective is None else plain(study.objective),
         "seeds": {
             "noise": None if noise is None else noise.seed,
@@ -402,6 +408,7 @@ def results_content(study: Study) -> dict[str, Any]:
         **_cascade(study),
         "reference_source": study.reference_source,
         "notes": list(study.notes),
+        "trends": trends_content(study),
     }
 
 
@@ -454,23 +461,6 @@ def reference_names(cases: Sequence[CaseResult]) -> list[str]:
     given = {name for case in cases for name in case.reference}
     known = [name for name in (*KPI_NAMES, "objective") if name in given]
     return known + sorted(given - set(known))
-
-
-def cell(value: object) -> str:
-    """Return a value as a CSV cell: numbers at 12 digits, nothing for nan or None, text that no spreadsheet runs."""
-    if value is None:
-        return ""
-    if isinstance(value, bool):
-        return "true" if value else "false"
-    if isinstance(value, int):
-        return str(value)
-    if isinstance(value, float):
-        if math.isnan(value):
-            return ""
-        return f"{value:.{DIGITS}g}"
-    text = str(value)
-    # Spreadsheets take such cells for formulas, also behind blanks and control characters.
-    return f"'{text}" if text.lstrip().startswith(("=", "+", "-", "@")) or text.startswith(("\t", "\r", "\n")) else text
 
 
 def cases_csv(study: Study) -> str:

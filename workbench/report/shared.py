@@ -8,8 +8,8 @@ from collections.abc import Callable
 from workbench.model.cascade import CascadeExperiment
 from workbench.model.controller import PID
 from workbench.model.study import Study
+from workbench.model.titles import kpi_title
 from workbench.model.tuning import Objective
-from workbench.report.titles import kpi_title
 from workbench.report.words import compensator_words, given, loop_words, plant_words, setting, valve_words
 
 __all__ = ["CONTROLLER_ROWS", "experiment_words", "loop_lines", "objective_words"]

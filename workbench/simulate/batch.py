@@ -7,8 +7,10 @@ from __future__ import annotations
 
 import itertools
 import os
+from collections import deque
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -67,22 +69,45 @@ def weigh(terms: FloatArray, weights: FloatArray, samples: int) -> FloatArray:
 
 
 def worst(
-    rows: FloatArray, group: int, given: Signals, weights: FloatArray, ceilings: FloatArray
+    rows: FloatArray,
+    group: int,
+    given: Signals,
+    weights: FloatArray,
+    ceilings: FloatArray,
+    lost: NDArray[np.int64] | None = None,
 ) -> tuple[FloatArray, int]:
-    """Return the worst J of each group of rows, shape (M,), inf above its ceiling, and the samples run for it."""
+    """Return the worst J of each group of rows, shape (M,), inf above its ceiling, and the samples run for it.
+
+    lost: shape (group,), how often each member's run has given its group up of late, kept up to date here. The members
+    that do so most are run first: the values are the same, and groups that lose are given up sooner.
+    """
     result = np.empty(ceilings.size)
     longest = int(rows[0, kernel.DELAY]) if rows.size else 0
     counts: list[int] = []
+    given_up: list[NDArray[np.int64]] = []
+    order = np.arange(group) if lost is None else np.argsort(-lost, kind="stable")
 
     def work(part: slice) -> None:
-        own = rows[part.start * group : part.stop * group]
-        counts.append(
-            kernel.run_worst(
-                own, group, given.r, given.load, given.noise, weights, ceilings[part], result[part], longest
-            )
+        own, late = rows[part.start * group : part.stop * group], np.zeros(group, np.int64)
+        samples = kernel.run_worst(
+            own,
+            group,
+            given.r,
+            given.load,
+            given.noise,
+            weights,
+            ceilings[part],
+            result[part],
+            longest,
+            order,
+            late,
         )
+        counts.append(samples)
+        given_up.append(late)
 
     shared_out(ceilings.size, group * given.samples, work)
+    if lost is not None:
+        lost[:] = lost // 2 + sum(given_up)
     return result, sum(counts)
 
 
@@ -99,6 +124,33 @@ def shared_out(count: int, samples: int, work: Callable[[slice], None]) -> None:
         return
     # More parts than cores: runs that are given up early make some parts short.
     edges = np.linspace(0, count, min(4 * workers, count) + 1).astype(int).tolist()
-    parts = [slice(a, b) for a, b in itertools.pairwise(edges)]
-    with ThreadPoolExecutor(workers) as pool:
-        list(pool.map(work, parts))
+    parts = deque(slice(a, b) for a, b in itertools.pairwise(edges))
+
+    def take() -> None:
+        while True:
+            try:
+                part = parts.popleft()
+            except IndexError:
+                return
+            work(part)
+
+    helpers = [_helpers(workers - 1).submit(take) for _ in range(workers - 1)]
+    try:
+        take()
+    finally:
+        parts.clear()
+        # A helper that has not begun would find nothing left; the others end with the part that they are at.
+        begun = [helper for helper in helpers if not helper.cancel()]
+        for helper in begun:
+            helper.result()
+
+
+@cache
+def _helpers(count: int) -> ThreadPoolExecutor:
+    """Return the threads that help the caller's own; kept, as a search shares out thousands of times."""
+    return ThreadPoolExecutor(count, thread_name_prefix="workbench-batch")
+
+
+if hasattr(os, "register_at_fork"):
+    # A copy of this process has none of its threads.
+    os.register_at_fork(after_in_child=_helpers.cache_clear)

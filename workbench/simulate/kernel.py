@@ -581,12 +581,15 @@ def run_worst(
     ceilings: Floats,
     worst: Floats,
     longest: int,
+    order: NDArray[np.int64],
+    lost: NDArray[np.int64],
 ) -> int:
     """The worst J in each group of `group` successive rows, from rest, as long as it stays below a ceiling.
 
     For searches that only ask whether a candidate beats what they have: a group is given up, and its worst is inf, as
     soon as a run's J so far has passed ceilings[i] or is nan. r, load, noise: N + 1 each; weights: WEIGHTS of them;
-    ceilings and worst: one for each group; longest: the largest whole dead time m. Returns the number of samples run.
+    ceilings and worst: one for each group; longest: the largest whole dead time m. order: in which the members of a
+    group are run; lost: counts, by member, whose run gave a group up. Returns the number of samples run.
     """
     n = r.size - 1
     # Long enough that the bookkeeping between chunks costs little, short enough to stop early.
@@ -604,7 +607,8 @@ def run_worst(
     samples = 0
     for i in range(worst.size):
         worst[i] = 0.0
-        for j in range(i * group, (i + 1) * group):
+        for member in order:
+            j = i * group + member
             state[:] = 0.0
             state[U_LAST] = rows[j, BIAS]
             past[:] = 0.0
@@ -635,6 +639,7 @@ def run_worst(
             samples += begin
             if not cost <= ceilings[i]:
                 worst[i] = np.inf
+                lost[member] += 1
                 break
             worst[i] = max(worst[i], cost)
     return samples

@@ -83,6 +83,9 @@ class Problem:
         self.weights = kernel_weights(objective, self.samples, loop.sample_time)
         self._offsets = _offsets(np.random.default_rng(0), SPARSE)
         self._dense = _offsets(np.random.default_rng(1), DENSE)
+        # Worst cases by tuning, without and with many inner points; and which points of a neighbourhood tell the worst.
+        self._known: tuple[dict[bytes, float], dict[bytes, float]] = ({}, {})
+        self._lost: dict[int, NDArray[np.int64]] = {}
         self._last = _offsets(np.random.default_rng(2), max(DENSE, min(LAST, LAST_SAMPLES // self.samples)))
 
     def without_derivative(self) -> Problem:
@@ -128,8 +131,17 @@ class Problem:
 
     def spread(self, tunings: FloatArray, ceilings: FloatArray, *, dense: bool = True) -> FloatArray:
         """Return the worst J in the neighbourhood of each tuning, also of a nominal problem."""
-        around = self.around(tunings, dense=dense)
-        return self._worst(around, around.shape[0] // max(tunings.shape[0], 1), ceilings)
+        # Rounded, the tunings of a search come back again and again: those that won once are known.
+        known = self._known[dense]
+        keys = [tuning.tobytes() for tuning in tunings]
+        before = np.array([known.get(key, math.nan) for key in keys])
+        values = np.where(before <= ceilings, before, math.inf)
+        new = np.flatnonzero(np.isnan(before))
+        if new.size:
+            around = self.around(tunings[new], dense=dense)
+            values[new] = self._worst(around, around.shape[0] // new.size, ceilings[new])
+            known.update((keys[i], values[i]) for i in new if math.isfinite(values[i]))
+        return values
 
     def last_word(self, tuning: FloatArray, ceiling: float = math.inf) -> float:
         """Return the worst J in the neighbourhood of one tuning, looked at more closely than searches can afford."""
@@ -146,7 +158,8 @@ class Problem:
 
     def _worst(self, tunings: FloatArray, group: int, ceilings: FloatArray) -> FloatArray:
         rows = coefficients(self.loop, self.experiment.stem_offset, tunings)
-        values, samples = worst(rows, group, self.signals, self.weights, ceilings)
+        lost = self._lost.setdefault(group, np.zeros(group, np.int64))
+        values, samples = worst(rows, group, self.signals, self.weights, ceilings, lost)
         self.work.simulated += samples
         self.work.evaluations += rows.shape[0]
         if self.constraints is None:

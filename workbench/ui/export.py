@@ -8,7 +8,7 @@ import math
 from collections.abc import Iterable
 
 from workbench.errors import InvalidValue, ScenarioError
-from workbench.report.results import cell
+from workbench.report.cells import cell
 from workbench.ui.state import ROWS, Session
 
 __all__ = ["made"]

@@ -38,7 +38,7 @@ from workbench.report.thinned import but_for_kicks, seen, time_axis
 from workbench.report.words import label
 from workbench.ui.state import MOST_CASES, CaseRun
 from workbench.ui.trend import WHOLE, Axis, Trend, loop_line
-from workbench.ui.work import Found, MapFound, ReadRecord
+from workbench.ui.work import Found, FrontFound, MapFound, ReadRecord
 
 __all__ = ["LEGENDS", "MAP_FIGURES", "Pictures"]
 
@@ -49,6 +49,7 @@ NO_SIGNAL = np.array([])
 EMPTY = {"x": NO_SIGNAL, "y": NO_SIGNAL}
 OWN = {"line_color": "#9aa5b1", "line_width": 4.0}  # the page's own run beside the pinned ones
 LABEL = 24  # characters of a name in a picture
+TRADE = [("travel", "@x"), ("mean square error", "@y")]
 WILD = 1e6  # EU: a diverging case would flatten the others
 MAP_FIGURES = {
     "period": "late period, s",
@@ -115,6 +116,7 @@ LEGENDS: dict[str, tuple[tuple[str, style.Style], ...]] = {
     "op": (("OP", style.OP), ("stem", style.VALVE)),
     "e_pv": (("PV", style.PV), ("SP", style.SP), ("model", style.PREDICTION), ("without stiction", style.LINEAR)),
     "e_op": (("OP", style.OP), ("estimated stem", style.VALVE)),
+    "c_front": (("valve as it is", style.VALVE), ("valve repaired", style.PV)),
     "f_loci": (("L(jω)", style.PV), ("−1/N(A)", style.OP)),
 }
 
@@ -222,20 +224,48 @@ class Pictures:
             look = OWN if i == MOST_CASES else _line(style.case_style(i), 1.4)
             _curve(pv, self.cases.source, f"pv{i}_x", f"pv{i}_y", **look)
             _step(stem, self.cases.source, f"valve{i}_x", f"valve{i}_y", **look)
-        trade = self._add(
-            "c_trade",
-            "valve travel (%)",
+        self.trade, _ = self._plane("c_trade", "valve travel (%)")
+        self.front, lines = self._plane("c_front", "mean valve travel in a draw (%)")
+        self.fronts = tuple(ColumnDataSource(EMPTY) for _ in range(2))
+        for source, look in zip(self.fronts, (style.VALVE, style.PV), strict=True):
+            line = lines.add_glyph(source, Line(x="x", y="y", **_line(look, 1.6)))
+            lines.add_glyph(source, Scatter(x="x", y="y", size=5, fill_color=look["color"], line_color=look["color"]))
+            lines.add_tools(HoverTool(renderers=[line], tooltips=TRADE))
+
+    def _plane(self, name: str, across: str) -> tuple[ColumnDataSource, Any]:
+        """Add a figure of mean square error against valve travel, in logarithms, with named points."""
+        fig = self._add(
+            name,
+            across,
             "mean square error (EU²)",
             x_axis_type="log",
+            y_axis_type="linear" if name == "c_trade" else "log",
             x_range=DataRange1d(range_padding=0.6),
             y_range=DataRange1d(range_padding=0.2),
         )
-        trade.yaxis.formatter = trade.xaxis.formatter = BasicTickFormatter()
-        trade.xaxis.ticker = LogTicker(mantissas=[1, 2, 5])
-        self.trade = ColumnDataSource({"x": [], "y": [], "color": [], "name": []})
-        dots = trade.add_glyph(self.trade, Scatter(x="x", y="y", size=11, fill_color="color", line_color="white"))
-        trade.add_glyph(self.trade, Text(x="x", y="y", text="name", x_offset=9, y_offset=4, **TEXT))
-        trade.add_tools(HoverTool(renderers=[dots], tooltips=[("travel", "@x"), ("mean square error", "@y")]))
+        fig.yaxis.formatter = fig.xaxis.formatter = BasicTickFormatter()
+        for axis in fig.xaxis if name == "c_trade" else fig.axis:
+            axis.ticker = LogTicker(mantissas=[1, 2, 5])
+        source = ColumnDataSource({"x": [], "y": [], "color": [], "name": []})
+        dots = fig.add_glyph(source, Scatter(x="x", y="y", size=11, fill_color="color", line_color="white"))
+        fig.add_glyph(source, Text(x="x", y="y", text="name", x_offset=9, y_offset=4, **TEXT))
+        fig.add_tools(HoverTool(renderers=[dots], tooltips=TRADE))
+        return source, fig
+
+    def show_front(self, found: FrontFound) -> None:
+        """Draw both fronts and the cases, but for what logarithms do not hold."""
+        for source, points in zip(self.fronts, (found.sticky, found.repaired), strict=True):
+            pairs = [
+                (p.valve_travel, p.mean_square_error) for p in points if _positive(p.valve_travel, p.mean_square_error)
+            ]
+            source.data = {"x": np.array([x for x, _ in pairs]), "y": np.array([y for _, y in pairs])}
+        placed = [(i, one) for i, one in enumerate(found.cases) if _positive(one[1], one[2])]
+        self.front.data = {
+            "x": [one[1] for _, one in placed],
+            "y": [one[2] for _, one in placed],
+            "color": [OWN["line_color"] if i == 0 else style.case_style(i - 1)["color"] for i, _ in placed],
+            "name": _labels([one[0] for _, one in placed], [one[1:] for _, one in placed]),
+        }
 
     def show_cases(self, runs: Sequence[CaseRun], own: CaseRun | None) -> None:
         """Draw the pinned cases and the page's own over each other, and all in the plane of error and travel."""
@@ -411,6 +441,11 @@ class Pictures:
         inside = [one for one in tunings if one[1] > 0.0 and math.isfinite(one[2])]
         names = _labels([t[0] for t in inside], [t[1:] for t in inside])
         self.here.data = {"x": [t[1] for t in inside], "y": [t[2] for t in inside], "name": names}
+
+
+def _positive(*values: float) -> bool:
+    """Whether all values are finite and above 0."""
+    return all(math.isfinite(v) and v > 0.0 for v in values)
 
 
 def _labels(names: Sequence[str], places: Sequence[tuple[float, float]]) -> list[str]:

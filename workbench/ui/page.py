@@ -9,7 +9,7 @@ from __future__ import annotations
 import base64
 import binascii
 import json
-import re
+import math
 import shutil
 import tempfile
 from collections.abc import Mapping
@@ -27,26 +27,28 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 from workbench.errors import InvalidValue, RecordError, WorkbenchError
 from workbench.report import palette
-from workbench.report.tables import Table
 from workbench.ui import export
 from workbench.ui.fields import FIELDS, GROUPS, OWN_WEIGHT
 from workbench.ui.figures import LEGENDS, MAP_FIGURES, Pictures
+from workbench.ui.given import dashes, safe_name, table_content
 from workbench.ui.jobs import Event, Job
 from workbench.ui.load import Loaded, bounds_entries, controller_entries
 from workbench.ui.screen import estimate_text
 from workbench.ui.state import Session
-from workbench.ui.work import Found, MapFound, ReadRecord, Report, TunedCase
+from workbench.ui.work import Found, FrontFound, MapFound, ReadRecord, Report, TunedCase
 
 __all__ = ["LARGEST_UPLOAD", "VIEWS", "Page", "open_page"]
 
 VIEWS = ("loop", "compare", "estimate", "tune", "frequency", "export")
 LARGEST_UPLOAD = 16 << 20  # bytes of a file; a day of SP, PV, OP and MODE at 1 s takes a third of it
 LARGEST_SCENARIO = 1 << 20
+NEAR = 0.15  # of a click to a point of the front: the sum of both differences of logarithms
 WORDS = {
     "read": "Reading",
     "estimate": "Estimating",
     "tune": "Tuning",
     "map": "Mapping",
+    "front": "Searching the front",
     "report": "Writing the report",
 }
 
@@ -78,10 +80,14 @@ class Page:
         self.map: MapFound | None = None
         self.map_of: object = None
         self.map_figure = "period"
+        self.front: FrontFound | None = None
+        self.front_of: object = None
+        self.asked_of: object = None  # what stood on the screen when the task under way was asked for
         self.sent = 0
         self.message = ""
         self.bridge.on_change("up", lambda _attr, _old, new: self.ask(new))
         self.pictures.figures["f_map"].on_event(Tap, self._tapped)
+        self.pictures.figures["c_front"].on_event(Tap, self._front_tapped)
         if self.session.own is not None:
             self.pictures.show_run(self.session.own)
         if data is not None:
@@ -133,6 +139,7 @@ class Page:
             runs = session.runs()
             self.pictures.show_cases(runs, session.own)
             answer["comparison"] = session.comparison(runs)
+            answer["front"] = self._front_words()
         if self.view == "frequency":
             answer["frequency"] = self._frequency()
         if self.view == "export":
@@ -228,8 +235,11 @@ class Page:
             self.tuned = result
             self.message = "" if result.success else f"The tuning ended as {result.status}."
         elif isinstance(result, MapFound):
-            self.map, self.map_of = result, self._map_key()
+            self.map, self.map_of = result, self.asked_of
             self.pictures.show_map(result, self.map_figure)
+        elif isinstance(result, FrontFound):
+            self.front, self.front_of = result, self.asked_of
+            self.pictures.show_front(result)
         elif isinstance(result, Report):
             return {"download": {"name": "report.html", "type": "text/html", "text": result.html}}
         return {"record": self._record_words(), "found": self._found_words()}
@@ -237,6 +247,33 @@ class Page:
     def _do_stop(self, _request: Mapping[str, Any]) -> None:
         if self.job is not None and self.task:
             self.job.stop()
+
+    # compare -------------------------------------------------------------------------------------------------------
+
+    def _do_front(self, _request: Mapping[str, Any]) -> None:
+        self._begin("front", self.session.scenario())
+        self.asked_of = self._front_key()
+
+    def _front_key(self) -> object:
+        built = self.session.built
+        return None if built is None else (built.loop, tuple(self.session.screen.cases))
+
+    def _front_words(self) -> list[str]:
+        if self.front is None:
+            return []
+        old = "This is of the loop and the cases as they stood when it was made; make it anew for the present ones."
+        return [*([old] if self.front_of != self._front_key() else []), *self.front.text]
+
+    def _front_tapped(self, event: Tap) -> None:
+        """A click on a point of the front puts its tuning on the screen."""
+        if self.front is None or event.x is None or event.y is None or event.x <= 0.0 or event.y <= 0.0:
+            return
+        points = [p for p in self.front.sticky if p.valve_travel > 0.0 and p.mean_square_error > 0.0]
+        away = [abs(math.log(p.valve_travel / event.x)) + abs(math.log(p.mean_square_error / event.y)) for p in points]
+        if points and min(away) < NEAR:
+            self.message = ""
+            self.session.change(controller_entries(points[away.index(min(away))].controller))
+            self.show()
 
     # estimate ------------------------------------------------------------------------------------------------------
 
@@ -255,7 +292,7 @@ class Page:
             return {"start": True}
         if self.task:
             raise InvalidValue("file", name, f"must wait: {WORDS[self.task].lower()} is under way")
-        target = self.folder / _safe(name)
+        target = self.folder / safe_name(name)
         target.write_bytes(content)
         self.data = target.name
         self._begin("read", estimate_text(self.session.screen, self.data))
@@ -268,14 +305,14 @@ class Page:
             text = content.decode("utf-8-sig")
         except UnicodeDecodeError:
             raise RecordError(f"{name}: is no UTF-8 text; a scenario is UTF-8 text") from None
-        data = self.session.read(text, self.folder / _safe(name))
+        data = self.session.read(text, self.folder / safe_name(name))
         if data and not self.task:
             self.data = Path(data).name
             self._begin("read", estimate_text(self.session.screen, self.data))
 
     def _take(self, data: Path) -> None:
         """Read a file that the command named, as if it had been uploaded."""
-        target = self.folder / _safe(data.name)
+        target = self.folder / safe_name(data.name)
         try:
             shutil.copyfile(data, target)
         except OSError as error:
@@ -315,9 +352,9 @@ class Page:
             "verdict": found.verdict.replace("_", " "),
             "sentences": list(found.sentences),
             "reasons": list(found.reasons),
-            "parameters": _table(found.parameters),
+            "parameters": table_content(found.parameters),
             "detection": found.detection,
-            "evidence": _table(found.evidence),
+            "evidence": table_content(found.evidence),
         }
 
     # tune ----------------------------------------------------------------------------------------------------------
@@ -386,6 +423,7 @@ class Page:
 
     def _do_map(self, _request: Mapping[str, Any]) -> None:
         self._begin("map", self.session.scenario(mapped=True))
+        self.asked_of = self._map_key()
 
     def _do_map_figure(self, request: Mapping[str, Any]) -> None:
         if request["name"] not in MAP_FIGURES:
@@ -419,23 +457,6 @@ class Page:
         return {"download": {"name": name, "type": kind, "text": text}}
 
 
-def _safe(name: str) -> str:
-    """Return a file name without anything that could lead elsewhere."""
-    kept = re.sub(r"[^A-Za-z0-9._-]+", "_", Path(name.replace("\\", "/")).name).lstrip(".")
-    return kept[-80:] or "record.csv"
-
-
-def _table(table: Table) -> dict[str, Any]:
-    """Return a report's table as plain values."""
-    return {
-        "heads": list(table.heads),
-        "rows": [
-            {"label": row.label, "unit": row.unit, "cells": [{"text": c.text, "small": c.small} for c in row.cells]}
-            for row in table.rows
-        ],
-    }
-
-
 TEMPLATES = Environment(
     loader=FileSystemLoader(Path(__file__).parent / "templates"),
     autoescape=True,
@@ -459,9 +480,9 @@ def open_page(document: Document, loaded: Loaded | None, data: Path | None = Non
         "own_weight": OWN_WEIGHT,
         "views": VIEWS,
         "map_figures": MAP_FIGURES,
-        "cases": [{"color": s["color"], "dash": _dash(s)} for s in palette.CASES],
+        "cases": [{"color": s["color"], "dash": dashes(s)} for s in palette.CASES],
         "legends": {
-            name: [(text, look["color"], _dash(look)) for text, look in lines] for name, lines in LEGENDS.items()
+            name: [(text, look["color"], dashes(look)) for text, look in lines] for name, lines in LEGENDS.items()
         },
         "largest": LARGEST_UPLOAD,
     }
@@ -472,9 +493,3 @@ def open_page(document: Document, loaded: Loaded | None, data: Path | None = Non
             document.add_root(root)
     document.on_session_destroyed(lambda _context: page.close())
     return page
-
-
-def _dash(look: Mapping[str, Any]) -> str:
-    """Return a line style's dashes as SVG writes them."""
-    dash = look["linestyle"]
-    return "" if dash == "-" else " ".join(f"{2 * part:g}" for part in dash[1])

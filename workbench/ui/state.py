@@ -18,10 +18,10 @@ from workbench.model.experiment import Experiment
 from workbench.model.loop import Loop
 from workbench.model.plant import Plant
 from workbench.model.results import Run
+from workbench.model.titles import KPI_ROWS
 from workbench.model.tuning import Objective
 from workbench.model.valve import Valve
 from workbench.report.tables import shown
-from workbench.report.titles import KPI_ROWS
 from workbench.report.words import change, controller_words
 from workbench.scenario.document import parse, plain
 from workbench.scenario.loader import read_scenario

@@ -6,6 +6,7 @@ loader; each returns a frozen value of arrays and texts that can be sent back.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,6 +15,7 @@ import numpy as np
 
 from workbench.errors import ScenarioError
 from workbench.model.controller import PID
+from workbench.model.front import FrontPoint
 from workbench.model.loop import Loop
 from workbench.model.plant import Plant
 from workbench.model.record import FloatArray, Record
@@ -25,6 +27,7 @@ from workbench.scenario.plan import Scenario
 __all__ = [
     "TASKS",
     "Found",
+    "FrontFound",
     "MapFound",
     "Progress",
     "ReadRecord",
@@ -34,6 +37,7 @@ __all__ = [
     "estimate_record",
     "map_tunings",
     "read_data",
+    "trade_off",
     "tune_loop",
     "write_html",
 ]
@@ -104,6 +108,20 @@ class MapFound:
     outcome: FloatArray
     stable: FloatArray
     figures: dict[str, FloatArray]
+    text: tuple[str, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class FrontFound:
+    """The least error that each amount of valve travel buys, and where the cases lie; means over random circumstances.
+
+    sticky and repaired: points of both fronts, by rising travel. cases: (name, mean valve travel in %, mean square
+    error in EU^2; nan for one that does not hold every plant), the page's own first. text: what it shows.
+    """
+
+    sticky: tuple[FrontPoint, ...]
+    repaired: tuple[FrontPoint, ...]
+    cases: tuple[tuple[str, float, float], ...]
     text: tuple[str, ...]
 
 
@@ -239,6 +257,39 @@ def map_tunings(text: str, folder: str, progress: Progress) -> MapFound:
     )
 
 
+def trade_off(text: str, folder: str, progress: Progress) -> FrontFound:
+    """Return the fronts of a scenario's loop, and where its cases lie; stopped, those so far. Raises `WorkbenchError`.
+
+    The ensemble is the loop's "plant-ready" one.
+    """
+    from workbench.model.ensemble import Ensemble
+    from workbench.model.study import CaseResult, Study
+    from workbench.report.over_ensemble import front_text
+    from workbench.scenario.over_ensemble import front_of, with_robustness
+    from workbench.simulate.run import simulate
+
+    plan = _plan(text, folder)
+    if plan.loop is None or plan.experiment is None:
+        raise ScenarioError("no loop was given")
+    progress("the cases", 0.0)
+    cases = []
+    # A diverging loop overflows; its figures say so.
+    with np.errstate(over="ignore", invalid="ignore"):
+        for job in plan.cases:
+            loop = plan.loop.with_controller(job.controller)
+            cases.append(CaseResult(job.name, loop, simulate(loop, plan.experiment)))
+        ensemble = Ensemble.plant_ready(cases[0].loop)
+        cases = with_robustness(cases, ensemble, None, lambda words, share: progress(words, 0.1 * share))
+        front = front_of(cases, plan.cases, ensemble, lambda words, share: progress(words, 0.1 + 0.9 * share))
+    study = Study("", "", "", "", plan.experiment, None, (), tuple(cases), front=front)
+    # A case that diverges in some draw would flatten the others; the sentences name it.
+    fares = [(c.name, c.robustness) for c in cases if c.robustness is not None]
+    held = [(name, r if r.stable and not r.diverged else None) for name, r in fares]
+    placed = [(name, *((r.travel_mean, r.mse_mean) if r is not None else (math.nan, math.nan))) for name, r in held]
+    drawn = f"Means over {front.fresh.draws:,} random steps, loads, noises, plants and valves that no search has seen."
+    return FrontFound(front.sticky, front.repaired, tuple(placed), (drawn, *front_text(study)))
+
+
 def write_html(text: str, folder: str, progress: Progress) -> Report:
     """Run a scenario and return its report's page; what is written stays below `folder`. Raises `WorkbenchError`."""
     from workbench.report.page import write_report
@@ -256,5 +307,6 @@ TASKS: dict[str, Task] = {
     "estimate": estimate_record,
     "tune": tune_loop,
     "map": map_tunings,
+    "front": trade_off,
     "report": write_html,
 }

@@ -92,7 +92,7 @@ function show(answer, asked) {
   byId("message").textContent = answer.message;
   byId("message").hidden = !answer.message;
   byId("progress").hidden = !answer.busy;
-  for (const id of ["tune", "map", "estimate", "read"]) byId(id).disabled = Boolean(answer.busy);
+  for (const id of ["tune", "map", "front", "estimate", "read"]) byId(id).disabled = Boolean(answer.busy);
   if (answer.notes.join() !== notes) list(byId("notes"), answer.notes);
   notes = answer.notes.join();
   showFigures(answer.figures, answer.problems);
@@ -101,6 +101,10 @@ function show(answer, asked) {
     byId("progress-share").removeAttribute("value");
   }
   if (answer.comparison) showComparison(answer.comparison, answer.cases.length);
+  if (answer.front) {
+    list(byId("front-lines"), answer.front);
+    byId("front-box").hidden = !answer.front.length;
+  }
   if (answer.frequency) {
     list(byId("frequency-lines"), answer.frequency.lines);
     list(byId("map-lines"), answer.frequency.map);
@@ -452,7 +456,7 @@ for (const button of document.querySelectorAll("[data-pin-button]")) {
 for (const button of document.querySelectorAll("[data-export]")) {
   button.addEventListener("click", () => ask("export", { what: button.dataset.export }));
 }
-const plain = { estimate: "estimate", read: "read", "use-model": "use_model", tune: "tune", stop: "stop", map: "map", "suit-bounds": "suit_bounds", "use-tuned": "use_tuned" };
+const plain = { estimate: "estimate", read: "read", "use-model": "use_model", tune: "tune", stop: "stop", map: "map", front: "front", "suit-bounds": "suit_bounds", "use-tuned": "use_tuned" };
 for (const [id, what] of Object.entries(plain)) byId(id).addEventListener("click", () => ask(what));
 byId("pin-tuned").addEventListener("click", () => ask("pin_tuned", { name: byId("tuned-name").value }));
 byId("map-figure").addEventListener("change", (event) => ask("map_figure", { name: event.target.value }));
