@@ -20,6 +20,7 @@ __all__ = [
     "front_text",
     "named_points",
     "robust_advice",
+    "robust_choice",
     "robust_repair_table",
     "robust_repair_text",
 ]
@@ -361,17 +362,31 @@ def robust_repair_table(study: Study) -> Table | None:
 # --- advice ----------------------------------------------------------------------------------------------------
 
 
-def robust_advice(study: Study) -> list[str]:
-    """Return what to do where a robust tuning was found, else nothing: it goes before what one experiment says."""
-    found = [
+def _robust(study: Study) -> list[tuple[CaseResult, Tuned, Robustness]]:
+    return [
         (c, c.tuned, c.robustness)
         for c in study.cases
         if c.tuned is not None and c.tuned.ensemble is not None and c.tuned.status.success and c.robustness is not None
     ]
-    if not found:
-        return []
+
+
+def robust_choice(study: Study) -> CaseResult | None:
+    """Return the robust tuning of least mean square error, one without a cap on travel if there is any, or None."""
+    found = _robust(study)
     free = [one for one in found if one[1].constraints is None or one[1].constraints.valve_travel is None]
-    case, tuned, r = min(free or found, key=lambda one: one[2].mse_mean)
+    return min(free or found, key=lambda one: one[2].mse_mean, default=(None,))[0]
+
+
+def robust_advice(study: Study) -> list[str]:
+    """Return what to do where a robust tuning was found, else nothing: it goes before what one experiment says.
+
+    The first sentence says what to set.
+    """
+    found = _robust(study)
+    choice = robust_choice(study)
+    if choice is None:
+        return []
+    case, tuned, r = next(one for one in found if one[0] is choice)
     base = next((c for c in study.cases if c.tuned is None and c.robustness is not None), None)
     out = [f"{_setting(case, tuned, r)}{_against(r, base)}"]
     calmer = [one for one in found if one[0] is not case and one[2].travel_mean < 0.8 * r.travel_mean]

@@ -33,6 +33,7 @@ from workbench.report.over_ensemble import (
 from workbench.report.plain_truth import map_points, map_text
 from workbench.report.repair import repair_tables, repair_text
 from workbench.report.results import cases_csv, results_json, run_json
+from workbench.report.settings import site_table
 from workbench.report.shared import loop_lines
 from workbench.report.style import svg_text
 from workbench.report.summary import summarise
@@ -93,6 +94,7 @@ def render(study: Study, drawn: Mapping[str, str]) -> str:
             loop_lines=loop_lines(study),
             case_tables=case_tables(study),
             difference_table=difference_table(study),
+            site_table=site_table(study),
             cycle_tables=cycle_tables(study),
             estimate_tables=[estimate_table(e) for e in study.estimates],
             known=[known_sentences(e.found) for e in study.estimates],

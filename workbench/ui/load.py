@@ -57,6 +57,8 @@ def screen_of(plan: Scenario) -> Loaded:
         )
     if first is not None:
         entries |= controller_entries(first)
+    if plan.site is not None:
+        notes.append("How the site writes its settings (site:) is left out here: the page has them in %/EU and s.")
     if plan.pv_range is not None:
         entries |= _ends("loop.pv_range", plan.pv_range)
     more: dict[str, tuple[Profile, ...]] = {"setpoint": (), "load": ()}
