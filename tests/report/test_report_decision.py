@@ -187,7 +187,7 @@ def test_what_to_watch_holds_the_figures_and_the_way_back(study: Study, case: Ma
     watch = " ".join(summarise(of(study, study.cases[0], study.cases[2])).watch)
     assert "The cycle that remains: PV 2.01 EU every 12.0 s" in watch
     assert "Valve travel: 16.8 % in this run of 17 min, 142 % an hour in the long run" in watch
-    assert "the gain is 4.7 times what it was, and each EU of noise moves OP by 2.35 %" in watch
+    assert "the gain is 4.7 times what it was; noise of 1 EU moves OP by 2.35 %" in watch
     assert "put back Kc 0.5 %/EU, Ti 20 s (Case 1)" in watch
     assert "Recovery" not in watch
     slow = replace(case("Slow", 0.5, 200.0), objective=1.0)

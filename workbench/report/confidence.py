@@ -110,8 +110,9 @@ def _model(study: Study, case: CaseResult, judged: _Judged) -> None:
 def _digits(tuned: Tuned, judged: _Judged) -> None:
     """Say what the last digits matter."""
     steps = [v for step in tuned.steps for v in (step.below, step.above) if not math.isnan(v)]
+    what = "J" if tuned.ensemble is None else "J over the draws of its search"
     text = (
-        f"Digits: the settings have {tuned.digits}; {nearby(tuned.margin)} J is at most {figure(tuned.worst, 3)} "
+        f"Digits: the settings have {tuned.digits}; {nearby(tuned.margin)} {what} is at most {figure(tuned.worst, 3)} "
         f"instead of {figure(tuned.objective, 3)}"
     )
     if steps:
@@ -213,7 +214,7 @@ def watch(study: Study, base: CaseResult | None, best: CaseResult) -> list[str]:
         travel += f", {figure(cycle.travel_per_hour, 3)} % an hour in the long run without noise"
     out.append(f"{travel}. More than that is wear which this model does not see.")
     if base is not None and not unstable(base):
-        out += _against(base, best)
+        out += _against(study, base, best)
         before = settings_words(study, base)
         out.append(f"If PV or valve do worse than before, put back {before} ({base.name}) and look at the model again.")
     return out
@@ -223,7 +224,7 @@ def _run(study: Study) -> str:
     return "this length" if study.experiment is None else duration(study.experiment.duration)
 
 
-def _against(base: CaseResult, best: CaseResult) -> list[str]:
+def _against(study: Study, base: CaseResult, best: CaseResult) -> list[str]:
     """Name what the new settings do more or less of than those as found, by their ideal-form gains."""
     was, now = base.loop.controller.ideal_terms(), best.loop.controller.ideal_terms()
     out = []
@@ -237,9 +238,11 @@ def _against(base: CaseResult, best: CaseResult) -> list[str]:
         )
     stronger = now.Kc / was.Kc if was.Kc > 0.0 else math.nan
     if stronger > STRONGER:
+        noise = None if study.experiment is None else study.experiment.noise
+        sd = 1.0 if noise is None or noise.sd == 0.0 else noise.sd
         out.append(
-            f"Noise: the gain is {figure(stronger, 2)} times what it was, and each EU of noise moves OP by "
-            f"{given(now.Kc, 3)} %"
-            f"{', and more through the derivative' if now.Td > 0.0 else ''}; see that OP stays within its limits."
+            f"Noise: the gain is {figure(stronger, 2)} times what it was; noise of {given(sd)} EU moves OP by "
+            f"{given(now.Kc * sd, 3)} %{', and by more through the derivative' if now.Td > 0.0 else ''}. See that OP "
+            "does not reach its limits."
         )
     return out

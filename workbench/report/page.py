@@ -13,6 +13,7 @@ from workbench.model.record import Record
 from workbench.model.study import NamedEstimate, Study
 from workbench.model.valve import Ideal
 from workbench.report import draw_cascade, figures
+from workbench.report.before_after import before_after_table
 from workbench.report.cascade import cascade_lines, cascade_tables
 from workbench.report.cascade_results import cascade_csv
 from workbench.report.cycles import cycle_tables
@@ -93,6 +94,7 @@ def render(study: Study, drawn: Mapping[str, str]) -> str:
             summary=summarise(study),
             loop_lines=loop_lines(study),
             case_tables=case_tables(study),
+            before_after_table=before_after_table(study),
             difference_table=difference_table(study),
             site_table=site_table(study),
             cycle_tables=cycle_tables(study),

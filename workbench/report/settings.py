@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 
@@ -90,7 +91,8 @@ def settings_words(study: Study, case: CaseResult) -> str:
 def as_found_as_left(study: Study, base: CaseResult | None, best: CaseResult) -> Table:
     """Return the settings as found and as left in the site's form and units, and what the same run gives with each.
 
-    base: None where no tuning as found is given, or it is itself the one to keep; the table has one column then.
+    base: None where no tuning as found is given, or it is itself the one to keep; the table has one column then. The
+    figures as found are of the case as the scenario gives it, those as left of the digits that are typed in.
     """
     cases = [best] if base is None or base is best else [base, best]
     heads = [f"as found: {cases[0].name}", f"as left: {best.name}", "change"] if len(cases) > 1 else [best.name]
@@ -112,14 +114,16 @@ def as_found_as_left(study: Study, base: CaseResult | None, best: CaseResult) ->
         both = [describe(pid) for pid in pids]
         if name in ALWAYS or len(set(both)) > 1 or (name == "Derivative filter" and set(both) != {"–"}):
             rows.append(Row(name, "", (*(Cell(text) for text in both), *blank)))
-    kpis = [case.run.kpis if one is None else one[2] for one, case in zip(written, cases, strict=True)]
-    return Table(tuple(heads), (*rows, *_effect(study, cases, kpis)))
+    changes = base is not best
+    left = written[-1] if changes else None
+    kpis = [*(case.run.kpis for case in cases[:-1]), best.run.kpis if left is None else left[2]]
+    costs = [*(_given_cost(case) for case in cases[:-1]), _cost(study, best) if changes else _given_cost(best)]
+    return Table(tuple(heads), (*rows, *_effect(study, cases, kpis, costs)))
 
 
-def _effect(study: Study, cases: list[CaseResult], kpis: list[Kpis]) -> list[Row]:
+def _effect(study: Study, cases: list[CaseResult], kpis: list[Kpis], costs: list[float]) -> list[Row]:
     """Return what the run gives with the settings of the columns, and the change from the first to the last."""
     measured: list[tuple[str, str, str, list[float]]] = []
-    costs = [_cost(study, case) for case in cases]
     if not any(math.isnan(cost) for cost in costs):
         measured.append(("objective", "J", "", costs))
     for name in EFFECT:
@@ -132,10 +136,14 @@ def _effect(study: Study, cases: list[CaseResult], kpis: list[Kpis]) -> list[Row
     for name, title, unit, values in measured:
         if all(math.isnan(value) for value in values):
             continue
-        doubts = [settling_doubt(case, study.experiment) if name == "settling_time" else "" for case in cases]
+        doubts = [""] * len(cases)
+        if name == "settling_time":
+            runs = [replace(case, run=replace(case.run, kpis=one)) for case, one in zip(cases, kpis, strict=True)]
+            doubts = [settling_doubt(case, study.experiment) for case in runs]
         cells = [Cell(shown(name, value), doubt) for value, doubt in zip(values, doubts, strict=True)]
         if len(cases) > 1:
-            cells.append(Cell("" if any(doubts) else change(values[-1], values[0])))
+            known = not any(doubts) and all(math.isfinite(value) for value in values)
+            cells.append(Cell(change(values[-1], values[0]) if known else "–"))
         rows.append(Row(title, unit, tuple(cells), group=not rows))
     return rows + _later(cases)
 
@@ -157,6 +165,10 @@ def _later(cases: list[CaseResult]) -> list[Row]:
             cells.append(Cell(change(ends[-1][1], ends[0][1]) if same else "depends on the start"))
         rows.append(Row(title, unit, tuple(cells), group=not rows))
     return rows
+
+
+def _given_cost(case: CaseResult) -> float:
+    return math.nan if case.objective is None else case.objective
 
 
 def _cost(study: Study, case: CaseResult) -> float:

@@ -12,6 +12,7 @@ from workbench.report.cycles import cycle_sentences
 from workbench.report.estimates import estimate_advice, estimate_sentences
 from workbench.report.judge import base_case, on_bounds
 from workbench.report.over_ensemble import robust_advice, robust_choice
+from workbench.report.plain_truth import lasting
 from workbench.report.reference import reference_sentences
 from workbench.report.settings import as_found_as_left, rounding_sentences
 from workbench.report.tables import Table
@@ -56,7 +57,11 @@ def summarise(study: Study) -> Summary:
     if study.cases:
         found += cycle_sentences(study) + reference_sentences(study) + _bound_sentences(study)
         robust = robust_advice(study)
-        advice = Advice(robust[0], robust_choice(study), tuple(robust[1:])) if robust else case_advice(study)
+        choice = robust_choice(study)
+        if choice is None:
+            advice = case_advice(study)
+        else:
+            advice = Advice(robust[0], choice, tuple(robust[1:]), tuple(lasting(study, choice)))
     if study.cascade:
         seen, told = cascade_sentences(study)
         found += seen
@@ -74,7 +79,7 @@ def summarise(study: Study) -> Summary:
         tuple(rest),
         advice.left,
         settings=as_found_as_left(study, base, case),
-        typed=tuple(rounding_sentences(study, [case])),
+        typed=tuple(rounding_sentences(study, [case])) if case is not base else (),
         sure=confidence(study, case),
         watch=tuple(watch(study, base, case)),
     )
