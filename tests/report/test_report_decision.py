@@ -74,6 +74,9 @@ def test_high_asks_for_searches_that_agree_and_plants_that_differ(study: Study) 
     agreed = replace(best, tuned=same)
     assert sure(study, study.cases[0], agreed)[0] == "moderate", "not tried elsewhere"
     assert sure(study, study.cases[0], tried(agreed))[0] == "high"
+    said = summarise(of(study, study.cases[0], tried(agreed))).sure
+    assert said is not None
+    assert said.why.startswith("Provided that the loop is as the scenario gives it")
     apart = replace(best.tuned, restarts=tuple(Restart(k, 11.0, 10.5 + k, 1, 1, 1) for k in range(3)))
     level, reasons = sure(study, study.cases[0], tried(replace(best, tuned=apart)))
     assert level == "moderate", "the searches do not agree"

@@ -62,7 +62,10 @@ def confidence(study: Study, case: CaseResult) -> Confidence:
     reasons = tuple(judged.reasons)
     against = judged.doubts or judged.open_points
     if not against:
-        return Confidence("high", reasons, "Nothing that was looked at speaks against it.")
+        given_loop = (
+            "Provided that the loop is as the scenario gives it, nothing" if _source(study, case) is None else "Nothing"
+        )
+        return Confidence("high", reasons, f"{given_loop} that was looked at speaks against it.")
     return Confidence("low" if judged.doubts else "moderate", reasons, f"{capital(join(against))}.")
 
 
