@@ -90,12 +90,13 @@ def test_a_report_prints_to_clean_pages(study: Study, browser: Any, tmp_path: Pa
 def test_a_longer_report_takes_more_pages_and_none_is_empty(
     study: Study, case: Make, browser: Any, tmp_path: Path
 ) -> None:
+    told = replace(study, estimates=(), scenario_text="title: A study made for tests\n" * 12)
     many = [replace(case(f"Case {i}", 0.5 + 0.05 * i, 20.0), note="A note. " * 20) for i in range(9)]
-    write_report(replace(study, cases=tuple(many), estimates=()), tmp_path)
+    write_report(replace(told, cases=tuple(many)), tmp_path)
     page = opened(browser, tmp_path / "report.html")
     longer = clean(printed(page))
     page.close()
-    write_report(replace(study, cases=tuple(many[:1]), estimates=()), tmp_path)
+    write_report(replace(told, cases=tuple(many[:1])), tmp_path)
     page = opened(browser, tmp_path / "report.html")
     assert clean(printed(page)) < longer
     page.close()
