@@ -102,7 +102,7 @@ def test_a_longer_report_takes_more_pages_and_none_is_empty(
     page.close()
 
 
-@pytest.mark.parametrize("name", ["table_2", "robust_retune", "loop_2_reflux", "which_tunings_cycle"])
+@pytest.mark.parametrize("name", ["robust_retune", "loop_2_reflux"])
 def test_shipped_reports_print_with_nothing_cut(name: str, browser: Any) -> None:
     page = opened(browser, SHIPPED / name / "report.html")
     clean(printed(page))
