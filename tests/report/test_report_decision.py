@@ -81,11 +81,26 @@ def test_high_asks_for_searches_that_agree_and_plants_that_differ(study: Study) 
     level, reasons = sure(study, study.cases[0], tried(replace(best, tuned=apart)))
     assert level == "moderate", "the searches do not agree"
     assert "the worst 19 % above it" in reasons
+    close = replace(best.tuned, restarts=tuple(Restart(k, 11.0, 10.5 + 0.04 * k, 1, 1, 1) for k in range(3)))
+    assert sure(study, study.cases[0], tried(replace(best, tuned=close)))[0] == "high", "none is 1 % worse"
     level, reasons = sure(study, study.cases[0], tried(agreed, diverged=1))
     assert level == "low"
     assert "Of 2 draws of other plants and circumstances 1 diverge" in reasons
     unseen = replace(tried(agreed), limit_cycle=None)
     assert sure(study, study.cases[0], unseen)[0] == "moderate"
+
+
+def test_a_run_at_odds_with_the_long_run_is_no_high_confidence(study: Study) -> None:
+    noisy = Experiment(duration=1000.0, setpoint=Step(4.0), noise=Noise(0.3, 1))
+    one = study.cases[2]
+    assert one.tuned is not None
+    same = replace(one.tuned, restarts=tuple(Restart(k, 11.0, 10.5, 1, 1, 1) for k in range(3)))
+    best = replace(tried(one), tuned=same, run=simulate(one.loop, noisy))
+    said = summarise(of(study, study.cases[0], best, experiment=noisy)).sure
+    assert said is not None
+    assert said.level == "moderate"
+    assert said.why == "The run shows another motion of the valve than the long run."
+    assert "% an hour instead of 142 %" in " ".join(said.reasons)
 
 
 def test_a_knife_edge_makes_it_low(study: Study, tuned: Make) -> None:

@@ -14,13 +14,14 @@ from workbench.model.plant import FOPDT
 from workbench.model.results import LimitCycle, Robustness, Tuned
 from workbench.model.study import CaseResult, NamedEstimate, Study
 from workbench.report.estimates import known_groups, stiction_words
-from workbench.report.judge import last_change, quiet, unstable
+from workbench.report.judge import at_odds, last_change, quiet, run_travel, unstable
 from workbench.report.settings import settings_words
 from workbench.report.titles import kpi_title
 from workbench.report.words import capital, duration, figure, given, interval, join, nearby
 
 __all__ = ["Confidence", "confidence", "watch"]
 
+NEARLY = 1.01  # ratio of the worst search's J to the best's up to which it does not matter which of them was lucky
 SLOWER = 0.5  # ratio of integral gains below which the controller is said to recover more slowly
 STRONGER = 1.5  # ratio of gains above which it is said to pass more noise to the valve
 
@@ -135,10 +136,11 @@ def _searches(tuned: Tuned, judged: _Judged) -> None:
         )
         return
     agree = tuned.agreeing
+    alike = 2 * agree > many or (math.isfinite(worst) and worst <= NEARLY * best)
     text = f"Search: {agree} of {many} independent searches end within 0.1 % of the best J"
     if math.isfinite(worst) and agree < many and best > 0.0:
         text += f", the worst {figure(100.0 * (worst / best - 1.0), 2)} % above it"
-    judged.say(text, open_point="the searches do not agree" if 2 * agree <= many else "")
+    judged.say(text, open_point="" if alike else "the searches do not agree")
 
 
 def _elsewhere(r: Robustness | None, judged: _Judged) -> None:
@@ -146,7 +148,7 @@ def _elsewhere(r: Robustness | None, judged: _Judged) -> None:
     if r is None:
         text = "Other plants and disturbances: not tried, all figures are of this one experiment on this one model"
         judged.say(
-            f"{text} (`robust: true` in tune, or `ensemble:`, tries them)",
+            f"{text} (“robust: true” in tune, or “ensemble”, tries them)",
             open_point="it was tried on this model and experiment alone",
         )
         return
@@ -180,11 +182,17 @@ def _long_run(study: Study, case: CaseResult, judged: _Judged) -> None:
         }.get(cycle.outcome, "whether the loop cycles could not be decided")
         judged.say(lead + told, open_point="" if cycle.outcome == "settles" else "the long run is not one and the same")
         return
-    text = f"{lead}the loop cycles, {_swing(cycle)}"
-    short = study.experiment is not None and cycle.window > study.experiment.duration - last_change(case.run)
-    if short:
-        text += "; this run is too short to show it, so that its figures are better than the loop's later ones"
-    judged.say(text, doubt="the run is too short for the cycle that the loop has in the long run" if short else "")
+    text, doubt, open_point = f"{lead}the loop cycles, {_swing(cycle)}", "", ""
+    if study.experiment is not None and cycle.window > study.experiment.duration - last_change(case.run):
+        text += "; this run is too short to show it, and its figures are not those of the loop later on"
+        doubt = "the run is too short for the cycle that the loop has in the long run"
+    elif at_odds(case, study.experiment):
+        rates = (run_travel(case, study.experiment), cycle.travel_per_hour)
+        text += "; in the run itself the valve travels {} % an hour instead of {} %".format(
+            *(figure(r, 3) for r in rates)
+        )
+        open_point = "the run shows another motion of the valve than the long run"
+    judged.say(text, doubt=doubt, open_point=open_point)
 
 
 def _swing(cycle: LimitCycle) -> str:

@@ -95,7 +95,7 @@ def as_found_as_left(study: Study, base: CaseResult | None, best: CaseResult) ->
     figures as found are of the case as the scenario gives it, those as left of the digits that are typed in.
     """
     cases = [best] if base is None or base is best else [base, best]
-    heads = [f"as found: {cases[0].name}", f"as left: {best.name}", "change"] if len(cases) > 1 else [best.name]
+    heads = [_headed("as found", cases[0]), _headed("as left", best), "change"] if len(cases) > 1 else [best.name]
     written = [_written(study, case) for case in cases]
     forms = {one[0] for one in written if one is not None}
     site = next(iter(forms)) if len(forms) == 1 else SiteForm()
@@ -119,6 +119,10 @@ def as_found_as_left(study: Study, base: CaseResult | None, best: CaseResult) ->
     kpis = [*(case.run.kpis for case in cases[:-1]), best.run.kpis if left is None else left[2]]
     costs = [*(_given_cost(case) for case in cases[:-1]), _cost(study, best) if changes else _given_cost(best)]
     return Table(tuple(heads), (*rows, *_effect(study, cases, kpis, costs)))
+
+
+def _headed(what: str, case: CaseResult) -> str:
+    return what if case.name.lower() == what else f"{what}: {case.name}"
 
 
 def _effect(study: Study, cases: list[CaseResult], kpis: list[Kpis], costs: list[float]) -> list[Row]:
