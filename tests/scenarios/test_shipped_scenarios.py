@@ -181,6 +181,7 @@ def test_the_stand_ins_behave_as_the_paper_says_of_its_loops(name, studies):
     for kpi in ("pv_sd", "controller_travel"):
         assert getattr(before.run.kpis, kpi) == pytest.approx(before.reference[kpi], rel=0.25)
         assert getattr(after.run.kpis, kpi) < 0.5 * getattr(before.run.kpis, kpi)
+    assert after.run.kpis.pv_sd == pytest.approx(after.reference["pv_sd"], rel=0.25)
     assert math.isinf(before.run.kpis.settling_time)
     assert after.run.kpis.settling_time < 600.0
     assert after.run.kpis.oscillation_index < before.run.kpis.oscillation_index
