@@ -128,6 +128,16 @@ def test_run_writes_a_report_for_each_scenario(folder: Path) -> None:
     assert "[bold]Case 2" in out
 
 
+def test_figures_zoom_where_that_is_asked(folder: Path) -> None:
+    assert call("run", "good.yaml", "--out", "still")[0] == 0
+    assert call("run", "good.yaml", "--out", "zoomed", "--interactive")[0] == 0
+    still, zoomed = ((folder / name / "good" / "report.html").read_text() for name in ("still", "zoomed"))
+    assert "<script" not in still
+    assert 'class="zoom"' in zoomed
+    for name in ("results.json", "cases.csv"):
+        assert (folder / "still" / "good" / name).read_bytes() == (folder / "zoomed" / "good" / name).read_bytes()
+
+
 def test_all_files_are_checked_before_anything_runs(folder: Path) -> None:
     code, out, err = call("run", "good.yaml", "bad.yaml", "none.yaml", "--out", "there")
     assert (code, out) == (2, "")

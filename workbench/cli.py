@@ -127,6 +127,9 @@ def _options(
 def run(
     scenarios: Annotated[list[Path], typer.Argument(metavar="SCENARIO", help="Scenario files (YAML).")],
     out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Where the reports go.")] = Path("reports"),
+    interactive: Annotated[
+        bool, typer.Option("--interactive", help="Figures in the page can be zoomed; it is 1.2 MiB larger.")
+    ] = False,
 ) -> int:
     """Run scenarios and write DIR/<scenario>/report.html with its figures, results.json and cases.csv.
 
@@ -147,7 +150,7 @@ def run(
     for plan in plans:
         with _progress() as progress:
             study = run_scenario(plan, progress=progress)
-            write_report(study, out / plan.name)
+            write_report(study, out / plan.name, interactive=interactive)
         _print_study(study)
         for warning in plan.warnings:
             typer.echo(f"Warning: {warning}", err=True)

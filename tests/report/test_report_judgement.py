@@ -47,7 +47,7 @@ def test_a_controller_that_does_nothing_is_not_recommended(study: Study, case: M
     assert idle.run.kpis.error_variance < working.run.kpis.error_variance
     told = of(study, idle, working, objective=None)
     assert best_case(told) is told.cases[1]
-    assert summarise(told).do[0].startswith("Least error and least wear in this experiment: Working")
+    assert summarise(told).advice[0].startswith("Least error and least wear in this experiment: Working")
     assert not any(cell.best for cell in row(told, "Error variance").cells)
     assert [cell.best for cell in row(told, "Mean square error").cells] == [False, True]
 
@@ -74,14 +74,16 @@ def test_a_verdict_without_noise_is_not_told_of_a_noisy_run(study: Study, cycle:
     assert "Case 1: without noise the loop comes to rest." in summary.found
     moving = f"Case 1: the run itself shows otherwise, late in it the valve keeps moving, by {rate} % an hour."
     assert moving in summary.found
-    assert any(f"comes to rest without noise; in the run itself the valve travels {rate} %" in t for t in summary.do)
+    assert any(
+        f"comes to rest without noise; in the run itself the valve travels {rate} %" in t for t in summary.advice
+    )
 
     cycling = replace(case, limit_cycle=replace(cycle(case.loop), travel_per_hour=8.06))
     told = of(study, cycling, experiment=experiment)
     summary = summarise(told)
     assert summary.found[0].startswith("Without noise, the loop keeps cycling: Case 1")
     assert any(f"travels {rate} % an hour, not 8.06 %." in t for t in summary.found)
-    assert any("the cycle remains (without noise)" in t and f"in the run itself {rate} %" in t for t in summary.do)
+    assert any("the cycle remains (without noise)" in t and f"in the run itself {rate} %" in t for t in summary.advice)
     rows = {r.label: r.cells[0].text for r in cycle_tables(told)[0].rows}
     assert rows["Late in the run itself: valve travel an hour"] == rate
 
@@ -185,8 +187,8 @@ def test_what_no_tuning_removes_is_not_said_of_an_undecided_valve(study: Study, 
     found, _ = estimated(verdict="undecided")
     mine = replace(found, valve=study.cases[0].loop.valve)
     told = replace(study, estimates=(NamedEstimate("E", mine),))
-    assert any("What no tuning removes" in t for t in summarise(study).do)
-    assert not any("What no tuning removes" in t for t in summarise(told).do)
+    assert any("What no tuning removes" in t for t in summarise(study).advice)
+    assert not any("What no tuning removes" in t for t in summarise(told).advice)
 
 
 def test_unstable_crossings_are_no_prediction_of_a_cycle(study: Study, df: Make, cycle: Make) -> None:

@@ -31,7 +31,7 @@ def of(study: Study, *cases: CaseResult, **extra: Any) -> Study:
 
 def test_what_is_left_of_the_cycle_is_a_range_where_it_depends_on_the_start(study: Study) -> None:
     base, best = study.cases[0], with_errors(study.cases[2], 0.12, 0.4)
-    told = " ".join(summarise(of(study, base, best)).do)
+    told = " ".join(summarise(of(study, base, best)).advice)
     assert (
         "Once it has set in, the mean square error is 0.120 to 0.400 EU² at 142 % an hour, with Case 1 0.810 EU² at "
         "142 % an hour (where a range stands, it depends on the start)."
@@ -40,10 +40,10 @@ def test_what_is_left_of_the_cycle_is_a_range_where_it_depends_on_the_start(stud
 
 def test_single_figures_are_not_called_ranges(study: Study) -> None:
     bare = [replace(c, objective=None, tuned=None) for c in study.cases[:2]]
-    told = " ".join(summarise(of(study, *bare, objective=None)).do)
+    told = " ".join(summarise(of(study, *bare, objective=None)).advice)
     assert "once the cycle has set in: Case 1 0.810 EU² at 142 % an hour; Case 2 0.810 EU² at 142 % an hour." in told
     assert "range" not in told
-    told = " ".join(summarise(of(study, with_errors(bare[0], 0.03, 0.9), bare[1], objective=None)).do)
+    told = " ".join(summarise(of(study, with_errors(bare[0], 0.03, 0.9), bare[1], objective=None)).advice)
     assert "Case 1 0.0300 to 0.900 EU² at 142 % an hour (where a range stands, it depends on the start)." in told
 
 
@@ -88,9 +88,9 @@ def test_an_unstable_case_is_no_choice_for_less_wear(study: Study, case: Make) -
     wild = case("Wild", 50.0, 5.0)
     for travel in (0.1, math.nan):
         calm = replace(wild, run=replace(wild.run, kpis=replace(wild.run.kpis, valve_travel=travel)))
-        told = " ".join(summarise(of(study, calm, best)).do)
+        told = " ".join(summarise(of(study, calm, best)).advice)
         assert "Where wear counts" not in told
-        told = " ".join(summarise(of(study, calm, study.cases[1], best)).do)
+        told = " ".join(summarise(of(study, calm, study.cases[1], best)).advice)
         assert "Where wear counts more than error: Case 2" in told
 
 
@@ -112,7 +112,7 @@ def test_why_a_cycle_stays_undecided_is_said(study: Study, cycle: Make) -> None:
 
 
 def test_a_calm_choice_is_told_with_its_cycle_too(study: Study) -> None:
-    told = " ".join(summarise(of(study, with_errors(study.cases[1], 0.03, 0.9), study.cases[2])).do)
+    told = " ".join(summarise(of(study, with_errors(study.cases[1], 0.03, 0.9), study.cases[2])).advice)
     assert (
         "Where wear counts more than error: Case 2 (Kc 0.5 %/EU, Ti 200 s) has in this run valve travel 4.01 %" in told
     )
@@ -125,7 +125,7 @@ def test_hardly_more_error_for_far_less_wear_is_named(study: Study) -> None:
         for one, mse, travel in zip(study.cases, (1.0, error, 3.0), (70.0, 12.0, 4.0), strict=True):
             kpis = replace(one.run.kpis, mean_square_error=mse, valve_travel=travel)
             cases.append(replace(one, run=replace(one.run, kpis=kpis), objective=None, tuned=None))
-        return summarise(of(study, *cases, objective=None)).do[0]
+        return summarise(of(study, *cases, objective=None)).advice[0]
 
     assert told(1.03).endswith(" Case 2 has 3.0 % more error than the least, at valve travel 12.0 %.")
     assert "more error than the least" not in told(1.3)

@@ -166,7 +166,9 @@ def test_what_one_experiment_likes_is_not_recommended(robust: Study) -> None:
     out = robust_advice(robust)
     assert out[0].startswith("Set Kc 2.351 %/EU, Ti 9.500 s (Optimised PI). Over 20 plants")
     assert "Against Case 1: error −" in out[0]
-    assert summarise(robust).do[1 : 1 + len(out)] == tuple(out) or summarise(robust).do[: len(out)] == tuple(out)
+    assert summarise(robust).advice[1 : 1 + len(out)] == tuple(out) or summarise(robust).advice[: len(out)] == tuple(
+        out
+    )
     nominal = replace(robust.cases[2], name="Nominal", tuned=replace(robust.cases[2].tuned, ensemble=None))  # type: ignore[type-var]
     worse = replace(nominal, robustness=replace(over(nominal), diverged=2, stable=False))
     both = [robust_advice(replace(robust, cases=(*robust.cases, one))) for one in (nominal, worse)]

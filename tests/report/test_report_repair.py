@@ -62,7 +62,9 @@ def test_the_page_tells_it_and_escapes_nothing_away(repaired: Study, tmp_path: P
     assert "<h2>What repair is worth</h2>" in page
     assert "Every case with the valve repaired" in page
     assert "SIMC with a closed-loop time constant equal to the dead time (S. Skogestad" in page
-    assert any(line.startswith("What repair is worth: with an ideal valve Case 1") for line in summarise(repaired).do)
+    assert any(
+        line.startswith("What repair is worth: with an ideal valve Case 1") for line in summarise(repaired).advice
+    )
 
 
 def of_error(repair: Repair, left: float, after: float) -> Repair:

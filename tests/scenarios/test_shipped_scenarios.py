@@ -174,6 +174,23 @@ def test_compensators_buy_error_with_wear_or_rest_with_an_offset(studies):
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("name", ["loop_1_feed_flow", "loop_2_reflux"])
+def test_the_stand_ins_behave_as_the_paper_says_of_its_loops(name, studies):
+    study = study_of(name, studies)
+    before, after, best = study.cases
+    for kpi in ("pv_sd", "controller_travel"):
+        assert getattr(before.run.kpis, kpi) == pytest.approx(before.reference[kpi], rel=0.25)
+        assert getattr(after.run.kpis, kpi) < 0.5 * getattr(before.run.kpis, kpi)
+    assert after.run.kpis.pv_sd == pytest.approx(after.reference["pv_sd"], rel=0.25)
+    assert math.isinf(before.run.kpis.settling_time)
+    assert after.run.kpis.settling_time < 600.0
+    assert after.run.kpis.oscillation_index < before.run.kpis.oscillation_index
+    assert before.limit_cycle.outcome == "cycles"
+    assert best.objective < 0.2 * before.objective
+    assert {case.settings.controller.form for case in study.site_cases} == {study.site.form}
+
+
+@pytest.mark.slow
 def test_the_cascades_cycle_is_in_both_loops_and_comes_out_as_committed(studies):
     study = study_of("cascade", studies)
     ours, theirs = json.loads(results_json(study))["cascade"], committed("cascade")["cascade"]

@@ -101,6 +101,13 @@ def test_what_is_loaded_is_exported_and_loads_as_the_same_screen(path):
     ]
 
 
+def test_an_objective_that_the_page_cannot_show_is_named_and_not_shown_as_none():
+    loaded = screen_of(load_scenario(SCENARIOS / "loop_1_feed_flow.yaml"))
+    assert any("The objective weighs figures that this page has no entry for" in note for note in loaded.notes)
+    assert loaded.screen.entries["objective.w1"] == "0.5"
+    assert any("How the site writes its settings (site:) is left out" in note for note in loaded.notes)
+
+
 PLAIN = """\
 title: A loop
 loop:

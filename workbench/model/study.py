@@ -15,6 +15,7 @@ from workbench.model.loop import Loop
 from workbench.model.results import DescribingFunction, Estimate, LimitCycle, Outcome, Repair, Robustness, Run, Tuned
 from workbench.model.rule import Rule
 from workbench.model.show import Shown
+from workbench.model.site import SiteCase, SiteForm
 from workbench.model.tuning import Objective
 
 __all__ = ["CascadeResult", "CaseResult", "NamedEstimate", "Study"]
@@ -89,7 +90,9 @@ class Study(Shown):
     `reference_source`: where the reference figures come from, in words. `notes`: what an engineer should know about
     how the results came about (coarse sampling, rejected rows ...). `front`: the trade-off of error and valve travel;
     `robust_repair`: what repair is worth over an ensemble. `cycle_map`: the long-run behaviour over a plane of tunings.
-    `cascade`: the cases of a cascade, which has no others. `times`: seconds by stage, for run.json alone.
+    `cascade`: the cases of a cascade, which has no others. `site`: how the site writes its settings, with every case as
+    typed in there, in order; None and empty where the scenario does not say. `times`: seconds by stage, for run.json
+    alone.
     """
 
     name: str
@@ -107,6 +110,8 @@ class Study(Shown):
     robust_repair: RobustRepair | None = None
     cycle_map: CycleMap | None = None
     cascade: tuple[CascadeResult, ...] = ()
+    site: SiteForm | None = None
+    site_cases: tuple[SiteCase, ...] = ()
     times: Mapping[str, float] = field(default_factory=lambda: MappingProxyType({}))
 
     @property

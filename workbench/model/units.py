@@ -10,10 +10,10 @@ import math
 from workbench.errors import InvalidValue
 from workbench.model.checks import choice, number, ordered_pair
 
-__all__ = ["GAIN_UNITS", "INTEGRAL_UNITS", "gain_from", "integral_time_from"]
+__all__ = ["GAIN_UNITS", "INTEGRAL_UNITS", "gain_from", "gain_to", "integral_time_from", "integral_time_to"]
 
 GAIN_UNITS = ("%/EU", "%/%", "PB %")
-INTEGRAL_UNITS = ("s", "min", "repeats/min")
+INTEGRAL_UNITS = ("s", "min", "repeats/min", "repeats/s")
 
 
 def _span(pv_range: tuple[float, float] | None, unit: str) -> float:
@@ -37,10 +37,34 @@ def gain_from(value: float, unit: str, pv_range: tuple[float, float] | None = No
     return 100.0 / number(value, "proportional band", above=0.0, unit="%") * 100.0 / span
 
 
+def gain_to(Kc: float, unit: str, pv_range: tuple[float, float] | None = None) -> float:
+    """Return a gain Kc (%/EU, >= 0) in `unit`, as `gain_from` reads it; the band of a gain of 0 is `math.inf`.
+
+    Raises `InvalidValue` as `gain_from` does.
+    """
+    choice(unit, "gain unit", GAIN_UNITS)
+    number(Kc, "Kc", least=0.0, unit="%/EU")
+    if unit == "%/EU":
+        return Kc
+    per_range = Kc * _span(pv_range, unit) / 100.0
+    if unit == "%/%":
+        return per_range
+    return 100.0 / per_range if per_range > 0.0 else math.inf
+
+
 def integral_time_from(value: float, unit: str) -> float:
-    """Return Ti in s from s, min or repeats/min (0 repeats/min: no integral action, `math.inf`)."""
+    """Return Ti in s from s, min, repeats/min or repeats/s (0 repeats: no integral action, `math.inf`)."""
     choice(unit, "integral unit", INTEGRAL_UNITS)
-    if unit == "repeats/min":
-        rate = number(value, "repeats per minute", least=0.0)
-        return 60.0 / rate if rate > 0.0 else math.inf
+    if unit.startswith("repeats"):
+        rate = number(value, f"{unit} of the integral action", least=0.0)
+        return (60.0 if unit == "repeats/min" else 1.0) / rate if rate > 0.0 else math.inf
     return number(value, "Ti", above=0.0, infinite=True, unit=unit) * (60.0 if unit == "min" else 1.0)
+
+
+def integral_time_to(Ti: float, unit: str) -> float:
+    """Return Ti (s, > 0, `math.inf` for no integral action) in `unit`, as `integral_time_from` reads it."""
+    choice(unit, "integral unit", INTEGRAL_UNITS)
+    number(Ti, "Ti", above=0.0, infinite=True, unit="s")
+    if unit.startswith("repeats"):
+        return (60.0 if unit == "repeats/min" else 1.0) / Ti
+    return Ti / (60.0 if unit == "min" else 1.0)

@@ -2,80 +2,133 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 from workbench.model.study import CaseResult, Study
 from workbench.report.cycles import better_late, by_start, late_errors, late_figures, swing
 from workbench.report.judge import at_odds, base_case, best_case, quiet, run_travel, unstable
 from workbench.report.plain_truth import lasting
 from workbench.report.repair import repair_sentence
+from workbench.report.settings import settings_words, spread
 from workbench.report.words import change, controller_words, figure, nearby
 
-__all__ = ["case_advice"]
+__all__ = ["Advice", "case_advice"]
 
 ALIKE = 1.1  # ratio of mean square errors up to which one is hardly more than the other
+WORTH = 0.95  # ratio of J (or mean square error) above which a change of settings is not worth it,
+CALMER = 0.8  # unless the valve's travel falls below this ratio
 IDLE = " (its valve never moves: it controls nothing)"
 
 
-def case_advice(study: Study) -> list[str]:
+@dataclass(frozen=True, slots=True)
+class Advice:
+    """What to do: the decision in one sentence, what else there is to do, and what the decision leaves.
+
+    case: the one to set or to keep, None where the choice is left open, or there is none.
+    """
+
+    decision: str
+    case: CaseResult | None = None
+    do: tuple[str, ...] = ()
+    left: tuple[str, ...] = ()
+
+
+def case_advice(study: Study) -> Advice:
     """Return which case to set, against which price, what it leaves, and what only repair ends."""
-    out = [
+    do: list[str] = []
+    left: list[str] = []
+    base, best = base_case(study), best_case(study)
+    failed = [
         f"Do not use {case.name} as it stands: its search ended as “{case.tuned.status.value}”"
         f"{f' ({case.tuned.message.rstrip(chr(46))})' if case.tuned.message else ''}."
         for case in study.cases
         if case.tuned is not None and not case.tuned.status.success
     ]
-    base, best = base_case(study), best_case(study)
     if best is None:
-        return out
+        text = "None of these tunings can be recommended: their loops are unstable, or their searches failed."
+        return Advice(text, None, tuple(failed))
     if len(study.cases) > 1 and best.objective is None:
-        out += _trade_off(study, best)
-        out += late_errors(study)
+        decision, case = _trade_off(study, best), None
+        do += late_errors(study)
     else:
-        if len(study.cases) > 1:
-            out += _recommendation(base, best)
-        out += _remaining(study, base, best)
-        out += _less_wear(study, best)
-    out += lasting(study, best)
+        decision, case = _recommendation(study, base, best)
+        if best.tuned is not None and best.tuned.knife_edge:
+            do.append(
+                f"Type in exactly these digits: the optimum is a knife-edge, {nearby(best.tuned.margin)} J rises from "
+                f"{figure(best.tuned.objective, 3)} to as much as {figure(best.tuned.worst, 3)}."
+            )
+        left += _remaining(study, base, best)
+        do += _less_wear(study, best)
+    left += lasting(study, best)
     if study.repair is not None:
-        out.append(repair_sentence(study.repair, (base or study.cases[0]).name))
-    if best.tuned is not None:
-        out.append(
-            "All this holds for this experiment on this model; a plant that differs from the model, or another "
-            "disturbance, will give other figures. Watch PV and valve travel after the change."
-        )
-    return out
+        left.append(repair_sentence(study.repair, (base or study.cases[0]).name))
+    return Advice(decision, case, (*failed, *do), tuple(left))
 
 
-def _recommendation(base: CaseResult | None, best: CaseResult) -> list[str]:
-    out = []
-    controller = controller_words(best.loop.controller, best.tuned.digits if best.tuned is not None else None)
+def _recommendation(study: Study, base: CaseResult | None, best: CaseResult) -> tuple[str, CaseResult]:
+    """Return the decision, and the case that it is about."""
+    controller = settings_words(study, best)
     kpis = best.run.kpis
     by = "J" if best.objective is not None else "mean square error"
+    if len(study.cases) == 1 and best is base:
+        return f"Nothing to set: {best.name} ({controller}) is the only tuning here, and none was searched for.", best
     if best is base:
-        out.append(f"Keep {best.name} ({controller}): none of the other tunings has a lower {by} in this experiment.")
-    elif base is None or unstable(base):
-        out.append(
-            f"Set {controller} ({best.name}): the lowest {by} of the cases, mean square error "
-            f"{figure(kpis.mean_square_error, 3)} EU², valve travel {figure(kpis.valve_travel, 3)} %."
-        )
-    else:
-        was = base.run.kpis
-        parts = []
-        if best.objective is not None and base.objective is not None:
-            parts.append(f"J {figure(best.objective, 3)} instead of {figure(base.objective, 3)}")
-        parts.append(f"mean square error {change(kpis.mean_square_error, was.mean_square_error)}")
-        parts.append(f"valve travel {change(kpis.valve_travel, was.valve_travel)}")
-        out.append(f"Set {controller} ({best.name}): in this run {', '.join(parts)} against {base.name}.")
-    if best.tuned is not None:
-        tuned = best.tuned
-        if tuned.knife_edge:
-            out.append(
-                f"Type in exactly these digits: the optimum is a knife-edge, {nearby(tuned.margin)} J rises from "
-                f"{figure(tuned.objective, 3)} to as much as {figure(tuned.worst, 3)}."
-            )
-    return out
+        return f"Keep {best.name} ({controller}): none of the other tunings has a lower {by} in this experiment.", best
+    if base is None or unstable(base):
+        least = "the lowest " + by + " of the cases" if len(study.cases) > 1 else "the best that the search found"
+        return (
+            f"Set {controller} ({best.name}): {least}, mean square error {figure(kpis.mean_square_error, 3)} EU², "
+            f"valve travel {figure(kpis.valve_travel, 3)} %.{_by_repair(study, best)}"
+        ), best
+    was = base.run.kpis
+    parts = []
+    if best.objective is not None and base.objective is not None:
+        parts.append(f"J {figure(best.objective, 3)} instead of {figure(base.objective, 3)}")
+    (name, ours), (_, theirs) = spread(best, kpis), spread(base, was)
+    parts.append(f"{name} {change(ours, theirs)}")
+    parts.append(f"mean square error {change(kpis.mean_square_error, was.mean_square_error)}")
+    parts.append(f"valve travel {change(kpis.valve_travel, was.valve_travel)}")
+    told = f"in this run {', '.join(parts)} against {base.name}.{_in_the_long_run(study, base, best)}"
+    if not _worth_it(base, best):
+        return (
+            f"Keep {base.name} ({settings_words(study, base)}): nothing here is worth a change. The best other tuning, "
+            f"{best.name} ({controller}), has {told}"
+        ), base
+    return f"Set {controller} ({best.name}): {told}{_by_repair(study, best)}", best
 
 
-def _trade_off(study: Study, best: CaseResult) -> list[str]:
+def _in_the_long_run(study: Study, base: CaseResult, best: CaseResult) -> str:
+    """Say what becomes of error and wear once both cycles have set in, "" where that depends on the start."""
+    was, now = base.limit_cycle, best.limit_cycle
+    if was is None or now is None or {was.outcome, now.outcome} != {"cycles"} or by_start(was, now):
+        return ""
+    error = change(now.mean_square_error, was.mean_square_error)
+    travel = change(now.travel_per_hour, was.travel_per_hour)
+    aside = quiet(study.experiment)
+    return f" In the long run{f' {aside}' if aside else ''}: mean square error {error}, valve travel {travel}."
+
+
+def _worth_it(base: CaseResult, best: CaseResult) -> bool:
+    """Return whether the best case gains clearly more than the last digits of the figures, in error or in wear."""
+    ours, theirs = (_error(c) if c.objective is None else c.objective for c in (best, base))
+    return ours < WORTH * theirs or best.run.kpis.valve_travel < CALMER * base.run.kpis.valve_travel
+
+
+def _by_repair(study: Study, best: CaseResult) -> str:
+    """Say what repairing the valve would add to the recommended tuning in the same run, "" where that was not asked."""
+    if study.repair is None:
+        return ""
+    repaired = study.repair.best_repaired.kpis
+    (name, left), (_, after) = spread(best, best.run.kpis), spread(best, repaired)
+    wear = change(repaired.valve_travel, best.run.kpis.valve_travel)
+    if not after < WORTH * left:
+        return f" Repairing the valve would bring no less {name} than this in this run (valve travel {wear})."
+    return (
+        f" Repairing the valve, and tuning anew, would bring a further {change(after, left)} in {name}, travel {wear}."
+    )
+
+
+def _trade_off(study: Study, best: CaseResult) -> str:
     """Without an objective to go by: name the case of least error and the case of least wear."""
     fit = [c for c in study.cases if (c.tuned is None or c.tuned.status.success) and not unstable(c)]
     # A valve that never moves does not wear, and does not control either.
@@ -90,7 +143,7 @@ def _trade_off(study: Study, best: CaseResult) -> list[str]:
         )
 
     if calm is best:
-        return [f"Least error and least wear in this experiment: {told(best)}."]
+        return f"Least error and least wear in this experiment: {told(best)}."
     choice = "No objective was given, so there is a choice to make."
     text = f"{choice} Least mean square error in this run: {told(best)}. Least wear: {told(calm)}."
     # Hardly more error for far less wear is most often the better choice.
@@ -100,7 +153,7 @@ def _trade_off(study: Study, best: CaseResult) -> list[str]:
         more = figure(100.0 * (_error(mild) / _error(best) - 1.0), 2)
         travel = figure(mild.run.kpis.valve_travel, 3)
         text += f" {mild.name} has {more} % more error than the least, at valve travel {travel} %."
-    return [text]
+    return text
 
 
 def _error(case: CaseResult) -> float:

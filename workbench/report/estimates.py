@@ -16,7 +16,15 @@ from workbench.report.results import aic
 from workbench.report.tables import Cell, Row, Table
 from workbench.report.words import decimals_of, difference, figure, given, interval, join, published, valve_words
 
-__all__ = ["candidates_table", "estimate_advice", "estimate_sentences", "estimate_table", "known_sentences"]
+__all__ = [
+    "candidates_table",
+    "estimate_advice",
+    "estimate_sentences",
+    "estimate_table",
+    "known_groups",
+    "known_sentences",
+    "stiction_words",
+]
 
 KNOWN, ROUGH = 0.1, 0.5  # width of a 95 % range over the value, up to which a parameter is known, or roughly known
 COARSE = 2.0  # samples: a time below that is one that the sampling hides
@@ -33,13 +41,13 @@ def estimate_sentences(named: NamedEstimate, *, linear: bool = True) -> list[str
     process += f", dead time {figure(plant.dead_time, 3)} s"
     reason = found.reasons[0].rstrip(".") if found.reasons else ""
     if found.verdict == "stiction":
-        text = f"{name}: the valve sticks, {_stiction(named)}; the process has {process}."
+        text = f"{name}: the valve sticks, {stiction_words(named)}; the process has {process}."
     elif found.verdict == "no_stiction":
         text = f"{name}: no stiction found{f' ({reason})' if reason else ''}; the process has {process}."
     else:
         text = f"{name}: whether the valve sticks stays undecided{f': {reason}' if reason else ''}."
         if not isinstance(found.valve, Ideal):
-            text += f" The best model has {_stiction(named)} and {process}; take it as a hint, not as a finding."
+            text += f" The best model has {stiction_words(named)} and {process}; take it as a hint, not as a finding."
     if named.truth is not None:
         text += f" {_against_truth(named, named.truth)}"
     sentences = [text]
@@ -95,7 +103,8 @@ def _against_truth(named: NamedEstimate, truth: Loop) -> str:
     return f"{what} by {miss} % in the {title} (true value {given(true[worst])})."
 
 
-def _stiction(named: NamedEstimate) -> str:
+def stiction_words(named: NamedEstimate) -> str:
+    """Return what was found of the valve, with its ranges: "d = 2.00 % (95 % range 1.99 to 2.01 %)"."""
     valve, ranges = named.found.valve, named.found.intervals
     # Of an undecided valve the range is the fit's own, and no statement about the valve.
     span = "fits from" if named.found.verdict == "undecided" else "95 % range"
@@ -242,13 +251,19 @@ def _whole(value: float) -> str:
     return f"{value:,.0f}".replace("-", "−")
 
 
-def known_sentences(found: Estimate) -> list[str]:
-    """Return which parameters the record pins down and which not, by their 95 % ranges, and what would tell more."""
+def known_groups(found: Estimate) -> dict[str, list[str]]:
+    """Return the parameters' names by how well their 95 % ranges pin them: "known", "roughly", "hardly", "none"."""
     values = dict(_valve_parameters(found.valve)) | _plant_parameters(found.plant)
     groups: dict[str, list[str]] = {"known": [], "roughly": [], "hardly": [], "none": []}
     for name, value in values.items():
         pair = getattr(found.intervals, "S" if name == "b" else name, None)
         groups[_how_known(name, value, pair, found.record.sample_time)].append(name)
+    return groups
+
+
+def known_sentences(found: Estimate) -> list[str]:
+    """Return which parameters the record pins down and which not, by their 95 % ranges, and what would tell more."""
+    groups = known_groups(found)
 
     def names(which: str) -> str:
         titles = [kpi_title(name)[0] for name in groups[which]]

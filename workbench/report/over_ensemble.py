@@ -9,6 +9,7 @@ from workbench.model.front import Front, FrontPoint
 from workbench.model.plant import FOPDT
 from workbench.model.results import Robustness, Tuned
 from workbench.model.study import CaseResult, Study
+from workbench.report.settings import settings_words
 from workbench.report.tables import Cell, Row, Table
 from workbench.report.trade import NamedPoint
 from workbench.report.words import change, controller_words, figure, given, join
@@ -20,6 +21,7 @@ __all__ = [
     "front_text",
     "named_points",
     "robust_advice",
+    "robust_choice",
     "robust_repair_table",
     "robust_repair_text",
 ]
@@ -310,6 +312,20 @@ def _beside(case: CaseResult, its: Robustness, r: Robustness, asked: Constraints
     )
 
 
+def _only_here(other: CaseResult, case: CaseResult) -> str:
+    """Name a given case that does better than the recommended one in the experiment, and not over the ensemble."""
+    a, b = other.robustness, case.robustness
+    if a is None or b is None or other.objective is None or case.objective is None:
+        return ""
+    if not other.objective < case.objective or not b.mse_mean < a.mse_mean:
+        return ""
+    return (
+        f"{other.name} does better in this one experiment (J {figure(other.objective, 3)} against "
+        f"{figure(case.objective, 3)}), and worse over the ensemble: mean square error {figure(a.mse_mean, 3)} EU² at "
+        f"valve travel {figure(a.travel_mean, 3)} %."
+    )
+
+
 # --- repair ----------------------------------------------------------------------------------------------------
 
 
@@ -361,19 +377,33 @@ def robust_repair_table(study: Study) -> Table | None:
 # --- advice ----------------------------------------------------------------------------------------------------
 
 
-def robust_advice(study: Study) -> list[str]:
-    """Return what to do where a robust tuning was found, else nothing: it goes before what one experiment says."""
-    found = [
+def _robust(study: Study) -> list[tuple[CaseResult, Tuned, Robustness]]:
+    return [
         (c, c.tuned, c.robustness)
         for c in study.cases
         if c.tuned is not None and c.tuned.ensemble is not None and c.tuned.status.success and c.robustness is not None
     ]
-    if not found:
-        return []
+
+
+def robust_choice(study: Study) -> CaseResult | None:
+    """Return the robust tuning of least mean square error, one without a cap on travel if there is any, or None."""
+    found = _robust(study)
     free = [one for one in found if one[1].constraints is None or one[1].constraints.valve_travel is None]
-    case, tuned, r = min(free or found, key=lambda one: one[2].mse_mean)
+    return min(free or found, key=lambda one: one[2].mse_mean, default=(None,))[0]
+
+
+def robust_advice(study: Study) -> list[str]:
+    """Return what to do where a robust tuning was found, else nothing: it goes before what one experiment says.
+
+    The first sentence says what to set.
+    """
+    found = _robust(study)
+    choice = robust_choice(study)
+    if choice is None:
+        return []
+    case, tuned, r = next(one for one in found if one[0] is choice)
     base = next((c for c in study.cases if c.tuned is None and c.robustness is not None), None)
-    out = [f"{_setting(case, tuned, r)}{_against(r, base)}"]
+    out = [f"{_setting(study, case, r)}{_against(r, base)}"]
     calmer = [one for one in found if one[0] is not case and one[2].travel_mean < 0.8 * r.travel_mean]
     for other, its, figures in calmer:
         out.append(
@@ -387,7 +417,7 @@ def robust_advice(study: Study) -> list[str]:
         if theirs is None:
             continue
         if other.tuned is None:
-            out += [text for text in (_beside(other, theirs, r, asked),) if text]
+            out += [text for text in (_beside(other, theirs, r, asked), _only_here(other, case)) if text]
         elif other.tuned.ensemble is None:
             out.append(_nominal(other, theirs, r))
     out += [
@@ -399,10 +429,10 @@ def robust_advice(study: Study) -> list[str]:
     return out
 
 
-def _setting(case: CaseResult, tuned: Tuned, r: Robustness) -> str:
+def _setting(study: Study, case: CaseResult, r: Robustness) -> str:
     lost = "none diverges" if r.diverged == 0 else f"{r.diverged} diverge"
     return (
-        f"Set {controller_words(case.loop.controller, tuned.digits)} ({case.name}). Over {r.ensemble.draws:,} plants "
+        f"Set {settings_words(study, case)} ({case.name}). Over {r.ensemble.draws:,} plants "
         f"and circumstances that no search has seen it has mean square error {figure(r.mse_mean, 3)} EU² and valve "
         f"travel {figure(r.travel_mean, 3)} % (means); {lost}, and Ms is at most {figure(r.max_sensitivity, 3)}"
     )

@@ -13,6 +13,7 @@ from workbench.model.record import Record
 from workbench.model.study import NamedEstimate, Study
 from workbench.model.valve import Ideal
 from workbench.report import draw_cascade, figures
+from workbench.report.before_after import before_after_table
 from workbench.report.cascade import cascade_lines, cascade_tables
 from workbench.report.cascade_results import cascade_csv
 from workbench.report.cycles import cycle_tables
@@ -21,6 +22,7 @@ from workbench.report.draw_map import map_figure
 from workbench.report.estimates import candidates_table, estimate_table, known_sentences
 from workbench.report.files import write_files
 from workbench.report.how import how_tables
+from workbench.report.interactive import Zoomable, zoomable
 from workbench.report.over_ensemble import (
     ensemble_tables,
     ensemble_text,
@@ -33,6 +35,7 @@ from workbench.report.over_ensemble import (
 from workbench.report.plain_truth import map_points, map_text
 from workbench.report.repair import repair_tables, repair_text
 from workbench.report.results import cases_csv, results_json, run_json
+from workbench.report.settings import site_table
 from workbench.report.shared import loop_lines
 from workbench.report.style import svg_text
 from workbench.report.summary import summarise
@@ -46,8 +49,11 @@ __all__ = ["render", "write_report"]
 DETAIL = 900  # samples of a longer record that a figure of its own shows from near
 
 
-def write_report(study: Study, folder: Path | str) -> None:
+def write_report(study: Study, folder: Path | str, *, interactive: bool = False) -> None:
     """Write a study's report into `folder`, which is made where it is missing.
+
+    interactive: the cases' figures in report.html can be zoomed (see `report.interactive`); the page is then 1.2 MiB
+    and the data larger, and no longer the same to the byte.
 
     report.html, results.json, cases.csv and the figures are the same to the byte for the same study; run.json holds
     what changes (times, versions, machine). All content is made before the first file is touched, and every file is
@@ -59,7 +65,7 @@ def write_report(study: Study, folder: Path | str) -> None:
     files["cases.csv"] = cascade_csv(study) if study.cascade else cases_csv(study)
     files["results.json"] = results_json(study)
     files["run.json"] = run_json(study)
-    files["report.html"] = render(study, drawn)
+    files["report.html"] = render(study, drawn, zoomable(study) if interactive and study.cases else None)
     write_files(files, Path(folder))
     _remove_former(Path(folder), files)
 
@@ -79,20 +85,26 @@ def _ours(path: Path) -> bool:
         return figures.SVG_MARK.encode() in file.read(200)
 
 
-def render(study: Study, drawn: Mapping[str, str]) -> str:
-    """Return report.html for a study and its figures (file name to `<svg>` element), all in one page."""
+def render(study: Study, drawn: Mapping[str, str], zoom: Zoomable | None = None) -> str:
+    """Return report.html for a study and its figures (file name to `<svg>` element), all in one page.
+
+    zoom: figures to take the place of the static ones where scripts run, or None.
+    """
     return (
         environment()
         .get_template("report.html.j2")
         .render(
             study=study,
-            css=style_sheet("report.css"),
+            css=style_sheet("report.css", *(["zoom.css"] if zoom is not None else [])),
             svg={name: Markup(text) for name, text in drawn.items()},  # noqa: S704 - matplotlib has escaped its text
             names=figure_names(study),
+            zoom=zoom,
             summary=summarise(study),
             loop_lines=loop_lines(study),
             case_tables=case_tables(study),
+            before_after_table=before_after_table(study),
             difference_table=difference_table(study),
+            site_table=site_table(study),
             cycle_tables=cycle_tables(study),
             estimate_tables=[estimate_table(e) for e in study.estimates],
             known=[known_sentences(e.found) for e in study.estimates],

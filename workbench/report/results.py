@@ -405,19 +405,20 @@ def results_content(study: Study) -> dict[str, Any]:
         **({} if study.front is None else {"tradeoff": _front(study.front)}),
         **({} if study.cycle_map is None else {"map": _map(study.cycle_map)}),
         **({} if study.robust_repair is None else {"robust_repair": _robust_repair(study.robust_repair)}),
-        **_cascade(study),
+        **_further(study),
         "reference_source": study.reference_source,
         "notes": list(study.notes),
         "trends": trends_content(study),
     }
 
 
-def _cascade(study: Study) -> dict[str, Any]:
-    if not study.cascade:
-        return {}
-    from workbench.report.cascade_results import cascade_content  # which builds on this module
+def _further(study: Study) -> dict[str, Any]:
+    # Both build on this module.
+    from workbench.report.cascade_results import cascade_content
+    from workbench.report.settings import site_content
 
-    return {"cascade": cascade_content(study)}
+    site = {} if study.site is None else {"site": site_content(study)}
+    return {"cascade": cascade_content(study), **site} if study.cascade else site
 
 
 def _dump(content: Any) -> str:

@@ -1,17 +1,21 @@
-"""The report's summary: sentences composed from the results by rules, never claiming more than the figures say."""
+"""The report's first screen: sentences composed from the results by rules, never claiming more than the figures say."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 from workbench.model.study import Study
-from workbench.report.advice import case_advice
+from workbench.report.advice import Advice, case_advice
 from workbench.report.cascade import cascade_sentences
+from workbench.report.confidence import Confidence, confidence, watch
 from workbench.report.cycles import cycle_sentences
 from workbench.report.estimates import estimate_advice, estimate_sentences
-from workbench.report.judge import on_bounds
-from workbench.report.over_ensemble import robust_advice
+from workbench.report.judge import base_case, on_bounds
+from workbench.report.over_ensemble import robust_advice, robust_choice
+from workbench.report.plain_truth import lasting
 from workbench.report.reference import reference_sentences
+from workbench.report.settings import as_found_as_left, rounding_sentences
+from workbench.report.tables import Table
 from workbench.report.words import join
 
 __all__ = ["Summary", "summarise"]
@@ -19,27 +23,66 @@ __all__ = ["Summary", "summarise"]
 
 @dataclass(frozen=True, slots=True)
 class Summary:
-    """What was found and what to do, sentence by sentence."""
+    """What was found and what to do, sentence by sentence.
+
+    decision: the one thing to do first, "" where there is nothing to decide. settings: as found and as left, None
+    where no case is recommended; typed: what the site's form and digits make of them. sure: how sure the recommendation
+    is. watch: what to watch after the change. do: what else to do; left: what the decision leaves, and what repair is
+    worth.
+    """
 
     found: tuple[str, ...]
+    decision: str
     do: tuple[str, ...]
+    left: tuple[str, ...]
+    settings: Table | None = None
+    typed: tuple[str, ...] = ()
+    sure: Confidence | None = None
+    watch: tuple[str, ...] = ()
+
+    @property
+    def advice(self) -> tuple[str, ...]:
+        """Every sentence on what to do, the decision first."""
+        return tuple(text for text in (self.decision, *self.do, *self.left) if text)
 
 
 def summarise(study: Study) -> Summary:
     """Return a study's summary in words."""
     found: list[str] = []
     do: list[str] = []
+    advice = Advice("")
     for i, named in enumerate(study.estimates):
         found += estimate_sentences(named, linear=i == 0)
         do += estimate_advice(named)
     if study.cases:
         found += cycle_sentences(study) + reference_sentences(study) + _bound_sentences(study)
-        do += robust_advice(study) or case_advice(study)
+        robust = robust_advice(study)
+        choice = robust_choice(study)
+        if choice is None:
+            advice = case_advice(study)
+        else:
+            advice = Advice(robust[0], choice, tuple(robust[1:]), tuple(lasting(study, choice)))
     if study.cascade:
-        seen, advice = cascade_sentences(study)
+        seen, told = cascade_sentences(study)
         found += seen
-        do += advice
-    return Summary(tuple(found), tuple(dict.fromkeys(do)))
+        do += told
+    decision, rest = advice.decision, dict.fromkeys((*advice.do, *do))
+    if not decision and rest:
+        decision = next(iter(rest))
+        del rest[decision]
+    case, base = advice.case, base_case(study)
+    if case is None:
+        return Summary(tuple(found), decision, tuple(rest), advice.left)
+    return Summary(
+        tuple(found),
+        decision,
+        tuple(rest),
+        advice.left,
+        settings=as_found_as_left(study, base, case),
+        typed=tuple(rounding_sentences(study, [case])) if case is not base else (),
+        sure=confidence(study, case),
+        watch=tuple(watch(study, base, case)),
+    )
 
 
 def _bound_sentences(study: Study) -> list[str]:

@@ -13,8 +13,9 @@ from workbench.report.results import reference_names
 from workbench.report.shared import CONTROLLER_ROWS
 from workbench.report.words import decimals_of, difference, duration, figure, published, setting
 
-__all__ = ["Cell", "Row", "Table", "blocks", "case_tables", "difference_table", "shown"]
+__all__ = ["Cell", "Row", "Table", "blocks", "case_tables", "difference_table", "printed", "shown"]
 
+TIMES = ("settling_time", "oscillation_period")
 COLUMNS = 7  # cases beside each other in one table: what an A4 page holds
 
 
@@ -63,9 +64,14 @@ def shown(kpi: str, value: float) -> str:
     """Return a figure as the tables print it; `kpi` is its name in `Kpis`."""
     if kpi == "settling_time" and math.isinf(value):
         return "not in the run"
-    if kpi in ("settling_time", "oscillation_period"):
+    if kpi in TIMES:
         return duration(value)
     return f"{value:,.0f}" if kpi == "reversals" else figure(value)
+
+
+def printed(kpi: str, value: float, decimals: int) -> str:
+    """Return a published figure as it was printed, a time (s) in the unit that reads best."""
+    return duration(value) if kpi in TIMES else published(value, decimals)
 
 
 def case_tables(study: Study) -> list[Table]:
@@ -115,7 +121,7 @@ def _case_rows(study: Study, block: Sequence[CaseResult], decimals: dict[str, in
         for case, value in zip(block, values, strict=True):
             small = doubts[case.name]
             if name in case.reference:
-                small = f"publ. {published(case.reference[name], decimals[name])}"
+                small = f"publ. {printed(name, case.reference[name], decimals[name])}"
             mark = less and len(study.cases) > 1 and value == best and math.isfinite(value) and case in fit
             cells.append(Cell(shown(name, value), small, mark))
         rows.append(Row(title, unit, tuple(cells), group=first))
@@ -141,8 +147,11 @@ def difference_table(study: Study) -> Table | None:
             decimals = decimals_of([c.reference[name] for c in study.cases if name in c.reference])
             ours = _value(case, name)
             text = difference(ours, theirs, decimals)
-            here = shown(name, ours) if math.isinf(ours) else published(ours, decimals)
-            cells.append(Cell(text, f"{here} here, {published(theirs, decimals)} published", text == "to the digit"))
+            text = "not in the run here" if name in TIMES and math.isinf(ours) else text
+            here = shown(name, ours) if math.isinf(ours) else printed(name, ours, decimals)
+            cells.append(
+                Cell(text, f"{here} here, {printed(name, theirs, decimals)} published", text == "to the digit")
+            )
         rows.append(Row(case.name, "", tuple(cells)))
     heads = []
     for name in names:

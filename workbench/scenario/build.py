@@ -31,6 +31,7 @@ from workbench.scenario.refusals import Refusals, one_line
 from workbench.scenario.robust import RobustEntries, measured_in
 from workbench.scenario.rule_entries import DetunedIntegralRule, rule_of
 from workbench.scenario.series import in_samples, read_data
+from workbench.scenario.site_entries import site_form
 from workbench.scenario.valves import plant_of, valve_of
 from workbench.simulate.signals import sample_count
 
@@ -104,6 +105,8 @@ class Builder:
             self._fits(experiment, sample_time, whole)
         estimates = self._estimates(given, records, whole, experiment)
         mapped = map_job(given.analyze.map, self.refusals, cases=bool(given.cases))
+        own_form = None if loop.controller is None else loop.controller.form
+        site = site_form(given.site, self.refusals, self.controllers.pv_range, own_form, cases=bool(given.cases))
         if self.refusals.issues:
             return None
         return Scenario(
@@ -125,6 +128,7 @@ class Builder:
             tradeoff=given.analyze.tradeoff,
             cycle_map=mapped,
             ensemble=shared or measured_in(cases, tradeoff=given.analyze.tradeoff),
+            site=site,
             notes=tuple(self.notes),
             warnings=tuple(self.warnings),
         )

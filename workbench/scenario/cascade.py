@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 __all__ = ["cascade_scenario"]
 
 # What only a single loop has.
-SINGLE = ("loop", "ensemble", "estimate")
+SINGLE = ("loop", "ensemble", "estimate", "site")
 
 
 def cascade_scenario(builder: Builder, given: schema.ScenarioFile, entry: schema.Cascade) -> Scenario | None:

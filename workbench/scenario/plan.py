@@ -15,6 +15,7 @@ from workbench.model.experiment import Experiment
 from workbench.model.loop import Loop
 from workbench.model.record import Record
 from workbench.model.rule import Rule
+from workbench.model.site import SiteForm
 from workbench.model.tuning import Bounds, Objective
 
 __all__ = [
@@ -170,7 +171,8 @@ class Scenario:
     case asks for a loop. pv_range: EU, or None. objective: what J is computed with for every case, or None. repair:
     whether to say what repairing the valve is worth. tradeoff: whether to find the front of error against travel.
     cycle_map: the map to draw, or None. cascade: the cases of a cascade, which has no others and no loop.
-    ensemble: what the cases are measured in beside the experiment, None where nothing asks for it. notes: what loading
+    ensemble: what the cases are measured in beside the experiment, None where nothing asks for it. site: how the site
+    writes its settings, None for the controllers' own form in %/EU and s. notes: what loading
     assumed or left out (rejected rows, coarse sampling), for the report. warnings: what can be run and is most likely
     a mistake.
     """
@@ -194,5 +196,6 @@ class Scenario:
     cycle_map: MapJob | None = None
     ensemble: EnsembleJob | None = None
     cascade: tuple[CascadeJob, ...] = ()
+    site: SiteForm | None = None
     notes: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()

@@ -36,6 +36,7 @@ from workbench.scenario.loader import load_scenario
 from workbench.scenario.over_ensemble import best_robust, front_of, with_robustness
 from workbench.scenario.plan import CaseJob, EstimateJob, MapJob, Scenario, TuneJob
 from workbench.scenario.robust import constraints_of
+from workbench.scenario.site_cases import site_cases
 from workbench.simulate.run import evaluate, simulate
 from workbench.tune.repair import repair_over, repaired_outcome, value_of_repair
 from workbench.tune.tune import tune
@@ -140,6 +141,8 @@ class _Runner:
             front=front,
             robust_repair=robust_repair,
             cycle_map=mapped,
+            site=plan.site,
+            site_cases=() if plan.site is None else site_cases(plan.site, cases, plan.objective),
             times=self.times,
         )
 

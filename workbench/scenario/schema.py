@@ -39,6 +39,7 @@ from workbench.scenario.estimate_entries import Estimate
 from workbench.scenario.map_entries import MapEntry
 from workbench.scenario.robust_entries import ConstraintsEntry, EnsembleEntry, RobustEntry, TravelBudget
 from workbench.scenario.rule_entries import RuleEntry
+from workbench.scenario.site_entries import SiteEntry
 
 __all__ = [
     "Bounds",
@@ -472,6 +473,7 @@ class ScenarioFile(Closed):
     estimate: Annotated[list[Estimate], Field(min_length=1, max_length=50), OneOrMany()] | None = None
     cases: Annotated[list[Case], Field(max_length=200)] = Field(default_factory=list)
     analyze: Analyze = Analyze()
+    site: Annotated[SiteEntry | None, Field(description="the site's own form and units")] = None
 
 
 def json_schema() -> str:

@@ -57,6 +57,8 @@ def screen_of(plan: Scenario) -> Loaded:
         )
     if first is not None:
         entries |= controller_entries(first)
+    if plan.site is not None:
+        notes.append("How the site writes its settings (site:) is left out here: the page has them in %/EU and s.")
     if plan.pv_range is not None:
         entries |= _ends("loop.pv_range", plan.pv_range)
     more: dict[str, tuple[Profile, ...]] = {"setpoint": (), "load": ()}
@@ -74,10 +76,16 @@ def screen_of(plan: Scenario) -> Loaded:
         if parts:
             notes.append(f"The {name} has {len(parts)} more part{'s' if len(parts) > 1 else ''}, kept as they are.")
     if plan.objective is not None:
-        entries |= _objective(plan.objective)
+        weights = _objective(plan.objective)
         unshown = [name for name in dict(plan.objective.kpis) if f"objective.{name}" not in FIELDS]
-        if unshown:
-            notes.append(f"The objective also weighs {', '.join(unshown)}: this page leaves that out.")
+        if any(float(weight) > 0.0 for weight in weights.values()):
+            entries |= weights
+            if unshown:
+                notes.append(f"The objective also weighs {', '.join(unshown)}: this page leaves that out.")
+        else:
+            notes.append(
+                "The objective weighs figures that this page has no entry for: the page keeps its own, w1 and w3."
+            )
     entries |= _typed(plan)
     cases = []
     for i, case in enumerate(plan.cases):

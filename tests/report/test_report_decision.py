@@ -1,0 +1,266 @@
+"""The first screen: what to set, in the site's own form, how sure that is, and what to watch then."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from workbench.model.ensemble import Ensemble
+from workbench.model.experiment import Experiment, Noise, Step
+from workbench.model.results import Intervals, Kpis, Outcome, Repair, Restart, Robustness, Tuned
+from workbench.model.site import SiteForm
+from workbench.model.study import CaseResult, NamedEstimate, Study
+from workbench.report.page import write_report
+from workbench.report.results import results_json
+from workbench.report.settings import as_found_as_left, site_table
+from workbench.report.summary import summarise
+from workbench.scenario.site_cases import site_cases
+from workbench.simulate.run import evaluate, simulate
+
+Make = Callable[..., Any]
+SITE = SiteForm("series", "PB %", "repeats/min", "min", (0.0, 70.0))
+
+
+def of(study: Study, *cases: CaseResult, site: SiteForm | None = None, **more: Any) -> Study:
+    typed = () if site is None else site_cases(site, cases, study.objective)
+    return replace(study, cases=cases, estimates=(), site=site, site_cases=typed, **more)
+
+
+def late(case: CaseResult) -> CaseResult:
+    """The case with a cycle that a run of 1000 s does not show."""
+    assert case.limit_cycle is not None
+    return replace(case, limit_cycle=replace(case.limit_cycle, window=5000.0))
+
+
+def tried(case: CaseResult, diverged: int = 0) -> CaseResult:
+    k = case.run.kpis
+    ensemble = replace(Ensemble.plant_ready(case.loop), draws=2)
+    errors, travels = ([getattr(k, name)] * 2 for name in ("mean_square_error", "valve_travel"))
+    found = Robustness(
+        case.loop, ensemble, 1.0, np.array(errors), np.array(travels), diverged, stable=True, max_sensitivity=1.7,
+        gain_margin=3.0, phase_margin=50.0,
+    )  # fmt: skip
+    return replace(case, robustness=found)
+
+
+def sure(study: Study, *cases: CaseResult) -> tuple[str, str]:
+    said = summarise(of(study, *cases)).sure
+    assert said is not None
+    return said.level, " ".join(said.reasons)
+
+
+def test_a_run_that_hides_the_cycle_makes_confidence_low(study: Study) -> None:
+    level, reasons = sure(study, study.cases[0], late(study.cases[2]))
+    assert level == "low"
+    assert "this run is too short to show it" in reasons
+    level, reasons = sure(study, *study.cases)
+    assert level == "moderate"
+    assert "this run is too short to show it" not in reasons
+    assert "Search: 2 of 3 independent searches end within 0.1 % of the best J, the worst" in reasons
+    assert "Digits: the settings have 4; within the larger of ±0.1 %" in reasons
+    assert "nothing here holds plant and valve against the plant's records" in reasons
+
+
+def test_high_asks_for_searches_that_agree_and_plants_that_differ(study: Study) -> None:
+    best = study.cases[2]
+    assert best.tuned is not None
+    same = replace(best.tuned, restarts=tuple(Restart(k, 11.0, 10.5, 1, 1, 1) for k in range(3)))
+    agreed = replace(best, tuned=same)
+    assert sure(study, study.cases[0], agreed)[0] == "moderate", "not tried elsewhere"
+    assert sure(study, study.cases[0], tried(agreed))[0] == "high"
+    said = summarise(of(study, study.cases[0], tried(agreed))).sure
+    assert said is not None
+    assert said.why.startswith("Provided that the loop is as the scenario gives it")
+    apart = replace(best.tuned, restarts=tuple(Restart(k, 11.0, 10.5 + k, 1, 1, 1) for k in range(3)))
+    level, reasons = sure(study, study.cases[0], tried(replace(best, tuned=apart)))
+    assert level == "moderate", "the searches do not agree"
+    assert "the worst 19 % above it" in reasons
+    close = replace(best.tuned, restarts=tuple(Restart(k, 11.0, 10.5 + 0.04 * k, 1, 1, 1) for k in range(3)))
+    assert sure(study, study.cases[0], tried(replace(best, tuned=close)))[0] == "high", "none is 1 % worse"
+    level, reasons = sure(study, study.cases[0], tried(agreed, diverged=1))
+    assert level == "low"
+    assert "Of 2 draws of other plants and circumstances 1 diverge" in reasons
+    unseen = replace(tried(agreed), limit_cycle=None)
+    assert sure(study, study.cases[0], unseen)[0] == "moderate"
+
+
+def test_a_run_at_odds_with_the_long_run_is_no_high_confidence(study: Study) -> None:
+    noisy = Experiment(duration=1000.0, setpoint=Step(4.0), noise=Noise(0.3, 1))
+    one = study.cases[2]
+    assert one.tuned is not None
+    same = replace(one.tuned, restarts=tuple(Restart(k, 11.0, 10.5, 1, 1, 1) for k in range(3)))
+    best = replace(tried(one), tuned=same, run=simulate(one.loop, noisy))
+    said = summarise(of(study, study.cases[0], best, experiment=noisy)).sure
+    assert said is not None
+    assert said.level == "moderate"
+    assert said.why == "The run shows another motion of the valve than the long run."
+    assert "% an hour instead of 142 %" in " ".join(said.reasons)
+
+
+def test_a_knife_edge_makes_it_low(study: Study, tuned: Make) -> None:
+    best = tried(study.cases[2])
+    sharp = replace(best, tuned=tuned(best.loop.controller, best.objective, worst=2.0))
+    assert sure(study, study.cases[0], sharp)[0] == "low"
+
+
+def test_what_the_record_pins_of_the_loop_counts(study: Study, estimated: Make) -> None:
+    found, _ = estimated()
+    loop = replace(study.cases[0].loop, plant=found.plant, valve=found.valve)
+    case = replace(study.cases[0], loop=loop, limit_cycle=None)
+
+    def told(**changes: Any) -> tuple[str, str]:
+        named = NamedEstimate("FIC1", replace(found, **changes))
+        said = summarise(replace(study, cases=(case,), estimates=(named,))).sure
+        assert said is not None
+        return said.level, said.reasons[0]
+
+    level, reason = told(verdict="undecided")
+    assert level == "low"
+    assert reason.endswith("whether the valve sticks is undecided.")
+    assert told(intervals=Intervals())[1].endswith(
+        "hardly known or without a range: Stiction d, Gain K, Time constant and Dead time."
+    )
+    assert "does not pin the stiction apart from the gain" in told(identifiable=False)[1]
+    assert "the valve: d = 2.00 % (95 % range 1.99 to 2.01 %); gain 1.97 to 2.01 EU/% (95 % range)" in told()[1]
+
+
+def test_one_given_tuning_leaves_nothing_to_set(study: Study) -> None:
+    summary = summarise(of(study, study.cases[0]))
+    assert summary.decision.startswith("Nothing to set: Case 1 (Kc 0.5 %/EU, Ti 20 s) is the only tuning here")
+    assert summary.watch == ()
+    assert summary.settings is not None
+    assert len(summary.settings.heads) == 1
+
+
+def test_what_gains_next_to_nothing_is_not_worth_a_change(study: Study, case: Make) -> None:
+    near = case("Near", 0.5, 20.01)
+    assert 0.95 * study.cases[0].objective < near.objective
+    better = replace(near, objective=0.97 * study.cases[0].objective)
+    told = summarise(of(study, study.cases[0], better))
+    assert told.decision.startswith(
+        "Keep Case 1 (Kc 0.5 %/EU, Ti 20 s): nothing here is worth a change. The best other"
+    )
+    assert told.watch == ()
+    calmer = replace(better, run=replace(better.run, kpis=replace(better.run.kpis, valve_travel=5.0)))
+    assert summarise(of(study, study.cases[0], calmer)).decision.startswith("Set Kc 0.5 %/EU, Ti 20.01 s (Near)")
+
+
+def test_given_tunings_are_not_called_the_best_there_is(study: Study) -> None:
+    reasons = sure(study, *study.cases[:2])[1]
+    assert "No tuning was searched for: this is the best of the given ones" in reasons
+
+
+def test_the_long_run_stands_beside_the_run(study: Study) -> None:
+    worn = replace(study.cases[2].limit_cycle, mean_square_error=0.2, travel_per_hour=1420.0)
+    starts = tuple(replace(s, mean_square_error=0.2, travel_per_hour=1420.0) for s in worn.starts)
+    best = replace(study.cases[2], limit_cycle=replace(worn, starts=starts))
+    told = summarise(of(study, study.cases[0], best)).decision
+    assert told.endswith("In the long run: mean square error −75 %, valve travel 10 times.")
+    apart = replace(worn, starts=(starts[0], replace(starts[1], mean_square_error=0.5)))
+    told = summarise(of(study, study.cases[0], replace(best, limit_cycle=apart))).decision
+    assert "In the long run" not in told, "which cycle comes depends on the start"
+
+
+def _repair(study: Study, kpis: Kpis) -> Repair:
+    best = study.cases[2]
+    assert isinstance(best.tuned, Tuned)
+    one = Outcome(best.loop.controller, 1.0, best.run.kpis)
+    four = (one, one, one, replace(one, kpis=kpis))
+    return Repair(best.loop, best.run.experiment, best.tuned.weights, *four, best.tuned, best.tuned)
+
+
+def test_repair_is_told_only_where_it_was_asked_and_brings_something(study: Study) -> None:
+    left = study.cases[2].run.kpis
+    half = replace(left, error_variance=0.25 * left.error_variance)
+    cases = (study.cases[0], study.cases[2])
+    told = summarise(of(study, *cases, repair=_repair(study, half))).decision
+    assert told.endswith(
+        "Repairing the valve, and tuning anew, would bring a further −50 % in PV standard deviation, travel unchanged."
+    )
+    told = summarise(of(study, *cases, repair=_repair(study, left))).decision
+    assert "would bring no less PV standard deviation than this" in told
+    assert "epair" not in summarise(of(study, *cases)).decision
+
+
+def test_a_moving_setpoint_is_not_told_as_scatter_of_pv(study: Study) -> None:
+    moves = Experiment(duration=1000.0, setpoint=Step(4.0, 500.0), noise=Noise(0.1, 1))
+    cases = []
+    for one in (study.cases[0], study.cases[2]):
+        cost = float(evaluate(one.loop, moves, study.objective)[0])
+        cases.append(replace(one, run=simulate(one.loop, moves), objective=cost))
+    told = summarise(of(study, *cases, experiment=moves))
+    assert "standard deviation of SP − PV" in told.decision
+    assert "PV standard deviation" not in told.decision
+    assert told.settings is not None
+    assert {"Standard deviation of PV", "Standard deviation of SP − PV"} <= {row.label for row in told.settings.rows}
+
+
+def test_what_to_watch_holds_the_figures_and_the_way_back(study: Study, case: Make) -> None:
+    watch = " ".join(summarise(of(study, study.cases[0], study.cases[2])).watch)
+    assert "The cycle that remains: PV 2.01 EU every 12.0 s" in watch
+    assert "Valve travel: 16.8 % in this run of 17 min, 142 % an hour in the long run" in watch
+    assert "the gain is 4.7 times what it was; noise of 1 EU moves OP by 2.35 %" in watch
+    assert "put back Kc 0.5 %/EU, Ti 20 s (Case 1)" in watch
+    assert "Recovery" not in watch
+    slow = replace(case("Slow", 0.5, 200.0), objective=1.0)
+    watch = " ".join(summarise(of(study, study.cases[0], slow)).watch)
+    assert "the integral gain Kc/Ti is 10 % of what it was" in watch
+    wild = " ".join(summarise(of(study, case("Wild", 50.0, 5.0), study.cases[2])).watch)
+    assert "put back" not in wild, "an unstable loop is nothing to go back to"
+
+
+def test_settings_stand_as_the_site_types_them(study: Study) -> None:
+    told = of(study, study.cases[0], study.cases[2], site=SITE)
+    summary = summarise(told)
+    assert summary.decision.startswith("Set proportional band 60.76 %, 6.316 repeats/min (series form) (Optimised PI)")
+    assert summary.settings is not None
+    assert summary.settings.heads == ("as found: Case 1", "as left: Optimised PI", "change")
+    rows = {row.label: [cell.text for cell in row.cells] for row in summary.settings.rows}
+    assert rows["Form"][:2] == ["series", "series"]
+    assert rows["Proportional band"][:2] == ["285.7 %", "60.76 %"]
+    assert rows["Integral Ti"][:2] == ["3 repeats/min", "6.316 repeats/min"]
+    assert rows["Valve travel"][:2] == ["12.18", "16.80"]
+    assert rows["Action"][:2] == ["reverse", "reverse"]
+    typed = told.site_cases[1]
+    assert typed.objective != told.cases[1].objective, "the rounded digits are other settings"
+    assert "Optimised PI is Kc 2.351 %/EU, Ti 9.500 s in the scenario's form; rounded" in summary.typed[0]
+    table = site_table(told)
+    assert table is not None
+    assert [row.label for row in table.rows] == ["Case 1", "Optimised PI"]
+    content = json.loads(results_json(told))["site"]
+    assert content["units"] == {"gain": "%", "integral": "repeats/min", "derivative": "min"}
+    assert content["cases"][1]["objective"] == pytest.approx(typed.objective)
+    assert "site" not in json.loads(results_json(study))
+
+
+def test_a_form_without_equivalent_says_so(study: Study, case: Make) -> None:
+    steep = replace(case("Steep", 0.5, 20.0, 6.0), objective=1.0)
+    summary = summarise(of(study, study.cases[0], steep, site=SITE))
+    assert "Kc 0.5 %/EU, Ti 20 s, Td 6 s, which has no equivalent in the site's series form" in summary.decision
+    assert "Ti >= 4 Td" in summary.typed[0]
+    assert summary.settings is not None
+    assert summary.settings.rows[1].cells[1].text == "no equivalent"
+
+
+def test_without_a_site_the_controllers_own_form_is_shown(study: Study) -> None:
+    table = as_found_as_left(study, study.cases[0], study.cases[2])
+    rows = {row.label: [cell.text for cell in row.cells] for row in table.rows}
+    assert rows["Gain Kc"][:2] == ["0.5 %/EU", "2.351 %/EU"]
+    assert rows["Integral Ti"][:2] == ["20 s", "9.500 s"]
+    assert rows["Valve travel"] == ["12.18", "16.79", "+38 %"]
+
+
+def test_names_stay_text_on_the_first_screen(study: Study, tmp_path: Path) -> None:
+    script = "<script>alert(1)</script>"
+    cases = (replace(study.cases[0], name=f"Was {script}"), replace(study.cases[2], name=script))
+    told = replace(of(study, *cases, site=SITE), estimates=())
+    write_report(told, tmp_path)
+    page = (tmp_path / "report.html").read_text()
+    assert script not in page
+    assert page.count("&lt;script&gt;") > 3

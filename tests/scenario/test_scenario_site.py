@@ -1,0 +1,121 @@
+"""`site:`: how the site writes its settings, what is refused there, and that what is typed in is what is simulated."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+import workbench as wb
+from workbench.model.site import SiteForm
+from workbench.scenario.loader import load_scenario
+
+BASE = """\
+title: A site
+loop:
+  plant: {type: fopdt, gain: 1.0, time_constant: 5 s, dead_time: 1 s}
+  valve: {type: stenman, d: 2 %}
+  controller: {form: ideal, derivative_filter: none}
+  sample_time: 1 s
+  pv_range: [0, 70]
+experiment: {duration: 300 s, setpoint: {step: 4, at: 0 s}}
+objective: {w1: 0.5, w3: 0.5}
+cases:
+  - {name: As found, Kc: 0.5, Ti: 20 s}
+  - {name: Sharp, Kc: 2.3844, Ti: 9.0921 s, Td: 0.5 s}
+  - {name: All derivative, Kc: 0.5, Ti: 20 s, Td: 6 s}
+analyze: {describing_function: false, limit_cycle: false}
+site: SITE
+"""
+
+
+def written(folder: Path, entry: str, base: str = BASE) -> Path:
+    path = folder / "site.yaml"
+    path.write_text(base.replace("SITE", entry))
+    return path
+
+
+def test_the_entry_is_the_form(tmp_path):
+    entry = "{form: series, gain: proportional_band, integral: repeats_per_minute, derivative: minutes}"
+    plan = load_scenario(written(tmp_path, entry))
+    assert plan.site == SiteForm("series", "PB %", "repeats/min", "min", (0.0, 70.0))
+    assert load_scenario(written(tmp_path, "{}")).site == SiteForm(pv_range=(0.0, 70.0))
+    series = BASE.replace("form: ideal", "form: series")
+    assert load_scenario(written(tmp_path, "{integral: repeats_per_second}", series)).site.form == "series"
+    assert load_scenario(written(tmp_path, "", BASE.replace("site: SITE\n", ""))).site is None
+
+
+def test_what_is_typed_in_is_simulated(tmp_path):
+    entry = "{form: series, gain: proportional_band, integral: repeats_per_minute, derivative: minutes}"
+    study = wb.run_scenario(written(tmp_path, entry))
+    found, sharp, none = study.site_cases
+    assert [one.name for one in study.site_cases] == ["As found", "Sharp", "All derivative"]
+    assert (found.settings.gain, found.settings.integral, found.settings.derivative) == (285.7, 3.0, 0.0)
+    for one, case in ((found, study.cases[0]), (sharp, study.cases[1])):
+        loop = case.loop.with_controller(one.settings.controller)
+        kpis = wb.simulate(loop, study.experiment).kpis
+        assert (one.kpis.valve_travel, one.kpis.error_variance) == (kpis.valve_travel, kpis.error_variance)
+        assert one.objective == wb.evaluate(loop, study.experiment, study.objective)[0]
+        assert one.settings.controller.form == "series"
+    assert none.settings is None
+    assert "Ti >= 4 Td" in none.refused
+    assert none.kpis is None
+
+
+def test_given_settings_in_these_very_units_keep_their_digits(tmp_path):
+    study = wb.run_scenario(written(tmp_path, "{}"))
+    assert study.site_cases[1].settings.controller == study.cases[1].loop.controller
+    assert study.site_cases[1].kpis is study.cases[1].run.kpis
+    in_minutes = wb.run_scenario(written(tmp_path, "{integral: minutes}")).site_cases[1]
+    assert (in_minutes.settings.gain, in_minutes.settings.integral) == (2.384, 0.1515)
+
+
+@pytest.mark.parametrize(
+    ("entry", "base", "text"),
+    [
+        ("{gian: minutes}", BASE, ":15:8: site.gian: unknown key (did you mean gain?)"),
+        ("{gain: PB}", BASE, ":15:14: site.gain: PB given"),
+        ("{form: pid}", BASE, ":15:14: site.form: pid given"),
+        ("{integral: 3 s}", BASE, ":15:18: site.integral: 3 s given"),
+        ("minutes", BASE, ":15:7: site: minutes given; must be a mapping"),
+        (
+            "{gain: proportional_band}",
+            BASE.replace("  pv_range: [0, 70]\n", ""),
+            ":14:14: site.gain: proportional_band given; needs loop.pv_range: [low, high] in EU",
+        ),
+        (
+            "{form: parallel, gain: proportional_band}",
+            BASE,
+            ":15:30: site.gain: proportional_band given; a parallel controller has a gain for each action",
+        ),
+        (
+            "{form: parallel, integral: repeats_per_minute}",
+            BASE,
+            ":15:34: site.integral: repeats_per_minute given; the integral action of a parallel controller is a gain",
+        ),
+    ],
+)
+def test_what_is_wrong_is_said_at_its_place(tmp_path, entry, base, text):
+    with pytest.raises(wb.ScenarioError) as caught:
+        load_scenario(written(tmp_path, entry, base))
+    assert f"site.yaml{text}" in str(caught.value)
+
+
+def test_a_site_without_cases_is_refused(tmp_path):
+    text = (
+        "title: None\nestimate: {simulate: true}\nsite: {form: ideal}\n"
+        + BASE[BASE.index("loop:") : BASE.index("cases:")]
+    )
+    text = text.replace("derivative_filter: none}", "Kc: 0.5, Ti: 20 s}")
+    path = tmp_path / "site.yaml"
+    path.write_text(text)
+    with pytest.raises(wb.ScenarioError, match="site: given without cases"):
+        load_scenario(path)
+
+
+def test_a_cascade_has_no_site(tmp_path):
+    text = (Path(__file__).parents[2] / "scenarios" / "cascade.yaml").read_text()
+    path = tmp_path / "cascade.yaml"
+    path.write_text(f"{text}\nsite: {{form: series}}\n")
+    with pytest.raises(wb.ScenarioError, match="site: given, and cascade as well"):
+        load_scenario(path)

@@ -1,0 +1,129 @@
+"""A controller's settings as the site writes them: its form, gain or proportional band, seconds, minutes or repeats.
+
+Inside, Kc is in %/EU and times are in seconds; here is the exact way out and back, at the digits that are typed in.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+from workbench.errors import InvalidValue
+from workbench.model.checks import choice, ordered_pair
+from workbench.model.controller import FORMS, PID
+from workbench.model.results import Kpis
+from workbench.model.units import GAIN_UNITS, INTEGRAL_UNITS, gain_from, gain_to, integral_time_from, integral_time_to
+
+__all__ = ["SiteCase", "SiteForm", "SiteSettings"]
+
+DERIVATIVE_UNITS = ("s", "min")
+
+
+@dataclass(frozen=True, slots=True)
+class SiteSettings:
+    """Settings as typed in: gain, integral and derivative in the site's units, and the controller that they make.
+
+    A gain is inf for the proportional band of a controller without gain; an integral is inf for no integral action
+    where it is a time, and 0 where it is a rate.
+    """
+
+    gain: float
+    integral: float
+    derivative: float
+    controller: PID
+
+
+@dataclass(frozen=True, slots=True)
+class SiteForm:
+    """How a site writes its controllers.
+
+    form: "ideal", "series" or "parallel". gain: "%/EU", "%/%" of the PV range, or "PB %", the proportional band
+    `100 / (%/%)`: the per cent of its range that PV moves for OP to move 100 %. With the range's span in EU,
+    `PB = 100 * 100 / (Kc span)`. integral: "s", "min", "repeats/min" or "repeats/s"; derivative: "s" or "min".
+    In the parallel form all three are gains: the integral one is told in %/EU (or %/%) per s or min, the derivative one
+    times s or min; it has no proportional band, and no repeats. pv_range: (low, high) in EU, needed for "%/%" and
+    "PB %". Raises `InvalidValue`.
+    """
+
+    form: str = "ideal"
+    gain: str = "%/EU"
+    integral: str = "s"
+    derivative: str = "s"
+    pv_range: tuple[float, float] | None = None
+
+    def __post_init__(self) -> None:
+        choice(self.form, "SiteForm.form", FORMS)
+        choice(self.gain, "SiteForm.gain", GAIN_UNITS)
+        choice(self.integral, "SiteForm.integral", INTEGRAL_UNITS)
+        choice(self.derivative, "SiteForm.derivative", DERIVATIVE_UNITS)
+        if self.form == "parallel" and self.gain == "PB %":
+            allowed = "must be a gain: the actions of a parallel controller have a gain each, and no common band"
+            raise InvalidValue("SiteForm.gain", self.gain, allowed)
+        if self.form == "parallel" and self.integral.startswith("repeats"):
+            allowed = "must be s or min: the integral action of a parallel controller is a gain of its own"
+            raise InvalidValue("SiteForm.integral", self.integral, allowed)
+        if self.pv_range is not None:
+            object.__setattr__(self, "pv_range", ordered_pair(self.pv_range, "SiteForm.pv_range"))
+        elif self.gain != "%/EU":
+            raise InvalidValue("SiteForm.pv_range", "none", f"a gain in {self.gain} needs a PV range (low, high)")
+
+    @property
+    def units(self) -> tuple[str, str, str]:
+        """The units of gain, integral and derivative in words: a band's "%", a parallel integral's "%/(EU s)"."""
+        per = "%" if self.gain == "%/%" else "EU"
+        if self.form == "parallel":
+            return f"%/{per}", f"%/({per} {self.integral})", f"% {self.derivative}/{per}"
+        return "%" if self.gain == "PB %" else f"%/{per}", self.integral, self.derivative
+
+    def settings(self, controller: PID, digits: int | None = None) -> SiteSettings:
+        """Return a controller's settings in this form and these units, each rounded to `digits` significant digits.
+
+        The settings' controller has exactly the rounded numbers (its filter ratio rounded as well), so that it is the
+        one to simulate. digits: None rounds nothing. Raises `InvalidValue` where the form has no equivalent (see
+        `PID.to_form`).
+        """
+        pid = controller.to_form(self.form)
+        minute = 60.0 if self.derivative == "min" else 1.0
+        gain = gain_to(pid.Kc, self.gain, self.pv_range)
+        if self.form == "parallel":
+            scale = gain_to(1.0, self.gain, self.pv_range)
+            slow = 60.0 if self.integral == "min" else 1.0
+            numbers = gain, 0.0 if math.isinf(pid.Ti) else scale * slow / pid.Ti, scale * pid.Td / minute
+        else:
+            numbers = gain, integral_time_to(pid.Ti, self.integral), pid.Td / minute
+        if digits is None:
+            return SiteSettings(*numbers, pid)
+        typed = [_rounded(value, digits) for value in numbers]
+        if pid is not controller:  # the ratio that converts a filter has no last digit either
+            pid = replace(pid, derivative_filter=_rounded(pid.derivative_filter, digits))
+        return SiteSettings(typed[0], typed[1], typed[2], self._made(pid, *typed))
+
+    def _made(self, pid: PID, gain: float, integral: float, derivative: float) -> PID:
+        """Return a controller of this form with the numbers given in these units."""
+        Kc = 0.0 if math.isinf(gain) else gain_from(gain, self.gain, self.pv_range)
+        minute = 60.0 if self.derivative == "min" else 1.0
+        if self.form == "parallel":
+            scale = gain_to(1.0, self.gain, self.pv_range)
+            slow = 60.0 if self.integral == "min" else 1.0
+            Ti = scale * slow / integral if integral > 0.0 else math.inf
+            return replace(pid, Kc=Kc, Ti=Ti, Td=derivative * minute / scale)
+        return replace(pid, Kc=Kc, Ti=integral_time_from(integral, self.integral), Td=derivative * minute)
+
+
+@dataclass(frozen=True, slots=True)
+class SiteCase:
+    """A case as typed in at the site: its settings, and what the same experiment gives with exactly them.
+
+    settings: None where the site's form has no equivalent, and `refused` then says why. kpis and objective: of the
+    controller with the rounded numbers, by exact simulation; the objective None where the scenario has none.
+    """
+
+    name: str
+    settings: SiteSettings | None
+    kpis: Kpis | None = None
+    objective: float | None = None
+    refused: str = ""
+
+
+def _rounded(value: float, digits: int) -> float:
+    return value if value == 0.0 or not math.isfinite(value) else float(f"{value:.{digits - 1}e}")

@@ -1,0 +1,259 @@
+"""How sure a recommendation is, from the results alone: a word, its reasons in numbers, and what to watch then.
+
+"high" asks for all of: a test over an ensemble that every draw passes, searches that agree, no knife-edge, a model
+whose parameters are known (or given), a run that shows the loop's own cycle. "low" is said of what may well turn out
+otherwise: an undecided valve, a knife-edge, draws that diverge, a run too short for the cycle. The rest is "moderate".
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+from workbench.model.plant import FOPDT
+from workbench.model.results import LimitCycle, Robustness, Tuned
+from workbench.model.study import CaseResult, NamedEstimate, Study
+from workbench.model.titles import kpi_title
+from workbench.report.estimates import known_groups, stiction_words
+from workbench.report.judge import at_odds, last_change, quiet, run_travel, unstable
+from workbench.report.settings import settings_words
+from workbench.report.words import capital, duration, figure, given, interval, join, nearby
+
+__all__ = ["Confidence", "confidence", "watch"]
+
+NEARLY = 1.01  # ratio of the worst search's J to the best's up to which it does not matter which of them was lucky
+SLOWER = 0.5  # ratio of integral gains below which the controller is said to recover more slowly
+STRONGER = 1.5  # ratio of gains above which it is said to pass more noise to the valve
+
+
+@dataclass(frozen=True, slots=True)
+class Confidence:
+    """A level ("high", "moderate" or "low"), its reasons, and in short why it is no higher."""
+
+    level: str
+    reasons: tuple[str, ...]
+    why: str
+
+
+@dataclass
+class _Judged:
+    """The reasons so far; `doubts` speak for low, `open_points` against high, each in a few words."""
+
+    reasons: list[str] = field(default_factory=list)
+    doubts: list[str] = field(default_factory=list)
+    open_points: list[str] = field(default_factory=list)
+
+    def say(self, text: str, *, doubt: str = "", open_point: str = "") -> None:
+        self.reasons.append(f"{text}.")
+        self.doubts += [doubt] if doubt else []
+        self.open_points += [open_point] if open_point else []
+
+
+def confidence(study: Study, case: CaseResult) -> Confidence:
+    """Return how sure it is that a case does at the plant what it does here."""
+    judged = _Judged()
+    _model(study, case, judged)
+    if case.tuned is not None:
+        _digits(case.tuned, judged)
+        _searches(case.tuned, judged)
+    elif all(one.tuned is None for one in study.cases):
+        judged.say("No tuning was searched for: this is the best of the given ones, and a search may find a better one")
+    _elsewhere(case.robustness, judged)
+    _long_run(study, case, judged)
+    reasons = tuple(judged.reasons)
+    against = judged.doubts or judged.open_points
+    if not against:
+        given_loop = (
+            "Provided that the loop is as the scenario gives it, nothing" if _source(study, case) is None else "Nothing"
+        )
+        return Confidence("high", reasons, f"{given_loop} that was looked at speaks against it.")
+    return Confidence("low" if judged.doubts else "moderate", reasons, f"{capital(join(against))}.")
+
+
+def _source(study: Study, case: CaseResult) -> NamedEstimate | None:
+    """Return the estimate of a plant's own record that is the case's loop, None where the scenario gives the loop."""
+    for named in study.estimates:
+        found = named.found
+        if named.truth is None and found.plant == case.loop.plant and found.valve == case.loop.valve:
+            return named
+    return None
+
+
+def _model(study: Study, case: CaseResult, judged: _Judged) -> None:
+    named = _source(study, case)
+    if named is None:
+        judged.say(
+            "The loop is as the scenario gives it: nothing here holds plant and valve against the plant's records"
+        )
+        return
+    found = named.found
+    groups = known_groups(found)
+    open_ones = [*groups["hardly"], *groups["none"]]
+    told = [] if found.verdict == "undecided" else [f"the valve: {stiction_words(named)}"]
+    for name in ("gain", "time_constant") if isinstance(found.plant, FOPDT) else ("gain",):
+        pair = getattr(found.intervals, name)
+        unit = {"time_constant": "s"}.get(name, "EU/%" if isinstance(found.plant, FOPDT) else "EU/(% s)")
+        if pair is not None:
+            told.append(f"{name.replace('_', ' ')} {interval(pair, unit, 3)} (95 % range)")
+    vague = not found.identifiable or bool(open_ones) or bool(groups["roughly"])
+    text = f"The loop is an estimate from {named.name}"
+    text += f"; {'; '.join(told)}" if told else ""
+    if found.verdict == "undecided":
+        text += "; whether the valve sticks is undecided"
+    elif not found.identifiable:
+        text += "; the record does not pin the stiction apart from the gain"
+    elif open_ones:
+        text += f"; hardly known or without a range: {join([kpi_title(name)[0] for name in open_ones])}"
+    judged.say(
+        text,
+        doubt="whether the valve sticks is undecided" if found.verdict == "undecided" else "",
+        open_point="the record does not pin every parameter" if vague else "",
+    )
+
+
+def _digits(tuned: Tuned, judged: _Judged) -> None:
+    """Say what the last digits matter."""
+    steps = [v for step in tuned.steps for v in (step.below, step.above) if not math.isnan(v)]
+    what = "J" if tuned.ensemble is None else "J over the draws of its search"
+    text = (
+        f"Digits: the settings have {tuned.digits}; {nearby(tuned.margin)} {what} is at most {figure(tuned.worst, 3)} "
+        f"instead of {figure(tuned.objective, 3)}"
+    )
+    if steps:
+        text += f", one unit in a last digit gives at most {figure(max(steps), 3)}"
+    judged.say(
+        f"{text}, a knife-edge" if tuned.knife_edge else text,
+        doubt="the optimum is a knife-edge" if tuned.knife_edge else "",
+    )
+
+
+def _searches(tuned: Tuned, judged: _Judged) -> None:
+    many, best, worst = len(tuned.restarts), *tuned.spread
+    if many < 2:
+        judged.say(
+            "Search: made once, so nothing tells whether another would find better",
+            open_point="there was one search only",
+        )
+        return
+    agree = tuned.agreeing
+    alike = 2 * agree > many or (math.isfinite(worst) and worst <= NEARLY * best)
+    text = f"Search: {agree} of {many} independent searches end within 0.1 % of the best J"
+    if math.isfinite(worst) and agree < many and best > 0.0:
+        text += f", the worst {figure(100.0 * (worst / best - 1.0), 2)} % above it"
+    judged.say(text, open_point="" if alike else "the searches do not agree")
+
+
+def _elsewhere(r: Robustness | None, judged: _Judged) -> None:
+    """Say how it fares where plant and circumstances are others."""
+    if r is None:
+        text = "Other plants and disturbances: not tried, all figures are of this one experiment on this one model"
+        judged.say(
+            f"{text} (“robust: true” in tune, or “ensemble”, tries them)",
+            open_point="it was tried on this model and experiment alone",
+        )
+        return
+    bad = r.diverged > 0 or not r.stable
+    many = f"{r.ensemble.draws:,} draws of other plants and circumstances"
+    if bad:
+        judged.say(
+            f"Of {many} {r.diverged:,} diverge{'' if r.stable else ', and a corner plant is unstable'}",
+            doubt="it does not hold all plants tried",
+        )
+        return
+    judged.say(
+        f"Over {many} none diverges; mean square error {figure(r.mse_median, 3)} EU² (median) to "
+        f"{figure(r.mse_p90, 3)} EU² (90th percentile); Ms at the worst corner is {figure(r.max_sensitivity, 3)}"
+    )
+
+
+def _long_run(study: Study, case: CaseResult, judged: _Judged) -> None:
+    cycle, aside = case.limit_cycle, quiet(study.experiment)
+    if cycle is None:
+        judged.say(
+            "Long run: not asked for; what the loop does after this experiment is open",
+            open_point="the long run was not looked at",
+        )
+        return
+    lead = f"Long run ({aside}), by exact simulation: " if aside else "Long run, by exact simulation: "
+    if cycle.outcome != "cycles":
+        told = {
+            "settles": "the loop comes to rest from the start of this experiment",
+            "depends": "the loop cycles or comes to rest, depending on where it starts",
+        }.get(cycle.outcome, "whether the loop cycles could not be decided")
+        judged.say(lead + told, open_point="" if cycle.outcome == "settles" else "the long run is not one and the same")
+        return
+    text, doubt, open_point = f"{lead}the loop cycles, {_swing(cycle)}", "", ""
+    if study.experiment is not None and cycle.window > study.experiment.duration - last_change(case.run):
+        text += "; this run is too short to show it, and its figures are not those of the loop later on"
+        doubt = "the run is too short for the cycle that the loop has in the long run"
+    elif at_odds(case, study.experiment):
+        rates = (run_travel(case, study.experiment), cycle.travel_per_hour)
+        text += "; in the run itself the valve travels {} % an hour instead of {} %".format(
+            *(figure(r, 3) for r in rates)
+        )
+        open_point = "the run shows another motion of the valve than the long run"
+    judged.say(text, doubt=doubt, open_point=open_point)
+
+
+def _swing(cycle: LimitCycle) -> str:
+    return f"PV {figure(cycle.pv_peak_to_peak, 3)} EU every {duration(cycle.period)}"
+
+
+def watch(study: Study, base: CaseResult | None, best: CaseResult) -> list[str]:
+    """Return what to watch once a case's settings are in, with the numbers that it should then show.
+
+    base: the case as found, None where none is given. Nothing where it is the one to keep.
+    """
+    if best is base:
+        return []
+    out = []
+    cycle = best.limit_cycle
+    if cycle is not None and cycle.outcome == "cycles":
+        text = (
+            f"The cycle that remains: {_swing(cycle)} without noise, which takes up to {duration(cycle.window)} after "
+            f"a change to show. A swing well above {figure(cycle.pv_peak_to_peak, 3)} EU that does not come from a "
+            "disturbance means that the loop is not the one modelled here."
+        )
+        out.append(text)
+    elif cycle is not None and cycle.outcome == "settles":
+        when = quiet(study.experiment) or "from this start"
+        out.append(
+            f"Here the loop comes to rest ({when}): a lasting cycle means that the loop is not the one modelled."
+        )
+    travel = f"Valve travel: {figure(best.run.kpis.valve_travel, 3)} % in this run of {_run(study)}"
+    if cycle is not None and cycle.outcome == "cycles":
+        travel += f", {figure(cycle.travel_per_hour, 3)} % an hour in the long run without noise"
+    out.append(f"{travel}. More than that is wear which this model does not see.")
+    if base is not None and not unstable(base):
+        out += _against(study, base, best)
+        before = settings_words(study, base)
+        out.append(f"If PV or valve do worse than before, put back {before} ({base.name}) and look at the model again.")
+    return out
+
+
+def _run(study: Study) -> str:
+    return "this length" if study.experiment is None else duration(study.experiment.duration)
+
+
+def _against(study: Study, base: CaseResult, best: CaseResult) -> list[str]:
+    """Name what the new settings do more or less of than those as found, by their ideal-form gains."""
+    was, now = base.loop.controller.ideal_terms(), best.loop.controller.ideal_terms()
+    out = []
+    slower = now.Kc / now.Ti / (was.Kc / was.Ti) if was.Kc > 0.0 and math.isfinite(was.Ti) else math.nan
+    if slower == 0.0:
+        out.append("Recovery: without integral action the offset that a disturbance makes stays.")
+    elif slower < SLOWER:
+        out.append(
+            f"Recovery: the integral gain Kc/Ti is {figure(100.0 * slower, 2)} % of what it was, so that PV stays "
+            "beside its setpoint for longer after a disturbance."
+        )
+    stronger = now.Kc / was.Kc if was.Kc > 0.0 else math.nan
+    if stronger > STRONGER:
+        noise = None if study.experiment is None else study.experiment.noise
+        sd = 1.0 if noise is None or noise.sd == 0.0 else noise.sd
+        out.append(
+            f"Noise: the gain is {figure(stronger, 2)} times what it was; noise of {given(sd)} EU moves OP by "
+            f"{given(now.Kc * sd, 3)} %{', and by more through the derivative' if now.Td > 0.0 else ''}. See that OP "
+            "does not reach its limits."
+        )
+    return out

@@ -1,0 +1,248 @@
+"""A case's settings as the site types them in: in words, and beside the settings as found."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from workbench.model.controller import PID
+from workbench.model.results import Kpis
+from workbench.model.site import SiteCase, SiteForm, SiteSettings
+from workbench.model.study import CaseResult, Study
+from workbench.model.titles import kpi_title
+from workbench.report.judge import over_starts, settling_doubt, span_words
+from workbench.report.shared import CONTROLLER_ROWS
+from workbench.report.tables import Cell, Row, Table, shown
+from workbench.report.words import change, controller_words, figure, join, setting
+
+__all__ = ["as_found_as_left", "rounding_sentences", "settings_words", "site_content", "site_table", "spread"]
+
+EFFECT = ("mean_square_error", "pv_sd", "valve_travel", "settling_time", "oscillation_index")
+ALWAYS = ("Structure", "Action")  # of CONTROLLER_ROWS, shown even where both are alike: they are typed in as well
+SAME = 1e-3  # relative difference of a figure below which rounded digits have not changed it
+
+
+def spread(case: CaseResult, kpis: Kpis) -> tuple[str, float]:
+    """Return what PV's scatter in a run is called, and its size (EU): about the setpoint where that moves."""
+    moves = bool(np.any(case.run.sp != case.run.sp[0]))
+    return "standard deviation of SP − PV" if moves else "PV standard deviation", math.sqrt(kpis.error_variance)
+
+
+def _typed(study: Study, case: CaseResult) -> SiteCase | None:
+    """Return the case as typed in at the site, None where the scenario does not say how the site writes."""
+    return next((one for one, own in zip(study.site_cases, study.cases, strict=False) if own is case), None)
+
+
+def _digits(case: CaseResult) -> int | None:
+    return None if case.tuned is None else case.tuned.digits
+
+
+def _written(study: Study, case: CaseResult) -> tuple[SiteForm, SiteSettings, Kpis] | None:
+    """Return form, settings and figures of a case as it is typed in, None where the site's form has no equivalent."""
+    typed = _typed(study, case)
+    if study.site is None or typed is None:
+        own = SiteForm(case.loop.controller.form)
+        return own, own.settings(case.loop.controller), case.run.kpis
+    if typed.settings is None or typed.kpis is None:
+        return None
+    return study.site, typed.settings, typed.kpis
+
+
+def _names(site: SiteForm) -> tuple[str, str, str]:
+    if site.form == "parallel":
+        return "Gain Kp", "Integral gain Ki", "Derivative gain Kd"
+    return "Proportional band" if site.gain == "PB %" else "Gain Kc", "Integral Ti", "Derivative Td"
+
+
+def _number(value: float, digits: int | None) -> str:
+    return "none" if math.isinf(value) else setting(value, digits)
+
+
+def _texts(site: SiteForm, settings: SiteSettings, digits: int | None) -> tuple[str, str, str]:
+    """Return gain, integral and derivative with their units; "none" for an action that is not there."""
+    integral = "none" if settings.integral == 0.0 else _number(settings.integral, digits)
+    numbers = _number(settings.gain, digits), integral, _number(settings.derivative, digits)
+    texts = [text if text == "none" else f"{text} {unit}" for text, unit in zip(numbers, site.units, strict=True)]
+    return texts[0], texts[1], texts[2]
+
+
+def settings_words(study: Study, case: CaseResult) -> str:
+    """Return the settings of a case as the site types them in: "PB 41.95 %, 6.599 repeats/min (series form)".
+
+    Without `site` those of the controller itself. Where the site's form has no equivalent, these, and that it is so.
+    """
+    own = controller_words(case.loop.controller, _digits(case))
+    written = _written(study, case)
+    if study.site is None:
+        return own
+    if written is None:
+        return f"{own}, which has no equivalent in the site's {study.site.form} form"
+    site, settings, _ = written
+    gain, integral, derivative = _texts(site, settings, _digits(case))
+    short = {"Proportional band": "proportional band", "Gain Kc": "Kc", "Gain Kp": "Kp"}[_names(site)[0]]
+    i, d = ("Ki", "Kd") if site.form == "parallel" else ("" if "repeats" in site.integral else "Ti", "Td")
+    parts = [f"{short} {gain}", "no integral action" if integral == "none" else f"{i} {integral}".strip()]
+    parts += [f"{d} {derivative}"] if settings.derivative != 0.0 else []
+    return f"{', '.join(parts)} ({site.form} form)"
+
+
+def as_found_as_left(study: Study, base: CaseResult | None, best: CaseResult) -> Table:
+    """Return the settings as found and as left in the site's form and units, and what the same run gives with each.
+
+    base: None where no tuning as found is given, or it is itself the one to keep; the table has one column then. The
+    figures as found are of the case as the scenario gives it, those as left of the digits that are typed in.
+    """
+    cases = [best] if base is None or base is best else [base, best]
+    heads = [_headed("as found", cases[0]), _headed("as left", best), "change"] if len(cases) > 1 else [best.name]
+    written = [_written(study, case) for case in cases]
+    forms = {one[0] for one in written if one is not None}
+    site = next(iter(forms)) if len(forms) == 1 else SiteForm()
+    texts = [
+        ("no equivalent",) * 3 if one is None else _texts(one[0], one[1], _digits(case))
+        for one, case in zip(written, cases, strict=True)
+    ]
+    pids = [
+        case.loop.controller if one is None else one[1].controller for one, case in zip(written, cases, strict=True)
+    ]
+    blank = (Cell(""),) if len(cases) > 1 else ()
+    rows = [Row("Form", "", (*(Cell(pid.form) for pid in pids), *blank))]
+    for i, name in enumerate(_names(site)):
+        rows.append(Row(name, "", (*(Cell(text[i]) for text in texts), *blank)))
+    for name, describe in CONTROLLER_ROWS[1:]:
+        both = [describe(pid) for pid in pids]
+        if name in ALWAYS or len(set(both)) > 1 or (name == "Derivative filter" and set(both) != {"–"}):
+            rows.append(Row(name, "", (*(Cell(text) for text in both), *blank)))
+    changes = base is not best
+    left = written[-1] if changes else None
+    kpis = [*(case.run.kpis for case in cases[:-1]), best.run.kpis if left is None else left[2]]
+    costs = [*(_given_cost(case) for case in cases[:-1]), _cost(study, best) if changes else _given_cost(best)]
+    return Table(tuple(heads), (*rows, *_effect(study, cases, kpis, costs)))
+
+
+def _headed(what: str, case: CaseResult) -> str:
+    return what if case.name.lower() == what else f"{what}: {case.name}"
+
+
+def _effect(study: Study, cases: list[CaseResult], kpis: list[Kpis], costs: list[float]) -> list[Row]:
+    """Return what the run gives with the settings of the columns, and the change from the first to the last."""
+    measured: list[tuple[str, str, str, list[float]]] = []
+    if not any(math.isnan(cost) for cost in costs):
+        measured.append(("objective", "J", "", costs))
+    for name in EFFECT:
+        title, unit = kpi_title(name)
+        measured.append((name, title, unit, [float(getattr(one, name)) for one in kpis]))
+        if name == "pv_sd" and spread(cases[0], kpis[0])[0] != "PV standard deviation":
+            about = [spread(case, one)[1] for case, one in zip(cases, kpis, strict=True)]
+            measured.append(("error_sd", "Standard deviation of SP − PV", "EU", about))
+    rows: list[Row] = []
+    for name, title, unit, values in measured:
+        if all(math.isnan(value) for value in values):
+            continue
+        doubts = [""] * len(cases)
+        if name == "settling_time":
+            runs = [replace(case, run=replace(case.run, kpis=one)) for case, one in zip(cases, kpis, strict=True)]
+            doubts = [settling_doubt(case, study.experiment) for case in runs]
+        cells = [Cell(shown(name, value), doubt) for value, doubt in zip(values, doubts, strict=True)]
+        if len(cases) > 1:
+            known = not any(doubts) and all(math.isfinite(value) for value in values)
+            cells.append(Cell(change(values[-1], values[0]) if known else "–"))
+        rows.append(Row(title, unit, tuple(cells), group=not rows))
+    return rows + _later(cases)
+
+
+def _later(cases: list[CaseResult]) -> list[Row]:
+    """Return error and wear once the cycle has set in, over the starts, where every column has one."""
+    cycles = [case.limit_cycle for case in cases if case.limit_cycle is not None]
+    if len(cycles) < len(cases) or any(cycle.outcome != "cycles" for cycle in cycles):
+        return []
+    rows: list[Row] = []
+    for name, title, unit in (
+        ("mean_square_error", "Mean square error of the late cycle", "EU²"),
+        ("travel_per_hour", "Valve travel of the late cycle, an hour", "%"),
+    ):
+        ends = [over_starts(cycle, name) for cycle in cycles]
+        cells = [Cell(span_words(pair)) for pair in ends]
+        if len(cases) > 1:
+            same = all(" to " not in cell.text for cell in cells)
+            cells.append(Cell(change(ends[-1][1], ends[0][1]) if same else "depends on the start"))
+        rows.append(Row(title, unit, tuple(cells), group=not rows))
+    return rows
+
+
+def _given_cost(case: CaseResult) -> float:
+    return math.nan if case.objective is None else case.objective
+
+
+def _cost(study: Study, case: CaseResult) -> float:
+    typed = _typed(study, case)
+    cost = case.objective if typed is None or typed.settings is None else typed.objective
+    return math.nan if cost is None else cost
+
+
+def rounding_sentences(study: Study, cases: list[CaseResult]) -> list[str]:
+    """Return what the site's form and digits make of these cases, where that is not what was simulated before."""
+    out = []
+    for case in cases:
+        typed = _typed(study, case)
+        if study.site is None or typed is None:
+            continue
+        own = controller_words(case.loop.controller, _digits(case))
+        if typed.settings is None:
+            out.append(
+                f"{case.name} ({own}) has no equivalent in the site's {study.site.form} form ({typed.refused}). A "
+                f"tuning with form: {study.site.form} searches within it."
+            )
+        elif typed.kpis is not None and typed.settings.controller != case.loop.controller:
+            out.append(_rounding(case, typed, typed.kpis, own))
+    return out
+
+
+def _rounding(case: CaseResult, typed: SiteCase, kpis: Kpis, own: str) -> str:
+    """Say how the figures with the site's rounded digits differ from those of the case."""
+    pairs = [("mean square error", kpis.mean_square_error, case.run.kpis.mean_square_error, " EU²")]
+    pairs.append(("valve travel", kpis.valve_travel, case.run.kpis.valve_travel, " %"))
+    if typed.objective is not None and case.objective is not None:
+        pairs.insert(0, ("J", typed.objective, case.objective, ""))
+    off = [p for p in pairs if not math.isclose(p[1], p[2], rel_tol=SAME, abs_tol=1e-12)]
+    begin = f"{case.name} is {own} in the scenario's form; rounded in the site's units it gives by exact simulation"
+    if not off:
+        return f"{begin} the same {join([p[0] for p in pairs])} (to 0.1 %)."
+    return f"{begin} {join([f'{name} {figure(a)}{unit} instead of {figure(b)}{unit}' for name, a, b, unit in off])}."
+
+
+def site_table(study: Study) -> Table | None:
+    """Return every case as typed in at the site, cases down; None where the scenario does not say how."""
+    if study.site is None:
+        return None
+    rows = []
+    for case, typed in zip(study.cases, study.site_cases, strict=True):
+        if typed.settings is None:
+            cells = tuple(Cell("no equivalent") for _ in range(3))
+        else:
+            cells = tuple(Cell(text) for text in _texts(study.site, typed.settings, _digits(case)))
+        rows.append(Row(case.name, "", cells))
+    return Table(_names(study.site), tuple(rows))
+
+
+def site_content(study: Study) -> dict[str, object]:
+    """Return what results.json holds of the site's form and the cases in it."""
+    site = study.site
+    if site is None:
+        return {}
+    cases = []
+    for one in study.site_cases:
+        content: dict[str, object] = {"name": one.name, "refused": one.refused or None}
+        if one.settings is not None and one.kpis is not None:
+            typed = one.settings
+            content |= {"gain": typed.gain, "integral": typed.integral, "derivative": typed.derivative}
+            content |= _simulated(typed.controller, one.kpis) | {"objective": one.objective}
+        cases.append(content)
+    units = dict(zip(("gain", "integral", "derivative"), site.units, strict=True))
+    return {"form": site.form, "proportional_band": site.gain == "PB %", "units": units, "cases": cases}
+
+
+def _simulated(controller: PID, kpis: Kpis) -> dict[str, object]:
+    names = ("mean_square_error", "error_variance", "valve_travel")
+    return {"Kc": controller.Kc, "Ti": controller.Ti, "Td": controller.Td} | {n: getattr(kpis, n) for n in names}
