@@ -11,6 +11,7 @@ import numpy as np
 from workbench.detect.detect import detect
 from workbench.detect.stem import Fitted
 from workbench.errors import InvalidValue
+from workbench.estimate.bands import repeated
 from workbench.estimate.data import Centred, centre, plant_of
 from workbench.estimate.fit import (
     LEAST_TAU,
@@ -34,7 +35,7 @@ from workbench.estimate.refined import by_complementarity, jointly, refuse_compl
 from workbench.estimate.repeat import repeats_of, words_of
 from workbench.estimate.scale import band_of, linear_intervals, linear_result, stem_of
 from workbench.estimate.settled import coloured_linear, settled
-from workbench.estimate.two_parameter import look, repeated
+from workbench.estimate.two_parameter import look
 from workbench.estimate.two_step import akaike, two_step
 from workbench.estimate.verdict import ENOUGH_SLIPS, SHARP, WIDE_D, Evidence, agree, judge
 from workbench.model.checks import choice, number

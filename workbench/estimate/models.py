@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import math
 
+from workbench.estimate.bands import Bands, refit, search_bands
 from workbench.estimate.data import Centred, plant_of
 from workbench.estimate.fit import Fit, Limits, grounded
 from workbench.estimate.profile import Profile
 from workbench.estimate.stems import path_of
-from workbench.estimate.two_parameter import Band, Bands, band_stem, refit, search_bands
+from workbench.estimate.two_parameter import Band, band_stem
 from workbench.estimate.verdict import SHARP
 from workbench.model.record import FloatArray
 from workbench.model.results import FittedModel

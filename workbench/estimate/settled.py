@@ -10,13 +10,14 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 
+from workbench.estimate.bands import Bands
 from workbench.estimate.data import Centred
 from workbench.estimate.fit import LEAST_TAU, Fit, Limits, again_linear, disturbance, grounded, predict
 from workbench.estimate.loads import Stem, loads_of
 from workbench.estimate.models import bands_of, refitted
 from workbench.estimate.profile import EXACT, Profile, profile_again, profile_of, search
 from workbench.estimate.stems import path_of
-from workbench.estimate.two_parameter import Band, Bands, band_stem, look
+from workbench.estimate.two_parameter import Band, band_stem, look
 from workbench.model.load_step import LoadStep
 from workbench.model.record import FloatArray
 

@@ -1,10 +1,10 @@
 """The two-parameter valve (S, J): the stem that explains PV best, dead band (J = 0) included.
 
 A sequence of slips holds for a rectangle in (S, J): the stem turns where OP has come back by more than S and moves on
-where it has gone on by more than J. At a fixed J the sequences are met one after the other by walking S from breakpoint
-to breakpoint; J is put on lines. A coarse grid with its own plant at each point finds where to walk. Unlike the
+where it has gone on by more than J. Walking S at a fixed J, or J at a fixed S, from breakpoint to breakpoint meets the
+sequences one after the other. A coarse grid with its own plant at each point finds where to walk. Unlike the
 one-parameter stem, this one forgets its start once it has turned, so that a long record is searched in its most active
-windows and then walked as a whole.
+windows and then walked as a whole (`bands`).
 """
 
 from __future__ import annotations
@@ -18,20 +18,31 @@ from numpy.typing import NDArray
 from workbench.detect.stem import dead_times
 from workbench.estimate import kernel
 from workbench.estimate.data import Centred
-from workbench.estimate.fit import LEAST_TAU, Fit, Limits, fit_path, inflation, predict
-from workbench.estimate.profile import CHI_SQUARE, EXACT, active_windows
+from workbench.estimate.fit import LEAST_TAU, Fit, Limits, fit_path
+from workbench.estimate.profile import EXACT, active_windows
 from workbench.estimate.stems import first_slips, thin
 from workbench.model.record import FloatArray
 
-__all__ = ["Band", "Bands", "band_stem", "look", "refit", "repeated", "search_bands"]
+__all__ = [
+    "REACHES",
+    "REFITS",
+    "Band",
+    "band_stem",
+    "best_of",
+    "closer",
+    "fit_band",
+    "look",
+    "search_short",
+    "start_costs",
+    "started",
+]
 
 NARROWEST, WIDEST = 0.04, 0.95  # of OP's range
 GRID = 48  # values of S looked at
 SHARES = (0.0, 0.12, 0.27, 0.45, 0.7, 1.0, 1.35)  # of J, of S
 FINER, FINER_TAUS = (-0.04, -0.02, 0.0, 0.02, 0.04), (0.7, 0.85, 1.0, 1.2, 1.45)  # about the best of them, of each
 SHORTEST, LONGEST, TAUS = 0.3, 10.0, 9  # time constants looked at: samples, records, how many
-WALKED_IN = 6
-PICKED = 14  # stems of the grid that get their own plant,
+PICKED, WALKED_IN = 14, 6  # stems of the grid, and of walks of J from it, that get their own plant,
 NEAR, NEAR_JUMP = 0.05, 0.1  # no two of them as near as that, of S
 SPREADS = (0.1, 0.04, 0.015, 0.005)  # of S: how far stems with plants of their own are looked at about a seed,
 STEPS = 6  # how often at most, each time about the best so far,
@@ -43,9 +54,7 @@ SEEDS = 4  # of them, about which S and J are walked
 REACHES = ((0.006, 0.015), (0.002, 0.005))  # how far, of S: along S and along J
 LINES = 13  # of J in each
 REFITS = 6  # best lines of which each gets its own plant
-OUTWARDS = (0.004, 0.5, 1.5)  # of S: the least and the largest step away from the best, each to the one before
 STARTS = 60  # first slips tried beside the stem that rests in the middle of its band
-HALF_SLIPS = 5  # in each half of a record, for the halves to be compared
 
 
 Seed = tuple[float, float, float, float]  # S, J, tau, theta
@@ -61,20 +70,6 @@ class Band:
     sense: float
     slips: int
     fit: Fit
-
-
-@dataclass(frozen=True, eq=False)
-class Bands:
-    """The best stem, those that the record cannot tell from it, and their ranges of S and J, %.
-
-    parts: the fits that parts of the record have by themselves (see `repeated`).
-    """
-
-    best: Band
-    alike: tuple[Band, ...]
-    S: tuple[float, float]
-    J: tuple[float, float]
-    parts: tuple[Fit, ...] = ()
 
 
 def band_stem(u: FloatArray, S: float, J: float, first: int = -1, sense: float = 0.0) -> tuple[FloatArray, int]:
@@ -93,7 +88,7 @@ def look(data: Centred, longest: float) -> list[Band]:
     limits = Limits((LEAST_TAU, float(data.samples)), (0.0, longest))
     if data.samples > EXACT:
         seen = [b for part in active_windows(data) for b in look(part, min(longest, part.samples / 4.0))[:SEEDS]]
-        found = [_fit(data, b.S, b.J, (-1, 0.0), limits, (b.fit.tau, b.fit.theta), 20, 1e-4) for b in seen]
+        found = [fit_band(data, b.S, b.J, (-1, 0.0), limits, (b.fit.tau, b.fit.theta), 20, 1e-4) for b in seen]
     else:
         taus = np.geomspace(SHORTEST, LONGEST * data.samples, TAUS)
         delays = [float(d) for d in dead_times(data.samples, math.nan) if d <= longest]
@@ -144,7 +139,7 @@ def _differs(seed: Seed, chosen: list[Seed]) -> bool:
 def _along(data: Centred, seed: Seed) -> list[tuple[float, Seed]]:
     """(cost, seed) of the best of the sequences of slips that J leads through at a seed's S and plant."""
     S, J, tau, theta = seed
-    _, first, sense = _start_costs(data, (S, J), (tau, theta))[0]
+    _, first, sense = start_costs(data, (S, J), (tau, theta))[0]
     like = Band(S, J, first, sense, 0, Fit(0.0, tau, theta, 0.0, 0.0, 0.0, 0.0))
     rows = _line(data, (S, 0.02 * S), 1, min(1.5 * S, 2.0 * data.op_range - S), like, (0.004 * S, 0.02 * S))
     order = np.argsort(rows[:, 2], kind="stable")[:1].tolist()
@@ -160,11 +155,11 @@ def _placed(data: Centred, seed: Seed, limits: Limits) -> Band:
     delays = [d for d in (theta + step for step in range(-3, 4)) if 0.0 <= d <= limits.theta[1]]
     near = _screened(data, grid, tau * np.array(FINER_TAUS), delays, 1)
     S, J, tau, theta = near[0] if near else seed
-    least = _start_costs(data, (S, J), (tau, theta))[0]
-    return _fit(data, S, J, least[1:], limits, (tau, theta), 60, 1e-5)
+    least = start_costs(data, (S, J), (tau, theta))[0]
+    return fit_band(data, S, J, least[1:], limits, (tau, theta), 60, 1e-5)
 
 
-def _fit(
+def fit_band(
     data: Centred,
     S: float,
     J: float,
@@ -219,9 +214,7 @@ def _line(
     return rows[:count].copy()
 
 
-def _start_costs(
-    data: Centred, band: tuple[float, float], plant: tuple[float, float]
-) -> list[tuple[float, int, float]]:
+def start_costs(data: Centred, band: tuple[float, float], plant: tuple[float, float]) -> list[tuple[float, int, float]]:
     """(cost, first, sense) of a stem's starts, ascending: each sample at which OP lets it slip first, at one plant."""
     u = data.u
     firsts = first_slips(u)
@@ -236,16 +229,16 @@ def _start_costs(
     return sorted((cost, first, sense) for cost, (first, sense) in zip(costs.tolist(), starts, strict=True))
 
 
-def _started(data: Centred, b: Band, limits: Limits) -> Band:
+def started(data: Centred, b: Band, limits: Limits) -> Band:
     """The same stem from the start that suits it best."""
-    least, first, sense = _start_costs(data, (b.S, b.J), (b.fit.tau, b.fit.theta))[0]
+    least, first, sense = start_costs(data, (b.S, b.J), (b.fit.tau, b.fit.theta))[0]
     if least >= b.fit.sse or (first, sense) == (b.first, b.sense):
         return b
-    other = _fit(data, b.S, b.J, (first, sense), limits, (b.fit.tau, b.fit.theta))
+    other = fit_band(data, b.S, b.J, (first, sense), limits, (b.fit.tau, b.fit.theta))
     return other if other.fit.sse < b.fit.sse and other.fit.gain != 0.0 else b
 
 
-def _closer(
+def closer(
     data: Centred, seed: Band, reach: tuple[float, float], step: float, only: float | None, limits: Limits
 ) -> tuple[list[Band], NDArray[np.float64]]:
     """Walk S and J about a seed within a reach of both, relative to S; fit the best and the best of each line of J."""
@@ -264,7 +257,7 @@ def _closer(
     tops = tops[np.argsort(tops[:, 2], kind="stable")][:REFITS]
     plant = (seed.fit.tau, seed.fit.theta)
     start = (seed.first, seed.sense)
-    fits = [_fit(data, float(row[0]), float(row[1]), start, limits, plant, 50) for row in tops]
+    fits = [fit_band(data, float(row[0]), float(row[1]), start, limits, plant, 50) for row in tops]
     return [b for b in fits if b.fit.gain != 0.0 and b.slips > 0], np.vstack(lines)
 
 
@@ -273,9 +266,9 @@ def _nearer(data: Centred, seed: Band, spreads: tuple[float, ...], only: float |
     met = [seed]
     for spread in spreads:
         for _ in range(STEPS):
-            best = _started(data, _best_of(met), limits)
+            best = started(data, best_of(met), limits)
             met += [best, *_about(data, best, spread, only, limits), *_walked(data, best, spread, only, limits)]
-            if _best_of(met) is best:
+            if best_of(met) is best:
                 break
     return met
 
@@ -296,7 +289,7 @@ def _walked(data: Centred, seed: Band, spread: float, only: float | None, limits
         rows = _line(data, begin, along, at + reach, seed, steps)
         found += [tuple(row) for row in rows[np.argsort(rows[:, 2], kind="stable")[:WALKS], :2].tolist()]
     plant, start = (seed.fit.tau, seed.fit.theta), (seed.first, seed.sense)
-    fits = [_fit(data, S, J, start, limits, plant, QUICK, 1e-5) for S, J in found]
+    fits = [fit_band(data, S, J, start, limits, plant, QUICK, 1e-5) for S, J in found]
     return [b for b in fits if b.fit.gain != 0.0 and b.slips > 0]
 
 
@@ -317,7 +310,7 @@ def _across(data: Centred, b: Band, only: float | None, limits: Limits) -> list[
     found = []
     for i in chosen:
         S, J = grid[i].tolist()
-        found.append(_fit(data, S, J, (b.first, b.sense), limits, plants[int(np.argmin(costs[i]))], 40))
+        found.append(fit_band(data, S, J, (b.first, b.sense), limits, plants[int(np.argmin(costs[i]))], 40))
     return found
 
 
@@ -327,7 +320,7 @@ def _about(data: Centred, seed: Band, spread: float, only: float | None, limits:
     plant, start = (seed.fit.tau, seed.fit.theta), (seed.first, seed.sense)
     jumps = [-spread, 0.0, spread] if only is None else [0.0]
     found = [
-        _fit(
+        fit_band(
             data,
             S := seed.S * (1.0 + float(step)),
             max(seed.J + 2.0 * float(jump) * seed.S, 0.0) if only is None else only * S,
@@ -352,173 +345,39 @@ def _apart(bands: list[Band]) -> list[Band]:
     return kept
 
 
-def _best_of(bands: list[Band]) -> Band:
+def best_of(bands: list[Band]) -> Band:
+    """Return the stem that leaves least."""
     return min(bands, key=lambda b: b.fit.sse)
 
 
-def _short(
+def search_short(
     data: Centred, coarse: list[Band], only: float | None, limits: Limits, beside: tuple[Band, ...] = ()
 ) -> tuple[list[Band], NDArray[np.float64]]:
     """Search a short record: the close grid, then closer about its best few; all stems met and the last rows."""
     met = [b for b in coarse if b.fit.gain != 0.0]
     if only is not None:
-        met = [_fit(data, b.S, only * b.S, (b.first, b.sense), limits, (b.fit.tau, b.fit.theta)) for b in met]
+        met = [fit_band(data, b.S, only * b.S, (b.first, b.sense), limits, (b.fit.tau, b.fit.theta)) for b in met]
     bands: list[Band] = []
     ends = []
     for seed in _apart(sorted([*met, *beside], key=lambda b: b.fit.sse)):
         met = _nearer(data, seed, SPREADS, only, limits)
         bands += met
-        ends.append(_best_of(met))
+        ends.append(best_of(met))
     if not ends:
         return [], np.empty((0, 4))
     # Between two sequences of slips lies many a worse one, which steps along the valley of S and plant do not cross.
-    best = _best_of(ends)
+    best = best_of(ends)
     for _ in range(CROSSINGS):
         met = [m for seed in _across(data, best, only, limits) for m in _nearer(data, seed, SPREADS[2:], only, limits)]
         bands += met
-        before, best = best, _best_of([best, *met])
+        before, best = best, best_of([best, *met])
         if best is before:
             break
-    best = _started(data, best, limits)
+    best = started(data, best, limits)
     rows = np.empty((0, 4))
     for reach in (*REACHES, *REACHES):
-        found, walked = _closer(data, best, reach, 0.05 * reach[0], only, limits)
+        found, walked = closer(data, best, reach, 0.05 * reach[0], only, limits)
         rows = np.vstack([rows, walked])
         bands += found
-        best = _best_of([best, *found])
+        best = best_of([best, *found])
     return [best, *bands], rows
-
-
-def search_bands(
-    data: Centred, coarse: list[Band], limits: Limits, only: float | None, beside: tuple[Band, ...] = ()
-) -> Bands | None:
-    """Return the best stem and its ranges, or None where none moves.
-
-    beside: stems found otherwise, from which a short record is searched on too.
-
-    coarse: the answer of `look`; a long record is searched in its most active stretch alone, and the stem of that
-    is walked closer on the whole. only: J as a share of S (0: a dead band).
-    """
-    rows = np.empty((0, 4))
-    if data.samples <= EXACT:
-        bands, rows = _short(data, coarse, only, limits, beside)
-    else:
-        bands = []
-        for part in active_windows(data)[:1]:
-            found = _short(part, look(part, limits.theta[1]), only, limits)[0]
-            if found:
-                best = _best_of(found)
-                bands.append(_fit(data, best.S, best.J, (-1, 0.0), limits, (best.fit.tau, best.fit.theta), 40))
-        bands = [b for b in bands if b.slips > 0]
-        if bands:
-            best = _best_of(bands)
-            for reach in REACHES:
-                found, rows = _closer(data, best, reach, 0.2 * reach[0], only, limits)
-                bands += found
-                best = _best_of([best, *found])
-    bands = [b for b in bands if b.fit.gain != 0.0]
-    if not bands:
-        return None
-    best = _best_of(bands)
-    start = (best.first, best.sense)
-    best = _best_of([best, _fit(data, best.S, best.J, start, limits, (best.fit.tau, best.fit.theta), 300)])
-    return _ranges(data, best, bands, rows, only, limits)
-
-
-def refit(data: Centred, found: Bands, limits: Limits) -> Bands:
-    """Return the same stems fitted anew from their own plants, the best first; the ranges stay."""
-    bands = [
-        _fit(data, b.S, b.J, (b.first, b.sense), limits, (b.fit.tau, b.fit.theta), 80) for b in found.alike[:REFITS]
-    ]
-    b = found.best
-    bands.append(_fit(data, b.S, b.J, (b.first, b.sense), limits, (b.fit.tau, b.fit.theta), 200))
-    return Bands(_best_of(bands), tuple(bands), found.S, found.J)
-
-
-def repeated(data: Centred, found: Bands, limits: Limits, only: float | None) -> Bands:
-    """Return the ranges widened to what parts of the record say that reject the best stem, each searched by itself.
-
-    The parts are the halves, of a long record its two most active stretches. What they disagree on is not known, and
-    a search that ended away from the truth seldom ends there twice. A part in which the best stem is as likely as its
-    own says nothing against it: it may hold too few slips to tell any stem from another.
-    """
-    n = data.samples
-    parts = [data.part(0, n // 2), data.part(n // 2, n)] if n <= EXACT else active_windows(data)[:2]
-    S, J, fits = [*found.S], [*found.J], []
-    for part in parts:
-        if not part.op_range > 0.0 or not float(np.ptp(part.y)) > 0.0:
-            continue
-        longest = min(limits.theta[1], part.samples / 4.0)
-        own = Limits((LEAST_TAU, float(part.samples)), (0.0, longest))
-        met, _ = _short(part, look(part, longest), only, own)
-        if not met or _best_of(met).slips < HALF_SLIPS:
-            continue
-        best = _best_of(met)
-        if _rejects(part, best, _here(part, found.best, own)):
-            S.append(best.S)
-            J.append(best.J)
-            fits.append(best.fit)
-    return Bands(found.best, found.alike, (min(S), max(S)), (min(J), max(J)), tuple(fits))
-
-
-def _here(part: Centred, b: Band, limits: Limits) -> Band:
-    """The same stem on a part of the record, from the start that suits it there and with a plant of its own."""
-    theta = min(b.fit.theta, limits.theta[1])
-    start = _start_costs(part, (b.S, b.J), (b.fit.tau, theta))[0][1:]
-    return _fit(part, b.S, b.J, start, limits, (b.fit.tau, theta), 120)
-
-
-def _rejects(part: Centred, own: Band, other: Band) -> bool:
-    """Whether a part's own best stem is significantly likelier there than another."""
-    ratio = max(other.fit.sse / part.samples, part.floor) / max(own.fit.sse / part.samples, part.floor)
-    return _effective(part, own) * math.log(ratio) > CHI_SQUARE
-
-
-def _effective(data: Centred, b: Band) -> float:
-    """The number of independent samples that what a stem leaves is worth."""
-    x, _ = band_stem(data.u, b.S, b.J, b.first, b.sense)
-    return data.samples / inflation(data.innovations(predict(data, x, max(b.first, 0), b.fit)[0]))
-
-
-def _ranges(
-    data: Centred, best: Band, bands: list[Band], rows: NDArray[np.float64], only: float | None, limits: Limits
-) -> Bands:
-    """What the record cannot tell from the best: the 95 % likelihood region, and what each half would choose."""
-    n = data.samples
-    most = max(best.fit.sse / n, data.floor) * math.exp(CHI_SQUARE / _effective(data, best)) * n
-    alike = [best, *(b for b in bands if max(b.fit.sse, n * data.floor) <= most)]
-    if best.slips >= 2 * HALF_SLIPS:
-        alike += _halves(data, sorted(bands, key=lambda b: b.fit.sse)[:60])
-    alike += _outwards(data, best, most, only, limits)
-    near = rows[np.maximum(rows[:, 2], n * data.floor) <= most]
-    S = [b.S for b in alike] + near[:, 0].tolist()
-    J = [b.J for b in alike] + near[:, 1].tolist()
-    return Bands(best, tuple(alike), (min(S), max(S)), (min(J), max(J)))
-
-
-def _outwards(data: Centred, best: Band, most: float, only: float | None, limits: Limits) -> list[Band]:
-    """The stems met in steps of S away from the best, each way until the record tells them apart."""
-    met, plant, start = [], (best.fit.tau, best.fit.theta), (best.first, best.sense)
-    for way in (-1.0, 1.0):
-        step = OUTWARDS[0]
-        while step <= OUTWARDS[1]:
-            S = best.S * (1.0 + way * step)
-            jumps = {max(best.J + f * step * S, 0.0) for f in (-1.0, 0.0, 1.0)} if only is None else {only * S}
-            there = _started(data, _best_of([_fit(data, S, J, start, limits, plant, 24) for J in jumps]), limits)
-            if there.fit.gain == 0.0 or max(there.fit.sse, data.samples * data.floor) > most:
-                break
-            met.append(there)
-            step *= OUTWARDS[2]
-    return met
-
-
-def _halves(data: Centred, bands: list[Band]) -> list[Band]:
-    """The stems that each half of the record would choose by itself among the likely ones."""
-    half = data.samples // 2
-    costs = np.empty((len(bands), 2))
-    for i, b in enumerate(bands):
-        x, _ = band_stem(data.u, b.S, b.J, b.first, b.sense)
-        squares = data.innovations(predict(data, x, max(b.first, 0), b.fit)[0]) ** 2
-        costs[i] = squares[:half].sum(), squares[half:].sum()
-    costs = np.maximum(costs, half * data.floor)
-    return [bands[int(i)] for i in np.argmin(costs, axis=0)]
