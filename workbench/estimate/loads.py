@@ -104,10 +104,11 @@ def _explained(data: Centred, stem: Stem, limits: Limits, skip: int, most: int, 
     begin, end = skip + max(int(LEAST_BEFORE * n), 3), n - max(int(LEAST_AFTER * n), 8)
     while len(model.times) < most and end - begin > 8:
         measures = [WHITE] if model.a.size == 1 else [model.a, WHITE] if strict else [model.a, WHITE, FADING]
-        trials = []
-        for measure in measures:
-            at = _likeliest(data, model, measure, (begin, end), skip)
-            trials.append(_beside(data, x, first, model.fit, limits, skip, [*model.times, at]))
+        likely = {_likeliest(data, model, measure, (begin, end), skip) for measure in measures}
+        if not strict:
+            # A stem found elsewhere may be surer of its gain than this record with its load is.
+            likely.add(_likeliest(data, model, WHITE, (begin, end), skip, fit.gain))
+        trials = [_beside(data, x, first, model.fit, limits, skip, [*model.times, at]) for at in sorted(likely)]
         trial = min(trials, key=lambda t: t.bic if strict else t.power(skip))
         clear = trial.bic < model.bic - CLEAR
         if not (clear or (not strict and _takes_more(trial, model, skip))) or trial.terms[1] * fit.gain <= 0.0:
@@ -216,12 +217,18 @@ def _step(answer: FloatArray, at: int) -> FloatArray:
     return out
 
 
-def _likeliest(data: Centred, model: _Model, a: FloatArray, span: tuple[int, int], skip: int) -> int:
-    """The sample in a span at which one more step explains most of PV, in the measure of a filter."""
+def _likeliest(
+    data: Centred, model: _Model, a: FloatArray, span: tuple[int, int], skip: int, gain: float | None = None
+) -> int:
+    """The sample in a span at which one more step explains most of PV, in the measure of a filter.
+
+    gain: of the stem's response, EU/%; None where it may change with the step.
+    """
     answer = _answer(data, model.fit)
-    base = whitened(a, model.columns)[:, skip:]
+    free = np.arange(len(model.columns)) != 1 if gain is not None else slice(None)
+    base = whitened(a, model.columns[free])[:, skip:]
     basis, _ = np.linalg.qr(base.T)
-    target = whitened(a, data.y)[skip:]
+    target = whitened(a, data.y - (0.0 if gain is None else gain) * model.columns[1])[skip:]
     target = target - basis @ (basis.T @ target)
 
     def best(times: list[int]) -> int:

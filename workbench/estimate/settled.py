@@ -17,7 +17,7 @@ from workbench.estimate.loads import Stem, loads_of
 from workbench.estimate.models import bands_of, refitted
 from workbench.estimate.profile import EXACT, Profile, profile_again, profile_of, search
 from workbench.estimate.stems import path_of
-from workbench.estimate.two_parameter import Band, band_stem, look
+from workbench.estimate.two_parameter import Band, band_stem, best_of, look, search_short
 from workbench.model.load_step import LoadStep
 from workbench.model.record import FloatArray
 
@@ -59,9 +59,15 @@ def _of_band(data: Centred, b: Band) -> Stem:
 def _of_halves(data: Centred, delays: float) -> list[Stem]:
     """The stems, over the whole of a short record, that each half finds by itself: one of them has no such step."""
     n = data.samples
-    parts = (data.part(0, n // 2), data.part(n // 2, n)) if n <= EXACT else ()
-    best = [b for part in parts for b in look(part, min(delays, part.samples / 4.0))[:1]]
-    return [_of_band(data, replace(b, first=-1, sense=0.0)) for b in best]
+    stems: list[Stem] = []
+    for begin, end in ((0, n // 2), (n // 2, n)) if n <= EXACT else ():
+        part = data.part(begin, end)
+        limits = Limits((LEAST_TAU, float(part.samples)), (0.0, min(delays, part.samples / 4.0)))
+        if met := search_short(part, look(part, limits.theta[1]), None, limits)[0]:
+            # The start of the first half is that of the whole.
+            best = best_of(met)
+            stems.append(_of_band(data, best if begin == 0 else replace(best, first=-1, sense=0.0)))
+    return stems
 
 
 def _relieved(
