@@ -186,7 +186,7 @@ def test_the_stand_ins_behave_as_the_paper_says_of_its_loops(name, studies):
     assert after.run.kpis.settling_time < 600.0
     assert after.run.kpis.oscillation_index < before.run.kpis.oscillation_index
     assert before.limit_cycle.outcome == "cycles"
-    assert best.objective < 0.2 * before.objective
+    assert best.objective < 0.25 * before.objective
     assert {case.settings.controller.form for case in study.site_cases} == {study.site.form}
 
 
