@@ -129,7 +129,8 @@ def _base(wanted: str, named: Sequence[tuple[str, Entry, Results]]) -> tuple[str
 def _line(name: str, entry: Entry, results: Results, *, base: tuple[str, Entry, Results]) -> Line:
     other, theirs = base[1], base[2]
     if entry.part != other.part:
-        return Line(name, entry, results, f"the {entry.part or 'loop'} is another loop than the base's")
+        what = f"the {entry.part}" if entry.part else "a loop by itself"
+        return Line(name, entry, results, f"{what} is another loop than the base's")
     if results is theirs:
         return Line(name, entry, results)
     apart = _apart(results, theirs)
