@@ -212,6 +212,14 @@ def test_differences_are_from_the_base(study: Study, put: Callable[..., Path]) -
     assert found(path, base="made").base.name == "Case 1"
 
 
+def test_a_time_beside_none_has_no_difference(study: Study, put: Callable[..., Path]) -> None:
+    cases = json.loads(results_json(study))["cases"]
+    for case, time in zip(cases, ("Infinity", 20.0, "Infinity"), strict=True):
+        case["kpis"]["settling_time"] = time
+    made = found(put(study, cases=cases))
+    assert [difference_words(line, made.base, "settling_time") for line in made.lines] == ["", "", "unchanged"]
+
+
 def test_cases_are_chosen_by_name(study: Study, put: Callable[..., Path]) -> None:
     one, other = put(study, "a"), put(replace(study, name="b"), "b")
     made = found(one, other, include=["b: *", "Case 1"])
@@ -260,9 +268,12 @@ def test_an_earlier_versions_file_is_shown_but_not_held_against_others(study: St
     assert all("does not say its experiment" in line.apart for line in made.lines[3:])
     curves, said = drawn(made)
     assert len(curves) == 3
-    assert said[0].endswith("the file holds no signals to draw; run its scenario again.")
+    assert said == ["The figure shows those that are held against the base."]
+    assert not any(cell.small for row in tables(made)[0].rows for cell in row.cells[3:])
     alone = found(older)
     assert not alone.notes
+    assert drawn(alone)[0] == []
+    assert drawn(alone)[1][0].endswith("the file holds no signals to draw; run its scenario again.")
     assert difference_words(alone.lines[1], alone.base, "iae")
     assert FORMAT == 2
 

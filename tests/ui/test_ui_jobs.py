@@ -173,6 +173,29 @@ def test_a_map_and_a_report_of_the_page(tmp_path):
     assert {path.name for path in tmp_path.iterdir()} == {"report"}
 
 
+@pytest.mark.slow
+def test_a_front_that_is_stopped_brings_what_was_found_till_then(record):
+    screen = Screen().with_entries({**SHORT, "loop.plant.time_constant": "1.2"})
+    told: list[str] = []
+
+    def stop_once(words: str, share: float) -> None:
+        told.append(words)
+        if share > 0.3 and "interrupted" not in told:
+            told.append("interrupted")
+            raise KeyboardInterrupt
+
+    found = work.trade_off(scenario_text(screen), str(record.parent), stop_once)
+    assert "interrupted" in told
+    assert found.repaired == ()
+    assert len(found.sticky) > 5
+    assert [p.valve_travel for p in found.sticky] == sorted(p.valve_travel for p in found.sticky)
+    assert [name for name, *_ in found.cases] == ["On screen"]
+    assert found.cases[0][1] > 0.0
+    assert "ended as “interrupted”" in " ".join(found.text)
+    with pytest.raises(ScenarioError, match="no loop was given"):
+        work.trade_off(estimate_text(Screen(), record.name), str(record.parent), silent)
+
+
 def test_tasks_that_were_not_asked_for_are_refused(tmp_path):
     with pytest.raises(ScenarioError, match="no tuning"):
         work.tune_loop(scenario_text(Screen()), str(tmp_path), silent)

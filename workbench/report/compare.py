@@ -129,7 +129,8 @@ def _base(wanted: str, named: Sequence[tuple[str, Entry, Results]]) -> tuple[str
 def _line(name: str, entry: Entry, results: Results, *, base: tuple[str, Entry, Results]) -> Line:
     other, theirs = base[1], base[2]
     if entry.part != other.part:
-        return Line(name, entry, results, f"the {entry.part or 'loop'} is another loop than the base's")
+        what = f"the {entry.part}" if entry.part else "a loop by itself"
+        return Line(name, entry, results, f"{what} is another loop than the base's")
     if results is theirs:
         return Line(name, entry, results)
     apart = _apart(results, theirs)
@@ -215,8 +216,8 @@ def difference_words(line: Line, base: Line, name: str) -> str:
     ours, theirs = line.figure(name), base.figure(name)
     if line is base or not line.compares(name) or math.isnan(ours) or math.isnan(theirs):
         return ""
-    if name == "settling_time" and math.isinf(ours) and math.isinf(theirs):
-        return "unchanged"
+    if name == "settling_time" and math.isinf(ours) != math.isinf(theirs):
+        return ""  # "not in the run" beside a time says it
     return change(ours, theirs)
 
 
@@ -268,7 +269,7 @@ def _rows(block: Sequence[Line], found: Comparison) -> list[Row]:
         title, unit = kpi_title(name)
         cells = []
         for line, value in zip(block, values, strict=True):
-            doubt = "not compared" if name in line.unlike and not math.isnan(value) else ""
+            doubt = "not compared" if name in line.unlike and not line.apart and not math.isnan(value) else ""
             cells.append(Cell(shown(name, value), difference_words(line, base, name) or doubt))
         rows.append(Row(title, unit, tuple(cells), group=first))
         first = False

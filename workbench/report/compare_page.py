@@ -16,12 +16,12 @@ __all__ = ["comparison_page", "drawn"]
 def drawn(found: Comparison) -> tuple[list[Curves], list[str]]:
     """Return what the figure shows, the base first, and what it leaves out and why, in sentences.
 
-    At most as many cases as there are colours; of a cascade only the base's loop, as the other has another unit.
+    At most as many cases as there are colours, of those that are held against the base: what lived through something
+    else, or is the other loop of a cascade, has nothing to lie over.
     """
     if found.base is None:
         return [], []
-    part = found.base.entry.part
-    lines = [line for line in (found.base, *found.others) if line.entry.part == part]
+    lines = [line for line in (found.base, *found.others) if not line.apart]
     without = [line.name for line in lines if line.entry.trend is None]
     with_signals = [(line, line.entry.trend) for line in lines if line.entry.trend is not None]
     shown = with_signals[: len(CASES)]
@@ -33,6 +33,8 @@ def drawn(found: Comparison) -> tuple[list[Curves], list[str]]:
         name = name if names.count(name) == 1 else f"{label(name, 15)} ({label(line.results.label, 12)})"
         curves.append(Curves(name, trend.sp, trend.pv, trend.op))
     said = []
+    if len(lines) <= len(found.others):
+        said.append("The figure shows those that are held against the base.")
     if without:
         said.append(f"{'; '.join(without)}: the file holds no signals to draw; run its scenario again.")
     if len(with_signals) > len(CASES):
