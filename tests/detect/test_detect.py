@@ -22,7 +22,10 @@ FOUND = StemTest(
     improvement=0.18,
     likelihood=200.0,
     simulated=0.4,
+    adds=100.0,
+    sure=100.0,
     wide=200.0,
+    wide_from=1.0,
     left=0.05,
     unexplained=0.3,
     unfollowed=0.06,
@@ -33,7 +36,7 @@ FOUND = StemTest(
     time_constant=5.0,
     dead_time=1.0,
 )
-LINEAR = replace(FOUND, predicting=0.0, improvement=0.0, likelihood=0.0, simulated=0.0, wide=0.0)
+LINEAR = replace(FOUND, predicting=0.0, improvement=0.0, likelihood=0.0, simulated=0.0, adds=0.0, sure=0.0, wide=-50.0)
 
 
 def run_of(valve: object, *, seed: int = 1, plant: object = None, load: float = 0.3, n: int = 1200) -> wb.Record:
@@ -129,29 +132,65 @@ def test_a_recorded_stem_decides() -> None:
     assert "it follows" in wb.detect(follows).reasons[0]
 
 
+ALONE = {"sure": 0.0, "adds": 0.0}
+
+
 @pytest.mark.parametrize(
     ("changed", "verdict"),
     [
         ({}, "stiction"),
-        ({"predicting": 30.0, "likelihood": 26.0}, "undecided"),
+        # By two rivals alone: enough; a little less of either.
+        ({"improvement": 0.0, "likelihood": 0.0, "simulated": -0.4, "predicting": 31.0, "sure": 31.0}, "stiction"),
+        ({"improvement": 0.0, "likelihood": 0.0, "simulated": -0.4, "predicting": 35.0, "sure": 25.0}, "undecided"),
+        ({"improvement": 0.0, "likelihood": 0.0, "unexplained": 0.04, "predicting": 31.0, "sure": 31.0}, "no_stiction"),
+        # By prediction and simulation together: the stem must add to the free predictor too.
+        ({"predicting": 39.0, "sure": 15.0, "adds": 11.0}, "stiction"),
+        ({"predicting": 39.0, "sure": 15.0, "adds": 9.0}, "undecided"),
+        ({"predicting": 30.0, "likelihood": 26.0, "sure": 10.0}, "undecided"),
         # The linear loop leaves little: the stem must explain most of it.
         ({"unexplained": 0.04, "improvement": 0.1, "simulated": 0.3}, "undecided"),
         ({"unexplained": 0.04, "improvement": 0.03, "likelihood": 30.0}, "no_stiction"),
         ({"unexplained": 0.04, "improvement": 0.1, "simulated": 0.6}, "stiction"),
         # By prediction alone: enough; a little less; many samples, of which it explains too little.
-        ({"simulated": -1.0}, "stiction"),
-        ({"predicting": 70.0, "simulated": -1.0}, "stiction"),
-        ({"predicting": 50.0, "simulated": -1.0}, "undecided"),
-        ({"predicting": 70.0, "simulated": -1.0, "samples": 5000}, "undecided"),
-        ({"predicting": 8.0, "improvement": 0.001, "likelihood": 1.0, "simulated": 0.001}, "no_stiction"),
-        # Two moves of a wide stem: PV is seen to follow OP, or not.
-        ({"predicting": 8.0, "likelihood": 8.0, "wide": 8.0, "moves": 2}, "no_stiction"),
-        ({"predicting": 12.0, "likelihood": 8.0, "wide": 12.0, "moves": 2}, "undecided"),
-        ({"predicting": 8.0, "likelihood": 8.0, "wide": 8.0, "moves": 2, "unfollowed": 0.0501}, "undecided"),
+        ({**ALONE, "simulated": -1.0}, "stiction"),
+        ({**ALONE, "simulated": -1.0, "predicting": 70.0}, "undecided"),
+        ({**ALONE, "simulated": -1.0, "samples": 5000}, "undecided"),
     ],
 )
-def test_the_rule(changed: dict[str, float], verdict: str) -> None:
+def test_stiction_is_found_by_any_of_three_routes(changed: dict[str, float], verdict: str) -> None:
     assert decide(QUIET, replace(FOUND, **changed), None)[0] == verdict
+
+
+CYCLING = Oscillation(0.6, 20.0, 5.0, 40.0)
+
+
+@pytest.mark.parametrize(
+    ("cycle", "changed", "verdict", "why"),
+    [
+        # A wide stem is excluded, whether PV cycles or not.
+        (QUIET, {"wide": -4.0}, "no_stiction", "sticks over 1 % or more is excluded"),
+        (CYCLING, {"wide": -4.0}, "no_stiction", "tight tuning"),
+        # It is not: a quiet PV acquits, a cycle does not, nor does what chance does not give.
+        (QUIET, {"wide": -3.0}, "no_stiction", "no better than chance"),
+        (CYCLING, {"wide": -3.0}, "undecided", "PV cycles: the record does not tell why"),
+        (QUIET, {"wide": 11.0}, "undecided", "cannot be excluded: it predicts PV rather better"),
+        # The linear loop explains PV.
+        (CYCLING, {"wide": 20.0, "unexplained": 0.04}, "no_stiction", "tight tuning"),
+        (QUIET, {"wide": 20.0, "unexplained": 0.04}, "no_stiction", "has nothing to explain"),
+        # Too short to have shown a stem that matters: ln(1/0.91) of each sample must reach the likelihood, 30.
+        (QUIET, {"wide": 0.0, "samples": 319}, "no_stiction", "no better than chance"),
+        (QUIET, {"wide": 0.0, "samples": 318}, "undecided", "318 samples are too few"),
+        (QUIET, {"wide": -4.0, "samples": 318}, "no_stiction", "is excluded"),
+        # Two moves: PV is seen to follow OP, or not.
+        (QUIET, {"moves": 2}, "no_stiction", "is excluded"),
+        (QUIET, {"moves": 2, "unfollowed": 0.0501}, "undecided", "a stem that moved 2 times fits as well"),
+        (QUIET, {"moves": 0, "unexplained": 0.01}, "undecided", "never moved"),
+    ],
+)
+def test_no_stiction_must_be_earned(cycle: Oscillation, changed: dict[str, float], verdict: str, why: str) -> None:
+    found, reasons = decide(cycle, replace(LINEAR, **changed), None)
+    assert found == verdict
+    assert why in reasons[0]
 
 
 def test_a_smooth_cycle_is_acquitted_only_where_the_loop_can_make_it() -> None:

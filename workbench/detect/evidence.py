@@ -50,63 +50,107 @@ def _says(value: float, none: float, some: float, why: str) -> str:
 
 def _stem_test(found: Detection) -> Iterator[Statistic]:
     test, limits = found.test, Thresholds()
-    alone = math.nan if test is None else test.predicting
+    alone, both, three = "by itself", "these two together", "these four together"
+    nan = math.nan
     rows = (
+        (
+            "Stem test, two rivals",
+            "log likelihood ratio of a stem to the linear loop, and to a prediction by PV's and OP's past: the less",
+            "",
+            nan if test is None else test.sure,
+            limits.sure,
+            alone,
+        ),
         (
             "Stem test, prediction alone",
             "share of what a linear loop leaves of PV unpredicted that the stem explains which predicts best",
             "%",
-            math.nan if test is None else 100.0 * (1.0 - math.exp(-alone / test.samples)),
-            100.0 * limits.sole_predicts,
+            nan if test is None else 100.0 * (1.0 - math.exp(-test.predicting / test.samples)),
+            100.0 * limits.much,
+            both,
         ),
-        ("Stem test, its likelihood", "log likelihood ratio of that stem to the linear loop", "", alone, limits.sole),
+        (
+            "Stem test, its likelihood",
+            "log likelihood ratio of that stem to the linear loop",
+            "",
+            nan if test is None else test.predicting,
+            limits.sole,
+            both,
+        ),
         (
             "Stem test, prediction",
             "the same share for the stem that is best by prediction and simulation together",
             "%",
-            math.nan if test is None else 100.0 * test.improvement,
+            nan if test is None else 100.0 * test.improvement,
             100.0 * limits.predicts,
+            three,
         ),
         (
             "Stem test, likelihood",
             "log likelihood ratio of that stem to the linear loop",
             "",
-            math.nan if test is None else test.likelihood,
+            nan if test is None else test.likelihood,
             limits.likelihood,
+            three,
         ),
         (
             "Stem test, simulation",
             "share of what the linear loop leaves of PV when simulated from OP alone that it explains",
             "%",
-            math.nan if test is None else 100.0 * test.simulated,
+            nan if test is None else 100.0 * test.simulated,
             100.0 * limits.explains,
+            three,
         ),
         (
-            "Left by the linear loop",
-            "share of PV's variance that the linear loop, simulated from OP alone, leaves: what there is to explain",
-            "%",
-            math.nan if test is None else 100.0 * test.unexplained,
-            100.0 * limits.left,
+            "Stem test, what it adds",
+            "its log likelihood ratio to the predictor by PV's and OP's past",
+            "",
+            nan if test is None else test.adds,
+            limits.chance,
+            three,
         ),
     )
-    for name, measures, unit, value, least in rows:
-        route = "the first two by themselves" if "alone" in name or "its" in name else "these three together"
+    for name, measures, unit, value, least, route in rows:
         needed = f"stiction needs {least:g}{' %' if unit else ''} or more, {route}"
         says = "enough for stiction" if value >= least else "too little for stiction"
-        if name == rows[-1][0] and test is not None:
-            clear = limits.clear * limits.predicts
-            needed = (
-                f"stiction needs {least:g} % or more, or a prediction better by {100.0 * clear:g} % and a simulation "
-                f"better by {100.0 * limits.most:g} %"
-            )
-            little = (
-                "little, but the stem predicts clearly better"
-                if test.improvement >= clear and test.simulated >= limits.most
-                else "too little"
-            )
-            says = "there is something to explain" if value >= least else little
         says = _undefined(STILL) if math.isnan(value) else says
         yield Statistic(name, measures, "", value, unit, needed, says, decides=True)
+    wide = nan if test is None else test.wide
+    yield Statistic(
+        "Stem test, wide bands",
+        "log likelihood ratio to the linear loop of the best stem that sticks over a quarter of OP's range or more",
+        "",
+        wide,
+        "",
+        f"up to {-limits.excluded:g} such stems are excluded; up to {limits.chance:g} chance, where PV does not cycle",
+        _undefined(STILL)
+        if test is None
+        else f"sticking over {test.wide_from:.3g} % or more is excluded"
+        if wide <= -limits.excluded
+        else "no more than chance"
+        if wide <= limits.chance
+        else "wide bands are not excluded",
+        decides=True,
+    )
+    clear = test is not None and test.improvement >= limits.much and test.simulated >= limits.most
+    unexplained = nan if test is None else 100.0 * test.unexplained
+    yield Statistic(
+        "Left by the linear loop",
+        "share of PV's variance that the linear loop, simulated from OP alone, leaves: what there is to explain",
+        "",
+        unexplained,
+        "%",
+        f"stiction needs {100.0 * limits.left:g} % or more, or a prediction better by {100.0 * limits.much:g} % and a "
+        f"simulation better by {100.0 * limits.most:g} %",
+        _undefined(STILL)
+        if test is None
+        else "there is something to explain"
+        if test.unexplained >= limits.left
+        else "little, but the stem predicts clearly better"
+        if clear
+        else "too little",
+        decides=True,
+    )
 
 
 def _recorded_stem(found: Detection) -> Iterator[Statistic]:

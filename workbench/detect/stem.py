@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workbench.detect import kernel
+from workbench.detect.predictor import FreePredictor
 from workbench.model.detection import StemTest
 from workbench.model.record import FloatArray
 from workbench.model.valve import Choudhury, Stenman
@@ -36,7 +37,7 @@ WIDTHS = np.geomspace(0.03, 0.95, 70).tolist()  # d
 BANDS = np.geomspace(0.04, 0.97, 48).tolist()  # S
 JUMPS = (0.0, 0.3, 0.9, 1.4)  # J/S
 STARTS = (-0.8, 0.0, 0.8)  # where the stem may rest at the start: OP less stem, as a share of what holds it
-WIDE = 0.25  # of OP's range: a band that matters to the loop
+WIDE = 0.25  # of OP's range: a band that matters to the loop, one of CLASSES
 CLOSER = (0.06, 0.03, 0.012, 0.005)  # widths are searched on by up to twice these shares
 CLASSES = (0.1, 0.25, 0.5)  # of OP's range: between narrow and wide bands
 # Plants: time constants and dead times, in samples.
@@ -58,6 +59,7 @@ LEAST_LIVE = 0.25  # of a record: where less is left it is the loop itself that 
 FEWEST_PERIODS = 3  # of a sinusoidal disturbance that the linear rival may have beside it
 FINER = 4  # its frequency against that of the record's own
 FLOOR = 0.005  # of PV's standard deviation: no record is good for less
+HARM = 0.5  # a stem that simulates PV worse than OP itself does by more than this share is not this loop's
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,18 +75,33 @@ class _Fit:
 
 @dataclass(frozen=True, slots=True)
 class _Candidate:
-    """A valve and its log likelihood ratios over the linear rival: of the innovations, and of the simulated PV."""
+    """A valve and its log likelihood ratios over the linear rival: of the innovations, and of the simulated PV.
+
+    adds: that over the free linear predictor. samples: that count.
+    """
 
     law: Law
     path: FloatArray
     fit: _Fit
     innovations: float
     simulated: float
+    adds: float
+    samples: int
 
     @property
     def both(self) -> float:
-        """The less of both."""
+        """The less of innovations and simulation."""
         return min(self.innovations, self.simulated)
+
+    @property
+    def harmless(self) -> float:
+        """The likelihood ratio of the innovations, or the less of both where the stem spoils the simulation."""
+        return self.innovations if self.simulated >= -self.samples * math.log(1.0 + HARM) else self.both
+
+    @property
+    def sure(self) -> float:
+        """The less of that and of what the stem adds to the free predictor."""
+        return min(self.harmless, self.adds)
 
 
 @dataclass(frozen=True, slots=True)
@@ -288,7 +305,7 @@ def _best(costs: FloatArray, most: int) -> list[int]:
 class _Search:
     """The search for the stem that beats the linear rival of one stretch."""
 
-    def __init__(self, rivals: _Rivals, u: FloatArray, power: float) -> None:
+    def __init__(self, rivals: _Rivals, u: FloatArray, held: NDArray[np.bool_], power: float) -> None:
         self.rivals, self.u, self.power = rivals, u, power
         self.fine = np.geomspace(SHORTEST, LONGEST * rivals.n, FINE_TAUS).tolist()
         self.white = np.concatenate([[1.0], np.zeros(rivals.order)])
@@ -299,6 +316,7 @@ class _Search:
         # A sinusoid from outside is no valve's work; an autoregression under noise does not see all of it.
         self.rival = min(self.linear, rivals.beside_sinusoid(u, self.linear, self.fine), key=lambda f: f.variance)
         self.straight = rivals.plant(u, self.white, self.fine)
+        self.free = FreePredictor(rivals.y, u, held, FLOOR**2 * power, rivals.longest)
 
     def _gain(self, rival: _Fit, fit: _Fit) -> float:
         floor = FLOOR**2 * self.power
@@ -310,10 +328,11 @@ class _Search:
         taus: the time constants to start from, samples; then its simulation is not looked at.
         """
         fit = self.rivals.settle(path, a, self.fine if taus is None else taus, 2)
-        simulated = -math.inf
+        simulated, adds = -math.inf, 0.0
         if taus is None:
             simulated = self._gain(self.straight, self.rivals.plant(path, self.white, self.fine))
-        return _Candidate(law, path, fit, self._gain(self.rival, fit), simulated)
+            adds = self.free.adds(path, fit.delay)
+        return _Candidate(law, path, fit, self._gain(self.rival, fit), simulated, adds, self.rivals.count)
 
     def met(self, fitted: Fitted | None) -> list[_Candidate]:
         """Return the valves judged: the best of the grid, and those found closer and closer about them."""
@@ -363,16 +382,20 @@ def _stretch(
     y, u = y - y[~held].mean(), u - u.mean()
     power = float(y[~held].var())
     rivals = _Rivals(y, dead_times(y.size, period / sample_time), sign, held)
-    search = _Search(rivals, u, power)
+    search = _Search(rivals, u, held, power)
     met = search.met(fitted)
     best, both = max(met, key=lambda c: c.innovations), max(met, key=lambda c: c.both)
     moving = np.diff(best.path) != 0.0
+    width = float(np.ptp(u))
     return StemTest(
         predicting=best.innovations,
         improvement=1.0 - math.exp(-both.innovations / rivals.count),
         likelihood=both.innovations,
         simulated=1.0 - math.exp(-both.simulated / rivals.count),
-        wide=max((c.innovations for c in met if c.law.band >= WIDE * float(np.ptp(u))), default=0.0),
+        adds=both.adds,
+        sure=max(c.sure for c in met),
+        wide=max(c.harmless for c in met if c.law.band >= WIDE * width),
+        wide_from=WIDE * width,
         left=search.linear.variance / power,
         unexplained=search.straight.variance / power,
         unfollowed=search.unfollowed / power,
@@ -421,7 +444,10 @@ def stem_test(
         improvement=1.0 - math.exp(-gain / total),
         likelihood=gain,
         simulated=float(np.median([p.simulated for p in parts])),
+        adds=sum(p.adds for p in parts),
+        sure=sum(p.sure for p in parts),
         wide=sum(p.wide for p in parts),
+        wide_from=max(p.wide_from for p in parts),
         left=float(np.mean([p.left for p in parts])),
         unexplained=float(np.mean([p.unexplained for p in parts])),
         unfollowed=float(np.mean([p.unfollowed for p in parts])),

@@ -1,20 +1,32 @@
 """The verdict: one rule over the stem test, the cycle and the recorded stem; the other statistics are told beside it.
 
-Stiction is found where the linear loop leaves something to explain (`LEFT`) and a sticking stem explains it: one stem
-by every measure at once, significantly (`LIKELIHOOD`), by an amount that matters to what can be predicted (`PREDICTS`)
-and to the simulated PV (`EXPLAINS`); or by prediction alone, which a slow load does not spoil, and then by more of it
-(`SOLE`, `SOLE_PREDICTS`). The thresholds are stated, not fitted:
+Stiction is found where the linear loop leaves something to explain (LEFT) and a sticking stem explains it, by one of
+three routes: it betters both the linear loop and the free linear predictor (SURE); it betters the linear loop by
+prediction and in the simulated PV at once, significantly (LIKELIHOOD), by an amount that matters (PREDICTS, EXPLAINS),
+and adds more than chance to the free predictor (CHANCE); or it predicts so much better (SOLE, CLEAR) that no second
+opinion is asked.
+
+No stiction is a finding of its own: stems that stick over a quarter of OP's range or more, enough to matter, are
+excluded (EXCLUDED); or they fit no better than chance has it (CHANCE), PV does not cycle as a sticking valve makes it
+under integral action, and the record is long enough to have shown more; or the linear loop leaves nothing to explain.
+What is neither is undecided.
+
+The thresholds are stated, not fitted:
 
 LIKELIHOOD: a likelihood ratio with two free widths exceeds 30 by chance once in three million; over the search, some
-hundreds of stems that differ, that is less than once in 1,000. What linear models leave of a plant and its loads is not
-chance: hence SOLE.
+hundreds of stems that differ, that is less than once in 1,000. SURE: the same, of two tests that fail differently: a
+linear loop of low order may leave what a stem's steps make up for, the free predictor does not. Of 350 simulated
+healthy loops none reached 30 in both, six in the first alone.
 PREDICTS: a real linear plant is no first-order lag; what its shape leaves unmodelled was below 3 % of the innovations'
-variance in nine of ten simulated loops, and below 6 % (SOLE_PREDICTS) wherever the likelihood was beyond SOLE.
+variance in nine of ten simulated loops, and below three times that (CLEAR) in all.
 EXPLAINS, LEFT: 5 % of the error, and of PV's variance; a linear model that leaves less has explained PV, unless the
 stem predicts clearly better, by three times PREDICTS (CLEAR), and explains most (MOST) of the little that is left.
 CLOSE: four fifths of each of these is no acquittal, nor is a likelihood beyond SOLE by itself.
-FEW: a stem that sticks over a quarter of OP's range or more and moved at most four times, two cycles, cannot be told
-from a linear loop that leaves as much as LEFT, unless PV is seen to follow OP and the stem's lead is chance (CHANCE).
+CHANCE: what the best of the search gained from noise alone, at most, in nine of ten simulated loops.
+EXCLUDED: chi^2 with one degree of freedom, the width, at 95 %: a wide stem whose likelihood is not that far below the
+linear loop's may be at work.
+FEW: a stem that moved at most four times, two cycles, cannot be told from a linear loop that leaves as much as LEFT
+where PV is not seen to follow OP (CHANCE).
 SLOW: under integral action alone a self-regulating loop is at its stability limit with a period of at most four times
 dead time and time constant together (pure dead time: exactly four dead times; proportional action: less). A slower
 cycle is not its own, and so smooth that the valve's part does not show.
@@ -28,6 +40,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from workbench.detect.oscillation import no_period
 from workbench.model.detection import Oscillation, StemEvidence, StemTest
 
 __all__ = ["Thresholds", "decide", "follows"]
@@ -38,19 +51,30 @@ class Thresholds:
     """The rule's thresholds (see the module's first lines); a benchmark moves each by a fifth."""
 
     likelihood: float = 30.0
+    sure: float = 30.0
     predicts: float = 0.03
     explains: float = 0.05
     left: float = 0.05
     sole: float = 40.0
-    sole_predicts: float = 0.06
     close: float = 0.8
     clear: float = 3.0
     most: float = 0.5
     chance: float = 10.0
+    excluded: float = 3.84
     slow: float = 4.0
     cycles: float = 0.5  # oscillation index of a cycle that dominates PV
     few: float = 4.0
     direct: float = 0.01  # share of a recorded stem's variance: closer than a tenth of its moves it follows
+
+    @property
+    def much(self) -> float:
+        """Share of the innovations' variance that is clearly explained."""
+        return self.clear * self.predicts
+
+    @property
+    def shortest(self) -> float:
+        """Samples in which a stem that clearly explains PV reaches the likelihood that finds it."""
+        return self.likelihood / -math.log(1.0 - self.much)
 
 
 def decide(
@@ -75,29 +99,35 @@ def decide(
         f"the stem that fits best throughout leaves {test.improvement:.1%} less unpredicted (log likelihood ratio "
         f"{test.likelihood:.0f}) and {test.simulated:.0%} less of simulated PV"
     )
-    if _exceeds(test, limits, 1.0) or _predicts(test, limits, 1.0):
+    if _sticks(test, limits, 1.0):
         kind = "the stem slips as it sets off" if test.jump > 0.1 * test.band else "a dead band without visible slip"
         return "stiction", [f"{beats}: {kind}", f"{both}; {linear}"]
     likely = test.unexplained >= limits.left and test.predicting >= limits.sole
     likely = likely or (test.likelihood >= limits.sole and test.simulated >= limits.explains)
-    if likely or _exceeds(test, limits, limits.close) or _predicts(test, limits, limits.close):
+    if likely or _sticks(test, limits, limits.close):
         return "undecided", [f"{beats}: nearly enough to find stiction, too much to exclude it", f"{both}; {linear}"]
-    rests = test.moves <= limits.few and test.predicting <= test.wide and test.unexplained >= limits.left
-    if rests and (test.predicting >= limits.chance or follows(test) < limits.chance):
-        times = "once" if test.moves == 1 else f"{test.moves} times"
-        hardly = f"OP hardly leaves a band of {test.band:.3g} %, within which a stem that moved {times} fits as well"
-        return "undecided", [f"{hardly}: the record is too short, or too quiet, to exclude it"]
+    doubt = _not_excluded(oscillation, test, limits)
+    if doubt:
+        return "undecided", [doubt, f"{both}; {linear}"]
     own = test.time_constant + test.dead_time
     loop = f"a linear loop with time constant {test.time_constant:.3g} s and dead time {test.dead_time:.3g} s"
+    if test.wide <= -limits.excluded:
+        earned = (
+            f"a stem that sticks over {test.wide_from:.3g} % or more is excluded (log likelihood ratio {test.wide:.0f})"
+        )
+    elif test.unexplained < limits.left:
+        earned = f"a sticking stem has nothing to explain: {linear}"
+    else:
+        earned = "a sticking stem explains PV no better than chance has it, and PV does not cycle as it would make it"
     if oscillation.index >= limits.cycles and oscillation.regularity > 1.0:
         cycle = f"PV cycles with a period of {oscillation.period:.3g} s"
         if oscillation.period > limits.slow * own:
             return "undecided", [f"{cycle}, too slow for {loop} to make by itself, and smooth: external, or a valve"]
         return "no_stiction", [
             f"{cycle}, which {loop} can make by itself: tight tuning, or an external oscillation near it",
-            "a sticking stem explains PV no better than OP itself",
+            earned,
         ]
-    return "no_stiction", ["a sticking stem explains PV no better than OP itself: stiction adds nothing that matters"]
+    return "no_stiction", [earned]
 
 
 def follows(test: StemTest) -> float:
@@ -105,22 +135,45 @@ def follows(test: StemTest) -> float:
     return test.samples * math.log(max(test.unfollowed, 1e-300) / max(test.left, 1e-300))
 
 
-def _exceeds(test: StemTest, limits: Thresholds, share: float) -> bool:
-    clear = test.improvement >= share * limits.clear * limits.predicts and test.simulated >= share * limits.most
-    return (
+def _not_excluded(oscillation: Oscillation, test: StemTest, limits: Thresholds) -> str:
+    """Say why stiction that matters is not excluded, or return nothing."""
+    if test.moves == 0:
+        return "the stem that fits best never moved: the record is too short, or too quiet, to tell it from OP itself"
+    if test.unexplained < limits.left:
+        return ""
+    if test.moves <= limits.few and follows(test) < limits.chance:
+        times = "once" if test.moves == 1 else f"{test.moves} times"
+        hardly = f"OP hardly leaves a band of {test.band:.3g} %, within which a stem that moved {times} fits as well"
+        return f"{hardly}: the record is too short, or too quiet, to exclude it"
+    if test.wide <= -limits.excluded:
+        return ""
+    wide = f"a stem that sticks over {test.wide_from:.3g} % or more, a quarter of OP's range, cannot be excluded"
+    would = "a setpoint move, a longer record or the measured stem would tell"
+    if test.wide > limits.chance:
+        return f"{wide}: it predicts PV rather better than OP itself (log likelihood ratio {test.wide:.0f}); {would}"
+    if not no_period(oscillation):
+        return f"{wide}, and PV cycles: the record does not tell why; {would}"
+    if test.samples < limits.shortest:
+        return f"{wide}: {test.samples} samples are too few to show one that matters; {would}"
+    return ""
+
+
+def _sticks(test: StemTest, limits: Thresholds, share: float) -> bool:
+    """Return whether a sticking stem reaches a share of every threshold of one of the three routes."""
+    clear = test.improvement >= share * limits.much and test.simulated >= share * limits.most
+    together = (
         (test.unexplained >= limits.left or clear)
         and test.likelihood >= share * limits.likelihood
         and test.improvement >= share * limits.predicts
         and test.simulated >= share * limits.explains
+        and test.adds >= share * limits.chance
     )
-
-
-def _predicts(test: StemTest, limits: Thresholds, share: float) -> bool:
-    return (
+    alone = (
         test.unexplained >= limits.left
         and test.predicting >= share * limits.sole
-        and test.predicting >= -test.samples * math.log(1.0 - share * limits.sole_predicts)
+        and test.predicting >= -test.samples * math.log(1.0 - share * limits.much)
     )
+    return together or alone or (test.unexplained >= limits.left and test.sure >= share * limits.sure)
 
 
 def _direct(stem: StemEvidence, limits: Thresholds) -> tuple[str, list[str]] | None:

@@ -7,19 +7,18 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from workbench.detect.action import gain_sign
 from workbench.detect.stem import whitened
 from workbench.errors import RecordError
 from workbench.model.plant import FOPDT, Integrating, Plant
 from workbench.model.record import FloatArray, Record
 
-__all__ = ["FEWEST_SAMPLES", "WHITE", "Centred", "centre", "gain_sign", "integers", "plant_of"]
+__all__ = ["FEWEST_SAMPLES", "WHITE", "Centred", "centre", "integers", "plant_of"]
 
 FEWEST_SAMPLES = 30
 WHITE = np.ones(1)
 # What a record can resolve: fits whose rms residual is below this share of PV's standard deviation are equally good.
 RESOLUTION = 1e-3
-# Share of OP's moves that error and its change must explain for the controller's action to count as known.
-CLEAR_ACTION = 0.1
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,25 +103,6 @@ def _centred(y: FloatArray, u: FloatArray, whole: Centred) -> Centred:
 
 def _constant(signal: FloatArray) -> bool:
     return bool(np.ptp(signal) <= 1e-9 * max(1e-9, float(np.abs(signal).max())))
-
-
-def gain_sign(record: Record) -> float:
-    """Return the sign that the plant's gain must have for the controller's action to be feedback, 0 where unclear.
-
-    The moves of OP are regressed on those of the error (proportional action) and on the error (integral action); SP is
-    taken as constant where it was not recorded. The controller's inverse would otherwise pass for a plant.
-    """
-    error = (record.pv.mean() if record.sp is None else record.sp) - record.pv
-    moves = np.diff(record.op)
-    causes = np.column_stack([np.diff(error), error[1:] - error[1:].mean()])
-    moves = moves - moves.mean()
-    scale = np.sqrt((causes**2).sum(axis=0))
-    if not (scale > 0.0).all() or not float(moves @ moves) > 0.0:
-        return 0.0
-    terms, *_ = np.linalg.lstsq(causes / scale, moves, rcond=None)
-    explained = 1.0 - float(((moves - causes / scale @ terms) ** 2).sum()) / float(moves @ moves)
-    main = float(terms[np.argmax(np.abs(terms))])
-    return float(np.sign(main)) if explained >= CLEAR_ACTION else 0.0
 
 
 def centre(record: Record, plant: str) -> Centred:

@@ -70,17 +70,25 @@ class StemTest:
     innovation variances; band: width (%) of its stick band (Stenman: d); jump: its slip jump; moves: times that it set
     off or turned. likelihood: the same ratio of the stem best by prediction and simulation together; improvement: share
     of the linear rival's innovation variance that it explains; simulated: share of the error of the linear rival's
-    simulated PV that it explains. The linear rival of the innovations may have a sinusoidal disturbance. wide: the
-    likelihood ratio of the best stem with a band of a quarter of OP's range or more, 0 without one. left: share of PV's
-    variance that the linear rival leaves as innovations, unfollowed: likewise without any input; unexplained: what its
-    simulated PV leaves.
+    simulated PV that it explains; adds: its log likelihood ratio over the free linear predictor, which knows the past
+    of PV and OP and no valve. The linear rival of the innovations may have a sinusoidal disturbance.
+
+    sure: the best of all stems by the less of both ratios, over the linear rival and over the free predictor; wide: the
+    ratio over the linear rival of the best stem with a band of `wide_from` (%), a quarter of OP's range, or more. In
+    these two a stem that makes the simulated PV worse by half counts for what it simulates.
+
+    left: share of PV's variance that the linear rival leaves as innovations, unfollowed: likewise without any input;
+    unexplained: what its simulated PV leaves.
     """
 
     predicting: float
     improvement: float
     likelihood: float
     simulated: float
+    adds: float
+    sure: float
     wide: float
+    wide_from: float
     left: float
     unexplained: float
     unfollowed: float

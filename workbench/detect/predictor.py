@@ -1,0 +1,83 @@
+"""The free linear predictor: does a stem add anything to what the past of PV and OP tells about PV?
+
+The linear rival of the stem test is of low order. In closed loop a stem may better it without sticking: its plant and
+its steps make up for what low order leaves of a slow disturbance. So the stem must also add to a predictor that knows
+no valve and no plant, a regression of PV on its own past and OP's, which any linear loop obeys, the controller's
+inverse included. What the stem adds is tested as R. Davidson, J.G. MacKinnon, "Several tests for model specification in
+the presence of alternative hypotheses", Econometrica 49 (1981) 781-793, test one model against another: by putting
+the one's answer beside the other's regressors.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from workbench.model.record import FloatArray
+
+__all__ = ["FreePredictor"]
+
+PAST = 30  # samples of PV and of OP that are known, fewer in short records
+PER_PAST = 20  # samples of the record for each
+ANSWERS = 3  # samples of the stem, one after the other, that PV may answer to
+LEAST_ROWS = 4  # samples for each coefficient: with fewer nothing is said
+RANK = 1e-6  # of the largest singular value
+
+
+class FreePredictor:
+    """PV of one stretch (EU), predicted from the past of PV and OP (%), each of shape (N,).
+
+    held: the samples that nobody recorded, shape (N,). floor: variance (EU^2) below which no residual counts.
+    longest: the longest dead time of a stem, samples.
+    """
+
+    def __init__(self, y: FloatArray, u: FloatArray, held: NDArray[np.bool_], floor: float, longest: int) -> None:
+        past = max(min(PAST, y.size // PER_PAST), 1)
+        while not self._knows(y, u, held, past, longest) and past > 1:
+            # Where samples are missing a shorter past leaves more of them to predict.
+            past //= 2
+        self.floor = floor * self.left.size
+
+    def _knows(self, y: FloatArray, u: FloatArray, held: NDArray[np.bool_], past: int, longest: int) -> bool:
+        """Regress PV on the past and say whether the samples are enough."""
+        self.first = max(past, longest + ANSWERS) + 1
+        reach = np.concatenate([np.ones(past + 1), np.zeros(self.first - past)])
+        self.live = np.convolve(held, reach)[: y.size][self.first :] == 0.0
+        known = [_back(v, lag, self.first) for v in (y, u) for lag in range(1, past + 1)]
+        known.append(np.ones(y.size - self.first))
+        columns = np.column_stack(known)[self.live]
+        coefficients = columns.shape[1] + ANSWERS
+        self.freedom = columns.shape[0] - coefficients
+        self.enough = bool(columns.shape[0] >= LEAST_ROWS * coefficients)
+        self.basis = np.linalg.qr(columns)[0] if self.enough else columns
+        self.left = self._beside(y[self.first :][self.live]) if self.enough else np.zeros(0)
+        return self.enough
+
+    def _beside(self, columns: FloatArray) -> FloatArray:
+        beside: FloatArray = columns - self.basis @ (self.basis.T @ columns)
+        return beside
+
+    def adds(self, path: FloatArray, delay: int) -> float:
+        """Return the log likelihood ratio of the prediction with and without a stem's path (%, shape (N,)), delayed.
+
+        N times the logarithm of the residual variances' ratio, N less the coefficients fitted; about 3 by chance for a
+        path chosen beforehand (chi^2 with three degrees of freedom), more for the best of many. 0 where the record is
+        too short to say.
+        """
+        if not self.enough or not np.ptp(path) > 0.0:
+            return 0.0
+        x = path - path.mean()
+        columns = np.column_stack([_back(x, delay + 1 + i, self.first) for i in range(ANSWERS)])[self.live]
+        left, sizes, _ = np.linalg.svd(self._beside(columns), full_matrices=False)
+        # A stem that follows OP is known already: what is left of it is rounding.
+        left = left[:, sizes > RANK * math.sqrt(float((columns**2).sum()))]
+        with_stem = self.left - left @ (left.T @ self.left)
+        without = float(self.left @ self.left) + self.floor
+        beside = float(with_stem @ with_stem) + self.floor
+        return float(self.freedom * math.log(without / beside)) if beside > 0.0 else 0.0
+
+
+def _back(signal: FloatArray, lag: int, first: int) -> FloatArray:
+    return signal[first - lag : signal.size - lag]
