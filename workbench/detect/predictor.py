@@ -23,7 +23,8 @@ PAST = 30  # samples of PV and of OP that are known, fewer in short records
 PER_PAST = 20  # samples of the record for each
 ANSWERS = 3  # samples of the stem, one after the other, that PV may answer to
 LEAST_ROWS = 4  # samples for each coefficient: with fewer nothing is said
-RANK = 1e-6  # of the largest singular value
+SAME = 1e-10  # share of a regressor's power: less apart from the others is rounding
+RANK = 1e-4  # of a stem's path: less of it left beside OP is rounding
 
 
 class FreePredictor:
@@ -51,7 +52,7 @@ class FreePredictor:
         coefficients = columns.shape[1] + ANSWERS
         self.freedom = columns.shape[0] - coefficients
         self.enough = bool(columns.shape[0] >= LEAST_ROWS * coefficients)
-        self.basis = np.linalg.qr(columns)[0] if self.enough else columns
+        self.basis = _orthonormal(columns) if self.enough else columns
         self.left = self._beside(y[self.first :][self.live]) if self.enough else np.zeros(0)
         return self.enough
 
@@ -77,6 +78,17 @@ class FreePredictor:
         without = float(self.left @ self.left) + self.floor
         beside = float(with_stem @ with_stem) + self.floor
         return float(self.freedom * math.log(without / beside)) if beside > 0.0 else 0.0
+
+
+def _orthonormal(columns: FloatArray) -> FloatArray:
+    """Return an orthonormal basis of columns, shape (N, P), by Cholesky's factor of their products.
+
+    What two columns have in common to within `SAME` is left out of the later one.
+    """
+    columns = columns / np.maximum(np.sqrt((columns**2).sum(axis=0)), 1e-300)
+    factor = np.linalg.cholesky(columns.T @ columns + SAME * np.eye(columns.shape[1]))
+    basis: FloatArray = columns @ np.linalg.inv(factor).T
+    return basis
 
 
 def _back(signal: FloatArray, lag: int, first: int) -> FloatArray:
