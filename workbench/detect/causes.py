@@ -15,6 +15,7 @@ __all__ = ["dead_signal", "other_causes", "steady_stretches"]
 
 MUCH = 0.2  # of the record, worth a word
 HALF = 0.5  # of the record and of OP's range: PV no longer tells about the valve
+RESOLVED = 0.1  # % of travel: positioners hardly follow less
 ALIKE = 0.2  # relative difference of two periods that are one
 STEADY = 1.0 / 3.0  # of the record, the least stretch at constant SP that may stand for its cycle
 CYCLES = 0.5  # oscillation index of a setpoint that cycles
@@ -50,6 +51,12 @@ def dead_signal(record: Record) -> str:
     for name, signal, why in (("PV", record.pv, "frozen or saturated"), ("OP", record.op, "in manual or saturated")):
         if not np.ptp(signal) > 1e-9 * max(1e-9, float(np.abs(signal).max())):
             return f"{name} is constant over all {n} samples ({why}): nothing can be told about the valve"
+    width = float(np.ptp(record.op))
+    if width < RESOLVED:
+        return (
+            f"OP moved over {width:.2g} % of travel only, less than a valve resolves ({RESOLVED:g} %): a longer record "
+            "or a setpoint move would tell about the valve"
+        )
     first, stop = _longest_stay(record.pv)
     moved = float(np.ptp(record.op[first:stop]))
     if stop - first >= HALF * n and moved >= HALF * float(np.ptp(record.op)):

@@ -24,7 +24,7 @@ stem predicts clearly better, by three times PREDICTS (CLEAR), and explains most
 CLOSE: four fifths of each of these is no acquittal, nor is a likelihood beyond SOLE by itself.
 CHANCE: what the best of the search gained from noise alone, at most, in nine of ten simulated loops.
 EXCLUDED: chi^2 with one degree of freedom, the width, at 95 %: a wide stem whose likelihood is not that far below the
-linear loop's may be at work.
+linear loop's may be at work. So may one that never moved where PV is not seen to follow OP (CHANCE).
 FEW: a stem that moved at most four times, two cycles, cannot be told from a linear loop that leaves as much as LEFT
 where PV is not seen to follow OP (CHANCE).
 SLOW: under integral action alone a self-regulating loop is at its stability limit with a period of at most four times
@@ -111,7 +111,7 @@ def decide(
         return "undecided", [doubt, f"{both}; {linear}"]
     own = test.time_constant + test.dead_time
     loop = f"a linear loop with time constant {test.time_constant:.3g} s and dead time {test.dead_time:.3g} s"
-    if test.wide <= -limits.excluded:
+    if _excluded(test, limits):
         earned = (
             f"a stem that sticks over {test.wide_from:.3g} % or more is excluded (log likelihood ratio {test.wide:.0f})"
         )
@@ -145,7 +145,7 @@ def _not_excluded(oscillation: Oscillation, test: StemTest, limits: Thresholds) 
         times = "once" if test.moves == 1 else f"{test.moves} times"
         hardly = f"OP hardly leaves a band of {test.band:.3g} %, within which a stem that moved {times} fits as well"
         return f"{hardly}: the record is too short, or too quiet, to exclude it"
-    if test.wide <= -limits.excluded:
+    if _excluded(test, limits):
         return ""
     wide = f"a stem that sticks over {test.wide_from:.3g} % or more, a quarter of OP's range, cannot be excluded"
     would = "a setpoint move, a longer record or the measured stem would tell"
@@ -156,6 +156,11 @@ def _not_excluded(oscillation: Oscillation, test: StemTest, limits: Thresholds) 
     if test.samples < limits.shortest:
         return f"{wide}: {test.samples} samples are too few to show one that matters; {would}"
     return ""
+
+
+def _excluded(test: StemTest, limits: Thresholds) -> bool:
+    """Return whether neither a stem with a wide band nor one that never moved may be at work."""
+    return test.wide <= -limits.excluded and follows(test) >= limits.chance
 
 
 def _sticks(test: StemTest, limits: Thresholds, share: float) -> bool:
