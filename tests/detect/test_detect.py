@@ -9,6 +9,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 import workbench as wb
 from workbench.detect.stem import stem_test
@@ -141,7 +143,7 @@ ALONE = {"sure": 0.0, "adds": 0.0}
         ({}, "stiction"),
         # By two rivals alone: enough; a little less of either.
         ({"improvement": 0.0, "likelihood": 0.0, "simulated": -0.4, "predicting": 31.0, "sure": 31.0}, "stiction"),
-        ({"improvement": 0.0, "likelihood": 0.0, "simulated": -0.4, "predicting": 35.0, "sure": 25.0}, "undecided"),
+        ({"improvement": 0.0, "likelihood": 0.0, "simulated": -0.4, "predicting": 35.0, "sure": 24.0}, "undecided"),
         ({"improvement": 0.0, "likelihood": 0.0, "unexplained": 0.04, "predicting": 31.0, "sure": 31.0}, "no_stiction"),
         # By prediction and simulation together: the stem must add to the free predictor too.
         ({"predicting": 39.0, "sure": 15.0, "adds": 11.0}, "stiction"),
@@ -231,6 +233,46 @@ def test_records_that_tell_nothing() -> None:
         wb.detect(wb.Record(ramp[:29], ramp[:29], 1.0))
     with pytest.raises(wb.InvalidValue, match=r"detect\.record"):
         wb.detect("loop.csv")
+
+
+def test_an_op_that_hardly_moves_tells_nothing_about_the_valve() -> None:
+    record = run_of(wb.Ideal())
+    mean = float(record.op.mean())
+    for width, verdict in ((0.09, "undecided"), (0.11, "no_stiction")):
+        squeezed = replace(record, op=mean + (record.op - mean) * width / float(np.ptp(record.op)))
+        found = wb.detect(squeezed)
+        assert found.verdict == verdict
+        assert ("less than a valve resolves (0.1 %)" in found.reasons[0]) == (verdict == "undecided")
+
+
+@pytest.mark.parametrize("samples", [30, 60, 200])
+def test_a_short_record_whose_stem_never_moved_is_undecided(samples: int) -> None:
+    loop = wb.Loop(wb.FOPDT(2.0, 5.0, 1.0), wb.Stenman(4.0), wb.PID(Kc=0.5, Ti=15.0), 1.0)
+    run = wb.simulate(loop, wb.Experiment(float(samples), noise=wb.Noise(0.5, 1)))
+    assert not np.ptp(run.valve)
+    found = wb.detect(wb.Record(run.pv, run.op, 1.0, sp=run.sp))
+    assert found.verdict == "undecided"
+    assert any("too short" in reason or "cannot be excluded" in reason for reason in found.reasons)
+
+
+def test_a_healthy_valve_at_work_is_acquitted_even_in_a_short_record() -> None:
+    loop = wb.Loop(wb.FOPDT(2.0, 5.0, 1.0), wb.Ideal(), wb.PID(Kc=0.5, Ti=15.0), 1.0)
+    run = wb.simulate(loop, wb.Experiment(60.0, setpoint=wb.Step(5.0, at=5.0), noise=wb.Noise(0.05, 1)))
+    found = wb.detect(wb.Record(run.pv, run.op, 1.0, sp=run.sp))
+    assert found.verdict == "no_stiction"
+    assert "or more is excluded" in found.reasons[0]
+
+
+@settings(deadline=None, max_examples=15)
+@given(seed=st.integers(0, 2**32 - 1), smooth=st.integers(1, 12), n=st.integers(30, 300))
+def test_a_short_record_of_noise_is_never_a_verdict_but_by_exclusion(seed: int, smooth: int, n: int) -> None:
+    rng = np.random.default_rng(seed)
+    pv, op = (np.convolve(rng.normal(size=n), np.ones(smooth), "same") for _ in range(2))
+    found = wb.detect(wb.Record(pv, op, 1.0))
+    assert found.verdict != "stiction"
+    assert found.verdict == "undecided" or any(
+        said in " ".join(found.reasons) for said in ("is excluded", "nothing to explain")
+    )
 
 
 def test_bicoherence_and_ellipse_come_when_asked_for() -> None:
