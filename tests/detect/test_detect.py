@@ -176,12 +176,15 @@ CYCLING = Oscillation(0.6, 20.0, 5.0, 40.0)
         (QUIET, {"wide": -3.0}, "no_stiction", "no better than chance"),
         (CYCLING, {"wide": -3.0}, "undecided", "PV cycles: the record does not tell why"),
         (QUIET, {"wide": 11.0}, "undecided", "cannot be excluded: it predicts PV rather better"),
+        # PV follows OP: then a wide stem that predicts as well is not chance.
+        (QUIET, {"wide": 1.0}, "undecided", "PV follows OP, yet such a stem"),
+        (QUIET, {"wide": 1.0, "unfollowed": 0.0507}, "no_stiction", "no better than chance"),
         # The linear loop explains PV.
         (CYCLING, {"wide": 20.0, "unexplained": 0.04}, "no_stiction", "tight tuning"),
         (QUIET, {"wide": 20.0, "unexplained": 0.04}, "no_stiction", "has nothing to explain"),
         # Too short to have shown a stem that matters: ln(1/0.91) of each sample must reach the likelihood, 30.
-        (QUIET, {"wide": 0.0, "samples": 319}, "no_stiction", "no better than chance"),
-        (QUIET, {"wide": 0.0, "samples": 318}, "undecided", "318 samples are too few"),
+        (QUIET, {"wide": -1.0, "samples": 319}, "no_stiction", "no better than chance"),
+        (QUIET, {"wide": -1.0, "samples": 318}, "undecided", "318 samples are too few"),
         (QUIET, {"wide": -4.0, "samples": 318}, "no_stiction", "is excluded"),
         # Two moves: PV is seen to follow OP, or not.
         (QUIET, {"moves": 2}, "no_stiction", "is excluded"),

@@ -35,6 +35,8 @@ def test_every_statistic_is_told_with_its_value(sticky: Detection) -> None:
     assert sticky.bicoherence is not None
     assert rows["Stem test, prediction"].value == 100.0 * sticky.test.improvement
     assert rows["Stem test, likelihood"].value == sticky.test.likelihood
+    assert rows["Stem test, two rivals"].value == sticky.test.sure
+    assert rows["Stem test, what it adds"].value == sticky.test.adds
     assert rows["Oscillation period"].value == sticky.oscillation.period
     assert rows["Regularity"].value == sticky.oscillation.regularity
     assert (rows["Cross-correlation, lags"].value, rows["Cross-correlation, values"].value) == sticky.correlation
@@ -57,6 +59,25 @@ def test_the_stem_test_is_judged_by_the_thresholds_of_the_verdict(sticky: Detect
     assert rows["Stem test, prediction"].says == "enough for stiction"
     assert rows["Stem test, likelihood"].says == "too little for stiction"
     assert f"{LIMITS.likelihood:g}" in rows["Stem test, likelihood"].limits
+
+
+@pytest.mark.parametrize(
+    ("changed", "says"),
+    [
+        ({"wide": -4.0, "wide_from": 1.5}, "a band of 1.5 % or more is excluded"),
+        ({"wide": -4.0, "unfollowed": 0.0501}, "no more than chance"),
+        ({"wide": -1.0}, "no more than chance"),
+        ({"wide": 1.0}, "wide bands are not excluded"),
+        ({"wide": 1.0, "unfollowed": 0.0501}, "no more than chance"),
+        ({"wide": 11.0, "unfollowed": 0.0501}, "wide bands are not excluded"),
+    ],
+)
+def test_wide_bands_are_judged_as_the_verdict_judges_them(
+    sticky: Detection, changed: dict[str, float], says: str
+) -> None:
+    assert sticky.test is not None
+    test = replace(sticky.test, **{"left": 0.05, "unfollowed": 0.06, "samples": 1000, **changed})
+    assert table(replace(sticky, test=test))["Stem test, wide bands"].says == says
 
 
 @pytest.mark.parametrize(

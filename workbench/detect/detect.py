@@ -17,7 +17,7 @@ from workbench.detect.load import DETECTIONS, load_index
 from workbench.detect.oscillation import no_period, oscillation_of
 from workbench.detect.shape import movement_index, triangle_index
 from workbench.detect.stem import Fitted, stem_test
-from workbench.detect.verdict import decide, follows
+from workbench.detect.verdict import Thresholds, decide, follows
 from workbench.errors import InvalidValue, RecordError
 from workbench.model.detection import Detection, Oscillation
 from workbench.model.record import Record
@@ -25,7 +25,6 @@ from workbench.model.record import Record
 __all__ = ["FEWEST_SAMPLES", "detect"]
 
 FEWEST_SAMPLES = 30
-FOLLOWS = 15.0  # log likelihood ratio of PV with and without OP, as in the verdict
 ACTS = 0.05  # share of OP's moves that the error must explain for a controller to be seen
 PATTERN = 20  # parts of a period over which moves are coded
 
@@ -69,7 +68,7 @@ def detect(record: Record, *, bicoherence: bool = False, fitted: Fitted | None =
     test = stem_test(record.pv, record.op, record.sample_time, period, gain_sign(record), fitted)
     stem = None if record.valve_position is None else stem_evidence(record.op, record.valve_position)
     verdict, reasons = ("undecided", [dead]) if dead else decide(whole, test, stem)
-    if verdict == "no_stiction" and follows(test) < FOLLOWS and feedback(record)[0] < ACTS:
+    if verdict == "no_stiction" and follows(test) < Thresholds().seen and feedback(record)[0] < ACTS:
         verdict = "undecided"
         reasons = ["neither does PV follow OP nor OP the error: the record does not show a loop at work"]
     stretch, cycle = _strongest(record)

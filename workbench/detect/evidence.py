@@ -10,7 +10,7 @@ from workbench.detect.correlation import LAGS, VALUES
 from workbench.detect.load import DETECTIONS
 from workbench.detect.oscillation import OSCILLATES, REGULAR, no_period
 from workbench.detect.shape import TRIANGLES, UNANSWERED
-from workbench.detect.verdict import Thresholds
+from workbench.detect.verdict import Thresholds, excluded, beyond_chance
 from workbench.model.detection import Detection, Statistic
 
 __all__ = ["statistics_of"]
@@ -122,14 +122,15 @@ def _stem_test(found: Detection) -> Iterator[Statistic]:
         "",
         wide,
         "",
-        f"up to {-limits.excluded:g} such stems are excluded; up to {limits.chance:g} chance, where PV does not cycle",
+        f"up to {-limits.excluded:g} such stems are excluded; up to {limits.chance:g} chance, up to 0 where PV is seen to "
+        "follow OP",
         _undefined(STILL)
         if test is None
-        else f"sticking over {test.wide_from:.3g} % or more is excluded"
-        if wide <= -limits.excluded
-        else "no more than chance"
-        if wide <= limits.chance
-        else "wide bands are not excluded",
+        else f"a band of {test.wide_from:.3g} % or more is excluded"
+        if excluded(test, limits)
+        else "wide bands are not excluded"
+        if beyond_chance(test, limits)
+        else "no more than chance",
         decides=True,
     )
     clear = test is not None and test.improvement >= limits.much and test.simulated >= limits.most

@@ -7,8 +7,9 @@ and adds more than chance to the free predictor (CHANCE); or it predicts so much
 opinion is asked.
 
 No stiction is a finding of its own: stems that stick over a quarter of OP's range or more, enough to matter, are
-excluded (EXCLUDED); or they fit no better than chance has it (CHANCE), PV does not cycle as a sticking valve makes it
-under integral action, and the record is long enough to have shown more; or the linear loop leaves nothing to explain.
+excluded (EXCLUDED); or they fit no better than chance has it (CHANCE; where PV is seen to follow OP, worse than OP
+itself: SEEN), PV does not cycle as a sticking valve makes it under integral action, and the record is long enough to
+have shown more; or the linear loop leaves nothing to explain.
 What is neither is undecided.
 
 The thresholds are stated, not fitted:
@@ -26,6 +27,8 @@ CLOSE: four fifths of each of these is no acquittal, nor is a likelihood beyond 
 CHANCE: where PV is noise alone the best of the search gained less in 47 of 50 simulated loops.
 EXCLUDED: chi^2 with one degree of freedom, the width, at 95 %: a wide stem whose likelihood is not that far below the
 linear loop's may be at work. So may one that never moved where PV is not seen to follow OP (CHANCE).
+SEEN: a gain, a time constant and a dead time chosen among ten gain 15 by chance once in 50. Where PV answers OP so
+clearly, a stem that hides a quarter of OP's range from it predicts PV worse, unless it is at work.
 FEW: a stem that moved at most four times, two cycles, cannot be told from a linear loop that leaves as much as LEFT
 where PV is not seen to follow OP (CHANCE).
 SLOW: under integral action alone a self-regulating loop is at its stability limit with a period of at most four times
@@ -44,7 +47,7 @@ from dataclasses import dataclass
 from workbench.detect.oscillation import no_period
 from workbench.model.detection import Oscillation, StemEvidence, StemTest
 
-__all__ = ["Thresholds", "decide", "follows"]
+__all__ = ["Thresholds", "decide", "excluded", "follows", "beyond_chance"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,6 +65,7 @@ class Thresholds:
     most: float = 0.5
     chance: float = 10.0
     excluded: float = 3.84
+    seen: float = 15.0
     slow: float = 4.0
     cycles: float = 0.5  # oscillation index of a cycle that dominates PV
     few: float = 4.0
@@ -112,7 +116,7 @@ def decide(
         return "undecided", [doubt, f"{both}; {linear}"]
     own = test.time_constant + test.dead_time
     loop = f"a linear loop with time constant {test.time_constant:.3g} s and dead time {test.dead_time:.3g} s"
-    if _excluded(test, limits):
+    if excluded(test, limits):
         earned = (
             f"a stem that sticks over {test.wide_from:.3g} % or more is excluded (log likelihood ratio {test.wide:.0f})"
         )
@@ -146,12 +150,14 @@ def _not_excluded(oscillation: Oscillation, test: StemTest, limits: Thresholds) 
         times = "once" if test.moves == 1 else f"{test.moves} times"
         hardly = f"OP hardly leaves a band of {test.band:.3g} %, within which a stem that moved {times} fits as well"
         return f"{hardly}: the record is too short, or too quiet, to exclude it"
-    if _excluded(test, limits):
+    if excluded(test, limits):
         return ""
     wide = f"a stem that sticks over {test.wide_from:.3g} % or more, a quarter of OP's range, cannot be excluded"
     would = "a setpoint move, a longer record or the measured stem would tell"
     if test.wide > limits.chance:
         return f"{wide}: it predicts PV rather better than OP itself (log likelihood ratio {test.wide:.0f}); {would}"
+    if beyond_chance(test, limits):
+        return f"{wide}: PV follows OP, yet such a stem predicts it as well as OP itself; {would}"
     if not no_period(oscillation):
         return f"{wide}, and PV cycles: the record does not tell why; {would}"
     if test.samples < limits.shortest:
@@ -159,9 +165,14 @@ def _not_excluded(oscillation: Oscillation, test: StemTest, limits: Thresholds) 
     return ""
 
 
-def _excluded(test: StemTest, limits: Thresholds) -> bool:
+def excluded(test: StemTest, limits: Thresholds) -> bool:
     """Return whether neither a stem with a wide band nor one that never moved may be at work."""
     return test.wide <= -limits.excluded and follows(test) >= limits.chance
+
+
+def beyond_chance(test: StemTest, limits: Thresholds) -> bool:
+    """Return whether a stem with a wide band predicts PV better than chance has it."""
+    return test.wide > (0.0 if follows(test) >= limits.seen else limits.chance)
 
 
 def _sticks(test: StemTest, limits: Thresholds, share: float) -> bool:
