@@ -10,7 +10,7 @@ from workbench.detect.correlation import LAGS, VALUES
 from workbench.detect.load import DETECTIONS
 from workbench.detect.oscillation import OSCILLATES, REGULAR, no_period
 from workbench.detect.shape import TRIANGLES, UNANSWERED
-from workbench.detect.verdict import Thresholds, excluded, beyond_chance
+from workbench.detect.verdict import Thresholds, beyond_chance, excluded
 from workbench.model.detection import Detection, Statistic
 
 __all__ = ["statistics_of"]
@@ -122,8 +122,8 @@ def _stem_test(found: Detection) -> Iterator[Statistic]:
         "",
         wide,
         "",
-        f"up to {-limits.excluded:g} such stems are excluded; up to {limits.chance:g} chance, up to 0 where PV is seen to "
-        "follow OP",
+        f"up to {-limits.excluded:g} such stems are excluded; up to {limits.chance:g} chance, up to 0 where PV is seen "
+        "to follow OP",
         _undefined(STILL)
         if test is None
         else f"a band of {test.wide_from:.3g} % or more is excluded"

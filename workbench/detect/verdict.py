@@ -47,7 +47,7 @@ from dataclasses import dataclass
 from workbench.detect.oscillation import no_period
 from workbench.model.detection import Oscillation, StemEvidence, StemTest
 
-__all__ = ["Thresholds", "decide", "excluded", "follows", "beyond_chance"]
+__all__ = ["Thresholds", "beyond_chance", "decide", "excluded", "follows"]
 
 
 @dataclass(frozen=True, slots=True)
