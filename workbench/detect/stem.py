@@ -334,15 +334,13 @@ class _Search:
             adds = self.free.adds(path, fit.delay)
         return _Candidate(law, path, fit, self._gain(self.rival, fit), simulated, adds, self.rivals.count)
 
-    def met(self, fitted: Fitted | None) -> list[_Candidate]:
+    def met(self) -> list[_Candidate]:
         """Return the valves judged: the best of the grid, and those found closer and closer about them."""
         laws = laws_of(float(np.ptp(self.u)))
         paths = np.array([law.path(self.u) for law in laws])
         classes = np.digitize([law.band for law in laws], np.array(CLASSES) * float(np.ptp(self.u)))
         coarse = np.geomspace(SHORTEST, LONGEST * self.rivals.n, COARSE_TAUS).tolist()
         found: list[_Candidate] = []
-        if fitted is not None:
-            found += [self.judged(Law(fitted[0], 0.0), fitted[1], a) for a in (self.white, self.linear.a)]
 
         # The linear rival's noise holds what the stem would explain, white noise what it would not: once more with
         # the noise of the best so far. Wide and narrow stems are looked at apart: neither is to crowd out the other.
@@ -358,6 +356,11 @@ class _Search:
             for part in range(len(CLASSES) + 1)
         ]
         return found + [self.closer(c) for c in leaders]
+
+    def told(self, fitted: Fitted) -> list[_Candidate]:
+        """Return a model's valve judged, and the best found about it."""
+        judged = [self.judged(Law(fitted[0], 0.0), fitted[1], a) for a in (self.white, self.linear.a)]
+        return [*judged, self.closer(max(judged, key=lambda c: c.innovations))]
 
     def closer(self, best: _Candidate) -> _Candidate:
         """Return the best about a candidate, closer and closer: a stem a little off slips at other times."""
@@ -383,7 +386,8 @@ def _stretch(
     power = float(y[~held].var())
     rivals = _Rivals(y, dead_times(y.size, period / sample_time), sign, held)
     search = _Search(rivals, u, held, power)
-    met = search.met(fitted)
+    own = search.met()
+    met = own if fitted is None else own + search.told(fitted)
     best, both = max(met, key=lambda c: c.innovations), max(met, key=lambda c: c.both)
     moving = np.diff(best.path) != 0.0
     width = float(np.ptp(u))
@@ -394,7 +398,8 @@ def _stretch(
         simulated=1.0 - math.exp(-both.simulated / rivals.count),
         adds=both.adds,
         sure=max(c.sure for c in met),
-        wide=max(c.harmless for c in met if c.law.band >= WIDE * width),
+        # What chance gives is known for the search's own stems, not for one that a model was fitted with.
+        wide=max(c.harmless for c in own if c.law.band >= WIDE * width),
         wide_from=WIDE * width,
         left=search.linear.variance / power,
         unexplained=search.straight.variance / power,
