@@ -75,10 +75,13 @@ def loads_of(data: Centred, stems: Sequence[Stem], limits: Limits, skip: int, mo
     stems = [stem for stem in stems if stem.fit.gain != 0.0]
     if n > LONGEST or not stems:
         return nothing
+    bare = _beside(data, stems[0].x, stems[0].first, stems[0].fit, limits, skip, [])
+    if bare.a.size == 1:
+        # Where the first stem leaves noise alone, no other one has more to say.
+        stems = stems[:1]
     found = [model for stem in stems if (model := _explained(data, stem, limits, skip, most, strict)) is not None]
     model = min(found, key=lambda m: m.power(skip), default=None)
     # Steps beside a worse stem explain nothing that the first one does not by itself.
-    bare = _beside(data, stems[0].x, stems[0].first, stems[0].fit, limits, skip, [])
     if model is None or not (strict or _takes_more(model, bare, skip)):
         return nothing
     gain, errors = float(model.terms[1]), _errors(model, skip)
@@ -105,7 +108,7 @@ def _explained(data: Centred, stem: Stem, limits: Limits, skip: int, most: int, 
     while len(model.times) < most and end - begin > 8:
         measures = [WHITE] if model.a.size == 1 else [model.a, WHITE] if strict else [model.a, WHITE, FADING]
         likely = {_likeliest(data, model, measure, (begin, end), skip) for measure in measures}
-        if not strict:
+        if not strict and model.a.size > 1:
             # A stem found elsewhere may be surer of its gain than this record with its load is.
             likely.add(_likeliest(data, model, WHITE, (begin, end), skip, fit.gain))
         trials = [_beside(data, x, first, model.fit, limits, skip, [*model.times, at]) for at in sorted(likely)]
