@@ -157,3 +157,9 @@ def test_a_manifest_is_checked_as_its_run_would_end(folder: Path, entries: str, 
     ended, out, err = call("check", "site.yaml")
     assert (ended, out.strip()) == (code, said)
     assert ("b.csv is not there" in err) == (code == 1)
+
+
+def test_a_manifest_in_csv_is_checked_too(folder: Path) -> None:
+    (folder / "a.csv").write_text("PV,OP\n1,2\n", encoding="utf-8")
+    (folder / "site.csv").write_text("name,file\nA,a.csv\n", encoding="utf-8")
+    assert call("check", "site.csv")[:2] == (0, "site.csv: ok (1 loop)\n")

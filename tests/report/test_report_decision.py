@@ -149,6 +149,8 @@ def test_what_gains_next_to_nothing_is_not_worth_a_change(study: Study, case: Ma
     assert told.watch == ()
     calmer = replace(better, run=replace(better.run, kpis=replace(better.run.kpis, valve_travel=5.0)))
     assert summarise(of(study, study.cases[0], calmer)).decision.startswith("Set Kc 0.5 %/EU, Ti 20.01 s (Near)")
+    # What is said beside it is of the tuning that stays.
+    assert not any("With Near" in line for line in told.left)
 
 
 def test_given_tunings_are_not_called_the_best_there_is(study: Study) -> None:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 import os
+import re
 import shutil
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -51,6 +53,21 @@ def test_the_page_has_none_of_it_unless_asked(study: Study, tmp_path: Path) -> N
     without = cases_of(study)
     write_report(replace(without, cases=()), tmp_path, interactive=True)
     assert "<script" not in (tmp_path / "report.html").read_text(), "nothing to zoom in"
+
+
+@pytest.mark.parametrize("count", [1, 2])
+def test_the_page_has_a_place_for_each_figure_of_its_script(study: Study, tmp_path: Path, count: int) -> None:
+    # Bokeh draws none of them where it does not find one.
+    told = replace(cases_of(study), cases=study.cases[:count])
+    zoom = zoomable(told)
+    assert (zoom.overlay == "") == (count == 1)
+    write_report(told, tmp_path, interactive=True)
+    page = (tmp_path / "report.html").read_text()
+    places = [*(place for pair in zoom.cases for place in pair), *([zoom.overlay] if count > 1 else [])]
+    roots = re.search(r'"roots":(\{.*?\})', str(zoom.script))
+    assert roots is not None
+    assert len(json.loads(roots[1])) == len(places)
+    assert page.count("data-root-id") == len(places)
 
 
 def test_names_stay_text(study: Study, tmp_path: Path) -> None:

@@ -55,6 +55,7 @@ PLANTS = ("fopdt", "integrating", "auto")
 # Dead times searched by default, in samples, doubled while the best fit lies at the end.
 DELAYS = 30
 LINEAR_DELAYS = 240
+WIDEST_GAIN = 0.5  # of the gain itself: a 95 % range wider than this does not identify a two-parameter valve
 CLEAR_BIC = 10.0  # R. Kass, A. Raftery, J. Am. Stat. Assoc. 90 (1995) 773-795: "very strong" evidence above it
 MUCH_MANUAL = 0.05  # share of the record in manual that is worth a word
 
@@ -272,6 +273,9 @@ def _answer(
         S = bands[chosen].best.S
         sharp = bands[chosen].S[1] - bands[chosen].S[0] <= SHARP * S
         identifiable = verdict == "stiction" and bands[chosen].best.slips >= ENOUGH_SLIPS and sharp
+        # A stem whose gain may be anything is no model, however narrow its band.
+        low, high = stem.intervals.gain or (0.0, 0.0)
+        identifiable = identifiable and high - low <= WIDEST_GAIN * abs(bands[chosen].best.fit.gain)
     best = bands[chosen].best if chosen in bands else None if found is None else found.best
     stuck = best is not None and chosen != "linear" and verdict != "no_stiction" and best.fit.gain != 0.0
     if not stuck:

@@ -31,9 +31,9 @@ def _valve(name: str, d: float, band: Band | None) -> Valve:
     return Stenman(d) if name == "stenman" else Ideal()
 
 
-def bands_of(data: Centred, coarse: list[Band], limits: Limits) -> dict[str, Bands]:
+def bands_of(data: Centred, coarse: list[Band], limits: Limits, only_any: bool = False) -> dict[str, Bands]:
     """Return the searches over two-parameter valves that found a stem: "deadband" (J = 0) and "choudhury" (any J)."""
-    dead = search_bands(data, coarse, limits, 0.0)
+    dead = None if only_any else search_bands(data, coarse, limits, 0.0)
     any_jump = search_bands(data, coarse, limits, None, () if dead is None else (dead.best,))
     found = {"deadband": dead, "choudhury": any_jump}
     return {name: bands for name, bands in found.items() if bands is not None}

@@ -26,7 +26,7 @@ __all__ = ["coloured_linear", "settled"]
 STARTING = 20  # of the record at most is left out at its start
 STEPS_MOST = 2  # load steps
 COLOURINGS = 2  # rounds of model and disturbance in turn
-SEEKING = 4  # rounds in which load steps need not yet explain all that is coloured, and as many more in which they must
+SEEKING = 3  # rounds in which load steps need not yet explain all that is coloured
 SAME_TIME, SAME_SIZE = 5, 0.1  # samples, share: steps that moved less have settled
 
 
@@ -145,7 +145,9 @@ def settled(
             else:
                 found = profile_again(data, found)
         if bands:
-            bands = bands_of(data, look(data, delays), limits) if anew else refitted(data, bands, limits)
+            # While steps are sought a stem is needed, not the dead band beside it.
+            only_any = bool(steps) and not strict
+            bands = bands_of(data, look(data, delays), limits, only_any) if anew else refitted(data, bands, limits)
         if agreed and same_steps:
             break
     return data, found, bands, linear, steps

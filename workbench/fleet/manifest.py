@@ -90,7 +90,9 @@ class _Given:
 
 
 def is_manifest(path: Path) -> bool:
-    """Whether a YAML file is a manifest of loops and no scenario of one: its entry `loops` tells."""
+    """Whether a file is a manifest of loops and no scenario of one: CSV, or YAML with an entry `loops`."""
+    if path.suffix.lower() == ".csv":
+        return path.is_file()
     try:
         # Anything else, and anything odd, is for the scenario loader to say.
         text = path.read_text(encoding="utf-8-sig") if path.is_file() and path.stat().st_size <= LARGEST else ""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from workbench.model.results import Kpis
 from workbench.model.study import CaseResult, Study
 from workbench.report.cycles import better_late, by_start, late_errors, late_figures, swing
 from workbench.report.judge import at_odds, base_case, best_case, quiet, run_travel, unstable
@@ -52,6 +53,8 @@ def case_advice(study: Study) -> Advice:
         do += late_errors(study)
     else:
         decision, case = _recommendation(study, base, best)
+        # What follows is of the case that is to be set, or kept.
+        best = case
         if best.tuned is not None and best.tuned.knife_edge:
             do.append(
                 f"Type in exactly these digits: the optimum is a knife-edge, {nearby(best.tuned.margin)} J rises from "
@@ -68,7 +71,7 @@ def case_advice(study: Study) -> Advice:
 def _recommendation(study: Study, base: CaseResult | None, best: CaseResult) -> tuple[str, CaseResult]:
     """Return the decision, and the case that it is about."""
     controller = settings_words(study, best)
-    kpis = best.run.kpis
+    kpis, objective = _as_typed_in(study, best)
     by = "J" if best.objective is not None else "mean square error"
     if len(study.cases) == 1 and best is base:
         return f"Nothing to set: {best.name} ({controller}) is the only tuning here, and none was searched for.", best
@@ -80,10 +83,10 @@ def _recommendation(study: Study, base: CaseResult | None, best: CaseResult) -> 
             f"Set {controller} ({best.name}): {least}, mean square error {figure(kpis.mean_square_error, 3)} EU², "
             f"valve travel {figure(kpis.valve_travel, 3)} %.{_by_repair(study, best)}"
         ), best
-    was = base.run.kpis
+    was, before = _as_typed_in(study, base)
     parts = []
-    if best.objective is not None and base.objective is not None:
-        parts.append(f"J {figure(best.objective, 3)} instead of {figure(base.objective, 3)}")
+    if objective is not None and before is not None:
+        parts.append(f"J {figure(objective, 3)} instead of {figure(before, 3)}")
     (name, ours), (_, theirs) = spread(best, kpis), spread(base, was)
     parts.append(f"{name} {change(ours, theirs)}")
     parts.append(f"mean square error {change(kpis.mean_square_error, was.mean_square_error)}")
@@ -95,6 +98,14 @@ def _recommendation(study: Study, base: CaseResult | None, best: CaseResult) -> 
             f"{best.name} ({controller}), has {told}"
         ), base
     return f"Set {controller} ({best.name}): {told}{_by_repair(study, best)}", best
+
+
+def _as_typed_in(study: Study, case: CaseResult) -> tuple[Kpis, float | None]:
+    """Return a case's figures and J with the digits that are named: the site's own, where it has its own form."""
+    for one in study.site_cases:
+        if one.name == case.name and one.kpis is not None:
+            return one.kpis, one.objective
+    return case.run.kpis, case.objective
 
 
 def _in_the_long_run(study: Study, base: CaseResult, best: CaseResult) -> str:

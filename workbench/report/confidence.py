@@ -195,6 +195,11 @@ def _long_run(study: Study, case: CaseResult, judged: _Judged) -> None:
     judged.say(text, doubt=doubt, open_point=open_point)
 
 
+def _longest(cycle: LimitCycle) -> float:
+    """How long it takes until the cycle shows, s: the longest of the starts that come to it."""
+    return max([cycle.window, *(s.window for s in cycle.starts if s.outcome == "cycles")])
+
+
 def _swing(cycle: LimitCycle) -> str:
     return f"PV {figure(cycle.pv_peak_to_peak, 3)} EU every {duration(cycle.period)}"
 
@@ -210,9 +215,9 @@ def watch(study: Study, base: CaseResult | None, best: CaseResult) -> list[str]:
     cycle = best.limit_cycle
     if cycle is not None and cycle.outcome == "cycles":
         text = (
-            f"The cycle that remains: {_swing(cycle)} without noise, which takes up to {duration(cycle.window)} after "
-            f"a change to show. A swing well above {figure(cycle.pv_peak_to_peak, 3)} EU that does not come from a "
-            "disturbance means that the loop is not the one modelled here."
+            f"The cycle that remains: {_swing(cycle)} without noise, which took up to {duration(_longest(cycle))} to "
+            f"show from the starts tried. A swing well above {figure(cycle.pv_peak_to_peak, 3)} EU that does not come "
+            "from a disturbance means that the loop is not the one modelled here."
         )
         out.append(text)
     elif cycle is not None and cycle.outcome == "settles":

@@ -49,13 +49,15 @@ def zoomable(study: Study) -> Zoomable:
     models: list[Any] = []
     for case in study.cases:
         models += [_trend(case, columns), _pv_op(case, columns)]
-    models.append(_overlay(study.cases, columns))
+    several = len(study.cases) > 1  # one case has no figure of all together, and a script without its place fails
+    if several:
+        models.append(_overlay(study.cases, columns))
     script, divs = components(models)
     library = Resources(mode="inline", components=["bokeh"]).render_js()
     # Bokeh's own markup: what comes from a scenario is escaped JSON in it.
     places = [Markup(div) for div in divs]  # noqa: S704
     pairs = tuple((places[2 * i], places[2 * i + 1]) for i in range(len(study.cases)))
-    return Zoomable(Markup(library), Markup(script), places[-1], pairs)  # noqa: S704
+    return Zoomable(Markup(library), Markup(script), places[-1] if several else Markup(""), pairs)  # noqa: S704
 
 
 def _figure(ylabel: str, xlabel: str = "", **more: Any) -> Any:
