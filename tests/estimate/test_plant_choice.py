@@ -45,7 +45,7 @@ def test_the_other_plant_foretells_worse_under_a_load() -> None:
     for plant in PLANTS:
         record = record_of(plant, wb.Stenman(2.0), 3, load=0.2)
         bic = {
-            name: foretelling_bic(centre(record, name), wb.estimate(record, plant=name, valve="stenman"))
+            name: foretelling_bic(centre(record, name), wb.estimate(record, plant=name))
             for name in ("fopdt", "integrating")
         }
         own, other = ("fopdt", "integrating") if isinstance(plant, wb.FOPDT) else ("integrating", "fopdt")
