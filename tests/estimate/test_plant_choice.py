@@ -9,6 +9,7 @@ from typer.testing import CliRunner
 import workbench as wb
 from workbench.cli import app
 from workbench.estimate.data import centre
+from workbench.estimate.estimate import linear_loop
 from workbench.estimate.plants import foretelling_bic
 
 
@@ -44,10 +45,10 @@ def test_the_other_plant_foretells_worse_under_a_load() -> None:
     # Along the stem of its own fit each plant is judged by what it foretells one sample ahead.
     for plant in PLANTS:
         record = record_of(plant, wb.Stenman(2.0), 3, load=0.2)
-        bic = {
-            name: foretelling_bic(centre(record, name), wb.estimate(record, plant=name))
-            for name in ("fopdt", "integrating")
-        }
+        bic = {}
+        for name in ("fopdt", "integrating"):
+            one = wb.estimate(record, plant=name)
+            bic[name] = foretelling_bic(centre(record, name), one.plant, one.valve, one.valve_position, one.prediction)
         own, other = ("fopdt", "integrating") if isinstance(plant, wb.FOPDT) else ("integrating", "fopdt")
         assert bic[own] < bic[other] - 10.0
 
@@ -78,3 +79,15 @@ def test_the_command_takes_joint_and_auto(tmp_path: object) -> None:
     assert "a first-order process has the lower BIC" in result.output
     assert "one sample ahead PV is foretold within" in result.output
     assert "Parts" in result.output
+
+
+@pytest.mark.parametrize("plant", PLANTS)
+def test_a_linear_loop_by_itself_is_the_model_that_the_estimate_gives_it(plant: wb.FOPDT | wb.Integrating) -> None:
+    record = record_of(plant, wb.Ideal(), 4, load=0.2)
+    alone = linear_loop(record, "auto")
+    found = wb.estimate(record, plant="fopdt" if isinstance(plant, wb.FOPDT) else "integrating", valve="linear")
+    assert type(alone.plant) is type(plant)
+    assert alone.plant == found.plant
+    assert np.array_equal(alone.prediction, found.prediction)
+    with pytest.raises(wb.InvalidValue, match=r"linear_loop\.plant"):
+        linear_loop(record, "second order")

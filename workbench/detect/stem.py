@@ -218,19 +218,24 @@ class _Rivals:
         """Return the best plant driven by x, in the measure of the whitening filter a, the dead time in between too."""
         _, tau_at, delay_at = self.least(x[None, :], a, taus)
         tau, near = taus[int(tau_at[0])], int(self.delays[delay_at[0]])
-        target, gains = whitened(a, self.y), np.zeros(2)
+        target, costs, gains = whitened(a, self.y), np.empty(3), np.zeros((3, 2))
         drive = whitened(a, x - x[0])
         best = (math.inf, tau, near, 0.0, 0.0)
+        seen: set[tuple[float, int, int]] = set()
         for spread in SPREADS:
             for _ in range(STEPS):
                 before = best[0]
                 centre, middle = best[1], best[2]
                 for trial in (centre / spread, centre, min(centre * spread, LONGEST * self.n)):
-                    for delay in range(max(middle - 1, 0), min(middle + 1, self.longest) + 1):
-                        pole = math.exp(-1.0 / trial)
-                        cost = kernel.taps(target, self.live, drive, pole, self.order, delay, self.sign, gains)
-                        if cost < best[0]:
-                            best = (cost, trial, delay, float(gains[0]), float(gains[1]))
+                    delays = (max(middle - 1, 0), min(middle + 1, self.longest))
+                    if (trial, *delays) in seen:
+                        continue
+                    seen.add((trial, *delays))
+                    pole = math.exp(-1.0 / trial)
+                    kernel.taps(target, self.live, drive, pole, self.order, delays, self.sign, costs, gains)
+                    i = int(np.argmin(costs[: delays[1] - delays[0] + 1]))
+                    if costs[i] < best[0]:
+                        best = (float(costs[i]), trial, delays[0] + i, float(gains[i, 0]), float(gains[i, 1]))
                 if not best[0] < before:
                     break
         cost, tau, delay, g0, g1 = best

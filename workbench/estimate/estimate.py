@@ -41,11 +41,11 @@ from workbench.estimate.verdict import ENOUGH_SLIPS, SHARP, WIDE_D, Evidence, ag
 from workbench.model.checks import choice, number
 from workbench.model.load_step import LoadStep
 from workbench.model.record import Record
-from workbench.model.results import Estimate, Iteration
+from workbench.model.results import Estimate, Iteration, LinearFit
 from workbench.model.valve import Choudhury, Ideal, Stenman
 from workbench.record.modes import manual_share, mode_words
 
-__all__ = ["estimate"]
+__all__ = ["estimate", "linear_loop"]
 
 METHODS = ("profile", "joint", "two_step", "complementarity")
 PROGRAMS = ("joint", "complementarity")  # go on from the profile with nonlinear programs
@@ -131,6 +131,25 @@ def estimate(
     return replace(answer, repeats=repeats, reasons=answer.reasons + said)
 
 
+def linear_loop(record: Record, plant: str = "fopdt") -> LinearFit:
+    """Return a loop's linear model alone, for a valve that is known not to stick; plant: as in `estimate`.
+
+    It is the model that `estimate` gives such a loop, without the search for stiction. Raises as that does.
+    """
+    choice(plant, "linear_loop.plant", PLANTS)
+    if plant == "auto":
+        found = {one: linear_loop(record, one) for one in ("fopdt", "integrating")}
+        bics = {
+            one: foretelling_bic(centre(record, one), fit.plant, Ideal(), record.op, fit.prediction)
+            for one, fit in found.items()
+        }
+        return found[min(bics, key=lambda one: bics[one])]
+    data = centre(record, plant)
+    longest = _longest(data, None, LINEAR_DELAYS)
+    data, linear, _ = coloured_linear(data, fit_linear(data, longest), longest)
+    return linear_result(data, linear)
+
+
 def _better_plant(
     record: Record,
     asked: tuple[str, str],
@@ -158,7 +177,10 @@ def _better_plant(
         )
         for i, plant in enumerate(("fopdt", "integrating"))
     }
-    bics = {plant: foretelling_bic(centre(record, plant), one) for plant, one in found.items()}
+    bics = {
+        plant: foretelling_bic(centre(record, plant), one.plant, one.valve, one.valve_position, one.prediction)
+        for plant, one in found.items()
+    }
     plant = min(bics, key=lambda name: bics[name])
     answer = found[plant]
     if method in PROGRAMS:

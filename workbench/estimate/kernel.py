@@ -11,6 +11,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from workbench.detect.kernel import screen_drive, sums_of
 from workbench.simulate.compiled import compiled
 
 __all__ = [
@@ -963,17 +964,10 @@ def screen_bands(
     Where they meet after half the record, that is no start. An integrating plant is a pole just below 1.
     """
     n, p = y.size, a.size - 1
-    paths, w, z = np.empty((4, n)), np.empty(n), np.empty(n)
+    paths, w, z = np.empty((4, n)), np.empty(n), np.empty((4, n))
     box = np.empty(4)
-    # Sums over the samples from k on: of y, y^2, and of y and z weighted by pole^(i - k).
-    sum_y, sum_yy = np.zeros(n + 1), np.zeros(n + 1)
-    fading_y, fading_z = np.zeros((poles.size, n + 1)), np.zeros(n + 1)
-    sum_z, sum_zz = np.zeros(n + 1), np.zeros(n + 1)
-    for k in range(n - 1, -1, -1):
-        sum_y[k] = sum_y[k + 1] + y[k]
-        sum_yy[k] = sum_yy[k + 1] + y[k] * y[k]
-        for j in range(poles.size):
-            fading_y[j, k] = y[k] + poles[j] * fading_y[j, k + 1]
+    sum_y, sum_yy, fading_y, faded = sums_of(y, poles, delays, skip)
+    sums, best = np.zeros((3, 4, n + 1)), np.empty(3)
     found[:, :, 0] = math.inf
     found[:, :, 1:] = 0.0
     for i in range(bands.shape[0]):
@@ -989,7 +983,11 @@ def screen_bands(
             if (start == 2 and not moves) or (start == 3 and 2 * met > n):
                 continue
             # A start that is known asks for nearly the plant of one that is not.
-            any_cost, near_pole, near_delay = found[i, 3, 0], found[i, 3, 1], found[i, 3, 2]
+            near_pole, near_delay = int(found[i, 3, 1]), int(found[i, 3, 2])
+            low, high, soonest, latest = 0, poles.size, 0, delays.size
+            if found[i, 3, 0] < math.inf:
+                low, high = max(near_pole - 1, 0), min(near_pole + 2, poles.size)
+                soonest, latest = max(near_delay - 2, 0), min(near_delay + 3, delays.size)
             known = 0
             if start == 3:
                 known = met + p
@@ -1001,47 +999,12 @@ def screen_bands(
                 for j in range(1, min(p, k) + 1):
                     total += a[j] * (x[k - j] - x[0])
                 w[k] = total
-            for j in range(poles.size):
-                if any_cost < math.inf and abs(j - near_pole) > 1.0:
-                    continue
-                pole = poles[j]
-                lag = 0.0
-                for k in range(n):
-                    z[k] = lag
-                    lag = pole * lag + (1.0 - pole) * w[k]
-                for k in range(n - 1, -1, -1):
-                    sum_z[k] = sum_z[k + 1] + z[k]
-                    sum_zz[k] = sum_zz[k + 1] + z[k] * z[k]
-                    fading_z[k] = z[k] + pole * fading_z[k + 1]
-                for d in range(delays.size):
-                    if any_cost < math.inf and abs(d - near_delay) > 2.0:
-                        continue
-                    delay = delays[d]
-                    b = max(skip, known + delay + 1 if known > 0 else 0)
-                    from_z = max(b, delay) - delay
-                    count = n - b
-                    if count < 8:
-                        continue
-                    left = pole**count
-                    se, see = (1.0 - left) / (1.0 - pole), (1.0 - left * left) / (1.0 - pole * pole)
-                    sy, sye = sum_y[b], fading_y[j, b]
-                    sz, szz = sum_z[from_z] - sum_z[n - delay], sum_zz[from_z] - sum_zz[n - delay]
-                    size = n - delay - from_z
-                    sze = pole ** (from_z + delay - b) * (fading_z[from_z] - pole**size * fading_z[n - delay])
-                    szy = np.dot(z[from_z : n - delay], y[from_z + delay :])
-                    yy = sum_yy[b] - sy * sy / count
-                    zz, zy = szz - sz * sz / count, szy - sz * sy / count
-                    ee = see - se * se / count
-                    if ee > 1e-10 * see:
-                        ey, ze = sye - se * sy / count, sze - sz * se / count
-                        yy -= ey * ey / ee
-                        zz -= ze * ze / ee
-                        zy -= ze * ey / ee
-                    if zz > 1e-9 * szz and zy * sign >= 0.0:
-                        yy -= zy * zy / zz
-                        cost = max(yy, 0.0) * n / count
-                        if cost < found[i, start, 0]:
-                            found[i, start, 0], found[i, start, 1], found[i, start, 2] = cost, j, d
+            best[:] = math.inf, 0.0, 0.0
+            within = (low, high, soonest, latest)
+            screen_drive(
+                w, y, poles, delays, within, sign, skip, known, False, sum_y, sum_yy, fading_y, faded, z, sums, best
+            )
+            found[i, start] = best
 
 
 @compiled

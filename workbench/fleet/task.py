@@ -14,8 +14,9 @@ from workbench.errors import RecordError, WorkbenchError
 from workbench.fleet.sampling import Seen, means, oscillation_at_any_rate, stretch
 from workbench.kpi.kpis import travel
 from workbench.model.fleet import FleetRow, LoopSource, Settings
-from workbench.model.plant import FOPDT
+from workbench.model.plant import FOPDT, Plant
 from workbench.model.record import Record
+from workbench.model.results import Estimate
 from workbench.record.historian import Piece, read_tags
 from workbench.record.modes import manual_share
 from workbench.record.reader import read_record
@@ -25,7 +26,7 @@ from workbench.report.loop_page import render_loop
 if TYPE_CHECKING:
     from workbench.model.controller import PID
     from workbench.model.detection import Detection
-    from workbench.model.results import Estimate, Tuned
+    from workbench.model.results import LinearFit, Tuned
 
 __all__ = ["Result", "look_at", "read"]
 
@@ -138,11 +139,11 @@ def _looked_at(loop: LoopSource, settings: Settings) -> Result:
     judged = stretch(record, seen)
     found = detect(judged)
     row = _measured(loop, record, seen, judged, found)
-    estimated: Estimate | None = None
+    estimated: Estimate | LinearFit | None = None
     tuned: Tuned | None = None
     if settings.depth != "screen" and found.test is not None:
         row, estimated = _estimated(row, loop, record, seen)
-    if settings.depth == "tune" and estimated is not None and row.sticks:
+    if settings.depth == "tune" and isinstance(estimated, Estimate) and row.sticks:
         row, tuned = _tuned(row, loop, estimated)
     page = ""
     if row.sticks or row.oscillates:
@@ -237,38 +238,49 @@ def _trend(record: Record, period: float) -> tuple[float, bytes]:
     return hours, scaled.astype(np.uint8).tobytes()
 
 
-def _estimated(row: FleetRow, loop: LoopSource, record: Record, seen: Seen) -> tuple[FleetRow, Estimate | None]:
-    """Return the row with the loop's model, or with why there is none.
+def _estimated(
+    row: FleetRow, loop: LoopSource, record: Record, seen: Seen
+) -> tuple[FleetRow, Estimate | LinearFit | None]:
+    """Return the row with the loop's model, or with why there is none, and the model.
 
     Where the evidence excludes stiction the model is linear, and the verdict stands; elsewhere the model has a valve
     that may stick, and its verdict goes before that of the evidence alone.
     """
-    from workbench.estimate.estimate import estimate
+    from workbench.estimate.estimate import estimate, linear_loop
 
     healthy = row.verdict == "no_stiction"
     part = stretch(record, seen, *(MODEL if healthy else MODEL_STICKY))
     try:
-        found = estimate(part, plant=loop.plant, valve="linear" if healthy else "auto")
+        if healthy:
+            linear = linear_loop(part, loop.plant)
+            return _modelled(row, linear.plant), linear
+        found = estimate(part, plant=loop.plant)
     except WorkbenchError as error:
         return replace(row, notes=_line(f"{row.notes}; no model: {error}".lstrip("; "))), None
-    sticks = not healthy and found.verdict == "stiction"
+    sticks = found.verdict == "stiction"
     limits = (found.intervals.d or found.intervals.S) if sticks else None
-    plant = found.plant
     row = replace(
-        row,
-        verdict=row.verdict if healthy else found.verdict,
-        reasons=row.reasons if healthy else _line("; ".join(found.reasons)),
+        _modelled(row, found.plant),
+        verdict=found.verdict,
+        reasons=_line("; ".join(found.reasons)),
         stiction=found.valve.stick_band if sticks else math.nan,
         jump=found.valve.slip_jump if sticks else math.nan,
         stiction_low=math.nan if limits is None else limits[0],
         stiction_high=math.nan if limits is None else limits[1],
+        identifiable=found.identifiable,
+    )
+    return row, found
+
+
+def _modelled(row: FleetRow, plant: Plant) -> FleetRow:
+    """Return the row with a plant."""
+    return replace(
+        row,
         plant="fopdt" if isinstance(plant, FOPDT) else "integrating",
         model_gain=plant.gain,
         model_time_constant=plant.time_constant if isinstance(plant, FOPDT) else math.nan,
         model_dead_time=plant.dead_time,
-        identifiable=found.identifiable,
     )
-    return row, found
 
 
 def _tuned(row: FleetRow, loop: LoopSource, found: Estimate) -> tuple[FleetRow, Tuned | None]:

@@ -11,7 +11,8 @@ from workbench.model.controller import PID
 from workbench.model.detection import Statistic
 from workbench.model.fleet import FleetRow
 from workbench.model.record import Record
-from workbench.model.results import Estimate
+from workbench.model.results import Estimate, LinearFit
+from workbench.model.valve import Ideal
 from workbench.report.lines import panel
 from workbench.report.templating import environment, style_sheet
 from workbench.report.words import controller_words, duration, figure, interval, plant_words, slug, valve_words
@@ -39,7 +40,7 @@ def render_loop(
     record: Record,
     judged: Record,
     statistics: Sequence[Statistic],
-    found: Estimate | None,
+    found: Estimate | LinearFit | None,
     tuned: PID | None,
 ) -> str:
     """Return a loop's page as HTML. judged: the stretch that the verdict rests on; found, tuned: None without one."""
@@ -122,10 +123,11 @@ def _stiction(row: FleetRow) -> str:
     return words
 
 
-def _model(row: FleetRow, found: Estimate | None) -> list[tuple[str, str]]:
+def _model(row: FleetRow, found: Estimate | LinearFit | None) -> list[tuple[str, str]]:
     if found is None:
         return []
-    lines = [("Plant", plant_words(found.plant)), ("Valve", valve_words(found.valve))]
-    if row.sticks and not found.identifiable:
+    valve = found.valve if isinstance(found, Estimate) else Ideal()
+    lines = [("Plant", plant_words(found.plant)), ("Valve", valve_words(valve))]
+    if row.sticks and not row.identifiable:
         lines.append(("Note", "the record does not pin the stiction by itself: take it as a hint"))
     return lines
