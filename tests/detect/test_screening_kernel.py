@@ -88,3 +88,17 @@ def test_whitening_is_the_filter_from_rest(order: int) -> None:
     kernel.whiten(a, rows, out)
     for row, found in zip(rows, out, strict=True):
         assert found == pytest.approx(np.convolve(a, row)[:40], rel=1e-12, abs=1e-12)
+
+
+@pytest.mark.parametrize("held", [slice(0, 0), slice(60, 75)])
+def test_an_autoregression_s_normal_equations_are_those_of_its_columns(held: slice) -> None:
+    order, pole = 6, 0.93
+    live = np.ones(N, dtype=bool)
+    live[held] = False
+    e = np.cumsum(np.random.default_rng(7).normal(size=N))
+    gram, side = np.empty((order + 2, order + 2)), np.empty(order + 2)
+    kernel.own_products(e, live, order, pole, gram, side)
+    lags = [e[order - 1 - i : N - 1 - i] for i in range(order)]
+    columns = np.column_stack([*lags, np.ones(N - order), pole ** np.arange(N - order)])[live[order:]]
+    assert gram == pytest.approx(columns.T @ columns, rel=1e-10)
+    assert side == pytest.approx(columns.T @ e[order:][live[order:]], rel=1e-10)

@@ -21,7 +21,6 @@ from workbench.estimate.repeat import repeats_of, words_of
 from workbench.model.results import Estimate, Part, Repeats
 from workbench.model.study import NamedEstimate, Study
 from workbench.report.results import results_content, strict
-from workbench.simulate.coefficients import discretise
 
 PLANT = wb.FOPDT(2.0, 6.0, 1.6)
 
@@ -260,10 +259,9 @@ def test_held_costs_are_least_squares_and_the_kernel_is_its_plain_self(
     n = 60
     record = wb.Record(walk(seed, n), walk(seed + 1000, n), 1.0)
     data = centre(record, "integrating" if integrating else "fopdt")
-    step = discretise(wb.Integrating(1.0, theta) if integrating else wb.FOPDT(1.0, tau, theta), 1.0)
     starts, bands = np.array([[0.0, 1.0]]), np.array([[math.nan, up, down], [0.5 * up, 0.2 * up, 0.3 * up]])
     costs, found = np.empty(2), np.empty((2, kernel.HELD))
-    arguments = (data.y, data.u, starts, bands, 0.02, gain, integrating, step.pole, step.delay, step.c0, step.c1)
+    arguments = (data.y, data.u, starts, bands, 0.02, gain, integrating, tau, theta)
     kernel.scan_held(*arguments, costs, found)
     plain, beside = np.empty(2), np.empty((2, kernel.HELD))
     kernel.scan_held.py_func(*arguments, plain, beside)

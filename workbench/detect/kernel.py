@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from workbench.simulate.compiled import compiled
 
-__all__ = ["lagged", "screen", "screen_drive", "sums_of", "taps", "whiten"]
+__all__ = ["lagged", "own_products", "screen", "screen_drive", "sums_of", "taps", "whiten"]
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -21,9 +21,68 @@ def whiten(a: Floats, rows: Floats, out: Floats) -> None:
     for i in range(rows.shape[0]):
         for k in range(n):
             out[i, k] = a[0] * rows[i, k]
-        for j in range(1, min(a.size, n)):
-            for k in range(j, n):
-                out[i, k] += a[j] * rows[i, k - j]
+        # Four terms at a time: the sums are kept in memory, and read and written once for them all.
+        for j in range(1, min(a.size, n), 4):
+            b = a[j + 1] if j + 1 < a.size else 0.0
+            c = a[j + 2] if j + 2 < a.size else 0.0
+            d = a[j + 3] if j + 3 < a.size else 0.0
+            for k in range(j, min(j + 3, n)):
+                for m in range(min(k - j + 1, a.size - j)):
+                    out[i, k] += a[j + m] * rows[i, k - j - m]
+            for k in range(j + 3, n):
+                total = out[i, k] + a[j] * rows[i, k - j]
+                total += b * rows[i, k - j - 1]
+                total += c * rows[i, k - j - 2]
+                total += d * rows[i, k - j - 3]
+                out[i, k] = total
+
+
+@compiled
+def own_products(e: Floats, live: Bools, order: int, pole: float, gram: Floats, side: Floats) -> None:
+    """Write the normal equations of a residual's autoregression, beside a constant and a transient with a pole.
+
+    Rows k from `order` on, where live. Columns: e_{k-1} to e_{k-order}, 1, and pole^(k - order); gram, (order + 2,
+    order + 2), their products with each other and side, (order + 2,), with e_k.
+    """
+    n, size = e.size, order + 2
+    fading = np.empty(n - order)
+    value = 1.0
+    for k in range(n - order):
+        fading[k] = value
+        value *= pole
+    gram[:], side[:] = 0.0, 0.0
+    if live[order:].all():
+        # One lag further on both sides is the same products less one at the end and one more at the beginning.
+        for j in range(order):
+            gram[0, j] = np.dot(e[order - 1 : n - 1], e[order - 1 - j : n - 1 - j])
+            side[j] = np.dot(e[order:], e[order - 1 - j : n - 1 - j])
+            gram[j, order + 1] = np.dot(fading, e[order - 1 - j : n - 1 - j])
+        for i in range(1, order):
+            for j in range(i, order):
+                gram[i, j] = gram[i - 1, j - 1] + e[order - 1 - i] * e[order - 1 - j] - e[n - 1 - i] * e[n - 1 - j]
+        gram[0, order] = e[order - 1 : n - 1].sum()
+        for i in range(1, order):
+            gram[i, order] = gram[i - 1, order] + e[order - 1 - i] - e[n - 1 - i]
+        gram[order, order] = n - order
+        gram[order, order + 1] = fading.sum()
+        gram[order + 1, order + 1] = np.dot(fading, fading)
+        side[order] = e[order:].sum()
+        side[order + 1] = np.dot(fading, e[order:])
+    else:
+        row = np.empty(size)
+        for k in range(order, n):
+            if not live[k]:
+                continue
+            for j in range(order):
+                row[j] = e[k - 1 - j]
+            row[order], row[order + 1] = 1.0, fading[k - order]
+            for i in range(size):
+                side[i] += row[i] * e[k]
+                for j in range(i, size):
+                    gram[i, j] += row[i] * row[j]
+    for i in range(size):
+        for j in range(i):
+            gram[i, j] = gram[j, i]
 
 
 @compiled

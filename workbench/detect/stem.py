@@ -281,16 +281,16 @@ class _Rivals:
         A constant and a transient with the plant's pole, which the residual still holds, are fitted along.
         """
         order = self.order
-        n, live = e.size - order, self.live[order:]
-        lags = [e[order - 1 - i : e.size - 1 - i] for i in range(order)]
-        columns = np.column_stack([*lags, np.ones(n), pole ** np.arange(n, dtype=np.float64)])[live]
-        scale = np.sqrt((columns**2).sum(axis=0))
+        gram, side = np.empty((order + 2, order + 2)), np.empty(order + 2)
+        kernel.own_products(e, self.live, order, pole, gram, side)
+        scale = np.sqrt(np.diag(gram))
         scale[scale == 0.0] = 1.0
-        columns /= scale
         # A pole just below a sample's makes the transient no more than the constant: the pseudo-inverse shares it.
-        terms = np.linalg.pinv(columns.T @ columns, rcond=1e-12, hermitian=True) @ (columns.T @ e[order:][live])
-        left = e[order:][live] - columns @ terms
-        return float(np.mean(left**2)), np.concatenate([[1.0], -terms[:order] / scale[:order]])
+        inverse = np.linalg.pinv(gram / np.outer(scale, scale), rcond=1e-12, hermitian=True)
+        terms = (inverse @ (side / scale)) / scale
+        a: FloatArray = np.concatenate([[1.0], -terms[:order]])
+        left = whitened(a, e)[order:] - terms[order] - terms[order + 1] * pole ** np.arange(e.size - order)
+        return float(np.mean(left[self.live[order:]] ** 2)), a
 
 
 def _strongest(e: FloatArray) -> float:

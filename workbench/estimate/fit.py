@@ -20,6 +20,7 @@ __all__ = [
     "again_linear",
     "autoregression",
     "disturbance",
+    "fit_bands",
     "fit_linear",
     "fit_nothing",
     "fit_path",
@@ -62,7 +63,7 @@ class Fit:
 
 
 def _fit(out: FloatArray) -> Fit:
-    return Fit(*(float(v) for v in out))
+    return Fit(*out.tolist())
 
 
 def start_range(u: FloatArray, first: int, d_low: float, d_high: float) -> tuple[float, float]:
@@ -161,6 +162,41 @@ def fit_stems(
         slips,
     )
     return [(_fit(out), int(count)) for out, count in zip(fits, slips.tolist(), strict=True)]
+
+
+def fit_bands(
+    data: Centred,
+    bands: FloatArray,
+    start: tuple[int, float],
+    limits: Limits,
+    plant: tuple[float, float],
+    evaluations: int,
+    tolerance: float,
+) -> list[tuple[Fit, int]]:
+    """Return the output-error fit and the number of slips of many two-parameter stems, rows (S, J) in %.
+
+    start: (first, sense) of all of them (see `kernel.band_path`); plant: (tau, theta) in samples, where each begins.
+    """
+    fits = np.empty((len(bands), kernel.FIT))
+    slips = np.empty(len(bands), np.int64)
+    kernel.fit_bands(
+        data.target,
+        data.u,
+        np.ascontiguousarray(bands),
+        *start,
+        data.sign,
+        data.integrating,
+        *plant,
+        limits.tau,
+        limits.theta,
+        evaluations,
+        tolerance,
+        data.a,
+        data.skip,
+        fits,
+        slips,
+    )
+    return [(_fit(out), count) for out, count in zip(fits, slips.tolist(), strict=True)]
 
 
 def fit_linear(data: Centred, longest: float) -> Fit:

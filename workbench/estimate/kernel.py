@@ -17,6 +17,7 @@ from workbench.simulate.compiled import compiled
 __all__ = [
     "band_path",
     "drive_of",
+    "fit_bands",
     "fit_stems",
     "oe_columns",
     "oe_cost",
@@ -400,28 +401,21 @@ def drive_of(x: Floats, first: int, a: Floats, drive: Floats) -> None:
 
 
 @compiled
-def oe_cost(
+def _products(
     y: Floats,
     drive: Floats,
     first: int,
-    low: float,
-    high: float,
-    sign: float,
     integrating: bool,
     tau: float,
     theta: float,
     a: Floats,
     skip: int,
-    out: Floats,
+    gram: Floats,
+    b: Floats,
 ) -> float:
-    """Sum of squares of the output-error model at a time constant and dead time (samples), the rest by least squares.
+    """Write the products of the model's columns with each other, gram, and with y, b; return that of y with itself.
 
-    y: PV, and drive: the stem from `first` on (`drive_of`), both filtered by a = (1, -a_1, .., -a_p), the residual's
-    autoregression (generalized least squares); the first `skip` samples, p or more, do not count. The model's columns
-    are those of `oe_columns`, filtered alike: a first-order lag answers a filtered drive as it answers the drive. low,
-    high: the range in which x0 must lie for the stem to rest until `first` (infinite for none); where the free x0 falls
-    outside, it is set to the nearer end. sign: the gain's sign, 0 for either. Written into `out` (FIT): SSE, TAU,
-    THETA, GAIN (per sample for integrating plants), BIAS, START (gain times x0) and TRANSIENT.
+    See `oe_cost`. gram, (4, 4): its upper half; b, (4,).
     """
     n, p = y.size, a.size - 1
     m = math.floor(theta + 1e-9)
@@ -458,8 +452,6 @@ def oe_cost(
         # Else the transient has died out before the samples that count.
         for q in range(p + 1):
             r += a[q] * pole ** (skip - q)
-    gram = np.zeros((4, 4))
-    b = np.zeros(4)
     sy, ss, sg, sr, gy, gg, gr, ry, rr, yy = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     s1, g1, r1, y1 = 0.0, 0.0, 0.0, 0.0
     # Until the start has passed the dead time and the filter.
@@ -576,6 +568,35 @@ def oe_cost(
     gram[2, 0], gram[2, 1], gram[2, 2], gram[2, 3] = g1, sg, gg, gr
     gram[3, 0], gram[3, 1], gram[3, 2], gram[3, 3] = r1, sr, gr, rr
     b[0], b[1], b[2], b[3] = y1, sy, gy, ry
+    return yy
+
+
+@compiled
+def oe_cost(
+    y: Floats,
+    drive: Floats,
+    first: int,
+    low: float,
+    high: float,
+    sign: float,
+    integrating: bool,
+    tau: float,
+    theta: float,
+    a: Floats,
+    skip: int,
+    out: Floats,
+) -> float:
+    """Sum of squares of the output-error model at a time constant and dead time (samples), the rest by least squares.
+
+    y: PV, and drive: the stem from `first` on (`drive_of`), both filtered by a = (1, -a_1, .., -a_p), the residual's
+    autoregression (generalized least squares); the first `skip` samples, p or more, do not count. The model's columns
+    are those of `oe_columns`, filtered alike: a first-order lag answers a filtered drive as it answers the drive. low,
+    high: the range in which x0 must lie for the stem to rest until `first` (infinite for none); where the free x0 falls
+    outside, it is set to the nearer end. sign: the gain's sign, 0 for either. Written into `out` (FIT): SSE, TAU,
+    THETA, GAIN (per sample for integrating plants), BIAS, START (gain times x0) and TRANSIENT.
+    """
+    gram, b = np.empty((4, 4)), np.empty(4)
+    yy = _products(y, drive, first, integrating, tau, theta, a, skip, gram, b)
     return _least(gram, b, yy, low, high, sign, tau, theta, out)
 
 
@@ -832,6 +853,57 @@ def band_path(op: Floats, S: float, J: float, first: int, sense: float, x: Float
 
 
 @compiled
+def fit_bands(
+    y: Floats,
+    op: Floats,
+    bands: Floats,
+    first: int,
+    sense: float,
+    sign: float,
+    integrating: bool,
+    tau: float,
+    theta: float,
+    tau_limits: tuple[float, float],
+    theta_limits: tuple[float, float],
+    evaluations: int,
+    tolerance: float,
+    a: Floats,
+    skip: int,
+    fits: Floats,
+    slips: Ints,
+) -> None:
+    """Fit the output-error model to many two-parameter stems, rows (S, J), with one start, from one plant.
+
+    first, sense: as in `band_path`; tau, theta and the rest: as in `oe_fit`. Written: fits, shape (bands, FIT), and
+    slips, shape (bands,).
+    """
+    x, drive, box = np.empty(op.size), np.empty(op.size), np.empty(4)
+    inf = math.inf
+    for i in range(bands.shape[0]):
+        slips[i] = band_path(op, bands[i, 0], bands[i, 1], first, sense, x, box)
+        drive_of(x, max(first, 0), a, drive)
+        oe_fit(
+            y,
+            drive,
+            max(first, 0),
+            -inf,
+            inf,
+            sign,
+            integrating,
+            tau,
+            theta,
+            tau_limits,
+            theta_limits,
+            0.15,
+            evaluations,
+            tolerance,
+            a,
+            skip,
+            fits[i],
+        )
+
+
+@compiled
 def walk_bands(
     y: Floats,
     op: Floats,
@@ -1056,58 +1128,39 @@ def _held_cost(
     high: float,
     gain: float,
     integrating: bool,
-    pole: float,
-    m: int,
-    c0: float,
-    c1: float,
+    tau: float,
+    theta: float,
     terms: Floats,
 ) -> float:
     """Sum of squares at a plant that is held, gain included: bias, x0 (within low..high) and transient are free.
 
-    The model is that of `oe_columns`. Written into terms: bias, gain times x0, transient.
+    x: the stem's path, 0 before `first`. Written into terms: bias, gain times x0, transient.
     """
-    gram = np.zeros((3, 3))
-    b = np.zeros(3)
-    s, g, r = 0.0, 0.0 if integrating else 1.0, 0.0 if integrating else 1.0
-    power = 0.0
-    for k in range(y.size):
-        z = y[k] - gain * s
-        power += z * z
-        b[0] += z
-        b[1] += g * z
-        b[2] += r * z
-        gram[0, 1] += g
-        gram[0, 2] += r
-        gram[1, 1] += g * g
-        gram[1, 2] += g * r
-        gram[2, 2] += r * r
-        near, far = k - m, k - m - 1
-        s = pole * s
-        g = pole * g
-        if near >= first:
-            s += c0 * x[near]
-        else:
-            g += c0
-        if far >= first:
-            s += c1 * x[far]
-        else:
-            g += c1
-        r = r + 1.0 if integrating else r * pole
-    gram[0, 0] = y.size
-    gram[1, 0], gram[2, 0], gram[2, 1] = gram[0, 1], gram[0, 2], gram[1, 2]
-    kept, right = gram.copy(), b.copy()
+    columns, right = np.empty((4, 4)), np.empty(4)
+    yy = _products(y, x, first, integrating, tau, theta, np.ones(1), 0, columns, right)
+    power = yy - 2.0 * gain * right[1] + gain * gain * columns[1, 1]
+    kept, b = np.zeros((3, 3)), np.empty(3)
+    kept[0, 0], kept[0, 1], kept[0, 2] = columns[0, 0], columns[0, 2], columns[0, 3]
+    kept[1, 1], kept[1, 2], kept[2, 2] = columns[2, 2], columns[2, 3], columns[3, 3]
+    b[0] = right[0] - gain * columns[0, 1]
+    b[1] = right[2] - gain * columns[1, 2]
+    b[2] = right[3] - gain * columns[1, 3]
+    kept[1, 0], kept[2, 0], kept[2, 1] = kept[0, 1], kept[0, 2], kept[1, 2]
+    gram = kept.copy()
+    side = b.copy()
     explained = _solve(gram, 3, b)
     free = b[1] / gain
     if free < low or free > high:
         start = gain * (low if free < low else high)
-        power += start * start * kept[1, 1] - 2.0 * start * right[1]
+        power += start * start * kept[1, 1] - 2.0 * start * side[1]
         gram[0, 0], gram[0, 1], gram[1, 0], gram[1, 1] = kept[0, 0], kept[0, 2], kept[2, 0], kept[2, 2]
-        b[0], b[1] = right[0] - start * kept[0, 1], right[2] - start * kept[1, 2]
+        b[0], b[1] = side[0] - start * kept[0, 1], side[2] - start * kept[1, 2]
         explained = _solve(gram, 2, b)
         b[2] = b[1]
         b[1] = start
     terms[0], terms[1], terms[2] = b[0], b[1], b[2]
-    return max(power - explained, 0.0)
+    left: float = max(power - explained, 0.0)
+    return left
 
 
 @compiled
@@ -1119,18 +1172,16 @@ def scan_held(
     slack: float,
     gain: float,
     integrating: bool,
-    pole: float,
-    m: int,
-    c0: float,
-    c1: float,
+    tau: float,
+    theta: float,
     costs: Floats,
     found: Floats,
 ) -> None:
     """Hold a plant and try many stems, each from the start that suits it best.
 
     starts: rows (first, sense); bands: rows (gap, up, down), see `each_way_path`. slack: share of a Stenman stem's band
-    by which it may have rested beyond it until `first`. Written: costs, sums of squares, inf where the stem can have
-    slipped at none of the starts; found, rows (first, sense, slips, bias, start, transient).
+    by which it may have rested beyond it until `first`. tau, theta: samples. Written: costs, sums of squares, inf where
+    the stem can have slipped at none of the starts; found, rows (first, sense, slips, bias, start, transient).
     """
     x = np.empty(op.size)
     terms = np.empty(3)
@@ -1152,7 +1203,7 @@ def scan_held(
                 if low > high or top - bottom > up + down + (0.0 if math.isnan(gap) else gap) + room:
                     continue
             slips = each_way_path(op, gap, up, down, first, sense, x)
-            cost = _held_cost(y, x, first, low, high, gain, integrating, pole, m, c0, c1, terms)
+            cost = _held_cost(y, x, first, low, high, gain, integrating, tau, theta, terms)
             if cost < costs[i]:
                 costs[i] = cost
                 found[i, 0], found[i, 1], found[i, 2] = first, sense, slips

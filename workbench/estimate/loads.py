@@ -24,7 +24,6 @@ from workbench.model.record import FloatArray
 __all__ = ["Loads", "Stem", "loads_of"]
 
 TURNS = 6  # of least squares and output error in turn
-TRIES = 250  # times tried in the first round
 LEAST_BEFORE, LEAST_AFTER = 0.02, 0.02  # of the record, that a step must have on either side
 LONGEST = 3000  # samples: a longer record has its disturbances, none of them single steps
 # A step has a size and a time, and the time is found by a search: three degrees (N. Zhang, D. Siegmund, "A modified
@@ -62,13 +61,21 @@ class Stem:
     near: Callable[[float, float], FloatArray] | None = None
 
 
-def loads_of(data: Centred, stems: Sequence[Stem], limits: Limits, skip: int, most: int, strict: bool) -> Loads:
+def loads_of(
+    data: Centred,
+    stems: Sequence[Stem],
+    limits: Limits,
+    skip: int,
+    most: int,
+    strict: bool,
+    further: Callable[[], Sequence[Stem]] | None = None,
+) -> Loads:
     """Return the load steps in a record that one of some stem paths does not explain; data: with no load removed.
 
     skip: the first samples that do not count; most: steps. strict: steps are told by BIC, and what is left beside them
     must be nearly white. Neither can be while the stem is not yet known, whose errors are coloured and foretold by an
     autoregression: steps are then told by what they take from PV, the stems compared by what each leaves. The model is
-    fitted anew beside the steps.
+    fitted anew beside the steps. further: returns more stems, asked for where what the best leaves is coloured.
     """
     n = data.samples
     nothing = Loads(np.zeros(n), np.zeros(n), ())
@@ -81,6 +88,10 @@ def loads_of(data: Centred, stems: Sequence[Stem], limits: Limits, skip: int, mo
         stems = stems[:1]
     found = [model for stem in stems if (model := _explained(data, stem, limits, skip, most, strict)) is not None]
     model = min(found, key=lambda m: m.power(skip), default=None)
+    if further is not None and (bare if model is None else model).a.size > 1:
+        more = (_explained(data, stem, limits, skip, most, strict) for stem in further() if stem.fit.gain != 0.0)
+        found += [other for other in more if other is not None]
+        model = min(found, key=lambda m: m.power(skip), default=None)
     # Steps beside a worse stem explain nothing that the first one does not by itself.
     if model is None or not (strict or _takes_more(model, bare, skip)):
         return nothing
@@ -227,25 +238,22 @@ def _likeliest(
 
     gain: of the stem's response, EU/%; None where it may change with the step.
     """
-    answer = _answer(data, model.fit)
+    n = data.samples
     free = np.arange(len(model.columns)) != 1 if gain is not None else slice(None)
     base = whitened(a, model.columns[free])[:, skip:]
     basis, _ = np.linalg.qr(base.T)
     target = whitened(a, data.y - (0.0 if gain is None else gain) * model.columns[1])[skip:]
-    target = target - basis @ (basis.T @ target)
-
-    def best(times: list[int]) -> int:
-        steps = whitened(a, np.array([_step(answer, at) for at in times]))[:, skip:]
-        across = steps - (steps @ basis) @ basis.T
-        power = (across**2).sum(axis=1)
-        whole = (steps**2).sum(axis=1)
-        apart = power > 1e-6 * whole
-        return times[int(np.argmax(np.where(apart, (across @ target) ** 2 / np.where(apart, power, 1.0), -1.0)))]
-
-    begin, end = span
-    spacing = max((end - begin) // TRIES, 1)
-    at = best(list(range(begin, end, spacing)))
-    return at if spacing == 1 else best(list(range(max(at - spacing, begin), min(at + spacing + 1, end))))
+    rows = np.zeros((basis.shape[1] + 1, n))
+    rows[:-1, skip:] = basis.T
+    rows[-1, skip:] = target - basis @ (basis.T @ target)
+    # A step at another time is the same answer, later: its products with all of them are correlations.
+    answer = whitened(a, _answer(data, model.fit))
+    size = 1 << (2 * n - 1).bit_length()
+    products = np.fft.irfft(np.fft.rfft(rows, size) * np.conj(np.fft.rfft(answer, size)), size)[:, slice(*span)]
+    whole = np.cumsum(answer**2)[n - 1 - np.arange(*span)]
+    power = whole - (products[:-1] ** 2).sum(axis=0)
+    apart = power > 1e-6 * whole
+    return span[0] + int(np.argmax(np.where(apart, products[-1] ** 2 / np.where(apart, power, 1.0), -1.0)))
 
 
 def _errors(model: _Model, skip: int) -> FloatArray:

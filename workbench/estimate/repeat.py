@@ -21,7 +21,6 @@ from workbench.estimate.stems import first_slips
 from workbench.model.record import FloatArray
 from workbench.model.results import Estimate, Part, Repeats
 from workbench.model.valve import Choudhury, Deadband, Stenman
-from workbench.simulate.coefficients import Discrete, discretise
 
 __all__ = ["repeats_of", "words_of"]
 
@@ -45,29 +44,27 @@ NORMAL = 1.96
 
 @dataclass(frozen=True, eq=False)
 class _Held:
-    """A part's signals with the plant that is held: step (gain per sample for integrating plants), tau and theta."""
+    """A part's signals with the plant that is held: gain (per sample for integrating plants), tau and theta."""
 
     data: Centred
-    step: Discrete
+    gain: float
     tau: float
     theta: float
 
     def scan(self, starts: FloatArray, bands: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Costs of bands (gap, up, down), each from its best start, and what `kernel.scan_held` finds beside."""
         costs, found = np.empty(len(bands)), np.zeros((len(bands), kernel.HELD))
-        data, step = self.data, self.step
+        data = self.data
         kernel.scan_held(
             data.y,
             data.u,
             starts,
             bands,
             START_SLACK,
-            step.gain,
+            self.gain,
             data.integrating,
-            step.pole,
-            step.delay,
-            step.c0,
-            step.c1,
+            self.tau,
+            self.theta,
             costs,
             found,
         )
@@ -79,7 +76,7 @@ class _Held:
         x = np.empty(data.samples)
         first = int(found[0])
         kernel.each_way_path(data.u, band[0], band[1], band[2], first, found[1], x)
-        fit = Fit(math.nan, self.tau, self.theta, self.step.gain, found[3], found[4], found[5])
+        fit = Fit(math.nan, self.tau, self.theta, self.gain, found[3], found[4], found[5])
         return data.samples / inflation(data.y - predict(data, x, first, fit)[0])
 
 
@@ -122,15 +119,15 @@ def repeats_of(data: Centred, found: Estimate) -> Repeats | None:
         return None
     law = _Law(isinstance(valve, Stenman), valve.slip_jump / valve.stick_band, valve.stick_band)
     many = min(max(found.slips // SLIPS, 2), MOST_PARTS)
-    step = discretise(found.plant, data.sample_time)
-    tau = getattr(found.plant, "time_constant", math.nan) / data.sample_time
+    gain = found.plant.gain * (data.sample_time if data.integrating else 1.0)
+    tau = getattr(found.plant, "time_constant", data.sample_time) / data.sample_time
     moves = _moves(found.valve_position, law.stenman)
     parts = []
     for first, stop in _stretches(moves, data.samples, many):
         part = data.part(first, stop)
         if not part.op_range > 0.0 or not float(np.ptp(part.y)) > 0.0:
             continue
-        held = _Held(part, step, tau, found.plant.dead_time / data.sample_time)
+        held = _Held(part, gain, tau, found.plant.dead_time / data.sample_time)
         one = _part(held, law)
         if one is not None:
             span = (found.record.start + data.sample_time * k for k in (first, stop))

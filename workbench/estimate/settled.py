@@ -7,8 +7,10 @@ are found in turn.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+
+import numpy as np
 
 from workbench.estimate.bands import Bands
 from workbench.estimate.data import Centred
@@ -28,6 +30,7 @@ STEPS_MOST = 2  # load steps
 COLOURINGS = 2  # rounds of model and disturbance in turn
 SEEKING = 3  # rounds in which load steps need not yet explain all that is coloured
 SAME_TIME, SAME_SIZE = 5, 0.1  # samples, share: steps that moved less have settled
+SAME_STEM = 0.05  # of its standard deviation: a stem's path that moved less has
 
 
 def _leading(data: Centred, found: Profile | None, bands: dict[str, Bands], linear: Fit) -> Stem:
@@ -78,14 +81,16 @@ def _relieved(
     limits: Limits,
     skip: int,
     asked: tuple[int, bool],
+    further: Callable[[], Sequence[Stem]] | None = None,
 ) -> tuple[Centred, FloatArray, tuple[LoadStep, ...]]:
     """The record without the load steps that a stem does not explain, what it leaves of that, EU, and the steps.
 
     whole: the record with its load; data: as the lead was fitted to it; others: stems beside which steps are looked for
-    too; asked: how many steps at most, and whether they must explain all that is coloured.
+    too; asked: how many steps at most, and whether they must explain all that is coloured; further: more stems, where
+    what is left is coloured.
     """
     x, first, fit = lead.x, lead.first, lead.fit
-    loads = loads_of(whole, (lead, *others), limits, skip, *asked)
+    loads = loads_of(whole, (lead, *others), limits, skip, *asked, further)
     if loads.steps:
         return whole.less(loads.pv), loads.left, loads.steps
     if data.load.any():
@@ -110,25 +115,25 @@ def settled(
     within = bool(later.min() <= data.y[0] <= later.max())
     skip = min(math.ceil(theta) + 2, data.samples // STARTING) if within else 0
     limits = Limits((LEAST_TAU, float(data.samples)), (0.0, delays))
-    turn, strict = 0, False
+    turn, strict, lead = 0, False, Stem(data.u, 0, linear)
     while turn < COLOURINGS or (steps and turn < SEEKING + COLOURINGS):
         before, agreed = steps, strict
         # One step at a time: what a second seems to explain may be the wrong stem's doing. What the first stems leave
         # is coloured by their own errors; in the end it must be a step's work that it is not.
-        lead = _leading(data, found, bands, linear)
+        earlier, lead = lead, _leading(data, found, bands, linear)
+        stands = turn > 0 and _same_stem(earlier.x, lead.x)
         # A stem that was fitted to PV with its load may have taken the load for slips; OP itself has not.
         others = [] if strict else [Stem(data.u, 0, linear)]
         asked = (min(turn + 1, most), strict)
-        bare, left, steps = _relieved(whole, data, lead, others, limits, skip, asked)
-        if turn == 0 and most > 0 and disturbance(left[skip:], data.floor).size > 1:
-            others += _of_halves(whole, delays)
-            bare, left, steps = _relieved(whole, data, lead, others, limits, skip, asked)
+        halves = (lambda: _of_halves(whole, delays)) if turn == 0 and most > 0 else None
+        bare, left, steps = _relieved(whole, data, lead, others, limits, skip, asked, halves)
         same_steps = _same(before, steps, whole.sample_time)
         strict = strict or same_steps or turn + 1 >= SEEKING
         if before and not steps:
             return settled(whole, *first, delays, 0)
         a = disturbance(left[skip:], data.floor)
         same = a.size == data.a.size == 1 and not steps
+        stands = stands and (same_steps or not (before or steps))
         # Of a long record the first few samples are nothing.
         turn += 1
         if same and (turn > 1 or skip == 0 or data.samples > EXACT):
@@ -147,7 +152,12 @@ def settled(
         if bands:
             # While steps are sought a stem is needed, not the dead band beside it.
             only_any = bool(steps) and not strict
-            bands = bands_of(data, look(data, delays), limits, only_any) if anew else refitted(data, bands, limits)
+            if stands or not anew:
+                bands = refitted(data, bands, limits)
+            if anew:
+                # A stem that stood fast while its measure changed has no rivals that have not been looked at.
+                coarse = [one.best for one in bands.values()] if stands else look(data, delays)
+                bands = bands_of(data, coarse, limits, only_any)
         if agreed and same_steps:
             break
     return data, found, bands, linear, steps
@@ -163,6 +173,11 @@ def _same(before: Sequence[LoadStep], steps: Sequence[LoadStep], Ts: float) -> b
             for one, other in zip(steps, before, strict=True)
         )
     )
+
+
+def _same_stem(one: FloatArray, other: FloatArray) -> bool:
+    """Whether two stem paths are hardly apart."""
+    return bool(np.std(one - other) <= SAME_STEM * np.std(other))
 
 
 def coloured_linear(data: Centred, linear: Fit, delays: float) -> tuple[Centred, Fit, tuple[LoadStep, ...]]:

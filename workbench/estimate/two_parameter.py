@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from workbench.detect.stem import dead_times
 from workbench.estimate import kernel
 from workbench.estimate.data import Centred
-from workbench.estimate.fit import LEAST_TAU, Fit, Limits, fit_path
+from workbench.estimate.fit import LEAST_TAU, Fit, Limits, fit_bands
 from workbench.estimate.profile import EXACT, active_windows
 from workbench.estimate.stems import first_slips, thin
 from workbench.model.record import FloatArray
@@ -45,6 +45,7 @@ SHORTEST, LONGEST, TAUS = 0.3, 10.0, 9  # time constants looked at: samples, rec
 PICKED, WALKED_IN = 14, 6  # stems of the grid, and of walks of J from it, that get their own plant,
 NEAR, NEAR_JUMP = 0.05, 0.1  # no two of them as near as that, of S
 SPREADS = (0.1, 0.04, 0.015, 0.005)  # of S: how far stems with plants of their own are looked at about a seed,
+BEHIND = (40.0, 20.0, 20.0, math.inf)  # in N log V: who is as far behind after each of them has never come to lead
 STEPS = 6  # how often at most, each time about the best so far,
 AROUND, QUICK = 5, 14  # how many values of S, and evaluations of each
 WALKED, WALKS = 2.0, 2  # of that: how far sequences of slips are walked, and how many of each are fitted
@@ -170,20 +171,21 @@ def fit_band(
     tolerance: float = 1e-7,
 ) -> Band:
     """The output-error fit of a stem, from the plant (tau, theta) in samples."""
-    first, sense = start
-    x, slips = band_stem(data.u, S, J, first, sense)
-    fit = fit_path(
-        data,
-        x,
-        max(first, 0),
-        (-math.inf, math.inf),
-        limits,
-        plant[1],
-        tau=plant[0],
-        evaluations=evaluations,
-        tolerance=tolerance,
-    )
-    return Band(S, J, first, sense, slips, fit)
+    return _fitted(data, [(S, J)], start, limits, plant, evaluations, tolerance)[0]
+
+
+def _fitted(
+    data: Centred,
+    bands: list[tuple[float, float]],
+    start: tuple[int, float],
+    limits: Limits,
+    plant: tuple[float, float],
+    evaluations: int,
+    tolerance: float = 1e-7,
+) -> list[Band]:
+    """The output-error fits of some stems (S, J) with one start."""
+    fits = fit_bands(data, np.reshape(np.array(bands), (-1, 2)), start, limits, plant, evaluations, tolerance)
+    return [Band(S, J, *start, slips, fit) for (S, J), (fit, slips) in zip(bands, fits, strict=True)]
 
 
 def _line(
@@ -257,7 +259,7 @@ def closer(
     tops = tops[np.argsort(tops[:, 2], kind="stable")][:REFITS]
     plant = (seed.fit.tau, seed.fit.theta)
     start = (seed.first, seed.sense)
-    fits = [fit_band(data, float(row[0]), float(row[1]), start, limits, plant, 50) for row in tops]
+    fits = _fitted(data, [tuple(row) for row in tops[:, :2].tolist()], start, limits, plant, 50)
     return [b for b in fits if b.fit.gain != 0.0 and b.slips > 0], np.vstack(lines)
 
 
@@ -289,7 +291,7 @@ def _walked(data: Centred, seed: Band, spread: float, only: float | None, limits
         rows = _line(data, begin, along, at + reach, seed, steps)
         found += [tuple(row) for row in rows[np.argsort(rows[:, 2], kind="stable")[:WALKS], :2].tolist()]
     plant, start = (seed.fit.tau, seed.fit.theta), (seed.first, seed.sense)
-    fits = [fit_band(data, S, J, start, limits, plant, QUICK, 1e-5) for S, J in found]
+    fits = _fitted(data, found, start, limits, plant, QUICK, 1e-5)
     return [b for b in fits if b.fit.gain != 0.0 and b.slips > 0]
 
 
@@ -319,20 +321,13 @@ def _about(data: Centred, seed: Band, spread: float, only: float | None, limits:
     steps = np.linspace(-1.0, 1.0, AROUND) * spread
     plant, start = (seed.fit.tau, seed.fit.theta), (seed.first, seed.sense)
     jumps = [-spread, 0.0, spread] if only is None else [0.0]
-    found = [
-        fit_band(
-            data,
-            S := seed.S * (1.0 + float(step)),
-            max(seed.J + 2.0 * float(jump) * seed.S, 0.0) if only is None else only * S,
-            start,
-            limits,
-            plant,
-            QUICK,
-            1e-5,
-        )
-        for step in steps
+    widths = (seed.S * (1.0 + float(step)) for step in steps)
+    bands = [
+        (S, max(seed.J + 2.0 * float(jump) * seed.S, 0.0) if only is None else only * S)
+        for S in widths
         for jump in jumps
     ]
+    found = _fitted(data, bands, start, limits, plant, QUICK, 1e-5)
     return [b for b in found if b.fit.gain != 0.0 and b.slips > 0]
 
 
@@ -341,6 +336,25 @@ def _apart(bands: list[Band]) -> list[Band]:
     kept: list[Band] = []
     for b in bands:
         if len(kept) < SEEDS and all(abs(math.log(b.S / k.S)) > 0.04 or abs(b.J - k.J) > 0.1 * k.S for k in kept):
+            kept.append(b)
+    return kept
+
+
+def _level(data: Centred, b: Band) -> float:
+    """N log V of what a stem leaves, at least what the record resolves."""
+    return data.samples * math.log(max(b.fit.sse / data.samples, data.floor))
+
+
+def _leading(data: Centred, ends: list[Band], behind: float, further: float) -> list[Band]:
+    """Of the ends of some ways, the best first, those that are neither far behind nor on another's way.
+
+    behind: by which N log V may be higher than the best; further: the share of S within which each is looked about
+    next.
+    """
+    kept: list[Band] = []
+    for b in sorted(ends, key=lambda one: one.fit.sse):
+        near = (abs(math.log(b.S / k.S)) < 0.5 * further and abs(b.J - k.J) < further * k.S for k in kept)
+        if not kept or (_level(data, b) - _level(data, kept[0]) <= behind and not any(near)):
             kept.append(b)
     return kept
 
@@ -358,17 +372,22 @@ def search_short(
     if only is not None:
         met = [fit_band(data, b.S, only * b.S, (b.first, b.sense), limits, (b.fit.tau, b.fit.theta)) for b in met]
     bands: list[Band] = []
-    ends = []
-    for seed in _apart(sorted([*met, *beside], key=lambda b: b.fit.sse)):
-        met = _nearer(data, seed, SPREADS, only, limits)
-        bands += met
-        ends.append(best_of(met))
-    if not ends:
+    leaders = _apart(sorted([*met, *beside], key=lambda b: b.fit.sse))
+    if not leaders:
         return [], np.empty((0, 4))
+    for spread, behind, further in zip(SPREADS, BEHIND, (*SPREADS[1:], 0.0), strict=True):
+        ends = []
+        for seed in leaders:
+            met = _nearer(data, seed, (spread,), only, limits)
+            bands += met
+            ends.append(best_of(met))
+        leaders = _leading(data, ends, behind, further)
     # Between two sequences of slips lies many a worse one, which steps along the valley of S and plant do not cross.
-    best = best_of(ends)
+    best = leaders[0]
     for _ in range(CROSSINGS):
-        met = [m for seed in _across(data, best, only, limits) for m in _nearer(data, seed, SPREADS[2:], only, limits)]
+        # Whatever came to be better in the end was no worse when it was met.
+        seeds = [seed for seed in _across(data, best, only, limits) if _level(data, seed) <= _level(data, best)]
+        met = [m for seed in seeds for m in _nearer(data, seed, SPREADS[2:], only, limits)]
         bands += met
         before, best = best, best_of([best, *met])
         if best is before:
