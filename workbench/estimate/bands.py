@@ -7,7 +7,7 @@ first, and asked how far S and J may be moved, and what parts of the record say 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,10 +29,25 @@ from workbench.estimate.two_parameter import (
     started,
 )
 
-__all__ = ["Bands", "refit", "repeated", "search_bands"]
+__all__ = ["Bands", "Found", "Sought", "refit", "repeated", "search_bands", "sought"]
 
 OUTWARDS = (0.004, 0.5, 1.5)  # of S: the least and the largest step away from the best, each to the one before
 HALF_SLIPS = 5  # in each half of a record, for the halves to be compared
+
+
+@dataclass(frozen=True, eq=False)
+class Found:
+    """The best stem, all that were met on the way with their fits in the record's measure then, and rows of walks.
+
+    rows: (S, J, COST, SLIPS); only: J as a share of S, None for any; again: the best few, fitted anew since.
+    """
+
+    best: Band
+    measure: Centred
+    met: tuple[Band, ...]
+    rows: NDArray[np.float64]
+    only: float | None
+    again: tuple[Band, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,29 +61,41 @@ class Bands:
     alike: tuple[Band, ...]
     S: tuple[float, float]
     J: tuple[float, float]
-    parts: tuple[Fit, ...] = ()
+    parts: tuple[Fit, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Sought:
+    """Where stems are searched: a record, a long one's most active stretch, and the best of a grid there (`look`)."""
+
+    data: Centred
+    coarse: list[Band]
+
+
+def sought(data: Centred, coarse: list[Band], limits: Limits) -> Sought:
+    """Return where to search; coarse: the answer of `look` for the whole record."""
+    if data.samples <= EXACT:
+        return Sought(data, coarse)
+    parts = active_windows(data)[:1]
+    return Sought(parts[0], look(parts[0], limits.theta[1])) if parts else Sought(data, [])
 
 
 def search_bands(
-    data: Centred, coarse: list[Band], limits: Limits, only: float | None, beside: tuple[Band, ...] = ()
-) -> Bands | None:
-    """Return the best stem and its ranges, or None where none moves.
+    data: Centred, within: Sought, limits: Limits, only: float | None, beside: tuple[Band, ...] = ()
+) -> Found | None:
+    """Return the best stem, or None where none moves.
 
-    beside: stems found otherwise, from which a short record is searched on too.
-
-    coarse: the answer of `look`; a long record is searched in its most active stretch alone, and the stem of that
-    is walked closer on the whole. only: J as a share of S (0: a dead band).
+    The stem of a long record's stretch is walked closer on the whole. only: J as a share of S (0: a dead band). beside:
+    stems found otherwise, from which a short record is searched on too.
     """
     rows = np.empty((0, 4))
-    if data.samples <= EXACT:
-        bands, rows = search_short(data, coarse, only, limits, beside)
+    if within.data is data:
+        bands, rows = search_short(data, within.coarse, only, limits, beside)
     else:
         bands = []
-        for part in active_windows(data)[:1]:
-            found = search_short(part, look(part, limits.theta[1]), only, limits)[0]
-            if found:
-                best = best_of(found)
-                bands.append(fit_band(data, best.S, best.J, (-1, 0.0), limits, (best.fit.tau, best.fit.theta), 40))
+        if found := search_short(within.data, within.coarse, only, limits)[0]:
+            best = best_of(found)
+            bands.append(fit_band(data, best.S, best.J, (-1, 0.0), limits, (best.fit.tau, best.fit.theta), 40))
         bands = [b for b in bands if b.slips > 0]
         if bands:
             best = best_of(bands)
@@ -82,35 +109,35 @@ def search_bands(
     best = best_of(bands)
     start = (best.first, best.sense)
     best = best_of([best, fit_band(data, best.S, best.J, start, limits, (best.fit.tau, best.fit.theta), 300)])
-    return _ranges(data, best, bands, rows, only, limits)
+    return Found(best, data, (best, *bands), rows, only)
 
 
-def refit(data: Centred, found: Bands, limits: Limits) -> Bands:
-    """Return the same stems fitted anew from their own plants, the best first; the ranges stay."""
-    bands = [
-        fit_band(data, b.S, b.J, (b.first, b.sense), limits, (b.fit.tau, b.fit.theta), 80) for b in found.alike[:REFITS]
-    ]
+def refit(data: Centred, found: Found, limits: Limits) -> Found:
+    """Return the same search with its best stems fitted anew from their own plants, in the measure that data has."""
+    likely = sorted(found.met, key=lambda b: b.fit.sse)[:REFITS]
+    bands = [fit_band(data, b.S, b.J, (b.first, b.sense), limits, (b.fit.tau, b.fit.theta), 80) for b in likely]
     b = found.best
     bands.append(fit_band(data, b.S, b.J, (b.first, b.sense), limits, (b.fit.tau, b.fit.theta), 200))
-    return Bands(best_of(bands), tuple(bands), found.S, found.J)
+    return replace(found, best=best_of(bands), again=tuple(bands))
 
 
-def repeated(data: Centred, found: Bands, limits: Limits, only: float | None) -> Bands:
-    """Return the ranges widened to what parts of the record say that reject the best stem, each searched by itself.
+def repeated(data: Centred, found: Found, limits: Limits) -> Bands:
+    """Return the ranges, widened to what parts of the record say that reject the best stem, each searched by itself.
 
     The parts are the halves, of a long record its two most active stretches. What they disagree on is not known, and
     a search that ended away from the truth seldom ends there twice. A part in which the best stem is as likely as its
     own says nothing against it: it may hold too few slips to tell any stem from another.
     """
+    alike, within, jumps = _ranges(found, limits)
     n = data.samples
     parts = [data.part(0, n // 2), data.part(n // 2, n)] if n <= EXACT else active_windows(data)[:2]
-    S, J, fits = [*found.S], [*found.J], []
+    S, J, fits = [*within], [*jumps], []
     for part in parts:
         if not part.op_range > 0.0 or not float(np.ptp(part.y)) > 0.0:
             continue
         longest = min(limits.theta[1], part.samples / 4.0)
         own = Limits((LEAST_TAU, float(part.samples)), (0.0, longest))
-        met, _ = search_short(part, look(part, longest), only, own)
+        met, _ = search_short(part, look(part, longest), found.only, own)
         if not met or best_of(met).slips < HALF_SLIPS:
             continue
         best = best_of(met)
@@ -118,7 +145,7 @@ def repeated(data: Centred, found: Bands, limits: Limits, only: float | None) ->
             S.append(best.S)
             J.append(best.J)
             fits.append(best.fit)
-    return Bands(found.best, found.alike, (min(S), max(S)), (min(J), max(J)), tuple(fits))
+    return Bands(found.best, found.again or alike, (min(S), max(S)), (min(J), max(J)), tuple(fits))
 
 
 def _here(part: Centred, b: Band, limits: Limits) -> Band:
@@ -140,20 +167,22 @@ def _effective(data: Centred, b: Band) -> float:
     return data.samples / inflation(data.innovations(predict(data, x, max(b.first, 0), b.fit)[0]))
 
 
-def _ranges(
-    data: Centred, best: Band, bands: list[Band], rows: NDArray[np.float64], only: float | None, limits: Limits
-) -> Bands:
-    """What the record cannot tell from the best: the 95 % likelihood region, and what each half would choose."""
+def _ranges(found: Found, limits: Limits) -> tuple[tuple[Band, ...], tuple[float, float], tuple[float, float]]:
+    """What the record cannot tell from the best: the 95 % likelihood region, and what each half would choose.
+
+    As it was measured when the search was made: the stems, and their ranges of S and J.
+    """
+    data, best = found.measure, best_of(list(found.met))
     n = data.samples
     most = max(best.fit.sse / n, data.floor) * math.exp(CHI_SQUARE / _effective(data, best)) * n
-    alike = [best, *(b for b in bands if max(b.fit.sse, n * data.floor) <= most)]
+    alike = [best, *(b for b in found.met if max(b.fit.sse, n * data.floor) <= most)]
     if best.slips >= 2 * HALF_SLIPS:
-        alike += _halves(data, sorted(bands, key=lambda b: b.fit.sse)[:60])
-    alike += _outwards(data, best, most, only, limits)
-    near = rows[np.maximum(rows[:, 2], n * data.floor) <= most]
+        alike += _halves(data, sorted(found.met, key=lambda b: b.fit.sse)[:60])
+    alike += _outwards(data, best, most, found.only, limits)
+    near = found.rows[np.maximum(found.rows[:, 2], n * data.floor) <= most]
     S = [b.S for b in alike] + near[:, 0].tolist()
     J = [b.J for b in alike] + near[:, 1].tolist()
-    return Bands(best, tuple(alike), (min(S), max(S)), (min(J), max(J)))
+    return tuple(alike), (min(S), max(S)), (min(J), max(J))
 
 
 def _outwards(data: Centred, best: Band, most: float, only: float | None, limits: Limits) -> list[Band]:

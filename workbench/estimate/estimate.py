@@ -33,7 +33,7 @@ from workbench.estimate.plants import foretelling_bic
 from workbench.estimate.profile import Profile, islands, search
 from workbench.estimate.refined import by_complementarity, jointly, refuse_complementarity
 from workbench.estimate.repeat import repeats_of, words_of
-from workbench.estimate.scale import band_of, linear_intervals, linear_result, stem_of
+from workbench.estimate.scale import band_of, band_position, linear_intervals, linear_result, stem_of
 from workbench.estimate.settled import coloured_linear, settled
 from workbench.estimate.two_parameter import look
 from workbench.estimate.two_step import akaike, two_step
@@ -282,22 +282,20 @@ def _answer(
     leader = next((name for name in models if name in bands), None)
     if leader is not None and models[leader].bic < models.get("stenman", models[leader]).bic + 1e-9:
         pair = bands[leader].best
-        fitted = (Choudhury(pair.S, pair.J), band_of(data, bands[leader], leader).valve_position)
+        fitted = (Choudhury(pair.S, pair.J), band_position(data, pair))
     verdict, reasons = agree(evidence, verdict, reasons, detect(record, fitted=fitted))
     identifiable = identifiable and verdict == "stiction"
-    if chosen in bands and verdict != "no_stiction":
-        bands[chosen] = repeated(data, bands[chosen], limits, 0.0 if chosen == "deadband" else None)
+    ranged = repeated(data, bands[chosen], limits) if chosen in bands and verdict != "no_stiction" else None
     if verdict != "no_stiction":
-        reasons += reasons_of(models, chosen, valve, bands)
+        reasons += reasons_of(models, chosen, valve, ranged)
     reasons += _manual_said(record)
-    if chosen in bands:
-        stem = band_of(data, bands[chosen], chosen)
-        S = bands[chosen].best.S
-        sharp = bands[chosen].S[1] - bands[chosen].S[0] <= SHARP * S
-        identifiable = verdict == "stiction" and bands[chosen].best.slips >= ENOUGH_SLIPS and sharp
+    if ranged is not None:
+        stem = band_of(data, ranged, chosen)
+        sharp = ranged.S[1] - ranged.S[0] <= SHARP * ranged.best.S
+        identifiable = verdict == "stiction" and ranged.best.slips >= ENOUGH_SLIPS and sharp
         # A stem whose gain may be anything is no model, however narrow its band.
         low, high = stem.intervals.gain or (0.0, 0.0)
-        identifiable = identifiable and high - low <= WIDEST_GAIN * abs(bands[chosen].best.fit.gain)
+        identifiable = identifiable and high - low <= WIDEST_GAIN * abs(ranged.best.fit.gain)
     best = bands[chosen].best if chosen in bands else None if found is None else found.best
     stuck = best is not None and chosen != "linear" and verdict != "no_stiction" and best.fit.gain != 0.0
     if not stuck:
@@ -355,8 +353,8 @@ def _answer(
         candidates=tuple(models.values()),
         load_steps=steps,
     )
-    if chosen in bands:
-        return sticking, band_paths(data, bands[chosen], chosen), data
+    if ranged is not None:
+        return sticking, band_paths(data, ranged, chosen), data
     return sticking, [] if found is None else stem_paths(data, found), data
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from workbench.estimate.bands import Bands, refit, search_bands
+from workbench.estimate.bands import Bands, Found, refit, search_bands, sought
 from workbench.estimate.data import Centred, plant_of
 from workbench.estimate.fit import Fit, Limits, grounded
 from workbench.estimate.profile import Profile
@@ -31,20 +31,21 @@ def _valve(name: str, d: float, band: Band | None) -> Valve:
     return Stenman(d) if name == "stenman" else Ideal()
 
 
-def bands_of(data: Centred, coarse: list[Band], limits: Limits, only_any: bool = False) -> dict[str, Bands]:
+def bands_of(data: Centred, coarse: list[Band], limits: Limits, only_any: bool = False) -> dict[str, Found]:
     """Return the searches over two-parameter valves that found a stem: "deadband" (J = 0) and "choudhury" (any J)."""
-    dead = None if only_any else search_bands(data, coarse, limits, 0.0)
-    any_jump = search_bands(data, coarse, limits, None, () if dead is None else (dead.best,))
+    within = sought(data, coarse, limits)
+    dead = None if only_any else search_bands(data, within, limits, 0.0)
+    any_jump = search_bands(data, within, limits, None, () if dead is None else (dead.best,))
     found = {"deadband": dead, "choudhury": any_jump}
     return {name: bands for name, bands in found.items() if bands is not None}
 
 
-def refitted(data: Centred, found: dict[str, Bands], limits: Limits) -> dict[str, Bands]:
+def refitted(data: Centred, found: dict[str, Found], limits: Limits) -> dict[str, Found]:
     """Return the same searches with each best stem fitted anew, in the measure that data has now."""
     return {name: refit(data, bands, limits) for name, bands in found.items()}
 
 
-def compared(data: Centred, linear: Fit, found: Profile | None, bands: dict[str, Bands]) -> dict[str, FittedModel]:
+def compared(data: Centred, linear: Fit, found: Profile | None, bands: dict[str, Found]) -> dict[str, FittedModel]:
     """Return every model by its name, the lowest BIC first.
 
     `AIC = N log V + 2 p` and `BIC = N log V + p log N` (H. Akaike, IEEE Trans. Autom. Control 19 (1974) 716-723;
@@ -81,12 +82,12 @@ def choose(models: dict[str, FittedModel], valve: str) -> str:
     return valve if valve in models else "linear"
 
 
-def reasons_of(models: dict[str, FittedModel], chosen: str, valve: str, bands: dict[str, Bands]) -> tuple[str, ...]:
+def reasons_of(models: dict[str, FittedModel], chosen: str, valve: str, found: Bands | None) -> tuple[str, ...]:
     """Return why a two-parameter valve was chosen, and what of it the record does not identify, in words."""
-    if chosen not in bands:
+    if found is None:
         return ()
     said = []
-    model, found = models[chosen], bands[chosen]
+    model = models[chosen]
     if valve == "auto" and "stenman" in models:
         said.append(
             f"of the sticking valves compared, {_words(model.valve)} has the lowest BIC: it leaves "

@@ -13,13 +13,23 @@ from workbench.estimate.fit import Fit, grounded, predict, standard_errors, star
 from workbench.estimate.models import PLANT_PARAMETERS
 from workbench.estimate.profile import Candidate, Profile
 from workbench.estimate.stems import path_of
-from workbench.estimate.two_parameter import band_stem
+from workbench.estimate.two_parameter import Band, band_stem
 from workbench.estimate.two_step import akaike
 from workbench.estimate.verdict import ENOUGH_SLIPS
 from workbench.model.record import FloatArray
 from workbench.model.results import Intervals, LinearFit
 
-__all__ = ["NORMAL", "Stem", "band_of", "bias_of", "linear_intervals", "linear_result", "ranges_of", "stem_of"]
+__all__ = [
+    "NORMAL",
+    "Stem",
+    "band_of",
+    "band_position",
+    "bias_of",
+    "linear_intervals",
+    "linear_result",
+    "ranges_of",
+    "stem_of",
+]
 
 NORMAL = 1.96
 
@@ -114,6 +124,20 @@ def stem_of(data: Centred, found: Profile) -> Stem:
     return Stem(position, prediction, bias_of(data, whole), intervals)
 
 
+def band_position(data: Centred, best: Band) -> FloatArray:
+    """Return a two-parameter stem, % of OP's scale, shape (N,)."""
+    x, _ = band_stem(data.u, best.S, best.J, best.first, best.sense)
+    begin = max(best.first, 0)
+    whole = grounded(data, x, begin, best.fit)
+    position = x + data.op_middle
+    if begin > 0 and best.fit.gain != 0.0:
+        # Where the stem was before it first slipped, kept to what the valve can hold there.
+        reach = 0.5 * (best.S + best.J)
+        low, high = float(data.u[:begin].max()) - reach, float(data.u[:begin].min()) + reach
+        position[:begin] = data.op_middle + float(np.clip(whole.start / whole.gain, min(low, high), max(low, high)))
+    return position
+
+
 def band_of(data: Centred, found: Bands, name: str) -> Stem:
     """Return the best two-parameter stem in the record's own scale."""
     best = found.best
@@ -121,12 +145,6 @@ def band_of(data: Centred, found: Bands, name: str) -> Stem:
     begin = max(best.first, 0)
     whole = grounded(data, x, begin, best.fit)
     prediction = data.pv_mean + data.load + predict(data, x, begin, whole)[0]
-    position = x + data.op_middle
-    if begin > 0 and best.fit.gain != 0.0:
-        # Where the stem was before it first slipped, kept to what the valve can hold there.
-        reach = 0.5 * (best.S + best.J)
-        low, high = float(data.u[:begin].max()) - reach, float(data.u[:begin].min()) + reach
-        position[:begin] = data.op_middle + float(np.clip(whole.start / whole.gain, min(low, high), max(low, high)))
     errors = (math.nan, math.nan, math.nan)
     if best.fit.gain != 0.0:
         errors = standard_errors(data, x, begin, best.fit, clamped=False)
@@ -135,4 +153,4 @@ def band_of(data: Centred, found: Bands, name: str) -> Stem:
     ranges = ranges_of(data, fits or [best.fit], errors, None)
     if best.slips >= ENOUGH_SLIPS:
         ranges = replace(ranges, S=found.S, J=None if name == "deadband" else found.J)
-    return Stem(position, prediction, bias_of(data, whole), ranges)
+    return Stem(band_position(data, best), prediction, bias_of(data, whole), ranges)

@@ -12,7 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from workbench.estimate.bands import Bands
+from workbench.estimate.bands import Found
 from workbench.estimate.data import Centred
 from workbench.estimate.fit import LEAST_TAU, Fit, Limits, again_linear, disturbance, grounded, predict
 from workbench.estimate.loads import Stem, loads_of
@@ -33,7 +33,7 @@ SAME_TIME, SAME_SIZE = 5, 0.1  # samples, share: steps that moved less have sett
 SAME_STEM = 0.05  # of its standard deviation: a stem's path that moved less has
 
 
-def _leading(data: Centred, found: Profile | None, bands: dict[str, Bands], linear: Fit) -> Stem:
+def _leading(data: Centred, found: Profile | None, bands: dict[str, Found], linear: Fit) -> Stem:
     """The best stem, with its fit."""
     band = min((b.best for b in bands.values()), key=lambda b: b.fit.sse, default=None)
     if band is not None and (found is None or band.fit.sse < found.best.fit.sse):
@@ -101,8 +101,8 @@ def _relieved(
 
 
 def settled(
-    data: Centred, found: Profile | None, bands: dict[str, Bands], linear: Fit, delays: float, most: int = STEPS_MOST
-) -> tuple[Centred, Profile | None, dict[str, Bands], Fit, tuple[LoadStep, ...]]:
+    data: Centred, found: Profile | None, bands: dict[str, Found], linear: Fit, delays: float, most: int = STEPS_MOST
+) -> tuple[Centred, Profile | None, dict[str, Found], Fit, tuple[LoadStep, ...]]:
     """The record and its models without load steps, in the measure of the disturbance that the best stem leaves.
 
     Where the record starts within a cycle, its first samples, up to the dead time, answer to slips before it: they no

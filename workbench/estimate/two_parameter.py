@@ -38,7 +38,8 @@ __all__ = [
 ]
 
 NARROWEST, WIDEST = 0.04, 0.95  # of OP's range
-GRID = 48  # values of S looked at
+GRID = 48  # values of S looked at; from WIDE on there are few slips, and a single one that is wrong spoils the fit:
+WIDE, GRID_WIDE = 0.25, 60  # as many as that
 SHARES = (0.0, 0.12, 0.27, 0.45, 0.7, 1.0, 1.35)  # of J, of S
 FINER, FINER_TAUS = (-0.04, -0.02, 0.0, 0.02, 0.04), (0.7, 0.85, 1.0, 1.2, 1.45)  # about the best of them, of each
 SHORTEST, LONGEST, TAUS = 0.3, 10.0, 9  # time constants looked at: samples, records, how many
@@ -91,9 +92,10 @@ def look(data: Centred, longest: float) -> list[Band]:
         seen = [b for part in active_windows(data) for b in look(part, min(longest, part.samples / 4.0))[:SEEDS]]
         found = [fit_band(data, b.S, b.J, (-1, 0.0), limits, (b.fit.tau, b.fit.theta), 20, 1e-4) for b in seen]
     else:
-        taus = np.geomspace(SHORTEST, LONGEST * data.samples, TAUS)
+        taus = np.geomspace(SHORTEST, LONGEST * data.samples, TAUS)[-1 if data.integrating else 0 :]
         delays = [float(d) for d in dead_times(data.samples, math.nan) if d <= longest]
-        S = np.geomspace(NARROWEST, WIDEST, GRID) * data.op_range
+        narrow, wide = np.geomspace(NARROWEST, WIDEST, GRID), np.geomspace(WIDE, WIDEST, GRID_WIDE)
+        S = np.concatenate([narrow[narrow < WIDE], wide]) * data.op_range
         grid = np.column_stack([np.repeat(S, len(SHARES)), (S[:, None] * np.array(SHARES)).ravel()])
         found = [_placed(data, seed, limits) for seed in _screened(data, grid, taus, delays, PICKED)]
     return sorted((b for b in found if b.slips > 0 and b.fit.gain != 0.0), key=lambda b: b.fit.sse)
