@@ -812,6 +812,7 @@ def band_path(op: Floats, S: float, J: float, first: int, sense: float, x: Float
     """
     offset = 0.5 * (S - J)
     box[S_LOW], box[S_HIGH], box[J_LOW], box[J_HIGH] = 0.0, math.inf, 0.0, math.inf
+    back_held, back, on_held, further = 0.0, math.inf, 0.0, math.inf
     n = op.size
     if first < 0:
         band = 0.5 * (S + J)
@@ -836,19 +837,20 @@ def band_path(op: Floats, S: float, J: float, first: int, sense: float, x: Float
             moving = False
             on = (op[k] - led) * sense
             if on > J:
-                box[J_HIGH] = min(box[J_HIGH], on)
+                further = min(further, on)
                 moving = True
             elif -on > S:
-                box[S_HIGH] = min(box[S_HIGH], -on)
+                back = min(back, -on)
                 sense = -sense
                 moving = True
             else:
-                box[J_LOW] = max(box[J_LOW], on)
-                box[S_LOW] = max(box[S_LOW], -on)
+                on_held = max(on_held, on)
+                back_held = max(back_held, -on)
             if moving:
                 led = op[k]
                 slips += 1
         x[k] = led - sense * offset
+    box[S_LOW], box[S_HIGH], box[J_LOW], box[J_HIGH] = back_held, back, on_held, further
     return slips
 
 
