@@ -9,14 +9,16 @@ from dataclasses import dataclass
 from workbench.errors import ScenarioError
 from workbench.model.controller import PID
 from workbench.model.experiment import Profile, Step
-from workbench.model.karnopp import Karnopp
+from workbench.model.loop import Loop
 from workbench.model.plant import FOPDT, Plant
 from workbench.model.tuning import Bounds, Objective
-from workbench.model.valve import Choudhury, Deadband, Directional, He, Ideal, Kano, Positional, Stenman, Valve
+from workbench.model.valve import Choudhury, Deadband, Directional, He, Positional, Stenman, Valve
 from workbench.scenario.document import parse, plain
 from workbench.scenario.plan import Scenario
 from workbench.ui.fields import DEFAULTS, FIELDS, OWN_WEIGHT
-from workbench.ui.screen import ON_SCREEN, Pinned, Screen, number_text
+from workbench.ui.loop_fields import VALVES
+from workbench.ui.screen import ON_SCREEN, Pinned, Screen
+from workbench.ui.trees import compensator_texts, number_text
 
 __all__ = ["Loaded", "bounds_entries", "controller_entries", "plant_entries", "screen_of", "valve_entries"]
 
@@ -38,18 +40,16 @@ def screen_of(plan: Scenario) -> Loaded:
 
     Raises `ScenarioError` where the page has no entry for a part of the scenario: it shows no other loop instead.
     """
-    missing = _not_on_the_page(plan)
-    if missing:
+    if plan.cascade:
         raise ScenarioError(
-            f"{plan.path.name}: {', '.join(missing)}: this page has no entry for that; the scenario runs with "
-            "`workbench run`"
+            f"{plan.path.name}: a cascade: this page has no entry for that; the scenario runs with `workbench run`"
         )
     notes = [*plan.warnings, *plan.notes]
     first = plan.cases[0].controller if plan.cases else None if plan.loop is None else plan.loop.controller
     entries: dict[str, str] = {}
     if plan.loop is not None:
         entries |= plant_entries(plan.loop.plant) | valve_entries(plan.loop.valve)
-        entries |= time_entry("loop.sample_time", plan.loop.sample_time)
+        entries |= time_entry("loop.sample_time", plan.loop.sample_time) | _elements(plan.loop)
     elif plan.estimates and plan.estimates[0].record is not None:
         notes.append(
             "The scenario's loop comes from its record: until that is estimated and its model used, the loop shown is "
@@ -76,16 +76,7 @@ def screen_of(plan: Scenario) -> Loaded:
         if parts:
             notes.append(f"The {name} has {len(parts)} more part{'s' if len(parts) > 1 else ''}, kept as they are.")
     if plan.objective is not None:
-        weights = _objective(plan.objective)
-        unshown = [name for name in dict(plan.objective.kpis) if f"objective.{name}" not in FIELDS]
-        if any(float(weight) > 0.0 for weight in weights.values()):
-            entries |= weights
-            if unshown:
-                notes.append(f"The objective also weighs {', '.join(unshown)}: this page leaves that out.")
-        else:
-            notes.append(
-                "The objective weighs figures that this page has no entry for: the page keeps its own, w1 and w3."
-            )
+        entries |= _objective(plan.objective)
     entries |= _typed(plan)
     cases = []
     for i, case in enumerate(plan.cases):
@@ -112,55 +103,78 @@ def screen_of(plan: Scenario) -> Loaded:
     return Loaded(screen, tuple(notes), record.source if record is not None else "")
 
 
-def plant_entries(plant: Plant) -> dict[str, str]:
+def plant_entries(plant: Plant, path: str = "loop.plant") -> dict[str, str]:
     """Return the entries of a plant."""
-    entries = {"loop.plant.gain": number_text(plant.gain)} | time_entry("loop.plant.dead_time", plant.dead_time)
+    entries = {f"{path}.gain": number_text(plant.gain)} | time_entry(f"{path}.dead_time", plant.dead_time)
     if isinstance(plant, FOPDT):
-        entries |= {"loop.plant.type": "fopdt"} | time_entry("loop.plant.time_constant", plant.time_constant)
+        return entries | {f"{path}.type": "fopdt"} | time_entry(f"{path}.time_constant", plant.time_constant)
+    return entries | {f"{path}.type": "integrating"}
+
+
+def valve_entries(valve: Valve, path: str = "loop.valve") -> dict[str, str]:
+    """Return the entries of a valve; stiction along the travel as scenarios know it, of `Stenman` or `Choudhury`."""
+    kind = type(valve).__name__.lower()
+    if isinstance(valve, Positional):
+        lines = [
+            " ".join(number_text(v) for v in (x, *_friction(at)))
+            for x, at in zip(valve.positions, valve.valves, strict=True)
+        ]
+        values = {"places": "\n".join(lines)}
+    elif isinstance(valve, Directional):
+        ways = {"up": valve.up, "down": valve.down}
+        values = {
+            f"{way}.{name}": number_text(x)
+            for way, one in ways.items()
+            for name, x in zip("SJ", _friction(one), strict=True)
+        }
     else:
-        entries["loop.plant.type"] = "integrating"
-    return entries
+        values = {name: number_text(getattr(valve, name)) for name in VALVES[kind]}
+    entries = {f"{path}.type": kind} | {f"{path}.{name}": text for name, text in values.items()}
+    return entries | ({f"{path}.substep.unit": "s"} if kind == "karnopp" else {})
 
 
-def valve_entries(valve: Valve) -> dict[str, str]:
-    """Return the entries of a valve."""
-    match valve:
-        case Ideal():
-            kind, values = "ideal", {}
-        case Stenman():
-            kind, values = "stenman", {"d": valve.d}
-        case He():
-            kind, values = "he", {"fs": valve.fs, "fd": valve.fd}
-        case Kano():
-            kind, values = "kano", {"S": valve.S, "J": valve.J}
-        case Choudhury():
-            kind, values = "choudhury", {"S": valve.S, "J": valve.J}
-        case Deadband():
-            kind, values = "deadband", {"b": valve.b}
-        case Directional():
-            kind, values = "directional", {}
-            for way in ("up", "down"):
-                one = getattr(valve, way)
-                values |= {f"{way}.S": one.stick_band, f"{way}.J": one.slip_jump}
-    return {"loop.valve.type": kind, **{f"loop.valve.{name}": number_text(v) for name, v in values.items()}}
+def _friction(valve: Stenman | He | Choudhury | Deadband) -> tuple[float, ...]:
+    return (valve.d,) if isinstance(valve, Stenman) else (valve.stick_band, valve.slip_jump)
 
 
-def controller_entries(pid: PID) -> dict[str, str]:
-    """Return the entries of a controller; gains in %/EU, times in s."""
-    path = "loop.controller."
-    entries = {f"{path}Kc": number_text(pid.Kc), f"{path}Kc.unit": "%/EU"}
-    entries |= time_entry(f"{path}Ti", pid.Ti) | time_entry(f"{path}Td", pid.Td)
-    entries |= {f"{path}form": pid.form, f"{path}structure": pid.structure or OWN_WEIGHT, f"{path}action": pid.action}
-    entries[f"{path}derivative_filter"] = number_text(pid.derivative_filter)
+def _elements(loop: Loop) -> dict[str, str]:
+    """Return the entries of what few loops have beside plant, valve and controller."""
+    entries = {"loop.scan": str(loop.scan), "loop.fail_open": "true" if loop.fail_open else "false"}
+    curve = loop.characteristic
+    if curve is None:
+        return entries | {"loop.characteristic.type": "linear"}
+    shape = {name: number_text(getattr(curve, name)) for name in ("rangeability", "opening")}
+    path = "loop.characteristic"
+    return entries | {f"{path}.type": "equal_percentage"} | {f"{path}.{name}": text for name, text in shape.items()}
+
+
+def controller_entries(pid: PID, path: str = "loop.controller", gain: str = "%/EU") -> dict[str, str]:
+    """Return the entries of a controller; gains in the unit given, times in s."""
+    entries = {f"{path}.Kc": number_text(pid.Kc), f"{path}.Kc.unit": gain}
+    entries |= time_entry(f"{path}.Ti", pid.Ti) | time_entry(f"{path}.Td", pid.Td)
+    entries |= {
+        f"{path}.form": pid.form,
+        f"{path}.structure": pid.structure or OWN_WEIGHT,
+        f"{path}.action": pid.action,
+    }
+    entries[f"{path}.derivative_filter"] = number_text(pid.derivative_filter)
     if pid.structure is None:
-        entries[f"{path}derivative_on"] = pid.derivative_on
-        entries[f"{path}setpoint_weight"] = number_text(pid.setpoint_weight)
-    entries[f"{path}limited"] = "false" if pid.output_limits is None else "true"
-    entries[f"{path}anti_windup"] = pid.anti_windup
+        entries[f"{path}.derivative_on"] = pid.derivative_on
+        entries[f"{path}.setpoint_weight"] = number_text(pid.setpoint_weight)
+    entries[f"{path}.limited"] = "false" if pid.output_limits is None else "true"
+    entries[f"{path}.anti_windup"] = pid.anti_windup
     if pid.output_limits is not None:
-        entries |= _ends(f"{path}output_limits", pid.output_limits)
+        entries |= _ends(f"{path}.output_limits", pid.output_limits)
     tracking = "" if pid.tracking_time is None else number_text(pid.tracking_time)
-    return entries | {f"{path}tracking_time": tracking, f"{path}tracking_time.unit": "s"}
+    entries |= {f"{path}.tracking_time": tracking, f"{path}.tracking_time.unit": "s"}
+    entries[f"{path}.output_resolution"] = number_text(pid.output_resolution)
+    entries[f"{path}.compensator.type"] = "none"
+    if pid.compensator is not None:
+        kind, texts = compensator_texts(pid.compensator)
+        under = f"{path}.compensator"
+        entries |= {f"{under}.type": kind} | {f"{under}.{name}": text for name, text in texts.items()}
+        entries |= {f"{under}.{name}.unit": "s" for name in texts if "s" in FIELDS[f"{under}.{name}"].units}
+    return entries
 
 
 def bounds_entries(bounds: Bounds) -> dict[str, str]:
@@ -260,28 +274,6 @@ def _written(plan: Scenario) -> Mapping[str, object]:
 def _under(data: Mapping[str, object], name: str) -> Mapping[str, object]:
     inside = data.get(name)
     return inside if isinstance(inside, Mapping) else {}
-
-
-def _not_on_the_page(plan: Scenario) -> list[str]:
-    """Return what of a scenario the page cannot show, in words."""
-    controllers = [case.controller for case in plan.cases]
-    found = ["a cascade"] if plan.cascade else []
-    if plan.loop is not None:
-        loop = plan.loop
-        controllers.append(loop.controller)
-        if isinstance(loop.valve, Positional | Karnopp):
-            found.append(f"a valve of type {type(loop.valve).__name__.lower()}")
-        if loop.characteristic is not None:
-            found.append("a valve's characteristic")
-        if loop.fail_open:
-            found.append("a fail-open valve")
-        if loop.scan != 1:
-            found.append("a controller's scan")
-    if any(c.compensator is not None for c in controllers):
-        found.append("a compensator")
-    if any(c.output_resolution > 0.0 for c in controllers):
-        found.append("an output resolution")
-    return found
 
 
 def _is_own(plan: Scenario) -> bool:

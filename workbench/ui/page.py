@@ -28,7 +28,7 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from workbench.errors import InvalidValue, RecordError, WorkbenchError
 from workbench.report import palette
 from workbench.ui import export
-from workbench.ui.fields import FIELDS, GROUPS, OWN_WEIGHT
+from workbench.ui.fields import FIELDS, GROUPS
 from workbench.ui.figures import LEGENDS, MAP_FIGURES, Pictures
 from workbench.ui.given import dashes, safe_name, table_content
 from workbench.ui.jobs import Event, Job
@@ -477,7 +477,6 @@ def open_page(document: Document, loaded: Loaded | None, data: Path | None = Non
             path: {"slider": f.slider, "reach": f.reach, "signed": f.signed, "when": f.when}
             for path, f in FIELDS.items()
         },
-        "own_weight": OWN_WEIGHT,
         "views": VIEWS,
         "map_figures": MAP_FIGURES,
         "cases": [{"color": s["color"], "dash": dashes(s)} for s in palette.CASES],

@@ -5,29 +5,22 @@ A screen is a frozen value, so that undoing a change is going back to the one be
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 
-from workbench.model.controller import PID, STRUCTURES
+from workbench.model.controller import PID
 from workbench.model.experiment import Profile, Ramp, Series, Step
-from workbench.ui.fields import DEFAULTS, FIELDS, OWN_WEIGHT
+from workbench.ui.entry import WRITTEN
+from workbench.ui.fields import DEFAULTS, FIELDS
+from workbench.ui.trees import case_controller, controller_tree, is_zero, number_text, plant_tree, valve_tree
 from workbench.ui.yaml_text import Tree, scalar, words, yaml_of
 
-__all__ = ["ON_SCREEN", "Pinned", "Screen", "controller_tree", "estimate_text", "number_text", "scenario_text"]
+__all__ = ["ON_SCREEN", "Pinned", "Screen", "estimate_text", "scenario_text"]
 
 ON_SCREEN = "On screen"  # the case that is the page's own controller
 TUNED = "Tuned"
-_VALVE = {
-    "ideal": (),
-    "stenman": ("d",),
-    "he": ("fs", "fd"),
-    "choudhury": ("S", "J"),
-    "kano": ("S", "J"),
-    "deadband": ("b",),
-    "directional": ("up.S", "up.J", "down.S", "down.J"),
-}
+_CURVE = ("rangeability", "opening")
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,17 +60,7 @@ class Screen:
         """Return an entry with its unit, as a scenario writes it; "" where nothing is typed."""
         text = self.entries[path].strip()
         unit = self.entries.get(f"{path}.unit", "")
-        if not text or text == "none" or unit in ("", "EU", "EU/%", "%/EU", "PB %"):
-            return text
-        return f"{text} {unit}"
-
-
-def number_text(value: float) -> str:
-    """Return a number with every digit that it has, as it is typed: "5", "0.1", "none" for infinity."""
-    if math.isinf(value):
-        return "none" if value > 0 else "-.inf"
-    text = repr(float(value))
-    return text.removesuffix(".0")
+        return f"{text} {unit}" if text and text != "none" and unit in WRITTEN else text
 
 
 def scenario_text(screen: Screen, *, cases: bool = True, tune: bool = False, mapped: bool = False) -> str:
@@ -98,7 +81,10 @@ def scenario_text(screen: Screen, *, cases: bool = True, tune: bool = False, map
     if tune:
         tree["cases"] = [{"name": words(TUNED), "tune": _tune(screen)}]
     else:
-        tree["cases"] = [{"name": words(_free(screen))}, *([_case(case) for case in screen.cases] if cases else [])]
+        tree["cases"] = [
+            {"name": words(_free(screen))},
+            *([_case(screen, case) for case in screen.cases] if cases else []),
+        ]
     if mapped:
         tree["analyze"] = {"map": {"points": scalar(screen.entries["analyze.map.points"])}}
     return yaml_of(tree)
@@ -114,24 +100,24 @@ def _free(screen: Screen) -> str:
 
 def _loop(screen: Screen) -> dict[str, Tree]:
     entries = screen.entries
-    plant: dict[str, Tree] = {"type": scalar(entries["loop.plant.type"])}
-    names = ("gain", "dead_time") if plant["type"] == "integrating" else ("gain", "time_constant", "dead_time")
-    for name in names:
-        plant[name] = _typed(screen, f"loop.plant.{name}")
-    valve: dict[str, Tree] = {"type": scalar(entries["loop.valve.type"])}
-    for name in _VALVE.get(entries["loop.valve.type"], ()):
-        way, _, own = name.rpartition(".")
-        inside = valve
-        if way:
-            inside = valve.setdefault(way, {})  # type: ignore[assignment]
-        inside[own] = _typed(screen, f"loop.valve.{name}")
-    loop: dict[str, Tree] = {"plant": plant, "valve": valve, "controller": _controller(screen)}
-    loop["sample_time"] = _typed(screen, "loop.sample_time")
+    loop: dict[str, Tree] = {
+        "plant": plant_tree(entries, screen.quantity, "loop.plant"),
+        "valve": valve_tree(entries, screen.quantity, "loop.valve"),
+        "controller": controller_tree(entries, screen.quantity, "loop.controller"),
+        "sample_time": _typed(screen, "loop.sample_time"),
+    }
     low, high = (screen.quantity(f"loop.pv_range.{end}") for end in ("low", "high"))
     if low or high:
         loop["pv_range"] = [scalar(low), scalar(high)]
-    if entries["loop.coarse_sampling"] == "true":
-        loop["coarse_sampling"] = "true"
+    kind = entries["loop.characteristic.type"]
+    if kind != "linear":
+        shape: dict[str, Tree] = {name: _typed(screen, f"loop.characteristic.{name}") for name in _CURVE}
+        loop["characteristic"] = {"type": scalar(kind), **shape}
+    if entries["loop.scan"].strip() != "1":
+        loop["scan"] = _typed(screen, "loop.scan")
+    for name in ("fail_open", "coarse_sampling"):
+        if entries[f"loop.{name}"] == "true":
+            loop[name] = "true"
     return loop
 
 
@@ -139,53 +125,19 @@ def _typed(screen: Screen, path: str) -> str:
     return scalar(screen.quantity(path))
 
 
-def _controller(screen: Screen) -> dict[str, Tree]:
-    entries = screen.entries
-    tree: dict[str, Tree] = {"form": scalar(entries["loop.controller.form"])}
-    structure = entries["loop.controller.structure"]
-    if structure == OWN_WEIGHT:
-        for name in ("derivative_on", "setpoint_weight"):
-            tree[name] = scalar(entries[f"loop.controller.{name}"])
-    else:
-        tree["structure"] = _quote(structure)
-    tree["derivative_filter"] = scalar(entries["loop.controller.derivative_filter"])
-    tree["action"] = scalar(entries["loop.controller.action"])
-    gain = "proportional_band" if entries["loop.controller.Kc.unit"] == "PB %" else "Kc"
-    tree[gain] = _typed(screen, "loop.controller.Kc")
-    for name in ("Ti", "Td"):
-        tree[name] = _typed(screen, f"loop.controller.{name}")
-    if entries["loop.controller.limited"] == "true":
-        tree["output_limits"] = [_typed(screen, f"loop.controller.output_limits.{end}") for end in ("low", "high")]
-        tree["anti_windup"] = scalar(entries["loop.controller.anti_windup"])
-        if screen.quantity("loop.controller.tracking_time"):
-            tree["tracking_time"] = _typed(screen, "loop.controller.tracking_time")
-    return tree
-
-
-def _quote(text: str) -> str:
-    return '"' + text + '"' if text in STRUCTURES else scalar(text)
-
-
-def _is_zero(text: str) -> bool:
-    try:
-        return float(text) == 0.0
-    except ValueError:
-        return False
-
-
 def _experiment(screen: Screen) -> dict[str, Tree]:
     tree: dict[str, Tree] = {"duration": _typed(screen, "experiment.duration")}
     for name, unit, more in (("setpoint", "", screen.more_setpoint), ("load", " %", screen.more_load)):
         path = f"experiment.{name}"
         parts: list[Tree] = []
-        if not _is_zero(screen.entries[f"{path}.step"]):
+        if not is_zero(screen.entries[f"{path}.step"]):
             parts.append({"step": _typed(screen, f"{path}.step"), "at": _typed(screen, f"{path}.at")})
         parts += [_part(part, unit) for part in more]
         if parts:
             tree[name] = parts[0] if len(parts) == 1 else parts
-    if not _is_zero(screen.entries["experiment.noise.sd"]):
+    if not is_zero(screen.entries["experiment.noise.sd"]):
         tree["noise"] = {name: _typed(screen, f"experiment.noise.{name}") for name in ("sd", "seed")}
-    if not _is_zero(screen.entries["experiment.stem_offset"]):
+    if not is_zero(screen.entries["experiment.stem_offset"]):
         tree["stem_offset"] = _typed(screen, "experiment.stem_offset")
     return tree
 
@@ -206,7 +158,7 @@ def _part(part: Profile, unit: str) -> Tree:
 def _weights(screen: Screen) -> dict[str, Tree]:
     names = [path for path in FIELDS if path.startswith("objective.")]
     given = {path.removeprefix("objective."): screen.entries[path].strip() for path in names}
-    return {name: scalar(text) for name, text in given.items() if not _is_zero(text)} or {"w1": "0"}
+    return {name: scalar(text) for name, text in given.items() if not is_zero(text)} or {"w1": "0"}
 
 
 def _tune(screen: Screen) -> dict[str, Tree]:
@@ -229,35 +181,9 @@ def _tune(screen: Screen) -> dict[str, Tree]:
     return tree
 
 
-def controller_tree(pid: PID) -> dict[str, Tree]:
-    """Return a controller with every key that a scenario knows of it, so that nothing is inherited."""
-    tree: dict[str, Tree] = {"Kc": number_text(pid.Kc)}
-    tree["Ti"] = "none" if math.isinf(pid.Ti) else f"{number_text(pid.Ti)} s"
-    tree["Td"] = f"{number_text(pid.Td)} s"
-    tree["form"] = pid.form
-    if pid.structure is None:
-        tree |= {"derivative_on": pid.derivative_on, "setpoint_weight": number_text(pid.setpoint_weight)}
-    else:
-        tree["structure"] = _quote(pid.structure)
-    tree["derivative_filter"] = number_text(pid.derivative_filter)
-    tree["action"] = pid.action
-    if pid.output_limits is None:
-        tree["output_limits"] = "null"
-    else:
-        tree["output_limits"] = [f"{_limit(end)} %" for end in pid.output_limits]
-        tree["anti_windup"] = pid.anti_windup
-        if pid.anti_windup == "back_calculation":
-            Tt = pid.ideal_terms().Ti if pid.tracking_time is None else pid.tracking_time
-            tree["tracking_time"] = f"{number_text(Tt)} s"
-    return tree
-
-
-def _limit(value: float) -> str:
-    return repr(float(value)).removesuffix(".0")
-
-
-def _case(case: Pinned) -> dict[str, Tree]:
-    tree: dict[str, Tree] = {"name": words(case.name), **controller_tree(case.controller)}
+def _case(screen: Screen, case: Pinned) -> dict[str, Tree]:
+    controller = case_controller(case.controller, screen.entries, "loop.controller")
+    tree: dict[str, Tree] = {"name": words(case.name), **controller}
     if case.note:
         tree["note"] = words(case.note)
     if case.reference:

@@ -67,14 +67,17 @@ class CaseRun:
     refused: str = ""
 
 
-def problems_of(error: ScenarioError) -> tuple[Problem, ...]:
-    """Return a refusal's lines without the place in a file that nobody has seen: `where: what is wrong`."""
+def problems_of(error: ScenarioError, entries: Mapping[str, str] | None = None) -> tuple[Problem, ...]:
+    """Return a refusal's lines without the place in a file that nobody has seen: `where: what is wrong`.
+
+    entries: what stands on the page, which hides some fields.
+    """
     found = []
     for line in str(error).splitlines():
         parts = line.split(": ", 1)
         text = parts[1] if len(parts) == 2 and parts[0].startswith(str(FILE)) else line
         where = text.split(": ", 1)[0]
-        found.append(Problem(field_of(where) or "", text))
+        found.append(Problem(field_of(where, entries) or "", text))
     return tuple(found)
 
 
@@ -156,6 +159,8 @@ class Session:
         samples = max(round(duration / sample_time), 1)
         entries |= time_entry("experiment.duration", samples * sample_time)
         entries["loop.coarse_sampling"] = "true"  # the record's sampling is what it is
+        # A loop that was found is linear, with the valve's sign in its gain, and executes at every sample.
+        entries |= {"loop.characteristic.type": "linear", "loop.fail_open": "false", "loop.scan": "1"}
         self.change(entries)
 
     def load(self, loaded: Loaded) -> None:
@@ -186,7 +191,7 @@ class Session:
         try:
             plan = read_scenario(scenario_text(self.screen, cases=False), FILE)
         except ScenarioError as error:
-            self.problems = problems_of(error)
+            self.problems = problems_of(error, self.screen.entries)
             return
         if plan.loop is None or plan.experiment is None or plan.objective is None:
             raise AssertionError("a page's scenario holds a loop, an experiment and an objective")
@@ -279,7 +284,7 @@ class Session:
         try:
             read_scenario(text, FILE)
         except ScenarioError as error:
-            self.problems = problems_of(error)
+            self.problems = problems_of(error, self.screen.entries)
             raise ScenarioError("\n".join(problem.text for problem in self.problems)) from None
         return text
 
