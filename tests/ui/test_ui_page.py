@@ -16,9 +16,10 @@ import workbench as wb
 from workbench.model.front import FrontPoint
 from workbench.scenario.loader import load_scenario
 from workbench.ui import page as pages
+from workbench.ui.document import open_page
 from workbench.ui.jobs import Event
 from workbench.ui.load import screen_of
-from workbench.ui.page import Page, open_page
+from workbench.ui.page import Page
 from workbench.ui.work import FrontFound, MapFound, ReadRecord, Report, TunedCase
 
 SCENARIOS = Path(__file__).parents[2] / "scenarios"

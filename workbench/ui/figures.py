@@ -143,13 +143,14 @@ class Pictures:
             self.axes |= {f"{name}.x": Axis(), f"{name}.y": Axis()}
         return fig
 
-    def moved(self, *, all_of_them: bool = False) -> dict[str, tuple[float, float]]:
-        """Return the ends of every axis ("pv.y") that changed since they were last asked for."""
+    def moved(self, *, all_of_them: bool = False, anew: str = "") -> dict[str, tuple[float, float]]:
+        """Return the ends of every axis ("pv.y") that changed since they were last told, and of the figure `anew`."""
         shared = {"op.x": "pv.x", "op_stem.x": "pv_op.x", "c_stem.x": "c_pv.x", "e_op.x": "e_pv.x"}
         now = {name: axis.ends for name, axis in self.axes.items() if name not in shared}
         told = {} if all_of_them else self._told
         self._told = now
-        return {name: ends for name, ends in now.items() if told.get(name) != ends}
+        drawn = {f"{anew}.x", f"{anew}.y"}
+        return {name: ends for name, ends in now.items() if told.get(name) != ends or name in drawn}
 
     # the loop ------------------------------------------------------------------------------------------------------
 
@@ -384,8 +385,15 @@ class Pictures:
         tips = [("Kc", "$x"), ("Ti", "$y s"), ("long run", "@outcome"), ("figure", "@value")]
         plane.add_tools(HoverTool(renderers=[self.cells], tooltips=tips))
 
-    def show_loci(self, found: DescribingFunction) -> None:
-        """Draw L(jw) and -1/N(A) around the origin and the crossings: full dots are stable cycles, hollow ones not."""
+    def show_loci(self, found: DescribingFunction | None) -> None:
+        """Draw L(jw) and -1/N(A) around the origin and the crossings: full dots are stable cycles, hollow ones not.
+
+        None: the method says nothing of the loop, and nothing is drawn.
+        """
+        if found is None:
+            self.L.data, self.locus.data = dict(EMPTY), dict(EMPTY)
+            self.crossings.data = {"x": [], "y": [], "fill": [], "tip": []}
+            return
         breaks = [b for b in found.breaks if b > 0]
         locus = np.insert(found.locus, breaks, complex(math.nan, math.nan)) if breaks else found.locus
         self.L.data = {"x": found.L.real.copy(), "y": found.L.imag.copy()}

@@ -12,9 +12,8 @@ import json
 import math
 import shutil
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -23,31 +22,32 @@ from bokeh.core.properties import String
 from bokeh.document import Document
 from bokeh.events import Tap
 from bokeh.model import DataModel
-from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 from workbench.errors import InvalidValue, RecordError, WorkbenchError
-from workbench.report import palette
 from workbench.ui import export
-from workbench.ui.fields import FIELDS, GROUPS
-from workbench.ui.figures import LEGENDS, MAP_FIGURES, Pictures
-from workbench.ui.given import dashes, safe_name, table_content
+from workbench.ui.fields import FIELDS
+from workbench.ui.figures import MAP_FIGURES, Pictures
+from workbench.ui.frequency import is_slow, map_key, verdicts
+from workbench.ui.given import found_words, record_words, safe_name
 from workbench.ui.jobs import Event, Job
 from workbench.ui.load import Loaded, bounds_entries, controller_entries
 from workbench.ui.screen import estimate_text
 from workbench.ui.state import Session
-from workbench.ui.work import Found, FrontFound, MapFound, ReadRecord, Report, TunedCase
+from workbench.ui.work import Found, FrontFound, LongRun, MapFound, ReadRecord, Report, TunedCase
 
-__all__ = ["LARGEST_UPLOAD", "VIEWS", "Page", "open_page"]
+__all__ = ["LARGEST_UPLOAD", "VIEWS", "Page"]
 
 VIEWS = ("loop", "compare", "estimate", "tune", "frequency", "export")
 LARGEST_UPLOAD = 16 << 20  # bytes of a file; a day of SP, PV, OP and MODE at 1 s takes a third of it
 LARGEST_SCENARIO = 1 << 20
+LONGEST = 400  # characters of a line that can be typed
 NEAR = 0.15  # of a click to a point of the front: the sum of both differences of logarithms
 WORDS = {
     "read": "Reading",
     "estimate": "Estimating",
     "tune": "Tuning",
     "map": "Mapping",
+    "long_run": "Following the long run",
     "front": "Searching the front",
     "report": "Writing the report",
 }
@@ -80,6 +80,8 @@ class Page:
         self.map: MapFound | None = None
         self.map_of: object = None
         self.map_figure = "period"
+        self.long_run = ""
+        self.long_run_of: object = None
         self.front: FrontFound | None = None
         self.front_of: object = None
         self.asked_of: object = None  # what stood on the screen when the task under way was asked for
@@ -146,7 +148,7 @@ class Page:
             answer["scenario"] = self._scenario()
         if self.tuned is not None:
             answer["tuned"] = {"lines": list(self.tuned.lines), "status": self.tuned.status}
-        answer["axes"] = self.pictures.moved(all_of_them="start" in answer)
+        answer["axes"] = self.pictures.moved(all_of_them="start" in answer, anew=str(answer.get("refit", "")))
         self._send(answer)
 
     def _send(self, answer: Mapping[str, Any]) -> None:
@@ -159,11 +161,10 @@ class Page:
 
     def _do_hello(self, _request: Mapping[str, Any]) -> dict[str, Any]:
         """The page is there: send everything."""
-        return {"record": self._record_words(), "found": self._found_words(), "start": True}
+        return {"record": record_words(self.data, self.record), "found": found_words(self.found), "start": True}
 
     def _do_set(self, request: Mapping[str, Any]) -> None:
-        entries = {str(path): str(text)[:200] for path, text in request["entries"].items()}
-        self.session.change(entries, str(request.get("gesture", "")))
+        self.session.change({p: _typed(p, t) for p, t in request["entries"].items()}, str(request.get("gesture", "")))
 
     def _do_view(self, request: Mapping[str, Any]) -> None:
         if request["view"] not in VIEWS:
@@ -220,7 +221,7 @@ class Page:
             extra |= self._ended(event.result)
         if event.kind == "failed" and task == "read":
             self.data, self.record, self.found = "", None, None
-            extra["record"] = self._record_words()
+            extra["record"] = record_words(self.data, self.record)
         self.show(extra)
 
     def _ended(self, result: object) -> dict[str, Any]:
@@ -237,12 +238,15 @@ class Page:
         elif isinstance(result, MapFound):
             self.map, self.map_of = result, self.asked_of
             self.pictures.show_map(result, self.map_figure)
+            return {"refit": "f_map"}
+        elif isinstance(result, LongRun):
+            self.long_run, self.long_run_of = result.verdict, self.asked_of
         elif isinstance(result, FrontFound):
             self.front, self.front_of = result, self.asked_of
             self.pictures.show_front(result)
         elif isinstance(result, Report):
             return {"download": {"name": "report.html", "type": "text/html", "text": result.html}}
-        return {"record": self._record_words(), "found": self._found_words()}
+        return {"record": record_words(self.data, self.record), "found": found_words(self.found)}
 
     def _do_stop(self, _request: Mapping[str, Any]) -> None:
         if self.job is not None and self.task:
@@ -339,24 +343,6 @@ class Page:
         self.session.use_model(found.plant, found.valve, found.record.sample_time, found.action)
         self.view = "loop"
 
-    def _record_words(self) -> dict[str, Any]:
-        if self.record is None:
-            return {"name": self.data, "summary": []}
-        return {"name": self.data, "summary": list(self.record.summary)}
-
-    def _found_words(self) -> dict[str, Any] | None:
-        if self.found is None:
-            return None
-        found = self.found
-        return {
-            "verdict": found.verdict.replace("_", " "),
-            "sentences": list(found.sentences),
-            "reasons": list(found.reasons),
-            "parameters": table_content(found.parameters),
-            "detection": found.detection,
-            "evidence": table_content(found.evidence),
-        }
-
     # tune ----------------------------------------------------------------------------------------------------------
 
     def _do_tune(self, _request: Mapping[str, Any]) -> None:
@@ -392,38 +378,33 @@ class Page:
     # frequency -----------------------------------------------------------------------------------------------------
 
     def _frequency(self) -> dict[str, Any]:
-        from workbench.analyze.agreement import agreement
-        from workbench.analyze.describing_function import describing_function
-        from workbench.analyze.limit_cycle import limit_cycle
-
         built = self.session.built
         if built is None:
             return {}
-        try:
-            df = describing_function(built.loop)
-            cycle = limit_cycle(built.loop, built.experiment)
-        except WorkbenchError as error:
-            return {"lines": [str(error)]}
-        self.pictures.show_loci(df)
+        found, lines = verdicts(built, self.long_run if self.long_run_of == self._cycle_key() else None)
+        self.pictures.show_loci(found)
         cases = [(c.name, c.controller.Kc, c.controller.Ti) for c in self.session.screen.cases]
         here = built.loop.controller
         self.pictures.mark([*cases, ("On screen", here.Kc, here.Ti)])
-        lines = [f"Describing function: {df.verdict}", f"Exact: {cycle.verdict}", agreement(df, cycle)]
         text = [] if self.map is None else list(self.map.text)
-        if self.map is not None and self.map_of != self._map_key():
+        if self.map is not None and self.map_of != map_key(built):
             text.insert(0, "This map is of the loop as it stood when it was made; make it anew for the present one.")
-        return {"lines": [line for line in lines if line], "map": text}
+        return {"lines": lines, "map": text, "slow": is_slow(built.loop)}
 
-    def _map_key(self) -> object:
+    def _cycle_key(self) -> object:
         built = self.session.built
-        if built is None:
-            return None
-        loop = built.loop
-        return loop.plant, loop.valve, replace(loop.controller, Kc=1.0, Ti=1.0), loop.sample_time
+        return None if built is None else (built.loop, built.experiment)
 
-    def _do_map(self, _request: Mapping[str, Any]) -> None:
-        self._begin("map", self.session.scenario(mapped=True))
-        self.asked_of = self._map_key()
+    def _do_long_run(self, _request: Mapping[str, Any]) -> None:
+        self._begin("long_run", self.session.scenario())
+        self.asked_of = self._cycle_key()
+
+    def _do_map(self, request: Mapping[str, Any]) -> None:
+        """Map the tunings around the cases, or those of the part of the map that is looked at."""
+        seen = request.get("seen")
+        view = None if seen is None else (_ends(seen["x"]), _ends(seen["y"]))
+        self._begin("map", self.session.mapped(view))
+        self.asked_of = map_key(self.session.built)
 
     def _do_map_figure(self, request: Mapping[str, Any]) -> None:
         if request["name"] not in MAP_FIGURES:
@@ -457,38 +438,12 @@ class Page:
         return {"download": {"name": name, "type": kind, "text": text}}
 
 
-TEMPLATES = Environment(
-    loader=FileSystemLoader(Path(__file__).parent / "templates"),
-    autoescape=True,
-    undefined=StrictUndefined,
-    trim_blocks=True,
-    lstrip_blocks=True,
-)
+def _ends(pair: Sequence[float]) -> tuple[float, float]:
+    low, high = pair
+    return float(low), float(high)
 
 
-def open_page(document: Document, loaded: Loaded | None, data: Path | None = None) -> Page:
-    """Make one session's page in its document; data: a record to read at once."""
-    page = Page(document, loaded, data)
-    document.title = "Stiction Workbench"
-    document.template = TEMPLATES.get_template("page.html.j2")
-    variables = {
-        "groups": GROUPS,
-        "fields": {
-            path: {"slider": f.slider, "reach": f.reach, "signed": f.signed, "when": f.when}
-            for path, f in FIELDS.items()
-        },
-        "views": VIEWS,
-        "map_figures": MAP_FIGURES,
-        "cases": [{"color": s["color"], "dash": dashes(s)} for s in palette.CASES],
-        "legends": {
-            name: [(text, look["color"], dashes(look)) for text, look in lines] for name, lines in LEGENDS.items()
-        },
-        "largest": LARGEST_UPLOAD,
-    }
-    document.template_variables.update(variables)
-    page.bridge.name = "bridge"
-    with document.models.freeze():  # else every root counts all models again
-        for root in (*page.pictures.figures.values(), page.bridge):
-            document.add_root(root)
-    document.on_session_destroyed(lambda _context: page.close())
-    return page
+def _typed(path: str, text: object) -> str:
+    """Return what was typed, no longer than its field may hold."""
+    field = FIELDS.get(path)
+    return str(text)[: LONGEST * max(1 if field is None else field.rows, 1)]

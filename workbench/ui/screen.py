@@ -16,10 +16,12 @@ from workbench.ui.fields import DEFAULTS, FIELDS
 from workbench.ui.trees import case_controller, controller_tree, is_zero, number_text, plant_tree, valve_tree
 from workbench.ui.yaml_text import Tree, scalar, words, yaml_of
 
-__all__ = ["ON_SCREEN", "Pinned", "Screen", "estimate_text", "scenario_text"]
+__all__ = ["ON_SCREEN", "MapView", "Pinned", "Screen", "estimate_text", "scenario_text"]
 
 ON_SCREEN = "On screen"  # the case that is the page's own controller
 TUNED = "Tuned"
+# What is seen of a map: the ends of Kc (%/EU) and of Ti (s).
+MapView = tuple[tuple[float, float], tuple[float, float]]
 _CURVE = ("rangeability", "opening")
 
 
@@ -63,10 +65,13 @@ class Screen:
         return f"{text} {unit}" if text and text != "none" and unit in WRITTEN else text
 
 
-def scenario_text(screen: Screen, *, cases: bool = True, tune: bool = False, mapped: bool = False) -> str:
+def scenario_text(
+    screen: Screen, *, cases: bool = True, tune: bool = False, mapped: bool = False, view: MapView | None = None
+) -> str:
     """Return the screen as a scenario.
 
-    cases: with the pinned ones; tune: the tuning asked for instead of any case; mapped: with the map asked for.
+    cases: with the pinned ones; tune: the tuning asked for instead of any case; mapped: with the map asked for, of
+    `view` or what suits the loop.
 
     The page's own controller stands in `loop.controller` and is the first case, `ON_SCREEN`, which takes all of it.
     """
@@ -86,7 +91,10 @@ def scenario_text(screen: Screen, *, cases: bool = True, tune: bool = False, map
             *([_case(screen, case) for case in screen.cases] if cases else []),
         ]
     if mapped:
-        tree["analyze"] = {"map": {"points": scalar(screen.entries["analyze.map.points"])}}
+        asked: dict[str, Tree] = {"points": scalar(screen.entries["analyze.map.points"])}
+        if view is not None:
+            asked |= {"Kc": [f"{end:.4g}" for end in view[0]], "Ti": [f"{end:.4g} s" for end in view[1]]}
+        tree["analyze"] = {"map": asked}
     return yaml_of(tree)
 
 

@@ -28,7 +28,7 @@ from workbench.scenario.loader import read_scenario
 from workbench.simulate.run import evaluate, simulate
 from workbench.ui.fields import field_of
 from workbench.ui.load import Loaded, controller_entries, plant_entries, screen_of, time_entry, valve_entries
-from workbench.ui.screen import Pinned, Screen, scenario_text
+from workbench.ui.screen import MapView, Pinned, Screen, scenario_text
 
 __all__ = ["MOST_CASES", "ROWS", "Built", "CaseRun", "Problem", "Session", "problems_of"]
 
@@ -269,9 +269,15 @@ class Session:
 
     # scenarios -----------------------------------------------------------------------------------------------------
 
-    def scenario(self, *, mapped: bool = False) -> str:
-        """Return the page as a scenario, with a map where asked for. Raises `ScenarioError` where it is refused."""
-        text = scenario_text(self.screen, mapped=mapped)
+    def scenario(self) -> str:
+        """Return the page as a scenario. Raises `ScenarioError` where it is refused."""
+        return self._checked(scenario_text(self.screen))
+
+    def mapped(self, view: MapView | None = None) -> str:
+        """Return the page as a scenario with a map; view: of these ends of Kc (%/EU) and Ti (s). Raises as it does."""
+        return self._checked(scenario_text(self.screen, mapped=True, view=view))
+
+    def _checked(self, text: str) -> str:
         try:
             read_scenario(text, FILE)
         except ScenarioError as error:

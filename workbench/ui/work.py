@@ -28,6 +28,7 @@ __all__ = [
     "TASKS",
     "Found",
     "FrontFound",
+    "LongRun",
     "MapFound",
     "Progress",
     "ReadRecord",
@@ -35,6 +36,7 @@ __all__ = [
     "Task",
     "TunedCase",
     "estimate_record",
+    "follow_long_run",
     "map_tunings",
     "read_data",
     "trade_off",
@@ -123,6 +125,13 @@ class FrontFound:
     repaired: tuple[FrontPoint, ...]
     cases: tuple[tuple[str, float, float], ...]
     text: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class LongRun:
+    """What a loop does in the long run, in a sentence."""
+
+    verdict: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -237,7 +246,9 @@ def map_tunings(text: str, folder: str, progress: Progress) -> MapFound:
     if plan.loop is None or plan.cycle_map is None:
         raise ScenarioError("no map was asked for")
     loop: Loop = plan.loop
-    ranges = map_ranges(loop, [case.controller for case in plan.cases])
+    asked = {"Kc": plan.cycle_map.Kc, "Ti": plan.cycle_map.Ti}
+    given = {name: pair for name, pair in asked.items() if pair is not None}
+    ranges = map_ranges(loop, [case.controller for case in plan.cases]) | given
     found = cycle_map(
         loop,
         **ranges,
@@ -255,6 +266,17 @@ def map_tunings(text: str, folder: str, progress: Progress) -> MapFound:
         figures={name: np.where(found.cycles, getattr(found, name), np.nan) for name in names},
         text=tuple(map_text(found)),
     )
+
+
+def follow_long_run(text: str, folder: str, progress: Progress) -> LongRun:
+    """Return what a scenario's loop does in the long run. Raises `WorkbenchError`."""
+    from workbench.analyze.limit_cycle import limit_cycle
+
+    plan = _plan(text, folder)
+    if plan.loop is None or plan.experiment is None:
+        raise ScenarioError("no loop was given")
+    progress("from every start", 0.0)
+    return LongRun(limit_cycle(plan.loop, plan.experiment).verdict)
 
 
 def trade_off(text: str, folder: str, progress: Progress) -> FrontFound:
@@ -307,6 +329,7 @@ TASKS: dict[str, Task] = {
     "estimate": estimate_record,
     "tune": tune_loop,
     "map": map_tunings,
+    "long_run": follow_long_run,
     "front": trade_off,
     "report": write_html,
 }

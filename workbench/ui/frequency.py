@@ -1,0 +1,65 @@
+"""What the page says of a loop's long run: loci with the describing function's verdict, and the exact one."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from workbench.errors import WorkbenchError
+from workbench.model.analyses import DescribingFunction
+from workbench.model.karnopp import Karnopp
+from workbench.model.loop import Loop
+from workbench.ui.state import Built
+
+__all__ = ["is_slow", "map_key", "verdicts"]
+
+
+def is_slow(loop: Loop) -> bool:
+    """Whether following a loop's long run takes seconds: a stem with mass is integrated within each sample."""
+    return isinstance(loop.valve, Karnopp)
+
+
+def verdicts(built: Built, long_run: str | None) -> tuple[DescribingFunction | None, list[str]]:
+    """Return the loci, None where the method says nothing of this loop, and both verdicts in words.
+
+    long_run: what a worker has found of this loop where that takes long, or None.
+    """
+    from workbench.analyze.agreement import agreement
+    from workbench.analyze.describing_function import describing_function
+    from workbench.analyze.limit_cycle import limit_cycle
+    from workbench.analyze.valve_loci import no_locus
+
+    loop = built.loop
+    df, cycle, lines = None, None, []
+    reason = no_locus(loop.valve)
+    if loop.controller.compensator is not None:
+        reason = "no describing function with a compensator: the method holds for the loop without one"
+    if reason:
+        lines.append(f"This loop has {reason}.")
+    try:
+        df = None if reason else describing_function(loop)
+    except WorkbenchError as error:
+        lines.append(str(error))
+    if df is not None:
+        lines.append(f"Describing function: {df.verdict}")
+    if is_slow(loop):
+        if long_run is not None:
+            lines.append(f"Exact: {long_run}")
+        return df, lines
+    try:
+        cycle = limit_cycle(loop, built.experiment)
+    except WorkbenchError as error:
+        lines.append(str(error))
+    else:
+        lines.append(f"Exact: {cycle.verdict}")
+    if df is not None and cycle is not None:
+        lines.append(agreement(df, cycle))
+    return df, [line for line in lines if line]
+
+
+def map_key(built: Built | None) -> object:
+    """Return what a map is of: everything of a loop but the tuning, which is where one stands on it."""
+    if built is None:
+        return None
+    loop = built.loop
+    elements = loop.characteristic, loop.fail_open, loop.scan
+    return loop.plant, loop.valve, replace(loop.controller, Kc=1.0, Ti=1.0), loop.sample_time, elements
