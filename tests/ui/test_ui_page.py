@@ -20,7 +20,7 @@ from workbench.ui.document import open_page
 from workbench.ui.jobs import Event
 from workbench.ui.load import screen_of
 from workbench.ui.page import Page
-from workbench.ui.work import FrontFound, MapFound, ReadRecord, Report, TunedCase
+from workbench.ui.work import FrontFound, LongRun, MapFound, ReadRecord, Report, TunedCase
 
 SCENARIOS = Path(__file__).parents[2] / "scenarios"
 PAPER = screen_of(load_scenario(SCENARIOS / "table_2.yaml"))  # frozen: every session may begin with it
@@ -140,6 +140,9 @@ NONSENSE: list[tuple[str, dict[str, Any]]] = [
     ("pin_tuned", {"name": "x"}),
     ("estimate", {}),
     ("upload", {"name": "x.csv", "data": "§"}),
+    ("map", {"seen": {"x": [1.0], "y": [1.0, 2.0]}}),
+    ("map", {"seen": {"x": [2.0, 1.0], "y": [1.0, 2.0]}}),
+    ("map", {"seen": {"x": [-1.0, 1.0], "y": ["a", 2.0]}}),
 ]
 
 
@@ -286,6 +289,53 @@ def test_a_map_is_drawn_and_a_click_sets_the_tuning(ask, begun):
     answer = ask("set", entries={"loop.valve.d": "1"})
     assert "as it stood" in answer["frequency"]["map"][0]
     ask("map_figure", name="mean_square_error")
+
+
+def test_a_map_of_what_is_in_view_takes_its_place(ask, begun):
+    ask("map", seen={"x": [0.51234, 2.0], "y": [10.0, 40.0]})
+    assert "map: {points: 30, Kc: [0.5123, 2], Ti: [10 s, 40 s]}" in begun[0][1]
+    Kc, Ti = np.geomspace(0.5, 2.0, 5), np.geomspace(10.0, 40.0, 4)
+    ones = np.ones((4, 5))
+    figures = dict.fromkeys(pages.MAP_FIGURES, np.arange(1.0, 21.0).reshape(4, 5))
+    answer = ended(ask, "done", result=MapFound("Ti", Kc, Ti, ones, ones, figures, ("a map",)))
+    assert answer["refit"] == "f_map"
+    assert answer["axes"]["f_map.x"][0] < 0.5 < 2.0 < answer["axes"]["f_map.x"][1]
+
+
+def test_what_has_no_describing_function_says_so_and_draws_none(ask):
+    ask("view", view="frequency")
+    assert ask.page.pictures.L.data["x"].size > 100
+    typed = {"loop.controller.compensator.type": "knocker"}
+    answer = ask("set", entries=typed)
+    assert answer["frequency"]["lines"][0].startswith("This loop has no describing function with a compensator")
+    assert answer["frequency"]["lines"][1].startswith("Exact: The loop cycles")
+    assert not answer["frequency"]["loci"]
+    assert ask.page.pictures.L.data["x"].size == 0
+    answer = ask("undo")
+    assert answer["frequency"]["loci"]
+    assert ask.page.pictures.L.data["x"].size > 100
+
+
+def test_the_long_run_of_a_stem_with_mass_is_followed_in_a_worker(ask, begun):
+    ask("view", view="frequency")
+    typed = {"loop.valve.type": "karnopp", "loop.valve.substep": "20", "experiment.duration": "100"}
+    answer = ask("set", entries=typed)
+    assert answer["problems"] == []
+    assert answer["frequency"]["slow"]
+    assert not any(line.startswith("Exact") for line in answer["frequency"]["lines"])
+    ask("long_run")
+    assert begun[0][0] == "long_run"
+    assert "type: karnopp" in begun[0][1]
+    answer = ended(ask, "done", result=LongRun("The loop cycles."))
+    assert answer["frequency"]["lines"][-1] == "Exact: The loop cycles."
+    answer = ask("set", entries={"loop.controller.Kc": "0.7"})
+    assert "Exact: The loop cycles." not in answer["frequency"]["lines"], "of another tuning"
+
+
+def test_what_is_typed_is_cut_where_no_value_is_that_long(ask):
+    answer = ask("set", entries={"loop.plant.gain": "1" * 5000, "loop.valve.places": "0 1\n" * 5000})
+    assert len(answer["entries"]["loop.plant.gain"]) == 400
+    assert len(answer["entries"]["loop.valve.places"]) == 2000
 
 
 def test_a_report_leaves_as_a_file(ask, begun):

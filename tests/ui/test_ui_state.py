@@ -218,8 +218,8 @@ def test_tables_leave_as_csv_in_which_no_name_is_a_formula(paper):
     name, kind, text = export.made("figures", paper)
     assert (name, kind) == ("figures.csv", "text/csv")
     lines = text.splitlines()
-    assert lines[0].startswith("case,Kc,Ti,Td,form,objective,mean_square_error")
-    assert lines[6].startswith("'=cmd|' /C calc'!A0,0.5,20,0,ideal,226.575")
+    assert lines[0].startswith("case,Kc,Ti,Td,form,compensator,objective,mean_square_error")
+    assert lines[6].startswith("'=cmd|' /C calc'!A0,0.5,20,0,ideal,none,226.575")
     assert lines[7].startswith("'@x,")
     assert lines[1].split(",")[:4] == ["Case 1", "0.5", "20", "0"]
     assert ",-0.16" in lines[1], "numbers stay numbers"

@@ -35,6 +35,13 @@ class Field:
     hint: str = ""
     more: bool = False
 
+    @property
+    def of(self) -> str:
+        """Which kind of scenario alone has it: "loop", "cascade", or "" for both."""
+        root = self.path.partition(".")[0]
+        outer = self.path.startswith(("experiment.primary_load.", "experiment.secondary_noise."))
+        return "cascade" if outer else root if root in ("loop", "cascade") else ""
+
 
 @dataclass(frozen=True, slots=True)
 class Group:
@@ -43,3 +50,9 @@ class Group:
     name: str
     title: str
     fields: tuple[Field, ...]
+
+    @property
+    def of(self) -> str:
+        """Which kind of scenario alone has the group, or "" for both."""
+        kinds = {field.of for field in self.fields}
+        return kinds.pop() if len(kinds) == 1 else ""

@@ -30,13 +30,46 @@ _CONTROLLER = Group(
         Field("loop.pv_range.high", "PV range to", "", ("EU",), more=True),
     ),
 )
+_OUTER = "cascade.primary"
+_INNER = "cascade.secondary"
+_PRIMARY_PLANT = Group(
+    "primary_plant",
+    "Primary: plant",
+    plant_fields(f"{_OUTER}.plant", gain="EU/EU", moved="EU", given=("1.2", "60", "10")),
+)
+_PRIMARY = Group(
+    "primary",
+    "Primary: controller",
+    (
+        *controller_fields(f"{_OUTER}.controller", of_cascade="primary", given=("3", "80")),
+        Field(f"{_OUTER}.sample_time", "Sample time", "5", ("s", "ms", "min"), hint="whole samples of the secondary"),
+        Field("cascade.scale", "Scale", "1", hint="EU of the secondary per unit of the output", more=True),
+        Field(
+            "cascade.anti_windup",
+            "Where the secondary is at a limit",
+            "clamp",
+            choices=(("clamp", "the integral is held"), ("none", "it integrates on")),
+            more=True,
+        ),
+    ),
+)
+_SECONDARY_PLANT = Group("secondary_plant", "Secondary: plant", plant_fields(f"{_INNER}.plant", given=("1", "3", "1")))
+_SECONDARY_VALVE = Group("secondary_valve", "Valve", valve_fields(f"{_INNER}.valve", d="1"))
+_SECONDARY = Group(
+    "secondary",
+    "Secondary: controller",
+    (
+        *controller_fields(f"{_INNER}.controller", of_cascade="secondary", given=("0.5", "5")),
+        Field(f"{_INNER}.sample_time", "Sample time", "1", ("s", "ms", "min")),
+    ),
+)
 _EXPERIMENT = Group(
     "experiment",
     "Experiment",
     (
         Field("experiment.duration", "Duration", "1000", SECONDS),
         Field("loop.sample_time", "Sample time", "1", ("s", "ms", "min")),
-        Field("loop.coarse_sampling", "Allow coarse sampling", "false", flag=True),
+        Field("loop.coarse_sampling", "Allow coarse sampling", "false", flag=True, more=True),
         Field("experiment.setpoint.step", "Setpoint step", "4", ("EU",), slider="linear", reach=5.0, signed=True),
         Field("experiment.setpoint.at", "at", "0", SECONDS),
         Field(
@@ -50,8 +83,29 @@ _EXPERIMENT = Group(
             hint="at the plant's input",
         ),
         Field("experiment.load.at", "at", "0", SECONDS),
+        Field(
+            "experiment.primary_load.step",
+            "Load step of the primary",
+            "0",
+            ("EU",),
+            slider="linear",
+            reach=5.0,
+            signed=True,
+            hint="EU of the secondary",
+        ),
+        Field("experiment.primary_load.at", "at", "0", SECONDS),
         Field("experiment.noise.sd", "Noise", "0", ("EU",), slider="linear", reach=0.2, hint="standard deviation"),
         Field("experiment.noise.seed", "Noise seed", "0"),
+        Field(
+            "experiment.secondary_noise.sd",
+            "Noise of the secondary",
+            "0",
+            ("EU",),
+            slider="linear",
+            reach=0.2,
+            hint="standard deviation",
+        ),
+        Field("experiment.secondary_noise.seed", "Its seed", "0"),
         Field(
             "experiment.stem_offset",
             "Stem offset",
@@ -61,6 +115,7 @@ _EXPERIMENT = Group(
             reach=2.0,
             signed=True,
             hint="OP from stem at rest",
+            more=True,
         ),
     ),
 )
@@ -151,7 +206,24 @@ _MAP = Group(
 )
 
 GROUPS = MappingProxyType(
-    {g.name: g for g in (_PLANT, _VALVE, _CONTROLLER, _EXPERIMENT, _OBJECTIVE, _TUNE, _ESTIMATE, _MAP)}
+    {
+        group.name: group
+        for group in (
+            _PLANT,
+            _VALVE,
+            _CONTROLLER,
+            _PRIMARY_PLANT,
+            _PRIMARY,
+            _SECONDARY_PLANT,
+            _SECONDARY_VALVE,
+            _SECONDARY,
+            _EXPERIMENT,
+            _OBJECTIVE,
+            _TUNE,
+            _ESTIMATE,
+            _MAP,
+        )
+    }
 )
 FIELDS = MappingProxyType({field.path: field for group in GROUPS.values() for field in group.fields})
 
@@ -174,9 +246,10 @@ def field_of(where: str, entries: Mapping[str, str] | None = None) -> str | None
         path = path.replace(f"{name}[0]", f"{name}.low").replace(f"{name}[1]", f"{name}.high")
     path = re.sub(r"\[[0-9]+\]", "", path).replace("proportional_band", "Kc").removeprefix("cases.")
     path = path.replace("tune.objective.", "objective.")
-    own = path.removeprefix("loop.")
+    root = next((one for one in ("loop", _OUTER, _INNER) if path.startswith(f"{one}.")), "loop")
+    own = path.removeprefix(f"{root}.")
     # What valve or controller refuse of the loop about them is said of the loop.
-    for place in (path, f"loop.controller.{own}", f"loop.valve.{own}"):
+    for place in (path, f"{root}.controller.{own}", f"{root}.valve.{own}"):
         found = _nearest(place)
         if found is not None and (place == path or found.startswith(place)):
             return found if entries is None else _shown(found, entries)
@@ -186,7 +259,7 @@ def field_of(where: str, entries: Mapping[str, str] | None = None) -> str | None
 def _nearest(path: str) -> str | None:
     """Return the field of a path, or of the nearest path above it."""
     while path:
-        for one in (path, f"{path}.low", f"{path}.type"):
+        for one in (path, f"{path}.low", f"{path}.type", f"{path}.action"):
             if one in FIELDS:
                 return one
         path = path.rpartition(".")[0]

@@ -6,8 +6,11 @@ from dataclasses import replace
 
 from workbench.errors import WorkbenchError
 from workbench.model.analyses import DescribingFunction
+from workbench.model.cascade import Cascade
+from workbench.model.experiment import Experiment
 from workbench.model.karnopp import Karnopp
 from workbench.model.loop import Loop
+from workbench.report.words import duration, figure
 from workbench.ui.state import Built
 
 __all__ = ["is_slow", "map_key", "verdicts"]
@@ -28,6 +31,8 @@ def verdicts(built: Built, long_run: str | None) -> tuple[DescribingFunction | N
     from workbench.analyze.limit_cycle import limit_cycle
     from workbench.analyze.valve_loci import no_locus
 
+    if built.cascade is not None:
+        return None, _of_cascade(built.cascade, built.experiment)
     loop = built.loop
     df, cycle, lines = None, None, []
     reason = no_locus(loop.valve)
@@ -54,6 +59,25 @@ def verdicts(built: Built, long_run: str | None) -> tuple[DescribingFunction | N
     if df is not None and cycle is not None:
         lines.append(agreement(df, cycle))
     return df, [line for line in lines if line]
+
+
+def _of_cascade(cascade: Cascade, experiment: Experiment) -> list[str]:
+    from workbench.analyze.cascade import cascade_cycle
+
+    try:
+        cycle = cascade_cycle(cascade, experiment)
+    except WorkbenchError as error:
+        return [str(error)]
+    lines = ["A cascade has neither loci nor a map here; its long run without noise is followed exactly."]
+    if cycle.outcome != "cycles" or cycle.primary is None or cycle.secondary is None:
+        return [*lines, f"Exact: {cycle.outcome}; {cycle.reason}."]
+    above, below = cycle.primary, cycle.secondary
+    told = (
+        f"Exact: both loops cycle every {duration(cycle.period)}; PV swings {figure(above.pv_peak_to_peak, 3)} EU in "
+        f"the primary and {figure(below.pv_peak_to_peak, 3)} EU in the secondary, whose setpoint swings "
+        f"{figure(below.sp_peak_to_peak, 3)} EU. Valve travel an hour: {figure(cycle.travel_per_hour)} %."
+    )
+    return [*lines, told]
 
 
 def map_key(built: Built | None) -> object:

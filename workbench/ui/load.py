@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from workbench.errors import ScenarioError
+from workbench.model.cascade import Cascade, CascadeExperiment
 from workbench.model.controller import PID
 from workbench.model.experiment import Profile, Step
 from workbench.model.loop import Loop
@@ -19,6 +20,10 @@ from workbench.ui.fields import DEFAULTS, FIELDS, OWN_WEIGHT
 from workbench.ui.loop_fields import VALVES
 from workbench.ui.screen import ON_SCREEN, Pinned, Screen
 from workbench.ui.trees import compensator_texts, number_text
+
+# Of a loop without cases of its own: what stands in the file stands on the page.
+_ROOTS = ("loop.", "cascade.", "experiment.")
+_AS_WRITTEN = re.compile(r"(loop|cascade\.primary|cascade\.secondary)\.(plant|sample_time)")
 
 __all__ = ["Loaded", "bounds_entries", "controller_entries", "plant_entries", "screen_of", "valve_entries"]
 
@@ -38,15 +43,10 @@ def screen_of(plan: Scenario) -> Loaded:
     The page's own controller is the first case's. That case is no pinned one where it is the page's own, as
     `scenario_text` writes it.
 
-    Raises `ScenarioError` where the page has no entry for a part of the scenario: it shows no other loop instead.
     """
-    if plan.cascade:
-        raise ScenarioError(
-            f"{plan.path.name}: a cascade: this page has no entry for that; the scenario runs with `workbench run`"
-        )
     notes = [*plan.warnings, *plan.notes]
     first = plan.cases[0].controller if plan.cases else None if plan.loop is None else plan.loop.controller
-    entries: dict[str, str] = {}
+    entries: dict[str, str] = _cascade(plan.cascade[0].cascade) if plan.cascade else {}
     if plan.loop is not None:
         entries |= plant_entries(plan.loop.plant) | valve_entries(plan.loop.valve)
         entries |= time_entry("loop.sample_time", plan.loop.sample_time) | _elements(plan.loop)
@@ -61,20 +61,27 @@ def screen_of(plan: Scenario) -> Loaded:
         notes.append("How the site writes its settings (site:) is left out here: the page has them in %/EU and s.")
     if plan.pv_range is not None:
         entries |= _ends("loop.pv_range", plan.pv_range)
-    more: dict[str, tuple[Profile, ...]] = {"setpoint": (), "load": ()}
+    more: dict[str, tuple[Profile, ...]] = {"setpoint": (), "load": (), "primary_load": ()}
     if plan.experiment is not None:
         experiment = plan.experiment
         entries |= time_entry("experiment.duration", experiment.duration)
-        for name, parts in (("setpoint", experiment.setpoint_parts), ("load", experiment.load_parts)):
+        profiles = {"setpoint": experiment.setpoint_parts, "load": experiment.load_parts}
+        noises = {"noise": experiment.noise}
+        if isinstance(experiment, CascadeExperiment):
+            profiles["primary_load"] = experiment.primary_load_parts
+            noises["secondary_noise"] = experiment.secondary_noise
+        for name, parts in profiles.items():
             entries |= _step(name, parts)
             more[name] = _beside(parts)
         entries["experiment.stem_offset"] = number_text(experiment.stem_offset)
-        if experiment.noise is not None:
-            entries["experiment.noise.sd"] = number_text(experiment.noise.sd)
-            entries["experiment.noise.seed"] = str(experiment.noise.seed)
+        for name, noise in noises.items():
+            if noise is not None:
+                entries[f"experiment.{name}.sd"] = number_text(noise.sd)
+                entries[f"experiment.{name}.seed"] = str(noise.seed)
     for name, parts in more.items():
         if parts:
-            notes.append(f"The {name} has {len(parts)} more part{'s' if len(parts) > 1 else ''}, kept as they are.")
+            many = f"{len(parts)} more part{'s' if len(parts) > 1 else ''}"
+            notes.append(f"The {name.replace('_', ' ')} has {many}, kept as they are.")
     if plan.objective is not None:
         entries |= _objective(plan.objective)
     entries |= _typed(plan)
@@ -88,7 +95,12 @@ def screen_of(plan: Scenario) -> Loaded:
     if asked is not None:
         entries |= bounds_entries(asked.bounds)
         entries["tune.robust"] = "true" if asked.robust is not None else "false"
-    open_ones = [c.name for c in plan.cases if c.tune is not None or (c.rule is not None and c.controller.Kc == 0.0)]
+    for i, job in enumerate(plan.cascade):
+        if job.tune is None and not (i == 0 and _is_own(plan)):
+            outer, inner = job.cascade.primary.controller, job.cascade.secondary.controller
+            cases.append(Pinned(job.name, inner, job.note, primary=outer))
+    open_ones = [job.name for job in plan.cascade if job.tune is not None]
+    open_ones += [c.name for c in plan.cases if c.tune is not None or (c.rule is not None and c.controller.Kc == 0.0)]
     if open_ones:
         notes.append(f"Not shown, since still to be found: {', '.join(open_ones)}.")
     screen = Screen(
@@ -98,9 +110,22 @@ def screen_of(plan: Scenario) -> Loaded:
         reference_source=plan.reference_source,
         more_setpoint=more["setpoint"],
         more_load=more["load"],
+        more_primary_load=more["primary_load"],
+        cascade=bool(plan.cascade),
     ).with_entries(entries)
     record = plan.estimates[0].record if plan.estimates else None
     return Loaded(screen, tuple(notes), record.source if record is not None else "")
+
+
+def _cascade(cascade: Cascade) -> dict[str, str]:
+    """Return the entries of a cascade."""
+    entries = {"cascade.scale": number_text(cascade.scale), "cascade.anti_windup": cascade.anti_windup}
+    entries |= valve_entries(cascade.secondary.valve, "cascade.secondary.valve")
+    for name, loop in (("primary", cascade.primary), ("secondary", cascade.secondary)):
+        path = f"cascade.{name}"
+        entries |= plant_entries(loop.plant, f"{path}.plant") | time_entry(f"{path}.sample_time", loop.sample_time)
+        entries |= controller_entries(loop.controller, f"{path}.controller")
+    return entries
 
 
 def plant_entries(plant: Plant, path: str = "loop.plant") -> dict[str, str]:
@@ -148,9 +173,9 @@ def _elements(loop: Loop) -> dict[str, str]:
     return entries | {f"{path}.type": "equal_percentage"} | {f"{path}.{name}": text for name, text in shape.items()}
 
 
-def controller_entries(pid: PID, path: str = "loop.controller", gain: str = "%/EU") -> dict[str, str]:
-    """Return the entries of a controller; gains in the unit given, times in s."""
-    entries = {f"{path}.Kc": number_text(pid.Kc), f"{path}.Kc.unit": gain}
+def controller_entries(pid: PID, path: str = "loop.controller") -> dict[str, str]:
+    """Return the entries of a controller; gains in the first unit of their field, %/EU, times in s."""
+    entries = {f"{path}.Kc": number_text(pid.Kc), f"{path}.Kc.unit": FIELDS[f"{path}.Kc"].units[0]}
     entries |= time_entry(f"{path}.Ti", pid.Ti) | time_entry(f"{path}.Td", pid.Td)
     entries |= {
         f"{path}.form": pid.form,
@@ -225,8 +250,9 @@ def _typed(plan: Scenario) -> dict[str, str]:
         value: object = data
         for name in path.split("."):
             value = value.get(name) if isinstance(value, Mapping) else None
-        own = path.startswith(("loop.plant", "loop.sample", "experiment.")) or _is_own(plan)
-        if not own or not field.units or not isinstance(value, str) or not path.startswith(("loop.", "experiment.")):
+        if not isinstance(value, str) or not field.units or not path.startswith(_ROOTS):
+            continue
+        if not (_is_own(plan) or path.startswith("experiment.") or _AS_WRITTEN.match(path)):
             continue
         number, _, unit = value.strip().partition(" ")
         if unit in field.units and _is_number(number):

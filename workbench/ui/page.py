@@ -53,6 +53,9 @@ WORDS = {
 }
 
 
+OF_ONE_LOOP = ("tune", "pin_tuned", "use_tuned", "suit_bounds", "map", "front", "long_run")
+
+
 class Bridge(DataModel):  # type: ignore[misc]
     """What goes up from the browser and comes down to it, as JSON."""
 
@@ -112,6 +115,8 @@ class Page:
         try:
             request = json.loads(text)
             number = int(request["n"])
+            if self.session.screen.cascade and request["do"] in OF_ONE_LOOP:
+                raise InvalidValue("page", request["do"], "must be of a single loop, and a cascade stands here")
             extra = getattr(self, f"_do_{request['do']}")(request) or {}
         except WorkbenchError as error:
             self.message = self._plain(str(error))
@@ -122,9 +127,11 @@ class Page:
     def show(self, extra: Mapping[str, Any] | None = None) -> None:
         """Send what the page shows, and draw what its view shows."""
         session = self.session
+        kind, other = ("cascade", "loop") if session.screen.cascade else ("loop", "cascade")
         answer: dict[str, Any] = {
             "view": self.view,
-            "entries": dict(session.screen.entries),
+            "kind": kind,
+            "entries": {p: text for p, text in session.screen.entries.items() if not p.startswith(f"{other}.")},
             "title": session.screen.title,
             "problems": [{"field": p.field, "text": self._plain(p.text)} for p in session.problems],
             "notes": list(session.notes),
@@ -146,7 +153,7 @@ class Page:
             answer["frequency"] = self._frequency()
         if self.view == "export":
             answer["scenario"] = self._scenario()
-        if self.tuned is not None:
+        if self.tuned is not None and not session.screen.cascade:
             answer["tuned"] = {"lines": list(self.tuned.lines), "status": self.tuned.status}
         answer["axes"] = self.pictures.moved(all_of_them="start" in answer, anew=str(answer.get("refit", "")))
         self._send(answer)
@@ -263,14 +270,21 @@ class Page:
         return None if built is None else (built.loop, tuple(self.session.screen.cases))
 
     def _front_words(self) -> list[str]:
-        if self.front is None:
+        if self.front is None or self.session.screen.cascade:
             return []
         old = "This is of the loop and the cases as they stood when it was made; make it anew for the present ones."
         return [*([old] if self.front_of != self._front_key() else []), *self.front.text]
 
     def _front_tapped(self, event: Tap) -> None:
         """A click on a point of the front puts its tuning on the screen."""
-        if self.front is None or event.x is None or event.y is None or event.x <= 0.0 or event.y <= 0.0:
+        if (
+            not self._front_words()
+            or self.front is None
+            or event.x is None
+            or event.y is None
+            or event.x <= 0.0
+            or event.y <= 0.0
+        ):
             return
         points = [p for p in self.front.sticky if p.valve_travel > 0.0 and p.mean_square_error > 0.0]
         away = [abs(math.log(p.valve_travel / event.x)) + abs(math.log(p.mean_square_error / event.y)) for p in points]
@@ -383,13 +397,15 @@ class Page:
             return {}
         found, lines = verdicts(built, self.long_run if self.long_run_of == self._cycle_key() else None)
         self.pictures.show_loci(found)
+        if built.cascade is not None:
+            return {"lines": lines, "loci": False, "map": [], "slow": False}
         cases = [(c.name, c.controller.Kc, c.controller.Ti) for c in self.session.screen.cases]
         here = built.loop.controller
         self.pictures.mark([*cases, ("On screen", here.Kc, here.Ti)])
         text = [] if self.map is None else list(self.map.text)
         if self.map is not None and self.map_of != map_key(built):
             text.insert(0, "This map is of the loop as it stood when it was made; make it anew for the present one.")
-        return {"lines": lines, "map": text, "slow": is_slow(built.loop)}
+        return {"lines": lines, "loci": found is not None, "map": text, "slow": is_slow(built.loop)}
 
     def _cycle_key(self) -> object:
         built = self.session.built
@@ -415,7 +431,14 @@ class Page:
 
     def _tapped(self, event: Tap) -> None:
         """A click on the map sets the tuning."""
-        if self.map is None or event.x is None or event.y is None or event.x <= 0.0 or event.y <= 0.0:
+        if (
+            self.map is None
+            or self.session.screen.cascade
+            or event.x is None
+            or event.y is None
+            or event.x <= 0.0
+            or event.y <= 0.0
+        ):
             return
         self.message = ""
         self.session.use_tuning(float(event.x), float(event.y), self.map.axis)

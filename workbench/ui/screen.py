@@ -27,12 +27,16 @@ _CURVE = ("rangeability", "opening")
 
 @dataclass(frozen=True, eq=False)
 class Pinned:
-    """A case kept to compare with: its name, controller, note, and published figures to show beside ours."""
+    """A case kept to compare with: its name, controller, note, and published figures to show beside ours.
+
+    primary: of a cascade, whose secondary's is `controller` then.
+    """
 
     name: str
     controller: PID
     note: str = ""
     reference: Mapping[str, float] = field(default_factory=lambda: MappingProxyType({}))
+    primary: PID | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,7 +44,8 @@ class Screen:
     """Everything that can be typed or pinned.
 
     entries: text by path (see `fields`), units under `path.unit`. cases: pinned, the first the base of comparison.
-    more_setpoint, more_load: parts of the experiment's profiles beside the step that the fields show.
+    more_setpoint, more_load, more_primary_load: parts of the experiment's profiles beside the step that the fields
+    show. cascade: whether it is one, of entries under `cascade.`, and not a loop of entries under `loop.`.
     """
 
     entries: Mapping[str, str] = field(default_factory=lambda: DEFAULTS)
@@ -50,6 +55,8 @@ class Screen:
     reference_source: str = ""
     more_setpoint: tuple[Profile, ...] = ()
     more_load: tuple[Profile, ...] = ()
+    more_primary_load: tuple[Profile, ...] = ()
+    cascade: bool = False
 
     def with_entries(self, changed: Mapping[str, str]) -> Screen:
         """Return the screen with other texts; unknown paths raise KeyError."""
@@ -80,7 +87,10 @@ def scenario_text(
         tree["description"] = words(screen.description)
     if screen.reference_source and any(case.reference for case in screen.cases):
         tree["reference_source"] = words(screen.reference_source)
-    tree["loop"] = _loop(screen)
+    if screen.cascade:
+        tree["cascade"] = _cascade(screen)
+    else:
+        tree["loop"] = _loop(screen)
     tree["experiment"] = _experiment(screen)
     tree["objective"] = _weights(screen)
     if tune:
@@ -129,13 +139,34 @@ def _loop(screen: Screen) -> dict[str, Tree]:
     return loop
 
 
+def _cascade(screen: Screen) -> dict[str, Tree]:
+    entries, quantity = screen.entries, screen.quantity
+    tree: dict[str, Tree] = {}
+    for name in ("primary", "secondary"):
+        path = f"cascade.{name}"
+        loop: dict[str, Tree] = {"plant": plant_tree(entries, quantity, f"{path}.plant")}
+        if name == "secondary":
+            loop["valve"] = valve_tree(entries, quantity, f"{path}.valve")
+        loop["controller"] = controller_tree(entries, quantity, f"{path}.controller")
+        tree[name] = loop | {"sample_time": _typed(screen, f"{path}.sample_time")}
+    for name, usual in (("scale", "1"), ("anti_windup", "clamp")):
+        if entries[f"cascade.{name}"].strip() != usual:
+            tree[name] = _typed(screen, f"cascade.{name}")
+    return tree
+
+
 def _typed(screen: Screen, path: str) -> str:
     return scalar(screen.quantity(path))
 
 
 def _experiment(screen: Screen) -> dict[str, Tree]:
     tree: dict[str, Tree] = {"duration": _typed(screen, "experiment.duration")}
-    for name, unit, more in (("setpoint", "", screen.more_setpoint), ("load", " %", screen.more_load)):
+    profiles = [("setpoint", "", screen.more_setpoint), ("load", " %", screen.more_load)]
+    noises = ["noise"]
+    if screen.cascade:
+        profiles.append(("primary_load", "", screen.more_primary_load))
+        noises.append("secondary_noise")
+    for name, unit, more in profiles:
         path = f"experiment.{name}"
         parts: list[Tree] = []
         if not is_zero(screen.entries[f"{path}.step"]):
@@ -143,8 +174,9 @@ def _experiment(screen: Screen) -> dict[str, Tree]:
         parts += [_part(part, unit) for part in more]
         if parts:
             tree[name] = parts[0] if len(parts) == 1 else parts
-    if not is_zero(screen.entries["experiment.noise.sd"]):
-        tree["noise"] = {name: _typed(screen, f"experiment.noise.{name}") for name in ("sd", "seed")}
+    for noise in noises:
+        if not is_zero(screen.entries[f"experiment.{noise}.sd"]):
+            tree[noise] = {name: _typed(screen, f"experiment.{noise}.{name}") for name in ("sd", "seed")}
     if not is_zero(screen.entries["experiment.stem_offset"]):
         tree["stem_offset"] = _typed(screen, "experiment.stem_offset")
     return tree
@@ -190,8 +222,13 @@ def _tune(screen: Screen) -> dict[str, Tree]:
 
 
 def _case(screen: Screen, case: Pinned) -> dict[str, Tree]:
-    controller = case_controller(case.controller, screen.entries, "loop.controller")
-    tree: dict[str, Tree] = {"name": words(case.name), **controller}
+    entries = screen.entries
+    tree: dict[str, Tree] = {"name": words(case.name)}
+    if case.primary is None:
+        tree |= case_controller(case.controller, entries, "loop.controller")
+    else:
+        tree["primary"] = case_controller(case.primary, entries, "cascade.primary.controller", "")
+        tree["secondary"] = case_controller(case.controller, entries, "cascade.secondary.controller")
     if case.note:
         tree["note"] = words(case.note)
     if case.reference:

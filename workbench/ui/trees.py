@@ -122,8 +122,11 @@ def _quote(text: str) -> str:
     return '"' + text + '"' if text in STRUCTURES else scalar(text)
 
 
-def case_controller(pid: PID, entries: Entries, path: str) -> dict[str, Tree]:
-    """Return a pinned controller, with every key that it would else inherit from the one that is typed."""
+def case_controller(pid: PID, entries: Entries, path: str, unit: str = " %") -> dict[str, Tree]:
+    """Return a pinned controller, with every key that it would else inherit from the one that is typed.
+
+    unit: of its output, as it is written.
+    """
     tree: dict[str, Tree] = {"Kc": number_text(pid.Kc)}
     tree["Ti"] = "none" if math.isinf(pid.Ti) else f"{number_text(pid.Ti)} s"
     tree["Td"] = f"{number_text(pid.Td)} s"
@@ -137,14 +140,14 @@ def case_controller(pid: PID, entries: Entries, path: str) -> dict[str, Tree]:
     if pid.output_limits is None:
         tree["output_limits"] = "null"
     else:
-        tree["output_limits"] = [f"{_limit(end)} %" for end in pid.output_limits]
+        tree["output_limits"] = [f"{_limit(end)}{unit}" for end in pid.output_limits]
         tree["anti_windup"] = pid.anti_windup
         if pid.anti_windup == "back_calculation":
             Tt = pid.ideal_terms().Ti if pid.tracking_time is None else pid.tracking_time
             tree["tracking_time"] = f"{number_text(Tt)} s"
     # Few have these; where neither has, nothing is said of them.
     if pid.output_resolution > 0.0 or not is_zero(entries[f"{path}.output_resolution"]):
-        tree["output_resolution"] = f"{number_text(pid.output_resolution)} %"
+        tree["output_resolution"] = f"{number_text(pid.output_resolution)}{unit}"
     if pid.compensator is not None:
         kind, texts = compensator_texts(pid.compensator)
         told = {name: f"{text} s" if name in _TIMES else text for name, text in texts.items() if text}

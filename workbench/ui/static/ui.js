@@ -84,6 +84,7 @@ function show(answer, asked) {
   }
   const before = entries;
   entries = answer.entries;
+  document.documentElement.dataset.kind = answer.kind;
   fitAxes(answer.axes, answer.refit);
   showEntries(asked, before);
   showProblems(answer.problems);
@@ -110,6 +111,7 @@ function show(answer, asked) {
     list(byId("map-lines"), answer.frequency.map);
     byId("map-box").hidden = byId("map-view").hidden = !answer.frequency.map?.length;
     byId("slow").hidden = !answer.frequency.slow;
+    byId("loci-box").hidden = !answer.frequency.loci;
   }
   if (answer.scenario !== undefined) byId("scenario").textContent = answer.scenario;
   if (answer.record) showRecord(answer.record);
@@ -150,6 +152,7 @@ function showEntries(asked, before) {
   const used = [];
   for (const [path, el] of entryInputs) {
     const text = entries[path];
+    if (text === undefined) continue; // of the other kind of scenario
     if (text === before[path] && el.value === text && el.type !== "checkbox") continue;
     // What is being typed or dragged stays as it is until it is sent.
     if (queued.has(path) || (asked?.do === "set" && el === document.activeElement && !(path in sliding))) continue;
