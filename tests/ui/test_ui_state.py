@@ -29,6 +29,29 @@ def figure(session: Session, name: str) -> str:
     return next(f["text"] for f in session.figures() if f["name"] == name)
 
 
+@pytest.mark.parametrize(
+    "path",
+    [path for path in sorted(SCENARIOS.glob("*.yaml")) if path.stem != "fleet_table_1"],
+    ids=lambda path: path.stem,
+)
+def test_every_shipped_scenario_opens_and_simulates_as_the_library_does(path):
+    plan = load_scenario(path)
+    session = Session(screen_of(plan))
+    assert session.problems == ()
+    assert session.own is not None
+    assert session.own.run is not None
+    if plan.loop is None:
+        return
+    controllers = {case.name: case.controller for case in plan.cases}
+    for one in session.runs():
+        run = wb.simulate(plan.loop.with_controller(controllers[one.name]), plan.experiment)
+        assert one.run is not None
+        assert repr(one.run.kpis) == repr(run.kpis)  # nan is nan
+        if plan.objective is not None:
+            loop = plan.loop.with_controller(controllers[one.name])
+            assert one.objective == wb.evaluate(loop, plan.experiment, plan.objective)[0]
+
+
 def test_the_papers_base_case_has_its_published_travel(paper):
     assert paper.problems == ()
     assert figure(paper, "valve_travel") == "12.18"
