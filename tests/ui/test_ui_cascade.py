@@ -23,7 +23,7 @@ from workbench.ui.fields import FIELDS
 from workbench.ui.load import screen_of
 from workbench.ui.screen import Pinned, scenario_text
 from workbench.ui.state import Session
-from workbench.ui.work import TunedCase
+from workbench.ui.work import TunedCase, tune_loop
 
 SCENARIOS = Path(__file__).parents[2] / "scenarios"
 FILE = Path("screen.yaml")
@@ -99,7 +99,9 @@ def test_what_is_exported_runs_to_the_same_numbers_and_opens_to_the_same_screen(
     session.change({f"{ABOVE}.Ti": "1.5", f"{ABOVE}.Ti.unit": "min", "experiment.duration": "600"})
     text = session.scenario()
     again = screen_of(read_scenario(text, FILE))
-    assert dict(again.screen.entries) == dict(session.screen.entries)
+    kept = {path for path in FIELDS if not path.startswith(("tune", "estimate."))}  # the others are the page's alone
+    assert {path: again.screen.entries[path] for path in kept} == {p: session.screen.entries[p] for p in kept}
+    assert again.screen.entries[f"{ABOVE}.Ti.unit"] == "min"
     assert scenario_text(again.screen) == text
     path = tmp_path / "out.yaml"
     path.write_text(text + "analyze: {limit_cycle: false}\n")
@@ -242,18 +244,81 @@ def test_the_page_shows_a_cascades_fields_and_both_loops(ask):
 
 def test_what_is_for_one_loop_says_so(ask):
     screen = ask.page.session.screen
+    for what in ("map", "front", "suit_bounds", "long_run"):
+        assert "must be of a single loop, and a cascade stands here" in ask(what)["message"], what
+        assert ask.page.session.screen is screen
+    # Nor is the tuning of a loop that stood here before one of the cascade.
     ask.page.tuned = TunedCase(wb.PID(1.0, 2.0), True, "solved", ("x",), 1.0, 2.0)
-    for what, more in (
-        ("tune", {}),
-        ("map", {}),
-        ("front", {}),
-        ("suit_bounds", {}),
-        ("use_tuned", {}),
-        ("pin_tuned", {"name": "x"}),
-    ):
-        assert "must be of a single loop, and a cascade stands here" in ask(what, **more)["message"], what
+    for what in ("use_tuned", "pin_tuned"):
+        answer = ask(what, name="x")
+        assert "must be found first" in answer["message"], what
+        assert "tuned" not in answer
         assert ask.page.session.screen is screen
     assert ask.page.job is None
+
+
+def test_the_tuning_in_turn_asked_for_is_the_scenarios(session):
+    asked = PLAN.cascade[-1].tune
+    assert asked is not None
+    job = read_scenario(session.tuning(), FILE).cascade[0].tune
+    assert job is not None
+    assert (job.bounds, job.objective, job.secondary) == (asked.bounds, asked.objective, asked.secondary)
+    assert (job.seed, job.restarts, job.digits) == (asked.seed, asked.restarts, asked.digits)
+    alone = {"tune_cascade.tuned": "primary", "tune_cascade.primary.kind": "PID"}
+    session.change(
+        alone | {"tune_cascade.primary.bounds.Td.high": "1", "tune_cascade.primary.bounds.Td.high.unit": "min"}
+    )
+    job = read_scenario(session.tuning(), FILE).cascade[0].tune
+    assert job is not None
+    assert job.secondary is None
+    assert job.bounds == replace(asked.bounds, Td=(0.0, 60.0))
+
+
+@pytest.mark.parametrize(
+    ("typed", "field"),
+    [
+        ({"tune_cascade.primary.bounds.Kc.low": "x"}, "tune_cascade.primary.bounds.Kc.low"),
+        ({"tune_cascade.secondary.bounds.Ti.high": "-1"}, "tune_cascade.secondary.bounds.Ti.high"),
+        ({"tune_cascade.secondary.experiment.duration": "0.5"}, "tune_cascade.secondary.experiment.duration"),
+        ({"tune_cascade.secondary.experiment.load.step": "much"}, "tune_cascade.secondary.experiment.load.step"),
+        ({"tune.restarts": "0"}, "tune.restarts"),
+    ],
+)
+def test_a_tuning_in_turn_that_is_refused_is_told_at_its_field(session, typed, field):
+    session.change(typed)
+    assert session.problems == (), "what a search lacks is no matter of the run"
+    with pytest.raises(wb.ScenarioError):
+        session.tuning()
+    assert field in {problem.field for problem in session.problems}
+
+
+def test_a_tuning_in_turn_is_the_librarys_and_becomes_a_case(ask, tmp_path):
+    typed = {
+        "tune_cascade.tuned": "primary",
+        "tune_cascade.primary.bounds.Kc.low": "0.5",
+        "experiment.duration": "150",
+        "experiment.load.at": "50",
+        "experiment.primary_load.at": "100",
+    }
+    ask("set", entries=typed)
+    text = ask.page.session.tuning()
+    found = tune_loop(text, str(tmp_path), lambda *_: None)
+    job = read_scenario(text, FILE).cascade[0]
+    assert job.tune is not None
+    again = wb.tune_cascade(
+        job.cascade, ask.page.session.built.experiment, job.tune.objective, job.tune.bounds, 0, restarts=1
+    )
+    assert found.primary == again.cascade.primary.controller
+    assert found.controller == job.cascade.secondary.controller
+    assert found.objective == again.primary.objective
+    assert found.lines[1].startswith(f"Primary: Kc {again.cascade.primary.controller.Kc:.4g}"[:16])
+    ask.page.tuned = found
+    answer = ask("pin_tuned", name="Tuned in turn")
+    assert answer["cases"][-1]["name"] == "Tuned in turn"
+    assert ask.page.session.screen.cases[-1].primary == found.primary
+    ask("use_tuned")
+    assert ask.page.session.built.cascade.primary.controller == found.primary
+    assert ask.page.session.own.objective == found.objective
 
 
 def test_names_of_a_cascades_cases_are_as_strict_as_a_loops(session):

@@ -390,6 +390,7 @@ def test_the_front_is_drawn_with_the_cases_and_a_click_sets_its_tuning(ask, begu
     assert pictures.fronts[1].data["y"].tolist() == [2.0]
     assert pictures.front.data["name"] == ["On screen, <script>", ""]
     assert len(set(pictures.front.data["color"])) == 2
+    assert set(pictures.front.data["align"]) == {"left"}, "one place has no right half"
     figure = pictures.figures["c_front"]
     ask.page._front_tapped(Tap(figure, x=60.0, y=1.0))
     assert ask.last["entries"]["loop.controller.Kc"] == "0.5", "far from every point"

@@ -29,7 +29,7 @@ FILE = Path("screen.yaml")
 
 def on_screen(screen: Screen) -> dict[str, str]:
     """What a scenario keeps: the settings of a search or an estimate that is not in it belong to the page alone."""
-    return {path: text for path, text in screen.entries.items() if not path.startswith(("tune.", "estimate."))}
+    return {path: text for path, text in screen.entries.items() if not path.startswith(("tune", "estimate."))}
 
 
 def read(screen: Screen, **options: bool):

@@ -19,6 +19,7 @@ __all__ = ["FONT", "curve", "edges", "label_sides", "labels", "line_look", "new_
 FONT = '"Segoe UI", Arial, "Liberation Sans", Helvetica, sans-serif'
 SOFT, GRID = "#555555", "#e4e4e4"
 LABEL = 24  # characters of a name in a picture
+PLANE, ROW = 250.0, 13.0  # CSS pixels: what a plane of points is high at least, and a line of text
 
 
 def line_look(look: style.Style, width: float = 1.5) -> dict[str, Any]:
@@ -86,11 +87,25 @@ def labels(names: Sequence[str], places: Sequence[tuple[float, float]]) -> list[
     return out
 
 
-def label_sides(x: Sequence[float]) -> dict[str, list[Any]]:
-    """Return on which side of points above 0 their names stand in a logarithmic plane: inward, so that they fit."""
+def label_sides(x: Sequence[float], up: Sequence[float], names: Sequence[str]) -> dict[str, list[Any]]:
+    """Return where the names of points stand beside them: inward, so that they fit, and each below the one before.
+
+    x: above 0, on a logarithmic axis; up: on whatever axis, as it is drawn. A point without a name takes no place.
+    """
     middle = math.sqrt(min(x) * max(x)) if x else 0.0
     left = [at > middle for at in x]
-    return {"align": ["right" if one else "left" for one in left], "beside": [-9 if one else 9 for one in left]}
+    low, high = (min(up), max(up)) if up else (0.0, 1.0)
+    heights = [PLANE * (at - low) / (high - low) if high > low else 0.0 for at in up]
+    below, rise = math.inf, [0.0] * len(heights)
+    for i in sorted(range(len(heights)), key=lambda k: -heights[k]):
+        if names[i]:
+            below = min(heights[i], below - ROW)
+            rise[i] = heights[i] - below
+    return {
+        "align": ["right" if one else "left" for one in left],
+        "beside": [-9 if one else 9 for one in left],
+        "rise": [4 + one for one in rise],
+    }
 
 
 def edges(middles: FloatArray) -> FloatArray:

@@ -38,9 +38,11 @@ class Field:
     @property
     def of(self) -> str:
         """Which kind of scenario alone has it: "loop", "cascade", or "" for both."""
-        root = self.path.partition(".")[0]
-        outer = self.path.startswith(("experiment.primary_load.", "experiment.secondary_noise."))
-        return "cascade" if outer else root if root in ("loop", "cascade") else ""
+        outer = ("cascade.", "tune_cascade.", "experiment.primary_load.", "experiment.secondary_noise.")
+        if self.path.startswith(outer):
+            return "cascade"
+        shared = ("tune.digits", "tune.restarts", "tune.seed")
+        return "loop" if self.path.startswith(("loop.", "tune.")) and self.path not in shared else ""
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,6 +15,7 @@ from workbench.model.titles import kpi_title
 from workbench.model.tuning import WEIGHABLE
 from workbench.ui.entry import SECONDS, Field, Group
 from workbench.ui.loop_fields import OWN_WEIGHT, controller_fields, element_fields, plant_fields, valve_fields
+from workbench.ui.tune_fields import TUNE_GROUPS
 
 __all__ = ["DEFAULTS", "FIELDS", "GROUPS", "OWN_WEIGHT", "field_of"]
 
@@ -137,31 +138,6 @@ _OBJECTIVE = Group(
         *(_weight(name, more=name not in ("valve_travel", "iae")) for name in WEIGHABLE),
     ),
 )
-_TUNE = Group(
-    "tune",
-    "Search",
-    (
-        Field("tune.kind", "Controller", "PI", choices=(("PI", "PI (Td = 0)"), ("PID", "PID"))),
-        Field("tune.bounds.Kc.low", "Kc from", "0", ("%/EU",)),
-        Field("tune.bounds.Kc.high", "Kc to", "10", ("%/EU",)),
-        Field("tune.bounds.Ti.low", "Ti from", "5", SECONDS),
-        Field("tune.bounds.Ti.high", "Ti to", "600", SECONDS),
-        Field("tune.bounds.Td.low", "Td from", "0", SECONDS, when=("tune.kind", ("PID",))),
-        Field("tune.bounds.Td.high", "Td to", "60", SECONDS, when=("tune.kind", ("PID",))),
-        Field(
-            "tune.robust",
-            "Robust",
-            "false",
-            flag=True,
-            hint="over random steps, loads, noise and plants 20 % off",
-        ),
-        Field("tune.constraints.max_sensitivity", "Largest Ms", "", hint="empty: none (robust: 2)"),
-        Field("tune.constraints.valve_travel", "Largest valve travel", "", ("%",), hint="empty: none"),
-        Field("tune.digits", "Digits to type in", "4"),
-        Field("tune.restarts", "Searches", "4"),
-        Field("tune.seed", "Seed", "0"),
-    ),
-)
 _ESTIMATE = Group(
     "estimate",
     "How to read and estimate",
@@ -219,7 +195,7 @@ GROUPS = MappingProxyType(
             _SECONDARY,
             _EXPERIMENT,
             _OBJECTIVE,
-            _TUNE,
+            *TUNE_GROUPS,
             _ESTIMATE,
             _MAP,
         )
@@ -246,6 +222,7 @@ def field_of(where: str, entries: Mapping[str, str] | None = None) -> str | None
         path = path.replace(f"{name}[0]", f"{name}.low").replace(f"{name}[1]", f"{name}.high")
     path = re.sub(r"\[[0-9]+\]", "", path).replace("proportional_band", "Kc").removeprefix("cases.")
     path = path.replace("tune.objective.", "objective.")
+    path = re.sub(r"^tune_cascade\.(digits|restarts|seed)$", r"tune.\1", path)
     root = next((one for one in ("loop", _OUTER, _INNER) if path.startswith(f"{one}.")), "loop")
     own = path.removeprefix(f"{root}.")
     # What valve or controller refuse of the loop about them is said of the loop.

@@ -208,9 +208,9 @@ class Pictures:
         fig.yaxis.formatter = fig.xaxis.formatter = BasicTickFormatter()
         for axis in fig.xaxis if name == "c_trade" else fig.axis:
             axis.ticker = LogTicker(mantissas=[1, 2, 5])
-        source = ColumnDataSource({"x": [], "y": [], "color": [], "name": [], "align": [], "beside": []})
+        source = ColumnDataSource({"x": [], "y": [], "color": [], "name": [], "align": [], "beside": [], "rise": []})
         dots = fig.add_glyph(source, Scatter(x="x", y="y", size=11, fill_color="color", line_color="white"))
-        beside = {"text_align": "align", "x_offset": "beside", "y_offset": 4}
+        beside = {"text_align": "align", "x_offset": "beside", "y_offset": "rise"}
         fig.add_glyph(source, Text(x="x", y="y", text="name", **beside, **TEXT))
         fig.add_tools(HoverTool(renderers=[dots], tooltips=TRADE))
         return source, fig
@@ -223,12 +223,13 @@ class Pictures:
             ]
             source.data = {"x": np.array([x for x, _ in pairs]), "y": np.array([y for _, y in pairs])}
         placed = [(i, one) for i, one in enumerate(found.cases) if positive(one[1], one[2])]
+        names = labels([one[0] for _, one in placed], [one[1:] for _, one in placed])
         self.front.data = {
             "x": [one[1] for _, one in placed],
             "y": [one[2] for _, one in placed],
             "color": [OWN["line_color"] if i == 0 else style.case_style(i - 1)["color"] for i, _ in placed],
-            "name": labels([one[0] for _, one in placed], [one[1:] for _, one in placed]),
-            **label_sides([one[1] for _, one in placed]),
+            "name": names,
+            **label_sides([one[1] for _, one in placed], [math.log(one[2]) for _, one in placed], names),
         }
 
     def show_cases(self, runs: Sequence[CaseRun], own: CaseRun | None) -> None:
@@ -255,7 +256,7 @@ class Pictures:
         self._fit("c_stem.y", [signals[f"valve{place}"] for place in calm], kicks=True)
         self._name(self.figures["c_pv"], "PV (EU)", cascade=any(one.primary is not None for _, one in placed))
         points["name"] = labels(points["name"], [*zip(points["x"], points["y"], strict=True)])
-        self.trade.data = points | label_sides(points["x"])
+        self.trade.data = points | label_sides(points["x"], points["y"], points["name"])
 
     # estimate ------------------------------------------------------------------------------------------------------
 

@@ -15,7 +15,7 @@ from workbench.model.plant import FOPDT, Plant
 from workbench.model.tuning import Bounds, Objective
 from workbench.model.valve import Choudhury, Deadband, Directional, He, Positional, Stenman, Valve
 from workbench.scenario.document import parse, plain
-from workbench.scenario.plan import Scenario
+from workbench.scenario.plan import CascadeTuneJob, Scenario
 from workbench.ui.fields import DEFAULTS, FIELDS, OWN_WEIGHT
 from workbench.ui.loop_fields import VALVES
 from workbench.ui.screen import ON_SCREEN, Pinned, Screen
@@ -99,6 +99,9 @@ def screen_of(plan: Scenario) -> Loaded:
         if job.tune is None and not (i == 0 and _is_own(plan)):
             outer, inner = job.cascade.primary.controller, job.cascade.secondary.controller
             cases.append(Pinned(job.name, inner, job.note, primary=outer))
+    in_turn = next((job.tune for job in plan.cascade if job.tune is not None), None)
+    if in_turn is not None:
+        entries |= _tune_cascade(in_turn, notes, plan.objective)
     open_ones = [job.name for job in plan.cascade if job.tune is not None]
     open_ones += [c.name for c in plan.cases if c.tune is not None or (c.rule is not None and c.controller.Kc == 0.0)]
     if open_ones:
@@ -202,16 +205,41 @@ def controller_entries(pid: PID, path: str = "loop.controller") -> dict[str, str
     return entries
 
 
-def bounds_entries(bounds: Bounds) -> dict[str, str]:
+def bounds_entries(bounds: Bounds, path: str = "tune") -> dict[str, str]:
     """Return the entries of a search's bounds: a PI where Td is held at 0."""
-    entries = _ends("tune.bounds.Kc", bounds.Kc)
+    entries = _ends(f"{path}.bounds.Kc", bounds.Kc)
     for name in ("Ti", "Td"):
         pair = getattr(bounds, name)
-        entries |= _ends(f"tune.bounds.{name}", pair)
-        entries |= {f"tune.bounds.{name}.{end}.unit": "s" for end in ("low", "high")}
-    entries["tune.kind"] = "PI" if bounds.Td == (0.0, 0.0) else "PID"
-    if entries["tune.kind"] == "PI":
-        entries["tune.bounds.Td.high"] = DEFAULTS["tune.bounds.Td.high"]
+        entries |= _ends(f"{path}.bounds.{name}", pair)
+        entries |= {f"{path}.bounds.{name}.{end}.unit": "s" for end in ("low", "high")}
+    entries[f"{path}.kind"] = "PI" if bounds.Td == (0.0, 0.0) else "PID"
+    if entries[f"{path}.kind"] == "PI":
+        entries[f"{path}.bounds.Td.high"] = DEFAULTS[f"{path}.bounds.Td.high"]
+    return entries
+
+
+def _tune_cascade(asked: CascadeTuneJob, notes: list[str], common: Objective | None) -> dict[str, str]:
+    """Return the entries of a cascade's tuning in turn."""
+    entries = bounds_entries(asked.bounds, "tune_cascade.primary")
+    counts = {"digits": asked.digits, "restarts": asked.restarts, "seed": asked.seed}
+    entries |= {f"tune.{name}": str(count) for name, count in counts.items()}
+    entries["tune_cascade.tuned"] = "primary" if asked.secondary is None else "both"
+    weighed = [asked.objective]
+    if asked.secondary is not None:
+        experiment, objective, bounds = asked.secondary
+        weighed.append(objective)
+        path = "tune_cascade.secondary"
+        entries |= bounds_entries(bounds, path) | time_entry(f"{path}.experiment.duration", experiment.duration)
+        for name, parts in (("setpoint", experiment.setpoint_parts), ("load", experiment.load_parts)):
+            entries |= _step(name, parts, f"{path}.experiment")
+            if _beside(parts):
+                notes.append(f"Of the secondary's own experiment the {name}'s first step alone stands here.")
+        noise = experiment.noise
+        entries[f"{path}.experiment.noise.sd"] = "0" if noise is None else number_text(noise.sd)
+        if noise is not None:
+            entries[f"{path}.experiment.noise.seed"] = str(noise.seed)
+    if any(objective != (common or Objective()) for objective in weighed):
+        notes.append("A tuning's own objective is left out here: the page has one for all.")
     return entries
 
 
@@ -224,9 +252,9 @@ def _ends(path: str, pair: tuple[float, float]) -> dict[str, str]:
     return {f"{path}.low": number_text(pair[0]), f"{path}.high": number_text(pair[1])}
 
 
-def _step(name: str, parts: tuple[Profile, ...]) -> dict[str, str]:
+def _step(name: str, parts: tuple[Profile, ...], under: str = "experiment") -> dict[str, str]:
     first = next((part for part in parts if isinstance(part, Step)), Step(0.0))
-    path = f"experiment.{name}"
+    path = f"{under}.{name}"
     return {f"{path}.step": number_text(first.size)} | time_entry(f"{path}.at", first.at)
 
 

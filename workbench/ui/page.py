@@ -53,7 +53,7 @@ WORDS = {
 }
 
 
-OF_ONE_LOOP = ("tune", "pin_tuned", "use_tuned", "suit_bounds", "map", "front", "long_run")
+OF_ONE_LOOP = ("suit_bounds", "map", "front", "long_run")
 
 
 class Bridge(DataModel):  # type: ignore[misc]
@@ -153,8 +153,9 @@ class Page:
             answer["frequency"] = self._frequency()
         if self.view == "export":
             answer["scenario"] = self._scenario()
-        if self.tuned is not None and not session.screen.cascade:
-            answer["tuned"] = {"lines": list(self.tuned.lines), "status": self.tuned.status}
+        tuned = self._tuned()
+        if tuned is not None:
+            answer["tuned"] = {"lines": list(tuned.lines), "status": tuned.status}
         answer["axes"] = self.pictures.moved(all_of_them="start" in answer, anew=str(answer.get("refit", "")))
         self._send(answer)
 
@@ -365,14 +366,25 @@ class Page:
         self._begin("tune", text)
 
     def _do_pin_tuned(self, request: Mapping[str, Any]) -> None:
-        if self.tuned is None:
-            raise InvalidValue("tuning", "none", "must be found first")
-        self.session.pin(str(request["name"]), self.tuned.controller, " ".join(self.tuned.lines[1:]))
+        tuned = self._found_tuning()
+        settings = 1 if tuned.primary is None else 2
+        note = " ".join(tuned.lines[settings:])
+        self.session.pin(str(request["name"]), tuned.controller, note, tuned.primary)
 
     def _do_use_tuned(self, _request: Mapping[str, Any]) -> None:
-        if self.tuned is None:
+        tuned = self._found_tuning()
+        self.session.use(tuned.controller, tuned.primary)
+
+    def _tuned(self) -> TunedCase | None:
+        """Return the tuning found, if it is of what stands on the page: a loop or a cascade."""
+        tuned = self.tuned
+        return None if tuned is None or (tuned.primary is not None) != self.session.screen.cascade else tuned
+
+    def _found_tuning(self) -> TunedCase:
+        tuned = self._tuned()
+        if tuned is None:
             raise InvalidValue("tuning", "none", "must be found first")
-        self.session.change(controller_entries(self.tuned.controller))
+        return tuned
 
     def _do_suit_bounds(self, _request: Mapping[str, Any]) -> None:
         """Set the bounds to what suits the loop as it stands."""

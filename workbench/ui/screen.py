@@ -94,17 +94,18 @@ def scenario_text(
     tree["experiment"] = _experiment(screen)
     tree["objective"] = _weights(screen)
     if tune:
-        tree["cases"] = [{"name": words(TUNED), "tune": _tune(screen)}]
+        asked: dict[str, Tree] = {"tune_cascade": _tune_cascade(screen)} if screen.cascade else {"tune": _tune(screen)}
+        tree["cases"] = [{"name": words(TUNED), **asked}]
     else:
         tree["cases"] = [
             {"name": words(_free(screen))},
             *([_case(screen, case) for case in screen.cases] if cases else []),
         ]
     if mapped:
-        asked: dict[str, Tree] = {"points": scalar(screen.entries["analyze.map.points"])}
+        plane: dict[str, Tree] = {"points": scalar(screen.entries["analyze.map.points"])}
         if view is not None:
-            asked |= {"Kc": [f"{end:.4g}" for end in view[0]], "Ti": [f"{end:.4g} s" for end in view[1]]}
-        tree["analyze"] = {"map": asked}
+            plane |= {"Kc": [f"{end:.4g}" for end in view[0]], "Ti": [f"{end:.4g} s" for end in view[1]]}
+        tree["analyze"] = {"map": plane}
     return yaml_of(tree)
 
 
@@ -201,15 +202,33 @@ def _weights(screen: Screen) -> dict[str, Tree]:
     return {name: scalar(text) for name, text in given.items() if not is_zero(text)} or {"w1": "0"}
 
 
+def _tune_cascade(screen: Screen) -> dict[str, Tree]:
+    tree: dict[str, Tree] = {}
+    if screen.entries["tune_cascade.tuned"] == "both":
+        path = "tune_cascade.secondary.experiment"
+        alone: dict[str, Tree] = {"duration": _typed(screen, f"{path}.duration")}
+        for name, first, second in (("setpoint", "step", "at"), ("load", "step", "at"), ("noise", "sd", "seed")):
+            if not is_zero(screen.entries[f"{path}.{name}.{first}"]):
+                alone[name] = {one: _typed(screen, f"{path}.{name}.{one}") for one in (first, second)}
+        tree["secondary"] = _bounds(screen, "tune_cascade.secondary") | {"experiment": alone}
+    tree["primary"] = _bounds(screen, "tune_cascade.primary")
+    return tree | {name: _typed(screen, f"tune.{name}") for name in ("digits", "restarts", "seed")}
+
+
+def _bounds(screen: Screen, path: str) -> dict[str, Tree]:
+    """Return the bounds of a search, with Td held at 0 for a PI."""
+    bounds: dict[str, Tree] = {
+        name: [_typed(screen, f"{path}.bounds.{name}.{end}") for end in ("low", "high")] for name in ("Kc", "Ti", "Td")
+    }
+    if screen.entries[f"{path}.kind"] != "PI":
+        return {"bounds": bounds}
+    del bounds["Td"]
+    return {"bounds": bounds, "Td": "0 s"}
+
+
 def _tune(screen: Screen) -> dict[str, Tree]:
     entries = screen.entries
-    bounds: dict[str, Tree] = {
-        name: [_typed(screen, f"tune.bounds.{name}.{end}") for end in ("low", "high")] for name in ("Kc", "Ti", "Td")
-    }
-    tree: dict[str, Tree] = {"bounds": bounds}
-    if entries["tune.kind"] == "PI":
-        del bounds["Td"]
-        tree["Td"] = "0 s"
+    tree = _bounds(screen, "tune")
     for name in ("digits", "restarts", "seed"):
         tree[name] = _typed(screen, f"tune.{name}")
     if entries["tune.robust"] == "true":

@@ -147,9 +147,8 @@ class Session:
         self._build()
         return True
 
-    def pin(self, name: str, controller: PID | None = None, note: str = "") -> None:
-        """Keep a controller (the page's own by default) as a case. Raises `WorkbenchError`."""
-        primary = None
+    def pin(self, name: str, controller: PID | None = None, note: str = "", primary: PID | None = None) -> None:
+        """Keep a controller (the page's own by default) as a case, of a cascade both. Raises `WorkbenchError`."""
         if controller is None:
             built = self._whole()
             controller = built.loop.controller
@@ -176,12 +175,15 @@ class Session:
 
     def show(self, index: int) -> None:
         """Put a pinned case's controller on the page; of a cascade both."""
-        case = self.screen.cases[index]
-        if case.primary is None:
-            self.change(controller_entries(case.controller))
+        self.use(self.screen.cases[index].controller, self.screen.cases[index].primary)
+
+    def use(self, controller: PID, primary: PID | None = None) -> None:
+        """Put a controller on the page; of a cascade both."""
+        if primary is None:
+            self.change(controller_entries(controller))
             return
-        entries = controller_entries(case.primary, "cascade.primary.controller")
-        self.change(entries | controller_entries(case.controller, "cascade.secondary.controller"))
+        entries = controller_entries(primary, "cascade.primary.controller")
+        self.change(entries | controller_entries(controller, "cascade.secondary.controller"))
 
     def use_tuning(self, Kc: float, value: float, axis: str) -> None:
         """Put a map's tuning, in %/EU and s, on the page, at three digits."""

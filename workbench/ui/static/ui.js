@@ -139,7 +139,8 @@ function fitAxes(axes, refit) {
 
 function suggest(cases) {
   const names = cases.map((one) => one.name);
-  const base = entries["tune.kind"] === "PI" ? "Tuned PI" : "Tuned PID";
+  const own = entries["tune.kind"] === "PI" ? "Tuned PI" : "Tuned PID";
+  const base = document.documentElement.dataset.kind === "cascade" ? "Tuned in turn" : own;
   let name = base;
   for (let i = 2; names.includes(name); i += 1) name = `${base} ${i}`;
   byId("tuned-name").value = name;
@@ -163,7 +164,7 @@ function showEntries(asked, before) {
   }
   if (kinds) {
     for (const [path, field] of Object.entries(spec.fields)) {
-      if (field.when) boxes.get(path).hidden = !field.when[1].includes(entries[field.when[0]]);
+      if (field.when) boxes.get(path).hidden = !shows(path);
     }
   }
   // What few loops have shows where it comes with a scenario.
@@ -171,6 +172,11 @@ function showEntries(asked, before) {
   for (const path of sliders.keys()) {
     if (entries[path] !== before[path] && !queued.has(path)) place(path, asked);
   }
+}
+
+function shows(path) {
+  const when = spec.fields[path].when;
+  return !when || (when[1].includes(entries[when[0]]) && shows(when[0]));
 }
 
 function showProblems(problems) {
