@@ -203,8 +203,10 @@ def test_reading_a_scenario_can_be_undone_and_a_bad_one_changes_nothing(paper):
     )
     assert paper.screen.entries["loop.plant.type"] == "integrating"
     assert paper.screen.entries["loop.controller.Ti"] == "none"
+    assert paper.notes == ()
     assert paper.undo()
     assert paper.screen is screen
+    assert any("Optimised PI" in note for note in paper.notes), "what was said of that scenario"
 
 
 def test_a_found_model_and_a_maps_tuning_go_on_the_page(paper):

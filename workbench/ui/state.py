@@ -119,7 +119,7 @@ class Session:
 
     def __init__(self, loaded: Loaded | None = None) -> None:
         self.screen = Screen()
-        self.past: list[Screen] = []
+        self.past: list[tuple[Screen, tuple[str, ...]]] = []
         self.gesture = ""
         self.problems: tuple[Problem, ...] = ()
         self.notes: tuple[str, ...] = ()
@@ -143,7 +143,7 @@ class Session:
         """Go back to the screen before the last change; False where there is none."""
         if not self.past:
             return False
-        self.screen, self.gesture = self.past.pop(), ""
+        (self.screen, self.notes), self.gesture = self.past.pop(), ""
         self._build()
         return True
 
@@ -210,12 +210,12 @@ class Session:
 
     def load(self, loaded: Loaded) -> None:
         """Show another scenario; what stood here before can be had back."""
-        self.notes = loaded.notes
         self._become(loaded.screen, "")
+        self.notes = loaded.notes
 
     def _become(self, screen: Screen, gesture: str) -> None:
         if not gesture or gesture != self.gesture:
-            self.past = [*self.past[-MOST_UNDONE + 1 :], self.screen]
+            self.past = [*self.past[-MOST_UNDONE + 1 :], (self.screen, self.notes)]
         self.gesture = gesture
         self.screen = screen
         self._build()
