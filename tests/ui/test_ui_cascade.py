@@ -244,7 +244,7 @@ def test_the_page_shows_a_cascades_fields_and_both_loops(ask):
 
 def test_what_is_for_one_loop_says_so(ask):
     screen = ask.page.session.screen
-    for what in ("map", "front", "suit_bounds", "long_run"):
+    for what in ("map", "front", "suit_bounds"):
         assert "must be of a single loop, and a cascade stands here" in ask(what)["message"], what
         assert ask.page.session.screen is screen
     # Nor is the tuning of a loop that stood here before one of the cascade.

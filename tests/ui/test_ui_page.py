@@ -20,7 +20,7 @@ from workbench.ui.document import open_page
 from workbench.ui.jobs import Event
 from workbench.ui.load import screen_of
 from workbench.ui.page import Page
-from workbench.ui.work import FrontFound, LongRun, MapFound, ReadRecord, Report, TunedCase
+from workbench.ui.work import FrontFound, MapFound, ReadRecord, Report, TunedCase
 
 SCENARIOS = Path(__file__).parents[2] / "scenarios"
 PAPER = screen_of(load_scenario(SCENARIOS / "table_2.yaml"))  # frozen: every session may begin with it
@@ -311,25 +311,14 @@ def test_what_has_no_describing_function_says_so_and_draws_none(ask):
     assert answer["frequency"]["lines"][1].startswith("Exact: The loop cycles")
     assert not answer["frequency"]["loci"]
     assert ask.page.pictures.L.data["x"].size == 0
+    typed = {"loop.controller.compensator.type": "none", "loop.valve.type": "karnopp"}
+    answer = ask("set", entries=typed)
+    assert answer["frequency"]["lines"][0].startswith("This loop has no describing function here")
+    assert answer["frequency"]["lines"][1].startswith("Exact: The loop cycles")
+    ask("undo")
     answer = ask("undo")
     assert answer["frequency"]["loci"]
     assert ask.page.pictures.L.data["x"].size > 100
-
-
-def test_the_long_run_of_a_stem_with_mass_is_followed_in_a_worker(ask, begun):
-    ask("view", view="frequency")
-    typed = {"loop.valve.type": "karnopp", "loop.valve.substep": "20", "experiment.duration": "100"}
-    answer = ask("set", entries=typed)
-    assert answer["problems"] == []
-    assert answer["frequency"]["slow"]
-    assert not any(line.startswith("Exact") for line in answer["frequency"]["lines"])
-    ask("long_run")
-    assert begun[0][0] == "long_run"
-    assert "type: karnopp" in begun[0][1]
-    answer = ended(ask, "done", result=LongRun("The loop cycles."))
-    assert answer["frequency"]["lines"][-1] == "Exact: The loop cycles."
-    answer = ask("set", entries={"loop.controller.Kc": "0.7"})
-    assert "Exact: The loop cycles." not in answer["frequency"]["lines"], "of another tuning"
 
 
 def test_what_is_typed_is_cut_where_no_value_is_that_long(ask):

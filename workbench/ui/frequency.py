@@ -8,24 +8,14 @@ from workbench.errors import WorkbenchError
 from workbench.model.analyses import DescribingFunction
 from workbench.model.cascade import Cascade
 from workbench.model.experiment import Experiment
-from workbench.model.karnopp import Karnopp
-from workbench.model.loop import Loop
 from workbench.report.words import duration, figure
 from workbench.ui.state import Built
 
-__all__ = ["is_slow", "map_key", "verdicts"]
+__all__ = ["map_key", "verdicts"]
 
 
-def is_slow(loop: Loop) -> bool:
-    """Whether following a loop's long run takes seconds: a stem with mass is integrated within each sample."""
-    return isinstance(loop.valve, Karnopp)
-
-
-def verdicts(built: Built, long_run: str | None) -> tuple[DescribingFunction | None, list[str]]:
-    """Return the loci, None where the method says nothing of this loop, and both verdicts in words.
-
-    long_run: what a worker has found of this loop where that takes long, or None.
-    """
+def verdicts(built: Built) -> tuple[DescribingFunction | None, list[str]]:
+    """Return the loci, None where the method says nothing of this loop, and both verdicts in words."""
     from workbench.analyze.agreement import agreement
     from workbench.analyze.describing_function import describing_function
     from workbench.analyze.limit_cycle import limit_cycle
@@ -46,10 +36,6 @@ def verdicts(built: Built, long_run: str | None) -> tuple[DescribingFunction | N
         lines.append(str(error))
     if df is not None:
         lines.append(f"Describing function: {df.verdict}")
-    if is_slow(loop):
-        if long_run is not None:
-            lines.append(f"Exact: {long_run}")
-        return df, lines
     try:
         cycle = limit_cycle(loop, built.experiment)
     except WorkbenchError as error:

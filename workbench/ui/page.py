@@ -27,13 +27,13 @@ from workbench.errors import InvalidValue, RecordError, WorkbenchError
 from workbench.ui import export
 from workbench.ui.fields import FIELDS
 from workbench.ui.figures import MAP_FIGURES, Pictures
-from workbench.ui.frequency import is_slow, map_key, verdicts
+from workbench.ui.frequency import map_key, verdicts
 from workbench.ui.given import found_words, record_words, safe_name
 from workbench.ui.jobs import Event, Job
 from workbench.ui.load import Loaded, bounds_entries, controller_entries
 from workbench.ui.screen import estimate_text
 from workbench.ui.state import Session
-from workbench.ui.work import Found, FrontFound, LongRun, MapFound, ReadRecord, Report, TunedCase
+from workbench.ui.work import Found, FrontFound, MapFound, ReadRecord, Report, TunedCase
 
 __all__ = ["LARGEST_UPLOAD", "VIEWS", "Page"]
 
@@ -47,13 +47,12 @@ WORDS = {
     "estimate": "Estimating",
     "tune": "Tuning",
     "map": "Mapping",
-    "long_run": "Following the long run",
     "front": "Searching the front",
     "report": "Writing the report",
 }
 
 
-OF_ONE_LOOP = ("suit_bounds", "map", "front", "long_run")
+OF_ONE_LOOP = ("suit_bounds", "map", "front")
 
 
 class Bridge(DataModel):  # type: ignore[misc]
@@ -83,8 +82,6 @@ class Page:
         self.map: MapFound | None = None
         self.map_of: object = None
         self.map_figure = "period"
-        self.long_run = ""
-        self.long_run_of: object = None
         self.front: FrontFound | None = None
         self.front_of: object = None
         self.asked_of: object = None  # what stood on the screen when the task under way was asked for
@@ -247,8 +244,6 @@ class Page:
             self.map, self.map_of = result, self.asked_of
             self.pictures.show_map(result, self.map_figure)
             return {"refit": "f_map"}
-        elif isinstance(result, LongRun):
-            self.long_run, self.long_run_of = result.verdict, self.asked_of
         elif isinstance(result, FrontFound):
             self.front, self.front_of = result, self.asked_of
             self.pictures.show_front(result)
@@ -407,25 +402,17 @@ class Page:
         built = self.session.built
         if built is None:
             return {}
-        found, lines = verdicts(built, self.long_run if self.long_run_of == self._cycle_key() else None)
+        found, lines = verdicts(built)
         self.pictures.show_loci(found)
         if built.cascade is not None:
-            return {"lines": lines, "loci": False, "map": [], "slow": False}
+            return {"lines": lines, "loci": False, "map": []}
         cases = [(c.name, c.controller.Kc, c.controller.Ti) for c in self.session.screen.cases]
         here = built.loop.controller
         self.pictures.mark([*cases, ("On screen", here.Kc, here.Ti)])
         text = [] if self.map is None else list(self.map.text)
         if self.map is not None and self.map_of != map_key(built):
             text.insert(0, "This map is of the loop as it stood when it was made; make it anew for the present one.")
-        return {"lines": lines, "loci": found is not None, "map": text, "slow": is_slow(built.loop)}
-
-    def _cycle_key(self) -> object:
-        built = self.session.built
-        return None if built is None else (built.loop, built.experiment)
-
-    def _do_long_run(self, _request: Mapping[str, Any]) -> None:
-        self._begin("long_run", self.session.scenario())
-        self.asked_of = self._cycle_key()
+        return {"lines": lines, "loci": found is not None, "map": text}
 
     def _do_map(self, request: Mapping[str, Any]) -> None:
         """Map the tunings around the cases, or those of the part of the map that is looked at."""

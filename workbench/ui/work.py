@@ -28,7 +28,6 @@ __all__ = [
     "TASKS",
     "Found",
     "FrontFound",
-    "LongRun",
     "MapFound",
     "Progress",
     "ReadRecord",
@@ -36,7 +35,6 @@ __all__ = [
     "Task",
     "TunedCase",
     "estimate_record",
-    "follow_long_run",
     "map_tunings",
     "read_data",
     "trade_off",
@@ -129,13 +127,6 @@ class FrontFound:
     repaired: tuple[FrontPoint, ...]
     cases: tuple[tuple[str, float, float], ...]
     text: tuple[str, ...]
-
-
-@dataclass(frozen=True, slots=True)
-class LongRun:
-    """What a loop does in the long run, in a sentence."""
-
-    verdict: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -300,17 +291,6 @@ def map_tunings(text: str, folder: str, progress: Progress) -> MapFound:
     )
 
 
-def follow_long_run(text: str, folder: str, progress: Progress) -> LongRun:
-    """Return what a scenario's loop does in the long run. Raises `WorkbenchError`."""
-    from workbench.analyze.limit_cycle import limit_cycle
-
-    plan = _plan(text, folder)
-    if plan.loop is None or plan.experiment is None:
-        raise ScenarioError("no loop was given")
-    progress("from every start", 0.0)
-    return LongRun(limit_cycle(plan.loop, plan.experiment).verdict)
-
-
 def trade_off(text: str, folder: str, progress: Progress) -> FrontFound:
     """Return the fronts of a scenario's loop, and where its cases lie; stopped, those so far. Raises `WorkbenchError`.
 
@@ -361,7 +341,6 @@ TASKS: dict[str, Task] = {
     "estimate": estimate_record,
     "tune": tune_loop,
     "map": map_tunings,
-    "long_run": follow_long_run,
     "front": trade_off,
     "report": write_html,
 }

@@ -93,7 +93,7 @@ function show(answer, asked) {
   byId("message").textContent = answer.message;
   byId("message").hidden = !answer.message;
   byId("progress").hidden = !answer.busy;
-  for (const id of ["tune", "map", "map-view", "long-run", "front", "estimate", "read"]) byId(id).disabled = Boolean(answer.busy);
+  for (const id of ["tune", "map", "map-view", "front", "estimate", "read"]) byId(id).disabled = Boolean(answer.busy);
   if (answer.notes.join() !== notes) list(byId("notes"), answer.notes);
   notes = answer.notes.join();
   showFigures(answer.figures, answer.problems);
@@ -110,7 +110,6 @@ function show(answer, asked) {
     list(byId("frequency-lines"), answer.frequency.lines);
     list(byId("map-lines"), answer.frequency.map);
     byId("map-box").hidden = byId("map-view").hidden = !answer.frequency.map?.length;
-    byId("slow").hidden = !answer.frequency.slow;
     byId("loci-box").hidden = !answer.frequency.loci;
   }
   if (answer.scenario !== undefined) byId("scenario").textContent = answer.scenario;
@@ -471,7 +470,7 @@ for (const button of document.querySelectorAll("[data-pin-button]")) {
 for (const button of document.querySelectorAll("[data-export]")) {
   button.addEventListener("click", () => ask("export", { what: button.dataset.export }));
 }
-const plain = { estimate: "estimate", read: "read", "use-model": "use_model", tune: "tune", stop: "stop", map: "map", "long-run": "long_run", front: "front", "suit-bounds": "suit_bounds", "use-tuned": "use_tuned" };
+const plain = { estimate: "estimate", read: "read", "use-model": "use_model", tune: "tune", stop: "stop", map: "map", front: "front", "suit-bounds": "suit_bounds", "use-tuned": "use_tuned" };
 for (const [id, what] of Object.entries(plain)) byId(id).addEventListener("click", () => ask(what));
 byId("pin-tuned").addEventListener("click", () => ask("pin_tuned", { name: byId("tuned-name").value }));
 byId("map-view").addEventListener("click", () => {
