@@ -61,6 +61,21 @@ def test_every_plant_and_valve_stands_on_the_page_to_the_last_digit(plant, valve
 
 
 @pytest.mark.parametrize(
+    "valve",
+    [
+        wb.Positional((-1e-3, 0.1 + 0.2), (wb.Stenman(1 / 3), wb.Stenman(0.25))),
+        wb.Positional((-20.0, 0.5, 1e2), (wb.Choudhury(1 / 3, 0.1), wb.Choudhury(2.0, 0.0), wb.Choudhury(7.0, 7.0))),
+        wb.Karnopp(1 / 3, 52500.5, 0.1 + 0.2, 0.0, 1e-7, 612.25, 2.54e-4, 1 / 7),
+    ],
+    ids=lambda valve: type(valve).__name__,
+)
+def test_places_and_masses_stand_on_the_page_to_the_last_digit(valve):
+    loop = read(Screen().with_entries(valve_entries(valve))).loop
+    assert loop is not None
+    assert loop.valve == valve
+
+
+@pytest.mark.parametrize(
     "pid",
     [
         wb.PID(0.1 + 0.2, 1 / 3, 1e-7),

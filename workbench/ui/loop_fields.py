@@ -149,7 +149,14 @@ def element_fields(path: str) -> tuple[Field, ...]:
             when=curved,
             more=True,
         ),
-        Field(f"{path}.fail_open", "Fail-open", "false", flag=True, hint="OP closes the valve", more=True),
+        Field(
+            f"{path}.fail_open",
+            "Fail-open",
+            "false",
+            flag=True,
+            hint="OP closes the valve; the action turns",
+            more=True,
+        ),
     )
 
 

@@ -244,7 +244,7 @@ function showComparison(table, pinned) {
       cell.append(make("span", head.name));
     } else {
       const name = make("input", "", { type: "text", "aria-label": `Name of case ${i + 1}`, maxlength: "80", "data-keep": `name-${i}` });
-      name.value = head.name;
+      name.value = name.title = head.name;
       name.addEventListener("change", () => ask("rename", { index: i, name: name.value }));
       cell.append(name);
     }
