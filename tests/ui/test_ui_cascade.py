@@ -95,6 +95,19 @@ def test_pinned_cases_are_those_of_the_scenario_and_can_be_shown(session):
     assert rows["Secondary: valve travel"]["cells"][0]["text"] == "72.14"
 
 
+def test_a_pinned_case_that_the_cascade_refuses_says_why_and_the_others_stand(session):
+    session.change({f"{BELOW}.compensator.type": "knocker", "cascade.secondary.sample_time": "1"})
+    session.pin("Knocked")
+    session.change({f"{BELOW}.compensator.type": "none", "cascade.secondary.sample_time": "2.5"})
+    assert session.problems == ()
+    runs = session.runs()
+    assert [one.run is None for one in runs] == [False, False, False, True]
+    assert "must be a whole number of samples of 2.5 s" in runs[-1].refused
+    table: Any = session.comparison(runs)
+    assert table["heads"][3]["refused"] == runs[-1].refused
+    assert table["rows"][0]["cells"][3]["text"] == table["rows"][1]["cells"][3]["text"]
+
+
 def test_what_is_exported_runs_to_the_same_numbers_and_opens_to_the_same_screen(session, tmp_path):
     session.change({f"{ABOVE}.Ti": "1.5", f"{ABOVE}.Ti.unit": "min", "experiment.duration": "600"})
     text = session.scenario()

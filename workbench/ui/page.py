@@ -271,19 +271,20 @@ class Page:
         old = "This is of the loop and the cases as they stood when it was made; make it anew for the present ones."
         return [*([old] if self.front_of != self._front_key() else []), *self.front.text]
 
+    def _tapped_at(self, event: Tap) -> tuple[float, float] | None:
+        """Return where in a logarithmic plane of a single loop was clicked; None elsewhere."""
+        x, y = event.x, event.y
+        if self.session.screen.cascade or x is None or y is None or x <= 0.0 or y <= 0.0:
+            return None
+        return float(x), float(y)
+
     def _front_tapped(self, event: Tap) -> None:
         """A click on a point of the front puts its tuning on the screen."""
-        if (
-            not self._front_words()
-            or self.front is None
-            or event.x is None
-            or event.y is None
-            or event.x <= 0.0
-            or event.y <= 0.0
-        ):
+        at = self._tapped_at(event)
+        if self.front is None or at is None:
             return
         points = [p for p in self.front.sticky if p.valve_travel > 0.0 and p.mean_square_error > 0.0]
-        away = [abs(math.log(p.valve_travel / event.x)) + abs(math.log(p.mean_square_error / event.y)) for p in points]
+        away = [abs(math.log(p.valve_travel / at[0])) + abs(math.log(p.mean_square_error / at[1])) for p in points]
         if points and min(away) < NEAR:
             self.message = ""
             self.session.change(controller_entries(points[away.index(min(away))].controller))
@@ -430,17 +431,11 @@ class Page:
 
     def _tapped(self, event: Tap) -> None:
         """A click on the map sets the tuning."""
-        if (
-            self.map is None
-            or self.session.screen.cascade
-            or event.x is None
-            or event.y is None
-            or event.x <= 0.0
-            or event.y <= 0.0
-        ):
+        at = self._tapped_at(event)
+        if self.map is None or at is None:
             return
         self.message = ""
-        self.session.use_tuning(float(event.x), float(event.y), self.map.axis)
+        self.session.use_tuning(*at, self.map.axis)
         self.show()
 
     # export --------------------------------------------------------------------------------------------------------

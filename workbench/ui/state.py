@@ -258,7 +258,7 @@ class Session:
         built = self.built
         assert built is not None  # noqa: S101 - only asked for once something was built
         if built.cascade is not None:
-            return _cascade_run(name, built.cascade.with_controllers(primary, controller), built)
+            return _cascade_run(name, controller, primary, built, built.cascade)
         try:
             loop = built.loop.with_controller(controller)
             # A diverging loop overflows; its figures say so.
@@ -363,11 +363,11 @@ class Session:
         return loaded.data
 
 
-def _cascade_run(name: str, cascade: Cascade, built: Built) -> CaseRun:
+def _cascade_run(name: str, below: PID, above: PID | None, built: Built, cascade: Cascade) -> CaseRun:
     from workbench.tune.cascade import evaluate_cascade  # casadi: only where there is a cascade
 
-    above, below = cascade.primary.controller, cascade.secondary.controller
     try:
+        cascade = cascade.with_controllers(above, below)
         # A diverging cascade overflows; its figures say so.
         with np.errstate(over="ignore", invalid="ignore"):
             run = simulate(cascade, built.experiment)
