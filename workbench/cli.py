@@ -128,7 +128,7 @@ def run(
     scenarios: Annotated[list[Path], typer.Argument(metavar="SCENARIO", help="Scenario files (YAML).")],
     out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Where the reports go.")] = Path("reports"),
     interactive: Annotated[
-        bool, typer.Option("--interactive", help="Figures in the page can be zoomed; it is 1.2 MiB larger.")
+        bool, typer.Option("--interactive", help="Figures in the page can be zoomed; it is 1.2 to 2 MiB larger.")
     ] = False,
 ) -> int:
     """Run scenarios and write DIR/<scenario>/report.html with its figures, results.json and cases.csv.

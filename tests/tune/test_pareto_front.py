@@ -97,6 +97,15 @@ def test_a_valve_that_does_not_stick_has_one_front():
     assert len(found.sticky) >= 4
 
 
+def test_a_valve_with_a_curved_characteristic_has_its_fronts():
+    controller = replace(LOOP.controller, output_limits=(-40.0, 45.0))
+    loop = replace(LOOP, controller=controller, characteristic=wb.EqualPercentage(30.0, 50.0))
+    few = replace(SMALL, draws=10)
+    found = wb.pareto_front(loop, few, points=3)
+    assert found.status is wb.SolveStatus.SOLVED
+    assert {point.controller.output_limits for point in (*found.sticky, *found.repaired)} == {(-40.0, 45.0)}
+
+
 def test_an_integrating_loop_in_series_form():
     pid = wb.PID(1.0, 60.0, 1.0, form="series", derivative_on="pv")
     loop = wb.Loop(wb.Integrating(0.05, 2.0), wb.Choudhury(S=3.0, J=1.0), pid, sample_time=1.0)

@@ -12,6 +12,7 @@ import shutil
 import signal
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +22,7 @@ from loops import paper_loop, paper_step
 
 import workbench as wb
 from workbench.report.tables import shown
+from workbench.scenario.loader import load_scenario
 
 REQUIRED = os.environ.get("WORKBENCH_REQUIRE_BROWSER") == "1"
 try:
@@ -175,6 +177,56 @@ def test_the_keyboard_is_enough(opened):
     expect(page.locator("#view-compare")).to_be_visible()
     page.keyboard.press("End")
     expect(page.locator("#view-export")).to_be_visible()
+
+
+def test_a_cascade_and_what_few_loops_have_show_where_a_scenario_has_them(opened):
+    start = opened(str(ROOT / "scenarios" / "cascade.yaml"))
+    page = start.page
+    expect(start.figure("secondary.valve_travel")).to_have_text("72.14 %")
+    expect(start.entry("loop.plant.gain")).to_be_hidden()
+    start.slide("cascade.primary.controller.Kc", 300)
+    Kc = float(start.entry("cascade.primary.controller.Kc").input_value())
+    plan = load_scenario(ROOT / "scenarios" / "cascade.yaml")
+    found = plan.cascade[0].cascade
+    run = wb.simulate(found.with_controllers(replace(found.primary.controller, Kc=Kc)), plan.experiment)
+    travel = run.secondary.kpis.valve_travel
+    assert travel != 72.14
+    expect(start.figure("secondary.valve_travel")).to_have_text(f"{shown('valve_travel', travel)} %")
+    drawn = page.evaluate(
+        "Array.from(Bokeh.documents[0].get_model_by_name('pv2').renderers[1].data_source.get('pv2_y'))"
+    )
+    assert drawn == pytest.approx(run.secondary.pv.tolist(), rel=1e-6, abs=1e-6)
+    start.picture("cascade")
+    start.view("tune")
+    expect(start.entry("tune_cascade.primary.bounds.Kc.high")).to_have_value("8")
+    expect(start.entry("tune.bounds.Kc.high")).to_be_hidden()
+    start.picture("tune_cascade")
+    page.set_input_files("#open", ROOT / "scenarios" / "compensators.yaml")
+    expect(start.entry("loop.plant.gain")).to_be_visible()
+    expect(start.entry("cascade.primary.plant.gain")).to_be_hidden()
+    expect(start.entry("tune.bounds.Kc.high")).to_be_visible()
+    expect(start.entry("tune_cascade.primary.bounds.Kc.high")).to_be_hidden()
+    width = start.entry("loop.controller.compensator.width")
+    expect(width).to_be_hidden()
+    start.view("compare")
+    page.click('[aria-label="Knocker: on the screen"]')
+    expect(width).to_be_visible()
+    expect(width).to_have_value("1")
+    start.entry("loop.valve.type").select_option("positional")
+    places = start.entry("loop.valve.places")
+    places.fill("-20 3\n0 2 x\n20 4")
+    places.blur()
+    said = page.locator('[data-field="loop.valve.places"] .said')
+    expect(said).to_contain_text("loop.valve.places[1].J: x given")
+    places.fill("-20 3\n0 2\n20 4")
+    places.blur()
+    expect(said).to_be_hidden()
+    page.click("#undo")
+    page.click("#undo")
+    page.click("#undo")
+    page.click("#undo")
+    page.click("#undo")
+    expect(start.entry("cascade.primary.controller.Kc")).to_have_value(f"{Kc:g}")
 
 
 def test_what_the_loader_refuses_is_said_at_the_field(opened):
@@ -347,6 +399,16 @@ def test_a_click_on_the_map_sets_the_tuning(opened):
     expect(page.locator("#map-lines li").nth(0)).to_contain_text("15 × 15 tunings", timeout=60_000)
     page.wait_for_timeout(300)
     paper.picture("map")
+    # What is zoomed to can be mapped in turn.
+    plane = "Bokeh.documents[0].get_model_by_name('f_map')"
+    ends = f"[{plane}.x_range.start, {plane}.x_range.end, {plane}.y_range.start, {plane}.y_range.end]"
+    page.evaluate(f"() => {{ {plane}.x_range.setv({{start: 0.3, end: 0.9}}); {plane}.y_range.end = 80; }}")
+    page.click("#map-view")
+    expect(page.locator("#map-lines li").nth(0)).to_contain_text("(Kc 0.3 to 0.9 %/EU", timeout=60_000)
+    expect(page.locator("#progress")).to_be_hidden()
+    low, high = page.evaluate(ends)[:2]
+    assert 0.28 < low < 0.3
+    assert 0.9 < high < 0.97
     box = page.locator("#map-box .picture").bounding_box()
     page.mouse.click(box["x"] + 0.5 * box["width"], box["y"] + 0.5 * box["height"])
     expect(paper.entry("loop.controller.Kc")).not_to_have_value("0.5")
@@ -414,16 +476,22 @@ def test_a_server_that_has_ended_is_said(opened):
 
 
 def test_accessibility_has_no_serious_findings(opened):
-    paper = opened(PAPER)
-    page = paper.page
-    page.add_script_tag(content=AXE.read_text())
-    for view in VIEWS:
-        paper.view(view)
-        page.wait_for_timeout(200)
-        found = page.evaluate("axe.run(document, { resultTypes: ['violations'] })")
-        serious = [
-            (one["id"], one["help"], [node["target"] for node in one["nodes"]][:4])
-            for one in found["violations"]
-            if one["impact"] in ("serious", "critical")
-        ]
-        assert serious == [], view
+    for scenario, views in (("table_2", VIEWS), ("cascade", ("loop", "tune"))):
+        start = opened(str(ROOT / "scenarios" / f"{scenario}.yaml"))
+        page = start.page
+        page.add_script_tag(content=AXE.read_text())
+        page.evaluate("document.querySelectorAll('details').forEach(part => { part.open = true; })")
+        if scenario == "table_2":
+            start.entry("loop.valve.type").select_option("positional")
+            start.entry("loop.controller.compensator.type").select_option("two_move")
+            start.settled()
+        for view in views:
+            start.view(view)
+            page.wait_for_timeout(200)
+            found = page.evaluate("axe.run(document, { resultTypes: ['violations'] })")
+            serious = [
+                (one["id"], one["help"], [node["target"] for node in one["nodes"]][:4])
+                for one in found["violations"]
+                if one["impact"] in ("serious", "critical")
+            ]
+            assert serious == [], (scenario, view)

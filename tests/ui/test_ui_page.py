@@ -16,9 +16,10 @@ import workbench as wb
 from workbench.model.front import FrontPoint
 from workbench.scenario.loader import load_scenario
 from workbench.ui import page as pages
+from workbench.ui.document import open_page
 from workbench.ui.jobs import Event
 from workbench.ui.load import screen_of
-from workbench.ui.page import Page, open_page
+from workbench.ui.page import Page
 from workbench.ui.work import FrontFound, MapFound, ReadRecord, Report, TunedCase
 
 SCENARIOS = Path(__file__).parents[2] / "scenarios"
@@ -139,6 +140,9 @@ NONSENSE: list[tuple[str, dict[str, Any]]] = [
     ("pin_tuned", {"name": "x"}),
     ("estimate", {}),
     ("upload", {"name": "x.csv", "data": "§"}),
+    ("map", {"seen": {"x": [1.0], "y": [1.0, 2.0]}}),
+    ("map", {"seen": {"x": [2.0, 1.0], "y": [1.0, 2.0]}}),
+    ("map", {"seen": {"x": [-1.0, 1.0], "y": ["a", 2.0]}}),
 ]
 
 
@@ -287,6 +291,42 @@ def test_a_map_is_drawn_and_a_click_sets_the_tuning(ask, begun):
     ask("map_figure", name="mean_square_error")
 
 
+def test_a_map_of_what_is_in_view_takes_its_place(ask, begun):
+    ask("map", seen={"x": [0.51234, 2.0], "y": [10.0, 40.0]})
+    assert "map: {points: 30, Kc: [0.5123, 2], Ti: [10 s, 40 s]}" in begun[0][1]
+    Kc, Ti = np.geomspace(0.5, 2.0, 5), np.geomspace(10.0, 40.0, 4)
+    ones = np.ones((4, 5))
+    figures = dict.fromkeys(pages.MAP_FIGURES, np.arange(1.0, 21.0).reshape(4, 5))
+    answer = ended(ask, "done", result=MapFound("Ti", Kc, Ti, ones, ones, figures, ("a map",)))
+    assert answer["refit"] == "f_map"
+    assert answer["axes"]["f_map.x"][0] < 0.5 < 2.0 < answer["axes"]["f_map.x"][1]
+
+
+def test_what_has_no_describing_function_says_so_and_draws_none(ask):
+    ask("view", view="frequency")
+    assert ask.page.pictures.L.data["x"].size > 100
+    typed = {"loop.controller.compensator.type": "knocker"}
+    answer = ask("set", entries=typed)
+    assert answer["frequency"]["lines"][0].startswith("This loop has no describing function with a compensator")
+    assert answer["frequency"]["lines"][1].startswith("Exact: The loop cycles")
+    assert not answer["frequency"]["loci"]
+    assert ask.page.pictures.L.data["x"].size == 0
+    typed = {"loop.controller.compensator.type": "none", "loop.valve.type": "karnopp"}
+    answer = ask("set", entries=typed)
+    assert answer["frequency"]["lines"][0].startswith("This loop has no describing function here")
+    assert answer["frequency"]["lines"][1].startswith("Exact: The loop cycles")
+    ask("undo")
+    answer = ask("undo")
+    assert answer["frequency"]["loci"]
+    assert ask.page.pictures.L.data["x"].size > 100
+
+
+def test_what_is_typed_is_cut_where_no_value_is_that_long(ask):
+    answer = ask("set", entries={"loop.plant.gain": "1" * 5000, "loop.valve.places": "0 1\n" * 5000})
+    assert len(answer["entries"]["loop.plant.gain"]) == 400
+    assert len(answer["entries"]["loop.valve.places"]) == 2000
+
+
 def test_a_report_leaves_as_a_file(ask, begun):
     ask("export", what="report")
     assert begun[0][0] == "report"
@@ -339,6 +379,7 @@ def test_the_front_is_drawn_with_the_cases_and_a_click_sets_its_tuning(ask, begu
     assert pictures.fronts[1].data["y"].tolist() == [2.0]
     assert pictures.front.data["name"] == ["On screen, <script>", ""]
     assert len(set(pictures.front.data["color"])) == 2
+    assert set(pictures.front.data["align"]) == {"left"}, "one place has no right half"
     figure = pictures.figures["c_front"]
     ask.page._front_tapped(Tap(figure, x=60.0, y=1.0))
     assert ask.last["entries"]["loop.controller.Kc"] == "0.5", "far from every point"

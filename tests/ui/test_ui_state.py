@@ -29,6 +29,29 @@ def figure(session: Session, name: str) -> str:
     return next(f["text"] for f in session.figures() if f["name"] == name)
 
 
+@pytest.mark.parametrize(
+    "path",
+    [path for path in sorted(SCENARIOS.glob("*.yaml")) if path.stem != "fleet_table_1"],
+    ids=lambda path: path.stem,
+)
+def test_every_shipped_scenario_opens_and_simulates_as_the_library_does(path):
+    plan = load_scenario(path)
+    session = Session(screen_of(plan))
+    assert session.problems == ()
+    assert session.own is not None
+    assert session.own.run is not None
+    if plan.loop is None:
+        return
+    controllers = {case.name: case.controller for case in plan.cases}
+    for one in session.runs():
+        run = wb.simulate(plan.loop.with_controller(controllers[one.name]), plan.experiment)
+        assert one.run is not None
+        assert repr(one.run.kpis) == repr(run.kpis)  # nan is nan
+        if plan.objective is not None:
+            loop = plan.loop.with_controller(controllers[one.name])
+            assert one.objective == wb.evaluate(loop, plan.experiment, plan.objective)[0]
+
+
 def test_the_papers_base_case_has_its_published_travel(paper):
     assert paper.problems == ()
     assert figure(paper, "valve_travel") == "12.18"
@@ -180,8 +203,10 @@ def test_reading_a_scenario_can_be_undone_and_a_bad_one_changes_nothing(paper):
     )
     assert paper.screen.entries["loop.plant.type"] == "integrating"
     assert paper.screen.entries["loop.controller.Ti"] == "none"
+    assert paper.notes == ()
     assert paper.undo()
     assert paper.screen is screen
+    assert any("Optimised PI" in note for note in paper.notes), "what was said of that scenario"
 
 
 def test_a_found_model_and_a_maps_tuning_go_on_the_page(paper):
@@ -218,8 +243,8 @@ def test_tables_leave_as_csv_in_which_no_name_is_a_formula(paper):
     name, kind, text = export.made("figures", paper)
     assert (name, kind) == ("figures.csv", "text/csv")
     lines = text.splitlines()
-    assert lines[0].startswith("case,Kc,Ti,Td,form,objective,mean_square_error")
-    assert lines[6].startswith("'=cmd|' /C calc'!A0,0.5,20,0,ideal,226.575")
+    assert lines[0].startswith("case,Kc,Ti,Td,form,compensator,objective,mean_square_error")
+    assert lines[6].startswith("'=cmd|' /C calc'!A0,0.5,20,0,ideal,none,226.575")
     assert lines[7].startswith("'@x,")
     assert lines[1].split(",")[:4] == ["Case 1", "0.5", "20", "0"]
     assert ",-0.16" in lines[1], "numbers stay numbers"

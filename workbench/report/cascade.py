@@ -22,7 +22,7 @@ from workbench.report.words import (
     valve_words,
 )
 
-__all__ = ["cascade_lines", "cascade_sentences", "cascade_tables"]
+__all__ = ["cascade_kpis", "cascade_lines", "cascade_sentences", "cascade_tables"]
 
 PRIMARY_KPIS = ("mean_square_error", "iae", "pv_sd", "settling_time", "final_error", "controller_travel")
 SECONDARY_KPIS = ("mean_square_error", "pv_sd", "valve_travel", "reversals", "controller_travel")
@@ -74,18 +74,26 @@ def cascade_tables(study: Study) -> list[Table]:
     rows = _settings(study, "primary") + _settings(study, "secondary")
     if study.objective is not None:
         rows.append(_numbers("J", "", [math.nan if c.objective is None else c.objective for c in cases], less=True))
+    for which, name, title, unit, less in cascade_kpis():
+        values = [float(getattr(getattr(c.run, which).kpis, name)) for c in cases]
+        rows.append(_numbers(title, unit, values, name, less=less, group=name == "mean_square_error"))
+    tables = [Table(heads, tuple(rows))]
+    if any(case.cycle is not None for case in cases):
+        tables.append(Table(heads, tuple(_cycle_rows(cases))))
+    return tables
+
+
+def cascade_kpis() -> list[tuple[str, str, str, str, bool]]:
+    """Return a cascade's figures, each as (loop, name in Kpis, title, unit, whether less is better)."""
+    rows = []
     for which, names in (("primary", PRIMARY_KPIS), ("secondary", SECONDARY_KPIS)):
         for name in names:
             title, unit = kpi_title(name)
             if which == "primary" and name == "controller_travel":
                 title, unit = "Travel of its output", "EU of the secondary"
-            values = [float(getattr(getattr(c.run, which).kpis, name)) for c in cases]
             words = f"{which.capitalize()}: {title[0].lower() + title[1:] if title[1:2].islower() else title}"
-            rows.append(_numbers(words, unit, values, name, less=name in LESS, group=name == names[0]))
-    tables = [Table(heads, tuple(rows))]
-    if any(case.cycle is not None for case in cases):
-        tables.append(Table(heads, tuple(_cycle_rows(cases))))
-    return tables
+            rows.append((which, name, words, unit, name in LESS))
+    return rows
 
 
 def _numbers(

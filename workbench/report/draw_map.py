@@ -25,7 +25,7 @@ from workbench.report.words import given, label
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-__all__ = ["MapPoint", "draw_map", "map_figure", "map_panels"]
+__all__ = ["BORDERS", "PANELS", "MapPoint", "border_field", "draw_map", "map_figure", "map_panels"]
 
 WIDTH, HEIGHT = 7.1, 6.9
 PANELS = (
@@ -198,27 +198,25 @@ def _marked(found: CycleMap) -> list[tuple[NDArray[np.bool_], Style]]:
     ]
 
 
-def _field(found: CycleMap, name: str) -> FloatArray:
-    """Return a border's field: 0 on it."""
+def border_field(found: CycleMap, name: str) -> FloatArray | None:
+    """Return a border's field, shape (R, M), 0 on it; None where the map does not hold the border."""
     if name == "linear_stable":
-        return np.where(found.linear_stable, -1.0, 1.0)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        return np.clip(np.log(np.asarray(getattr(found, name), dtype=np.float64)), -50.0, 50.0)
-
-
-def _shown(found: CycleMap, name: str) -> bool:
-    field = _field(found, name)
-    return bool(np.isfinite(field).all() and field.min() < 0.0 < field.max())
+        field = np.where(found.linear_stable, -1.0, 1.0)
+    else:
+        with np.errstate(divide="ignore", invalid="ignore"):
+            field = np.clip(np.log(np.asarray(getattr(found, name), dtype=np.float64)), -50.0, 50.0)
+    return field if np.isfinite(field).all() and field.min() < 0.0 < field.max() else None
 
 
 def _border(ax: Axes, found: CycleMap, name: str, style: Style) -> None:
-    if not _shown(found, name):
+    field = border_field(found, name)
+    if field is None:
         return
     rows, columns = found.outcome.shape
     lines = ax.contour(
         np.arange(columns),
         np.arange(rows),
-        _field(found, name),
+        field,
         levels=[0.0],
         colors=[style["color"]],
         linewidths=[style["linewidth"]],
@@ -302,7 +300,9 @@ def _ticks(axis: Any, values: FloatArray, *, logarithmic: bool) -> None:
 
 def _keys(found: CycleMap, points: Sequence[MapPoint]) -> list[Any]:
     """Return the figure's key: borders, patterns and numbered tunings, as far as they are in it."""
-    out: list[Any] = [Line2D([], [], label=text, **style) for name, text, style in BORDERS if _shown(found, name)]
+    out: list[Any] = [
+        Line2D([], [], label=text, **style) for name, text, style in BORDERS if border_field(found, name) is not None
+    ]
     texts = ("unstable: PV grows", "undecided", "comes to rest from every start", "depends on the start")
     for (mask, style), text in zip(_marked(found), texts, strict=True):
         if mask.any():

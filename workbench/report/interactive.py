@@ -16,7 +16,10 @@ from markupsafe import Markup
 
 from workbench.model.record import FloatArray
 from workbench.model.study import CaseResult, Study
+from workbench.report.interactive_planes import dash_of, front_plane, map_planes, new_figure
+from workbench.report.over_ensemble import named_points
 from workbench.report.palette import OP, PV, SP, VALVE, case_style
+from workbench.report.plain_truth import map_points
 from workbench.report.thinned import seen, thin, time_axis
 from workbench.report.words import label
 
@@ -24,20 +27,22 @@ __all__ = ["SAMPLES", "Zoomable", "zoomable"]
 
 SAMPLES = 60_000  # of all cases together, above which each signal is thinned to its extremes: bounds the page's size
 HEIGHT = 210  # CSS pixels of a panel
-TOOLS = "pan,wheel_zoom,box_zoom,reset,save"
 
 
 @dataclass(frozen=True, slots=True)
 class Zoomable:
     """What a page with zoomable figures holds: Bokeh's script, the figures' own, and a place for each.
 
-    overlay: of all cases. cases: (trend, PV-OP) for each case, in order.
+    overlay: of all cases. cases: (trend, PV-OP) for each case, in order. plane: the map of tunings. front: error
+    against valve travel. "" for one that there is not.
     """
 
     library: Markup
     script: Markup
     overlay: Markup
     cases: tuple[tuple[Markup, Markup], ...]
+    plane: Markup
+    front: Markup
 
 
 def zoomable(study: Study) -> Zoomable:
@@ -49,38 +54,38 @@ def zoomable(study: Study) -> Zoomable:
     models: list[Any] = []
     for case in study.cases:
         models += [_trend(case, columns), _pv_op(case, columns)]
-    several = len(study.cases) > 1  # one case has no figure of all together, and a script without its place fails
-    if several:
+    # Figures that there are not must not be in the script: it fails without their places.
+    if len(study.cases) > 1:
         models.append(_overlay(study.cases, columns))
+    planes = map_planes(study.cycle_map, map_points(study)) if study.cycle_map is not None else None
+    if planes is not None:
+        models.append(planes)
+    if study.front is not None and study.front.sticky:
+        models.append(front_plane(study.front, named_points(study)))
     script, divs = components(models)
     library = Resources(mode="inline", components=["bokeh"]).render_js()
     # Bokeh's own markup: what comes from a scenario is escaped JSON in it.
-    places = [Markup(div) for div in divs]  # noqa: S704
-    pairs = tuple((places[2 * i], places[2 * i + 1]) for i in range(len(study.cases)))
-    return Zoomable(Markup(library), Markup(script), places[-1] if several else Markup(""), pairs)  # noqa: S704
-
-
-def _figure(ylabel: str, xlabel: str = "", **more: Any) -> Any:
-    from bokeh.plotting import figure
-
-    made = figure(height=HEIGHT, sizing_mode="stretch_width", tools=TOOLS, active_drag="box_zoom", **more)
-    made.toolbar.logo = None
-    made.yaxis.axis_label = ylabel
-    made.xaxis.axis_label = xlabel
-    return made
+    places = iter(Markup(div) for div in divs)  # noqa: S704
+    pairs = tuple((next(places), next(places)) for _ in study.cases)
+    return Zoomable(
+        Markup(library),  # noqa: S704
+        Markup(script),  # noqa: S704
+        next(places) if len(study.cases) > 1 else Markup(""),
+        pairs,
+        next(places) if planes is not None else Markup(""),
+        next(places, Markup("")),
+    )
 
 
 def _line(into: Any, x: FloatArray, y: FloatArray, columns: int, style: dict[str, Any], name: str) -> None:
     """Draw a signal over time, at single precision, where it is more than what a screen shows."""
     x, y = thin(x, seen(y), columns)
-    pattern = style["linestyle"]
-    dash = "solid" if isinstance(pattern, str) else [max(1, round(2 * part)) for part in pattern[1]]
     into.line(
         x.astype(np.float32),
         y.astype(np.float32),
         color=style["color"],
         line_width=style.get("linewidth", 1.3),
-        line_dash=dash,
+        line_dash=dash_of(style["linestyle"]),
         legend_label=name,
     )
 
@@ -101,7 +106,7 @@ def _trend(case: CaseResult, columns: int) -> Any:
     run = case.run
     unit, name = time_axis(float(run.time[-1]))
     time = run.time / unit
-    above, below = _figure("PV, SP (EU)"), _figure("OP, valve (%)", f"time ({name})")
+    above, below = new_figure("PV, SP (EU)", height=HEIGHT), new_figure("OP, valve (%)", f"time ({name})", HEIGHT)
     _line(above, time, run.pv, columns, PV, "PV")
     _line(above, time, run.sp, columns, SP, "SP")
     _line(below, time, run.valve, columns, VALVE, "valve")
@@ -114,7 +119,7 @@ def _pv_op(case: CaseResult, columns: int) -> Any:
     run = case.run
     last = slice(max(0, run.op.size - 4 * columns), None)
     op = seen(run.op[last]).astype(np.float32)
-    above, below = _figure("PV (EU)"), _figure("valve (%)", "OP (%)")
+    above, below = new_figure("PV (EU)", height=HEIGHT), new_figure("valve (%)", "OP (%)", HEIGHT)
     for part, signal, style in ((above, run.pv, PV), (below, run.valve, VALVE)):
         part.line(op, seen(signal[last]).astype(np.float32), color=style["color"], line_width=1.0)
     return _stacked(above, below)
@@ -122,7 +127,7 @@ def _pv_op(case: CaseResult, columns: int) -> Any:
 
 def _overlay(cases: Sequence[CaseResult], columns: int) -> Any:
     unit, name = time_axis(max(float(case.run.time[-1]) for case in cases))
-    above, below = _figure("PV (EU)"), _figure("valve (%)", f"time ({name})")
+    above, below = new_figure("PV (EU)", height=HEIGHT), new_figure("valve (%)", f"time ({name})", HEIGHT)
     for i, case in enumerate(cases):
         for part, signal in ((above, case.run.pv), (below, case.run.valve)):
             _line(part, case.run.time / unit, signal, columns, case_style(i), label(case.name, 30))

@@ -52,8 +52,8 @@ DETAIL = 900  # samples of a longer record that a figure of its own shows from n
 def write_report(study: Study, folder: Path | str, *, interactive: bool = False) -> None:
     """Write a study's report into `folder`, which is made where it is missing.
 
-    interactive: the cases' figures in report.html can be zoomed (see `report.interactive`); the page is then 1.2 MiB
-    and the data larger, and no longer the same to the byte.
+    interactive: the cases' figures in report.html, the map and the front can be zoomed (see `report.interactive`); the
+    page is then 1.2 MiB and the data larger, and no longer the same to the byte.
 
     report.html, results.json, cases.csv and the figures are the same to the byte for the same study; run.json holds
     what changes (times, versions, machine). All content is made before the first file is touched, and every file is

@@ -4,23 +4,24 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 
 from workbench.analyze.cascade import cascade_cycle
 from workbench.detect.detect import detect
 from workbench.errors import ScenarioError, WorkbenchError
-from workbench.model.cascade import CascadeRun
+from workbench.model.cascade import Cascade, CascadeRun, CascadeTuned
 from workbench.model.detection import Detection
 from workbench.model.experiment import Experiment
 from workbench.model.record import Record
 from workbench.model.results import SolveStatus
 from workbench.model.study import CascadeResult, Study
-from workbench.scenario.plan import CascadeJob, Scenario
+from workbench.scenario.plan import CascadeJob, CascadeTuneJob, Scenario
 from workbench.simulate.run import simulate
 from workbench.tune.cascade import evaluate_cascade, tune_cascade
 
-__all__ = ["cascade_study"]
+__all__ = ["cascade_study", "tune_job"]
 
 # Shares of the whole by which progress is told; samples of a late record that detection looks at.
 RUN, TUNE = 1.0, 12.0
@@ -74,20 +75,7 @@ def _result(
     cascade, tuned, asked = job.cascade, None, job.tune
     tell(job.name, 0.0)
     if asked is not None:
-        inner = asked.secondary or (None, None, None)
-        tuned = tune_cascade(
-            cascade,
-            experiment,
-            asked.objective,
-            asked.bounds,
-            asked.seed,
-            secondary_experiment=inner[0],
-            secondary_objective=inner[1],
-            secondary_bounds=inner[2],
-            restarts=asked.restarts,
-            digits=asked.digits,
-            progress=lambda words, share: tell(f"tune {job.name}: {words}", TUNE * share),
-        )
+        tuned = tune_job(cascade, experiment, asked, partial(_told, tell, job.name))
         if tuned.primary.status is SolveStatus.INTERRUPTED:
             raise KeyboardInterrupt
         cascade = tuned.cascade
@@ -100,6 +88,30 @@ def _result(
     if cycle is not None and cycle.outcome == "cycles" and cycle.late is not None:
         seen = alone(cycle.late)
     return CascadeResult(job.name, run, cost, cycle, seen, tuned, job.note)
+
+
+def _told(tell: Callable[[str, float], None], name: str, words: str, share: float) -> None:
+    tell(f"tune {name}: {words}", TUNE * share)
+
+
+def tune_job(
+    cascade: Cascade, experiment: Experiment, asked: CascadeTuneJob, progress: Callable[[str, float], None]
+) -> CascadeTuned:
+    """Return the tuning in turn that a case asks for. Raises `WorkbenchError`."""
+    inner = asked.secondary or (None, None, None)
+    return tune_cascade(
+        cascade,
+        experiment,
+        asked.objective,
+        asked.bounds,
+        asked.seed,
+        secondary_experiment=inner[0],
+        secondary_objective=inner[1],
+        secondary_bounds=inner[2],
+        restarts=asked.restarts,
+        digits=asked.digits,
+        progress=progress,
+    )
 
 
 def alone(late: CascadeRun) -> tuple[Detection, Detection]:

@@ -297,7 +297,9 @@ def _inside(points: FloatArray, step: float, rng: np.random.Generator) -> FloatA
 
 def _left_alone(judge: Judge) -> float:
     """Return the mean square error (EU^2) over the draws without control: of steps that meet no answer."""
-    idle = judge.problem.loop.with_controller(PID(0.0, math.inf))
+    loop = judge.problem.loop
+    # The limits stay: a curved characteristic is not without them.
+    idle = loop.with_controller(PID(0.0, math.inf, output_limits=loop.controller.output_limits))
     given = Circumstances(idle, judge.given.ensemble)
     terms = given.terms(np.array([[0.0, math.inf, 0.0]]))
     return float(terms[0, :, 4].mean() / given.samples)

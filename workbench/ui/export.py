@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import csv
 import io
-import math
 from collections.abc import Iterable
 
 from workbench.errors import InvalidValue, ScenarioError
 from workbench.report.cells import cell
-from workbench.ui.state import ROWS, Session
+from workbench.report.words import compensator_words
+from workbench.ui.state import Session, value_of
 
 __all__ = ["made"]
 
@@ -39,23 +39,31 @@ def _csv(rows: Iterable[Iterable[object]]) -> str:
 def _trends(session: Session) -> str:
     """Return the page's own run, a row for each sample."""
     own = session.own
-    if own is None or own.run is None:
+    if own is None or own.run is None or own.outer is None:
         raise ScenarioError("nothing was simulated")
-    run = own.run
+    run, outer = own.run, own.outer
     if run.time.size > MOST_ROWS:
         raise InvalidValue("samples", f"{run.time.size:,}", f"must be at most {MOST_ROWS:,} to leave as a table")
-    columns = [run.time, run.sp, run.pv, run.op, run.valve]
+    names, columns = ["time_s", "SP", "PV", "OP", "valve"], [run.time, run.sp, run.pv, run.op, run.valve]
+    if outer is not run:
+        names[1:1] = ["primary_SP", "primary_PV", "primary_OP"]
+        columns[1:1] = [outer.sp, outer.pv, outer.op]
     rows = zip(*(column.tolist() for column in columns), strict=True)
-    return _csv([["time_s", "SP", "PV", "OP", "valve"], *rows])
+    return _csv([names, *rows])
 
 
 def _figures(session: Session) -> str:
-    """Return the pinned cases and the page's own: settings and every figure, a row for each case."""
+    """Return the pinned cases and the page's own: settings and every figure, a row for each case.
+
+    Of a cascade the settings of its primary stand before those of its secondary.
+    """
     own = [session.own] if session.own is not None else []
-    names = [name for name, *_ in ROWS if name != "objective"]
-    rows: list[list[object]] = [["case", "Kc", "Ti", "Td", "form", "objective", *names]]
+    names = [name for name, *_ in session.rows if name != "objective"]
+    settings = ["Kc", "Ti", "Td", "form", "compensator"]
+    above = [f"primary_{name}" for name in settings] if session.screen.cascade else []
+    rows: list[list[object]] = [["case", *above, *settings, "objective", *names]]
     for one in [*session.runs(), *own]:
-        pid = one.controller
-        figures = [math.nan if one.run is None else float(getattr(one.run.kpis, name)) for name in names]
-        rows.append([one.name, pid.Kc, pid.Ti, pid.Td, pid.form, one.objective, *figures])
+        pids = [pid for pid in (one.primary, one.controller) if pid is not None]
+        told = [v for pid in pids for v in (pid.Kc, pid.Ti, pid.Td, pid.form, compensator_words(pid.compensator))]
+        rows.append([one.name, *told, one.objective, *(value_of(one, name) for name in names)])
     return _csv(rows)

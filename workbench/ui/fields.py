@@ -7,161 +7,61 @@ loader says what they mean and whether they are allowed.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import re
+from collections.abc import Mapping
 from types import MappingProxyType
 
-from workbench.model.controller import FORMS, STRUCTURES
+from workbench.model.titles import kpi_title
+from workbench.model.tuning import WEIGHABLE
+from workbench.ui.entry import SECONDS, Field, Group
+from workbench.ui.loop_fields import OWN_WEIGHT, controller_fields, element_fields, plant_fields, valve_fields
+from workbench.ui.tune_fields import TUNE_GROUPS
 
-__all__ = ["DEFAULTS", "FIELDS", "GROUPS", "OWN_WEIGHT", "Field", "Group", "field_of"]
+__all__ = ["DEFAULTS", "FIELDS", "GROUPS", "OWN_WEIGHT", "field_of"]
 
-SECONDS = ("s", "min", "h")
-OWN_WEIGHT = "own setpoint weight"  # a structure without a name of its own
-
-
-@dataclass(frozen=True, slots=True)
-class Field:
-    """One entry. units: to choose from, () for none. choices: (value, words), () for what is typed.
-
-    slider: "log" (even ratios), "linear" or "" for none; reach: how far a linear one goes from 0 at least, to both
-    sides where it is signed. when: the entry shows where another has one of these values.
-    flag: a yes or no. hint: shown under the field's name.
-    """
-
-    path: str
-    label: str
-    default: str
-    units: tuple[str, ...] = ()
-    choices: tuple[tuple[str, str], ...] = ()
-    slider: str = ""
-    reach: float = 1.0
-    signed: bool = False
-    when: tuple[str, tuple[str, ...]] | None = None
-    flag: bool = False
-    hint: str = ""
-
-
-@dataclass(frozen=True, slots=True)
-class Group:
-    """Fields under one heading."""
-
-    name: str
-    title: str
-    fields: tuple[Field, ...]
-
-
-def _valve(path: str, label: str, default: str, *types: str, hint: str = "") -> Field:
-    when = ("loop.valve.type", types)
-    return Field(f"loop.valve.{path}", label, default, ("%",), slider="log", when=when, hint=hint)
-
-
-_PLANT = Group(
-    "plant",
-    "Plant",
-    (
-        Field(
-            "loop.plant.type",
-            "Kind",
-            "fopdt",
-            choices=(("fopdt", "first order plus dead time"), ("integrating", "integrating plus dead time")),
-        ),
-        Field("loop.plant.gain", "Gain K", "1", ("EU/%",), slider="log", hint="integrating: EU/(% s)"),
-        Field(
-            "loop.plant.time_constant",
-            "Time constant",
-            "5",
-            SECONDS,
-            slider="log",
-            when=("loop.plant.type", ("fopdt",)),
-        ),
-        Field("loop.plant.dead_time", "Dead time", "1", SECONDS, slider="linear", reach=5.0),
-    ),
-)
-_VALVE = Group(
-    "valve",
-    "Valve",
-    (
-        Field(
-            "loop.valve.type",
-            "Law",
-            "stenman",
-            choices=(
-                ("ideal", "ideal, no friction"),
-                ("stenman", "Stenman (d)"),
-                ("he", "He (fs, fd)"),
-                ("choudhury", "Choudhury (S, J)"),
-                ("kano", "Kano (S, J)"),
-                ("deadband", "dead band (b)"),
-                ("directional", "Choudhury, unlike directions"),
-            ),
-        ),
-        _valve("d", "Stiction d", "2", "stenman"),
-        _valve("fs", "Static friction fs", "1.5", "he"),
-        _valve("fd", "Dynamic friction fd", "0.5", "he", hint="at most fs"),
-        _valve("S", "Stick band S", "2", "choudhury", "kano"),
-        _valve("J", "Slip jump J", "1", "choudhury", "kano"),
-        _valve("b", "Full band b", "2", "deadband"),
-        _valve("up.S", "Upward S", "2", "directional"),
-        _valve("up.J", "Upward J", "1", "directional"),
-        _valve("down.S", "Downward S", "3", "directional"),
-        _valve("down.J", "Downward J", "1", "directional"),
-    ),
-)
-_LIMITED = ("loop.controller.limited", ("true",))
+_PLANT = Group("plant", "Plant", plant_fields("loop.plant"))
+_VALVE = Group("valve", "Valve", (*valve_fields("loop.valve"), *element_fields("loop")))
 _CONTROLLER = Group(
     "controller",
     "Controller",
     (
-        Field("loop.controller.Kc", "Gain Kc", "0.5", ("%/EU", "%/%", "PB %"), slider="log"),
-        Field("loop.controller.Ti", "Integral time Ti", "20", (*SECONDS, "repeats/min"), slider="log", hint="or none"),
-        Field("loop.controller.Td", "Derivative time Td", "0", SECONDS, slider="linear", reach=10.0),
-        Field("loop.controller.form", "Form", "ideal", choices=tuple((form, form) for form in FORMS)),
+        *controller_fields("loop.controller"),
+        Field("loop.scan", "Scan", "1", hint="executes every so many samples", more=True),
+        Field("loop.pv_range.low", "PV range from", "", ("EU",), hint="for %/% and PB", more=True),
+        Field("loop.pv_range.high", "PV range to", "", ("EU",), more=True),
+    ),
+)
+_OUTER = "cascade.primary"
+_INNER = "cascade.secondary"
+_PRIMARY_PLANT = Group(
+    "primary_plant",
+    "Primary: plant",
+    plant_fields(f"{_OUTER}.plant", gain="EU/EU", moved="EU", given=("1.2", "60", "10")),
+)
+_PRIMARY = Group(
+    "primary",
+    "Primary: controller",
+    (
+        *controller_fields(f"{_OUTER}.controller", of_cascade="primary", given=("3", "80")),
+        Field(f"{_OUTER}.sample_time", "Sample time", "5", ("s", "ms", "min"), hint="whole samples of the secondary"),
+        Field("cascade.scale", "Scale", "1", hint="EU of the secondary per unit of the output", more=True),
         Field(
-            "loop.controller.structure",
-            "Structure",
-            "PID on error",
-            choices=tuple((name, name) for name in (*STRUCTURES, OWN_WEIGHT)),
-        ),
-        Field(
-            "loop.controller.derivative_on",
-            "Derivative on",
-            "pv",
-            choices=(("error", "error"), ("pv", "PV")),
-            when=("loop.controller.structure", (OWN_WEIGHT,)),
-        ),
-        Field(
-            "loop.controller.setpoint_weight",
-            "Setpoint weight",
-            "0.5",
-            when=("loop.controller.structure", (OWN_WEIGHT,)),
-            hint="0 to 1",
-        ),
-        Field("loop.controller.derivative_filter", "Derivative filter n", "10", hint="Tf = Td/n, or none"),
-        Field(
-            "loop.controller.action",
-            "Action",
-            "reverse",
-            choices=(("reverse", "reverse (plant gain > 0)"), ("direct", "direct (plant gain < 0)")),
-        ),
-        Field("loop.controller.limited", "Output limits", "false", flag=True),
-        Field("loop.controller.output_limits.low", "Lowest OP", "-50", ("%",), when=_LIMITED, hint="from rest"),
-        Field("loop.controller.output_limits.high", "Highest OP", "50", ("%",), when=_LIMITED, hint="from rest"),
-        Field(
-            "loop.controller.anti_windup",
-            "Anti-windup",
+            "cascade.anti_windup",
+            "Where the secondary is at a limit",
             "clamp",
-            choices=(("clamp", "clamp"), ("back_calculation", "back-calculation")),
-            when=_LIMITED,
+            choices=(("clamp", "the integral is held"), ("none", "it integrates on")),
+            more=True,
         ),
-        Field(
-            "loop.controller.tracking_time",
-            "Tracking time",
-            "",
-            SECONDS,
-            when=_LIMITED,
-            hint="of back-calculation; empty: Ti",
-        ),
-        Field("loop.pv_range.low", "PV range from", "", ("EU",), hint="for %/% and PB"),
-        Field("loop.pv_range.high", "PV range to", "", ("EU",)),
+    ),
+)
+_SECONDARY_PLANT = Group("secondary_plant", "Secondary: plant", plant_fields(f"{_INNER}.plant", given=("1", "3", "1")))
+_SECONDARY_VALVE = Group("secondary_valve", "Valve", valve_fields(f"{_INNER}.valve", d="1"))
+_SECONDARY = Group(
+    "secondary",
+    "Secondary: controller",
+    (
+        *controller_fields(f"{_INNER}.controller", of_cascade="secondary", given=("0.5", "5")),
+        Field(f"{_INNER}.sample_time", "Sample time", "1", ("s", "ms", "min")),
     ),
 )
 _EXPERIMENT = Group(
@@ -170,7 +70,7 @@ _EXPERIMENT = Group(
     (
         Field("experiment.duration", "Duration", "1000", SECONDS),
         Field("loop.sample_time", "Sample time", "1", ("s", "ms", "min")),
-        Field("loop.coarse_sampling", "Allow coarse sampling", "false", flag=True),
+        Field("loop.coarse_sampling", "Allow coarse sampling", "false", flag=True, more=True),
         Field("experiment.setpoint.step", "Setpoint step", "4", ("EU",), slider="linear", reach=5.0, signed=True),
         Field("experiment.setpoint.at", "at", "0", SECONDS),
         Field(
@@ -184,8 +84,29 @@ _EXPERIMENT = Group(
             hint="at the plant's input",
         ),
         Field("experiment.load.at", "at", "0", SECONDS),
+        Field(
+            "experiment.primary_load.step",
+            "Load step of the primary",
+            "0",
+            ("EU",),
+            slider="linear",
+            reach=5.0,
+            signed=True,
+            hint="EU of the secondary",
+        ),
+        Field("experiment.primary_load.at", "at", "0", SECONDS),
         Field("experiment.noise.sd", "Noise", "0", ("EU",), slider="linear", reach=0.2, hint="standard deviation"),
         Field("experiment.noise.seed", "Noise seed", "0"),
+        Field(
+            "experiment.secondary_noise.sd",
+            "Noise of the secondary",
+            "0",
+            ("EU",),
+            slider="linear",
+            reach=0.2,
+            hint="standard deviation",
+        ),
+        Field("experiment.secondary_noise.seed", "Its seed", "0"),
         Field(
             "experiment.stem_offset",
             "Stem offset",
@@ -195,9 +116,17 @@ _EXPERIMENT = Group(
             reach=2.0,
             signed=True,
             hint="OP from stem at rest",
+            more=True,
         ),
     ),
 )
+
+
+def _weight(name: str, *, more: bool) -> Field:
+    title, unit = kpi_title(name)
+    return Field(f"objective.{name}", title, "0", hint=f"weight per {unit}" if unit else "weight", more=more)
+
+
 _OBJECTIVE = Group(
     "objective",
     "Objective J",
@@ -206,33 +135,7 @@ _OBJECTIVE = Group(
         Field("objective.w2", "w2", "0", hint="on Σ OP²"),
         Field("objective.w3", "w3", "0.5", hint="on the last error, squared"),
         Field("objective.w4", "w4", "0", hint="on Σ (OP move)²"),
-        Field("objective.valve_travel", "Valve travel", "0", hint="weight per %"),
-        Field("objective.iae", "IAE", "0", hint="weight per EU s"),
-    ),
-)
-_TUNE = Group(
-    "tune",
-    "Search",
-    (
-        Field("tune.kind", "Controller", "PI", choices=(("PI", "PI (Td = 0)"), ("PID", "PID"))),
-        Field("tune.bounds.Kc.low", "Kc from", "0", ("%/EU",)),
-        Field("tune.bounds.Kc.high", "Kc to", "10", ("%/EU",)),
-        Field("tune.bounds.Ti.low", "Ti from", "5", SECONDS),
-        Field("tune.bounds.Ti.high", "Ti to", "600", SECONDS),
-        Field("tune.bounds.Td.low", "Td from", "0", SECONDS, when=("tune.kind", ("PID",))),
-        Field("tune.bounds.Td.high", "Td to", "60", SECONDS, when=("tune.kind", ("PID",))),
-        Field(
-            "tune.robust",
-            "Robust",
-            "false",
-            flag=True,
-            hint="over random steps, loads, noise and plants 20 % off",
-        ),
-        Field("tune.constraints.max_sensitivity", "Largest Ms", "", hint="empty: none (robust: 2)"),
-        Field("tune.constraints.valve_travel", "Largest valve travel", "", ("%",), hint="empty: none"),
-        Field("tune.digits", "Digits to type in", "4"),
-        Field("tune.restarts", "Searches", "4"),
-        Field("tune.seed", "Seed", "0"),
+        *(_weight(name, more=name not in ("valve_travel", "iae")) for name in WEIGHABLE),
     ),
 )
 _ESTIMATE = Group(
@@ -279,7 +182,24 @@ _MAP = Group(
 )
 
 GROUPS = MappingProxyType(
-    {g.name: g for g in (_PLANT, _VALVE, _CONTROLLER, _EXPERIMENT, _OBJECTIVE, _TUNE, _ESTIMATE, _MAP)}
+    {
+        group.name: group
+        for group in (
+            _PLANT,
+            _VALVE,
+            _CONTROLLER,
+            _PRIMARY_PLANT,
+            _PRIMARY,
+            _SECONDARY_PLANT,
+            _SECONDARY_VALVE,
+            _SECONDARY,
+            _EXPERIMENT,
+            _OBJECTIVE,
+            *TUNE_GROUPS,
+            _ESTIMATE,
+            _MAP,
+        )
+    }
 )
 FIELDS = MappingProxyType({field.path: field for group in GROUPS.values() for field in group.fields})
 
@@ -292,18 +212,37 @@ def _defaults() -> dict[str, str]:
 DEFAULTS = MappingProxyType(_defaults())
 
 
-def field_of(where: str) -> str | None:
-    """Return the path of the field that a loader's message is about, by its `where`; None where no field has it."""
+def field_of(where: str, entries: Mapping[str, str] | None = None) -> str | None:
+    """Return the path of the field that a loader's message is about, by its `where`; None where no field has it.
+
+    entries: what stands on the page; for a field that they hide it is the one that would show it. None: all show.
+    """
     path = where.replace("cases[0].tune.", "tune.").replace("cases[0].tune", "tune").replace("estimate[0]", "estimate")
     for name in ("output_limits", "pv_range", "op_range", "bounds.Kc", "bounds.Ti", "bounds.Td"):
         path = path.replace(f"{name}[0]", f"{name}.low").replace(f"{name}[1]", f"{name}.high")
-    path = path.replace("[0]", "").replace("proportional_band", "Kc").removeprefix("cases.")
+    path = re.sub(r"\[[0-9]+\]", "", path).replace("proportional_band", "Kc").removeprefix("cases.")
     path = path.replace("tune.objective.", "objective.")
+    path = re.sub(r"^tune_cascade\.(digits|restarts|seed)$", r"tune.\1", path)
+    root = next((one for one in ("loop", _OUTER, _INNER) if path.startswith(f"{one}.")), "loop")
+    own = path.removeprefix(f"{root}.")
+    # What valve or controller refuse of the loop about them is said of the loop.
+    for place in (path, f"{root}.controller.{own}", f"{root}.valve.{own}"):
+        found = _nearest(place)
+        if found is not None and (place == path or found.startswith(place)):
+            return found if entries is None else _shown(found, entries)
+    return None
+
+
+def _nearest(path: str) -> str | None:
+    """Return the field of a path, or of the nearest path above it."""
     while path:
-        if path in FIELDS:
-            return path
-        low = f"{path}.low"
-        if low in FIELDS:
-            return low
+        for one in (path, f"{path}.low", f"{path}.type", f"{path}.action"):
+            if one in FIELDS:
+                return one
         path = path.rpartition(".")[0]
     return None
+
+
+def _shown(path: str, entries: Mapping[str, str]) -> str:
+    when = FIELDS[path].when
+    return path if when is None or entries[when[0]] in when[1] else _shown(when[0], entries)

@@ -24,10 +24,8 @@ from bokeh.models import (
     Range1d,
     Scatter,
     Span,
-    Step,
     Text,
 )
-from bokeh.plotting import figure
 
 from workbench.model.analyses import DescribingFunction
 from workbench.model.cycle_map import OUTCOMES
@@ -35,20 +33,17 @@ from workbench.model.record import FloatArray
 from workbench.report import palette as style
 from workbench.report.palette import GROWS, SHADES
 from workbench.report.thinned import but_for_kicks, seen, time_axis
-from workbench.report.words import label
+from workbench.ui.draw import FONT, curve, edges, label_sides, labels, line_look, new_figure, positive, step
 from workbench.ui.state import MOST_CASES, CaseRun
 from workbench.ui.trend import WHOLE, Axis, Trend, loop_line
 from workbench.ui.work import Found, FrontFound, MapFound, ReadRecord
 
 __all__ = ["LEGENDS", "MAP_FIGURES", "Pictures"]
 
-FONT = '"Segoe UI", Arial, "Liberation Sans", Helvetica, sans-serif'
-SOFT, GRID, INK = "#555555", "#e4e4e4", "#1a1a1a"
 TEXT = {"text_font": value(FONT), "text_font_size": "12px"}
 NO_SIGNAL = np.array([])
 EMPTY = {"x": NO_SIGNAL, "y": NO_SIGNAL}
 OWN = {"line_color": "#9aa5b1", "line_width": 4.0}  # the page's own run beside the pinned ones
-LABEL = 24  # characters of a name in a picture
 TRADE = [("travel", "@x"), ("mean square error", "@y")]
 WILD = 1e6  # EU: a diverging case would flatten the others
 MAP_FIGURES = {
@@ -59,60 +54,10 @@ MAP_FIGURES = {
 }
 
 
-def _line(look: style.Style, width: float = 1.5) -> dict[str, Any]:
-    """Return a line style of the report's figures as Bokeh's."""
-    dash = look["linestyle"]
-    return {
-        "line_color": look["color"],
-        "line_dash": "solid" if dash == "-" else [math.ceil(3 * part) if part > 1 else 2 for part in dash[1]],
-        "line_width": width,
-    }
-
-
-def _figure(name: str, x: str, y: str, **options: Any) -> Any:
-    """Return an empty figure that fills its place on the page."""
-    for axis in ("x_range", "y_range"):
-        options.setdefault(axis, Range1d(0, 1))
-    fig = figure(
-        name=name,
-        sizing_mode="stretch_both",
-        min_height=120,
-        tools="pan,box_zoom,wheel_zoom,reset,save",
-        active_drag="box_zoom",
-        active_scroll=None,
-        toolbar_location="right",
-        x_axis_label=x,
-        y_axis_label=y,
-        **options,
-    )
-    fig.toolbar.logo = None
-    fig.toolbar.autohide = True
-    fig.outline_line_color = None
-    fig.min_border_left, fig.min_border_right = 64, 12
-    for axis in fig.axis:
-        axis.axis_label_text_font = axis.major_label_text_font = FONT
-        axis.axis_label_text_font_style = "normal"
-        axis.axis_label_text_font_size = axis.major_label_text_font_size = "12px"
-        axis.axis_label_text_color = axis.major_label_text_color = SOFT
-        axis.axis_line_color = axis.major_tick_line_color = "#999999"
-        axis.minor_tick_line_color = None
-    fig.grid.grid_line_color = GRID
-    return fig
-
-
-def _curve(fig: Any, source: ColumnDataSource, x: str, y: str, **look: Any) -> Any:
-    """Add a line; with nothing beside the glyph that a page without selections would have to carry."""
-    return fig.add_glyph(source, Line(x=x, y=y, **look))
-
-
-def _step(fig: Any, source: ColumnDataSource, x: str, y: str, **look: Any) -> Any:
-    """Add a line that holds each value until the next."""
-    return fig.add_glyph(source, Step(x=x, y=y, mode="after", **look))
-
-
 # What is drawn in which figure, for the page's own legends: a browser draws those once, not with every picture.
 LEGENDS: dict[str, tuple[tuple[str, style.Style], ...]] = {
     "pv": (("PV", style.PV), ("SP", style.SP)),
+    "pv2": (("PV", style.PV), ("SP", style.SP)),
     "op": (("OP", style.OP), ("stem", style.VALVE)),
     "e_pv": (("PV", style.PV), ("SP", style.SP), ("model", style.PREDICTION), ("without stiction", style.LINEAR)),
     "e_op": (("OP", style.OP), ("estimated stem", style.VALVE)),
@@ -135,21 +80,22 @@ class Pictures:
         self._frequency()
 
     def _add(self, name: str, x: str, y: str, **options: Any) -> Any:
-        fig = self.figures[name] = _figure(name, x, y, **options)
+        fig = self.figures[name] = new_figure(name, x, y, **options)
         # The figure below shows the axis that both share; each axis and grid that is not drawn makes a slider quicker.
         fig.xaxis.visible = bool(x)
-        fig.xgrid.visible = name not in ("pv", "op", "pv_op", "op_stem")
+        fig.xgrid.visible = name not in ("pv", "pv2", "op", "pv_op", "op_stem")
         if isinstance(fig.y_range, Range1d):
             self.axes |= {f"{name}.x": Axis(), f"{name}.y": Axis()}
         return fig
 
-    def moved(self, *, all_of_them: bool = False) -> dict[str, tuple[float, float]]:
-        """Return the ends of every axis ("pv.y") that changed since they were last asked for."""
-        shared = {"op.x": "pv.x", "op_stem.x": "pv_op.x", "c_stem.x": "c_pv.x", "e_op.x": "e_pv.x"}
+    def moved(self, *, all_of_them: bool = False, anew: str = "") -> dict[str, tuple[float, float]]:
+        """Return the ends of every axis ("pv.y") that changed since they were last told, and of the figure `anew`."""
+        shared = {"op.x": "pv.x", "pv2.x": "pv.x", "op_stem.x": "pv_op.x", "c_stem.x": "c_pv.x", "e_op.x": "e_pv.x"}
         now = {name: axis.ends for name, axis in self.axes.items() if name not in shared}
         told = {} if all_of_them else self._told
         self._told = now
-        return {name: ends for name, ends in now.items() if told.get(name) != ends}
+        drawn = {f"{anew}.x", f"{anew}.y"}
+        return {name: ends for name, ends in now.items() if told.get(name) != ends or name in drawn}
 
     # the loop ------------------------------------------------------------------------------------------------------
 
@@ -157,11 +103,15 @@ class Pictures:
         pv = self._add("pv", "", "PV, SP (EU)")
         self.run = Trend(("sp", "pv", "op", "valve", "pv_op", "op_stem"), pv.x_range)
         self.axes["pv.x"] = self.run.axis
-        _step(pv, self.run.source, "sp_x", "sp_y", **_line(style.SP, 1.2))
-        pv_line = _curve(pv, self.run.source, "pv_x", "pv_y", **_line(style.PV))
+        step(pv, self.run.source, "sp_x", "sp_y", **line_look(style.SP, 1.2))
+        pv_line = curve(pv, self.run.source, "pv_x", "pv_y", **line_look(style.PV))
+        inner = self._add("pv2", "", "secondary's PV, SP (EU)", x_range=pv.x_range)
+        self.inner = Trend(("sp2", "pv2"), pv.x_range)  # of its own: only a cascade sends it
+        step(inner, self.inner.source, "sp2_x", "sp2_y", **line_look(style.SP, 1.2))
+        curve(inner, self.inner.source, "pv2_x", "pv2_y", **line_look(style.PV))
         op = self._add("op", "time (s)", "OP, stem (%)", x_range=pv.x_range)
-        op_line = _step(op, self.run.source, "op_x", "op_y", **_line(style.OP, 1.2))
-        _step(op, self.run.source, "valve_x", "valve_y", **_line(style.VALVE, 1.7))
+        op_line = step(op, self.run.source, "op_x", "op_y", **line_look(style.OP, 1.2))
+        step(op, self.run.source, "valve_x", "valve_y", **line_look(style.VALVE, 1.7))
         cross = Span(dimension="height", line_color="#aaaaaa", line_width=1)
         for fig in (pv, op):
             fig.add_tools(CrosshairTool(overlay=cross, dimensions="height"))
@@ -169,10 +119,10 @@ class Pictures:
             rows = [("time", f"@{text}_x"), (text.upper(), f"@{text}_y")]
             fig.add_tools(HoverTool(renderers=[line], tooltips=rows, mode="vline", line_policy="nearest"))
         pv_op = self._add("pv_op", "", "PV (EU)")
-        _curve(pv_op, self.run.source, "pv_op_x", "pv_op_y", **_line(style.PV, 1.1))
+        curve(pv_op, self.run.source, "pv_op_x", "pv_op_y", **line_look(style.PV, 1.1))
         op_stem = self._add("op_stem", "OP (%)", "stem (%)", x_range=pv_op.x_range)
-        _curve(op_stem, self.run.source, "op_stem_x", "op_stem_y", **_line(style.VALVE, 1.1))
-        glyphs = [renderer.glyph for fig in (pv, op, pv_op, op_stem) for renderer in fig.renderers]
+        curve(op_stem, self.run.source, "op_stem_x", "op_stem_y", **line_look(style.VALVE, 1.1))
+        glyphs = [renderer.glyph for fig in (pv, inner, op, pv_op, op_stem) for renderer in fig.renderers]
         self._lines = [(g, {"line_width": g.line_width, "line_dash": g.line_dash}) for g in glyphs]
 
     def _time(self, span: float, name: str) -> float:
@@ -198,19 +148,31 @@ class Pictures:
             glyph.update(**(look | {"line_width": 1.0, "line_dash": "solid"} if fine else look))
 
     def show_run(self, shown: CaseRun) -> None:
-        """Draw the page's own run, as far as it stays finite."""
-        run = shown.run
-        if run is None:
+        """Draw the page's own run, as far as it stays finite; of a cascade both loops."""
+        run, outer = shown.run, shown.outer
+        if run is None or outer is None:
             return
         unit = self._time(float(run.time[-1]), "op")
         self._draw_finely(run.time.size > WHOLE)
         against = {"pv_op": loop_line(run.op, run.pv), "op_stem": loop_line(run.op, run.valve)}
-        self.run.fill(run.time / unit, {"sp": run.sp, "pv": run.pv, "op": run.op, "valve": run.valve}, against)
-        self._fit("pv.y", (run.sp, run.pv))
+        self.run.fill(run.time / unit, {"sp": outer.sp, "pv": outer.pv, "op": run.op, "valve": run.valve}, against)
+        self._fit("pv.y", (outer.sp, outer.pv))
+        self._name(self.figures["pv"], "PV, SP (EU)", cascade=outer is not run)
+        self._name(self.figures["pv_op"], "PV (EU)", cascade=outer is not run, own="secondary's ")
+        if outer is not run:
+            self.inner.fill(run.time / unit, {"sp2": run.sp, "pv2": run.pv})
+            self._fit("pv2.y", (run.sp, run.pv))
         self._fit("op.y", (run.op, run.valve), kicks=True)
         self._fit("pv_op.x", (run.op,))
         self._fit("pv_op.y", (run.pv,))
         self._fit("op_stem.y", (run.valve,))
+
+    @staticmethod
+    def _name(fig: Any, words: str, *, cascade: bool, own: str = "primary's ") -> None:
+        """Write what a figure's upright axis is; of a cascade whose it is, too."""
+        words = own + words if cascade else words
+        if fig.yaxis[0].axis_label != words:
+            fig.yaxis[0].axis_label = words
 
     # comparing -----------------------------------------------------------------------------------------------------
 
@@ -221,14 +183,14 @@ class Pictures:
         self.cases = Trend([f"{what}{i}" for i in places for what in ("pv", "valve")], pv.x_range)
         self.axes["c_pv.x"] = self.cases.axis
         for i in places:
-            look = OWN if i == MOST_CASES else _line(style.case_style(i), 1.4)
-            _curve(pv, self.cases.source, f"pv{i}_x", f"pv{i}_y", **look)
-            _step(stem, self.cases.source, f"valve{i}_x", f"valve{i}_y", **look)
+            look = OWN if i == MOST_CASES else line_look(style.case_style(i), 1.4)
+            curve(pv, self.cases.source, f"pv{i}_x", f"pv{i}_y", **look)
+            step(stem, self.cases.source, f"valve{i}_x", f"valve{i}_y", **look)
         self.trade, _ = self._plane("c_trade", "valve travel (%)")
         self.front, lines = self._plane("c_front", "mean valve travel in a draw (%)")
         self.fronts = tuple(ColumnDataSource(EMPTY) for _ in range(2))
         for source, look in zip(self.fronts, (style.VALVE, style.PV), strict=True):
-            line = lines.add_glyph(source, Line(x="x", y="y", **_line(look, 1.6)))
+            line = lines.add_glyph(source, Line(x="x", y="y", **line_look(look, 1.6)))
             lines.add_glyph(source, Scatter(x="x", y="y", size=5, fill_color=look["color"], line_color=look["color"]))
             lines.add_tools(HoverTool(renderers=[line], tooltips=TRADE))
 
@@ -246,9 +208,10 @@ class Pictures:
         fig.yaxis.formatter = fig.xaxis.formatter = BasicTickFormatter()
         for axis in fig.xaxis if name == "c_trade" else fig.axis:
             axis.ticker = LogTicker(mantissas=[1, 2, 5])
-        source = ColumnDataSource({"x": [], "y": [], "color": [], "name": []})
+        source = ColumnDataSource({"x": [], "y": [], "color": [], "name": [], "align": [], "beside": [], "rise": []})
         dots = fig.add_glyph(source, Scatter(x="x", y="y", size=11, fill_color="color", line_color="white"))
-        fig.add_glyph(source, Text(x="x", y="y", text="name", x_offset=9, y_offset=4, **TEXT))
+        beside = {"text_align": "align", "x_offset": "beside", "y_offset": "rise"}
+        fig.add_glyph(source, Text(x="x", y="y", text="name", **beside, **TEXT))
         fig.add_tools(HoverTool(renderers=[dots], tooltips=TRADE))
         return source, fig
 
@@ -256,15 +219,17 @@ class Pictures:
         """Draw both fronts and the cases, but for what logarithms do not hold."""
         for source, points in zip(self.fronts, (found.sticky, found.repaired), strict=True):
             pairs = [
-                (p.valve_travel, p.mean_square_error) for p in points if _positive(p.valve_travel, p.mean_square_error)
+                (p.valve_travel, p.mean_square_error) for p in points if positive(p.valve_travel, p.mean_square_error)
             ]
             source.data = {"x": np.array([x for x, _ in pairs]), "y": np.array([y for _, y in pairs])}
-        placed = [(i, one) for i, one in enumerate(found.cases) if _positive(one[1], one[2])]
+        placed = [(i, one) for i, one in enumerate(found.cases) if positive(one[1], one[2])]
+        names = labels([one[0] for _, one in placed], [one[1:] for _, one in placed])
         self.front.data = {
             "x": [one[1] for _, one in placed],
             "y": [one[2] for _, one in placed],
             "color": [OWN["line_color"] if i == 0 else style.case_style(i - 1)["color"] for i, _ in placed],
-            "name": _labels([one[0] for _, one in placed], [one[1:] for _, one in placed]),
+            "name": names,
+            **label_sides([one[1] for _, one in placed], [math.log(one[2]) for _, one in placed], names),
         }
 
     def show_cases(self, runs: Sequence[CaseRun], own: CaseRun | None) -> None:
@@ -274,23 +239,24 @@ class Pictures:
         signals: dict[str, FloatArray] = {}
         time = NO_SIGNAL
         for place, one in placed:
-            if one.run is None:
+            if one.run is None or one.outer is None:
                 continue
             time = one.run.time
-            signals |= {f"pv{place}": one.run.pv, f"valve{place}": one.run.valve}
-            kpis = one.run.kpis
-            if math.isfinite(kpis.mean_square_error) and kpis.valve_travel > 0.0:
-                points["x"].append(kpis.valve_travel)
-                points["y"].append(kpis.mean_square_error)
+            signals |= {f"pv{place}": one.outer.pv, f"valve{place}": one.run.valve}
+            travel, error = one.run.kpis.valve_travel, one.outer.kpis.mean_square_error
+            if math.isfinite(error) and travel > 0.0:
+                points["x"].append(travel)
+                points["y"].append(error)
                 points["color"].append(OWN["line_color"] if place == MOST_CASES else style.case_style(place)["color"])
                 points["name"].append(one.name)
         unit = self._time(float(time[-1]) if time.size else 0.0, "c_stem")
         self.cases.fill(time / unit, signals)
-        calm = [one.run for _, one in placed if one.run is not None and float(np.nanmax(np.abs(one.run.pv))) < WILD]
-        self._fit("c_pv.y", [run.pv for run in calm])
-        self._fit("c_stem.y", [run.valve for run in calm], kicks=True)
-        points["name"] = _labels(points["name"], [*zip(points["x"], points["y"], strict=True)])
-        self.trade.data = points
+        calm = [name[2:] for name in signals if name[:2] == "pv" and float(np.nanmax(np.abs(signals[name]))) < WILD]
+        self._fit("c_pv.y", [signals[f"pv{place}"] for place in calm])
+        self._fit("c_stem.y", [signals[f"valve{place}"] for place in calm], kicks=True)
+        self._name(self.figures["c_pv"], "PV (EU)", cascade=any(one.primary is not None for _, one in placed))
+        points["name"] = labels(points["name"], [*zip(points["x"], points["y"], strict=True)])
+        self.trade.data = points | label_sides(points["x"], points["y"], points["name"])
 
     # estimate ------------------------------------------------------------------------------------------------------
 
@@ -299,13 +265,13 @@ class Pictures:
         self.record = Trend(("sp", "pv", "prediction", "linear", "op", "stem"), pv.x_range)
         self.axes["e_pv.x"] = self.record.axis
         source = self.record.source
-        _step(pv, source, "sp_x", "sp_y", **_line(style.SP, 1.1))
-        _curve(pv, source, "pv_x", "pv_y", **_line(style.PV))
-        _curve(pv, source, "prediction_x", "prediction_y", **_line(style.PREDICTION, 1.3))
-        _curve(pv, source, "linear_x", "linear_y", **_line(style.LINEAR, 1.1))
+        step(pv, source, "sp_x", "sp_y", **line_look(style.SP, 1.1))
+        curve(pv, source, "pv_x", "pv_y", **line_look(style.PV))
+        curve(pv, source, "prediction_x", "prediction_y", **line_look(style.PREDICTION, 1.3))
+        curve(pv, source, "linear_x", "linear_y", **line_look(style.LINEAR, 1.1))
         op = self._add("e_op", "time (s)", "OP, stem (%)", x_range=pv.x_range)
-        _step(op, source, "op_x", "op_y", **_line(style.OP, 1.2))
-        _step(op, source, "stem_x", "stem_y", **_line(style.VALVE, 1.6))
+        step(op, source, "op_x", "op_y", **line_look(style.OP, 1.2))
+        step(op, source, "stem_x", "stem_y", **line_look(style.VALVE, 1.6))
         profile = self._add(
             "e_profile",
             "stiction d (%)",
@@ -316,7 +282,7 @@ class Pictures:
         )
         profile.yaxis.formatter = BasicTickFormatter()
         self.profile = ColumnDataSource(EMPTY)
-        _step(profile, self.profile, "x", "y", **_line(style.PV, 1.3))
+        step(profile, self.profile, "x", "y", **line_look(style.PV, 1.3))
 
     def show_record(self, found: Found | None, record: ReadRecord) -> None:
         """Draw a record, and what was estimated from it, if it was."""
@@ -345,8 +311,8 @@ class Pictures:
         self.crossings = ColumnDataSource({"x": [], "y": [], "fill": [], "tip": []})
         for dimension in ("width", "height"):
             loci.add_layout(Span(location=0, dimension=dimension, line_color="#bbbbbb", line_width=1))
-        _curve(loci, self.L, "x", "y", **_line(style.PV, 1.8))
-        _curve(loci, self.locus, "x", "y", **_line(style.OP, 1.6))
+        curve(loci, self.L, "x", "y", **line_look(style.PV, 1.8))
+        curve(loci, self.locus, "x", "y", **line_look(style.OP, 1.6))
         dots = loci.scatter(
             "x", "y", source=self.crossings, size=10, fill_color="fill", line_color="#000000", line_width=1.4
         )
@@ -384,8 +350,15 @@ class Pictures:
         tips = [("Kc", "$x"), ("Ti", "$y s"), ("long run", "@outcome"), ("figure", "@value")]
         plane.add_tools(HoverTool(renderers=[self.cells], tooltips=tips))
 
-    def show_loci(self, found: DescribingFunction) -> None:
-        """Draw L(jw) and -1/N(A) around the origin and the crossings: full dots are stable cycles, hollow ones not."""
+    def show_loci(self, found: DescribingFunction | None) -> None:
+        """Draw L(jw) and -1/N(A) around the origin and the crossings: full dots are stable cycles, hollow ones not.
+
+        None: the method says nothing of the loop, and nothing is drawn.
+        """
+        if found is None:
+            self.L.data, self.locus.data = dict(EMPTY), dict(EMPTY)
+            self.crossings.data = {"x": [], "y": [], "fill": [], "tip": []}
+            return
         breaks = [b for b in found.breaks if b > 0]
         locus = np.insert(found.locus, breaks, complex(math.nan, math.nan)) if breaks else found.locus
         self.L.data = {"x": found.L.real.copy(), "y": found.L.imag.copy()}
@@ -413,7 +386,7 @@ class Pictures:
 
     def show_map(self, found: MapFound, name: str) -> None:
         """Draw one figure of a map in colour, even in its logarithm; grey where an ideal valve's loop is unstable."""
-        across, up = _edges(found.Kc), _edges(found.values)
+        across, up = edges(found.Kc), edges(found.values)
         rows, columns = found.outcome.shape
         values = found.figures[name]
         usable = (found.stable > 0.5) & np.isfinite(values) & (values > 0.0)
@@ -439,26 +412,5 @@ class Pictures:
     def mark(self, tunings: Sequence[tuple[str, float, float]]) -> None:
         """Mark tunings (name, Kc in %/EU, Ti in s) on the map."""
         inside = [one for one in tunings if one[1] > 0.0 and math.isfinite(one[2])]
-        names = _labels([t[0] for t in inside], [t[1:] for t in inside])
+        names = labels([t[0] for t in inside], [t[1:] for t in inside])
         self.here.data = {"x": [t[1] for t in inside], "y": [t[2] for t in inside], "name": names}
-
-
-def _positive(*values: float) -> bool:
-    """Whether all values are finite and above 0."""
-    return all(math.isfinite(v) and v > 0.0 for v in values)
-
-
-def _labels(names: Sequence[str], places: Sequence[tuple[float, float]]) -> list[str]:
-    """Return names fit for a picture, those of one place together at the first of them."""
-    out = []
-    for i, place in enumerate(places):
-        here = [label(name, LABEL) for name, other in zip(names, places, strict=True) if other == place]
-        out.append(", ".join(here) if places.index(place) == i else "")
-    return out
-
-
-def _edges(middles: FloatArray) -> FloatArray:
-    """Return the borders of cells in even ratios."""
-    ratio = math.sqrt(float(middles[1] / middles[0]))
-    edges: FloatArray = np.append(middles / ratio, middles[-1] * ratio)
-    return edges

@@ -3,20 +3,27 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from workbench.errors import ScenarioError
+from workbench.model.cascade import Cascade, CascadeExperiment
 from workbench.model.controller import PID
 from workbench.model.experiment import Profile, Step
-from workbench.model.karnopp import Karnopp
+from workbench.model.loop import Loop
 from workbench.model.plant import FOPDT, Plant
 from workbench.model.tuning import Bounds, Objective
-from workbench.model.valve import Choudhury, Deadband, Directional, He, Ideal, Kano, Positional, Stenman, Valve
+from workbench.model.valve import Choudhury, Deadband, Directional, He, Positional, Stenman, Valve
 from workbench.scenario.document import parse, plain
-from workbench.scenario.plan import Scenario
+from workbench.scenario.plan import CascadeTuneJob, Scenario
 from workbench.ui.fields import DEFAULTS, FIELDS, OWN_WEIGHT
-from workbench.ui.screen import ON_SCREEN, Pinned, Screen, number_text
+from workbench.ui.loop_fields import VALVES
+from workbench.ui.screen import ON_SCREEN, Pinned, Screen
+from workbench.ui.trees import compensator_texts, number_text
+
+# Of a loop without cases of its own: what stands in the file stands on the page.
+_ROOTS = ("loop.", "cascade.", "experiment.")
+_AS_WRITTEN = re.compile(r"(loop|cascade\.primary|cascade\.secondary)\.(plant|sample_time)")
 
 __all__ = ["Loaded", "bounds_entries", "controller_entries", "plant_entries", "screen_of", "valve_entries"]
 
@@ -36,20 +43,13 @@ def screen_of(plan: Scenario) -> Loaded:
     The page's own controller is the first case's. That case is no pinned one where it is the page's own, as
     `scenario_text` writes it.
 
-    Raises `ScenarioError` where the page has no entry for a part of the scenario: it shows no other loop instead.
     """
-    missing = _not_on_the_page(plan)
-    if missing:
-        raise ScenarioError(
-            f"{plan.path.name}: {', '.join(missing)}: this page has no entry for that; the scenario runs with "
-            "`workbench run`"
-        )
     notes = [*plan.warnings, *plan.notes]
     first = plan.cases[0].controller if plan.cases else None if plan.loop is None else plan.loop.controller
-    entries: dict[str, str] = {}
+    entries: dict[str, str] = _cascade(plan.cascade[0].cascade) if plan.cascade else {}
     if plan.loop is not None:
         entries |= plant_entries(plan.loop.plant) | valve_entries(plan.loop.valve)
-        entries |= time_entry("loop.sample_time", plan.loop.sample_time)
+        entries |= time_entry("loop.sample_time", plan.loop.sample_time) | _elements(plan.loop)
     elif plan.estimates and plan.estimates[0].record is not None:
         notes.append(
             "The scenario's loop comes from its record: until that is estimated and its model used, the loop shown is "
@@ -61,31 +61,29 @@ def screen_of(plan: Scenario) -> Loaded:
         notes.append("How the site writes its settings (site:) is left out here: the page has them in %/EU and s.")
     if plan.pv_range is not None:
         entries |= _ends("loop.pv_range", plan.pv_range)
-    more: dict[str, tuple[Profile, ...]] = {"setpoint": (), "load": ()}
+    more: dict[str, tuple[Profile, ...]] = {"setpoint": (), "load": (), "primary_load": ()}
     if plan.experiment is not None:
         experiment = plan.experiment
         entries |= time_entry("experiment.duration", experiment.duration)
-        for name, parts in (("setpoint", experiment.setpoint_parts), ("load", experiment.load_parts)):
+        profiles = {"setpoint": experiment.setpoint_parts, "load": experiment.load_parts}
+        noises = {"noise": experiment.noise}
+        if isinstance(experiment, CascadeExperiment):
+            profiles["primary_load"] = experiment.primary_load_parts
+            noises["secondary_noise"] = experiment.secondary_noise
+        for name, parts in profiles.items():
             entries |= _step(name, parts)
             more[name] = _beside(parts)
         entries["experiment.stem_offset"] = number_text(experiment.stem_offset)
-        if experiment.noise is not None:
-            entries["experiment.noise.sd"] = number_text(experiment.noise.sd)
-            entries["experiment.noise.seed"] = str(experiment.noise.seed)
+        for name, noise in noises.items():
+            if noise is not None:
+                entries[f"experiment.{name}.sd"] = number_text(noise.sd)
+                entries[f"experiment.{name}.seed"] = str(noise.seed)
     for name, parts in more.items():
         if parts:
-            notes.append(f"The {name} has {len(parts)} more part{'s' if len(parts) > 1 else ''}, kept as they are.")
+            many = f"{len(parts)} more part{'s' if len(parts) > 1 else ''}"
+            notes.append(f"The {name.replace('_', ' ')} has {many}, kept as they are.")
     if plan.objective is not None:
-        weights = _objective(plan.objective)
-        unshown = [name for name in dict(plan.objective.kpis) if f"objective.{name}" not in FIELDS]
-        if any(float(weight) > 0.0 for weight in weights.values()):
-            entries |= weights
-            if unshown:
-                notes.append(f"The objective also weighs {', '.join(unshown)}: this page leaves that out.")
-        else:
-            notes.append(
-                "The objective weighs figures that this page has no entry for: the page keeps its own, w1 and w3."
-            )
+        entries |= _objective(plan.objective)
     entries |= _typed(plan)
     cases = []
     for i, case in enumerate(plan.cases):
@@ -97,7 +95,15 @@ def screen_of(plan: Scenario) -> Loaded:
     if asked is not None:
         entries |= bounds_entries(asked.bounds)
         entries["tune.robust"] = "true" if asked.robust is not None else "false"
-    open_ones = [c.name for c in plan.cases if c.tune is not None or (c.rule is not None and c.controller.Kc == 0.0)]
+    for i, job in enumerate(plan.cascade):
+        if job.tune is None and not (i == 0 and _is_own(plan)):
+            outer, inner = job.cascade.primary.controller, job.cascade.secondary.controller
+            cases.append(Pinned(job.name, inner, job.note, primary=outer))
+    in_turn = next((job.tune for job in plan.cascade if job.tune is not None), None)
+    if in_turn is not None:
+        entries |= _tune_cascade(in_turn, notes, plan.objective)
+    open_ones = [job.name for job in plan.cascade if job.tune is not None]
+    open_ones += [c.name for c in plan.cases if c.tune is not None or (c.rule is not None and c.controller.Kc == 0.0)]
     if open_ones:
         notes.append(f"Not shown, since still to be found: {', '.join(open_ones)}.")
     screen = Screen(
@@ -107,72 +113,133 @@ def screen_of(plan: Scenario) -> Loaded:
         reference_source=plan.reference_source,
         more_setpoint=more["setpoint"],
         more_load=more["load"],
+        more_primary_load=more["primary_load"],
+        cascade=bool(plan.cascade),
     ).with_entries(entries)
     record = plan.estimates[0].record if plan.estimates else None
     return Loaded(screen, tuple(notes), record.source if record is not None else "")
 
 
-def plant_entries(plant: Plant) -> dict[str, str]:
-    """Return the entries of a plant."""
-    entries = {"loop.plant.gain": number_text(plant.gain)} | time_entry("loop.plant.dead_time", plant.dead_time)
-    if isinstance(plant, FOPDT):
-        entries |= {"loop.plant.type": "fopdt"} | time_entry("loop.plant.time_constant", plant.time_constant)
-    else:
-        entries["loop.plant.type"] = "integrating"
+def _cascade(cascade: Cascade) -> dict[str, str]:
+    """Return the entries of a cascade."""
+    entries = {"cascade.scale": number_text(cascade.scale), "cascade.anti_windup": cascade.anti_windup}
+    entries |= valve_entries(cascade.secondary.valve, "cascade.secondary.valve")
+    for name, loop in (("primary", cascade.primary), ("secondary", cascade.secondary)):
+        path = f"cascade.{name}"
+        entries |= plant_entries(loop.plant, f"{path}.plant") | time_entry(f"{path}.sample_time", loop.sample_time)
+        entries |= controller_entries(loop.controller, f"{path}.controller")
     return entries
 
 
-def valve_entries(valve: Valve) -> dict[str, str]:
-    """Return the entries of a valve."""
-    match valve:
-        case Ideal():
-            kind, values = "ideal", {}
-        case Stenman():
-            kind, values = "stenman", {"d": valve.d}
-        case He():
-            kind, values = "he", {"fs": valve.fs, "fd": valve.fd}
-        case Kano():
-            kind, values = "kano", {"S": valve.S, "J": valve.J}
-        case Choudhury():
-            kind, values = "choudhury", {"S": valve.S, "J": valve.J}
-        case Deadband():
-            kind, values = "deadband", {"b": valve.b}
-        case Directional():
-            kind, values = "directional", {}
-            for way in ("up", "down"):
-                one = getattr(valve, way)
-                values |= {f"{way}.S": one.stick_band, f"{way}.J": one.slip_jump}
-    return {"loop.valve.type": kind, **{f"loop.valve.{name}": number_text(v) for name, v in values.items()}}
+def plant_entries(plant: Plant, path: str = "loop.plant") -> dict[str, str]:
+    """Return the entries of a plant."""
+    entries = {f"{path}.gain": number_text(plant.gain)} | time_entry(f"{path}.dead_time", plant.dead_time)
+    if isinstance(plant, FOPDT):
+        return entries | {f"{path}.type": "fopdt"} | time_entry(f"{path}.time_constant", plant.time_constant)
+    return entries | {f"{path}.type": "integrating"}
 
 
-def controller_entries(pid: PID) -> dict[str, str]:
-    """Return the entries of a controller; gains in %/EU, times in s."""
-    path = "loop.controller."
-    entries = {f"{path}Kc": number_text(pid.Kc), f"{path}Kc.unit": "%/EU"}
-    entries |= time_entry(f"{path}Ti", pid.Ti) | time_entry(f"{path}Td", pid.Td)
-    entries |= {f"{path}form": pid.form, f"{path}structure": pid.structure or OWN_WEIGHT, f"{path}action": pid.action}
-    entries[f"{path}derivative_filter"] = number_text(pid.derivative_filter)
+def valve_entries(valve: Valve, path: str = "loop.valve") -> dict[str, str]:
+    """Return the entries of a valve; stiction along the travel as scenarios know it, of `Stenman` or `Choudhury`."""
+    kind = type(valve).__name__.lower()
+    if isinstance(valve, Positional):
+        lines = [
+            " ".join(number_text(v) for v in (x, *_friction(at)))
+            for x, at in zip(valve.positions, valve.valves, strict=True)
+        ]
+        values = {"places": "\n".join(lines)}
+    elif isinstance(valve, Directional):
+        ways = {"up": valve.up, "down": valve.down}
+        values = {
+            f"{way}.{name}": number_text(x)
+            for way, one in ways.items()
+            for name, x in zip("SJ", _friction(one), strict=True)
+        }
+    else:
+        values = {name: number_text(getattr(valve, name)) for name in VALVES[kind]}
+    entries = {f"{path}.type": kind} | {f"{path}.{name}": text for name, text in values.items()}
+    return entries | ({f"{path}.substep.unit": "s"} if kind == "karnopp" else {})
+
+
+def _friction(valve: Stenman | He | Choudhury | Deadband) -> tuple[float, ...]:
+    return (valve.d,) if isinstance(valve, Stenman) else (valve.stick_band, valve.slip_jump)
+
+
+def _elements(loop: Loop) -> dict[str, str]:
+    """Return the entries of what few loops have beside plant, valve and controller."""
+    entries = {"loop.scan": str(loop.scan), "loop.fail_open": "true" if loop.fail_open else "false"}
+    curve = loop.characteristic
+    if curve is None:
+        return entries | {"loop.characteristic.type": "linear"}
+    shape = {name: number_text(getattr(curve, name)) for name in ("rangeability", "opening")}
+    path = "loop.characteristic"
+    return entries | {f"{path}.type": "equal_percentage"} | {f"{path}.{name}": text for name, text in shape.items()}
+
+
+def controller_entries(pid: PID, path: str = "loop.controller") -> dict[str, str]:
+    """Return the entries of a controller; gains in the first unit of their field, %/EU, times in s."""
+    entries = {f"{path}.Kc": number_text(pid.Kc), f"{path}.Kc.unit": FIELDS[f"{path}.Kc"].units[0]}
+    entries |= time_entry(f"{path}.Ti", pid.Ti) | time_entry(f"{path}.Td", pid.Td)
+    entries |= {
+        f"{path}.form": pid.form,
+        f"{path}.structure": pid.structure or OWN_WEIGHT,
+        f"{path}.action": pid.action,
+    }
+    entries[f"{path}.derivative_filter"] = number_text(pid.derivative_filter)
     if pid.structure is None:
-        entries[f"{path}derivative_on"] = pid.derivative_on
-        entries[f"{path}setpoint_weight"] = number_text(pid.setpoint_weight)
-    entries[f"{path}limited"] = "false" if pid.output_limits is None else "true"
-    entries[f"{path}anti_windup"] = pid.anti_windup
+        entries[f"{path}.derivative_on"] = pid.derivative_on
+        entries[f"{path}.setpoint_weight"] = number_text(pid.setpoint_weight)
+    entries[f"{path}.limited"] = "false" if pid.output_limits is None else "true"
+    entries[f"{path}.anti_windup"] = pid.anti_windup
     if pid.output_limits is not None:
-        entries |= _ends(f"{path}output_limits", pid.output_limits)
+        entries |= _ends(f"{path}.output_limits", pid.output_limits)
     tracking = "" if pid.tracking_time is None else number_text(pid.tracking_time)
-    return entries | {f"{path}tracking_time": tracking, f"{path}tracking_time.unit": "s"}
+    entries |= {f"{path}.tracking_time": tracking, f"{path}.tracking_time.unit": "s"}
+    entries[f"{path}.output_resolution"] = number_text(pid.output_resolution)
+    entries[f"{path}.compensator.type"] = "none"
+    if pid.compensator is not None:
+        kind, texts = compensator_texts(pid.compensator)
+        under = f"{path}.compensator"
+        entries |= {f"{under}.type": kind} | {f"{under}.{name}": text for name, text in texts.items()}
+        entries |= {f"{under}.{name}.unit": "s" for name in texts if "s" in FIELDS[f"{under}.{name}"].units}
+    return entries
 
 
-def bounds_entries(bounds: Bounds) -> dict[str, str]:
+def bounds_entries(bounds: Bounds, path: str = "tune") -> dict[str, str]:
     """Return the entries of a search's bounds: a PI where Td is held at 0."""
-    entries = _ends("tune.bounds.Kc", bounds.Kc)
+    entries = _ends(f"{path}.bounds.Kc", bounds.Kc)
     for name in ("Ti", "Td"):
         pair = getattr(bounds, name)
-        entries |= _ends(f"tune.bounds.{name}", pair)
-        entries |= {f"tune.bounds.{name}.{end}.unit": "s" for end in ("low", "high")}
-    entries["tune.kind"] = "PI" if bounds.Td == (0.0, 0.0) else "PID"
-    if entries["tune.kind"] == "PI":
-        entries["tune.bounds.Td.high"] = DEFAULTS["tune.bounds.Td.high"]
+        entries |= _ends(f"{path}.bounds.{name}", pair)
+        entries |= {f"{path}.bounds.{name}.{end}.unit": "s" for end in ("low", "high")}
+    entries[f"{path}.kind"] = "PI" if bounds.Td == (0.0, 0.0) else "PID"
+    if entries[f"{path}.kind"] == "PI":
+        entries[f"{path}.bounds.Td.high"] = DEFAULTS[f"{path}.bounds.Td.high"]
+    return entries
+
+
+def _tune_cascade(asked: CascadeTuneJob, notes: list[str], common: Objective | None) -> dict[str, str]:
+    """Return the entries of a cascade's tuning in turn."""
+    entries = bounds_entries(asked.bounds, "tune_cascade.primary")
+    counts = {"digits": asked.digits, "restarts": asked.restarts, "seed": asked.seed}
+    entries |= {f"tune.{name}": str(count) for name, count in counts.items()}
+    entries["tune_cascade.tuned"] = "primary" if asked.secondary is None else "both"
+    weighed = [asked.objective]
+    if asked.secondary is not None:
+        experiment, objective, bounds = asked.secondary
+        weighed.append(objective)
+        path = "tune_cascade.secondary"
+        entries |= bounds_entries(bounds, path) | time_entry(f"{path}.experiment.duration", experiment.duration)
+        for name, parts in (("setpoint", experiment.setpoint_parts), ("load", experiment.load_parts)):
+            entries |= _step(name, parts, f"{path}.experiment")
+            if _beside(parts):
+                notes.append(f"Of the secondary's own experiment the {name}'s first step alone stands here.")
+        noise = experiment.noise
+        entries[f"{path}.experiment.noise.sd"] = "0" if noise is None else number_text(noise.sd)
+        if noise is not None:
+            entries[f"{path}.experiment.noise.seed"] = str(noise.seed)
+    if any(objective != (common or Objective()) for objective in weighed):
+        notes.append("A tuning's own objective is left out here: the page has one for all.")
     return entries
 
 
@@ -185,9 +252,9 @@ def _ends(path: str, pair: tuple[float, float]) -> dict[str, str]:
     return {f"{path}.low": number_text(pair[0]), f"{path}.high": number_text(pair[1])}
 
 
-def _step(name: str, parts: tuple[Profile, ...]) -> dict[str, str]:
+def _step(name: str, parts: tuple[Profile, ...], under: str = "experiment") -> dict[str, str]:
     first = next((part for part in parts if isinstance(part, Step)), Step(0.0))
-    path = f"experiment.{name}"
+    path = f"{under}.{name}"
     return {f"{path}.step": number_text(first.size)} | time_entry(f"{path}.at", first.at)
 
 
@@ -211,8 +278,9 @@ def _typed(plan: Scenario) -> dict[str, str]:
         value: object = data
         for name in path.split("."):
             value = value.get(name) if isinstance(value, Mapping) else None
-        own = path.startswith(("loop.plant", "loop.sample", "experiment.")) or _is_own(plan)
-        if not own or not field.units or not isinstance(value, str) or not path.startswith(("loop.", "experiment.")):
+        if not isinstance(value, str) or not field.units or not path.startswith(_ROOTS):
+            continue
+        if not (_is_own(plan) or path.startswith("experiment.") or _AS_WRITTEN.match(path)):
             continue
         number, _, unit = value.strip().partition(" ")
         if unit in field.units and _is_number(number):
@@ -260,28 +328,6 @@ def _written(plan: Scenario) -> Mapping[str, object]:
 def _under(data: Mapping[str, object], name: str) -> Mapping[str, object]:
     inside = data.get(name)
     return inside if isinstance(inside, Mapping) else {}
-
-
-def _not_on_the_page(plan: Scenario) -> list[str]:
-    """Return what of a scenario the page cannot show, in words."""
-    controllers = [case.controller for case in plan.cases]
-    found = ["a cascade"] if plan.cascade else []
-    if plan.loop is not None:
-        loop = plan.loop
-        controllers.append(loop.controller)
-        if isinstance(loop.valve, Positional | Karnopp):
-            found.append(f"a valve of type {type(loop.valve).__name__.lower()}")
-        if loop.characteristic is not None:
-            found.append("a valve's characteristic")
-        if loop.fail_open:
-            found.append("a fail-open valve")
-        if loop.scan != 1:
-            found.append("a controller's scan")
-    if any(c.compensator is not None for c in controllers):
-        found.append("a compensator")
-    if any(c.output_resolution > 0.0 for c in controllers):
-        found.append("an output resolution")
-    return found
 
 
 def _is_own(plan: Scenario) -> bool:

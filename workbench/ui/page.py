@@ -12,9 +12,8 @@ import json
 import math
 import shutil
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -23,25 +22,25 @@ from bokeh.core.properties import String
 from bokeh.document import Document
 from bokeh.events import Tap
 from bokeh.model import DataModel
-from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 from workbench.errors import InvalidValue, RecordError, WorkbenchError
-from workbench.report import palette
 from workbench.ui import export
-from workbench.ui.fields import FIELDS, GROUPS, OWN_WEIGHT
-from workbench.ui.figures import LEGENDS, MAP_FIGURES, Pictures
-from workbench.ui.given import dashes, safe_name, table_content
+from workbench.ui.fields import FIELDS
+from workbench.ui.figures import MAP_FIGURES, Pictures
+from workbench.ui.frequency import map_key, verdicts
+from workbench.ui.given import found_words, record_words, safe_name
 from workbench.ui.jobs import Event, Job
 from workbench.ui.load import Loaded, bounds_entries, controller_entries
 from workbench.ui.screen import estimate_text
 from workbench.ui.state import Session
 from workbench.ui.work import Found, FrontFound, MapFound, ReadRecord, Report, TunedCase
 
-__all__ = ["LARGEST_UPLOAD", "VIEWS", "Page", "open_page"]
+__all__ = ["LARGEST_UPLOAD", "VIEWS", "Page"]
 
 VIEWS = ("loop", "compare", "estimate", "tune", "frequency", "export")
 LARGEST_UPLOAD = 16 << 20  # bytes of a file; a day of SP, PV, OP and MODE at 1 s takes a third of it
 LARGEST_SCENARIO = 1 << 20
+LONGEST = 400  # characters of a line that can be typed
 NEAR = 0.15  # of a click to a point of the front: the sum of both differences of logarithms
 WORDS = {
     "read": "Reading",
@@ -51,6 +50,9 @@ WORDS = {
     "front": "Searching the front",
     "report": "Writing the report",
 }
+
+
+OF_ONE_LOOP = ("suit_bounds", "map", "front")
 
 
 class Bridge(DataModel):  # type: ignore[misc]
@@ -110,6 +112,8 @@ class Page:
         try:
             request = json.loads(text)
             number = int(request["n"])
+            if self.session.screen.cascade and request["do"] in OF_ONE_LOOP:
+                raise InvalidValue("page", request["do"], "must be of a single loop, and a cascade stands here")
             extra = getattr(self, f"_do_{request['do']}")(request) or {}
         except WorkbenchError as error:
             self.message = self._plain(str(error))
@@ -120,9 +124,11 @@ class Page:
     def show(self, extra: Mapping[str, Any] | None = None) -> None:
         """Send what the page shows, and draw what its view shows."""
         session = self.session
+        kind, other = ("cascade", "loop") if session.screen.cascade else ("loop", "cascade")
         answer: dict[str, Any] = {
             "view": self.view,
-            "entries": dict(session.screen.entries),
+            "kind": kind,
+            "entries": {p: text for p, text in session.screen.entries.items() if not p.startswith(f"{other}.")},
             "title": session.screen.title,
             "problems": [{"field": p.field, "text": self._plain(p.text)} for p in session.problems],
             "notes": list(session.notes),
@@ -144,9 +150,10 @@ class Page:
             answer["frequency"] = self._frequency()
         if self.view == "export":
             answer["scenario"] = self._scenario()
-        if self.tuned is not None:
-            answer["tuned"] = {"lines": list(self.tuned.lines), "status": self.tuned.status}
-        answer["axes"] = self.pictures.moved(all_of_them="start" in answer)
+        tuned = self._tuned()
+        if tuned is not None:
+            answer["tuned"] = {"lines": list(tuned.lines), "status": tuned.status}
+        answer["axes"] = self.pictures.moved(all_of_them="start" in answer, anew=str(answer.get("refit", "")))
         self._send(answer)
 
     def _send(self, answer: Mapping[str, Any]) -> None:
@@ -159,11 +166,10 @@ class Page:
 
     def _do_hello(self, _request: Mapping[str, Any]) -> dict[str, Any]:
         """The page is there: send everything."""
-        return {"record": self._record_words(), "found": self._found_words(), "start": True}
+        return {"record": record_words(self.data, self.record), "found": found_words(self.found), "start": True}
 
     def _do_set(self, request: Mapping[str, Any]) -> None:
-        entries = {str(path): str(text)[:200] for path, text in request["entries"].items()}
-        self.session.change(entries, str(request.get("gesture", "")))
+        self.session.change({p: _typed(p, t) for p, t in request["entries"].items()}, str(request.get("gesture", "")))
 
     def _do_view(self, request: Mapping[str, Any]) -> None:
         if request["view"] not in VIEWS:
@@ -220,7 +226,7 @@ class Page:
             extra |= self._ended(event.result)
         if event.kind == "failed" and task == "read":
             self.data, self.record, self.found = "", None, None
-            extra["record"] = self._record_words()
+            extra["record"] = record_words(self.data, self.record)
         self.show(extra)
 
     def _ended(self, result: object) -> dict[str, Any]:
@@ -237,12 +243,13 @@ class Page:
         elif isinstance(result, MapFound):
             self.map, self.map_of = result, self.asked_of
             self.pictures.show_map(result, self.map_figure)
+            return {"refit": "f_map"}
         elif isinstance(result, FrontFound):
             self.front, self.front_of = result, self.asked_of
             self.pictures.show_front(result)
         elif isinstance(result, Report):
             return {"download": {"name": "report.html", "type": "text/html", "text": result.html}}
-        return {"record": self._record_words(), "found": self._found_words()}
+        return {"record": record_words(self.data, self.record), "found": found_words(self.found)}
 
     def _do_stop(self, _request: Mapping[str, Any]) -> None:
         if self.job is not None and self.task:
@@ -259,17 +266,25 @@ class Page:
         return None if built is None else (built.loop, tuple(self.session.screen.cases))
 
     def _front_words(self) -> list[str]:
-        if self.front is None:
+        if self.front is None or self.session.screen.cascade:
             return []
         old = "This is of the loop and the cases as they stood when it was made; make it anew for the present ones."
         return [*([old] if self.front_of != self._front_key() else []), *self.front.text]
 
+    def _tapped_at(self, event: Tap) -> tuple[float, float] | None:
+        """Return where in a logarithmic plane of a single loop was clicked; None elsewhere."""
+        x, y = event.x, event.y
+        if self.session.screen.cascade or x is None or y is None or x <= 0.0 or y <= 0.0:
+            return None
+        return float(x), float(y)
+
     def _front_tapped(self, event: Tap) -> None:
         """A click on a point of the front puts its tuning on the screen."""
-        if self.front is None or event.x is None or event.y is None or event.x <= 0.0 or event.y <= 0.0:
+        at = self._tapped_at(event)
+        if self.front is None or at is None:
             return
         points = [p for p in self.front.sticky if p.valve_travel > 0.0 and p.mean_square_error > 0.0]
-        away = [abs(math.log(p.valve_travel / event.x)) + abs(math.log(p.mean_square_error / event.y)) for p in points]
+        away = [abs(math.log(p.valve_travel / at[0])) + abs(math.log(p.mean_square_error / at[1])) for p in points]
         if points and min(away) < NEAR:
             self.message = ""
             self.session.change(controller_entries(points[away.index(min(away))].controller))
@@ -339,24 +354,6 @@ class Page:
         self.session.use_model(found.plant, found.valve, found.record.sample_time, found.action)
         self.view = "loop"
 
-    def _record_words(self) -> dict[str, Any]:
-        if self.record is None:
-            return {"name": self.data, "summary": []}
-        return {"name": self.data, "summary": list(self.record.summary)}
-
-    def _found_words(self) -> dict[str, Any] | None:
-        if self.found is None:
-            return None
-        found = self.found
-        return {
-            "verdict": found.verdict.replace("_", " "),
-            "sentences": list(found.sentences),
-            "reasons": list(found.reasons),
-            "parameters": table_content(found.parameters),
-            "detection": found.detection,
-            "evidence": table_content(found.evidence),
-        }
-
     # tune ----------------------------------------------------------------------------------------------------------
 
     def _do_tune(self, _request: Mapping[str, Any]) -> None:
@@ -365,14 +362,25 @@ class Page:
         self._begin("tune", text)
 
     def _do_pin_tuned(self, request: Mapping[str, Any]) -> None:
-        if self.tuned is None:
-            raise InvalidValue("tuning", "none", "must be found first")
-        self.session.pin(str(request["name"]), self.tuned.controller, " ".join(self.tuned.lines[1:]))
+        tuned = self._found_tuning()
+        settings = 1 if tuned.primary is None else 2
+        note = " ".join(tuned.lines[settings:])
+        self.session.pin(str(request["name"]), tuned.controller, note, tuned.primary)
 
     def _do_use_tuned(self, _request: Mapping[str, Any]) -> None:
-        if self.tuned is None:
+        tuned = self._found_tuning()
+        self.session.use(tuned.controller, tuned.primary)
+
+    def _tuned(self) -> TunedCase | None:
+        """Return the tuning found, if it is of what stands on the page: a loop or a cascade."""
+        tuned = self.tuned
+        return None if tuned is None or (tuned.primary is not None) != self.session.screen.cascade else tuned
+
+    def _found_tuning(self) -> TunedCase:
+        tuned = self._tuned()
+        if tuned is None:
             raise InvalidValue("tuning", "none", "must be found first")
-        self.session.change(controller_entries(self.tuned.controller))
+        return tuned
 
     def _do_suit_bounds(self, _request: Mapping[str, Any]) -> None:
         """Set the bounds to what suits the loop as it stands."""
@@ -392,38 +400,27 @@ class Page:
     # frequency -----------------------------------------------------------------------------------------------------
 
     def _frequency(self) -> dict[str, Any]:
-        from workbench.analyze.agreement import agreement
-        from workbench.analyze.describing_function import describing_function
-        from workbench.analyze.limit_cycle import limit_cycle
-
         built = self.session.built
         if built is None:
             return {}
-        try:
-            df = describing_function(built.loop)
-            cycle = limit_cycle(built.loop, built.experiment)
-        except WorkbenchError as error:
-            return {"lines": [str(error)]}
-        self.pictures.show_loci(df)
+        found, lines = verdicts(built)
+        self.pictures.show_loci(found)
+        if built.cascade is not None:
+            return {"lines": lines, "loci": False, "map": []}
         cases = [(c.name, c.controller.Kc, c.controller.Ti) for c in self.session.screen.cases]
         here = built.loop.controller
         self.pictures.mark([*cases, ("On screen", here.Kc, here.Ti)])
-        lines = [f"Describing function: {df.verdict}", f"Exact: {cycle.verdict}", agreement(df, cycle)]
         text = [] if self.map is None else list(self.map.text)
-        if self.map is not None and self.map_of != self._map_key():
+        if self.map is not None and self.map_of != map_key(built):
             text.insert(0, "This map is of the loop as it stood when it was made; make it anew for the present one.")
-        return {"lines": [line for line in lines if line], "map": text}
+        return {"lines": lines, "loci": found is not None, "map": text}
 
-    def _map_key(self) -> object:
-        built = self.session.built
-        if built is None:
-            return None
-        loop = built.loop
-        return loop.plant, loop.valve, replace(loop.controller, Kc=1.0, Ti=1.0), loop.sample_time
-
-    def _do_map(self, _request: Mapping[str, Any]) -> None:
-        self._begin("map", self.session.scenario(mapped=True))
-        self.asked_of = self._map_key()
+    def _do_map(self, request: Mapping[str, Any]) -> None:
+        """Map the tunings around the cases, or those of the part of the map that is looked at."""
+        seen = request.get("seen")
+        view = None if seen is None else (_ends(seen["x"]), _ends(seen["y"]))
+        self._begin("map", self.session.mapped(view))
+        self.asked_of = map_key(self.session.built)
 
     def _do_map_figure(self, request: Mapping[str, Any]) -> None:
         if request["name"] not in MAP_FIGURES:
@@ -434,10 +431,11 @@ class Page:
 
     def _tapped(self, event: Tap) -> None:
         """A click on the map sets the tuning."""
-        if self.map is None or event.x is None or event.y is None or event.x <= 0.0 or event.y <= 0.0:
+        at = self._tapped_at(event)
+        if self.map is None or at is None:
             return
         self.message = ""
-        self.session.use_tuning(float(event.x), float(event.y), self.map.axis)
+        self.session.use_tuning(*at, self.map.axis)
         self.show()
 
     # export --------------------------------------------------------------------------------------------------------
@@ -457,39 +455,12 @@ class Page:
         return {"download": {"name": name, "type": kind, "text": text}}
 
 
-TEMPLATES = Environment(
-    loader=FileSystemLoader(Path(__file__).parent / "templates"),
-    autoescape=True,
-    undefined=StrictUndefined,
-    trim_blocks=True,
-    lstrip_blocks=True,
-)
+def _ends(pair: Sequence[float]) -> tuple[float, float]:
+    low, high = pair
+    return float(low), float(high)
 
 
-def open_page(document: Document, loaded: Loaded | None, data: Path | None = None) -> Page:
-    """Make one session's page in its document; data: a record to read at once."""
-    page = Page(document, loaded, data)
-    document.title = "Stiction Workbench"
-    document.template = TEMPLATES.get_template("page.html.j2")
-    variables = {
-        "groups": GROUPS,
-        "fields": {
-            path: {"slider": f.slider, "reach": f.reach, "signed": f.signed, "when": f.when}
-            for path, f in FIELDS.items()
-        },
-        "own_weight": OWN_WEIGHT,
-        "views": VIEWS,
-        "map_figures": MAP_FIGURES,
-        "cases": [{"color": s["color"], "dash": dashes(s)} for s in palette.CASES],
-        "legends": {
-            name: [(text, look["color"], dashes(look)) for text, look in lines] for name, lines in LEGENDS.items()
-        },
-        "largest": LARGEST_UPLOAD,
-    }
-    document.template_variables.update(variables)
-    page.bridge.name = "bridge"
-    with document.models.freeze():  # else every root counts all models again
-        for root in (*page.pictures.figures.values(), page.bridge):
-            document.add_root(root)
-    document.on_session_destroyed(lambda _context: page.close())
-    return page
+def _typed(path: str, text: object) -> str:
+    """Return what was typed, no longer than its field may hold."""
+    field = FIELDS.get(path)
+    return str(text)[: LONGEST * max(1 if field is None else field.rows, 1)]

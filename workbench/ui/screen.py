@@ -5,39 +5,38 @@ A screen is a frozen value, so that undoing a change is going back to the one be
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 
-from workbench.model.controller import PID, STRUCTURES
+from workbench.model.controller import PID
 from workbench.model.experiment import Profile, Ramp, Series, Step
-from workbench.ui.fields import DEFAULTS, FIELDS, OWN_WEIGHT
+from workbench.ui.entry import WRITTEN
+from workbench.ui.fields import DEFAULTS, FIELDS
+from workbench.ui.trees import case_controller, controller_tree, is_zero, number_text, plant_tree, valve_tree
 from workbench.ui.yaml_text import Tree, scalar, words, yaml_of
 
-__all__ = ["ON_SCREEN", "Pinned", "Screen", "controller_tree", "estimate_text", "number_text", "scenario_text"]
+__all__ = ["ON_SCREEN", "MapView", "Pinned", "Screen", "estimate_text", "scenario_text"]
 
 ON_SCREEN = "On screen"  # the case that is the page's own controller
 TUNED = "Tuned"
-_VALVE = {
-    "ideal": (),
-    "stenman": ("d",),
-    "he": ("fs", "fd"),
-    "choudhury": ("S", "J"),
-    "kano": ("S", "J"),
-    "deadband": ("b",),
-    "directional": ("up.S", "up.J", "down.S", "down.J"),
-}
+# What is seen of a map: the ends of Kc (%/EU) and of Ti (s).
+MapView = tuple[tuple[float, float], tuple[float, float]]
+_CURVE = ("rangeability", "opening")
 
 
 @dataclass(frozen=True, eq=False)
 class Pinned:
-    """A case kept to compare with: its name, controller, note, and published figures to show beside ours."""
+    """A case kept to compare with: its name, controller, note, and published figures to show beside ours.
+
+    primary: of a cascade, whose secondary's is `controller` then.
+    """
 
     name: str
     controller: PID
     note: str = ""
     reference: Mapping[str, float] = field(default_factory=lambda: MappingProxyType({}))
+    primary: PID | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,7 +44,8 @@ class Screen:
     """Everything that can be typed or pinned.
 
     entries: text by path (see `fields`), units under `path.unit`. cases: pinned, the first the base of comparison.
-    more_setpoint, more_load: parts of the experiment's profiles beside the step that the fields show.
+    more_setpoint, more_load, more_primary_load: parts of the experiment's profiles beside the step that the fields
+    show. cascade: whether it is one, of entries under `cascade.`, and not a loop of entries under `loop.`.
     """
 
     entries: Mapping[str, str] = field(default_factory=lambda: DEFAULTS)
@@ -55,6 +55,8 @@ class Screen:
     reference_source: str = ""
     more_setpoint: tuple[Profile, ...] = ()
     more_load: tuple[Profile, ...] = ()
+    more_primary_load: tuple[Profile, ...] = ()
+    cascade: bool = False
 
     def with_entries(self, changed: Mapping[str, str]) -> Screen:
         """Return the screen with other texts; unknown paths raise KeyError."""
@@ -67,23 +69,16 @@ class Screen:
         """Return an entry with its unit, as a scenario writes it; "" where nothing is typed."""
         text = self.entries[path].strip()
         unit = self.entries.get(f"{path}.unit", "")
-        if not text or text == "none" or unit in ("", "EU", "EU/%", "%/EU", "PB %"):
-            return text
-        return f"{text} {unit}"
+        return f"{text} {unit}" if text and text != "none" and unit in WRITTEN else text
 
 
-def number_text(value: float) -> str:
-    """Return a number with every digit that it has, as it is typed: "5", "0.1", "none" for infinity."""
-    if math.isinf(value):
-        return "none" if value > 0 else "-.inf"
-    text = repr(float(value))
-    return text.removesuffix(".0")
-
-
-def scenario_text(screen: Screen, *, cases: bool = True, tune: bool = False, mapped: bool = False) -> str:
+def scenario_text(
+    screen: Screen, *, cases: bool = True, tune: bool = False, mapped: bool = False, view: MapView | None = None
+) -> str:
     """Return the screen as a scenario.
 
-    cases: with the pinned ones; tune: the tuning asked for instead of any case; mapped: with the map asked for.
+    cases: with the pinned ones; tune: the tuning asked for instead of any case; mapped: with the map asked for, of
+    `view` or what suits the loop.
 
     The page's own controller stands in `loop.controller` and is the first case, `ON_SCREEN`, which takes all of it.
     """
@@ -92,15 +87,25 @@ def scenario_text(screen: Screen, *, cases: bool = True, tune: bool = False, map
         tree["description"] = words(screen.description)
     if screen.reference_source and any(case.reference for case in screen.cases):
         tree["reference_source"] = words(screen.reference_source)
-    tree["loop"] = _loop(screen)
+    if screen.cascade:
+        tree["cascade"] = _cascade(screen)
+    else:
+        tree["loop"] = _loop(screen)
     tree["experiment"] = _experiment(screen)
     tree["objective"] = _weights(screen)
     if tune:
-        tree["cases"] = [{"name": words(TUNED), "tune": _tune(screen)}]
+        asked: dict[str, Tree] = {"tune_cascade": _tune_cascade(screen)} if screen.cascade else {"tune": _tune(screen)}
+        tree["cases"] = [{"name": words(TUNED), **asked}]
     else:
-        tree["cases"] = [{"name": words(_free(screen))}, *([_case(case) for case in screen.cases] if cases else [])]
+        tree["cases"] = [
+            {"name": words(_free(screen))},
+            *([_case(screen, case) for case in screen.cases] if cases else []),
+        ]
     if mapped:
-        tree["analyze"] = {"map": {"points": scalar(screen.entries["analyze.map.points"])}}
+        plane: dict[str, Tree] = {"points": scalar(screen.entries["analyze.map.points"])}
+        if view is not None:
+            plane |= {"Kc": [f"{end:.4g}" for end in view[0]], "Ti": [f"{end:.4g} s" for end in view[1]]}
+        tree["analyze"] = {"map": plane}
     return yaml_of(tree)
 
 
@@ -114,78 +119,66 @@ def _free(screen: Screen) -> str:
 
 def _loop(screen: Screen) -> dict[str, Tree]:
     entries = screen.entries
-    plant: dict[str, Tree] = {"type": scalar(entries["loop.plant.type"])}
-    names = ("gain", "dead_time") if plant["type"] == "integrating" else ("gain", "time_constant", "dead_time")
-    for name in names:
-        plant[name] = _typed(screen, f"loop.plant.{name}")
-    valve: dict[str, Tree] = {"type": scalar(entries["loop.valve.type"])}
-    for name in _VALVE.get(entries["loop.valve.type"], ()):
-        way, _, own = name.rpartition(".")
-        inside = valve
-        if way:
-            inside = valve.setdefault(way, {})  # type: ignore[assignment]
-        inside[own] = _typed(screen, f"loop.valve.{name}")
-    loop: dict[str, Tree] = {"plant": plant, "valve": valve, "controller": _controller(screen)}
-    loop["sample_time"] = _typed(screen, "loop.sample_time")
+    loop: dict[str, Tree] = {
+        "plant": plant_tree(entries, screen.quantity, "loop.plant"),
+        "valve": valve_tree(entries, screen.quantity, "loop.valve"),
+        "controller": controller_tree(entries, screen.quantity, "loop.controller"),
+        "sample_time": _typed(screen, "loop.sample_time"),
+    }
     low, high = (screen.quantity(f"loop.pv_range.{end}") for end in ("low", "high"))
     if low or high:
         loop["pv_range"] = [scalar(low), scalar(high)]
-    if entries["loop.coarse_sampling"] == "true":
-        loop["coarse_sampling"] = "true"
+    kind = entries["loop.characteristic.type"]
+    if kind != "linear":
+        shape: dict[str, Tree] = {name: _typed(screen, f"loop.characteristic.{name}") for name in _CURVE}
+        loop["characteristic"] = {"type": scalar(kind), **shape}
+    if entries["loop.scan"].strip() != "1":
+        loop["scan"] = _typed(screen, "loop.scan")
+    for name in ("fail_open", "coarse_sampling"):
+        if entries[f"loop.{name}"] == "true":
+            loop[name] = "true"
     return loop
+
+
+def _cascade(screen: Screen) -> dict[str, Tree]:
+    entries, quantity = screen.entries, screen.quantity
+    tree: dict[str, Tree] = {}
+    for name in ("primary", "secondary"):
+        path = f"cascade.{name}"
+        loop: dict[str, Tree] = {"plant": plant_tree(entries, quantity, f"{path}.plant")}
+        if name == "secondary":
+            loop["valve"] = valve_tree(entries, quantity, f"{path}.valve")
+        loop["controller"] = controller_tree(entries, quantity, f"{path}.controller")
+        tree[name] = loop | {"sample_time": _typed(screen, f"{path}.sample_time")}
+    for name, usual in (("scale", "1"), ("anti_windup", "clamp")):
+        if entries[f"cascade.{name}"].strip() != usual:
+            tree[name] = _typed(screen, f"cascade.{name}")
+    return tree
 
 
 def _typed(screen: Screen, path: str) -> str:
     return scalar(screen.quantity(path))
 
 
-def _controller(screen: Screen) -> dict[str, Tree]:
-    entries = screen.entries
-    tree: dict[str, Tree] = {"form": scalar(entries["loop.controller.form"])}
-    structure = entries["loop.controller.structure"]
-    if structure == OWN_WEIGHT:
-        for name in ("derivative_on", "setpoint_weight"):
-            tree[name] = scalar(entries[f"loop.controller.{name}"])
-    else:
-        tree["structure"] = _quote(structure)
-    tree["derivative_filter"] = scalar(entries["loop.controller.derivative_filter"])
-    tree["action"] = scalar(entries["loop.controller.action"])
-    gain = "proportional_band" if entries["loop.controller.Kc.unit"] == "PB %" else "Kc"
-    tree[gain] = _typed(screen, "loop.controller.Kc")
-    for name in ("Ti", "Td"):
-        tree[name] = _typed(screen, f"loop.controller.{name}")
-    if entries["loop.controller.limited"] == "true":
-        tree["output_limits"] = [_typed(screen, f"loop.controller.output_limits.{end}") for end in ("low", "high")]
-        tree["anti_windup"] = scalar(entries["loop.controller.anti_windup"])
-        if screen.quantity("loop.controller.tracking_time"):
-            tree["tracking_time"] = _typed(screen, "loop.controller.tracking_time")
-    return tree
-
-
-def _quote(text: str) -> str:
-    return '"' + text + '"' if text in STRUCTURES else scalar(text)
-
-
-def _is_zero(text: str) -> bool:
-    try:
-        return float(text) == 0.0
-    except ValueError:
-        return False
-
-
 def _experiment(screen: Screen) -> dict[str, Tree]:
     tree: dict[str, Tree] = {"duration": _typed(screen, "experiment.duration")}
-    for name, unit, more in (("setpoint", "", screen.more_setpoint), ("load", " %", screen.more_load)):
+    profiles = [("setpoint", "", screen.more_setpoint), ("load", " %", screen.more_load)]
+    noises = ["noise"]
+    if screen.cascade:
+        profiles.append(("primary_load", "", screen.more_primary_load))
+        noises.append("secondary_noise")
+    for name, unit, more in profiles:
         path = f"experiment.{name}"
         parts: list[Tree] = []
-        if not _is_zero(screen.entries[f"{path}.step"]):
+        if not is_zero(screen.entries[f"{path}.step"]):
             parts.append({"step": _typed(screen, f"{path}.step"), "at": _typed(screen, f"{path}.at")})
         parts += [_part(part, unit) for part in more]
         if parts:
             tree[name] = parts[0] if len(parts) == 1 else parts
-    if not _is_zero(screen.entries["experiment.noise.sd"]):
-        tree["noise"] = {name: _typed(screen, f"experiment.noise.{name}") for name in ("sd", "seed")}
-    if not _is_zero(screen.entries["experiment.stem_offset"]):
+    for noise in noises:
+        if not is_zero(screen.entries[f"experiment.{noise}.sd"]):
+            tree[noise] = {name: _typed(screen, f"experiment.{noise}.{name}") for name in ("sd", "seed")}
+    if not is_zero(screen.entries["experiment.stem_offset"]):
         tree["stem_offset"] = _typed(screen, "experiment.stem_offset")
     return tree
 
@@ -206,18 +199,36 @@ def _part(part: Profile, unit: str) -> Tree:
 def _weights(screen: Screen) -> dict[str, Tree]:
     names = [path for path in FIELDS if path.startswith("objective.")]
     given = {path.removeprefix("objective."): screen.entries[path].strip() for path in names}
-    return {name: scalar(text) for name, text in given.items() if not _is_zero(text)} or {"w1": "0"}
+    return {name: scalar(text) for name, text in given.items() if not is_zero(text)} or {"w1": "0"}
+
+
+def _tune_cascade(screen: Screen) -> dict[str, Tree]:
+    tree: dict[str, Tree] = {}
+    if screen.entries["tune_cascade.tuned"] == "both":
+        path = "tune_cascade.secondary.experiment"
+        alone: dict[str, Tree] = {"duration": _typed(screen, f"{path}.duration")}
+        for name, first, second in (("setpoint", "step", "at"), ("load", "step", "at"), ("noise", "sd", "seed")):
+            if not is_zero(screen.entries[f"{path}.{name}.{first}"]):
+                alone[name] = {one: _typed(screen, f"{path}.{name}.{one}") for one in (first, second)}
+        tree["secondary"] = _bounds(screen, "tune_cascade.secondary") | {"experiment": alone}
+    tree["primary"] = _bounds(screen, "tune_cascade.primary")
+    return tree | {name: _typed(screen, f"tune.{name}") for name in ("digits", "restarts", "seed")}
+
+
+def _bounds(screen: Screen, path: str) -> dict[str, Tree]:
+    """Return the bounds of a search, with Td held at 0 for a PI."""
+    bounds: dict[str, Tree] = {
+        name: [_typed(screen, f"{path}.bounds.{name}.{end}") for end in ("low", "high")] for name in ("Kc", "Ti", "Td")
+    }
+    if screen.entries[f"{path}.kind"] != "PI":
+        return {"bounds": bounds}
+    del bounds["Td"]
+    return {"bounds": bounds, "Td": "0 s"}
 
 
 def _tune(screen: Screen) -> dict[str, Tree]:
     entries = screen.entries
-    bounds: dict[str, Tree] = {
-        name: [_typed(screen, f"tune.bounds.{name}.{end}") for end in ("low", "high")] for name in ("Kc", "Ti", "Td")
-    }
-    tree: dict[str, Tree] = {"bounds": bounds}
-    if entries["tune.kind"] == "PI":
-        del bounds["Td"]
-        tree["Td"] = "0 s"
+    tree = _bounds(screen, "tune")
     for name in ("digits", "restarts", "seed"):
         tree[name] = _typed(screen, f"tune.{name}")
     if entries["tune.robust"] == "true":
@@ -229,35 +240,14 @@ def _tune(screen: Screen) -> dict[str, Tree]:
     return tree
 
 
-def controller_tree(pid: PID) -> dict[str, Tree]:
-    """Return a controller with every key that a scenario knows of it, so that nothing is inherited."""
-    tree: dict[str, Tree] = {"Kc": number_text(pid.Kc)}
-    tree["Ti"] = "none" if math.isinf(pid.Ti) else f"{number_text(pid.Ti)} s"
-    tree["Td"] = f"{number_text(pid.Td)} s"
-    tree["form"] = pid.form
-    if pid.structure is None:
-        tree |= {"derivative_on": pid.derivative_on, "setpoint_weight": number_text(pid.setpoint_weight)}
+def _case(screen: Screen, case: Pinned) -> dict[str, Tree]:
+    entries = screen.entries
+    tree: dict[str, Tree] = {"name": words(case.name)}
+    if case.primary is None:
+        tree |= case_controller(case.controller, entries, "loop.controller")
     else:
-        tree["structure"] = _quote(pid.structure)
-    tree["derivative_filter"] = number_text(pid.derivative_filter)
-    tree["action"] = pid.action
-    if pid.output_limits is None:
-        tree["output_limits"] = "null"
-    else:
-        tree["output_limits"] = [f"{_limit(end)} %" for end in pid.output_limits]
-        tree["anti_windup"] = pid.anti_windup
-        if pid.anti_windup == "back_calculation":
-            Tt = pid.ideal_terms().Ti if pid.tracking_time is None else pid.tracking_time
-            tree["tracking_time"] = f"{number_text(Tt)} s"
-    return tree
-
-
-def _limit(value: float) -> str:
-    return repr(float(value)).removesuffix(".0")
-
-
-def _case(case: Pinned) -> dict[str, Tree]:
-    tree: dict[str, Tree] = {"name": words(case.name), **controller_tree(case.controller)}
+        tree["primary"] = case_controller(case.primary, entries, "cascade.primary.controller", "")
+        tree["secondary"] = case_controller(case.controller, entries, "cascade.secondary.controller")
     if case.note:
         tree["note"] = words(case.note)
     if case.reference:

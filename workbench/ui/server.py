@@ -18,8 +18,9 @@ from tornado.ioloop import IOLoop
 from tornado.web import StaticFileHandler
 
 from workbench.errors import InvalidValue
+from workbench.ui.document import open_page
 from workbench.ui.load import Loaded
-from workbench.ui.page import LARGEST_UPLOAD, open_page
+from workbench.ui.page import LARGEST_UPLOAD
 
 __all__ = ["PORT", "UiServer", "start"]
 

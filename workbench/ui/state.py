@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from workbench.errors import InvalidValue, ScenarioError, WorkbenchError
+from workbench.model.cascade import Cascade
 from workbench.model.controller import PID
 from workbench.model.experiment import Experiment
 from workbench.model.loop import Loop
@@ -21,6 +22,7 @@ from workbench.model.results import Run
 from workbench.model.titles import KPI_ROWS
 from workbench.model.tuning import Objective
 from workbench.model.valve import Valve
+from workbench.report.cascade import cascade_kpis
 from workbench.report.tables import shown
 from workbench.report.words import change, controller_words
 from workbench.scenario.document import parse, plain
@@ -28,15 +30,24 @@ from workbench.scenario.loader import read_scenario
 from workbench.simulate.run import evaluate, simulate
 from workbench.ui.fields import field_of
 from workbench.ui.load import Loaded, controller_entries, plant_entries, screen_of, time_entry, valve_entries
-from workbench.ui.screen import Pinned, Screen, scenario_text
+from workbench.ui.screen import MapView, Pinned, Screen, scenario_text
 
-__all__ = ["MOST_CASES", "ROWS", "Built", "CaseRun", "Problem", "Session", "problems_of"]
+__all__ = ["MOST_CASES", "ROWS", "Built", "CaseRun", "Problem", "Session", "problems_of", "value_of"]
 
 MOST_CASES = 12
 MOST_UNDONE = 200
 MODEL_DIGITS = 5  # of an estimate on the page: far more than any record pins down
 FILE = Path("screen.yaml")  # the name under which the page's own scenario is read
-ROWS = (("objective", "Objective J", "", True), *KPI_ROWS)
+# Name, title, unit, whether less is better; of a cascade the loop stands before the name.
+Rows = tuple[tuple[str, str, str, bool], ...]
+ROWS: Rows = (("objective", "Objective J", "", True), *KPI_ROWS)
+CASCADE_ROWS: Rows = (
+    ROWS[0],
+    *(
+        (f"{which}.{name}", title, unit.removesuffix(" of the secondary"), less)
+        for which, name, title, unit, less in cascade_kpis()
+    ),
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,32 +60,57 @@ class Problem:
 
 @dataclass(frozen=True, eq=False)
 class Built:
-    """What a screen means: the loop under the page's own controller, and what is done to it."""
+    """What a screen means: the loop under the page's own controller, and what is done to it.
+
+    cascade: of which `loop` is the secondary, or None.
+    """
 
     loop: Loop
     experiment: Experiment
     objective: Objective
+    cascade: Cascade | None = None
 
 
 @dataclass(frozen=True, eq=False)
 class CaseRun:
-    """One tuning's exact simulation; run is None where the loop as it stands does not take it, `refused` says why."""
+    """One tuning's exact simulation; run is None where the loop as it stands does not take it, `refused` says why.
+
+    run: of the loop that holds the valve, a cascade's secondary; primary: the controller above it, above: its run.
+    """
 
     name: str
     controller: PID
     run: Run | None
     objective: float
     refused: str = ""
+    primary: PID | None = None
+    above: Run | None = None
+
+    @property
+    def outer(self) -> Run | None:
+        """The run whose error counts: the primary's, or the single loop's."""
+        return self.run if self.primary is None else self.above
+
+    @property
+    def words(self) -> str:
+        """The tuning, in words."""
+        own = controller_words(self.controller)
+        if self.primary is None:
+            return own
+        return f"primary {controller_words(self.primary).replace('%/EU', 'EU/EU')}; secondary {own}"
 
 
-def problems_of(error: ScenarioError) -> tuple[Problem, ...]:
-    """Return a refusal's lines without the place in a file that nobody has seen: `where: what is wrong`."""
+def problems_of(error: ScenarioError, entries: Mapping[str, str] | None = None) -> tuple[Problem, ...]:
+    """Return a refusal's lines without the place in a file that nobody has seen: `where: what is wrong`.
+
+    entries: what stands on the page, which hides some fields.
+    """
     found = []
     for line in str(error).splitlines():
         parts = line.split(": ", 1)
         text = parts[1] if len(parts) == 2 and parts[0].startswith(str(FILE)) else line
         where = text.split(": ", 1)[0]
-        found.append(Problem(field_of(where) or "", text))
+        found.append(Problem(field_of(where, entries) or "", text))
     return tuple(found)
 
 
@@ -83,7 +119,7 @@ class Session:
 
     def __init__(self, loaded: Loaded | None = None) -> None:
         self.screen = Screen()
-        self.past: list[Screen] = []
+        self.past: list[tuple[Screen, tuple[str, ...]]] = []
         self.gesture = ""
         self.problems: tuple[Problem, ...] = ()
         self.notes: tuple[str, ...] = ()
@@ -107,17 +143,19 @@ class Session:
         """Go back to the screen before the last change; False where there is none."""
         if not self.past:
             return False
-        self.screen, self.gesture = self.past.pop(), ""
+        (self.screen, self.notes), self.gesture = self.past.pop(), ""
         self._build()
         return True
 
-    def pin(self, name: str, controller: PID | None = None, note: str = "") -> None:
-        """Keep a controller (the page's own by default) as a case. Raises `WorkbenchError`."""
+    def pin(self, name: str, controller: PID | None = None, note: str = "", primary: PID | None = None) -> None:
+        """Keep a controller (the page's own by default) as a case, of a cascade both. Raises `WorkbenchError`."""
         if controller is None:
-            controller = self._whole().loop.controller
+            built = self._whole()
+            controller = built.loop.controller
+            primary = None if built.cascade is None else built.cascade.primary.controller
         if len(self.screen.cases) >= MOST_CASES:
             raise InvalidValue("cases", f"{MOST_CASES + 1} cases", f"must be at most {MOST_CASES}; remove one first")
-        self._with_cases((*self.screen.cases, Pinned(name.strip(), controller, note)))
+        self._with_cases((*self.screen.cases, Pinned(name.strip(), controller, note, primary=primary)))
 
     def rename(self, index: int, name: str) -> None:
         """Give a pinned case another name. Raises `WorkbenchError`."""
@@ -136,8 +174,16 @@ class Session:
         self._with_cases(tuple(cases))
 
     def show(self, index: int) -> None:
-        """Put a pinned case's controller on the page."""
-        self.change(controller_entries(self.screen.cases[index].controller))
+        """Put a pinned case's controller on the page; of a cascade both."""
+        self.use(self.screen.cases[index].controller, self.screen.cases[index].primary)
+
+    def use(self, controller: PID, primary: PID | None = None) -> None:
+        """Put a controller on the page; of a cascade both."""
+        if primary is None:
+            self.change(controller_entries(controller))
+            return
+        entries = controller_entries(primary, "cascade.primary.controller")
+        self.change(entries | controller_entries(controller, "cascade.secondary.controller"))
 
     def use_tuning(self, Kc: float, value: float, axis: str) -> None:
         """Put a map's tuning, in %/EU and s, on the page, at three digits."""
@@ -156,16 +202,20 @@ class Session:
         samples = max(round(duration / sample_time), 1)
         entries |= time_entry("experiment.duration", samples * sample_time)
         entries["loop.coarse_sampling"] = "true"  # the record's sampling is what it is
-        self.change(entries)
+        # A loop that was found is linear, with the valve's sign in its gain, and executes at every sample.
+        entries |= {"loop.characteristic.type": "linear", "loop.fail_open": "false", "loop.scan": "1"}
+        screen = self.screen.with_entries(entries)
+        # A cascade's cases are none of the loop that was found.
+        self._become(replace(screen, cascade=False, cases=()) if screen.cascade else screen, "")
 
     def load(self, loaded: Loaded) -> None:
         """Show another scenario; what stood here before can be had back."""
-        self.notes = loaded.notes
         self._become(loaded.screen, "")
+        self.notes = loaded.notes
 
     def _become(self, screen: Screen, gesture: str) -> None:
         if not gesture or gesture != self.gesture:
-            self.past = [*self.past[-MOST_UNDONE + 1 :], self.screen]
+            self.past = [*self.past[-MOST_UNDONE + 1 :], (self.screen, self.notes)]
         self.gesture = gesture
         self.screen = screen
         self._build()
@@ -174,7 +224,7 @@ class Session:
         """Take these cases if a scenario may hold them: names that differ and are not blank."""
         wanted = replace(self.screen, cases=cases)
         try:
-            read_scenario(scenario_text(replace(Screen(), cases=cases)), FILE)
+            read_scenario(scenario_text(replace(Screen(), cascade=self.screen.cascade, cases=cases)), FILE)
         except ScenarioError as error:
             raise ScenarioError("\n".join(problem.text for problem in problems_of(error))) from None
         self._become(wanted, "")
@@ -186,13 +236,15 @@ class Session:
         try:
             plan = read_scenario(scenario_text(self.screen, cases=False), FILE)
         except ScenarioError as error:
-            self.problems = problems_of(error)
+            self.problems = problems_of(error, self.screen.entries)
             return
-        if plan.loop is None or plan.experiment is None or plan.objective is None:
+        cascade = plan.cascade[0].cascade if plan.cascade else None
+        loop = plan.loop if cascade is None else cascade.secondary
+        if loop is None or plan.experiment is None or plan.objective is None:
             raise AssertionError("a page's scenario holds a loop, an experiment and an objective")
-        self.built = Built(plan.loop, plan.experiment, plan.objective)
+        self.built = Built(loop, plan.experiment, plan.objective, cascade)
         self.problems = tuple(Problem("loop.controller.action", text) for text in plan.warnings)
-        self.own = self._run("On screen", plan.loop.controller)
+        self.own = self._run("On screen", loop.controller, None if cascade is None else cascade.primary.controller)
         if self.own.refused:
             self.problems = (*self.problems, Problem("", self.own.refused))
 
@@ -202,9 +254,11 @@ class Session:
             raise ScenarioError(text)
         return self.built
 
-    def _run(self, name: str, controller: PID) -> CaseRun:
+    def _run(self, name: str, controller: PID, primary: PID | None = None) -> CaseRun:
         built = self.built
         assert built is not None  # noqa: S101 - only asked for once something was built
+        if built.cascade is not None:
+            return _cascade_run(name, controller, primary, built, built.cascade)
         try:
             loop = built.loop.with_controller(controller)
             # A diverging loop overflows; its figures say so.
@@ -217,16 +271,23 @@ class Session:
 
     def runs(self) -> list[CaseRun]:
         """Return the pinned cases under the loop and experiment as they stand, in order."""
-        return [] if self.built is None else [self._run(case.name, case.controller) for case in self.screen.cases]
+        if self.built is None:
+            return []
+        return [self._run(case.name, case.controller, case.primary) for case in self.screen.cases]
+
+    @property
+    def rows(self) -> Rows:
+        """The figures of what stands on the page: `ROWS` or `CASCADE_ROWS`."""
+        return ROWS if self.built is None or self.built.cascade is None else CASCADE_ROWS
 
     def figures(self) -> list[dict[str, str]]:
         """Return the figures of the page's own run: name, title, unit and value as text."""
         if self.own is None or self.own.run is None:
             return []
-        values = [_value(self.own, name) for name, *_ in ROWS]
+        values = [value_of(self.own, name) for name, *_ in self.rows]
         return [
-            {"name": name, "title": title, "unit": unit, "text": shown(name, value)}
-            for (name, title, unit, _), value in zip(ROWS, values, strict=True)
+            {"name": name, "title": title, "unit": unit, "text": shown(name.rpartition(".")[2], value)}
+            for (name, title, unit, _), value in zip(self.rows, values, strict=True)
             if not math.isnan(value)
         ]
 
@@ -239,8 +300,8 @@ class Session:
         columns = [*runs, *([self.own] if self.own is not None else [])]
         cases = self.screen.cases
         rows: list[dict[str, object]] = []
-        for name, title, unit, less in ROWS:
-            values = [_value(one, name) for one in columns]
+        for name, title, unit, less in self.rows:
+            values = [value_of(one, name) for one in columns]
             if all(math.isnan(v) for v in values):
                 continue
             finite = [v for v in values if math.isfinite(v)]
@@ -250,23 +311,27 @@ class Session:
                 published = cases[i].reference.get(name) if i < len(cases) else None
                 cells.append(
                     {
-                        "text": shown(name, value),
+                        "text": shown(name.rpartition(".")[2], value),
                         "difference": "" if i == 0 or math.isnan(value) else change(value, values[0]),
                         "best": value == best,
                         "published": "" if published is None else f"{published:g}",
                     }
                 )
             rows.append({"title": title, "unit": unit, "cells": cells})
-        heads = [
-            {"name": one.name, "settings": controller_words(one.controller), "refused": one.refused} for one in columns
-        ]
+        heads = [{"name": one.name, "settings": one.words, "refused": one.refused} for one in columns]
         return {"heads": heads, "rows": rows}
 
     # scenarios -----------------------------------------------------------------------------------------------------
 
-    def scenario(self, *, mapped: bool = False) -> str:
-        """Return the page as a scenario, with a map where asked for. Raises `ScenarioError` where it is refused."""
-        text = scenario_text(self.screen, mapped=mapped)
+    def scenario(self) -> str:
+        """Return the page as a scenario. Raises `ScenarioError` where it is refused."""
+        return self._checked(scenario_text(self.screen))
+
+    def mapped(self, view: MapView | None = None) -> str:
+        """Return the page as a scenario with a map; view: of these ends of Kc (%/EU) and Ti (s). Raises as it does."""
+        return self._checked(scenario_text(self.screen, mapped=True, view=view))
+
+    def _checked(self, text: str) -> str:
         try:
             read_scenario(text, FILE)
         except ScenarioError as error:
@@ -279,7 +344,7 @@ class Session:
         try:
             read_scenario(text, FILE)
         except ScenarioError as error:
-            self.problems = problems_of(error)
+            self.problems = problems_of(error, self.screen.entries)
             raise ScenarioError("\n".join(problem.text for problem in self.problems)) from None
         return text
 
@@ -298,10 +363,27 @@ class Session:
         return loaded.data
 
 
-def _value(one: CaseRun, name: str) -> float:
-    if one.run is None:
+def _cascade_run(name: str, below: PID, above: PID | None, built: Built, cascade: Cascade) -> CaseRun:
+    from workbench.tune.cascade import evaluate_cascade  # casadi: only where there is a cascade
+
+    try:
+        cascade = cascade.with_controllers(above, below)
+        # A diverging cascade overflows; its figures say so.
+        with np.errstate(over="ignore", invalid="ignore"):
+            run = simulate(cascade, built.experiment)
+            cost = float(evaluate_cascade(cascade, built.experiment, built.objective))
+    except WorkbenchError as error:
+        return CaseRun(name, below, None, math.nan, str(error), above)
+    return CaseRun(name, below, run.secondary, cost, "", above, run.primary)
+
+
+def value_of(one: CaseRun, name: str) -> float:
+    """Return a figure of `Session.rows`; nan where there is no run."""
+    which, _, own = name.rpartition(".")
+    run = one.outer if which == "primary" else one.run
+    if run is None:
         return math.nan
-    return one.objective if name == "objective" else float(getattr(one.run.kpis, name))
+    return one.objective if name == "objective" else float(getattr(run.kpis, own))
 
 
 def _files(data: object) -> list[str]:

@@ -85,7 +85,10 @@ class Found:
 
 @dataclass(frozen=True, slots=True)
 class TunedCase:
-    """A tuning found: the controller to type in, whether it was verified, and in words how it fares."""
+    """A tuning found: the controller to type in, whether it was verified, and in words how it fares.
+
+    primary: of a cascade, whose secondary's is `controller` then.
+    """
 
     controller: PID
     success: bool
@@ -93,6 +96,7 @@ class TunedCase:
     lines: tuple[str, ...]
     objective: float
     start_objective: float
+    primary: PID | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -201,6 +205,8 @@ def tune_loop(text: str, folder: str, progress: Progress) -> TunedCase:
     from workbench.scenario.runner import tune_case
 
     plan = _plan(text, folder)
+    if plan.cascade:
+        return _tune_in_turn(plan, progress)
     job = plan.cases[-1].tune
     if plan.loop is None or plan.experiment is None or job is None:
         raise ScenarioError("no tuning was asked for")
@@ -228,6 +234,32 @@ def tune_loop(text: str, folder: str, progress: Progress) -> TunedCase:
     )
 
 
+def _tune_in_turn(plan: Scenario, progress: Progress) -> TunedCase:
+    from workbench.report.words import change, controller_words, figure, sentences
+    from workbench.scenario.cascade_runner import tune_job
+
+    job = plan.cascade[-1]
+    if plan.experiment is None or job.tune is None:
+        raise ScenarioError("no tuning was asked for")
+    tuned = tune_job(job.cascade, plan.experiment, job.tune, progress)
+    found, digits = tuned.primary, tuned.primary.digits
+    above, below = tuned.cascade.primary.controller, tuned.cascade.secondary.controller
+    of_secondary = [] if tuned.secondary is None else [f"Secondary: {sentences([tuned.secondary.message])}"]
+    cost = (
+        f"J {figure(found.objective, 5)}, {change(found.objective, tuned.start_objective)} against the tuning on the "
+        f"page ({figure(tuned.start_objective, 5)}); worst near by {figure(found.worst, 5)}"
+    )
+    lines = (
+        f"Secondary: {controller_words(below, None if tuned.secondary is None else digits)}",
+        f"Primary: {controller_words(above, digits).replace('%/EU', 'EU/EU')}",
+        cost,
+        *of_secondary,
+        f"Primary: {sentences([found.message])}",
+    )
+    both = found.status if tuned.secondary is None or tuned.secondary.status.success else tuned.secondary.status
+    return TunedCase(below, both.success, both.value, lines, found.objective, tuned.start_objective, above)
+
+
 def map_tunings(text: str, folder: str, progress: Progress) -> MapFound:
     """Return the map of Kc and Ti around a scenario's cases. Raises `WorkbenchError`."""
     from workbench.analyze.cycle_map import cycle_map, map_ranges
@@ -237,7 +269,9 @@ def map_tunings(text: str, folder: str, progress: Progress) -> MapFound:
     if plan.loop is None or plan.cycle_map is None:
         raise ScenarioError("no map was asked for")
     loop: Loop = plan.loop
-    ranges = map_ranges(loop, [case.controller for case in plan.cases])
+    asked = {"Kc": plan.cycle_map.Kc, "Ti": plan.cycle_map.Ti}
+    given = {name: pair for name, pair in asked.items() if pair is not None}
+    ranges = map_ranges(loop, [case.controller for case in plan.cases]) | given
     found = cycle_map(
         loop,
         **ranges,

@@ -84,7 +84,8 @@ function show(answer, asked) {
   }
   const before = entries;
   entries = answer.entries;
-  fitAxes(answer.axes);
+  document.documentElement.dataset.kind = answer.kind;
+  fitAxes(answer.axes, answer.refit);
   showEntries(asked, before);
   showProblems(answer.problems);
   byId("title").textContent = answer.title;
@@ -92,7 +93,7 @@ function show(answer, asked) {
   byId("message").textContent = answer.message;
   byId("message").hidden = !answer.message;
   byId("progress").hidden = !answer.busy;
-  for (const id of ["tune", "map", "front", "estimate", "read"]) byId(id).disabled = Boolean(answer.busy);
+  for (const id of ["tune", "map", "map-view", "front", "estimate", "read"]) byId(id).disabled = Boolean(answer.busy);
   if (answer.notes.join() !== notes) list(byId("notes"), answer.notes);
   notes = answer.notes.join();
   showFigures(answer.figures, answer.problems);
@@ -108,7 +109,8 @@ function show(answer, asked) {
   if (answer.frequency) {
     list(byId("frequency-lines"), answer.frequency.lines);
     list(byId("map-lines"), answer.frequency.map);
-    byId("map-box").hidden = !answer.frequency.map?.length;
+    byId("map-box").hidden = byId("map-view").hidden = !answer.frequency.map?.length;
+    byId("loci-box").hidden = !answer.frequency.loci;
   }
   if (answer.scenario !== undefined) byId("scenario").textContent = answer.scenario;
   if (answer.record) showRecord(answer.record);
@@ -122,21 +124,22 @@ function show(answer, asked) {
 
 const fitted = new Map();
 
-function fitAxes(axes) {
+function fitAxes(axes, refit) {
   for (const [name, [start, end]] of Object.entries(axes)) {
     const [figure, axis] = name.split(".");
     const range = Bokeh.documents[0].get_model_by_name(figure)[`${axis}_range`];
     const before = fitted.get(name);
     fitted.set(name, [start, end]);
-    // What the user has zoomed stays until it is reset.
-    const zoomed = before && (range.start !== before[0] || range.end !== before[1]);
+    // What the user has zoomed stays until it is reset, or drawn anew.
+    const zoomed = before && figure !== refit && (range.start !== before[0] || range.end !== before[1]);
     range.setv({ reset_start: start, reset_end: end, ...(zoomed ? {} : { start, end }) }, { sync: false });
   }
 }
 
 function suggest(cases) {
   const names = cases.map((one) => one.name);
-  const base = entries["tune.kind"] === "PI" ? "Tuned PI" : "Tuned PID";
+  const own = entries["tune.kind"] === "PI" ? "Tuned PI" : "Tuned PID";
+  const base = document.documentElement.dataset.kind === "cascade" ? "Tuned in turn" : own;
   let name = base;
   for (let i = 2; names.includes(name); i += 1) name = `${base} ${i}`;
   byId("tuned-name").value = name;
@@ -146,23 +149,33 @@ function showEntries(asked, before) {
   const sliding = asked && asked.do === "set" ? asked.entries : {};
   const queued = new Set(queue.flatMap((one) => (one.do === "set" ? Object.keys(one.entries) : [])));
   let kinds = false;
+  const used = [];
   for (const [path, el] of entryInputs) {
     const text = entries[path];
+    if (text === undefined) continue; // of the other kind of scenario
     if (text === before[path] && el.value === text && el.type !== "checkbox") continue;
     // What is being typed or dragged stays as it is until it is sent.
     if (queued.has(path) || (asked?.do === "set" && el === document.activeElement && !(path in sliding))) continue;
     if (el.type === "checkbox") el.checked = text === "true";
     else if (el.value !== text) el.value = text;
     kinds ||= el.type !== "text";
+    if (text !== before[path] && text !== spec.fields[path]?.usual) used.push(path);
   }
   if (kinds) {
     for (const [path, field] of Object.entries(spec.fields)) {
-      if (field.when) boxes.get(path).hidden = !field.when[1].includes(entries[field.when[0]]);
+      if (field.when) boxes.get(path).hidden = !shows(path);
     }
   }
+  // What few loops have shows where it comes with a scenario.
+  for (const path of used) boxes.get(path)?.closest("details.more")?.setAttribute("open", "");
   for (const path of sliders.keys()) {
     if (entries[path] !== before[path] && !queued.has(path)) place(path, asked);
   }
+}
+
+function shows(path) {
+  const when = spec.fields[path].when;
+  return !when || (when[1].includes(entries[when[0]]) && shows(when[0]));
 }
 
 function showProblems(problems) {
@@ -186,7 +199,7 @@ function showProblems(problems) {
     said.textContent = said.textContent ? `${said.textContent} ${problem.text}` : problem.text;
     said.hidden = false;
     box.querySelector("[data-entry]").setAttribute("aria-invalid", "true");
-    box.closest("details")?.setAttribute("open", "");
+    for (let part = box; part; part = part.parentElement.closest("details")) part.setAttribute("open", "");
   }
   if (homeless.length) {
     byId("message").textContent = homeless.join("\n");
@@ -231,7 +244,7 @@ function showComparison(table, pinned) {
       cell.append(make("span", head.name));
     } else {
       const name = make("input", "", { type: "text", "aria-label": `Name of case ${i + 1}`, maxlength: "80", "data-keep": `name-${i}` });
-      name.value = head.name;
+      name.value = name.title = head.name;
       name.addEventListener("change", () => ask("rename", { index: i, name: name.value }));
       cell.append(name);
     }
@@ -393,8 +406,9 @@ function nudge(path, el, up) {
 
 for (const [path, el] of entryInputs) {
   el.addEventListener("change", () => typed(path, el));
-  if (el.type !== "text") continue;
+  if (el.type !== "text" && el.type !== "textarea") continue;
   el.addEventListener("blur", () => (gesture += 1));
+  if (el.type !== "text") continue;
   el.addEventListener("keydown", (event) => {
     if (event.key === "ArrowUp" || event.key === "ArrowDown") {
       event.preventDefault();
@@ -432,7 +446,7 @@ for (const [i, tab] of tabs.entries()) {
 }
 
 document.addEventListener("keydown", (event) => {
-  const typing = event.target.matches?.("input[type=text]") && event.target.value !== (entries[event.target.dataset.entry] ?? event.target.value);
+  const typing = event.target.matches?.("input[type=text], textarea") && event.target.value !== (entries[event.target.dataset.entry] ?? event.target.value);
   if ((event.ctrlKey || event.metaKey) && event.key.toLowerCase() === "z" && !event.shiftKey && !typing) {
     event.preventDefault();
     ask("undo");
@@ -459,6 +473,11 @@ for (const button of document.querySelectorAll("[data-export]")) {
 const plain = { estimate: "estimate", read: "read", "use-model": "use_model", tune: "tune", stop: "stop", map: "map", front: "front", "suit-bounds": "suit_bounds", "use-tuned": "use_tuned" };
 for (const [id, what] of Object.entries(plain)) byId(id).addEventListener("click", () => ask(what));
 byId("pin-tuned").addEventListener("click", () => ask("pin_tuned", { name: byId("tuned-name").value }));
+byId("map-view").addEventListener("click", () => {
+  const plane = Bokeh.documents[0].get_model_by_name("f_map");
+  const [x, y] = [plane.x_range, plane.y_range].map((range) => [range.start, range.end]);
+  ask("map", { seen: { x, y } });
+});
 byId("map-figure").addEventListener("change", (event) => ask("map_figure", { name: event.target.value }));
 
 function upload(file) {
