@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 
 from workbench.model.cascade import Appearance
 from workbench.model.study import CascadeResult, Study
-from workbench.model.titles import kpi_title
+from workbench.model.titles import kpi_title, within
 from workbench.report.shared import CONTROLLER_ROWS, experiment_words, objective_words
 from workbench.report.tables import Cell, Row, Table, shown
 from workbench.report.words import (
@@ -80,7 +80,7 @@ def cascade_tables(study: Study) -> list[Table]:
             if which == "primary" and name == "controller_travel":
                 title, unit = "Travel of its output", "EU of the secondary"
             values = [float(getattr(getattr(c.run, which).kpis, name)) for c in cases]
-            words = f"{which.capitalize()}: {title[0].lower() + title[1:] if title[1:2].islower() else title}"
+            words = f"{which.capitalize()}: {within(title)}"
             rows.append(_numbers(words, unit, values, name, less=name in LESS, group=name == names[0]))
     tables = [Table(heads, tuple(rows))]
     if any(case.cycle is not None for case in cases):

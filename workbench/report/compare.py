@@ -11,7 +11,7 @@ from io import StringIO
 from typing import Any
 
 from workbench.errors import InvalidValue
-from workbench.model.titles import KPI_ROWS, kpi_title
+from workbench.model.titles import KPI_ROWS, kpi_title, within
 from workbench.report.cells import cell
 from workbench.report.compared import Entry, Found, Results
 from workbench.report.tables import Cell, Row, Table, shown
@@ -171,7 +171,7 @@ def _notes(lines: Sequence[Line], base: Line | None) -> list[str]:
             continue
         entry, other = line.entry, base.entry
         if entry.sample_time != other.sample_time:
-            names = join([_title(name) for name in BY_SAMPLE])
+            names = join([within(kpi_title(name)[0]) for name in BY_SAMPLE])
             text = (
                 f"sampled every {setting(entry.sample_time)} s, the base every {setting(other.sample_time)} s: {names}"
             )
@@ -192,11 +192,6 @@ def _notes(lines: Sequence[Line], base: Line | None) -> list[str]:
 def _seed(results: Results) -> object:
     noise = (results.experiment or {}).get("noise")
     return noise.get("seed") if isinstance(noise, Mapping) and noise.get("sd") else None
-
-
-def _title(name: str) -> str:
-    title = kpi_title(name)[0]
-    return title if name == "objective" else title[:1].lower() + title[1:]
 
 
 def model_words(model: Mapping[str, Any]) -> str:

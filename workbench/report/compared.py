@@ -24,7 +24,10 @@ ALLOWED = "must be a results.json of `workbench run`, a report's folder, or a fo
 
 
 def _figure(value: object) -> object:
-    """Return a figure of a strict JSON file: null stands for what is not known, and "none" for no limit."""
+    """Return a figure of a strict JSON file: null for what is not known, "none" for what there is none of (infinite).
+
+    Earlier versions wrote "Infinity" for some of the latter, which is a number's text already.
+    """
     return {None: math.nan, "none": math.inf}.get(value, value) if isinstance(value, str | None) else value
 
 

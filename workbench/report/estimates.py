@@ -10,7 +10,7 @@ from workbench.model.loop import Loop
 from workbench.model.plant import FOPDT, Plant
 from workbench.model.results import Estimate
 from workbench.model.study import NamedEstimate
-from workbench.model.titles import kpi_title
+from workbench.model.titles import kpi_title, within
 from workbench.model.valve import Choudhury, Deadband, He, Ideal, Kano, Stenman, Valve
 from workbench.report.results import aic
 from workbench.report.tables import Cell, Row, Table
@@ -267,7 +267,7 @@ def known_sentences(found: Estimate) -> list[str]:
 
     def names(which: str) -> str:
         titles = [kpi_title(name)[0] for name in groups[which]]
-        return join([title[:1].lower() + title[1:] for title in titles])
+        return join([within(title) for title in titles])
 
     said = []
     if found.verdict == "undecided":
@@ -310,7 +310,7 @@ def _would_tell(found: Estimate, groups: dict[str, list[str]]) -> list[str]:
         said.append("When tuning by a rule, take the upper end of the ranges of gain and dead time: the cautious side.")
     Ts = found.record.sample_time
     values = _plant_parameters(found.plant)
-    times = {n: kpi_title(n)[0].lower() for n in ("time_constant", "dead_time") if n in groups["hardly"]}
+    times = {n: within(kpi_title(n)[0]) for n in ("time_constant", "dead_time") if n in groups["hardly"]}
     coarse = [title for n, title in times.items() if values[n] < COARSE * Ts]
     slow = [title for title in times.values() if title not in coarse]
     if coarse:

@@ -64,14 +64,18 @@ _DISTRIBUTIONS = ("stiction-workbench", "casadi", "matplotlib", "numba", "numpy"
 
 
 def strict(value: Any) -> Any:
-    """Return a value as strict JSON takes it: nan as None, infinities as text, floats at 12 significant digits."""
+    """Return a value as strict JSON takes it, floats at 12 significant digits.
+
+    What there is none of (no limit, no filter, not settled in the run) is infinite in Python and "none" here, as in a
+    scenario; what is not known, nan and what has run off to minus infinity, is None.
+    """
     if isinstance(value, bool) or value is None or isinstance(value, str | int):
         return value
     if isinstance(value, float):
-        if math.isnan(value):
+        if math.isnan(value) or value == -math.inf:
             return None
         if math.isinf(value):
-            return "Infinity" if value > 0 else "-Infinity"
+            return "none"
         if abs(value) < ROUNDING:
             return 0.0
         return float(f"{value:.{DIGITS}g}")
@@ -95,13 +99,8 @@ def _weights(objective: Objective) -> dict[str, float]:
 
 
 def controller_content(controller: PID) -> dict[str, Any]:
-    """Return a controller in full; an unfiltered derivative's filter and a missing integral time are "none".
-
-    A resolution and a compensator are there only where it has one.
-    """
+    """Return a controller in full; a resolution and a compensator are there only where it has one."""
     content = plain(controller)
-    content["derivative_filter"] = _or_none(controller.derivative_filter)
-    content["Ti"] = _or_none(controller.Ti)
     if controller.output_resolution == 0.0:
         del content["output_resolution"]
     given = content.pop("compensator")
