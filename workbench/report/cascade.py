@@ -8,6 +8,7 @@ from collections.abc import Callable, Sequence
 from workbench.model.cascade import Appearance
 from workbench.model.study import CascadeResult, Study
 from workbench.model.titles import kpi_title, within
+from workbench.report.judge import settling_band, settling_doubt
 from workbench.report.shared import CONTROLLER_ROWS, experiment_words, objective_words
 from workbench.report.tables import Cell, Row, Table, shown
 from workbench.report.words import (
@@ -81,7 +82,9 @@ def cascade_tables(study: Study) -> list[Table]:
                 title, unit = "Travel of its output", "EU of the secondary"
             values = [float(getattr(getattr(c.run, which).kpis, name)) for c in cases]
             words = f"{which.capitalize()}: {within(title)}"
-            rows.append(_numbers(words, unit, values, name, less=name in LESS, group=name == names[0]))
+            doubts = [settling_doubt(c, study.experiment) if name == "settling_time" else "" for c in cases]
+            unit = settling_band(cases[0], study.experiment) if name == "settling_time" else unit
+            rows.append(_numbers(words, unit, values, name, less=name in LESS, group=name == names[0], small=doubts))
     tables = [Table(heads, tuple(rows))]
     if any(case.cycle is not None for case in cases):
         tables.append(Table(heads, tuple(_cycle_rows(cases))))
@@ -89,11 +92,22 @@ def cascade_tables(study: Study) -> list[Table]:
 
 
 def _numbers(
-    title: str, unit: str, values: Sequence[float], name: str = "", *, less: bool = False, group: bool = False
+    title: str,
+    unit: str,
+    values: Sequence[float],
+    name: str = "",
+    *,
+    less: bool = False,
+    group: bool = False,
+    small: Sequence[str] = (),
 ) -> Row:
     best = min((v for v in values if math.isfinite(v)), default=math.nan)
     mark = less and len(values) > 1
-    cells = tuple(Cell(shown(name, v), best=mark and v == best and not math.isnan(v)) for v in values)
+    notes = small or [""] * len(values)
+    cells = tuple(
+        Cell(shown(name, v), note, mark and v == best and not math.isnan(v))
+        for v, note in zip(values, notes, strict=True)
+    )
     return Row(title, unit, cells, group=group or title == "J")
 
 

@@ -44,6 +44,10 @@ class Line:
         """Return a figure: of `model.results.Kpis` by its name, or "objective"; nan where it is not known."""
         return self.entry.objective if name == "objective" else self.entry.kpis.get(name, math.nan)
 
+    def doubt(self, name: str) -> str:
+        """Return why a figure is not one to go by, as the case's own report says it, or ""."""
+        return self.entry.settling_doubt if name == "settling_time" else ""
+
     def compares(self, name: str) -> bool:
         """Whether this figure may be held against the base's."""
         return not self.apart and name not in self.unlike
@@ -213,6 +217,8 @@ def difference_words(line: Line, base: Line, name: str) -> str:
         return ""
     if name == "settling_time" and math.isinf(ours) != math.isinf(theirs):
         return ""  # "not in the run" beside a time says it
+    if line.doubt(name) or base.doubt(name):
+        return ""  # what does not last is neither longer nor shorter
     return change(ours, theirs)
 
 
@@ -265,7 +271,7 @@ def _rows(block: Sequence[Line], found: Comparison) -> list[Row]:
         cells = []
         for line, value in zip(block, values, strict=True):
             doubt = "not compared" if name in line.unlike and not line.apart and not math.isnan(value) else ""
-            cells.append(Cell(shown(name, value), difference_words(line, base, name) or doubt))
+            cells.append(Cell(shown(name, value), difference_words(line, base, name) or line.doubt(name) or doubt))
         rows.append(Row(title, unit, tuple(cells), group=first))
         first = False
     if any(e.cycle for e in entries):
@@ -328,7 +334,7 @@ def comparison_csv(found: Comparison) -> str:
     writer = csv.writer(out, lineterminator="\n")
     head = ["scenario", "kind", "name", "loop", "base", "compared", "Kc", "Ti", "Td", "form", "sample_time"]
     head += [column for name in FIGURES for column in (name, f"{name}_difference")]
-    head += ["verdict", "period", "pv_peak_to_peak", *PARAMETERS]
+    head += ["settling_doubt", "verdict", "period", "pv_peak_to_peak", *PARAMETERS]
     writer.writerow(head)
     for line in found.lines:
         e, base = line.entry, found.base
@@ -336,10 +342,17 @@ def comparison_csv(found: Comparison) -> str:
         row += ["none" if math.isinf(e.Ti) else e.Ti, e.Td, e.form, e.sample_time]
         for name in FIGURES:
             ours, theirs = line.figure(name), math.nan if base is None else base.figure(name)
-            less = ours - theirs if line.compares(name) and math.isfinite(ours) and math.isfinite(theirs) else math.nan
-            row += [ours, less]
+            known = line.compares(name) and math.isfinite(ours) and math.isfinite(theirs)
+            known = known and not line.doubt(name) and not (base is not None and base.doubt(name))
+            row += [ours, ours - theirs if known else math.nan]
         numbers = _numbers(e)
-        row += [e.cycle, e.period, e.pv_peak_to_peak, *(numbers.get(name, math.nan) for name in PARAMETERS)]
+        row += [
+            e.settling_doubt,
+            e.cycle,
+            e.period,
+            e.pv_peak_to_peak,
+            *(numbers.get(name, math.nan) for name in PARAMETERS),
+        ]
         writer.writerow([cell(value) for value in row])
     for _, one, results in found.estimates:
         row = [

@@ -61,6 +61,7 @@ class _Case(_Part):
     name: str
     controller: _Controller
     kpis: dict[str, Figure]
+    settling_doubt: str | None = None
     objective: Figure = math.nan
     limit_cycle: _Cycle | None = None
     describing_function: _Df | None = None
@@ -80,6 +81,7 @@ class _CascadeCase(_Part):
     name: str
     controllers: _Both
     kpis: _BothKpis
+    settling_doubt: str | None = None
     objective: Figure = math.nan
     limit_cycle: _Cycle | None = None
 
@@ -153,9 +155,10 @@ class Entry:
     """One case as a results.json tells it; of a cascade one of its loops, `part` says which.
 
     Kc in %/EU, Ti and Td in s (Ti inf without integral action), in the controller's own `form`. kpis: by the names of
-    `model.results.Kpis`, nan where not known. objective: J, nan without one. cycle: the long run's outcome, "" where
-    not looked at, with its period (s) and PV's swing (EU). predicted: what the describing function says, None where not
-    asked. plant, valve: type and parameters by name.
+    `model.results.Kpis`, nan where not known. settling_doubt: why its settling time is none to go by, or "".
+    objective: J, nan without one. cycle: the long run's outcome, "" where not looked at, with its period (s) and PV's
+    swing (EU). predicted: what the describing function says, None where not asked. plant, valve: type and parameters by
+    name.
     """
 
     name: str
@@ -167,6 +170,7 @@ class Entry:
     Ti: float
     Td: float
     kpis: Mapping[str, float]
+    settling_doubt: str
     objective: float
     cycle: str
     period: float
@@ -347,6 +351,7 @@ def _entry(
         Ti=pid.Ti,
         Td=pid.Td,
         kpis=dict(kpis),
+        settling_doubt="" if part == "secondary" else case.settling_doubt or "",
         objective=case.objective if part != "secondary" else math.nan,
         cycle="" if cycle is None else cycle.outcome,
         period=math.nan if cycle is None else cycle.period,

@@ -9,10 +9,10 @@ import math
 
 import numpy as np
 
-from workbench.kpi.kpis import last_event, reversals, travel
+from workbench.kpi.kpis import Event, cascade_event, last_event, reversals, travel
 from workbench.model.experiment import Experiment
-from workbench.model.results import LimitCycle, Run, Tuned
-from workbench.model.study import CaseResult, Study
+from workbench.model.results import Kpis, LimitCycle, Run, Tuned
+from workbench.model.study import CascadeResult, CaseResult, Study
 from workbench.report.words import figure, given, setting
 
 __all__ = [
@@ -94,20 +94,18 @@ def quiet(experiment: Experiment | None) -> str:
     return "without noise" if noise else "without further disturbance" if experiment.load_parts else ""
 
 
-def _band(case: CaseResult, experiment: Experiment) -> tuple[float, float] | None:
-    """Return the last step's time (s) and the band (EU) about the setpoint that counts as settled, or None."""
-    event = last_event(case.loop, experiment)
-    if event is None:
+def _event(case: CaseResult | CascadeResult, experiment: Experiment | None) -> Event | None:
+    """Return the last step that the loop, or the cascade's primary, has to settle from, or None."""
+    if experiment is None:
         return None
-    if not math.isnan(event.band):
-        return event.at, event.band
-    error = (case.run.sp - case.run.pv)[case.run.time >= event.at - 1e-9]
-    return event.at, 0.02 * float(np.abs(error).max(initial=0.0))
+    if isinstance(case, CascadeResult):
+        return cascade_event(case.run.cascade, experiment)
+    return last_event(case.loop, experiment)
 
 
-def settling_band(case: CaseResult, experiment: Experiment | None) -> str:
+def settling_band(case: CaseResult | CascadeResult, experiment: Experiment | None) -> str:
     """Return the settling time's band in words, "" where there is none."""
-    event = None if experiment is None else last_event(case.loop, experiment)
+    event = _event(case, experiment)
     if event is None:
         return ""
     if math.isnan(event.band):
@@ -115,19 +113,35 @@ def settling_band(case: CaseResult, experiment: Experiment | None) -> str:
     return f"into ±{given(event.band, 2)} EU"
 
 
-def settling_doubt(case: CaseResult, experiment: Experiment | None) -> str:
-    """Return why a finite settling time is not one to go by, or ""."""
-    value = case.run.kpis.settling_time
-    held = None if experiment is None else _band(case, experiment)
-    if experiment is None or held is None or not math.isfinite(value):
+def settling_doubt(case: CaseResult | CascadeResult, experiment: Experiment | None, kpis: Kpis | None = None) -> str:
+    """Return why a finite settling time is not one to go by, or "".
+
+    kpis: those of the case's run unless given; of a cascade the primary's.
+    """
+    event, run = _event(case, experiment), case.run.primary if isinstance(case, CascadeResult) else case.run
+    value = (run.kpis if kpis is None else kpis).settling_time
+    if experiment is None or event is None or not math.isfinite(value):
         return ""
-    at, band = held
+    band = event.band
+    if math.isnan(band):
+        band = 0.02 * float(np.abs(run.sp - run.pv)[run.time >= event.at - 1e-9].max(initial=0.0))
+    if _late_error(case) > band:
+        return "not for good: it cycles"
+    return "only at the run's end" if event.at + value > LATE * experiment.duration else ""
+
+
+def _late_error(case: CaseResult | CascadeResult) -> float:
+    """Return how far PV lies from its setpoint once the cycle has set in, EU; nan where it does not cycle."""
+    if isinstance(case, CascadeResult):
+        late = None if case.cycle is None or case.cycle.outcome != "cycles" else case.cycle.late
+        seen = None if case.cycle is None else case.cycle.primary
+        if late is None or seen is None:
+            return math.nan
+        return max(0.5 * seen.pv_peak_to_peak, math.sqrt(late.primary.kpis.mean_square_error))
     cycle = case.limit_cycle
-    if cycle is not None and cycle.outcome == "cycles":
-        error = max(0.5 * cycle.pv_peak_to_peak, math.sqrt(cycle.mean_square_error))
-        if error > band:
-            return "not for good: it cycles"
-    return "only at the run's end" if at + value > LATE * experiment.duration else ""
+    if cycle is None or cycle.outcome != "cycles":
+        return math.nan
+    return max(0.5 * cycle.pv_peak_to_peak, math.sqrt(cycle.mean_square_error))
 
 
 def on_bounds(tuned: Tuned) -> list[str]:

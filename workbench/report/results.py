@@ -41,6 +41,7 @@ from workbench.model.study import CaseResult, NamedEstimate, Study
 from workbench.model.tuning import Objective
 from workbench.model.valve import Directional, Positional, Valve
 from workbench.report.cells import DIGITS, cell
+from workbench.report.judge import settling_doubt
 from workbench.report.trends import experiment_content, trends_content
 from workbench.report.words import ROUNDING
 
@@ -297,6 +298,7 @@ def _case(case: CaseResult) -> dict[str, Any]:
         "name": case.name,
         "controller": controller_content(case.loop.controller),
         "kpis": plain(case.run.kpis),
+        "settling_doubt": settling_doubt(case, case.run.experiment) or None,
         "objective": case.objective,
         "describing_function": _describing_function(case.describing_function),
         "limit_cycle": _limit_cycle(case.limit_cycle),

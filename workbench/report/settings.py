@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 import numpy as np
 
@@ -142,8 +141,7 @@ def _effect(study: Study, cases: list[CaseResult], kpis: list[Kpis], costs: list
             continue
         doubts = [""] * len(cases)
         if name == "settling_time":
-            runs = [replace(case, run=replace(case.run, kpis=one)) for case, one in zip(cases, kpis, strict=True)]
-            doubts = [settling_doubt(case, study.experiment) for case in runs]
+            doubts = [settling_doubt(case, study.experiment, one) for case, one in zip(cases, kpis, strict=True)]
         cells = [Cell(shown(name, value), doubt) for value, doubt in zip(values, doubts, strict=True)]
         if len(cases) > 1:
             known = not any(doubts) and all(math.isfinite(value) for value in values)
