@@ -20,7 +20,7 @@ from workbench.report.page import write_report
 from workbench.report.results import results_json
 from workbench.report.settings import as_found_as_left, site_table
 from workbench.report.summary import summarise
-from workbench.scenario.site_cases import site_cases
+from workbench.scenario.site_cases import nearest_controllers, site_cases
 from workbench.simulate.run import evaluate, simulate
 
 Make = Callable[..., Any]
@@ -241,13 +241,41 @@ def test_settings_stand_as_the_site_types_them(study: Study) -> None:
     assert "site" not in json.loads(results_json(study))
 
 
-def test_a_form_without_equivalent_says_so(study: Study, case: Make) -> None:
+def test_what_the_sites_form_cannot_take_is_not_advised_but_what_comes_nearest_is(study: Study, case: Make) -> None:
     steep = replace(case("Steep", 0.5, 20.0, 6.0), objective=1.0)
-    summary = summarise(of(study, study.cases[0], steep, site=SITE))
-    assert "Kc 0.5 %/EU, Ti 20 s, Td 6 s, which has no equivalent in the site's series form" in summary.decision
-    assert "Ti >= 4 Td" in summary.typed[0]
+    ((_, controller),) = nearest_controllers(SITE, [study.cases[0], steep])
+    assert controller.form == "series"
+    assert controller.ideal_terms().Td == pytest.approx(5.0, rel=2e-3), "the longest with an equivalent, unfiltered"
+    near = replace(steep, name="Steep, nearest series", loop=steep.loop.with_controller(controller), objective=2.0)
+    near = replace(near, nearest_to="Steep", run=simulate(near.loop, study.experiment))
+    told = of(study, study.cases[0], steep, near, site=SITE)
+    summary = summarise(told)
+    words = "proportional band 571.4 %, 6 repeats/min, Td 0.1667 min (series form)"
+    assert summary.decision.startswith(f"Set {words} (Steep, nearest series): in this run J ")
+    assert len(summary.typed) == 1
+    assert summary.typed[0].startswith(
+        "Steep (Kc 0.5 %/EU, Ti 20 s, Td 6 s) cannot be typed in: the site's series form has no equivalent (Ti = 20 s, "
+    )
+    assert f"What comes nearest is {words} (Steep, nearest series), with J 2.000 instead of 1.000" in summary.typed[0]
     assert summary.settings is not None
-    assert summary.settings.rows[1].cells[1].text == "no equivalent"
+    assert summary.settings.heads[1] == "as left: Steep, nearest series"
+    assert summary.settings.rows[1].cells[1].text == "571.4 %"
+    assert summary.sure is not None
+    assert "comes nearest to Steep in the site's form" in " ".join(summary.sure.reasons)
+    worse = replace(near, objective=1000.0)
+    kept = summarise(of(study, study.cases[0], steep, worse, site=SITE))
+    assert kept.decision.endswith("none of the other tunings that can be typed in has a lower J in this experiment.")
+    assert "Steep (Kc 0.5" in kept.typed[0]
+    choice = summarise(of(replace(study, objective=None), *(replace(c, objective=None) for c in told.cases), site=SITE))
+    assert "Steep (" not in choice.decision, "without an objective it is no choice either"
+
+
+def test_where_the_sites_form_takes_nothing_it_is_said(study: Study, case: Make) -> None:
+    steep = replace(case("Steep", 0.5, 20.0, 6.0), objective=1.0)
+    summary = summarise(of(study, steep, site=SITE))
+    assert "Kc 0.5 %/EU, Ti 20 s, Td 6 s, which has no equivalent in the site's series form" in summary.decision
+    assert summary.settings is not None
+    assert summary.settings.rows[1].cells[0].text == "no equivalent"
 
 
 def test_without_a_site_the_controllers_own_form_is_shown(study: Study) -> None:

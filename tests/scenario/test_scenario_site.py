@@ -39,7 +39,7 @@ def test_the_entry_is_the_form(tmp_path):
     entry = "{form: series, gain: proportional_band, integral: repeats_per_minute, derivative: minutes}"
     plan = load_scenario(written(tmp_path, entry))
     assert plan.site == SiteForm("series", "PB %", "repeats/min", "min", (0.0, 70.0))
-    assert load_scenario(written(tmp_path, "{}")).site == SiteForm(pv_range=(0.0, 70.0))
+    assert load_scenario(written(tmp_path, "{form: ideal}")).site == SiteForm(pv_range=(0.0, 70.0))
     series = BASE.replace("form: ideal", "form: series")
     assert load_scenario(written(tmp_path, "{integral: repeats_per_second}", series)).site.form == "series"
     assert load_scenario(written(tmp_path, "", BASE.replace("site: SITE\n", ""))).site is None
@@ -48,8 +48,8 @@ def test_the_entry_is_the_form(tmp_path):
 def test_what_is_typed_in_is_simulated(tmp_path):
     entry = "{form: series, gain: proportional_band, integral: repeats_per_minute, derivative: minutes}"
     study = wb.run_scenario(written(tmp_path, entry))
-    found, sharp, none = study.site_cases
-    assert [one.name for one in study.site_cases] == ["As found", "Sharp", "All derivative"]
+    found, sharp, none, near = study.site_cases
+    assert [one.name for one in study.site_cases] == [case.name for case in study.cases]
     assert (found.settings.gain, found.settings.integral, found.settings.derivative) == (285.7, 3.0, 0.0)
     for one, case in ((found, study.cases[0]), (sharp, study.cases[1])):
         loop = case.loop.with_controller(one.settings.controller)
@@ -60,10 +60,15 @@ def test_what_is_typed_in_is_simulated(tmp_path):
     assert none.settings is None
     assert "Ti >= 4 Td" in none.refused
     assert none.kpis is None
+    case = study.cases[3]
+    assert (near.name, case.nearest_to) == ("All derivative, nearest series", "All derivative")
+    assert near.settings.controller == case.loop.controller, "it is simulated as it is typed in"
+    assert case.run.kpis.valve_travel == near.kpis.valve_travel
+    assert case.loop.controller.form == "series"
 
 
 def test_given_settings_in_these_very_units_keep_their_digits(tmp_path):
-    study = wb.run_scenario(written(tmp_path, "{}"))
+    study = wb.run_scenario(written(tmp_path, "{form: ideal}"))
     assert study.site_cases[1].settings.controller == study.cases[1].loop.controller
     assert study.site_cases[1].kpis is study.cases[1].run.kpis
     in_minutes = wb.run_scenario(written(tmp_path, "{integral: minutes}")).site_cases[1]
@@ -77,6 +82,8 @@ def test_given_settings_in_these_very_units_keep_their_digits(tmp_path):
         ("{gain: PB}", BASE, ":15:14: site.gain: PB given"),
         ("{form: pid}", BASE, ":15:14: site.form: pid given"),
         ("{integral: 3 s}", BASE, ":15:18: site.integral: 3 s given"),
+        ("{}", BASE, ":15:7: site: nothing given; must say how the site writes its settings: form, gain, integral, "),
+        ("", BASE, ":15:1: site: nothing given; must say how"),
         ("minutes", BASE, ":15:7: site: minutes given; must be a mapping"),
         (
             "{gain: proportional_band}",

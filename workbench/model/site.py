@@ -75,14 +75,14 @@ class SiteForm:
             return f"%/{per}", f"%/({per} {self.integral})", f"% {self.derivative}/{per}"
         return "%" if self.gain == "PB %" else f"%/{per}", self.integral, self.derivative
 
-    def settings(self, controller: PID, digits: int | None = None) -> SiteSettings:
+    def settings(self, controller: PID, digits: int | None = None, *, nearest: bool = False) -> SiteSettings:
         """Return a controller's settings in this form and these units, each rounded to `digits` significant digits.
 
         The settings' controller has exactly the rounded numbers (its filter ratio rounded as well), so that it is the
         one to simulate. digits: None rounds nothing. Raises `InvalidValue` where the form has no equivalent (see
-        `PID.to_form`).
+        `PID.to_form`); `nearest` takes what comes nearest then (see `PID.nearest_form`).
         """
-        pid = controller.to_form(self.form)
+        pid = controller.nearest_form(self.form) if nearest else controller.to_form(self.form)
         minute = 60.0 if self.derivative == "min" else 1.0
         gain = gain_to(pid.Kc, self.gain, self.pv_range)
         if self.form == "parallel":

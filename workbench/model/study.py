@@ -30,7 +30,8 @@ class CaseResult:
     `model.results.Kpis`, and `objective`. `note`: the scenario's own words on the case.
     `rule`: the rule that gave the tuning. `repaired`: the figures at this tuning with an ideal valve, where asked for.
     `robustness`: how it fares over the study's ensemble, on draws that no search has seen, and `robustness_repaired`
-    with an ideal valve; None where the scenario has no ensemble, or the valve does not stick.
+    with an ideal valve; None where the scenario has no ensemble, or the valve does not stick. `nearest_to`: the name of
+    the case that the site's form cannot take, where this is what comes nearest to it there.
     """
 
     name: str
@@ -47,6 +48,7 @@ class CaseResult:
     repaired: Outcome | None = None
     robustness: Robustness | None = None
     robustness_repaired: Robustness | None = None
+    nearest_to: str = ""
 
 
 @dataclass(frozen=True, eq=False)

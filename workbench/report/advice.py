@@ -7,11 +7,21 @@ from dataclasses import dataclass
 from workbench.model.results import Kpis
 from workbench.model.study import CaseResult, Study
 from workbench.report.cycles import better_late, by_start, late_errors, late_figures, swing
-from workbench.report.judge import at_odds, base_case, best_case, quiet, run_travel, unstable
+from workbench.report.judge import (
+    at_odds,
+    base_case,
+    best_case,
+    measure,
+    quiet,
+    refused,
+    run_travel,
+    typed_case,
+    unstable,
+)
 from workbench.report.plain_truth import lasting
 from workbench.report.repair import repair_sentence
 from workbench.report.settings import settings_words, spread
-from workbench.report.words import change, controller_words, figure, nearby
+from workbench.report.words import change, figure, nearby
 
 __all__ = ["Advice", "case_advice"]
 
@@ -76,7 +86,10 @@ def _recommendation(study: Study, base: CaseResult | None, best: CaseResult) -> 
     if len(study.cases) == 1 and best is base:
         return f"Nothing to set: {best.name} ({controller}) is the only tuning here, and none was searched for.", best
     if best is base:
-        return f"Keep {best.name} ({controller}): none of the other tunings has a lower {by} in this experiment.", best
+        others = "other tunings"
+        if any(refused(study, case) and measure(case) < measure(best) for case in study.cases):
+            others += " that can be typed in"
+        return f"Keep {best.name} ({controller}): none of the {others} has a lower {by} in this experiment.", best
     if base is None or unstable(base):
         least = "the lowest " + by + " of the cases" if len(study.cases) > 1 else "the best that the search found"
         return (
@@ -102,10 +115,10 @@ def _recommendation(study: Study, base: CaseResult | None, best: CaseResult) -> 
 
 def _as_typed_in(study: Study, case: CaseResult) -> tuple[Kpis, float | None]:
     """Return a case's figures and J with the digits that are named: the site's own, where it has its own form."""
-    for one in study.site_cases:
-        if one.name == case.name and one.kpis is not None:
-            return one.kpis, one.objective
-    return case.run.kpis, case.objective
+    typed = typed_case(study, case)
+    if typed is None or typed.kpis is None:
+        return case.run.kpis, case.objective
+    return typed.kpis, typed.objective
 
 
 def _in_the_long_run(study: Study, base: CaseResult, best: CaseResult) -> str:
@@ -139,16 +152,20 @@ def _by_repair(study: Study, best: CaseResult) -> str:
     )
 
 
+def _can_be_set(study: Study, case: CaseResult) -> bool:
+    return (case.tuned is None or case.tuned.status.success) and not unstable(case) and not refused(study, case)
+
+
 def _trade_off(study: Study, best: CaseResult) -> str:
     """Without an objective to go by: name the case of least error and the case of least wear."""
-    fit = [c for c in study.cases if (c.tuned is None or c.tuned.status.success) and not unstable(c)]
+    fit = [c for c in study.cases if _can_be_set(study, c)]
     # A valve that never moves does not wear, and does not control either.
     calm = min([c for c in fit if c.run.kpis.valve_travel > 0.0] or fit, key=lambda c: c.run.kpis.valve_travel)
 
     def told(case: CaseResult) -> str:
         kpis = case.run.kpis
         return (
-            f"{case.name} ({controller_words(case.loop.controller)}), mean square error "
+            f"{case.name} ({settings_words(study, case)}), mean square error "
             f"{figure(kpis.mean_square_error, 3)} EU², valve travel {figure(kpis.valve_travel, 3)} %"
             f"{IDLE if kpis.valve_travel == 0.0 else ''}"
         )
@@ -173,16 +190,15 @@ def _error(case: CaseResult) -> float:
 
 def _less_wear(study: Study, best: CaseResult) -> list[str]:
     """Name the calmest other case where it moves the valve less than half as far."""
-    others = [c for c in study.cases if c is not best and (c.tuned is None or c.tuned.status.success)]
     # A valve that never moves controls nothing, and wear under a PV that grows without bound is no choice.
-    others = [c for c in others if c.run.kpis.valve_travel > 0.0 and not unstable(c)]
+    others = [c for c in study.cases if c is not best and c.run.kpis.valve_travel > 0.0 and _can_be_set(study, c)]
     calm = min(others, key=lambda c: c.run.kpis.valve_travel, default=None)
     if calm is None or not calm.run.kpis.valve_travel < 0.5 * best.run.kpis.valve_travel:
         return []
     ours, theirs = calm.run.kpis, best.run.kpis
     return [
         (
-            f"Where wear counts more than error: {calm.name} ({controller_words(calm.loop.controller)}) has in this "
+            f"Where wear counts more than error: {calm.name} ({settings_words(study, calm)}) has in this "
             f"run valve travel {figure(ours.valve_travel, 3)} % instead of {figure(theirs.valve_travel, 3)} %, at mean "
             f"square error {figure(ours.mean_square_error, 3)} EU² instead of "
             f"{figure(theirs.mean_square_error, 3)} EU²{_later(calm)}."

@@ -56,6 +56,12 @@ def confidence(study: Study, case: CaseResult) -> Confidence:
     if case.tuned is not None:
         _digits(case.tuned, judged)
         _searches(case.tuned, judged)
+    elif case.nearest_to:
+        judged.say(
+            f"These settings are what comes nearest to {case.nearest_to} in the site's form; none was searched for "
+            "among what can be typed in there",
+            open_point="no tuning was searched for in the site's form",
+        )
     elif all(one.tuned is None for one in study.cases):
         judged.say("No tuning was searched for: this is the best of the given ones, and a search may find a better one")
     _elsewhere(case.robustness, judged)

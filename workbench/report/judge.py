@@ -12,6 +12,7 @@ import numpy as np
 from workbench.kpi.kpis import Event, cascade_event, last_event, reversals, travel
 from workbench.model.experiment import Experiment
 from workbench.model.results import Kpis, LimitCycle, Run, Tuned
+from workbench.model.site import SiteCase
 from workbench.model.study import CascadeResult, CaseResult, Study
 from workbench.report.words import figure, given, setting
 
@@ -21,13 +22,16 @@ __all__ = [
     "best_case",
     "df_disagrees",
     "last_change",
+    "measure",
     "on_bounds",
     "over_starts",
     "quiet",
+    "refused",
     "run_travel",
     "settling_band",
     "settling_doubt",
     "span_words",
+    "typed_case",
     "unstable",
 ]
 
@@ -49,19 +53,34 @@ def unstable(case: CaseResult) -> bool:
 
 def base_case(study: Study) -> CaseResult | None:
     """Return the case that others are compared with: the first whose tuning was given."""
-    return next((c for c in study.cases if c.tuned is None), None)
+    return next((c for c in study.cases if c.tuned is None and not c.nearest_to), None)
 
 
-def _measure(case: CaseResult) -> float:
+def typed_case(study: Study, case: CaseResult) -> SiteCase | None:
+    """Return the case as typed in at the site, None where the scenario does not say how the site writes."""
+    return next((one for one, own in zip(study.site_cases, study.cases, strict=False) if own is case), None)
+
+
+def refused(study: Study, case: CaseResult) -> bool:
+    """Return whether the site's form has no equivalent of the case, so that it cannot be typed in."""
+    typed = typed_case(study, case)
+    return typed is not None and typed.settings is None
+
+
+def measure(case: CaseResult) -> float:
+    """Return what a case is judged by: J, or its mean square error without an objective; inf where it overflowed."""
     value = case.run.kpis.mean_square_error if case.objective is None else case.objective
     return value if math.isfinite(value) else math.inf
 
 
 def best_case(study: Study) -> CaseResult | None:
-    """Return the case of least J (least mean square error without an objective) among those that are verified."""
+    """Return the case of least J (least mean square error without an objective) of those that can be set.
+
+    They are verified, bounded, and have an equivalent in the site's form; where none has, its form is left aside.
+    """
     fit = [c for c in study.cases if c.tuned is None or c.tuned.status.success]
-    fit = [c for c in fit if math.isfinite(_measure(c)) and not unstable(c)]
-    return min(fit, key=_measure, default=None)
+    fit = [c for c in fit if math.isfinite(measure(c)) and not unstable(c)]
+    return min([c for c in fit if not refused(study, c)] or fit, key=measure, default=None)
 
 
 def df_disagrees(case: CaseResult) -> bool:

@@ -378,11 +378,17 @@ def robust_repair_table(study: Study) -> Table | None:
 
 
 def _robust(study: Study) -> list[tuple[CaseResult, Tuned, Robustness]]:
-    return [
-        (c, c.tuned, c.robustness)
-        for c in study.cases
-        if c.tuned is not None and c.tuned.ensemble is not None and c.tuned.status.success and c.robustness is not None
-    ]
+    """Return the robust tunings with their figures; in place of what the site's form cannot take what is nearest."""
+    near = {c.nearest_to: c for c in study.cases if c.nearest_to}
+    found = []
+    for case in study.cases:
+        tuned = case.tuned
+        if tuned is None or tuned.ensemble is None or not tuned.status.success:
+            continue
+        own = near.get(case.name, case)
+        if own.robustness is not None:
+            found.append((own, tuned, own.robustness))
+    return found
 
 
 def robust_choice(study: Study) -> CaseResult | None:
@@ -402,12 +408,12 @@ def robust_advice(study: Study) -> list[str]:
     if choice is None:
         return []
     case, tuned, r = next(one for one in found if one[0] is choice)
-    base = next((c for c in study.cases if c.tuned is None and c.robustness is not None), None)
+    base = next((c for c in study.cases if c.tuned is None and not c.nearest_to and c.robustness is not None), None)
     out = [f"{_setting(study, case, r)}{_against(r, base)}"]
     calmer = [one for one in found if one[0] is not case and one[2].travel_mean < 0.8 * r.travel_mean]
-    for other, its, figures in calmer:
+    for other, _, figures in calmer:
         out.append(
-            f"Where wear counts more: {controller_words(other.loop.controller, its.digits)} ({other.name}) has mean "
+            f"Where wear counts more: {settings_words(study, other)} ({other.name}) has mean "
             f"square error {figure(figures.mse_mean, 3)} EU² at valve travel {figure(figures.travel_mean, 3)} %"
             f"{_matched(study, figures, other)}."
         )

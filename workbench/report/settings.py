@@ -11,12 +11,20 @@ from workbench.model.results import Kpis
 from workbench.model.site import SiteCase, SiteForm, SiteSettings
 from workbench.model.study import CaseResult, Study
 from workbench.model.titles import kpi_title
-from workbench.report.judge import over_starts, settling_doubt, span_words
+from workbench.report.judge import measure, over_starts, refused, settling_doubt, span_words, typed_case
 from workbench.report.shared import CONTROLLER_ROWS
 from workbench.report.tables import Cell, Row, Table, shown
 from workbench.report.words import change, controller_words, figure, join, setting
 
-__all__ = ["as_found_as_left", "rounding_sentences", "settings_words", "site_content", "site_table", "spread"]
+__all__ = [
+    "as_found_as_left",
+    "refused_sentences",
+    "rounding_sentences",
+    "settings_words",
+    "site_content",
+    "site_table",
+    "spread",
+]
 
 EFFECT = ("mean_square_error", "pv_sd", "valve_travel", "settling_time", "oscillation_index")
 ALWAYS = ("Structure", "Action")  # of CONTROLLER_ROWS, shown even where both are alike: they are typed in as well
@@ -29,18 +37,13 @@ def spread(case: CaseResult, kpis: Kpis) -> tuple[str, float]:
     return "standard deviation of SP − PV" if moves else "PV standard deviation", math.sqrt(kpis.error_variance)
 
 
-def _typed(study: Study, case: CaseResult) -> SiteCase | None:
-    """Return the case as typed in at the site, None where the scenario does not say how the site writes."""
-    return next((one for one, own in zip(study.site_cases, study.cases, strict=False) if own is case), None)
-
-
 def _digits(case: CaseResult) -> int | None:
     return None if case.tuned is None else case.tuned.digits
 
 
 def _written(study: Study, case: CaseResult) -> tuple[SiteForm, SiteSettings, Kpis] | None:
     """Return form, settings and figures of a case as it is typed in, None where the site's form has no equivalent."""
-    typed = _typed(study, case)
+    typed = typed_case(study, case)
     if study.site is None or typed is None:
         own = SiteForm(case.loop.controller.form)
         return own, own.settings(case.loop.controller), case.run.kpis
@@ -174,26 +177,40 @@ def _given_cost(case: CaseResult) -> float:
 
 
 def _cost(study: Study, case: CaseResult) -> float:
-    typed = _typed(study, case)
+    typed = typed_case(study, case)
     cost = case.objective if typed is None or typed.settings is None else typed.objective
     return math.nan if cost is None else cost
 
 
-def rounding_sentences(study: Study, cases: list[CaseResult]) -> list[str]:
-    """Return what the site's form and digits make of these cases, where that is not what was simulated before."""
+def rounding_sentences(study: Study, case: CaseResult) -> list[str]:
+    """Return what the site's form and digits make of a case, where that is not what was simulated before."""
+    typed = typed_case(study, case)
+    if typed is None or typed.settings is None or typed.kpis is None:
+        return []
+    if typed.settings.controller == case.loop.controller:
+        return []
+    return [_rounding(case, typed, typed.kpis, controller_words(case.loop.controller, _digits(case)))]
+
+
+def refused_sentences(study: Study, chosen: CaseResult) -> list[str]:
+    """Name the cases that would do better than the chosen one and that the site's form has no equivalent of."""
     out = []
-    for case in cases:
-        typed = _typed(study, case)
-        if study.site is None or typed is None:
+    for case in study.cases:
+        typed = typed_case(study, case)
+        if study.site is None or typed is None or not refused(study, case):
             continue
-        own = controller_words(case.loop.controller, _digits(case))
-        if typed.settings is None:
-            out.append(
-                f"{case.name} ({own}) has no equivalent in the site's {study.site.form} form ({typed.refused}). A "
-                f"tuning with form: {study.site.form} searches within it."
+        if case is not chosen and not measure(case) < measure(chosen):
+            continue
+        form, own = study.site.form, controller_words(case.loop.controller, _digits(case))
+        text = f"{case.name} ({own}) cannot be typed in: the site's {form} form has no equivalent ({typed.refused})."
+        near = next((one for one in study.cases if one.nearest_to == case.name), None)
+        if near is not None:
+            by = "J" if case.objective is not None else "mean square error"
+            text += (
+                f" What comes nearest is {settings_words(study, near)} ({near.name}), with {by} "
+                f"{figure(measure(near))} instead of {figure(measure(case))}."
             )
-        elif typed.kpis is not None and typed.settings.controller != case.loop.controller:
-            out.append(_rounding(case, typed, typed.kpis, own))
+        out.append(f"{text} A tuning with form: {form} searches among what can be typed in.")
     return out
 
 

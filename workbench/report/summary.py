@@ -14,7 +14,7 @@ from workbench.report.judge import base_case, on_bounds
 from workbench.report.over_ensemble import robust_advice, robust_choice
 from workbench.report.plain_truth import lasting
 from workbench.report.reference import reference_sentences
-from workbench.report.settings import as_found_as_left, rounding_sentences
+from workbench.report.settings import as_found_as_left, refused_sentences, rounding_sentences
 from workbench.report.tables import Table
 from workbench.report.words import join
 
@@ -79,7 +79,7 @@ def summarise(study: Study) -> Summary:
         tuple(rest),
         advice.left,
         settings=as_found_as_left(study, base, case),
-        typed=tuple(rounding_sentences(study, [case])) if case is not base else (),
+        typed=(*(rounding_sentences(study, case) if case is not base else ()), *refused_sentences(study, case)),
         sure=confidence(study, case),
         watch=tuple(watch(study, base, case)),
     )

@@ -106,6 +106,9 @@ def _error(shown: str, problems: list[Problem]) -> ScenarioError:
 
 def _placed(root: Node, path: Path, text: str, *, key: bool = False) -> Problem:
     node, taken = locate(root, path, key=key)
+    head, _ = locate(root, path, key=True)
+    if given_words(node) == "nothing" and head.line < node.line:
+        node = head  # nothing at a line's end is found where the next line begins
     if path[:1] == ("cases",) and taken[-1:] != path[-1:]:
         # A case inherits what loop.controller says; the refusal belongs where it is written.
         inherited = ("loop", "controller", *path[-1:])

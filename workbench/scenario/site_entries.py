@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from pydantic import Field
 
 from workbench.model.site import SiteForm
 from workbench.scenario.entries import Closed
 from workbench.scenario.refusals import Refusals
+
+if TYPE_CHECKING:
+    from workbench.scenario.schema import ScenarioFile
 
 __all__ = ["SiteEntry", "site_form"]
 
@@ -37,25 +40,46 @@ class SiteEntry(Closed):
 
 
 def site_form(
-    given: SiteEntry | None, refusals: Refusals, pv_range: tuple[float, float] | None, own: str | None, *, cases: bool
+    scenario: ScenarioFile, refusals: Refusals, pv_range: tuple[float, float] | None, own: str | None
 ) -> SiteForm | None:
-    """Return what the entry says, None where it is missing or refused (under its path).
+    """Return what a scenario's entry says, None where it is missing or refused (under its path).
 
-    pv_range: EU, or None; own: the form of loop.controller, None for the default; cases: whether there are any.
+    pv_range: EU, or None; own: the form of loop.controller, None for the default.
     """
+    given = said(scenario, refusals)
     if given is None:
         return None
-    form, before = given.form or own or "ideal", len(refusals.issues)
-    if not cases:
-        refusals.refuse(("site",), "given without cases; there are no settings to write")
+    before = len(refusals.issues)
     if given.gain != "percent_per_eu" and pv_range is None:
         refusals.refuse(("site", "gain"), f"{given.gain} given; needs loop.pv_range: [low, high] in EU")
+    form = _form(given, refusals, own)
+    if len(refusals.issues) > before:
+        return None
+    return SiteForm(form, GAINS[given.gain], INTEGRALS[given.integral], DERIVATIVES[given.derivative], pv_range)
+
+
+def said(scenario: ScenarioFile, refusals: Refusals) -> SiteEntry | None:
+    """Return the entry where there is one that says something, and there are settings to write."""
+    if "site" not in scenario.model_fields_set:
+        return None
+    given = scenario.site
+    if given is None or not given.model_fields_set:
+        what = f"nothing given; must say how the site writes its settings: {', '.join(SiteEntry.model_fields)}"
+        refusals.refuse(("site",), what)
+        return None
+    if not scenario.cases:
+        refusals.refuse(("site",), "given without cases; there are no settings to write")
+        return None
+    return given
+
+
+def _form(given: SiteEntry, refusals: Refusals, own: str | None) -> str:
+    """Return the form, after refusing what it has no units for."""
+    form = given.form or own or "ideal"
     if form == "parallel" and given.gain == "proportional_band":
         what = "proportional_band given; a parallel controller has a gain for each action, and no common band"
         refusals.refuse(("site", "gain"), what)
     if form == "parallel" and given.integral.startswith("repeats"):
         what = f"{given.integral} given; the integral action of a parallel controller is a gain: seconds or minutes"
         refusals.refuse(("site", "integral"), what)
-    if len(refusals.issues) > before:
-        return None
-    return SiteForm(form, GAINS[given.gain], INTEGRALS[given.integral], DERIVATIVES[given.derivative], pv_range)
+    return form
