@@ -124,10 +124,10 @@ def test_what_the_record_pins_of_the_loop_counts(study: Study, estimated: Make) 
     assert level == "low"
     assert reason.endswith("whether the valve sticks is undecided.")
     assert told(intervals=Intervals())[1].endswith(
-        "hardly known or without a range: Stiction d, Gain K, Time constant and Dead time."
+        "hardly known or without a range: stiction d, gain K, time constant and dead time."
     )
     assert "does not pin the stiction apart from the gain" in told(identifiable=False)[1]
-    assert "the valve: d = 2.00 % (95 % range 1.99 to 2.01 %); gain 1.97 to 2.01 EU/% (95 % range)" in told()[1]
+    assert "the valve: d = 2.003 % (95 % range 1.990 to 2.010 %); gain 1.970 to 2.010 EU/% (95 % range)" in told()[1]
 
 
 def test_one_given_tuning_leaves_nothing_to_set(study: Study) -> None:
@@ -206,7 +206,7 @@ def test_a_moving_setpoint_is_not_told_as_scatter_of_pv(study: Study) -> None:
 def test_what_to_watch_holds_the_figures_and_the_way_back(study: Study, case: Make) -> None:
     watch = " ".join(summarise(of(study, study.cases[0], study.cases[2])).watch)
     assert "The cycle that remains: PV 2.01 EU every 12.0 s" in watch
-    assert "Valve travel: 16.8 % in this run of 17 min, 142 % an hour in the long run" in watch
+    assert "Valve travel: 16.79 % in this run of 17 min, 142 % an hour in the long run" in watch
     assert "the gain is 4.7 times what it was; noise of 1 EU moves OP by 2.35 %" in watch
     assert "put back Kc 0.5 %/EU, Ti 20 s (Case 1)" in watch
     assert "Recovery" not in watch

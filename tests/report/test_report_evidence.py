@@ -230,7 +230,7 @@ def test_models_are_compared_and_the_one_used_is_named(estimated: Make) -> None:
     ]
     assert [[c.text for c in row.cells if c.best] for row in table.rows] == [["−3,966"], ["−4,002"], [], []]
     assert [row.cells[-1].text for row in table.rows] == ["0", "3", "3,696", "3,786"]
-    assert [row.cells[0].text for row in table.rows][1:] == ["S\u00a02.10, J\u00a01.90", "b\u00a01.50", "–"]
+    assert [row.cells[0].text for row in table.rows][1:] == ["S\u00a02.100, J\u00a01.900", "b\u00a01.500", "–"]
     assert len(table.heads) == len(table.rows[0].cells)
 
 

@@ -114,7 +114,7 @@ def test_why_a_cycle_stays_undecided_is_said(study: Study, cycle: Make) -> None:
 def test_a_calm_choice_is_told_with_its_cycle_too(study: Study) -> None:
     told = " ".join(summarise(of(study, with_errors(study.cases[1], 0.03, 0.9), study.cases[2])).advice)
     assert (
-        "Where wear counts more than error: Case 2 (Kc 0.5 %/EU, Ti 200 s) has in this run valve travel 4.01 %" in told
+        "Where wear counts more than error: Case 2 (Kc 0.5 %/EU, Ti 200 s) has in this run valve travel 4.013 %" in told
     )
     assert "EU²; once its cycle has set in, 0.0300 to 0.900 EU² at 142 % an hour (where a range stands" in told
 
@@ -127,7 +127,7 @@ def test_hardly_more_error_for_far_less_wear_is_named(study: Study) -> None:
             cases.append(replace(one, run=replace(one.run, kpis=kpis), objective=None, tuned=None))
         return summarise(of(study, *cases, objective=None)).advice[0]
 
-    assert told(1.03).endswith(" Case 2 has 3.0 % more error than the least, at valve travel 12.0 %.")
+    assert told(1.03).endswith(" Case 2 has 3.0 % more error than the least, at valve travel 12.00 %.")
     assert "more error than the least" not in told(1.3)
 
 

@@ -120,9 +120,46 @@ def test_a_site_without_cases_is_refused(tmp_path):
         load_scenario(path)
 
 
-def test_a_cascade_has_no_site(tmp_path):
-    text = (Path(__file__).parents[2] / "scenarios" / "cascade.yaml").read_text()
-    path = tmp_path / "cascade.yaml"
-    path.write_text(f"{text}\nsite: {{form: series}}\n")
-    with pytest.raises(wb.ScenarioError, match="site: given, and cascade as well"):
-        load_scenario(path)
+CASCADE = (Path(__file__).parents[2] / "scenarios" / "cascade.yaml").read_text()
+RANGED = CASCADE.replace("sample_time: 5 s", "sample_time: 5 s\n    pv_range: [0, 200]").replace(
+    "sample_time: 1 s", "sample_time: 1 s\n    pv_range: [0, 50]"
+)
+
+
+def in_cascade(folder, entry, text=RANGED):
+    text = "\n".join(line for line in text.splitlines() if not line.startswith("site:"))
+    path = folder / "cascade.yaml"
+    path.write_text(f"{text}\nsite: {entry}\n")
+    return load_scenario(path).cascade_site
+
+
+def test_a_cascades_site_is_the_form_of_both(tmp_path):
+    site = in_cascade(tmp_path, "{form: series, gain: proportional_band, integral: minutes}")
+    assert site.secondary == SiteForm("series", "PB %", "min", pv_range=(0.0, 50.0))
+    assert site.primary == SiteForm("series", "PB %", "min", pv_range=(0.0, 200.0), output="EU", output_span=50.0)
+    # A primary that puts out % of the secondary's range: Kc = 3 EU/EU is 6 %/EU, 12 %/%, and a band of 8.333 %.
+    scaled = RANGED.replace("\ncascade:\n", "\ncascade:\n  scale: 0.5\n")
+    percent = in_cascade(tmp_path, "{gain: proportional_band}", scaled)
+    assert (percent.primary.output, percent.primary.output_span) == ("%", 100.0)
+    assert percent.primary.settings(wb.PID(6.0, 80.0), 4).gain == site.primary.settings(wb.PID(3.0, 80.0), 4).gain
+    assert in_cascade(tmp_path, "{form: series}", CASCADE).primary.units == ("EU/EU", "s", "s")
+
+
+@pytest.mark.parametrize(
+    ("entry", "text", "said"),
+    [
+        ("{}", RANGED, "site: nothing given; must say how the site writes its settings"),
+        (
+            "{gain: proportional_band}",
+            CASCADE,
+            "site.gain: proportional_band given; needs cascade.primary.pv_range and cascade.secondary.pv_range: [low,",
+        ),
+        ("{form: parallel, gain: proportional_band}", RANGED, "site.gain: proportional_band given; a parallel"),
+        ("{form: ideal}", RANGED.replace("[0, 50]", "[50, 0]"), "cascade.secondary.pv_range: "),
+    ],
+)
+def test_what_is_wrong_of_a_cascades_site_is_said(tmp_path, entry, text, said):
+    with pytest.raises(wb.ScenarioError) as caught:
+        in_cascade(tmp_path, entry, text)
+    assert said in str(caught.value)
+    assert "\n" not in str(caught.value)

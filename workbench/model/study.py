@@ -15,7 +15,7 @@ from workbench.model.loop import Loop
 from workbench.model.results import DescribingFunction, Estimate, LimitCycle, Outcome, Repair, Robustness, Run, Tuned
 from workbench.model.rule import Rule
 from workbench.model.show import Shown
-from workbench.model.site import SiteCase, SiteForm
+from workbench.model.site import CascadeSite, CascadeSiteCase, SiteCase, SiteForm
 from workbench.model.tuning import Objective
 
 __all__ = ["CascadeResult", "CaseResult", "NamedEstimate", "Study"]
@@ -93,8 +93,8 @@ class Study(Shown):
     how the results came about (coarse sampling, rejected rows ...). `front`: the trade-off of error and valve travel;
     `robust_repair`: what repair is worth over an ensemble. `cycle_map`: the long-run behaviour over a plane of tunings.
     `cascade`: the cases of a cascade, which has no others. `site`: how the site writes its settings, with every case as
-    typed in there, in order; None and empty where the scenario does not say. `times`: seconds by stage, for run.json
-    alone.
+    typed in there, in order; None and empty where the scenario does not say; `cascade_site` and `cascade_site_cases`
+    of a cascade. `times`: seconds by stage, for run.json alone.
     """
 
     name: str
@@ -114,6 +114,8 @@ class Study(Shown):
     cascade: tuple[CascadeResult, ...] = ()
     site: SiteForm | None = None
     site_cases: tuple[SiteCase, ...] = ()
+    cascade_site: CascadeSite | None = None
+    cascade_site_cases: tuple[CascadeSiteCase, ...] = ()
     times: Mapping[str, float] = field(default_factory=lambda: MappingProxyType({}))
 
     @property

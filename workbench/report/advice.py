@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from workbench.model.results import Kpis
-from workbench.model.study import CaseResult, Study
+from workbench.model.study import CascadeResult, CaseResult, Study
 from workbench.report.cycles import better_late, by_start, late_errors, late_figures, swing
 from workbench.report.judge import (
     at_odds,
@@ -23,7 +23,7 @@ from workbench.report.repair import repair_sentence
 from workbench.report.settings import settings_words, spread
 from workbench.report.words import change, figure, nearby
 
-__all__ = ["Advice", "case_advice"]
+__all__ = ["Advice", "case_advice", "worth_it"]
 
 ALIKE = 1.1  # ratio of mean square errors up to which one is hardly more than the other
 WORTH = 0.95  # ratio of J (or mean square error) above which a change of settings is not worth it,
@@ -35,11 +35,12 @@ IDLE = " (its valve never moves: it controls nothing)"
 class Advice:
     """What to do: the decision in one sentence, what else there is to do, and what the decision leaves.
 
-    case: the one to set or to keep, None where the choice is left open, or there is none.
+    case: the one to set or to keep (of a cascade, both controllers), None where the choice is left open, or there is
+    none.
     """
 
     decision: str
-    case: CaseResult | None = None
+    case: CaseResult | CascadeResult | None = None
     do: tuple[str, ...] = ()
     left: tuple[str, ...] = ()
 
@@ -68,7 +69,7 @@ def case_advice(study: Study) -> Advice:
         if best.tuned is not None and best.tuned.knife_edge:
             do.append(
                 f"Type in exactly these digits: the optimum is a knife-edge, {nearby(best.tuned.margin)} J rises from "
-                f"{figure(best.tuned.objective, 3)} to as much as {figure(best.tuned.worst, 3)}."
+                f"{figure(best.tuned.objective)} to as much as {figure(best.tuned.worst)}."
             )
         left += _remaining(study, base, best)
         do += _less_wear(study, best)
@@ -93,19 +94,19 @@ def _recommendation(study: Study, base: CaseResult | None, best: CaseResult) -> 
     if base is None or unstable(base):
         least = "the lowest " + by + " of the cases" if len(study.cases) > 1 else "the best that the search found"
         return (
-            f"Set {controller} ({best.name}): {least}, mean square error {figure(kpis.mean_square_error, 3)} EU², "
-            f"valve travel {figure(kpis.valve_travel, 3)} %.{_by_repair(study, best)}"
+            f"Set {controller} ({best.name}): {least}, mean square error {figure(kpis.mean_square_error)} EU², "
+            f"valve travel {figure(kpis.valve_travel)} %.{_by_repair(study, best)}"
         ), best
     was, before = _as_typed_in(study, base)
     parts = []
     if objective is not None and before is not None:
-        parts.append(f"J {figure(objective, 3)} instead of {figure(before, 3)}")
+        parts.append(f"J {figure(objective)} instead of {figure(before)}")
     (name, ours), (_, theirs) = spread(best, kpis), spread(base, was)
     parts.append(f"{name} {change(ours, theirs)}")
     parts.append(f"mean square error {change(kpis.mean_square_error, was.mean_square_error)}")
     parts.append(f"valve travel {change(kpis.valve_travel, was.valve_travel)}")
     told = f"in this run {', '.join(parts)} against {base.name}.{_in_the_long_run(study, base, best)}"
-    if not _worth_it(base, best):
+    if not worth_it((_cost(best), best.run.kpis.valve_travel), (_cost(base), base.run.kpis.valve_travel)):
         return (
             f"Keep {base.name} ({settings_words(study, base)}): nothing here is worth a change. The best other tuning, "
             f"{best.name} ({controller}), has {told}"
@@ -114,9 +115,12 @@ def _recommendation(study: Study, base: CaseResult | None, best: CaseResult) -> 
 
 
 def _as_typed_in(study: Study, case: CaseResult) -> tuple[Kpis, float | None]:
-    """Return a case's figures and J with the digits that are named: the site's own, where it has its own form."""
+    """Return a case's figures and J with the digits that are named: the site's own, where it has its own form.
+
+    Those of the case as found are of the scenario's own digits: it is what is there now.
+    """
     typed = typed_case(study, case)
-    if typed is None or typed.kpis is None:
+    if typed is None or typed.kpis is None or case is base_case(study):
         return case.run.kpis, case.objective
     return typed.kpis, typed.objective
 
@@ -132,10 +136,16 @@ def _in_the_long_run(study: Study, base: CaseResult, best: CaseResult) -> str:
     return f" In the long run{f' {aside}' if aside else ''}: mean square error {error}, valve travel {travel}."
 
 
-def _worth_it(base: CaseResult, best: CaseResult) -> bool:
-    """Return whether the best case gains clearly more than the last digits of the figures, in error or in wear."""
-    ours, theirs = (_error(c) if c.objective is None else c.objective for c in (best, base))
-    return ours < WORTH * theirs or best.run.kpis.valve_travel < CALMER * base.run.kpis.valve_travel
+def _cost(case: CaseResult) -> float:
+    return _error(case) if case.objective is None else case.objective
+
+
+def worth_it(best: tuple[float, float], base: tuple[float, float]) -> bool:
+    """Return whether the best case gains clearly more than the last digits of the figures, in error or in wear.
+
+    Each is J (the mean square error without one) and the valve's travel.
+    """
+    return best[0] < WORTH * base[0] or best[1] < CALMER * base[1]
 
 
 def _by_repair(study: Study, best: CaseResult) -> str:
@@ -166,7 +176,7 @@ def _trade_off(study: Study, best: CaseResult) -> str:
         kpis = case.run.kpis
         return (
             f"{case.name} ({settings_words(study, case)}), mean square error "
-            f"{figure(kpis.mean_square_error, 3)} EU², valve travel {figure(kpis.valve_travel, 3)} %"
+            f"{figure(kpis.mean_square_error)} EU², valve travel {figure(kpis.valve_travel)} %"
             f"{IDLE if kpis.valve_travel == 0.0 else ''}"
         )
 
@@ -179,7 +189,7 @@ def _trade_off(study: Study, best: CaseResult) -> str:
     mild = min(near, key=lambda c: c.run.kpis.valve_travel)
     if mild.run.kpis.valve_travel < 0.5 * best.run.kpis.valve_travel:
         more = figure(100.0 * (_error(mild) / _error(best) - 1.0), 2)
-        travel = figure(mild.run.kpis.valve_travel, 3)
+        travel = figure(mild.run.kpis.valve_travel)
         text += f" {mild.name} has {more} % more error than the least, at valve travel {travel} %."
     return text
 
@@ -199,9 +209,9 @@ def _less_wear(study: Study, best: CaseResult) -> list[str]:
     return [
         (
             f"Where wear counts more than error: {calm.name} ({settings_words(study, calm)}) has in this "
-            f"run valve travel {figure(ours.valve_travel, 3)} % instead of {figure(theirs.valve_travel, 3)} %, at mean "
-            f"square error {figure(ours.mean_square_error, 3)} EU² instead of "
-            f"{figure(theirs.mean_square_error, 3)} EU²{_later(calm)}."
+            f"run valve travel {figure(ours.valve_travel)} % instead of {figure(theirs.valve_travel)} %, at mean "
+            f"square error {figure(ours.mean_square_error)} EU² instead of "
+            f"{figure(theirs.mean_square_error)} EU²{_later(calm)}."
         )
     ]
 

@@ -12,8 +12,6 @@ from workbench.report.judge import settling_band, settling_doubt
 from workbench.report.shared import CONTROLLER_ROWS, experiment_words, objective_words
 from workbench.report.tables import Cell, Row, Table, shown
 from workbench.report.words import (
-    change,
-    controller_words,
     duration,
     figure,
     given,
@@ -153,8 +151,8 @@ def _cycle_rows(cases: Sequence[CascadeResult]) -> list[Row]:
     return rows
 
 
-def cascade_sentences(study: Study) -> tuple[list[str], list[str]]:
-    """Return what was found and what to do, in sentences."""
+def cascade_sentences(study: Study) -> list[str]:
+    """Return what was found, in sentences."""
     found: list[str] = []
     for case in study.cascade:
         cycle = case.cycle
@@ -166,11 +164,10 @@ def cascade_sentences(study: Study) -> tuple[list[str], list[str]]:
         above, below = cycle.primary, cycle.secondary
         found.append(
             f"{case.name}: without noise both loops cycle every {duration(cycle.period)}; PV swings "
-            f"{figure(above.pv_peak_to_peak, 3)} EU in the primary and {figure(below.pv_peak_to_peak, 3)} EU in the "
-            f"secondary, whose setpoint swings {figure(below.sp_peak_to_peak, 3)} EU."
+            f"{figure(above.pv_peak_to_peak)} EU in the primary and {figure(below.pv_peak_to_peak)} EU in the "
+            f"secondary, whose setpoint swings {figure(below.sp_peak_to_peak)} EU."
         )
-    found += _alone(study.cascade)
-    return found, _advice(study)
+    return found + _alone(study.cascade)
 
 
 def _alone(cases: Sequence[CascadeResult]) -> list[str]:
@@ -190,43 +187,3 @@ def _alone(cases: Sequence[CascadeResult]) -> list[str]:
             "primary cycles with its secondary, the valve is looked for in the secondary's record."
         )
     ]
-
-
-def _advice(study: Study) -> list[str]:
-    cases = [c for c in study.cascade if c.tuned is None or c.tuned.primary.status.success]
-    out = [
-        f"Do not use {c.name} as it stands: its search ended as “{c.tuned.primary.status.value}”."
-        for c in study.cascade
-        if c.tuned is not None and not c.tuned.primary.status.success
-    ]
-
-    def measure(case: CascadeResult) -> float:
-        value = case.run.primary.kpis.mean_square_error if case.objective is None else case.objective
-        return value if math.isfinite(value) else math.inf
-
-    best = min(cases, key=measure, default=None)
-    if best is None or len(study.cascade) < 2:
-        return out
-    base, by = study.cascade[0], "J" if best.objective is not None else "mean square error of the primary"
-    if best is base:
-        return [*out, f"Keep {best.name}: no other case has a lower {by} in this experiment."]
-    was, now = base.run, best.run
-    error, wear = (
-        change(getattr(getattr(now, which).kpis, name), getattr(getattr(was, which).kpis, name))
-        for which, name in (("primary", "mean_square_error"), ("secondary", "valve_travel"))
-    )
-    primary, secondary = (
-        controller_words(loop.controller, None if best.tuned is None else best.tuned.primary.digits)
-        for loop in (now.cascade.primary, now.cascade.secondary)
-    )
-    above = primary.replace("%/EU", "EU/EU")
-    out.append(
-        f"Set the secondary to {secondary}, then the primary to {above} ({best.name}): the lowest {by} of the cases, "
-        f"mean square error of the primary {error}, valve travel {wear} against {base.name}."
-    )
-    if best.cycle is not None and best.cycle.outcome == "cycles" and now.cascade.secondary.valve.slip_jump > 0.0:
-        out.append(
-            f"With {best.name} the cycle remains. While a controller integrates, it hunts for a setpoint between two "
-            "positions of the stem; repairing the valve ends that in both loops."
-        )
-    return out

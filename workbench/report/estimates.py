@@ -35,10 +35,10 @@ def estimate_sentences(named: NamedEstimate, *, linear: bool = True) -> list[str
     """Return what an estimate found: verdict, stiction with its range, plant, identifiability, and the linear fit."""
     found, name = named.found, named.name
     plant = found.plant
-    process = f"gain {figure(plant.gain, 3)} {'EU/%' if isinstance(plant, FOPDT) else 'EU/(% s)'}"
+    process = f"gain {figure(plant.gain)} {'EU/%' if isinstance(plant, FOPDT) else 'EU/(% s)'}"
     if isinstance(plant, FOPDT):
-        process += f", time constant {figure(plant.time_constant, 3)} s"
-    process += f", dead time {figure(plant.dead_time, 3)} s"
+        process += f", time constant {figure(plant.time_constant)} s"
+    process += f", dead time {figure(plant.dead_time)} s"
     reason = found.reasons[0].rstrip(".") if found.reasons else ""
     if found.verdict == "stiction":
         text = f"{name}: the valve sticks, {stiction_words(named)}; the process has {process}."
@@ -61,7 +61,7 @@ def estimate_sentences(named: NamedEstimate, *, linear: bool = True) -> list[str
             )
         else:
             sentences.append(
-                f"{name}: the record pins only the product of gain and stiction ({figure(product, 3)} {unit}), not the "
+                f"{name}: the record pins only the product of gain and stiction ({figure(product)} {unit}), not the "
                 "stiction alone; a record with a setpoint change in it would resolve that."
             )
     plain = found.linear
@@ -72,8 +72,8 @@ def estimate_sentences(named: NamedEstimate, *, linear: bool = True) -> list[str
             times = f"{figure(ratio, 2)} times" if ratio < 1e4 else "more than 10,000 times"
             sentences.append(
                 f"{name}: a fit that ignores the stiction leaves {times} the residual variance, with gain "
-                f"{figure(plain.plant.gain, 3)} EU/%, time constant {figure(plain.plant.time_constant, 3)} s and "
-                f"dead time {figure(plain.plant.dead_time, 3)} s."
+                f"{figure(plain.plant.gain)} EU/%, time constant {figure(plain.plant.time_constant)} s and "
+                f"dead time {figure(plain.plant.dead_time)} s."
             )
     return sentences
 
@@ -110,8 +110,8 @@ def stiction_words(named: NamedEstimate) -> str:
     span = "fits from" if named.found.verdict == "undecided" else "95 % range"
 
     def with_range(name: str, value: float, pair: tuple[float, float] | None) -> str:
-        text = f"{name} = {figure(value, 3)} %"
-        return text if pair is None else f"{text} ({span} {interval(pair, '%', 3)})"
+        text = f"{name} = {figure(value)} %"
+        return text if pair is None else f"{text} ({span} {interval(pair, '%')})"
 
     if isinstance(valve, Stenman):
         return with_range("d", valve.d, ranges.d)
@@ -227,10 +227,10 @@ def candidates_table(found: Estimate) -> Table | None:
     aics, bics = [m.aic for m in models], [m.bic for m in models]
     rows = []
     for model in models:
-        parameters = ", ".join(f"{name}\u00a0{figure(value, 3)}" for name, value in _valve_parameters(model.valve))
+        parameters = ", ".join(f"{name}\u00a0{figure(value)}" for name, value in _valve_parameters(model.valve))
         plant = _plant_parameters(model.plant)
-        cells = [Cell(parameters or "–"), *(Cell(figure(value, 3)) for value in plant.values())]
-        cells += [Cell(f"{model.slips:,}"), Cell(figure(model.residual_variance, 3))]
+        cells = [Cell(parameters or "–"), *(Cell(figure(value)) for value in plant.values())]
+        cells += [Cell(f"{model.slips:,}"), Cell(figure(model.residual_variance))]
         cells.append(Cell(_whole(model.aic), best=model.aic == min(aics)))
         cells.append(Cell(_whole(model.bic), best=model.bic == min(bics)))
         cells.append(Cell(_whole(model.bic - min(bics))))

@@ -10,6 +10,7 @@ import math
 import numpy as np
 
 from workbench.kpi.kpis import Event, cascade_event, last_event, reversals, travel
+from workbench.model.cascade import CascadeExperiment, CascadeRun
 from workbench.model.experiment import Experiment
 from workbench.model.results import Kpis, LimitCycle, Run, Tuned
 from workbench.model.site import SiteCase
@@ -43,10 +44,13 @@ SHORTEST = 0.1  # share of a run that is enough for that, and that a change befo
 MOVING = 3  # reversals of the stem from which a valve keeps moving
 
 
-def unstable(case: CaseResult) -> bool:
+def unstable(case: CaseResult | CascadeResult) -> bool:
     """Return whether the case's run grows past all measure, or the long run that was followed does."""
-    if not float(np.abs(case.run.pv).max()) <= BEYOND:
+    runs = (case.run.primary, case.run.secondary) if isinstance(case, CascadeResult) else (case.run,)
+    if not all(float(np.abs(run.pv).max()) <= BEYOND for run in runs):
         return True
+    if isinstance(case, CascadeResult):
+        return case.cycle is not None and "grows without bound" in case.cycle.reason
     cycle = case.limit_cycle
     return cycle is not None and cycle.outcome == "undecided" and "unstable" in cycle.starts[0].reason
 
@@ -107,7 +111,8 @@ def quiet(experiment: Experiment | None) -> str:
     """Return what the verdict on cycles leaves out of the experiment: "without noise", or "" where nothing."""
     if experiment is None:
         return ""
-    noise = experiment.noise is not None and experiment.noise.sd > 0.0
+    noises = [experiment.noise, experiment.secondary_noise if isinstance(experiment, CascadeExperiment) else None]
+    noise = any(one is not None and one.sd > 0.0 for one in noises)
     if noise and experiment.load_parts:
         return "without noise and further disturbance"
     return "without noise" if noise else "without further disturbance" if experiment.load_parts else ""
@@ -178,41 +183,51 @@ def on_bounds(tuned: Tuned) -> list[str]:
     return out
 
 
-def last_change(run: Run) -> float:
-    """Return when the setpoint or the load last changes within the run (s), 0 where neither does."""
-    moves = np.flatnonzero((np.diff(run.sp) != 0.0) | (np.diff(run.load) != 0.0))
-    return float(run.time[moves[-1] + 1]) if moves.size else 0.0
+def last_change(run: Run | CascadeRun) -> float:
+    """Return when the setpoint or a load last changes within the run (s), 0 where neither does."""
+    one = run.primary if isinstance(run, CascadeRun) else run
+    moved = (np.diff(one.sp) != 0.0) | (np.diff(one.load) != 0.0)
+    if isinstance(run, CascadeRun):  # the secondary's setpoint is the primary's output, and no change from outside
+        moved |= np.diff(run.secondary.load) != 0.0
+    moves = np.flatnonzero(moved)
+    return float(one.time[moves[-1] + 1]) if moves.size else 0.0
 
 
-def _tail(case: CaseResult, experiment: Experiment) -> tuple[int, int] | None:
+def _with_stem(case: CaseResult | CascadeResult) -> Run:
+    """Return the run of the loop that holds the valve."""
+    return case.run.secondary if isinstance(case, CascadeResult) else case.run
+
+
+def _tail(case: CaseResult | CascadeResult, experiment: Experiment) -> tuple[int, int] | None:
     """Return the samples [first, stop) of the second half, once the last change has died out, or None if too few."""
-    last = last_change(case.run)
+    run, last = _with_stem(case), last_change(case.run)
     # A change needs time to die out, or its own answer would be taken for the loop's lasting motion.
     start = max((1.0 - TAIL) * experiment.duration, last + SHORTEST * experiment.duration if last > 0.0 else 0.0)
     if experiment.duration - start < SHORTEST * experiment.duration:
         return None
-    first = math.ceil(start / case.loop.sample_time - 1e-9)
-    return (first, case.run.valve.size) if 0 < first < case.run.valve.size else None
+    first = math.ceil(start / run.loop.sample_time - 1e-9)
+    return (first, run.valve.size) if 0 < first < run.valve.size else None
 
 
-def run_travel(case: CaseResult, experiment: Experiment | None) -> float:
+def run_travel(case: CaseResult | CascadeResult, experiment: Experiment | None) -> float:
     """Return the valve's travel an hour (%) in the run's second half, after its last change; nan where unknown."""
     part = None if experiment is None else _tail(case, experiment)
     if part is None or unstable(case):
         return math.nan
     first, stop = part
-    moved = travel(case.run.valve[first:stop], float(case.run.valve[first - 1]))
-    return 3600.0 * moved / ((stop - first) * case.loop.sample_time)
+    run = _with_stem(case)
+    moved = travel(run.valve[first:stop], float(run.valve[first - 1]))
+    return 3600.0 * moved / ((stop - first) * run.loop.sample_time)
 
 
-def at_odds(case: CaseResult, experiment: Experiment | None) -> bool:
+def at_odds(case: CaseResult | CascadeResult, experiment: Experiment | None) -> bool:
     """Return whether the run, with its noise or load, shows another motion of the valve than the verdict without."""
-    cycle = case.limit_cycle
+    cycle, run = case.cycle if isinstance(case, CascadeResult) else case.limit_cycle, _with_stem(case)
     part = None if experiment is None or not quiet(experiment) else _tail(case, experiment)
     if cycle is None or part is None or unstable(case):
         return False
     first, stop = part
-    moving = reversals(case.run.valve[first:stop], float(case.run.valve[first - 1])) >= MOVING
+    moving = reversals(run.valve[first:stop], float(run.valve[first - 1])) >= MOVING
     if cycle.outcome == "settles":
         return moving
     if cycle.outcome != "cycles":
@@ -220,5 +235,5 @@ def at_odds(case: CaseResult, experiment: Experiment | None) -> bool:
     rate = run_travel(case, experiment)
     if rate > 2.0 * cycle.travel_per_hour:
         return moving
-    long = (stop - first) * case.loop.sample_time >= 2.0 * cycle.period
+    long = (stop - first) * run.loop.sample_time >= 2.0 * cycle.period
     return long and rate < 0.5 * cycle.travel_per_hour

@@ -320,8 +320,8 @@ def _only_here(other: CaseResult, case: CaseResult) -> str:
     if not other.objective < case.objective or not b.mse_mean < a.mse_mean:
         return ""
     return (
-        f"{other.name} does better in this one experiment (J {figure(other.objective, 3)} against "
-        f"{figure(case.objective, 3)}), and worse over the ensemble: mean square error {figure(a.mse_mean, 3)} EU² at "
+        f"{other.name} does better in this one experiment (J {figure(other.objective)} against "
+        f"{figure(case.objective)}), and worse over the ensemble: mean square error {figure(a.mse_mean, 3)} EU² at "
         f"valve travel {figure(a.travel_mean, 3)} %."
     )
 
@@ -361,9 +361,14 @@ def robust_repair_table(study: Study) -> Table | None:
     if repair is None:
         return None
     four = (repair.present, repair.repaired, repair.best, repair.best_repaired)
+    digits = (None, None, repair.tuned.digits, repair.tuned_repaired.digits)
     heads = ("present tuning, sticky", "present tuning, repaired", "best robust, sticky", "best robust, repaired")
     rows = (
-        Row("Settings", "", tuple(Cell(controller_words(r.loop.controller)) for r in four)),
+        Row(
+            "Settings",
+            "",
+            tuple(Cell(controller_words(r.loop.controller, d)) for r, d in zip(four, digits, strict=True)),
+        ),
         Row("Mean square error, median", "EU²", tuple(Cell(figure(r.mse_median, 3)) for r in four), group=True),
         Row("90th percentile", "EU²", tuple(Cell(figure(r.mse_p90, 3)) for r in four)),
         Row("mean", "EU²", tuple(Cell(figure(r.mse_mean, 3)) for r in four)),

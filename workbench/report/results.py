@@ -414,12 +414,14 @@ def results_content(study: Study) -> dict[str, Any]:
 
 
 def _further(study: Study) -> dict[str, Any]:
-    # Both build on this module.
+    # These build on this module.
     from workbench.report.cascade_results import cascade_content
+    from workbench.report.cascade_settings import cascade_site_content
     from workbench.report.settings import site_content
 
-    site = {} if study.site is None else {"site": site_content(study)}
-    return {"cascade": cascade_content(study), **site} if study.cascade else site
+    site = cascade_site_content(study) if study.cascade else site_content(study)
+    content = {"site": site} if site else {}
+    return {"cascade": cascade_content(study), **content} if study.cascade else content
 
 
 def _dump(content: Any) -> str:

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
-from workbench.model.controller import PID
 from workbench.model.results import Kpis
 from workbench.model.site import SiteCase, SiteForm, SiteSettings
 from workbench.model.study import CaseResult, Study
@@ -18,7 +18,9 @@ from workbench.report.words import change, controller_words, figure, join, setti
 
 __all__ = [
     "as_found_as_left",
+    "form_content",
     "refused_sentences",
+    "rounded",
     "rounding_sentences",
     "settings_words",
     "site_content",
@@ -52,7 +54,8 @@ def _written(study: Study, case: CaseResult) -> tuple[SiteForm, SiteSettings, Kp
     return study.site, typed.settings, typed.kpis
 
 
-def _names(site: SiteForm) -> tuple[str, str, str]:
+def setting_names(site: SiteForm) -> tuple[str, str, str]:
+    """Return what the site calls gain, integral and derivative."""
     if site.form == "parallel":
         return "Gain Kp", "Integral gain Ki", "Derivative gain Kd"
     return "Proportional band" if site.gain == "PB %" else "Gain Kc", "Integral Ti", "Derivative Td"
@@ -62,7 +65,7 @@ def _number(value: float, digits: int | None) -> str:
     return "none" if math.isinf(value) else setting(value, digits)
 
 
-def _texts(site: SiteForm, settings: SiteSettings, digits: int | None) -> tuple[str, str, str]:
+def setting_texts(site: SiteForm, settings: SiteSettings, digits: int | None) -> tuple[str, str, str]:
     """Return gain, integral and derivative with their units; "none" for an action that is not there."""
     integral = "none" if settings.integral == 0.0 else _number(settings.integral, digits)
     numbers = _number(settings.gain, digits), integral, _number(settings.derivative, digits)
@@ -81,9 +84,13 @@ def settings_words(study: Study, case: CaseResult) -> str:
         return own
     if written is None:
         return f"{own}, which has no equivalent in the site's {study.site.form} form"
-    site, settings, _ = written
-    gain, integral, derivative = _texts(site, settings, _digits(case))
-    short = {"Proportional band": "proportional band", "Gain Kc": "Kc", "Gain Kp": "Kp"}[_names(site)[0]]
+    return typed_words(written[0], written[1], _digits(case))
+
+
+def typed_words(site: SiteForm, settings: SiteSettings, digits: int | None) -> str:
+    """Return settings in the site's form: "proportional band 41.95 %, 6.599 repeats/min (series form)"."""
+    gain, integral, derivative = setting_texts(site, settings, digits)
+    short = {"Proportional band": "proportional band", "Gain Kc": "Kc", "Gain Kp": "Kp"}[setting_names(site)[0]]
     i, d = ("Ki", "Kd") if site.form == "parallel" else ("" if "repeats" in site.integral else "Ti", "Td")
     parts = [f"{short} {gain}", "no integral action" if integral == "none" else f"{i} {integral}".strip()]
     parts += [f"{d} {derivative}"] if settings.derivative != 0.0 else []
@@ -102,7 +109,7 @@ def as_found_as_left(study: Study, base: CaseResult | None, best: CaseResult) ->
     forms = {one[0] for one in written if one is not None}
     site = next(iter(forms)) if len(forms) == 1 else SiteForm()
     texts = [
-        ("no equivalent",) * 3 if one is None else _texts(one[0], one[1], _digits(case))
+        ("no equivalent",) * 3 if one is None else setting_texts(one[0], one[1], _digits(case))
         for one, case in zip(written, cases, strict=True)
     ]
     pids = [
@@ -110,7 +117,7 @@ def as_found_as_left(study: Study, base: CaseResult | None, best: CaseResult) ->
     ]
     blank = (Cell(""),) if len(cases) > 1 else ()
     rows = [Row("Form", "", (*(Cell(pid.form) for pid in pids), *blank))]
-    for i, name in enumerate(_names(site)):
+    for i, name in enumerate(setting_names(site)):
         rows.append(Row(name, "", (*(Cell(text[i]) for text in texts), *blank)))
     for name, describe in CONTROLLER_ROWS[1:]:
         both = [describe(pid) for pid in pids]
@@ -220,11 +227,16 @@ def _rounding(case: CaseResult, typed: SiteCase, kpis: Kpis, own: str) -> str:
     pairs.append(("valve travel", kpis.valve_travel, case.run.kpis.valve_travel, " %"))
     if typed.objective is not None and case.objective is not None:
         pairs.insert(0, ("J", typed.objective, case.objective, ""))
+    return rounded(case.name, own, pairs)
+
+
+def rounded(name: str, own: str, pairs: Sequence[tuple[str, float, float, str]]) -> str:
+    """Say how figures with the site's rounded digits differ from a case's: (title, as typed in, before, unit) each."""
     off = [p for p in pairs if not math.isclose(p[1], p[2], rel_tol=SAME, abs_tol=1e-12)]
-    begin = f"{case.name} is {own} in the scenario's form; rounded in the site's units it gives by exact simulation"
+    begin = f"{name} is {own} in the scenario's form; rounded in the site's units it gives by exact simulation"
     if not off:
         return f"{begin} the same {join([p[0] for p in pairs])} (to 0.1 %)."
-    return f"{begin} {join([f'{name} {figure(a)}{unit} instead of {figure(b)}{unit}' for name, a, b, unit in off])}."
+    return f"{begin} {join([f'{what} {figure(a)}{unit} instead of {figure(b)}{unit}' for what, a, b, unit in off])}."
 
 
 def site_table(study: Study) -> Table | None:
@@ -236,28 +248,35 @@ def site_table(study: Study) -> Table | None:
         if typed.settings is None:
             cells = tuple(Cell("no equivalent") for _ in range(3))
         else:
-            cells = tuple(Cell(text) for text in _texts(study.site, typed.settings, _digits(case)))
+            cells = tuple(Cell(text) for text in setting_texts(study.site, typed.settings, _digits(case)))
         rows.append(Row(case.name, "", cells))
-    return Table(_names(study.site), tuple(rows))
+    return Table(setting_names(study.site), tuple(rows))
 
 
 def site_content(study: Study) -> dict[str, object]:
     """Return what results.json holds of the site's form and the cases in it."""
-    site = study.site
-    if site is None:
+    if study.site is None:
         return {}
     cases = []
     for one in study.site_cases:
         content: dict[str, object] = {"name": one.name, "refused": one.refused or None}
         if one.settings is not None and one.kpis is not None:
-            typed = one.settings
-            content |= {"gain": typed.gain, "integral": typed.integral, "derivative": typed.derivative}
-            content |= _simulated(typed.controller, one.kpis) | {"objective": one.objective}
+            content |= typed_content(one.settings, one.kpis) | {"objective": one.objective}
         cases.append(content)
+    return {**form_content(study.site), "cases": cases}
+
+
+def form_content(site: SiteForm) -> dict[str, object]:
+    """Return what results.json holds of a site's form."""
     units = dict(zip(("gain", "integral", "derivative"), site.units, strict=True))
-    return {"form": site.form, "proportional_band": site.gain == "PB %", "units": units, "cases": cases}
+    return {"form": site.form, "proportional_band": site.gain == "PB %", "units": units}
 
 
-def _simulated(controller: PID, kpis: Kpis) -> dict[str, object]:
-    names = ("mean_square_error", "error_variance", "valve_travel")
-    return {"Kc": controller.Kc, "Ti": controller.Ti, "Td": controller.Td} | {n: getattr(kpis, n) for n in names}
+def typed_content(typed: SiteSettings, kpis: Kpis) -> dict[str, object]:
+    """Return what results.json holds of settings as typed in, and of what they give."""
+    pid = typed.controller
+    return {
+        **{name: getattr(typed, name) for name in ("gain", "integral", "derivative")},
+        **{name: getattr(pid, name) for name in ("Kc", "Ti", "Td")},
+        **{name: getattr(kpis, name) for name in ("mean_square_error", "error_variance", "valve_travel")},
+    }

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from workbench.model.study import Study
+from workbench.model.study import CascadeResult, Study
 from workbench.report.advice import Advice, case_advice
 from workbench.report.cascade import cascade_sentences
+from workbench.report.cascade_advice import cascade_advice, cascade_confidence, cascade_watch
+from workbench.report.cascade_settings import cascade_base, cascade_rounding, cascade_table
 from workbench.report.confidence import Confidence, confidence, watch
 from workbench.report.cycles import cycle_sentences
 from workbench.report.estimates import estimate_advice, estimate_sentences
@@ -63,21 +65,28 @@ def summarise(study: Study) -> Summary:
         else:
             advice = Advice(robust[0], choice, tuple(robust[1:]), tuple(lasting(study, choice)))
     if study.cascade:
-        seen, told = cascade_sentences(study)
-        found += seen
-        do += told
+        found += cascade_sentences(study)
+        advice = cascade_advice(study)
     decision, rest = advice.decision, dict.fromkeys((*advice.do, *do))
     if not decision and rest:
         decision = next(iter(rest))
         del rest[decision]
-    case, base = advice.case, base_case(study)
+    told = tuple(found), decision, tuple(rest), advice.left
+    case = advice.case
     if case is None:
-        return Summary(tuple(found), decision, tuple(rest), advice.left)
+        return Summary(*told)
+    if isinstance(case, CascadeResult):
+        first = cascade_base(study)
+        return Summary(
+            *told,
+            settings=cascade_table(study, first or case, case),
+            typed=tuple(cascade_rounding(study, case)) if case is not first else (),
+            sure=cascade_confidence(study, case),
+            watch=tuple(cascade_watch(study, first, case)),
+        )
+    base = base_case(study)
     return Summary(
-        tuple(found),
-        decision,
-        tuple(rest),
-        advice.left,
+        *told,
         settings=as_found_as_left(study, base, case),
         typed=(*(rounding_sentences(study, case) if case is not base else ()), *refused_sentences(study, case)),
         sure=confidence(study, case),

@@ -8,13 +8,13 @@ import numpy as np
 
 from workbench.errors import InvalidValue
 from workbench.model.controller import PID
-from workbench.model.site import SiteCase, SiteForm
+from workbench.model.site import SiteCase, SiteForm, SiteSettings
 from workbench.model.study import CaseResult
 from workbench.model.tuning import Objective
 from workbench.scenario.plan import RULE_DIGITS
 from workbench.simulate.run import evaluate, simulate
 
-__all__ = ["nearest_controllers", "site_cases"]
+__all__ = ["nearest_controllers", "site_cases", "typed_settings"]
 
 
 def nearest_controllers(site: SiteForm, cases: Sequence[CaseResult]) -> list[tuple[CaseResult, PID]]:
@@ -42,13 +42,20 @@ def _digits(case: CaseResult) -> int | None:
     return None if case.tuned is None else case.tuned.digits
 
 
+def typed_settings(site: SiteForm, controller: PID, digits: int | None) -> SiteSettings:
+    """Return a controller's settings as typed in, at the digits of its search. Raises `InvalidValue`.
+
+    Without digits what was given in these very units stands as it was given; what is converted has no last digit of its
+    own and gets those of a rule.
+    """
+    same = site.form == controller.form and site.units == SiteForm(controller.form, output=site.output).units
+    return site.settings(controller, digits or (None if same else RULE_DIGITS))
+
+
 def _typed(site: SiteForm, case: CaseResult, source: CaseResult, objective: Objective | None) -> SiteCase:
     controller = case.loop.controller
-    same = site.form == controller.form and site.units == SiteForm(controller.form).units
-    # What was given in these very units stands as it was given; what is converted has no last digit of its own.
-    digits = _digits(source) or (None if same else RULE_DIGITS)
     try:
-        settings = site.settings(controller, digits)
+        settings = typed_settings(site, controller, _digits(source))
     except InvalidValue as error:
         return SiteCase(case.name, None, refused=f"{error.given}: {error.allowed}")
     if settings.controller == controller:
