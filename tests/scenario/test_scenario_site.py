@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import pytest
@@ -120,10 +121,8 @@ def test_a_site_without_cases_is_refused(tmp_path):
         load_scenario(path)
 
 
-CASCADE = (Path(__file__).parents[2] / "scenarios" / "cascade.yaml").read_text()
-RANGED = CASCADE.replace("sample_time: 5 s", "sample_time: 5 s\n    pv_range: [0, 200]").replace(
-    "sample_time: 1 s", "sample_time: 1 s\n    pv_range: [0, 50]"
-)
+RANGED = (Path(__file__).parents[2] / "scenarios" / "cascade.yaml").read_text()
+CASCADE = re.sub(r"    pv_range: .*\n", "", RANGED)
 
 
 def in_cascade(folder, entry, text=RANGED):
@@ -155,7 +154,11 @@ def test_a_cascades_site_is_the_form_of_both(tmp_path):
             "site.gain: proportional_band given; needs cascade.primary.pv_range and cascade.secondary.pv_range: [low,",
         ),
         ("{form: parallel, gain: proportional_band}", RANGED, "site.gain: proportional_band given; a parallel"),
-        ("{form: ideal}", RANGED.replace("[0, 50]", "[50, 0]"), "cascade.secondary.pv_range: "),
+        (
+            "{form: ideal}",
+            RANGED.replace("[0, 50]", "[50, 0]"),
+            "cascade.secondary.pv_range: (50.0, 0.0) given; must be",
+        ),
     ],
 )
 def test_what_is_wrong_of_a_cascades_site_is_said(tmp_path, entry, text, said):
