@@ -232,6 +232,12 @@ def test_settings_stand_as_the_site_types_them(study: Study) -> None:
     typed = told.site_cases[1]
     assert typed.objective != told.cases[1].objective, "the rounded digits are other settings"
     assert "Optimised PI is Kc 2.351 %/EU, Ti 9.500 s in the scenario's form; rounded" in summary.typed[0]
+    assert any(text.startswith("Valve travel: 16.80 % in this run") for text in summary.watch)
+    sharp = replace(study.cases[2].tuned, worst=3.0 * (study.cases[2].objective or 0.0))  # type: ignore[type-var]
+    edge = of(study, study.cases[0], replace(study.cases[2], tuned=sharp), site=SITE)
+    edge = replace(edge, site_cases=(edge.site_cases[0], replace(edge.site_cases[1], objective=11.25)))
+    (text,) = (text for text in summarise(edge).do if text.startswith("Type in exactly these digits"))
+    assert text.endswith("; with the site's digits above it is 11.25.")
     table = site_table(told)
     assert table is not None
     assert [row.label for row in table.rows] == ["Case 1", "Optimised PI"]

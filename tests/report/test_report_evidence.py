@@ -161,6 +161,10 @@ def test_the_page_holds_the_evidence_once_for_each_record(
     first, second = (NamedEstimate(name, estimate, detection=found) for name in ("First", "Second"))
     html = page_of(only(study, first, second), tmp_path)
     assert html.count("<h4>Evidence without a model</h4>") == 2
+    said = replace(estimate, reasons=(*found.reasons[:1], *estimate.reasons))
+    once = page_of(only(study, NamedEstimate("First", said, detection=found)), tmp_path / "once")
+    first_reason = found.reasons[0].split(" leaves ")[0].removeprefix("a ")
+    assert once.count(first_reason) == html.count(first_reason), "what the verdict says already is not said again"
     assert html.count("Moves without answer, ρ₁") == 1
     assert "The record is that of First, and so is the evidence in it." in html
     names = {path.name for path in tmp_path.iterdir()}

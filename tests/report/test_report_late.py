@@ -38,6 +38,14 @@ def test_what_is_left_of_the_cycle_is_a_range_where_it_depends_on_the_start(stud
     ) in told
 
 
+def test_a_case_that_comes_to_rest_is_named_where_the_recommended_one_cycles_on(study: Study, cycle: Make) -> None:
+    calm = replace(study.cases[0], limit_cycle=cycle(study.cases[0].loop, "settles"))
+    told = summarise(of(study, calm, study.cases[2]))
+    by_run = "the recommendation goes by the run of this experiment."
+    assert f"In the long run without disturbances Case 1 comes to rest after this experiment; {by_run}" in told.left
+    assert not any("comes to rest after" in text for text in summarise(of(study, calm, calm)).left)
+
+
 def test_single_figures_are_not_called_ranges(study: Study) -> None:
     bare = [replace(c, objective=None, tuned=None) for c in study.cases[:2]]
     told = " ".join(summarise(of(study, *bare, objective=None)).advice)

@@ -174,6 +174,9 @@ def test_what_one_experiment_likes_is_not_recommended(robust: Study) -> None:
     both = [robust_advice(replace(robust, cases=(*robust.cases, one))) for one in (nominal, worse)]
     assert any("Nominal is the best found for the one experiment; over the ensemble" in text for text in both[0])
     assert "Do not use Nominal: best in the one experiment, it does not hold every plant of the ensemble." in both[1]
+    sharp = replace(nominal, robustness=replace(over(nominal), max_sensitivity=17.1))
+    told = robust_advice(replace(robust, cases=(*robust.cases, sharp)))
+    assert any("its Ms reaches 17.1 at the worst corner, above 9: not for a plant that may differ" in t for t in told)
     risky = replace(robust.cases[0], name="Risky", robustness=replace(over(robust.cases[2]), max_sensitivity=12.0))
     risky = replace(risky, robustness=replace(over(risky), mean_square_error=0.5 * over(risky).mean_square_error))
     told = robust_advice(replace(robust, cases=(*robust.cases, risky)))

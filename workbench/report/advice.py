@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from workbench.model.results import Kpis
 from workbench.model.study import CascadeResult, CaseResult, Study
 from workbench.report.cycles import better_late, by_start, late_errors, late_figures, swing
 from workbench.report.judge import (
@@ -15,12 +14,11 @@ from workbench.report.judge import (
     quiet,
     refused,
     run_travel,
-    typed_case,
     unstable,
 )
 from workbench.report.plain_truth import lasting
 from workbench.report.repair import repair_sentence
-from workbench.report.settings import settings_words, spread
+from workbench.report.settings import as_typed_in, settings_words, spread
 from workbench.report.words import change, figure, nearby
 
 __all__ = ["Advice", "case_advice", "worth_it"]
@@ -69,7 +67,7 @@ def case_advice(study: Study) -> Advice:
         if best.tuned is not None and best.tuned.knife_edge:
             do.append(
                 f"Type in exactly these digits: the optimum is a knife-edge, {nearby(best.tuned.margin)} J rises from "
-                f"{figure(best.tuned.objective)} to as much as {figure(best.tuned.worst)}."
+                f"{figure(best.tuned.objective)} to as much as {figure(best.tuned.worst)}{_at_site(study, best)}."
             )
         left += _remaining(study, base, best)
         do += _less_wear(study, best)
@@ -79,10 +77,18 @@ def case_advice(study: Study) -> Advice:
     return Advice(decision, case, (*failed, *do), tuple(left))
 
 
+def _at_site(study: Study, best: CaseResult) -> str:
+    """Return what J is with the digits that are typed in, where these are others than those that were searched for."""
+    cost = as_typed_in(study, best)[1]
+    if cost is None or best.objective is None or figure(cost) == figure(best.objective):
+        return ""
+    return f"; with the site's digits above it is {figure(cost)}"
+
+
 def _recommendation(study: Study, base: CaseResult | None, best: CaseResult) -> tuple[str, CaseResult]:
     """Return the decision, and the case that it is about."""
     controller = settings_words(study, best)
-    kpis, objective = _as_typed_in(study, best)
+    kpis, objective = as_typed_in(study, best)
     by = "J" if best.objective is not None else "mean square error"
     if len(study.cases) == 1 and best is base:
         return f"Nothing to set: {best.name} ({controller}) is the only tuning here, and none was searched for.", best
@@ -97,7 +103,7 @@ def _recommendation(study: Study, base: CaseResult | None, best: CaseResult) -> 
             f"Set {controller} ({best.name}): {least}, mean square error {figure(kpis.mean_square_error)} EU², "
             f"valve travel {figure(kpis.valve_travel)} %.{_by_repair(study, best)}"
         ), best
-    was, before = _as_typed_in(study, base)
+    was, before = as_typed_in(study, base)
     parts = []
     if objective is not None and before is not None:
         parts.append(f"J {figure(objective)} instead of {figure(before)}")
@@ -112,17 +118,6 @@ def _recommendation(study: Study, base: CaseResult | None, best: CaseResult) -> 
             f"{best.name} ({controller}), has {told}"
         ), base
     return f"Set {controller} ({best.name}): {told}{_by_repair(study, best)}", best
-
-
-def _as_typed_in(study: Study, case: CaseResult) -> tuple[Kpis, float | None]:
-    """Return a case's figures and J with the digits that are named: the site's own, where it has its own form.
-
-    Those of the case as found are of the scenario's own digits: it is what is there now.
-    """
-    typed = typed_case(study, case)
-    if typed is None or typed.kpis is None or case is base_case(study):
-        return case.run.kpis, case.objective
-    return typed.kpis, typed.objective
 
 
 def _in_the_long_run(study: Study, base: CaseResult, best: CaseResult) -> str:
@@ -153,8 +148,9 @@ def _by_repair(study: Study, best: CaseResult) -> str:
     if study.repair is None:
         return ""
     repaired = study.repair.best_repaired.kpis
-    (name, left), (_, after) = spread(best, best.run.kpis), spread(best, repaired)
-    wear = change(repaired.valve_travel, best.run.kpis.valve_travel)
+    kpis, _ = as_typed_in(study, best)
+    (name, left), (_, after) = spread(best, kpis), spread(best, repaired)
+    wear = change(repaired.valve_travel, kpis.valve_travel)
     if not after < WORTH * left:
         return f" Repairing the valve would bring no less {name} than this in this run (valve travel {wear})."
     return (

@@ -50,7 +50,9 @@ def _value(study: Study, case: CaseResult, name: str, decimals: int) -> Cell:
 
 def _change(study: Study, base: CaseResult, case: CaseResult, name: str) -> Cell:
     was, now = (float(getattr(one.run.kpis, name)) for one in (base, case))
-    doubted = name == "settling_time" and any(settling_doubt(one, study.experiment) for one in (base, case))
+    doubted = name == "settling_time" and (
+        0.0 in (was, now) or any(settling_doubt(one, study.experiment) for one in (base, case))
+    )
     both = name in base.reference and name in case.reference
     small = f"publ. {change(case.reference[name], base.reference[name])}" if both else ""
     return Cell(change(now, was) if math.isfinite(was) and math.isfinite(now) and not doubted else "–", small)

@@ -172,6 +172,7 @@ def _effect(study: Study, cases: list[CascadeResult]) -> list[Row]:
         cells = [Cell(shown(name, value), note) for value, note in zip(values, notes, strict=True)]
         if len(values) > 1:
             known = not any(notes) and all(math.isfinite(value) for value in values)
+            known = known and not (name == "settling_time" and 0.0 in values)
             cells.append(Cell(change(values[-1], values[0]) if known else "–"))
         rows.append(Row(title, unit, tuple(cells), group=not rows or name == "late"))
 

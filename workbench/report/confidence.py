@@ -18,7 +18,7 @@ from workbench.model.study import CaseResult, NamedEstimate, Study
 from workbench.model.titles import kpi_title, within
 from workbench.report.estimates import known_groups, stiction_words
 from workbench.report.judge import at_odds, last_change, quiet, run_travel, unstable
-from workbench.report.settings import settings_words
+from workbench.report.settings import as_typed_in, settings_words
 from workbench.report.words import capital, duration, figure, given, interval, join, nearby
 
 __all__ = ["Confidence", "Judged", "confidence", "digits", "recovery", "searches", "settled", "watch"]
@@ -238,7 +238,7 @@ def watch(study: Study, base: CaseResult | None, best: CaseResult) -> list[str]:
         out.append(
             f"Here the loop comes to rest ({when}): a lasting cycle means that the loop is not the one modelled."
         )
-    travel = f"Valve travel: {figure(best.run.kpis.valve_travel)} % in this run of {_run(study)}"
+    travel = f"Valve travel: {figure(as_typed_in(study, best)[0].valve_travel)} % in this run of {_run(study)}"
     if cycle is not None and cycle.outcome == "cycles":
         travel += f", {figure(cycle.travel_per_hour, 3)} % an hour in the long run without noise"
     out.append(f"{travel}. More than that is wear which this model does not see.")

@@ -51,7 +51,7 @@ def _steps(tuned: Tuned) -> str:
 
 _HOW_ROWS: tuple[tuple[str, str, Callable[[Tuned], str]], ...] = (
     ("Status", "", lambda t: t.status.value),
-    ("J of the settings as typed in", "", lambda t: figure(t.objective)),
+    ("J of the settings, rounded", "", lambda t: figure(t.objective)),
     ("Digits typed in", "", lambda t: str(t.digits)),
     ("J of the unrounded best", "", lambda t: figure(t.nominal)),
     ("Worst J near the settings", "", lambda t: f"{figure(t.worst)} {nearby(t.margin)}"),

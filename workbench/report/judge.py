@@ -23,6 +23,8 @@ __all__ = [
     "best_case",
     "df_disagrees",
     "last_change",
+    "late_figure",
+    "late_words",
     "measure",
     "on_bounds",
     "over_starts",
@@ -31,7 +33,6 @@ __all__ = [
     "run_travel",
     "settling_band",
     "settling_doubt",
-    "span_words",
     "typed_case",
     "unstable",
 ]
@@ -41,6 +42,7 @@ LATE = 0.9  # share of the run after which an entry into the band is no settling
 NEAR = 2e-3  # relative distance within which a tuned parameter lies on its bound
 TAIL = 0.5  # last share of a run that is compared with the verdict without noise
 SHORTEST = 0.1  # share of a run that is enough for that, and that a change before it is left to die out
+SAME_CYCLE = 1.1  # ratio up to which the figures of cycles from several starts are one figure
 MOVING = 3  # reversals of the stem from which a valve keeps moving
 
 
@@ -101,10 +103,23 @@ def over_starts(cycle: LimitCycle, name: str) -> tuple[float, float]:
     return (min(values), max(values)) if values else (math.nan, math.nan)
 
 
-def span_words(pair: tuple[float, float]) -> str:
-    """Return "0.0278 to 0.98", or one figure where both ends agree within a tenth."""
-    low, high = pair
-    return figure(high, 3) if high <= 1.1 * low else f"{figure(low, 3)} to {figure(high, 3)}"
+def late_figure(cycle: LimitCycle, name: str) -> float:
+    """Return a figure of a cycle that has set in: the cycle's own, or the median where it depends on the start."""
+    values = [float(getattr(start, name)) for start in cycle.starts if start.outcome == "cycles"]
+    return float(np.median(values)) if _differs(cycle, name) else float(getattr(cycle, name))
+
+
+def late_words(cycle: LimitCycle, name: str) -> str:
+    """Return "0.0278 to 0.98" over the starts, or the cycle's own figure where all agree within a tenth."""
+    if not _differs(cycle, name):
+        return figure(float(getattr(cycle, name)), 3)
+    low, high = over_starts(cycle, name)
+    return f"{figure(low, 3)} to {figure(high, 3)}"
+
+
+def _differs(cycle: LimitCycle, name: str) -> bool:
+    low, high = over_starts(cycle, name)
+    return high > SAME_CYCLE * low
 
 
 def quiet(experiment: Experiment | None) -> str:

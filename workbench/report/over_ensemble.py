@@ -9,7 +9,7 @@ from workbench.model.front import Front, FrontPoint
 from workbench.model.plant import FOPDT
 from workbench.model.results import Robustness, Tuned
 from workbench.model.study import CaseResult, Study
-from workbench.report.settings import settings_words
+from workbench.report.settings import as_typed_in, settings_words
 from workbench.report.tables import Cell, Row, Table
 from workbench.report.trade import NamedPoint
 from workbench.report.words import change, controller_words, figure, given, join
@@ -312,16 +312,17 @@ def _beside(case: CaseResult, its: Robustness, r: Robustness, asked: Constraints
     )
 
 
-def _only_here(other: CaseResult, case: CaseResult) -> str:
+def _only_here(study: Study, other: CaseResult, case: CaseResult) -> str:
     """Name a given case that does better than the recommended one in the experiment, and not over the ensemble."""
     a, b = other.robustness, case.robustness
     if a is None or b is None or other.objective is None or case.objective is None:
         return ""
-    if not other.objective < case.objective or not b.mse_mean < a.mse_mean:
+    costs = [as_typed_in(study, one)[1] or 0.0 for one in (other, case)]
+    if not costs[0] < costs[1] or not b.mse_mean < a.mse_mean:
         return ""
     return (
-        f"{other.name} does better in this one experiment (J {figure(other.objective)} against "
-        f"{figure(case.objective)}), and worse over the ensemble: mean square error {figure(a.mse_mean, 3)} EU² at "
+        f"{other.name} does better in this one experiment (J {figure(costs[0])} against "
+        f"{figure(costs[1])}), and worse over the ensemble: mean square error {figure(a.mse_mean, 3)} EU² at "
         f"valve travel {figure(a.travel_mean, 3)} %."
     )
 
@@ -428,9 +429,9 @@ def robust_advice(study: Study) -> list[str]:
         if theirs is None:
             continue
         if other.tuned is None:
-            out += [text for text in (_beside(other, theirs, r, asked), _only_here(other, case)) if text]
+            out += [text for text in (_beside(other, theirs, r, asked), _only_here(study, other, case)) if text]
         elif other.tuned.ensemble is None:
-            out.append(_nominal(other, theirs, r))
+            out.append(_nominal(other, theirs, r, asked))
     out += [
         f"Do not use {c.name} as it stands: its search ended as “{c.tuned.status.value}” ({c.tuned.message})."
         for c in study.cases
@@ -479,14 +480,17 @@ def _matched(study: Study, figures: Robustness, own: CaseResult) -> str:
     return f", at equal travel {figure(ratio, 2)} times less than {other.name}"
 
 
-def _nominal(case: CaseResult, its: Robustness, r: Robustness) -> str:
+def _nominal(case: CaseResult, its: Robustness, r: Robustness, asked: Constraints) -> str:
     """Say what a tuning to the one experiment is worth over the ensemble."""
     if not held(its):
         return f"Do not use {case.name}: best in the one experiment, it does not hold every plant of the ensemble."
     better = its.mse_mean < r.mse_mean
     word = "less" if better else "more"
+    broken = _broken(its, asked)
+    end = f"Ms reaches {figure(its.max_sensitivity, 3)} at the worst corner"
+    if broken:
+        end = f"{broken}: not for a plant that may differ from the model"
     return (
         f"{case.name} is the best found for the one experiment; over the ensemble it has {word} error "
-        f"({figure(its.mse_mean, 3)} EU²) at valve travel {figure(its.travel_mean, 3)} %, and Ms reaches "
-        f"{figure(its.max_sensitivity, 3)} at the worst corner."
+        f"({figure(its.mse_mean, 3)} EU²) at valve travel {figure(its.travel_mean, 3)} %, and {end}."
     )

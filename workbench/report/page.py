@@ -144,7 +144,7 @@ def _evidence(study: Study, place: int) -> dict[str, object] | None:
     return {
         "earlier": "",
         "words": detection_words(named, found),
-        "reasons": found.reasons,
+        "reasons": [text for text in found.reasons if text not in named.found.reasons],
         "table": detection_table(found),
     }
 

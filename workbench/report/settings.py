@@ -11,13 +11,14 @@ from workbench.model.results import Kpis
 from workbench.model.site import SiteCase, SiteForm, SiteSettings
 from workbench.model.study import CaseResult, Study
 from workbench.model.titles import kpi_title
-from workbench.report.judge import measure, over_starts, refused, settling_doubt, span_words, typed_case
+from workbench.report.judge import base_case, late_words, measure, refused, settling_doubt, typed_case
 from workbench.report.shared import CONTROLLER_ROWS
 from workbench.report.tables import Cell, Row, Table, shown
 from workbench.report.words import change, controller_words, figure, join, setting
 
 __all__ = [
     "as_found_as_left",
+    "as_typed_in",
     "form_content",
     "refused_sentences",
     "rounded",
@@ -37,6 +38,17 @@ def spread(case: CaseResult, kpis: Kpis) -> tuple[str, float]:
     """Return what PV's scatter in a run is called, and its size (EU): about the setpoint where that moves."""
     moves = bool(np.any(case.run.sp != case.run.sp[0]))
     return "standard deviation of SP − PV" if moves else "PV standard deviation", math.sqrt(kpis.error_variance)
+
+
+def as_typed_in(study: Study, case: CaseResult) -> tuple[Kpis, float | None]:
+    """Return a case's figures and J with the digits that are named: the site's own, where it has its own form.
+
+    Those of the case as found are of the scenario's own digits: it is what is there now.
+    """
+    typed = typed_case(study, case)
+    if typed is None or typed.kpis is None or case is base_case(study):
+        return case.run.kpis, case.objective
+    return typed.kpis, typed.objective
 
 
 def _digits(case: CaseResult) -> int | None:
@@ -155,6 +167,7 @@ def _effect(study: Study, cases: list[CaseResult], kpis: list[Kpis], costs: list
         cells = [Cell(shown(name, value), doubt) for value, doubt in zip(values, doubts, strict=True)]
         if len(cases) > 1:
             known = not any(doubts) and all(math.isfinite(value) for value in values)
+            known = known and not (name == "settling_time" and 0.0 in values)
             cells.append(Cell(change(values[-1], values[0]) if known else "–"))
         rows.append(Row(title, unit, tuple(cells), group=not rows))
     return rows + _later(cases)
@@ -170,11 +183,11 @@ def _later(cases: list[CaseResult]) -> list[Row]:
         ("mean_square_error", "Mean square error of the late cycle", "EU²"),
         ("travel_per_hour", "Valve travel of the late cycle, an hour", "%"),
     ):
-        ends = [over_starts(cycle, name) for cycle in cycles]
-        cells = [Cell(span_words(pair)) for pair in ends]
+        cells = [Cell(late_words(cycle, name)) for cycle in cycles]
         if len(cases) > 1:
+            now, was = (float(getattr(cycles[place], name)) for place in (-1, 0))
             same = all(" to " not in cell.text for cell in cells)
-            cells.append(Cell(change(ends[-1][1], ends[0][1]) if same else "depends on the start"))
+            cells.append(Cell(change(now, was) if same else "depends on the start"))
         rows.append(Row(title, unit, tuple(cells), group=not rows))
     return rows
 

@@ -64,6 +64,8 @@ def shown(kpi: str, value: float) -> str:
     """Return a figure as the tables print it; `kpi` is its name in `Kpis`."""
     if kpi == "settling_time" and math.isinf(value):
         return "not in the run"
+    if kpi == "settling_time" and value == 0.0:
+        return "never outside"
     if kpi in TIMES:
         return duration(value)
     return f"{value:,.0f}" if kpi == "reversals" else figure(value)
