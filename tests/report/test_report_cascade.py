@@ -175,6 +175,12 @@ def test_what_to_watch_and_what_is_left_have_their_figures(study: Study) -> None
     assert "Repairing the valve ends that in both loops" in summary.left[1]
     calm = " ".join(told(study, found, replace(slow, objective=0.001)).watch)
     assert "Primary. Recovery: the integral gain Kc/Ti is 21 % of what it was" in calm
+    wear = told(study, found, slow, replace(tighter, objective=0.001)).do[0]
+    assert wear.startswith(
+        "Where wear counts more than error: Slow (primary proportional band 31.25 %, 0.6 repeats/min"
+    )
+    kpis = slow.run.secondary.kpis
+    assert f"valve travel {figure(kpis.valve_travel)} % instead of " in wear
     assert told(study, found, slow).watch == (), "what is kept needs no watching"
     assert told(study, found).decision.startswith("Nothing to set: As found (primary proportional band 8.333 %")
 

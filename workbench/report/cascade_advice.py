@@ -51,7 +51,34 @@ def cascade_advice(study: Study) -> Advice:
         for other in fit
         if _refused(study, other) and (other is case or _measure(other) < _measure(case))
     ]
-    return Advice(decision, case, (*failed, *cannot), tuple(_remaining(study, cascade_base(study), case)))
+    do = (*failed, *_less_wear(study, [c for c in fit if not _refused(study, c)], case), *cannot)
+    return Advice(decision, case, do, tuple(_remaining(study, cascade_base(study), case)))
+
+
+def _less_wear(study: Study, fit: list[CascadeResult], case: CascadeResult) -> list[str]:
+    """Name the calmest other case where it moves the valve less than half as far."""
+    # A valve that never moves controls nothing.
+    others = [(c, *cascade_kpis(study, c)[:2]) for c in fit if c is not case]
+    moving = [one for one in others if one[2].valve_travel > 0.0]
+    if not moving:
+        return []
+    calm, above, below = min(moving, key=lambda one: one[2].valve_travel)
+    one, two, _ = cascade_kpis(study, case)
+    if not below.valve_travel < 0.5 * two.valve_travel:
+        return []
+    cycle = calm.cycle
+    later = (
+        f"; once its cycle has set in, {figure(cycle.travel_per_hour)} % an hour"
+        if cycle is not None and _swing(calm)
+        else ""
+    )
+    settings = f"primary {cascade_words(study, calm, 'primary')}; secondary {cascade_words(study, calm, 'secondary')}"
+    text = (
+        f"Where wear counts more than error: {calm.name} ({settings}) has in this run valve travel "
+        f"{figure(below.valve_travel)} % instead of {figure(two.valve_travel)} %, at mean square error of the primary "
+        f"{figure(above.mean_square_error)} EU² instead of {figure(one.mean_square_error)} EU²"
+    )
+    return [f"{text}{later}."]
 
 
 def _decision(study: Study, base: CascadeResult | None, best: CascadeResult) -> tuple[str, CascadeResult]:

@@ -265,10 +265,13 @@ def cycle_tables(study: Study) -> list[Table]:
     cases = [c for c in study.cases if c.limit_cycle is not None or c.describing_function is not None]
     tables = []
     for block in blocks(cases):
-        rows = []
+        rows: list[Row] = []
+        shown: dict[str, list[str]] = {}
         for title, unit, text in _CYCLE_ROWS:
-            if all(text(c) == "–" for c in cases):
-                continue
+            plain = shown.get(title.removesuffix(", all starts"), [])
+            shown[title] = [text(c) for c in cases]
+            if all(one == "–" for one in shown[title]) or shown[title] == plain:
+                continue  # nothing to tell, or the same from all starts
             group = title in ("Exact simulation", "Describing function")
             rows.append(Row(title, unit, tuple(Cell(text(c)) for c in block), group))
         if quiet(study.experiment) and any(c.limit_cycle is not None for c in cases):
