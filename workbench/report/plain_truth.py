@@ -141,7 +141,7 @@ def lasting(study: Study, best: CaseResult) -> list[str]:
         return []
     out: list[str] = _by_tuning(study)
     if loop.valve.slip_jump > 0.0 and isinstance(loop.plant, FOPDT):
-        step, jump = abs(loop.plant.gain) * loop.valve.slip_jump, given(loop.valve.slip_jump, 3)
+        step, jump = abs(loop.plant.gain) * loop.valve.slip_jump, given(loop.valve.slip_jump)
         curved = "" if loop.characteristic is None else " (at the operating point; elsewhere by the characteristic)"
         out.append(
             f"What no tuning removes: this valve moves in steps of at least {jump} %, each of which moves PV by "

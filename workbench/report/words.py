@@ -59,7 +59,7 @@ def change(new: float, old: float) -> str:
     if new == old:
         return "unchanged"
     if old == 0.0 or math.isinf(old) or math.isinf(new) or new * old < 0.0:
-        return f"from {figure(old)} to {figure(new)}"
+        return f"from {given(old)} to {given(new)}"
     ratio = new / old
     if ratio >= 3.0:
         return f"{figure(ratio, 2)} times"
