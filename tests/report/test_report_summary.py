@@ -11,7 +11,7 @@ import pytest
 from workbench.model.results import Intervals, SolveStatus
 from workbench.model.study import CaseResult, NamedEstimate, Study
 from workbench.model.valve import Ideal
-from workbench.report.estimates import estimate_advice, estimate_sentences
+from workbench.report.estimates import estimate_advice, estimate_sentences, known_sentences
 from workbench.report.judge import best_case, df_disagrees
 from workbench.report.summary import summarise
 
@@ -122,6 +122,18 @@ def test_a_wrong_estimate_of_a_known_loop_is_called_wrong(estimated: Make) -> No
     assert "This is wrong" in estimate_sentences(NamedEstimate("E", blind, truth))[0]
     far = replace(found, plant=replace(found.plant, gain=3.0))
     assert "This is wrong by 50 % in the gain (true value 2)." in estimate_sentences(NamedEstimate("E", far, truth))[0]
+
+
+def test_a_model_that_explains_less_than_none_is_of_no_use(estimated: Make) -> None:
+    found, truth = estimated()
+    poor = replace(found, residual_variance=1.01 * found.linear.residual_variance)
+    (text,) = estimate_sentences(NamedEstimate("E", poor, truth))
+    assert text.startswith("E: the record shows stiction, but the model that the method ends with (d = 2.003 % ")
+    assert "leaves more of PV unexplained than one without stiction, and is of no use." in text
+    assert known_sentences(poor) == [
+        "The model leaves more of PV unexplained than one without stiction: use none of its figures."
+    ]
+    assert "in steps of" not in estimate_advice(NamedEstimate("E", poor))[0]
 
 
 def test_what_is_not_identified_is_said(estimated: Make) -> None:

@@ -40,7 +40,12 @@ def estimate_sentences(named: NamedEstimate, *, linear: bool = True) -> list[str
         process += f", time constant {figure(plant.time_constant)} s"
     process += f", dead time {figure(plant.dead_time)} s"
     reason = found.reasons[0].rstrip(".") if found.reasons else ""
-    if found.verdict == "stiction":
+    if useless(found):
+        text = (
+            f"{name}: the record shows stiction, but the model that the method ends with ({stiction_words(named)}, "
+            f"{process}) leaves more of PV unexplained than one without stiction, and is of no use."
+        )
+    elif found.verdict == "stiction":
         text = f"{name}: the valve sticks, {stiction_words(named)}; the process has {process}."
     elif found.verdict == "no_stiction":
         text = f"{name}: no stiction found{f' ({reason})' if reason else ''}; the process has {process}."
@@ -50,6 +55,8 @@ def estimate_sentences(named: NamedEstimate, *, linear: bool = True) -> list[str
             text += f" The best model has {stiction_words(named)} and {process}; take it as a hint, not as a finding."
     if named.truth is not None:
         text += f" {_against_truth(named, named.truth)}"
+    if useless(found):
+        return [text]
     sentences = [text]
     if found.verdict == "stiction" and not isinstance(found.valve, Ideal) and not found.identifiable:
         product = abs(plant.gain) * found.valve.stick_band
@@ -76,6 +83,12 @@ def estimate_sentences(named: NamedEstimate, *, linear: bool = True) -> list[str
                 f"dead time {figure(plain.plant.dead_time)} s."
             )
     return sentences
+
+
+def useless(found: Estimate) -> bool:
+    """Return whether a model of a sticking valve explains PV no better than the fit that ignores stiction."""
+    sticks = found.verdict == "stiction" and not isinstance(found.valve, Ideal)
+    return sticks and found.residual_variance > found.linear.residual_variance
 
 
 def _against_truth(named: NamedEstimate, truth: Loop) -> str:
@@ -130,7 +143,7 @@ def estimate_advice(named: NamedEstimate) -> list[str]:
     if found.verdict == "stiction":
         step = abs(found.plant.gain) * found.valve.slip_jump if isinstance(found.plant, FOPDT) else 0.0
         text = f"{named.name}: have the valve looked at (packing, actuator, positioner)."
-        if step > 0.0:
+        if step > 0.0 and not useless(found):
             text += f" As long as it sticks it moves PV in steps of at least {given(step, 3)} EU, whatever the tuning."
         return [text]
     if found.verdict == "no_stiction":
@@ -269,6 +282,8 @@ def known_sentences(found: Estimate) -> list[str]:
         titles = [kpi_title(name)[0] for name in groups[which]]
         return join([within(title) for title in titles])
 
+    if useless(found):
+        return ["The model leaves more of PV unexplained than one without stiction: use none of its figures."]
     said = []
     if found.verdict == "undecided":
         said.append("Whether the valve sticks is open, so these are the figures of a model that may be wrong.")
