@@ -20,6 +20,7 @@ __all__ = ["Entry", "Found", "Results", "Trend", "read_all"]
 NAME = "results.json"
 LARGEST = 64 << 20  # bytes; those of the shipped scenarios have at most 250 kB
 FLEET = ("fleet.parquet", "fleet.csv")
+OF_VALVE = ("valve_travel", "valve_variance", "reversals")
 ALLOWED = "must be a results.json of `workbench run`, a report's folder, or a folder of such folders"
 
 
@@ -350,7 +351,8 @@ def _entry(
         Kc=pid.Kc,
         Ti=pid.Ti,
         Td=pid.Td,
-        kpis=dict(kpis),
+        # What a cascade's primary moves is the secondary's PV, and no valve.
+        kpis={name: value for name, value in kpis.items() if part != "primary" or name not in OF_VALVE},
         settling_doubt="" if part == "secondary" else case.settling_doubt or "",
         objective=case.objective if part != "secondary" else math.nan,
         cycle="" if cycle is None else cycle.outcome,

@@ -23,10 +23,14 @@ __all__ = [
     "refused_sentences",
     "rounded",
     "rounding_sentences",
+    "setting_names",
+    "setting_texts",
     "settings_words",
     "site_content",
     "site_table",
     "spread",
+    "typed_content",
+    "typed_words",
 ]
 
 EFFECT = ("mean_square_error", "pv_sd", "valve_travel", "settling_time", "oscillation_index")
