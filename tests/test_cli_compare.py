@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import json
 from pathlib import Path
 
@@ -98,6 +99,8 @@ def test_a_cascades_loops_stand_apart(tmp_path: Path) -> None:
     assert "As found (secondary)" in said
     assert "the secondary is another loop than the base's" in " ".join(said.split())
     assert (tmp_path / "out" / "compare.html").read_text().count("<svg") == 1
+    rows = list(csv.DictReader((tmp_path / "out" / "compare.csv").read_text().splitlines()))
+    assert [(row["loop"], bool(row["valve_travel"])) for row in rows] == [("primary", False), ("secondary", True)]
 
 
 def test_bad_input_is_one_line_and_nothing_is_written(reports: Path, tmp_path: Path) -> None:

@@ -475,9 +475,10 @@ def _print_study(study: Study) -> None:
         for sentence in estimate_sentences(named):
             console.print(Text(sentence))
     if study.cascade:
-        from workbench.report.cascade import cascade_sentences
+        from workbench.report.summary import summarise
 
-        for sentence in [text for part in cascade_sentences(study) for text in part]:
+        summary = summarise(study)
+        for sentence in (*summary.found, *summary.advice):
             console.print(Text(sentence))
     if not study.cases:
         return

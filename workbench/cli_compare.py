@@ -89,7 +89,7 @@ def _cases(found: Comparison) -> Table | None:
     for line in (base, *found.others):
         cells = []
         for name in names:
-            difference = difference_words(line, base, name)
+            difference = difference_words(line, base, name) or line.doubt(name)
             text = shown(name, line.figure(name))
             cells.append(f"{text} ({difference})" if difference else text)
         mark = " (base)" if line is base and found.others else ""

@@ -153,11 +153,16 @@ def test_a_manifest_in_csv(site: Path) -> None:
     [
         ("loops: [{name: a, plnt: x}]", "m.yaml:1:19: loops[0].plnt: unknown entry 'plnt' (did you mean plant?)"),
         ("loops: [{nam: a}]", "loops[0]: name is missing"),
-        ("loops: []", "at least 1 item"),
-        ("title: x", "loops is missing"),
-        ("loops: [{name: a, Ti: 20}]", 'must be a time with its unit, such as "20 s"'),
-        ("loops: [{name: a, criticality: 9}]", "less than or equal to 5"),
-        ("loops: [{name: a, pv_range: [0]}]", "loops[0].pv_range"),
+        ("loops: []", "m.yaml:1:8: loops: a list of 0 given; must hold at least 1"),
+        ("title: x", "m.yaml:1:1: manifest: loops is missing"),
+        ("loops: [{name: a, Ti: 20}]", 'loops[0].Ti: 20 given; must be a time with its unit, such as "20 s"'),
+        ("loops: [{name: a, Kc: abc}]", "loops[0].Kc: abc given; must be a number"),
+        (
+            "loops: [{name: a, plant: fopt}]",
+            "fopt given (did you mean fopdt?); must be one of fopdt, integrating, auto",
+        ),
+        ("loops: [{name: a, criticality: 9}]", "loops[0].criticality: 9 given; must be <= 5"),
+        ("loops: [{name: a, pv_range: [0]}]", "loops[0].pv_range: a list of 1 given; must be two numbers, [low, high]"),
         ("loops: [{name: a\n", "not valid YAML"),
         ("loops: [{name: a}]\ndata: none", "data: none given; no such file or folder"),
         ("loops: [{name: a}]\ndepth: deep", "depth"),
@@ -174,17 +179,49 @@ def test_manifests_that_are_refused(tmp_path: Path, text: str, message: str) -> 
 
 
 @pytest.mark.parametrize(
+    ("name", "text", "told"),
+    [
+        (
+            "m.yaml",
+            "loops:\n  - {name: a}\n  - {name: b, Ti: 3}\n  - {name: a}\n  - {name: c, plant: x}\n",
+            [
+                "3:19: loops[1].Ti: 3 given; ",
+                "4:12: loops[2].name: a given; loops[0] has this name",
+                "5:22: loops[3].plant",
+            ],
+        ),
+        (
+            "m.csv",
+            "name,Kc\na,1\nb,x\na,2\nc,-1\n",
+            ["3:1: Kc: x given", "4:1: name: a given; line 2 has this name already", "5:1: Kc: -1 given"],
+        ),
+    ],
+)
+def test_all_mistakes_of_a_manifest_are_told_at_once(tmp_path: Path, name: str, text: str, told: list[str]) -> None:
+    (tmp_path / name).write_text(text)
+    with pytest.raises(ScenarioError) as refused:
+        sources_of(tmp_path / name)
+    lines = str(refused.value).splitlines()
+    assert len(lines) == len(told)
+    for line, start in zip(lines, told, strict=True):
+        assert line.startswith(f"{tmp_path / name}:{start}")
+        assert ": :" not in line
+
+
+@pytest.mark.parametrize(
     ("text", "message"),
     [
         ("loop,file\na,b.csv\n", "m.csv:1:1: unknown column 'loop'"),
         ("file\nb.csv\n", "no column 'name'"),
         ("name,Kc\na,x\n", "m.csv:2:1: Kc: x given; must be a number"),
-        ("name,Kc\na,-1\n", "m.csv:2:1: Kc: -1 given; input should be greater than 0"),
+        ("name,Kc\na,-1\n", "m.csv:2:1: Kc: -1 given; must be above 0"),
         ("name,pv_low\na,1\n", "needs both pv_low and pv_high"),
         ("name\na,b\n", "m.csv:2:1: more cells than columns"),
         ("name\n", "no loop"),
+        ("name,Ti\na,soon\n", "m.csv:2:1: Ti: soon given; must be a time with its unit"),
+        ("name,Ti\n,20\n", "m.csv:2:1: name: missing; it must be given"),
         ("name,criticality\na,1.5\n", "m.csv:2:1: criticality: 1.5 given"),
-        ("name,plant\na,level\n", "m.csv:2:1: plant: level given"),
+        ("name,plant\na,level\n", "m.csv:2:1: plant: level given; must be one of fopdt"),
     ],
 )
 def test_csv_manifests_that_are_refused(tmp_path: Path, text: str, message: str) -> None:

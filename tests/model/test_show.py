@@ -188,6 +188,10 @@ def test_figures_have_their_units(results: dict[str, Any]) -> None:
     assert found["Identifiable"] == ("no", "")
     cascade = {title: text for title, text, _ in rows_of(results["CascadeRun"])}
     assert cascade["Primary: mean square error"] != cascade["Secondary: mean square error"]
+    cycle = {title: text for title, text, _ in rows_of(results["CascadeCycle"])}
+    assert {"Primary: PV peak to peak", "Secondary: OP peak to peak"} < cycle.keys(), "symbols keep their capitals"
+    repair = {title: text for title, text, _ in rows_of(results["Repair"])}
+    assert {"Best: J", "Best: mean square error"} < repair.keys()
     search = {title: text for title, text, _ in rows_of(results["Tuned"])}
     assert search["Status"] == "solved"
     assert search["Worst J near by"] == "10.50"

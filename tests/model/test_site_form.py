@@ -78,6 +78,36 @@ def test_what_has_no_equivalent_is_refused():
         SiteForm("series").settings(wb.PID(1.0, 7.0, 2.0))
 
 
+@given(
+    pid=st.builds(
+        wb.PID,
+        Kc=numbers(0.05, 5.0),
+        Ti=numbers(1.0, 600.0),
+        Td=st.just(0.0) | numbers(0.1, 600.0),
+        form=st.sampled_from(["ideal", "series", "parallel"]),
+        derivative_on=st.sampled_from(["error", "pv"]),
+        derivative_filter=st.just(math.inf) | numbers(0.5, 20.0),
+        setpoint_weight=numbers(0.0, 1.0),
+    ),
+    form=st.sampled_from(["ideal", "series", "parallel"]),
+)
+def test_the_nearest_keeps_gain_and_integral_time_and_gives_up_as_little_as_it_must(pid, form):
+    near = pid.nearest_form(form)
+    assert near.form == form
+    was, now = pid.ideal_terms(), near.ideal_terms()
+    assert (now.Kc, now.Ti) == pytest.approx((was.Kc, was.Ti), rel=1e-6)
+    assert min(was.Td, 0.0) - 1e-9 <= now.Td <= max(was.Td, 0.0) * (1 + 1e-6) + 1e-9
+    try:
+        exact = pid.to_form(form)
+    except wb.InvalidValue:
+        if form == "series" and now.Td < was.Td * (1 - 1e-6):
+            n = was.Td / was.Tf if was.Tf > 0.0 else math.inf
+            with pytest.raises(wb.InvalidValue, match="needs"):
+                wb.PID(now.Kc, now.Ti, now.Td * 1.0001, derivative_filter=n).to_form("series")
+    else:
+        assert near == exact
+
+
 @pytest.mark.parametrize(
     ("arguments", "text"),
     [

@@ -214,10 +214,28 @@ def test_differences_are_from_the_base(study: Study, put: Callable[..., Path]) -
 
 def test_a_time_beside_none_has_no_difference(study: Study, put: Callable[..., Path]) -> None:
     cases = json.loads(results_json(study))["cases"]
-    for case, time in zip(cases, ("Infinity", 20.0, "Infinity"), strict=True):
-        case["kpis"]["settling_time"] = time
+    for case, time in zip(cases, ("none", 20.0, "Infinity"), strict=True):  # the last as earlier versions wrote it
+        case["kpis"]["settling_time"], case["settling_doubt"] = time, None
     made = found(put(study, cases=cases))
     assert [difference_words(line, made.base, "settling_time") for line in made.lines] == ["", "", "unchanged"]
+
+
+def test_a_settling_time_that_does_not_last_is_marked_as_in_the_report(study: Study, put: Callable[..., Path]) -> None:
+    made = found(put(study))
+    first, _, best = made.lines
+    assert (first.doubt("settling_time"), first.doubt("iae")) == ("not for good: it cycles", "")
+    assert math.isfinite(first.figure("settling_time"))
+    assert math.isfinite(best.figure("settling_time"))
+    assert difference_words(best, first, "settling_time") == ""
+    cells = {row.label: row.cells for row in tables(made)[0].rows}["Settling time"]
+    assert cells[0].small == "not for good: it cycles"
+    rows = list(csv.DictReader(StringIO(comparison_csv(made))))
+    assert rows[0]["settling_doubt"] == "not for good: it cycles"
+    assert rows[2]["settling_time_difference"] == ""
+    calm = replace(study, cases=tuple(replace(case, limit_cycle=None) for case in study.cases))
+    made = found(put(calm, "calm"))
+    assert not any(line.doubt("settling_time") for line in made.lines[::2])
+    assert difference_words(made.lines[2], made.base, "settling_time") == "−99.6 %"
 
 
 def test_cases_are_chosen_by_name(study: Study, put: Callable[..., Path]) -> None:
@@ -269,7 +287,8 @@ def test_an_earlier_versions_file_is_shown_but_not_held_against_others(study: St
     curves, said = drawn(made)
     assert len(curves) == 3
     assert said == ["The figure shows those that are held against the base."]
-    assert not any(cell.small for row in tables(made)[0].rows for cell in row.cells[3:])
+    said = {cell.small for row in tables(made)[0].rows for cell in row.cells[3:]}
+    assert said == {"", "not for good: it cycles"}, "no difference, but what its own report says"
     alone = found(older)
     assert not alone.notes
     assert drawn(alone)[0] == []

@@ -215,3 +215,16 @@ def test_pictures() -> None:
 @pytest.mark.parametrize("many", [0, 1])
 def test_hardly_any_loops(many: int) -> None:
     parsed(render_site(site(many)))
+
+
+def test_evidence_is_told_in_whole_reasons_and_settings_at_their_digits() -> None:
+    first = "a stem that sticks over 2 % leaves 38.9% less of PV unpredicted than OP itself does"
+    reasons = f"{first}; {'the second is too long to stand beside it ' * 6}"
+    made = FleetRow(
+        "FIC1", verdict="stiction", oscillates=True, reasons=reasons, Kc=1.17, Ti=93.4, Td=0.0, form="ideal"
+    )
+    page = render_site(Site("A site", "somewhere", Settings(), (made,)))
+    assert f"{first}</td>" in re.sub(r"\s+<", "<", page)
+    assert "Kc 1.170 %/EU, Ti 93.40 s (ideal)" in page
+    long = replace(made, reasons=reasons.replace("; ", " "))
+    assert "…" in render_site(Site("A site", "somewhere", Settings(), (long,)))

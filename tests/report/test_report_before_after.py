@@ -62,6 +62,19 @@ def test_a_loop_that_never_settles_has_no_change(study: Study) -> None:
     assert ("33 % lower", "90.0 s here, 135 s published") in texts
 
 
+def test_a_settling_time_that_is_none_to_go_by_has_no_change(study: Study) -> None:
+    told = two(study)
+    cycling = replace(told.cases[1], limit_cycle=study.cases[1].limit_cycle)
+    table = before_after_table(replace(told, cases=(told.cases[0], cycling)))
+    assert table is not None
+    assert table.rows[3].cells[1].small.startswith("not for good: it cycles")
+    assert table.rows[3].cells[2].text == "–"
+    inside = measured(told.cases[1], settling_time=0.0)
+    table = before_after_table(replace(told, cases=(told.cases[0], inside)))
+    assert table is not None
+    assert [cell.text for cell in table.rows[3].cells[1:]] == ["never outside", "–"]
+
+
 def test_other_published_figures_do_not_ask_for_it(study: Study) -> None:
     assert before_after_table(study) is None
     told = two(study)

@@ -20,7 +20,7 @@ from workbench.report.page import write_report
 from workbench.report.results import results_json
 from workbench.report.settings import as_found_as_left, site_table
 from workbench.report.summary import summarise
-from workbench.scenario.site_cases import site_cases
+from workbench.scenario.site_cases import nearest_controllers, site_cases
 from workbench.simulate.run import evaluate, simulate
 
 Make = Callable[..., Any]
@@ -124,10 +124,10 @@ def test_what_the_record_pins_of_the_loop_counts(study: Study, estimated: Make) 
     assert level == "low"
     assert reason.endswith("whether the valve sticks is undecided.")
     assert told(intervals=Intervals())[1].endswith(
-        "hardly known or without a range: Stiction d, Gain K, Time constant and Dead time."
+        "hardly known or without a range: stiction d, gain K, time constant and dead time."
     )
     assert "does not pin the stiction apart from the gain" in told(identifiable=False)[1]
-    assert "the valve: d = 2.00 % (95 % range 1.99 to 2.01 %); gain 1.97 to 2.01 EU/% (95 % range)" in told()[1]
+    assert "the valve: d = 2.003 % (95 % range 1.990 to 2.010 %); gain 1.970 to 2.010 EU/% (95 % range)" in told()[1]
 
 
 def test_one_given_tuning_leaves_nothing_to_set(study: Study) -> None:
@@ -206,7 +206,7 @@ def test_a_moving_setpoint_is_not_told_as_scatter_of_pv(study: Study) -> None:
 def test_what_to_watch_holds_the_figures_and_the_way_back(study: Study, case: Make) -> None:
     watch = " ".join(summarise(of(study, study.cases[0], study.cases[2])).watch)
     assert "The cycle that remains: PV 2.01 EU every 12.0 s" in watch
-    assert "Valve travel: 16.8 % in this run of 17 min, 142 % an hour in the long run" in watch
+    assert "Valve travel: 16.79 % in this run of 17 min, 142 % an hour in the long run" in watch
     assert "the gain is 4.7 times what it was; noise of 1 EU moves OP by 2.35 %" in watch
     assert "put back Kc 0.5 %/EU, Ti 20 s (Case 1)" in watch
     assert "Recovery" not in watch
@@ -232,6 +232,12 @@ def test_settings_stand_as_the_site_types_them(study: Study) -> None:
     typed = told.site_cases[1]
     assert typed.objective != told.cases[1].objective, "the rounded digits are other settings"
     assert "Optimised PI is Kc 2.351 %/EU, Ti 9.500 s in the scenario's form; rounded" in summary.typed[0]
+    assert any(text.startswith("Valve travel: 16.80 % in this run") for text in summary.watch)
+    sharp = replace(study.cases[2].tuned, worst=3.0 * (study.cases[2].objective or 0.0))  # type: ignore[type-var]
+    edge = of(study, study.cases[0], replace(study.cases[2], tuned=sharp), site=SITE)
+    edge = replace(edge, site_cases=(edge.site_cases[0], replace(edge.site_cases[1], objective=11.25)))
+    (text,) = (text for text in summarise(edge).do if text.startswith("Type in exactly these digits"))
+    assert text.endswith("; with the site's digits above it is 11.25.")
     table = site_table(told)
     assert table is not None
     assert [row.label for row in table.rows] == ["Case 1", "Optimised PI"]
@@ -241,13 +247,41 @@ def test_settings_stand_as_the_site_types_them(study: Study) -> None:
     assert "site" not in json.loads(results_json(study))
 
 
-def test_a_form_without_equivalent_says_so(study: Study, case: Make) -> None:
+def test_what_the_sites_form_cannot_take_is_not_advised_but_what_comes_nearest_is(study: Study, case: Make) -> None:
     steep = replace(case("Steep", 0.5, 20.0, 6.0), objective=1.0)
-    summary = summarise(of(study, study.cases[0], steep, site=SITE))
-    assert "Kc 0.5 %/EU, Ti 20 s, Td 6 s, which has no equivalent in the site's series form" in summary.decision
-    assert "Ti >= 4 Td" in summary.typed[0]
+    ((_, controller),) = nearest_controllers(SITE, [study.cases[0], steep])
+    assert controller.form == "series"
+    assert controller.ideal_terms().Td == pytest.approx(5.0, rel=2e-3), "the longest with an equivalent, unfiltered"
+    near = replace(steep, name="Steep, nearest series", loop=steep.loop.with_controller(controller), objective=2.0)
+    near = replace(near, nearest_to="Steep", run=simulate(near.loop, study.experiment))
+    told = of(study, study.cases[0], steep, near, site=SITE)
+    summary = summarise(told)
+    words = "proportional band 571.4 %, 6 repeats/min, Td 0.1667 min (series form)"
+    assert summary.decision.startswith(f"Set {words} (Steep, nearest series): in this run J ")
+    assert len(summary.typed) == 1
+    assert summary.typed[0].startswith(
+        "Steep (Kc 0.5 %/EU, Ti 20 s, Td 6 s) cannot be typed in: the site's series form has no equivalent (Ti = 20 s, "
+    )
+    assert f"What comes nearest is {words} (Steep, nearest series), with J 2.000 instead of 1.000" in summary.typed[0]
     assert summary.settings is not None
-    assert summary.settings.rows[1].cells[1].text == "no equivalent"
+    assert summary.settings.heads[1] == "as left: Steep, nearest series"
+    assert summary.settings.rows[1].cells[1].text == "571.4 %"
+    assert summary.sure is not None
+    assert "comes nearest to Steep in the site's form" in " ".join(summary.sure.reasons)
+    worse = replace(near, objective=1000.0)
+    kept = summarise(of(study, study.cases[0], steep, worse, site=SITE))
+    assert kept.decision.endswith("none of the other tunings that can be typed in has a lower J in this experiment.")
+    assert "Steep (Kc 0.5" in kept.typed[0]
+    choice = summarise(of(replace(study, objective=None), *(replace(c, objective=None) for c in told.cases), site=SITE))
+    assert "Steep (" not in choice.decision, "without an objective it is no choice either"
+
+
+def test_where_the_sites_form_takes_nothing_it_is_said(study: Study, case: Make) -> None:
+    steep = replace(case("Steep", 0.5, 20.0, 6.0), objective=1.0)
+    summary = summarise(of(study, steep, site=SITE))
+    assert "Kc 0.5 %/EU, Ti 20 s, Td 6 s, which has no equivalent in the site's series form" in summary.decision
+    assert summary.settings is not None
+    assert summary.settings.rows[1].cells[0].text == "no equivalent"
 
 
 def test_without_a_site_the_controllers_own_form_is_shown(study: Study) -> None:

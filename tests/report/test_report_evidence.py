@@ -161,6 +161,10 @@ def test_the_page_holds_the_evidence_once_for_each_record(
     first, second = (NamedEstimate(name, estimate, detection=found) for name in ("First", "Second"))
     html = page_of(only(study, first, second), tmp_path)
     assert html.count("<h4>Evidence without a model</h4>") == 2
+    said = replace(estimate, reasons=(*found.reasons[:1], *estimate.reasons))
+    once = page_of(only(study, NamedEstimate("First", said, detection=found)), tmp_path / "once")
+    first_reason = found.reasons[0].split(" leaves ")[0].removeprefix("a ")
+    assert once.count(first_reason) == html.count(first_reason), "what the verdict says already is not said again"
     assert html.count("Moves without answer, ρ₁") == 1
     assert "The record is that of First, and so is the evidence in it." in html
     names = {path.name for path in tmp_path.iterdir()}
@@ -230,7 +234,7 @@ def test_models_are_compared_and_the_one_used_is_named(estimated: Make) -> None:
     ]
     assert [[c.text for c in row.cells if c.best] for row in table.rows] == [["−3,966"], ["−4,002"], [], []]
     assert [row.cells[-1].text for row in table.rows] == ["0", "3", "3,696", "3,786"]
-    assert [row.cells[0].text for row in table.rows][1:] == ["S\u00a02.10, J\u00a01.90", "b\u00a01.50", "–"]
+    assert [row.cells[0].text for row in table.rows][1:] == ["S\u00a02.100, J\u00a01.900", "b\u00a01.500", "–"]
     assert len(table.heads) == len(table.rows[0].cells)
 
 

@@ -100,8 +100,8 @@ def test_the_fit_that_ignores_stiction_stands_below_the_right_one_with_both_para
     assert np.array_equal(lines(above)["prediction"][1], found.prediction)
     assert np.array_equal(lines(below)["prediction without stiction"][1], found.linear.prediction)
     assert above.get_ylim() == below.get_ylim()
-    assert above.get_title("left").startswith("d 2.00 %, gain 1.99 EU/%, time constant 5.03 s, dead time 1.00 s")
-    assert below.get_title("left").startswith("gain 1.25 EU/%, time constant 63.0 s, dead time 50.0 s")
+    assert above.get_title("left").startswith("d 2.003 %, gain 1.990 EU/%, time constant 5.030 s, dead time 1.000 s")
+    assert below.get_title("left").startswith("gain 1.250 EU/%, time constant 63.00 s, dead time 50.00 s")
 
 
 def test_the_stem_is_drawn_against_op_with_the_measured_one_where_there_is_one(estimated: Make) -> None:

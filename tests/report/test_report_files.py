@@ -18,6 +18,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from workbench.errors import OutputError
+from workbench.model.numbers import figure
 from workbench.model.results import Kpis
 from workbench.model.study import Study
 from workbench.report import page
@@ -108,7 +109,7 @@ def test_anything_becomes_strict_json(value: Any) -> None:
 def test_last_bits_do_not_show() -> None:
     assert strict(0.1 + 0.2) == strict(0.3)
     assert strict(-3e-15) == strict(0.0)
-    assert strict(float("inf")) == "Infinity"
+    assert strict([float("inf"), float("-inf"), float("nan")]) == ["none", None, None]
 
 
 class Tags(HTMLParser):
@@ -154,6 +155,18 @@ def test_the_page_stands_alone(written: Path) -> None:
         assert needed in seen.text
     uses = set(re.findall(r'url\(#([^)]+)\)|href="#([^"]+)"', text))
     assert {a or b for a, b in uses} <= set(seen.ids)
+
+
+def test_one_figure_has_one_rounding_on_the_page(study: Study, written: Path) -> None:
+    page = (written / "report.html").read_text(encoding="utf-8")
+    text = re.sub(r"<svg.*?</svg>|<[^>]*>", " ", page, flags=re.S)
+    shown = set(re.findall(r"(?<![\d.,])\d[\d,]*(?:\.\d+)?", text))
+    figures = [v for c in study.cases for v in (c.objective, c.run.kpis.mean_square_error, c.run.kpis.valve_travel)]
+    figures += [c.tuned.worst for c in study.cases if c.tuned is not None]
+    for value in figures:
+        assert value is not None
+        assert figure(value) in shown
+        assert not {figure(value, k) for k in (3, 5, 6)} & shown - {figure(value), "4.01"}, "4.01 is published"
 
 
 def test_the_svg_files_are_xml_with_their_text(written: Path) -> None:

@@ -26,6 +26,7 @@ from workbench.report.over_ensemble import (
     front_text,
     named_points,
     robust_advice,
+    robust_choice,
     robust_repair_table,
     robust_repair_text,
 )
@@ -174,6 +175,9 @@ def test_what_one_experiment_likes_is_not_recommended(robust: Study) -> None:
     both = [robust_advice(replace(robust, cases=(*robust.cases, one))) for one in (nominal, worse)]
     assert any("Nominal is the best found for the one experiment; over the ensemble" in text for text in both[0])
     assert "Do not use Nominal: best in the one experiment, it does not hold every plant of the ensemble." in both[1]
+    sharp = replace(nominal, robustness=replace(over(nominal), max_sensitivity=17.1))
+    told = robust_advice(replace(robust, cases=(*robust.cases, sharp)))
+    assert any("its Ms reaches 17.1 at the worst corner, above 9: not for a plant that may differ" in t for t in told)
     risky = replace(robust.cases[0], name="Risky", robustness=replace(over(robust.cases[2]), max_sensitivity=12.0))
     risky = replace(risky, robustness=replace(over(risky), mean_square_error=0.5 * over(risky).mean_square_error))
     told = robust_advice(replace(robust, cases=(*robust.cases, risky)))
@@ -181,6 +185,15 @@ def test_what_one_experiment_likes_is_not_recommended(robust: Study) -> None:
         "Risky has less error" in text and "its Ms reaches 12.0 at the worst corner, above 9" in text for text in told
     )
     assert robust_advice(replace(robust, cases=robust.cases[:2])) == []
+
+
+def test_in_place_of_what_the_sites_form_cannot_take_stands_what_is_nearest(robust: Study) -> None:
+    best = robust.cases[2]
+    near = replace(best, name="Near", tuned=None, nearest_to=best.name)
+    told = replace(robust, cases=(*robust.cases, near))
+    assert robust_choice(told) is near
+    assert robust_advice(told)[0].startswith("Set Kc 2.351 %/EU, Ti 9.5 s (Near). Over 20 plants")
+    assert "Against Case 1" in robust_advice(told)[0], "the nearest is no case as found"
 
 
 def test_a_calmer_robust_tuning_is_offered_beside(robust: Study) -> None:

@@ -77,7 +77,7 @@ def of_error(repair: Repair, left: float, after: float) -> Repair:
     ("left", "after", "words"),
     [
         (0.2, 0.05, "75 % goes only with the repair"),
-        (0.2, 0.199, "does as well as a repair: mean square error 0.200 EU² against 0.199 EU²"),
+        (0.2, 0.199, "does as well as a repair: mean square error 0.2000 EU² against 0.1990 EU²"),
         (0.2, 0.3, "does as well as a repair"),
         (0.0, 0.0, "leaves no error that a repair could remove"),
     ],

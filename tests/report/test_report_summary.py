@@ -11,7 +11,7 @@ import pytest
 from workbench.model.results import Intervals, SolveStatus
 from workbench.model.study import CaseResult, NamedEstimate, Study
 from workbench.model.valve import Ideal
-from workbench.report.estimates import estimate_advice, estimate_sentences
+from workbench.report.estimates import estimate_advice, estimate_sentences, known_sentences
 from workbench.report.judge import best_case, df_disagrees
 from workbench.report.summary import summarise
 
@@ -27,8 +27,8 @@ def test_the_best_case_is_recommended_with_its_changes(study: Study) -> None:
     best = study.cases[2]
     assert best_case(study) is best
     assert (
-        "Set Kc 2.351 %/EU, Ti 9.500 s (Optimised PI): in this run J 10.5 instead of 227, PV standard deviation −72 %, "
-        "mean square error −92 %, valve travel +38 % against Case 1." in told
+        "Set Kc 2.351 %/EU, Ti 9.500 s (Optimised PI): in this run J 10.46 instead of 226.6, PV standard deviation "
+        "−72 %, mean square error −92 %, valve travel +38 % against Case 1." in told
     )
     assert "the cycle remains: PV swings 2.01 EU every 12.0 s" in told
     assert "steps of at least 2 %, each of which moves PV by 2 EU in the end" in told
@@ -48,8 +48,8 @@ def test_a_knife_edge_is_named(study: Study, tuned: Make) -> None:
     best = study.cases[2]
     sharp = replace(best, tuned=tuned(best.loop.controller, best.objective, worst=2.0))
     told = " ".join(summarise(with_cases(study, study.cases[0], sharp)).advice)
-    near = "knife-edge, within the larger of ±0.1 % and half the last digit of each setting J rises from 10.5"
-    assert f"{near} to as much as 20.9." in told
+    near = "knife-edge, within the larger of ±0.1 % and half the last digit of each setting J rises from 10.46"
+    assert f"{near} to as much as 20.92." in told
     assert not any("knife-edge" in t for t in summarise(study).advice)
 
 
@@ -108,7 +108,7 @@ def test_estimates(estimated: Make) -> None:
     found, truth = estimated()
     told = estimate_sentences(NamedEstimate("E", found, truth))
     assert told[0].startswith(
-        "E: the valve sticks, d = 2.00 % (95 % range 1.99 to 2.01 %); the process has gain 1.99 EU/%"
+        "E: the valve sticks, d = 2.003 % (95 % range 1.990 to 2.010 %); the process has gain 1.990 EU/%"
     )
     assert told[0].endswith("Every parameter lies within 0.60 % of the true one.")
     assert "leaves 119 times the residual variance" in told[1]
@@ -124,9 +124,21 @@ def test_a_wrong_estimate_of_a_known_loop_is_called_wrong(estimated: Make) -> No
     assert "This is wrong by 50 % in the gain (true value 2)." in estimate_sentences(NamedEstimate("E", far, truth))[0]
 
 
+def test_a_model_that_explains_less_than_none_is_of_no_use(estimated: Make) -> None:
+    found, truth = estimated()
+    poor = replace(found, residual_variance=1.01 * found.linear.residual_variance)
+    (text,) = estimate_sentences(NamedEstimate("E", poor, truth))
+    assert text.startswith("E: the record shows stiction, but the model that the method ends with (d = 2.003 % ")
+    assert "leaves more of PV unexplained than one without stiction, and is of no use." in text
+    assert known_sentences(poor) == [
+        "The model leaves more of PV unexplained than one without stiction: use none of its figures."
+    ]
+    assert "in steps of" not in estimate_advice(NamedEstimate("E", poor))[0]
+
+
 def test_what_is_not_identified_is_said(estimated: Make) -> None:
     found, _ = estimated(identifiable=False)
-    assert "pins only the product of gain and stiction (3.99 EU)" in estimate_sentences(NamedEstimate("E", found))[1]
+    assert "pins only the product of gain and stiction (3.986 EU)" in estimate_sentences(NamedEstimate("E", found))[1]
     bare = replace(found, intervals=Intervals())
     assert "gives no range" in estimate_sentences(NamedEstimate("E", bare))[1]
 

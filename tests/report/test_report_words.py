@@ -67,7 +67,7 @@ def test_durations(seconds: float, text: str) -> None:
         (1.48, 1.0, "+48 %"),
         (6.0, 1.0, "6.0 times"),
         (1.0, 1.0, "unchanged"),
-        (3.0, 0.0, "from 0 to 3.00"),
+        (3.0, 0.0, "from 0 to 3"),
         (0.0004, 1.0, "−100.0 %"),
         (math.nan, 1.0, "not known"),
     ],

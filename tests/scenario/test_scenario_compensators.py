@@ -117,7 +117,7 @@ def test_results_and_report_tell_the_compensators(tmp_path):
     assert all(case["limit_cycle"] is not None for case in content["cases"])
     write_report(study, tmp_path)
     written = json.loads((tmp_path / "results.json").read_text())
-    assert written["cases"][6]["controller"]["compensator"]["release"] == "Infinity"
+    assert written["cases"][6]["controller"]["compensator"]["release"] == "none"
     assert math.isclose(written["cases"][1]["kpis"]["valve_travel"], study.cases[1].run.kpis.valve_travel)
     rows = list(csv.DictReader((tmp_path / "cases.csv").read_text().splitlines()))
     assert [row["compensator"] for row in rows[:4]] == ["", "IntegralDeadband", "IntegralDeadband", "Knocker"]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import pytest
@@ -39,7 +40,7 @@ def test_the_entry_is_the_form(tmp_path):
     entry = "{form: series, gain: proportional_band, integral: repeats_per_minute, derivative: minutes}"
     plan = load_scenario(written(tmp_path, entry))
     assert plan.site == SiteForm("series", "PB %", "repeats/min", "min", (0.0, 70.0))
-    assert load_scenario(written(tmp_path, "{}")).site == SiteForm(pv_range=(0.0, 70.0))
+    assert load_scenario(written(tmp_path, "{form: ideal}")).site == SiteForm(pv_range=(0.0, 70.0))
     series = BASE.replace("form: ideal", "form: series")
     assert load_scenario(written(tmp_path, "{integral: repeats_per_second}", series)).site.form == "series"
     assert load_scenario(written(tmp_path, "", BASE.replace("site: SITE\n", ""))).site is None
@@ -48,8 +49,8 @@ def test_the_entry_is_the_form(tmp_path):
 def test_what_is_typed_in_is_simulated(tmp_path):
     entry = "{form: series, gain: proportional_band, integral: repeats_per_minute, derivative: minutes}"
     study = wb.run_scenario(written(tmp_path, entry))
-    found, sharp, none = study.site_cases
-    assert [one.name for one in study.site_cases] == ["As found", "Sharp", "All derivative"]
+    found, sharp, none, near = study.site_cases
+    assert [one.name for one in study.site_cases] == [case.name for case in study.cases]
     assert (found.settings.gain, found.settings.integral, found.settings.derivative) == (285.7, 3.0, 0.0)
     for one, case in ((found, study.cases[0]), (sharp, study.cases[1])):
         loop = case.loop.with_controller(one.settings.controller)
@@ -60,10 +61,15 @@ def test_what_is_typed_in_is_simulated(tmp_path):
     assert none.settings is None
     assert "Ti >= 4 Td" in none.refused
     assert none.kpis is None
+    case = study.cases[3]
+    assert (near.name, case.nearest_to) == ("All derivative, nearest series", "All derivative")
+    assert near.settings.controller == case.loop.controller, "it is simulated as it is typed in"
+    assert case.run.kpis.valve_travel == near.kpis.valve_travel
+    assert case.loop.controller.form == "series"
 
 
 def test_given_settings_in_these_very_units_keep_their_digits(tmp_path):
-    study = wb.run_scenario(written(tmp_path, "{}"))
+    study = wb.run_scenario(written(tmp_path, "{form: ideal}"))
     assert study.site_cases[1].settings.controller == study.cases[1].loop.controller
     assert study.site_cases[1].kpis is study.cases[1].run.kpis
     in_minutes = wb.run_scenario(written(tmp_path, "{integral: minutes}")).site_cases[1]
@@ -77,6 +83,8 @@ def test_given_settings_in_these_very_units_keep_their_digits(tmp_path):
         ("{gain: PB}", BASE, ":15:14: site.gain: PB given"),
         ("{form: pid}", BASE, ":15:14: site.form: pid given"),
         ("{integral: 3 s}", BASE, ":15:18: site.integral: 3 s given"),
+        ("{}", BASE, ":15:7: site: nothing given; must say how the site writes its settings: form, gain, integral, "),
+        ("", BASE, ":15:1: site: nothing given; must say how"),
         ("minutes", BASE, ":15:7: site: minutes given; must be a mapping"),
         (
             "{gain: proportional_band}",
@@ -113,9 +121,48 @@ def test_a_site_without_cases_is_refused(tmp_path):
         load_scenario(path)
 
 
-def test_a_cascade_has_no_site(tmp_path):
-    text = (Path(__file__).parents[2] / "scenarios" / "cascade.yaml").read_text()
-    path = tmp_path / "cascade.yaml"
-    path.write_text(f"{text}\nsite: {{form: series}}\n")
-    with pytest.raises(wb.ScenarioError, match="site: given, and cascade as well"):
-        load_scenario(path)
+RANGED = (Path(__file__).parents[2] / "scenarios" / "cascade.yaml").read_text()
+CASCADE = re.sub(r"    pv_range: .*\n", "", RANGED)
+
+
+def in_cascade(folder, entry, text=RANGED):
+    text = "\n".join(line for line in text.splitlines() if not line.startswith("site:"))
+    path = folder / "cascade.yaml"
+    path.write_text(f"{text}\nsite: {entry}\n")
+    return load_scenario(path).cascade_site
+
+
+def test_a_cascades_site_is_the_form_of_both(tmp_path):
+    site = in_cascade(tmp_path, "{form: series, gain: proportional_band, integral: minutes}")
+    assert site.secondary == SiteForm("series", "PB %", "min", pv_range=(0.0, 50.0))
+    assert site.primary == SiteForm("series", "PB %", "min", pv_range=(0.0, 200.0), output="EU", output_span=50.0)
+    # A primary that puts out % of the secondary's range: Kc = 3 EU/EU is 6 %/EU, 12 %/%, and a band of 8.333 %.
+    scaled = RANGED.replace("\ncascade:\n", "\ncascade:\n  scale: 0.5\n")
+    percent = in_cascade(tmp_path, "{gain: proportional_band}", scaled)
+    assert (percent.primary.output, percent.primary.output_span) == ("%", 100.0)
+    assert percent.primary.settings(wb.PID(6.0, 80.0), 4).gain == site.primary.settings(wb.PID(3.0, 80.0), 4).gain
+    assert in_cascade(tmp_path, "{form: series}", CASCADE).primary.units == ("EU/EU", "s", "s")
+
+
+@pytest.mark.parametrize(
+    ("entry", "text", "said"),
+    [
+        ("{}", RANGED, "site: nothing given; must say how the site writes its settings"),
+        (
+            "{gain: proportional_band}",
+            CASCADE,
+            "site.gain: proportional_band given; needs cascade.primary.pv_range and cascade.secondary.pv_range: [low,",
+        ),
+        ("{form: parallel, gain: proportional_band}", RANGED, "site.gain: proportional_band given; a parallel"),
+        (
+            "{form: ideal}",
+            RANGED.replace("[0, 50]", "[50, 0]"),
+            "cascade.secondary.pv_range: (50.0, 0.0) given; must be",
+        ),
+    ],
+)
+def test_what_is_wrong_of_a_cascades_site_is_said(tmp_path, entry, text, said):
+    with pytest.raises(wb.ScenarioError) as caught:
+        in_cascade(tmp_path, entry, text)
+    assert said in str(caught.value)
+    assert "\n" not in str(caught.value)

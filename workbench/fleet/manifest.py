@@ -23,7 +23,8 @@ from workbench.model.fleet import LoopSource, Tuning
 from workbench.record.columns import TAGGED
 from workbench.record.historian import Pieces, tags_of
 from workbench.scenario import units
-from workbench.scenario.document import locate, nearest, parse, plain, spell
+from workbench.scenario.document import Node, Problem, locate, nearest, parse, plain, spell
+from workbench.scenario.wrong import given_words, refusal
 
 __all__ = ["Manifest", "is_manifest", "read_manifest"]
 
@@ -200,17 +201,16 @@ def _from_yaml(path: Path) -> _Given:
     root, problems = parse(_text(path))
     if root is None:
         raise ScenarioError("\n".join(f"{path}:{p.line}:{p.column}: {p.where}: {p.text}" for p in problems))
-    data = plain(root)
-    said = [f"{path}:{p.line}:{p.column}: {p.where}: {p.text}" for p in problems]
+    found = list(problems)
     content: Manifest | None = None
     try:
-        content = Manifest.model_validate(data)
+        content = Manifest.model_validate(plain(root))
     except ValidationError as error:
-        for one in error.errors(include_url=False):
-            node, taken = locate(root, tuple(one["loc"]), key=one["type"] == "extra_forbidden")
-            words = _words(one["type"], one["msg"], one["loc"][-1] if one["loc"] else "", Entry, Manifest)
-            said.append(f"{path}:{node.line}:{node.column}: {spell(taken)}: {words}")
-    if said or content is None:
+        found += [_problem(root, one) for one in error.errors(include_url=False)]
+    if found or content is None:
+        # Of two loops of one name a readable manifest leaves out these alone; beside other mistakes they are told.
+        found += _twice(root)
+        said = [f"{path}:{p.line}:{p.column}: {p.where}: {p.text}" for p in sorted(set(found), key=_place)]
         raise ScenarioError("\n".join(said[:MOST]))
     places = []
     for i in range(len(content.loops)):
@@ -219,15 +219,42 @@ def _from_yaml(path: Path) -> _Given:
     return _Given(content, places)
 
 
-def _words(kind: str, message: str, name: object, *models: type[BaseModel]) -> str:
-    """Return a mistake in words: what is wrong, and what is allowed."""
-    if kind == "extra_forbidden":
-        allowed = tuple(dict.fromkeys(field for model in models for field in model.model_fields))
-        return f"unknown entry {name!r}{nearest(name, allowed)}; allowed: {', '.join(allowed)}"
+def _place(problem: Problem) -> tuple[int, int, str]:
+    return problem.line, problem.column, problem.text
+
+
+def _problem(root: Node, error: Any) -> Problem:
+    """Return a refusal by the schema at its place in the file."""
+    kind, path = error["type"], tuple(error["loc"])
+    node, taken = locate(root, path, key=kind == "extra_forbidden")
     if kind == "missing":
-        return f"{name} is missing"
-    text = message.removeprefix("Value error, ")
-    return text[:1].lower() + text[1:]
+        # What is missing has no place of its own; of a pair it is the second number.
+        pair = isinstance(path[-1], int)
+        text = f"{given_words(node)} given; must be two numbers, [low, high]" if pair else f"{path[-1]} is missing"
+    elif kind == "extra_forbidden":
+        text = _unknown(path[-1], Entry, Manifest)
+    else:
+        text = refusal(node, error)
+    return Problem(node.line, node.column, spell(taken) if taken else "manifest", text)
+
+
+def _unknown(name: object, *models: type[BaseModel]) -> str:
+    allowed = tuple(dict.fromkeys(field for model in models for field in model.model_fields))
+    return f"unknown entry {name!r}{nearest(name, allowed)}; allowed: {', '.join(allowed)}"
+
+
+def _twice(root: Node) -> list[Problem]:
+    """Return the loops whose name another one above them has."""
+    loops, _ = locate(root, ("loops",))
+    first: dict[str, int] = {}
+    found = []
+    for i, loop in enumerate(loops.items or ()):
+        name, taken = locate(loop, ("name",))
+        if taken and first.setdefault(name.text, i) != i:
+            where = spell(("loops", i, "name"))
+            text = f"{given_words(name)} given; loops[{first[name.text]}] has this name already"
+            found.append(Problem(name.line, name.column, where, text))
+    return found
 
 
 _TEXTS = ("name", "file", "plant", "form", "area")
@@ -244,7 +271,9 @@ def _from_csv(path: Path) -> _Given:
     if "name" not in {name.casefold() for name in header} or wrong:
         words = f"unknown column {wrong[0]!r}{nearest(wrong[0], known)}" if wrong else "no column 'name'"
         raise ScenarioError(f"{path}:1:1: {words}; a manifest has a line per loop, with columns of {', '.join(known)}")
-    said: list[str] = []
+    said: list[tuple[int, str]] = []
+    twice: list[tuple[int, str]] = []  # told beside other mistakes; alone they concern these loops only
+    first: dict[str, int] = {}
     entries: list[Entry] = []
     places: list[str] = []
     for row in reader:
@@ -255,22 +284,28 @@ def _from_csv(path: Path) -> _Given:
             continue
         line = reader.line_num
         if None in row:
-            said.append(f"{path}:{line}:1: more cells than columns")
+            said.append((line, "more cells than columns"))
             continue
         try:
             entries.append(Entry.model_validate(_cells(cells)))
             places.append(f"line {line}")
         except InvalidValue as error:
-            said.append(f"{path}:{line}:1: {error}")
+            said.append((line, str(error)))
         except ValidationError as error:
             for one in error.errors(include_url=False):
-                where = str(one["loc"][0]) if one["loc"] else "loop"
-                given = f"{cells[where]} given; " if where in cells else ""
-                said.append(f"{path}:{line}:1: {where}: {given}{_words(one['type'], one['msg'], where, Entry)}")
+                where = str(one["loc"][-1 if one["loc"][0] == "tags" else 0])
+                cell = cells.get(where, "")
+                missing = one["type"] == "missing"
+                text = "missing; it must be given" if missing else refusal(Node(line, 1, cell, cell), one)
+                said.append((line, f"{where}: {text}"))
+        name = cells.get("name", "")
+        if name and first.setdefault(name, line) != line:
+            twice.append((line, f"name: {name} given; line {first[name]} has this name already"))
     if not entries and not said:
-        said.append(f"{path}:2:1: no loop; a manifest has a line per loop")
+        said.append((2, "no loop; a manifest has a line per loop"))
     if said:
-        raise ScenarioError("\n".join(said[:MOST]))
+        told = sorted(said + twice, key=lambda one: one[0])[:MOST]
+        raise ScenarioError("\n".join(f"{path}:{line}:1: {text}" for line, text in told))
     return _Given(Manifest(loops=entries), places)
 
 

@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from workbench.errors import InvalidValue
 from workbench.kpi.oscillation import oscillation
+from workbench.model.cascade import Cascade, CascadeExperiment
 from workbench.model.experiment import Experiment, Step
 from workbench.model.loop import Loop
 from workbench.model.plant import FOPDT
 from workbench.model.record import FloatArray, Record
 from workbench.model.results import Kpis
 
-__all__ = ["Event", "last_event", "measure", "record_kpis", "reversals", "travel"]
+__all__ = ["Event", "cascade_event", "last_event", "measure", "record_kpis", "reversals", "travel"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,6 +48,22 @@ def last_event(loop: Loop, experiment: Experiment) -> Event | None:
     gain = abs(loop.plant.gain)
     effect = abs(size) if is_setpoint else gain * abs(size)
     return Event(at, size if is_setpoint else 0.0, max(0.02 * effect, 0.5 * gain * slip))
+
+
+def cascade_event(cascade: Cascade, experiment: Experiment) -> Event | None:
+    """Return the last step that a cascade's primary settles from; one at the valve counts as the secondary's PV step.
+
+    The band is at least half of what a jump of the stem moves the primary's PV.
+    """
+    loads = list(experiment.primary_load_parts) if isinstance(experiment, CascadeExperiment) else []
+    primary, secondary = cascade.primary.plant, cascade.secondary.plant
+    if isinstance(secondary, FOPDT):
+        loads += [Step(secondary.gain * part.size, part.at) for part in experiment.load_parts if isinstance(part, Step)]
+    event = last_event(cascade.primary, Experiment(experiment.duration, experiment.setpoint, loads))
+    if event is None or not isinstance(primary, FOPDT) or not isinstance(secondary, FOPDT):
+        return event
+    slip = 0.5 * abs(primary.gain * secondary.gain) * cascade.secondary.valve.slip_jump
+    return replace(event, band=max(event.band, slip))
 
 
 def travel(signal: FloatArray, before: float = math.nan) -> float:

@@ -206,7 +206,29 @@ class PID:
             )
         return self._to_series(t)
 
-    def _to_series(self, t: IdealTerms) -> PID:
+    def nearest_form(self, form: str) -> PID:
+        """Return `to_form(form)`, or where there is none the controller of that form that comes nearest.
+
+        Gain, integral time and filter ratio n of the ideal form stay. For series the derivative time is cut to the
+        longest that has an equivalent, `(Ti - Td/n)^2 = 4 Ti Td`, and a setpoint weight outside 0..1 to its nearer end;
+        for ideal and parallel a derivative that its filter outweighs is left out. Raises `InvalidValue` where gain is
+        missing (parallel with Kc = 0).
+        """
+        try:
+            return self.to_form(form)
+        except InvalidValue:
+            t = self.ideal_terms()
+        if form != "series":
+            plain = self._rebuilt("ideal", t.Kc, t.Ti, 0.0, 0.0, t.b)
+            return plain.to_form(form)
+        ratio = 0.0 if t.Tf == 0.0 else t.Tf / t.Td
+        middle = 4.0 + 2.0 * ratio
+        # The smaller root of (1 - ratio x)^2 = 4 x, x = Td/Ti, and a last bit less.
+        longest = t.Ti * 2.0 / (middle + math.sqrt(middle**2 - 4.0 * ratio**2)) * (1.0 - 1e-12)
+        Td = min(t.Td, longest)
+        return self._to_series(replace(t, Td=Td, Tf=ratio * Td), nearest=True)
+
+    def _to_series(self, t: IdealTerms, *, nearest: bool = False) -> PID:
         if t.Td == 0.0 and t.Tf == 0.0:
             return self._rebuilt("series", t.Kc, t.Ti, 0.0, 0.0, t.b)
         if math.isinf(t.Ti):
@@ -218,7 +240,7 @@ class PID:
         Ti = 0.5 * (t.Ti + t.Tf + math.sqrt(root))
         Td = t.Ti - Ti
         b = (t.b * t.Ti - Td) / Ti if self.derivative_on == "error" else t.b * t.Ti / Ti
-        if not -1e-12 <= b <= 1.0 + 1e-12:
+        if not nearest and not -1e-12 <= b <= 1.0 + 1e-12:
             raise InvalidValue(
                 "PID.setpoint_weight", t.b, f"a series equivalent would need the weight {b:g}, outside 0..1"
             )

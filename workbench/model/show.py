@@ -15,7 +15,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from workbench.model.numbers import duration, figure, given
-from workbench.model.titles import KPI_ROWS, kpi_title
+from workbench.model.titles import KPI_ROWS, kpi_title, within
 
 __all__ = ["SHOWN", "Shown", "rows_of"]
 
@@ -55,7 +55,7 @@ def rows_of(result: object) -> list[Row]:
         value = getattr(value, name, None)
         if value is not None:
             title, unit = kpi_title(name)
-            title = f"{part}: {title[:1].lower()}{title[1:]}" if part else title[:1].upper() + title[1:]
+            title = f"{part}: {within(title)}" if part else title[:1].upper() + title[1:]
             rows += ((title if i == 0 else "", *row) for i, row in enumerate(_texts(name, value, unit)))
     return rows
 
@@ -105,7 +105,7 @@ def _words(value: Any) -> str:
             text = "none" if math.isinf(content) else f"{given(content)} {unit}".rstrip()
         else:
             text = str(content)
-        parts.append(f"{title[:1].lower() + title[1:] if len(title) > 2 else title} {text}")
+        parts.append(f"{within(title)} {text}")
     return f"{type(value).__name__}({', '.join(parts)})"
 
 

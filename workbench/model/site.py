@@ -9,12 +9,12 @@ import math
 from dataclasses import dataclass, replace
 
 from workbench.errors import InvalidValue
-from workbench.model.checks import choice, ordered_pair
+from workbench.model.checks import choice, number, ordered_pair
 from workbench.model.controller import FORMS, PID
 from workbench.model.results import Kpis
 from workbench.model.units import GAIN_UNITS, INTEGRAL_UNITS, gain_from, gain_to, integral_time_from, integral_time_to
 
-__all__ = ["SiteCase", "SiteForm", "SiteSettings"]
+__all__ = ["CascadeSite", "CascadeSiteCase", "SiteCase", "SiteForm", "SiteSettings"]
 
 DERIVATIVE_UNITS = ("s", "min")
 
@@ -42,7 +42,8 @@ class SiteForm:
     `PB = 100 * 100 / (Kc span)`. integral: "s", "min", "repeats/min" or "repeats/s"; derivative: "s" or "min".
     In the parallel form all three are gains: the integral one is told in %/EU (or %/%) per s or min, the derivative one
     times s or min; it has no proportional band, and no repeats. pv_range: (low, high) in EU, needed for "%/%" and
-    "PB %". Raises `InvalidValue`.
+    "PB %". output: the unit of what the controller puts out, "%" but for a cascade's primary, whose output may be the
+    secondary's setpoint in "EU"; output_span: what of it is 100 %, > 0. Raises `InvalidValue`.
     """
 
     form: str = "ideal"
@@ -50,8 +51,12 @@ class SiteForm:
     integral: str = "s"
     derivative: str = "s"
     pv_range: tuple[float, float] | None = None
+    output: str = "%"
+    output_span: float = 100.0
 
     def __post_init__(self) -> None:
+        choice(self.output, "SiteForm.output", ("%", "EU"))
+        number(self.output_span, "SiteForm.output_span", above=0.0, unit=self.output)
         choice(self.form, "SiteForm.form", FORMS)
         choice(self.gain, "SiteForm.gain", GAIN_UNITS)
         choice(self.integral, "SiteForm.integral", INTEGRAL_UNITS)
@@ -70,23 +75,30 @@ class SiteForm:
     @property
     def units(self) -> tuple[str, str, str]:
         """The units of gain, integral and derivative in words: a band's "%", a parallel integral's "%/(EU s)"."""
-        per = "%" if self.gain == "%/%" else "EU"
+        per, out = ("%", "%") if self.gain == "%/%" else ("EU", self.output)
         if self.form == "parallel":
-            return f"%/{per}", f"%/({per} {self.integral})", f"% {self.derivative}/{per}"
-        return "%" if self.gain == "PB %" else f"%/{per}", self.integral, self.derivative
+            return f"{out}/{per}", f"{out}/({per} {self.integral})", f"{out} {self.derivative}/{per}"
+        return "%" if self.gain == "PB %" else f"{out}/{per}", self.integral, self.derivative
 
-    def settings(self, controller: PID, digits: int | None = None) -> SiteSettings:
+    @property
+    def _range(self) -> tuple[float, float] | None:
+        """The PV range as the conversions of gains take it, which know an output of 100 %."""
+        if self.pv_range is None or self.output_span == 100.0:
+            return self.pv_range
+        return 0.0, (self.pv_range[1] - self.pv_range[0]) * 100.0 / self.output_span
+
+    def settings(self, controller: PID, digits: int | None = None, *, nearest: bool = False) -> SiteSettings:
         """Return a controller's settings in this form and these units, each rounded to `digits` significant digits.
 
         The settings' controller has exactly the rounded numbers (its filter ratio rounded as well), so that it is the
         one to simulate. digits: None rounds nothing. Raises `InvalidValue` where the form has no equivalent (see
-        `PID.to_form`).
+        `PID.to_form`); `nearest` takes what comes nearest then (see `PID.nearest_form`).
         """
-        pid = controller.to_form(self.form)
+        pid = controller.nearest_form(self.form) if nearest else controller.to_form(self.form)
         minute = 60.0 if self.derivative == "min" else 1.0
-        gain = gain_to(pid.Kc, self.gain, self.pv_range)
+        gain = gain_to(pid.Kc, self.gain, self._range)
         if self.form == "parallel":
-            scale = gain_to(1.0, self.gain, self.pv_range)
+            scale = gain_to(1.0, self.gain, self._range)
             slow = 60.0 if self.integral == "min" else 1.0
             numbers = gain, 0.0 if math.isinf(pid.Ti) else scale * slow / pid.Ti, scale * pid.Td / minute
         else:
@@ -100,10 +112,10 @@ class SiteForm:
 
     def _made(self, pid: PID, gain: float, integral: float, derivative: float) -> PID:
         """Return a controller of this form with the numbers given in these units."""
-        Kc = 0.0 if math.isinf(gain) else gain_from(gain, self.gain, self.pv_range)
+        Kc = 0.0 if math.isinf(gain) else gain_from(gain, self.gain, self._range)
         minute = 60.0 if self.derivative == "min" else 1.0
         if self.form == "parallel":
-            scale = gain_to(1.0, self.gain, self.pv_range)
+            scale = gain_to(1.0, self.gain, self._range)
             slow = 60.0 if self.integral == "min" else 1.0
             Ti = scale * slow / integral if integral > 0.0 else math.inf
             return replace(pid, Kc=Kc, Ti=Ti, Td=derivative * minute / scale)
@@ -121,6 +133,30 @@ class SiteCase:
     name: str
     settings: SiteSettings | None
     kpis: Kpis | None = None
+    objective: float | None = None
+    refused: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class CascadeSite:
+    """How a site writes the two controllers of a cascade."""
+
+    primary: SiteForm
+    secondary: SiteForm
+
+
+@dataclass(frozen=True, slots=True)
+class CascadeSiteCase:
+    """A cascade's case as typed in at the site, as `SiteCase`: settings and figures of both loops.
+
+    primary, secondary: None where the site's form has no equivalent of one of them; `refused` then says of which and
+    why. kpis: of primary and secondary; objective: J of the cascade.
+    """
+
+    name: str
+    primary: SiteSettings | None
+    secondary: SiteSettings | None
+    kpis: tuple[Kpis, Kpis] | None = None
     objective: float | None = None
     refused: str = ""
 

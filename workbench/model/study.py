@@ -15,7 +15,7 @@ from workbench.model.loop import Loop
 from workbench.model.results import DescribingFunction, Estimate, LimitCycle, Outcome, Repair, Robustness, Run, Tuned
 from workbench.model.rule import Rule
 from workbench.model.show import Shown
-from workbench.model.site import SiteCase, SiteForm
+from workbench.model.site import CascadeSite, CascadeSiteCase, SiteCase, SiteForm
 from workbench.model.tuning import Objective
 
 __all__ = ["CascadeResult", "CaseResult", "NamedEstimate", "Study"]
@@ -30,7 +30,8 @@ class CaseResult:
     `model.results.Kpis`, and `objective`. `note`: the scenario's own words on the case.
     `rule`: the rule that gave the tuning. `repaired`: the figures at this tuning with an ideal valve, where asked for.
     `robustness`: how it fares over the study's ensemble, on draws that no search has seen, and `robustness_repaired`
-    with an ideal valve; None where the scenario has no ensemble, or the valve does not stick.
+    with an ideal valve; None where the scenario has no ensemble, or the valve does not stick. `nearest_to`: the name of
+    the case that the site's form cannot take, where this is what comes nearest to it there.
     """
 
     name: str
@@ -47,6 +48,7 @@ class CaseResult:
     repaired: Outcome | None = None
     robustness: Robustness | None = None
     robustness_repaired: Robustness | None = None
+    nearest_to: str = ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,8 +93,8 @@ class Study(Shown):
     how the results came about (coarse sampling, rejected rows ...). `front`: the trade-off of error and valve travel;
     `robust_repair`: what repair is worth over an ensemble. `cycle_map`: the long-run behaviour over a plane of tunings.
     `cascade`: the cases of a cascade, which has no others. `site`: how the site writes its settings, with every case as
-    typed in there, in order; None and empty where the scenario does not say. `times`: seconds by stage, for run.json
-    alone.
+    typed in there, in order; None and empty where the scenario does not say; `cascade_site` and `cascade_site_cases`
+    of a cascade. `times`: seconds by stage, for run.json alone.
     """
 
     name: str
@@ -112,6 +114,8 @@ class Study(Shown):
     cascade: tuple[CascadeResult, ...] = ()
     site: SiteForm | None = None
     site_cases: tuple[SiteCase, ...] = ()
+    cascade_site: CascadeSite | None = None
+    cascade_site_cases: tuple[CascadeSiteCase, ...] = ()
     times: Mapping[str, float] = field(default_factory=lambda: MappingProxyType({}))
 
     @property

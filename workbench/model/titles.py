@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-__all__ = ["KPI_ROWS", "kpi_title"]
+__all__ = ["KPI_ROWS", "kpi_title", "within"]
 
 # Name in Kpis, title, unit, whether less is better.
 KPI_ROWS: tuple[tuple[str, str, str, bool], ...] = (
@@ -84,3 +84,11 @@ _TITLES = {name: (title, unit) for name, title, unit, _ in KPI_ROWS} | {
 def kpi_title(name: str) -> tuple[str, str]:
     """Return a figure's title and unit; an unknown name stands for itself."""
     return _TITLES.get(name, (name.replace("_", " "), ""))
+
+
+SYMBOLS = frozenset({"J", "Kc", "Ti", "Td", "Ms", "OP", "PV", "SP"})
+
+
+def within(title: str) -> str:
+    """Return a title as it stands within a sentence: its first letter small, unless it begins with a symbol."""
+    return title if title.split(" ")[0].rstrip(",") in SYMBOLS else title[:1].lower() + title[1:]

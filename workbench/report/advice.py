@@ -4,16 +4,24 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from workbench.model.results import Kpis
-from workbench.model.study import CaseResult, Study
+from workbench.model.study import CascadeResult, CaseResult, Study
 from workbench.report.cycles import better_late, by_start, late_errors, late_figures, swing
-from workbench.report.judge import at_odds, base_case, best_case, quiet, run_travel, unstable
+from workbench.report.judge import (
+    at_odds,
+    base_case,
+    best_case,
+    measure,
+    quiet,
+    refused,
+    run_travel,
+    unstable,
+)
 from workbench.report.plain_truth import lasting
 from workbench.report.repair import repair_sentence
-from workbench.report.settings import settings_words, spread
-from workbench.report.words import change, controller_words, figure, nearby
+from workbench.report.settings import as_typed_in, settings_words, spread
+from workbench.report.words import change, figure, nearby
 
-__all__ = ["Advice", "case_advice"]
+__all__ = ["Advice", "case_advice", "worth_it"]
 
 ALIKE = 1.1  # ratio of mean square errors up to which one is hardly more than the other
 WORTH = 0.95  # ratio of J (or mean square error) above which a change of settings is not worth it,
@@ -25,11 +33,12 @@ IDLE = " (its valve never moves: it controls nothing)"
 class Advice:
     """What to do: the decision in one sentence, what else there is to do, and what the decision leaves.
 
-    case: the one to set or to keep, None where the choice is left open, or there is none.
+    case: the one to set or to keep (of a cascade, both controllers), None where the choice is left open, or there is
+    none.
     """
 
     decision: str
-    case: CaseResult | None = None
+    case: CaseResult | CascadeResult | None = None
     do: tuple[str, ...] = ()
     left: tuple[str, ...] = ()
 
@@ -58,7 +67,7 @@ def case_advice(study: Study) -> Advice:
         if best.tuned is not None and best.tuned.knife_edge:
             do.append(
                 f"Type in exactly these digits: the optimum is a knife-edge, {nearby(best.tuned.margin)} J rises from "
-                f"{figure(best.tuned.objective, 3)} to as much as {figure(best.tuned.worst, 3)}."
+                f"{figure(best.tuned.objective)} to as much as {figure(best.tuned.worst)}{_at_site(study, best)}."
             )
         left += _remaining(study, base, best)
         do += _less_wear(study, best)
@@ -68,44 +77,47 @@ def case_advice(study: Study) -> Advice:
     return Advice(decision, case, (*failed, *do), tuple(left))
 
 
+def _at_site(study: Study, best: CaseResult) -> str:
+    """Return what J is with the digits that are typed in, where these are others than those that were searched for."""
+    cost = as_typed_in(study, best)[1]
+    if cost is None or best.objective is None or figure(cost) == figure(best.objective):
+        return ""
+    return f"; with the site's digits above it is {figure(cost)}"
+
+
 def _recommendation(study: Study, base: CaseResult | None, best: CaseResult) -> tuple[str, CaseResult]:
     """Return the decision, and the case that it is about."""
     controller = settings_words(study, best)
-    kpis, objective = _as_typed_in(study, best)
+    kpis, objective = as_typed_in(study, best)
     by = "J" if best.objective is not None else "mean square error"
     if len(study.cases) == 1 and best is base:
         return f"Nothing to set: {best.name} ({controller}) is the only tuning here, and none was searched for.", best
     if best is base:
-        return f"Keep {best.name} ({controller}): none of the other tunings has a lower {by} in this experiment.", best
+        others = "other tunings"
+        if any(refused(study, case) and measure(case) < measure(best) for case in study.cases):
+            others += " that can be typed in"
+        return f"Keep {best.name} ({controller}): none of the {others} has a lower {by} in this experiment.", best
     if base is None or unstable(base):
         least = "the lowest " + by + " of the cases" if len(study.cases) > 1 else "the best that the search found"
         return (
-            f"Set {controller} ({best.name}): {least}, mean square error {figure(kpis.mean_square_error, 3)} EU², "
-            f"valve travel {figure(kpis.valve_travel, 3)} %.{_by_repair(study, best)}"
+            f"Set {controller} ({best.name}): {least}, mean square error {figure(kpis.mean_square_error)} EU², "
+            f"valve travel {figure(kpis.valve_travel)} %.{_by_repair(study, best)}"
         ), best
-    was, before = _as_typed_in(study, base)
+    was, before = as_typed_in(study, base)
     parts = []
     if objective is not None and before is not None:
-        parts.append(f"J {figure(objective, 3)} instead of {figure(before, 3)}")
+        parts.append(f"J {figure(objective)} instead of {figure(before)}")
     (name, ours), (_, theirs) = spread(best, kpis), spread(base, was)
     parts.append(f"{name} {change(ours, theirs)}")
     parts.append(f"mean square error {change(kpis.mean_square_error, was.mean_square_error)}")
     parts.append(f"valve travel {change(kpis.valve_travel, was.valve_travel)}")
     told = f"in this run {', '.join(parts)} against {base.name}.{_in_the_long_run(study, base, best)}"
-    if not _worth_it(base, best):
+    if not worth_it((_cost(best), best.run.kpis.valve_travel), (_cost(base), base.run.kpis.valve_travel)):
         return (
             f"Keep {base.name} ({settings_words(study, base)}): nothing here is worth a change. The best other tuning, "
             f"{best.name} ({controller}), has {told}"
         ), base
     return f"Set {controller} ({best.name}): {told}{_by_repair(study, best)}", best
-
-
-def _as_typed_in(study: Study, case: CaseResult) -> tuple[Kpis, float | None]:
-    """Return a case's figures and J with the digits that are named: the site's own, where it has its own form."""
-    for one in study.site_cases:
-        if one.name == case.name and one.kpis is not None:
-            return one.kpis, one.objective
-    return case.run.kpis, case.objective
 
 
 def _in_the_long_run(study: Study, base: CaseResult, best: CaseResult) -> str:
@@ -119,10 +131,16 @@ def _in_the_long_run(study: Study, base: CaseResult, best: CaseResult) -> str:
     return f" In the long run{f' {aside}' if aside else ''}: mean square error {error}, valve travel {travel}."
 
 
-def _worth_it(base: CaseResult, best: CaseResult) -> bool:
-    """Return whether the best case gains clearly more than the last digits of the figures, in error or in wear."""
-    ours, theirs = (_error(c) if c.objective is None else c.objective for c in (best, base))
-    return ours < WORTH * theirs or best.run.kpis.valve_travel < CALMER * base.run.kpis.valve_travel
+def _cost(case: CaseResult) -> float:
+    return _error(case) if case.objective is None else case.objective
+
+
+def worth_it(best: tuple[float, float], base: tuple[float, float]) -> bool:
+    """Return whether the best case gains clearly more than the last digits of the figures, in error or in wear.
+
+    Each is J (the mean square error without one) and the valve's travel.
+    """
+    return best[0] < WORTH * base[0] or best[1] < CALMER * base[1]
 
 
 def _by_repair(study: Study, best: CaseResult) -> str:
@@ -130,8 +148,9 @@ def _by_repair(study: Study, best: CaseResult) -> str:
     if study.repair is None:
         return ""
     repaired = study.repair.best_repaired.kpis
-    (name, left), (_, after) = spread(best, best.run.kpis), spread(best, repaired)
-    wear = change(repaired.valve_travel, best.run.kpis.valve_travel)
+    kpis, _ = as_typed_in(study, best)
+    (name, left), (_, after) = spread(best, kpis), spread(best, repaired)
+    wear = change(repaired.valve_travel, kpis.valve_travel)
     if not after < WORTH * left:
         return f" Repairing the valve would bring no less {name} than this in this run (valve travel {wear})."
     return (
@@ -139,17 +158,21 @@ def _by_repair(study: Study, best: CaseResult) -> str:
     )
 
 
+def _can_be_set(study: Study, case: CaseResult) -> bool:
+    return (case.tuned is None or case.tuned.status.success) and not unstable(case) and not refused(study, case)
+
+
 def _trade_off(study: Study, best: CaseResult) -> str:
     """Without an objective to go by: name the case of least error and the case of least wear."""
-    fit = [c for c in study.cases if (c.tuned is None or c.tuned.status.success) and not unstable(c)]
+    fit = [c for c in study.cases if _can_be_set(study, c)]
     # A valve that never moves does not wear, and does not control either.
     calm = min([c for c in fit if c.run.kpis.valve_travel > 0.0] or fit, key=lambda c: c.run.kpis.valve_travel)
 
     def told(case: CaseResult) -> str:
         kpis = case.run.kpis
         return (
-            f"{case.name} ({controller_words(case.loop.controller)}), mean square error "
-            f"{figure(kpis.mean_square_error, 3)} EU², valve travel {figure(kpis.valve_travel, 3)} %"
+            f"{case.name} ({settings_words(study, case)}), mean square error "
+            f"{figure(kpis.mean_square_error)} EU², valve travel {figure(kpis.valve_travel)} %"
             f"{IDLE if kpis.valve_travel == 0.0 else ''}"
         )
 
@@ -162,7 +185,7 @@ def _trade_off(study: Study, best: CaseResult) -> str:
     mild = min(near, key=lambda c: c.run.kpis.valve_travel)
     if mild.run.kpis.valve_travel < 0.5 * best.run.kpis.valve_travel:
         more = figure(100.0 * (_error(mild) / _error(best) - 1.0), 2)
-        travel = figure(mild.run.kpis.valve_travel, 3)
+        travel = figure(mild.run.kpis.valve_travel)
         text += f" {mild.name} has {more} % more error than the least, at valve travel {travel} %."
     return text
 
@@ -173,19 +196,18 @@ def _error(case: CaseResult) -> float:
 
 def _less_wear(study: Study, best: CaseResult) -> list[str]:
     """Name the calmest other case where it moves the valve less than half as far."""
-    others = [c for c in study.cases if c is not best and (c.tuned is None or c.tuned.status.success)]
     # A valve that never moves controls nothing, and wear under a PV that grows without bound is no choice.
-    others = [c for c in others if c.run.kpis.valve_travel > 0.0 and not unstable(c)]
+    others = [c for c in study.cases if c is not best and c.run.kpis.valve_travel > 0.0 and _can_be_set(study, c)]
     calm = min(others, key=lambda c: c.run.kpis.valve_travel, default=None)
     if calm is None or not calm.run.kpis.valve_travel < 0.5 * best.run.kpis.valve_travel:
         return []
     ours, theirs = calm.run.kpis, best.run.kpis
     return [
         (
-            f"Where wear counts more than error: {calm.name} ({controller_words(calm.loop.controller)}) has in this "
-            f"run valve travel {figure(ours.valve_travel, 3)} % instead of {figure(theirs.valve_travel, 3)} %, at mean "
-            f"square error {figure(ours.mean_square_error, 3)} EU² instead of "
-            f"{figure(theirs.mean_square_error, 3)} EU²{_later(calm)}."
+            f"Where wear counts more than error: {calm.name} ({settings_words(study, calm)}) has in this "
+            f"run valve travel {figure(ours.valve_travel)} % instead of {figure(theirs.valve_travel)} %, at mean "
+            f"square error {figure(ours.mean_square_error)} EU² instead of "
+            f"{figure(theirs.mean_square_error)} EU²{_later(calm)}."
         )
     ]
 

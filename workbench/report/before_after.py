@@ -36,7 +36,7 @@ def before_after_table(study: Study) -> Table | None:
         decimals = decimals_of([c.reference[name] for c in (base, *after) if name in c.reference])
         cells = [_value(study, base, name, decimals)]
         for case in after:
-            cells += [_value(study, case, name, decimals), _change(base, case, name)]
+            cells += [_value(study, case, name, decimals), _change(study, base, case, name)]
         rows.append(Row(title, unit, tuple(cells)))
     return Table(tuple(heads), tuple(rows))
 
@@ -48,8 +48,11 @@ def _value(study: Study, case: CaseResult, name: str, decimals: int) -> Cell:
     return Cell(shown(name, value), "; ".join(text for text in small if text))
 
 
-def _change(base: CaseResult, case: CaseResult, name: str) -> Cell:
+def _change(study: Study, base: CaseResult, case: CaseResult, name: str) -> Cell:
     was, now = (float(getattr(one.run.kpis, name)) for one in (base, case))
+    doubted = name == "settling_time" and (
+        0.0 in (was, now) or any(settling_doubt(one, study.experiment) for one in (base, case))
+    )
     both = name in base.reference and name in case.reference
     small = f"publ. {change(case.reference[name], base.reference[name])}" if both else ""
-    return Cell(change(now, was) if math.isfinite(was) and math.isfinite(now) else "–", small)
+    return Cell(change(now, was) if math.isfinite(was) and math.isfinite(now) and not doubted else "–", small)

@@ -7,12 +7,11 @@ from collections.abc import Callable, Sequence
 
 from workbench.model.cascade import Appearance
 from workbench.model.study import CascadeResult, Study
-from workbench.model.titles import kpi_title
+from workbench.model.titles import kpi_title, within
+from workbench.report.judge import settling_band, settling_doubt
 from workbench.report.shared import CONTROLLER_ROWS, experiment_words, objective_words
 from workbench.report.tables import Cell, Row, Table, shown
 from workbench.report.words import (
-    change,
-    controller_words,
     duration,
     figure,
     given,
@@ -22,7 +21,7 @@ from workbench.report.words import (
     valve_words,
 )
 
-__all__ = ["cascade_kpis", "cascade_lines", "cascade_sentences", "cascade_tables"]
+__all__ = ["cascade_lines", "cascade_rows", "cascade_sentences", "cascade_tables"]
 
 PRIMARY_KPIS = ("mean_square_error", "iae", "pv_sd", "settling_time", "final_error", "controller_travel")
 SECONDARY_KPIS = ("mean_square_error", "pv_sd", "valve_travel", "reversals", "controller_travel")
@@ -74,16 +73,19 @@ def cascade_tables(study: Study) -> list[Table]:
     rows = _settings(study, "primary") + _settings(study, "secondary")
     if study.objective is not None:
         rows.append(_numbers("J", "", [math.nan if c.objective is None else c.objective for c in cases], less=True))
-    for which, name, title, unit, less in cascade_kpis():
+    for which, name, title, unit, less in cascade_rows():
         values = [float(getattr(getattr(c.run, which).kpis, name)) for c in cases]
-        rows.append(_numbers(title, unit, values, name, less=less, group=name == "mean_square_error"))
+        doubts = [settling_doubt(c, study.experiment) if name == "settling_time" else "" for c in cases]
+        unit = settling_band(cases[0], study.experiment) if name == "settling_time" else unit
+        first = name in (PRIMARY_KPIS[0], SECONDARY_KPIS[0])
+        rows.append(_numbers(title, unit, values, name, less=less, group=first, small=doubts))
     tables = [Table(heads, tuple(rows))]
     if any(case.cycle is not None for case in cases):
         tables.append(Table(heads, tuple(_cycle_rows(cases))))
     return tables
 
 
-def cascade_kpis() -> list[tuple[str, str, str, str, bool]]:
+def cascade_rows() -> list[tuple[str, str, str, str, bool]]:
     """Return a cascade's figures, each as (loop, name in Kpis, title, unit, whether less is better)."""
     rows = []
     for which, names in (("primary", PRIMARY_KPIS), ("secondary", SECONDARY_KPIS)):
@@ -91,17 +93,28 @@ def cascade_kpis() -> list[tuple[str, str, str, str, bool]]:
             title, unit = kpi_title(name)
             if which == "primary" and name == "controller_travel":
                 title, unit = "Travel of its output", "EU of the secondary"
-            words = f"{which.capitalize()}: {title[0].lower() + title[1:] if title[1:2].islower() else title}"
+            words = f"{which.capitalize()}: {within(title)}"
             rows.append((which, name, words, unit, name in LESS))
     return rows
 
 
 def _numbers(
-    title: str, unit: str, values: Sequence[float], name: str = "", *, less: bool = False, group: bool = False
+    title: str,
+    unit: str,
+    values: Sequence[float],
+    name: str = "",
+    *,
+    less: bool = False,
+    group: bool = False,
+    small: Sequence[str] = (),
 ) -> Row:
     best = min((v for v in values if math.isfinite(v)), default=math.nan)
     mark = less and len(values) > 1
-    cells = tuple(Cell(shown(name, v), best=mark and v == best and not math.isnan(v)) for v in values)
+    notes = small or [""] * len(values)
+    cells = tuple(
+        Cell(shown(name, v), note, mark and v == best and not math.isnan(v))
+        for v, note in zip(values, notes, strict=True)
+    )
     return Row(title, unit, cells, group=group or title == "J")
 
 
@@ -147,8 +160,8 @@ def _cycle_rows(cases: Sequence[CascadeResult]) -> list[Row]:
     return rows
 
 
-def cascade_sentences(study: Study) -> tuple[list[str], list[str]]:
-    """Return what was found and what to do, in sentences."""
+def cascade_sentences(study: Study) -> list[str]:
+    """Return what was found, in sentences."""
     found: list[str] = []
     for case in study.cascade:
         cycle = case.cycle
@@ -160,11 +173,10 @@ def cascade_sentences(study: Study) -> tuple[list[str], list[str]]:
         above, below = cycle.primary, cycle.secondary
         found.append(
             f"{case.name}: without noise both loops cycle every {duration(cycle.period)}; PV swings "
-            f"{figure(above.pv_peak_to_peak, 3)} EU in the primary and {figure(below.pv_peak_to_peak, 3)} EU in the "
-            f"secondary, whose setpoint swings {figure(below.sp_peak_to_peak, 3)} EU."
+            f"{figure(above.pv_peak_to_peak)} EU in the primary and {figure(below.pv_peak_to_peak)} EU in the "
+            f"secondary, whose setpoint swings {figure(below.sp_peak_to_peak)} EU."
         )
-    found += _alone(study.cascade)
-    return found, _advice(study)
+    return found + _alone(study.cascade)
 
 
 def _alone(cases: Sequence[CascadeResult]) -> list[str]:
@@ -184,43 +196,3 @@ def _alone(cases: Sequence[CascadeResult]) -> list[str]:
             "primary cycles with its secondary, the valve is looked for in the secondary's record."
         )
     ]
-
-
-def _advice(study: Study) -> list[str]:
-    cases = [c for c in study.cascade if c.tuned is None or c.tuned.primary.status.success]
-    out = [
-        f"Do not use {c.name} as it stands: its search ended as “{c.tuned.primary.status.value}”."
-        for c in study.cascade
-        if c.tuned is not None and not c.tuned.primary.status.success
-    ]
-
-    def measure(case: CascadeResult) -> float:
-        value = case.run.primary.kpis.mean_square_error if case.objective is None else case.objective
-        return value if math.isfinite(value) else math.inf
-
-    best = min(cases, key=measure, default=None)
-    if best is None or len(study.cascade) < 2:
-        return out
-    base, by = study.cascade[0], "J" if best.objective is not None else "mean square error of the primary"
-    if best is base:
-        return [*out, f"Keep {best.name}: no other case has a lower {by} in this experiment."]
-    was, now = base.run, best.run
-    error, wear = (
-        change(getattr(getattr(now, which).kpis, name), getattr(getattr(was, which).kpis, name))
-        for which, name in (("primary", "mean_square_error"), ("secondary", "valve_travel"))
-    )
-    primary, secondary = (
-        controller_words(loop.controller, None if best.tuned is None else best.tuned.primary.digits)
-        for loop in (now.cascade.primary, now.cascade.secondary)
-    )
-    above = primary.replace("%/EU", "EU/EU")
-    out.append(
-        f"Set the secondary to {secondary}, then the primary to {above} ({best.name}): the lowest {by} of the cases, "
-        f"mean square error of the primary {error}, valve travel {wear} against {base.name}."
-    )
-    if best.cycle is not None and best.cycle.outcome == "cycles" and now.cascade.secondary.valve.slip_jump > 0.0:
-        out.append(
-            f"With {best.name} the cycle remains. While a controller integrates, it hunts for a setpoint between two "
-            "positions of the stem; repairing the valve ends that in both loops."
-        )
-    return out

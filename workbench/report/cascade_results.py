@@ -12,6 +12,7 @@ from workbench.model.cascade import Cascade
 from workbench.model.results import Kpis, Tuned
 from workbench.model.study import Study
 from workbench.report.cells import cell
+from workbench.report.judge import settling_doubt
 from workbench.report.results import controller_content, loop_content, plain, tuned_content
 from workbench.report.words import compensator_words
 
@@ -36,6 +37,7 @@ def cascade_content(study: Study) -> dict[str, Any]:
                 "name": case.name,
                 "controllers": parts(case.run.cascade),
                 "kpis": {name: plain(getattr(case.run, name).kpis) for name in ("primary", "secondary")},
+                "settling_doubt": settling_doubt(case, case.run.experiment) or None,
                 "objective": case.objective,
                 "limit_cycle": None
                 if cycle is None

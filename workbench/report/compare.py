@@ -11,7 +11,7 @@ from io import StringIO
 from typing import Any
 
 from workbench.errors import InvalidValue
-from workbench.model.titles import KPI_ROWS, kpi_title
+from workbench.model.titles import KPI_ROWS, kpi_title, within
 from workbench.report.cells import cell
 from workbench.report.compared import Entry, Found, Results
 from workbench.report.tables import Cell, Row, Table, shown
@@ -43,6 +43,10 @@ class Line:
     def figure(self, name: str) -> float:
         """Return a figure: of `model.results.Kpis` by its name, or "objective"; nan where it is not known."""
         return self.entry.objective if name == "objective" else self.entry.kpis.get(name, math.nan)
+
+    def doubt(self, name: str) -> str:
+        """Return why a figure is not one to go by, as the case's own report says it, or ""."""
+        return self.entry.settling_doubt if name == "settling_time" else ""
 
     def compares(self, name: str) -> bool:
         """Whether this figure may be held against the base's."""
@@ -171,7 +175,7 @@ def _notes(lines: Sequence[Line], base: Line | None) -> list[str]:
             continue
         entry, other = line.entry, base.entry
         if entry.sample_time != other.sample_time:
-            names = join([_title(name) for name in BY_SAMPLE])
+            names = join([within(kpi_title(name)[0]) for name in BY_SAMPLE])
             text = (
                 f"sampled every {setting(entry.sample_time)} s, the base every {setting(other.sample_time)} s: {names}"
             )
@@ -194,11 +198,6 @@ def _seed(results: Results) -> object:
     return noise.get("seed") if isinstance(noise, Mapping) and noise.get("sd") else None
 
 
-def _title(name: str) -> str:
-    title = kpi_title(name)[0]
-    return title if name == "objective" else title[:1].lower() + title[1:]
-
-
 def model_words(model: Mapping[str, Any]) -> str:
     """Return a plant or valve in a few words: "stenman, d 2"."""
     parts = [str(model.get("type", ""))]
@@ -218,6 +217,8 @@ def difference_words(line: Line, base: Line, name: str) -> str:
         return ""
     if name == "settling_time" and math.isinf(ours) != math.isinf(theirs):
         return ""  # "not in the run" beside a time says it
+    if line.doubt(name) or base.doubt(name):
+        return ""  # what does not last is neither longer nor shorter
     return change(ours, theirs)
 
 
@@ -270,7 +271,7 @@ def _rows(block: Sequence[Line], found: Comparison) -> list[Row]:
         cells = []
         for line, value in zip(block, values, strict=True):
             doubt = "not compared" if name in line.unlike and not line.apart and not math.isnan(value) else ""
-            cells.append(Cell(shown(name, value), difference_words(line, base, name) or doubt))
+            cells.append(Cell(shown(name, value), difference_words(line, base, name) or line.doubt(name) or doubt))
         rows.append(Row(title, unit, tuple(cells), group=first))
         first = False
     if any(e.cycle for e in entries):
@@ -333,7 +334,7 @@ def comparison_csv(found: Comparison) -> str:
     writer = csv.writer(out, lineterminator="\n")
     head = ["scenario", "kind", "name", "loop", "base", "compared", "Kc", "Ti", "Td", "form", "sample_time"]
     head += [column for name in FIGURES for column in (name, f"{name}_difference")]
-    head += ["verdict", "period", "pv_peak_to_peak", *PARAMETERS]
+    head += ["settling_doubt", "verdict", "period", "pv_peak_to_peak", *PARAMETERS]
     writer.writerow(head)
     for line in found.lines:
         e, base = line.entry, found.base
@@ -341,10 +342,17 @@ def comparison_csv(found: Comparison) -> str:
         row += ["none" if math.isinf(e.Ti) else e.Ti, e.Td, e.form, e.sample_time]
         for name in FIGURES:
             ours, theirs = line.figure(name), math.nan if base is None else base.figure(name)
-            less = ours - theirs if line.compares(name) and math.isfinite(ours) and math.isfinite(theirs) else math.nan
-            row += [ours, less]
+            known = line.compares(name) and math.isfinite(ours) and math.isfinite(theirs)
+            known = known and not line.doubt(name) and not (base is not None and base.doubt(name))
+            row += [ours, ours - theirs if known else math.nan]
         numbers = _numbers(e)
-        row += [e.cycle, e.period, e.pv_peak_to_peak, *(numbers.get(name, math.nan) for name in PARAMETERS)]
+        row += [
+            e.settling_doubt,
+            e.cycle,
+            e.period,
+            e.pv_peak_to_peak,
+            *(numbers.get(name, math.nan) for name in PARAMETERS),
+        ]
         writer.writerow([cell(value) for value in row])
     for _, one, results in found.estimates:
         row = [

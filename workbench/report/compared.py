@@ -20,11 +20,15 @@ __all__ = ["Entry", "Found", "Results", "Trend", "read_all"]
 NAME = "results.json"
 LARGEST = 64 << 20  # bytes; those of the shipped scenarios have at most 250 kB
 FLEET = ("fleet.parquet", "fleet.csv")
+OF_VALVE = ("valve_travel", "valve_variance", "reversals")
 ALLOWED = "must be a results.json of `workbench run`, a report's folder, or a folder of such folders"
 
 
 def _figure(value: object) -> object:
-    """Return a figure of a strict JSON file: null stands for what is not known, and "none" for no limit."""
+    """Return a figure of a strict JSON file: null for what is not known, "none" for what there is none of (infinite).
+
+    Earlier versions wrote "Infinity" for some of the latter, which is a number's text already.
+    """
     return {None: math.nan, "none": math.inf}.get(value, value) if isinstance(value, str | None) else value
 
 
@@ -58,6 +62,7 @@ class _Case(_Part):
     name: str
     controller: _Controller
     kpis: dict[str, Figure]
+    settling_doubt: str | None = None
     objective: Figure = math.nan
     limit_cycle: _Cycle | None = None
     describing_function: _Df | None = None
@@ -77,6 +82,7 @@ class _CascadeCase(_Part):
     name: str
     controllers: _Both
     kpis: _BothKpis
+    settling_doubt: str | None = None
     objective: Figure = math.nan
     limit_cycle: _Cycle | None = None
 
@@ -150,9 +156,10 @@ class Entry:
     """One case as a results.json tells it; of a cascade one of its loops, `part` says which.
 
     Kc in %/EU, Ti and Td in s (Ti inf without integral action), in the controller's own `form`. kpis: by the names of
-    `model.results.Kpis`, nan where not known. objective: J, nan without one. cycle: the long run's outcome, "" where
-    not looked at, with its period (s) and PV's swing (EU). predicted: what the describing function says, None where not
-    asked. plant, valve: type and parameters by name.
+    `model.results.Kpis`, nan where not known. settling_doubt: why its settling time is none to go by, or "".
+    objective: J, nan without one. cycle: the long run's outcome, "" where not looked at, with its period (s) and PV's
+    swing (EU). predicted: what the describing function says, None where not asked. plant, valve: type and parameters by
+    name.
     """
 
     name: str
@@ -164,6 +171,7 @@ class Entry:
     Ti: float
     Td: float
     kpis: Mapping[str, float]
+    settling_doubt: str
     objective: float
     cycle: str
     period: float
@@ -343,7 +351,9 @@ def _entry(
         Kc=pid.Kc,
         Ti=pid.Ti,
         Td=pid.Td,
-        kpis=dict(kpis),
+        # What a cascade's primary moves is the secondary's PV, and no valve.
+        kpis={name: value for name, value in kpis.items() if part != "primary" or name not in OF_VALVE},
+        settling_doubt="" if part == "secondary" else case.settling_doubt or "",
         objective=case.objective if part != "secondary" else math.nan,
         cycle="" if cycle is None else cycle.outcome,
         period=math.nan if cycle is None else cycle.period,

@@ -10,16 +10,18 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 
+from workbench.model.controller import PID
+from workbench.model.experiment import Noise
 from workbench.model.plant import FOPDT
 from workbench.model.results import LimitCycle, Robustness, Tuned
 from workbench.model.study import CaseResult, NamedEstimate, Study
-from workbench.model.titles import kpi_title
+from workbench.model.titles import kpi_title, within
 from workbench.report.estimates import known_groups, stiction_words
 from workbench.report.judge import at_odds, last_change, quiet, run_travel, unstable
-from workbench.report.settings import settings_words
+from workbench.report.settings import as_typed_in, settings_words
 from workbench.report.words import capital, duration, figure, given, interval, join, nearby
 
-__all__ = ["Confidence", "confidence", "watch"]
+__all__ = ["Confidence", "Judged", "confidence", "digits", "recovery", "searches", "settled", "watch"]
 
 NEARLY = 1.01  # ratio of the worst search's J to the best's up to which it does not matter which of them was lucky
 SLOWER = 0.5  # ratio of integral gains below which the controller is said to recover more slowly
@@ -36,7 +38,7 @@ class Confidence:
 
 
 @dataclass
-class _Judged:
+class Judged:
     """The reasons so far; `doubts` speak for low, `open_points` against high, each in a few words."""
 
     reasons: list[str] = field(default_factory=list)
@@ -44,6 +46,7 @@ class _Judged:
     open_points: list[str] = field(default_factory=list)
 
     def say(self, text: str, *, doubt: str = "", open_point: str = "") -> None:
+        """Add a reason, and in a few words the doubt or the open point that it is."""
         self.reasons.append(f"{text}.")
         self.doubts += [doubt] if doubt else []
         self.open_points += [open_point] if open_point else []
@@ -51,22 +54,31 @@ class _Judged:
 
 def confidence(study: Study, case: CaseResult) -> Confidence:
     """Return how sure it is that a case does at the plant what it does here."""
-    judged = _Judged()
+    judged = Judged()
     _model(study, case, judged)
     if case.tuned is not None:
-        _digits(case.tuned, judged)
-        _searches(case.tuned, judged)
+        digits(case.tuned, judged)
+        searches(case.tuned, judged)
+    elif case.nearest_to:
+        judged.say(
+            f"These settings are what comes nearest to {case.nearest_to} in the site's form; none was searched for "
+            "among what can be typed in there",
+            open_point="no tuning was searched for in the site's form",
+        )
     elif all(one.tuned is None for one in study.cases):
         judged.say("No tuning was searched for: this is the best of the given ones, and a search may find a better one")
     _elsewhere(case.robustness, judged)
     _long_run(study, case, judged)
+    return settled(judged, given=_source(study, case) is None)
+
+
+def settled(judged: Judged, *, given: bool) -> Confidence:
+    """Return the level that the reasons come to. given: whether the loop is as the scenario gives it."""
     reasons = tuple(judged.reasons)
     against = judged.doubts or judged.open_points
     if not against:
-        given_loop = (
-            "Provided that the loop is as the scenario gives it, nothing" if _source(study, case) is None else "Nothing"
-        )
-        return Confidence("high", reasons, f"{given_loop} that was looked at speaks against it.")
+        nothing = "Provided that the loop is as the scenario gives it, nothing" if given else "Nothing"
+        return Confidence("high", reasons, f"{nothing} that was looked at speaks against it.")
     return Confidence("low" if judged.doubts else "moderate", reasons, f"{capital(join(against))}.")
 
 
@@ -79,7 +91,7 @@ def _source(study: Study, case: CaseResult) -> NamedEstimate | None:
     return None
 
 
-def _model(study: Study, case: CaseResult, judged: _Judged) -> None:
+def _model(study: Study, case: CaseResult, judged: Judged) -> None:
     named = _source(study, case)
     if named is None:
         judged.say(
@@ -94,7 +106,7 @@ def _model(study: Study, case: CaseResult, judged: _Judged) -> None:
         pair = getattr(found.intervals, name)
         unit = {"time_constant": "s"}.get(name, "EU/%" if isinstance(found.plant, FOPDT) else "EU/(% s)")
         if pair is not None:
-            told.append(f"{name.replace('_', ' ')} {interval(pair, unit, 3)} (95 % range)")
+            told.append(f"{name.replace('_', ' ')} {interval(pair, unit)} (95 % range)")
     vague = not found.identifiable or bool(open_ones) or bool(groups["roughly"])
     text = f"The loop is an estimate from {named.name}"
     text += f"; {'; '.join(told)}" if told else ""
@@ -103,7 +115,7 @@ def _model(study: Study, case: CaseResult, judged: _Judged) -> None:
     elif not found.identifiable:
         text += "; the record does not pin the stiction apart from the gain"
     elif open_ones:
-        text += f"; hardly known or without a range: {join([kpi_title(name)[0] for name in open_ones])}"
+        text += f"; hardly known or without a range: {join([within(kpi_title(name)[0]) for name in open_ones])}"
     judged.say(
         text,
         doubt="whether the valve sticks is undecided" if found.verdict == "undecided" else "",
@@ -111,39 +123,40 @@ def _model(study: Study, case: CaseResult, judged: _Judged) -> None:
     )
 
 
-def _digits(tuned: Tuned, judged: _Judged) -> None:
+def digits(tuned: Tuned, judged: Judged, lead: str = "Digits", whose: str = "the optimum") -> None:
     """Say what the last digits matter."""
     steps = [v for step in tuned.steps for v in (step.below, step.above) if not math.isnan(v)]
     what = "J" if tuned.ensemble is None else "J over the draws of its search"
     text = (
-        f"Digits: the settings have {tuned.digits}; {nearby(tuned.margin)} {what} is at most {figure(tuned.worst, 3)} "
-        f"instead of {figure(tuned.objective, 3)}"
+        f"{lead}: the settings have {tuned.digits}; {nearby(tuned.margin)} {what} is at most {figure(tuned.worst)} "
+        f"instead of {figure(tuned.objective)}"
     )
     if steps:
-        text += f", one unit in a last digit gives at most {figure(max(steps), 3)}"
+        text += f", one unit in a last digit gives at most {figure(max(steps))}"
     judged.say(
         f"{text}, a knife-edge" if tuned.knife_edge else text,
-        doubt="the optimum is a knife-edge" if tuned.knife_edge else "",
+        doubt=f"{whose} is a knife-edge" if tuned.knife_edge else "",
     )
 
 
-def _searches(tuned: Tuned, judged: _Judged) -> None:
+def searches(tuned: Tuned, judged: Judged, lead: str = "Search") -> None:
+    """Say whether the searches agree."""
     many, best, worst = len(tuned.restarts), *tuned.spread
     if many < 2:
         judged.say(
-            "Search: made once, so nothing tells whether another would find better",
+            f"{lead}: made once, so nothing tells whether another would find better",
             open_point="there was one search only",
         )
         return
     agree = tuned.agreeing
     alike = 2 * agree > many or (math.isfinite(worst) and worst <= NEARLY * best)
-    text = f"Search: {agree} of {many} independent searches end within 0.1 % of the best J"
+    text = f"{lead}: {agree} of {many} independent searches end within 0.1 % of the best J"
     if math.isfinite(worst) and agree < many and best > 0.0:
         text += f", the worst {figure(100.0 * (worst / best - 1.0), 2)} % above it"
     judged.say(text, open_point="" if alike else "the searches do not agree")
 
 
-def _elsewhere(r: Robustness | None, judged: _Judged) -> None:
+def _elsewhere(r: Robustness | None, judged: Judged) -> None:
     """Say how it fares where plant and circumstances are others."""
     if r is None:
         text = "Other plants and disturbances: not tried, all figures are of this one experiment on this one model"
@@ -166,7 +179,7 @@ def _elsewhere(r: Robustness | None, judged: _Judged) -> None:
     )
 
 
-def _long_run(study: Study, case: CaseResult, judged: _Judged) -> None:
+def _long_run(study: Study, case: CaseResult, judged: Judged) -> None:
     cycle, aside = case.limit_cycle, quiet(study.experiment)
     if cycle is None:
         judged.say(
@@ -225,12 +238,13 @@ def watch(study: Study, base: CaseResult | None, best: CaseResult) -> list[str]:
         out.append(
             f"Here the loop comes to rest ({when}): a lasting cycle means that the loop is not the one modelled."
         )
-    travel = f"Valve travel: {figure(best.run.kpis.valve_travel, 3)} % in this run of {_run(study)}"
+    travel = f"Valve travel: {figure(as_typed_in(study, best)[0].valve_travel)} % in this run of {_run(study)}"
     if cycle is not None and cycle.outcome == "cycles":
         travel += f", {figure(cycle.travel_per_hour, 3)} % an hour in the long run without noise"
     out.append(f"{travel}. More than that is wear which this model does not see.")
     if base is not None and not unstable(base):
-        out += _against(study, base, best)
+        noise = None if study.experiment is None else study.experiment.noise
+        out += recovery(base.loop.controller, best.loop.controller, noise)
         before = settings_words(study, base)
         out.append(f"If PV or valve do worse than before, put back {before} ({base.name}) and look at the model again.")
     return out
@@ -240,9 +254,12 @@ def _run(study: Study) -> str:
     return "this length" if study.experiment is None else duration(study.experiment.duration)
 
 
-def _against(study: Study, base: CaseResult, best: CaseResult) -> list[str]:
-    """Name what the new settings do more or less of than those as found, by their ideal-form gains."""
-    was, now = base.loop.controller.ideal_terms(), best.loop.controller.ideal_terms()
+def recovery(before: PID, after: PID, noise: Noise | None, moves: str = "moves OP by {} %") -> list[str]:
+    """Name what new settings do more or less of than those before, by their ideal-form gains.
+
+    moves: what noise does to the output, with a place for by how much.
+    """
+    was, now = before.ideal_terms(), after.ideal_terms()
     out = []
     slower = now.Kc / now.Ti / (was.Kc / was.Ti) if was.Kc > 0.0 and math.isfinite(was.Ti) else math.nan
     if slower == 0.0:
@@ -254,11 +271,10 @@ def _against(study: Study, base: CaseResult, best: CaseResult) -> list[str]:
         )
     stronger = now.Kc / was.Kc if was.Kc > 0.0 else math.nan
     if stronger > STRONGER:
-        noise = None if study.experiment is None else study.experiment.noise
         sd = 1.0 if noise is None or noise.sd == 0.0 else noise.sd
         out.append(
-            f"Noise: the gain is {figure(stronger, 2)} times what it was; noise of {given(sd)} EU moves OP by "
-            f"{given(now.Kc * sd, 3)} %{', and by more through the derivative' if now.Td > 0.0 else ''}. See that OP "
-            "does not reach its limits."
+            f"Noise: the gain is {figure(stronger, 2)} times what it was; noise of {given(sd)} EU "
+            f"{moves.format(given(now.Kc * sd, 3))}{', and by more through the derivative' if now.Td > 0.0 else ''}. "
+            "See that the output does not reach its limits."
         )
     return out

@@ -11,10 +11,10 @@ from workbench.report.judge import (
     at_odds,
     df_disagrees,
     last_change,
+    late_words,
     over_starts,
     quiet,
     run_travel,
-    span_words,
     unstable,
 )
 from workbench.report.tables import Cell, Row, Table, blocks
@@ -159,36 +159,37 @@ def late_errors(study: Study) -> list[str]:
 
 def late_figures(cycle: LimitCycle) -> str:
     """Return a cycle's mean square error and valve travel, over the starts that cycle: "0.81 EU² at 142 % an hour"."""
-    error, travel = (span_words(over_starts(cycle, name)) for name in LATE)
+    error, travel = (late_words(cycle, name) for name in LATE)
     return f"{error} EU² at {travel} % an hour"
 
 
 def by_start(*cycles: LimitCycle) -> str:
     """Return what explains the ranges in `late_figures` of these cycles, "" where every start gives the same."""
-    ranges = [" to " in span_words(over_starts(cycle, name)) for cycle in cycles for name in LATE]
+    ranges = [" to " in late_words(cycle, name) for cycle in cycles for name in LATE]
     return " (where a range stands, it depends on the start)" if any(ranges) else ""
 
 
 def better_late(study: Study, best: CaseResult, cycle: LimitCycle) -> list[str]:
-    """Name a case that does clearly better than the recommended one once the cycles have set in."""
-    others = [
-        (c, over_starts(c.limit_cycle, "mean_square_error"))
-        for c in study.cases
-        if c is not best and c.limit_cycle is not None and c.limit_cycle.outcome == "cycles"
-    ]
-    ours = over_starts(cycle, "mean_square_error")
-    other, error = min(others, key=lambda pair: pair[1][1], default=(best, (math.inf, math.inf)))
-    # Which of its cycles a slow loop falls into is chosen by the start: only what holds for all of them is a claim.
-    if not error[1] < 0.8 * ours[0]:
-        return []
+    """Name the cases that come to rest, and one of clearly less error, where the recommended one cycles on."""
     when = quiet(study.experiment) or "without disturbances"
-    return [
-        (
-            f"In the long run {when} {other.name} has a smaller error in its cycle, from every start tried "
-            f"({span_words(error)} EU² against {span_words(ours)} EU²); the recommendation goes by "
-            "the run of this experiment."
-        )
-    ]
+    by_run = "the recommendation goes by the run of this experiment"
+    out = []
+    seen = [(c, c.limit_cycle) for c in study.cases if c is not best and c.limit_cycle is not None]
+    rest = [c for c, theirs in seen if theirs.outcome == "settles"]
+    if rest:
+        verb = "comes" if len(rest) == 1 else "come"
+        out.append(f"In the long run {when} {_names(rest)} {verb} to rest after this experiment; {by_run}.")
+    others = [(c, t, over_starts(t, "mean_square_error")[1]) for c, t in seen if t.outcome == "cycles"]
+    # Which of its cycles a slow loop falls into is chosen by the start: only what holds for all of them is a claim.
+    if others:
+        other, theirs, error = min(others, key=lambda one: one[2])
+        if error < 0.8 * over_starts(cycle, "mean_square_error")[0]:
+            both = (late_words(one, "mean_square_error") for one in (theirs, cycle))
+            out.append(
+                f"In the long run {when} {other.name} has a smaller error in its cycle, from every start tried "
+                f"({' EU² against '.join(both)} EU²); {by_run}."
+            )
+    return out
 
 
 def _deciding_start(cycle: LimitCycle) -> LimitCycleStart | None:
@@ -228,7 +229,7 @@ def _range(cycle: LimitCycle) -> str:
 
 
 def _all_starts(name: str) -> Callable[[CaseResult], str]:
-    return _of_cycle(lambda cycle: span_words(over_starts(cycle, name)))
+    return _of_cycle(lambda cycle: late_words(cycle, name))
 
 
 def _held(seconds: float) -> str:
@@ -264,10 +265,13 @@ def cycle_tables(study: Study) -> list[Table]:
     cases = [c for c in study.cases if c.limit_cycle is not None or c.describing_function is not None]
     tables = []
     for block in blocks(cases):
-        rows = []
+        rows: list[Row] = []
+        shown: dict[str, list[str]] = {}
         for title, unit, text in _CYCLE_ROWS:
-            if all(text(c) == "–" for c in cases):
-                continue
+            plain = shown.get(title.removesuffix(", all starts"), [])
+            shown[title] = [text(c) for c in cases]
+            if all(one == "–" for one in shown[title]) or shown[title] == plain:
+                continue  # nothing to tell, or the same from all starts
             group = title in ("Exact simulation", "Describing function")
             rows.append(Row(title, unit, tuple(Cell(text(c)) for c in block), group))
         if quiet(study.experiment) and any(c.limit_cycle is not None for c in cases):

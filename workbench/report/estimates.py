@@ -10,7 +10,7 @@ from workbench.model.loop import Loop
 from workbench.model.plant import FOPDT, Plant
 from workbench.model.results import Estimate
 from workbench.model.study import NamedEstimate
-from workbench.model.titles import kpi_title
+from workbench.model.titles import kpi_title, within
 from workbench.model.valve import Choudhury, Deadband, He, Ideal, Kano, Stenman, Valve
 from workbench.report.results import aic
 from workbench.report.tables import Cell, Row, Table
@@ -35,12 +35,17 @@ def estimate_sentences(named: NamedEstimate, *, linear: bool = True) -> list[str
     """Return what an estimate found: verdict, stiction with its range, plant, identifiability, and the linear fit."""
     found, name = named.found, named.name
     plant = found.plant
-    process = f"gain {figure(plant.gain, 3)} {'EU/%' if isinstance(plant, FOPDT) else 'EU/(% s)'}"
+    process = f"gain {figure(plant.gain)} {'EU/%' if isinstance(plant, FOPDT) else 'EU/(% s)'}"
     if isinstance(plant, FOPDT):
-        process += f", time constant {figure(plant.time_constant, 3)} s"
-    process += f", dead time {figure(plant.dead_time, 3)} s"
+        process += f", time constant {figure(plant.time_constant)} s"
+    process += f", dead time {figure(plant.dead_time)} s"
     reason = found.reasons[0].rstrip(".") if found.reasons else ""
-    if found.verdict == "stiction":
+    if useless(found):
+        text = (
+            f"{name}: the record shows stiction, but the model that the method ends with ({stiction_words(named)}, "
+            f"{process}) leaves more of PV unexplained than one without stiction, and is of no use."
+        )
+    elif found.verdict == "stiction":
         text = f"{name}: the valve sticks, {stiction_words(named)}; the process has {process}."
     elif found.verdict == "no_stiction":
         text = f"{name}: no stiction found{f' ({reason})' if reason else ''}; the process has {process}."
@@ -50,6 +55,8 @@ def estimate_sentences(named: NamedEstimate, *, linear: bool = True) -> list[str
             text += f" The best model has {stiction_words(named)} and {process}; take it as a hint, not as a finding."
     if named.truth is not None:
         text += f" {_against_truth(named, named.truth)}"
+    if useless(found):
+        return [text]
     sentences = [text]
     if found.verdict == "stiction" and not isinstance(found.valve, Ideal) and not found.identifiable:
         product = abs(plant.gain) * found.valve.stick_band
@@ -61,7 +68,7 @@ def estimate_sentences(named: NamedEstimate, *, linear: bool = True) -> list[str
             )
         else:
             sentences.append(
-                f"{name}: the record pins only the product of gain and stiction ({figure(product, 3)} {unit}), not the "
+                f"{name}: the record pins only the product of gain and stiction ({figure(product)} {unit}), not the "
                 "stiction alone; a record with a setpoint change in it would resolve that."
             )
     plain = found.linear
@@ -72,10 +79,16 @@ def estimate_sentences(named: NamedEstimate, *, linear: bool = True) -> list[str
             times = f"{figure(ratio, 2)} times" if ratio < 1e4 else "more than 10,000 times"
             sentences.append(
                 f"{name}: a fit that ignores the stiction leaves {times} the residual variance, with gain "
-                f"{figure(plain.plant.gain, 3)} EU/%, time constant {figure(plain.plant.time_constant, 3)} s and "
-                f"dead time {figure(plain.plant.dead_time, 3)} s."
+                f"{figure(plain.plant.gain)} EU/%, time constant {figure(plain.plant.time_constant)} s and "
+                f"dead time {figure(plain.plant.dead_time)} s."
             )
     return sentences
+
+
+def useless(found: Estimate) -> bool:
+    """Return whether a model of a sticking valve explains PV no better than the fit that ignores stiction."""
+    sticks = found.verdict == "stiction" and not isinstance(found.valve, Ideal)
+    return sticks and found.residual_variance > found.linear.residual_variance
 
 
 def _against_truth(named: NamedEstimate, truth: Loop) -> str:
@@ -110,8 +123,8 @@ def stiction_words(named: NamedEstimate) -> str:
     span = "fits from" if named.found.verdict == "undecided" else "95 % range"
 
     def with_range(name: str, value: float, pair: tuple[float, float] | None) -> str:
-        text = f"{name} = {figure(value, 3)} %"
-        return text if pair is None else f"{text} ({span} {interval(pair, '%', 3)})"
+        text = f"{name} = {figure(value)} %"
+        return text if pair is None else f"{text} ({span} {interval(pair, '%')})"
 
     if isinstance(valve, Stenman):
         return with_range("d", valve.d, ranges.d)
@@ -130,7 +143,7 @@ def estimate_advice(named: NamedEstimate) -> list[str]:
     if found.verdict == "stiction":
         step = abs(found.plant.gain) * found.valve.slip_jump if isinstance(found.plant, FOPDT) else 0.0
         text = f"{named.name}: have the valve looked at (packing, actuator, positioner)."
-        if step > 0.0:
+        if step > 0.0 and not useless(found):
             text += f" As long as it sticks it moves PV in steps of at least {given(step, 3)} EU, whatever the tuning."
         return [text]
     if found.verdict == "no_stiction":
@@ -227,10 +240,10 @@ def candidates_table(found: Estimate) -> Table | None:
     aics, bics = [m.aic for m in models], [m.bic for m in models]
     rows = []
     for model in models:
-        parameters = ", ".join(f"{name}\u00a0{figure(value, 3)}" for name, value in _valve_parameters(model.valve))
+        parameters = ", ".join(f"{name}\u00a0{figure(value)}" for name, value in _valve_parameters(model.valve))
         plant = _plant_parameters(model.plant)
-        cells = [Cell(parameters or "–"), *(Cell(figure(value, 3)) for value in plant.values())]
-        cells += [Cell(f"{model.slips:,}"), Cell(figure(model.residual_variance, 3))]
+        cells = [Cell(parameters or "–"), *(Cell(figure(value)) for value in plant.values())]
+        cells += [Cell(f"{model.slips:,}"), Cell(figure(model.residual_variance))]
         cells.append(Cell(_whole(model.aic), best=model.aic == min(aics)))
         cells.append(Cell(_whole(model.bic), best=model.bic == min(bics)))
         cells.append(Cell(_whole(model.bic - min(bics))))
@@ -267,8 +280,10 @@ def known_sentences(found: Estimate) -> list[str]:
 
     def names(which: str) -> str:
         titles = [kpi_title(name)[0] for name in groups[which]]
-        return join([title[:1].lower() + title[1:] for title in titles])
+        return join([within(title) for title in titles])
 
+    if useless(found):
+        return ["The model leaves more of PV unexplained than one without stiction: use none of its figures."]
     said = []
     if found.verdict == "undecided":
         said.append("Whether the valve sticks is open, so these are the figures of a model that may be wrong.")
@@ -310,7 +325,7 @@ def _would_tell(found: Estimate, groups: dict[str, list[str]]) -> list[str]:
         said.append("When tuning by a rule, take the upper end of the ranges of gain and dead time: the cautious side.")
     Ts = found.record.sample_time
     values = _plant_parameters(found.plant)
-    times = {n: kpi_title(n)[0].lower() for n in ("time_constant", "dead_time") if n in groups["hardly"]}
+    times = {n: within(kpi_title(n)[0]) for n in ("time_constant", "dead_time") if n in groups["hardly"]}
     coarse = [title for n, title in times.items() if values[n] < COARSE * Ts]
     slow = [title for title in times.values() if title not in coarse]
     if coarse:

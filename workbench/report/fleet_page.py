@@ -11,7 +11,7 @@ from markupsafe import Markup
 
 from workbench.model.fleet import FleetRow, Group, Site
 from workbench.report.lines import spark
-from workbench.report.loop_page import page_name, verdict_words
+from workbench.report.loop_page import DIGITS, page_name, verdict_words
 from workbench.report.templating import environment, style_sheet
 from workbench.report.words import duration, figure, setting
 
@@ -164,7 +164,13 @@ def _group(group: Group, by: dict[str, FleetRow]) -> dict[str, object]:
 
 
 def _short(text: str) -> str:
-    return text if len(text) <= WORDS else text[: WORDS - 1].rsplit(" ", 1)[0] + " …"
+    """Return as many whole reasons as the table has room for; a first one that is longer is cut."""
+    kept, *rest = text.split("; ")
+    for reason in rest:
+        if len(kept) + len(reason) + 2 > WORDS:
+            break
+        kept += f"; {reason}"
+    return kept if len(kept) <= WORDS else kept[: WORDS - 1].rsplit(" ", 1)[0] + " …"
 
 
 def _stiction(row: FleetRow) -> str:
@@ -183,8 +189,8 @@ def _to_tune(rows: Sequence[FleetRow], driven: dict[str, str]) -> list[tuple[Fle
     found = []
     for row in rows:
         if math.isfinite(row.Kc):
-            settings = f"Kc {setting(row.Kc)} %/EU, Ti {setting(row.Ti)} s" + (
-                f", Td {setting(row.Td)} s" if row.Td else ""
+            settings = f"Kc {setting(row.Kc, DIGITS)} %/EU, Ti {setting(row.Ti, DIGITS)} s" + (
+                f", Td {setting(row.Td, DIGITS)} s" if row.Td else ""
             )
             why = "until the valve is repaired"
             if math.isfinite(row.gain_of_tuning):

@@ -29,7 +29,7 @@ def how_tables(study: Study) -> list[Table]:
     restarts = []
     for name, one in tuned:
         for i, r in enumerate(one.restarts):
-            cells = (str(r.seed), figure(r.scanned, 5), figure(r.refined, 5), f"{r.evaluations:,}", str(r.solves))
+            cells = (str(r.seed), figure(r.scanned), figure(r.refined), f"{r.evaluations:,}", str(r.solves))
             row = tuple(Cell(text) for text in (*cells, f"{r.iterations:,}"))
             restarts.append(Row(name, "", row, group=i == 0))
     if restarts:
@@ -51,11 +51,11 @@ def _steps(tuned: Tuned) -> str:
 
 _HOW_ROWS: tuple[tuple[str, str, Callable[[Tuned], str]], ...] = (
     ("Status", "", lambda t: t.status.value),
-    ("J of the settings as typed in", "", lambda t: figure(t.objective, 5)),
+    ("J of the settings, rounded", "", lambda t: figure(t.objective)),
     ("Digits typed in", "", lambda t: str(t.digits)),
-    ("J of the unrounded best", "", lambda t: figure(t.nominal, 5)),
-    ("Worst J near the settings", "", lambda t: f"{figure(t.worst, 5)} {nearby(t.margin)}"),
-    ("J of the start", "", lambda t: figure(t.start_objective, 5)),
+    ("J of the unrounded best", "", lambda t: figure(t.nominal)),
+    ("Worst J near the settings", "", lambda t: f"{figure(t.worst)} {nearby(t.margin)}"),
+    ("J of the start", "", lambda t: figure(t.start_objective)),
     ("Guard margin", "%", lambda t: figure(t.guard_margin, 3)),
     ("Slips of the valve, the sequence's length", "", lambda t: f"{t.slips:,}"),
     ("J one last digit below and above", "", _steps),

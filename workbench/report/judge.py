@@ -9,10 +9,12 @@ import math
 
 import numpy as np
 
-from workbench.kpi.kpis import last_event, reversals, travel
+from workbench.kpi.kpis import Event, cascade_event, last_event, reversals, travel
+from workbench.model.cascade import CascadeExperiment, CascadeRun
 from workbench.model.experiment import Experiment
-from workbench.model.results import LimitCycle, Run, Tuned
-from workbench.model.study import CaseResult, Study
+from workbench.model.results import Kpis, LimitCycle, Run, Tuned
+from workbench.model.site import SiteCase
+from workbench.model.study import CascadeResult, CaseResult, Study
 from workbench.report.words import figure, given, setting
 
 __all__ = [
@@ -21,13 +23,17 @@ __all__ = [
     "best_case",
     "df_disagrees",
     "last_change",
+    "late_figure",
+    "late_words",
+    "measure",
     "on_bounds",
     "over_starts",
     "quiet",
+    "refused",
     "run_travel",
     "settling_band",
     "settling_doubt",
-    "span_words",
+    "typed_case",
     "unstable",
 ]
 
@@ -36,32 +42,51 @@ LATE = 0.9  # share of the run after which an entry into the band is no settling
 NEAR = 2e-3  # relative distance within which a tuned parameter lies on its bound
 TAIL = 0.5  # last share of a run that is compared with the verdict without noise
 SHORTEST = 0.1  # share of a run that is enough for that, and that a change before it is left to die out
+SAME_CYCLE = 1.1  # ratio up to which the figures of cycles from several starts are one figure
 MOVING = 3  # reversals of the stem from which a valve keeps moving
 
 
-def unstable(case: CaseResult) -> bool:
+def unstable(case: CaseResult | CascadeResult) -> bool:
     """Return whether the case's run grows past all measure, or the long run that was followed does."""
-    if not float(np.abs(case.run.pv).max()) <= BEYOND:
+    runs = (case.run.primary, case.run.secondary) if isinstance(case, CascadeResult) else (case.run,)
+    if not all(float(np.abs(run.pv).max()) <= BEYOND for run in runs):
         return True
+    if isinstance(case, CascadeResult):
+        return case.cycle is not None and "grows without bound" in case.cycle.reason
     cycle = case.limit_cycle
     return cycle is not None and cycle.outcome == "undecided" and "unstable" in cycle.starts[0].reason
 
 
 def base_case(study: Study) -> CaseResult | None:
     """Return the case that others are compared with: the first whose tuning was given."""
-    return next((c for c in study.cases if c.tuned is None), None)
+    return next((c for c in study.cases if c.tuned is None and not c.nearest_to), None)
 
 
-def _measure(case: CaseResult) -> float:
+def typed_case(study: Study, case: CaseResult) -> SiteCase | None:
+    """Return the case as typed in at the site, None where the scenario does not say how the site writes."""
+    return next((one for one, own in zip(study.site_cases, study.cases, strict=False) if own is case), None)
+
+
+def refused(study: Study, case: CaseResult) -> bool:
+    """Return whether the site's form has no equivalent of the case, so that it cannot be typed in."""
+    typed = typed_case(study, case)
+    return typed is not None and typed.settings is None
+
+
+def measure(case: CaseResult) -> float:
+    """Return what a case is judged by: J, or its mean square error without an objective; inf where it overflowed."""
     value = case.run.kpis.mean_square_error if case.objective is None else case.objective
     return value if math.isfinite(value) else math.inf
 
 
 def best_case(study: Study) -> CaseResult | None:
-    """Return the case of least J (least mean square error without an objective) among those that are verified."""
+    """Return the case of least J (least mean square error without an objective) of those that can be set.
+
+    They are verified, bounded, and have an equivalent in the site's form; where none has, its form is left aside.
+    """
     fit = [c for c in study.cases if c.tuned is None or c.tuned.status.success]
-    fit = [c for c in fit if math.isfinite(_measure(c)) and not unstable(c)]
-    return min(fit, key=_measure, default=None)
+    fit = [c for c in fit if math.isfinite(measure(c)) and not unstable(c)]
+    return min([c for c in fit if not refused(study, c)] or fit, key=measure, default=None)
 
 
 def df_disagrees(case: CaseResult) -> bool:
@@ -78,36 +103,48 @@ def over_starts(cycle: LimitCycle, name: str) -> tuple[float, float]:
     return (min(values), max(values)) if values else (math.nan, math.nan)
 
 
-def span_words(pair: tuple[float, float]) -> str:
-    """Return "0.0278 to 0.98", or one figure where both ends agree within a tenth."""
-    low, high = pair
-    return figure(high, 3) if high <= 1.1 * low else f"{figure(low, 3)} to {figure(high, 3)}"
+def late_figure(cycle: LimitCycle, name: str) -> float:
+    """Return a figure of a cycle that has set in: the cycle's own, or the median where it depends on the start."""
+    values = [float(getattr(start, name)) for start in cycle.starts if start.outcome == "cycles"]
+    return float(np.median(values)) if _differs(cycle, name) else float(getattr(cycle, name))
+
+
+def late_words(cycle: LimitCycle, name: str) -> str:
+    """Return "0.0278 to 0.98" over the starts, or the cycle's own figure where all agree within a tenth."""
+    if not _differs(cycle, name):
+        return figure(float(getattr(cycle, name)), 3)
+    low, high = over_starts(cycle, name)
+    return f"{figure(low, 3)} to {figure(high, 3)}"
+
+
+def _differs(cycle: LimitCycle, name: str) -> bool:
+    low, high = over_starts(cycle, name)
+    return high > SAME_CYCLE * low
 
 
 def quiet(experiment: Experiment | None) -> str:
     """Return what the verdict on cycles leaves out of the experiment: "without noise", or "" where nothing."""
     if experiment is None:
         return ""
-    noise = experiment.noise is not None and experiment.noise.sd > 0.0
+    noises = [experiment.noise, experiment.secondary_noise if isinstance(experiment, CascadeExperiment) else None]
+    noise = any(one is not None and one.sd > 0.0 for one in noises)
     if noise and experiment.load_parts:
         return "without noise and further disturbance"
     return "without noise" if noise else "without further disturbance" if experiment.load_parts else ""
 
 
-def _band(case: CaseResult, experiment: Experiment) -> tuple[float, float] | None:
-    """Return the last step's time (s) and the band (EU) about the setpoint that counts as settled, or None."""
-    event = last_event(case.loop, experiment)
-    if event is None:
+def _event(case: CaseResult | CascadeResult, experiment: Experiment | None) -> Event | None:
+    """Return the last step that the loop, or the cascade's primary, has to settle from, or None."""
+    if experiment is None:
         return None
-    if not math.isnan(event.band):
-        return event.at, event.band
-    error = (case.run.sp - case.run.pv)[case.run.time >= event.at - 1e-9]
-    return event.at, 0.02 * float(np.abs(error).max(initial=0.0))
+    if isinstance(case, CascadeResult):
+        return cascade_event(case.run.cascade, experiment)
+    return last_event(case.loop, experiment)
 
 
-def settling_band(case: CaseResult, experiment: Experiment | None) -> str:
+def settling_band(case: CaseResult | CascadeResult, experiment: Experiment | None) -> str:
     """Return the settling time's band in words, "" where there is none."""
-    event = None if experiment is None else last_event(case.loop, experiment)
+    event = _event(case, experiment)
     if event is None:
         return ""
     if math.isnan(event.band):
@@ -115,19 +152,35 @@ def settling_band(case: CaseResult, experiment: Experiment | None) -> str:
     return f"into ±{given(event.band, 2)} EU"
 
 
-def settling_doubt(case: CaseResult, experiment: Experiment | None) -> str:
-    """Return why a finite settling time is not one to go by, or ""."""
-    value = case.run.kpis.settling_time
-    held = None if experiment is None else _band(case, experiment)
-    if experiment is None or held is None or not math.isfinite(value):
+def settling_doubt(case: CaseResult | CascadeResult, experiment: Experiment | None, kpis: Kpis | None = None) -> str:
+    """Return why a finite settling time is not one to go by, or "".
+
+    kpis: those of the case's run unless given; of a cascade the primary's.
+    """
+    event, run = _event(case, experiment), case.run.primary if isinstance(case, CascadeResult) else case.run
+    value = (run.kpis if kpis is None else kpis).settling_time
+    if experiment is None or event is None or not math.isfinite(value):
         return ""
-    at, band = held
+    band = event.band
+    if math.isnan(band):
+        band = 0.02 * float(np.abs(run.sp - run.pv)[run.time >= event.at - 1e-9].max(initial=0.0))
+    if _late_error(case) > band:
+        return "not for good: it cycles"
+    return "only at the run's end" if event.at + value > LATE * experiment.duration else ""
+
+
+def _late_error(case: CaseResult | CascadeResult) -> float:
+    """Return how far PV lies from its setpoint once the cycle has set in, EU; nan where it does not cycle."""
+    if isinstance(case, CascadeResult):
+        late = None if case.cycle is None or case.cycle.outcome != "cycles" else case.cycle.late
+        seen = None if case.cycle is None else case.cycle.primary
+        if late is None or seen is None:
+            return math.nan
+        return max(0.5 * seen.pv_peak_to_peak, math.sqrt(late.primary.kpis.mean_square_error))
     cycle = case.limit_cycle
-    if cycle is not None and cycle.outcome == "cycles":
-        error = max(0.5 * cycle.pv_peak_to_peak, math.sqrt(cycle.mean_square_error))
-        if error > band:
-            return "not for good: it cycles"
-    return "only at the run's end" if at + value > LATE * experiment.duration else ""
+    if cycle is None or cycle.outcome != "cycles":
+        return math.nan
+    return max(0.5 * cycle.pv_peak_to_peak, math.sqrt(cycle.mean_square_error))
 
 
 def on_bounds(tuned: Tuned) -> list[str]:
@@ -145,41 +198,51 @@ def on_bounds(tuned: Tuned) -> list[str]:
     return out
 
 
-def last_change(run: Run) -> float:
-    """Return when the setpoint or the load last changes within the run (s), 0 where neither does."""
-    moves = np.flatnonzero((np.diff(run.sp) != 0.0) | (np.diff(run.load) != 0.0))
-    return float(run.time[moves[-1] + 1]) if moves.size else 0.0
+def last_change(run: Run | CascadeRun) -> float:
+    """Return when the setpoint or a load last changes within the run (s), 0 where neither does."""
+    one = run.primary if isinstance(run, CascadeRun) else run
+    moved = (np.diff(one.sp) != 0.0) | (np.diff(one.load) != 0.0)
+    if isinstance(run, CascadeRun):  # the secondary's setpoint is the primary's output, and no change from outside
+        moved |= np.diff(run.secondary.load) != 0.0
+    moves = np.flatnonzero(moved)
+    return float(one.time[moves[-1] + 1]) if moves.size else 0.0
 
 
-def _tail(case: CaseResult, experiment: Experiment) -> tuple[int, int] | None:
+def _with_stem(case: CaseResult | CascadeResult) -> Run:
+    """Return the run of the loop that holds the valve."""
+    return case.run.secondary if isinstance(case, CascadeResult) else case.run
+
+
+def _tail(case: CaseResult | CascadeResult, experiment: Experiment) -> tuple[int, int] | None:
     """Return the samples [first, stop) of the second half, once the last change has died out, or None if too few."""
-    last = last_change(case.run)
+    run, last = _with_stem(case), last_change(case.run)
     # A change needs time to die out, or its own answer would be taken for the loop's lasting motion.
     start = max((1.0 - TAIL) * experiment.duration, last + SHORTEST * experiment.duration if last > 0.0 else 0.0)
     if experiment.duration - start < SHORTEST * experiment.duration:
         return None
-    first = math.ceil(start / case.loop.sample_time - 1e-9)
-    return (first, case.run.valve.size) if 0 < first < case.run.valve.size else None
+    first = math.ceil(start / run.loop.sample_time - 1e-9)
+    return (first, run.valve.size) if 0 < first < run.valve.size else None
 
 
-def run_travel(case: CaseResult, experiment: Experiment | None) -> float:
+def run_travel(case: CaseResult | CascadeResult, experiment: Experiment | None) -> float:
     """Return the valve's travel an hour (%) in the run's second half, after its last change; nan where unknown."""
     part = None if experiment is None else _tail(case, experiment)
     if part is None or unstable(case):
         return math.nan
     first, stop = part
-    moved = travel(case.run.valve[first:stop], float(case.run.valve[first - 1]))
-    return 3600.0 * moved / ((stop - first) * case.loop.sample_time)
+    run = _with_stem(case)
+    moved = travel(run.valve[first:stop], float(run.valve[first - 1]))
+    return 3600.0 * moved / ((stop - first) * run.loop.sample_time)
 
 
-def at_odds(case: CaseResult, experiment: Experiment | None) -> bool:
+def at_odds(case: CaseResult | CascadeResult, experiment: Experiment | None) -> bool:
     """Return whether the run, with its noise or load, shows another motion of the valve than the verdict without."""
-    cycle = case.limit_cycle
+    cycle, run = case.cycle if isinstance(case, CascadeResult) else case.limit_cycle, _with_stem(case)
     part = None if experiment is None or not quiet(experiment) else _tail(case, experiment)
     if cycle is None or part is None or unstable(case):
         return False
     first, stop = part
-    moving = reversals(case.run.valve[first:stop], float(case.run.valve[first - 1])) >= MOVING
+    moving = reversals(run.valve[first:stop], float(run.valve[first - 1])) >= MOVING
     if cycle.outcome == "settles":
         return moving
     if cycle.outcome != "cycles":
@@ -187,5 +250,5 @@ def at_odds(case: CaseResult, experiment: Experiment | None) -> bool:
     rate = run_travel(case, experiment)
     if rate > 2.0 * cycle.travel_per_hour:
         return moving
-    long = (stop - first) * case.loop.sample_time >= 2.0 * cycle.period
+    long = (stop - first) * run.loop.sample_time >= 2.0 * cycle.period
     return long and rate < 0.5 * cycle.travel_per_hour

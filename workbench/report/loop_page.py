@@ -17,7 +17,9 @@ from workbench.report.lines import panel
 from workbench.report.templating import environment, style_sheet
 from workbench.report.words import controller_words, duration, figure, interval, plant_words, slug, valve_words
 
-__all__ = ["page_name", "render_loop", "verdict_words"]
+__all__ = ["DIGITS", "page_name", "render_loop", "verdict_words"]
+
+DIGITS = 4  # of a proposed tuning, as `wb.tune` gives it
 
 VERDICTS = {"stiction": "stiction", "no_stiction": "no stiction", "undecided": "undecided", "": "–"}
 NEAR = 20.0  # cycles drawn
@@ -58,7 +60,7 @@ def render_loop(
             verdict=verdict_words(row.verdict),
             facts=_facts(row, record, judged),
             model=_model(row, found),
-            tuning=None if tuned is None else controller_words(tuned),
+            tuning=None if tuned is None else controller_words(tuned, DIGITS),
             gain=row.gain_of_tuning if math.isfinite(row.gain_of_tuning) else None,
             pictures=[*_pictures(judged), *(_pictures(near) if len(near) < len(judged) else [])],
             evidence=evidence,

@@ -9,7 +9,7 @@ from workbench.model.front import Front, FrontPoint
 from workbench.model.plant import FOPDT
 from workbench.model.results import Robustness, Tuned
 from workbench.model.study import CaseResult, Study
-from workbench.report.settings import settings_words
+from workbench.report.settings import as_typed_in, settings_words
 from workbench.report.tables import Cell, Row, Table
 from workbench.report.trade import NamedPoint
 from workbench.report.words import change, controller_words, figure, given, join
@@ -312,16 +312,17 @@ def _beside(case: CaseResult, its: Robustness, r: Robustness, asked: Constraints
     )
 
 
-def _only_here(other: CaseResult, case: CaseResult) -> str:
+def _only_here(study: Study, other: CaseResult, case: CaseResult) -> str:
     """Name a given case that does better than the recommended one in the experiment, and not over the ensemble."""
     a, b = other.robustness, case.robustness
     if a is None or b is None or other.objective is None or case.objective is None:
         return ""
-    if not other.objective < case.objective or not b.mse_mean < a.mse_mean:
+    costs = [as_typed_in(study, one)[1] or 0.0 for one in (other, case)]
+    if not costs[0] < costs[1] or not b.mse_mean < a.mse_mean:
         return ""
     return (
-        f"{other.name} does better in this one experiment (J {figure(other.objective, 3)} against "
-        f"{figure(case.objective, 3)}), and worse over the ensemble: mean square error {figure(a.mse_mean, 3)} EU² at "
+        f"{other.name} does better in this one experiment (J {figure(costs[0])} against "
+        f"{figure(costs[1])}), and worse over the ensemble: mean square error {figure(a.mse_mean, 3)} EU² at "
         f"valve travel {figure(a.travel_mean, 3)} %."
     )
 
@@ -361,9 +362,14 @@ def robust_repair_table(study: Study) -> Table | None:
     if repair is None:
         return None
     four = (repair.present, repair.repaired, repair.best, repair.best_repaired)
+    digits = (None, None, repair.tuned.digits, repair.tuned_repaired.digits)
     heads = ("present tuning, sticky", "present tuning, repaired", "best robust, sticky", "best robust, repaired")
     rows = (
-        Row("Settings", "", tuple(Cell(controller_words(r.loop.controller)) for r in four)),
+        Row(
+            "Settings",
+            "",
+            tuple(Cell(controller_words(r.loop.controller, d)) for r, d in zip(four, digits, strict=True)),
+        ),
         Row("Mean square error, median", "EU²", tuple(Cell(figure(r.mse_median, 3)) for r in four), group=True),
         Row("90th percentile", "EU²", tuple(Cell(figure(r.mse_p90, 3)) for r in four)),
         Row("mean", "EU²", tuple(Cell(figure(r.mse_mean, 3)) for r in four)),
@@ -378,11 +384,17 @@ def robust_repair_table(study: Study) -> Table | None:
 
 
 def _robust(study: Study) -> list[tuple[CaseResult, Tuned, Robustness]]:
-    return [
-        (c, c.tuned, c.robustness)
-        for c in study.cases
-        if c.tuned is not None and c.tuned.ensemble is not None and c.tuned.status.success and c.robustness is not None
-    ]
+    """Return the robust tunings with their figures; in place of what the site's form cannot take what is nearest."""
+    near = {c.nearest_to: c for c in study.cases if c.nearest_to}
+    found = []
+    for case in study.cases:
+        tuned = case.tuned
+        if tuned is None or tuned.ensemble is None or not tuned.status.success:
+            continue
+        own = near.get(case.name, case)
+        if own.robustness is not None:
+            found.append((own, tuned, own.robustness))
+    return found
 
 
 def robust_choice(study: Study) -> CaseResult | None:
@@ -402,12 +414,12 @@ def robust_advice(study: Study) -> list[str]:
     if choice is None:
         return []
     case, tuned, r = next(one for one in found if one[0] is choice)
-    base = next((c for c in study.cases if c.tuned is None and c.robustness is not None), None)
+    base = next((c for c in study.cases if c.tuned is None and not c.nearest_to and c.robustness is not None), None)
     out = [f"{_setting(study, case, r)}{_against(r, base)}"]
     calmer = [one for one in found if one[0] is not case and one[2].travel_mean < 0.8 * r.travel_mean]
-    for other, its, figures in calmer:
+    for other, _, figures in calmer:
         out.append(
-            f"Where wear counts more: {controller_words(other.loop.controller, its.digits)} ({other.name}) has mean "
+            f"Where wear counts more: {settings_words(study, other)} ({other.name}) has mean "
             f"square error {figure(figures.mse_mean, 3)} EU² at valve travel {figure(figures.travel_mean, 3)} %"
             f"{_matched(study, figures, other)}."
         )
@@ -417,9 +429,9 @@ def robust_advice(study: Study) -> list[str]:
         if theirs is None:
             continue
         if other.tuned is None:
-            out += [text for text in (_beside(other, theirs, r, asked), _only_here(other, case)) if text]
+            out += [text for text in (_beside(other, theirs, r, asked), _only_here(study, other, case)) if text]
         elif other.tuned.ensemble is None:
-            out.append(_nominal(other, theirs, r))
+            out.append(_nominal(other, theirs, r, asked))
     out += [
         f"Do not use {c.name} as it stands: its search ended as “{c.tuned.status.value}” ({c.tuned.message})."
         for c in study.cases
@@ -468,14 +480,17 @@ def _matched(study: Study, figures: Robustness, own: CaseResult) -> str:
     return f", at equal travel {figure(ratio, 2)} times less than {other.name}"
 
 
-def _nominal(case: CaseResult, its: Robustness, r: Robustness) -> str:
+def _nominal(case: CaseResult, its: Robustness, r: Robustness, asked: Constraints) -> str:
     """Say what a tuning to the one experiment is worth over the ensemble."""
     if not held(its):
         return f"Do not use {case.name}: best in the one experiment, it does not hold every plant of the ensemble."
     better = its.mse_mean < r.mse_mean
     word = "less" if better else "more"
+    broken = _broken(its, asked)
+    end = f"Ms reaches {figure(its.max_sensitivity, 3)} at the worst corner"
+    if broken:
+        end = f"{broken}: not for a plant that may differ from the model"
     return (
         f"{case.name} is the best found for the one experiment; over the ensemble it has {word} error "
-        f"({figure(its.mse_mean, 3)} EU²) at valve travel {figure(its.travel_mean, 3)} %, and Ms reaches "
-        f"{figure(its.max_sensitivity, 3)} at the worst corner."
+        f"({figure(its.mse_mean, 3)} EU²) at valve travel {figure(its.travel_mean, 3)} %, and {end}."
     )

@@ -16,6 +16,7 @@ from workbench.report import draw_cascade, figures
 from workbench.report.before_after import before_after_table
 from workbench.report.cascade import cascade_lines, cascade_tables
 from workbench.report.cascade_results import cascade_csv
+from workbench.report.cascade_settings import cascade_site_table
 from workbench.report.cycles import cycle_tables
 from workbench.report.detections import detection_table, detection_words, first_with
 from workbench.report.draw_map import map_figure
@@ -113,6 +114,7 @@ def render(study: Study, drawn: Mapping[str, str], zoom: Zoomable | None = None)
             how=how_tables(study),
             cascade_lines=cascade_lines(study) if study.cascade else [],
             cascade_tables=cascade_tables(study) if study.cascade else [],
+            cascade_site_table=cascade_site_table(study),
             ensemble_text=ensemble_text(study),
             ensemble_tables=ensemble_tables(study),
             front_text=front_text(study),
@@ -142,7 +144,7 @@ def _evidence(study: Study, place: int) -> dict[str, object] | None:
     return {
         "earlier": "",
         "words": detection_words(named, found),
-        "reasons": found.reasons,
+        "reasons": [text for text in found.reasons if text not in named.found.reasons],
         "table": detection_table(found),
     }
 

@@ -15,7 +15,7 @@ from workbench.model.plant import FOPDT
 from workbench.model.results import LimitCycle
 from workbench.model.study import CaseResult, Study
 from workbench.report.draw_map import MapPoint
-from workbench.report.judge import over_starts, span_words, unstable
+from workbench.report.judge import late_figure, late_words, over_starts, unstable
 from workbench.report.words import duration, figure, given, join
 
 __all__ = ["lasting", "map_points", "map_text"]
@@ -141,7 +141,7 @@ def lasting(study: Study, best: CaseResult) -> list[str]:
         return []
     out: list[str] = _by_tuning(study)
     if loop.valve.slip_jump > 0.0 and isinstance(loop.plant, FOPDT):
-        step, jump = abs(loop.plant.gain) * loop.valve.slip_jump, given(loop.valve.slip_jump, 3)
+        step, jump = abs(loop.plant.gain) * loop.valve.slip_jump, given(loop.valve.slip_jump)
         curved = "" if loop.characteristic is None else " (at the operating point; elsewhere by the characteristic)"
         out.append(
             f"What no tuning removes: this valve moves in steps of at least {jump} %, each of which moves PV by "
@@ -177,11 +177,9 @@ def _measured(study: Study) -> list[_Seen]:
     for case in study.cases:
         cycle = case.limit_cycle
         alone = case.describing_function is not None and not case.describing_function.linear_stable
-        cycling = [] if cycle is None else [start for start in cycle.starts if start.outcome == "cycles"]
         if cycle is not None and cycle.outcome == "cycles" and not alone and not unstable(case):
             swing, period, travel = (
-                float(np.median([getattr(start, name) for start in cycling]))
-                for name in ("pv_peak_to_peak", "period", "travel_per_hour")
+                late_figure(cycle, name) for name in ("pv_peak_to_peak", "period", "travel_per_hour")
             )
             out.append(_Seen(case.name, swing, period, travel))
     found = study.cycle_map
@@ -229,11 +227,14 @@ def _slowed(fast: CaseResult, was: LimitCycle, slow: CaseResult, now: LimitCycle
     """Compare two cycles of one gain and swing, over all their starts: which of them comes is chosen by the start."""
 
     def both(name: str) -> tuple[str, str]:
-        return span_words(over_starts(was, name)), span_words(over_starts(now, name))
+        return late_words(was, name), late_words(now, name)
 
     travel, error = both("travel_per_hour"), both("mean_square_error")
     periods = [over_starts(cycle, "period") for cycle in (was, now)]
-    spans = [duration(a) if b <= ALIKE * a else f"{duration(a)} to {duration(b)}" for a, b in periods]
+    spans = [
+        duration(cycle.period) if b <= ALIKE * a else f"{duration(a)} to {duration(b)}"
+        for cycle, (a, b) in zip((was, now), periods, strict=True)
+    ]
     return (
         f"Slower integral action spares the valve and does not shrink the cycle: {fast.name} (Ti "
         f"{given(fast.loop.controller.Ti)} s) cycles every {spans[0]} and moves the valve {travel[0]} % an hour, "
@@ -253,8 +254,8 @@ def _at_best(study: Study) -> list[str]:
     many = f"{len(seen)} tunings" if found is None else f"all tunings, {found.count('cycles'):,} of the map among them,"
     travel = f"{figure(least.travel, 3)} % of valve travel an hour"
     text = (
-        f"When to repair: of {many} whose cycle was measured here (medians over the starts), PV swings least, "
-        f"{figure(least.swing, 3)} EU every {duration(least.period)}, with {least.where}, at {travel}"
+        f"When to repair: of {many} whose cycle was measured here (medians, where it depends on the start), PV swings "
+        f"least, {figure(least.swing, 3)} EU every {duration(least.period)}, with {least.where}, at {travel}"
     )
     if calm.where != least.where:
         text += (

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from workbench.model.study import Study
-from workbench.model.titles import kpi_title
+from workbench.model.titles import kpi_title, within
 from workbench.report.results import reference_names
 from workbench.report.words import decimals_of, difference, join
 
@@ -32,7 +32,7 @@ def reference_sentences(study: Study) -> list[str]:
     also = (
         f" {rounds} of them {'is' if rounds == 1 else 'are'} met only within the one digit printed." if rounds else ""
     )
-    parts = [f"{kpi_title(name)[0].lower()} of {join(cases)}" for name, cases in same.items()]
+    parts = [f"{within(kpi_title(name)[0])} of {join(cases)}" for name, cases in same.items()]
     if not parts:
         number = other + rounds
         text = f"None of the {number} published figures comes out to the digit"

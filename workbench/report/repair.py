@@ -93,14 +93,14 @@ def _limit(repair: Repair) -> str:
     if share < WORTH_NAMING:
         return (
             f"In this experiment the best tuning for the sticky valve does as well as a repair: mean square error "
-            f"{figure(left, 3)} EU² against {figure(repaired.mean_square_error, 3)} EU². One run without further "
+            f"{figure(left)} EU² against {figure(repaired.mean_square_error)} EU². One run without further "
             "disturbances flatters it: where the setpoint lies between two of the valve's steps, the loop cycles."
         )
     variance = repair.share("error_variance")
     also = "" if math.isnan(variance) else f" ({figure(100.0 * variance, 2)} % of the error variance)"
     return (
-        f"Of the mean square error that the best tuning found for the sticky valve leaves ({figure(left, 3)} EU²), "
-        f"{figure(100.0 * share, 2)} % goes only with the repair{also}: {figure(repaired.mean_square_error, 3)} EU² "
+        f"Of the mean square error that the best tuning found for the sticky valve leaves ({figure(left)} EU²), "
+        f"{figure(100.0 * share, 2)} % goes only with the repair{also}: {figure(repaired.mean_square_error)} EU² "
         "remain with the repaired valve at its own best tuning."
     )
 
@@ -109,6 +109,6 @@ def repair_sentence(repair: Repair, present: str) -> str:
     """Return the summary's sentence. present: the name of the case of the present tuning."""
     was, now = repair.present.kpis, repair.repaired.kpis
     text = f"What repair is worth: with an ideal valve {present} has mean square error "
-    text += f"{figure(now.mean_square_error, 3)} EU² instead of {figure(was.mean_square_error, 3)} EU², valve travel "
-    text += f"{figure(now.valve_travel, 3)} % instead of {figure(was.valve_travel, 3)} %."
+    text += f"{figure(now.mean_square_error)} EU² instead of {figure(was.mean_square_error)} EU², valve travel "
+    text += f"{figure(now.valve_travel)} % instead of {figure(was.valve_travel)} %."
     return f"{text} {_limit(repair)}"

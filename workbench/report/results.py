@@ -41,6 +41,7 @@ from workbench.model.study import CaseResult, NamedEstimate, Study
 from workbench.model.tuning import Objective
 from workbench.model.valve import Directional, Positional, Valve
 from workbench.report.cells import DIGITS, cell
+from workbench.report.judge import settling_doubt
 from workbench.report.trends import experiment_content, trends_content
 from workbench.report.words import ROUNDING
 
@@ -64,14 +65,18 @@ _DISTRIBUTIONS = ("stiction-workbench", "casadi", "matplotlib", "numba", "numpy"
 
 
 def strict(value: Any) -> Any:
-    """Return a value as strict JSON takes it: nan as None, infinities as text, floats at 12 significant digits."""
+    """Return a value as strict JSON takes it, floats at 12 significant digits.
+
+    What there is none of (no limit, no filter, not settled in the run) is infinite in Python and "none" here, as in a
+    scenario; what is not known, nan and what has run off to minus infinity, is None.
+    """
     if isinstance(value, bool) or value is None or isinstance(value, str | int):
         return value
     if isinstance(value, float):
-        if math.isnan(value):
+        if math.isnan(value) or value == -math.inf:
             return None
         if math.isinf(value):
-            return "Infinity" if value > 0 else "-Infinity"
+            return "none"
         if abs(value) < ROUNDING:
             return 0.0
         return float(f"{value:.{DIGITS}g}")
@@ -95,13 +100,8 @@ def _weights(objective: Objective) -> dict[str, float]:
 
 
 def controller_content(controller: PID) -> dict[str, Any]:
-    """Return a controller in full; an unfiltered derivative's filter and a missing integral time are "none".
-
-    A resolution and a compensator are there only where it has one.
-    """
+    """Return a controller in full; a resolution and a compensator are there only where it has one."""
     content = plain(controller)
-    content["derivative_filter"] = _or_none(controller.derivative_filter)
-    content["Ti"] = _or_none(controller.Ti)
     if controller.output_resolution == 0.0:
         del content["output_resolution"]
     given = content.pop("compensator")
@@ -298,6 +298,7 @@ def _case(case: CaseResult) -> dict[str, Any]:
         "name": case.name,
         "controller": controller_content(case.loop.controller),
         "kpis": plain(case.run.kpis),
+        "settling_doubt": settling_doubt(case, case.run.experiment) or None,
         "objective": case.objective,
         "describing_function": _describing_function(case.describing_function),
         "limit_cycle": _limit_cycle(case.limit_cycle),
@@ -413,12 +414,14 @@ def results_content(study: Study) -> dict[str, Any]:
 
 
 def _further(study: Study) -> dict[str, Any]:
-    # Both build on this module.
+    # These build on this module.
     from workbench.report.cascade_results import cascade_content
+    from workbench.report.cascade_settings import cascade_site_content
     from workbench.report.settings import site_content
 
-    site = {} if study.site is None else {"site": site_content(study)}
-    return {"cascade": cascade_content(study), **site} if study.cascade else site
+    site = cascade_site_content(study) if study.cascade else site_content(study)
+    content = {"site": site} if site else {}
+    return {"cascade": cascade_content(study), **content} if study.cascade else content
 
 
 def _dump(content: Any) -> str:

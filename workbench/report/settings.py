@@ -3,21 +3,35 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from collections.abc import Sequence
 
 import numpy as np
 
-from workbench.model.controller import PID
 from workbench.model.results import Kpis
 from workbench.model.site import SiteCase, SiteForm, SiteSettings
 from workbench.model.study import CaseResult, Study
 from workbench.model.titles import kpi_title
-from workbench.report.judge import over_starts, settling_doubt, span_words
+from workbench.report.judge import base_case, late_words, measure, refused, settling_doubt, typed_case
 from workbench.report.shared import CONTROLLER_ROWS
 from workbench.report.tables import Cell, Row, Table, shown
 from workbench.report.words import change, controller_words, figure, join, setting
 
-__all__ = ["as_found_as_left", "rounding_sentences", "settings_words", "site_content", "site_table", "spread"]
+__all__ = [
+    "as_found_as_left",
+    "as_typed_in",
+    "form_content",
+    "refused_sentences",
+    "rounded",
+    "rounding_sentences",
+    "setting_names",
+    "setting_texts",
+    "settings_words",
+    "site_content",
+    "site_table",
+    "spread",
+    "typed_content",
+    "typed_words",
+]
 
 EFFECT = ("mean_square_error", "pv_sd", "valve_travel", "settling_time", "oscillation_index")
 ALWAYS = ("Structure", "Action")  # of CONTROLLER_ROWS, shown even where both are alike: they are typed in as well
@@ -30,9 +44,15 @@ def spread(case: CaseResult, kpis: Kpis) -> tuple[str, float]:
     return "standard deviation of SP − PV" if moves else "PV standard deviation", math.sqrt(kpis.error_variance)
 
 
-def _typed(study: Study, case: CaseResult) -> SiteCase | None:
-    """Return the case as typed in at the site, None where the scenario does not say how the site writes."""
-    return next((one for one, own in zip(study.site_cases, study.cases, strict=False) if own is case), None)
+def as_typed_in(study: Study, case: CaseResult) -> tuple[Kpis, float | None]:
+    """Return a case's figures and J with the digits that are named: the site's own, where it has its own form.
+
+    Those of the case as found are of the scenario's own digits: it is what is there now.
+    """
+    typed = typed_case(study, case)
+    if typed is None or typed.kpis is None or case is base_case(study):
+        return case.run.kpis, case.objective
+    return typed.kpis, typed.objective
 
 
 def _digits(case: CaseResult) -> int | None:
@@ -41,7 +61,7 @@ def _digits(case: CaseResult) -> int | None:
 
 def _written(study: Study, case: CaseResult) -> tuple[SiteForm, SiteSettings, Kpis] | None:
     """Return form, settings and figures of a case as it is typed in, None where the site's form has no equivalent."""
-    typed = _typed(study, case)
+    typed = typed_case(study, case)
     if study.site is None or typed is None:
         own = SiteForm(case.loop.controller.form)
         return own, own.settings(case.loop.controller), case.run.kpis
@@ -50,7 +70,8 @@ def _written(study: Study, case: CaseResult) -> tuple[SiteForm, SiteSettings, Kp
     return study.site, typed.settings, typed.kpis
 
 
-def _names(site: SiteForm) -> tuple[str, str, str]:
+def setting_names(site: SiteForm) -> tuple[str, str, str]:
+    """Return what the site calls gain, integral and derivative."""
     if site.form == "parallel":
         return "Gain Kp", "Integral gain Ki", "Derivative gain Kd"
     return "Proportional band" if site.gain == "PB %" else "Gain Kc", "Integral Ti", "Derivative Td"
@@ -60,7 +81,7 @@ def _number(value: float, digits: int | None) -> str:
     return "none" if math.isinf(value) else setting(value, digits)
 
 
-def _texts(site: SiteForm, settings: SiteSettings, digits: int | None) -> tuple[str, str, str]:
+def setting_texts(site: SiteForm, settings: SiteSettings, digits: int | None) -> tuple[str, str, str]:
     """Return gain, integral and derivative with their units; "none" for an action that is not there."""
     integral = "none" if settings.integral == 0.0 else _number(settings.integral, digits)
     numbers = _number(settings.gain, digits), integral, _number(settings.derivative, digits)
@@ -79,9 +100,13 @@ def settings_words(study: Study, case: CaseResult) -> str:
         return own
     if written is None:
         return f"{own}, which has no equivalent in the site's {study.site.form} form"
-    site, settings, _ = written
-    gain, integral, derivative = _texts(site, settings, _digits(case))
-    short = {"Proportional band": "proportional band", "Gain Kc": "Kc", "Gain Kp": "Kp"}[_names(site)[0]]
+    return typed_words(written[0], written[1], _digits(case))
+
+
+def typed_words(site: SiteForm, settings: SiteSettings, digits: int | None) -> str:
+    """Return settings in the site's form: "proportional band 41.95 %, 6.599 repeats/min (series form)"."""
+    gain, integral, derivative = setting_texts(site, settings, digits)
+    short = {"Proportional band": "proportional band", "Gain Kc": "Kc", "Gain Kp": "Kp"}[setting_names(site)[0]]
     i, d = ("Ki", "Kd") if site.form == "parallel" else ("" if "repeats" in site.integral else "Ti", "Td")
     parts = [f"{short} {gain}", "no integral action" if integral == "none" else f"{i} {integral}".strip()]
     parts += [f"{d} {derivative}"] if settings.derivative != 0.0 else []
@@ -100,7 +125,7 @@ def as_found_as_left(study: Study, base: CaseResult | None, best: CaseResult) ->
     forms = {one[0] for one in written if one is not None}
     site = next(iter(forms)) if len(forms) == 1 else SiteForm()
     texts = [
-        ("no equivalent",) * 3 if one is None else _texts(one[0], one[1], _digits(case))
+        ("no equivalent",) * 3 if one is None else setting_texts(one[0], one[1], _digits(case))
         for one, case in zip(written, cases, strict=True)
     ]
     pids = [
@@ -108,7 +133,7 @@ def as_found_as_left(study: Study, base: CaseResult | None, best: CaseResult) ->
     ]
     blank = (Cell(""),) if len(cases) > 1 else ()
     rows = [Row("Form", "", (*(Cell(pid.form) for pid in pids), *blank))]
-    for i, name in enumerate(_names(site)):
+    for i, name in enumerate(setting_names(site)):
         rows.append(Row(name, "", (*(Cell(text[i]) for text in texts), *blank)))
     for name, describe in CONTROLLER_ROWS[1:]:
         both = [describe(pid) for pid in pids]
@@ -142,11 +167,11 @@ def _effect(study: Study, cases: list[CaseResult], kpis: list[Kpis], costs: list
             continue
         doubts = [""] * len(cases)
         if name == "settling_time":
-            runs = [replace(case, run=replace(case.run, kpis=one)) for case, one in zip(cases, kpis, strict=True)]
-            doubts = [settling_doubt(case, study.experiment) for case in runs]
+            doubts = [settling_doubt(case, study.experiment, one) for case, one in zip(cases, kpis, strict=True)]
         cells = [Cell(shown(name, value), doubt) for value, doubt in zip(values, doubts, strict=True)]
         if len(cases) > 1:
             known = not any(doubts) and all(math.isfinite(value) for value in values)
+            known = known and not (name == "settling_time" and 0.0 in values)
             cells.append(Cell(change(values[-1], values[0]) if known else "–"))
         rows.append(Row(title, unit, tuple(cells), group=not rows))
     return rows + _later(cases)
@@ -162,11 +187,11 @@ def _later(cases: list[CaseResult]) -> list[Row]:
         ("mean_square_error", "Mean square error of the late cycle", "EU²"),
         ("travel_per_hour", "Valve travel of the late cycle, an hour", "%"),
     ):
-        ends = [over_starts(cycle, name) for cycle in cycles]
-        cells = [Cell(span_words(pair)) for pair in ends]
+        cells = [Cell(late_words(cycle, name)) for cycle in cycles]
         if len(cases) > 1:
+            now, was = (float(getattr(cycles[place], name)) for place in (-1, 0))
             same = all(" to " not in cell.text for cell in cells)
-            cells.append(Cell(change(ends[-1][1], ends[0][1]) if same else "depends on the start"))
+            cells.append(Cell(change(now, was) if same else "depends on the start"))
         rows.append(Row(title, unit, tuple(cells), group=not rows))
     return rows
 
@@ -176,26 +201,40 @@ def _given_cost(case: CaseResult) -> float:
 
 
 def _cost(study: Study, case: CaseResult) -> float:
-    typed = _typed(study, case)
+    typed = typed_case(study, case)
     cost = case.objective if typed is None or typed.settings is None else typed.objective
     return math.nan if cost is None else cost
 
 
-def rounding_sentences(study: Study, cases: list[CaseResult]) -> list[str]:
-    """Return what the site's form and digits make of these cases, where that is not what was simulated before."""
+def rounding_sentences(study: Study, case: CaseResult) -> list[str]:
+    """Return what the site's form and digits make of a case, where that is not what was simulated before."""
+    typed = typed_case(study, case)
+    if typed is None or typed.settings is None or typed.kpis is None:
+        return []
+    if typed.settings.controller == case.loop.controller:
+        return []
+    return [_rounding(case, typed, typed.kpis, controller_words(case.loop.controller, _digits(case)))]
+
+
+def refused_sentences(study: Study, chosen: CaseResult) -> list[str]:
+    """Name the cases that would do better than the chosen one and that the site's form has no equivalent of."""
     out = []
-    for case in cases:
-        typed = _typed(study, case)
-        if study.site is None or typed is None:
+    for case in study.cases:
+        typed = typed_case(study, case)
+        if study.site is None or typed is None or not refused(study, case):
             continue
-        own = controller_words(case.loop.controller, _digits(case))
-        if typed.settings is None:
-            out.append(
-                f"{case.name} ({own}) has no equivalent in the site's {study.site.form} form ({typed.refused}). A "
-                f"tuning with form: {study.site.form} searches within it."
+        if case is not chosen and not measure(case) < measure(chosen):
+            continue
+        form, own = study.site.form, controller_words(case.loop.controller, _digits(case))
+        text = f"{case.name} ({own}) cannot be typed in: the site's {form} form has no equivalent ({typed.refused})."
+        near = next((one for one in study.cases if one.nearest_to == case.name), None)
+        if near is not None:
+            by = "J" if case.objective is not None else "mean square error"
+            text += (
+                f" What comes nearest is {settings_words(study, near)} ({near.name}), with {by} "
+                f"{figure(measure(near))} instead of {figure(measure(case))}."
             )
-        elif typed.kpis is not None and typed.settings.controller != case.loop.controller:
-            out.append(_rounding(case, typed, typed.kpis, own))
+        out.append(f"{text} A tuning with form: {form} searches among what can be typed in.")
     return out
 
 
@@ -205,11 +244,16 @@ def _rounding(case: CaseResult, typed: SiteCase, kpis: Kpis, own: str) -> str:
     pairs.append(("valve travel", kpis.valve_travel, case.run.kpis.valve_travel, " %"))
     if typed.objective is not None and case.objective is not None:
         pairs.insert(0, ("J", typed.objective, case.objective, ""))
+    return rounded(case.name, own, pairs)
+
+
+def rounded(name: str, own: str, pairs: Sequence[tuple[str, float, float, str]]) -> str:
+    """Say how figures with the site's rounded digits differ from a case's: (title, as typed in, before, unit) each."""
     off = [p for p in pairs if not math.isclose(p[1], p[2], rel_tol=SAME, abs_tol=1e-12)]
-    begin = f"{case.name} is {own} in the scenario's form; rounded in the site's units it gives by exact simulation"
+    begin = f"{name} is {own} in the scenario's form; rounded in the site's units it gives by exact simulation"
     if not off:
         return f"{begin} the same {join([p[0] for p in pairs])} (to 0.1 %)."
-    return f"{begin} {join([f'{name} {figure(a)}{unit} instead of {figure(b)}{unit}' for name, a, b, unit in off])}."
+    return f"{begin} {join([f'{what} {figure(a)}{unit} instead of {figure(b)}{unit}' for what, a, b, unit in off])}."
 
 
 def site_table(study: Study) -> Table | None:
@@ -221,28 +265,35 @@ def site_table(study: Study) -> Table | None:
         if typed.settings is None:
             cells = tuple(Cell("no equivalent") for _ in range(3))
         else:
-            cells = tuple(Cell(text) for text in _texts(study.site, typed.settings, _digits(case)))
+            cells = tuple(Cell(text) for text in setting_texts(study.site, typed.settings, _digits(case)))
         rows.append(Row(case.name, "", cells))
-    return Table(_names(study.site), tuple(rows))
+    return Table(setting_names(study.site), tuple(rows))
 
 
 def site_content(study: Study) -> dict[str, object]:
     """Return what results.json holds of the site's form and the cases in it."""
-    site = study.site
-    if site is None:
+    if study.site is None:
         return {}
     cases = []
     for one in study.site_cases:
         content: dict[str, object] = {"name": one.name, "refused": one.refused or None}
         if one.settings is not None and one.kpis is not None:
-            typed = one.settings
-            content |= {"gain": typed.gain, "integral": typed.integral, "derivative": typed.derivative}
-            content |= _simulated(typed.controller, one.kpis) | {"objective": one.objective}
+            content |= typed_content(one.settings, one.kpis) | {"objective": one.objective}
         cases.append(content)
+    return {**form_content(study.site), "cases": cases}
+
+
+def form_content(site: SiteForm) -> dict[str, object]:
+    """Return what results.json holds of a site's form."""
     units = dict(zip(("gain", "integral", "derivative"), site.units, strict=True))
-    return {"form": site.form, "proportional_band": site.gain == "PB %", "units": units, "cases": cases}
+    return {"form": site.form, "proportional_band": site.gain == "PB %", "units": units}
 
 
-def _simulated(controller: PID, kpis: Kpis) -> dict[str, object]:
-    names = ("mean_square_error", "error_variance", "valve_travel")
-    return {"Kc": controller.Kc, "Ti": controller.Ti, "Td": controller.Td} | {n: getattr(kpis, n) for n in names}
+def typed_content(typed: SiteSettings, kpis: Kpis) -> dict[str, object]:
+    """Return what results.json holds of settings as typed in, and of what they give."""
+    pid = typed.controller
+    return {
+        **{name: getattr(typed, name) for name in ("gain", "integral", "derivative")},
+        **{name: getattr(pid, name) for name in ("Kc", "Ti", "Td")},
+        **{name: getattr(kpis, name) for name in ("mean_square_error", "error_variance", "valve_travel")},
+    }

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from workbench.model.study import Study
+from workbench.model.study import CascadeResult, Study
 from workbench.report.advice import Advice, case_advice
 from workbench.report.cascade import cascade_sentences
+from workbench.report.cascade_advice import cascade_advice, cascade_confidence, cascade_watch
+from workbench.report.cascade_settings import cascade_base, cascade_rounding, cascade_table
 from workbench.report.confidence import Confidence, confidence, watch
 from workbench.report.cycles import cycle_sentences
 from workbench.report.estimates import estimate_advice, estimate_sentences
@@ -14,7 +16,7 @@ from workbench.report.judge import base_case, on_bounds
 from workbench.report.over_ensemble import robust_advice, robust_choice
 from workbench.report.plain_truth import lasting
 from workbench.report.reference import reference_sentences
-from workbench.report.settings import as_found_as_left, rounding_sentences
+from workbench.report.settings import as_found_as_left, refused_sentences, rounding_sentences
 from workbench.report.tables import Table
 from workbench.report.words import join
 
@@ -63,23 +65,30 @@ def summarise(study: Study) -> Summary:
         else:
             advice = Advice(robust[0], choice, tuple(robust[1:]), tuple(lasting(study, choice)))
     if study.cascade:
-        seen, told = cascade_sentences(study)
-        found += seen
-        do += told
+        found += cascade_sentences(study)
+        advice = cascade_advice(study)
     decision, rest = advice.decision, dict.fromkeys((*advice.do, *do))
     if not decision and rest:
         decision = next(iter(rest))
         del rest[decision]
-    case, base = advice.case, base_case(study)
+    told = tuple(found), decision, tuple(rest), advice.left
+    case = advice.case
     if case is None:
-        return Summary(tuple(found), decision, tuple(rest), advice.left)
+        return Summary(*told)
+    if isinstance(case, CascadeResult):
+        first = cascade_base(study)
+        return Summary(
+            *told,
+            settings=cascade_table(study, first or case, case),
+            typed=tuple(cascade_rounding(study, case)) if case is not first else (),
+            sure=cascade_confidence(study, case),
+            watch=tuple(cascade_watch(study, first, case)),
+        )
+    base = base_case(study)
     return Summary(
-        tuple(found),
-        decision,
-        tuple(rest),
-        advice.left,
+        *told,
         settings=as_found_as_left(study, base, case),
-        typed=tuple(rounding_sentences(study, [case])) if case is not base else (),
+        typed=(*(rounding_sentences(study, case) if case is not base else ()), *refused_sentences(study, case)),
         sure=confidence(study, case),
         watch=tuple(watch(study, base, case)),
     )

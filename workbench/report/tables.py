@@ -64,6 +64,8 @@ def shown(kpi: str, value: float) -> str:
     """Return a figure as the tables print it; `kpi` is its name in `Kpis`."""
     if kpi == "settling_time" and math.isinf(value):
         return "not in the run"
+    if kpi == "settling_time" and value == 0.0:
+        return "never outside"
     if kpi in TIMES:
         return duration(value)
     return f"{value:,.0f}" if kpi == "reversals" else figure(value)
@@ -148,10 +150,8 @@ def difference_table(study: Study) -> Table | None:
             ours = _value(case, name)
             text = difference(ours, theirs, decimals)
             text = "not in the run here" if name in TIMES and math.isinf(ours) else text
-            here = shown(name, ours) if math.isinf(ours) else printed(name, ours, decimals)
-            cells.append(
-                Cell(text, f"{here} here, {printed(name, theirs, decimals)} published", text == "to the digit")
-            )
+            both = f"{shown(name, ours)} here, {printed(name, theirs, decimals)} published"
+            cells.append(Cell(text, both, text == "to the digit"))
         rows.append(Row(case.name, "", tuple(cells)))
     heads = []
     for name in names:

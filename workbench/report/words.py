@@ -59,7 +59,7 @@ def change(new: float, old: float) -> str:
     if new == old:
         return "unchanged"
     if old == 0.0 or math.isinf(old) or math.isinf(new) or new * old < 0.0:
-        return f"from {figure(old, 3)} to {figure(new, 3)}"
+        return f"from {given(old)} to {given(new)}"
     ratio = new / old
     if ratio >= 3.0:
         return f"{figure(ratio, 2)} times"
@@ -233,7 +233,7 @@ def valve_words(valve: Valve) -> str:
             f"a stem of {given(valve.mass)} kg on a spring of {given(valve.spring)} N/m over {given(valve.travel)} m, "
             f"Coulomb friction {given(valve.coulomb)} N, static {given(valve.static)} N, viscous "
             f"{given(valve.viscous)} N s/m, Stribeck velocity {given(valve.stribeck)} m/s (by forces alone S = "
-            f"{figure(valve.stick_band, 3)} %, J = {figure(valve.slip_jump, 3)} %)"
+            f"{figure(valve.stick_band)} %, J = {figure(valve.slip_jump)} %)"
         )
     return type(valve).__name__
 
@@ -241,14 +241,14 @@ def valve_words(valve: Valve) -> str:
 def parameter_words(valve: Valve, plant: Plant, residual_variance: float) -> str:
     """Return a fitted model's parameters and its residual variance on one line."""
     band = {Stenman: "d", Deadband: "dead band"}.get(type(valve), "S")
-    parts = [] if isinstance(valve, Ideal) else [f"{band} {figure(valve.stick_band, 3)} %"]
+    parts = [] if isinstance(valve, Ideal) else [f"{band} {figure(valve.stick_band)} %"]
     if isinstance(valve, Choudhury):
-        parts.append(f"J {figure(valve.J, 3)} %")
-    parts.append(f"gain {figure(plant.gain, 3)} {'EU/%' if isinstance(plant, FOPDT) else 'EU/(% s)'}")
+        parts.append(f"J {figure(valve.J)} %")
+    parts.append(f"gain {figure(plant.gain)} {'EU/%' if isinstance(plant, FOPDT) else 'EU/(% s)'}")
     if isinstance(plant, FOPDT):
-        parts.append(f"time constant {figure(plant.time_constant, 3)} s")
-    parts.append(f"dead time {figure(plant.dead_time, 3)} s")
-    return f"{', '.join(parts)}: residual variance {figure(residual_variance, 3)} EU²"
+        parts.append(f"time constant {figure(plant.time_constant)} s")
+    parts.append(f"dead time {figure(plant.dead_time)} s")
+    return f"{', '.join(parts)}: residual variance {figure(residual_variance)} EU²"
 
 
 def plant_words(plant: Plant) -> str:

@@ -106,7 +106,7 @@ class Builder:
         estimates = self._estimates(given, records, whole, experiment)
         mapped = map_job(given.analyze.map, self.refusals, cases=bool(given.cases))
         own_form = None if loop.controller is None else loop.controller.form
-        site = site_form(given.site, self.refusals, self.controllers.pv_range, own_form, cases=bool(given.cases))
+        site = site_form(given, self.refusals, self.controllers.pv_range, own_form)
         if self.refusals.issues:
             return None
         return Scenario(

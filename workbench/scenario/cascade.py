@@ -17,6 +17,7 @@ from workbench.scenario.controllers import Controllers, wrong_way
 from workbench.scenario.document import Path
 from workbench.scenario.plan import MAX_SAMPLES, CascadeJob, CascadeTuneJob, Scenario
 from workbench.scenario.refusals import Refusals
+from workbench.scenario.site_entries import cascade_site
 from workbench.scenario.valves import plant_of, valve_of
 from workbench.simulate.cascade import cascade_signals
 from workbench.simulate.run import signals
@@ -27,7 +28,7 @@ if TYPE_CHECKING:
 __all__ = ["cascade_scenario"]
 
 # What only a single loop has.
-SINGLE = ("loop", "ensemble", "estimate", "site")
+SINGLE = ("loop", "ensemble", "estimate")
 
 
 def cascade_scenario(builder: Builder, given: schema.ScenarioFile, entry: schema.Cascade) -> Scenario | None:
@@ -48,7 +49,9 @@ def cascade_scenario(builder: Builder, given: schema.ScenarioFile, entry: schema
     objective = builder.controllers.objective(given.objective, ("objective",))
     cascade = _Reader(refusals, builder.controllers).cascade(entry)
     jobs: list[CascadeJob] = []
+    site = None
     if cascade is not None:
+        site = cascade_site(given, refusals, cascade)
         if experiment is not None:
             _fits(builder, cascade, experiment)
         jobs = _Cases(builder, entry, cascade, objective).jobs(given.cases)
@@ -70,6 +73,7 @@ def cascade_scenario(builder: Builder, given: schema.ScenarioFile, entry: schema
         describing_function=False,
         limit_cycle=given.analyze.limit_cycle,
         cascade=tuple(jobs),
+        cascade_site=site,
         notes=tuple(builder.notes),
         warnings=tuple(builder.warnings),
     )
@@ -115,7 +119,8 @@ class _Reader:
         controller = self.controller(given, (*path, "controller"))
         if plant is None or valve is None or controller is None:
             return None
-        return self.refusals.attempt(path, lambda: Loop(plant, valve, controller, given.sample_time))
+        pv_range = None if given.pv_range is None else (given.pv_range[0], given.pv_range[1])
+        return self.refusals.attempt(path, lambda: Loop(plant, valve, controller, given.sample_time, pv_range))
 
     def controller(self, loop: schema.CascadeLoop, path: Path, case: schema.Controller | None = None) -> PID | None:
         """Return the controller of a loop's entry, with what a case at `path` says instead."""

@@ -10,14 +10,18 @@ import numpy as np
 
 from workbench.analyze.cascade import cascade_cycle
 from workbench.detect.detect import detect
-from workbench.errors import ScenarioError, WorkbenchError
+from workbench.errors import InvalidValue, ScenarioError, WorkbenchError
 from workbench.model.cascade import Cascade, CascadeRun, CascadeTuned
+from workbench.model.controller import PID
 from workbench.model.detection import Detection
 from workbench.model.experiment import Experiment
 from workbench.model.record import Record
 from workbench.model.results import SolveStatus
+from workbench.model.site import CascadeSite, CascadeSiteCase, SiteSettings
 from workbench.model.study import CascadeResult, Study
+from workbench.model.tuning import Objective
 from workbench.scenario.plan import CascadeJob, CascadeTuneJob, Scenario
+from workbench.scenario.site_cases import typed_settings
 from workbench.simulate.run import simulate
 from workbench.tune.cascade import evaluate_cascade, tune_cascade
 
@@ -65,6 +69,10 @@ def cascade_study(plan: Scenario, progress: Callable[[str, float], None] | None)
         reference_source=plan.reference_source,
         notes=(*plan.warnings, *plan.notes),
         cascade=tuple(results),
+        cascade_site=plan.cascade_site,
+        cascade_site_cases=()
+        if plan.cascade_site is None
+        else tuple(_typed(plan.cascade_site, result, plan.objective) for result in results),
         times=times,
     )
 
@@ -112,6 +120,28 @@ def tune_job(
         digits=asked.digits,
         progress=progress,
     )
+
+
+def _typed(site: CascadeSite, case: CascadeResult, objective: Objective | None) -> CascadeSiteCase:
+    """Return a case as the site writes it, with what exactly these rounded settings give in its experiment."""
+    cascade, experiment = case.run.cascade, case.run.experiment
+    made: dict[str, SiteSettings] = {}
+    for name in ("primary", "secondary"):
+        form, tuned = getattr(site, name), None if case.tuned is None else getattr(case.tuned, name)
+        controller: PID = getattr(cascade, name).controller
+        try:
+            made[name] = typed_settings(form, controller, None if tuned is None else tuned.digits)
+        except InvalidValue as error:
+            refused = f"the {name}'s {error.given}: {error.allowed}"
+            return CascadeSiteCase(case.name, None, None, refused=refused)
+    one, two = made["primary"], made["secondary"]
+    typed = cascade.with_controllers(one.controller, two.controller)
+    if typed == cascade:
+        return CascadeSiteCase(case.name, one, two, (case.run.primary.kpis, case.run.secondary.kpis), case.objective)
+    with np.errstate(over="ignore", invalid="ignore"):
+        run = simulate(typed, experiment)
+        cost = None if objective is None else evaluate_cascade(typed, experiment, objective)
+    return CascadeSiteCase(case.name, one, two, (run.primary.kpis, run.secondary.kpis), cost)
 
 
 def alone(late: CascadeRun) -> tuple[Detection, Detection]:

@@ -12,11 +12,12 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from workbench.errors import InvalidValue, ScenarioError
+from workbench.errors import ScenarioError
 from workbench.scenario.build import Builder
 from workbench.scenario.document import Node, Path, Problem, locate, nearest, parse, plain, spell
 from workbench.scenario.plan import Scenario
 from workbench.scenario.schema import ScenarioFile, Tune, Tuning
+from workbench.scenario.wrong import given_words, refusal
 
 __all__ = ["LARGEST", "MOST_PROBLEMS", "load_scenario", "read_scenario"]
 
@@ -24,20 +25,6 @@ LARGEST = 1 << 20  # bytes
 MOST_PROBLEMS = 50
 
 CASE_KINDS = ("rule", "tune", *Tuning.model_fields)
-
-_KINDS = {
-    "float_type": "must be a number",
-    "float_parsing": "must be a number",
-    "finite_number": "must be a finite number",
-    "int_type": "must be a whole number",
-    "int_from_float": "must be a whole number",
-    "bool_type": "must be true or false (yes, no, on and off are text in YAML 1.2)",
-    "string_type": "must be text (numbers and true/false need quotes to be text)",
-    "list_type": "must be a list",
-    "dict_type": "must be a mapping",
-    "model_type": "must be a mapping",
-    "string_pattern_mismatch": "must not be blank",
-}
 
 
 def load_scenario(path: str | os.PathLike[str]) -> Scenario:
@@ -119,6 +106,9 @@ def _error(shown: str, problems: list[Problem]) -> ScenarioError:
 
 def _placed(root: Node, path: Path, text: str, *, key: bool = False) -> Problem:
     node, taken = locate(root, path, key=key)
+    head, _ = locate(root, path, key=True)
+    if given_words(node) == "nothing" and head.line < node.line:
+        node = head  # nothing at a line's end is found where the next line begins
     if path[:1] == ("cases",) and taken[-1:] != path[-1:]:
         # A case inherits what loop.controller says; the refusal belongs where it is written.
         inherited = ("loop", "controller", *path[-1:])
@@ -132,10 +122,9 @@ def _placed(root: Node, path: Path, text: str, *, key: bool = False) -> Problem:
 def _problem(root: Node, data: object, allowed: dict[int, tuple[str, ...]], error: Any) -> Problem:
     """Return a refusal by the schema in our words, at its place in the file."""
     path: Path = tuple(e for e in error["loc"] if e != "[key]")
-    kind, context = str(error["type"]), error.get("ctx") or {}
+    kind = str(error["type"])
     is_key = error["loc"][-1:] == ("[key]",)
     node, _ = locate(root, path)
-    given = _given(node)
     if kind == "missing":
         return _placed(root, path, "missing; it must be given")
     if kind == "extra_forbidden":
@@ -149,25 +138,17 @@ def _problem(root: Node, data: object, allowed: dict[int, tuple[str, ...]], erro
     if kind == "variant":
         key, *variants = str(error["msg"]).split("|")
         return _variant(root, path, key, variants, node)
-    if kind == "literal_error":
-        words = _literals(str(context.get("expected", "")))
-        text = f"{given} given{nearest(error['input'], words)}; must be one of {', '.join(words)}"
-        return _placed(root, path, text, key=is_key)
-    if kind == "value_error":
-        cause = context.get("error")
-        text = f"{given} given; {cause.allowed}" if isinstance(cause, InvalidValue) else str(cause)
-        return _placed(root, path, text)
-    return _placed(root, path, f"{given} given; {_rule(kind, context, str(error['msg']))}")
+    return _placed(root, path, refusal(node, error), key=is_key and kind == "literal_error")
 
 
 def _variant(root: Node, path: Path, key: str, variants: list[str], node: Node) -> Problem:
     names = ", ".join(variants)
     if node.entries is None and key == "name" and isinstance(node.value, str):
         return _placed(
-            root, path, f"{_given(node)} given{nearest(node.value, tuple(variants))}; must be one of {names}"
+            root, path, f"{given_words(node)} given{nearest(node.value, tuple(variants))}; must be one of {names}"
         )
     if node.entries is None:
-        return _placed(root, path, f"{_given(node)} given; must be a mapping with {_a(key, names)}")
+        return _placed(root, path, f"{given_words(node)} given; must be a mapping with {_a(key, names)}")
     if not key:
         near = next((n for k in node.entries if (n := nearest(k, tuple(variants)))), "")
         return _placed(root, path, f"holds none of {names}{near}; one of these is needed")
@@ -175,52 +156,11 @@ def _variant(root: Node, path: Path, key: str, variants: list[str], node: Node) 
         return _placed(root, path, f"{key} is missing; must be one of {names}")
     value = node.entries[key][1]
     near = nearest(value.value, tuple(variants))
-    return _placed(root, (*path, key), f"{_given(value)} given{near}; must be one of {names}")
+    return _placed(root, (*path, key), f"{given_words(value)} given{near}; must be one of {names}")
 
 
 def _a(key: str, names: str) -> str:
     return f"{key} (one of {names})" if key else f"one of {names}"
-
-
-def _rule(kind: str, context: dict[str, Any], message: str) -> str:
-    if kind in _KINDS:
-        return _KINDS[kind]
-    bounds = {
-        "greater_than": ("gt", "must be above {}"),
-        "greater_than_equal": ("ge", "must be >= {}"),
-        "less_than_equal": ("le", "must be <= {}"),
-        "string_too_short": ("min_length", "must not be empty"),
-        "string_too_long": ("max_length", "must have at most {} characters"),
-    }
-    if kind in bounds:
-        name, words = bounds[kind]
-        return words.format(_plain_number(context.get(name)))
-    if kind in ("too_short", "too_long"):
-        low, high = context.get("min_length"), context.get("max_length")
-        return f"must hold at least {low}" if kind == "too_short" else f"must hold at most {high}"
-    return message[:1].lower() + message[1:]
-
-
-def _plain_number(value: object) -> str:
-    return f"{value:g}" if isinstance(value, int | float) else str(value)
-
-
-def _literals(expected: str) -> tuple[str, ...]:
-    """Return the choices that pydantic lists as `'a', 'b' or 'c'`."""
-    return tuple(expected.replace("' or '", "', '").strip("'").split("', '"))
-
-
-def _given(node: Node) -> str:
-    """Return what was given, as the file writes it."""
-    if node.entries is not None:
-        return "a mapping"
-    if node.items is not None:
-        return f"a list of {len(node.items)}"
-    if node.value is None and node.text == "":
-        return "nothing"
-    text = node.text if node.text.isprintable() else ascii(node.text)[1:-1]
-    shown = text if len(text) <= 60 else text[:57] + "..."
-    return repr(shown) if not shown.strip() else shown
 
 
 def _inside(data: object, path: Path) -> object:

@@ -15,7 +15,7 @@ from workbench.model.experiment import Experiment
 from workbench.model.loop import Loop
 from workbench.model.record import Record
 from workbench.model.rule import Rule
-from workbench.model.site import SiteForm
+from workbench.model.site import CascadeSite, SiteForm
 from workbench.model.tuning import Bounds, Objective
 
 __all__ = [
@@ -172,9 +172,9 @@ class Scenario:
     whether to say what repairing the valve is worth. tradeoff: whether to find the front of error against travel.
     cycle_map: the map to draw, or None. cascade: the cases of a cascade, which has no others and no loop.
     ensemble: what the cases are measured in beside the experiment, None where nothing asks for it. site: how the site
-    writes its settings, None for the controllers' own form in %/EU and s. notes: what loading
-    assumed or left out (rejected rows, coarse sampling), for the report. warnings: what can be run and is most likely
-    a mistake.
+    writes its settings, None for the controllers' own form in %/EU and s; cascade_site: both of a cascade. notes: what
+    loading assumed or left out (rejected rows, coarse sampling), for the report. warnings: what can be run and is most
+    likely a mistake.
     """
 
     path: Path
@@ -197,5 +197,6 @@ class Scenario:
     ensemble: EnsembleJob | None = None
     cascade: tuple[CascadeJob, ...] = ()
     site: SiteForm | None = None
+    cascade_site: CascadeSite | None = None
     notes: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()

@@ -36,7 +36,7 @@ from workbench.scenario.loader import load_scenario
 from workbench.scenario.over_ensemble import best_robust, front_of, with_robustness
 from workbench.scenario.plan import CaseJob, EstimateJob, MapJob, Scenario, TuneJob
 from workbench.scenario.robust import constraints_of
-from workbench.scenario.site_cases import site_cases
+from workbench.scenario.site_cases import nearest_controllers, site_cases
 from workbench.simulate.run import evaluate, simulate
 from workbench.tune.repair import repair_over, repaired_outcome, value_of_repair
 from workbench.tune.tune import tune
@@ -103,6 +103,7 @@ class _Runner:
         if loop is not None:
             for job in jobs:
                 cases.append(self._case(job, loop, cases))
+            cases += self._nearest(cases)
         front = None
         if plan.ensemble is not None and cases:
             with self._stage("ensemble", "ensemble", _SHARE["case"]) as progress:
@@ -223,6 +224,19 @@ class _Runner:
             repaired=repaired,
         )
 
+    def _nearest(self, cases: Sequence[CaseResult]) -> list[CaseResult]:
+        """Return a case more for each that the site's form cannot take: what comes nearest to it there."""
+        site, names = self.plan.site, {case.name for case in cases}
+        found: list[CaseResult] = []
+        for case, controller in [] if site is None else nearest_controllers(site, cases):
+            name = f"{case.name}, nearest {controller.form}"
+            while name in names:
+                name += "'"
+            names.add(name)
+            job = CaseJob(name, f"case {name}", controller, note=f"What comes nearest to {case.name} at the site.")
+            found.append(replace(self._case(job, case.loop, cases), nearest_to=case.name))
+        return found
+
     def _repair(self, cases: Sequence[CaseResult]) -> Repair:
         """Return what repair is worth to the first given case, from the best search that the cases have made."""
         plan, experiment = self.plan, cases[0].run.experiment
@@ -259,7 +273,8 @@ class _Runner:
         def progress(inner: str, fraction: float) -> None:
             if self.tell is not None:
                 text = f"{words}: {inner}" if inner else words
-                self.tell(text, (done + share * min(max(fraction, 0.0), 1.0)) / self.total)
+                # Cases that the site's form adds are not in the total.
+                self.tell(text, min((done + share * min(max(fraction, 0.0), 1.0)) / self.total, 1.0))
 
         progress("", 0.0)
         try:

@@ -372,6 +372,9 @@ class CascadeLoop(Closed):
     plant: Plant
     controller: Controller
     sample_time: Annotated[PositiveTime, Field(description="the primary's is a whole number of the secondary's")]
+    pv_range: Annotated[
+        list[Number] | None, Field(min_length=2, max_length=2, description="[low, high] in EU, for site.gain")
+    ] = None
 
 
 class SecondaryLoop(CascadeLoop):

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from workbench.kpi.kpis import Event, last_event, measure
+from workbench.kpi.kpis import cascade_event, measure
 from workbench.model.cascade import Cascade, CascadeExperiment, CascadeRun
 from workbench.model.checks import instance
-from workbench.model.experiment import Experiment, Step
+from workbench.model.experiment import Experiment
 from workbench.model.plant import FOPDT
 from workbench.model.record import FloatArray
 from workbench.model.results import Run
@@ -140,19 +140,6 @@ def _answer(cascade: Cascade, disturbance: FloatArray) -> FloatArray:
     return answer
 
 
-def _event(cascade: Cascade, experiment: Experiment) -> Event | None:
-    """The last step that the primary settles from; one at the valve counts as the step of the secondary's PV."""
-    loads = list(experiment.primary_load_parts) if isinstance(experiment, CascadeExperiment) else []
-    primary, secondary = cascade.primary.plant, cascade.secondary.plant
-    if isinstance(secondary, FOPDT):
-        loads += [Step(secondary.gain * part.size, part.at) for part in experiment.load_parts if isinstance(part, Step)]
-    event = last_event(cascade.primary, Experiment(experiment.duration, experiment.setpoint, loads))
-    if event is None or not isinstance(primary, FOPDT) or not isinstance(secondary, FOPDT):
-        return event
-    slip = 0.5 * abs(primary.gain * secondary.gain) * cascade.secondary.valve.slip_jump
-    return replace(event, band=max(event.band, slip))
-
-
 def simulate_cascade(cascade: Cascade, experiment: Experiment) -> CascadeRun:
     """Simulate a cascade exactly, from rest; see `wb.simulate`, which does it for a Cascade.
 
@@ -198,7 +185,7 @@ def cascade_run(
             valve=moved,
             op_before=before,
             valve_before=before,
-            event=_event(cascade, experiment) if rested else None,
+            event=cascade_event(cascade, experiment) if rested else None,
         ),
     )
     secondary = Run(

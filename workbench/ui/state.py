@@ -22,7 +22,7 @@ from workbench.model.results import Run
 from workbench.model.titles import KPI_ROWS
 from workbench.model.tuning import Objective
 from workbench.model.valve import Valve
-from workbench.report.cascade import cascade_kpis
+from workbench.report.cascade import cascade_rows
 from workbench.report.tables import shown
 from workbench.report.words import change, controller_words
 from workbench.scenario.document import parse, plain
@@ -45,7 +45,7 @@ CASCADE_ROWS: Rows = (
     ROWS[0],
     *(
         (f"{which}.{name}", title, unit.removesuffix(" of the secondary"), less)
-        for which, name, title, unit, less in cascade_kpis()
+        for which, name, title, unit, less in cascade_rows()
     ),
 )
 

@@ -1,0 +1,204 @@
+"""A cascade's first screen: what to set in both controllers as the site writes them, how sure, what to watch."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from cascades import flow_and_temperature
+
+import workbench as wb
+from workbench.model.numbers import figure
+from workbench.model.results import Tuned
+from workbench.model.study import CascadeResult, Study
+from workbench.report.cascade import cascade_tables
+from workbench.report.cascade_settings import cascade_site_table
+from workbench.report.page import write_report
+from workbench.report.results import results_json
+from workbench.report.summary import Summary, summarise
+from workbench.scenario.loader import read_scenario
+
+TEXT = """\
+title: Cascade
+cascade:
+  primary:
+    plant: {type: fopdt, gain: 1.2, time_constant: 60 s, dead_time: 10 s}
+    controller: {Kc: 3, Ti: 80 s}
+    sample_time: 5 s
+    pv_range: [0, 200]
+  secondary:
+    plant: {type: fopdt, gain: 1.0, time_constant: 3 s, dead_time: 1 s}
+    valve: {type: stenman, d: 1 %}
+    controller: {Kc: 0.5, Ti: 5 s}
+    sample_time: 1 s
+    pv_range: [0, 50]
+experiment: {duration: 600 s, setpoint: {step: 5, at: 0 s}, noise: {sd: 0.01, seed: 0}}
+objective: {mean_square_error: 1, valve_travel: 0.001}
+cases:
+  - {name: As found}
+  - {name: Slow, primary: {Kc: 0.8, Ti: 100 s}}
+  - {name: Tighter, primary: {Kc: 2.7, Ti: 70 s}, secondary: {Kc: 0.7777777, Ti: 3.3 s}}
+  - {name: Steep, primary: {Kc: 1.5, Ti: 70 s, Td: 20 s}}
+site: {form: series, gain: proportional_band, integral: repeats_per_minute}
+"""
+
+
+@pytest.fixture(scope="module")
+def study() -> Study:
+    return wb.run_scenario(read_scenario(TEXT, Path("cascade.yaml")))
+
+
+def told(study: Study, *cases: CascadeResult, **changes: object) -> Summary:
+    every = {c.name: typed for c, typed in zip(study.cascade, study.cascade_site_cases, strict=True)}
+    typed = tuple(every[case.name] for case in cases)
+    return summarise(replace(study, cascade=cases, cascade_site_cases=typed, **changes))  # type: ignore[arg-type]
+
+
+def test_what_is_typed_in_at_the_site_is_simulated(study: Study) -> None:
+    site, typed = study.cascade_site, study.cascade_site_cases[2]
+    assert site is not None
+    assert site.primary.units == site.secondary.units == ("%", "repeats/min", "s")
+    assert typed.primary is not None
+    assert typed.secondary is not None
+    # 100 % of the primary's output are the 50 EU of the secondary's range.
+    assert typed.primary.gain == pytest.approx(100.0 / (2.7 * 200.0 / 50.0), rel=1e-3)
+    assert typed.secondary.gain == pytest.approx(100.0 / (0.7777777 * 50.0 / 100.0), rel=1e-3)
+    assert typed.primary.controller.Kc == pytest.approx(2.7, rel=1e-3)
+    cascade = study.cascade[2].run.cascade.with_controllers(typed.primary.controller, typed.secondary.controller)
+    run = wb.simulate(cascade, study.experiment)
+    assert typed.kpis == (run.primary.kpis, run.secondary.kpis)
+    weighed = run.primary.kpis.mean_square_error + 0.001 * run.secondary.kpis.valve_travel
+    assert typed.objective == pytest.approx(weighed)
+    assert typed.kpis[1].valve_travel != study.cascade[2].run.secondary.kpis.valve_travel, "other digits"
+
+
+def test_both_controllers_stand_as_found_and_as_left_in_the_sites_form(study: Study) -> None:
+    found, _, tighter, _ = study.cascade
+    summary = told(study, found, tighter)
+    typed = study.cascade_site_cases[2]
+    assert typed.kpis is not None
+    lead = "Set the secondary to proportional band 257.1 %, 18.18 repeats/min (series form), then the primary to "
+    assert summary.decision.startswith(f"{lead}proportional band 9.259 %, 0.8571 repeats/min (series form) (Tighter): ")
+    assert "against As found. In the long run without noise: swing of the primary's PV −" in summary.decision
+    assert summary.settings is not None
+    assert summary.settings.heads == ("as found", "as left: Tighter", "change")
+    rows = {row.label: [cell.text for cell in row.cells] for row in summary.settings.rows}
+    assert rows["Primary: proportional band"][:2] == ["8.333 %", "9.259 %"]
+    assert rows["Secondary: proportional band"][:2] == ["400 %", "257.1 %"]
+    assert rows["Secondary: integral Ti"][:2] == ["12 repeats/min", "18.18 repeats/min"]
+    assert rows["Primary: form"][:2] == ["series", "series"]
+    assert rows["J"][1] == figure(typed.objective or 0.0)
+    assert rows["Secondary: valve travel"][1] == figure(typed.kpis[1].valve_travel)
+    own = found.run.secondary.kpis.valve_travel
+    assert rows["Secondary: valve travel"][0] == figure(own), "as found it is what the scenario gives"
+    assert rows["Primary: PV peak to peak of the late cycle"][2].startswith("−")
+    assert "rounded in the site's units it gives by exact simulation J " in summary.typed[0]
+    content = json.loads(results_json(study))["site"]
+    assert content["primary"]["units"]["gain"] == "%"
+    assert content["cases"][2]["secondary"]["gain"] == 257.1
+    table = cascade_site_table(study)
+    assert table is not None
+    assert [cell.text for cell in table.rows[1].cells][:2] == ["31.25 %", "0.6 repeats/min"]
+
+
+def test_what_the_sites_form_cannot_take_is_not_advised(study: Study) -> None:
+    found, _, _, steep = study.cascade
+    easy = replace(steep, objective=0.001)
+    summary = told(study, found, easy)
+    assert summary.decision.startswith("Keep As found (primary proportional band 8.333 %")
+    assert "Steep cannot be typed in: the site's form has no equivalent of the primary's Ti = 70 s" in summary.do[0]
+
+
+def test_without_a_site_the_controllers_own_form_is_shown(study: Study) -> None:
+    bare = replace(study, cascade=study.cascade[:3], cascade_site=None, cascade_site_cases=())
+    summary = summarise(bare)
+    assert "then the primary to Kc 2.7 EU/EU, Ti 70 s" in summary.decision
+    assert summary.settings is not None
+    rows = {row.label: [cell.text for cell in row.cells] for row in summary.settings.rows}
+    assert rows["Primary: gain Kc"][0] == "3 EU/EU"
+    assert rows["Secondary: gain Kc"][0] == "0.5 %/EU"
+    assert cascade_site_table(bare) is None
+    assert "site" not in json.loads(results_json(bare))
+
+
+def search(case: CascadeResult, *, restarts: int = 2, worst: float = 1.0) -> Tuned:
+    cascade = flow_and_temperature()
+    tuned = wb.tune_cascade(
+        cascade, wb.Experiment(100.0, wb.Step(2.0)), bounds=wb.Bounds((1.0, 2.0), (60.0, 100.0), (0.0, 0.0)), restarts=1
+    ).primary
+    pid = case.run.cascade.primary.controller
+    one = tuned.restarts[0]
+    every = tuple(replace(one, seed=k, refined=1.0) for k in range(restarts))
+    return replace(tuned, controller=pid, objective=1.0, worst=worst, restarts=every, steps=())
+
+
+def test_how_sure_it_is_counts_digits_searches_and_the_long_run(study: Study) -> None:
+    found, _, tighter, _ = study.cascade
+    given = told(study, found, tighter).sure
+    assert given is not None
+    assert given.level == "moderate"
+    reasons = " ".join(given.reasons)
+    assert "No tuning was searched for" in reasons
+    assert "Long run (without noise), by exact simulation: both loops cycle; PV swings " in reasons
+    cascade = tighter.run.cascade
+    made = wb.model.cascade.CascadeTuned(cascade, study.experiment, search(tighter), None, 2.0)
+    sure = told(study, found, replace(tighter, tuned=made)).sure
+    assert sure is not None
+    assert sure.level == "moderate"
+    assert "Search of the primary: 2 of 2 independent searches" in " ".join(sure.reasons)
+    sharp = replace(made, primary=search(tighter, restarts=1, worst=2.0))
+    low = told(study, found, replace(tighter, tuned=sharp)).sure
+    assert low is not None
+    assert (low.level, low.why) == ("low", "The primary's optimum is a knife-edge.")
+    assert tighter.cycle is not None
+    slow = replace(tighter, cycle=replace(tighter.cycle, period=400.0))
+    short = told(study, found, slow).sure
+    assert short is not None
+    assert short.level == "low"
+    assert "too short for the cycle" in short.why
+
+
+def test_what_to_watch_and_what_is_left_have_their_figures(study: Study) -> None:
+    found, slow, tighter, _ = study.cascade
+    summary = told(study, found, tighter)
+    watch = " ".join(summary.watch)
+    assert tighter.cycle is not None
+    assert tighter.cycle.primary is not None
+    assert (
+        f"The cycle that remains: PV swings {figure(tighter.cycle.primary.pv_peak_to_peak)} EU in the primary" in watch
+    )
+    assert "put back primary proportional band 8.333 %, 0.75 repeats/min (series form); secondary proport" in watch
+    assert "Secondary. Noise: the gain is 1.6 times" in watch
+    assert summary.left[0].startswith("With Tighter the cycle remains (without noise): PV swings ")
+    assert "Repairing the valve ends that in both loops" in summary.left[1]
+    calm = " ".join(told(study, found, replace(slow, objective=0.001)).watch)
+    assert "Primary. Recovery: the integral gain Kc/Ti is 21 % of what it was" in calm
+    wear = told(study, found, slow, replace(tighter, objective=0.001)).do[0]
+    assert wear.startswith(
+        "Where wear counts more than error: Slow (primary proportional band 31.25 %, 0.6 repeats/min"
+    )
+    kpis = slow.run.secondary.kpis
+    assert f"valve travel {figure(kpis.valve_travel)} % instead of " in wear
+    assert told(study, found, slow).watch == (), "what is kept needs no watching"
+    assert told(study, found).decision.startswith("Nothing to set: As found (primary proportional band 8.333 %")
+
+
+def test_a_settling_time_of_a_primary_that_cycles_on_is_marked(study: Study) -> None:
+    found = study.cascade[0]
+    assert found.cycle is not None
+    assert found.cycle.primary is not None
+    wide = replace(found.cycle, primary=replace(found.cycle.primary, pv_peak_to_peak=5.0))
+    kpis = replace(found.run.primary.kpis, settling_time=40.0)
+    run = replace(found.run, primary=replace(found.run.primary, kpis=kpis))
+    table = cascade_tables(replace(study, cascade=(replace(found, cycle=wide, run=run),)))[0]
+    cell = next(row for row in table.rows if row.label == "Primary: settling time").cells[0]
+    assert cell.small == "not for good: it cycles"
+
+
+def test_the_page_holds_them(study: Study, tmp_path: Path) -> None:
+    write_report(study, tmp_path)
+    page = (tmp_path / "report.html").read_text()
+    for words in ("Confidence: moderate", "As typed in at the site", "How sure this is", "After the change, watch"):
+        assert words in page
