@@ -163,6 +163,14 @@ def test_stiction_is_found_by_any_of_three_routes(changed: dict[str, float], ver
     assert decide(QUIET, replace(FOUND, **changed), None)[0] == verdict
 
 
+def test_what_a_stem_makes_worse_is_more_and_not_less() -> None:
+    _, reasons = decide(QUIET, replace(FOUND, improvement=-0.231, likelihood=0.0, simulated=-0.08, sure=31.0), None)
+    assert "the stem that fits best throughout leaves 23.1% more unpredicted" in reasons[1]
+    assert "and 8% more of simulated PV" in reasons[1]
+    assert "leaves 18.1% less of PV unpredicted" in reasons[0]
+    assert "0.0% less unpredicted" in decide(QUIET, replace(FOUND, improvement=-1e-5, sure=31.0), None)[1][1]
+
+
 CYCLING = Oscillation(0.6, 20.0, 5.0, 40.0)
 
 

@@ -97,12 +97,12 @@ def decide(
     alone = 1.0 - math.exp(-test.predicting / test.samples)
     linear = f"the linear loop leaves {test.unexplained:.1%} of PV's variance"
     beats = (
-        f"a stem that sticks over {test.band:.3g} % leaves {alone:.1%} less of PV unpredicted than OP itself does "
+        f"a stem that sticks over {test.band:.3g} % leaves {_less(alone)} of PV unpredicted than OP itself does "
         f"(log likelihood ratio {test.predicting:.0f})"
     )
     both = (
-        f"the stem that fits best throughout leaves {test.improvement:.1%} less unpredicted (log likelihood ratio "
-        f"{test.likelihood:.0f}) and {test.simulated:.0%} less of simulated PV"
+        f"the stem that fits best throughout leaves {_less(test.improvement)} unpredicted (log likelihood ratio "
+        f"{test.likelihood:.0f}) and {_less(test.simulated, 0)} of simulated PV"
     )
     if _sticks(test, limits, 1.0):
         kind = "the stem slips as it sets off" if test.jump > 0.1 * test.band else "a dead band without visible slip"
@@ -133,6 +133,11 @@ def decide(
             earned,
         ]
     return "no_stiction", [earned]
+
+
+def _less(share: float, decimals: int = 1) -> str:
+    """Return a share in words: "23.1% less", and "8.0% more" where a stem makes it worse."""
+    return f"{abs(share):.{decimals}%} {'more' if round(share, decimals + 2) < 0.0 else 'less'}"
 
 
 def follows(test: StemTest) -> float:
