@@ -19,6 +19,14 @@ from workbench.ui.tune_fields import TUNE_GROUPS
 
 __all__ = ["DEFAULTS", "FIELDS", "GROUPS", "OWN_WEIGHT", "field_of"]
 
+
+def _range(path: str, hint: str) -> tuple[Field, Field]:
+    return (
+        Field(f"{path}.pv_range.low", "PV range from", "", ("EU",), hint=hint, more=True),
+        Field(f"{path}.pv_range.high", "PV range to", "", ("EU",), more=True),
+    )
+
+
 _PLANT = Group("plant", "Plant", plant_fields("loop.plant"))
 _VALVE = Group("valve", "Valve", (*valve_fields("loop.valve"), *element_fields("loop")))
 _CONTROLLER = Group(
@@ -27,8 +35,7 @@ _CONTROLLER = Group(
     (
         *controller_fields("loop.controller"),
         Field("loop.scan", "Scan", "1", hint="executes every so many samples", more=True),
-        Field("loop.pv_range.low", "PV range from", "", ("EU",), hint="for %/% and PB", more=True),
-        Field("loop.pv_range.high", "PV range to", "", ("EU",), more=True),
+        *_range("loop", "for %/% and PB"),
     ),
 )
 _OUTER = "cascade.primary"
@@ -44,6 +51,7 @@ _PRIMARY = Group(
     (
         *controller_fields(f"{_OUTER}.controller", of_cascade="primary", given=("3", "80")),
         Field(f"{_OUTER}.sample_time", "Sample time", "5", ("s", "ms", "min"), hint="whole samples of the secondary"),
+        *_range(_OUTER, "for the site's proportional band"),
         Field("cascade.scale", "Scale", "1", hint="EU of the secondary per unit of the output", more=True),
         Field(
             "cascade.anti_windup",
@@ -62,6 +70,7 @@ _SECONDARY = Group(
     (
         *controller_fields(f"{_INNER}.controller", of_cascade="secondary", given=("0.5", "5")),
         Field(f"{_INNER}.sample_time", "Sample time", "1", ("s", "ms", "min")),
+        *_range(_INNER, "for the site's proportional band"),
     ),
 )
 _EXPERIMENT = Group(

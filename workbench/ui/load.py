@@ -57,7 +57,7 @@ def screen_of(plan: Scenario) -> Loaded:
         )
     if first is not None:
         entries |= controller_entries(first)
-    if plan.site is not None:
+    if plan.site is not None or plan.cascade_site is not None:
         notes.append("How the site writes its settings (site:) is left out here: the page has them in %/EU and s.")
     if plan.pv_range is not None:
         entries |= _ends("loop.pv_range", plan.pv_range)
@@ -128,6 +128,8 @@ def _cascade(cascade: Cascade) -> dict[str, str]:
         path = f"cascade.{name}"
         entries |= plant_entries(loop.plant, f"{path}.plant") | time_entry(f"{path}.sample_time", loop.sample_time)
         entries |= controller_entries(loop.controller, f"{path}.controller")
+        if loop.pv_range is not None:
+            entries |= _ends(f"{path}.pv_range", loop.pv_range)
     return entries
 
 

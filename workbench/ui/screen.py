@@ -125,9 +125,7 @@ def _loop(screen: Screen) -> dict[str, Tree]:
         "controller": controller_tree(entries, screen.quantity, "loop.controller"),
         "sample_time": _typed(screen, "loop.sample_time"),
     }
-    low, high = (screen.quantity(f"loop.pv_range.{end}") for end in ("low", "high"))
-    if low or high:
-        loop["pv_range"] = [scalar(low), scalar(high)]
+    loop |= _pv_range(screen, "loop")
     kind = entries["loop.characteristic.type"]
     if kind != "linear":
         shape: dict[str, Tree] = {name: _typed(screen, f"loop.characteristic.{name}") for name in _CURVE}
@@ -140,6 +138,11 @@ def _loop(screen: Screen) -> dict[str, Tree]:
     return loop
 
 
+def _pv_range(screen: Screen, path: str) -> dict[str, Tree]:
+    low, high = (screen.quantity(f"{path}.pv_range.{end}") for end in ("low", "high"))
+    return {"pv_range": [scalar(low), scalar(high)]} if low or high else {}
+
+
 def _cascade(screen: Screen) -> dict[str, Tree]:
     entries, quantity = screen.entries, screen.quantity
     tree: dict[str, Tree] = {}
@@ -149,7 +152,7 @@ def _cascade(screen: Screen) -> dict[str, Tree]:
         if name == "secondary":
             loop["valve"] = valve_tree(entries, quantity, f"{path}.valve")
         loop["controller"] = controller_tree(entries, quantity, f"{path}.controller")
-        tree[name] = loop | {"sample_time": _typed(screen, f"{path}.sample_time")}
+        tree[name] = loop | {"sample_time": _typed(screen, f"{path}.sample_time")} | _pv_range(screen, path)
     for name, usual in (("scale", "1"), ("anti_windup", "clamp")):
         if entries[f"cascade.{name}"].strip() != usual:
             tree[name] = _typed(screen, f"cascade.{name}")
