@@ -21,7 +21,7 @@ from workbench.estimate.fit import Fit, Limits, autoregression, fit_path, inflat
 from workbench.model.load_step import LoadStep
 from workbench.model.record import FloatArray
 
-__all__ = ["Loads", "Stem", "loads_of"]
+__all__ = ["Asked", "Loads", "Stem", "loads_of"]
 
 TURNS = 6  # of least squares and output error in turn
 LEAST_BEFORE, LEAST_AFTER = 0.02, 0.02  # of the record, that a step must have on either side
@@ -36,6 +36,7 @@ WHITER, WHITE_ENOUGH = 0.4, 5.0
 FADING = np.array([1.0, -0.9])  # a measure between PV and its moves, in which an unknown stem's errors weigh less
 SPREADS, EVALUATIONS = (0.03, 0.01, -0.01, 0.003), 120  # of a valve's and plant's parameters, in turn
 SHIFT = 0.05  # a move of a dead time by one sample counts as that of a parameter by this share
+MOVES, MOVED = 12, 0.99  # of steps at most, and the share of the mean square to which one must bring it
 NORMAL = 1.96
 
 
@@ -61,19 +62,30 @@ class Stem:
     near: Callable[[float, float], FloatArray] | None = None
 
 
+@dataclass(frozen=True, slots=True)
+class Asked:
+    """How steps are looked for: how many at most; strict: whether they must explain all that is coloured.
+
+    moved: whether steps that were found are moved on beside the valve and plant that go with them.
+    """
+
+    most: int
+    strict: bool
+    moved: bool = False
+
+
 def loads_of(
     data: Centred,
     stems: Sequence[Stem],
     limits: Limits,
     skip: int,
-    most: int,
-    strict: bool,
+    asked: Asked,
     further: Callable[[], Sequence[Stem]] | None = None,
 ) -> Loads:
     """Return the load steps in a record that one of some stem paths does not explain; data: with no load removed.
 
-    skip: the first samples that do not count; most: steps. strict: steps are told by BIC, and what is left beside them
-    must be nearly white. Neither can be while the stem is not yet known, whose errors are coloured and foretold by an
+    skip: the first samples that do not count. Strict: steps are told by BIC, and what is left beside them must be
+    nearly white. Neither can be while the stem is not yet known, whose errors are coloured and foretold by an
     autoregression: steps are then told by what they take from PV, the stems compared by what each leaves. The model is
     fitted anew beside the steps. further: returns more stems, asked for where what the best leaves is coloured.
     """
@@ -86,14 +98,14 @@ def loads_of(
     if bare.a.size == 1:
         # Where the first stem leaves noise alone, no other one has more to say.
         stems = stems[:1]
-    found = [model for stem in stems if (model := _explained(data, stem, limits, skip, most, strict)) is not None]
+    found = [model for stem in stems if (model := _explained(data, stem, limits, skip, asked)) is not None]
     model = min(found, key=lambda m: m.power(skip), default=None)
     if further is not None and (bare if model is None else model).a.size > 1:
-        more = (_explained(data, stem, limits, skip, most, strict) for stem in further() if stem.fit.gain != 0.0)
+        more = (_explained(data, stem, limits, skip, asked) for stem in further() if stem.fit.gain != 0.0)
         found += [other for other in more if other is not None]
         model = min(found, key=lambda m: m.power(skip), default=None)
     # Steps beside a worse stem explain nothing that the first one does not by itself.
-    if model is None or not (strict or _takes_more(model, bare, skip)):
+    if model is None or not (asked.strict or _takes_more(model, bare, skip)):
         return nothing
     gain, errors = float(model.terms[1]), _errors(model, skip)
     steps = []
@@ -109,14 +121,15 @@ def _takes_more(model: _Model, other: _Model, skip: int) -> bool:
     return left.size / inflation(left) * math.log(other.power(skip) / model.power(skip)) > CLEAR
 
 
-def _explained(data: Centred, stem: Stem, limits: Limits, skip: int, most: int, strict: bool) -> _Model | None:
+def _explained(data: Centred, stem: Stem, limits: Limits, skip: int, asked: Asked) -> _Model | None:
     """The model of one stem with the load steps that it needs, or None where it needs none (see `loads_of`)."""
     n = data.samples
+    strict = asked.strict
     x, first, fit = stem.x, stem.first, stem.fit
     model = _beside(data, x, first, fit, limits, skip, [])
     coloured = inflation(model.left[skip:])
     begin, end = skip + max(int(LEAST_BEFORE * n), 3), n - max(int(LEAST_AFTER * n), 8)
-    while len(model.times) < most and end - begin > 8:
+    while len(model.times) < asked.most and end - begin > 8:
         measures = [WHITE] if model.a.size == 1 else [model.a, WHITE] if strict else [model.a, WHITE, FADING]
         likely = {_likeliest(data, model, measure, (begin, end), skip) for measure in measures}
         if not strict and model.a.size > 1:
@@ -128,6 +141,8 @@ def _explained(data: Centred, stem: Stem, limits: Limits, skip: int, most: int, 
         if not (clear or (not strict and _takes_more(trial, model, skip))) or trial.terms[1] * fit.gain <= 0.0:
             break
         model = _refined(data, stem, trial, limits, skip)
+        if asked.moved:
+            model = _moved(data, stem, model, limits, skip, (begin, end))
         x = model.x
     after = inflation(model.left[skip:])
     if not model.times or (strict and after > min(WHITER * coloured, WHITE_ENOUGH)):
@@ -216,6 +231,26 @@ def _refined(data: Centred, stem: Stem, model: _Model, limits: Limits, skip: int
     x, fit = valve(point)
     moved = _beside(data, x, stem.first, fit, limits, skip, list(model.times))
     return moved if moved.power(skip) < model.power(skip) and moved.terms[1] * model.fit.gain > 0.0 else model
+
+
+def _moved(data: Centred, stem: Stem, model: _Model, limits: Limits, skip: int, span: tuple[int, int]) -> _Model:
+    """The model with its steps, each in turn, moved to where they explain most beside a valve and plant of their own.
+
+    The best time beside a stem that is a little off is a little off too, and holds that stem where it is.
+    """
+    turn, stood = 0, 0
+    while stood < len(model.times) and turn < MOVES:
+        which, turn = turn % len(model.times), turn + 1
+        times = [at for i, at in enumerate(model.times) if i != which]
+        rest = replace(model, columns=np.delete(model.columns, 4 + which, axis=0))
+        likely = {_likeliest(data, rest, measure, span, skip) for measure in (WHITE, model.a)} - set(model.times)
+        trials = [_beside(data, model.x, stem.first, model.fit, limits, skip, [*times, at]) for at in sorted(likely)]
+        trials = [_refined(data, stem, one, limits, skip) for one in trials]
+        best = min(trials, key=lambda one: one.power(skip), default=model)
+        stood += 1
+        if best.power(skip) < MOVED * model.power(skip) and best.terms[1] * model.fit.gain > 0.0:
+            model, stood = best, 0
+    return model
 
 
 def _answer(data: Centred, fit: Fit) -> FloatArray:

@@ -9,13 +9,14 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 
 from workbench.estimate.bands import Found
 from workbench.estimate.data import Centred
 from workbench.estimate.fit import LEAST_TAU, Fit, Limits, again_linear, disturbance, grounded, predict
-from workbench.estimate.loads import Stem, loads_of
+from workbench.estimate.loads import Asked, Stem, loads_of
 from workbench.estimate.models import bands_of, refitted
 from workbench.estimate.profile import EXACT, Profile, profile_again, profile_of, search
 from workbench.estimate.stems import path_of
@@ -27,6 +28,8 @@ __all__ = ["coloured_linear", "settled"]
 
 STARTING = 20  # of the record at most is left out at its start
 STEPS_MOST = 2  # load steps
+# What is tried in turn: how many steps, and whether they are moved on while the stem is not yet known.
+ATTEMPTS = ((STEPS_MOST, False), (STEPS_MOST, True), (0, False))
 COLOURINGS = 2  # rounds of model and disturbance in turn
 SEEKING = 3  # rounds in which load steps need not yet explain all that is coloured
 SAME_TIME, SAME_SIZE = 5, 0.1  # samples, share: steps that moved less have settled
@@ -80,17 +83,16 @@ def _relieved(
     others: Sequence[Stem],
     limits: Limits,
     skip: int,
-    asked: tuple[int, bool],
+    asked: Asked,
     further: Callable[[], Sequence[Stem]] | None = None,
 ) -> tuple[Centred, FloatArray, tuple[LoadStep, ...]]:
     """The record without the load steps that a stem does not explain, what it leaves of that, EU, and the steps.
 
     whole: the record with its load; data: as the lead was fitted to it; others: stems beside which steps are looked for
-    too; asked: how many steps at most, and whether they must explain all that is coloured; further: more stems, where
-    what is left is coloured.
+    too; further: more stems, where what is left is coloured.
     """
     x, first, fit = lead.x, lead.first, lead.fit
-    loads = loads_of(whole, (lead, *others), limits, skip, *asked, further)
+    loads = loads_of(whole, (lead, *others), limits, skip, asked, further)
     if loads.steps:
         return whole.less(loads.pv), loads.left, loads.steps
     if data.load.any():
@@ -101,13 +103,22 @@ def _relieved(
 
 
 def settled(
-    data: Centred, found: Profile | None, bands: dict[str, Found], linear: Fit, delays: float, most: int = STEPS_MOST
+    data: Centred,
+    found: Profile | None,
+    bands: dict[str, Found],
+    linear: Fit,
+    delays: float,
+    attempt: int = 0,
+    halves: Callable[[], list[Stem]] | None = None,
 ) -> tuple[Centred, Profile | None, dict[str, Found], Fit, tuple[LoadStep, ...]]:
     """The record and its models without load steps, in the measure of the disturbance that the best stem leaves.
 
     Where the record starts within a cycle, its first samples, up to the dead time, answer to slips before it: they no
-    longer count. A PV that starts where it does not come again starts from rest, with a setpoint move. most: steps.
+    longer count. A PV that starts where it does not come again starts from rest, with a setpoint move. attempt: the
+    first of ATTEMPTS that is made; the next one where the steps that it sees do not last. halves: the stems that each
+    half finds by itself.
     """
+    halves = cache(lambda: _of_halves(data, delays)) if halves is None else halves
     whole, first = data, (found, bands, linear)
     steps: tuple[LoadStep, ...] = ()
     theta = max(0.0 if found is None else found.best.fit.theta, min(linear.theta, delays))
@@ -124,13 +135,16 @@ def settled(
         stands = turn > 0 and _same_stem(earlier.x, lead.x)
         # A stem that was fitted to PV with its load may have taken the load for slips; OP itself has not.
         others = [] if strict else [Stem(data.u, 0, linear)]
-        asked = (min(turn + 1, most), strict)
-        halves = (lambda: _of_halves(whole, delays)) if turn == 0 and most > 0 else None
-        bare, left, steps = _relieved(whole, data, lead, others, limits, skip, asked, halves)
+        most, moved = ATTEMPTS[attempt]
+        asked = Asked(min(max(turn, 1), most), strict, moved)
+        further = halves if turn == 0 and most > 0 else None
+        bare, left, steps = _relieved(whole, data, lead, others, limits, skip, asked, further)
         same_steps = _same(before, steps, whole.sample_time)
         strict = strict or same_steps or turn + 1 >= SEEKING
         if before and not steps:
-            return settled(whole, *first, delays, 0)
+            # Only where the plant forgets nothing does a wrong time of the step spoil all that comes after.
+            again = attempt + 1 if whole.integrating else len(ATTEMPTS) - 1
+            return settled(whole, *first, delays, again, halves)
         a = disturbance(left[skip:], data.floor)
         same = a.size == data.a.size == 1 and not steps
         stands = stands and (same_steps or not (before or steps))
@@ -186,7 +200,7 @@ def coloured_linear(data: Centred, linear: Fit, delays: float) -> tuple[Centred,
     steps: tuple[LoadStep, ...] = ()
     for _ in range(COLOURINGS):
         limits = Limits((LEAST_TAU, float(data.samples)), (0.0, delays))
-        bare, left, steps = _relieved(whole, data, Stem(data.u, 0, linear), (), limits, 0, (STEPS_MOST, True))
+        bare, left, steps = _relieved(whole, data, Stem(data.u, 0, linear), (), limits, 0, Asked(STEPS_MOST, True))
         data = bare.whitened(disturbance(left, data.floor), 0)
         linear = again_linear(data, linear, delays)
     return data, linear, steps
