@@ -169,11 +169,12 @@ class Circumstances:
         size = max(1, ROWS // count)
         for begin in range(0, own.shape[0], size):
             part = own[begin : begin + size]
-            rows = np.tile(self._rows, (part.shape[0], 1))
-            rows[:, CONTROLLER] = np.repeat(part, count, axis=0)
-            which = np.tile(np.arange(count), part.shape[0])
+            # Tunings in the same draw stand together, as the kernel runs them side by side.
+            rows = np.repeat(self._rows, part.shape[0], axis=0)
+            rows[:, CONTROLLER] = np.tile(part, (count, 1))
+            which = np.repeat(np.arange(count), part.shape[0])
             out = sums(rows, self._stacked, which, every=every)
-            result[begin : begin + size] = out.reshape(-1, count, out.shape[1])
+            result[begin : begin + size] = out.reshape(count, -1, out.shape[1]).swapaxes(0, 1)
         return result
 
     def costs(self, terms: FloatArray, objective: Objective) -> FloatArray:
