@@ -26,7 +26,7 @@ from workbench.simulate import kernel
 from workbench.simulate.batch import kernel_weights, sums, weigh, worst
 from workbench.simulate.coefficients import coefficients
 from workbench.simulate.run import signals
-from workbench.tune.limits import NARROW, UNSTABLE, WORN, narrowness, worn
+from workbench.tune.limits import NARROW, UNSTABLE, WORN, more_than_sensitivity, narrowness, worn
 
 __all__ = ["Problem", "round_to"]
 
@@ -174,9 +174,13 @@ class Problem:
 
     # Constraints. The first point of a group is the tuning itself.
 
-    def margins(self, tunings: FloatArray) -> tuple[FloatArray, NDArray[np.bool_]]:
-        """Return (Ms, gain margin, phase margin in degrees), shape (M, 3), with an ideal valve, and whether stable."""
-        values, _, stable = loop_margins(coefficients(self.loop.executed, 0.0, tunings), self.loop.executed.sample_time)
+    def margins(self, tunings: FloatArray, *, all_three: bool = True) -> tuple[FloatArray, NDArray[np.bool_]]:
+        """Return (Ms, gain margin, phase margin in degrees), shape (M, 3), with an ideal valve, and whether stable.
+
+        all_three: see `loop_margins`.
+        """
+        rows, Ts = coefficients(self.loop.executed, 0.0, tunings), self.loop.executed.sample_time
+        values, _, stable = loop_margins(rows, Ts, all_three=all_three)
         return values, stable
 
     def travel(self, tunings: FloatArray) -> FloatArray:
@@ -196,7 +200,7 @@ class Problem:
             values[runs] = worn(values[runs], self._travel(rows[runs]), asked.valve_travel)
         if asked == Constraints(valve_travel=asked.valve_travel) or not tunings.size:
             return values
-        margins, stable = self.margins(tunings)
+        margins, stable = self.margins(tunings, all_three=more_than_sensitivity(asked))
         narrow = narrowness(asked, margins)
         values = np.where(narrow > 0.0, NARROW * (1.0 + narrow), values)
         # The nearer an unstable response passes by -1, the nearer the tuning is to a stable one.
