@@ -917,6 +917,13 @@ def collect(
 
 
 @compiled
+def _copy(source: Floats, target: Floats) -> None:
+    """`target[:] = source`, which would bring in all that numba knows of shapes, and seconds of compilation."""
+    for i in range(target.size):
+        target[i] = source[i]
+
+
+@compiled
 def _join(before: Floats, after: Floats, both: Floats) -> None:
     """The entry for the samples of two entries, one after the other: sums of positive terms, so that none cancel."""
     a, w, n = before[POWER], before[RISE], after[SAMPLES]
@@ -937,7 +944,9 @@ def doublings(c: Floats, table: Floats) -> None:
     """
     a = c[POLE]
     q = c[TF] / c[TF_TS]
-    table[0] = np.array([1.0, a, 1.0, 0.0, 0.0, q, 1.0])
+    # One by one, see `_copy`.
+    table[0, SAMPLES], table[0, POWER], table[0, RISE], table[0, RISE_SUM] = 1.0, a, 1.0, 0.0
+    table[0, RISE2_SUM], table[0, FILTER], table[0, FILTER_SUM] = 0.0, q, 1.0
     for j in range(1, table.shape[0]):
         _join(table[j - 1], table[j - 1], table[j])
 
@@ -1033,14 +1042,14 @@ def _advance(
         _join(n, table[j], trial)
         if not _stays(order, grew, low, high, c, at, trial):
             break
-        n[:] = trial
+        _copy(trial, n)
         j += 1
     # The last step failed or went too far: halve it.
     for i in range(min(j, table.shape[0] - 1), -1, -1):
         if n[SAMPLES] + table[i, SAMPLES] <= until:
             _join(n, table[i], trial)
             if _stays(order, grew, low, high, c, at, trial):
-                n[:] = trial
+                _copy(trial, n)
 
 
 @compiled
@@ -1075,7 +1084,7 @@ def jump(
     live = min(live, end)
     turn = live
     if at[D_FIRST] != 0.0 or (c[KD] != 0.0 and at[SLOPE] != 0.0):
-        last[:] = n
+        _copy(n, last)
         _advance(2, low, high, c, at, table, live, last, trial)
         turn = min(last[SAMPLES] + 1.0, live)
     carry[U_HIGH], carry[U_LOW] = max(carry[U_HIGH], _shown(c, u)), min(carry[U_LOW], _shown(c, u))
@@ -1084,7 +1093,7 @@ def jump(
         until = turn if stage < 2 else (live if stage < 4 else end)
         if n[SAMPLES] >= until:
             continue
-        last[:] = n
+        _copy(n, last)
         if stage == 0 or stage == 2:
             _advance(1, low, high, c, at, table, until - 1.0, last, trial)
             _join(last, table[0], cut)
@@ -1092,15 +1101,15 @@ def jump(
             for j in range(table.shape[0] - 1, -1, -1):
                 if last[SAMPLES] + table[j, SAMPLES] <= until:
                     _join(last, table[j], trial)
-                    last[:] = trial
-            cut[:] = last
+                    _copy(trial, last)
+            _copy(last, cut)
         u = _output(c, at, cut)
         outside = not low <= u <= high
         if outside:
             _advance(0, low, high, c, at, table, cut[SAMPLES] - 1.0, n, trial)
             u = _output(c, at, n)
         else:
-            n[:] = cut
+            _copy(cut, n)
         carry[U_HIGH], carry[U_LOW] = max(carry[U_HIGH], _shown(c, u)), min(carry[U_LOW], _shown(c, u))
         if outside:
             break
