@@ -276,9 +276,8 @@ class Problem:
 def unit_of(values: FloatArray, digits: int) -> FloatArray:
     """Return one unit of the last of `digits` significant digits of each value, 0 for 0."""
     size = np.abs(values)
-    with np.errstate(divide="ignore"):
-        power = np.floor(np.log10(size))
-    unit: FloatArray = np.where(size > 0.0, 10.0 ** (np.where(size > 0.0, power, 0.0) + 1 - digits), 0.0)
+    power = np.floor(np.log10(np.where(size > 0.0, size, 1.0)))
+    unit: FloatArray = np.where(size > 0.0, 10.0 ** (power + 1 - digits), 0.0)
     return unit
 
 
