@@ -21,6 +21,7 @@ A loop is a row of `COEFFICIENTS` floats (see the names below), a state is `STAT
 moves down, rests or moves up, limit is -1, 0 or 1 for an output at its low limit, free or at its high limit, and undone
 is 1 where clamping undid the I step. An ideal valve codes as at rest.
 
+`run_costs` and `run_worst` run many: where these are of one plain loop under several tunings, side by side in `LANES`.
 `run_events` runs the same law for very long times: while the stem rests the loop is linear with a constant input, and
 is taken from slip to slip in closed form.
 """
