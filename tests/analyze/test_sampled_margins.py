@@ -132,7 +132,12 @@ def test_many_loops_at_once_equal_each_alone():
         replace(paper_loop(k, 12.0, 0.3), plant=wb.FOPDT(1.0, 5.0, t)) for k in (0.5, 1.5) for t in (0.8, 1.0, 9.7)
     ]
     rows = np.concatenate([coefficients(loop) for loop in loops])
-    values, at, _ = loop_margins(rows, 1.0)
+    values, at, stable = loop_margins(rows, 1.0)
+    alone_values, alone_at, alone_stable = loop_margins(rows, 1.0, all_three=False)
+    np.testing.assert_array_equal(alone_values[:, 0], values[:, 0])
+    np.testing.assert_array_equal(alone_at, at)
+    np.testing.assert_array_equal(alone_stable, stable)
+    assert np.isinf(alone_values[:, 1:]).all()
     for loop, value, w in zip(loops, values, at, strict=True):
         alone = wb.margins(loop)
         if alone.stable:

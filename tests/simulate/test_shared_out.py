@@ -64,7 +64,8 @@ def test_work_may_share_out_work() -> None:
     found: list[list[int]] = []
     shared_out(12, MANY, lambda _part: found.append(parts_of(50)))
     assert found == [list(range(50))] * len(found)
-    assert len(found) == 12
+    # Two parts for each core.
+    assert len(found) == 6
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="the system has no fork")

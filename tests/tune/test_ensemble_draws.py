@@ -9,6 +9,8 @@ import pytest
 from loops import paper_loop
 
 import workbench as wb
+from workbench.errors import InvalidValue
+from workbench.tune import ensemble as ensemble_module
 from workbench.tune.ensemble import Circumstances, corner_loops, draws, statistic
 
 LOOP = paper_loop(0.5, 20.0, derivative_on="pv", derivative_filter=10.0)
@@ -84,13 +86,37 @@ def test_figures_are_those_of_ordinary_runs(valve, plant):
     assert found.phase_margin == pytest.approx(min(m.phase_margin for m in corners), abs=0.2)
 
 
-def test_many_tunings_meet_the_same_draws():
+@pytest.mark.parametrize("count", [2, 21])
+def test_many_tunings_meet_the_same_draws(count):
     given = Circumstances(LOOP, replace(READY, draws=5))
-    tunings = np.array([[0.5, 20.0, 0.0], [2.5, 5.0, 0.4]])
-    both = given.terms(tunings)
-    assert both.shape == (2, 5, 6)
-    for k in range(2):
-        np.testing.assert_array_equal(given.terms(tunings[k : k + 1])[0], both[k])
+    tunings = np.linspace([0.5, 20.0, 0.0], [2.5, 5.0, 0.4], count)
+    together = given.terms(tunings)
+    assert together.shape == (count, 5, 6)
+    for k in range(count):
+        np.testing.assert_array_equal(given.terms(tunings[k : k + 1])[0], together[k])
+
+
+def test_draws_kept_from_one_controller_are_those_of_another():
+    limited = wb.PID(
+        0.8, 15.0, 0.3, form="series", output_limits=(-3.0, 8.0), compensator=wb.ConstantReinforcement(0.4)
+    )
+    loop, ensemble = LOOP.with_controller(limited), replace(READY, draws=6)
+    before = wb.assess(LOOP, ensemble)
+    found = wb.assess(loop, ensemble)
+    runs = [wb.simulate(draw.loop, draw.experiment).kpis for draw in draws(loop, ensemble)]
+    assert found.valve_travel == pytest.approx([kpis.valve_travel for kpis in runs], rel=1e-12)
+    np.testing.assert_array_equal(wb.assess(LOOP, ensemble).valve_travel, before.valve_travel)
+    # A stem that may rest where OP cannot stand is refused, whatever has been drawn for others.
+    narrow = LOOP.with_controller(replace(LOOP.controller, output_limits=(-0.1, 0.1)))
+    with pytest.raises(InvalidValue, match="output limits"):
+        wb.assess(narrow, ensemble)
+
+
+def test_an_ensemble_too_large_to_be_kept_is_drawn_again(monkeypatch):
+    small = wb.assess(LOOP, replace(READY, draws=7))
+    monkeypatch.setattr(ensemble_module, "KEPT_SAMPLES", 0)
+    again = wb.assess(LOOP, replace(READY, draws=7))
+    np.testing.assert_array_equal(small.mean_square_error, again.mean_square_error)
 
 
 def test_an_unstable_loop_is_counted_not_hidden():

@@ -50,19 +50,22 @@ def margins(loop: Loop) -> Margins:
     return Margins(loop, True, Ms, float(at[0]), gain, phase, delay)
 
 
-def loop_margins(rows: FloatArray, sample_time: float) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:
+def loop_margins(
+    rows: FloatArray, sample_time: float, *, all_three: bool = True
+) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:
     """Return (Ms, gain margin, phase margin in degrees), shape (M, 3), Ms' frequency (rad/s) and stability, shape (M,).
 
     rows: coefficient rows (`simulate.coefficients`) of one sample time; the valve's columns play no part. Read off the
     loop's frequency response: the margins mean something for stable loops only, and stability, by the argument
-    principle, may be wrong within some per cent of its limit (`frequency.linear_stable` decides there).
+    principle, may be wrong within some per cent of its limit (`frequency.linear_stable` decides there). Where not
+    `all_three` are asked for, Ms alone is read and the others are inf: they take as long again.
     """
     w = _grid(rows)
     values, at, stable = np.empty((rows.shape[0], 3)), np.empty(rows.shape[0]), np.empty(rows.shape[0], np.bool_)
     size = max(1, MOST // w.size)
     for begin in range(0, rows.shape[0], size):
         part = slice(begin, begin + size)
-        values[part], at[part], stable[part] = _margins(rows[part], w)
+        values[part], at[part], stable[part] = _margins(rows[part], w, all_three)
     return values, at / sample_time, stable
 
 
@@ -102,7 +105,7 @@ def _response(rows: FloatArray, w: FloatArray) -> ComplexArray:
     return L
 
 
-def _margins(rows: FloatArray, w: FloatArray) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:
+def _margins(rows: FloatArray, w: FloatArray, all_three: bool) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:
     L = _response(rows, w)
     nearness = np.abs(1.0 + L)
     k = nearness.argmin(axis=1)
@@ -121,7 +124,9 @@ def _margins(rows: FloatArray, w: FloatArray) -> tuple[FloatArray, FloatArray, N
     with np.errstate(divide="ignore"):
         Ms = 1.0 / np.maximum(lowest, 0.0)
     at = near[each, best] + shift * (high - low) / (FINE - 1)
-    return np.column_stack([Ms, _gain_margin(L), _phase_margin(L)]), at, _encloses_nothing(rows, w, L)
+    unread = np.full(Ms.size, np.inf)
+    gain, phase = (_gain_margin(L), _phase_margin(L)) if all_three else (unread, unread)
+    return np.column_stack([Ms, gain, phase]), at, _encloses_nothing(rows, w, L)
 
 
 def _encloses_nothing(rows: FloatArray, w: FloatArray, L: ComplexArray) -> NDArray[np.bool_]:

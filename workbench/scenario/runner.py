@@ -16,9 +16,7 @@ from workbench.analyze.cycle_map import cycle_map, map_ranges
 from workbench.analyze.describing_function import describing_function
 from workbench.analyze.limit_cycle import limit_cycle
 from workbench.analyze.valve_loci import no_locus
-from workbench.detect.detect import detect
 from workbench.errors import ScenarioError, WorkbenchError
-from workbench.estimate.estimate import estimate
 from workbench.model.controller import PID
 from workbench.model.cycle_map import CycleMap
 from workbench.model.detection import Detection
@@ -30,7 +28,6 @@ from workbench.model.record import Record
 from workbench.model.results import Repair, SolveStatus, Tuned
 from workbench.model.study import CaseResult, NamedEstimate, Study
 from workbench.model.tuning import Objective
-from workbench.scenario.cascade_runner import cascade_study
 from workbench.scenario.controllers import fitting_action, ruled, wrong_way
 from workbench.scenario.loader import load_scenario
 from workbench.scenario.over_ensemble import best_robust, front_of, with_robustness
@@ -62,6 +59,8 @@ def run_scenario(scenario: Scenario | str | os.PathLike[str], *, progress: Progr
     """
     plan = scenario if isinstance(scenario, Scenario) else load_scenario(scenario)
     if plan.cascade:
+        from workbench.scenario.cascade_runner import cascade_study
+
         return cascade_study(plan, progress)
     return _Runner(plan, progress).study()
 
@@ -152,6 +151,8 @@ class _Runner:
         return Loop(found.plant, found.valve, case.controller, found.record.sample_time, self.plan.pv_range)
 
     def _estimate(self, job: EstimateJob) -> NamedEstimate:
+        from workbench.estimate.estimate import estimate  # compiled code that most scenarios do not need
+
         with self._stage(f"estimate {job.name}", job.where, _SHARE["estimate"]) as progress:
             record = job.record
             if record is None and job.truth is not None and job.experiment is not None:
@@ -171,6 +172,8 @@ class _Runner:
 
     def _detection(self, record: Record) -> Detection:
         """Return the evidence in a record, once for estimates from the same one."""
+        from workbench.detect.detect import detect
+
         for known in self.detections:
             if np.array_equal(known.record.pv, record.pv) and np.array_equal(known.record.op, record.op):
                 return known

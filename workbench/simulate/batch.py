@@ -23,7 +23,7 @@ from workbench.simulate.signals import Signals
 __all__ = ["cores", "kernel_weights", "shared_out", "sums", "weigh", "worst"]
 
 # Fewer samples than this, some milliseconds, are not worth a second thread.
-WORTH_SHARING = 400_000
+WORTH_SHARING = 1_000_000
 
 
 def kernel_weights(objective: Objective, samples: int, sample_time: float) -> FloatArray:
@@ -123,7 +123,7 @@ def shared_out(count: int, samples: int, work: Callable[[slice], None]) -> None:
         work(slice(0, count))
         return
     # More parts than cores: runs that are given up early make some parts short.
-    edges = np.linspace(0, count, min(4 * workers, count) + 1).astype(int).tolist()
+    edges = np.linspace(0, count, min(2 * workers, count) + 1).astype(int).tolist()
     parts = deque(slice(a, b) for a, b in itertools.pairwise(edges))
 
     def take() -> None:

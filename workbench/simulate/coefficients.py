@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -129,9 +130,9 @@ def coefficients(loop: Loop, stem_offset: float = 0.0, tunings: FloatArray | Non
     if tunings is None:
         tunings = np.array([[loop.controller.Kc, loop.controller.Ti, loop.controller.Td]])
     pid, Ts = loop.controller, loop.scan * loop.sample_time
-    law = valve_law(loop.valve, loop.sample_time)
-    rows = np.zeros((tunings.shape[0], kernel.COEFFICIENTS + len(law.table)))
-    _put(rows, law)
+    same = _untuned(loop, stem_offset)
+    rows = np.empty((tunings.shape[0], same.size))
+    rows[:] = same
     Kc, Ti, Td, Tf, weight = _ideal_terms(pid, tunings)
     signed = pid.signed_gain * Kc
     rows[:, kernel.KC] = signed
@@ -140,20 +141,30 @@ def coefficients(loop: Loop, stem_offset: float = 0.0, tunings: FloatArray | Non
     rows[:, kernel.TF] = Tf
     rows[:, kernel.TF_TS] = Tf + Ts
     rows[:, kernel.WEIGHT] = weight
-    rows[:, kernel.ON_PV] = float(pid.derivative_on == "pv")
-    rows[:, kernel.BIAS] = stem_offset
-    low, high = (-math.inf, math.inf) if pid.output_limits is None else pid.output_limits
-    rows[:, kernel.LOW], rows[:, kernel.HIGH] = low, high
-    rows[:, kernel.WINDUP] = float(pid.anti_windup == "back_calculation")
-    rows[:, kernel.RESOLUTION] = pid.output_resolution
     rows[:, kernel.TS_TT] = Ts / (Ti if pid.tracking_time is None else pid.tracking_time)
-    for column, value in _compensation(pid.compensator, Ts).items():
-        rows[:, column] = value
-    plant = discretise(loop.plant, loop.sample_time)
-    rows[:, kernel.POLE], rows[:, kernel.GAIN] = plant.pole, plant.gain * loop.direction
-    rows[:, kernel.CURVE], rows[:, kernel.SCAN] = loop.curve, loop.scan
-    rows[:, kernel.C0], rows[:, kernel.C1], rows[:, kernel.DELAY] = plant.c0, plant.c1, plant.delay
     return rows
+
+
+@lru_cache(maxsize=32)
+def _untuned(loop: Loop, stem_offset: float) -> FloatArray:
+    """Return a loop's row without what its tuning gives; kept, as searches ask for the same loop's again and again."""
+    pid, Ts = loop.controller, loop.scan * loop.sample_time
+    law = valve_law(loop.valve, loop.sample_time)
+    row = np.zeros(kernel.COEFFICIENTS + len(law.table))
+    _put(row[None, :], law)
+    row[kernel.ON_PV] = float(pid.derivative_on == "pv")
+    row[kernel.BIAS] = stem_offset
+    row[kernel.LOW], row[kernel.HIGH] = (-math.inf, math.inf) if pid.output_limits is None else pid.output_limits
+    row[kernel.WINDUP] = float(pid.anti_windup == "back_calculation")
+    row[kernel.RESOLUTION] = pid.output_resolution
+    for column, value in _compensation(pid.compensator, Ts).items():
+        row[column] = value
+    plant = discretise(loop.plant, loop.sample_time)
+    row[kernel.POLE], row[kernel.GAIN] = plant.pole, plant.gain * loop.direction
+    row[kernel.CURVE], row[kernel.SCAN] = loop.curve, loop.scan
+    row[kernel.C0], row[kernel.C1], row[kernel.DELAY] = plant.c0, plant.c1, plant.delay
+    row.setflags(write=False)
+    return row
 
 
 def _compensation(given: Compensator | None, Ts: float) -> dict[int, float]:

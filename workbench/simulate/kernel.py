@@ -21,6 +21,7 @@ A loop is a row of `COEFFICIENTS` floats (see the names below), a state is `STAT
 moves down, rests or moves up, limit is -1, 0 or 1 for an output at its low limit, free or at its high limit, and undone
 is 1 where clamping undid the I step. An ideal valve codes as at rest.
 
+`run_costs` and `run_worst` run many: where these are of one plain loop under several tunings, side by side in `LANES`.
 `run_events` runs the same law for very long times: while the stem rests the loop is linear with a constant input, and
 is taken from slip to slip in closed form.
 """
@@ -96,6 +97,17 @@ FEW_SUMS, SUMS = 6, 15
 # Weights of an objective: of the first four sums, which is eq. (2), then of WINDOW2, TRAVEL, IAE, OP_TRAVEL, REVERSALS,
 # of the variances of e, u and x, and of the standard deviation of y.
 WEIGHTS = 13
+
+# Runs side by side (see `_abreast`): so many lanes, and where each number of theirs begins in a flat array: what a
+# tuning's row has of its own, the state, this sample's proportional term and integral step, and the sums.
+LANES = 16
+ABREAST = 20 * LANES
+_KC, _KI, _KD, _TF, _TF_TS, _WEIGHT, _I, _D, _S, _U, _X, _MOTION, _Y = range(0, 13 * LANES, LANES)
+_P, _STEP, _ERROR2, _OP2, _MOVES2, _WINDOW2, _TRAVEL = range(13 * LANES, ABREAST, LANES)
+# Below so many runs the idle lanes cost more than the others save.
+WORTH_LANES = 5
+# Samples of a search's runs at a time: so long that the bookkeeping between costs little, so short as to stop early.
+CHUNK = 64
 
 # Entries of a state.
 I_TERM, D_TERM, S_LAST, U_LAST, X_LAST, MOTION, Y, CLOCK, MARK, KEPT, PHASE, CODE, VELOCITY = range(13)
@@ -425,6 +437,13 @@ def _special(
     run_samples(c, r, load, noise, state, past, y, u, x, v, branch, False)
 
 
+@compiled
+def _usual(c: Floats) -> bool:
+    """Whether a loop has nothing that few loops have (see `_run`)."""
+    usual = c[COMPENSATOR] == NONE and c[RESOLUTION] == 0.0 and c[SCAN] <= 1.0
+    return bool(usual and c[CURVE] == 0.0 and c[PLACES] == 0.0 and c[VALVE] < KARNOPP)
+
+
 @written_out
 def _run(
     c: Floats,
@@ -440,8 +459,7 @@ def _run(
     branch: NDArray[np.int8],
 ) -> None:
     """`run_loop` for the kernel's own use: a call of it costs as much as some samples, which this saves."""
-    usual = c[COMPENSATOR] == NONE and c[RESOLUTION] == 0.0 and c[SCAN] <= 1.0
-    if usual and c[CURVE] == 0.0 and c[PLACES] == 0.0 and c[VALVE] < KARNOPP:
+    if _usual(c):
         _plain(c, r, load, noise, state, past, y, u, x, v, branch)
     else:
         _special(c, r, load, noise, state, past, y, u, x, v, branch)
@@ -541,6 +559,140 @@ def weigh_all(sums: Floats, weights: Floats, n: int, costs: Floats) -> None:
         costs[i] = cost if np.isfinite(cost) else np.inf
 
 
+@written_out
+def _abreast(
+    c: Floats, r: Floats, load: Floats, noise: Floats, lanes: Floats, v: Floats, kind: int, first: bool
+) -> None:
+    """r.size samples of LANES plain runs side by side: `run_samples` and `add_sums` in the same order of operations.
+
+    The compiler makes vector instructions of the loops over lanes, each lane rounded as if it ran alone. For that, each
+    decision is a choice between two values, all numbers of the lanes are in one array at constant distances, and the
+    loops are two, as a single one would read inputs of the plant that it might itself have written. c: the row of what
+    all lanes share; v: the plant's inputs of samples -m-2 .. r.size-1, LANES of each, moved up at the end for the next
+    stretch; the plant's output in `lanes` is the last sample's. kind: STAIRS or TWO_PARAMETER; first: whether the runs
+    begin here.
+    """
+    on_pv, bias, low, high = c[ON_PV] != 0.0, c[BIAS], c[LOW], c[HIGH]
+    band, offset, band_down, offset_down = c[BAND], c[OFFSET], c[BAND_DOWN], c[OFFSET_DOWN]
+    a, gain, c0, c1, m = c[POLE], c[GAIN], c[C0], c[C1], int(c[DELAY])
+    if c[VALVE] == IDEAL:
+        # Stairs of any height: the stem is where the input is.
+        band, offset = -1.0, 0.0
+    for k in range(r.size):
+        r_now, load_now, noise_now = r[k], load[k], noise[k]
+        # Views: an index that may be negative would be looked at for each lane.
+        far, near, now = v[k * LANES :], v[(k + 1) * LANES :], v[(k + m + 2) * LANES :]
+        for j in range(LANES):
+            plant = a * lanes[_Y + j] + gain * (c0 * near[j] + c1 * far[j])
+            measured = plant + noise_now
+            e = r_now - measured
+            s = -measured if on_pv else e
+            kd, d_last = lanes[_KD + j], lanes[_D + j]
+            d_term = (lanes[_TF + j] * d_last + kd * (s - lanes[_S + j])) / lanes[_TF_TS + j]
+            lanes[_D + j] = d_term if kd != 0.0 or d_last != 0.0 else d_last
+            lanes[_Y + j], lanes[_S + j], lanes[_STEP + j] = plant, s, lanes[_KI + j] * e
+            lanes[_P + j] = lanes[_KC + j] * (lanes[_WEIGHT + j] * r_now - measured)
+            lanes[_ERROR2 + j] += e * e
+            lanes[_WINDOW2 + j] += e * e
+        for j in range(LANES):
+            step, i_last, others = lanes[_STEP + j], lanes[_I + j], bias + lanes[_P + j]
+            i_term, d_term = i_last + step, lanes[_D + j]
+            out = others + i_term + d_term
+            undone = (out > high and step > 0.0) or (out < low and step < 0.0)
+            i_term = i_last if undone else i_term
+            out = others + i_term + d_term if undone else out
+            out = high if out > high else (low if out < low else out)
+            u_last, x_last = lanes[_U + j], lanes[_X + j]
+            motion = 0 if kind == STAIRS else int(lanes[_MOTION + j])
+            x, motion = valve_step(kind, band, offset, band_down, offset_down, out, u_last, x_last, motion)
+            lanes[_I + j], lanes[_U + j], lanes[_X + j], lanes[_MOTION + j] = i_term, out, x, motion
+            lanes[_OP2 + j] += out * out
+            lanes[_MOVES2 + j] += (out - u_last) * (out - u_last)
+            lanes[_TRAVEL + j] += abs(x - x_last)
+            now[j] = x + load_now
+        if first and k == 0:
+            # J counts the errors from sample 1 on.
+            lanes[_ERROR2 : _ERROR2 + LANES] = 0.0
+    for i in range((m + 2) * LANES):
+        v[i] = v[r.size * LANES + i]
+
+
+@compiled
+def _stairs_abreast(c: Floats, r: Floats, load: Floats, noise: Floats, lanes: Floats, v: Floats, first: bool) -> None:
+    _abreast(c, r, load, noise, lanes, v, STAIRS, first)
+
+
+@compiled
+def _two_parameter_abreast(
+    c: Floats, r: Floats, load: Floats, noise: Floats, lanes: Floats, v: Floats, first: bool
+) -> None:
+    _abreast(c, r, load, noise, lanes, v, TWO_PARAMETER, first)
+
+
+@compiled
+def _step_abreast(c: Floats, r: Floats, load: Floats, noise: Floats, lanes: Floats, v: Floats, first: bool) -> None:
+    if c[VALVE] == TWO_PARAMETER:
+        _two_parameter_abreast(c, r, load, noise, lanes, v, first)
+    else:
+        _stairs_abreast(c, r, load, noise, lanes, v, first)
+
+
+@compiled
+def _fits_abreast(c: Floats) -> bool:
+    """Whether `_abreast` knows what a loop has."""
+    return _usual(c) and c[VALVE] <= TWO_PARAMETER and c[WINDUP] == 0.0
+
+
+@compiled
+def _alike(c: Floats, other: Floats) -> bool:
+    """Whether two rows differ at most in what a lane has of its own."""
+    differ = 0
+    for j in range(ON_PV, COEFFICIENTS):
+        differ += 1 if c[j] != other[j] and j != TS_TT else 0
+    return differ == 0
+
+
+@compiled
+def _enter(c: Floats, lanes: Floats, j: int) -> None:
+    """Put a run at rest into lane j."""
+    for at in range(j, ABREAST, LANES):
+        lanes[at] = 0.0
+    lanes[_KC + j], lanes[_KI + j], lanes[_KD + j] = c[KC], c[KI], c[KD]
+    lanes[_TF + j], lanes[_TF_TS + j], lanes[_WEIGHT + j] = c[TF], c[TF_TS], c[WEIGHT]
+    lanes[_U + j] = c[BIAS]
+
+
+@compiled
+def _leave(c: Floats, lanes: Floats, v: Floats, j: int, r: float, noise: float, sums: Floats) -> None:
+    """Write the sums of lane j so far, the error of the sample after included; r, noise: of that sample."""
+    plant = c[POLE] * lanes[_Y + j] + c[GAIN] * (c[C0] * v[LANES + j] + c[C1] * v[j])
+    e = r - (plant + noise)
+    sums[ERROR2], sums[OP2], sums[FINAL2] = lanes[_ERROR2 + j] + e * e, lanes[_OP2 + j], e * e
+    sums[MOVES2], sums[WINDOW2], sums[TRAVEL] = lanes[_MOVES2 + j], lanes[_WINDOW2 + j], lanes[_TRAVEL + j]
+
+
+@compiled
+def _run_abreast(rows: Floats, which: NDArray[np.int64], r: Floats, load: Floats, noise: Floats, sums: Floats) -> int:
+    """Write the sums of as many of the first rows as fill the lanes, and return how many; 0 where they are too few."""
+    used = 0
+    if _fits_abreast(rows[0]):
+        while used < min(LANES, rows.shape[0]) and which[used] == which[0] and _alike(rows[used], rows[0]):
+            used += 1
+    if used < WORTH_LANES:
+        return 0
+    n, m = r.size - 1, int(rows[0, DELAY])
+    chunk = max(CHUNK, m + 2)
+    lanes, v = np.zeros(ABREAST), np.zeros((chunk + m + 2) * LANES)
+    for j in range(used):
+        _enter(rows[j], lanes, j)
+    for begin in range(0, n, chunk):
+        end = min(begin + chunk, n)
+        _step_abreast(rows[0], r[begin:end], load[begin:end], noise[begin:end], lanes, v, begin == 0)
+    for j in range(used):
+        _leave(rows[0], lanes, v, j, r[n], noise[n], sums[j])
+    return used
+
+
 @compiled
 def run_costs(
     rows: Floats, which: NDArray[np.int64], r: Floats, load: Floats, noise: Floats, sums: Floats, longest: int
@@ -559,8 +711,14 @@ def run_costs(
     past = np.empty(longest + 1)
     last = np.empty(3)
     every = sums.shape[1] > FEW_SUMS
-    for i in range(rows.shape[0]):
+    i = 0
+    while i < rows.shape[0]:
         j = which[i]
+        if not every:
+            used = _run_abreast(rows[i:], which[i:], r[j], load[j], noise[j], sums[i:])
+            if used > 0:
+                i += used
+                continue
         state[:] = 0.0
         state[U_LAST] = rows[i, BIAS]
         past[:] = 0.0
@@ -568,6 +726,62 @@ def run_costs(
         last[0], last[1], last[2] = rows[i, BIAS], 0.0, 0.0
         sums[i] = 0.0
         add_sums(sums[i], last, every, r[j], noise[j], y, u, x)
+        i += 1
+
+
+@compiled
+def _worst_abreast(
+    rows: Floats,
+    group: int,
+    r: Floats,
+    load: Floats,
+    noise: Floats,
+    weights: Floats,
+    ceilings: Floats,
+    worst: Floats,
+    order: NDArray[np.int64],
+    lost: NDArray[np.int64],
+) -> int:
+    """`run_worst` in lanes: the first member of each group, then the second of those that are left, and so on."""
+    n, count, m = r.size - 1, worst.size, int(rows[0, DELAY])
+    chunk = max(CHUNK, m + 2)
+    lanes, v = np.zeros(ABREAST), np.zeros((chunk + m + 2) * LANES)
+    sums, whose, member = np.zeros(SUMS), np.empty(LANES, np.int64), np.empty(LANES, np.int64)
+    worst[:] = 0.0
+    samples, task = 0, 0
+    while True:
+        used = 0
+        while used < LANES and task < group * count:
+            i = task % count
+            if worst[i] < np.inf:
+                whose[used], member[used] = i, order[task // count]
+                _enter(rows[i * group + member[used]], lanes, used)
+                used += 1
+            task += 1
+        if used == 0:
+            return samples
+        v[: (m + 2) * LANES] = 0.0
+        begin, running = 0, used
+        while begin < n and running > 0:
+            size = min(chunk, n - begin)
+            end = begin + size
+            _step_abreast(rows[0], r[begin:end], load[begin:end], noise[begin:end], lanes, v, begin == 0)
+            running = 0
+            for j in range(used):
+                i = whose[j]
+                if worst[i] == np.inf:
+                    continue
+                samples += size
+                _leave(rows[0], lanes, v, j, r[end], noise[end], sums)
+                cost = weigh(sums, weights, end, n)
+                if not cost <= ceilings[i]:
+                    worst[i] = np.inf
+                    lost[member[j]] += 1
+                elif end < n:
+                    running += 1
+                else:
+                    worst[i] = max(worst[i], cost)
+            begin = end
 
 
 @compiled
@@ -589,11 +803,11 @@ def run_worst(
     For searches that only ask whether a candidate beats what they have: a group is given up, and its worst is inf, as
     soon as a run's J so far has passed ceilings[i] or is nan. r, load, noise: N + 1 each; weights: WEIGHTS of them;
     ceilings and worst: one for each group; longest: the largest whole dead time m. order: in which the members of a
-    group are run; lost: counts, by member, whose run gave a group up. Returns the number of samples run.
+    group are run; lost: counts, by member, whose run gave a group up. All rows are of one loop but for its tuning.
+    Returns the number of samples run.
     """
     n = r.size - 1
-    # Long enough that the bookkeeping between chunks costs little, short enough to stop early.
-    chunk = max(64, longest + 1)
+    chunk = max(CHUNK, longest + 1)
     y = np.empty(chunk + 1)
     u = np.empty(chunk)
     x = np.empty(chunk)
@@ -605,6 +819,8 @@ def run_worst(
     sums = np.empty(SUMS)
     every = weights[6:].max() > 0.0
     samples = 0
+    if not every and worst.size * group >= WORTH_LANES and _fits_abreast(rows[0]):
+        return _worst_abreast(rows, group, r, load, noise, weights, ceilings, worst, order, lost)
     for i in range(worst.size):
         worst[i] = 0.0
         for member in order:
@@ -702,6 +918,13 @@ def collect(
 
 
 @compiled
+def _copy(source: Floats, target: Floats) -> None:
+    """`target[:] = source`, which would bring in all that numba knows of shapes, and seconds of compilation."""
+    for i in range(target.size):
+        target[i] = source[i]
+
+
+@compiled
 def _join(before: Floats, after: Floats, both: Floats) -> None:
     """The entry for the samples of two entries, one after the other: sums of positive terms, so that none cancel."""
     a, w, n = before[POWER], before[RISE], after[SAMPLES]
@@ -722,7 +945,9 @@ def doublings(c: Floats, table: Floats) -> None:
     """
     a = c[POLE]
     q = c[TF] / c[TF_TS]
-    table[0] = np.array([1.0, a, 1.0, 0.0, 0.0, q, 1.0])
+    # One by one, see `_copy`.
+    table[0, SAMPLES], table[0, POWER], table[0, RISE], table[0, RISE_SUM] = 1.0, a, 1.0, 0.0
+    table[0, RISE2_SUM], table[0, FILTER], table[0, FILTER_SUM] = 0.0, q, 1.0
     for j in range(1, table.shape[0]):
         _join(table[j - 1], table[j - 1], table[j])
 
@@ -818,14 +1043,14 @@ def _advance(
         _join(n, table[j], trial)
         if not _stays(order, grew, low, high, c, at, trial):
             break
-        n[:] = trial
+        _copy(trial, n)
         j += 1
     # The last step failed or went too far: halve it.
     for i in range(min(j, table.shape[0] - 1), -1, -1):
         if n[SAMPLES] + table[i, SAMPLES] <= until:
             _join(n, table[i], trial)
             if _stays(order, grew, low, high, c, at, trial):
-                n[:] = trial
+                _copy(trial, n)
 
 
 @compiled
@@ -860,7 +1085,7 @@ def jump(
     live = min(live, end)
     turn = live
     if at[D_FIRST] != 0.0 or (c[KD] != 0.0 and at[SLOPE] != 0.0):
-        last[:] = n
+        _copy(n, last)
         _advance(2, low, high, c, at, table, live, last, trial)
         turn = min(last[SAMPLES] + 1.0, live)
     carry[U_HIGH], carry[U_LOW] = max(carry[U_HIGH], _shown(c, u)), min(carry[U_LOW], _shown(c, u))
@@ -869,7 +1094,7 @@ def jump(
         until = turn if stage < 2 else (live if stage < 4 else end)
         if n[SAMPLES] >= until:
             continue
-        last[:] = n
+        _copy(n, last)
         if stage == 0 or stage == 2:
             _advance(1, low, high, c, at, table, until - 1.0, last, trial)
             _join(last, table[0], cut)
@@ -877,15 +1102,15 @@ def jump(
             for j in range(table.shape[0] - 1, -1, -1):
                 if last[SAMPLES] + table[j, SAMPLES] <= until:
                     _join(last, table[j], trial)
-                    last[:] = trial
-            cut[:] = last
+                    _copy(trial, last)
+            _copy(last, cut)
         u = _output(c, at, cut)
         outside = not low <= u <= high
         if outside:
             _advance(0, low, high, c, at, table, cut[SAMPLES] - 1.0, n, trial)
             u = _output(c, at, n)
         else:
-            n[:] = cut
+            _copy(cut, n)
         carry[U_HIGH], carry[U_LOW] = max(carry[U_HIGH], _shown(c, u)), min(carry[U_LOW], _shown(c, u))
         if outside:
             break

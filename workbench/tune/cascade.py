@@ -77,7 +77,7 @@ class CascadeProblem(Problem):
             fixed = (self.secondary, self.chain, self.cascade.every, s.r, s.added, s.load, s.noise1, s.noise2)
             counts.append(kernel.cascade_worst(own, group, *fixed, self.weights, ceilings[part], values[part]))
 
-        shared_out(ceilings.size, group * self.samples, work)
+        shared_out(ceilings.size, COST * group * self.samples, work)
         self.work.evaluations += rows.shape[0]
         self.work.simulated += COST * sum(counts)
         return values

@@ -6,6 +6,7 @@ import itertools
 import math
 from copy import copy
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,6 +37,8 @@ CONTROLLER = [c for c in range(kernel.VALVE) if c != kernel.BIAS]
 CONTROLLER += [*range(kernel.COMPENSATOR, kernel.EXTRA + 1), kernel.RESOLUTION]
 # Rows of one call of the kernel: what fits well into memory.
 ROWS = 50_000
+# The signals of this many samples, some 50 MB, are kept for the next who asks for the same draws.
+KEPT_SAMPLES = 2_000_000
 # Up to this Ms a response read off its grid is certain to tell a stable loop from an unstable one.
 SURE = 8.0
 
@@ -142,18 +145,41 @@ def corner_loops(loop: Loop, ensemble: Ensemble) -> tuple[Loop, ...]:
     return tuple(replace(loop, plant=corner, valve=Ideal()) for corner in plants)
 
 
+@dataclass(frozen=True, eq=False)
+class _Drawn:
+    """An ensemble of a loop, whatever its controller: signals and coefficient rows of the draws and corner plants."""
+
+    members: tuple[Draw, ...]
+    signals: Signals
+    rows: FloatArray
+    corner_rows: FloatArray
+
+
+def _drawn(loop: Loop, ensemble: Ensemble) -> _Drawn:
+    members = draws(loop, ensemble)
+    given = [signals(draw.loop, draw.experiment) for draw in members]
+    stacked = Signals(*(np.array([getattr(s, name) for s in given]) for name in ("r", "load", "noise")))
+    rows = np.concatenate([coefficients(d.loop, d.experiment.stem_offset) for d in members])
+    corners = np.concatenate([coefficients(corner.executed) for corner in corner_loops(loop, ensemble)])
+    return _Drawn(members, stacked, rows, corners)
+
+
+# A tuning, its proof and its report ask for the same draws a dozen times, and drawing takes longer than simulating.
+_kept = lru_cache(maxsize=4)(_drawn)
+
+
 class Circumstances:
     """An ensemble of one loop, drawn once: every tuning meets the same draws (common random numbers)."""
 
     def __init__(self, loop: Loop, ensemble: Ensemble) -> None:
         self.loop, self.ensemble = loop, ensemble
-        self.members = draws(loop, ensemble)
-        self.given = [signals(draw.loop, draw.experiment) for draw in self.members]
-        self.samples = self.given[0].samples
-        self._stacked = Signals(*(np.array([getattr(s, name) for s in self.given]) for name in ("r", "load", "noise")))
-        self._rows = np.concatenate([coefficients(d.loop, d.experiment.stem_offset) for d in self.members])
+        self.samples = sample_count(ensemble.duration, loop.sample_time)
+        # Of the controller only its limits matter to a draw: an OP must be able to stand where the stem rests.
+        idle = loop.with_controller(PID(0.0, math.inf, output_limits=loop.controller.output_limits))
+        drawn = (_kept if ensemble.draws * self.samples <= KEPT_SAMPLES else _drawn)(idle, ensemble)
+        self.members, self._stacked = drawn.members, drawn.signals
+        self._rows, self._corner_rows = drawn.rows, drawn.corner_rows
         self.corners = corner_loops(loop, ensemble)
-        self._corner_rows = np.concatenate([coefficients(corner.executed) for corner in self.corners])
 
     def under(self, controller: PID) -> Circumstances:
         """Return the same draws under another controller."""
@@ -169,11 +195,12 @@ class Circumstances:
         size = max(1, ROWS // count)
         for begin in range(0, own.shape[0], size):
             part = own[begin : begin + size]
-            rows = np.tile(self._rows, (part.shape[0], 1))
-            rows[:, CONTROLLER] = np.repeat(part, count, axis=0)
-            which = np.tile(np.arange(count), part.shape[0])
+            # Tunings in the same draw stand together, as the kernel runs them side by side.
+            rows = np.repeat(self._rows, part.shape[0], axis=0)
+            rows[:, CONTROLLER] = np.tile(part, (count, 1))
+            which = np.repeat(np.arange(count), part.shape[0])
             out = sums(rows, self._stacked, which, every=every)
-            result[begin : begin + size] = out.reshape(-1, count, out.shape[1])
+            result[begin : begin + size] = out.reshape(count, -1, out.shape[1]).swapaxes(0, 1)
         return result
 
     def costs(self, terms: FloatArray, objective: Objective) -> FloatArray:
@@ -181,17 +208,17 @@ class Circumstances:
         weights = kernel_weights(objective, self.samples, self.loop.sample_time)
         return weigh(terms.reshape(-1, terms.shape[2]), weights, self.samples).reshape(terms.shape[:2])
 
-    def margins(self, tunings: FloatArray) -> tuple[FloatArray, NDArray[np.int64]]:
+    def margins(self, tunings: FloatArray, *, all_three: bool = True) -> tuple[FloatArray, NDArray[np.int64]]:
         """Return the worst (Ms, gain margin, phase margin in degrees) of tunings over nominal and corner plants.
 
         Shape (M, 3) -> (M, 3); and how many of the plants are not held, shape (M,), read off the frequency response
-        (see `loop_margins`: `unstable` decides exactly).
+        (see `loop_margins`: `unstable` decides exactly, and what `all_three` leaves out).
         """
         own = coefficients(self.loop, 0.0, tunings)[:, CONTROLLER]
         count = self._corner_rows.shape[0]
         rows = np.tile(self._corner_rows, (own.shape[0], 1))
         rows[:, CONTROLLER] = np.repeat(own, count, axis=0)
-        all_values, _, stable = loop_margins(rows, self.loop.executed.sample_time)
+        all_values, _, stable = loop_margins(rows, self.loop.executed.sample_time, all_three=all_three)
         values = all_values.reshape(-1, count, 3)
         worst = np.column_stack([values[:, :, 0].max(1), values[:, :, 1].min(1), values[:, :, 2].min(1)])
         return worst, np.count_nonzero(~stable.reshape(-1, count), axis=1)
@@ -202,7 +229,7 @@ class Circumstances:
         if self.loop.scan > 1:
             rows = np.concatenate([coefficients(d.loop.executed, d.experiment.stem_offset) for d in self.members])
         rows[:, CONTROLLER] = coefficients(self.loop)[:, CONTROLLER]
-        values, _, stable = loop_margins(rows, self.loop.executed.sample_time)
+        values, _, stable = loop_margins(rows, self.loop.executed.sample_time, all_three=False)
         lost: NDArray[np.bool_] = ~(stable & (values[:, 0] <= SURE))
         for i in np.flatnonzero(lost):
             lost[i] = not linear_stable(self.members[i].loop.with_controller(self.loop.controller))

@@ -11,7 +11,7 @@ import numpy as np
 from workbench.model.ensemble import Constraints
 from workbench.model.record import FloatArray
 
-__all__ = ["NARROW", "UNSTABLE", "WORN", "missed", "narrowness", "worn"]
+__all__ = ["NARROW", "UNSTABLE", "WORN", "missed", "more_than_sensitivity", "narrowness", "worn"]
 
 # Values of what breaks a constraint lie above every J that a run that does not overflow can have.
 UNSTABLE, NARROW, WORN = 1e280, 1e240, 1e200
@@ -26,6 +26,11 @@ def narrowness(asked: Constraints, margins: FloatArray) -> FloatArray:
         if least is not None:
             total += np.log(np.maximum(least / np.maximum(margins[:, column], 1e-9), 1.0))
     return total
+
+
+def more_than_sensitivity(asked: Constraints) -> bool:
+    """Whether constraints ask for a gain or a phase margin."""
+    return asked.gain_margin is not None or asked.phase_margin is not None
 
 
 def worn(costs: FloatArray, travel: FloatArray, cap: float | None) -> FloatArray:

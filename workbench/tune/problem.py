@@ -26,13 +26,15 @@ from workbench.simulate import kernel
 from workbench.simulate.batch import kernel_weights, sums, weigh, worst
 from workbench.simulate.coefficients import coefficients
 from workbench.simulate.run import signals
-from workbench.tune.limits import NARROW, UNSTABLE, WORN, narrowness, worn
+from workbench.tune.limits import NARROW, UNSTABLE, WORN, more_than_sensitivity, narrowness, worn
 
 __all__ = ["Problem", "round_to"]
 
 # Random inner points of a neighbourhood: when searching, when it is looked at closely, and for the last word.
 SPARSE, DENSE, LAST, LAST_SAMPLES = 6, 100, 2000, 2_000_000
 NAMES = ("Kc", "Ti", "Td")
+# Powers of ten up to this one are floats without rounding.
+EXACT_POWER = 22
 Mapping = Callable[[FloatArray], FloatArray]
 
 
@@ -133,14 +135,14 @@ class Problem:
         """Return the worst J in the neighbourhood of each tuning, also of a nominal problem."""
         # Rounded, the tunings of a search come back again and again: those that won once are known.
         known = self._known[dense]
-        keys = [tuning.tobytes() for tuning in tunings]
+        keys = np.ascontiguousarray(tunings).view((np.void, tunings.itemsize * tunings.shape[1])).ravel().tolist()
         before = np.array([known.get(key, math.nan) for key in keys])
         values = np.where(before <= ceilings, before, math.inf)
         new = np.flatnonzero(np.isnan(before))
         if new.size:
             around = self.around(tunings[new], dense=dense)
             values[new] = self._worst(around, around.shape[0] // new.size, ceilings[new])
-            known.update((keys[i], values[i]) for i in new if math.isfinite(values[i]))
+            known.update((keys[i], values[i]) for i in new[np.isfinite(values[new])].tolist())
         return values
 
     def last_word(self, tuning: FloatArray, ceiling: float = math.inf) -> float:
@@ -172,9 +174,13 @@ class Problem:
 
     # Constraints. The first point of a group is the tuning itself.
 
-    def margins(self, tunings: FloatArray) -> tuple[FloatArray, NDArray[np.bool_]]:
-        """Return (Ms, gain margin, phase margin in degrees), shape (M, 3), with an ideal valve, and whether stable."""
-        values, _, stable = loop_margins(coefficients(self.loop.executed, 0.0, tunings), self.loop.executed.sample_time)
+    def margins(self, tunings: FloatArray, *, all_three: bool = True) -> tuple[FloatArray, NDArray[np.bool_]]:
+        """Return (Ms, gain margin, phase margin in degrees), shape (M, 3), with an ideal valve, and whether stable.
+
+        all_three: see `loop_margins`.
+        """
+        rows, Ts = coefficients(self.loop.executed, 0.0, tunings), self.loop.executed.sample_time
+        values, _, stable = loop_margins(rows, Ts, all_three=all_three)
         return values, stable
 
     def travel(self, tunings: FloatArray) -> FloatArray:
@@ -194,7 +200,7 @@ class Problem:
             values[runs] = worn(values[runs], self._travel(rows[runs]), asked.valve_travel)
         if asked == Constraints(valve_travel=asked.valve_travel) or not tunings.size:
             return values
-        margins, stable = self.margins(tunings)
+        margins, stable = self.margins(tunings, all_three=more_than_sensitivity(asked))
         narrow = narrowness(asked, margins)
         values = np.where(narrow > 0.0, NARROW * (1.0 + narrow), values)
         # The nearer an unstable response passes by -1, the nearer the tuning is to a stable one.
@@ -210,8 +216,7 @@ class Problem:
     def rounded(self, tunings: FloatArray) -> FloatArray:
         """Return tunings at the digits to type in, within the bounds; fixed parameters stay as they are."""
         result = np.array(tunings, dtype=np.float64)
-        for k in self.free:
-            result[:, k] = round_to(result[:, k], self.digits, float(self.low[k]), float(self.high[k]))
+        result[:, self.free] = round_to(result[:, self.free], self.digits, self.low[self.free], self.high[self.free])
         return result
 
     # Coordinates.
@@ -227,12 +232,13 @@ class Problem:
 
     def tunings(self, points: FloatArray) -> FloatArray:
         """Return the tunings (M, 3) of unit-cube points (M, free parameters)."""
-        result = np.tile(self.low, (points.shape[0], 1))
-        for column, k in enumerate(self.free):
-            low, high, _, back = self._scale(int(k))
-            values = back(low + points[:, column] * (high - low))
-            values = np.where(points[:, column] <= 0.0, self.low[k], values)
-            result[:, k] = np.clip(np.where(points[:, column] >= 1.0, self.high[k], values), self.low[k], self.high[k])
+        result = np.empty((points.shape[0], 3))
+        result[:] = self.low
+        for column, k in enumerate(self.free.tolist()):
+            (low, high, _, back), ends, at = self._scale(k), (self.low[k], self.high[k]), points[:, column]
+            values = np.minimum(np.maximum(back(low + at * (high - low)), ends[0]), ends[1])
+            values[at <= 0.0], values[at >= 1.0] = ends
+            result[:, k] = values
         return result
 
     def _scale(self, k: int) -> tuple[float, float, Mapping, Mapping]:
@@ -270,25 +276,42 @@ class Problem:
 def unit_of(values: FloatArray, digits: int) -> FloatArray:
     """Return one unit of the last of `digits` significant digits of each value, 0 for 0."""
     size = np.abs(values)
-    with np.errstate(divide="ignore"):
-        power = np.floor(np.log10(size))
-    unit: FloatArray = np.where(size > 0.0, 10.0 ** (np.where(size > 0.0, power, 0.0) + 1 - digits), 0.0)
+    power = np.floor(np.log10(np.where(size > 0.0, size, 1.0)))
+    unit: FloatArray = np.where(size > 0.0, 10.0 ** (power + 1 - digits), 0.0)
     return unit
 
 
-def round_to(values: FloatArray, digits: int, low: float, high: float) -> FloatArray:
+def round_to(values: FloatArray, digits: int, low: float | FloatArray, high: float | FloatArray) -> FloatArray:
     """Return values rounded to significant digits, as decimal text would be read; never outside [low, high].
+
+    values: of any shape, which low and high fit.
 
     Where rounding leaves the range, the next number inside is taken, or the nearer end if there is none.
     """
-    result = np.empty(values.size)
-    for i, value in enumerate(values.tolist()):
-        near = float(f"{value:.{digits - 1}e}")
-        if not low <= near <= high:
-            unit = float(unit_of(np.array([value]), digits)[0])
-            near = float(f"{near + (unit if near < low else -unit):.{digits - 1}e}")
-        result[i] = near if low <= near <= high else (low if value - low <= high - value else high)
+    # A whole number of units, divided by a power of ten or times one, rounds once, as reading the decimal text does.
+    # Values so near to the middle between two that the quotient may not tell them are written out.
+    size = np.abs(values)
+    power = np.floor(np.log10(np.where(size > 0.0, size, 1.0))) + 1.0 - digits
+    scale = 10.0 ** np.minimum(np.abs(power), EXACT_POWER)
+    units = np.where(power > 0.0, values / scale, values * scale)
+    whole = np.rint(units)
+    result = np.where(power > 0.0, whole * scale, whole / scale)
+    plain = (np.abs(power) <= EXACT_POWER) & (np.abs(np.abs(units - whole) - 0.5) > 1e-3)
+    plain &= (result >= low) & (result <= high)
+    if not plain.all():
+        lows, highs = np.broadcast_to(low, values.shape), np.broadcast_to(high, values.shape)
+        for i in zip(*np.nonzero(~plain), strict=True):
+            result[i] = _written(float(values[i]), digits, float(lows[i]), float(highs[i]))
     return result
+
+
+def _written(value: float, digits: int, low: float, high: float) -> float:
+    """`round_to` of one value by its decimal text."""
+    near = float(f"{value:.{digits - 1}e}")
+    if not low <= near <= high:
+        unit = float(unit_of(np.array([value]), digits)[0])
+        near = float(f"{near + (unit if near < low else -unit):.{digits - 1}e}")
+    return near if low <= near <= high else (low if value - low <= high - value else high)
 
 
 def _offsets(rng: np.random.Generator, inner: int) -> FloatArray:

@@ -21,7 +21,7 @@ from workbench.model.record import FloatArray
 from workbench.model.results import Restart, Robustness, SolveStatus, Tuned
 from workbench.simulate.signals import sample_count
 from workbench.tune.ensemble import SURE, Circumstances, measured, statistic
-from workbench.tune.limits import NARROW, UNSTABLE, WORN, missed, narrowness, worn
+from workbench.tune.limits import NARROW, UNSTABLE, WORN, missed, more_than_sensitivity, narrowness, worn
 from workbench.tune.problem import Problem, unit_of
 from workbench.tune.refine import path
 from workbench.tune.scan import OutOfBudget, evolve, spread
@@ -92,7 +92,7 @@ class Judge:
 
     def broken(self, tunings: FloatArray) -> FloatArray:
         """Return how far tunings miss a stable loop and the margins asked for, shape (M, 3) -> (M,): 0 where not."""
-        worst, lost = self.given.margins(tunings)
+        worst, lost = self.given.margins(tunings, all_three=more_than_sensitivity(self.constraints))
         # The nearer an unstable response passes by -1, the nearer the tuning is to a stable one.
         values = np.where(lost > 0, UNSTABLE * (1.0 + lost + 1.0 / worst[:, 0]), 0.0)
         narrow = narrowness(self.constraints, worst)

@@ -76,18 +76,18 @@ def evolve(
         points, values = points[order], values[order]
         m = values.size
         pick = rng.integers(MEMORY, size=m)
-        F = np.clip(scale[pick] + 0.1 * np.tan(np.pi * (rng.random(m) - 0.5)), 0.05, 1.0)
-        CR = np.clip(rng.normal(cross[pick], 0.1), 0.0, 1.0)
+        F = np.minimum(np.maximum(scale[pick] + 0.1 * np.tan(np.pi * (rng.random(m) - 0.5)), 0.05), 1.0)
+        CR = np.minimum(np.maximum(rng.normal(cross[pick], 0.1), 0.0), 1.0)
         best = rng.integers(max(2, round(BEST_SHARE * m)), size=m)
         first = rng.integers(m, size=m)
         pool = np.concatenate([points, archive])
         second = rng.integers(pool.shape[0], size=m)
         mutant = points + F[:, None] * (points[best] - points + points[first] - pool[second])
         # Half way back to the parent keeps a trial inside; now and then the bound itself is tried, where a PI lies.
-        edge = np.clip(mutant, 0.0, 1.0)
+        edge = np.minimum(np.maximum(mutant, 0.0), 1.0)
         half = np.where(mutant < 0.0, points / 2.0, np.where(mutant > 1.0, (points + 1.0) / 2.0, mutant))
-        mutant = np.where(rng.random((m, 1)) < 0.3, edge, half)
-        swap = rng.random((m, dims)) < CR[:, None]
+        mutant = np.where(rng.random(m)[:, None] < 0.3, edge, half)
+        swap = rng.random(m * dims).reshape(m, dims) < CR[:, None]
         swap[np.arange(m), rng.integers(dims, size=m)] = True
         trial = np.where(swap, mutant, points)
         found = evaluate(trial, values)
