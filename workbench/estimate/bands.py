@@ -180,6 +180,12 @@ def _ranges(found: Found, limits: Limits) -> tuple[tuple[Band, ...], tuple[float
         alike += _halves(data, sorted(found.met, key=lambda b: b.fit.sse)[:60])
     alike += _outwards(data, best, most, found.only, limits)
     near = found.rows[np.maximum(found.rows[:, 2], n * data.floor) <= most]
+    if near.size:
+        # Gain and jump make up for each other: the plant may be what it is with the outermost of these stems.
+        ends = {tuple(near[end(near[:, i]), :2].tolist()) for i in (0, 1) for end in (np.argmin, np.argmax)}
+        start, plant = (best.first, best.sense), (best.fit.tau, best.fit.theta)
+        fits = [fit_band(data, S, J, start, limits, plant, 40) for S, J in sorted(ends)]
+        alike += [b for b in fits if b.fit.gain != 0.0]
     S = [b.S for b in alike] + near[:, 0].tolist()
     J = [b.J for b in alike] + near[:, 1].tolist()
     return tuple(alike), (min(S), max(S)), (min(J), max(J))

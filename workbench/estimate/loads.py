@@ -298,5 +298,7 @@ def _errors(model: _Model, skip: int) -> FloatArray:
     scale[scale == 0.0] = 1.0
     matrix = matrix / scale[:, None]
     variance = float(np.mean(whitened(model.a, model.left)[skip:] ** 2))
-    spread: FloatArray = np.sqrt(np.diag(np.linalg.pinv(matrix @ matrix.T, rcond=1e-12)) * variance) / scale
+    # Where columns are nearly dependent rounding may leave less than nothing.
+    inverse = np.diag(np.linalg.pinv(matrix @ matrix.T, rcond=1e-12))
+    spread: FloatArray = np.sqrt(np.maximum(inverse, 0.0) * variance) / scale
     return spread

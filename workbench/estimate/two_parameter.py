@@ -40,10 +40,15 @@ __all__ = [
 NARROWEST, WIDEST = 0.04, 0.95  # of OP's range
 GRID = 48  # values of S looked at; from WIDE on there are few slips, and a single one that is wrong spoils the fit:
 WIDE, GRID_WIDE = 0.25, 60  # as many as that
+WIDE_OPEN, JUMPS, STEEPEST = (
+    0.5,
+    0.75,
+    3,
+)  # from there on S is walked too, J in shares of that of OP's range, best plants
 SHARES = (0.0, 0.12, 0.27, 0.45, 0.7, 1.0, 1.35)  # of J, of S
 FINER, FINER_TAUS = (-0.04, -0.02, 0.0, 0.02, 0.04), (0.7, 0.85, 1.0, 1.2, 1.45)  # about the best of them, of each
 SHORTEST, LONGEST, TAUS = 0.3, 10.0, 9  # time constants looked at: samples, records, how many
-PICKED, WALKED_IN = 14, 6  # stems of the grid, and of walks of J from it, that get their own plant,
+PICKED, WALKED_IN, WIDE_IN = 14, 6, 4  # stems of the grid, of walks of J from it and of S that get their own plant,
 NEAR, NEAR_JUMP = 0.05, 0.1  # no two of them as near as that, of S
 SPREADS = (0.1, 0.04, 0.015, 0.005)  # of S: how far stems with plants of their own are looked at about a seed,
 BEHIND = (40.0, 20.0, 20.0, math.inf)  # in N log V: who is as far behind after each of them has never come to lead
@@ -128,9 +133,13 @@ def _screened(data: Centred, grid: FloatArray, taus: FloatArray, delays: list[fl
         if math.isfinite(best[i, 0]):
             seed = (*grid[i].tolist(), float(taus[int(best[i, 1])]), delays[int(best[i, 2])])
             walked += _along(data, seed)
-    for _, seed in sorted(walked):
-        if len(chosen) < most + WALKED_IN and _differs(seed, chosen):
-            chosen.append(seed)
+    finest = np.argsort(best[:, 0], kind="stable")[:STEEPEST]
+    plants = {(float(taus[int(best[i, 1])]), delays[int(best[i, 2])]) for i in finest if math.isfinite(best[i, 0])}
+    wide = [line for plant in sorted(plants) for line in _over(data, plant)]
+    for lines, share in ((walked, most + WALKED_IN), (wide, most + WALKED_IN + WIDE_IN)):
+        for _, seed in sorted(lines):
+            if len(chosen) < share and _differs(seed, chosen):
+                chosen.append(seed)
     return chosen
 
 
@@ -147,6 +156,21 @@ def _along(data: Centred, seed: Seed) -> list[tuple[float, Seed]]:
     rows = _line(data, (S, 0.02 * S), 1, min(1.5 * S, 2.0 * data.op_range - S), like, (0.004 * S, 0.02 * S))
     order = np.argsort(rows[:, 2], kind="stable")[:1].tolist()
     return [(float(rows[i, 2]), (S, float(rows[i, 1]), tau, theta)) for i in order]
+
+
+def _over(data: Centred, plant: tuple[float, float]) -> list[tuple[float, Seed]]:
+    """(cost, seed) of the best of the sequences of slips that wide S lead through with one plant, for some J.
+
+    A stem that sticks over nearly all that OP moves slips twice a cycle; what S it takes is known to a hundredth.
+    """
+    span, found = data.op_range, []
+    for J in (share * JUMPS * span for share in SHARES):
+        _, first, sense = start_costs(data, (0.8 * span, J), plant)[0]
+        for start in {(first, sense), (0, 1.0), (0, -1.0)}:
+            like = Band(span, J, *start, 0, Fit(0.0, *plant, 0.0, 0.0, 0.0, 0.0))
+            rows = _line(data, (WIDE_OPEN * span, J), 0, WIDEST * span, like, (0.002 * span, 0.004 * span))
+            found += [(float(row[2]), (float(row[0]), J, *plant)) for row in rows[np.argsort(rows[:, 2])[:1]]]
+    return found
 
 
 def _placed(data: Centred, seed: Seed, limits: Limits) -> Band:

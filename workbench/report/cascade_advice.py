@@ -89,7 +89,8 @@ def _decision(study: Study, base: CascadeResult | None, best: CascadeResult) -> 
     if best is base and len(study.cascade) == 1:
         return f"Nothing to set: {best.name} ({both}) is the only tuning here, and none was searched for.", best
     if best is base:
-        return f"Keep {best.name} ({both}): none of the other tunings has a lower {by} in this experiment.", best
+        typed = "" if study.cascade_site is None else " that can be typed in"
+        return f"Keep {best.name} ({both}): no other tuning{typed} has a lower {by} in this experiment.", best
     one, two, cost = cascade_kpis(study, best)
     # The secondary first: the primary's tuning takes it for a part of its plant.
     lead = f"Set the secondary to {words['secondary']}, then the primary to {words['primary']} ({best.name})"

@@ -77,7 +77,8 @@ class Builder:
         objective = self.controllers.objective(given.objective, ("objective",))
         ruling: Loop | None = None
         if plant is not None and valve is not None and loop.sample_time is not None and not from_data:
-            ruling = Loop(plant, valve, PID(0.0, math.inf), loop.sample_time, None, None, loop.fail_open, loop.scan)
+            idle = (plant, valve, PID(0.0, math.inf), loop.sample_time, None, None, loop.fail_open, loop.scan)
+            ruling = self.refusals.attempt(("loop",), lambda: Loop(*idle))
         robust = RobustEntries(self.refusals, ruling)
         shared = None if given.ensemble is None else robust.ensemble(given.ensemble, ("ensemble",))
         records = self._records(given)
@@ -86,7 +87,7 @@ class Builder:
         executed = None if sample_time is None else sample_time * loop.scan
         cases = self._cases(given, loop, objective, ruling, None if from_data else plant, robust, shared, executed)
         whole: Loop | None = None
-        if plant is not None and valve is not None and loop.sample_time is not None and not from_data:
+        if plant is not None and valve is not None and loop.sample_time is not None and ruling is not None:
             first_controller = cases[0].controller if cases else None
             if not given.cases:
                 first_controller = self._own_controller(loop)
