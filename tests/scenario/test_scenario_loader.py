@@ -491,6 +491,15 @@ def test_files_that_hold_no_scenario(tmp_path: Path, content: bytes, words: str)
     assert words in str(caught.value)
 
 
+def test_a_dead_time_of_too_many_samples_is_refused_at_its_line_with_all_else(tmp_path: Path) -> None:
+    file = tmp_path / "fine.yaml"
+    file.write_text(GOOD.replace("dead_time: 1 s", "dead_time: 90 s").replace("sample_time: 1 s", "sample_time: 0.01 ms"))
+    with pytest.raises(ScenarioError) as caught:
+        load_scenario(file)
+    assert "fine.yaml:" in str(caught.value)
+    assert "90 s given; must be at most 1,000,000 samples of 1e-05 s" in str(caught.value)
+
+
 def test_a_byte_order_mark_does_no_harm(tmp_path: Path) -> None:
     file = tmp_path / "loop.yaml"
     file.write_bytes(b"\xef\xbb\xbf" + GOOD.replace("\n", "\r\n").encode())

@@ -68,7 +68,7 @@ def shown(kpi: str, value: float) -> str:
         return "never outside"
     if kpi in TIMES:
         return duration(value)
-    return f"{value:,.0f}" if kpi == "reversals" else figure(value)
+    return f"{value:,.0f}" if kpi == "reversals" and math.isfinite(value) else figure(value)
 
 
 def printed(kpi: str, value: float, decimals: int) -> str:
