@@ -145,7 +145,7 @@ def test_a_manifest_in_csv(site: Path) -> None:
     assert loops["file"].tuning == Tuning(0.5, 20.0)
     assert loops["file"].pv_range == (0.0, 100.0)
     assert len(read(loops["file"], Settings())) == 200
-    assert "is not in the data" in loops["tags"].refusal  # a CSV names no data set
+    assert "neither a file nor a data set" in loops["tags"].refusal  # a CSV names no data set
 
 
 @pytest.mark.parametrize(
@@ -163,6 +163,13 @@ def test_a_manifest_in_csv(site: Path) -> None:
         ),
         ("loops: [{name: a, criticality: 9}]", "loops[0].criticality: 9 given; must be <= 5"),
         ("loops: [{name: a, pv_range: [0]}]", "loops[0].pv_range: a list of 1 given; must be two numbers, [low, high]"),
+        (
+            "loops: [{name: a, pv_range: [5, 2]}]",
+            "loops[0].pv_range: [5, 2] given; must be [low, high] with low < high",
+        ),
+        ("loops: [{name: a, Kc: 2}]", "m.yaml:1:9: loops[0]: Kc given without Ti; the present tuning needs both"),
+        ("loops: [{name: a, Ti: 2 s}]", "loops[0]: Ti given without Kc"),
+        ("loops: [{name: a, title: x}]", "unknown entry 'title' (did you mean file?); allowed: name, file,"),
         ("loops: [{name: a\n", "not valid YAML"),
         ("loops: [{name: a}]\ndata: none", "data: none given; no such file or folder"),
         ("loops: [{name: a}]\ndepth: deep", "depth"),
@@ -192,7 +199,7 @@ def test_manifests_that_are_refused(tmp_path: Path, text: str, message: str) -> 
         ),
         (
             "m.csv",
-            "name,Kc\na,1\nb,x\na,2\nc,-1\n",
+            "name,Kc,Ti\na,1,9\nb,x,9\na,2,9\nc,-1,9\n",
             ["3:1: Kc: x given", "4:1: name: a given; line 2 has this name already", "5:1: Kc: -1 given"],
         ),
     ],
@@ -222,6 +229,10 @@ def test_all_mistakes_of_a_manifest_are_told_at_once(tmp_path: Path, name: str, 
         ("name,Ti\n,20\n", "m.csv:2:1: name: missing; it must be given"),
         ("name,criticality\na,1.5\n", "m.csv:2:1: criticality: 1.5 given"),
         ("name,plant\na,level\n", "m.csv:2:1: plant: level given; must be one of fopdt"),
+        ("name,Kc\na,1\n", "m.csv:2:1: line: Kc given without Ti"),
+        ("name,op_low,op_high\na,100,100\n", "m.csv:2:1: op_range: [100, 100] given; must be [low, high]"),
+        ("name,Kc,kc,Ti\na,1,2,9\n", "m.csv:1:1: column 'kc' is there twice"),
+        ("name;Kc\na;1\n", "m.csv:1:1: its cells stand between semicolons"),
     ],
 )
 def test_csv_manifests_that_are_refused(tmp_path: Path, text: str, message: str) -> None:
@@ -229,3 +240,9 @@ def test_csv_manifests_that_are_refused(tmp_path: Path, text: str, message: str)
     with pytest.raises(ScenarioError) as refused:
         sources_of(tmp_path / "m.csv")
     assert message in str(refused.value)
+
+
+def test_tags_without_data_are_said_to_be_without(tmp_path: Path) -> None:
+    (tmp_path / "m.csv").write_text("name,PV,OP\nA,A.PV,A.OP\n")
+    (loop,) = sources_of(tmp_path / "m.csv").loops
+    assert loop.refusal.endswith("line 2: tags are given, but neither a file nor a data set that has them")

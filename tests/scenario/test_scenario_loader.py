@@ -493,7 +493,9 @@ def test_files_that_hold_no_scenario(tmp_path: Path, content: bytes, words: str)
 
 def test_a_dead_time_of_too_many_samples_is_refused_at_its_line_with_all_else(tmp_path: Path) -> None:
     file = tmp_path / "fine.yaml"
-    file.write_text(GOOD.replace("dead_time: 1 s", "dead_time: 90 s").replace("sample_time: 1 s", "sample_time: 0.01 ms"))
+    file.write_text(
+        GOOD.replace("dead_time: 1 s", "dead_time: 90 s").replace("sample_time: 1 s", "sample_time: 0.01 ms")
+    )
     with pytest.raises(ScenarioError) as caught:
         load_scenario(file)
     assert "fine.yaml:" in str(caught.value)

@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
 
 from workbench.errors import InvalidValue, RecordError, ScenarioError
 from workbench.fleet.source import Sources, loops_in, of_tags, tagged
@@ -44,9 +44,15 @@ def _gain(value: object) -> float:
     return units.bare(value)
 
 
+def _ascending(span: tuple[float, float]) -> tuple[float, float]:
+    if not span[0] < span[1]:
+        raise ValueError(f"[{span[0]:g}, {span[1]:g}] given; must be [low, high] with low < high")
+    return span
+
+
 Name = Annotated[str, Field(min_length=1, max_length=200, pattern=r"\S")]
 Time = Annotated[float, BeforeValidator(_time), Field(gt=0.0)]
-Span = tuple[float, float]
+Span = Annotated[tuple[float, float], AfterValidator(_ascending)]
 
 
 class _Strict(BaseModel):
@@ -71,6 +77,15 @@ class Entry(_Strict):
     form: Literal["ideal", "series", "parallel"] = "ideal"
     criticality: Annotated[int, Field(ge=1, le=5)] | None = None
     area: Name | None = None
+
+    @model_validator(mode="after")
+    def _whole_tuning(self) -> Entry:
+        if (self.Kc is None) != (self.Ti is None):
+            there, missing = ("Kc", "Ti") if self.Ti is None else ("Ti", "Kc")
+            raise ValueError(
+                f"{there} given without {missing}; the present tuning needs both (Ti: none without integral)"
+            )
+        return self
 
 
 class Manifest(_Strict):
@@ -163,6 +178,10 @@ def _loop(entry: Entry, folder: Path, tags: dict[str, Pieces], known: dict[str, 
             tags=tuple((entry.tags or {}).items()),
             refusal="" if file.is_file() else f"{place}: file {entry.file} is not there",
         )
+    elif entry.tags is not None and not tags:
+        loop = LoopSource(
+            entry.name, refusal=f"{place}: tags are given, but neither a file nor a data set that has them"
+        )
     elif entry.tags is not None:
         loop = of_tags(entry.name, dict(entry.tags), tags)
     else:
@@ -232,14 +251,14 @@ def _problem(root: Node, error: Any) -> Problem:
         pair = isinstance(path[-1], int)
         text = f"{given_words(node)} given; must be two numbers, [low, high]" if pair else f"{path[-1]} is missing"
     elif kind == "extra_forbidden":
-        text = _unknown(path[-1], Entry, Manifest)
+        text = _unknown(path[-1], Entry if len(path) > 1 else Manifest)
     else:
         text = refusal(node, error)
     return Problem(node.line, node.column, spell(taken) if taken else "manifest", text)
 
 
-def _unknown(name: object, *models: type[BaseModel]) -> str:
-    allowed = tuple(dict.fromkeys(field for model in models for field in model.model_fields))
+def _unknown(name: object, model: type[BaseModel]) -> str:
+    allowed = tuple(model.model_fields)
     return f"unknown entry {name!r}{nearest(name, allowed)}; allowed: {', '.join(allowed)}"
 
 
@@ -267,6 +286,11 @@ def _from_csv(path: Path) -> _Given:
     known = (*_TEXTS, *_NUMBERS, "criticality", *TAGGED, *(name for pair in _PAIRS.values() for name in pair))
     folded = {name.casefold(): name for name in known}
     header = [(name or "").strip() for name in reader.fieldnames or ()]
+    if len(header) == 1 and ";" in header[0]:
+        raise ScenarioError(f"{path}:1:1: its cells stand between semicolons; a manifest's stand between commas")
+    twice_there = [name for name, many in Counter(name.casefold() for name in header).items() if many > 1]
+    if twice_there:
+        raise ScenarioError(f"{path}:1:1: column {twice_there[0]!r} is there twice")
     wrong = [name for name in header if name.casefold() not in folded]
     if "name" not in {name.casefold() for name in header} or wrong:
         words = f"unknown column {wrong[0]!r}{nearest(wrong[0], known)}" if wrong else "no column 'name'"
@@ -293,7 +317,7 @@ def _from_csv(path: Path) -> _Given:
             said.append((line, str(error)))
         except ValidationError as error:
             for one in error.errors(include_url=False):
-                where = str(one["loc"][-1 if one["loc"][0] == "tags" else 0])
+                where = str(one["loc"][-1 if one["loc"][0] == "tags" else 0]) if one["loc"] else "line"
                 cell = cells.get(where, "")
                 missing = one["type"] == "missing"
                 text = "missing; it must be given" if missing else refusal(Node(line, 1, cell, cell), one)
