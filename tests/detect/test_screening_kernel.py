@@ -102,3 +102,19 @@ def test_an_autoregression_s_normal_equations_are_those_of_its_columns(held: sli
     columns = np.column_stack([*lags, np.ones(N - order), pole ** np.arange(N - order)])[live[order:]]
     assert gram == pytest.approx(columns.T @ columns, rel=1e-10)
     assert side == pytest.approx(columns.T @ e[order:][live[order:]], rel=1e-10)
+
+
+@pytest.mark.parametrize(("skip", "known"), [(0, 0), (9, 0), (0, 30), (9, 30), (60, 30)])
+def test_a_drive_known_from_some_sample_on_is_judged_by_what_answers_to_that(skip: int, known: int) -> None:
+    drive, y = signals(5)
+    room, sums = np.empty((4, N)), np.zeros((3, 4, N + 1))
+    given = kernel.sums_of(y, POLES, DELAYS, skip)
+    for j, pole in enumerate(POLES.tolist()):
+        for d, delay in enumerate(DELAYS.tolist()):
+            best = np.array([np.inf, 0.0, 0.0])
+            within = (j, j + 1, d, d + 1)
+            kernel.screen_drive(drive, y, POLES, DELAYS, within, 0.0, skip, known, True, *given, room, sums, best)
+            counted = np.arange(N) >= (max(skip, known + delay + 1) if known else skip)
+            expected = left(drive, y, pole, delay, counted, 0.0)
+            assert best[0] * counted.sum() / N == pytest.approx(expected, rel=1e-7)
+            assert best[1:].tolist() == [j, d]

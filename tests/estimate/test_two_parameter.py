@@ -184,3 +184,13 @@ def test_a_jump_that_few_samples_fix_is_met_although_no_grid_holds_it() -> None:
     assert found.valve.stick_band == pytest.approx(2.81, rel=0.03)
     assert found.plant.gain == pytest.approx(0.49, rel=0.03)
     assert found.plant.time_constant == pytest.approx(25.7, rel=0.1)
+
+
+def test_a_wide_stem_that_slips_twice_a_cycle_is_found_without_a_setpoint_move() -> None:
+    # Fourteen moves of a stem whose S is nine tenths of what OP moves: S is known to a hundredth or not at all.
+    loop = wb.Loop(wb.FOPDT(1.0, 8.0, 4.0), wb.Choudhury(4.0, 2.2), wb.PID(0.5, 25.0), 1.0)
+    run = wb.simulate(loop, wb.Experiment(2000.0, setpoint=wb.Step(3.0), noise=wb.Noise(0.1, 3)))
+    found = wb.estimate(wb.Record(run.pv[500:], run.op[500:], 1.0, sp=run.sp[500:]))
+    assert isinstance(found.valve, wb.Choudhury)
+    assert found.valve.stick_band == pytest.approx(4.0, rel=0.01)
+    assert found.plant.gain == pytest.approx(1.0, rel=0.1)

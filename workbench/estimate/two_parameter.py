@@ -40,11 +40,8 @@ __all__ = [
 NARROWEST, WIDEST = 0.04, 0.95  # of OP's range
 GRID = 48  # values of S looked at; from WIDE on there are few slips, and a single one that is wrong spoils the fit:
 WIDE, GRID_WIDE = 0.25, 60  # as many as that
-WIDE_OPEN, JUMPS, STEEPEST = (
-    0.5,
-    0.75,
-    3,
-)  # from there on S is walked too, J in shares of that of OP's range, best plants
+WIDE_OPEN, JUMPS = 0.5, 0.75  # from there on S is walked too, with J in shares of that of OP's range
+STEEPEST = 3  # and the plants of so many of the best
 SHARES = (0.0, 0.12, 0.27, 0.45, 0.7, 1.0, 1.35)  # of J, of S
 FINER, FINER_TAUS = (-0.04, -0.02, 0.0, 0.02, 0.04), (0.7, 0.85, 1.0, 1.2, 1.45)  # about the best of them, of each
 SHORTEST, LONGEST, TAUS = 0.3, 10.0, 9  # time constants looked at: samples, records, how many
