@@ -7,6 +7,7 @@ first, and asked how far S and J may be moved, and what parts of the record say 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -72,12 +73,14 @@ class Sought:
     coarse: list[Band]
 
 
-def sought(data: Centred, coarse: list[Band], limits: Limits) -> Sought:
-    """Return where to search; coarse: the answer of `look` for the whole record."""
+def sought(
+    data: Centred, coarse: list[Band], limits: Limits, seek: Callable[[Centred, float], list[Band]] = look
+) -> Sought:
+    """Return where to search; coarse: the answer of `seek`, `look` or the like, for the whole record."""
     if data.samples <= EXACT:
         return Sought(data, coarse)
     parts = active_windows(data)[:1]
-    return Sought(parts[0], look(parts[0], limits.theta[1])) if parts else Sought(data, [])
+    return Sought(parts[0], seek(parts[0], limits.theta[1])) if parts else Sought(data, [])
 
 
 def search_bands(

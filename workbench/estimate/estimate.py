@@ -17,8 +17,10 @@ from workbench.estimate.fit import (
     LEAST_TAU,
     Fit,
     Limits,
+    disturbance,
     fit_linear,
     fit_nothing,
+    predict,
 )
 from workbench.estimate.models import (
     PLANT_PARAMETERS,
@@ -35,7 +37,8 @@ from workbench.estimate.refined import by_complementarity, jointly, refuse_compl
 from workbench.estimate.repeat import repeats_of, words_of
 from workbench.estimate.scale import band_of, band_position, linear_intervals, linear_result, stem_of
 from workbench.estimate.settled import coloured_linear, settled
-from workbench.estimate.two_parameter import look
+from workbench.estimate.stems import path_of
+from workbench.estimate.two_parameter import look, stems_like
 from workbench.estimate.two_step import akaike, two_step
 from workbench.estimate.verdict import ENOUGH_SLIPS, SHARP, WIDE_D, Evidence, agree, judge
 from workbench.model.checks import choice, number
@@ -57,6 +60,7 @@ DELAYS = 30
 LINEAR_DELAYS = 240
 WIDEST_GAIN = 0.5  # of the gain itself: a 95 % range wider than this does not identify a two-parameter valve
 CLEAR_BIC = 10.0  # R. Kass, A. Raftery, J. Am. Stat. Assoc. 90 (1995) 773-795: "very strong" evidence above it
+HALF = 0.5  # of what the linear fit leaves: a stem that leaves no more explains PV by itself
 MUCH_MANUAL = 0.05  # share of the record in manual that is worth a word
 
 
@@ -216,6 +220,19 @@ def _profile(data: Centred, max_dead_time: float | None, tell: Callable[[float],
         longest *= 2
 
 
+def _noise_alone(data: Centred, found: Profile, linear: Fit) -> bool:
+    """Whether a Stenman valve explains all of PV but white noise, of which a valve with more freedom can take nothing.
+
+    Only where it does so by a stem of its own: with slips enough, a sharp d, and much less left than the linear fit's.
+    """
+    best = found.best
+    d = [end for c in found.alike for end in (c.d_low, c.d_high)]
+    if best.slips < ENOUGH_SLIPS or max(d) - min(d) > SHARP * best.d or best.fit.sse > HALF * linear.sse:
+        return False
+    left = data.y - predict(data, path_of(data.u, best.d_low, best.first)[0], best.first, best.fit)[0]
+    return disturbance(left, data.floor).size == 1
+
+
 def _answer(
     record: Record,
     data: Centred,
@@ -237,10 +254,13 @@ def _answer(
     delays = found.limits.theta[1] if found is not None else float(_longest(data, None, DELAYS))
     rival = linear if linear.theta <= delays else fit_linear(data, delays)
     wide = [] if found is None else [c.fit.sse / n for c in found.fits if c.d >= WIDE_D * data.op_range]
-    coarse = look(data, delays)
+    seek = look
+    if found is not None and _noise_alone(data, found, rival):
+        seek = stems_like(found.best.d, (found.best.fit.tau, found.best.fit.theta))
+    coarse = seek(data, delays)
     bands = {}
     if method != "two_step" and valve not in ("stenman", "linear"):
-        bands = bands_of(data, coarse, Limits((LEAST_TAU, float(n)), (0.0, delays)))
+        bands = bands_of(data, coarse, Limits((LEAST_TAU, float(n)), (0.0, delays)), seek=seek)
     steps: tuple[LoadStep, ...] = ()
     # The verdict weighs what each model leaves of PV; the model itself is fitted in the measure that its disturbance
     # asks for.

@@ -30,7 +30,6 @@ __all__ = [
     "stem_path",
     "stem_slips",
     "walk",
-    "walk_bands",
 ]
 
 Floats = NDArray[np.float64]
@@ -363,30 +362,34 @@ def oe_columns(
 
 
 @compiled
-def _solve(gram: Floats, size: int, b: Floats) -> float:
-    """Solve the normal equations by elimination in place; columns that add nothing get 0. Return b' G^-1 b."""
-    scale = np.empty(size)
-    used = np.empty(size, np.bool_)
-    for i in range(size):
-        scale[i] = gram[i, i]
+def _solve(g: Floats, size: int) -> float:
+    """Solve the normal equations by elimination in place; columns that add nothing get 0. Return b' G^-1 b.
+
+    g: rows of the matrix, of which the upper half is read, the right side b and then the solution in row 4.
+    """
+    b = g[4]
+    for i in range(1, size):
+        # What a column is before the others are taken from it stands in the half that is not used.
+        g[i, 0] = g[i, i]
     explained = 0.0
     for i in range(size):
-        used[i] = gram[i, i] > 1e-11 * scale[i] and gram[i, i] > 0.0
-        if not used[i]:
+        whole = g[i, i] if i == 0 else g[i, 0]
+        if not (g[i, i] > 1e-11 * whole and g[i, i] > 0.0):
+            g[i, i] = 0.0
             continue
-        explained += b[i] * b[i] / gram[i, i]
+        explained += b[i] * b[i] / g[i, i]
         for j in range(i + 1, size):
-            factor = gram[j, i] / gram[i, i]
-            for k in range(i, size):
-                gram[j, k] -= factor * gram[i, k]
+            factor = g[i, j] / g[i, i]
+            for k in range(j, size):
+                g[j, k] -= factor * g[i, k]
             b[j] -= factor * b[i]
     for i in range(size - 1, -1, -1):
-        if not used[i]:
+        if g[i, i] == 0.0:
             b[i] = 0.0
             continue
         for k in range(i + 1, size):
-            b[i] -= gram[i, k] * b[k]
-        b[i] /= gram[i, i]
+            b[i] -= g[i, k] * b[k]
+        b[i] /= g[i, i]
     return explained
 
 
@@ -401,7 +404,49 @@ def drive_of(x: Floats, first: int, a: Floats, drive: Floats) -> None:
 
 
 @compiled
-def _products(
+def plant_terms(integrating: bool, tau: float, theta: float) -> tuple[float, float, float, int]:
+    """Return a plant's pole, the shares c0 and c1 of its two inputs, and the whole samples of its dead time.
+
+    `y_{k+1} = a y_k + c0 v_{k-m} + c1 v_{k-m-1}` of gain 1, a sample being the unit of time.
+    """
+    m = math.floor(theta + 1e-9)
+    f = theta - m
+    if f < 1e-9:
+        f = 0.0
+    if integrating:
+        return 1.0, 1.0 - f, f, m
+    pole = math.exp(-1.0 / tau)
+    part = pole ** (1.0 - f)
+    return pole, 1.0 - part, part - pole, m
+
+
+@compiled
+def start_rests(a: Floats) -> tuple[Floats, float]:
+    """Return what is left of a start in the filter, rest[q] q samples after it ended, and the filter's delay.
+
+    rest[0] is what the filter makes of a constant, rest[p + 1] = 0.
+    """
+    rest, lead = np.zeros(a.size + 1), 0.0
+    for q in range(a.size - 1, -1, -1):
+        rest[q] = rest[q + 1] + a[q]
+        lead += q * a[q]
+    return rest, lead
+
+
+@compiled
+def transient_at(skip: int, integrating: bool, pole: float, whole: float, lead: float, a: Floats) -> float:
+    """Return the filtered transient (`oe_columns`) at the first sample that counts, 0 where it has died out before."""
+    if integrating:
+        return whole * skip - lead
+    r = 0.0
+    if skip == 0 or pole**skip >= FADED:
+        for q in range(a.size):
+            r += a[q] * pole ** (skip - q)
+    return r
+
+
+@compiled
+def products(
     y: Floats,
     drive: Floats,
     first: int,
@@ -410,30 +455,15 @@ def _products(
     theta: float,
     a: Floats,
     skip: int,
-    gram: Floats,
-    b: Floats,
+    out: Floats,
 ) -> float:
-    """Write the products of the model's columns with each other, gram, and with y, b; return that of y with itself.
+    """Write the products of the model's columns with each other and with y; return that of y with itself.
 
-    See `oe_cost`. gram, (4, 4): its upper half; b, (4,).
+    See `oe_cost`. out, (5, 4): of rows 0 to 3 the upper half, those with y in row 4.
     """
     n, p = y.size, a.size - 1
-    m = math.floor(theta + 1e-9)
-    f = theta - m
-    if f < 1e-9:
-        f = 0.0
-    if integrating:
-        pole, c0, c1 = 1.0, 1.0 - f, f
-    else:
-        pole = math.exp(-1.0 / tau)
-        part = pole ** (1.0 - f)
-        c0, c1 = 1.0 - part, part - pole
-    # What is left of a start q samples after it has ended, in the filter: rest[0] before, rest[q] then, rest[p+1] = 0.
-    rest = np.zeros(p + 2)
-    lead = 0.0
-    for q in range(p, -1, -1):
-        rest[q] = rest[q + 1] + a[q]
-        lead += q * a[q]
+    pole, c0, c1, m = plant_terms(integrating, tau, theta)
+    rest, lead = start_rests(a)
     whole = rest[0]
     s = 0.0
     g = -lead if integrating else whole
@@ -445,13 +475,7 @@ def _products(
             s += c0 * drive[k - m]
         if k > m:
             s += c1 * drive[k - m - 1]
-    r = 0.0
-    if integrating:
-        r = whole * skip - lead
-    elif skip == 0 or pole**skip >= FADED:
-        # Else the transient has died out before the samples that count.
-        for q in range(p + 1):
-            r += a[q] * pole ** (skip - q)
+    r = transient_at(skip, integrating, pole, whole, lead, a)
     sy, ss, sg, sr, gy, gg, gr, ry, rr, yy = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     s1, g1, r1, y1 = 0.0, 0.0, 0.0, 0.0
     # Until the start has passed the dead time and the filter.
@@ -563,11 +587,10 @@ def _products(
     ss += ssA + ssB
     sy += syA + syB
     s1, g1, r1, y1 = whole * s1, whole * g1, whole * r1, whole * y1
-    gram[0, 0], gram[0, 1], gram[0, 2], gram[0, 3] = whole * whole * (n - skip), s1, g1, r1
-    gram[1, 0], gram[1, 1], gram[1, 2], gram[1, 3] = s1, ss, sg, sr
-    gram[2, 0], gram[2, 1], gram[2, 2], gram[2, 3] = g1, sg, gg, gr
-    gram[3, 0], gram[3, 1], gram[3, 2], gram[3, 3] = r1, sr, gr, rr
-    b[0], b[1], b[2], b[3] = y1, sy, gy, ry
+    out[0, 0], out[0, 1], out[0, 2], out[0, 3] = whole * whole * (n - skip), s1, g1, r1
+    out[1, 1], out[1, 2], out[1, 3] = ss, sg, sr
+    out[2, 2], out[2, 3], out[3, 3] = gg, gr, rr
+    out[4, 0], out[4, 1], out[4, 2], out[4, 3] = y1, sy, gy, ry
     return yy
 
 
@@ -595,25 +618,28 @@ def oe_cost(
     outside, it is set to the nearer end. sign: the gain's sign, 0 for either. Written into `out` (FIT): SSE, TAU,
     THETA, GAIN (per sample for integrating plants), BIAS, START (gain times x0) and TRANSIENT.
     """
-    gram, b = np.empty((4, 4)), np.empty(4)
-    yy = _products(y, drive, first, integrating, tau, theta, a, skip, gram, b)
-    return _least(gram, b, yy, low, high, sign, tau, theta, out)
+    room = np.empty((2, 5, 4))
+    yy = products(y, drive, first, integrating, tau, theta, a, skip, room[0])
+    return least(room, yy, low, high, sign, tau, theta, out)
 
 
 @compiled
-def _least(
-    gram: Floats, b: Floats, yy: float, low: float, high: float, sign: float, tau: float, theta: float, out: Floats
+def least(
+    room: Floats, yy: float, low: float, high: float, sign: float, tau: float, theta: float, out: Floats
 ) -> float:
-    """Solve the normal equations of `oe_columns` with x0 in [low, high] and the gain's sign (see `oe_cost`)."""
-    whole, right = gram.copy(), b.copy()
-    explained = _solve(gram, 4, b)
+    """Solve the normal equations of `oe_columns` with x0 in [low, high] and the gain's sign (see `oe_cost`).
+
+    room, (2, 5, 4): the products as `products` writes them, and as much to work in.
+    """
+    q, g = room[0], room[1]
+    g[:] = q
+    b = g[4]
+    explained = _solve(g, 4)
     if b[1] * sign < 0.0:
         # A gain of the other sign is the controller's inverse, not the plant: the stem then has no part in PV.
-        for i in range(2):
-            b[i] = right[3 * i]
-            for j in range(2):
-                gram[i, j] = whole[3 * i, 3 * j]
-        explained = _solve(gram, 2, b)
+        g[0, 0], g[0, 1], g[1, 1] = q[0, 0], q[0, 3], q[3, 3]
+        b[0], b[1] = q[4, 0], q[4, 3]
+        explained = _solve(g, 2)
         b[3], b[1], b[2] = b[1], 0.0, 0.0
     elif math.isfinite(low) or math.isfinite(high):
         gain = b[1]
@@ -621,13 +647,12 @@ def _least(
         if not low <= x0 <= high:
             # The nearer end: stem and start move together, as one column.
             x0 = low if (not x0 > low) else high
-            gram[0, 0], gram[0, 2], gram[2, 2] = whole[0, 0], whole[0, 3], whole[3, 3]
-            gram[0, 1] = whole[0, 1] + x0 * whole[0, 2]
-            gram[1, 1] = whole[1, 1] + 2.0 * x0 * whole[1, 2] + x0 * x0 * whole[2, 2]
-            gram[1, 2] = whole[1, 3] + x0 * whole[2, 3]
-            gram[1, 0], gram[2, 0], gram[2, 1] = gram[0, 1], gram[0, 2], gram[1, 2]
-            b[0], b[1], b[2] = right[0], right[1] + x0 * right[2], right[3]
-            explained = _solve(gram, 3, b)
+            g[0, 0], g[0, 2], g[2, 2] = q[0, 0], q[0, 3], q[3, 3]
+            g[0, 1] = q[0, 1] + x0 * q[0, 2]
+            g[1, 1] = q[1, 1] + 2.0 * x0 * q[1, 2] + x0 * x0 * q[2, 2]
+            g[1, 2] = q[1, 3] + x0 * q[2, 3]
+            b[0], b[1], b[2] = q[4, 0], q[4, 1] + x0 * q[4, 2], q[4, 3]
+            explained = _solve(g, 3)
             b[3] = b[2]
             b[2] = x0 * b[1]
     sse = max(yy - explained, 0.0)
@@ -906,54 +931,6 @@ def fit_bands(
 
 
 @compiled
-def walk_bands(
-    y: Floats,
-    op: Floats,
-    first: int,
-    sense: float,
-    S: float,
-    J: float,
-    along: int,
-    end: float,
-    least: float,
-    most: float,
-    sign: float,
-    integrating: bool,
-    tau: float,
-    theta: float,
-    a: Floats,
-    skip: int,
-    rows: Floats,
-) -> int:
-    """Walk S (along = 0) or J (along = 1) from (S, J) up to `end`, and fit the model at (tau, theta) to each path.
-
-    y, a: as in `oe_cost`. The slips change where S passes the least return of OP at which the stem turned, or J the
-    least advance at which it moved on; between such breakpoints the path shifts evenly. least, most: steps in %, the
-    least and the largest; least = 0 meets every sequence of slips. Written: rows (S, J, COST, SLIPS). Returns their
-    number. first, sense: as in `band_path`.
-    """
-    x, drive = np.empty(op.size), np.empty(op.size)
-    box = np.empty(4)
-    out = np.empty(FIT)
-    at = S if along == 0 else J
-    count = 0
-    while end > at and count < rows.shape[0]:
-        if along == 0:
-            S = at
-        else:
-            J = at
-        slips = band_path(op, S, J, first, sense, x, box)
-        if slips == 0:
-            break
-        drive_of(x, max(first, 0), a, drive)
-        oe_cost(y, drive, max(first, 0), -math.inf, math.inf, sign, integrating, tau, theta, a, skip, out)
-        rows[count, 0], rows[count, 1], rows[count, 2], rows[count, 3] = S, J, out[SSE], slips
-        count += 1
-        at = max(min(box[S_HIGH] if along == 0 else box[J_HIGH], at + most), at + least)
-    return count
-
-
-@compiled
 def scan_bands(
     y: Floats,
     op: Floats,
@@ -1122,44 +1099,26 @@ def each_way_path(op: Floats, gap: float, up: float, down: float, first: int, se
 
 
 @compiled
-def _held_cost(
-    y: Floats,
-    x: Floats,
-    first: int,
-    low: float,
-    high: float,
-    gain: float,
-    integrating: bool,
-    tau: float,
-    theta: float,
-    terms: Floats,
-) -> float:
+def held_least(room: Floats, yy: float, low: float, high: float, gain: float, terms: Floats) -> float:
     """Sum of squares at a plant that is held, gain included: bias, x0 (within low..high) and transient are free.
 
-    x: the stem's path, 0 before `first`. Written into terms: bias, gain times x0, transient.
+    room: as of `least`. Written into terms: bias, gain times x0, transient.
     """
-    columns, right = np.empty((4, 4)), np.empty(4)
-    yy = _products(y, x, first, integrating, tau, theta, np.ones(1), 0, columns, right)
-    power = yy - 2.0 * gain * right[1] + gain * gain * columns[1, 1]
-    kept, b = np.zeros((3, 3)), np.empty(3)
-    kept[0, 0], kept[0, 1], kept[0, 2] = columns[0, 0], columns[0, 2], columns[0, 3]
-    kept[1, 1], kept[1, 2], kept[2, 2] = columns[2, 2], columns[2, 3], columns[3, 3]
-    b[0] = right[0] - gain * columns[0, 1]
-    b[1] = right[2] - gain * columns[1, 2]
-    b[2] = right[3] - gain * columns[1, 3]
-    kept[1, 0], kept[2, 0], kept[2, 1] = kept[0, 1], kept[0, 2], kept[1, 2]
-    gram = kept.copy()
-    side = b.copy()
-    explained = _solve(gram, 3, b)
+    q, g = room[0], room[1]
+    b = g[4]
+    power = yy - 2.0 * gain * q[4, 1] + gain * gain * q[1, 1]
+    bias, start, transient = q[4, 0] - gain * q[0, 1], q[4, 2] - gain * q[1, 2], q[4, 3] - gain * q[1, 3]
+    g[0, 0], g[0, 1], g[0, 2], g[1, 1], g[1, 2], g[2, 2] = q[0, 0], q[0, 2], q[0, 3], q[2, 2], q[2, 3], q[3, 3]
+    b[0], b[1], b[2] = bias, start, transient
+    explained = _solve(g, 3)
     free = b[1] / gain
     if free < low or free > high:
-        start = gain * (low if free < low else high)
-        power += start * start * kept[1, 1] - 2.0 * start * side[1]
-        gram[0, 0], gram[0, 1], gram[1, 0], gram[1, 1] = kept[0, 0], kept[0, 2], kept[2, 0], kept[2, 2]
-        b[0], b[1] = side[0] - start * kept[0, 1], side[2] - start * kept[1, 2]
-        explained = _solve(gram, 2, b)
-        b[2] = b[1]
-        b[1] = start
+        held = gain * (low if free < low else high)
+        power += held * held * q[2, 2] - 2.0 * held * start
+        g[0, 0], g[0, 1], g[1, 1] = q[0, 0], q[0, 3], q[3, 3]
+        b[0], b[1] = bias - held * q[0, 2], transient - held * q[2, 3]
+        explained = _solve(g, 2)
+        b[1], b[2] = held, b[1]
     terms[0], terms[1], terms[2] = b[0], b[1], b[2]
     left: float = max(power - explained, 0.0)
     return left
@@ -1185,27 +1144,28 @@ def scan_held(
     by which it may have rested beyond it until `first`. tau, theta: samples. Written: costs, sums of squares, inf where
     the stem can have slipped at none of the starts; found, rows (first, sense, slips, bias, start, transient).
     """
-    x = np.empty(op.size)
-    terms = np.empty(3)
-    for i in range(bands.shape[0]):
-        gap, up, down = bands[i, 0], bands[i, 1], bands[i, 2]
-        costs[i] = math.inf
-        for j in range(starts.shape[0]):
-            first, sense = int(starts[j, 0]), starts[j, 1]
+    x, white = np.empty(op.size), np.ones(1)
+    room, terms = np.empty((2, 5, 4)), np.empty(3)
+    costs[:] = math.inf
+    for j in range(starts.shape[0]):
+        first, sense = int(starts[j, 0]), starts[j, 1]
+        top, bottom = (op[:first].max(), op[:first].min()) if first > 0 else (0.0, 0.0)
+        for i in range(bands.shape[0]):
+            gap, up, down = bands[i, 0], bands[i, 1], bands[i, 2]
             low, high = -math.inf, math.inf
             if first > 0:
-                top, bottom = op[:first].max(), op[:first].min()
-                room = slack * max(up, down)
+                band = slack * max(up, down)
                 if math.isnan(gap):
-                    low, high = top - up - room, bottom + down + room
+                    low, high = top - up - band, bottom + down + band
                     if sense > 0.0:
-                        high = min(high, op[first] - up + room)
+                        high = min(high, op[first] - up + band)
                     else:
-                        low = max(low, op[first] + down - room)
-                if low > high or top - bottom > up + down + (0.0 if math.isnan(gap) else gap) + room:
+                        low = max(low, op[first] + down - band)
+                if low > high or top - bottom > up + down + (0.0 if math.isnan(gap) else gap) + band:
                     continue
             slips = each_way_path(op, gap, up, down, first, sense, x)
-            cost = _held_cost(y, x, first, low, high, gain, integrating, tau, theta, terms)
+            yy = products(y, x, first, integrating, tau, theta, white, 0, room[0])
+            cost = held_least(room, yy, low, high, gain, terms)
             if cost < costs[i]:
                 costs[i] = cost
                 found[i, 0], found[i, 1], found[i, 2] = first, sense, slips

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 from workbench.estimate.bands import Bands, Found, refit, search_bands, sought
 from workbench.estimate.data import Centred, plant_of
 from workbench.estimate.fit import Fit, Limits, grounded
 from workbench.estimate.profile import Profile
 from workbench.estimate.stems import path_of
-from workbench.estimate.two_parameter import Band, band_stem
+from workbench.estimate.two_parameter import Band, band_stem, look
 from workbench.estimate.verdict import SHARP
 from workbench.model.record import FloatArray
 from workbench.model.results import FittedModel
@@ -31,9 +32,18 @@ def _valve(name: str, d: float, band: Band | None) -> Valve:
     return Stenman(d) if name == "stenman" else Ideal()
 
 
-def bands_of(data: Centred, coarse: list[Band], limits: Limits, only_any: bool = False) -> dict[str, Found]:
-    """Return the searches over two-parameter valves that found a stem: "deadband" (J = 0) and "choudhury" (any J)."""
-    within = sought(data, coarse, limits)
+def bands_of(
+    data: Centred,
+    coarse: list[Band],
+    limits: Limits,
+    only_any: bool = False,
+    seek: Callable[[Centred, float], list[Band]] = look,
+) -> dict[str, Found]:
+    """Return the searches over two-parameter valves that found a stem: "deadband" (J = 0) and "choudhury" (any J).
+
+    coarse: stems that `seek` found in the whole record.
+    """
+    within = sought(data, coarse, limits, seek)
     dead = None if only_any else search_bands(data, within, limits, 0.0)
     any_jump = search_bands(data, within, limits, None, () if dead is None else (dead.best,))
     found = {"deadband": dead, "choudhury": any_jump}

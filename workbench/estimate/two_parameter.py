@@ -9,14 +9,16 @@ windows and then walked as a whole (`bands`).
 
 from __future__ import annotations
 
+import itertools
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from workbench.detect.stem import dead_times
-from workbench.estimate import kernel
+from workbench.estimate import abreast, kernel
 from workbench.estimate.data import Centred
 from workbench.estimate.fit import LEAST_TAU, Fit, Limits, fit_bands
 from workbench.estimate.profile import EXACT, active_windows
@@ -35,6 +37,7 @@ __all__ = [
     "search_short",
     "start_costs",
     "started",
+    "stems_like",
 ]
 
 NARROWEST, WIDEST = 0.04, 0.95  # of OP's range
@@ -58,6 +61,8 @@ SEEDS = 4  # of them, about which S and J are walked
 REACHES = ((0.006, 0.015), (0.002, 0.005))  # how far, of S: along S and along J
 LINES = 13  # of J in each
 REFITS = 6  # best lines of which each gets its own plant
+MOST_ROWS = 4000  # of a line that is walked
+LIKE = 2  # starts of a stem that is known from another valve
 STARTS = 60  # first slips tried beside the stem that rests in the middle of its band
 
 
@@ -103,6 +108,21 @@ def look(data: Centred, longest: float) -> list[Band]:
     return sorted((b for b in found if b.slips > 0 and b.fit.gain != 0.0), key=lambda b: b.fit.sse)
 
 
+def stems_like(d: float, plant: tuple[float, float]) -> Callable[[Centred, float], list[Band]]:
+    """Return what looks for stems, as `look` does, only about a Stenman valve's, S = J = d (%), with its plant.
+
+    For a record of which that valve leaves noise alone. plant: (tau, theta) in samples.
+    """
+
+    def about(data: Centred, longest: float) -> list[Band]:
+        limits = Limits((LEAST_TAU, float(data.samples)), (0.0, longest))
+        starts = start_costs(data, (d, d), plant)[:LIKE]
+        found = [fit_band(data, d, d, start[1:], limits, plant) for start in starts]
+        return sorted((b for b in found if b.slips > 0 and b.fit.gain != 0.0), key=lambda b: b.fit.sse)
+
+    return about
+
+
 def _screened(data: Centred, grid: FloatArray, taus: FloatArray, delays: list[float], most: int) -> list[Seed]:
     """The best (S, J, tau, theta) of a grid of rows (S, J) that differ, each with the best plant of a grid."""
     grid = grid[grid.sum(axis=1) < 2.0 * data.op_range]
@@ -123,18 +143,19 @@ def _screened(data: Centred, grid: FloatArray, taus: FloatArray, delays: list[fl
     # A sequence of slips may hold for a range of J too narrow for any grid: at each S all of J is walked.
     least = np.argmin(found.reshape(len(grid), 4, 3)[:, :, 0], axis=1)
     best = found[np.arange(len(grid)), least]
-    walked = []
+    seeds: list[Seed] = []
     for S in np.unique(grid[:, 0]).tolist():
         here = np.flatnonzero(grid[:, 0] == S)
         i = int(here[np.argmin(best[here, 0])])
         if math.isfinite(best[i, 0]):
-            seed = (*grid[i].tolist(), float(taus[int(best[i, 1])]), delays[int(best[i, 2])])
-            walked += _along(data, seed)
+            seeds.append((*grid[i].tolist(), float(taus[int(best[i, 1])]), delays[int(best[i, 2])]))
     finest = np.argsort(best[:, 0], kind="stable")[:STEEPEST]
     plants = {(float(taus[int(best[i, 1])]), delays[int(best[i, 2])]) for i in finest if math.isfinite(best[i, 0])}
-    wide = [line for plant in sorted(plants) for line in _over(data, plant)]
-    for lines, share in ((walked, most + WALKED_IN), (wide, most + WALKED_IN + WIDE_IN)):
-        for _, seed in sorted(lines):
+    for walks, share in (
+        (_along(data, seeds), most + WALKED_IN),
+        (_over(data, sorted(plants)), most + WALKED_IN + WIDE_IN),
+    ):
+        for _, seed in sorted(walks):
             if len(chosen) < share and _differs(seed, chosen):
                 chosen.append(seed)
     return chosen
@@ -145,29 +166,35 @@ def _differs(seed: Seed, chosen: list[Seed]) -> bool:
     return all(abs(S / c[0] - 1.0) > NEAR or abs(J - c[1]) > NEAR_JUMP * S for c in chosen)
 
 
-def _along(data: Centred, seed: Seed) -> list[tuple[float, Seed]]:
-    """(cost, seed) of the best of the sequences of slips that J leads through at a seed's S and plant."""
-    S, J, tau, theta = seed
-    _, first, sense = start_costs(data, (S, J), (tau, theta))[0]
-    like = Band(S, J, first, sense, 0, Fit(0.0, tau, theta, 0.0, 0.0, 0.0, 0.0))
-    rows = _line(data, (S, 0.02 * S), 1, min(1.5 * S, 2.0 * data.op_range - S), like, (0.004 * S, 0.02 * S))
-    order = np.argsort(rows[:, 2], kind="stable")[:1].tolist()
-    return [(float(rows[i, 2]), (S, float(rows[i, 1]), tau, theta)) for i in order]
+def _along(data: Centred, seeds: list[Seed]) -> list[tuple[float, Seed]]:
+    """(cost, seed), of each seed's S and plant, for the best of the sequences of slips that J leads through."""
+    lines = []
+    for S, J, tau, theta in seeds:
+        _, first, sense = start_costs(data, (S, J), (tau, theta))[0]
+        end = min(1.5 * S, 2.0 * data.op_range - S)
+        lines.append(Line((S, 0.02 * S), 1, end, (0.004 * S, 0.02 * S), (first, sense), (tau, theta)))
+    return _bests(lines, walked(data, lines))
 
 
-def _over(data: Centred, plant: tuple[float, float]) -> list[tuple[float, Seed]]:
-    """(cost, seed) of the best of the sequences of slips that wide S lead through with one plant, for some J.
+def _over(data: Centred, plants: list[tuple[float, float]]) -> list[tuple[float, Seed]]:
+    """(cost, seed) of the best of the sequences of slips that wide S lead through with a plant, for some J.
 
     A stem that sticks over nearly all that OP moves slips twice a cycle; what S it takes is known to a hundredth.
     """
-    span, found = data.op_range, []
-    for J in (share * JUMPS * span for share in SHARES):
-        _, first, sense = start_costs(data, (0.8 * span, J), plant)[0]
-        for start in {(first, sense), (0, 1.0), (0, -1.0)}:
-            like = Band(span, J, *start, 0, Fit(0.0, *plant, 0.0, 0.0, 0.0, 0.0))
-            rows = _line(data, (WIDE_OPEN * span, J), 0, WIDEST * span, like, (0.002 * span, 0.004 * span))
-            found += [(float(row[2]), (float(row[0]), J, *plant)) for row in rows[np.argsort(rows[:, 2])[:1]]]
-    return found
+    span, lines = data.op_range, []
+    for plant in plants:
+        for J in (share * JUMPS * span for share in SHARES):
+            _, first, sense = start_costs(data, (0.8 * span, J), plant)[0]
+            for start in sorted({(first, sense), (0, 1.0), (0, -1.0)}):
+                steps = (0.002 * span, 0.004 * span)
+                lines.append(Line((WIDE_OPEN * span, J), 0, WIDEST * span, steps, start, plant))
+    return _bests(lines, walked(data, lines))
+
+
+def _bests(lines: list[Line], rows: list[NDArray[np.float64]]) -> list[tuple[float, Seed]]:
+    """(cost, seed) of the best row of each line."""
+    bests = [(line, met[np.argmin(met[:, 2])]) for line, met in zip(lines, rows, strict=True) if len(met)]
+    return [(float(row[2]), (float(row[0]), float(row[1]), *line.plant)) for line, row in bests]
 
 
 def _placed(data: Centred, seed: Seed, limits: Limits) -> Band:
@@ -211,32 +238,36 @@ def _fitted(
     return [Band(S, J, *start, slips, fit) for (S, J), (fit, slips) in zip(bands, fits, strict=True)]
 
 
-def _line(
-    data: Centred, begin: tuple[float, float], along: int, end: float, like: Band, steps: tuple[float, float]
-) -> NDArray[np.float64]:
-    """Rows (S, J, COST, SLIPS) from (S, J) on along S (0) or J (1), with the start and plant of `like`.
+@dataclass(frozen=True, slots=True)
+class Line:
+    """A walk from (S, J), %, along S (0) or J (1) up to `end`, in steps of at least and at most so much.
 
-    steps: the least and the largest, %.
+    start: the stem's (first, sense), see `kernel.band_path`; plant: (tau, theta) in samples.
     """
-    rows = np.empty((4000, 4))
-    count = kernel.walk_bands(
+
+    begin: tuple[float, float]
+    along: int
+    end: float
+    steps: tuple[float, float]
+    start: tuple[int, float]
+    plant: tuple[float, float]
+
+
+def walked(data: Centred, lines: list[Line]) -> list[NDArray[np.float64]]:
+    """Return the rows (S, J, COST, SLIPS) of each line, in its order, all of its length within `MOST_ROWS` a line."""
+    table = np.array([(*line.begin, line.along, line.end, *line.steps, *line.start, *line.plant) for line in lines])
+    rows = abreast.walk_bands(
         data.target,
         data.u,
-        like.first,
-        like.sense,
-        *begin,
-        along,
-        end,
-        *steps,
+        table.reshape(-1, abreast.LINE),
         data.sign,
         data.integrating,
-        like.fit.tau,
-        like.fit.theta,
         data.a,
         data.skip,
-        rows,
+        MOST_ROWS * len(lines),
     )
-    return rows[:count].copy()
+    ends = np.searchsorted(rows[:, 4], np.arange(len(lines) + 1))
+    return [rows[first:stop, :4] for first, stop in itertools.pairwise(ends.tolist())]
 
 
 def start_costs(data: Centred, band: tuple[float, float], plant: tuple[float, float]) -> list[tuple[float, int, float]]:
@@ -274,14 +305,15 @@ def closer(
     low, high = seed.S * (1.0 - reach[0]), min(seed.S * (1.0 + reach[0]), data.op_range)
     # Breakpoints closer than a tenth of the step are passed over: a stem that hardly moves has thousands of them.
     steps = (0.1 * step * low if data.samples <= EXACT else step * low, step * low)
-    lines = [_line(data, (low, j), 0, high, seed, steps) for j in J.tolist()]
-    lines = [line for line in lines if len(line)]
+    plant = (seed.fit.tau, seed.fit.theta)
+    start = (seed.first, seed.sense)
+    lines = [
+        line for line in walked(data, [Line((low, j), 0, high, steps, start, plant) for j in J.tolist()]) if len(line)
+    ]
     if not lines:
         return [], np.empty((0, 4))
     tops = np.array([line[np.argmin(line[:, 2])] for line in lines])
     tops = tops[np.argsort(tops[:, 2], kind="stable")][:REFITS]
-    plant = (seed.fit.tau, seed.fit.theta)
-    start = (seed.first, seed.sense)
     fits = _fitted(data, [tuple(row) for row in tops[:, :2].tolist()], start, limits, plant, 50)
     return [b for b in fits if b.fit.gain != 0.0 and b.slips > 0], np.vstack(lines)
 
@@ -292,13 +324,13 @@ def _nearer(data: Centred, seed: Band, spreads: tuple[float, ...], only: float |
     for spread in spreads:
         for _ in range(STEPS):
             best = started(data, best_of(met), limits)
-            met += [best, *_about(data, best, spread, only, limits), *_walked(data, best, spread, only, limits)]
+            met += [best, *_about(data, best, spread, only, limits), *_lengthways(data, best, spread, only, limits)]
             if best_of(met) is best:
                 break
     return met
 
 
-def _walked(data: Centred, seed: Band, spread: float, only: float | None, limits: Limits) -> list[Band]:
+def _lengthways(data: Centred, seed: Band, spread: float, only: float | None, limits: Limits) -> list[Band]:
     """The best of the sequences of slips along S and along J about a seed, each fitted with its own plant.
 
     A sequence may hold for a range of J far narrower than what a grid in proportion to S can meet.
@@ -307,13 +339,14 @@ def _walked(data: Centred, seed: Band, spread: float, only: float | None, limits
         return []
     reach = WALKED * spread * seed.S
     steps = (0.01 * reach, 0.1 * reach)
-    found = []
+    plant, start = (seed.fit.tau, seed.fit.theta), (seed.first, seed.sense)
+    lines = []
     for along, at in enumerate((seed.S, seed.J)):
         low = max(at - reach, 0.1 * at)
-        begin = (low, seed.J) if along == 0 else (seed.S, low)
-        rows = _line(data, begin, along, at + reach, seed, steps)
+        lines.append(Line((low, seed.J) if along == 0 else (seed.S, low), along, at + reach, steps, start, plant))
+    found = []
+    for rows in walked(data, lines):
         found += [tuple(row) for row in rows[np.argsort(rows[:, 2], kind="stable")[:WALKS], :2].tolist()]
-    plant, start = (seed.fit.tau, seed.fit.theta), (seed.first, seed.sense)
     fits = _fitted(data, found, start, limits, plant, QUICK, 1e-5)
     return [b for b in fits if b.fit.gain != 0.0 and b.slips > 0]
 

@@ -1,0 +1,417 @@
+"""Many stems side by side: their paths and the sums of their responses, `LANES` of them in one pass over a record.
+
+The compiler makes vector instructions of the loops over lanes. For that each decision is a choice between two values
+and all numbers of the lanes stand in one array at constant distances. What a stem is and what is summed is told where
+one stem is taken alone, in `kernel.each_way_path` and `kernel.oe_cost`.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from workbench.estimate.kernel import FIT, SSE, least, plant_terms, products, start_rests, transient_at
+from workbench.simulate.compiled import compiled, written_out
+
+__all__ = ["LANES", "LINE", "ROW", "walk_bands"]
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+LANES = 32
+STRIDE = 4  # samples of a lane at a time, its numbers in registers
+CHUNK = 32  # samples of all lanes at a time, in the fastest memory
+# A lane's numbers: its valve (jumps and bands each way, half their gap, whether it follows OP, which edge is asked
+# for), its stem (where it was led, in which sense, whether it moves, OP's last value, the edge met, slips), its plant,
+# response and last input, start and transient, and the sums of the response and of its products.
+(_UP, _DOWN, _TURN_DOWN, _TURN_UP, _OFFSET, _FOLLOWS, _ALONG_J) = range(0, 7 * LANES, LANES)
+(_LED, _SENSE, _MOTION, _LAST, _EDGE, _SLIPS) = range(7 * LANES, 13 * LANES, LANES)
+(_POLE, _C0, _C1, _GROWS, _S, _W, _G, _R) = range(13 * LANES, 21 * LANES, LANES)
+(_SUM, _SS, _SY, _SG, _SR) = range(21 * LANES, 26 * LANES, LANES)
+WIDTH = 26 * LANES
+# A line that is walked: where it starts in S and J, along which of them, up to where, its least and largest step, the
+# stem's start and the plant.
+BEGIN_S, BEGIN_J, ALONG, END, LEAST, MOST, FIRST, SENSE, TAU, THETA = range(10)
+LINE = 10
+# Columns of a row that `walk_bands` writes: S, J, cost, slips, and the line that it is of.
+ROW = 5
+NEVER = 1e300  # % of OP
+RAMP = 1e-9  # of OP, a sample: OP before a stem's first slip, so that it moves when the slip comes
+GONE = 1e-13  # of a start or transient: it counts no more
+WORTH = 3.0  # steps left of a line for which an idle lane takes the further half of them
+
+
+@written_out
+def _stems(op: Floats, lanes: Floats, x: Floats, count: int) -> None:
+    """`count` samples of the lanes' stems: `kernel.each_way_path` without branches."""
+    for j in range(LANES):
+        up, down, turn_down, turn_up = lanes[_UP + j], lanes[_DOWN + j], lanes[_TURN_DOWN + j], lanes[_TURN_UP + j]
+        offset, follows, along_j = lanes[_OFFSET + j], lanes[_FOLLOWS + j], lanes[_ALONG_J + j]
+        led, sense, motion, last = lanes[_LED + j], lanes[_SENSE + j], lanes[_MOTION + j], lanes[_LAST + j]
+        edge, slips = lanes[_EDGE + j], lanes[_SLIPS + j]
+        for i in range(count):
+            v = op[i * LANES + j]
+            on = (v - led) * sense
+            further = on > (up if sense > 0.0 else down)
+            back = -on > (turn_down if sense > 0.0 else turn_up)
+            goes_on = motion * (v - last) > 0.0
+            slip = (not goes_on) & (further | back)
+            turned = slip & (not further)
+            size = on if further else -on
+            asked = along_j if further else 1.0 - along_j
+            size = size if asked > 0.0 else NEVER
+            size = size if slip else NEVER
+            edge = size if size < edge else edge
+            sense = -sense if turned else sense
+            moved = goes_on | slip
+            led = v if moved else led
+            motion = sense * follows if moved else 0.0
+            slips += 1.0 if slip else 0.0
+            last = v
+            x[i * LANES + j] = led - sense * offset
+        lanes[_LED + j], lanes[_SENSE + j], lanes[_MOTION + j], lanes[_LAST + j] = led, sense, motion, last
+        lanes[_EDGE + j], lanes[_SLIPS + j] = edge, slips
+
+
+@compiled
+def _stems_stride(op: Floats, lanes: Floats, x: Floats) -> None:
+    _stems(op, lanes, x, STRIDE)
+
+
+@compiled
+def _stems_rest(op: Floats, lanes: Floats, x: Floats, count: int) -> None:
+    _stems(op, lanes, x, count)
+
+
+@written_out
+def _sums(y: Floats, w: Floats, added: Floats, lanes: Floats, count: int, late: bool) -> None:
+    """`count` samples of the lanes' responses to w, and their products; late: start and transient have died out.
+
+    added: what start columns are set on by.
+    """
+    for j in range(LANES):
+        pole, c0, c1, grows = lanes[_POLE + j], lanes[_C0 + j], lanes[_C1 + j], lanes[_GROWS + j]
+        s, before, g, r = lanes[_S + j], lanes[_W + j], lanes[_G + j], lanes[_R + j]
+        total, ss, sy, sg, sr = lanes[_SUM + j], lanes[_SS + j], lanes[_SY + j], lanes[_SG + j], lanes[_SR + j]
+        for i in range(count):
+            now = w[i * LANES + j]
+            total += s
+            ss += s * s
+            sy += s * y[i]
+            if not late:
+                g += added[i * LANES + j]
+                sg += s * g
+                sr += s * r
+                g *= pole
+                r = r * pole + grows
+            s = pole * s + (c0 * now + c1 * before)
+            before = now
+        lanes[_S + j], lanes[_W + j] = s, before
+        lanes[_SUM + j], lanes[_SS + j], lanes[_SY + j] = total, ss, sy
+        if not late:
+            lanes[_G + j], lanes[_R + j], lanes[_SG + j], lanes[_SR + j] = g, r, sg, sr
+
+
+@compiled
+def _sums_stride(y: Floats, w: Floats, added: Floats, lanes: Floats) -> None:
+    _sums(y, w, added, lanes, STRIDE, False)
+
+
+@compiled
+def _sums_late(y: Floats, w: Floats, added: Floats, lanes: Floats) -> None:
+    _sums(y, w, added, lanes, STRIDE, True)
+
+
+@compiled
+def _sums_rest(y: Floats, w: Floats, added: Floats, lanes: Floats, count: int) -> None:
+    _sums(y, w, added, lanes, count, False)
+
+
+@compiled
+def _filtered(a: Floats, x: Floats, w: Floats, count: int) -> None:
+    """Filter `count` rows of x, which stand behind a.size - 1 earlier ones, by a."""
+    p = a.size - 1
+    for i in range(count):
+        row, now = w[i * LANES :], x[(p + i) * LANES :]
+        for j in range(LANES):
+            row[j] = now[j]
+        q = 1
+        while q + 3 <= p:
+            # Four at a time: fewer loads and stores of the row.
+            a0, a1, a2, a3 = a[q], a[q + 1], a[q + 2], a[q + 3]
+            four = x[(p + i - q - 3) * LANES :]
+            for j in range(LANES):
+                row[j] += (a0 * four[3 * LANES + j] + a1 * four[2 * LANES + j]) + (a2 * four[LANES + j] + a3 * four[j])
+            q += 4
+        while q <= p:
+            share, earlier = a[q], x[(p + i - q) * LANES :]
+            for j in range(LANES):
+                row[j] += share * earlier[j]
+            q += 1
+
+
+class _Room(NamedTuple):
+    """What the lanes work in, T samples with some before the record so that strides end where samples begin to count.
+
+    op: T rows of LANES, each lane's OP, late by its plant's dead time; y: (T,). x: CHUNK rows behind p earlier ones; w:
+    CHUNK rows, filtered; added: CHUNK rows, what start columns are set on by. held: by how many rows a lane's first
+    slip is preceded; bases: its stem in those of them that are in the record; kept: the start and dead time that op
+    stands for. starts: when, and by what, a lane's start column is set on; after: its transient from the first sample
+    that counts on. products, powers: what holds for any stem
+    of `kernel.products`.
+    """
+
+    op: Floats
+    y: Floats
+    lanes: Floats
+    x: Floats
+    w: Floats
+    added: Floats
+    held: Ints
+    bases: Floats
+    kept: Floats
+    begins: Ints
+    starts: Floats
+    after: Floats
+    products: Floats
+    powers: Floats
+
+
+def _room(y: Floats, a: Floats, skip: int) -> _Room:
+    p, lead = a.size - 1, -skip % STRIDE
+    total = lead + y.size
+    return _Room(
+        op=np.zeros((total + STRIDE) * LANES),
+        y=np.concatenate([np.zeros(lead), y]),
+        lanes=np.zeros(WIDTH),
+        x=np.zeros((p + CHUNK) * LANES),
+        w=np.zeros(CHUNK * LANES),
+        added=np.zeros(CHUNK * LANES),
+        held=np.zeros(LANES, np.int64),
+        bases=np.zeros(LANES),
+        kept=np.full((LANES, 3), np.nan),
+        begins=np.full(LANES, -1),
+        starts=np.zeros((LANES, p + 1)),
+        after=np.zeros(LANES),
+        products=np.zeros((LANES, 5, 4)),
+        powers=np.zeros(LANES),
+    )
+
+
+@written_out
+def _enter(
+    room: _Room,
+    j: int,
+    op: Floats,
+    valve: tuple[float, float, float, float, float, float],
+    along: int,
+    start: tuple[int, float],
+    delay: int,
+) -> bool:
+    """Put a valve (up, down, turn down, turn up, offset, follows) into lane j; return whether its stem slips at all.
+
+    start: its first slip and the sense of that, -1 for a stem that rests in the middle of its band (see
+    `kernel.band_path`). along: the edge asked for, 1 of J, 0 of S. delay: whole samples of the plant's dead time.
+    """
+    up, down, turn_down, turn_up, offset, follows = valve
+    first, sense = start
+    base = 0.0
+    if first < 0:
+        first = 0
+        while first < op.size and abs(op[first] - op[0]) <= 0.5 * (turn_down + up):
+            first += 1
+        if first == op.size:
+            return False
+        sense = 1.0 if op[first] > op[0] else -1.0
+        base = op[0]
+    lanes, lead = room.lanes, room.y.size - op.size
+    begin = lead + delay + first
+    # Before its first slip OP creeps up to it, so that a stem that follows moves when the slip comes; others rest.
+    ramp = RAMP * (1.0 + abs(op[first])) * sense * follows
+    if not (room.kept[j, 0] == first and room.kept[j, 1] == ramp and room.kept[j, 2] == delay):
+        room.kept[j, 0], room.kept[j, 1], room.kept[j, 2] = first, ramp, delay
+        column = room.op[j:]
+        for t in range(min(begin, room.y.size)):
+            column[t * LANES] = op[first] - ramp * (begin - t)
+        for t in range(begin, room.y.size):
+            column[t * LANES] = op[t - lead - delay]
+    room.held[j], room.bases[j] = begin, base
+    lanes[_UP + j], lanes[_DOWN + j], lanes[_TURN_DOWN + j], lanes[_TURN_UP + j] = up, down, turn_down, turn_up
+    lanes[_OFFSET + j], lanes[_FOLLOWS + j], lanes[_ALONG_J + j] = offset, follows, along
+    lanes[_LED + j], lanes[_LAST + j] = op[first] - ramp * begin, op[first] - ramp * (begin + 1.0)
+    lanes[_SENSE + j], lanes[_MOTION + j] = sense, sense * follows
+    lanes[_EDGE + j], lanes[_SLIPS + j] = NEVER, 1.0
+    return True
+
+
+@compiled
+def _drive(
+    room: _Room, j: int, y: Floats, first: int, integrating: bool, tau: float, theta: float, a: Floats, skip: int
+) -> None:
+    """Give lane j a plant, for stems that start at `first`."""
+    pole, c0, c1, m = plant_terms(integrating, tau, theta)
+    rest, delay = start_rests(a)
+    p, whole, lanes = a.size - 1, rest[0], room.lanes
+    lanes[_POLE + j], lanes[_C0 + j], lanes[_C1 + j] = pole, c0, c1
+    lanes[_GROWS + j] = whole if integrating else 0.0
+    room.after[j] = transient_at(skip, integrating, pole, whole, delay, a)
+    # Until the first input has come through the dead time there is no response for a start to go together with.
+    room.begins[j] = room.y.size - y.size + first + m + 1
+    g = whole * (first + m) - delay if integrating else whole
+    for q in range(p + 1):
+        room.starts[j, q] = c0 * rest[min(q + 1, p + 1)] + c1 * rest[q]
+    room.starts[j, 0] += pole * g
+    room.powers[j] = products(y, np.zeros(y.size), first, integrating, tau, theta, a, skip, room.products[j])
+
+
+@compiled
+def _run(room: _Room, a: Floats, skip: int) -> None:
+    """Run the lanes over the record; their sums are then in `room.lanes`."""
+    lanes, x, w, added, y = room.lanes, room.x, room.w, room.added, room.y
+    p, total = a.size - 1, room.y.size
+    lead = -skip % STRIDE
+    counts = lead + skip
+    lanes[_S : _SR + LANES] = 0.0
+    x[: p * LANES] = 0.0
+    white = p == 0
+    late = False
+    for chunk in range(0, total, CHUNK):
+        rows = min(CHUNK, total - chunk)
+        for i in range(0, rows - STRIDE + 1, STRIDE):
+            _stems_stride(room.op[(chunk + i) * LANES :], lanes, x[(p + i) * LANES :])
+        if rows % STRIDE:
+            i = rows - rows % STRIDE
+            _stems_rest(room.op[(chunk + i) * LANES :], lanes, x[(p + i) * LANES :], rows % STRIDE)
+        added[:] = 0.0
+        for j in range(LANES):
+            for t in range(chunk, min(room.held[j], chunk + rows)):
+                # The samples of the record, late by the dead time.
+                within = t >= lead + int(room.kept[j, 2])
+                x[(p + t - chunk) * LANES + j] = room.bases[j] if within else 0.0
+            for q in range(max(chunk - room.begins[j], 0), min(chunk + rows - room.begins[j], p + 1)):
+                added[(room.begins[j] + q - chunk) * LANES + j] = room.starts[j, q]
+                late = False
+        if white:
+            w = x
+        else:
+            _filtered(a, x, w, rows)
+        for i in range(0, rows - STRIDE + 1, STRIDE):
+            if chunk + i == counts:
+                lanes[_SUM : _SR + LANES] = 0.0
+                lanes[_R : _R + LANES] = room.after
+                late = False
+            if late:
+                _sums_late(y[chunk + i :], w[i * LANES :], added[i * LANES :], lanes)
+            else:
+                _sums_stride(y[chunk + i :], w[i * LANES :], added[i * LANES :], lanes)
+        if rows % STRIDE:
+            i = rows - rows % STRIDE
+            _sums_rest(y[chunk + i :], w[i * LANES :], added[i * LANES :], lanes, rows % STRIDE)
+        late = True
+        for j in range(LANES):
+            for at in (_G + j, _R + j):
+                if abs(lanes[at]) > GONE:
+                    late = False
+                else:
+                    lanes[at] = 0.0
+        for i in range(p * LANES):
+            x[i] = x[rows * LANES + i]
+
+
+@written_out
+def _complete(room: _Room, j: int, whole: float, out: Floats) -> float:
+    """Write the products of lane j's columns (see `kernel.products`), and return that of y with itself."""
+    lanes = room.lanes
+    out[:] = room.products[j]
+    out[0, 1], out[1, 1] = whole * lanes[_SUM + j], lanes[_SS + j]
+    out[1, 2], out[1, 3], out[4, 1] = lanes[_SG + j], lanes[_SR + j], lanes[_SY + j]
+    power: float = room.powers[j]
+    return power
+
+
+@compiled
+def _walk(
+    room: _Room,
+    y: Floats,
+    op: Floats,
+    lines: Floats,
+    sign: float,
+    integrating: bool,
+    a: Floats,
+    skip: int,
+    rows: Floats,
+) -> int:
+    of, at, end = np.full(LANES, -1), np.zeros(LANES), np.zeros(LANES)
+    work, out, whole = np.empty((2, 5, 4)), np.empty(FIT), start_rests(a)[0][0]
+    used, count = 0, 0
+    while True:
+        busy = 0
+        for j in range(LANES):
+            while True:
+                if of[j] < 0:
+                    if used < lines.shape[0]:
+                        i, used = used, used + 1
+                        at[j], end[j] = lines[i, BEGIN_J if lines[i, ALONG] == 1.0 else BEGIN_S], lines[i, END]
+                        if not at[j] < end[j]:
+                            continue
+                    else:
+                        # The further half of the line of which the most is left.
+                        most, other = WORTH, -1
+                        for o in range(LANES):
+                            if of[o] >= 0 and (end[o] - at[o]) / lines[of[o], MOST] > most:
+                                most, other = (end[o] - at[o]) / lines[of[o], MOST], o
+                        if other < 0:
+                            break
+                        i = of[other]
+                        end[j], at[j] = end[other], 0.5 * (at[other] + end[other])
+                        end[other] = at[j]
+                    of[j] = i
+                    _drive(
+                        room, j, y, max(int(lines[i, FIRST]), 0), integrating, lines[i, TAU], lines[i, THETA], a, skip
+                    )
+                i = of[j]
+                along = int(lines[i, ALONG])
+                S, J = (at[j], lines[i, BEGIN_J]) if along == 0 else (lines[i, BEGIN_S], at[j])
+                valve, start = (J, J, S, S, 0.5 * (S - J), 1.0), (int(lines[i, FIRST]), lines[i, SENSE])
+                delay = plant_terms(integrating, lines[i, TAU], lines[i, THETA])[3]
+                if _enter(room, j, op, valve, along, start, delay):
+                    busy += 1
+                    break
+                of[j] = -1
+        if busy == 0 or count == rows.shape[0]:
+            return count
+        _run(room, a, skip)
+        for j in range(LANES):
+            i = of[j]
+            if i < 0 or count == rows.shape[0]:
+                continue
+            yy = _complete(room, j, whole, work[0])
+            least(work, yy, -math.inf, math.inf, sign, lines[i, TAU], lines[i, THETA], out)
+            along = int(lines[i, ALONG])
+            S, J = (at[j], lines[i, BEGIN_J]) if along == 0 else (lines[i, BEGIN_S], at[j])
+            rows[count, 0], rows[count, 1], rows[count, 2] = S, J, out[SSE]
+            rows[count, 3], rows[count, 4] = room.lanes[_SLIPS + j], i
+            count += 1
+            at[j] = max(min(room.lanes[_EDGE + j], at[j] + lines[i, MOST]), at[j] + lines[i, LEAST])
+            if at[j] >= end[j]:
+                of[j] = -1
+
+
+def walk_bands(
+    y: Floats, op: Floats, lines: Floats, sign: float, integrating: bool, a: Floats, skip: int, most: int
+) -> Floats:
+    """Walk lines along S or J, and fit the output-error model to each stem met; rows (S, J, COST, SLIPS, line).
+
+    y, a: as in `kernel.oe_cost`. lines: shape (lines, LINE), see BEGIN_S and what follows; a line goes from (S, J) on
+    along S or J up to `END`. The slips change where S passes the least return of OP at which the stem turned, or J the
+    least advance at which it moved on; between such breakpoints the path shifts evenly. LEAST, MOST: steps in %; a
+    least of 0 meets every sequence of slips. most: rows at most. Returned in the order of lines, and along each.
+    """
+    rows = np.empty((most, ROW))
+    count = _walk(_room(y, a, skip), y, op, np.ascontiguousarray(lines), sign, integrating, a, skip, rows)
+    rows = rows[:count]
+    along = np.where(lines[rows[:, 4].astype(np.int64), ALONG] == 1.0, rows[:, 1], rows[:, 0])
+    return rows[np.lexsort((along, rows[:, 4]))]
