@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from workbench.estimate.kernel import FIT, SSE, least, plant_terms, products, start_rests, transient_at
+from workbench.estimate.kernel import FIT, SSE, least, own_sums, plant_terms, start_products, start_rests, transient_at
 from workbench.simulate.compiled import compiled, written_out
 
 __all__ = ["LANES", "LINE", "ROW", "walk_bands"]
@@ -160,8 +160,7 @@ class _Room(NamedTuple):
     CHUNK rows, filtered; added: CHUNK rows, what start columns are set on by. held: by how many rows a lane's first
     slip is preceded; bases: its stem in those of them that are in the record; kept: the start and dead time that op
     stands for. starts: when, and by what, a lane's start column is set on; after: its transient from the first sample
-    that counts on. products, powers: what holds for any stem
-    of `kernel.products`.
+    that counts on. products: those of `kernel.start_products`.
     """
 
     op: Floats
@@ -177,7 +176,6 @@ class _Room(NamedTuple):
     starts: Floats
     after: Floats
     products: Floats
-    powers: Floats
 
 
 def _room(y: Floats, a: Floats, skip: int) -> _Room:
@@ -197,7 +195,6 @@ def _room(y: Floats, a: Floats, skip: int) -> _Room:
         starts=np.zeros((LANES, p + 1)),
         after=np.zeros(LANES),
         products=np.zeros((LANES, 5, 4)),
-        powers=np.zeros(LANES),
     )
 
 
@@ -249,12 +246,21 @@ def _enter(
 
 @compiled
 def _drive(
-    room: _Room, j: int, y: Floats, first: int, integrating: bool, tau: float, theta: float, a: Floats, skip: int
+    room: _Room,
+    j: int,
+    y: Floats,
+    total: float,
+    first: int,
+    integrating: bool,
+    tau: float,
+    theta: float,
+    a: Floats,
+    skip: int,
 ) -> None:
-    """Give lane j a plant, for stems that start at `first`."""
-    pole, c0, c1, m = plant_terms(integrating, tau, theta)
-    rest, delay = start_rests(a)
-    p, whole, lanes = a.size - 1, rest[0], room.lanes
+    """Give lane j a plant, for stems that start at `first`; total: the sum of y."""
+    plant, rest = plant_terms(integrating, tau, theta), start_rests(a)
+    pole, c0, c1, m = plant
+    p, whole, delay, lanes = a.size - 1, rest[0], rest[1:].sum(), room.lanes
     lanes[_POLE + j], lanes[_C0 + j], lanes[_C1 + j] = pole, c0, c1
     lanes[_GROWS + j] = whole if integrating else 0.0
     room.after[j] = transient_at(skip, integrating, pole, whole, delay, a)
@@ -264,7 +270,7 @@ def _drive(
     for q in range(p + 1):
         room.starts[j, q] = c0 * rest[min(q + 1, p + 1)] + c1 * rest[q]
     room.starts[j, 0] += pole * g
-    room.powers[j] = products(y, np.zeros(y.size), first, integrating, tau, theta, a, skip, room.products[j])
+    start_products(y, total, first, integrating, plant, a, rest, skip, np.empty((2, p + 3)), room.products[j])
 
 
 @compiled
@@ -322,14 +328,12 @@ def _run(room: _Room, a: Floats, skip: int) -> None:
 
 
 @written_out
-def _complete(room: _Room, j: int, whole: float, out: Floats) -> float:
-    """Write the products of lane j's columns (see `kernel.products`), and return that of y with itself."""
+def _complete(room: _Room, j: int, whole: float, out: Floats) -> None:
+    """Write the products of lane j's columns (see `kernel.start_products` and `kernel.stem_products`)."""
     lanes = room.lanes
     out[:] = room.products[j]
     out[0, 1], out[1, 1] = whole * lanes[_SUM + j], lanes[_SS + j]
     out[1, 2], out[1, 3], out[4, 1] = lanes[_SG + j], lanes[_SR + j], lanes[_SY + j]
-    power: float = room.powers[j]
-    return power
 
 
 @compiled
@@ -345,7 +349,8 @@ def _walk(
     rows: Floats,
 ) -> int:
     of, at, end = np.full(LANES, -1), np.zeros(LANES), np.zeros(LANES)
-    work, out, whole = np.empty((2, 5, 4)), np.empty(FIT), start_rests(a)[0][0]
+    work, out, whole = np.empty((2, 5, 4)), np.empty(FIT), start_rests(a)[0]
+    total, power = own_sums(y, skip)
     used, count = 0, 0
     while True:
         busy = 0
@@ -369,9 +374,8 @@ def _walk(
                         end[j], at[j] = end[other], 0.5 * (at[other] + end[other])
                         end[other] = at[j]
                     of[j] = i
-                    _drive(
-                        room, j, y, max(int(lines[i, FIRST]), 0), integrating, lines[i, TAU], lines[i, THETA], a, skip
-                    )
+                    first = max(int(lines[i, FIRST]), 0)
+                    _drive(room, j, y, total, first, integrating, lines[i, TAU], lines[i, THETA], a, skip)
                 i = of[j]
                 along = int(lines[i, ALONG])
                 S, J = (at[j], lines[i, BEGIN_J]) if along == 0 else (lines[i, BEGIN_S], at[j])
@@ -388,8 +392,8 @@ def _walk(
             i = of[j]
             if i < 0 or count == rows.shape[0]:
                 continue
-            yy = _complete(room, j, whole, work[0])
-            least(work, yy, -math.inf, math.inf, sign, lines[i, TAU], lines[i, THETA], out)
+            _complete(room, j, whole, work[0])
+            least(work, power, -math.inf, math.inf, sign, lines[i, TAU], lines[i, THETA], out)
             along = int(lines[i, ALONG])
             S, J = (at[j], lines[i, BEGIN_J]) if along == 0 else (lines[i, BEGIN_S], at[j])
             rows[count, 0], rows[count, 1], rows[count, 2] = S, J, out[SSE]

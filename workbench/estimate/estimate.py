@@ -38,7 +38,7 @@ from workbench.estimate.repeat import repeats_of, words_of
 from workbench.estimate.scale import band_of, band_position, linear_intervals, linear_result, stem_of
 from workbench.estimate.settled import coloured_linear, settled
 from workbench.estimate.stems import path_of
-from workbench.estimate.two_parameter import look, stems_like
+from workbench.estimate.two_parameter import Band, look, stems_like
 from workbench.estimate.two_step import akaike, two_step
 from workbench.estimate.verdict import ENOUGH_SLIPS, SHARP, WIDE_D, Evidence, agree, judge
 from workbench.model.checks import choice, number
@@ -254,7 +254,7 @@ def _answer(
     delays = found.limits.theta[1] if found is not None else float(_longest(data, None, DELAYS))
     rival = linear if linear.theta <= delays else fit_linear(data, delays)
     wide = [] if found is None else [c.fit.sse / n for c in found.fits if c.d >= WIDE_D * data.op_range]
-    seek = look
+    seek: Callable[[Centred, float], list[Band]] = look
     if found is not None and _noise_alone(data, found, rival):
         seek = stems_like(found.best.d, (found.best.fit.tau, found.best.fit.theta))
     coarse = seek(data, delays)

@@ -34,6 +34,7 @@ __all__ = [
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
+Plant = tuple[float, float, float, int]
 
 # Columns of a row that `walk` writes.
 D_LOW, D_HIGH, DELAY, COST, SLIPS = range(5)
@@ -421,16 +422,15 @@ def plant_terms(integrating: bool, tau: float, theta: float) -> tuple[float, flo
 
 
 @compiled
-def start_rests(a: Floats) -> tuple[Floats, float]:
-    """Return what is left of a start in the filter, rest[q] q samples after it ended, and the filter's delay.
+def start_rests(a: Floats) -> Floats:
+    """Return what is left of a start in the filter, rest[q] q samples after it ended: shape (p + 2,), the last is 0.
 
-    rest[0] is what the filter makes of a constant, rest[p + 1] = 0.
+    rest[0] is what the filter makes of a constant; the sum of the others, by how many samples it delays a ramp.
     """
-    rest, lead = np.zeros(a.size + 1), 0.0
+    rest = np.zeros(a.size + 1)
     for q in range(a.size - 1, -1, -1):
         rest[q] = rest[q + 1] + a[q]
-        lead += q * a[q]
-    return rest, lead
+    return rest
 
 
 @compiled
@@ -446,84 +446,92 @@ def transient_at(skip: int, integrating: bool, pole: float, whole: float, lead: 
 
 
 @compiled
-def products(
+def own_sums(y: Floats, skip: int) -> tuple[float, float]:
+    """Return the sums of y and of y^2 over the samples that count, from `skip` on."""
+    total, power = 0.0, 0.0
+    for k in range(skip, y.size):
+        total += y[k]
+        power += y[k] * y[k]
+    return total, power
+
+
+@compiled
+def start_products(
     y: Floats,
-    drive: Floats,
+    total: float,
     first: int,
     integrating: bool,
-    tau: float,
-    theta: float,
+    plant: Plant,
     a: Floats,
+    rest: Floats,
     skip: int,
+    window: Floats,
     out: Floats,
-) -> float:
-    """Write the products of the model's columns with each other and with y; return that of y with itself.
+) -> int:
+    """Write the products of the constant, the start and the transient with each other and with y: no stem is in them.
 
-    See `oe_cost`. out, (5, 4): of rows 0 to 3 the upper half, those with y in row 4.
+    See `oe_cost`. total: the sum of y (`own_sums`). plant: of `plant_terms`; rest: of `start_rests`. out, (5, 4): of
+    rows 0 to 3 the upper half, those with y in row 4.
+    Returned: the first sample that counts from which on start and transient only fade as pole^q (integrating: stay,
+    and grow as q); window, (2, p + 3): both, in this sample and in as many before it as they may be together with a
+    response, that of the sample itself last.
     """
     n, p = y.size, a.size - 1
-    pole, c0, c1, m = plant_terms(integrating, tau, theta)
-    rest, lead = start_rests(a)
-    whole = rest[0]
-    s = 0.0
-    g = -lead if integrating else whole
-    for k in range(skip):
-        near, far = min(max(k - m - first + 1, 0), p + 1), min(max(k - m - first, 0), p + 1)
-        g = pole * g + (c0 * rest[near] + c1 * rest[far])
-        s = pole * s
-        if k >= m:
-            s += c0 * drive[k - m]
-        if k > m:
-            s += c1 * drive[k - m - 1]
+    pole, c0, c1, m = plant
+    whole, lead = rest[0], 0.0
+    for q in range(1, p + 1):
+        lead += rest[q]
     r = transient_at(skip, integrating, pole, whole, lead, a)
-    sy, ss, sg, sr, gy, gg, gr, ry, rr, yy = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    s1, g1, r1, y1 = 0.0, 0.0, 0.0, 0.0
     # Until the start has passed the dead time and the filter.
     passed = min(max(first + m + p + 2, skip), n)
+    begin = first + m
+    g = whole * begin - lead if integrating else whole
+    for k in range(begin, min(skip, passed)):
+        near, far = min(k - begin + 1, p + 1), min(k - begin, p + 1)
+        g = pole * g + (c0 * rest[near] + c1 * rest[far])
+    if skip < begin and integrating:
+        g = whole * skip - lead
+    gy, gg, gr, ry, rr, g1, r1 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     for k in range(skip, passed):
         v = y[k]
-        y1 += v
-        yy += v * v
-        s1 += s
-        ss += s * s
-        sy += s * v
+        i = k - (passed - p - 2)
+        if i >= 0:
+            window[0, i], window[1, i] = g, r
         g1 += g
         gg += g * g
         gy += g * v
-        sg += s * g
         r1 += r
         rr += r * r
         ry += r * v
-        sr += s * r
         gr += g * r
-        near, far = min(max(k - m - first + 1, 0), p + 1), min(max(k - m - first, 0), p + 1)
+        near, far = min(max(k - begin + 1, 0), p + 1), min(max(k - begin, 0), p + 1)
         g = pole * g + (c0 * rest[near] + c1 * rest[far])
-        s = pole * s
-        if k >= m:
-            s += c0 * drive[k - m]
-        if k > m:
-            s += c1 * drive[k - m - 1]
         r = r + whole if integrating else r * pole
-    # From there on start and transient fade as pole^q (integrating: stay, and grow as q), which the sums of s and y
-    # weighted so hold; once they have died out the stem's response alone is left.
+    window[0, p + 2], window[1, p + 2] = g, r
     count = n - passed
     if not integrating:
-        count = min(count, int(1.0 + (DIED / -math.log(pole) if pole > 0.0 else 0.0)))
-    late_s, late_y, weighted_s, weighted_y = 0.0, 0.0, 0.0, 0.0
-    weight = 0.0 if integrating else 1.0
-    for k in range(passed, passed + count):
-        v = y[k]
-        late_y += v
-        yy += v * v
-        late_s += s
-        ss += s * s
-        sy += s * v
-        weighted_s += weight * s
-        weighted_y += weight * v
-        s = pole * s + (c0 * drive[k - m] + c1 * drive[k - m - 1])
+        # Once they have died out the stem's response alone is left.
+        count = min(count, fading(pole))
+    late_y, weighted_y, weight = 0.0, 0.0, 0.0 if integrating else 1.0
+    pole2, pole3, pole4 = pole * pole, pole * pole * pole, pole * pole * pole * pole
+    k, stop = passed, passed + count
+    # Four samples at a time: the weight waits for itself but once.
+    while k + 4 <= stop:
+        ya, yb, yc, yd = y[k], y[k + 1], y[k + 2], y[k + 3]
+        four = (ya + yb) + (yc + yd)
+        late_y += four
+        if integrating:
+            weighted_y += weight * four + (yb + 2.0 * yc + 3.0 * yd)
+            weight += 4.0
+        else:
+            weighted_y += weight * ((ya + pole * yb) + (pole2 * yc + pole3 * yd))
+            weight *= pole4
+        k += 4
+    while k < stop:
+        late_y += y[k]
+        weighted_y += weight * y[k]
         weight = weight + 1.0 if integrating else weight * pole
-    s1 += late_s
-    y1 += late_y
+        k += 1
     if integrating:
         sum_q = 0.5 * count * (count - 1.0)
         sum_qq = sum_q * (2.0 * count - 1.0) / 3.0
@@ -531,27 +539,106 @@ def products(
         g1 += count * g
         gg += count * g * g
         gy += g * late_y
-        sg += g * late_s
         r1 += late_r
         rr += count * r * r + 2.0 * r * whole * sum_q + whole * whole * sum_qq
         ry += r * late_y + whole * weighted_y
-        sr += r * late_s + whole * weighted_s
         gr += g * late_r
     else:
         sum_e, sum_ee = (1.0 - weight) / (1.0 - pole), (1.0 - weight * weight) / (1.0 - pole * pole)
         g1 += g * sum_e
         gg += g * g * sum_ee
         gy += g * weighted_y
-        sg += g * weighted_s
         r1 += r * sum_e
         rr += r * r * sum_ee
         ry += r * weighted_y
-        sr += r * weighted_s
         gr += g * r * sum_ee
+    out[0, 0], out[0, 2], out[0, 3] = whole * whole * (n - skip), whole * g1, whole * r1
+    out[2, 2], out[2, 3], out[3, 3] = gg, gr, rr
+    out[4, 0], out[4, 2], out[4, 3] = whole * total, gy, ry
+    return passed
+
+
+@compiled
+def fading(pole: float) -> int:
+    """Return the samples in which a lag forgets its start, in double precision."""
+    return int(1.0 + (DIED / -math.log(pole) if pole > 0.0 else 0.0))
+
+
+@compiled
+def stem_products(
+    y: Floats,
+    drive: Floats,
+    first: int,
+    integrating: bool,
+    plant: Plant,
+    whole: float,
+    p: int,
+    skip: int,
+    passed: int,
+    window: Floats,
+    out: Floats,
+) -> None:
+    """Write the products of the response to a stem with itself, with y and with what `start_products` is about.
+
+    whole: what the filter of order p makes of a constant. passed, window: as `start_products` gave them.
+    """
+    n = y.size
+    pole, c0, c1, m = plant
+    s, sy, ss, sg, sr, s1 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    for k in range(first + m, passed):
+        i = k - (passed - p - 2)
+        if k >= skip and i >= 0:
+            s1 += s
+            ss += s * s
+            sy += s * y[k]
+            sg += s * window[0, i]
+            sr += s * window[1, i]
+        s = pole * s + c0 * drive[k - m]
+        if k > m:
+            s += c1 * drive[k - m - 1]
+    count = n - passed
+    if not integrating:
+        count = min(count, fading(pole))
+    late_s, weighted_s, weight = 0.0, 0.0, 0.0 if integrating else 1.0
     # Four samples at a time: each needs s of the first alone, not of the one before it.
-    k = passed + count
     pole2, pole3, pole4 = pole * pole, pole * pole * pole, pole * pole * pole * pole
-    sA, sB, ssA, ssB, syA, syB, yA, yB, yyA, yyB = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    k, stop = passed, passed + count
+    while k + 4 <= stop:
+        d0, d1, d2 = drive[k - m - 1], drive[k - m], drive[k - m + 1]
+        d3, d4 = drive[k - m + 2], drive[k - m + 3]
+        u0, u1, u2, u3 = c0 * d1 + c1 * d0, c0 * d2 + c1 * d1, c0 * d3 + c1 * d2, c0 * d4 + c1 * d3
+        sb = pole * s + u0
+        sc = pole2 * s + (pole * u0 + u1)
+        sd = pole3 * s + (pole2 * u0 + (pole * u1 + u2))
+        four = (s + sb) + (sc + sd)
+        late_s += four
+        ss += (s * s + sb * sb) + (sc * sc + sd * sd)
+        sy += (s * y[k] + sb * y[k + 1]) + (sc * y[k + 2] + sd * y[k + 3])
+        if integrating:
+            weighted_s += weight * four + (sb + 2.0 * sc + 3.0 * sd)
+            weight += 4.0
+        else:
+            weighted_s += weight * ((s + pole * sb) + (pole2 * sc + pole3 * sd))
+            weight *= pole4
+        s = pole4 * s + (pole3 * u0 + (pole2 * u1 + (pole * u2 + u3)))
+        k += 4
+    while k < stop:
+        late_s += s
+        ss += s * s
+        sy += s * y[k]
+        weighted_s += weight * s
+        s = pole * s + (c0 * drive[k - m] + c1 * drive[k - m - 1])
+        weight = weight + 1.0 if integrating else weight * pole
+        k += 1
+    g, r = window[0, p + 2], window[1, p + 2]
+    s1 += late_s
+    if integrating:
+        sg += g * late_s
+        sr += r * late_s + whole * weighted_s
+    else:
+        sg += g * weighted_s
+        sr += r * weighted_s
+    sA, sB, ssA, ssB, syA, syB = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     while k + 4 <= n:
         d0, d1, d2 = drive[k - m - 1], drive[k - m], drive[k - m + 1]
         d3, d4 = drive[k - m + 2], drive[k - m + 3]
@@ -559,39 +646,22 @@ def products(
         sb = pole * s + u0
         sc = pole2 * s + (pole * u0 + u1)
         sd = pole3 * s + (pole2 * u0 + (pole * u1 + u2))
-        va, vb, vc, vd = y[k], y[k + 1], y[k + 2], y[k + 3]
-        yA += va + vb
-        yB += vc + vd
-        yyA += va * va + vb * vb
-        yyB += vc * vc + vd * vd
         sA += s + sb
         sB += sc + sd
         ssA += s * s + sb * sb
         ssB += sc * sc + sd * sd
-        syA += s * va + sb * vb
-        syB += sc * vc + sd * vd
+        syA += s * y[k] + sb * y[k + 1]
+        syB += sc * y[k + 2] + sd * y[k + 3]
         s = pole4 * s + (pole3 * u0 + (pole2 * u1 + (pole * u2 + u3)))
         k += 4
     while k < n:
-        v = y[k]
-        yA += v
-        yyA += v * v
         sA += s
         ssA += s * s
-        syA += s * v
+        syA += s * y[k]
         s = pole * s + (c0 * drive[k - m] + c1 * drive[k - m - 1])
         k += 1
-    s1 += sA + sB
-    y1 += yA + yB
-    yy += yyA + yyB
-    ss += ssA + ssB
-    sy += syA + syB
-    s1, g1, r1, y1 = whole * s1, whole * g1, whole * r1, whole * y1
-    out[0, 0], out[0, 1], out[0, 2], out[0, 3] = whole * whole * (n - skip), s1, g1, r1
-    out[1, 1], out[1, 2], out[1, 3] = ss, sg, sr
-    out[2, 2], out[2, 3], out[3, 3] = gg, gr, rr
-    out[4, 0], out[4, 1], out[4, 2], out[4, 3] = y1, sy, gy, ry
-    return yy
+    out[0, 1], out[1, 1] = whole * (s1 + sA + sB), ss + ssA + ssB
+    out[1, 2], out[1, 3], out[4, 1] = sg, sr, sy + syA + syB
 
 
 @compiled
@@ -618,9 +688,35 @@ def oe_cost(
     outside, it is set to the nearer end. sign: the gain's sign, 0 for either. Written into `out` (FIT): SSE, TAU,
     THETA, GAIN (per sample for integrating plants), BIAS, START (gain times x0) and TRANSIENT.
     """
-    room = np.empty((2, 5, 4))
-    yy = products(y, drive, first, integrating, tau, theta, a, skip, room[0])
-    return least(room, yy, low, high, sign, tau, theta, out)
+    room, window, rest = np.empty((2, 5, 4)), np.empty((2, a.size + 2)), start_rests(a)
+    own = own_sums(y, skip)
+    bounds = (low, high, sign)
+    return _cost(y, own, drive, first, bounds, integrating, tau, theta, a, rest, skip, window, room, out)
+
+
+@compiled
+def _cost(
+    y: Floats,
+    own: tuple[float, float],
+    drive: Floats,
+    first: int,
+    bounds: tuple[float, float, float],
+    integrating: bool,
+    tau: float,
+    theta: float,
+    a: Floats,
+    rest: Floats,
+    skip: int,
+    window: Floats,
+    room: Floats,
+    out: Floats,
+) -> float:
+    """`oe_cost` with what many costs share: own, of `own_sums`; rest, of `start_rests`; and what they work in."""
+    low, high, sign = bounds
+    plant = plant_terms(integrating, tau, theta)
+    passed = start_products(y, own[0], first, integrating, plant, a, rest, skip, window, room[0])
+    stem_products(y, drive, first, integrating, plant, rest[0], a.size - 1, skip, passed, window, room[0])
+    return least(room, own[1], low, high, sign, tau, theta, out)
 
 
 @compiled
@@ -686,6 +782,8 @@ def oe_fit(
     spread: the first simplex's size, in log tau and, times three, in samples of dead time. Ends after `evaluations`, or
     when the simplex's costs agree to `tolerance` relative. For an integrating plant tau is not used.
     """
+    room, window, rest = np.empty((2, 5, 4)), np.empty((2, a.size + 2)), start_rests(a)
+    own, bounds = own_sums(y, skip), (low, high, sign)
     points = np.empty((3, 2))
     costs = np.empty(3)
     trial = np.empty(2)
@@ -701,8 +799,21 @@ def oe_fit(
     points[2, 1] += side if points[0, 1] + side <= theta_limits[1] else -side
     points[2, 1] = max(points[2, 1], theta_limits[0])
     for i in range(3):
-        costs[i] = oe_cost(
-            y, drive, first, low, high, sign, integrating, math.exp(points[i, 0]), points[i, 1], a, skip, out
+        costs[i] = _cost(
+            y,
+            own,
+            drive,
+            first,
+            bounds,
+            integrating,
+            math.exp(points[i, 0]),
+            points[i, 1],
+            a,
+            rest,
+            skip,
+            window,
+            room,
+            out,
         )
     used = 3
     while used < evaluations:
@@ -734,7 +845,22 @@ def oe_fit(
                 trial[c] = centre[c] + factor * (points[2, c] - centre[c])
             trial[0] = min(max(trial[0], low_tau), high_tau)
             trial[1] = min(max(trial[1], theta_limits[0]), theta_limits[1])
-            value = oe_cost(y, drive, first, low, high, sign, integrating, math.exp(trial[0]), trial[1], a, skip, out)
+            value = _cost(
+                y,
+                own,
+                drive,
+                first,
+                bounds,
+                integrating,
+                math.exp(trial[0]),
+                trial[1],
+                a,
+                rest,
+                skip,
+                window,
+                room,
+                out,
+            )
             used += 1
             if value < kept:
                 kept = value
@@ -746,16 +872,42 @@ def oe_fit(
             for i in range(1, 3):
                 for c in range(2):
                     points[i, c] = 0.5 * (points[i, c] + points[0, c])
-                costs[i] = oe_cost(
-                    y, drive, first, low, high, sign, integrating, math.exp(points[i, 0]), points[i, 1], a, skip, out
+                costs[i] = _cost(
+                    y,
+                    own,
+                    drive,
+                    first,
+                    bounds,
+                    integrating,
+                    math.exp(points[i, 0]),
+                    points[i, 1],
+                    a,
+                    rest,
+                    skip,
+                    window,
+                    room,
+                    out,
                 )
                 used += 1
     best = 0
     for i in range(1, 3):
         if costs[i] < costs[best]:
             best = i
-    return oe_cost(
-        y, drive, first, low, high, sign, integrating, math.exp(points[best, 0]), points[best, 1], a, skip, out
+    return _cost(
+        y,
+        own,
+        drive,
+        first,
+        bounds,
+        integrating,
+        math.exp(points[best, 0]),
+        points[best, 1],
+        a,
+        rest,
+        skip,
+        window,
+        room,
+        out,
     )
 
 
@@ -1145,11 +1297,14 @@ def scan_held(
     the stem can have slipped at none of the starts; found, rows (first, sense, slips, bias, start, transient).
     """
     x, white = np.empty(op.size), np.ones(1)
-    room, terms = np.empty((2, 5, 4)), np.empty(3)
+    room, window, rest, terms = np.empty((2, 5, 4)), np.empty((2, 3)), start_rests(white), np.empty(3)
+    total, power = own_sums(y, 0)
+    plant = plant_terms(integrating, tau, theta)
     costs[:] = math.inf
     for j in range(starts.shape[0]):
         first, sense = int(starts[j, 0]), starts[j, 1]
         top, bottom = (op[:first].max(), op[:first].min()) if first > 0 else (0.0, 0.0)
+        passed = start_products(y, total, first, integrating, plant, white, rest, 0, window, room[0])
         for i in range(bands.shape[0]):
             gap, up, down = bands[i, 0], bands[i, 1], bands[i, 2]
             low, high = -math.inf, math.inf
@@ -1164,8 +1319,8 @@ def scan_held(
                 if low > high or top - bottom > up + down + (0.0 if math.isnan(gap) else gap) + band:
                     continue
             slips = each_way_path(op, gap, up, down, first, sense, x)
-            yy = products(y, x, first, integrating, tau, theta, white, 0, room[0])
-            cost = held_least(room, yy, low, high, gain, terms)
+            stem_products(y, x, first, integrating, plant, 1.0, 0, 0, passed, window, room[0])
+            cost = held_least(room, power, low, high, gain, terms)
             if cost < costs[i]:
                 costs[i] = cost
                 found[i, 0], found[i, 1], found[i, 2] = first, sense, slips
