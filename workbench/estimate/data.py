@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -54,6 +55,14 @@ class Centred:
     def samples(self) -> int:
         """N."""
         return int(self.y.size)
+
+    @cached_property
+    def starts(self) -> tuple[NDArray[np.int64], FloatArray, FloatArray]:
+        """The samples at which OP exceeds all before, how far it ranged before each, %, and +1 above it or -1 below."""
+        highs, lows = np.maximum.accumulate(self.u), np.minimum.accumulate(self.u)
+        above = self.u[1:] > highs[:-1]
+        firsts = np.flatnonzero(above | (self.u[1:] < lows[:-1])) + 1
+        return integers(firsts), (highs - lows)[firsts - 1], np.where(above[firsts - 1], 1.0, -1.0)
 
     def whitened(self, a: FloatArray, skip: int) -> Centred:
         """Return the same record, its disturbance the autoregression that the filter a leaves white."""

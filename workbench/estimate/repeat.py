@@ -29,7 +29,8 @@ SLIPS = 8  # stem moves that a part should hold
 FEWEST = 5  # and those below which it says nothing
 SHORT = 600  # samples that a part of a long record takes at first
 STARTS = 24  # first slips tried in a part
-LIKELY = 4  # of them, tried for each way by itself
+BESIDE = 8  # of them, tried about the best band so far,
+LIKELY = 4  # and for each way by itself
 REACHES = (0.45, 0.08, 0.015)  # how far from the band so far the scans go, of it
 STEPS = 45  # bands in a scan
 SIDES = (19, 9, 9)  # and for each way by itself, in each direction
@@ -190,15 +191,17 @@ class _Found:
 def _part(held: _Held, law: _Law) -> _Found | None:
     """The band of one part, alike both ways and then each way by itself; None where too few slips are in it."""
     starts = _starts(held.data.u, law.stenman)
+    near = starts
     band, bands, costs = law.band, np.empty(0), np.empty(0)
     for reach in REACHES:
         tried = np.linspace(1.0 - reach, 1.0 + reach, STEPS) * band
-        cost, found = held.scan(starts, law.rows(tried))
+        cost, found = held.scan(near, law.rows(tried))
         i = int(np.argmin(cost))
         if not math.isfinite(cost[i]) or (costs.size and cost[i] > costs.min()):
             bands, costs = np.append(bands, tried), np.append(costs, cost)
             continue
         band, best = float(tried[i]), found[i]
+        near = _beside(starts, best)
         bands, costs = np.append(bands, tried), np.append(costs, cost)
     if not np.isfinite(costs).any() or best[2] < FEWEST:
         return None
@@ -214,13 +217,18 @@ def _part(held: _Held, law: _Law) -> _Found | None:
     return _Found(band, interval, up, down, int(best[2]))
 
 
+def _beside(starts: FloatArray, best: FloatArray) -> FloatArray:
+    """The start of a scan's best band and those beside it, the nearest first."""
+    order = np.argsort(np.abs(starts[:, 0] - best[0]), kind="stable")[:BESIDE]
+    return np.ascontiguousarray(starts[order])
+
+
 def _each_way(held: _Held, law: _Law, band: float, starts: FloatArray, best: FloatArray) -> tuple[float, float]:
     """The bands upward and downward that fit the part best, from the start that suits it and its neighbours.
 
     The distance of the two directions, S - J, is held as it was found in the whole record.
     """
-    order = np.argsort(np.abs(starts[:, 0] - best[0]), kind="stable")[:LIKELY]
-    near = np.ascontiguousarray(starts[order])
+    near = _beside(starts, best)[:LIKELY]
     gap = 0.0 if law.stenman else law.band * (1.0 - law.share)
     seeds, met = [(band, band)], np.empty((0, 3))
     for reach, side in zip(REACHES, SIDES, strict=True):

@@ -22,7 +22,7 @@ from workbench.estimate import abreast, kernel
 from workbench.estimate.data import Centred
 from workbench.estimate.fit import LEAST_TAU, Fit, Limits, fit_bands
 from workbench.estimate.profile import EXACT, active_windows
-from workbench.estimate.stems import first_slips, thin
+from workbench.estimate.stems import thin
 from workbench.model.record import FloatArray
 
 __all__ = [
@@ -62,6 +62,7 @@ REACHES = ((0.006, 0.015), (0.002, 0.005))  # how far, of S: along S and along J
 LINES = 13  # of J in each
 REFITS = 6  # best lines of which each gets its own plant
 MOST_ROWS = 4000  # of a line that is walked
+AT_ONCE = np.array([[-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])  # starts (first, sense) that any record may have
 LIKE = 2  # starts of a stem that is known from another valve
 STARTS = 60  # first slips tried beside the stem that rests in the middle of its band
 
@@ -116,7 +117,7 @@ def stems_like(d: float, plant: tuple[float, float]) -> Callable[[Centred, float
 
     def about(data: Centred, longest: float) -> list[Band]:
         limits = Limits((LEAST_TAU, float(data.samples)), (0.0, longest))
-        starts = start_costs(data, (d, d), plant)[:LIKE]
+        starts = start_costs(data, (d, d), plant, LIKE)
         found = [fit_band(data, d, d, start[1:], limits, plant) for start in starts]
         return sorted((b for b in found if b.slips > 0 and b.fit.gain != 0.0), key=lambda b: b.fit.sse)
 
@@ -270,19 +271,24 @@ def walked(data: Centred, lines: list[Line]) -> list[NDArray[np.float64]]:
     return [rows[first:stop, :4] for first, stop in itertools.pairwise(ends.tolist())]
 
 
-def start_costs(data: Centred, band: tuple[float, float], plant: tuple[float, float]) -> list[tuple[float, int, float]]:
-    """(cost, first, sense) of a stem's starts, ascending: each sample at which OP lets it slip first, at one plant."""
-    u = data.u
-    firsts = first_slips(u)
-    held = np.maximum.accumulate(u) - np.minimum.accumulate(u)
-    firsts = firsts[(firsts == 0) | (held[np.maximum(firsts - 1, 0)] <= sum(band))]
-    starts = [(-1, 0.0), (0, 1.0), (0, -1.0)]
-    starts += [(f, 1.0 if u[f] > u[:f].max() else -1.0) for f in thin(firsts, STARTS).tolist() if f > 0]
+def start_costs(
+    data: Centred, band: tuple[float, float], plant: tuple[float, float], most: int = 1
+) -> list[tuple[float, int, float]]:
+    """(cost, first, sense) of the best starts of a stem, ascending, at one plant.
+
+    Each sample at which OP lets it slip first is tried, both senses at the record's own start, and the stem that rests
+    in the middle of its band.
+    """
+    firsts, ranges, senses = data.starts
+    may = np.flatnonzero(ranges <= sum(band))
+    kept = may[thin(np.arange(may.size + 1), STARTS)[1:] - 1]
+    starts = np.vstack([AT_ONCE, np.column_stack([firsts[kept], senses[kept]])])
     costs = np.empty(len(starts))
     kernel.scan_starts(
-        data.target, u, *band, np.array(starts), data.sign, data.integrating, *plant, data.a, data.skip, costs
+        data.target, data.u, *band, starts, data.sign, data.integrating, *plant, data.a, data.skip, costs
     )
-    return sorted((cost, first, sense) for cost, (first, sense) in zip(costs.tolist(), starts, strict=True))
+    best = np.argsort(costs, kind="stable")[:most].tolist()
+    return [(float(costs[i]), int(starts[i, 0]), float(starts[i, 1])) for i in best]
 
 
 def started(data: Centred, b: Band, limits: Limits) -> Band:
