@@ -67,20 +67,25 @@ class Bands:
 
 @dataclass(frozen=True, eq=False)
 class Sought:
-    """Where stems are searched: a record, a long one's most active stretch, and the best of a grid there (`look`)."""
+    """Where stems are searched: a record, a long one's most active stretch, and the best of a grid there (`look`).
+
+    known: whether these were not looked for, but are known to be close to the best.
+    """
 
     data: Centred
     coarse: list[Band]
+    known: bool
 
 
 def sought(
     data: Centred, coarse: list[Band], limits: Limits, seek: Callable[[Centred, float], list[Band]] = look
 ) -> Sought:
     """Return where to search; coarse: the answer of `seek`, `look` or the like, for the whole record."""
+    known = seek is not look
     if data.samples <= EXACT:
-        return Sought(data, coarse)
+        return Sought(data, coarse, known)
     parts = active_windows(data)[:1]
-    return Sought(parts[0], seek(parts[0], limits.theta[1])) if parts else Sought(data, [])
+    return Sought(parts[0], seek(parts[0], limits.theta[1]), known) if parts else Sought(data, [], known)
 
 
 def search_bands(
@@ -93,7 +98,8 @@ def search_bands(
     """
     rows = np.empty((0, 4))
     if within.data is data:
-        bands, rows = search_short(data, within.coarse, only, limits, beside)
+        known = only is None and within.known
+        bands, rows = search_short(data, within.coarse, only, limits, beside, known)
     else:
         bands = []
         if found := search_short(within.data, within.coarse, only, limits)[0]:

@@ -10,9 +10,7 @@ import numpy as np
 from workbench.detect.stem import whitened
 from workbench.estimate import kernel
 from workbench.estimate.data import WHITE, Centred
-from workbench.model.plant import FOPDT, Integrating
 from workbench.model.record import FloatArray
-from workbench.simulate.coefficients import discretise
 
 __all__ = [
     "Fit",
@@ -205,26 +203,16 @@ def fit_linear(data: Centred, longest: float) -> Fit:
     The input before the record is an unknown constant, as for the stem.
     """
     limits = Limits((LEAST_TAU, float(data.samples)), (0.0, float(longest)))
-    out = np.empty(kernel.FIT)
-    inf = math.inf
-    delays = np.unique(np.floor(np.linspace(0, longest, min(int(longest) + 1, 80)))).tolist()
-    taus = [1.0] if data.integrating else np.geomspace(0.3, data.samples / 4.0, 14).tolist()
+    delays = np.unique(np.floor(np.linspace(0, longest, min(int(longest) + 1, 80))))
+    taus = np.ones(1) if data.integrating else np.geomspace(0.3, data.samples / 4.0, 14)
+    plants = np.column_stack([np.repeat(taus, delays.size), np.tile(delays, taus.size)])
+    costs = np.empty(len(plants))
     drive = drive_of(data, data.u, 0)
-    grid = [
-        (
-            kernel.oe_cost(
-                data.target, drive, 0, -inf, inf, data.sign, data.integrating, tau, theta, data.a, data.skip, out
-            ),
-            tau,
-            theta,
-        )
-        for tau in taus
-        for theta in delays
-    ]
-    grid.sort()
+    kernel.scan_plants(data.target, drive, data.sign, data.integrating, plants, data.a, data.skip, costs)
+    likely = plants[np.argsort(costs, kind="stable")[:6]].tolist()
     fits = [
-        fit_path(data, data.u, 0, (-inf, inf), limits, theta, tau=tau, evaluations=160, tolerance=1e-9)
-        for _, tau, theta in grid[:6]
+        fit_path(data, data.u, 0, (-math.inf, math.inf), limits, theta, tau=tau, evaluations=160, tolerance=1e-9)
+        for tau, theta in likely
     ]
     return min(fits, key=lambda f: f.sse)
 
@@ -256,9 +244,9 @@ def fit_nothing(data: Centred) -> float:
 
 def predict(data: Centred, x: FloatArray, first: int, fit: Fit) -> tuple[FloatArray, FloatArray]:
     """Return (prediction of y, shape (N,), and the model's columns, shape (4, N))."""
-    step = discretise(Integrating(1.0, fit.theta) if data.integrating else FOPDT(1.0, fit.tau, fit.theta), 1.0)
+    pole, c0, c1, delay = kernel.plant_terms(data.integrating, fit.tau, fit.theta)
     columns = np.empty((4, data.samples))
-    kernel.oe_columns(x, first, step.pole, step.delay, step.c0, step.c1, data.integrating, columns)
+    kernel.oe_columns(x, first, pole, delay, c0, c1, data.integrating, columns)
     return np.array([fit.bias, fit.gain, fit.start, fit.transient]) @ columns, columns
 
 

@@ -22,9 +22,11 @@ __all__ = [
     "oe_columns",
     "oe_cost",
     "oe_fit",
+    "plant_terms",
     "rest_range",
     "scan_bands",
     "scan_held",
+    "scan_plants",
     "scan_starts",
     "screen_bands",
     "stem_path",
@@ -909,6 +911,18 @@ def oe_fit(
         room,
         out,
     )
+
+
+@compiled
+def scan_plants(
+    y: Floats, drive: Floats, sign: float, integrating: bool, plants: Floats, a: Floats, skip: int, costs: Floats
+) -> None:
+    """Write the costs (see `oe_cost`) of a drive from the first sample on at many plants, rows (tau, theta)."""
+    room, window, rest, out = np.empty((2, 5, 4)), np.empty((2, a.size + 2)), start_rests(a), np.empty(FIT)
+    own, bounds = own_sums(y, skip), (-math.inf, math.inf, sign)
+    for i in range(plants.shape[0]):
+        tau, theta = plants[i, 0], plants[i, 1]
+        costs[i] = _cost(y, own, drive, 0, bounds, integrating, tau, theta, a, rest, skip, window, room, out)
 
 
 @compiled

@@ -65,6 +65,7 @@ LEAN = 16  # dead times on the whole of a long record
 LIKELY = 8  # bands looked at closely there
 WINNERS = 6  # paths of a long record with a full output-error fit before the search about the best
 LIKELIEST = 60  # paths of which the halves of the record choose
+ROUGH = 30  # evaluations of a first fit; the best are fitted on
 REFITS = 60  # and about the best, fewer in a long record
 APART = 0.02  # of d, the least gap between ranges of d that counts
 CHI_SQUARE = 3.841  # 95 %, one degree of freedom
@@ -308,7 +309,7 @@ def profile_of(
     chosen.append(by_cost[np.sort(order)[:12]])
     chosen += [by_cost[np.abs(np.log(by_cost[:, LOW] / d)) < 0.01][:2] for d in likely]
     picked = np.unique(np.vstack(chosen), axis=0)
-    fits = _fitted(data, picked, limits, evaluations=120 if exact else 12)
+    fits = _fitted(data, picked, limits, evaluations=ROUGH if exact else 12)
     fits = sorted([*fits, *_again(data, beside, limits)], key=lambda c: c.fit.sse)
     if not exact:
         fits = _refitted(data, fits, limits, WINNERS)

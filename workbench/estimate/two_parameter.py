@@ -52,6 +52,7 @@ PICKED, WALKED_IN, WIDE_IN = 14, 6, 4  # stems of the grid, of walks of J from i
 NEAR, NEAR_JUMP = 0.05, 0.1  # no two of them as near as that, of S
 SPREADS = (0.1, 0.04, 0.015, 0.005)  # of S: how far stems with plants of their own are looked at about a seed,
 BEHIND = (40.0, 20.0, 20.0, math.inf)  # in N log V: who is as far behind after each of them has never come to lead
+CLOSE = 1  # of them are left out where the best is known to be near
 STEPS = 6  # how often at most, each time about the best so far,
 AROUND, QUICK = 5, 14  # how many values of S, and evaluations of each
 WALKED, WALKS = 2.0, 2  # of that: how far sequences of slips are walked, and how many of each are fitted
@@ -427,9 +428,17 @@ def best_of(bands: list[Band]) -> Band:
 
 
 def search_short(
-    data: Centred, coarse: list[Band], only: float | None, limits: Limits, beside: tuple[Band, ...] = ()
+    data: Centred,
+    coarse: list[Band],
+    only: float | None,
+    limits: Limits,
+    beside: tuple[Band, ...] = (),
+    known: bool = False,
 ) -> tuple[list[Band], NDArray[np.float64]]:
-    """Search a short record: the close grid, then closer about its best few; all stems met and the last rows."""
+    """Search a short record: the close grid, then closer about its best few; all stems met and the last rows.
+
+    known: whether the best is known to be close by.
+    """
     met = [b for b in coarse if b.fit.gain != 0.0]
     if only is not None:
         met = [fit_band(data, b.S, only * b.S, (b.first, b.sense), limits, (b.fit.tau, b.fit.theta)) for b in met]
@@ -437,7 +446,8 @@ def search_short(
     leaders = _apart(sorted([*met, *beside], key=lambda b: b.fit.sse))
     if not leaders:
         return [], np.empty((0, 4))
-    for spread, behind, further in zip(SPREADS, BEHIND, (*SPREADS[1:], 0.0), strict=True):
+    steps = list(zip(SPREADS, BEHIND, (*SPREADS[1:], 0.0), strict=True))
+    for spread, behind, further in steps[CLOSE if known else 0 :]:
         ends = []
         for seed in leaders:
             met = _nearer(data, seed, (spread,), only, limits)
@@ -446,7 +456,7 @@ def search_short(
         leaders = _leading(data, ends, behind, further)
     # Between two sequences of slips lies many a worse one, which steps along the valley of S and plant do not cross.
     best = leaders[0]
-    for _ in range(CROSSINGS):
+    for _ in range(0 if known else CROSSINGS):
         # Whatever came to be better in the end was no worse when it was met.
         seeds = [seed for seed in _across(data, best, only, limits) if _level(data, seed) <= _level(data, best)]
         met = [m for seed in seeds for m in _nearer(data, seed, SPREADS[2:], only, limits)]
