@@ -44,26 +44,6 @@ def test_the_same_slips_happen_within_the_rectangle(op: np.ndarray, S: float, J:
     assert np.abs(np.abs(y - x) - apart).max() < 1e-9
 
 
-@settings(deadline=None, max_examples=60)
-@given(op=outputs, S=st.floats(0.3, 4.0), J=st.floats(0.0, 4.0), along=st.sampled_from([0, 1]))
-def test_a_walk_meets_every_sequence_of_slips_between_its_ends(op: np.ndarray, S: float, J: float, along: int) -> None:
-    begin, end = (S, J)[along], (S, J)[along] + 2.0
-    rows, out, white = np.empty((4000, 4)), np.empty(kernel.FIT), np.ones(1)
-    y = np.cumsum(op)
-    count = kernel.walk_bands(y, op, 0, 1.0, S, J, along, end, 0.0, 10.0, 0.0, False, 3.0, 1.0, white, 0, rows)
-    met, x, box = [], np.empty(op.size), np.empty(4)
-    for row in rows[:count]:
-        assert row[3] == kernel.band_path(op, row[0], row[1], 0, 1.0, x, box)
-        cost = kernel.oe_cost(y, x, 0, -np.inf, np.inf, 0.0, False, 3.0, 1.0, white, 0, out)
-        assert row[2] == pytest.approx(cost)
-        met.append(tuple(np.flatnonzero(np.diff(x)).tolist()))
-    seen = []
-    for at in np.linspace(begin, end - 1e-9, 60):
-        kernel.band_path(op, at if along == 0 else S, J if along == 0 else at, 0, 1.0, x, box)
-        seen.append(tuple(np.flatnonzero(np.diff(x)).tolist()))
-    assert set(seen) <= set(met)
-
-
 def record_of(
     valve: wb.Choudhury | wb.Deadband | wb.Stenman, samples: int, sd: float = 0.1, seed: int = 2
 ) -> wb.Record:

@@ -2,7 +2,7 @@
 
 The compiler makes vector instructions of the loops over lanes. For that each decision is a choice between two values
 and all numbers of the lanes stand in one array at constant distances. What a stem is and what is summed is told where
-one stem is taken alone, in `kernel.each_way_path` and `kernel.oe_cost`.
+one stem is taken alone, in `kernel.band_path` and `kernel.oe_cost`.
 """
 
 from __future__ import annotations
@@ -24,14 +24,14 @@ Ints = NDArray[np.int64]
 LANES = 32
 STRIDE = 4  # samples of a lane at a time, its numbers in registers
 CHUNK = 32  # samples of all lanes at a time, in the fastest memory
-# A lane's numbers: its valve (jumps and bands each way, half their gap, whether it follows OP, which edge is asked
-# for), its stem (where it was led, in which sense, whether it moves, OP's last value, the edge met, slips), its plant,
-# response and last input, start and transient, and the sums of the response and of its products.
-(_UP, _DOWN, _TURN_DOWN, _TURN_UP, _OFFSET, _FOLLOWS, _ALONG_J) = range(0, 7 * LANES, LANES)
-(_LED, _SENSE, _MOTION, _LAST, _EDGE, _SLIPS) = range(7 * LANES, 13 * LANES, LANES)
-(_POLE, _C0, _C1, _GROWS, _S, _W, _G, _R) = range(13 * LANES, 21 * LANES, LANES)
-(_SUM, _SS, _SY, _SG, _SR) = range(21 * LANES, 26 * LANES, LANES)
-WIDTH = 26 * LANES
+# A lane's numbers: its valve (S and J, and which of their edges is asked for), its stem (where it was led, in which
+# sense, whether it moves, OP's last value, the edge met, slips), its plant, response and last input, start and
+# transient, and the sums of the response and of its products.
+(_BACK, _ON, _ALONG_J) = range(0, 3 * LANES, LANES)
+(_LED, _SENSE, _MOTION, _LAST, _EDGE, _SLIPS) = range(3 * LANES, 9 * LANES, LANES)
+(_POLE, _C0, _C1, _GROWS, _S, _W, _G, _R) = range(9 * LANES, 17 * LANES, LANES)
+(_SUM, _SS, _SY, _SG, _SR) = range(17 * LANES, 22 * LANES, LANES)
+WIDTH = 22 * LANES
 # A line that is walked: where it starts in S and J, along which of them, up to where, its least and largest step, the
 # stem's start and the plant.
 BEGIN_S, BEGIN_J, ALONG, END, LEAST, MOST, FIRST, SENSE, TAU, THETA = range(10)
@@ -46,29 +46,26 @@ WORTH = 3.0  # steps left of a line for which an idle lane takes the further hal
 
 @written_out
 def _stems(op: Floats, lanes: Floats, x: Floats, count: int) -> None:
-    """`count` samples of the lanes' stems: `kernel.each_way_path` without branches."""
+    """`count` samples of the lanes' stems: `kernel.band_path` without branches."""
     for j in range(LANES):
-        up, down, turn_down, turn_up = lanes[_UP + j], lanes[_DOWN + j], lanes[_TURN_DOWN + j], lanes[_TURN_UP + j]
-        offset, follows, along_j = lanes[_OFFSET + j], lanes[_FOLLOWS + j], lanes[_ALONG_J + j]
+        S, J, along_j = lanes[_BACK + j], lanes[_ON + j], lanes[_ALONG_J + j] > 0.0
+        offset = 0.5 * (S - J)
         led, sense, motion, last = lanes[_LED + j], lanes[_SENSE + j], lanes[_MOTION + j], lanes[_LAST + j]
         edge, slips = lanes[_EDGE + j], lanes[_SLIPS + j]
         for i in range(count):
             v = op[i * LANES + j]
             on = (v - led) * sense
-            further = on > (up if sense > 0.0 else down)
-            back = -on > (turn_down if sense > 0.0 else turn_up)
             goes_on = motion * (v - last) > 0.0
-            slip = (not goes_on) & (further | back)
-            turned = slip & (not further)
-            size = on if further else -on
-            asked = along_j if further else 1.0 - along_j
-            size = size if asked > 0.0 else NEVER
-            size = size if slip else NEVER
+            further = (on > J) & (not goes_on)
+            turned = (-on > S) & (not goes_on)
+            slip = further | turned
+            asked = (further & along_j) | (turned & (not along_j))
+            size = abs(on) if asked else NEVER
             edge = size if size < edge else edge
             sense = -sense if turned else sense
             moved = goes_on | slip
             led = v if moved else led
-            motion = sense * follows if moved else 0.0
+            motion = sense if moved else 0.0
             slips += 1.0 if slip else 0.0
             last = v
             x[i * LANES + j] = led - sense * offset
@@ -203,22 +200,22 @@ def _enter(
     room: _Room,
     j: int,
     op: Floats,
-    valve: tuple[float, float, float, float, float, float],
+    band: tuple[float, float],
     along: int,
     start: tuple[int, float],
     delay: int,
 ) -> bool:
-    """Put a valve (up, down, turn down, turn up, offset, follows) into lane j; return whether its stem slips at all.
+    """Put a valve (S, J) into lane j; return whether its stem slips at all.
 
     start: its first slip and the sense of that, -1 for a stem that rests in the middle of its band (see
     `kernel.band_path`). along: the edge asked for, 1 of J, 0 of S. delay: whole samples of the plant's dead time.
     """
-    up, down, turn_down, turn_up, offset, follows = valve
+    S, J = band
     first, sense = start
     base = 0.0
     if first < 0:
         first = 0
-        while first < op.size and abs(op[first] - op[0]) <= 0.5 * (turn_down + up):
+        while first < op.size and abs(op[first] - op[0]) <= 0.5 * (S + J):
             first += 1
         if first == op.size:
             return False
@@ -226,8 +223,8 @@ def _enter(
         base = op[0]
     lanes, lead = room.lanes, room.y.size - op.size
     begin = lead + delay + first
-    # Before its first slip OP creeps up to it, so that a stem that follows moves when the slip comes; others rest.
-    ramp = RAMP * (1.0 + abs(op[first])) * sense * follows
+    # Before its first slip OP creeps up to it, so that the stem is led there when the slip comes.
+    ramp = RAMP * (1.0 + abs(op[first])) * sense
     if not (room.kept[j, 0] == first and room.kept[j, 1] == ramp and room.kept[j, 2] == delay):
         room.kept[j, 0], room.kept[j, 1], room.kept[j, 2] = first, ramp, delay
         column = room.op[j:]
@@ -236,11 +233,9 @@ def _enter(
         for t in range(begin, room.y.size):
             column[t * LANES] = op[t - lead - delay]
     room.held[j], room.bases[j] = begin, base
-    lanes[_UP + j], lanes[_DOWN + j], lanes[_TURN_DOWN + j], lanes[_TURN_UP + j] = up, down, turn_down, turn_up
-    lanes[_OFFSET + j], lanes[_FOLLOWS + j], lanes[_ALONG_J + j] = offset, follows, along
+    lanes[_BACK + j], lanes[_ON + j], lanes[_ALONG_J + j] = S, J, along
     lanes[_LED + j], lanes[_LAST + j] = op[first] - ramp * begin, op[first] - ramp * (begin + 1.0)
-    lanes[_SENSE + j], lanes[_MOTION + j] = sense, sense * follows
-    lanes[_EDGE + j], lanes[_SLIPS + j] = NEVER, 1.0
+    lanes[_SENSE + j], lanes[_MOTION + j], lanes[_EDGE + j], lanes[_SLIPS + j] = sense, sense, NEVER, 1.0
     return True
 
 
@@ -379,9 +374,9 @@ def _walk(
                 i = of[j]
                 along = int(lines[i, ALONG])
                 S, J = (at[j], lines[i, BEGIN_J]) if along == 0 else (lines[i, BEGIN_S], at[j])
-                valve, start = (J, J, S, S, 0.5 * (S - J), 1.0), (int(lines[i, FIRST]), lines[i, SENSE])
+                start = (int(lines[i, FIRST]), lines[i, SENSE])
                 delay = plant_terms(integrating, lines[i, TAU], lines[i, THETA])[3]
-                if _enter(room, j, op, valve, along, start, delay):
+                if _enter(room, j, op, (S, J), along, start, delay):
                     busy += 1
                     break
                 of[j] = -1
