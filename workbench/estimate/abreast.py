@@ -251,8 +251,11 @@ def _drive(
     theta: float,
     a: Floats,
     skip: int,
-) -> None:
-    """Give lane j a plant, for stems that start at `first`; total: the sum of y."""
+) -> int:
+    """Give lane j a plant, for stems that start at `first`; return the whole samples of its dead time.
+
+    total: the sum of y (`kernel.own_sums`).
+    """
     plant, rest = plant_terms(integrating, tau, theta), start_rests(a)
     pole, c0, c1, m = plant
     p, whole, delay, lanes = a.size - 1, rest[0], rest[1:].sum(), room.lanes
@@ -266,6 +269,7 @@ def _drive(
         room.starts[j, q] = c0 * rest[min(q + 1, p + 1)] + c1 * rest[q]
     room.starts[j, 0] += pole * g
     start_products(y, total, first, integrating, plant, a, rest, skip, np.empty((2, p + 3)), room.products[j])
+    return m
 
 
 @compiled
@@ -332,6 +336,31 @@ def _complete(room: _Room, j: int, whole: float, out: Floats) -> None:
 
 
 @compiled
+def _take(j: int, lines: Floats, begun: int, of: Ints, at: Floats, end: Floats) -> int:
+    """Give idle lane j the next line, or the further half of that of which the most is left; return those begun."""
+    while begun < lines.shape[0]:
+        line, begun = lines[begun], begun + 1
+        begin = line[BEGIN_J] if line[ALONG] == 1.0 else line[BEGIN_S]
+        if begin < line[END]:
+            of[j], at[j], end[j] = begun - 1, begin, line[END]
+            return begun
+    most, other = WORTH, -1
+    for o in range(LANES):
+        if of[o] >= 0 and (end[o] - at[o]) / lines[of[o], MOST] > most:
+            most, other = (end[o] - at[o]) / lines[of[o], MOST], o
+    if other >= 0:
+        of[j], at[j], end[j] = of[other], 0.5 * (at[other] + end[other]), end[other]
+        end[other] = at[j]
+    return begun
+
+
+@compiled
+def _band(line: Floats, at: float) -> tuple[float, float]:
+    """(S, J) where a line has come to."""
+    return (line[BEGIN_S], at) if line[ALONG] == 1.0 else (at, line[BEGIN_J])
+
+
+@compiled
 def _walk(
     room: _Room,
     y: Floats,
@@ -344,59 +373,43 @@ def _walk(
     rows: Floats,
 ) -> int:
     of, at, end = np.full(LANES, -1), np.zeros(LANES), np.zeros(LANES)
+    delays = np.zeros(LANES, np.int64)
     work, out, whole = np.empty((2, 5, 4)), np.empty(FIT), start_rests(a)[0]
     total, power = own_sums(y, skip)
-    used, count = 0, 0
-    while True:
+    begun, count, busy = 0, 0, 1
+    while busy > 0 and count < rows.shape[0]:
         busy = 0
         for j in range(LANES):
             while True:
                 if of[j] < 0:
-                    if used < lines.shape[0]:
-                        i, used = used, used + 1
-                        at[j], end[j] = lines[i, BEGIN_J if lines[i, ALONG] == 1.0 else BEGIN_S], lines[i, END]
-                        if not at[j] < end[j]:
-                            continue
-                    else:
-                        # The further half of the line of which the most is left.
-                        most, other = WORTH, -1
-                        for o in range(LANES):
-                            if of[o] >= 0 and (end[o] - at[o]) / lines[of[o], MOST] > most:
-                                most, other = (end[o] - at[o]) / lines[of[o], MOST], o
-                        if other < 0:
-                            break
-                        i = of[other]
-                        end[j], at[j] = end[other], 0.5 * (at[other] + end[other])
-                        end[other] = at[j]
-                    of[j] = i
-                    first = max(int(lines[i, FIRST]), 0)
-                    _drive(room, j, y, total, first, integrating, lines[i, TAU], lines[i, THETA], a, skip)
-                i = of[j]
-                along = int(lines[i, ALONG])
-                S, J = (at[j], lines[i, BEGIN_J]) if along == 0 else (lines[i, BEGIN_S], at[j])
-                start = (int(lines[i, FIRST]), lines[i, SENSE])
-                delay = plant_terms(integrating, lines[i, TAU], lines[i, THETA])[3]
-                if _enter(room, j, op, (S, J), along, start, delay):
+                    begun = _take(j, lines, begun, of, at, end)
+                    if of[j] < 0:
+                        break
+                    line = lines[of[j]]
+                    first = max(int(line[FIRST]), 0)
+                    delays[j] = _drive(room, j, y, total, first, integrating, line[TAU], line[THETA], a, skip)
+                line = lines[of[j]]
+                start = (int(line[FIRST]), line[SENSE])
+                if _enter(room, j, op, _band(line, at[j]), int(line[ALONG]), start, delays[j]):
                     busy += 1
                     break
+                # From here on the stem never moves.
                 of[j] = -1
-        if busy == 0 or count == rows.shape[0]:
-            return count
-        _run(room, a, skip)
+        if busy > 0:
+            _run(room, a, skip)
         for j in range(LANES):
-            i = of[j]
-            if i < 0 or count == rows.shape[0]:
+            if of[j] < 0 or count == rows.shape[0]:
                 continue
+            line = lines[of[j]]
             _complete(room, j, whole, work[0])
-            least(work, power, -math.inf, math.inf, sign, lines[i, TAU], lines[i, THETA], out)
-            along = int(lines[i, ALONG])
-            S, J = (at[j], lines[i, BEGIN_J]) if along == 0 else (lines[i, BEGIN_S], at[j])
-            rows[count, 0], rows[count, 1], rows[count, 2] = S, J, out[SSE]
-            rows[count, 3], rows[count, 4] = room.lanes[_SLIPS + j], i
+            least(work, power, -math.inf, math.inf, sign, line[TAU], line[THETA], out)
+            rows[count, 0], rows[count, 1] = _band(line, at[j])
+            rows[count, 2], rows[count, 3], rows[count, 4] = out[SSE], room.lanes[_SLIPS + j], of[j]
             count += 1
-            at[j] = max(min(room.lanes[_EDGE + j], at[j] + lines[i, MOST]), at[j] + lines[i, LEAST])
+            at[j] = max(min(room.lanes[_EDGE + j], at[j] + line[MOST]), at[j] + line[LEAST])
             if at[j] >= end[j]:
                 of[j] = -1
+    return count
 
 
 def walk_bands(
