@@ -11,7 +11,12 @@ from hypothesis.extra.numpy import arrays
 import workbench as wb
 from workbench.cli_output import estimate_lines
 from workbench.estimate import kernel
-from workbench.estimate.two_parameter import band_stem
+from workbench.estimate.data import centre
+from workbench.estimate.estimate import leaves_noise_alone
+from workbench.estimate.fit import LEAST_TAU, Limits, fit_linear
+from workbench.estimate.models import bands_of
+from workbench.estimate.profile import search
+from workbench.estimate.two_parameter import band_stem, look, stems_like
 from workbench.model.valve import Choudhury
 from workbench.simulate.run import valve_response
 
@@ -68,6 +73,22 @@ def test_stick_band_and_slip_jump_are_found_under_noise(S: float, J: float) -> N
     assert found.intervals.J[0] <= found.valve.J <= found.intervals.J[1]
     assert found.intervals.d is None
     assert found.residual_variance == pytest.approx(float(np.mean((record.pv - found.prediction) ** 2)), rel=1e-4)
+
+
+def test_where_a_stenman_valve_leaves_noise_alone_no_other_valve_is_looked_for_far_away() -> None:
+    for valve, alone in ((wb.Stenman(2.0), True), (wb.Choudhury(3.0, 1.0), False), (wb.Choudhury(0.05, 0.05), False)):
+        data = centre(record_of(valve, 1000), "fopdt")
+        found = search(data, 30.0, lambda _: None)
+        assert found is not None
+        assert leaves_noise_alone(data, found, fit_linear(data, 30.0)) is alone
+        if alone:
+            # Nor would any have been found: the whole search finds none that leaves as little.
+            coarse = look(data, 30.0)
+            bands = bands_of(data, coarse, Limits((LEAST_TAU, 1000.0), (0.0, 30.0)))
+            assert min(one.best.fit.sse for one in bands.values()) > 1.5 * found.best.fit.sse
+            near = stems_like(found.best.d, (found.best.fit.tau, found.best.fit.theta))(data, 30.0)
+            assert near
+            assert all(b.S == found.best.d == b.J for b in near)
 
 
 def test_a_dead_band_is_found_and_told_from_stiction() -> None:

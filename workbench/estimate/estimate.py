@@ -220,7 +220,7 @@ def _profile(data: Centred, max_dead_time: float | None, tell: Callable[[float],
         longest *= 2
 
 
-def _noise_alone(data: Centred, found: Profile, linear: Fit) -> bool:
+def leaves_noise_alone(data: Centred, found: Profile, linear: Fit) -> bool:
     """Whether a Stenman valve explains all of PV but white noise, of which a valve with more freedom can take nothing.
 
     Only where it does so by a stem of its own: with slips enough, a sharp d, and much less left than the linear fit's.
@@ -255,7 +255,7 @@ def _answer(
     rival = linear if linear.theta <= delays else fit_linear(data, delays)
     wide = [] if found is None else [c.fit.sse / n for c in found.fits if c.d >= WIDE_D * data.op_range]
     seek: Callable[[Centred, float], list[Band]] = look
-    if found is not None and _noise_alone(data, found, rival):
+    if found is not None and leaves_noise_alone(data, found, rival):
         seek = stems_like(found.best.d, (found.best.fit.tau, found.best.fit.theta))
     coarse = seek(data, delays)
     bands = {}
