@@ -493,6 +493,8 @@ def start_products(
         g = pole * g + (c0 * rest[near] + c1 * rest[far])
     if skip < begin and integrating:
         g = whole * skip - lead
+    # Weights of pole^q, or of q where the plant forgets nothing.
+    grow = 1.0 if integrating else 0.0
     gy, gg, gr, ry, rr, g1, r1 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     for k in range(skip, passed):
         v = y[k]
@@ -508,13 +510,13 @@ def start_products(
         gr += g * r
         near, far = min(max(k - begin + 1, 0), p + 1), min(max(k - begin, 0), p + 1)
         g = pole * g + (c0 * rest[near] + c1 * rest[far])
-        r = r + whole if integrating else r * pole
+        r = r * pole + grow * whole
     window[0, p + 2], window[1, p + 2] = g, r
     count = n - passed
     if not integrating:
         # Once they have died out the stem's response alone is left.
         count = min(count, fading(pole))
-    late_y, weighted_y, weight = 0.0, 0.0, 0.0 if integrating else 1.0
+    late_y, weighted_y, weight = 0.0, 0.0, 1.0 - grow
     pole2, pole3, pole4 = pole * pole, pole * pole * pole, pole * pole * pole * pole
     k, stop = passed, passed + count
     # Four samples at a time: the weight waits for itself but once.
@@ -522,17 +524,13 @@ def start_products(
         ya, yb, yc, yd = y[k], y[k + 1], y[k + 2], y[k + 3]
         four = (ya + yb) + (yc + yd)
         late_y += four
-        if integrating:
-            weighted_y += weight * four + (yb + 2.0 * yc + 3.0 * yd)
-            weight += 4.0
-        else:
-            weighted_y += weight * ((ya + pole * yb) + (pole2 * yc + pole3 * yd))
-            weight *= pole4
+        weighted_y += weight * ((ya + pole * yb) + (pole2 * yc + pole3 * yd)) + grow * (yb + 2.0 * yc + 3.0 * yd)
+        weight = weight * pole4 + 4.0 * grow
         k += 4
     while k < stop:
         late_y += y[k]
         weighted_y += weight * y[k]
-        weight = weight + 1.0 if integrating else weight * pole
+        weight = weight * pole + grow
         k += 1
     if integrating:
         sum_q = 0.5 * count * (count - 1.0)
@@ -601,7 +599,8 @@ def stem_products(
     count = n - passed
     if not integrating:
         count = min(count, fading(pole))
-    late_s, weighted_s, weight = 0.0, 0.0, 0.0 if integrating else 1.0
+    grow = 1.0 if integrating else 0.0
+    late_s, weighted_s, weight = 0.0, 0.0, 1.0 - grow
     # Four samples at a time: each needs s of the first alone, not of the one before it.
     pole2, pole3, pole4 = pole * pole, pole * pole * pole, pole * pole * pole * pole
     k, stop = passed, passed + count
@@ -616,12 +615,8 @@ def stem_products(
         late_s += four
         ss += (s * s + sb * sb) + (sc * sc + sd * sd)
         sy += (s * y[k] + sb * y[k + 1]) + (sc * y[k + 2] + sd * y[k + 3])
-        if integrating:
-            weighted_s += weight * four + (sb + 2.0 * sc + 3.0 * sd)
-            weight += 4.0
-        else:
-            weighted_s += weight * ((s + pole * sb) + (pole2 * sc + pole3 * sd))
-            weight *= pole4
+        weighted_s += weight * ((s + pole * sb) + (pole2 * sc + pole3 * sd)) + grow * (sb + 2.0 * sc + 3.0 * sd)
+        weight = weight * pole4 + 4.0 * grow
         s = pole4 * s + (pole3 * u0 + (pole2 * u1 + (pole * u2 + u3)))
         k += 4
     while k < stop:
@@ -630,7 +625,7 @@ def stem_products(
         sy += s * y[k]
         weighted_s += weight * s
         s = pole * s + (c0 * drive[k - m] + c1 * drive[k - m - 1])
-        weight = weight + 1.0 if integrating else weight * pole
+        weight = weight * pole + grow
         k += 1
     g, r = window[0, p + 2], window[1, p + 2]
     s1 += late_s
