@@ -12,8 +12,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from workbench.estimate import kernel
 from workbench.estimate.data import Centred
-from workbench.estimate.fit import LEAST_TAU, Fit, Limits, inflation, predict
+from workbench.estimate.fit import LEAST_TAU, Fit, Limits, effective_samples, predict
 from workbench.estimate.profile import CHI_SQUARE, EXACT, active_windows
 from workbench.estimate.two_parameter import (
     REACHES,
@@ -29,9 +30,12 @@ from workbench.estimate.two_parameter import (
     started,
 )
 
-__all__ = ["Bands", "Found", "Sought", "refit", "repeated", "search_bands", "sought"]
+__all__ = ["Bands", "Found", "Sought", "alike", "refit", "repeated", "search_bands", "sought"]
 
 OUTWARDS = (0.004, 0.5, 1.5)  # of S: the least and the largest step away from the best, each to the one before
+SIDEWAYS = (0.01, 0.0)  # of S: how far S follows a step of J
+SLACK = 6.0  # in N log V: what another measure of the same record may make of a stem
+LIKELIEST = 24  # stems fitted again in it, beside the outermost
 HALF_SLIPS = 5  # in each half of a record, for the halves to be compared
 
 
@@ -54,14 +58,16 @@ class Found:
 class Bands:
     """The best stem, those that the record cannot tell from it, and their ranges of S and J, %.
 
+    spare: of each of those, the share of a 95 % range's half that its cost leaves it within the likelihood region.
     parts: the fits that parts of the record have by themselves (see `repeated`).
     """
 
     best: Band
     alike: tuple[Band, ...]
+    spare: tuple[float, ...]
     S: tuple[float, float]
     J: tuple[float, float]
-    parts: tuple[Fit, ...]
+    parts: tuple[Fit, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,10 +134,9 @@ def repeated(data: Centred, found: Found, limits: Limits) -> Bands:
     a search that ended away from the truth seldom ends there twice. A part in which the best stem is as likely as its
     own says nothing against it: it may hold too few slips to tell any stem from another.
     """
-    alike, within, jumps = _ranges(found, limits)
-    n = data.samples
+    bands, n = alike(data, found, limits), data.samples
     parts = [data.part(0, n // 2), data.part(n // 2, n)] if n <= EXACT else active_windows(data)[:2]
-    S, J, fits = [*within], [*jumps], []
+    S, J, fits = [*bands.S], [*bands.J], []
     for part in parts:
         if not part.op_range > 0.0 or not float(np.ptp(part.y)) > 0.0:
             continue
@@ -145,7 +150,7 @@ def repeated(data: Centred, found: Found, limits: Limits) -> Bands:
             S.append(best.S)
             J.append(best.J)
             fits.append(best.fit)
-    return Bands(found.best, found.again or alike, (min(S), max(S)), (min(J), max(J)), tuple(fits))
+    return replace(bands, S=(min(S), max(S)), J=(min(J), max(J)), parts=tuple(fits))
 
 
 def _here(part: Centred, b: Band, limits: Limits) -> Band:
@@ -164,47 +169,126 @@ def _rejects(part: Centred, own: Band, other: Band) -> bool:
 def _effective(data: Centred, b: Band) -> float:
     """The number of independent samples that what a stem leaves is worth."""
     x, _ = band_stem(data.u, b.S, b.J, b.first, b.sense)
-    return data.samples / inflation(data.innovations(predict(data, x, max(b.first, 0), b.fit)[0]))
+    return effective_samples(data, x, max(b.first, 0), b.fit)
 
 
-def _ranges(found: Found, limits: Limits) -> tuple[tuple[Band, ...], tuple[float, float], tuple[float, float]]:
-    """What the record cannot tell from the best: the 95 % likelihood region, and what each half would choose.
+def alike(data: Centred, found: Found, limits: Limits, rival: float = math.inf) -> Bands:
+    """Return what the record cannot tell from the best stem: the 95 % likelihood region, and what each half chooses.
 
-    As it was measured when the search was made: the stems, and their ranges of S and J.
+    The stems have plants of their own. rival: EU^2, the sum of squares of another valve's best stem, where that is the
+    better one.
     """
-    data, best = found.measure, best_of(list(found.met))
-    n = data.samples
-    most = max(best.fit.sse / n, data.floor) * math.exp(CHI_SQUARE / _effective(data, best)) * n
-    alike = [best, *(b for b in found.met if max(b.fit.sse, n * data.floor) <= most)]
+    best, n = found.best, data.samples
+    effective = _effective(data, best)
+    base = max(min(best.fit.sse, rival) / n, data.floor)
+    most = base * math.exp(CHI_SQUARE / effective) * n
+    met = _measured(data, found, limits)
+    stems = [best, *(b for b in met if max(b.fit.sse, n * data.floor) <= most)]
     if best.slips >= 2 * HALF_SLIPS:
-        alike += _halves(data, sorted(found.met, key=lambda b: b.fit.sse)[:60])
-    alike += _outwards(data, best, most, found.only, limits)
-    near = found.rows[np.maximum(found.rows[:, 2], n * data.floor) <= most]
+        stems += _halves(data, sorted(met, key=lambda b: b.fit.sse)[:60])
+    stems += _outwards(data, best, most, found.only, limits)
+    rows = found.rows
+    if data is not found.measure:
+        rows = np.vstack([closer(data, best, reach, 0.05 * reach[0], found.only, limits)[1] for reach in REACHES])
+    near = rows[np.maximum(rows[:, 2], n * data.floor) <= most]
     if near.size:
         # Gain and jump make up for each other: the plant may be what it is with the outermost of these stems.
         ends = {tuple(near[end(near[:, i]), :2].tolist()) for i in (0, 1) for end in (np.argmin, np.argmax)}
         start, plant = (best.first, best.sense), (best.fit.tau, best.fit.theta)
-        fits = [fit_band(data, S, J, start, limits, plant, 40) for S, J in sorted(ends)]
-        alike += [b for b in fits if b.fit.gain != 0.0]
-    S = [b.S for b in alike] + near[:, 0].tolist()
-    J = [b.J for b in alike] + near[:, 1].tolist()
-    return tuple(alike), (min(S), max(S)), (min(J), max(J))
+        stems += [fit_band(data, S, J, start, limits, plant, 40) for S, J in sorted(ends)]
+    stems = [best, *(b for b in stems[1:] if b.fit.gain != 0.0)]
+    held = np.array([_held(data, b, found.only) for b in stems])
+    S = [*held[:, :2].ravel().tolist(), *near[:, 0].tolist()]
+    J = [*held[:, 2:].ravel().tolist(), *near[:, 1].tolist()]
+    behind = [effective * math.log(max(b.fit.sse / n, base) / base) / CHI_SQUARE for b in stems]
+    spare = tuple(math.sqrt(max(1.0 - share, 0.0)) for share in behind)
+    return Bands(best, tuple(stems), spare, (min(S), max(S)), (min(J), max(J)))
+
+
+def _measured(data: Centred, found: Found, limits: Limits) -> list[Band]:
+    """The stems met in a search, in the measure that the record has now: the likely ones are fitted again."""
+    if data is found.measure:
+        return list(found.met)
+    n, best = found.measure.samples, best_of(list(found.met))
+    least = max(best.fit.sse / n, found.measure.floor) * n
+    most = least * math.exp((CHI_SQUARE + SLACK) / _effective(found.measure, best))
+    likely = sorted((b for b in found.met if b.fit.sse <= most), key=lambda b: b.fit.sse)
+    outermost = [end(likely, key=of) for end in (min, max) for of in (_width, _jump, _gain, _lag, _delay)]
+    chosen = {id(b): b for b in (*likely[:LIKELIEST], *outermost)}.values()
+    again = [fit_band(data, b.S, b.J, (b.first, b.sense), limits, (b.fit.tau, b.fit.theta), 30) for b in chosen]
+    return [*found.again, *again]
+
+
+def _held(data: Centred, b: Band, only: float | None) -> tuple[float, float, float, float]:
+    """The least and the largest S, and J, with which a stem goes the same way: where it slips, and S - J, stay."""
+    if only is not None:
+        return b.S, b.S, b.J, b.J
+    box = np.empty(4)
+    kernel.band_path(data.u, b.S, b.J, b.first, b.sense, np.empty(data.samples), box)
+    less = min(b.S - box[kernel.S_LOW], b.J - box[kernel.J_LOW])
+    more = min(box[kernel.S_HIGH] - b.S, box[kernel.J_HIGH] - b.J, data.op_range)
+    return b.S - less, b.S + more, b.J - less, b.J + more
 
 
 def _outwards(data: Centred, best: Band, most: float, only: float | None, limits: Limits) -> list[Band]:
-    """The stems met in steps of S away from the best, each way until the record tells them apart."""
-    met, plant, start = [], (best.fit.tau, best.fit.theta), (best.first, best.sense)
-    for way in (-1.0, 1.0):
-        step = OUTWARDS[0]
-        while step <= OUTWARDS[1]:
-            S = best.S * (1.0 + way * step)
-            jumps = {max(best.J + f * step * S, 0.0) for f in (-1.0, 0.0, 1.0)} if only is None else {only * S}
-            there = started(data, best_of([fit_band(data, S, J, start, limits, plant, 24) for J in jumps]), limits)
-            if there.fit.gain == 0.0 or max(there.fit.sse, data.samples * data.floor) > most:
-                break
-            met.append(there)
-            step *= OUTWARDS[2]
+    """The stems met in steps of S, and of J, away from the best, each way until the record tells them apart.
+
+    Each begins with the plant of the one before it, as gain, jump and plant make up for each other.
+    """
+    met: list[Band] = []
+    for along in (0, 1) if only is None else (0,):
+        for way in (-1.0, 1.0):
+            step, last = OUTWARDS[0], best
+            while step <= OUTWARDS[1]:
+                there = _beyond(data, best, last, (along, way * step * best.S), only, limits)
+                if there is None or max(there.fit.sse, data.samples * data.floor) > most:
+                    break
+                met.append(there)
+                last = there
+                step *= OUTWARDS[2]
     return met
+
+
+def _beyond(
+    data: Centred, best: Band, last: Band, away: tuple[int, float], only: float | None, limits: Limits
+) -> Band | None:
+    """The best stem a step away from the best, along S (0) or J (1), with what is not stepped left to follow."""
+    along, step = away
+    plant, start = (last.fit.tau, last.fit.theta), (last.first, last.sense)
+    if along == 0:
+        S = best.S + step
+        jumps = {max(best.J + f * abs(step), 0.0) for f in (-1.0, 0.0, 1.0)} | {last.J} if only is None else {only * S}
+        there = started(data, best_of([fit_band(data, S, J, start, limits, plant, 24) for J in jumps]), limits)
+    else:
+        J = best.J + step
+        if J < 0.0:
+            return None
+        fits = [
+            fit_band(data, S, J, start, limits, plant, 24) for S in {last.S, max(last.S + J - last.J, 0.5 * last.S)}
+        ]
+        seed = best_of(fits)
+        there = best_of([seed, *closer(data, seed, SIDEWAYS, 0.1 * SIDEWAYS[0], None, limits)[0]])
+    return there if there.fit.gain != 0.0 else None
+
+
+def _width(b: Band) -> float:
+    return b.S
+
+
+def _jump(b: Band) -> float:
+    return b.J
+
+
+def _gain(b: Band) -> float:
+    return b.fit.gain
+
+
+def _lag(b: Band) -> float:
+    return b.fit.tau
+
+
+def _delay(b: Band) -> float:
+    return b.fit.theta
 
 
 def _halves(data: Centred, bands: list[Band]) -> list[Band]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import replace
+from functools import reduce
 
 import numpy as np
 
@@ -27,13 +28,22 @@ from workbench.estimate.models import (
     choose,
     compared,
     reasons_of,
+    words_of_rival,
 )
 from workbench.estimate.paths import Path, band_paths, linear_path, stem_paths
 from workbench.estimate.plants import foretelling_bic
 from workbench.estimate.profile import Profile, islands, search
 from workbench.estimate.refined import by_complementarity, jointly, refuse_complementarity
 from workbench.estimate.repeat import repeats_of, words_of
-from workbench.estimate.scale import band_of, band_position, linear_intervals, linear_result, stem_of
+from workbench.estimate.scale import (
+    band_of,
+    band_position,
+    joined,
+    linear_intervals,
+    linear_result,
+    rivals_of,
+    stem_of,
+)
 from workbench.estimate.settled import coloured_linear, settled
 from workbench.estimate.two_parameter import look
 from workbench.estimate.two_step import akaike, two_step
@@ -41,7 +51,7 @@ from workbench.estimate.verdict import ENOUGH_SLIPS, SHARP, WIDE_D, Evidence, ag
 from workbench.model.checks import choice, number
 from workbench.model.load_step import LoadStep
 from workbench.model.record import Record
-from workbench.model.results import Estimate, Iteration, LinearFit
+from workbench.model.results import Estimate, FittedModel, Intervals, Iteration, LinearFit
 from workbench.model.valve import Choudhury, Ideal, Stenman
 from workbench.record.modes import manual_share, mode_words
 
@@ -55,7 +65,7 @@ PLANTS = ("fopdt", "integrating", "auto")
 # Dead times searched by default, in samples, doubled while the best fit lies at the end.
 DELAYS = 30
 LINEAR_DELAYS = 240
-WIDEST_GAIN = 0.5  # of the gain itself: a 95 % range wider than this does not identify a two-parameter valve
+WIDEST_GAIN = 0.5  # of the gain itself: a 95 % range wider than this does not identify a valve
 CLEAR_BIC = 10.0  # R. Kass, A. Raftery, J. Am. Stat. Assoc. 90 (1995) 773-795: "very strong" evidence above it
 MUCH_MANUAL = 0.05  # share of the record in manual that is worth a word
 
@@ -291,11 +301,12 @@ def _answer(
     reasons += _manual_said(record)
     if ranged is not None:
         stem = band_of(data, ranged, chosen)
-        sharp = ranged.S[1] - ranged.S[0] <= SHARP * ranged.best.S
-        identifiable = verdict == "stiction" and ranged.best.slips >= ENOUGH_SLIPS and sharp
-        # A stem whose gain may be anything is no model, however narrow its band.
-        low, high = stem.intervals.gain or (0.0, 0.0)
-        identifiable = identifiable and high - low <= WIDEST_GAIN * abs(ranged.best.fit.gain)
+        identifiable = verdict == "stiction" and ranged.best.slips >= ENOUGH_SLIPS
+    if stem is not None and valve == "auto" and method != "two_step" and verdict != "no_stiction":
+        rivals = rivals_of(data, chosen, found, bands, limits)
+        stem = replace(stem, intervals=reduce(joined, rivals.values(), stem.intervals))
+        reasons += tuple(words_of_rival(name, ranges, data.integrating) for name, ranges in rivals.items())
+    identifiable = identifiable and stem is not None and _sharp(stem.intervals, models[chosen])
     best = bands[chosen].best if chosen in bands else None if found is None else found.best
     stuck = best is not None and chosen != "linear" and verdict != "no_stiction" and best.fit.gain != 0.0
     if not stuck:
@@ -356,6 +367,14 @@ def _answer(
     if ranged is not None:
         return sticking, band_paths(data, ranged, chosen), data
     return sticking, [] if found is None else stem_paths(data, found), data
+
+
+def _sharp(ranges: Intervals, model: FittedModel) -> bool:
+    """Whether the stick band is known closely; a stem whose gain may be anything is no model, however narrow it is."""
+    low, high = ranges.d or ranges.S or (0.0, math.inf)
+    least, most = ranges.gain or (0.0, math.inf)
+    sharp = high - low <= SHARP * model.valve.stick_band
+    return sharp and most - least <= WIDEST_GAIN * abs(model.plant.gain)
 
 
 def _manual_said(record: Record) -> tuple[str, ...]:
