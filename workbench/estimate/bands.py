@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from workbench.estimate import kernel
 from workbench.estimate.data import Centred
 from workbench.estimate.fit import LEAST_TAU, Fit, Limits, effective_samples, predict
-from workbench.estimate.profile import CHI_SQUARE, EXACT, active_windows
+from workbench.estimate.profile import CHI_SQUARE, EXACT, Profile, active_windows
 from workbench.estimate.two_parameter import (
     REACHES,
     REFITS,
@@ -30,9 +30,10 @@ from workbench.estimate.two_parameter import (
     started,
 )
 
-__all__ = ["Bands", "Found", "Sought", "alike", "refit", "repeated", "search_bands", "sought"]
+__all__ = ["Bands", "Found", "Sought", "alike", "like_stenman", "refit", "repeated", "search_bands", "sought"]
 
 OUTWARDS = (0.004, 0.5, 1.5)  # of S: the least and the largest step away from the best, each to the one before
+ABOUT = (0.8, 1.0, 1.2)  # of d: jumps of the stem that goes on from a one-parameter one
 SIDEWAYS = (0.01, 0.0)  # of S: how far S follows a step of J
 SLACK = 6.0  # in N log V: what another measure of the same record may make of a stem
 LIKELIEST = 24  # stems fitted again in it, beside the outermost
@@ -86,6 +87,18 @@ def sought(data: Centred, coarse: list[Band], limits: Limits) -> Sought:
     return Sought(parts[0], look(parts[0], limits.theta[1])) if parts else Sought(data, [])
 
 
+def like_stenman(data: Centred, found: Profile | None, limits: Limits) -> list[Band]:
+    """Return the two-parameter stem nearest to the best one-parameter one, S = d and J about d, or none.
+
+    Between reversals of OP the two go alike, and a grid over S and J, with few plants, may miss what d tells.
+    """
+    if found is None or found.best.fit.gain == 0.0:
+        return []
+    d, plant = found.best.d, (found.best.fit.tau, found.best.fit.theta)
+    start = start_costs(data, (d, d), plant)[0][1:]
+    return [best_of([fit_band(data, d, share * d, start, limits, plant, 40) for share in ABOUT])]
+
+
 def search_bands(
     data: Centred, within: Sought, limits: Limits, only: float | None, beside: tuple[Band, ...] = ()
 ) -> Found | None:
@@ -101,7 +114,10 @@ def search_bands(
         bands = []
         if found := search_short(within.data, within.coarse, only, limits)[0]:
             best = best_of(found)
-            bands.append(fit_band(data, best.S, best.J, (-1, 0.0), limits, (best.fit.tau, best.fit.theta), 40))
+            # A stem that rests in the middle of its band at the start may never move: it is asked for, as in the stretch.
+            plant = (best.fit.tau, best.fit.theta)
+            start = start_costs(data, (best.S, best.J), plant)[0][1:]
+            bands.append(fit_band(data, best.S, best.J, start, limits, plant, 40))
         bands = [b for b in bands if b.slips > 0]
         if bands:
             best = best_of(bands)

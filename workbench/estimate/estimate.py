@@ -12,7 +12,7 @@ import numpy as np
 from workbench.detect.detect import detect
 from workbench.detect.stem import Fitted
 from workbench.errors import InvalidValue
-from workbench.estimate.bands import repeated
+from workbench.estimate.bands import like_stenman, repeated
 from workbench.estimate.data import Centred, centre, plant_of
 from workbench.estimate.fit import (
     LEAST_TAU,
@@ -250,7 +250,8 @@ def _answer(
     coarse = look(data, delays)
     bands = {}
     if method != "two_step" and valve not in ("stenman", "linear"):
-        bands = bands_of(data, coarse, Limits((LEAST_TAU, float(n)), (0.0, delays)))
+        within = Limits((LEAST_TAU, float(n)), (0.0, delays))
+        bands = bands_of(data, [*coarse, *like_stenman(data, found, within)], within)
     steps: tuple[LoadStep, ...] = ()
     # The verdict weighs what each model leaves of PV; the model itself is fitted in the measure that its disturbance
     # asks for.
