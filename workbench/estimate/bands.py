@@ -34,6 +34,7 @@ __all__ = ["Bands", "Found", "Sought", "alike", "like_stenman", "refit", "repeat
 
 OUTWARDS = (0.004, 0.5, 1.5)  # of S: the least and the largest step away from the best, each to the one before
 ABOUT = (0.8, 1.0, 1.2)  # of d: jumps of the stem that goes on from a one-parameter one
+APART = 0.01  # of S: where a part's own stem is as far from the whole's, the search goes on from it
 SIDEWAYS = (0.01, 0.0)  # of S: how far S follows a step of J
 SLACK = 6.0  # in N log V: what another measure of the same record may make of a stem
 LIKELIEST = 24  # stems fitted again in it, beside the outermost
@@ -44,7 +45,8 @@ HALF_SLIPS = 5  # in each half of a record, for the halves to be compared
 class Found:
     """The best stem, all that were met on the way with their fits in the record's measure then, and rows of walks.
 
-    rows: (S, J, COST, SLIPS); only: J as a share of S, None for any; again: the best few, fitted anew since.
+    rows: (S, J, COST, SLIPS); only: J as a share of S, None for any; again: in another measure
+    the best few, fitted anew since, and what was met later.
     """
 
     best: Band
@@ -114,7 +116,7 @@ def search_bands(
         bands = []
         if found := search_short(within.data, within.coarse, only, limits)[0]:
             best = best_of(found)
-            # A stem that rests in the middle of its band at the start may never move: it is asked for, as in the stretch.
+            # One that rests in the middle of its band at the start may never move in all of the record.
             plant = (best.fit.tau, best.fit.theta)
             start = start_costs(data, (best.S, best.J), plant)[0][1:]
             bands.append(fit_band(data, best.S, best.J, start, limits, plant, 40))
@@ -147,26 +149,43 @@ def repeated(data: Centred, found: Found, limits: Limits) -> Bands:
     """Return the ranges, widened to what parts of the record say that reject the best stem, each searched by itself.
 
     The parts are the halves, of a long record its two most active stretches. What they disagree on is not known, and
-    a search that ended away from the truth seldom ends there twice. A part in which the best stem is as likely as its
-    own says nothing against it: it may hold too few slips to tell any stem from another.
+    a search that ended away from the truth seldom ends there twice: a short record is searched on from where its halves
+    ended, and the best may then be another.
     """
-    bands, n = alike(data, found, limits), data.samples
-    parts = [data.part(0, n // 2), data.part(n // 2, n)] if n <= EXACT else active_windows(data)[:2]
-    S, J, fits = [*bands.S], [*bands.J], []
-    for part in parts:
+    own = _of_parts(data, found.only, limits)
+    if data.samples <= EXACT:
+        found = _further(data, found, [b for *_, b in own if abs(b.S / found.best.S - 1.0) > APART], limits)
+    # A part in which the best stem is as likely as its own may hold too few slips to tell any stem from another.
+    against = [
+        b for part, within, b in own if b.slips >= HALF_SLIPS and _rejects(part, b, _here(part, found.best, within))
+    ]
+    bands = alike(data, found, limits)
+    S, J = (*bands.S, *(b.S for b in against)), (*bands.J, *(b.J for b in against))
+    return replace(bands, S=(min(S), max(S)), J=(min(J), max(J)), parts=tuple(b.fit for b in against))
+
+
+def _of_parts(data: Centred, only: float | None, limits: Limits) -> list[tuple[Centred, Limits, Band]]:
+    """The parts of a record, each with the best stem of a search of its own, where one is found."""
+    n = data.samples
+    found = []
+    for part in [data.part(0, n // 2), data.part(n // 2, n)] if n <= EXACT else active_windows(data)[:2]:
         if not part.op_range > 0.0 or not float(np.ptp(part.y)) > 0.0:
             continue
         longest = min(limits.theta[1], part.samples / 4.0)
         own = Limits((LEAST_TAU, float(part.samples)), (0.0, longest))
-        met, _ = search_short(part, look(part, longest), found.only, own)
-        if not met or best_of(met).slips < HALF_SLIPS:
-            continue
-        best = best_of(met)
-        if _rejects(part, best, _here(part, found.best, own)):
-            S.append(best.S)
-            J.append(best.J)
-            fits.append(best.fit)
-    return replace(bands, S=(min(S), max(S)), J=(min(J), max(J)), parts=tuple(fits))
+        met, _ = search_short(part, look(part, longest), only, own)
+        if met and best_of(met).slips > 0:
+            found.append((part, own, best_of(met)))
+    return found
+
+
+def _further(data: Centred, found: Found, seeds: list[Band], limits: Limits) -> Found:
+    """The same search, gone on with from the stems of parts, and the best of both."""
+    met: list[Band] = []
+    for b in seeds:
+        met += search_short(data, [_here(data, b, limits)], found.only, limits)[0]
+    met = [b for b in met if b.fit.gain != 0.0]
+    return replace(found, best=best_of([found.best, *met]), again=(*found.again, *met))
 
 
 def _here(part: Centred, b: Band, limits: Limits) -> Band:
@@ -224,7 +243,7 @@ def alike(data: Centred, found: Found, limits: Limits, rival: float = math.inf) 
 def _measured(data: Centred, found: Found, limits: Limits) -> list[Band]:
     """The stems met in a search, in the measure that the record has now: the likely ones are fitted again."""
     if data is found.measure:
-        return list(found.met)
+        return [*found.met, *found.again]
     n, best = found.measure.samples, best_of(list(found.met))
     least = max(best.fit.sse / n, found.measure.floor) * n
     most = least * math.exp((CHI_SQUARE + SLACK) / _effective(found.measure, best))

@@ -297,6 +297,9 @@ def _answer(
     verdict, reasons = agree(evidence, verdict, reasons, detect(record, fitted=fitted))
     identifiable = identifiable and verdict == "stiction"
     ranged = repeated(data, bands[chosen], limits) if chosen in bands and verdict != "no_stiction" else None
+    if ranged is not None and ranged.best is not bands[chosen].best:
+        bands = bands | {chosen: replace(bands[chosen], best=ranged.best)}
+        models = compared(data, linear, found, bands)
     if verdict != "no_stiction":
         reasons += reasons_of(models, chosen, valve, ranged)
     reasons += _manual_said(record)

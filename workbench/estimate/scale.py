@@ -131,7 +131,10 @@ def joined(one: Intervals, other: Intervals) -> Intervals:
 def rivals_of(
     data: Centred, chosen: str, found: Profile | None, bands: dict[str, Found], limits: Limits
 ) -> dict[str, Intervals]:
-    """Return the ranges of the sticking valves beside the chosen one whose fit the record cannot tell from its own."""
+    """Return the ranges of the sticking valves beside the chosen one whose fit the record cannot tell from its own.
+
+    A dead band is a stem with S and J that needs no J: neither is the other's rival.
+    """
     n = data.samples
     best = bands[chosen].best if chosen in bands else None
     if best is not None:
@@ -145,8 +148,8 @@ def rivals_of(
     if found is not None and chosen != "stenman" and max(found.best.fit.sse, n * data.floor) <= most:
         near = tuple(c for c in found.alike if max(c.fit.sse, n * data.floor) <= most)
         ranges["stenman"] = stem_of(data, replace(found, alike=near)).intervals
-    for name, one in bands.items():
-        if name != chosen and max(one.best.fit.sse, n * data.floor) <= most:
+    for name, one in bands.items() if chosen == "stenman" else ():
+        if max(one.best.fit.sse, n * data.floor) <= most:
             ranges[name] = band_of(data, alike(data, one, limits, fit.sse), name).intervals
     return ranges
 
