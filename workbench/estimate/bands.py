@@ -17,14 +17,17 @@ from workbench.estimate.data import Centred
 from workbench.estimate.fit import LEAST_TAU, Fit, Limits, effective_samples, predict
 from workbench.estimate.profile import CHI_SQUARE, EXACT, Profile, active_windows
 from workbench.estimate.two_parameter import (
+    CROSSINGS,
     REACHES,
     REFITS,
+    SPREADS,
     Band,
     band_stem,
     best_of,
     closer,
     fit_band,
     look,
+    nearer,
     search_short,
     start_costs,
     started,
@@ -35,6 +38,7 @@ __all__ = ["Bands", "Found", "Sought", "alike", "like_stenman", "refit", "repeat
 OUTWARDS = (0.004, 0.5, 1.5)  # of S: the least and the largest step away from the best, each to the one before
 ABOUT = (0.8, 1.0, 1.2)  # of d: jumps of the stem that goes on from a one-parameter one
 APART = 0.01  # of S: where a part's own stem is as far from the whole's, the search goes on from it
+BEFORE = 4  # samples before a slip over which OP's rate is taken
 SIDEWAYS = (0.01, 0.0)  # of S: how far S follows a step of J
 SLACK = 6.0  # in N log V: what another measure of the same record may make of a stem
 LIKELIEST = 24  # stems fitted again in it, beside the outermost
@@ -45,14 +49,15 @@ HALF_SLIPS = 5  # in each half of a record, for the halves to be compared
 class Found:
     """The best stem, all that were met on the way with their fits in the record's measure then, and rows of walks.
 
-    rows: (S, J, COST, SLIPS); only: J as a share of S, None for any; again: in another measure
-    the best few, fitted anew since, and what was met later.
+    rows: (S, J, COST, SLIPS), in the measure of walked; only: J as a share of S, None for any; again:
+    the best few fitted anew in another measure, and what was met later.
     """
 
     best: Band
     measure: Centred
     met: tuple[Band, ...]
     rows: NDArray[np.float64]
+    walked: Centred
     only: float | None
     again: tuple[Band, ...] = ()
 
@@ -133,7 +138,7 @@ def search_bands(
     best = best_of(bands)
     start = (best.first, best.sense)
     best = best_of([best, fit_band(data, best.S, best.J, start, limits, (best.fit.tau, best.fit.theta), 300)])
-    return Found(best, data, (best, *bands), rows, only)
+    return Found(best, data, (best, *bands), rows, data, only)
 
 
 def refit(data: Centred, found: Found, limits: Limits) -> Found:
@@ -150,11 +155,16 @@ def repeated(data: Centred, found: Found, limits: Limits) -> Bands:
 
     The parts are the halves, of a long record its two most active stretches. What they disagree on is not known, and
     a search that ended away from the truth seldom ends there twice: a short record is searched on from where its halves
-    ended, and the best may then be another.
+    ended, and from the stems that slip some samples earlier and later, and the best may then be another.
     """
     own = _of_parts(data, found.only, limits)
     if data.samples <= EXACT:
-        found = _further(data, found, [b for *_, b in own if abs(b.S / found.best.S - 1.0) > APART], limits)
+        apart = [b for *_, b in own if abs(b.S / found.best.S - 1.0) > APART]
+        found = _further(data, found, [_here(data, b, limits) for b in apart], limits)
+        for _ in range(CROSSINGS):
+            known, found = found.best, _further(data, found, _beside(data, found.best, found.only, limits), limits)
+            if found.best is known:
+                break
     # A part in which the best stem is as likely as its own may hold too few slips to tell any stem from another.
     against = [
         b for part, within, b in own if b.slips >= HALF_SLIPS and _rejects(part, b, _here(part, found.best, within))
@@ -180,12 +190,43 @@ def _of_parts(data: Centred, only: float | None, limits: Limits) -> list[tuple[C
 
 
 def _further(data: Centred, found: Found, seeds: list[Band], limits: Limits) -> Found:
-    """The same search, gone on with from the stems of parts, and the best of both."""
-    met: list[Band] = []
-    for b in seeds:
-        met += search_short(data, [_here(data, b, limits)], found.only, limits)[0]
-    met = [b for b in met if b.fit.gain != 0.0]
-    return replace(found, best=best_of([found.best, *met]), again=(*found.again, *met))
+    """The same search, gone on with from further stems, and the best of both."""
+    met = [b for seed in seeds for b in nearer(data, seed, SPREADS[1:], found.only, limits) if b.fit.gain != 0.0]
+    best, rows = best_of([found.best, *met]), found.rows
+    if best is not found.best:
+        rows = np.empty((0, 4))
+        for reach in REACHES:
+            fits, walked = closer(data, best, reach, 0.05 * reach[0], found.only, limits)
+            met, rows = [*met, *fits], np.vstack([rows, walked])
+            best = best_of([best, *fits])
+        plant, start = (best.fit.tau, best.fit.theta), (best.first, best.sense)
+        best = best_of([best, fit_band(data, best.S, best.J, start, limits, plant, 300)])
+        found = replace(found, walked=data)
+    return replace(found, best=best, again=(*found.again, *met), rows=rows)
+
+
+def _beside(data: Centred, best: Band, only: float | None, limits: Limits) -> list[Band]:
+    """The stems that slip a whole sample or two before or after the best, with dead times that make up for that.
+
+    Between them some slips have moved and others not, which fits worse: a search by small steps ends in any of them.
+    Where OP goes on less than `APART` of S in a sample they are no further apart than that.
+    """
+    x, _ = band_stem(data.u, best.S, best.J, best.first, best.sense)
+    moves = np.diff(x, prepend=x[0]) != 0.0
+    slips = np.flatnonzero(moves[1:] & ~moves[:-1]) + 1
+    slips = slips[slips >= BEFORE]
+    if not slips.size:
+        return []
+    rate = float(np.median(np.abs(data.u[slips] - data.u[slips - BEFORE]))) / BEFORE
+    if rate < APART * best.S:
+        return []
+    start, found = (best.first, best.sense), []
+    for later in (-2, -1, 1, 2):
+        S, theta = best.S + later * rate, best.fit.theta - later
+        if S > 0.0 and 0.0 <= theta <= limits.theta[1]:
+            J = best.J if only is None else only * S
+            found.append(fit_band(data, S, J, start, limits, (best.fit.tau, theta), 40))
+    return found
 
 
 def _here(part: Centred, b: Band, limits: Limits) -> Band:
@@ -223,7 +264,7 @@ def alike(data: Centred, found: Found, limits: Limits, rival: float = math.inf) 
         stems += _halves(data, sorted(met, key=lambda b: b.fit.sse)[:60])
     stems += _outwards(data, best, most, found.only, limits)
     rows = found.rows
-    if data is not found.measure:
+    if data is not found.walked:
         rows = np.vstack([closer(data, best, reach, 0.05 * reach[0], found.only, limits)[1] for reach in REACHES])
     near = rows[np.maximum(rows[:, 2], n * data.floor) <= most]
     if near.size:

@@ -24,14 +24,17 @@ from workbench.estimate.stems import first_slips, thin
 from workbench.model.record import FloatArray
 
 __all__ = [
+    "CROSSINGS",
     "REACHES",
     "REFITS",
+    "SPREADS",
     "Band",
     "band_stem",
     "best_of",
     "closer",
     "fit_band",
     "look",
+    "nearer",
     "search_short",
     "start_costs",
     "started",
@@ -286,8 +289,8 @@ def closer(
     return [b for b in fits if b.fit.gain != 0.0 and b.slips > 0], np.vstack(lines)
 
 
-def _nearer(data: Centred, seed: Band, spreads: tuple[float, ...], only: float | None, limits: Limits) -> list[Band]:
-    """All stems met from a seed on by steps of less and less size towards the best about it."""
+def nearer(data: Centred, seed: Band, spreads: tuple[float, ...], only: float | None, limits: Limits) -> list[Band]:
+    """Return all stems met from a seed on by steps of less and less size towards the best about it."""
     met = [seed]
     for spread in spreads:
         for _ in range(STEPS):
@@ -401,7 +404,7 @@ def search_short(
     for spread, behind, further in zip(SPREADS, BEHIND, (*SPREADS[1:], 0.0), strict=True):
         ends = []
         for seed in leaders:
-            met = _nearer(data, seed, (spread,), only, limits)
+            met = nearer(data, seed, (spread,), only, limits)
             bands += met
             ends.append(best_of(met))
         leaders = _leading(data, ends, behind, further)
@@ -410,7 +413,7 @@ def search_short(
     for _ in range(CROSSINGS):
         # Whatever came to be better in the end was no worse when it was met.
         seeds = [seed for seed in _across(data, best, only, limits) if _level(data, seed) <= _level(data, best)]
-        met = [m for seed in seeds for m in _nearer(data, seed, SPREADS[2:], only, limits)]
+        met = [m for seed in seeds for m in nearer(data, seed, SPREADS[2:], only, limits)]
         bands += met
         before, best = best, best_of([best, *met])
         if best is before:
