@@ -95,8 +95,9 @@ def estimate(
 
     Returns an `Estimate`; beside the model stands the linear fit that ignores stiction. Where stiction does not help
     ("no_stiction") the model is that linear fit with an ideal valve. intervals.d is the hull of all d whose fit the
-    record cannot tell from the best, and None below ten stem moves, which do not pin the stem's unknown start;
-    identifiable is True where the verdict is "stiction" and that hull is at most a tenth of d wide. Raises
+    record cannot tell from the best, and None below ten stem moves, which do not pin the stem's unknown start; with
+    valve "auto" every range holds those of the other sticking valves that fit as well too. identifiable is True where
+    the verdict is "stiction", that hull is at most a tenth of d wide and gain's at most half of the gain. Raises
     `RecordError` for a record that holds no information (too short, PV or OP constant) or is too long for the method,
     and `InvalidValue` for arguments that are not allowed.
     """
