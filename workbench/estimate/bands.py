@@ -289,7 +289,8 @@ def _measured(data: Centred, found: Found, limits: Limits) -> list[Band]:
     least = max(best.fit.sse / n, found.measure.floor) * n
     most = least * math.exp((CHI_SQUARE + SLACK) / _effective(found.measure, best))
     likely = sorted((b for b in found.met if b.fit.sse <= most), key=lambda b: b.fit.sse)
-    outermost = [end(likely, key=of) for end in (min, max) for of in (_width, _jump, _gain, _lag, _delay)]
+    reach = np.array([(b.S, b.J, b.fit.gain, b.fit.tau, b.fit.theta) for b in likely])
+    outermost = [likely[i] for i in (*reach.argmin(axis=0).tolist(), *reach.argmax(axis=0).tolist())]
     chosen = {id(b): b for b in (*likely[:LIKELIEST], *outermost)}.values()
     again = [fit_band(data, b.S, b.J, (b.first, b.sense), limits, (b.fit.tau, b.fit.theta), 30) for b in chosen]
     return [*found.again, *again]
@@ -345,26 +346,6 @@ def _beyond(
         seed = best_of(fits)
         there = best_of([seed, *closer(data, seed, SIDEWAYS, 0.1 * SIDEWAYS[0], None, limits)[0]])
     return there if there.fit.gain != 0.0 else None
-
-
-def _width(b: Band) -> float:
-    return b.S
-
-
-def _jump(b: Band) -> float:
-    return b.J
-
-
-def _gain(b: Band) -> float:
-    return b.fit.gain
-
-
-def _lag(b: Band) -> float:
-    return b.fit.tau
-
-
-def _delay(b: Band) -> float:
-    return b.fit.theta
 
 
 def _halves(data: Centred, bands: list[Band]) -> list[Band]:
