@@ -11,12 +11,13 @@ from hypothesis.extra.numpy import arrays
 import workbench as wb
 from workbench.cli_output import estimate_lines
 from workbench.estimate import kernel
+from workbench.estimate.bands import like_stenman
 from workbench.estimate.data import centre
 from workbench.estimate.estimate import leaves_noise_alone
 from workbench.estimate.fit import LEAST_TAU, Limits, fit_linear
 from workbench.estimate.models import bands_of
 from workbench.estimate.profile import search
-from workbench.estimate.two_parameter import band_stem, look, stems_like
+from workbench.estimate.two_parameter import band_stem, look
 from workbench.model.valve import Choudhury
 from workbench.simulate.run import valve_response
 
@@ -86,9 +87,7 @@ def test_where_a_stenman_valve_leaves_noise_alone_no_other_valve_is_looked_for_f
             coarse = look(data, 30.0)
             bands = bands_of(data, coarse, Limits((LEAST_TAU, 1000.0), (0.0, 30.0)))
             assert min(one.best.fit.sse for one in bands.values()) > 1.5 * found.best.fit.sse
-            near = stems_like(found.best.d, (found.best.fit.tau, found.best.fit.theta))(data, 30.0)
-            assert near
-            assert all(b.S == found.best.d == b.J for b in near)
+            assert [b.S for b in like_stenman(found, data, 30.0)] == [found.best.d]
 
 
 def test_a_dead_band_is_found_and_told_from_stiction() -> None:

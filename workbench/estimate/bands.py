@@ -13,26 +13,36 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from workbench.estimate import kernel
 from workbench.estimate.data import Centred
-from workbench.estimate.fit import LEAST_TAU, Fit, Limits, inflation, predict
-from workbench.estimate.profile import CHI_SQUARE, EXACT, active_windows
+from workbench.estimate.fit import LEAST_TAU, Fit, Limits, effective_samples, predict
+from workbench.estimate.profile import CHI_SQUARE, EXACT, Profile, active_windows
 from workbench.estimate.two_parameter import (
+    CROSSINGS,
     REACHES,
     REFITS,
+    SPREADS,
     Band,
     band_stem,
     best_of,
+    best_start,
     closer,
     fit_band,
     look,
+    nearer,
     search_short,
-    start_costs,
     started,
 )
 
-__all__ = ["Bands", "Found", "Sought", "refit", "repeated", "search_bands", "sought"]
+__all__ = ["Bands", "Found", "Sought", "alike", "like_stenman", "refit", "repeated", "search_bands", "sought"]
 
 OUTWARDS = (0.004, 0.5, 1.5)  # of S: the least and the largest step away from the best, each to the one before
+ABOUT = (0.8, 1.0, 1.2)  # of d: jumps of the stem that goes on from a one-parameter one
+APART = 0.01  # of S: where a part's own stem is as far from the whole's, the search goes on from it
+BEFORE = 4  # samples before a slip over which OP's rate is taken
+SIDEWAYS = (0.01, 0.0)  # of S: how far S follows a step of J
+SLACK = 6.0  # in N log V: what another measure of the same record may make of a stem
+LIKELIEST = 24  # stems fitted again in it, beside the outermost
 HALF_SLIPS = 5  # in each half of a record, for the halves to be compared
 
 
@@ -40,13 +50,15 @@ HALF_SLIPS = 5  # in each half of a record, for the halves to be compared
 class Found:
     """The best stem, all that were met on the way with their fits in the record's measure then, and rows of walks.
 
-    rows: (S, J, COST, SLIPS); only: J as a share of S, None for any; again: the best few, fitted anew since.
+    rows: (S, J, COST, SLIPS), in the measure of walked; only: J as a share of S, None for any; again:
+    the best few fitted anew in another measure, and what was met later.
     """
 
     best: Band
     measure: Centred
     met: tuple[Band, ...]
     rows: NDArray[np.float64]
+    walked: Centred
     only: float | None
     again: tuple[Band, ...] = ()
 
@@ -55,14 +67,16 @@ class Found:
 class Bands:
     """The best stem, those that the record cannot tell from it, and their ranges of S and J, %.
 
+    spare: of each of those, the share of a 95 % range's half that its cost leaves it within the likelihood region.
     parts: the fits that parts of the record have by themselves (see `repeated`).
     """
 
     best: Band
     alike: tuple[Band, ...]
+    spare: tuple[float, ...]
     S: tuple[float, float]
     J: tuple[float, float]
-    parts: tuple[Fit, ...]
+    parts: tuple[Fit, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,6 +102,21 @@ def sought(
     return Sought(parts[0], seek(parts[0], limits.theta[1]), known) if parts else Sought(data, [], known)
 
 
+def like_stenman(found: Profile | None, data: Centred, longest: float) -> list[Band]:
+    """Return the two-parameter stem nearest to the best one-parameter one, S = d and J about d, or none.
+
+    Between reversals of OP the two go alike, and a grid over S and J, with few plants, may miss what d tells. longest:
+    samples, the longest dead time.
+    """
+    if found is None or found.best.fit.gain == 0.0:
+        return []
+    limits = Limits((LEAST_TAU, float(data.samples)), (0.0, longest))
+    d, plant = found.best.d, (found.best.fit.tau, found.best.fit.theta)
+    start = best_start(data, (d, d), plant)[1:]
+    best = best_of([fit_band(data, d, share * d, start, limits, plant, 40) for share in ABOUT])
+    return [best] if best.slips > 0 and best.fit.gain != 0.0 else []
+
+
 def search_bands(
     data: Centred, within: Sought, limits: Limits, only: float | None, beside: tuple[Band, ...] = ()
 ) -> Found | None:
@@ -104,7 +133,10 @@ def search_bands(
         bands = []
         if found := search_short(within.data, within.coarse, only, limits)[0]:
             best = best_of(found)
-            bands.append(fit_band(data, best.S, best.J, (-1, 0.0), limits, (best.fit.tau, best.fit.theta), 40))
+            # One that rests in the middle of its band at the start may never move in all of the record.
+            plant = (best.fit.tau, best.fit.theta)
+            start = best_start(data, (best.S, best.J), plant)[1:]
+            bands.append(fit_band(data, best.S, best.J, start, limits, plant, 40))
         bands = [b for b in bands if b.slips > 0]
         if bands:
             best = best_of(bands)
@@ -118,7 +150,7 @@ def search_bands(
     best = best_of(bands)
     start = (best.first, best.sense)
     best = best_of([best, fit_band(data, best.S, best.J, start, limits, (best.fit.tau, best.fit.theta), 300)])
-    return Found(best, data, (best, *bands), rows, only)
+    return Found(best, data, (best, *bands), rows, data, only)
 
 
 def refit(data: Centred, found: Found, limits: Limits) -> Found:
@@ -134,33 +166,85 @@ def repeated(data: Centred, found: Found, limits: Limits) -> Bands:
     """Return the ranges, widened to what parts of the record say that reject the best stem, each searched by itself.
 
     The parts are the halves, of a long record its two most active stretches. What they disagree on is not known, and
-    a search that ended away from the truth seldom ends there twice. A part in which the best stem is as likely as its
-    own says nothing against it: it may hold too few slips to tell any stem from another.
+    a search that ended away from the truth seldom ends there twice: a short record is searched on from where its halves
+    ended, and from the stems that slip some samples earlier and later, and the best may then be another.
     """
-    alike, within, jumps = _ranges(found, limits)
+    own = _of_parts(data, found.only, limits)
+    if data.samples <= EXACT:
+        apart = [b for *_, b in own if abs(b.S / found.best.S - 1.0) > APART]
+        found = _further(data, found, [_here(data, b, limits) for b in apart], limits)
+        for _ in range(CROSSINGS):
+            known, found = found.best, _further(data, found, _beside(data, found.best, found.only, limits), limits)
+            if found.best is known:
+                break
+    # A part in which the best stem is as likely as its own may hold too few slips to tell any stem from another.
+    against = [
+        b for part, within, b in own if b.slips >= HALF_SLIPS and _rejects(part, b, _here(part, found.best, within))
+    ]
+    bands = alike(data, found, limits)
+    S, J = (*bands.S, *(b.S for b in against)), (*bands.J, *(b.J for b in against))
+    return replace(bands, S=(min(S), max(S)), J=(min(J), max(J)), parts=tuple(b.fit for b in against))
+
+
+def _of_parts(data: Centred, only: float | None, limits: Limits) -> list[tuple[Centred, Limits, Band]]:
+    """The parts of a record, each with the best stem of a search of its own, where one is found."""
     n = data.samples
-    parts = [data.part(0, n // 2), data.part(n // 2, n)] if n <= EXACT else active_windows(data)[:2]
-    S, J, fits = [*within], [*jumps], []
-    for part in parts:
+    found = []
+    for part in [data.part(0, n // 2), data.part(n // 2, n)] if n <= EXACT else active_windows(data)[:2]:
         if not part.op_range > 0.0 or not float(np.ptp(part.y)) > 0.0:
             continue
         longest = min(limits.theta[1], part.samples / 4.0)
         own = Limits((LEAST_TAU, float(part.samples)), (0.0, longest))
-        met, _ = search_short(part, look(part, longest), found.only, own)
-        if not met or best_of(met).slips < HALF_SLIPS:
-            continue
-        best = best_of(met)
-        if _rejects(part, best, _here(part, found.best, own)):
-            S.append(best.S)
-            J.append(best.J)
-            fits.append(best.fit)
-    return Bands(found.best, found.again or alike, (min(S), max(S)), (min(J), max(J)), tuple(fits))
+        met, _ = search_short(part, look(part, longest), only, own)
+        if met and best_of(met).slips > 0:
+            found.append((part, own, best_of(met)))
+    return found
+
+
+def _further(data: Centred, found: Found, seeds: list[Band], limits: Limits) -> Found:
+    """The same search, gone on with from further stems, and the best of both."""
+    met = [b for seed in seeds for b in nearer(data, seed, SPREADS[1:], found.only, limits) if b.fit.gain != 0.0]
+    best, rows = best_of([found.best, *met]), found.rows
+    if best is not found.best:
+        rows = np.empty((0, 4))
+        for reach in REACHES:
+            fits, walked = closer(data, best, reach, 0.05 * reach[0], found.only, limits)
+            met, rows = [*met, *fits], np.vstack([rows, walked])
+            best = best_of([best, *fits])
+        plant, start = (best.fit.tau, best.fit.theta), (best.first, best.sense)
+        best = best_of([best, fit_band(data, best.S, best.J, start, limits, plant, 300)])
+        found = replace(found, walked=data)
+    return replace(found, best=best, again=(*found.again, *met), rows=rows)
+
+
+def _beside(data: Centred, best: Band, only: float | None, limits: Limits) -> list[Band]:
+    """The stems that slip a whole sample or two before or after the best, with dead times that make up for that.
+
+    Between them some slips have moved and others not, which fits worse: a search by small steps ends in any of them.
+    Where OP goes on less than `APART` of S in a sample they are no further apart than that.
+    """
+    x, _ = band_stem(data.u, best.S, best.J, best.first, best.sense)
+    moves = np.diff(x, prepend=x[0]) != 0.0
+    slips = np.flatnonzero(moves[1:] & ~moves[:-1]) + 1
+    slips = slips[slips >= BEFORE]
+    if not slips.size:
+        return []
+    rate = float(np.median(np.abs(data.u[slips] - data.u[slips - BEFORE]))) / BEFORE
+    if rate < APART * best.S:
+        return []
+    start, found = (best.first, best.sense), []
+    for later in (-2, -1, 1, 2):
+        S, theta = best.S + later * rate, best.fit.theta - later
+        if S > 0.0 and 0.0 <= theta <= limits.theta[1]:
+            J = best.J if only is None else only * S
+            found.append(fit_band(data, S, J, start, limits, (best.fit.tau, theta), 40))
+    return found
 
 
 def _here(part: Centred, b: Band, limits: Limits) -> Band:
     """The same stem on a part of the record, from the start that suits it there and with a plant of its own."""
     theta = min(b.fit.theta, limits.theta[1])
-    start = start_costs(part, (b.S, b.J), (b.fit.tau, theta))[0][1:]
+    start = best_start(part, (b.S, b.J), (b.fit.tau, theta))[1:]
     return fit_band(part, b.S, b.J, start, limits, (b.fit.tau, theta), 120)
 
 
@@ -173,47 +257,107 @@ def _rejects(part: Centred, own: Band, other: Band) -> bool:
 def _effective(data: Centred, b: Band) -> float:
     """The number of independent samples that what a stem leaves is worth."""
     x, _ = band_stem(data.u, b.S, b.J, b.first, b.sense)
-    return data.samples / inflation(data.innovations(predict(data, x, max(b.first, 0), b.fit)[0]))
+    return effective_samples(data, x, max(b.first, 0), b.fit)
 
 
-def _ranges(found: Found, limits: Limits) -> tuple[tuple[Band, ...], tuple[float, float], tuple[float, float]]:
-    """What the record cannot tell from the best: the 95 % likelihood region, and what each half would choose.
+def alike(data: Centred, found: Found, limits: Limits, rival: float = math.inf) -> Bands:
+    """Return what the record cannot tell from the best stem: the 95 % likelihood region, and what each half chooses.
 
-    As it was measured when the search was made: the stems, and their ranges of S and J.
+    The stems have plants of their own. rival: EU^2, the sum of squares of another valve's best stem, where that is the
+    better one.
     """
-    data, best = found.measure, best_of(list(found.met))
-    n = data.samples
-    most = max(best.fit.sse / n, data.floor) * math.exp(CHI_SQUARE / _effective(data, best)) * n
-    alike = [best, *(b for b in found.met if max(b.fit.sse, n * data.floor) <= most)]
+    best, n = found.best, data.samples
+    effective = _effective(data, best)
+    base = max(min(best.fit.sse, rival) / n, data.floor)
+    most = base * math.exp(CHI_SQUARE / effective) * n
+    met = _measured(data, found, limits)
+    stems = [best, *(b for b in met if max(b.fit.sse, n * data.floor) <= most)]
     if best.slips >= 2 * HALF_SLIPS:
-        alike += _halves(data, sorted(found.met, key=lambda b: b.fit.sse)[:60])
-    alike += _outwards(data, best, most, found.only, limits)
-    near = found.rows[np.maximum(found.rows[:, 2], n * data.floor) <= most]
+        stems += _halves(data, sorted(met, key=lambda b: b.fit.sse)[:60])
+    stems += _outwards(data, best, most, found.only, limits)
+    rows = found.rows
+    if data is not found.walked:
+        rows = np.vstack([closer(data, best, reach, 0.05 * reach[0], found.only, limits)[1] for reach in REACHES])
+    near = rows[np.maximum(rows[:, 2], n * data.floor) <= most]
     if near.size:
         # Gain and jump make up for each other: the plant may be what it is with the outermost of these stems.
         ends = {tuple(near[end(near[:, i]), :2].tolist()) for i in (0, 1) for end in (np.argmin, np.argmax)}
         start, plant = (best.first, best.sense), (best.fit.tau, best.fit.theta)
-        fits = [fit_band(data, S, J, start, limits, plant, 40) for S, J in sorted(ends)]
-        alike += [b for b in fits if b.fit.gain != 0.0]
-    S = [b.S for b in alike] + near[:, 0].tolist()
-    J = [b.J for b in alike] + near[:, 1].tolist()
-    return tuple(alike), (min(S), max(S)), (min(J), max(J))
+        stems += [fit_band(data, S, J, start, limits, plant, 40) for S, J in sorted(ends)]
+    stems = [best, *(b for b in stems[1:] if b.fit.gain != 0.0)]
+    held = np.array([_held(data, b, found.only) for b in stems])
+    S = [*held[:, :2].ravel().tolist(), *near[:, 0].tolist()]
+    J = [*held[:, 2:].ravel().tolist(), *near[:, 1].tolist()]
+    behind = [effective * math.log(max(b.fit.sse / n, base) / base) / CHI_SQUARE for b in stems]
+    spare = tuple(math.sqrt(max(1.0 - share, 0.0)) for share in behind)
+    return Bands(best, tuple(stems), spare, (min(S), max(S)), (min(J), max(J)))
+
+
+def _measured(data: Centred, found: Found, limits: Limits) -> list[Band]:
+    """The stems met in a search, in the measure that the record has now: the likely ones are fitted again."""
+    if data is found.measure:
+        return [*found.met, *found.again]
+    n, best = found.measure.samples, best_of(list(found.met))
+    least = max(best.fit.sse / n, found.measure.floor) * n
+    most = least * math.exp((CHI_SQUARE + SLACK) / _effective(found.measure, best))
+    likely = sorted((b for b in found.met if b.fit.sse <= most), key=lambda b: b.fit.sse)
+    reach = np.array([(b.S, b.J, b.fit.gain, b.fit.tau, b.fit.theta) for b in likely])
+    outermost = [likely[i] for i in (*reach.argmin(axis=0).tolist(), *reach.argmax(axis=0).tolist())]
+    chosen = {id(b): b for b in (*likely[:LIKELIEST], *outermost)}.values()
+    again = [fit_band(data, b.S, b.J, (b.first, b.sense), limits, (b.fit.tau, b.fit.theta), 30) for b in chosen]
+    return [*found.again, *again]
+
+
+def _held(data: Centred, b: Band, only: float | None) -> tuple[float, float, float, float]:
+    """The least and the largest S, and J, with which a stem goes the same way: where it slips, and S - J, stay."""
+    if only is not None:
+        return b.S, b.S, b.J, b.J
+    box = np.empty(4)
+    kernel.band_path(data.u, b.S, b.J, b.first, b.sense, np.empty(data.samples), box)
+    less = min(b.S - box[kernel.S_LOW], b.J - box[kernel.J_LOW])
+    more = min(box[kernel.S_HIGH] - b.S, box[kernel.J_HIGH] - b.J, data.op_range)
+    return b.S - less, b.S + more, b.J - less, b.J + more
 
 
 def _outwards(data: Centred, best: Band, most: float, only: float | None, limits: Limits) -> list[Band]:
-    """The stems met in steps of S away from the best, each way until the record tells them apart."""
-    met, plant, start = [], (best.fit.tau, best.fit.theta), (best.first, best.sense)
-    for way in (-1.0, 1.0):
-        step = OUTWARDS[0]
-        while step <= OUTWARDS[1]:
-            S = best.S * (1.0 + way * step)
-            jumps = {max(best.J + f * step * S, 0.0) for f in (-1.0, 0.0, 1.0)} if only is None else {only * S}
-            there = started(data, best_of([fit_band(data, S, J, start, limits, plant, 24) for J in jumps]), limits)
-            if there.fit.gain == 0.0 or max(there.fit.sse, data.samples * data.floor) > most:
-                break
-            met.append(there)
-            step *= OUTWARDS[2]
+    """The stems met in steps of S, and of J, away from the best, each way until the record tells them apart.
+
+    Each begins with the plant of the one before it, as gain, jump and plant make up for each other.
+    """
+    met: list[Band] = []
+    for along in (0, 1) if only is None else (0,):
+        for way in (-1.0, 1.0):
+            step, last = OUTWARDS[0], best
+            while step <= OUTWARDS[1]:
+                there = _beyond(data, best, last, (along, way * step * best.S), only, limits)
+                if there is None or max(there.fit.sse, data.samples * data.floor) > most:
+                    break
+                met.append(there)
+                last = there
+                step *= OUTWARDS[2]
     return met
+
+
+def _beyond(
+    data: Centred, best: Band, last: Band, away: tuple[int, float], only: float | None, limits: Limits
+) -> Band | None:
+    """The best stem a step away from the best, along S (0) or J (1), with what is not stepped left to follow."""
+    along, step = away
+    plant, start = (last.fit.tau, last.fit.theta), (last.first, last.sense)
+    if along == 0:
+        S = best.S + step
+        jumps = {max(best.J + f * abs(step), 0.0) for f in (-1.0, 0.0, 1.0)} | {last.J} if only is None else {only * S}
+        there = started(data, best_of([fit_band(data, S, J, start, limits, plant, 24) for J in jumps]), limits)
+    else:
+        J = best.J + step
+        if J < 0.0:
+            return None
+        fits = [
+            fit_band(data, S, J, start, limits, plant, 24) for S in {last.S, max(last.S + J - last.J, 0.5 * last.S)}
+        ]
+        seed = best_of(fits)
+        there = best_of([seed, *closer(data, seed, SIDEWAYS, 0.1 * SIDEWAYS[0], None, limits)[0]])
+    return there if there.fit.gain != 0.0 else None
 
 
 def _halves(data: Centred, bands: list[Band]) -> list[Band]:

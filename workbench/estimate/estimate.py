@@ -5,13 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial, reduce
 
 import numpy as np
 
 from workbench.detect.detect import detect
 from workbench.detect.stem import Fitted
 from workbench.errors import InvalidValue
-from workbench.estimate.bands import repeated
+from workbench.estimate.bands import like_stenman, repeated
 from workbench.estimate.data import Centred, centre, plant_of
 from workbench.estimate.fit import (
     LEAST_TAU,
@@ -29,22 +30,31 @@ from workbench.estimate.models import (
     choose,
     compared,
     reasons_of,
+    words_of_rival,
 )
 from workbench.estimate.paths import Path, band_paths, linear_path, stem_paths
 from workbench.estimate.plants import foretelling_bic
 from workbench.estimate.profile import Profile, islands, search
 from workbench.estimate.refined import by_complementarity, jointly, refuse_complementarity
 from workbench.estimate.repeat import repeats_of, words_of
-from workbench.estimate.scale import band_of, band_position, linear_intervals, linear_result, stem_of
+from workbench.estimate.scale import (
+    band_of,
+    band_position,
+    joined,
+    linear_intervals,
+    linear_result,
+    rivals_of,
+    stem_of,
+)
 from workbench.estimate.settled import coloured_linear, settled
 from workbench.estimate.stems import path_of
-from workbench.estimate.two_parameter import Band, look, stems_like
+from workbench.estimate.two_parameter import Band, look
 from workbench.estimate.two_step import akaike, two_step
 from workbench.estimate.verdict import ENOUGH_SLIPS, SHARP, WIDE_D, Evidence, agree, judge
 from workbench.model.checks import choice, number
 from workbench.model.load_step import LoadStep
 from workbench.model.record import Record
-from workbench.model.results import Estimate, Iteration, LinearFit
+from workbench.model.results import Estimate, FittedModel, Intervals, Iteration, LinearFit
 from workbench.model.valve import Choudhury, Ideal, Stenman
 from workbench.record.modes import manual_share, mode_words
 
@@ -58,7 +68,7 @@ PLANTS = ("fopdt", "integrating", "auto")
 # Dead times searched by default, in samples, doubled while the best fit lies at the end.
 DELAYS = 30
 LINEAR_DELAYS = 240
-WIDEST_GAIN = 0.5  # of the gain itself: a 95 % range wider than this does not identify a two-parameter valve
+WIDEST_GAIN = 0.5  # of the gain itself: a 95 % range wider than this does not identify a valve
 CLEAR_BIC = 10.0  # R. Kass, A. Raftery, J. Am. Stat. Assoc. 90 (1995) 773-795: "very strong" evidence above it
 HALF = 0.5  # of what the linear fit leaves: a stem that leaves no more explains PV by itself
 MUCH_MANUAL = 0.05  # share of the record in manual that is worth a word
@@ -89,8 +99,9 @@ def estimate(
 
     Returns an `Estimate`; beside the model stands the linear fit that ignores stiction. Where stiction does not help
     ("no_stiction") the model is that linear fit with an ideal valve. intervals.d is the hull of all d whose fit the
-    record cannot tell from the best, and None below ten stem moves, which do not pin the stem's unknown start;
-    identifiable is True where the verdict is "stiction" and that hull is at most a tenth of d wide. Raises
+    record cannot tell from the best, and None below ten stem moves, which do not pin the stem's unknown start; with
+    valve "auto" every range holds those of the other sticking valves that fit as well too. identifiable is True where
+    the verdict is "stiction", that hull is at most a tenth of d wide and gain's at most half of the gain. Raises
     `RecordError` for a record that holds no information (too short, PV or OP constant) or is too long for the method,
     and `InvalidValue` for arguments that are not allowed.
     """
@@ -254,13 +265,13 @@ def _answer(
     delays = found.limits.theta[1] if found is not None else float(_longest(data, None, DELAYS))
     rival = linear if linear.theta <= delays else fit_linear(data, delays)
     wide = [] if found is None else [c.fit.sse / n for c in found.fits if c.d >= WIDE_D * data.op_range]
-    seek: Callable[[Centred, float], list[Band]] = look
-    if found is not None and leaves_noise_alone(data, found, rival):
-        seek = stems_like(found.best.d, (found.best.fit.tau, found.best.fit.theta))
+    alone = found is not None and leaves_noise_alone(data, found, rival)
+    seek: Callable[[Centred, float], list[Band]] = partial(like_stenman, found) if alone else look
     coarse = seek(data, delays)
     bands = {}
     if method != "two_step" and valve not in ("stenman", "linear"):
-        bands = bands_of(data, coarse, Limits((LEAST_TAU, float(n)), (0.0, delays)), seek=seek)
+        seeds = coarse if alone else [*coarse, *like_stenman(found, data, delays)]
+        bands = bands_of(data, seeds, Limits((LEAST_TAU, float(n)), (0.0, delays)), seek=seek)
     steps: tuple[LoadStep, ...] = ()
     # The verdict weighs what each model leaves of PV; the model itself is fitted in the measure that its disturbance
     # asks for.
@@ -306,16 +317,20 @@ def _answer(
     verdict, reasons = agree(evidence, verdict, reasons, detect(record, fitted=fitted))
     identifiable = identifiable and verdict == "stiction"
     ranged = repeated(data, bands[chosen], limits) if chosen in bands and verdict != "no_stiction" else None
+    if ranged is not None and ranged.best is not bands[chosen].best:
+        bands = bands | {chosen: replace(bands[chosen], best=ranged.best)}
+        models = compared(data, linear, found, bands)
     if verdict != "no_stiction":
         reasons += reasons_of(models, chosen, valve, ranged)
     reasons += _manual_said(record)
     if ranged is not None:
         stem = band_of(data, ranged, chosen)
-        sharp = ranged.S[1] - ranged.S[0] <= SHARP * ranged.best.S
-        identifiable = verdict == "stiction" and ranged.best.slips >= ENOUGH_SLIPS and sharp
-        # A stem whose gain may be anything is no model, however narrow its band.
-        low, high = stem.intervals.gain or (0.0, 0.0)
-        identifiable = identifiable and high - low <= WIDEST_GAIN * abs(ranged.best.fit.gain)
+        identifiable = verdict == "stiction" and ranged.best.slips >= ENOUGH_SLIPS
+    if stem is not None and valve == "auto" and method != "two_step" and verdict != "no_stiction":
+        rivals = rivals_of(data, chosen, found, bands, limits)
+        stem = replace(stem, intervals=reduce(joined, rivals.values(), stem.intervals))
+        reasons += tuple(words_of_rival(name, ranges, data.integrating) for name, ranges in rivals.items())
+    identifiable = identifiable and stem is not None and _sharp(stem.intervals, models[chosen])
     best = bands[chosen].best if chosen in bands else None if found is None else found.best
     stuck = best is not None and chosen != "linear" and verdict != "no_stiction" and best.fit.gain != 0.0
     if not stuck:
@@ -376,6 +391,14 @@ def _answer(
     if ranged is not None:
         return sticking, band_paths(data, ranged, chosen), data
     return sticking, [] if found is None else stem_paths(data, found), data
+
+
+def _sharp(ranges: Intervals, model: FittedModel) -> bool:
+    """Whether the stick band is known closely; a stem whose gain may be anything is no model, however narrow it is."""
+    low, high = ranges.d or ranges.S or (0.0, math.inf)
+    least, most = ranges.gain or (0.0, math.inf)
+    sharp = high - low <= SHARP * model.valve.stick_band
+    return sharp and most - least <= WIDEST_GAIN * abs(model.plant.gain)
 
 
 def _manual_said(record: Record) -> tuple[str, ...]:

@@ -18,6 +18,7 @@ __all__ = [
     "again_linear",
     "autoregression",
     "disturbance",
+    "effective_samples",
     "fit_bands",
     "fit_linear",
     "fit_nothing",
@@ -294,6 +295,11 @@ def inflation(residuals: FloatArray) -> float:
     negative = np.flatnonzero(pairs <= 0.0)
     stop = int(negative[0]) if negative.size else pairs.size
     return float(np.clip(2.0 * pairs[:stop].sum() - 1.0, 1.0, n / 4.0))
+
+
+def effective_samples(data: Centred, x: FloatArray, first: int, fit: Fit) -> float:
+    """Return how many independent samples what a stem x, shape (N,), from `first` on leaves is worth."""
+    return data.samples / inflation(data.innovations(predict(data, x, first, fit)[0]))
 
 
 def standard_errors(data: Centred, x: FloatArray, first: int, fit: Fit, clamped: bool) -> tuple[float, float, float]:

@@ -13,10 +13,10 @@ from workbench.estimate.stems import path_of
 from workbench.estimate.two_parameter import Band, band_stem, look
 from workbench.estimate.verdict import SHARP
 from workbench.model.record import FloatArray
-from workbench.model.results import FittedModel
+from workbench.model.results import FittedModel, Intervals
 from workbench.model.valve import Choudhury, Deadband, Ideal, Stenman, Valve
 
-__all__ = ["STICKING", "bands_of", "choose", "compared", "reasons_of", "refitted"]
+__all__ = ["STICKING", "bands_of", "choose", "compared", "reasons_of", "refitted", "words_of_rival"]
 
 # Free parameters beside those of the valve: gain, time constant, dead time, bias, input before the record, transient;
 # an integrating plant has no time constant.
@@ -117,6 +117,22 @@ def reasons_of(models: dict[str, FittedModel], chosen: str, valve: str, found: B
             "record differ by as much; more slips, or a measured stem, would tell"
         )
     return tuple(said)
+
+
+def words_of_rival(name: str, ranges: Intervals, integrating: bool) -> str:
+    """Return in words that another kind of valve fits as well, and with which stick band and gain."""
+    kinds = {
+        "stenman": "one that sticks again after every slip",
+        "deadband": "a dead band",
+        "choudhury": "one with stick band and slip jump",
+    }
+    unit = "EU/(% s)" if integrating else "EU/%"
+    told = [
+        f"{what} {pair[0]:.3g} to {pair[1]:.3g} {unit}"
+        for what, pair, unit in (("of", ranges.d or ranges.S, "%"), ("with a gain of", ranges.gain, unit))
+        if pair is not None
+    ]
+    return " ".join(("the record does not tell this valve from", kinds[name], *told)) + ": the ranges hold both"
 
 
 def _words(valve: Valve) -> str:

@@ -20,10 +20,10 @@ from workbench.estimate.fit import (
     LEAST_TAU,
     Fit,
     Limits,
+    effective_samples,
     fit_linear,
     fit_path,
     fit_stems,
-    inflation,
     predict,
     start_range,
 )
@@ -405,9 +405,7 @@ def _alike(data: Centred, best: Candidate, fits: list[Candidate]) -> tuple[Candi
     f the variance that the record can resolve, below which all fits are equally good.
     """
     x, _ = path_of(data.u, best.d_low, best.first)
-    residuals = data.innovations(predict(data, x, best.first, best.fit)[0])
-    n = data.samples
-    effective = n / inflation(residuals)
+    n, effective = data.samples, effective_samples(data, x, best.first, best.fit)
     base = max(best.fit.sse / n, data.floor)
     region = [c for c in fits if effective * math.log(max(c.fit.sse / n, data.floor) / base) <= CHI_SQUARE]
     return (best, *region, *_halves(data, fits[:LIKELIEST]))

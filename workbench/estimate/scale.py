@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from workbench.estimate.bands import Bands
+from workbench.estimate.bands import Bands, Found, alike
 from workbench.estimate.data import Centred, plant_of
-from workbench.estimate.fit import Fit, grounded, predict, standard_errors, start_range
+from workbench.estimate.fit import Fit, Limits, effective_samples, grounded, predict, standard_errors, start_range
 from workbench.estimate.models import PLANT_PARAMETERS
-from workbench.estimate.profile import Candidate, Profile
+from workbench.estimate.profile import CHI_SQUARE, Candidate, Profile
 from workbench.estimate.stems import path_of
 from workbench.estimate.two_parameter import Band, band_stem
 from workbench.estimate.two_step import akaike
@@ -25,9 +26,11 @@ __all__ = [
     "band_of",
     "band_position",
     "bias_of",
+    "joined",
     "linear_intervals",
     "linear_result",
     "ranges_of",
+    "rivals_of",
     "stem_of",
 ]
 
@@ -72,22 +75,27 @@ def linear_intervals(data: Centred, fit: Fit) -> Intervals:
 
 
 def ranges_of(
-    data: Centred, fits: list[Fit], errors: tuple[float, float, float], d: tuple[float, float] | None
+    data: Centred,
+    fits: list[Fit],
+    errors: tuple[float, float, float],
+    d: tuple[float, float] | None,
+    spare: Sequence[float] = (),
 ) -> Intervals:
-    """Return hulls over fits that are alike, each widened by 1.96 standard errors."""
+    """Return hulls over fits that are alike, each widened by 1.96 standard errors, or by its share of that in spare."""
     Ts = data.sample_time
+    wide = NORMAL * np.array(spare or [1.0] * len(fits))
 
-    def hull(values: list[float], error: float, unit: float, least: float = -math.inf) -> tuple[float, float] | None:
+    def hull(values: FloatArray, error: float, unit: float, least: float = -math.inf) -> tuple[float, float] | None:
         if not math.isfinite(error):
             return None
-        low, high = (min(values) - NORMAL * error) * unit, (max(values) + NORMAL * error) * unit
+        low, high = float((values - wide * error).min()) * unit, float((values + wide * error).max()) * unit
         return max(low, least), high
 
     return Intervals(
         d=d,
-        gain=hull([f.gain for f in fits], errors[0], 1.0 / Ts if data.integrating else 1.0),
-        time_constant=None if data.integrating else hull([f.tau for f in fits], errors[1], Ts, 0.0),
-        dead_time=hull([f.theta for f in fits], errors[2], Ts, 0.0),
+        gain=hull(np.array([f.gain for f in fits]), errors[0], 1.0 / Ts if data.integrating else 1.0),
+        time_constant=None if data.integrating else hull(np.array([f.tau for f in fits]), errors[1], Ts, 0.0),
+        dead_time=hull(np.array([f.theta for f in fits]), errors[2], Ts, 0.0),
     )
 
 
@@ -101,6 +109,49 @@ def _start(data: Centred, best: Candidate) -> tuple[float, bool]:
         # Nothing of OP's record tells where the stem was before sample 0; it does not show within the record.
         return free, False
     return float(np.clip(free, low, high)), not low * (1 + 1e-9) < free < high * (1 - 1e-9)
+
+
+def joined(one: Intervals, other: Intervals) -> Intervals:
+    """Return the hull of two valves' ranges, of those that the first has; d and S are both the stick band."""
+
+    def hull(a: tuple[float, float] | None, b: tuple[float, float] | None) -> tuple[float, float] | None:
+        return a if a is None or b is None else (min(a[0], b[0]), max(a[1], b[1]))
+
+    band = other.d or other.S
+    return Intervals(
+        d=hull(one.d, band),
+        S=hull(one.S, band),
+        J=hull(one.J, other.J),
+        gain=hull(one.gain, other.gain),
+        time_constant=hull(one.time_constant, other.time_constant),
+        dead_time=hull(one.dead_time, other.dead_time),
+    )
+
+
+def rivals_of(
+    data: Centred, chosen: str, found: Profile | None, bands: dict[str, Found], limits: Limits
+) -> dict[str, Intervals]:
+    """Return the ranges of the sticking valves beside the chosen one whose fit the record cannot tell from its own.
+
+    A dead band is a stem with S and J that needs no J: neither is the other's rival.
+    """
+    n = data.samples
+    best = bands[chosen].best if chosen in bands else None
+    if best is not None:
+        x, first, fit = band_stem(data.u, best.S, best.J, best.first, best.sense)[0], max(best.first, 0), best.fit
+    elif found is not None:
+        x, first, fit = path_of(data.u, found.best.d_low, found.best.first)[0], found.best.first, found.best.fit
+    else:
+        return {}
+    most = max(fit.sse / n, data.floor) * math.exp(CHI_SQUARE / effective_samples(data, x, first, fit)) * n
+    ranges = {}
+    if found is not None and chosen != "stenman" and max(found.best.fit.sse, n * data.floor) <= most:
+        near = tuple(c for c in found.alike if max(c.fit.sse, n * data.floor) <= most)
+        ranges["stenman"] = stem_of(data, replace(found, alike=near)).intervals
+    for name, one in bands.items() if chosen == "stenman" else ():
+        if max(one.best.fit.sse, n * data.floor) <= most:
+            ranges[name] = band_of(data, alike(data, one, limits, fit.sse), name).intervals
+    return ranges
 
 
 def stem_of(data: Centred, found: Profile) -> Stem:
@@ -149,8 +200,8 @@ def band_of(data: Centred, found: Bands, name: str) -> Stem:
     if best.fit.gain != 0.0:
         errors = standard_errors(data, x, begin, best.fit, clamped=False)
     # The valve's own width and jump take part in what the plant may be: parts of the record differ in all of them.
-    fits = [fit for fit in (*(b.fit for b in found.alike), *found.parts) if fit.gain != 0.0]
-    ranges = ranges_of(data, fits or [best.fit], errors, None)
+    fits = [*(b.fit for b in found.alike), *found.parts]
+    ranges = ranges_of(data, fits, errors, None, [*found.spare, *[1.0] * len(found.parts)])
     if best.slips >= ENOUGH_SLIPS:
         ranges = replace(ranges, S=found.S, J=None if name == "deadband" else found.J)
     return Stem(band_position(data, best), prediction, bias_of(data, whole), ranges)

@@ -13,7 +13,7 @@ from functools import cache
 
 import numpy as np
 
-from workbench.estimate.bands import Found
+from workbench.estimate.bands import Found, like_stenman
 from workbench.estimate.data import Centred
 from workbench.estimate.fit import LEAST_TAU, Fit, Limits, again_linear, disturbance, grounded, predict
 from workbench.estimate.loads import Asked, Stem, loads_of
@@ -171,6 +171,7 @@ def settled(
             if anew:
                 # A stem that stood fast while its measure changed has no rivals that have not been looked at.
                 coarse = [one.best for one in bands.values()] if stands else look(data, delays)
+                coarse += [] if stands else like_stenman(found, data, delays)
                 bands = bands_of(data, coarse, limits, only_any)
         if agreed and same_steps:
             break

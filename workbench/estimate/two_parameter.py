@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -26,18 +25,20 @@ from workbench.estimate.stems import thin
 from workbench.model.record import FloatArray
 
 __all__ = [
+    "CROSSINGS",
     "REACHES",
     "REFITS",
+    "SPREADS",
     "Band",
     "band_stem",
     "best_of",
+    "best_start",
     "closer",
     "fit_band",
     "look",
+    "nearer",
     "search_short",
-    "start_costs",
     "started",
-    "stems_like",
 ]
 
 NARROWEST, WIDEST = 0.04, 0.95  # of OP's range
@@ -64,7 +65,6 @@ LINES = 13  # of J in each
 REFITS = 6  # best lines of which each gets its own plant
 MOST_ROWS = 4000  # of a line that is walked
 AT_ONCE = np.array([[-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])  # starts (first, sense) that any record may have
-LIKE = 2  # starts of a stem that is known from another valve
 STARTS = 60  # first slips tried beside the stem that rests in the middle of its band
 
 
@@ -108,21 +108,6 @@ def look(data: Centred, longest: float) -> list[Band]:
         grid = np.column_stack([np.repeat(S, len(SHARES)), (S[:, None] * np.array(SHARES)).ravel()])
         found = [_placed(data, seed, limits) for seed in _screened(data, grid, taus, delays, PICKED)]
     return sorted((b for b in found if b.slips > 0 and b.fit.gain != 0.0), key=lambda b: b.fit.sse)
-
-
-def stems_like(d: float, plant: tuple[float, float]) -> Callable[[Centred, float], list[Band]]:
-    """Return what looks for stems, as `look` does, only about a Stenman valve's, S = J = d (%), with its plant.
-
-    For a record of which that valve leaves noise alone. plant: (tau, theta) in samples.
-    """
-
-    def about(data: Centred, longest: float) -> list[Band]:
-        limits = Limits((LEAST_TAU, float(data.samples)), (0.0, longest))
-        starts = start_costs(data, (d, d), plant, LIKE)
-        found = [fit_band(data, d, d, start[1:], limits, plant) for start in starts]
-        return sorted((b for b in found if b.slips > 0 and b.fit.gain != 0.0), key=lambda b: b.fit.sse)
-
-    return about
 
 
 def _screened(data: Centred, grid: FloatArray, taus: FloatArray, delays: list[float], most: int) -> list[Seed]:
@@ -172,7 +157,7 @@ def _along(data: Centred, seeds: list[Seed]) -> list[tuple[float, Seed]]:
     """(cost, seed), of each seed's S and plant, for the best of the sequences of slips that J leads through."""
     lines = []
     for S, J, tau, theta in seeds:
-        _, first, sense = start_costs(data, (S, J), (tau, theta))[0]
+        _, first, sense = best_start(data, (S, J), (tau, theta))
         end = min(1.5 * S, 2.0 * data.op_range - S)
         lines.append(Line((S, 0.02 * S), 1, end, (0.004 * S, 0.02 * S), (first, sense), (tau, theta)))
     return _bests(lines, walked(data, lines))
@@ -186,7 +171,7 @@ def _over(data: Centred, plants: list[tuple[float, float]]) -> list[tuple[float,
     span, lines = data.op_range, []
     for plant in plants:
         for J in (share * JUMPS * span for share in SHARES):
-            _, first, sense = start_costs(data, (0.8 * span, J), plant)[0]
+            _, first, sense = best_start(data, (0.8 * span, J), plant)
             for start in sorted({(first, sense), (0, 1.0), (0, -1.0)}):
                 steps = (0.002 * span, 0.004 * span)
                 lines.append(Line((WIDE_OPEN * span, J), 0, WIDEST * span, steps, start, plant))
@@ -208,7 +193,7 @@ def _placed(data: Centred, seed: Seed, limits: Limits) -> Band:
     delays = [d for d in (theta + step for step in range(-3, 4)) if 0.0 <= d <= limits.theta[1]]
     near = _screened(data, grid, tau * np.array(FINER_TAUS), delays, 1)
     S, J, tau, theta = near[0] if near else seed
-    least = start_costs(data, (S, J), (tau, theta))[0]
+    least = best_start(data, (S, J), (tau, theta))
     return fit_band(data, S, J, least[1:], limits, (tau, theta), 60, 1e-5)
 
 
@@ -272,10 +257,8 @@ def walked(data: Centred, lines: list[Line]) -> list[NDArray[np.float64]]:
     return [rows[first:stop, :4] for first, stop in itertools.pairwise(ends.tolist())]
 
 
-def start_costs(
-    data: Centred, band: tuple[float, float], plant: tuple[float, float], most: int = 1
-) -> list[tuple[float, int, float]]:
-    """(cost, first, sense) of the best starts of a stem, ascending, at one plant.
+def best_start(data: Centred, band: tuple[float, float], plant: tuple[float, float]) -> tuple[float, int, float]:
+    """Return (cost, first, sense) of the start that suits a stem best, at one plant.
 
     Each sample at which OP lets it slip first is tried, both senses at the record's own start, and the stem that rests
     in the middle of its band.
@@ -288,13 +271,13 @@ def start_costs(
     kernel.scan_starts(
         data.target, data.u, *band, starts, data.sign, data.integrating, *plant, data.a, data.skip, costs
     )
-    best = np.argsort(costs, kind="stable")[:most].tolist()
-    return [(float(costs[i]), int(starts[i, 0]), float(starts[i, 1])) for i in best]
+    i = int(np.argmin(costs))
+    return float(costs[i]), int(starts[i, 0]), float(starts[i, 1])
 
 
 def started(data: Centred, b: Band, limits: Limits) -> Band:
     """The same stem from the start that suits it best."""
-    least, first, sense = start_costs(data, (b.S, b.J), (b.fit.tau, b.fit.theta))[0]
+    least, first, sense = best_start(data, (b.S, b.J), (b.fit.tau, b.fit.theta))
     if least >= b.fit.sse or (first, sense) == (b.first, b.sense):
         return b
     other = fit_band(data, b.S, b.J, (first, sense), limits, (b.fit.tau, b.fit.theta))
@@ -325,8 +308,8 @@ def closer(
     return [b for b in fits if b.fit.gain != 0.0 and b.slips > 0], np.vstack(lines)
 
 
-def _nearer(data: Centred, seed: Band, spreads: tuple[float, ...], only: float | None, limits: Limits) -> list[Band]:
-    """All stems met from a seed on by steps of less and less size towards the best about it."""
+def nearer(data: Centred, seed: Band, spreads: tuple[float, ...], only: float | None, limits: Limits) -> list[Band]:
+    """Return all stems met from a seed on by steps of less and less size towards the best about it."""
     met = [seed]
     for spread in spreads:
         for _ in range(STEPS):
@@ -450,7 +433,7 @@ def search_short(
     for spread, behind, further in steps[CLOSE if known else 0 :]:
         ends = []
         for seed in leaders:
-            met = _nearer(data, seed, (spread,), only, limits)
+            met = nearer(data, seed, (spread,), only, limits)
             bands += met
             ends.append(best_of(met))
         leaders = _leading(data, ends, behind, further)
@@ -459,7 +442,7 @@ def search_short(
     for _ in range(0 if known else CROSSINGS):
         # Whatever came to be better in the end was no worse when it was met.
         seeds = [seed for seed in _across(data, best, only, limits) if _level(data, seed) <= _level(data, best)]
-        met = [m for seed in seeds for m in _nearer(data, seed, SPREADS[2:], only, limits)]
+        met = [m for seed in seeds for m in nearer(data, seed, SPREADS[2:], only, limits)]
         bands += met
         before, best = best, best_of([best, *met])
         if best is before:
