@@ -263,16 +263,6 @@ def _stems(kind: int, u: Floats, stems: Floats, x: Floats) -> None:
 
 
 @compiled
-def _stairs(u: Floats, stems: Floats, x: Floats) -> None:
-    _stems(STAIRS, u, stems, x)
-
-
-@compiled
-def _two_parameter(u: Floats, stems: Floats, x: Floats) -> None:
-    _stems(TWO_PARAMETER, u, stems, x)
-
-
-@compiled
 def stems_abreast(kind: int, u: Floats, laws: Floats, stems: Floats, x: Floats) -> None:
     """Write the moves of up to LANES stems, x[k LANES + j], N LANES in all, as `valve_path` has them.
 
@@ -284,9 +274,9 @@ def stems_abreast(kind: int, u: Floats, laws: Floats, stems: Floats, x: Floats) 
         stems[_BAND + j], stems[_OFFSET + j] = laws[i, 0], laws[i, 1]
         stems[_X + j], stems[_MOTION + j] = u[0] - laws[i, 2], 0.0
     if kind == STAIRS:
-        _stairs(u, stems, x)
+        _stems(STAIRS, u, stems, x)
     else:
-        _two_parameter(u, stems, x)
+        _stems(TWO_PARAMETER, u, stems, x)
 
 
 @compiled
@@ -322,13 +312,14 @@ def _filter(taps: Floats, x: Floats, stride: int, w: Floats) -> None:
 
 
 @compiled
-def _lag_edge(w: Floats, begin: int, end: int, st: Floats, z: Floats, edge: Floats) -> None:
-    """Go on with the lags from sample `begin` to `end`, or up to three further, and write the sums before each.
+def _lag_edge(w: Floats, count: int, st: Floats, z: Floats, edge: Floats) -> None:
+    """Go on with the lags by `count` samples, or up to three more, and write the sums before each.
 
-    z: the lags' answers, a row of LANES for each sample; edge: four such rows for each sample, and for the one after.
+    w: their inputs; z: their answers, a row of LANES for each sample; edge: four such rows for each sample, and for the
+    one after.
     """
-    for k in range(0, end - begin, 4):
-        now, rows = w[(begin + k) * LANES : (begin + k + 4) * LANES], z[k * LANES : (k + 4) * LANES]
+    for k in range(0, count, 4):
+        now, rows = w[k * LANES : (k + 4) * LANES], z[k * LANES : (k + 4) * LANES]
         kept = edge[4 * k * LANES : 4 * (k + 5) * LANES]
         for j in range(LANES):
             p, g, z0, last = st[_P + j], st[_G + j], st[_Z + j], st[_LAST + j]
@@ -358,10 +349,10 @@ def _lag_edge(w: Floats, begin: int, end: int, st: Floats, z: Floats, edge: Floa
 
 
 @compiled
-def _lag_chunk(w: Floats, begin: int, st: Floats, z: Floats) -> None:
-    """The same over CHUNK samples, without the sums before each."""
+def _lag_chunk(w: Floats, st: Floats, z: Floats) -> None:
+    """The same by CHUNK samples, without the sums before each."""
     for k in range(0, CHUNK, 4):
-        now, rows = w[(begin + k) * LANES : (begin + k + 4) * LANES], z[k * LANES : (k + 4) * LANES]
+        now, rows = w[k * LANES : (k + 4) * LANES], z[k * LANES : (k + 4) * LANES]
         for j in range(LANES):
             p, g, z0, last = st[_P + j], st[_G + j], st[_Z + j], st[_LAST + j]
             z1 = p * z0 + g * now[j]
@@ -379,7 +370,6 @@ def _lag_chunk(w: Floats, begin: int, st: Floats, z: Floats) -> None:
             w3 = w2 * p
             st[_F + j] += (z0 * w0 + z1 * w1) + (z2 * w2 + z3 * w3)
             fade = w3 * p
-            # A transient that has died out is nought before its products become too small for fast arithmetic.
             st[_W + j] = fade if fade > NOUGHT else 0.0
 
 
@@ -418,7 +408,6 @@ def _fade(t: Floats, weight: Floats, first: int, end: int, st: Floats, e: Floats
     """
     st[_SE : _SE + LANES], st[_SEE : _SEE + LANES], st[_SYE : _SYE + LANES] = 0.0, 0.0, 0.0
     st[_W : _W + LANES] = 1.0
-    e[:] = 0.0
     for k in range(first, end, 4):
         v, c = t[k : k + 4], weight[k : k + 4]
         v0, v1, v2, v3 = v[0], v[1], v[2], v[3]
@@ -432,17 +421,18 @@ def _fade(t: Floats, weight: Floats, first: int, end: int, st: Floats, e: Floats
             st[_SE + j] += (e0 + e1) + (e2 + e3)
             st[_SEE + j] += (e0 * e0 + e1 * e1) + (e2 * e2 + e3 * e3)
             st[_SYE + j] += (e0 * v0 + e1 * v1) + (e2 * v2 + e3 * v3)
-        if e.size > 0:
-            row = e[k * LANES : (k + 4) * LANES]
-            for j in range(LANES):
-                fade = st[_W + j]
-                for m in range(4):
-                    row[m * LANES + j] = fade * c[m]
-                    fade *= st[_P + j]
-        for j in range(LANES):
-            p = st[_P + j]
-            fade = st[_W + j] * p * p * p * p
+            # One that has died out is nought before its products become too small for fast arithmetic.
+            fade = w3 * p
             st[_W + j] = fade if fade > NOUGHT else 0.0
+    if e.size > 0:
+        e[: first * LANES] = 0.0
+        st[_W : _W + LANES] = 1.0
+        for k in range(first, e.size // LANES):
+            row, c0 = e[k * LANES : (k + 1) * LANES], weight[k]
+            for j in range(LANES):
+                row[j] = st[_W + j] * c0
+                fade = st[_W + j] * st[_P + j]
+                st[_W + j] = fade if fade > NOUGHT else 0.0
 
 
 @compiled
@@ -481,12 +471,12 @@ def _gather(
         if e.size > 0:
             pairs[:LANES] = st[_LAST : _LAST + LANES]
         if end == head:
-            _lag_edge(w, begin, end, st, z, head_edge)
+            _lag_edge(w, head, st, z, head_edge)
             st[_W : _W + LANES] = 1.0
         elif begin < tail:
-            _lag_chunk(w, begin, st, z)
+            _lag_chunk(w[begin * LANES :], st, z)
         else:
-            _lag_edge(w, begin, end, st, z, tail_edge)
+            _lag_edge(w[begin * LANES :], n - begin, st, z, tail_edge)
         z[(end - begin) * LANES : rows * LANES] = 0.0
         _cross(z, rows, t[begin:], delays, sums[PV * size * LANES :])
         if e.size > 0:
