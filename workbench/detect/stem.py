@@ -357,7 +357,9 @@ class _Search:
             laws = best.law.about(spread)
             taus = best.fit.tau * np.array([0.85, 1.0, 1.18])
             costs = self.rivals.least(self.u, laws, best.fit.a, taus)
-            near = [laws.law(i) for i in _best(costs, 2)]
+            first, *others = _best(costs, 2)
+            # Wide stems that differ little make the same moves: where the costs are equal it is the same stem.
+            near = [laws.law(i) for i in (first, *others) if i == first or costs[i] > costs[first]]
             judged = [self.judged(law, law.path(self.u), best.fit.a, taus) for law in near]
             best = max([best, *judged], key=lambda c: c.innovations)
         return self.judged(best.law, best.path, best.fit.a)
