@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 import workbench as wb
 from workbench.detect.stem import stem_test
-from workbench.detect.verdict import Thresholds, decide
+from workbench.detect.verdict import Thresholds, decide, follows
 from workbench.model.detection import Oscillation, StemEvidence, StemTest
 
 RECORDS = Path(os.environ.get("WORKBENCH_RECORDS", Path(__file__).resolve().parents[2].parent / "shared" / "data"))
@@ -224,6 +224,13 @@ def test_a_pv_that_stands_still_while_op_ramps_decides_nothing() -> None:
     found = wb.detect(wb.Record(pv, np.linspace(5.0, 80.0, 360), 1.0))
     assert found.verdict == "undecided"
     assert "a valve that no longer moves" in found.reasons[0]
+
+
+def test_what_rounding_leaves_of_pv_shows_no_loop_at_work() -> None:
+    assert follows(replace(LINEAR, left=4e-32, unfollowed=1e-31)) == 0.0
+    assert follows(replace(LINEAR, left=4e-32, unfollowed=1e-3)) > 1000.0
+    ramp = np.arange(400.0)
+    assert wb.detect(wb.Record(ramp, 0.1 * ramp, 1.0)).verdict == "undecided"
 
 
 def test_a_saturated_output_and_a_cycling_setpoint_are_said() -> None:

@@ -71,7 +71,7 @@ def detect(record: Record, *, bicoherence: bool = False, fitted: Fitted | None =
     if verdict == "no_stiction" and follows(test) < Thresholds().seen and feedback(record)[0] < ACTS:
         verdict = "undecided"
         reasons = ["neither does PV follow OP nor OP the error: the record does not show a loop at work"]
-    stretch, cycle = _strongest(record)
+    stretch, cycle = _strongest(record, whole)
     pv, op, error = (signal[slice(*stretch)] for signal in (record.pv, record.op, control_error(record)))
     oscillates = not no_period(cycle)
     samples = cycle.period / record.sample_time if oscillates else math.nan
@@ -97,9 +97,12 @@ def detect(record: Record, *, bicoherence: bool = False, fitted: Fitted | None =
     return replace(found, statistics=statistics_of(found, bicoherence))
 
 
-def _strongest(record: Record) -> tuple[tuple[int, int], Oscillation]:
+def _strongest(record: Record, whole: Oscillation) -> tuple[tuple[int, int], Oscillation]:
     """Return the stretch at constant SP in which PV cycles most strongly, and its oscillation there."""
-    cycles = [(ends, oscillation_of(record.pv[slice(*ends)], record.sample_time)) for ends in steady_stretches(record)]
+    stretches = steady_stretches(record)
+    if stretches == [(0, len(record))]:
+        return stretches[0], whole
+    cycles = [(ends, oscillation_of(record.pv[slice(*ends)], record.sample_time)) for ends in stretches]
     return max(cycles, key=lambda found: found[1].index)
 
 

@@ -35,7 +35,7 @@ def stem_evidence(op: FloatArray, position: FloatArray) -> StemEvidence | None:
     if not np.ptp(position) > 0.0:
         return StemEvidence(band=width, jump=0.0, follows=1.0, sticks=1.0)
     best, band, jump = math.inf, 0.0, 0.0
-    for law in laws_of(width):
+    for law in (law for laws in laws_of(width) for law in laws.each()):
         left = _left(position, law.path(op))
         if left < best:
             best, band, jump = left, law.band, law.valve.slip_jump

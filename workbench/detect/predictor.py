@@ -48,13 +48,18 @@ class FreePredictor:
         self.live = np.convolve(held, reach)[: y.size][self.first :] == 0.0
         known = [_back(v, lag, self.first) for v in (y, u) for lag in range(1, past + 1)]
         known.append(np.ones(y.size - self.first))
-        columns = np.column_stack(known)[self.live]
+        columns = self._known(known)
         coefficients = columns.shape[1] + ANSWERS
         self.freedom = columns.shape[0] - coefficients
         self.enough = bool(columns.shape[0] >= LEAST_ROWS * coefficients)
         self.basis = _orthonormal(columns) if self.enough else columns
         self.left = self._beside(y[self.first :][self.live]) if self.enough else np.zeros(0)
         return self.enough
+
+    def _known(self, columns: list[FloatArray]) -> FloatArray:
+        """Return columns side by side, at the samples that are known."""
+        known: FloatArray = np.column_stack(columns if self.live.all() else [v[self.live] for v in columns])
+        return known
 
     def _beside(self, columns: FloatArray) -> FloatArray:
         beside: FloatArray = columns - self.basis @ (self.basis.T @ columns)
@@ -70,10 +75,12 @@ class FreePredictor:
         if not self.enough or not np.ptp(path) > 0.0:
             return 0.0
         x = path - path.mean()
-        columns = np.column_stack([_back(x, delay + 1 + i, self.first) for i in range(ANSWERS)])[self.live]
-        left, sizes, _ = np.linalg.svd(self._beside(columns), full_matrices=False)
+        columns = self._known([_back(x, delay + 1 + i, self.first) for i in range(ANSWERS)])
+        beside_past = self._beside(columns)
+        powers, axes = np.linalg.eigh(beside_past.T @ beside_past)
         # A stem that follows OP is known already: what is left of it is rounding.
-        left = left[:, sizes > RANK * math.sqrt(float((columns**2).sum()))]
+        kept = powers > RANK**2 * float((columns**2).sum())
+        left = beside_past @ (axes[:, kept] / np.sqrt(powers[kept]))
         with_stem = self.left - left @ (left.T @ self.left)
         without = float(self.left @ self.left) + self.floor
         beside = float(with_stem @ with_stem) + self.floor

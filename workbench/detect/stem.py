@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -26,6 +26,7 @@ from workbench.detect.predictor import FreePredictor
 from workbench.model.detection import StemTest
 from workbench.model.record import FloatArray
 from workbench.model.valve import Choudhury, Stenman
+from workbench.simulate import kernel as simulate
 from workbench.simulate.run import valve_response
 
 __all__ = ["Fitted", "Law", "dead_times", "laws_of", "stem_test", "whitened"]
@@ -39,6 +40,7 @@ JUMPS = (0.0, 0.3, 0.9, 1.4)  # J/S
 STARTS = (-0.8, 0.0, 0.8)  # where the stem may rest at the start: OP less stem, as a share of what holds it
 WIDE = 0.25  # of OP's range: a band that matters to the loop, one of CLASSES
 CLOSER = (0.06, 0.03, 0.012, 0.005)  # widths are searched on by up to twice these shares
+BAND, JUMP, REST = range(3)  # columns of `Laws`
 CLASSES = (0.1, 0.25, 0.5)  # of OP's range: between narrow and wide bands
 # Plants: time constants and dead times, in samples.
 COARSE_TAUS, FINE_TAUS = 8, 28
@@ -49,8 +51,6 @@ SHORT, LONG, PER_ORDER = (
     30,
     100,
 )  # order of the autoregression: samples/100 within limits; white noise on a slow drift is no short one
-SPREADS = (1.25, 1.08, 1.03)  # refinement of the time constant, the dead time by whole samples beside it
-STEPS = 12  # at most, at each of them
 ROUNDS = 3  # of plant and autoregression in turn
 WINDOW, WINDOWS = 3000, 3  # samples of one stretch, and the stretches of a long record
 PER_CYCLE = 100  # samples of a cycle: more are thinned out
@@ -120,32 +120,56 @@ class Law:
         """Return the stem under OP, %, shape (N,)."""
         return valve_response(self.valve, u, float(u[0]), float(u[0]) - self.rest)
 
-    def about(self, spread: float) -> list[Law]:
+    def about(self, spread: float) -> Laws:
         """Return laws about this one: widths scaled by up to twice the spread, the jump and the rest moved."""
         factors = [1.0 + spread * f for f in (-2.0, -1.0, -0.5, 0.5, 1.0, 2.0)]
         v, rest = self.valve, self.rest
-        found: list[Law] = []
+        found: list[tuple[float, float, float]]
         if isinstance(v, Stenman):
-            found += [Law(Stenman(v.d * f), r) for f in (*factors, 1.0) for r in (rest * f, rest - 4.0 * spread * v.d)]
-            found.append(Law(v, rest + 4.0 * spread * v.d))
+            found = [(v.d * f, v.d * f, r) for f in (*factors, 1.0) for r in (rest * f, rest - 4.0 * spread * v.d)]
+            found.append((v.d, v.d, rest + 4.0 * spread * v.d))
         else:
             more = 3.0 * spread * v.J + spread * v.S
             jumps = (v.J, v.J + more, max(v.J - more, 0.0))
-            found += [Law(Choudhury(v.S * f, J), rest) for f in (*factors, 1.0) for J in jumps]
-            found += [Law(v, rest + f * spread * v.S) for f in (-3.0, 3.0)]
-        return [law for law in found if abs(law.rest) <= law.reach]
+            found = [(v.S * f, J, rest) for f in (*factors, 1.0) for J in jumps]
+            found += [(v.S, v.J, rest + f * spread * v.S) for f in (-3.0, 3.0)]
+        laws = Laws(isinstance(v, Stenman), np.array(found))
+        return Laws(laws.stenman, laws.rows[np.abs(laws.rows[:, REST]) <= laws.reach])
+
+
+@dataclass(frozen=True, slots=True)
+class Laws:
+    """Valves of one kind, Stenman (its d is both S and J) or Choudhury: rows (S, J, rest), %, as `Law` has the rest."""
+
+    stenman: bool
+    rows: FloatArray
+
+    def law(self, i: int) -> Law:
+        """Return one of them."""
+        S, J, rest = self.rows[i].tolist()
+        return Law(Stenman(S) if self.stenman else Choudhury(S, J), rest)
+
+    def each(self) -> Iterator[Law]:
+        """Return one after the other."""
+        return (self.law(i) for i in range(len(self.rows)))
 
     @property
-    def reach(self) -> float:
+    def reach(self) -> FloatArray:
         """How far OP may be from a stem at rest, %."""
-        return self.valve.d if isinstance(self.valve, Stenman) else 0.5 * (self.valve.S + self.valve.J)
+        reach: FloatArray = 0.5 * (self.rows[:, BAND] + self.rows[:, JUMP])
+        return reach
+
+    @property
+    def kernel_rows(self) -> FloatArray:
+        """The kernel's rows: the leads at which they slip, those that they keep while moving, those at the start."""
+        return np.column_stack([self.reach, 0.5 * (self.rows[:, BAND] - self.rows[:, JUMP]), self.rows[:, REST]])
 
 
-def laws_of(width: float) -> list[Law]:
+def laws_of(width: float) -> tuple[Laws, Laws]:
     """Return the grid of valves for an OP that moves over `width` (%)."""
-    stenman = [Law(Stenman(w * width), s * w * width) for w in WIDTHS for s in STARTS]
-    laws = [Choudhury(b * width, j * b * width) for b in BANDS for j in JUMPS]
-    return stenman + [Law(v, 0.0) for v in laws]
+    stenman = [(w * width, w * width, s * w * width) for w in WIDTHS for s in STARTS]
+    choudhury = [(b * width, j * b * width, 0.0) for b in BANDS for j in JUMPS]
+    return Laws(True, np.array(stenman)), Laws(False, np.array(choudhury))
 
 
 def dead_times(n: int, period: float) -> list[int]:
@@ -166,7 +190,8 @@ def whitened(a: FloatArray, rows: FloatArray) -> FloatArray:
     if a.size == 1:
         return rows
     out = np.empty(rows.shape)
-    kernel.whiten(a, np.atleast_2d(np.ascontiguousarray(rows)), np.atleast_2d(out))
+    for row, filtered in zip(np.atleast_2d(np.ascontiguousarray(rows)), np.atleast_2d(out), strict=True):
+        kernel.whiten(a, row, filtered)
     return out
 
 
@@ -202,60 +227,32 @@ class _Rivals:
         self.delays = np.array(delays, dtype=np.int64)
         self.longest = delays[-1]
 
-    def least(
-        self, paths: FloatArray, a: FloatArray, taus: Sequence[float]
-    ) -> tuple[FloatArray, NDArray[np.int64], NDArray[np.int64]]:
-        """Return each path's least sum of squares over the plants of the grid, and which time and dead time gave it."""
-        best = np.empty(paths.shape[0])
-        tau_at, delay_at = np.zeros(best.size, dtype=np.int64), np.zeros(best.size, dtype=np.int64)
-        poles = np.exp(-1.0 / np.asarray(taus))
-        target = whitened(a, self.y)
-        drives = whitened(a, paths - paths[:, :1])
-        kernel.screen(target, self.live, drives, poles, self.order, self.delays, self.sign, best, tau_at, delay_at)
-        return best, tau_at, delay_at
+    def least(self, u: FloatArray, laws: Laws, a: FloatArray, taus: FloatArray) -> FloatArray:
+        """Return each stem's least sum of squares over the plants of the grid, in the measure of the filter a."""
+        best = np.empty(len(laws.rows))
+        kind = simulate.STAIRS if laws.stenman else simulate.TWO_PARAMETER
+        rows, target, poles = laws.kernel_rows, whitened(a, self.y), np.exp(-1.0 / taus)
+        kernel.screen(kind, u, rows, a, target, self.live, poles, self.order, self.delays, self.sign, best)
+        return best
 
-    def plant(self, x: FloatArray, a: FloatArray, taus: Sequence[float]) -> _Fit:
+    def plant(self, x: FloatArray, a: FloatArray, taus: FloatArray) -> _Fit:
         """Return the best plant driven by x, in the measure of the whitening filter a, the dead time in between too."""
-        _, tau_at, delay_at = self.least(x[None, :], a, taus)
-        tau, near = taus[int(tau_at[0])], int(self.delays[delay_at[0]])
-        target, costs, gains = whitened(a, self.y), np.empty(3), np.zeros((3, 2))
-        drive = whitened(a, x - x[0])
-        best = (math.inf, tau, near, 0.0, 0.0)
-        seen: set[tuple[float, int, int]] = set()
-        for spread in SPREADS:
-            for _ in range(STEPS):
-                before = best[0]
-                centre, middle = best[1], best[2]
-                for trial in (centre / spread, centre, min(centre * spread, LONGEST * self.n)):
-                    delays = (max(middle - 1, 0), min(middle + 1, self.longest))
-                    if (trial, *delays) in seen:
-                        continue
-                    seen.add((trial, *delays))
-                    pole = math.exp(-1.0 / trial)
-                    kernel.taps(target, self.live, drive, pole, self.order, delays, self.sign, costs, gains)
-                    i = int(np.argmin(costs[: delays[1] - delays[0] + 1]))
-                    if costs[i] < best[0]:
-                        best = (float(costs[i]), trial, delays[0] + i, float(gains[i, 0]), float(gains[i, 1]))
-                if not best[0] < before:
-                    break
-        cost, tau, delay, g0, g1 = best
-        lag = np.empty(self.n)
-        kernel.lagged(x - x[0], math.exp(-1.0 / tau), lag)
-        answer = np.zeros(self.n)
-        answer[delay:] = g0 * lag[: self.n - delay]
-        answer[delay + 1 :] += g1 * lag[: self.n - delay - 1]
-        return _Fit(cost / self.count, tau, delay, a, self.y - answer)
+        residual = np.empty(self.n)
+        cost, tau, delay = kernel.plant(
+            self.y, x, a, self.live, self.order, taus, self.delays, self.sign, LONGEST * self.n, residual
+        )
+        return _Fit(cost / self.count, tau, delay, a, residual)
 
-    def settle(self, x: FloatArray, a: FloatArray, taus: Sequence[float], rounds: int) -> _Fit:
+    def settle(self, x: FloatArray, a: FloatArray, taus: FloatArray, rounds: int) -> _Fit:
         """Return the rival driven by x: plant and autoregression fitted in turn, the best round."""
-        fits = []
-        for _ in range(rounds):
-            fit = self.plant(x, a, taus)
-            variance, a = self.noise(fit.residual, math.exp(-1.0 / fit.tau))
-            fits.append(_Fit(variance, fit.tau, fit.delay, a, fit.residual))
-        return min(fits, key=lambda f: f.variance)
+        filters, residuals = np.empty((rounds, self.order + 1)), np.empty((rounds, self.n))
+        longest = LONGEST * self.n
+        best, variance, tau, delay = kernel.settle(
+            self.y, x, a, self.live, self.order, taus, self.delays, self.sign, longest, rounds, filters, residuals
+        )
+        return _Fit(variance, tau, delay, filters[best], residuals[best])
 
-    def beside_sinusoid(self, x: FloatArray, fit: _Fit, taus: Sequence[float]) -> _Fit:
+    def beside_sinusoid(self, x: FloatArray, fit: _Fit, taus: FloatArray) -> _Fit:
         """Return the rival driven by x beside a sinusoidal disturbance, the strongest of what `fit` leaves."""
         n, order = self.n, self.order
         angle = _strongest(fit.residual)
@@ -274,23 +271,6 @@ class _Rivals:
         rivals = copy.copy(self)
         rivals.y = self.y - wave
         return rivals
-
-    def noise(self, e: FloatArray, pole: float) -> tuple[float, FloatArray]:
-        """Return the innovation variance and whitening filter (1, -a_1, .., -a_p) of a residual, by least squares.
-
-        A constant and a transient with the plant's pole, which the residual still holds, are fitted along.
-        """
-        order = self.order
-        gram, side = np.empty((order + 2, order + 2)), np.empty(order + 2)
-        kernel.own_products(e, self.live, order, pole, gram, side)
-        scale = np.sqrt(np.diag(gram))
-        scale[scale == 0.0] = 1.0
-        # A pole just below a sample's makes the transient no more than the constant: the pseudo-inverse shares it.
-        inverse = np.linalg.pinv(gram / np.outer(scale, scale), rcond=1e-12, hermitian=True)
-        terms = (inverse @ (side / scale)) / scale
-        a: FloatArray = np.concatenate([[1.0], -terms[:order]])
-        left = whitened(a, e)[order:] - terms[order] - terms[order + 1] * pole ** np.arange(e.size - order)
-        return float(np.mean(left[self.live[order:]] ** 2)), a
 
 
 def _strongest(e: FloatArray) -> float:
@@ -312,9 +292,10 @@ class _Search:
 
     def __init__(self, rivals: _Rivals, u: FloatArray, held: NDArray[np.bool_], power: float) -> None:
         self.rivals, self.u, self.power = rivals, u, power
-        self.fine = np.geomspace(SHORTEST, LONGEST * rivals.n, FINE_TAUS).tolist()
+        self.fine = np.geomspace(SHORTEST, LONGEST * rivals.n, FINE_TAUS)
         self.white = np.concatenate([[1.0], np.zeros(rivals.order)])
-        self.unfollowed, alone = rivals.noise(rivals.y, 0.5)
+        alone = np.empty(rivals.order + 1)
+        self.unfollowed = kernel.noise(rivals.y, rivals.live, rivals.order, 0.5, alone)
         # The two ends of what noise may be: none but white, and all of PV. Each may lead to a better plant.
         linear = (rivals.settle(u, a, self.fine, ROUNDS) for a in (self.white, alone))
         self.linear = min(linear, key=lambda f: f.variance)
@@ -327,7 +308,7 @@ class _Search:
         floor = FLOOR**2 * self.power
         return self.rivals.count * math.log((rival.variance + floor) / (fit.variance + floor))
 
-    def judged(self, law: Law, path: FloatArray, a: FloatArray, taus: Sequence[float] | None = None) -> _Candidate:
+    def judged(self, law: Law, path: FloatArray, a: FloatArray, taus: FloatArray | None = None) -> _Candidate:
         """Return a valve with its likelihoods, its plant and noise fitted in turn from the whitening filter a.
 
         taus: the time constants to start from, samples; then its simulation is not looked at.
@@ -341,21 +322,24 @@ class _Search:
 
     def met(self) -> list[_Candidate]:
         """Return the valves judged: the best of the grid, and those found closer and closer about them."""
-        laws = laws_of(float(np.ptp(self.u)))
-        paths = np.array([law.path(self.u) for law in laws])
-        classes = np.digitize([law.band for law in laws], np.array(CLASSES) * float(np.ptp(self.u)))
-        coarse = np.geomspace(SHORTEST, LONGEST * self.rivals.n, COARSE_TAUS).tolist()
+        width = float(np.ptp(self.u))
+        grid = laws_of(width)
+        limits = np.array(CLASSES) * width
+        classes = np.digitize(np.concatenate([laws.rows[:, BAND] for laws in grid]), limits)
+        coarse = np.geomspace(SHORTEST, LONGEST * self.rivals.n, COARSE_TAUS)
         found: list[_Candidate] = []
 
         # The linear rival's noise holds what the stem would explain, white noise what it would not: once more with
         # the noise of the best so far. Wide and narrow stems are looked at apart: neither is to crowd out the other.
         for start in (self.linear.a, self.white, None):
             a = max(found, key=lambda c: c.innovations).fit.a if start is None else start
-            costs = self.rivals.least(paths, a, coarse)[0]
+            costs = np.concatenate([self.rivals.least(self.u, laws, a, coarse) for laws in grid])
             for part in range(len(CLASSES) + 1):
                 i = _best(np.where(classes == part, costs, math.inf), 1)[0]
-                found.append(self.judged(laws[i], paths[i], a))
-        kinds = np.digitize([c.law.band for c in found], np.array(CLASSES) * float(np.ptp(self.u)))
+                first = len(grid[0].rows)
+                law = grid[0].law(i) if i < first else grid[1].law(i - first)
+                found.append(self.judged(law, law.path(self.u), a))
+        kinds = np.digitize([c.law.band for c in found], limits)
         leaders = [
             max((c for c, kind in zip(found, kinds, strict=True) if kind == part), key=lambda c: c.innovations)
             for part in range(len(CLASSES) + 1)
@@ -371,11 +355,13 @@ class _Search:
         """Return the best about a candidate, closer and closer: a stem a little off slips at other times."""
         for spread in CLOSER:
             laws = best.law.about(spread)
-            paths = np.array([law.path(self.u) for law in laws])
-            taus = [best.fit.tau * f for f in (0.85, 1.0, 1.18)]
-            costs = self.rivals.least(paths, best.fit.a, taus)[0]
-            near = [self.judged(laws[i], paths[i], best.fit.a, taus) for i in _best(costs, 2)]
-            best = max([best, *near], key=lambda c: c.innovations)
+            taus = best.fit.tau * np.array([0.85, 1.0, 1.18])
+            costs = self.rivals.least(self.u, laws, best.fit.a, taus)
+            first, *others = _best(costs, 2)
+            # Wide stems that differ little make the same moves: where the costs are equal it is the same stem.
+            near = [laws.law(i) for i in (first, *others) if i == first or costs[i] > costs[first]]
+            judged = [self.judged(law, law.path(self.u), best.fit.a, taus) for law in near]
+            best = max([best, *judged], key=lambda c: c.innovations)
         return self.judged(best.law, best.path, best.fit.a)
 
 

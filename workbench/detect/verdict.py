@@ -49,6 +49,8 @@ from workbench.model.detection import Oscillation, StemEvidence, StemTest
 
 __all__ = ["Thresholds", "beyond_chance", "decide", "excluded", "follows"]
 
+DUST = 1e-20  # share of PV's variance that is rounding, left or not
+
 
 @dataclass(frozen=True, slots=True)
 class Thresholds:
@@ -142,7 +144,7 @@ def _less(share: float, decimals: int = 1) -> str:
 
 def follows(test: StemTest) -> float:
     """Return the log likelihood ratio of PV with OP to PV without: how clearly PV is seen to follow."""
-    return test.samples * math.log(max(test.unfollowed, 1e-300) / max(test.left, 1e-300))
+    return test.samples * math.log(max(test.unfollowed, DUST) / max(test.left, DUST))
 
 
 def _not_excluded(oscillation: Oscillation, test: StemTest, limits: Thresholds) -> str:
