@@ -27,6 +27,7 @@ __all__ = [
     "scan_held",
     "scan_starts",
     "screen_bands",
+    "screen_stepped",
     "stem_path",
     "stem_slips",
     "walk",
@@ -1210,3 +1211,162 @@ def scan_held(
                 costs[i] = cost
                 found[i, 0], found[i, 1], found[i, 2] = first, sense, slips
                 found[i, 3], found[i, 4], found[i, 5] = terms[0], terms[1], terms[2]
+
+
+@compiled
+def screen_stepped(
+    y: Floats,
+    op: Floats,
+    stems: Floats,
+    plants: Floats,
+    integrating: bool,
+    sign: float,
+    skip: int,
+    begin: int,
+    end: int,
+    found: Floats,
+) -> None:
+    """Fit the model and one step of load, at the sample that explains most, to many stems at each of some plants.
+
+    stems: rows (S, J, first, sense), see `band_path`; J nan for a Stenman stem of band S. plants: rows (tau, theta) in
+    samples. The step's answer begins at a sample in [begin, end). Written: found, shape (stems, plants, 2): the sum of
+    squares from `skip` on, inf where the stem does not move or its gain is not of `sign`, and that sample.
+
+    What no stem changes is taken out of PV first, for each pole: bias, transient. What a step explains beside these and
+    the stem's response s is `(r.h)^2 / |h|^2` with r and h the residual and the step's answer less their parts along
+    s; products of a signal with the answers at all times are one backward sum.
+    """
+    n = y.size
+    x, s, box = np.empty(n), np.empty(n), np.empty(4)
+    column, basis, size = np.empty(n), np.empty((2, n)), 0
+    rest, along, power = np.empty(n), np.empty(n), np.empty(n)
+    before, bare, own_along, own_power = np.zeros(n), np.empty(n), np.empty(n), np.empty(n)
+    found[:, :, 0] = math.inf
+    found[:, :, 1] = begin
+    last, left_y = math.nan, 0.0
+    for j in range(plants.shape[0]):
+        tau, theta = plants[j, 0], plants[j, 1]
+        a = 1.0 if integrating else math.exp(-1.0 / tau)
+        if a != last:
+            last = a
+            size = 0
+            rest[:] = y
+            for which in range(2):
+                value = 1.0
+                for k in range(n):
+                    column[k] = 1.0 if which == 0 else (float(k) - 0.5 * n if integrating else value)
+                    value *= a
+                length = _apart_from(column, basis, size, skip)
+                if length > 0.0:
+                    basis[size] = column / length
+                    size += 1
+            left_y = _apart_from(rest, basis, size, skip) ** 2
+            _step_products(rest, a, integrating, skip, along)
+            total = 0.0
+            for k in range(n - 1, -1, -1):
+                m = n - 1 - k
+                answer = float(m) if integrating else 1.0 - math.exp(-m / tau)
+                total += answer * answer
+                power[k] = total
+            for i in range(size):
+                _step_products(basis[i], a, integrating, skip, s)
+                for k in range(n):
+                    power[k] -= s[k] * s[k]
+        m = math.floor(theta + 1e-9)
+        f = max(theta - m, 0.0)
+        c0 = 1.0 - f if integrating else 1.0 - a ** (1.0 - f)
+        c1 = f if integrating else a ** (1.0 - f) - a
+        started, left_bare = -2, 0.0
+        for i in range(stems.shape[0]):
+            first, sense = int(stems[i, 2]), stems[i, 3]
+            if math.isnan(stems[i, 1]):
+                slips = stem_path(op, stems[i, 0], first, x)
+            else:
+                slips = band_path(op, stems[i, 0], stems[i, 1], first, sense, x, box)
+            if slips < 2:
+                continue
+            if first != started:
+                # What the unknown stem before the first slip adds; stems that slip first at one sample share it.
+                started = first
+                value = 0.0
+                for k in range(n):
+                    before[k] = value
+                    value = a * value + (c0 if k - m < first else 0.0) + (c1 if k - m - 1 < first else 0.0)
+                length = 0.0 if first < 0 else _apart_from(before, basis, size, skip)
+                product = 0.0
+                for k in range(skip, n):
+                    before[k] = before[k] / length if length > 0.0 else 0.0
+                    product += before[k] * rest[k]
+                _step_products(before, a, integrating, skip, s)
+                for k in range(n):
+                    bare[k] = rest[k] - product * before[k]
+                    own_along[k] = along[k] - product * s[k]
+                    own_power[k] = power[k] - s[k] * s[k]
+                left_bare = left_y - product * product
+            value = 0.0
+            for k in range(n):
+                column[k] = value
+                now = x[k - m] if k - m >= max(first, 0) else x[0] if first < 0 else 0.0
+                then = x[k - m - 1] if k - m - 1 >= max(first, 0) else x[0] if first < 0 else 0.0
+                value = a * value + c0 * now + c1 * then
+            whole = _apart_from(column, basis, size, skip)
+            product = 0.0
+            for k in range(skip, n):
+                product += column[k] * before[k]
+            length = whole * whole - product * product
+            if not length > 1e-12 * whole * whole:
+                continue
+            length = math.sqrt(length)
+            for k in range(skip, n):
+                column[k] = (column[k] - product * before[k]) / length
+            product = 0.0
+            for k in range(skip, n):
+                product += column[k] * bare[k]
+            left = left_bare - product * product
+            _step_products(column, a, integrating, skip, s)
+            best, at, gain = 0.0, begin, product
+            for k in range(begin, end):
+                own = own_power[k] - s[k] * s[k]
+                if own > 1e-6 * power[k]:
+                    r = own_along[k] - product * s[k]
+                    if r * r > best * own:
+                        best, at, gain = r * r / own, k, product - s[k] * r / own
+            if sign * gain >= 0.0:
+                found[i, j, 0] = max(left - best, 0.0)
+                found[i, j, 1] = at
+
+
+@compiled
+def _apart_from(column: Floats, basis: Floats, size: int, skip: int) -> float:
+    """Take out of a column its parts along an orthonormal basis, from `skip` on; return its length then, 0 for none."""
+    whole = 0.0
+    for k in range(skip, column.size):
+        whole += column[k] * column[k]
+    for i in range(size):
+        part = 0.0
+        for k in range(skip, column.size):
+            part += column[k] * basis[i, k]
+        for k in range(skip, column.size):
+            column[k] -= part * basis[i, k]
+    left = 0.0
+    for k in range(skip, column.size):
+        left += column[k] * column[k]
+    if not left > 1e-12 * whole:
+        return 0.0
+    return math.sqrt(left)
+
+
+@compiled
+def _step_products(signal: Floats, a: float, integrating: bool, skip: int, out: Floats) -> None:
+    """Write the products of a signal, from `skip` on, with a step's answer that begins at each sample."""
+    beyond, faded, total = 0.0, 0.0, 0.0
+    for k in range(signal.size - 1, -1, -1):
+        value = signal[k] if k >= skip else 0.0
+        if integrating:
+            total += beyond
+            beyond += value
+            out[k] = total
+        else:
+            beyond += value
+            faded = value + a * faded
+            out[k] = beyond - faded
