@@ -1237,10 +1237,10 @@ def screen_stepped(
     s; products of a signal with the answers at all times are one backward sum.
     """
     n = y.size
-    x, s, box = np.empty(n), np.empty(n), np.empty(4)
-    column, basis, size = np.empty(n), np.empty((2, n)), 0
-    rest, along, power = np.empty(n), np.empty(n), np.empty(n)
-    before, bare, own_along, own_power = np.zeros(n), np.empty(n), np.empty(n), np.empty(n)
+    x, box = np.empty(n), np.empty(4)
+    column, basis, parts, size = np.empty(n), np.zeros((3, n)), np.zeros((3, n)), 0
+    rest, bare, along, power = np.empty(n), np.empty(n), np.empty(n), np.empty(n)
+    own_along, own_power = np.empty(n), np.empty(n)
     found[:, :, 0] = math.inf
     found[:, :, 1] = begin
     last, left_y = math.nan, 0.0
@@ -1248,9 +1248,9 @@ def screen_stepped(
         tau, theta = plants[j, 0], plants[j, 1]
         a = 1.0 if integrating else math.exp(-1.0 / tau)
         if a != last:
-            last = a
-            size = 0
-            rest[:] = y
+            last, size = a, 0
+            basis[:] = 0.0
+            parts[:] = 0.0
             for which in range(2):
                 value = 1.0
                 for k in range(n):
@@ -1258,20 +1258,18 @@ def screen_stepped(
                     value *= a
                 length = _apart_from(column, basis, size, skip)
                 if length > 0.0:
-                    basis[size] = column / length
+                    basis[size, skip:] = column[skip:] / length
+                    _step_products(basis[size], a, integrating, parts[size])
                     size += 1
+            rest[:] = y
             left_y = _apart_from(rest, basis, size, skip) ** 2
-            _step_products(rest, a, integrating, skip, along)
+            rest[:skip] = 0.0
+            _step_products(rest, a, integrating, along)
             total = 0.0
             for k in range(n - 1, -1, -1):
-                m = n - 1 - k
-                answer = float(m) if integrating else 1.0 - math.exp(-m / tau)
+                answer = float(n - 1 - k) if integrating else 1.0 - math.exp(-(n - 1 - k) / tau)
                 total += answer * answer
-                power[k] = total
-            for i in range(size):
-                _step_products(basis[i], a, integrating, skip, s)
-                for k in range(n):
-                    power[k] -= s[k] * s[k]
+                power[k] = total - parts[0, k] ** 2 - parts[1, k] ** 2
         m = math.floor(theta + 1e-9)
         f = max(theta - m, 0.0)
         c0 = 1.0 - f if integrating else 1.0 - a ** (1.0 - f)
@@ -1290,49 +1288,57 @@ def screen_stepped(
                 started = first
                 value = 0.0
                 for k in range(n):
-                    before[k] = value
+                    column[k] = value
                     value = a * value + (c0 if k - m < first else 0.0) + (c1 if k - m - 1 < first else 0.0)
-                length = 0.0 if first < 0 else _apart_from(before, basis, size, skip)
+                length = 0.0 if first < 0 else _apart_from(column, basis, size, skip)
+                basis[2] = 0.0
                 product = 0.0
-                for k in range(skip, n):
-                    before[k] = before[k] / length if length > 0.0 else 0.0
-                    product += before[k] * rest[k]
-                _step_products(before, a, integrating, skip, s)
+                if length > 0.0:
+                    for k in range(skip, n):
+                        basis[2, k] = column[k] / length
+                        product += basis[2, k] * rest[k]
+                _step_products(basis[2], a, integrating, parts[2])
                 for k in range(n):
-                    bare[k] = rest[k] - product * before[k]
-                    own_along[k] = along[k] - product * s[k]
-                    own_power[k] = power[k] - s[k] * s[k]
+                    bare[k] = rest[k] - product * basis[2, k]
+                    own_along[k] = along[k] - product * parts[2, k]
+                    own_power[k] = power[k] - parts[2, k] ** 2
                 left_bare = left_y - product * product
-            value = 0.0
+            value, before = 0.0, x[0] if first < 0 else 0.0
+            whole, p0, p1, p2, product = 0.0, 0.0, 0.0, 0.0, 0.0
             for k in range(n):
                 column[k] = value
-                now = x[k - m] if k - m >= max(first, 0) else x[0] if first < 0 else 0.0
-                then = x[k - m - 1] if k - m - 1 >= max(first, 0) else x[0] if first < 0 else 0.0
+                if k >= skip:
+                    whole += value * value
+                    p0 += value * basis[0, k]
+                    p1 += value * basis[1, k]
+                    p2 += value * basis[2, k]
+                    product += value * bare[k]
+                now = x[k - m] if k - m >= max(first, 0) else before
+                then = x[k - m - 1] if k - m - 1 >= max(first, 0) else before
                 value = a * value + c0 * now + c1 * then
-            whole = _apart_from(column, basis, size, skip)
-            product = 0.0
-            for k in range(skip, n):
-                product += column[k] * before[k]
-            length = whole * whole - product * product
-            if not length > 1e-12 * whole * whole:
+            length = whole - p0 * p0 - p1 * p1 - p2 * p2
+            if not length > 1e-9 * whole:
                 continue
             length = math.sqrt(length)
-            for k in range(skip, n):
-                column[k] = (column[k] - product * before[k]) / length
-            product = 0.0
-            for k in range(skip, n):
-                product += column[k] * bare[k]
-            left = left_bare - product * product
-            _step_products(column, a, integrating, skip, s)
+            product /= length
             best, at, gain = 0.0, begin, product
-            for k in range(begin, end):
-                own = own_power[k] - s[k] * s[k]
-                if own > 1e-6 * power[k]:
-                    r = own_along[k] - product * s[k]
-                    if r * r > best * own:
-                        best, at, gain = r * r / own, k, product - s[k] * r / own
+            beyond, faded, total = 0.0, 0.0, 0.0
+            for k in range(n - 1, begin - 1, -1):
+                if integrating:
+                    total += beyond
+                    beyond += column[k]
+                else:
+                    beyond += column[k]
+                    faded = column[k] + a * faded
+                    total = beyond - faded
+                if k < end:
+                    s = (total - p0 * parts[0, k] - p1 * parts[1, k] - p2 * parts[2, k]) / length
+                    own = own_power[k] - s * s
+                    r = own_along[k] - product * s
+                    if own > 1e-6 * power[k] and r * r > best * own:
+                        best, at, gain = r * r / own, k, product - s * r / own
             if sign * gain >= 0.0:
-                found[i, j, 0] = max(left - best, 0.0)
+                found[i, j, 0] = max(left_bare - product * product - best, 0.0)
                 found[i, j, 1] = at
 
 
@@ -1357,16 +1363,15 @@ def _apart_from(column: Floats, basis: Floats, size: int, skip: int) -> float:
 
 
 @compiled
-def _step_products(signal: Floats, a: float, integrating: bool, skip: int, out: Floats) -> None:
-    """Write the products of a signal, from `skip` on, with a step's answer that begins at each sample."""
+def _step_products(signal: Floats, a: float, integrating: bool, out: Floats) -> None:
+    """Write the products of a signal with a step's answer that begins at each sample."""
     beyond, faded, total = 0.0, 0.0, 0.0
     for k in range(signal.size - 1, -1, -1):
-        value = signal[k] if k >= skip else 0.0
         if integrating:
             total += beyond
-            beyond += value
+            beyond += signal[k]
             out[k] = total
         else:
-            beyond += value
-            faded = value + a * faded
+            beyond += signal[k]
+            faded = signal[k] + a * faded
             out[k] = beyond - faded

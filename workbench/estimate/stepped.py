@@ -33,7 +33,7 @@ GRID = 110  # values of S looked at
 SHARES = (0.0, 0.12, 0.27, 0.45, 0.7, 1.0, 1.35)  # of J, of S
 FINER_SHARES = np.arange(0.0, 1.4, 0.025)  # at each S, with plants near its best
 DELAYS = (0.0, 1.0, 2.0, 3.0, 4.5, 6.0, 8.0, 10.0, 13.0, 17.0, 22.0, 29.0, 38.0, 50.0)  # samples
-SHORTEST, LONGEST, TAUS = 1.0, 0.5, 6  # time constants looked at: samples, records, how many
+SHORTEST, LONGEST, TAUS = 1.5, 0.25, 5  # time constants looked at: samples, records, how many
 FADE = 25.0  # samples after which the filter has forgotten
 FIRSTS, FIRSTS_CLOSE = 4, 60  # first slips tried
 SEEDS = 6  # of either kind of valve, about which closer grids are laid
@@ -76,6 +76,8 @@ class _Search:
 
     def best_first(self, stems: Sequence[tuple[float, float, int, float]], plants: FloatArray) -> list[_Found]:
         """The stems (S, J, first, sense), each with the best of the plants, rows (tau, theta)."""
+        if not stems:
+            return []
         rows = np.array(sorted(stems, key=lambda stem: stem[2]))
         found = np.empty((len(rows), len(plants), 2))
         data = self.data
@@ -118,27 +120,39 @@ def stepped_stems(data: Centred, limits: Limits, skip: int, span: tuple[int, int
 
 def _coarse(search: _Search, shares: Sequence[float], plants: FloatArray) -> list[_Found]:
     """The stems of a grid, each with the best of the plants, the best first."""
-    data, coarse = search.data, []
-    for S in (np.geomspace(NARROWEST, WIDEST, GRID) * data.op_range).tolist():
-        here = search.best_first([row for share in shares for row in _starts(data, S, share * S, FIRSTS)], plants)
-        coarse += here
-        if here and not math.isnan(shares[0]):
+    data = search.data
+    widths = (np.geomspace(NARROWEST, WIDEST, GRID) * data.op_range).tolist()
+    ends = [stem for S in widths for share in shares for stem in _starts(data, S, share * S, 0)]
+    coarse = search.best_first(ends, plants)
+    likely: dict[float, _Found] = {}
+    for one in coarse:
+        likely.setdefault(one.S, one)
+    for S, best in likely.items():
+        # Where the stem was before its first slip asks for nearly the same plant.
+        later = [stem for share in shares for stem in _starts(data, S, share * S, FIRSTS) if stem[2] > 0]
+        coarse += (here := search.best_first(later, _close(plants, best)))
+        if not math.isnan(best.J):
             # A sequence of slips may hold for a range of J too narrow for any grid.
-            best = here[0]
-            near = np.abs(plants - (best.tau, best.theta))
-            close = plants[(near[:, 0] < 0.1 * best.tau) & (near[:, 1] <= 0.35 * best.theta + 1.0)]
-            coarse += search.best_first([(S, J, best.first, best.sense) for J in FINER_SHARES * S], close)
+            for one in (best, *here[:1]):
+                jumps = (FINER_SHARES * S).tolist()
+                coarse += search.best_first([(S, J, one.first, one.sense) for J in jumps], _close(plants, one))
     return sorted(coarse, key=lambda one: one.cost)
+
+
+def _close(plants: FloatArray, one: _Found) -> FloatArray:
+    """Those of the plants that are nearly a stem's own."""
+    away = np.abs(plants - (one.tau, one.theta))
+    return plants[(away[:, 0] < 0.1 * one.tau) & (away[:, 1] <= 0.35 * one.theta + 1.0)]
 
 
 def _starts(data: Centred, S: float, J: float, most: int) -> list[tuple[float, float, int, float]]:
     """A stem (S, J, first, sense) with the starts that it may have, `most` first slips at most."""
     u = data.u
     if math.isnan(J):
-        return [(S, J, first, 0.0) for first in firsts_for(u, S, most).tolist()]
+        return [(S, J, first, 0.0) for first in firsts_for(u, S, max(most, 1)).tolist()]
     firsts = first_slips(u)
     held = np.maximum.accumulate(u) - np.minimum.accumulate(u)
-    firsts = thin(firsts[(firsts > 0) & (held[np.maximum(firsts - 1, 0)] <= S + J)], most)
+    firsts = thin(firsts[(firsts > 0) & (held[np.maximum(firsts - 1, 0)] <= S + J)], most) if most else firsts[:0]
     later = [(S, J, f, 1.0 if u[f] > u[:f].max() else -1.0) for f in firsts.tolist()]
     return [(S, J, -1, 0.0), (S, J, 0, 1.0), (S, J, 0, -1.0), *later]
 
