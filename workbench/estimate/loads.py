@@ -73,12 +73,14 @@ def loads_of(
     skip: int,
     most: int,
     further: Callable[[tuple[int, int]], Sequence[Stem]] | None = None,
+    strict: bool = True,
 ) -> Loads:
     """Return the load steps in a record that no stem explains, `most` at most; data: with no load removed.
 
     lead: the stem that explains most without steps. skip: the first samples that do not count. further: stems found
-    beside steps in a span of samples, asked for where what the lead leaves is coloured. The model is fitted anew beside
-    the steps.
+    beside steps in a span of samples, asked for where what the lead leaves is coloured. strict: what is left beside the
+    steps must be nearly white; a stem that is not yet quite known leaves errors that are not. The model is fitted anew
+    beside the steps.
     """
     n = data.samples
     nothing = Loads(np.zeros(n), np.empty((0, n)), np.zeros(n), ())
@@ -87,7 +89,7 @@ def loads_of(
         return nothing
     bare = _beside(data, lead.x, lead.first, lead.fit, limits, skip, [])
     stems = [lead, *(further(span) if further is not None and bare.a.size > 1 else ())]
-    found = [_explained(data, stem, limits, skip, span, most) for stem in stems]
+    found = [_explained(data, stem, limits, skip, span, most, strict) for stem in stems]
     model = min((one for one in found if one is not None), key=lambda one: one.bic, default=None)
     # Steps beside a worse stem explain nothing that the first one does not by itself.
     if model is None or model.bic > bare.bic - CLEAR:
@@ -101,7 +103,9 @@ def loads_of(
     return Loads(model.load, answers, model.left, tuple(sorted(steps, key=lambda step: step.at)))
 
 
-def _explained(data: Centred, stem: Stem, limits: Limits, skip: int, span: tuple[int, int], most: int) -> _Model | None:
+def _explained(
+    data: Centred, stem: Stem, limits: Limits, skip: int, span: tuple[int, int], most: int, strict: bool
+) -> _Model | None:
     """The model of one stem with the load steps that it needs, or None where it needs none (see `loads_of`)."""
     x, first, fit = stem.x, stem.first, stem.fit
     model = _beside(data, x, first, fit, limits, skip, [])
@@ -109,8 +113,10 @@ def _explained(data: Centred, stem: Stem, limits: Limits, skip: int, span: tuple
     while len(model.times) < most:
         measures = [WHITE] if model.a.size == 1 else [model.a, WHITE]
         likely = {_likeliest(data, model, measure, span, skip) for measure in measures}
-        likely.update(() if model.times else stem.times)
-        trials = [_beside(data, x, first, model.fit, limits, skip, [*model.times, at]) for at in sorted(likely)]
+        times = [[*model.times, at] for at in sorted(likely)] + (
+            [[*stem.times]] if stem.times and not model.times else []
+        )
+        trials = [_beside(data, x, first, model.fit, limits, skip, those) for those in times]
         trial = min(trials, key=lambda t: t.bic)
         if not trial.bic < model.bic - CLEAR or trial.terms[1] * fit.gain <= 0.0:
             break
@@ -118,7 +124,7 @@ def _explained(data: Centred, stem: Stem, limits: Limits, skip: int, span: tuple
         x = model.x
     # What the record does not resolve has no colour.
     after = inflation(model.left[skip:]) if model.power(skip) > LOUD * data.floor else 0.0
-    return model if model.times and after <= min(WHITER * coloured, WHITE_ENOUGH) else None
+    return model if model.times and (not strict or after <= min(WHITER * coloured, WHITE_ENOUGH)) else None
 
 
 @dataclass(frozen=True, eq=False)

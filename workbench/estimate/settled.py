@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -75,7 +76,7 @@ def _relieved(
     whole: the record with its load; data: as the lead was fitted to it; most, further: as in `loads_of`.
     """
     x, first, fit = lead.x, lead.first, lead.fit
-    loads = loads_of(whole, lead, limits, skip, most, further)
+    loads = loads_of(whole, lead, limits, skip, most, further, strict=further is None)
     if loads.steps:
         return whole.less(loads.pv, loads.answers), loads.left, loads.steps
     if data.load.any():
@@ -104,7 +105,8 @@ def settled(
     turn, lead = 0, Stem(data.u, 0, linear)
     while turn < COLOURINGS or (steps and turn < ROUNDS):
         before = steps
-        earlier, lead = lead, _leading(data, found, bands, linear)
+        at = tuple(round(step.at / whole.sample_time) for step in steps)
+        earlier, lead = lead, replace(_leading(data, found, bands, linear), times=at)
         stands = turn > 0 and _same_stem(earlier.x, lead.x)
         further = partial(stepped_stems, whole, limits, skip) if turn == 0 else None
         bare, left, steps = _relieved(whole, data, lead, limits, skip, most, further)
