@@ -11,7 +11,7 @@ import workbench as wb
 from workbench.cli_output import estimate_lines
 from workbench.estimate.data import centre
 from workbench.estimate.fit import Limits, fit_path
-from workbench.estimate.loads import Asked, Stem, loads_of
+from workbench.estimate.loads import Stem, loads_of
 
 PLANTS = [wb.FOPDT(1.5, 12.0, 3.0), wb.Integrating(0.02, 3.0)]
 
@@ -42,7 +42,7 @@ def test_a_step_is_found_at_its_time_with_its_size_beside_the_true_stem(plant: w
     stem = run.valve - 0.5 * (run.op.max() + run.op.min())
     limits, free = Limits((0.05, 1000.0), (0.0, 30.0)), (-math.inf, math.inf)
     fit = fit_path(data, stem, 0, free, limits, 3.0, tau=12.0)
-    found = loads_of(data, [Stem(stem, 0, fit)], limits, 0, Asked(2, strict=True))
+    found = loads_of(data, Stem(stem, 0, fit), limits, 0, 2)
     assert len(found.steps) == 1
     step = found.steps[0]
     # PV begins to answer a dead time after the load has changed.
@@ -119,4 +119,4 @@ def test_no_step_is_made_of_noise_or_of_a_load_that_drifts(seed: int) -> None:
         stem = run.valve - 0.5 * (run.op.max() + run.op.min())
         limits, free = Limits((0.05, 1000.0), (0.0, 30.0)), (-math.inf, math.inf)
         fit = fit_path(data, stem, 0, free, limits, 3.0, tau=12.0)
-        assert loads_of(data, [Stem(stem, 0, fit)], limits, 0, Asked(2, strict=True)).steps == ()
+        assert loads_of(data, Stem(stem, 0, fit), limits, 0, 2).steps == ()

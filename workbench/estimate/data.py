@@ -30,7 +30,8 @@ class Centred:
     plant's gain, +1 or -1 where the controller's action shows, else 0. a: the filter (1, -a_1, .., -a_p) that leaves
     the disturbance white, (1,) where it is taken to be; target: y filtered by it. skip: the first samples, which do not
     count: they answer to what the stem did before the record. load: EU, shape (N,), what load steps add to PV; y is
-    without it.
+    without it. answers: shape (2 steps, N), what it would change by with each step's size and time, up to
+    factors: neither is known exactly.
     """
 
     y: FloatArray
@@ -50,6 +51,7 @@ class Centred:
     target: FloatArray
     skip: int
     load: FloatArray
+    answers: FloatArray
 
     @property
     def samples(self) -> int:
@@ -68,9 +70,10 @@ class Centred:
         """Return the same record, its disturbance the autoregression that the filter a leaves white."""
         return replace(self, a=a, target=whitened(a, self.y), skip=max(skip, a.size - 1))
 
-    def less(self, load: FloatArray) -> Centred:
-        """Return the same record without a load, EU, shape (N,), any disturbance white."""
-        return replace(_centred(self.y - load, self.u, self), load=self.load + load)
+    def less(self, load: FloatArray, answers: FloatArray) -> Centred:
+        """Return the same record without a load, EU, shape (N,), made of some answers, any disturbance white."""
+        without = _centred(self.y - load, self.u, self)
+        return replace(without, load=self.load + load, answers=np.vstack([self.answers, answers]))
 
     def innovations(self, prediction: FloatArray) -> FloatArray:
         """Return what a prediction of y leaves, filtered, without the samples that do not count: shape (N - skip,)."""
@@ -107,6 +110,7 @@ def _centred(y: FloatArray, u: FloatArray, whole: Centred) -> Centred:
         target=y,
         skip=0,
         load=np.zeros(y.size),
+        answers=np.empty((0, y.size)),
     )
 
 
@@ -157,6 +161,7 @@ def centre(record: Record, plant: str) -> Centred:
         target=y,
         skip=0,
         load=np.zeros(y.size),
+        answers=np.empty((0, y.size)),
     )
 
 

@@ -134,7 +134,7 @@ def estimate(
     else:
         found = _profile(data, max_dead_time, (lambda share: tell(0.1 + 0.4 * share)) if method in PROGRAMS else tell)
     answer, paths, settled = _answer(record, data, (method, valve), found, (linear, longest), history)
-    data = data.less(settled.load)
+    data = data.less(settled.load, settled.answers)
     if method in PROGRAMS:
         usual = LINEAR_DELAYS if isinstance(answer.valve, Ideal) else 2.0 * paths[0].fit.theta + DELAYS
         limits = Limits((LEAST_TAU, float(data.samples)), (0.0, _longest(data, max_dead_time, int(usual))))

@@ -13,6 +13,7 @@ from workbench.estimate.data import WHITE, Centred
 from workbench.model.record import FloatArray
 
 __all__ = [
+    "LOUD",
     "Fit",
     "Limits",
     "again_linear",
@@ -305,9 +306,9 @@ def effective_samples(data: Centred, x: FloatArray, first: int, fit: Fit) -> flo
 def standard_errors(data: Centred, x: FloatArray, first: int, fit: Fit, clamped: bool) -> tuple[float, float, float]:
     """Return standard errors of (gain, tau, theta), tau and theta in samples, with the path fixed.
 
-    From the Jacobian of the (filtered) prediction, the larger of the error for white residuals and the one that allows
-    for their autocorrelation. clamped: x0 is held at an end of its range, so that gain and start move together. nan
-    where the data do not say.
+    From the Jacobian of the (filtered) prediction, load steps and the filter included, the larger of the error for
+    white residuals and the one that allows for their autocorrelation. clamped: x0 is held at an end of its range, so
+    that gain and start move together. nan where the data do not say.
     """
     base, columns = predict(data, x, first, fit)
     residuals = data.innovations(base)
@@ -323,14 +324,17 @@ def standard_errors(data: Centred, x: FloatArray, first: int, fit: Fit, clamped:
         names.append(name)
     if not clamped:
         vectors.append(columns[2])
-    vectors.append(columns[3])
-    jacobian = whitened(data.a, np.array(vectors))[:, data.skip :]
+    vectors += [columns[3], *data.answers]
+    # The filter was found beside the plant: in closed loop a gain that is off passes for a part of the disturbance.
+    left = data.y - base
+    lagged = [np.concatenate([np.zeros(lag), left[:-lag]]) for lag in range(1, data.a.size)]
+    jacobian = np.vstack([whitened(data.a, np.array(vectors)), *lagged])[:, data.skip :]
     scale = np.sqrt((jacobian**2).sum(axis=1))
     kept = scale > 0.0
     jacobian, scale = jacobian[kept] / scale[kept, None], scale[kept]
     names = [n for n, k in zip(names, kept.tolist(), strict=False) if k]
     inverse = np.linalg.pinv(jacobian @ jacobian.T, rcond=1e-12)
-    white = float(residuals @ residuals) / max(residuals.size - len(vectors), 1) + data.floor
+    white = float(residuals @ residuals) / max(residuals.size - len(jacobian), 1) + data.floor
     spread = np.maximum(np.diag(inverse) * white, np.diag(inverse @ score_covariance(jacobian, residuals) @ inverse))
     found = {n: math.sqrt(max(float(spread[i]), 0.0)) / float(scale[i]) for i, n in enumerate(names)}
     return found.get("gain", math.nan), found.get("tau", math.nan), found.get("theta", math.nan)

@@ -29,6 +29,7 @@ __all__ = [
     "scan_plants",
     "scan_starts",
     "screen_bands",
+    "screen_stepped",
     "stem_path",
     "stem_slips",
     "walk",
@@ -1334,3 +1335,167 @@ def scan_held(
                 costs[i] = cost
                 found[i, 0], found[i, 1], found[i, 2] = first, sense, slips
                 found[i, 3], found[i, 4], found[i, 5] = terms[0], terms[1], terms[2]
+
+
+@compiled
+def screen_stepped(
+    y: Floats,
+    op: Floats,
+    stems: Floats,
+    plants: Floats,
+    integrating: bool,
+    sign: float,
+    skip: int,
+    begin: int,
+    end: int,
+    found: Floats,
+) -> None:
+    """Fit the model and one step of load, at the sample that explains most, to many stems at each of some plants.
+
+    stems: rows (S, J, first, sense), see `band_path`; J nan for a Stenman stem of band S. plants: rows (tau, theta) in
+    samples. The step's answer begins at a sample in [begin, end). Written: found, shape (stems, plants, 2): the sum of
+    squares from `skip` on, inf where the stem does not move or its gain is not of `sign`, and that sample.
+
+    What no stem changes is taken out of PV first, for each pole: bias, transient. What a step explains beside these and
+    the stem's response s is `(r.h)^2 / |h|^2` with r and h the residual and the step's answer less their parts along
+    s; products of a signal with the answers at all times are one backward sum.
+    """
+    n = y.size
+    x, box = np.empty(n), np.empty(4)
+    column, basis, parts, size = np.empty(n), np.zeros((3, n)), np.zeros((3, n)), 0
+    rest, bare, along, power = np.empty(n), np.empty(n), np.empty(n), np.empty(n)
+    own_along, own_power = np.empty(n), np.empty(n)
+    found[:, :, 0] = math.inf
+    found[:, :, 1] = begin
+    last, left_y = math.nan, 0.0
+    for j in range(plants.shape[0]):
+        tau, theta = plants[j, 0], plants[j, 1]
+        a = 1.0 if integrating else math.exp(-1.0 / tau)
+        if a != last:
+            last, size = a, 0
+            basis[:] = 0.0
+            parts[:] = 0.0
+            for which in range(2):
+                value = 1.0
+                for k in range(n):
+                    column[k] = 1.0 if which == 0 else (float(k) - 0.5 * n if integrating else value)
+                    value *= a
+                length = _apart_from(column, basis, size, skip)
+                if length > 0.0:
+                    basis[size, skip:] = column[skip:] / length
+                    _step_products(basis[size], a, integrating, parts[size])
+                    size += 1
+            rest[:] = y
+            left_y = _apart_from(rest, basis, size, skip) ** 2
+            rest[:skip] = 0.0
+            _step_products(rest, a, integrating, along)
+            total = 0.0
+            for k in range(n - 1, -1, -1):
+                answer = float(n - 1 - k) if integrating else 1.0 - math.exp(-(n - 1 - k) / tau)
+                total += answer * answer
+                power[k] = total - parts[0, k] ** 2 - parts[1, k] ** 2
+        m = math.floor(theta + 1e-9)
+        f = max(theta - m, 0.0)
+        c0 = 1.0 - f if integrating else 1.0 - a ** (1.0 - f)
+        c1 = f if integrating else a ** (1.0 - f) - a
+        started, left_bare = -2, 0.0
+        for i in range(stems.shape[0]):
+            first, sense = int(stems[i, 2]), stems[i, 3]
+            if math.isnan(stems[i, 1]):
+                slips = stem_path(op, stems[i, 0], first, x)
+            else:
+                slips = band_path(op, stems[i, 0], stems[i, 1], first, sense, x, box)
+            if slips < 2:
+                continue
+            if first != started:
+                # What the unknown stem before the first slip adds; stems that slip first at one sample share it.
+                started = first
+                value = 0.0
+                for k in range(n):
+                    column[k] = value
+                    value = a * value + (c0 if k - m < first else 0.0) + (c1 if k - m - 1 < first else 0.0)
+                length = 0.0 if first < 0 else _apart_from(column, basis, size, skip)
+                basis[2] = 0.0
+                product = 0.0
+                if length > 0.0:
+                    for k in range(skip, n):
+                        basis[2, k] = column[k] / length
+                        product += basis[2, k] * rest[k]
+                _step_products(basis[2], a, integrating, parts[2])
+                for k in range(n):
+                    bare[k] = rest[k] - product * basis[2, k]
+                    own_along[k] = along[k] - product * parts[2, k]
+                    own_power[k] = power[k] - parts[2, k] ** 2
+                left_bare = left_y - product * product
+            value, before = 0.0, x[0] if first < 0 else 0.0
+            whole, p0, p1, p2, product = 0.0, 0.0, 0.0, 0.0, 0.0
+            for k in range(n):
+                column[k] = value
+                if k >= skip:
+                    whole += value * value
+                    p0 += value * basis[0, k]
+                    p1 += value * basis[1, k]
+                    p2 += value * basis[2, k]
+                    product += value * bare[k]
+                now = x[k - m] if k - m >= max(first, 0) else before
+                then = x[k - m - 1] if k - m - 1 >= max(first, 0) else before
+                value = a * value + c0 * now + c1 * then
+            length = whole - p0 * p0 - p1 * p1 - p2 * p2
+            if not length > 1e-9 * whole:
+                continue
+            length = math.sqrt(length)
+            product /= length
+            best, at, gain = 0.0, begin, product
+            beyond, faded, total = 0.0, 0.0, 0.0
+            for k in range(n - 1, begin - 1, -1):
+                if integrating:
+                    total += beyond
+                    beyond += column[k]
+                else:
+                    beyond += column[k]
+                    faded = column[k] + a * faded
+                    total = beyond - faded
+                if k < end:
+                    s = (total - p0 * parts[0, k] - p1 * parts[1, k] - p2 * parts[2, k]) / length
+                    own = own_power[k] - s * s
+                    r = own_along[k] - product * s
+                    if own > 1e-6 * power[k] and r * r > best * own:
+                        best, at, gain = r * r / own, k, product - s * r / own
+            if sign * gain >= 0.0:
+                found[i, j, 0] = max(left_bare - product * product - best, 0.0)
+                found[i, j, 1] = at
+
+
+@compiled
+def _apart_from(column: Floats, basis: Floats, size: int, skip: int) -> float:
+    """Take out of a column its parts along an orthonormal basis, from `skip` on; return its length then, 0 for none."""
+    whole = 0.0
+    for k in range(skip, column.size):
+        whole += column[k] * column[k]
+    for i in range(size):
+        part = 0.0
+        for k in range(skip, column.size):
+            part += column[k] * basis[i, k]
+        for k in range(skip, column.size):
+            column[k] -= part * basis[i, k]
+    left = 0.0
+    for k in range(skip, column.size):
+        left += column[k] * column[k]
+    if not left > 1e-12 * whole:
+        return 0.0
+    return math.sqrt(left)
+
+
+@compiled
+def _step_products(signal: Floats, a: float, integrating: bool, out: Floats) -> None:
+    """Write the products of a signal with a step's answer that begins at each sample."""
+    beyond, faded, total = 0.0, 0.0, 0.0
+    for k in range(signal.size - 1, -1, -1):
+        if integrating:
+            total += beyond
+            beyond += signal[k]
+            out[k] = total
+        else:
+            beyond += signal[k]
+            faded = signal[k] + a * faded
+            out[k] = beyond - faded

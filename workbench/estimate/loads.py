@@ -17,11 +17,11 @@ from scipy.optimize import minimize
 
 from workbench.detect.stem import whitened
 from workbench.estimate.data import WHITE, Centred
-from workbench.estimate.fit import Fit, Limits, autoregression, fit_path, inflation, predict
+from workbench.estimate.fit import LOUD, Fit, Limits, autoregression, fit_path, inflation, predict
 from workbench.model.load_step import LoadStep
 from workbench.model.record import FloatArray
 
-__all__ = ["Asked", "Loads", "Stem", "loads_of"]
+__all__ = ["Loads", "Stem", "loads_of"]
 
 TURNS = 6  # of least squares and output error in turn
 LEAST_BEFORE, LEAST_AFTER = 0.02, 0.02  # of the record, that a step must have on either side
@@ -33,18 +33,20 @@ DEGREES, CLEAR = 3, 10.0
 # autocorrelation must in the end fall to WHITER of what it was and below WHITE_ENOUGH; single steps in noise pass that
 # by far (a hundredth), of 15 drifts two came to .3 and .4 and the others to .6 and more.
 WHITER, WHITE_ENOUGH = 0.4, 5.0
-FADING = np.array([1.0, -0.9])  # a measure between PV and its moves, in which an unknown stem's errors weigh less
 SPREADS, EVALUATIONS = (0.03, 0.01, -0.01, 0.003), 120  # of a valve's and plant's parameters, in turn
 SHIFT = 0.05  # a move of a dead time by one sample counts as that of a parameter by this share
-MOVES, MOVED = 12, 0.99  # of steps at most, and the share of the mean square to which one must bring it
 NORMAL = 1.96
 
 
 @dataclass(frozen=True, eq=False)
 class Loads:
-    """What load steps add to PV, EU, shape (N,), what the model leaves beside them, and the steps themselves."""
+    """What load steps add to PV, EU, shape (N,), what the model leaves beside them, and the steps themselves.
+
+    answers: shape (2 steps, N), what PV changes by with each step's size, and with its time, up to factors.
+    """
 
     pv: FloatArray
+    answers: FloatArray
     left: FloatArray
     steps: tuple[LoadStep, ...]
 
@@ -54,100 +56,75 @@ class Stem:
     """A stem path x, shape (N,), its first slip, the plant fitted to it, and the paths of valves near its own.
 
     near: the path of the same stem with S (or d) and J multiplied by two factors; None where it has no such parameters.
+    times: samples at which PV begins to answer load steps, where it was found beside such.
     """
 
     x: FloatArray
     first: int
     fit: Fit
     near: Callable[[float, float], FloatArray] | None = None
-
-
-@dataclass(frozen=True, slots=True)
-class Asked:
-    """How steps are looked for: how many at most; strict: whether they must explain all that is coloured.
-
-    moved: whether steps that were found are moved on beside the valve and plant that go with them.
-    """
-
-    most: int
-    strict: bool
-    moved: bool = False
+    times: tuple[int, ...] = ()
 
 
 def loads_of(
     data: Centred,
-    stems: Sequence[Stem],
+    lead: Stem,
     limits: Limits,
     skip: int,
-    asked: Asked,
-    further: Callable[[], Sequence[Stem]] | None = None,
+    most: int,
+    further: Callable[[tuple[int, int]], Sequence[Stem]] | None = None,
+    strict: bool = True,
 ) -> Loads:
-    """Return the load steps in a record that one of some stem paths does not explain; data: with no load removed.
+    """Return the load steps in a record that no stem explains, `most` at most; data: with no load removed.
 
-    skip: the first samples that do not count. Strict: steps are told by BIC, and what is left beside them must be
-    nearly white. Neither can be while the stem is not yet known, whose errors are coloured and foretold by an
-    autoregression: steps are then told by what they take from PV, the stems compared by what each leaves. The model is
-    fitted anew beside the steps. further: returns more stems, asked for where what the best leaves is coloured.
+    lead: the stem that explains most without steps. skip: the first samples that do not count. further: stems found
+    beside steps in a span of samples, asked for where what the lead leaves is coloured. strict: what is left beside the
+    steps must be nearly white; a stem that is not yet quite known leaves errors that are not. The model is fitted anew
+    beside the steps.
     """
     n = data.samples
-    nothing = Loads(np.zeros(n), np.zeros(n), ())
-    stems = [stem for stem in stems if stem.fit.gain != 0.0]
-    if n > LONGEST or not stems:
+    nothing = Loads(np.zeros(n), np.empty((0, n)), np.zeros(n), ())
+    span = (skip + max(int(LEAST_BEFORE * n), 3), n - max(int(LEAST_AFTER * n), 8))
+    if n > LONGEST or most == 0 or span[1] - span[0] <= 8 or lead.fit.gain == 0.0:
         return nothing
-    bare = _beside(data, stems[0].x, stems[0].first, stems[0].fit, limits, skip, [])
-    if bare.a.size == 1:
-        # Where the first stem leaves noise alone, no other one has more to say.
-        stems = stems[:1]
-    found = [model for stem in stems if (model := _explained(data, stem, limits, skip, asked)) is not None]
-    model = min(found, key=lambda m: m.power(skip), default=None)
-    if further is not None and (bare if model is None else model).a.size > 1:
-        more = (_explained(data, stem, limits, skip, asked) for stem in further() if stem.fit.gain != 0.0)
-        found += [other for other in more if other is not None]
-        model = min(found, key=lambda m: m.power(skip), default=None)
+    bare = _beside(data, lead.x, lead.first, lead.fit, limits, skip, [])
+    stems = [lead, *(further(span) if further is not None and bare.a.size > 1 else ())]
+    found = [_explained(data, stem, limits, skip, span, most, strict) for stem in stems]
+    model = min((one for one in found if one is not None), key=lambda one: one.bic, default=None)
     # Steps beside a worse stem explain nothing that the first one does not by itself.
-    if model is None or not (asked.strict or _takes_more(model, bare, skip)):
+    if model is None or model.bic > bare.bic - CLEAR:
         return nothing
     gain, errors = float(model.terms[1]), _errors(model, skip)
     steps = []
     for at, term, error in zip(model.times, model.terms[4:].tolist(), errors[4:].tolist(), strict=True):
         size, half = term / gain, NORMAL * error / abs(gain)
         steps.append(LoadStep(at * data.sample_time, size, (size - half, size + half)))
-    return Loads(model.load, model.left, tuple(sorted(steps, key=lambda step: step.at)))
+    answers = np.vstack([model.columns[4:], np.diff(model.columns[4:], prepend=0.0)])
+    return Loads(model.load, answers, model.left, tuple(sorted(steps, key=lambda step: step.at)))
 
 
-def _takes_more(model: _Model, other: _Model, skip: int) -> bool:
-    """Whether a model leaves clearly less of PV than another, for the independent samples that this leaves."""
-    left = other.left[skip:]
-    return left.size / inflation(left) * math.log(other.power(skip) / model.power(skip)) > CLEAR
-
-
-def _explained(data: Centred, stem: Stem, limits: Limits, skip: int, asked: Asked) -> _Model | None:
+def _explained(
+    data: Centred, stem: Stem, limits: Limits, skip: int, span: tuple[int, int], most: int, strict: bool
+) -> _Model | None:
     """The model of one stem with the load steps that it needs, or None where it needs none (see `loads_of`)."""
-    n = data.samples
-    strict = asked.strict
     x, first, fit = stem.x, stem.first, stem.fit
     model = _beside(data, x, first, fit, limits, skip, [])
     coloured = inflation(model.left[skip:])
-    begin, end = skip + max(int(LEAST_BEFORE * n), 3), n - max(int(LEAST_AFTER * n), 8)
-    while len(model.times) < asked.most and end - begin > 8:
-        measures = [WHITE] if model.a.size == 1 else [model.a, WHITE] if strict else [model.a, WHITE, FADING]
-        likely = {_likeliest(data, model, measure, (begin, end), skip) for measure in measures}
-        if not strict and model.a.size > 1:
-            # A stem found elsewhere may be surer of its gain than this record with its load is.
-            likely.add(_likeliest(data, model, WHITE, (begin, end), skip, fit.gain))
-        trials = [_beside(data, x, first, model.fit, limits, skip, [*model.times, at]) for at in sorted(likely)]
-        trial = min(trials, key=lambda t: t.bic if strict else t.power(skip))
-        clear = trial.bic < model.bic - CLEAR
-        if not (clear or (not strict and _takes_more(trial, model, skip))) or trial.terms[1] * fit.gain <= 0.0:
+    while len(model.times) < most:
+        measures = [WHITE] if model.a.size == 1 else [model.a, WHITE]
+        likely = {_likeliest(data, model, measure, span, skip) for measure in measures}
+        times = [[*model.times, at] for at in sorted(likely)] + (
+            [[*stem.times]] if stem.times and not model.times else []
+        )
+        trials = [_beside(data, x, first, model.fit, limits, skip, those) for those in times]
+        trial = min(trials, key=lambda t: t.bic)
+        if not trial.bic < model.bic - CLEAR or trial.terms[1] * fit.gain <= 0.0:
             break
         model = _refined(data, stem, trial, limits, skip)
-        if asked.moved:
-            model = _moved(data, stem, model, limits, skip, (begin, end))
         x = model.x
-    after = inflation(model.left[skip:])
-    if not model.times or (strict and after > min(WHITER * coloured, WHITE_ENOUGH)):
-        return None
-    return model
+    # What the record does not resolve has no colour.
+    after = inflation(model.left[skip:]) if model.power(skip) > LOUD * data.floor else 0.0
+    return model if model.times and (not strict or after <= min(WHITER * coloured, WHITE_ENOUGH)) else None
 
 
 @dataclass(frozen=True, eq=False)
@@ -181,7 +158,7 @@ def _beside(data: Centred, x: FloatArray, first: int, fit: Fit, limits: Limits, 
         solved, *_ = np.linalg.lstsq(columns[:, skip:].T, data.y[skip:], rcond=1e-10)
         terms: FloatArray = solved.astype(np.float64)
         if times and turn < TURNS - 1:
-            bare = data.less(terms[4:] @ columns[4:]).whitened(WHITE, skip)
+            bare = data.less(terms[4:] @ columns[4:], columns[4:]).whitened(WHITE, skip)
             free = (-math.inf, math.inf)
             again = fit_path(bare, x, first, free, limits, fit.theta, tau=fit.tau, evaluations=30, tolerance=1e-8)
             fit = fit if again.gain == 0.0 else again
@@ -233,26 +210,6 @@ def _refined(data: Centred, stem: Stem, model: _Model, limits: Limits, skip: int
     return moved if moved.power(skip) < model.power(skip) and moved.terms[1] * model.fit.gain > 0.0 else model
 
 
-def _moved(data: Centred, stem: Stem, model: _Model, limits: Limits, skip: int, span: tuple[int, int]) -> _Model:
-    """The model with its steps, each in turn, moved to where they explain most beside a valve and plant of their own.
-
-    The best time beside a stem that is a little off is a little off too, and holds that stem where it is.
-    """
-    turn, stood = 0, 0
-    while stood < len(model.times) and turn < MOVES:
-        which, turn = turn % len(model.times), turn + 1
-        times = [at for i, at in enumerate(model.times) if i != which]
-        rest = replace(model, columns=np.delete(model.columns, 4 + which, axis=0))
-        likely = {_likeliest(data, rest, measure, span, skip) for measure in (WHITE, model.a)} - set(model.times)
-        trials = [_beside(data, model.x, stem.first, model.fit, limits, skip, [*times, at]) for at in sorted(likely)]
-        trials = [_refined(data, stem, one, limits, skip) for one in trials]
-        best = min(trials, key=lambda one: one.power(skip), default=model)
-        stood += 1
-        if best.power(skip) < MOVED * model.power(skip) and best.terms[1] * model.fit.gain > 0.0:
-            model, stood = best, 0
-    return model
-
-
 def _answer(data: Centred, fit: Fit) -> FloatArray:
     """What PV makes of a unit step of load through a plant of gain 1, shape (N,)."""
     k = np.arange(data.samples, dtype=np.float64)
@@ -266,18 +223,11 @@ def _step(answer: FloatArray, at: int) -> FloatArray:
     return out
 
 
-def _likeliest(
-    data: Centred, model: _Model, a: FloatArray, span: tuple[int, int], skip: int, gain: float | None = None
-) -> int:
-    """The sample in a span at which one more step explains most of PV, in the measure of a filter.
-
-    gain: of the stem's response, EU/%; None where it may change with the step.
-    """
+def _likeliest(data: Centred, model: _Model, a: FloatArray, span: tuple[int, int], skip: int) -> int:
+    """The sample in a span at which one more step explains most of PV, in the measure of a filter."""
     n = data.samples
-    free = np.arange(len(model.columns)) != 1 if gain is not None else slice(None)
-    base = whitened(a, model.columns[free])[:, skip:]
-    basis, _ = np.linalg.qr(base.T)
-    target = whitened(a, data.y - (0.0 if gain is None else gain) * model.columns[1])[skip:]
+    basis, _ = np.linalg.qr(whitened(a, model.columns)[:, skip:].T)
+    target = whitened(a, data.y)[skip:]
     rows = np.zeros((basis.shape[1] + 1, n))
     rows[:-1, skip:] = basis.T
     rows[-1, skip:] = target - basis @ (basis.T @ target)

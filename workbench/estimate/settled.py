@@ -9,18 +9,20 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from functools import cache
+from functools import partial
 
 import numpy as np
 
 from workbench.estimate.bands import Found, like_stenman
+from workbench.estimate.coloured import colour_beside
 from workbench.estimate.data import Centred
 from workbench.estimate.fit import LEAST_TAU, Fit, Limits, again_linear, disturbance, grounded, predict
-from workbench.estimate.loads import Asked, Stem, loads_of
+from workbench.estimate.loads import Stem, loads_of
 from workbench.estimate.models import bands_of, refitted
 from workbench.estimate.profile import EXACT, Profile, profile_again, profile_of, search
 from workbench.estimate.stems import path_of
-from workbench.estimate.two_parameter import Band, band_stem, best_of, look, search_short
+from workbench.estimate.stepped import stepped_stems
+from workbench.estimate.two_parameter import Band, band_stem, look
 from workbench.model.load_step import LoadStep
 from workbench.model.record import FloatArray
 
@@ -28,10 +30,8 @@ __all__ = ["coloured_linear", "settled"]
 
 STARTING = 20  # of the record at most is left out at its start
 STEPS_MOST = 2  # load steps
-# What is tried in turn: how many steps, and whether they are moved on while the stem is not yet known.
-ATTEMPTS = ((STEPS_MOST, False), (STEPS_MOST, True), (0, False))
 COLOURINGS = 2  # rounds of model and disturbance in turn
-SEEKING = 3  # rounds in which load steps need not yet explain all that is coloured
+ROUNDS = 4  # where there are load steps
 SAME_TIME, SAME_SIZE = 5, 0.1  # samples, share: steps that moved less have settled
 SAME_STEM = 0.05  # of its standard deviation: a stem's path that moved less has
 
@@ -62,39 +62,23 @@ def _of_band(data: Centred, b: Band) -> Stem:
     )
 
 
-def _of_halves(data: Centred, delays: float) -> list[Stem]:
-    """The stems, over the whole of a short record, that each half finds by itself: one of them has no such step."""
-    n = data.samples
-    stems: list[Stem] = []
-    for begin, end in ((0, n // 2), (n // 2, n)) if n <= EXACT else ():
-        part = data.part(begin, end)
-        limits = Limits((LEAST_TAU, float(part.samples)), (0.0, min(delays, part.samples / 4.0)))
-        if met := search_short(part, look(part, limits.theta[1]), None, limits)[0]:
-            # The start of the first half is that of the whole.
-            best = best_of(met)
-            stems.append(_of_band(data, best if begin == 0 else replace(best, first=-1, sense=0.0)))
-    return stems
-
-
 def _relieved(
     whole: Centred,
     data: Centred,
     lead: Stem,
-    others: Sequence[Stem],
     limits: Limits,
     skip: int,
-    asked: Asked,
-    further: Callable[[], Sequence[Stem]] | None = None,
+    most: int,
+    further: Callable[[tuple[int, int]], Sequence[Stem]] | None = None,
 ) -> tuple[Centred, FloatArray, tuple[LoadStep, ...]]:
     """The record without the load steps that a stem does not explain, what it leaves of that, EU, and the steps.
 
-    whole: the record with its load; data: as the lead was fitted to it; others: stems beside which steps are looked for
-    too; further: more stems, where what is left is coloured.
+    whole: the record with its load; data: as the lead was fitted to it; most, further: as in `loads_of`.
     """
     x, first, fit = lead.x, lead.first, lead.fit
-    loads = loads_of(whole, (lead, *others), limits, skip, asked, further)
+    loads = loads_of(whole, lead, limits, skip, most, further, strict=further is None)
     if loads.steps:
-        return whole.less(loads.pv), loads.left, loads.steps
+        return whole.less(loads.pv, loads.answers), loads.left, loads.steps
     if data.load.any():
         left = whole.y - predict(whole, x, first, grounded(whole.whitened(data.a, max(skip, 1)), x, first, fit))[0]
     else:
@@ -103,22 +87,14 @@ def _relieved(
 
 
 def settled(
-    data: Centred,
-    found: Profile | None,
-    bands: dict[str, Found],
-    linear: Fit,
-    delays: float,
-    attempt: int = 0,
-    halves: Callable[[], list[Stem]] | None = None,
+    data: Centred, found: Profile | None, bands: dict[str, Found], linear: Fit, delays: float, most: int = STEPS_MOST
 ) -> tuple[Centred, Profile | None, dict[str, Found], Fit, tuple[LoadStep, ...]]:
     """The record and its models without load steps, in the measure of the disturbance that the best stem leaves.
 
     Where the record starts within a cycle, its first samples, up to the dead time, answer to slips before it: they no
-    longer count. A PV that starts where it does not come again starts from rest, with a setpoint move. attempt: the
-    first of ATTEMPTS that is made; the next one where the steps that it sees do not last. halves: the stems that each
-    half finds by itself.
+    longer count. A PV that starts where it does not come again starts from rest, with a setpoint move. most: load
+    steps; where those that are seen do not last there are none.
     """
-    halves = cache(lambda: _of_halves(data, delays)) if halves is None else halves
     whole, first = data, (found, bands, linear)
     steps: tuple[LoadStep, ...] = ()
     theta = max(0.0 if found is None else found.best.fit.theta, min(linear.theta, delays))
@@ -126,26 +102,20 @@ def settled(
     within = bool(later.min() <= data.y[0] <= later.max())
     skip = min(math.ceil(theta) + 2, data.samples // STARTING) if within else 0
     limits = Limits((LEAST_TAU, float(data.samples)), (0.0, delays))
-    turn, strict, lead = 0, False, Stem(data.u, 0, linear)
-    while turn < COLOURINGS or (steps and turn < SEEKING + COLOURINGS):
-        before, agreed = steps, strict
-        # One step at a time: what a second seems to explain may be the wrong stem's doing. What the first stems leave
-        # is coloured by their own errors; in the end it must be a step's work that it is not.
-        earlier, lead = lead, _leading(data, found, bands, linear)
+    turn, lead = 0, Stem(data.u, 0, linear)
+    while turn < COLOURINGS or (steps and turn < ROUNDS):
+        before = steps
+        at = tuple(round(step.at / whole.sample_time) for step in steps)
+        earlier, lead = lead, replace(_leading(data, found, bands, linear), times=at)
         stands = turn > 0 and _same_stem(earlier.x, lead.x)
-        # A stem that was fitted to PV with its load may have taken the load for slips; OP itself has not.
-        others = [] if strict else [Stem(data.u, 0, linear)]
-        most, moved = ATTEMPTS[attempt]
-        asked = Asked(min(max(turn, 1), most), strict, moved)
-        further = halves if turn == 0 and most > 0 else None
-        bare, left, steps = _relieved(whole, data, lead, others, limits, skip, asked, further)
-        same_steps = _same(before, steps, whole.sample_time)
-        strict = strict or same_steps or turn + 1 >= SEEKING
+        further = partial(stepped_stems, whole, limits, skip) if turn == 0 else None
+        bare, left, steps = _relieved(whole, data, lead, limits, skip, most, further)
         if before and not steps:
-            # Only where the plant forgets nothing does a wrong time of the step spoil all that comes after.
-            again = attempt + 1 if whole.integrating else len(ATTEMPTS) - 1
-            return settled(whole, *first, delays, again, halves)
+            return settled(whole, *first, delays, 0)
+        same_steps = _same(before, steps, whole.sample_time)
         a = disturbance(left[skip:], data.floor)
+        if a.size > 1 and data.samples <= EXACT:
+            a = colour_beside(bare, lead.x, lead.first, lead.fit, limits, skip)
         same = a.size == data.a.size == 1 and not steps
         stands = stands and (same_steps or not (before or steps))
         # Of a long record the first few samples are nothing.
@@ -165,7 +135,7 @@ def settled(
                 found = profile_again(data, found)
         if bands:
             # While steps are sought a stem is needed, not the dead band beside it.
-            only_any = bool(steps) and not strict
+            only_any = bool(steps) and not same_steps and turn < ROUNDS
             if stands or not anew:
                 bands = refitted(data, bands, limits)
             if anew:
@@ -173,7 +143,7 @@ def settled(
                 coarse = [one.best for one in bands.values()] if stands else look(data, delays)
                 coarse += [] if stands else like_stenman(found, data, delays)
                 bands = bands_of(data, coarse, limits, only_any)
-        if agreed and same_steps:
+        if same_steps:
             break
     return data, found, bands, linear, steps
 
@@ -201,7 +171,7 @@ def coloured_linear(data: Centred, linear: Fit, delays: float) -> tuple[Centred,
     steps: tuple[LoadStep, ...] = ()
     for _ in range(COLOURINGS):
         limits = Limits((LEAST_TAU, float(data.samples)), (0.0, delays))
-        bare, left, steps = _relieved(whole, data, Stem(data.u, 0, linear), (), limits, 0, Asked(STEPS_MOST, True))
+        bare, left, steps = _relieved(whole, data, Stem(data.u, 0, linear), limits, 0, STEPS_MOST)
         data = bare.whitened(disturbance(left, data.floor), 0)
         linear = again_linear(data, linear, delays)
     return data, linear, steps

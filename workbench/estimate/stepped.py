@@ -1,0 +1,209 @@
+"""Stems searched beside a load step: for each stem and plant, the one step that explains most beside them.
+
+A step that nothing explains spoils a search for stems; of a plant that integrates, most of all, whose PV it sends up or
+down for the rest of the record. A step's time and size are found for each stem in one pass (`kernel.screen_stepped`),
+so that stems, plants and steps are searched together, from a grid on in ever closer ones about its best.
+
+What a wrong slip does to an integrating plant lasts too, and hides the right ones behind it. Such a record is searched
+through a filter that forgets, `(1 - z^-1) / (1 - p z^-1)`: an integrator behind it is a plant of the pole p, noise is
+hardly more than it was, and only the last grids look at PV itself.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.signal import lfilter
+
+from workbench.estimate import kernel
+from workbench.estimate.data import Centred
+from workbench.estimate.fit import LEAST_TAU, Fit, Limits
+from workbench.estimate.loads import Stem
+from workbench.estimate.stems import first_slips, firsts_for, path_of, thin
+from workbench.estimate.two_parameter import band_stem
+from workbench.model.record import FloatArray
+
+__all__ = ["stepped_stems"]
+
+NARROWEST, WIDEST = 0.04, 0.95  # of OP's range
+GRID = 110  # values of S looked at
+SHARES = (0.0, 0.12, 0.27, 0.45, 0.7, 1.0, 1.35)  # of J, of S
+FINER_SHARES = np.arange(0.0, 1.4, 0.025)  # at each S, with plants near its best
+DELAYS = (0.0, 1.0, 2.0, 3.0, 4.5, 6.0, 8.0, 10.0, 13.0, 17.0, 22.0, 29.0, 38.0, 50.0)  # samples
+SHORTEST, LONGEST, TAUS = 1.5, 0.25, 5  # time constants looked at: samples, records, how many
+FADE = 25.0  # samples after which the filter has forgotten
+FIRSTS, FIRSTS_CLOSE = 4, 60  # first slips tried
+SEEDS = 6  # of either kind of valve, about which closer grids are laid
+NEAR, NEAR_JUMP = 0.05, 0.1  # no two of them as near as that, of S
+SPREADS = (0.04, 0.02, 0.008, 0.003, 0.001)  # how far these go, of S
+FADED_SPREADS = 3  # of them through the filter
+STEPS = 4  # about the best so far, how often at most
+SIDES = np.linspace(-1.0, 1.0, 7)
+ANSWERS = 3  # stems
+
+
+@dataclass(frozen=True, slots=True)
+class _Found:
+    """A stem with its plant and the sample at which PV begins to answer the load step beside it.
+
+    J: nan for a Stenman stem of band S. first, sense: see `band_path`. tau, theta in samples; cost: EU^2.
+    """
+
+    cost: float
+    S: float
+    J: float
+    first: int
+    sense: float
+    tau: float
+    theta: float
+    at: int
+
+
+@dataclass(frozen=True, eq=False)
+class _Search:
+    """What is searched: the record in some measure, from `skip` on, for steps in a span of samples.
+
+    free: whether the plant's time constant is searched.
+    """
+
+    data: Centred
+    skip: int
+    span: tuple[int, int]
+    free: bool
+
+    def best_first(self, stems: Sequence[tuple[float, float, int, float]], plants: FloatArray) -> list[_Found]:
+        """The stems (S, J, first, sense), each with the best of the plants, rows (tau, theta)."""
+        if not stems:
+            return []
+        rows = np.array(sorted(stems, key=lambda stem: stem[2]))
+        found = np.empty((len(rows), len(plants), 2))
+        data = self.data
+        kernel.screen_stepped(data.y, data.u, rows, plants, data.integrating, data.sign, self.skip, *self.span, found)
+        which = np.argmin(found[:, :, 0], axis=1)
+        costs, ats = found[np.arange(len(rows)), which].T
+        order = np.argsort(costs, kind="stable")[: int(np.isfinite(costs).sum())].tolist()
+        out = []
+        for i in order:
+            (S, J, first, sense), (tau, theta) = rows[i].tolist(), plants[which[i]].tolist()
+            out.append(_Found(float(costs[i]), S, J, int(first), sense, tau, theta, int(ats[i])))
+        return out
+
+
+def stepped_stems(data: Centred, limits: Limits, skip: int, span: tuple[int, int]) -> list[Stem]:
+    """Return stems that explain a record together with one load step in a span of samples, the best first."""
+    whole = _Search(data, skip, span, not data.integrating)
+    search = whole
+    delays = [d for d in DELAYS if d <= limits.theta[1]]
+    taus = np.geomspace(SHORTEST, LONGEST * data.samples, TAUS).tolist()
+    if data.integrating:
+        taus = [FADE]
+        faded = lfilter([1.0, -1.0], [1.0, -math.exp(-1.0 / FADE)], data.y)
+        search = _Search(replace(data, y=faded, integrating=False), skip, span, False)
+    plants = np.array([(tau, theta) for tau in taus for theta in delays])
+    found: list[_Found] = []
+    for shares in (SHARES, (math.nan,)):
+        for seed in _apart(_coarse(search, shares, plants)):
+            one = seed
+            if data.integrating:
+                one = _closer(search, seed, limits, SPREADS[:FADED_SPREADS])
+                again = whole.best_first([(one.S, one.J, one.first, one.sense)], np.array([(1.0, one.theta)]))
+                if not again:
+                    continue
+                one = again[0]
+            found.append(_closer(whole, one, limits, SPREADS[1 if data.integrating else 0 :]))
+    found.sort(key=lambda one: one.cost)
+    return [_stem(data, one) for one in found[:ANSWERS]]
+
+
+def _coarse(search: _Search, shares: Sequence[float], plants: FloatArray) -> list[_Found]:
+    """The stems of a grid, each with the best of the plants, the best first."""
+    data = search.data
+    widths = (np.geomspace(NARROWEST, WIDEST, GRID) * data.op_range).tolist()
+    ends = [stem for S in widths for share in shares for stem in _starts(data, S, share * S, 0)]
+    coarse = search.best_first(ends, plants)
+    likely: dict[float, _Found] = {}
+    for one in coarse:
+        likely.setdefault(one.S, one)
+    for S, best in likely.items():
+        # Where the stem was before its first slip asks for nearly the same plant.
+        later = [stem for share in shares for stem in _starts(data, S, share * S, FIRSTS) if stem[2] > 0]
+        coarse += (here := search.best_first(later, _close(plants, best)))
+        if not math.isnan(best.J):
+            # A sequence of slips may hold for a range of J too narrow for any grid.
+            for one in (best, *here[:1]):
+                jumps = (FINER_SHARES * S).tolist()
+                coarse += search.best_first([(S, J, one.first, one.sense) for J in jumps], _close(plants, one))
+    return sorted(coarse, key=lambda one: one.cost)
+
+
+def _close(plants: FloatArray, one: _Found) -> FloatArray:
+    """Those of the plants that are nearly a stem's own."""
+    away = np.abs(plants - (one.tau, one.theta))
+    return plants[(away[:, 0] < 0.1 * one.tau) & (away[:, 1] <= 0.35 * one.theta + 1.0)]
+
+
+def _starts(data: Centred, S: float, J: float, most: int) -> list[tuple[float, float, int, float]]:
+    """A stem (S, J, first, sense) with the starts that it may have, `most` first slips at most."""
+    u = data.u
+    if math.isnan(J):
+        return [(S, J, first, 0.0) for first in firsts_for(u, S, max(most, 1)).tolist()]
+    firsts = first_slips(u)
+    held = np.maximum.accumulate(u) - np.minimum.accumulate(u)
+    firsts = thin(firsts[(firsts > 0) & (held[np.maximum(firsts - 1, 0)] <= S + J)], most) if most else firsts[:0]
+    later = [(S, J, f, 1.0 if u[f] > u[:f].max() else -1.0) for f in firsts.tolist()]
+    return [(S, J, -1, 0.0), (S, J, 0, 1.0), (S, J, 0, -1.0), *later]
+
+
+def _apart(found: list[_Found]) -> list[_Found]:
+    """The first few of some stems that differ."""
+    kept: list[_Found] = []
+    for one in found:
+        if len(kept) < SEEDS and not any(_alike(one, other) for other in kept):
+            kept.append(one)
+    return kept
+
+
+def _alike(one: _Found, other: _Found) -> bool:
+    near = abs(math.log(one.S / other.S)) <= NEAR
+    return near and (math.isnan(one.J) or abs(one.J - other.J) <= NEAR_JUMP * one.S)
+
+
+def _closer(search: _Search, seed: _Found, limits: Limits, spreads: Sequence[float]) -> _Found:
+    """The best stem that ever closer grids about a seed lead to."""
+    data, best = search.data, seed
+    for spread in spreads:
+        for _ in range(STEPS):
+            before = best
+            starts = _starts(data, best.S, best.J, FIRSTS_CLOSE)
+            best = min(
+                [best, *search.best_first(starts, np.array([(best.tau, best.theta)]))[:1]], key=lambda one: one.cost
+            )
+            thetas = np.unique(np.clip(best.theta + 50.0 * spread * SIDES[1:-1], *limits.theta))
+            taus = np.array([best.tau])
+            if search.free:
+                taus = np.maximum(best.tau * (1.0 + 4.0 * spread * np.array([-1.0, 0.0, 1.0])), LEAST_TAU)
+            plants = np.array([(tau, theta) for tau in taus for theta in thetas])
+            widths = best.S * (1.0 + spread * SIDES)
+            jumps = np.array([math.nan])
+            if not math.isnan(best.J):
+                jumps = np.unique(np.maximum(best.J + 2.0 * spread * best.S * SIDES, 0.0))
+            grid = [(S, J, best.first, best.sense) for S in widths.tolist() for J in jumps.tolist()]
+            best = min([best, *search.best_first(grid, plants)[:1]], key=lambda one: one.cost)
+            if best is before:
+                break
+    return best
+
+
+def _stem(data: Centred, one: _Found) -> Stem:
+    """A found stem as others are found: its path, and the paths near it; its plant's gain is not yet known."""
+    fit = Fit(one.cost, one.tau, one.theta, data.sign or 1.0, 0.0, 0.0, 0.0)
+
+    def near(wider: float, further: float) -> FloatArray:
+        if math.isnan(one.J):
+            return path_of(data.u, one.S * wider, one.first)[0]
+        return band_stem(data.u, one.S * wider, one.J * further, one.first, one.sense)[0]
+
+    return Stem(near(1.0, 1.0), max(one.first, 0), fit, near, (one.at,))
