@@ -11,7 +11,7 @@ import numpy as np
 from workbench.detect.detect import detect
 from workbench.detect.stem import Fitted
 from workbench.errors import InvalidValue
-from workbench.estimate.bands import repeated
+from workbench.estimate.bands import Seek, coarse_of, repeated, sought
 from workbench.estimate.data import Centred, centre, plant_of
 from workbench.estimate.fit import (
     LEAST_TAU,
@@ -38,7 +38,7 @@ from workbench.estimate.repeat import repeats_of, words_of
 from workbench.estimate.scale import band_of, band_position, linear_intervals, linear_result, stem_of
 from workbench.estimate.settled import coloured_linear, settled
 from workbench.estimate.stems import path_of
-from workbench.estimate.two_parameter import Band, look, stems_like
+from workbench.estimate.two_parameter import look, stems_like
 from workbench.estimate.two_step import akaike, two_step
 from workbench.estimate.verdict import ENOUGH_SLIPS, SHARP, WIDE_D, Evidence, agree, judge
 from workbench.model.checks import choice, number
@@ -254,18 +254,20 @@ def _answer(
     delays = found.limits.theta[1] if found is not None else float(_longest(data, None, DELAYS))
     rival = linear if linear.theta <= delays else fit_linear(data, delays)
     wide = [] if found is None else [c.fit.sse / n for c in found.fits if c.d >= WIDE_D * data.op_range]
-    seek: Callable[[Centred, float], list[Band]] = look
+    other = None if found is None else found.best.fit
+    seek: Seek = look
     if found is not None and leaves_noise_alone(data, found, rival):
         seek = stems_like(found.best.d, (found.best.fit.tau, found.best.fit.theta))
-    coarse = seek(data, delays)
+    within = sought(data, delays, other, valve == "auto", seek)
+    coarse = coarse_of(data, within, delays, seek)
     bands = {}
     if method != "two_step" and valve not in ("stenman", "linear"):
-        bands = bands_of(data, coarse, Limits((LEAST_TAU, float(n)), (0.0, delays)), seek=seek)
+        bands = bands_of(data, coarse, within, Limits((LEAST_TAU, float(n)), (0.0, delays)), within.rival(other))
     steps: tuple[LoadStep, ...] = ()
     # The verdict weighs what each model leaves of PV; the model itself is fitted in the measure that its disturbance
     # asks for.
     if method != "two_step":
-        data, found, bands, linear, steps = settled(data, found, bands, linear, delays)
+        data, found, bands, linear, steps = settled(data, found, bands, linear, delays, within)
     stem = None if found is None else stem_of(data, found)
     left = math.inf if stem is None else float(np.mean((record.pv - stem.prediction) ** 2))
     evidence = Evidence(
@@ -305,7 +307,10 @@ def _answer(
         fitted = (Choudhury(pair.S, pair.J), band_position(data, pair))
     verdict, reasons = agree(evidence, verdict, reasons, detect(record, fitted=fitted))
     identifiable = identifiable and verdict == "stiction"
-    ranged = repeated(data, bands[chosen], limits) if chosen in bands and verdict != "no_stiction" else None
+    ranged = None
+    if chosen in bands and verdict != "no_stiction":
+        there = within if data.y is within.pv else sought(data, delays, None, within.contested)
+        ranged = repeated(data, bands[chosen], limits, there)
     if verdict != "no_stiction":
         reasons += reasons_of(models, chosen, valve, ranged)
     reasons += _manual_said(record)

@@ -13,14 +13,15 @@ from functools import cache
 
 import numpy as np
 
-from workbench.estimate.bands import Found
+from workbench.estimate.bands import Found, Sought, coarse_of, sought
 from workbench.estimate.data import Centred
 from workbench.estimate.fit import LEAST_TAU, Fit, Limits, again_linear, disturbance, grounded, predict
 from workbench.estimate.loads import Asked, Stem, loads_of
 from workbench.estimate.models import bands_of, refitted
-from workbench.estimate.profile import EXACT, Profile, profile_again, profile_of, search
+from workbench.estimate.profile import Profile, profile_again, profile_of, search
 from workbench.estimate.stems import path_of
 from workbench.estimate.two_parameter import Band, band_stem, best_of, look, search_short
+from workbench.estimate.windows import EXACT
 from workbench.model.load_step import LoadStep
 from workbench.model.record import FloatArray
 
@@ -108,23 +109,24 @@ def settled(
     bands: dict[str, Found],
     linear: Fit,
     delays: float,
+    within: Sought,
     attempt: int = 0,
     halves: Callable[[], list[Stem]] | None = None,
 ) -> tuple[Centred, Profile | None, dict[str, Found], Fit, tuple[LoadStep, ...]]:
     """The record and its models without load steps, in the measure of the disturbance that the best stem leaves.
 
     Where the record starts within a cycle, its first samples, up to the dead time, answer to slips before it: they no
-    longer count. A PV that starts where it does not come again starts from rest, with a setpoint move. attempt: the
-    first of ATTEMPTS that is made; the next one where the steps that it sees do not last. halves: the stems that each
-    half finds by itself.
+    longer count. A PV that starts where it does not come again starts from rest, with a setpoint move. within: where
+    two-parameter stems are searched (`bands.sought`). attempt: the first of ATTEMPTS that is made; the next one where
+    the steps that it sees do not last. halves: the stems that each half finds by itself.
     """
     halves = cache(lambda: _of_halves(data, delays)) if halves is None else halves
     whole, first = data, (found, bands, linear)
     steps: tuple[LoadStep, ...] = ()
     theta = max(0.0 if found is None else found.best.fit.theta, min(linear.theta, delays))
     later = data.y[data.samples // 4 :]
-    within = bool(later.min() <= data.y[0] <= later.max())
-    skip = min(math.ceil(theta) + 2, data.samples // STARTING) if within else 0
+    amid = bool(later.min() <= data.y[0] <= later.max())
+    skip = min(math.ceil(theta) + 2, data.samples // STARTING) if amid else 0
     limits = Limits((LEAST_TAU, float(data.samples)), (0.0, delays))
     turn, strict, lead = 0, False, Stem(data.u, 0, linear)
     while turn < COLOURINGS or (steps and turn < SEEKING + COLOURINGS):
@@ -144,7 +146,7 @@ def settled(
         if before and not steps:
             # Only where the plant forgets nothing does a wrong time of the step spoil all that comes after.
             again = attempt + 1 if whole.integrating else len(ATTEMPTS) - 1
-            return settled(whole, *first, delays, again, halves)
+            return settled(whole, *first, delays, within, again, halves)
         a = disturbance(left[skip:], data.floor)
         same = a.size == data.a.size == 1 and not steps
         stands = stands and (same_steps or not (before or steps))
@@ -170,8 +172,11 @@ def settled(
                 bands = refitted(data, bands, limits)
             if anew:
                 # A stem that stood fast while its measure changed has no rivals that have not been looked at.
-                coarse = [one.best for one in bands.values()] if stands else look(data, delays)
-                bands = bands_of(data, coarse, limits, only_any)
+                other = None if found is None else found.best.fit
+                there = within if data.y is within.pv else sought(data, delays, other, within.contested)
+                known = stands or data.samples > EXACT
+                coarse = [one.best for one in bands.values()] if known else coarse_of(data, there, delays)
+                bands = bands_of(data, coarse, there, limits, there.rival(other), only_any, bands)
         if agreed and same_steps:
             break
     return data, found, bands, linear, steps
