@@ -16,8 +16,9 @@ from hypothesis.extra.numpy import arrays
 
 import workbench as wb
 from workbench.cli_output import estimate_lines
+from workbench.estimate.candidates import Candidate
 from workbench.estimate.fit import Fit, Limits
-from workbench.estimate.profile import Candidate, Profile, islands
+from workbench.estimate.profile import Profile, islands
 from workbench.estimate.verdict import Evidence, judge
 from workbench.model.results import Estimate
 from workbench.model.study import NamedEstimate

@@ -11,7 +11,7 @@ from hypothesis.extra.numpy import arrays
 import workbench as wb
 from workbench.cli_output import estimate_lines
 from workbench.estimate import kernel
-from workbench.estimate.bands import like_stenman
+from workbench.estimate.bands import like_stenman, sought
 from workbench.estimate.data import centre
 from workbench.estimate.estimate import leaves_noise_alone
 from workbench.estimate.fit import LEAST_TAU, Limits, fit_linear
@@ -85,7 +85,8 @@ def test_where_a_stenman_valve_leaves_noise_alone_no_other_valve_is_looked_for_f
         if alone:
             # Nor would any have been found: the whole search finds none that leaves as little.
             coarse = look(data, 30.0)
-            bands = bands_of(data, coarse, Limits((LEAST_TAU, 1000.0), (0.0, 30.0)))
+            within = sought(data, 30.0, None, contested=False)
+            bands = bands_of(data, coarse, within, Limits((LEAST_TAU, 1000.0), (0.0, 30.0)))
             assert min(one.best.fit.sse for one in bands.values()) > 1.5 * found.best.fit.sse
             assert [b.S for b in like_stenman(found, data, 30.0)] == [found.best.d]
 

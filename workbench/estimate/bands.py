@@ -1,14 +1,15 @@
 """What a record tells of a two-parameter valve: the best stem, and the stems that it cannot tell from that.
 
-The search for stems is that of `two_parameter`; here it is run over a whole record, a long one's most active stretch
+The search for stems is that of `two_parameter`; here it is run over a whole record, a long one's most active windows
 first, and asked how far S and J may be moved, and what parts of the record say by themselves.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,11 +17,12 @@ from numpy.typing import NDArray
 from workbench.estimate import kernel
 from workbench.estimate.data import Centred
 from workbench.estimate.fit import LEAST_TAU, Fit, Limits, effective_samples, predict
-from workbench.estimate.profile import CHI_SQUARE, EXACT, Profile, active_windows
+from workbench.estimate.profile import CHI_SQUARE, Profile
 from workbench.estimate.two_parameter import (
     CROSSINGS,
     REACHES,
     REFITS,
+    SEEDS,
     SPREADS,
     Band,
     band_stem,
@@ -33,8 +35,21 @@ from workbench.estimate.two_parameter import (
     search_short,
     started,
 )
+from workbench.estimate.windows import EXACT, active_windows
+from workbench.model.record import FloatArray
 
-__all__ = ["Bands", "Found", "Sought", "alike", "like_stenman", "refit", "repeated", "search_bands", "sought"]
+__all__ = [
+    "Bands",
+    "Found",
+    "Sought",
+    "alike",
+    "coarse_of",
+    "like_stenman",
+    "refit",
+    "repeated",
+    "search_bands",
+    "sought",
+]
 
 OUTWARDS = (0.004, 0.5, 1.5)  # of S: the least and the largest step away from the best, each to the one before
 ABOUT = (0.8, 1.0, 1.2)  # of d: jumps of the stem that goes on from a one-parameter one
@@ -43,6 +58,11 @@ BEFORE = 4  # samples before a slip over which OP's rate is taken
 SIDEWAYS = (0.01, 0.0)  # of S: how far S follows a step of J
 SLACK = 6.0  # in N log V: what another measure of the same record may make of a stem
 LIKELIEST = 24  # stems fitted again in it, beside the outermost
+HOPELESS = 3.0  # times what a rival leaves of a long record: a stem that leaves more is not looked at closer
+WIDE_REACH = (0.03, 0.0)  # as REACHES, where J follows from S, which is a single line
+# Steps of walks over all of a long record, shares of their reach, in proportion to what a look at it costs.
+COARSE, STEPS = 400_000.0, (0.03, 0.2)
+AGREED = 0.03, 0.1  # of S: windows of a long record whose S and J differ by less agree
 HALF_SLIPS = 5  # in each half of a record, for the halves to be compared
 
 
@@ -79,27 +99,96 @@ class Bands:
     parts: tuple[Fit, ...] = ()
 
 
-@dataclass(frozen=True, eq=False)
-class Sought:
-    """Where stems are searched: a record, a long one's most active stretch, and the best of a grid there (`look`).
+Seek = Callable[[Centred, float], list[Band]]
 
-    known: whether these were not looked for, but are known to be close to the best.
+
+@dataclass(frozen=True, eq=False)
+class Window:
+    """A long record's window, the best of a grid there (`look`), and all stems that a search from them meets.
+
+    met: of J as a share of S, None for any; searched when first asked for.
     """
 
     data: Centred
     coarse: list[Band]
+    met: Callable[[float | None], list[Band]]
+
+
+@dataclass(frozen=True, eq=False)
+class Sought:
+    """Where stems are searched: a long record's most active windows, none in a short one; pv: whose they are, EU.
+
+    contested: whether stems that leave far more of PV than another valve does are of no use. known: whether the grid's
+    stems were not looked for, but are known to be close to the best.
+    """
+
+    pv: FloatArray
+    windows: tuple[Window, ...]
+    contested: bool
     known: bool
 
+    def rival(self, other: Fit | None) -> float:
+        """What another valve's fit leaves where it is a rival, EU^2; infinite where it is none."""
+        return other.sse if self.contested and other is not None else math.inf
 
-def sought(
-    data: Centred, coarse: list[Band], limits: Limits, seek: Callable[[Centred, float], list[Band]] = look
-) -> Sought:
-    """Return where to search; coarse: the answer of `seek`, `look` or the like, for the whole record."""
+
+def sought(data: Centred, longest: float, other: Fit | None, contested: bool, seek: Seek = look) -> Sought:
+    """Return where to search, with dead times up to `longest` samples.
+
+    seek: `look`, or the like (`two_parameter.stems_like`). other: the fit of another valve to the record; where it
+    leaves far less than any stem does in the liveliest window, or where two windows agree, the next ones are not asked.
+    A window takes any disturbance as white: what it says is as good in another measure of the same PV.
+    """
+    none = Sought(data.y, (), contested, seek is not look)
+    windows: list[Window] = []
+    for part in active_windows(data) if data.samples > EXACT else ():
+        window = _window(part, min(longest, part.samples / 4.0), seek)
+        settled = _hopeless(window, none.rival(other) / data.samples) or any(_agree(window, one) for one in windows)
+        windows.append(window)
+        if settled:
+            break
+    return replace(none, windows=tuple(windows))
+
+
+def _hopeless(window: Window, rival: float) -> bool:
+    return bool(window.coarse) and all(b.fit.sse / window.data.samples > HOPELESS * rival for b in window.coarse)
+
+
+def _agree(one: Window, other: Window) -> bool:
+    """Whether the best stems of two windows are nearly one."""
+    if not one.coarse or not other.coarse:
+        return False
+    a, b = one.coarse[0], other.coarse[0]
+    return abs(math.log(a.S / b.S)) <= AGREED[0] and abs(a.J - b.J) <= AGREED[1] * a.S
+
+
+def _window(part: Centred, longest: float, seek: Seek = look) -> Window:
+    limits, coarse = Limits((LEAST_TAU, float(part.samples)), (0.0, longest)), seek(part, longest)
     known = seek is not look
+    return Window(
+        part, coarse, cache(lambda only: search_short(part, coarse, only, limits, (), known and only is None)[0])
+    )
+
+
+def coarse_of(data: Centred, within: Sought, longest: float, seek: Seek = look) -> list[Band]:
+    """Return the best stems of a grid, the best first: of a long record those of its windows, fitted to the whole."""
     if data.samples <= EXACT:
-        return Sought(data, coarse, known)
-    parts = active_windows(data)[:1]
-    return Sought(parts[0], seek(parts[0], limits.theta[1]), known) if parts else Sought(data, [], known)
+        return seek(data, longest)
+    limits = Limits((LEAST_TAU, float(data.samples)), (0.0, longest))
+    found = [_on_all(data, b, limits, 20, 1e-4) for window in within.windows for b in window.coarse[:SEEDS]]
+    return sorted((b for b in found if b.slips > 0 and b.fit.gain != 0.0), key=lambda b: b.fit.sse)
+
+
+def _on_all(data: Centred, b: Band, limits: Limits, evaluations: int, tolerance: float = 1e-7) -> Band:
+    """A window's stem fitted to all of a long record.
+
+    It starts at rest in the middle of its band, or, where it would then never move, as suits it best.
+    """
+    plant = (b.fit.tau, b.fit.theta)
+    found = fit_band(data, b.S, b.J, (-1, 0.0), limits, plant, evaluations, tolerance)
+    if found.slips > 0:
+        return found
+    return fit_band(data, b.S, b.J, best_start(data, (b.S, b.J), plant)[1:], limits, plant, evaluations, tolerance)
 
 
 def like_stenman(found: Profile | None, data: Centred, longest: float) -> list[Band]:
@@ -118,32 +207,25 @@ def like_stenman(found: Profile | None, data: Centred, longest: float) -> list[B
 
 
 def search_bands(
-    data: Centred, within: Sought, limits: Limits, only: float | None, beside: tuple[Band, ...] = ()
+    data: Centred,
+    coarse: list[Band],
+    within: Sought,
+    limits: Limits,
+    only: float | None,
+    beside: tuple[Band, ...] = (),
+    rival: float = math.inf,
+    before: Found | None = None,
 ) -> Found | None:
     """Return the best stem, or None where none moves.
 
-    The stem of a long record's stretch is walked closer on the whole. only: J as a share of S (0: a dead band). beside:
-    stems found otherwise, from which a short record is searched on too.
+    coarse: the answer of `coarse_of`. only: J as a share of S (0: a dead band). beside: stems found otherwise, from
+    which a short record is searched on too. rival: what the other valve leaves, EU^2. before: what the search found in
+    another measure.
     """
-    rows = np.empty((0, 4))
-    if within.data is data:
-        known = only is None and within.known
-        bands, rows = search_short(data, within.coarse, only, limits, beside, known)
+    if data.samples <= EXACT:
+        bands, rows = search_short(data, coarse, only, limits, beside, only is None and within.known)
     else:
-        bands = []
-        if found := search_short(within.data, within.coarse, only, limits)[0]:
-            best = best_of(found)
-            # One that rests in the middle of its band at the start may never move in all of the record.
-            plant = (best.fit.tau, best.fit.theta)
-            start = best_start(data, (best.S, best.J), plant)[1:]
-            bands.append(fit_band(data, best.S, best.J, start, limits, plant, 40))
-        bands = [b for b in bands if b.slips > 0]
-        if bands:
-            best = best_of(bands)
-            for reach in REACHES:
-                found, rows = closer(data, best, reach, 0.2 * reach[0], only, limits)
-                bands += found
-                best = best_of([best, *found])
+        bands, rows = _search_long(data, within, limits, only, rival, before)
     bands = [b for b in bands if b.fit.gain != 0.0]
     if not bands:
         return None
@@ -151,6 +233,34 @@ def search_bands(
     start = (best.first, best.sense)
     best = best_of([best, fit_band(data, best.S, best.J, start, limits, (best.fit.tau, best.fit.theta), 300)])
     return Found(best, data, (best, *bands), rows, data, only)
+
+
+def _search_long(
+    data: Centred, within: Sought, limits: Limits, only: float | None, rival: float, before: Found | None
+) -> tuple[list[Band], NDArray[np.float64]]:
+    """The stems met and the last walk's rows: the stems of a long record's windows, walked closer on the whole.
+
+    Not those that leave far more of PV than another valve does.
+    """
+    bands: list[Band] = []
+    rows, step = np.empty((0, 4)), float(np.clip(data.samples / COARSE, *STEPS))
+    if before is not None:
+        b = before.best
+        bands.append(fit_band(data, b.S, b.J, (b.first, b.sense), limits, (b.fit.tau, b.fit.theta), 40))
+    for window in within.windows:
+        if met := window.met(only):
+            bands.append(_on_all(data, best_of(met), limits, 40))
+            b = replace(best_of(met), first=bands[-1].first, sense=bands[-1].sense)
+            # A window's plant is nearer the truth than what all of the record makes of a stem that is a little off. In
+            # a measure that takes what is slow the whole is no worse a judge.
+            if before is None and b.fit.sse / window.data.samples <= HOPELESS * rival / data.samples:
+                reach = REACHES[0] if only is None else WIDE_REACH
+                bands += closer(data, b, reach, step * reach[0], only, limits)[0]
+    bands = [b for b in bands if b.slips > 0]
+    for reach in REACHES if bands and best_of(bands).fit.sse <= HOPELESS * rival else ():
+        found, rows = closer(data, best_of(bands), reach, step * reach[0], only, limits)
+        bands += found
+    return bands, rows
 
 
 def refit(data: Centred, found: Found, limits: Limits) -> Found:
@@ -162,14 +272,14 @@ def refit(data: Centred, found: Found, limits: Limits) -> Found:
     return replace(found, best=best_of(bands), again=tuple(bands))
 
 
-def repeated(data: Centred, found: Found, limits: Limits) -> Bands:
+def repeated(data: Centred, found: Found, limits: Limits, within: Sought) -> Bands:
     """Return the ranges, widened to what parts of the record say that reject the best stem, each searched by itself.
 
-    The parts are the halves, of a long record its two most active stretches. What they disagree on is not known, and
+    The parts are the halves, of a long record its two most active windows. What they disagree on is not known, and
     a search that ended away from the truth seldom ends there twice: a short record is searched on from where its halves
     ended, and from the stems that slip some samples earlier and later, and the best may then be another.
     """
-    own = _of_parts(data, found.only, limits)
+    own = _of_parts(data, found.only, limits, within)
     if data.samples <= EXACT:
         apart = [b for *_, b in own if abs(b.S / found.best.S - 1.0) > APART]
         found = _further(data, found, [_here(data, b, limits) for b in apart], limits)
@@ -179,24 +289,26 @@ def repeated(data: Centred, found: Found, limits: Limits) -> Bands:
                 break
     # A part in which the best stem is as likely as its own may hold too few slips to tell any stem from another.
     against = [
-        b for part, within, b in own if b.slips >= HALF_SLIPS and _rejects(part, b, _here(part, found.best, within))
+        b for part, there, b in own if b.slips >= HALF_SLIPS and _rejects(part, b, _here(part, found.best, there))
     ]
     bands = alike(data, found, limits)
     S, J = (*bands.S, *(b.S for b in against)), (*bands.J, *(b.J for b in against))
     return replace(bands, S=(min(S), max(S)), J=(min(J), max(J)), parts=tuple(b.fit for b in against))
 
 
-def _of_parts(data: Centred, only: float | None, limits: Limits) -> list[tuple[Centred, Limits, Band]]:
+def _of_parts(data: Centred, only: float | None, limits: Limits, within: Sought) -> list[tuple[Centred, Limits, Band]]:
     """The parts of a record, each with the best stem of a search of its own, where one is found."""
     n = data.samples
+    windows: Sequence[Window] = within.windows[:2]
+    if n <= EXACT:
+        halves = [data.part(0, n // 2), data.part(n // 2, n)]
+        moved = [part for part in halves if part.op_range > 0.0 and float(np.ptp(part.y)) > 0.0]
+        windows = [_window(part, min(limits.theta[1], part.samples / 4.0)) for part in moved]
     found = []
-    for part in [data.part(0, n // 2), data.part(n // 2, n)] if n <= EXACT else active_windows(data)[:2]:
-        if not part.op_range > 0.0 or not float(np.ptp(part.y)) > 0.0:
-            continue
-        longest = min(limits.theta[1], part.samples / 4.0)
-        own = Limits((LEAST_TAU, float(part.samples)), (0.0, longest))
-        met, _ = search_short(part, look(part, longest), only, own)
+    for window in windows:
+        part, met = window.data, window.met(only)
         if met and best_of(met).slips > 0:
+            own = Limits((LEAST_TAU, float(part.samples)), (0.0, min(limits.theta[1], part.samples / 4.0)))
             found.append((part, own, best_of(met)))
     return found
 

@@ -12,7 +12,7 @@ import numpy as np
 from workbench.detect.detect import detect
 from workbench.detect.stem import Fitted
 from workbench.errors import InvalidValue
-from workbench.estimate.bands import like_stenman, repeated
+from workbench.estimate.bands import Seek, coarse_of, like_stenman, repeated, sought
 from workbench.estimate.data import Centred, centre, plant_of
 from workbench.estimate.fit import (
     LEAST_TAU,
@@ -48,9 +48,10 @@ from workbench.estimate.scale import (
 )
 from workbench.estimate.settled import coloured_linear, settled
 from workbench.estimate.stems import path_of
-from workbench.estimate.two_parameter import Band, look
+from workbench.estimate.two_parameter import look
 from workbench.estimate.two_step import akaike, two_step
 from workbench.estimate.verdict import ENOUGH_SLIPS, SHARP, WIDE_D, Evidence, agree, judge
+from workbench.estimate.windows import EXACT
 from workbench.model.checks import choice, number
 from workbench.model.load_step import LoadStep
 from workbench.model.record import Record
@@ -265,18 +266,20 @@ def _answer(
     delays = found.limits.theta[1] if found is not None else float(_longest(data, None, DELAYS))
     rival = linear if linear.theta <= delays else fit_linear(data, delays)
     wide = [] if found is None else [c.fit.sse / n for c in found.fits if c.d >= WIDE_D * data.op_range]
+    other = None if found is None else found.best.fit
     alone = found is not None and leaves_noise_alone(data, found, rival)
-    seek: Callable[[Centred, float], list[Band]] = partial(like_stenman, found) if alone else look
-    coarse = seek(data, delays)
+    seek: Seek = partial(like_stenman, found) if alone else look
+    within = sought(data, delays, other, valve == "auto", seek)
+    coarse = coarse_of(data, within, delays, seek)
     bands = {}
     if method != "two_step" and valve not in ("stenman", "linear"):
-        seeds = coarse if alone else [*coarse, *like_stenman(found, data, delays)]
-        bands = bands_of(data, seeds, Limits((LEAST_TAU, float(n)), (0.0, delays)), seek=seek)
+        seeds = coarse if alone or n > EXACT else [*coarse, *like_stenman(found, data, delays)]
+        bands = bands_of(data, seeds, within, Limits((LEAST_TAU, float(n)), (0.0, delays)), within.rival(other))
     steps: tuple[LoadStep, ...] = ()
     # The verdict weighs what each model leaves of PV; the model itself is fitted in the measure that its disturbance
     # asks for.
     if method != "two_step":
-        data, found, bands, linear, steps = settled(data, found, bands, linear, delays)
+        data, found, bands, linear, steps = settled(data, found, bands, linear, delays, within)
     stem = None if found is None else stem_of(data, found)
     left = math.inf if stem is None else float(np.mean((record.pv - stem.prediction) ** 2))
     evidence = Evidence(
@@ -316,7 +319,10 @@ def _answer(
         fitted = (Choudhury(pair.S, pair.J), band_position(data, pair))
     verdict, reasons = agree(evidence, verdict, reasons, detect(record, fitted=fitted))
     identifiable = identifiable and verdict == "stiction"
-    ranged = repeated(data, bands[chosen], limits) if chosen in bands and verdict != "no_stiction" else None
+    ranged = None
+    if chosen in bands and verdict != "no_stiction":
+        there = within if data.y is within.pv else sought(data, delays, None, within.contested)
+        ranged = repeated(data, bands[chosen], limits, there)
     if ranged is not None and ranged.best is not bands[chosen].best:
         bands = bands | {chosen: replace(bands[chosen], best=ranged.best)}
         models = compared(data, linear, found, bands)

@@ -8,8 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from workbench.detect.stem import whitened
-from workbench.estimate import kernel
+from workbench.estimate import kernel, long_kernel
 from workbench.estimate.data import WHITE, Centred
+from workbench.estimate.windows import EXACT, stretch_of
 from workbench.model.record import FloatArray
 
 __all__ = [
@@ -21,11 +22,14 @@ __all__ = [
     "disturbance",
     "effective_samples",
     "fit_bands",
+    "fit_in_stretch",
     "fit_linear",
+    "fit_near",
     "fit_nothing",
     "fit_path",
     "fit_stems",
     "grounded",
+    "halves_left",
     "inflation",
     "predict",
     "score_covariance",
@@ -38,6 +42,8 @@ LEAST_TAU = 0.05
 # A real valve does not hold exactly; the stem's start may leave its exact range by this share of d.
 START_SLACK = 0.02
 ORDERS = 8  # most of a disturbance's autoregression
+NEAR = 0.02  # of a time constant: how far apart the points of a quadratic about a plant are at first
+FOLLOWED = 2  # linear fits of a stretch of a long record, on all of it
 LOUD = 4.0  # times what the record resolves: quieter residuals tell nothing of a disturbance
 
 
@@ -164,6 +170,64 @@ def fit_stems(
     return [(_fit(out), int(count)) for out, count in zip(fits, slips.tolist(), strict=True)]
 
 
+def fit_in_stretch(
+    data: Centred, paths: FloatArray, limits: Limits, stretch: tuple[int, int], evaluations: int
+) -> list[tuple[Fit, int]]:
+    """Return fits and slips as `fit_stems`, tau and theta searched in the samples [begin, stop) of a stretch alone."""
+    fits = np.empty((len(paths), kernel.FIT))
+    slips = np.empty(len(paths), np.int64)
+    long_kernel.fit_in_stretch(
+        data.target,
+        data.u,
+        np.ascontiguousarray(paths),
+        START_SLACK,
+        data.sign,
+        data.integrating,
+        limits.tau,
+        limits.theta,
+        evaluations,
+        data.a,
+        data.skip,
+        *stretch,
+        fits,
+        slips,
+    )
+    return [(_fit(out), int(count)) for out, count in zip(fits, slips.tolist(), strict=True)]
+
+
+def fit_near(
+    data: Centred, x: FloatArray, first: int, bounds: tuple[float, float], limits: Limits, near: Fit, rounds: int
+) -> Fit:
+    """Return the fit of a plant to the stem path x, shape (N,), from one that is nearly right (see `fit_path`)."""
+    out = np.empty(kernel.FIT)
+    long_kernel.fit_near(
+        data.target,
+        drive_of(data, x, first),
+        first,
+        *bounds,
+        data.sign,
+        data.integrating,
+        near.tau,
+        near.theta,
+        limits.tau,
+        limits.theta,
+        NEAR,
+        rounds,
+        data.a,
+        data.skip,
+        out,
+    )
+    return _fit(out)
+
+
+def halves_left(data: Centred, x: FloatArray, first: int, fit: Fit) -> tuple[float, float]:
+    """Return the sums of squares of what a fit to the stem path x leaves in the first half of the record, and after."""
+    terms = np.array([fit.sse, fit.tau, fit.theta, fit.gain, fit.bias, fit.start, fit.transient])
+    drive = drive_of(data, x, first)
+    half = data.samples // 2
+    return long_kernel.halves_left(data.target, drive, first, terms, data.integrating, data.a, data.skip, half)
+
+
 def fit_bands(
     data: Centred,
     bands: FloatArray,
@@ -202,31 +266,50 @@ def fit_bands(
 def fit_linear(data: Centred, longest: float) -> Fit:
     """Return the fit that ignores stiction: the stem is OP itself, the dead time anywhere up to `longest` samples.
 
-    The input before the record is an unknown constant, as for the stem.
+    The input before the record is an unknown constant, as for the stem. The plant of a long record is sought in its
+    liveliest stretch first.
     """
-    limits = Limits((LEAST_TAU, float(data.samples)), (0.0, float(longest)))
+    part = _sought_in(data, longest)
     delays = np.unique(np.floor(np.linspace(0, longest, min(int(longest) + 1, 80))))
     taus = np.ones(1) if data.integrating else np.geomspace(0.3, data.samples / 4.0, 14)
     plants = np.column_stack([np.repeat(taus, delays.size), np.tile(delays, taus.size)])
     costs = np.empty(len(plants))
-    drive = drive_of(data, data.u, 0)
-    kernel.scan_plants(data.target, drive, data.sign, data.integrating, plants, data.a, data.skip, costs)
+    drive = drive_of(part, part.u, 0)
+    kernel.scan_plants(part.target, drive, data.sign, data.integrating, plants, data.a, part.skip, costs)
     likely = plants[np.argsort(costs, kind="stable")[:6]].tolist()
-    fits = [
-        fit_path(data, data.u, 0, (-math.inf, math.inf), limits, theta, tau=tau, evaluations=160, tolerance=1e-9)
-        for tau, theta in likely
-    ]
-    return min(fits, key=lambda f: f.sse)
+    return _linear_from(data, part, [(tau, theta) for tau, theta in likely], longest)
 
 
 def again_linear(data: Centred, linear: Fit, longest: float) -> Fit:
     """Return the linear fit in the measure of data's disturbance, from that in another."""
-    limits, free = Limits((LEAST_TAU, float(data.samples)), (0.0, float(longest))), (-math.inf, math.inf)
-    fits = [
-        fit_path(data, data.u, 0, free, limits, min(theta, longest), tau=tau, evaluations=160, tolerance=1e-9)
+    plants = [
+        (tau, min(theta, longest))
         for tau in {linear.tau, max(linear.tau / 4.0, LEAST_TAU)}
         for theta in {linear.theta, 0.0}
     ]
+    return _linear_from(data, _sought_in(data, longest), plants, longest)
+
+
+def _sought_in(data: Centred, longest: float) -> Centred:
+    """Where a linear plant is sought: in all of a record, or in a stretch of a long one, in its measure."""
+    if data.samples <= EXACT:
+        return data
+    begin, stop = stretch_of(data)
+    part = data.part(begin, stop).whitened(data.a, max(data.skip - begin, 0))
+    return part if 4.0 * longest <= part.samples else data
+
+
+def _linear_from(data: Centred, part: Centred, plants: list[tuple[float, float]], longest: float) -> Fit:
+    """The best linear fit from some plants (tau, theta), followed within a part first."""
+    limits, free = Limits((LEAST_TAU, float(data.samples)), (0.0, float(longest))), (-math.inf, math.inf)
+
+    def followed(where: Centred, tau: float, theta: float) -> Fit:
+        return fit_path(where, where.u, 0, free, limits, theta, tau=tau, evaluations=160, tolerance=1e-9)
+
+    fits = [followed(part, tau, theta) for tau, theta in plants]
+    if part is not data:
+        there = [fit_near(data, data.u, 0, free, limits, fit, 0) for fit in fits]
+        fits = [followed(data, fit.tau, fit.theta) for fit in sorted(there, key=lambda f: f.sse)[:FOLLOWED]]
     return min(fits, key=lambda f: f.sse)
 
 

@@ -33,6 +33,7 @@ __all__ = [
     "stem_path",
     "stem_slips",
     "walk",
+    "walk_starts",
 ]
 
 Floats = NDArray[np.float64]
@@ -82,13 +83,15 @@ def stem_slips(op: Floats, d: float, first: int, at: Ints) -> tuple[int, float]:
 def stem_path(op: Floats, d: float, first: int, x: Floats) -> int:
     """Write the stem's path, 0 before `first`; return the number of slips, the one at `first` included."""
     x[:first] = 0.0
-    held = op[first]
+    held, begin = op[first], first
     slips = 1
-    for k in range(first, op.size):
+    # Written from slip to slip: a stem chosen anew at each sample would make each wait for the one before.
+    for k in range(first + 1, op.size):
         if abs(op[k] - held) > d:
-            held = op[k]
+            x[begin:k] = held
+            held, begin = op[k], k
             slips += 1
-        x[k] = held
+    x[begin:] = held
     return slips
 
 
@@ -333,6 +336,122 @@ def walk(
         if slips == 1:
             break
         d = max(smallest, d * (1.0 + step))
+    return count
+
+
+@compiled
+def _add_path(totals: Floats, sums: Floats, op: Floats, at: Ints, slips: int, delays: Ints, products: Floats) -> None:
+    """Write the sums that `_hold` gives for all of a path, from its slips: one product of a move for each delay.
+
+    `sum x_i (Y_end - Y_begin)` is that of the moves `(x_{i-1} - x_i) Y_begin`, Y the prefix sums of PV. products:
+    room for them, shape (2, delays).
+    """
+    last, n = op.size, sums.size - 2
+    inside = slips  # slips whose effect begins within the record at every delay
+    while inside > 0 and at[inside - 1] + delays[delays.size - 1] > n:
+        inside -= 1
+    products[:] = 0.0
+    held, power, x = 0.0, 0.0, 0.0
+    for i in range(inside):
+        new = op[at[i]]
+        move = x - new
+        length = float((at[i + 1] if i + 1 < slips else last) - at[i])
+        held += length * new
+        power += length * new * new
+        x = new
+        for j in range(delays.size):
+            products[0, j] += move * sums[at[i] + delays[j]]
+            products[1, j] += move * sums[at[i] + delays[j] + 1]
+    end = at[inside] if inside < slips else last
+    for j in range(delays.size):
+        stop = min(end + delays[j], n)
+        totals[j, 2] = products[0, j] + x * sums[stop]
+        totals[j, 3] = products[1, j] + x * sums[stop + 1]
+        # What the dead time moves out of the record, back from the last of these slips.
+        totals[j, 0], totals[j, 1] = held, power
+        out, i = end + delays[j] - n, inside - 1
+        while out > 0 and i >= 0:
+            share = min(out, (at[i + 1] if i + 1 < slips else last) - at[i])
+            totals[j, 0] -= share * op[at[i]]
+            totals[j, 1] -= share * op[at[i]] * op[at[i]]
+            out, i = out - share, i - 1
+    for i in range(inside, slips):
+        _hold(totals, sums, delays, op[at[i]], at[i], last if i == slips - 1 else at[i + 1], 1.0)
+
+
+@compiled
+def walk_starts(
+    sums: Floats,
+    squares: Floats,
+    products: Floats,
+    op: Floats,
+    firsts: Ints,
+    reaches: Floats,
+    bands: Floats,
+    delays: Ints,
+    fixed_pole: float,
+    sign: float,
+    rows: Floats,
+) -> int:
+    """Fit the plant, as `walk` does, to the paths of some bands d, each from many first slips.
+
+    firsts: ascending, the first of them for every band; reaches: half of OP's range before each, which a band must hold
+    to slip there first. Written: rows as by `walk`, and after them the first slip; D_LOW is the band itself. Returns
+    their number. Paths that slip at one and the same sample are one from there on: what follows is summed once.
+    """
+    last = op.size
+    at = np.empty(last, np.int64)
+    which = np.full(last, -1)  # of the slips from the first start, the one at a sample
+    least = np.empty(last + 1)  # the smallest of its slips from each on
+    groups = np.zeros((firsts.size, delays.size, 6))
+    for i in range(firsts.size):
+        for j in range(delays.size):
+            _grouped(sums, squares, products, min(firsts[i] + delays[j], last - 1), groups[i, j])
+    whole, totals, room = np.empty((delays.size, 4)), np.empty((delays.size, 4)), np.empty((2, delays.size))
+    count = 0
+    for b in range(bands.size):
+        d = bands[b]
+        slips, _ = stem_slips(op, d, firsts[0], at)
+        _add_path(whole, sums, op, at, slips, delays, room)
+        least[slips] = math.inf
+        for i in range(slips - 1, -1, -1):
+            least[i] = min(least[i + 1], abs(op[at[i]] - op[at[i - 1]])) if i > 0 else least[1]
+            which[at[i]] = i
+        for i in range(firsts.size):
+            if reaches[i] > d or count == rows.shape[0]:
+                break
+            totals[:] = 0.0
+            own, smallest = 0, math.inf
+            k, origin, x = firsts[i], firsts[i], op[firsts[i]]
+            while k < last and which[k] < 0:
+                if k == origin:
+                    own += 1
+                k += 1
+                while k < last and abs(op[k] - x) <= d:
+                    k += 1
+                _hold(totals, sums, delays, x, origin, k, 1.0)
+                if k < last:
+                    smallest = min(smallest, abs(op[k] - x))
+                    origin, x = k, op[k]
+            if k < last:
+                met = which[k]
+                for j in range(met):
+                    _hold(totals, sums, delays, op[at[j]], at[j], at[j + 1], -1.0)
+                totals += whole
+                smallest = min(smallest, least[met + 1])
+                own += slips - met
+            best, best_delay = math.inf, 0
+            for j in range(delays.size):
+                cost = _one_step(totals[j], groups[i, j], fixed_pole, sign)
+                if cost < best:
+                    best, best_delay = cost, delays[j]
+            if best < math.inf:
+                rows[count, D_LOW], rows[count, D_HIGH] = d, smallest
+                rows[count, DELAY], rows[count, COST] = best_delay, max(best, 0.0)
+                rows[count, SLIPS], rows[count, ROW] = own, firsts[i]
+                count += 1
+        for i in range(slips):
+            which[at[i]] = -1
     return count
 
 

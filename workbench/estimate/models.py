@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Mapping
 
-from workbench.estimate.bands import Bands, Found, refit, search_bands, sought
+from workbench.estimate.bands import Bands, Found, Sought, refit, search_bands
 from workbench.estimate.data import Centred, plant_of
 from workbench.estimate.fit import Fit, Limits, grounded
 from workbench.estimate.profile import Profile
 from workbench.estimate.stems import path_of
-from workbench.estimate.two_parameter import Band, band_stem, look
+from workbench.estimate.two_parameter import Band, band_stem
 from workbench.estimate.verdict import SHARP
 from workbench.model.record import FloatArray
 from workbench.model.results import FittedModel, Intervals
@@ -35,17 +35,22 @@ def _valve(name: str, d: float, band: Band | None) -> Valve:
 def bands_of(
     data: Centred,
     coarse: list[Band],
+    within: Sought,
     limits: Limits,
+    rival: float = math.inf,
     only_any: bool = False,
-    seek: Callable[[Centred, float], list[Band]] = look,
+    before: Mapping[str, Found] | None = None,
 ) -> dict[str, Found]:
     """Return the searches over two-parameter valves that found a stem: "deadband" (J = 0) and "choudhury" (any J).
 
-    coarse: stems that `seek` found in the whole record.
+    The arguments are those of `search_bands`; only_any: without the dead band.
     """
-    within = sought(data, coarse, limits, seek)
-    dead = None if only_any else search_bands(data, within, limits, 0.0)
-    any_jump = search_bands(data, within, limits, None, () if dead is None else (dead.best,))
+    was = {} if before is None else before
+    dead = None
+    if not only_any:
+        dead = search_bands(data, coarse, within, limits, 0.0, (), rival, was.get("deadband"))
+    beside = () if dead is None else (dead.best,)
+    any_jump = search_bands(data, coarse, within, limits, None, beside, rival, was.get("choudhury"))
     found = {"deadband": dead, "choudhury": any_jump}
     return {name: bands for name, bands in found.items() if bands is not None}
 

@@ -8,9 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from workbench.estimate.bands import Bands
+from workbench.estimate.candidates import Candidate
 from workbench.estimate.data import Centred
 from workbench.estimate.fit import Fit, start_range
-from workbench.estimate.profile import Candidate, Profile
+from workbench.estimate.profile import Profile
 from workbench.estimate.stems import path_of
 from workbench.estimate.two_parameter import Band, band_stem
 from workbench.model.record import FloatArray

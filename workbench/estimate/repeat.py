@@ -16,8 +16,9 @@ import numpy as np
 from workbench.estimate import kernel
 from workbench.estimate.data import Centred
 from workbench.estimate.fit import START_SLACK, Fit, inflation, predict
-from workbench.estimate.profile import CHI_SQUARE, EXACT
+from workbench.estimate.profile import CHI_SQUARE
 from workbench.estimate.stems import first_slips
+from workbench.estimate.windows import EXACT
 from workbench.model.record import FloatArray
 from workbench.model.results import Estimate, Part, Repeats
 from workbench.model.valve import Choudhury, Deadband, Stenman

@@ -9,10 +9,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from workbench.estimate.bands import Bands, Found, alike
+from workbench.estimate.candidates import Candidate
 from workbench.estimate.data import Centred, plant_of
 from workbench.estimate.fit import Fit, Limits, effective_samples, grounded, predict, standard_errors, start_range
 from workbench.estimate.models import PLANT_PARAMETERS
-from workbench.estimate.profile import CHI_SQUARE, Candidate, Profile
+from workbench.estimate.profile import CHI_SQUARE, Profile
 from workbench.estimate.stems import path_of
 from workbench.estimate.two_parameter import Band, band_stem
 from workbench.estimate.two_step import akaike

@@ -13,16 +13,17 @@ from functools import partial
 
 import numpy as np
 
-from workbench.estimate.bands import Found, like_stenman
+from workbench.estimate.bands import Found, Sought, coarse_of, like_stenman, sought
 from workbench.estimate.coloured import colour_beside
 from workbench.estimate.data import Centred
 from workbench.estimate.fit import LEAST_TAU, Fit, Limits, again_linear, disturbance, grounded, predict
 from workbench.estimate.loads import Stem, loads_of
 from workbench.estimate.models import bands_of, refitted
-from workbench.estimate.profile import EXACT, Profile, profile_again, profile_of, search
+from workbench.estimate.profile import Profile, profile_again, profile_of, search
 from workbench.estimate.stems import path_of
 from workbench.estimate.stepped import stepped_stems
-from workbench.estimate.two_parameter import Band, band_stem, look
+from workbench.estimate.two_parameter import Band, band_stem
+from workbench.estimate.windows import EXACT
 from workbench.model.load_step import LoadStep
 from workbench.model.record import FloatArray
 
@@ -87,20 +88,27 @@ def _relieved(
 
 
 def settled(
-    data: Centred, found: Profile | None, bands: dict[str, Found], linear: Fit, delays: float, most: int = STEPS_MOST
+    data: Centred,
+    found: Profile | None,
+    bands: dict[str, Found],
+    linear: Fit,
+    delays: float,
+    within: Sought,
+    most: int = STEPS_MOST,
 ) -> tuple[Centred, Profile | None, dict[str, Found], Fit, tuple[LoadStep, ...]]:
     """The record and its models without load steps, in the measure of the disturbance that the best stem leaves.
 
     Where the record starts within a cycle, its first samples, up to the dead time, answer to slips before it: they no
-    longer count. A PV that starts where it does not come again starts from rest, with a setpoint move. most: load
-    steps; where those that are seen do not last there are none.
+    longer count. A PV that starts where it does not come again starts from rest, with a setpoint move. within: where
+    two-parameter stems are searched (`bands.sought`). most: load steps; where those that are seen do not last there are
+    none.
     """
     whole, first = data, (found, bands, linear)
     steps: tuple[LoadStep, ...] = ()
     theta = max(0.0 if found is None else found.best.fit.theta, min(linear.theta, delays))
     later = data.y[data.samples // 4 :]
-    within = bool(later.min() <= data.y[0] <= later.max())
-    skip = min(math.ceil(theta) + 2, data.samples // STARTING) if within else 0
+    amid = bool(later.min() <= data.y[0] <= later.max())
+    skip = min(math.ceil(theta) + 2, data.samples // STARTING) if amid else 0
     limits = Limits((LEAST_TAU, float(data.samples)), (0.0, delays))
     turn, lead = 0, Stem(data.u, 0, linear)
     while turn < COLOURINGS or (steps and turn < ROUNDS):
@@ -111,7 +119,7 @@ def settled(
         further = partial(stepped_stems, whole, limits, skip) if turn == 0 else None
         bare, left, steps = _relieved(whole, data, lead, limits, skip, most, further)
         if before and not steps:
-            return settled(whole, *first, delays, 0)
+            return settled(whole, *first, delays, within, 0)
         same_steps = _same(before, steps, whole.sample_time)
         a = disturbance(left[skip:], data.floor)
         if a.size > 1 and data.samples <= EXACT:
@@ -140,9 +148,13 @@ def settled(
                 bands = refitted(data, bands, limits)
             if anew:
                 # A stem that stood fast while its measure changed has no rivals that have not been looked at.
-                coarse = [one.best for one in bands.values()] if stands else look(data, delays)
-                coarse += [] if stands else like_stenman(found, data, delays)
-                bands = bands_of(data, coarse, limits, only_any)
+                other = None if found is None else found.best.fit
+                there = within if data.y is within.pv else sought(data, delays, other, within.contested)
+                known = stands or data.samples > EXACT
+                coarse = [one.best for one in bands.values()]
+                if not known:
+                    coarse = [*coarse_of(data, there, delays), *like_stenman(found, data, delays)]
+                bands = bands_of(data, coarse, there, limits, there.rival(other), only_any, bands)
         if same_steps:
             break
     return data, found, bands, linear, steps

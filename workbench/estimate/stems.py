@@ -8,7 +8,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from workbench.estimate import kernel
+from workbench.estimate import kernel, long_kernel
 from workbench.estimate.data import Centred, integers
 
 __all__ = [
@@ -19,12 +19,15 @@ __all__ = [
     "LEAST_D",
     "LOW",
     "SLIPS",
+    "WIDE_D",
     "first_slips",
     "firsts_for",
     "path_of",
+    "range_of",
     "scan",
     "thin",
     "walk",
+    "walk_starts",
 ]
 
 STARTS = 48  # first slips scanned in the first round
@@ -47,6 +50,11 @@ def path_of(u: NDArray[np.float64], d: float, first: int) -> tuple[NDArray[np.fl
     """Return (stem path, number of slips): shape (N,), 0 before `first`, where the stem is unknown."""
     x = np.empty(u.size)
     return x, kernel.stem_path(u, d, first, x)
+
+
+def range_of(u: NDArray[np.float64], d: float, first: int) -> tuple[float, float]:
+    """Return all of the range [low, high) of d, %, for which the stem goes the way that it does for this one."""
+    return long_kernel.path_range(u, d, first)
 
 
 def walk(
@@ -76,6 +84,30 @@ def walk(
         buffer,
     )
     return np.column_stack([np.full(count, float(first)), buffer[:count]])
+
+
+def walk_starts(
+    data: Centred, firsts: NDArray[np.int64], bands: NDArray[np.float64], delays: NDArray[np.int64]
+) -> NDArray[np.float64]:
+    """Return rows as `walk`, LOW the band itself, of the paths of some bands, %, from first slips, ascending from 0."""
+    highs, lows = np.maximum.accumulate(data.u), np.minimum.accumulate(data.u)
+    reaches = 0.5 * (highs - lows)[np.maximum(firsts - 1, 0)]
+    reaches[0] = 0.0
+    buffer = np.empty((bands.size * firsts.size, kernel.ROW + 1))
+    count = kernel.walk_starts(
+        data.sums,
+        data.squares,
+        data.products,
+        data.u,
+        firsts,
+        reaches,
+        np.ascontiguousarray(bands),
+        delays,
+        1.0 if data.integrating else math.nan,
+        data.sign,
+        buffer,
+    )
+    return np.roll(buffer[:count], 1, axis=1)
 
 
 def thin(firsts: NDArray[np.int64], most: int) -> NDArray[np.int64]:

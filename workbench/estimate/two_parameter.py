@@ -20,14 +20,15 @@ from workbench.detect.stem import dead_times
 from workbench.estimate import abreast, kernel
 from workbench.estimate.data import Centred
 from workbench.estimate.fit import LEAST_TAU, Fit, Limits, fit_bands
-from workbench.estimate.profile import EXACT, active_windows
 from workbench.estimate.stems import thin
+from workbench.estimate.windows import EXACT
 from workbench.model.record import FloatArray
 
 __all__ = [
     "CROSSINGS",
     "REACHES",
     "REFITS",
+    "SEEDS",
     "SPREADS",
     "Band",
     "band_stem",
@@ -93,20 +94,15 @@ def look(data: Centred, longest: float) -> list[Band]:
     """Return the best fits over a grid of (S, J), starts and plants, the best first, with dead times up to `longest`.
 
     Each of the grid's stems has the best of a grid of plants; the best few that differ are then fitted with their own.
-    Of a long record that is done in its most active stretches, and their best fitted to the whole. Empty where no stem
-    of the grid moves.
+    A long record is looked at in its most active windows (`bands`). Empty where no stem of the grid moves.
     """
     limits = Limits((LEAST_TAU, float(data.samples)), (0.0, longest))
-    if data.samples > EXACT:
-        seen = [b for part in active_windows(data) for b in look(part, min(longest, part.samples / 4.0))[:SEEDS]]
-        found = [fit_band(data, b.S, b.J, (-1, 0.0), limits, (b.fit.tau, b.fit.theta), 20, 1e-4) for b in seen]
-    else:
-        taus = np.geomspace(SHORTEST, LONGEST * data.samples, TAUS)[-1 if data.integrating else 0 :]
-        delays = [float(d) for d in dead_times(data.samples, math.nan) if d <= longest]
-        narrow, wide = np.geomspace(NARROWEST, WIDEST, GRID), np.geomspace(WIDE, WIDEST, GRID_WIDE)
-        S = np.concatenate([narrow[narrow < WIDE], wide]) * data.op_range
-        grid = np.column_stack([np.repeat(S, len(SHARES)), (S[:, None] * np.array(SHARES)).ravel()])
-        found = [_placed(data, seed, limits) for seed in _screened(data, grid, taus, delays, PICKED)]
+    taus = np.geomspace(SHORTEST, LONGEST * data.samples, TAUS)[-1 if data.integrating else 0 :]
+    delays = [float(d) for d in dead_times(data.samples, math.nan) if d <= longest]
+    narrow, wide = np.geomspace(NARROWEST, WIDEST, GRID), np.geomspace(WIDE, WIDEST, GRID_WIDE)
+    S = np.concatenate([narrow[narrow < WIDE], wide]) * data.op_range
+    grid = np.column_stack([np.repeat(S, len(SHARES)), (S[:, None] * np.array(SHARES)).ravel()])
+    found = [_placed(data, seed, limits) for seed in _screened(data, grid, taus, delays, PICKED)]
     return sorted((b for b in found if b.slips > 0 and b.fit.gain != 0.0), key=lambda b: b.fit.sse)
 
 

@@ -13,9 +13,10 @@ import math
 import numpy as np
 
 from workbench.estimate import kernel
+from workbench.estimate.candidates import Candidate
 from workbench.estimate.data import Centred, integers, plant_of
 from workbench.estimate.fit import LEAST_TAU, Fit, Limits, predict
-from workbench.estimate.profile import Candidate, Profile
+from workbench.estimate.profile import Profile
 from workbench.estimate.stems import first_slips, path_of
 from workbench.model.record import FloatArray
 from workbench.model.results import Iteration

@@ -1,0 +1,262 @@
+"""Long records: what is summed once, sought in a stretch or asked of a window is what the plain way would give."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+import workbench as wb
+from workbench.estimate import bands, kernel, long_kernel
+from workbench.estimate.data import Centred, centre
+from workbench.estimate.fit import (
+    Fit,
+    Limits,
+    fit_in_stretch,
+    fit_linear,
+    fit_near,
+    fit_path,
+    fit_stems,
+    halves_left,
+    predict,
+    start_range,
+)
+from workbench.estimate.stems import first_slips, path_of, walk, walk_starts
+from workbench.estimate.windows import EXACT, active_windows, stretch_of, windows_of
+from workbench.model.valve import Valve
+
+outputs = arrays(np.float64, st.integers(30, 90), elements=st.integers(-40, 40).map(lambda i: i / 8.0))
+LIMITS = Limits((0.05, 1000.0), (0.0, 20.0))
+
+
+def loop_data(plant: str = "fopdt", samples: int = 2000, sd: float = 0.05) -> Centred:
+    """A sticky loop's record, centred."""
+    process: wb.FOPDT | wb.Integrating = wb.FOPDT(2.0, 6.0, 2.4)
+    controller = wb.PID(Kc=0.4, Ti=15.0)
+    if plant == "integrating":
+        process, controller = wb.Integrating(0.1, 1.3), wb.PID(Kc=1.2, Ti=40.0)
+    loop = wb.Loop(process, wb.Stenman(1.5), controller, 1.0)
+    steps = [wb.Step(5.0), wb.Step(-7.0, at=0.4 * samples)]
+    run = wb.simulate(loop, wb.Experiment(float(samples), setpoint=steps, noise=wb.Noise(sd, 3)))
+    return centre(wb.Record(run.pv, run.op, 1.0), plant)
+
+
+def check_starts(data: Centred, bands_tried: np.ndarray, delays: np.ndarray) -> None:
+    firsts = first_slips(data.u)
+    rows = walk_starts(data, firsts, bands_tried, delays)
+    met = 0
+    for d in bands_tried.tolist():
+        for first in firsts.tolist():
+            plain = walk(data, first, d, math.nextafter(d, math.inf), 0.0, delays)
+            here = rows[(rows[:, 0] == first) & (rows[:, 1] == d)]
+            assert len(here) == len(plain)
+            if not len(plain):
+                continue
+            met += 1
+            power = float(data.squares[-1])
+            assert here[0, 4] == pytest.approx(plain[0, 4], rel=1e-9, abs=1e-10 * power)
+            assert here[0, 5] == plain[0, 5]
+            # The band holds up to the smallest slip, and is the path's own there and not beyond.
+            again = path_of(data.u, math.nextafter(here[0, 2], 0.0), first)[0] if here[0, 2] < math.inf else None
+            assert again is None or np.array_equal(again, path_of(data.u, d, first)[0])
+            beyond = path_of(data.u, here[0, 2], first)[0]
+            assert here[0, 2] == math.inf or not np.array_equal(beyond, path_of(data.u, d, first)[0])
+    assert met == len(rows)
+
+
+@settings(deadline=None, max_examples=40)
+@given(op=outputs, integrating=st.booleans())
+def test_paths_that_meet_are_summed_as_each_by_itself(op: np.ndarray, integrating: bool) -> None:
+    if np.ptp(op) == 0.0:
+        return
+    y = np.cos(np.arange(op.size)) + np.arange(op.size) % 3
+    data = centre(wb.Record(y, op, 1.0), "integrating" if integrating else "fopdt")
+    check_starts(data, np.linspace(0.05, 1.0, 12) * data.op_range, np.array([0, 1, 2, 5, 11]))
+
+
+@pytest.mark.parametrize("plant", ["fopdt", "integrating"])
+def test_paths_of_a_loop_are_summed_as_each_by_itself(plant: str) -> None:
+    data = loop_data(plant)
+    check_starts(data, np.geomspace(0.01, 0.9, 9) * data.op_range, np.arange(0, 31, 4))
+
+
+def test_a_late_dead_time_leaves_out_what_it_moves_out_of_the_record() -> None:
+    data = loop_data(samples=60)
+    check_starts(data, np.array([0.02, 0.2, 0.5]) * data.op_range, np.array([0, 7, 40, 55]))
+
+
+@pytest.mark.parametrize("plant", ["fopdt", "integrating"])
+def test_a_stretch_that_is_all_of_a_record_fits_as_a_short_record_does(plant: str) -> None:
+    data = loop_data(plant, samples=800)
+    paths = np.array([[0.0, d, 1.001 * d, 2.0] for d in (0.8, 1.5, 2.2)])
+    plain = fit_stems(data, paths, LIMITS, evaluations=60)
+    for (one, slips), (other, same) in zip(fit_in_stretch(data, paths, LIMITS, (0, 800), 60), plain, strict=True):
+        assert slips == same
+        assert one.sse == pytest.approx(other.sse, rel=1e-12)
+        assert (one.tau, one.theta) == pytest.approx((other.tau, other.theta), rel=1e-12)
+
+
+def test_a_plant_sought_in_a_stretch_is_the_stretchs_own_and_its_cost_the_records() -> None:
+    data = loop_data().whitened(np.array([1.0, -0.3]), 4)
+    x, slips = path_of(data.u, 1.5, 0)
+    begin, stop = 700, 1300
+    ((fit, same),) = fit_in_stretch(data, np.array([[0.0, 1.5, 1.5001, 2.0]]), LIMITS, (begin, stop), 80)
+    out = np.empty(kernel.FIT)
+    drive = np.empty(data.samples)
+    kernel.drive_of(x, 0, data.a, drive)
+    whole = kernel.oe_cost(
+        data.target, drive, 0, -np.inf, np.inf, data.sign, False, fit.tau, fit.theta, data.a, data.skip, out
+    )
+    assert (fit.sse, same) == (whole, slips)
+    part, within = data.target[begin:stop], drive[begin:stop]
+
+    def there(tau: float, theta: float) -> float:
+        return kernel.oe_cost(part, within, 0, -np.inf, np.inf, data.sign, False, tau, theta, data.a, 1, out)
+
+    around = [there(fit.tau * f, fit.theta + s) for f, s in ((1.01, 0), (0.99, 0), (1, 0.03), (1, -0.03))]
+    assert there(fit.tau, fit.theta) < min(around)
+
+
+@pytest.mark.parametrize("plant", ["fopdt", "integrating"])
+@pytest.mark.parametrize(("d", "wide"), [(1.5, 1.0), (1.495, 1.0), (1.5, 0.0)])
+def test_the_quadratic_reaches_what_the_simplex_reaches(plant: str, d: float, wide: float) -> None:
+    """Also where the dead time is held at the end of its range (wide = 0)."""
+    data = loop_data(plant)
+    x, _ = path_of(data.u, d, 0)
+    limits = Limits(LIMITS.tau, (0.0, 1.0 + 19.0 * wide))
+    free = (-math.inf, math.inf)
+    best = fit_path(data, x, 0, free, limits, 1.0, tau=6.0, evaluations=400, tolerance=1e-13)
+    near = Fit(0.0, 1.04 * best.tau, min(best.theta + 0.1, limits.theta[1]), 0.0, 0.0, 0.0, 0.0)
+    began = fit_near(data, x, 0, free, limits, near, 0)
+    found = fit_near(data, x, 0, free, limits, near, 4)
+    assert best.gain != 0.0
+    assert began.sse > (1.0 + 1e-5) * best.sse or (wide == 0.0 and best.tau == 6.0)
+    assert found.sse <= (1.0 + 1e-6) * best.sse
+    assert limits.theta[0] <= found.theta <= limits.theta[1]
+    assert fit_near(data, x, 0, free, limits, found, 3).sse <= found.sse
+
+
+@pytest.mark.parametrize("plant", ["fopdt", "integrating"])
+@pytest.mark.parametrize(("a", "skip"), [((1.0,), 0), ((1.0,), 7), ((1.0, -1.2, 0.4), 2), ((1.0, -0.7), 60)])
+def test_what_halves_leave_is_what_the_prediction_leaves_filtered(plant: str, a: tuple[float, ...], skip: int) -> None:
+    data = loop_data(plant, samples=700).whitened(np.array(a), skip)
+    for first in (0, int(first_slips(data.u)[4])):
+        x, _ = path_of(data.u, 1.4, first)
+        bounds = start_range(data.u, first, 1.4, 1.41)
+        fit = fit_path(data, x, first, bounds, LIMITS, 2.3, tau=5.0, evaluations=20)
+        squares = data.innovations(predict(data, x, first, fit)[0]) ** 2
+        expected = squares[:350].sum(), squares[350:].sum()
+        assert halves_left(data, x, first, fit) == pytest.approx(expected, rel=1e-8)
+
+
+def test_compiled_kernels_of_long_records_and_python_agree() -> None:
+    data = loop_data(samples=120)
+    x, _ = path_of(data.u, 1.5, 0)
+    free, white = (-math.inf, math.inf), np.ones(1)
+    out, again = np.empty(kernel.FIT), np.empty(kernel.FIT)
+    given = (data.y, x, 0, *free, 0.0, False, 5.0, 2.0, LIMITS.tau, LIMITS.theta, 0.02, 2, white, 0)
+    assert long_kernel.fit_near(*given, out) == long_kernel.fit_near.py_func(*given, again)  # type: ignore[attr-defined]
+    halves = (data.y, x, 0, out, False, white, 0, 60)
+    assert long_kernel.halves_left(*halves) == long_kernel.halves_left.py_func(*halves)  # type: ignore[attr-defined]
+
+
+def test_windows_are_the_liveliest_and_apart_and_a_stretch_is_lively() -> None:
+    rng = np.random.default_rng(2)
+    u, y = 0.01 * rng.normal(size=40_000), 0.01 * rng.normal(size=40_000)
+    for begin, much in ((8000, 3.0), (20_000, 5.0), (31_000, 4.0)):
+        u[begin : begin + 1000] += much * np.sin(0.1 * np.arange(1000))
+        y[begin : begin + 1000] += much * np.cos(0.1 * np.arange(1000))
+    data = centre(wb.Record(y, u, 1.0), "fopdt")
+    windows = windows_of(data)
+    for (begin, stop), there in zip(windows, (20_000, 31_000, 8000), strict=True):
+        assert stop - begin == EXACT
+        assert begin < there + 1000
+        assert stop > there
+    begin, stop = stretch_of(data)
+    assert (begin, stop - begin) == (pytest.approx(20_000, abs=5000), 5000)
+    quiet = centre(wb.Record(np.where(np.arange(40_000) < 9000, y, 0.0), u, 1.0), "fopdt")
+    assert [float(part.y[0]) for part in active_windows(quiet)] == [quiet.y[windows_of(quiet)[0][0]]]
+
+
+def test_a_linear_plant_of_a_long_record_is_as_good_as_its_own_searched_on_all_of_it() -> None:
+    loop = wb.Loop(wb.FOPDT(1.0, 12.0, 5.3), wb.Ideal(), wb.PID(Kc=0.8, Ti=14.0), 1.0)
+    steps = [wb.Step(3.0), wb.Step(-4.0, at=5200.0), wb.Step(4.0, at=9000.0)]
+    run = wb.simulate(loop, wb.Experiment(12_000.0, setpoint=steps, noise=wb.Noise(0.3, 5)))
+    data = centre(wb.Record(run.pv, run.op, 1.0), "fopdt")
+    found = fit_linear(data, 240.0)
+    free = (-math.inf, math.inf)
+    truth = fit_path(data, data.u, 0, free, Limits((0.05, 12_000.0), (0.0, 240.0)), 5.3, tau=12.0, tolerance=1e-10)
+    assert found.sse <= (1.0 + 1e-7) * truth.sse
+    assert (found.tau, found.theta) == pytest.approx((12.0, 5.3), rel=0.1)
+
+
+def sticky(valve: Valve, seed: int = 1, samples: int = 4000, load: float = 0.0) -> wb.Record:
+    """A sticky loop's long record; load: standard deviation of an autoregressive one, %."""
+    rng = np.random.default_rng(seed)
+    moves = rng.normal(size=samples)
+    load_of = np.zeros(samples)
+    for k in range(1, samples):
+        load_of[k] = 0.97 * load_of[k - 1] + load * math.sqrt(1.0 - 0.97**2) * moves[k]
+    steps = [wb.Step(6.0 * (-1) ** i, at=float(t)) for i, t in enumerate(range(0, samples, samples // 4))]
+    loop = wb.Loop(wb.FOPDT(2.0, 5.0, 1.6), valve, wb.PID(Kc=0.5, Ti=20.0), 1.0)
+    profile = wb.Series(load_of.tolist()) if load else None
+    run = wb.simulate(loop, wb.Experiment(float(samples), setpoint=steps, load=profile, noise=wb.Noise(0.05, seed)))
+    return wb.Record(run.pv, run.op, 1.0)
+
+
+def looks(monkeypatch: pytest.MonkeyPatch) -> list[int]:
+    """The sizes of the records that are looked at for two-parameter stems from now on."""
+    seen: list[int] = []
+    real = bands._window
+
+    def counted(part: Centred, *asked: Any) -> bands.Window:
+        seen.append(part.samples)
+        return real(part, *asked)
+
+    monkeypatch.setattr(bands, "_window", counted)
+    return seen
+
+
+def test_each_window_is_looked_at_once_whatever_the_measure(monkeypatch: pytest.MonkeyPatch) -> None:
+    seen = looks(monkeypatch)
+    found = wb.estimate(sticky(wb.Choudhury(3.0, 1.2), seed=2, load=0.6))
+    assert 1 <= len(seen) <= 3
+    assert set(seen) == {EXACT}
+    assert isinstance(found.valve, wb.Choudhury)
+    assert pytest.approx(3.0, rel=0.05) == found.valve.S
+
+
+def test_windows_are_not_asked_for_what_the_first_settles(monkeypatch: pytest.MonkeyPatch) -> None:
+    record = sticky(wb.Stenman(2.0))
+    seen = looks(monkeypatch)
+    free = wb.estimate(record)
+    assert isinstance(free.valve, wb.Stenman)
+    assert len(seen) == 1
+    # A valve that is asked for has no rival.
+    seen.clear()
+    asked = wb.estimate(record, valve="choudhury")
+    assert isinstance(asked.valve, wb.Choudhury)
+    assert len(seen) > 1
+    by_name = {type(model.valve).__name__: model.residual_variance for model in free.candidates}
+    assert asked.residual_variance <= by_name["Choudhury"] * (1.0 + 1e-9)
+    assert by_name["Stenman"] < asked.residual_variance
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [1])
+@pytest.mark.parametrize("valve", [wb.Stenman(2.0), wb.Choudhury(3.0, 1.2), wb.Deadband(1.5)])
+def test_long_records_give_the_valve_within_its_range(valve: Valve, seed: int) -> None:
+    found = wb.estimate(sticky(valve, seed, samples=8000))
+    assert type(found.valve) is type(valve)
+    assert found.verdict != "no_stiction"
+    band = getattr(valve, "d", getattr(valve, "S", getattr(valve, "b", math.nan)))
+    low, high = found.intervals.d or found.intervals.S or (math.nan, math.nan)
+    assert 0.999 * low <= band <= 1.001 * high
+    assert high - low < 0.08 * band
+    assert found.plant.gain == pytest.approx(2.0, rel=0.03)
+    assert found.plant.dead_time == pytest.approx(1.6, abs=0.2)

@@ -1,0 +1,196 @@
+"""The search of a long record for paths of a one-parameter stem: windows first, then all of it, closer and closer."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from workbench.estimate.candidates import Candidate, best_per_bin, distinct, fitted, refitted
+from workbench.estimate.data import Centred
+from workbench.estimate.fit import LEAST_TAU, Limits, disturbance, fit_linear, predict
+from workbench.estimate.stems import (
+    COST,
+    FIRST,
+    HIGH,
+    LEAST_D,
+    LOW,
+    WIDE_D,
+    first_slips,
+    firsts_for,
+    path_of,
+    scan,
+    thin,
+    walk,
+    walk_starts,
+)
+from workbench.estimate.windows import EXACT, windows_of
+
+__all__ = ["scan_long"]
+
+CLEARLY = 0.8  # of the linear fit's residual: a stem that leaves less in a window narrows the dead times
+AGREED = 0.01  # of d: windows that differ by less agree
+GLIMPSED = 16  # first slips tried in a window
+MATTERS = 1.6  # times the best one's cost: what three of four other starts of its band leave where the start matters
+NARROW = 40  # bands below WIDE_D on the whole of a long record, those above by 1 %
+LEAN = 16  # dead times on the whole of a long record
+LIKELY = 8  # bands looked at closely there
+
+
+@dataclass(frozen=True, eq=False)
+class _Glimpse:
+    """What one window of a long record says: its best bands and dead times; clear where the stem beats linear."""
+
+    bands: tuple[float, ...]
+    delays: tuple[float, ...]
+    clear: bool
+
+
+def _glimpse(part: Centred, delays: NDArray[np.int64], longest: float) -> _Glimpse | None:
+    """Search one window, every path from some starts, and from all where the start is seen to matter."""
+    if not part.op_range > 0.0 or not float(np.ptp(part.y)) > 0.0:
+        return None
+    few = thin(delays, max(LEAN, delays.size // 2))
+    reach = LEAST_D * part.op_range, 1.0001 * part.op_range
+    firsts = firsts_for(part.u, part.op_range, GLIMPSED).tolist()
+    best = _distinct_in(part, np.vstack([walk(part, f, *reach, 0.0, few) for f in firsts]), longest)
+    if best and _start_matters(part, best[0], few):
+        best = _distinct_in(part, scan(part, few, _silent), longest)
+    if not best:
+        return None
+    linear = fit_linear(part, longest)
+    clear = best[0].fit.sse < CLEARLY * linear.sse and best[0].slips > 1
+    return _Glimpse(tuple(c.d_low for c in best), tuple(c.fit.theta for c in best), clear)
+
+
+def _distinct_in(part: Centred, rows: NDArray[np.float64], longest: float) -> list[Candidate]:
+    """The best few bands of a window's rows, told apart by output-error fits, as noise misleads one step."""
+    if not rows.size:
+        return []
+    by_cost = rows[np.argsort(rows[:, COST], kind="stable")]
+    limits = Limits((LEAST_TAU, float(part.samples)), (0.0, longest))
+    picked = np.unique(np.vstack([best_per_bin(by_cost, 30), by_cost[:20]]), axis=0)
+    fits = fitted(part, picked, limits)
+    near = by_cost[np.abs(np.log(by_cost[:, LOW] / fits[0].d_low)) < 0.03]
+    fits = refitted(
+        part, sorted([*fits, *fitted(part, near, limits, fits[0].fit, 0)], key=lambda c: c.fit.sse), limits, 8
+    )
+    return distinct([c for c in fits if c.fit.gain != 0.0], 3)
+
+
+def _start_matters(part: Centred, best: Candidate, delays: NDArray[np.int64]) -> bool:
+    """Whether a window's best stem leaves more than noise, and stems of its band from other starts never meet it.
+
+    Noise in OP makes stems slip alike after a while, wherever they stood at first; in a quiet cycle they do not.
+    """
+    x, _ = path_of(part.u, best.d_low, best.first)
+    if disturbance(part.y - predict(part, x, best.first, best.fit)[0], part.floor).size == 1:
+        return False
+    costs = walk_starts(part, firsts_for(part.u, best.d_low, 100), np.array([best.d_low]), delays)[:, COST]
+    return bool(costs.size and np.quantile(costs, 0.75) > MATTERS * costs.min())
+
+
+def _glimpses(
+    data: Centred, delays: NDArray[np.int64], longest: float, progress: Callable[[float], None]
+) -> list[_Glimpse]:
+    """What the most active windows and the head say; no more of them once two in which the stem is clear agree."""
+    windows = list(dict.fromkeys([*windows_of(data), (0, EXACT)]))
+    seen: list[_Glimpse] = []
+    for i, window in enumerate(windows):
+        if (one := _glimpse(data.part(*window), delays, longest)) is not None:
+            agrees = any(
+                one.clear
+                and other.clear
+                and abs(math.log(one.bands[0] / other.bands[0])) < AGREED
+                and abs(one.delays[0] - other.delays[0]) < 1.0
+                for other in seen
+            )
+            seen.append(one)
+            if agrees:
+                break
+        progress((i + 1) / len(windows))
+    return seen
+
+
+def scan_long(
+    data: Centred, delays: NDArray[np.int64], longest: float, progress: Callable[[float], None]
+) -> tuple[NDArray[np.float64], list[float]]:
+    """Return rows as `scan` and the likely d of a long record: from its most active windows, then the whole.
+
+    On the whole record d is stepped by 1 %, and more and more closely about the likely d, from every first slip that
+    such a band allows. Dead times are narrowed only by windows in which the stem clearly beats the linear loop.
+    """
+    glimpses = _glimpses(data, delays, longest, lambda share: progress(0.5 * share))
+    clear = [g for g in glimpses if g.clear]
+    lean = delays
+    if clear:
+        low, high = min(g.delays[0] for g in clear) - 4, max(g.delays[0] for g in clear) + 4
+        lean = delays[(delays >= low) & (delays <= high)]
+    lean = thin(lean, LEAN)
+    likely = [d for g in clear for d in g.bands[:2]] + [g.bands[0] for g in glimpses if not g.clear]
+    # Some paths over every d, for what no window is long enough to show; narrow bands slip often in each of them.
+    span = data.op_range
+    narrow = np.geomspace(LEAST_D, WIDE_D, NARROW, endpoint=False)
+    wide = np.geomspace(WIDE_D, 1.0, math.ceil(math.log(1.0 / WIDE_D) / 0.01), endpoint=False)
+    firsts = thin(firsts_for(data.u, span, 40), 8)
+    found = [walk_starts(data, firsts, span * np.concatenate([narrow, wide]), lean)]
+    progress(0.7)
+    order = np.argsort(found[0][:, COST], kind="stable")
+    likely += found[0][order[:400], LOW].tolist()
+    centres: list[float] = []
+    for d in likely:
+        if len(centres) < LIKELY and all(abs(math.log(d / c)) > 0.01 for c in centres):
+            centres.append(d)
+    paths = math.ceil(max(4e5 / data.samples, 4.0))
+    for d in centres:
+        firsts = firsts_for(data.u, 1.01 * d, 100)
+        found.append(walk_starts(data, firsts, d * np.linspace(0.995, 1.005, paths), lean))
+    rows = np.vstack(found)
+    progress(0.8)
+    # Closer and closer: the best of every likely band over 2 %, then every path about the best.
+    all_firsts = first_slips(data.u)
+    for d in centres:
+        near = rows[np.abs(np.log(rows[:, LOW] / d)) < 0.01]
+        if near.size:
+            row = near[np.argmin(near[:, COST])]
+            step = 0.04 / max(1e7 / data.samples, 100.0)
+            found.append(walk(data, int(row[FIRST]), 0.98 * row[LOW], 1.02 * row[LOW], step, lean))
+    rows = np.vstack(found)
+    progress(0.9)
+    # The best bands from every first slip again, as a band that is right to four digits may still have started wrongly.
+    paths = math.ceil(min(max(1e6 / data.samples, 12.0), 100.0))
+    bands: list[float] = []
+    for d in rows[np.argsort(rows[:, COST], kind="stable")][:1000, LOW].tolist():
+        if len(bands) < 2 and all(abs(d / b - 1.0) > 2e-3 for b in bands):
+            bands.append(d)
+            firsts = firsts_for(data.u, 1.01 * d, 150)
+            found.append(walk_starts(data, firsts, d * np.linspace(0.9995, 1.0005, paths), lean))
+    rows = np.vstack(found)
+    done: list[tuple[float, float]] = []
+    for row in rows[np.argsort(rows[:, COST], kind="stable")][:1000]:
+        first, d = float(row[FIRST]), float(row[LOW])
+        if any(first == f and abs(d / c - 1.0) < 1e-3 for f, c in done):
+            continue
+        done.append((first, d))
+        beside = int(np.searchsorted(all_firsts, int(first)))
+        others = all_firsts[max(beside - 4, 0) : beside + 5].tolist()
+        found += [walk(data, other, 0.9995 * d, 1.0005 * d, 0.0, lean) for other in others]
+        if len(done) == 4:
+            break
+    progress(1.0)
+    return _each_once(np.vstack(found)), centres
+
+
+def _each_once(rows: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Rows of which each path, known by its start and the band at which it ends, is kept once, from where it begins."""
+    rows = rows[np.lexsort((rows[:, LOW], rows[:, HIGH], rows[:, FIRST]))]
+    new = np.concatenate([[True], (np.diff(rows[:, [FIRST, HIGH]], axis=0) != 0.0).any(axis=1)])
+    kept: NDArray[np.float64] = rows[new[: len(rows)]]
+    return kept
+
+
+def _silent(share: float) -> None:
+    """Ignore the progress."""
