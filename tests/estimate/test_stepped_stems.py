@@ -51,7 +51,7 @@ def test_the_best_step_beside_a_stem_is_that_of_least_squares_at_every_sample(in
     plants = np.array([(6.0, 1.3), (6.0, 4.0), (20.0, 0.0)])
     found = np.empty((len(stems), len(plants), 2))
     begin, end = skip + 5, n - 6
-    kernel.screen_stepped(y, u, stems, plants, integrating, 0.0, skip, begin, end, found)
+    kernel.screen_stepped(y, u, stems, plants, integrating, 0.0, skip, begin, end, 1, found)
     for i, (S, J, first, sense) in enumerate(stems.tolist()):
         x = path_of(u, S, int(first))[0] if math.isnan(J) else band_stem(u, S, J, int(first), sense)[0]
         for j, plant in enumerate(plants.tolist()):
@@ -66,7 +66,7 @@ def test_a_gain_of_the_wrong_sign_is_none() -> None:
     y = np.cumsum(x - x.mean())
     stems, plants, found = np.array([(2.0, 0.7, 0.0, 1.0)]), np.array([(1.0, 1.0)]), np.empty((2, 1, 1, 2))
     for sign, out in zip((1.0, -1.0), found, strict=True):
-        kernel.screen_stepped(y, u, stems, plants, True, sign, 0, 20, 180, out)
+        kernel.screen_stepped(y, u, stems, plants, True, sign, 0, 20, 180, 1, out)
     assert math.isfinite(found[0, 0, 0, 0])
     assert math.isinf(found[1, 0, 0, 0])
 

@@ -175,20 +175,18 @@ def coarse_of(data: Centred, within: Sought, longest: float, seek: Seek = look) 
     if data.samples <= EXACT:
         return seek(data, longest)
     limits = Limits((LEAST_TAU, float(data.samples)), (0.0, longest))
-    found = [_on_all(data, b, limits, 20, 1e-4) for window in within.windows for b in window.coarse[:SEEDS]]
+    found = [
+        fit_band(data, b.S, b.J, (-1, 0.0), limits, (b.fit.tau, b.fit.theta), 20, 1e-4)
+        for window in within.windows
+        for b in window.coarse[:SEEDS]
+    ]
     return sorted((b for b in found if b.slips > 0 and b.fit.gain != 0.0), key=lambda b: b.fit.sse)
 
 
-def _on_all(data: Centred, b: Band, limits: Limits, evaluations: int, tolerance: float = 1e-7) -> Band:
-    """A window's stem fitted to all of a long record.
-
-    It starts at rest in the middle of its band, or, where it would then never move, as suits it best.
-    """
+def _on_all(data: Centred, b: Band, limits: Limits) -> Band:
+    """A window's stem fitted to all of a long record, from the start that suits it best there."""
     plant = (b.fit.tau, b.fit.theta)
-    found = fit_band(data, b.S, b.J, (-1, 0.0), limits, plant, evaluations, tolerance)
-    if found.slips > 0:
-        return found
-    return fit_band(data, b.S, b.J, best_start(data, (b.S, b.J), plant)[1:], limits, plant, evaluations, tolerance)
+    return fit_band(data, b.S, b.J, best_start(data, (b.S, b.J), plant)[1:], limits, plant, 40)
 
 
 def like_stenman(found: Profile | None, data: Centred, longest: float) -> list[Band]:
@@ -249,7 +247,7 @@ def _search_long(
         bands.append(fit_band(data, b.S, b.J, (b.first, b.sense), limits, (b.fit.tau, b.fit.theta), 40))
     for window in within.windows:
         if met := window.met(only):
-            bands.append(_on_all(data, best_of(met), limits, 40))
+            bands.append(_on_all(data, best_of(met), limits))
             b = replace(best_of(met), first=bands[-1].first, sense=bands[-1].sense)
             # A window's plant is nearer the truth than what all of the record makes of a stem that is a little off. In
             # a measure that takes what is slow the whole is no worse a judge.

@@ -14,6 +14,7 @@ import math
 import numpy as np
 from scipy.optimize import minimize
 
+from workbench.estimate import kernel
 from workbench.estimate.data import Centred
 from workbench.estimate.fit import Fit, Limits, predict
 from workbench.model.record import FloatArray
@@ -94,16 +95,8 @@ class _Products:
 
 def _level(products: _Products, gain: float, lags: int, floor: float) -> tuple[float, FloatArray]:
     """N log V of what an autoregression leaves of PV less the stem's response times a gain, and its coefficients."""
-    size = MOST_LAGS + 1
-    whole, gram = products.gram, np.empty((products.gram.shape[0] - size,) * 2)
-    cross = gain * whole[:size, size : 2 * size]
-    gram[:size, :size] = whole[:size, :size] - cross - cross.T + gain * gain * whole[size : 2 * size, size : 2 * size]
-    gram[:size, size:] = whole[:size, 2 * size :] - gain * whole[size : 2 * size, 2 * size :]
-    gram[size:, :size] = gram[:size, size:].T
-    gram[size:, size:] = whole[2 * size :, 2 * size :]
-    kept = np.r_[1 : lags + 1, size : gram.shape[0]]
-    scale = np.sqrt(np.diag(gram)[kept])
-    scale[scale == 0.0] = 1.0
-    terms, *_ = np.linalg.lstsq(gram[np.ix_(kept, kept)] / np.outer(scale, scale), gram[kept, 0] / scale, rcond=1e-13)
-    left = max(float(gram[0, 0] - terms @ (gram[kept, 0] / scale)), 0.0) / products.samples
-    return products.samples * math.log(max(left, floor, 1e-300)), (terms / scale)[:lags]
+    gram, scale = products.gram, products.samples
+    terms = lags + gram.shape[0] - 2 * (MOST_LAGS + 1)
+    room = np.empty((terms + 1, terms))
+    left = kernel.colour_level(gram, MOST_LAGS + 1, gain, lags, room) / scale
+    return scale * math.log(max(left, floor, 1e-300)), room[terms, :lags].copy()

@@ -16,6 +16,7 @@ from workbench.simulate.compiled import compiled
 
 __all__ = [
     "band_path",
+    "colour_level",
     "drive_of",
     "fit_bands",
     "fit_stems",
@@ -488,9 +489,9 @@ def oe_columns(
 def _solve(g: Floats, size: int) -> float:
     """Solve the normal equations by elimination in place; columns that add nothing get 0. Return b' G^-1 b.
 
-    g: rows of the matrix, of which the upper half is read, the right side b and then the solution in row 4.
+    g: rows of the matrix, of which the upper half is read, and in the last row the right side b, then the solution.
     """
-    b = g[4]
+    b = g[g.shape[0] - 1]
     for i in range(1, size):
         # What a column is before the others are taken from it stands in the half that is not used.
         g[i, 0] = g[i, i]
@@ -1467,20 +1468,27 @@ def screen_stepped(
     skip: int,
     begin: int,
     end: int,
+    every: int,
     found: Floats,
 ) -> None:
     """Fit the model and one step of load, at the sample that explains most, to many stems at each of some plants.
 
     stems: rows (S, J, first, sense), see `band_path`; J nan for a Stenman stem of band S. plants: rows (tau, theta) in
-    samples. The step's answer begins at a sample in [begin, end). Written: found, shape (stems, plants, 2): the sum of
-    squares from `skip` on, inf where the stem does not move or its gain is not of `sign`, and that sample.
+    samples. The step's answer begins in [begin, end), at one of its samples or one of `every` so many. Written: found,
+    shape (stems, plants, 2): the sum of squares from `skip` on, inf where the stem does not move or its gain is not of
+    `sign`, and that sample.
 
     What no stem changes is taken out of PV first, for each pole: bias, transient. What a step explains beside these and
     the stem's response s is `(r.h)^2 / |h|^2` with r and h the residual and the step's answer less their parts along
     s; products of a signal with the answers at all times are one backward sum.
     """
     n = y.size
-    x, box = np.empty(n), np.empty(4)
+    paths, slips, box = np.empty((stems.shape[0], n)), np.empty(stems.shape[0], np.int64), np.empty(4)
+    for i in range(stems.shape[0]):
+        if math.isnan(stems[i, 1]):
+            slips[i] = stem_path(op, stems[i, 0], int(stems[i, 2]), paths[i])
+        else:
+            slips[i] = band_path(op, stems[i, 0], stems[i, 1], int(stems[i, 2]), stems[i, 3], paths[i], box)
     column, basis, parts, size = np.empty(n), np.zeros((3, n)), np.zeros((3, n)), 0
     rest, bare, along, power = np.empty(n), np.empty(n), np.empty(n), np.empty(n)
     own_along, own_power = np.empty(n), np.empty(n)
@@ -1519,12 +1527,8 @@ def screen_stepped(
         c1 = f if integrating else a ** (1.0 - f) - a
         started, left_bare = -2, 0.0
         for i in range(stems.shape[0]):
-            first, sense = int(stems[i, 2]), stems[i, 3]
-            if math.isnan(stems[i, 1]):
-                slips = stem_path(op, stems[i, 0], first, x)
-            else:
-                slips = band_path(op, stems[i, 0], stems[i, 1], first, sense, x, box)
-            if slips < 2:
+            first, x = int(stems[i, 2]), paths[i]
+            if slips[i] < 2:
                 continue
             if first != started:
                 # What the unknown stem before the first slip adds; stems that slip first at one sample share it.
@@ -1574,7 +1578,7 @@ def screen_stepped(
                     beyond += column[k]
                     faded = column[k] + a * faded
                     total = beyond - faded
-                if k < end:
+                if k < end and (k - begin) % every == 0:
                     s = (total - p0 * parts[0, k] - p1 * parts[1, k] - p2 * parts[2, k]) / length
                     own = own_power[k] - s * s
                     r = own_along[k] - product * s
@@ -1618,3 +1622,34 @@ def _step_products(signal: Floats, a: float, integrating: bool, out: Floats) -> 
             beyond += signal[k]
             faded = signal[k] + a * faded
             out[k] = beyond - faded
+
+
+@compiled
+def colour_level(products: Floats, size: int, gain: float, lags: int, room: Floats) -> float:
+    """Return the sum of squares that an autoregression leaves of PV less the stem's response times a gain.
+
+    products, (2 size + h, 2 size + h): of PV at lags 0 to size - 1, of the response of gain 1 at the same, and of h
+    signals that no stem changes, with each other. lags: the autoregression's order, below size. Written into the last
+    row of room, (lags + h + 1, lags + h): its coefficients, then those of the h signals.
+    """
+    held = products.shape[0] - 2 * size
+    for i in range(lags + 1):
+        for j in range(max(i, 1), lags + 1):
+            value = products[i, j] - gain * (products[i, size + j] + products[j, size + i])
+            value += gain * gain * products[size + i, size + j]
+            if i == 0:
+                room[lags + held, j - 1] = value
+            else:
+                room[i - 1, j - 1] = value
+        for j in range(held):
+            value = products[i, 2 * size + j] - gain * products[size + i, 2 * size + j]
+            if i == 0:
+                room[lags + held, lags + j] = value
+            else:
+                room[i - 1, lags + j] = value
+    for i in range(held):
+        for j in range(i, held):
+            room[lags + i, lags + j] = products[2 * size + i, 2 * size + j]
+    whole = products[0, 0] - 2.0 * gain * products[0, size] + gain * gain * products[size, size]
+    left: float = max(whole - _solve(room, lags + held), 0.0)
+    return left

@@ -34,6 +34,7 @@ SHARES = (0.0, 0.12, 0.27, 0.45, 0.7, 1.0, 1.35)  # of J, of S
 FINER_SHARES = np.arange(0.0, 1.4, 0.025)  # at each S, with plants near its best
 DELAYS = (0.0, 1.0, 2.0, 3.0, 4.5, 6.0, 8.0, 10.0, 13.0, 17.0, 22.0, 29.0, 38.0, 50.0)  # samples
 SHORTEST, LONGEST, TAUS = 1.5, 0.25, 5  # time constants looked at: samples, records, how many
+ROUGHLY = 4  # samples between the steps tried in the first grids
 FADE = 25.0  # samples after which the filter has forgotten
 FIRSTS, FIRSTS_CLOSE = 4, 60  # first slips tried
 SEEDS = 6  # of either kind of valve, about which closer grids are laid
@@ -74,14 +75,21 @@ class _Search:
     span: tuple[int, int]
     free: bool
 
-    def best_first(self, stems: Sequence[tuple[float, float, int, float]], plants: FloatArray) -> list[_Found]:
-        """The stems (S, J, first, sense), each with the best of the plants, rows (tau, theta)."""
+    def best_first(
+        self, stems: Sequence[tuple[float, float, int, float]], plants: FloatArray, every: int = 1
+    ) -> list[_Found]:
+        """The stems (S, J, first, sense), each with the best of the plants, rows (tau, theta), and of the times.
+
+        every: samples between the times at which a step is tried.
+        """
         if not stems:
             return []
         rows = np.array(sorted(stems, key=lambda stem: stem[2]))
         found = np.empty((len(rows), len(plants), 2))
         data = self.data
-        kernel.screen_stepped(data.y, data.u, rows, plants, data.integrating, data.sign, self.skip, *self.span, found)
+        kernel.screen_stepped(
+            data.y, data.u, rows, plants, data.integrating, data.sign, self.skip, *self.span, every, found
+        )
         which = np.argmin(found[:, :, 0], axis=1)
         costs, ats = found[np.arange(len(rows)), which].T
         order = np.argsort(costs, kind="stable")[: int(np.isfinite(costs).sum())].tolist()
@@ -122,21 +130,40 @@ def _coarse(search: _Search, shares: Sequence[float], plants: FloatArray) -> lis
     """The stems of a grid, each with the best of the plants, the best first."""
     data = search.data
     widths = (np.geomspace(NARROWEST, WIDEST, GRID) * data.op_range).tolist()
-    ends = [stem for S in widths for share in shares for stem in _starts(data, S, share * S, 0)]
-    coarse = search.best_first(ends, plants)
+    ends = {S: [stem for share in shares for stem in _starts(data, S, share * S, 0)] for S in widths}
+    coarse = search.best_first([stem for S in widths for stem in ends[S]], _thinned(plants), ROUGHLY)
     likely: dict[float, _Found] = {}
     for one in coarse:
         likely.setdefault(one.S, one)
     for S, best in likely.items():
+        coarse += (nearer := search.best_first(ends[S], _beside(plants, best), ROUGHLY))
+        best = min([best, *nearer[:1]], key=lambda one: one.cost)
         # Where the stem was before its first slip asks for nearly the same plant.
         later = [stem for share in shares for stem in _starts(data, S, share * S, FIRSTS) if stem[2] > 0]
-        coarse += (here := search.best_first(later, _close(plants, best)))
+        coarse += (here := search.best_first(later, _close(plants, best), ROUGHLY))
         if not math.isnan(best.J):
             # A sequence of slips may hold for a range of J too narrow for any grid.
             for one in (best, *here[:1]):
                 jumps = (FINER_SHARES * S).tolist()
-                coarse += search.best_first([(S, J, one.first, one.sense) for J in jumps], _close(plants, one))
+                stems = [(S, J, one.first, one.sense) for J in jumps]
+                coarse += search.best_first(stems, _close(plants, one), ROUGHLY)
     return sorted(coarse, key=lambda one: one.cost)
+
+
+def _thinned(plants: FloatArray) -> FloatArray:
+    """Every second of a grid's time constants and dead times."""
+    taus, thetas = np.unique(plants[:, 0]), np.unique(plants[:, 1])
+    return plants[np.isin(plants[:, 0], taus[::2]) & np.isin(plants[:, 1], thetas[::2])]
+
+
+def _beside(plants: FloatArray, one: _Found) -> FloatArray:
+    """Those of a grid's plants that are no further from a stem's than one step of either."""
+    taus, thetas = np.unique(plants[:, 0]), np.unique(plants[:, 1])
+    near = [
+        np.abs(np.searchsorted(grid, at) - np.arange(grid.size)) <= 1
+        for grid, at in ((taus, one.tau), (thetas, one.theta))
+    ]
+    return plants[np.isin(plants[:, 0], taus[near[0]]) & np.isin(plants[:, 1], thetas[near[1]])]
 
 
 def _close(plants: FloatArray, one: _Found) -> FloatArray:
