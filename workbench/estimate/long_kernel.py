@@ -21,7 +21,9 @@ from workbench.estimate.kernel import (
     drive_of,
     oe_cost,
     oe_fit,
+    plant_terms,
     rest_range,
+    start_rests,
     stem_path,
 )
 from workbench.simulate.compiled import compiled
@@ -209,22 +211,11 @@ def halves_left(
     n, p = y.size, a.size - 1
     tau, theta, gain, bias = fit[TAU], fit[THETA], fit[GAIN], fit[BIAS]
     start, transient = fit[START], fit[TRANSIENT]
-    m = math.floor(theta + 1e-9)
-    f = theta - m
-    if f < 1e-9:
-        f = 0.0
-    if integrating:
-        pole, c0, c1 = 1.0, 1.0 - f, f
-    else:
-        pole = math.exp(-1.0 / tau)
-        part = pole ** (1.0 - f)
-        c0, c1 = 1.0 - part, part - pole
-    rest = np.zeros(p + 2)
-    lead = 0.0
-    for q in range(p, -1, -1):
-        rest[q] = rest[q + 1] + a[q]
-        lead += q * a[q]
-    whole = rest[0]
+    pole, c0, c1, m = plant_terms(integrating, tau, theta)
+    rest = start_rests(a)
+    whole, lead = rest[0], 0.0
+    for q in range(1, p + 1):
+        lead += rest[q]
     # The response, with gain and start in it, and the transient, which is the first alone before the filter.
     s, r = start * (-lead if integrating else whole), -lead if integrating else 0.0
     if not integrating:
