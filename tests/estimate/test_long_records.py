@@ -260,3 +260,28 @@ def test_long_records_give_the_valve_within_its_range(valve: Valve, seed: int) -
     assert high - low < 0.08 * band
     assert found.plant.gain == pytest.approx(2.0, rel=0.03)
     assert found.plant.dead_time == pytest.approx(1.6, abs=0.2)
+
+
+@pytest.mark.parametrize(("samples", "dead_time", "setpoint", "seed"), [(3001, 3.0, 3.0, 0), (2200, 5.0, 2.0, 4)])
+def test_a_cycle_without_a_setpoint_move_gives_the_band_back(
+    samples: int, dead_time: float, setpoint: float, seed: int
+) -> None:
+    # In a quiet cycle stems of other starts never meet the true one: each start is tried, at every dead time.
+    loop = wb.Loop(wb.FOPDT(1.5, 8.0, dead_time), wb.Stenman(2.0), wb.PID(Kc=0.4, Ti=8.0), 1.0)
+    run = wb.simulate(loop, wb.Experiment(samples + 300.0, setpoint=wb.Step(setpoint), noise=wb.Noise(0.05, seed)))
+    found = wb.estimate(wb.Record(run.pv[300:], run.op[300:], 1.0))
+    assert isinstance(found.valve, wb.Stenman)
+    assert found.valve.d == pytest.approx(2.0, rel=0.01)
+    assert found.plant.gain == pytest.approx(1.5, rel=0.03)
+    assert found.identifiable
+
+
+def test_a_dead_time_that_is_held_leaves_the_quadratic_to_the_time_constant() -> None:
+    x = np.repeat([0.0, 2.0, -1.0, 1.5, 0.0], 400)
+    y, out = np.zeros(x.size), np.empty(kernel.FIT)
+    for k in range(1, x.size):
+        y[k] = y[k - 1] + (x[k - 1] - y[k - 1]) / 41.0
+    white, inf = np.ones(1), math.inf
+    limits = ((0.05, 2000.0), (0.0, 0.0))
+    long_kernel.fit_near(y, x, 0, -inf, inf, 0.0, False, 45.0, 0.0, *limits, 0.05, 4, white, 0, out)
+    assert out[kernel.TAU] == pytest.approx(-1.0 / math.log(1.0 - 1.0 / 41.0), rel=1e-4)

@@ -135,7 +135,7 @@ class Sought:
 def sought(data: Centred, longest: float, other: Fit | None, contested: bool, seek: Seek = look) -> Sought:
     """Return where to search, with dead times up to `longest` samples.
 
-    seek: `look`, or the like (`two_parameter.stems_like`). other: the fit of another valve to the record; where it
+    seek: `look`, or the like (`like_stenman`). other: the fit of another valve to the record; where it
     leaves far less than any stem does in the liveliest window, or where two windows agree, the next ones are not asked.
     A window takes any disturbance as white: what it says is as good in another measure of the same PV.
     """

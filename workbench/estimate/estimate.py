@@ -269,7 +269,7 @@ def _answer(
     other = None if found is None else found.best.fit
     alone = found is not None and leaves_noise_alone(data, found, rival)
     seek: Seek = partial(like_stenman, found) if alone else look
-    within = sought(data, delays, other, valve == "auto", seek)
+    within = sought(data, delays, other, alone and valve == "auto", seek)
     coarse = coarse_of(data, within, delays, seek)
     bands = {}
     if method != "two_step" and valve not in ("stenman", "linear"):
@@ -337,6 +337,10 @@ def _answer(
         stem = replace(stem, intervals=reduce(joined, rivals.values(), stem.intervals))
         reasons += tuple(words_of_rival(name, ranges, data.integrating) for name, ranges in rivals.items())
     identifiable = identifiable and stem is not None and _sharp(stem.intervals, models[chosen])
+    if identifiable and steps and n > EXACT:
+        # Where the search is not complete, steps may make up for a stem that is not the right one.
+        identifiable = False
+        reasons += (f"steps of load beside a stem that is sought in stretches alone ({n} samples) do not identify it",)
     best = bands[chosen].best if chosen in bands else None if found is None else found.best
     stuck = best is not None and chosen != "linear" and verdict != "no_stiction" and best.fit.gain != 0.0
     if not stuck:

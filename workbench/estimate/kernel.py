@@ -425,8 +425,7 @@ def walk_starts(
             own, smallest = 0, math.inf
             k, origin, x = firsts[i], firsts[i], op[firsts[i]]
             while k < last and which[k] < 0:
-                if k == origin:
-                    own += 1
+                own += 1
                 k += 1
                 while k < last and abs(op[k] - x) <= d:
                     k += 1
@@ -843,7 +842,7 @@ def least(
 ) -> float:
     """Solve the normal equations of `oe_columns` with x0 in [low, high] and the gain's sign (see `oe_cost`).
 
-    room, (2, 5, 4): the products as `products` writes them, and as much to work in.
+    room, (2, 5, 4): the products as `start_products` and `stem_products` write them, and as much to work in.
     """
     q, g = room[0], room[1]
     g[:] = q

@@ -178,6 +178,8 @@ def fit_near(
         both = cost[5] - cost[1] - cost[3] + cost[0]
         if integrating:
             slope_tau, bend_tau, both = 0.0, 1.0, 0.0
+        if not theta_limits[0] < theta_limits[1]:
+            slope_theta, bend_theta, both = 0.0, 1.0, 0.0
         det = bend_tau * bend_theta - both * both
         if not (bend_tau > 0.0 and det > 0.0):
             far, late = 0.5 * far, 0.5 * late

@@ -34,7 +34,6 @@ __all__ = ["scan_long"]
 CLEARLY = 0.8  # of the linear fit's residual: a stem that leaves less in a window narrows the dead times
 AGREED = 0.01  # of d: windows that differ by less agree
 GLIMPSED = 16  # first slips tried in a window
-MATTERS = 1.6  # times the best one's cost: what three of four other starts of its band leave where the start matters
 NARROW = 40  # bands below WIDE_D on the whole of a long record, those above by 1 %
 LEAN = 16  # dead times on the whole of a long record
 LIKELY = 8  # bands looked at closely there
@@ -50,15 +49,15 @@ class _Glimpse:
 
 
 def _glimpse(part: Centred, delays: NDArray[np.int64], longest: float) -> _Glimpse | None:
-    """Search one window, every path from some starts, and from all where the start is seen to matter."""
+    """Search one window: every path from some starts, and from all where the best of those leaves more than noise."""
     if not part.op_range > 0.0 or not float(np.ptp(part.y)) > 0.0:
         return None
-    few = thin(delays, max(LEAN, delays.size // 2))
     reach = LEAST_D * part.op_range, 1.0001 * part.op_range
     firsts = firsts_for(part.u, part.op_range, GLIMPSED).tolist()
-    best = _distinct_in(part, np.vstack([walk(part, f, *reach, 0.0, few) for f in firsts]), longest)
-    if best and _start_matters(part, best[0], few):
-        best = _distinct_in(part, scan(part, few, _silent), longest)
+    best = _distinct_in(part, np.vstack([walk(part, f, *reach, 0.0, delays) for f in firsts]), longest)
+    if not best or not _noise_alone(part, best[0]):
+        # Noise in OP makes stems slip alike after a while, wherever they stood at first; in a quiet cycle they do not.
+        best = _apart([*best, *_distinct_in(part, scan(part, delays, _silent), longest)])
     if not best:
         return None
     linear = fit_linear(part, longest)
@@ -78,19 +77,18 @@ def _distinct_in(part: Centred, rows: NDArray[np.float64], longest: float) -> li
     fits = refitted(
         part, sorted([*fits, *fitted(part, near, limits, fits[0].fit, 0)], key=lambda c: c.fit.sse), limits, 8
     )
-    return distinct([c for c in fits if c.fit.gain != 0.0], 3)
+    return _apart(fits)
 
 
-def _start_matters(part: Centred, best: Candidate, delays: NDArray[np.int64]) -> bool:
-    """Whether a window's best stem leaves more than noise, and stems of its band from other starts never meet it.
+def _apart(fits: list[Candidate]) -> list[Candidate]:
+    """The best few bands of some fits."""
+    return distinct(sorted((c for c in fits if c.fit.gain != 0.0), key=lambda c: c.fit.sse), 3)
 
-    Noise in OP makes stems slip alike after a while, wherever they stood at first; in a quiet cycle they do not.
-    """
+
+def _noise_alone(part: Centred, best: Candidate) -> bool:
+    """Whether a window's stem leaves no more than white noise."""
     x, _ = path_of(part.u, best.d_low, best.first)
-    if disturbance(part.y - predict(part, x, best.first, best.fit)[0], part.floor).size == 1:
-        return False
-    costs = walk_starts(part, firsts_for(part.u, best.d_low, 100), np.array([best.d_low]), delays)[:, COST]
-    return bool(costs.size and np.quantile(costs, 0.75) > MATTERS * costs.min())
+    return disturbance(part.y - predict(part, x, best.first, best.fit)[0], part.floor).size == 1
 
 
 def _glimpses(
@@ -98,21 +96,23 @@ def _glimpses(
 ) -> list[_Glimpse]:
     """What the most active windows and the head say; no more of them once two in which the stem is clear agree."""
     windows = list(dict.fromkeys([*windows_of(data), (0, EXACT)]))
-    seen: list[_Glimpse] = []
+    seen: list[tuple[int, _Glimpse]] = []
     for i, window in enumerate(windows):
         if (one := _glimpse(data.part(*window), delays, longest)) is not None:
             agrees = any(
                 one.clear
                 and other.clear
+                # Two windows of nearly the same samples say the same, right or wrong.
+                and abs(window[0] - begin) >= EXACT // 2
                 and abs(math.log(one.bands[0] / other.bands[0])) < AGREED
                 and abs(one.delays[0] - other.delays[0]) < 1.0
-                for other in seen
+                for begin, other in seen
             )
-            seen.append(one)
+            seen.append((window[0], one))
             if agrees:
                 break
         progress((i + 1) / len(windows))
-    return seen
+    return [one for _, one in seen]
 
 
 def scan_long(

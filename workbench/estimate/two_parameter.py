@@ -329,7 +329,9 @@ def _lengthways(data: Centred, seed: Band, spread: float, only: float | None, li
     lines = []
     for along, at in enumerate((seed.S, seed.J)):
         low = max(at - reach, 0.1 * at)
-        lines.append(Line((low, seed.J) if along == 0 else (seed.S, low), along, at + reach, steps, start, plant))
+        begin, other = ((low, seed.J), seed.J) if along == 0 else ((seed.S, low), seed.S)
+        end = min(at + reach, 2.0 * data.op_range - other)
+        lines.append(Line(begin, along, end, steps, start, plant))
     found = []
     for rows in walked(data, lines):
         found += [tuple(row) for row in rows[np.argsort(rows[:, 2], kind="stable")[:WALKS], :2].tolist()]
@@ -369,7 +371,8 @@ def _about(data: Centred, seed: Band, spread: float, only: float | None, limits:
         for S in widths
         for jump in jumps
     ]
-    found = _fitted(data, bands, start, limits, plant, QUICK, 1e-5)
+    # A jump beyond all that OP moves is never made.
+    found = _fitted(data, [b for b in bands if sum(b) < 2.0 * data.op_range], start, limits, plant, QUICK, 1e-5)
     return [b for b in found if b.fit.gain != 0.0 and b.slips > 0]
 
 
