@@ -22,15 +22,13 @@ from workbench.estimate import kernel
 from workbench.estimate.data import Centred
 from workbench.estimate.fit import LEAST_TAU, Fit, Limits
 from workbench.estimate.loads import Stem
-from workbench.estimate.stems import first_slips, firsts_for, path_of, thin
-from workbench.estimate.two_parameter import band_stem
+from workbench.estimate.stems import firsts_for, path_of, thin
+from workbench.estimate.two_parameter import NARROWEST, SHARES, WIDEST, band_stem
 from workbench.model.record import FloatArray
 
 __all__ = ["stepped_stems"]
 
-NARROWEST, WIDEST = 0.04, 0.95  # of OP's range
 GRID = 110  # values of S looked at
-SHARES = (0.0, 0.12, 0.27, 0.45, 0.7, 1.0, 1.35)  # of J, of S
 FINER_SHARES = np.arange(0.0, 1.4, 0.025)  # at each S, with plants near its best
 DELAYS = (0.0, 1.0, 2.0, 3.0, 4.5, 6.0, 8.0, 10.0, 13.0, 17.0, 22.0, 29.0, 38.0, 50.0)  # samples
 SHORTEST, LONGEST, TAUS = 1.5, 0.25, 5  # time constants looked at: samples, records, how many
@@ -174,13 +172,12 @@ def _close(plants: FloatArray, one: _Found) -> FloatArray:
 
 def _starts(data: Centred, S: float, J: float, most: int) -> list[tuple[float, float, int, float]]:
     """A stem (S, J, first, sense) with the starts that it may have, `most` first slips at most."""
-    u = data.u
     if math.isnan(J):
-        return [(S, J, first, 0.0) for first in firsts_for(u, S, max(most, 1)).tolist()]
-    firsts = first_slips(u)
-    held = np.maximum.accumulate(u) - np.minimum.accumulate(u)
-    firsts = thin(firsts[(firsts > 0) & (held[np.maximum(firsts - 1, 0)] <= S + J)], most) if most else firsts[:0]
-    later = [(S, J, f, 1.0 if u[f] > u[:f].max() else -1.0) for f in firsts.tolist()]
+        return [(S, J, first, 0.0) for first in firsts_for(data.u, S, max(most, 1)).tolist()]
+    firsts, ranges, senses = data.starts
+    may = np.flatnonzero(ranges <= S + J)
+    kept = thin(may, most) if most else may[:0]
+    later = [(S, J, first, sense) for first, sense in zip(firsts[kept].tolist(), senses[kept].tolist(), strict=True)]
     return [(S, J, -1, 0.0), (S, J, 0, 1.0), (S, J, 0, -1.0), *later]
 
 

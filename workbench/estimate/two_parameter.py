@@ -26,10 +26,13 @@ from workbench.model.record import FloatArray
 
 __all__ = [
     "CROSSINGS",
+    "NARROWEST",
     "REACHES",
     "REFITS",
     "SEEDS",
+    "SHARES",
     "SPREADS",
+    "WIDEST",
     "Band",
     "band_stem",
     "best_of",
