@@ -14,6 +14,7 @@ from workbench.estimate.data import centre
 from workbench.estimate.fit import Limits, disturbance, fit_path, grounded, predict, standard_errors
 from workbench.estimate.stems import path_of
 from workbench.estimate.stepped import stepped_stems
+from workbench.estimate.stepped_kernel import LANES, STRIDE, left_beside, screen_stepped
 from workbench.estimate.two_parameter import band_stem
 from workbench.model.record import FloatArray
 
@@ -51,7 +52,7 @@ def test_the_best_step_beside_a_stem_is_that_of_least_squares_at_every_sample(in
     plants = np.array([(6.0, 1.3), (6.0, 4.0), (20.0, 0.0)])
     found = np.empty((len(stems), len(plants), 2))
     begin, end = skip + 5, n - 6
-    kernel.screen_stepped(y, u, stems, plants, integrating, 0.0, skip, begin, end, 1, found)
+    screen_stepped(y, u, stems, plants, integrating, 0.0, skip, begin, end, 1, found)
     for i, (S, J, first, sense) in enumerate(stems.tolist()):
         x = path_of(u, S, int(first))[0] if math.isnan(J) else band_stem(u, S, J, int(first), sense)[0]
         for j, plant in enumerate(plants.tolist()):
@@ -60,13 +61,52 @@ def test_the_best_step_beside_a_stem_is_that_of_least_squares_at_every_sample(in
             assert costs[int(found[i, j, 1]) - begin] == pytest.approx(min(costs), rel=1e-6)
 
 
+def test_steps_tried_roughly_and_more_stems_than_lanes() -> None:
+    rng = np.random.default_rng(4)
+    n, begin, end = 120, 11, 109
+    u, y = 4.0 * np.sin(np.arange(n) / 6.0) + 0.3 * rng.normal(size=n), np.cumsum(rng.normal(size=n))
+    widths = np.linspace(1.0, 3.0, 2 * LANES + 3)
+    stems = np.array([(S, 0.3 * S, first, 1.0) for first in (-1.0, 0.0) for S in widths])
+    found = np.empty((len(stems), 1, 2))
+    screen_stepped(y, u, stems, np.array([(5.0, 2.4)]), False, 0.0, 0, begin, end, STRIDE, found)
+    for (S, J, first, sense), (cost, at) in zip(stems.tolist(), found[:, 0].tolist(), strict=True):
+        x = band_stem(u, S, J, int(first), sense)[0]
+        # A stem that rests first is known before the record too.
+        costs = [left_beside(y, x, 0, False, 5.0, 2.4, np.array([k]), 0) for k in range(begin, end, STRIDE)]
+        if first < 0:
+            whole = np.concatenate([np.full(9, x[0]), x])
+            costs = [
+                left_beside(np.concatenate([np.zeros(9), y]), whole, 0, False, 5.0, 2.4, np.array([k + 9]), 9)
+                for k in range(begin, end, STRIDE)
+            ]
+        assert cost / n == pytest.approx(min(costs), rel=1e-6)
+        assert int(at) == begin + STRIDE * int(np.argmin(costs))
+
+
+@pytest.mark.parametrize("integrating", [False, True])
+def test_what_is_left_beside_two_steps_is_that_of_least_squares(integrating: bool) -> None:
+    rng = np.random.default_rng(5)
+    x, n, skip = np.repeat(rng.normal(size=40), 5), 200, 7
+    y = np.cumsum(x) + rng.normal(size=n)
+    columns = np.empty((4, n))
+    plant = kernel.plant_terms(integrating, 8.0, 2.3)
+    kernel.oe_columns(x, 3, plant[0], plant[3], plant[1], plant[2], integrating, columns)
+    k = np.arange(n, dtype=float)
+    steps = [np.where(k >= at, (k - at) if integrating else 1.0 - np.exp(-(k - at) / 8.0), 0.0) for at in (60, 130)]
+    matrix = np.vstack([columns, steps])[:, skip:]
+    terms, *_ = np.linalg.lstsq(matrix.T, y[skip:], rcond=1e-12)
+    expected = float(np.mean((y[skip:] - terms @ matrix) ** 2))
+    left = left_beside(y, x, 3, integrating, 8.0, 2.3, np.array([60, 130]), skip)
+    assert left == pytest.approx(expected, rel=1e-9)
+
+
 def test_a_gain_of_the_wrong_sign_is_none() -> None:
     u = 4.0 * np.sin(np.arange(200) / 7.0)
     x = band_stem(u, 2.0, 0.7, 0, 1.0)[0]
     y = np.cumsum(x - x.mean())
     stems, plants, found = np.array([(2.0, 0.7, 0.0, 1.0)]), np.array([(1.0, 1.0)]), np.empty((2, 1, 1, 2))
     for sign, out in zip((1.0, -1.0), found, strict=True):
-        kernel.screen_stepped(y, u, stems, plants, True, sign, 0, 20, 180, 1, out)
+        screen_stepped(y, u, stems, plants, True, sign, 0, 20, 180, 1, out)
     assert math.isfinite(found[0, 0, 0, 0])
     assert math.isinf(found[1, 0, 0, 0])
 

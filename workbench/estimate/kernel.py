@@ -30,7 +30,7 @@ __all__ = [
     "scan_plants",
     "scan_starts",
     "screen_bands",
-    "screen_stepped",
+    "solve",
     "stem_path",
     "stem_slips",
     "walk",
@@ -485,7 +485,7 @@ def oe_columns(
 
 
 @compiled
-def _solve(g: Floats, size: int) -> float:
+def solve(g: Floats, size: int) -> float:
     """Solve the normal equations by elimination in place; columns that add nothing get 0. Return b' G^-1 b.
 
     g: rows of the matrix, of which the upper half is read, and in the last row the right side b, then the solution.
@@ -847,12 +847,12 @@ def least(
     q, g = room[0], room[1]
     g[:] = q
     b = g[4]
-    explained = _solve(g, 4)
+    explained = solve(g, 4)
     if b[1] * sign < 0.0:
         # A gain of the other sign is the controller's inverse, not the plant: the stem then has no part in PV.
         g[0, 0], g[0, 1], g[1, 1] = q[0, 0], q[0, 3], q[3, 3]
         b[0], b[1] = q[4, 0], q[4, 3]
-        explained = _solve(g, 2)
+        explained = solve(g, 2)
         b[3], b[1], b[2] = b[1], 0.0, 0.0
     elif math.isfinite(low) or math.isfinite(high):
         gain = b[1]
@@ -865,7 +865,7 @@ def least(
             g[1, 1] = q[1, 1] + 2.0 * x0 * q[1, 2] + x0 * x0 * q[2, 2]
             g[1, 2] = q[1, 3] + x0 * q[2, 3]
             b[0], b[1], b[2] = q[4, 0], q[4, 1] + x0 * q[4, 2], q[4, 3]
-            explained = _solve(g, 3)
+            explained = solve(g, 3)
             b[3] = b[2]
             b[2] = x0 * b[1]
     sse = max(yy - explained, 0.0)
@@ -1391,14 +1391,14 @@ def held_least(room: Floats, yy: float, low: float, high: float, gain: float, te
     bias, start, transient = q[4, 0] - gain * q[0, 1], q[4, 2] - gain * q[1, 2], q[4, 3] - gain * q[1, 3]
     g[0, 0], g[0, 1], g[0, 2], g[1, 1], g[1, 2], g[2, 2] = q[0, 0], q[0, 2], q[0, 3], q[2, 2], q[2, 3], q[3, 3]
     b[0], b[1], b[2] = bias, start, transient
-    explained = _solve(g, 3)
+    explained = solve(g, 3)
     free = b[1] / gain
     if free < low or free > high:
         held = gain * (low if free < low else high)
         power += held * held * q[2, 2] - 2.0 * held * start
         g[0, 0], g[0, 1], g[1, 1] = q[0, 0], q[0, 3], q[3, 3]
         b[0], b[1] = bias - held * q[0, 2], transient - held * q[2, 3]
-        explained = _solve(g, 2)
+        explained = solve(g, 2)
         b[1], b[2] = held, b[1]
     terms[0], terms[1], terms[2] = b[0], b[1], b[2]
     left: float = max(power - explained, 0.0)
@@ -1457,173 +1457,6 @@ def scan_held(
 
 
 @compiled
-def screen_stepped(
-    y: Floats,
-    op: Floats,
-    stems: Floats,
-    plants: Floats,
-    integrating: bool,
-    sign: float,
-    skip: int,
-    begin: int,
-    end: int,
-    every: int,
-    found: Floats,
-) -> None:
-    """Fit the model and one step of load, at the sample that explains most, to many stems at each of some plants.
-
-    stems: rows (S, J, first, sense), see `band_path`; J nan for a Stenman stem of band S. plants: rows (tau, theta) in
-    samples. The step's answer begins in [begin, end), at one of its samples or one of `every` so many. Written: found,
-    shape (stems, plants, 2): the sum of squares from `skip` on, inf where the stem does not move or its gain is not of
-    `sign`, and that sample.
-
-    What no stem changes is taken out of PV first, for each pole: bias, transient. What a step explains beside these and
-    the stem's response s is `(r.h)^2 / |h|^2` with r and h the residual and the step's answer less their parts along
-    s; products of a signal with the answers at all times are one backward sum.
-    """
-    n = y.size
-    paths, slips, box = np.empty((stems.shape[0], n)), np.empty(stems.shape[0], np.int64), np.empty(4)
-    for i in range(stems.shape[0]):
-        if math.isnan(stems[i, 1]):
-            slips[i] = stem_path(op, stems[i, 0], int(stems[i, 2]), paths[i])
-        else:
-            slips[i] = band_path(op, stems[i, 0], stems[i, 1], int(stems[i, 2]), stems[i, 3], paths[i], box)
-    column, basis, parts, size = np.empty(n), np.zeros((3, n)), np.zeros((3, n)), 0
-    rest, bare, along, power = np.empty(n), np.empty(n), np.empty(n), np.empty(n)
-    own_along, own_power = np.empty(n), np.empty(n)
-    found[:, :, 0] = math.inf
-    found[:, :, 1] = begin
-    last, left_y = math.nan, 0.0
-    for j in range(plants.shape[0]):
-        tau, theta = plants[j, 0], plants[j, 1]
-        a = 1.0 if integrating else math.exp(-1.0 / tau)
-        if a != last:
-            last, size = a, 0
-            basis[:] = 0.0
-            parts[:] = 0.0
-            for which in range(2):
-                value = 1.0
-                for k in range(n):
-                    column[k] = 1.0 if which == 0 else (float(k) - 0.5 * n if integrating else value)
-                    value *= a
-                length = _apart_from(column, basis, size, skip)
-                if length > 0.0:
-                    basis[size, skip:] = column[skip:] / length
-                    _step_products(basis[size], a, integrating, parts[size])
-                    size += 1
-            rest[:] = y
-            left_y = _apart_from(rest, basis, size, skip) ** 2
-            rest[:skip] = 0.0
-            _step_products(rest, a, integrating, along)
-            total = 0.0
-            for k in range(n - 1, -1, -1):
-                answer = float(n - 1 - k) if integrating else 1.0 - math.exp(-(n - 1 - k) / tau)
-                total += answer * answer
-                power[k] = total - parts[0, k] ** 2 - parts[1, k] ** 2
-        m = math.floor(theta + 1e-9)
-        f = max(theta - m, 0.0)
-        c0 = 1.0 - f if integrating else 1.0 - a ** (1.0 - f)
-        c1 = f if integrating else a ** (1.0 - f) - a
-        started, left_bare = -2, 0.0
-        for i in range(stems.shape[0]):
-            first, x = int(stems[i, 2]), paths[i]
-            if slips[i] < 2:
-                continue
-            if first != started:
-                # What the unknown stem before the first slip adds; stems that slip first at one sample share it.
-                started = first
-                value = 0.0
-                for k in range(n):
-                    column[k] = value
-                    value = a * value + (c0 if k - m < first else 0.0) + (c1 if k - m - 1 < first else 0.0)
-                length = 0.0 if first < 0 else _apart_from(column, basis, size, skip)
-                basis[2] = 0.0
-                product = 0.0
-                if length > 0.0:
-                    for k in range(skip, n):
-                        basis[2, k] = column[k] / length
-                        product += basis[2, k] * rest[k]
-                _step_products(basis[2], a, integrating, parts[2])
-                for k in range(n):
-                    bare[k] = rest[k] - product * basis[2, k]
-                    own_along[k] = along[k] - product * parts[2, k]
-                    own_power[k] = power[k] - parts[2, k] ** 2
-                left_bare = left_y - product * product
-            value, before = 0.0, x[0] if first < 0 else 0.0
-            whole, p0, p1, p2, product = 0.0, 0.0, 0.0, 0.0, 0.0
-            for k in range(n):
-                column[k] = value
-                if k >= skip:
-                    whole += value * value
-                    p0 += value * basis[0, k]
-                    p1 += value * basis[1, k]
-                    p2 += value * basis[2, k]
-                    product += value * bare[k]
-                now = x[k - m] if k - m >= max(first, 0) else before
-                then = x[k - m - 1] if k - m - 1 >= max(first, 0) else before
-                value = a * value + c0 * now + c1 * then
-            length = whole - p0 * p0 - p1 * p1 - p2 * p2
-            if not length > 1e-9 * whole:
-                continue
-            length = math.sqrt(length)
-            product /= length
-            best, at, gain = 0.0, begin, product
-            beyond, faded, total = 0.0, 0.0, 0.0
-            for k in range(n - 1, begin - 1, -1):
-                if integrating:
-                    total += beyond
-                    beyond += column[k]
-                else:
-                    beyond += column[k]
-                    faded = column[k] + a * faded
-                    total = beyond - faded
-                if k < end and (k - begin) % every == 0:
-                    s = (total - p0 * parts[0, k] - p1 * parts[1, k] - p2 * parts[2, k]) / length
-                    own = own_power[k] - s * s
-                    r = own_along[k] - product * s
-                    if own > 1e-6 * power[k] and r * r > best * own:
-                        best, at, gain = r * r / own, k, product - s * r / own
-            if sign * gain >= 0.0:
-                found[i, j, 0] = max(left_bare - product * product - best, 0.0)
-                found[i, j, 1] = at
-
-
-@compiled
-def _apart_from(column: Floats, basis: Floats, size: int, skip: int) -> float:
-    """Take out of a column its parts along an orthonormal basis, from `skip` on; return its length then, 0 for none."""
-    whole = 0.0
-    for k in range(skip, column.size):
-        whole += column[k] * column[k]
-    for i in range(size):
-        part = 0.0
-        for k in range(skip, column.size):
-            part += column[k] * basis[i, k]
-        for k in range(skip, column.size):
-            column[k] -= part * basis[i, k]
-    left = 0.0
-    for k in range(skip, column.size):
-        left += column[k] * column[k]
-    if not left > 1e-12 * whole:
-        return 0.0
-    return math.sqrt(left)
-
-
-@compiled
-def _step_products(signal: Floats, a: float, integrating: bool, out: Floats) -> None:
-    """Write the products of a signal with a step's answer that begins at each sample."""
-    beyond, faded, total = 0.0, 0.0, 0.0
-    for k in range(signal.size - 1, -1, -1):
-        if integrating:
-            total += beyond
-            beyond += signal[k]
-            out[k] = total
-        else:
-            beyond += signal[k]
-            faded = signal[k] + a * faded
-            out[k] = beyond - faded
-
-
-@compiled
 def colour_level(products: Floats, size: int, gain: float, lags: int, room: Floats) -> float:
     """Return the sum of squares that an autoregression leaves of PV less the stem's response times a gain.
 
@@ -1650,5 +1483,5 @@ def colour_level(products: Floats, size: int, gain: float, lags: int, room: Floa
         for j in range(i, held):
             room[lags + i, lags + j] = products[2 * size + i, 2 * size + j]
     whole = products[0, 0] - 2.0 * gain * products[0, size] + gain * gain * products[size, size]
-    left: float = max(whole - _solve(room, lags + held), 0.0)
+    left: float = max(whole - solve(room, lags + held), 0.0)
     return left

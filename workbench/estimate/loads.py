@@ -18,6 +18,7 @@ from scipy.optimize import minimize
 from workbench.detect.stem import whitened
 from workbench.estimate.data import WHITE, Centred
 from workbench.estimate.fit import LOUD, Fit, Limits, autoregression, fit_path, inflation, predict
+from workbench.estimate.stepped_kernel import left_beside
 from workbench.model.load_step import LoadStep
 from workbench.model.record import FloatArray
 
@@ -181,15 +182,11 @@ def _refined(data: Centred, stem: Stem, model: _Model, limits: Limits, skip: int
         theta = min(max(model.fit.theta + point[3] / SHIFT, limits.theta[0]), limits.theta[1])
         return near(math.exp(point[0]), math.exp(point[1])), replace(model.fit, tau=tau, theta=theta)
 
+    times = np.array(model.times)
+
     def left(point: FloatArray) -> float:
         x, fit = valve(point)
-        answer = _answer(data, fit)
-        columns = np.array([*predict(data, x, stem.first, fit)[1], *(_step(answer, at) for at in model.times)])[
-            :, skip:
-        ]
-        gram, side = columns @ columns.T, columns @ data.y[skip:]
-        terms, *_ = np.linalg.lstsq(gram, side, rcond=1e-12)
-        return float(np.mean((data.y[skip:] - terms @ columns) ** 2))
+        return left_beside(data.y, x, stem.first, data.integrating, fit.tau, fit.theta, times, skip)
 
     point = np.zeros(4)
     for spread in SPREADS:

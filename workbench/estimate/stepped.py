@@ -1,7 +1,7 @@
 """Stems searched beside a load step: for each stem and plant, the one step that explains most beside them.
 
 A step that nothing explains spoils a search for stems; of a plant that integrates, most of all, whose PV it sends up or
-down for the rest of the record. A step's time and size are found for each stem in one pass (`kernel.screen_stepped`),
+down for the rest of the record. A step's time and size are found for each stem in one pass (`stepped_kernel`),
 so that stems, plants and steps are searched together, from a grid on in ever closer ones about its best.
 
 What a wrong slip does to an integrating plant lasts too, and hides the right ones behind it. Such a record is searched
@@ -18,11 +18,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.signal import lfilter
 
-from workbench.estimate import kernel
 from workbench.estimate.data import Centred
 from workbench.estimate.fit import LEAST_TAU, Fit, Limits
 from workbench.estimate.loads import Stem
 from workbench.estimate.stems import firsts_for, path_of, thin
+from workbench.estimate.stepped_kernel import STRIDE, screen_stepped
 from workbench.estimate.two_parameter import NARROWEST, SHARES, WIDEST, band_stem
 from workbench.model.record import FloatArray
 
@@ -32,7 +32,6 @@ GRID = 110  # values of S looked at
 FINER_SHARES = np.arange(0.0, 1.4, 0.025)  # at each S, with plants near its best
 DELAYS = (0.0, 1.0, 2.0, 3.0, 4.5, 6.0, 8.0, 10.0, 13.0, 17.0, 22.0, 29.0, 38.0, 50.0)  # samples
 SHORTEST, LONGEST, TAUS = 1.5, 0.25, 5  # time constants looked at: samples, records, how many
-ROUGHLY = 4  # samples between the steps tried in the first grids
 FADE = 25.0  # samples after which the filter has forgotten
 FIRSTS, FIRSTS_CLOSE = 4, 60  # first slips tried
 SEEDS = 6  # of either kind of valve, about which closer grids are laid
@@ -74,23 +73,21 @@ class _Search:
     free: bool
 
     def best_first(
-        self, stems: Sequence[tuple[float, float, int, float]], plants: FloatArray, every: int = 1
+        self, stems: Sequence[tuple[float, float, int, float]], plants: FloatArray, most: int, every: int = 1
     ) -> list[_Found]:
-        """The stems (S, J, first, sense), each with the best of the plants, rows (tau, theta), and of the times.
+        """The best of some stems (S, J, first, sense), `most` of them, each with its best plant and time of the step.
 
-        every: samples between the times at which a step is tried.
+        plants: rows (tau, theta). every: samples between the times at which a step is tried, 1 or STRIDE.
         """
         if not stems:
             return []
         rows = np.array(sorted(stems, key=lambda stem: stem[2]))
         found = np.empty((len(rows), len(plants), 2))
         data = self.data
-        kernel.screen_stepped(
-            data.y, data.u, rows, plants, data.integrating, data.sign, self.skip, *self.span, every, found
-        )
+        screen_stepped(data.y, data.u, rows, plants, data.integrating, data.sign, self.skip, *self.span, every, found)
         which = np.argmin(found[:, :, 0], axis=1)
         costs, ats = found[np.arange(len(rows)), which].T
-        order = np.argsort(costs, kind="stable")[: int(np.isfinite(costs).sum())].tolist()
+        order = np.argsort(costs, kind="stable")[: min(int(np.isfinite(costs).sum()), most)].tolist()
         out = []
         for i in order:
             (S, J, first, sense), (tau, theta) = rows[i].tolist(), plants[which[i]].tolist()
@@ -115,7 +112,7 @@ def stepped_stems(data: Centred, limits: Limits, skip: int, span: tuple[int, int
             one = seed
             if data.integrating:
                 one = _closer(search, seed, limits, SPREADS[:FADED_SPREADS])
-                again = whole.best_first([(one.S, one.J, one.first, one.sense)], np.array([(1.0, one.theta)]))
+                again = whole.best_first([(one.S, one.J, one.first, one.sense)], np.array([(1.0, one.theta)]), 1)
                 if not again:
                     continue
                 one = again[0]
@@ -129,22 +126,23 @@ def _coarse(search: _Search, shares: Sequence[float], plants: FloatArray) -> lis
     data = search.data
     widths = (np.geomspace(NARROWEST, WIDEST, GRID) * data.op_range).tolist()
     ends = {S: [stem for share in shares for stem in _starts(data, S, share * S, 0)] for S in widths}
-    coarse = search.best_first([stem for S in widths for stem in ends[S]], _thinned(plants), ROUGHLY)
+    stems = [stem for S in widths for stem in ends[S]]
+    coarse = search.best_first(stems, _thinned(plants), len(stems), STRIDE)
     likely: dict[float, _Found] = {}
     for one in coarse:
         likely.setdefault(one.S, one)
     for S, best in likely.items():
-        coarse += (nearer := search.best_first(ends[S], _beside(plants, best), ROUGHLY))
+        coarse += (nearer := search.best_first(ends[S], _beside(plants, best), SEEDS, STRIDE))
         best = min([best, *nearer[:1]], key=lambda one: one.cost)
         # Where the stem was before its first slip asks for nearly the same plant.
         later = [stem for share in shares for stem in _starts(data, S, share * S, FIRSTS) if stem[2] > 0]
-        coarse += (here := search.best_first(later, _close(plants, best), ROUGHLY))
+        coarse += (here := search.best_first(later, _close(plants, best), SEEDS, STRIDE))
         if not math.isnan(best.J):
             # A sequence of slips may hold for a range of J too narrow for any grid.
             for one in (best, *here[:1]):
                 jumps = (FINER_SHARES * S).tolist()
                 stems = [(S, J, one.first, one.sense) for J in jumps]
-                coarse += search.best_first(stems, _close(plants, one), ROUGHLY)
+                coarse += search.best_first(stems, _close(plants, one), SEEDS, STRIDE)
     return sorted(coarse, key=lambda one: one.cost)
 
 
@@ -199,12 +197,11 @@ def _closer(search: _Search, seed: _Found, limits: Limits, spreads: Sequence[flo
     """The best stem that ever closer grids about a seed lead to."""
     data, best = search.data, seed
     for spread in spreads:
+        starts = _starts(data, best.S, best.J, FIRSTS_CLOSE)
+        begun = search.best_first(starts, np.array([(best.tau, best.theta)]), 1)
+        best = min([best, *begun], key=lambda one: one.cost)
         for _ in range(STEPS):
             before = best
-            starts = _starts(data, best.S, best.J, FIRSTS_CLOSE)
-            best = min(
-                [best, *search.best_first(starts, np.array([(best.tau, best.theta)]))[:1]], key=lambda one: one.cost
-            )
             thetas = np.unique(np.clip(best.theta + 50.0 * spread * SIDES[1:-1], *limits.theta))
             taus = np.array([best.tau])
             if search.free:
@@ -215,7 +212,7 @@ def _closer(search: _Search, seed: _Found, limits: Limits, spreads: Sequence[flo
             if not math.isnan(best.J):
                 jumps = np.unique(np.maximum(best.J + 2.0 * spread * best.S * SIDES, 0.0))
             grid = [(S, J, best.first, best.sense) for S in widths.tolist() for J in jumps.tolist()]
-            best = min([best, *search.best_first(grid, plants)[:1]], key=lambda one: one.cost)
+            best = min([best, *search.best_first(grid, plants, 1)], key=lambda one: one.cost)
             if best is before:
                 break
     return best
