@@ -26,8 +26,9 @@ import numpy as np
 
 from workbench.fleet.demo import write_site
 from workbench.fleet.groups import grouped
+from workbench.fleet.loops import Sources
 from workbench.fleet.pool import Limits, Pool
-from workbench.fleet.source import Sources, sources_of
+from workbench.fleet.source import sources_of
 from workbench.fleet.store import read_rows
 from workbench.model.fleet import FleetRow, LoopSource, Settings
 

@@ -26,8 +26,7 @@ from workbench.analyze.long_run import Start
 from workbench.analyze.relaxation import relaxation_condition, relaxation_cycle
 from workbench.model.results import LimitCycle, LimitCycleStart
 from workbench.simulate import kernel
-from workbench.simulate.coefficients import coefficients
-from workbench.simulate.run import rest
+from workbench.simulate.coefficients import coefficients, rest
 
 CHUNK, LEAST, MOST, REVERSALS = 2**17, 2_000_000, 10_000_000, 1000
 

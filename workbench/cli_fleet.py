@@ -15,9 +15,9 @@ from workbench.cli_input import quantity
 from workbench.errors import InvalidValue, OutputError
 
 if TYPE_CHECKING:
+    from workbench.fleet.loops import Sources
     from workbench.fleet.pool import Limits
     from workbench.fleet.run import Outcome
-    from workbench.fleet.source import Sources
     from workbench.model.fleet import Settings
 
 __all__ = ["fleet", "fleet_demo", "parted", "run_site"]

@@ -17,9 +17,10 @@ from rich.text import Text
 from workbench.model.results import Complementarity, Estimate, NoiseModel, Repeats, SolveStatus
 from workbench.model.study import NamedEstimate, Study
 from workbench.model.valve import Ideal, Stenman
+from workbench.report.content import controller_content
 from workbench.report.figures import estimate_figure, svg_file
 from workbench.report.files import write_files
-from workbench.report.results import controller_content, results_content, strict
+from workbench.report.results import results_content, strict
 from workbench.report.style import svg_text
 from workbench.report.words import controller_words, figure, interval, nearby, plant_words, valve_words
 from workbench.scenario.retune import Retuned

@@ -17,8 +17,9 @@ from typer.testing import CliRunner
 import workbench
 from workbench.cli import app
 from workbench.fleet.demo import write_site
+from workbench.fleet.loops import Sources
 from workbench.fleet.run import run_fleet
-from workbench.fleet.source import Sources, sources_of
+from workbench.fleet.source import sources_of
 from workbench.fleet.store import Store, read_rows
 from workbench.model.fleet import Settings
 

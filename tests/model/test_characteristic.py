@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from loops import experiments, independent_simulation, late_cycles, loops, numbers
 
 import workbench as wb
-from workbench.simulate.run import signals
+from workbench.simulate.signals import signals
 
 LIMITED = wb.PID(0.5, 20.0, output_limits=(-30.0, 60.0))
 curves = st.builds(wb.EqualPercentage, rangeability=numbers(1.5, 100.0), opening=numbers(30.0, 40.0))

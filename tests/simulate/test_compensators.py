@@ -14,8 +14,8 @@ from loops import compensators, experiments, independent_simulation, loops, numb
 
 import workbench as wb
 from workbench.simulate import kernel
-from workbench.simulate.coefficients import coefficients
-from workbench.simulate.run import rest, signals
+from workbench.simulate.coefficients import coefficients, rest
+from workbench.simulate.signals import signals
 
 OPEN = wb.PID(Kc=0.0, Ti=math.inf)
 

@@ -13,8 +13,8 @@ from loops import compensators, experiments, independent_simulation, late_cycles
 
 import workbench as wb
 from workbench.simulate import kernel
-from workbench.simulate.coefficients import coefficients
-from workbench.simulate.run import rest, signals
+from workbench.simulate.coefficients import coefficients, rest
+from workbench.simulate.signals import signals
 
 
 def scanned(loop: wb.Loop, scan: int) -> wb.Loop:

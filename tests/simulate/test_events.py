@@ -15,8 +15,7 @@ from loops import controllers, loops, numbers, paper_loop
 import workbench as wb
 from workbench.analyze.half_cycles import fresh_carry
 from workbench.simulate import kernel
-from workbench.simulate.coefficients import coefficients
-from workbench.simulate.run import rest
+from workbench.simulate.coefficients import coefficients, rest
 
 FAR = 100_000
 TIE = 1e-9

@@ -12,8 +12,9 @@ from loops import experiments, independent_simulation, loops, paper_loop, paper_
 import workbench as wb
 from workbench.simulate import kernel
 from workbench.simulate.batch import sums
-from workbench.simulate.coefficients import coefficients
-from workbench.simulate.run import rest, signals, valve_response
+from workbench.simulate.coefficients import coefficients, rest
+from workbench.simulate.run import valve_response
+from workbench.simulate.signals import signals
 
 
 def run_rows(loop, experiment, run_loop=kernel.run_loop):

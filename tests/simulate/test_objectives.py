@@ -10,7 +10,7 @@ from workbench.model.tuning import WEIGHABLE
 from workbench.simulate import kernel
 from workbench.simulate.batch import kernel_weights, sums, weigh, worst
 from workbench.simulate.coefficients import coefficients
-from workbench.simulate.run import signals
+from workbench.simulate.signals import signals
 
 PID = wb.PID(1.5, 12.0, 0.7, derivative_on="pv")
 LOOP = wb.Loop(wb.FOPDT(1.3, 6.0, 2.3), wb.Choudhury(3.0, 1.0), PID, 0.5)

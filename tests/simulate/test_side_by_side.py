@@ -11,9 +11,8 @@ from loops import experiments, loops, paper_loop, paper_step
 import workbench as wb
 from workbench.simulate import kernel
 from workbench.simulate.batch import kernel_weights, sums, weigh, worst
-from workbench.simulate.coefficients import coefficients
-from workbench.simulate.run import rest, signals
-from workbench.simulate.signals import Signals
+from workbench.simulate.coefficients import coefficients, rest
+from workbench.simulate.signals import Signals, signals
 
 
 def tunings_near(loop: wb.Loop, count: int, seed: int) -> np.ndarray:

@@ -8,8 +8,7 @@ from loops import paper_loop
 
 import workbench as wb
 from workbench.simulate import kernel
-from workbench.simulate.coefficients import coefficients
-from workbench.simulate.run import rest
+from workbench.simulate.coefficients import coefficients, rest
 
 LIMITED = {"output_limits": (-0.001, 0.001), "anti_windup": "back_calculation"}
 

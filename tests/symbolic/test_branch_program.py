@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 import workbench as wb
 from workbench.simulate import kernel
 from workbench.simulate.coefficients import coefficients
-from workbench.simulate.run import evaluate, signals, simulate
+from workbench.simulate.run import evaluate, simulate
+from workbench.simulate.signals import signals
 from workbench.symbolic.branch import BranchProgram, Decisions
 from workbench.symbolic.full_space import Coordinates
 from workbench.symbolic.loop import COEFFICIENTS

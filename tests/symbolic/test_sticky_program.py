@@ -14,7 +14,8 @@ from workbench.errors import InvalidValue
 from workbench.model.results import SolveStatus
 from workbench.simulate import kernel
 from workbench.simulate.coefficients import coefficients
-from workbench.simulate.run import evaluate, signals, simulate
+from workbench.simulate.run import evaluate, simulate
+from workbench.simulate.signals import signals
 from workbench.symbolic.branch import Decisions
 from workbench.symbolic.loop import COEFFICIENTS
 from workbench.symbolic.mpcc import Mpcc, MpccResult

@@ -15,8 +15,7 @@ from workbench.model.loop import Loop
 from workbench.model.plant import FOPDT, Integrating
 from workbench.model.valve import Choudhury, Deadband, Directional, He, Ideal, Kano, Stenman
 from workbench.simulate import kernel
-from workbench.simulate.coefficients import coefficients
-from workbench.simulate.run import rest
+from workbench.simulate.coefficients import coefficients, rest
 from workbench.symbolic.branch import Decisions
 from workbench.symbolic.loop import (
     COEFFICIENTS,

@@ -15,8 +15,7 @@ from workbench.model.experiment import Experiment
 from workbench.model.loop import Loop
 from workbench.model.plant import FOPDT
 from workbench.model.results import LimitCycle, LimitCycleStart
-from workbench.simulate.run import signals
-from workbench.simulate.signals import Signals
+from workbench.simulate.signals import Signals, signals
 
 __all__ = ["limit_cycle", "standard_starts", "together"]
 

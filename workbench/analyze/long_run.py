@@ -20,8 +20,7 @@ from workbench.model.plant import FOPDT
 from workbench.model.record import FloatArray
 from workbench.model.results import LimitCycleStart
 from workbench.simulate import kernel
-from workbench.simulate.coefficients import coefficients
-from workbench.simulate.run import rest
+from workbench.simulate.coefficients import coefficients, rest
 from workbench.simulate.signals import Signals
 
 __all__ = ["BUDGET", "Start", "follow"]

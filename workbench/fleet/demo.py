@@ -29,8 +29,7 @@ from workbench.model.record import FloatArray
 from workbench.model.valve import Choudhury, Ideal, Stenman, Valve
 from workbench.report.files import write_files
 from workbench.simulate import kernel
-from workbench.simulate.coefficients import coefficients
-from workbench.simulate.run import rest
+from workbench.simulate.coefficients import coefficients, rest
 
 __all__ = ["KINDS", "MEMBERS", "Truth", "site", "write_site"]
 

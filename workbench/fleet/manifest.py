@@ -18,7 +18,7 @@ from typing import Annotated, Any, Literal
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
 
 from workbench.errors import InvalidValue, RecordError, ScenarioError
-from workbench.fleet.source import Sources, loops_in, of_tags, tagged
+from workbench.fleet.loops import Sources, loops_in, of_tags, tagged
 from workbench.model.fleet import LoopSource, Tuning
 from workbench.record.columns import TAGGED
 from workbench.record.historian import Pieces, tags_of

@@ -14,8 +14,8 @@ from typing import Protocol
 from workbench import __version__
 from workbench.errors import OutputError
 from workbench.fleet.groups import grouped
+from workbench.fleet.loops import Sources
 from workbench.fleet.pool import Limits, Pool
-from workbench.fleet.source import Sources
 from workbench.fleet.store import ROWS, Store, fleet_csv, read_rows
 from workbench.fleet.task import Result
 from workbench.model.fleet import Change, FleetRow, LoopSource, Settings, Site

@@ -1,32 +1,20 @@
-"""What a site is, a folder of records, a tall Parquet data set or a manifest, as a list of loops. No value is read."""
+"""What a site is, a folder of records, a tall Parquet data set or a manifest, as a list of loops."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from fnmatch import fnmatchcase
 from pathlib import Path
 
 from workbench.errors import InvalidValue, RecordError
+from workbench.fleet.loops import FILES, Sources, loops_in
+from workbench.fleet.manifest import read_manifest
 from workbench.model.fleet import LoopSource
-from workbench.record.columns import NEEDED, is_tall, split_tag
-from workbench.record.historian import Pieces, tags_of
 
-__all__ = ["Sources", "only", "sources_of"]
+__all__ = ["only", "sources_of"]
 
-FILES = (".csv", ".txt", ".parquet", ".pq")
 MANIFESTS = (".yaml", ".yml")
-LABELS = "labels.csv"  # what `workbench score` reads, and no loop
-
-
-@dataclass(frozen=True, eq=False)
-class Sources:
-    """The loops of a site, by name; title: for the report; shown: where they come from; depth: that a manifest asks."""
-
-    title: str
-    shown: str
-    loops: tuple[LoopSource, ...]
-    depth: str | None = None
 
 
 def sources_of(path: Path) -> Sources:
@@ -42,8 +30,6 @@ def sources_of(path: Path) -> Sources:
     if path.is_dir():
         return Sources(path.resolve().name, str(path), _nothing(_unique(loops_in(path)), path))
     if path.suffix.lower() in (*MANIFESTS, ".csv"):
-        from workbench.fleet.manifest import read_manifest
-
         return read_manifest(path)
     if path.suffix.lower() in FILES:
         return Sources(path.stem, str(path), _nothing(_unique(loops_in(path)), path))
@@ -84,77 +70,3 @@ def _unique(loops: Sequence[LoopSource]) -> tuple[LoopSource, ...]:
             first = LoopSource(name, refusal=f"{len(by[name])} loops have this name ({places}); each needs its own")
         out.append(first)
     return tuple(out)
-
-
-def loops_in(path: Path) -> list[LoopSource]:
-    """Return the loops of a folder or file; two of one name stay two. Files are named by their path in the folder."""
-    root = path if path.is_dir() else path.parent
-    try:
-        files = sorted(one for one in path.rglob("*") if _record_file(one, root)) if path.is_dir() else [path]
-    except OSError as error:
-        raise RecordError(f"{path}: cannot be read ({error.strerror or error})") from None
-    loops: list[LoopSource] = []
-    tags: dict[str, Pieces] = {}
-    for file in files:
-        name = file.relative_to(root).with_suffix("").as_posix()
-        if file.suffix.lower() not in (".parquet", ".pq"):
-            loops.append(LoopSource(name, str(file)))
-            continue
-        try:
-            if not _tall(file):
-                loops.append(LoopSource(name, str(file)))
-                continue
-            for tag, pieces in tags_of(file).items():
-                tags[tag] = (*tags.get(tag, ()), *pieces)
-        except RecordError as error:
-            loops.append(LoopSource(name, str(file), refusal=str(error)))
-    return loops + list(tagged(tags).values())
-
-
-def _record_file(path: Path, root: Path) -> bool:
-    parts = path.relative_to(root).parts
-    hidden = any(part.startswith((".", "_")) for part in parts)
-    return not hidden and path.suffix.lower() in FILES and path.name.lower() != LABELS and path.is_file()
-
-
-def _tall(file: Path) -> bool:
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
-    try:
-        return is_tall([str(name) for name in pq.read_schema(file).names], None)
-    except (pa.ArrowException, OSError, ValueError) as error:
-        said = str(error).splitlines()[0] if str(error) else type(error).__name__
-        raise RecordError(f"{file}: no readable Parquet file: {said}") from None
-
-
-def tagged(tags: dict[str, Pieces]) -> dict[str, LoopSource]:
-    """Return the loops that a data set's tags tell, by name; tags that end in no signal's name are passed over."""
-    by: dict[str, dict[str, str]] = {}
-    twice: dict[str, str] = {}
-    for tag in sorted(tags):
-        split = split_tag(tag)
-        if split is None:
-            continue
-        name, signal = split
-        own = by.setdefault(name, {})
-        if signal in own:
-            twice.setdefault(name, f"tags {own[signal]!r} and {tag!r} are both {signal}; a manifest can say which")
-        own[signal] = tag
-    return {name: of_tags(name, own, tags, twice.get(name, "")) for name, own in by.items()}
-
-
-def of_tags(name: str, own: dict[str, str], tags: dict[str, Pieces], refusal: str = "") -> LoopSource:
-    """Return the loop whose signals are the tags `own` of a data set, refused where PV or OP is not among them."""
-    missing = [f"tag {tag!r} of {signal} is not in the data" for signal, tag in own.items() if tag not in tags]
-    missing += [f"no tag for {signal}" for signal in NEEDED if signal not in own]
-    groups: dict[str, set[int]] = {}
-    for tag in own.values():
-        for piece in tags.get(tag, ()):
-            groups.setdefault(piece.path, set()).update(piece.groups)
-    return LoopSource(
-        name,
-        pieces=tuple((path, tuple(sorted(groups[path]))) for path in sorted(groups)),
-        tags=tuple(own.items()),
-        refusal=refusal or (f"{'; '.join(missing)} (tags: {', '.join(sorted(own.values()))})" if missing else ""),
-    )

@@ -12,8 +12,8 @@ from workbench.model.cascade import Cascade
 from workbench.model.results import Kpis, Tuned
 from workbench.model.study import Study
 from workbench.report.cells import cell
+from workbench.report.content import controller_content, loop_content, plain, tuned_content
 from workbench.report.judge import settling_doubt
-from workbench.report.results import controller_content, loop_content, plain, tuned_content
 from workbench.report.words import compensator_words
 
 __all__ = ["cascade_content", "cascade_csv"]

@@ -1,13 +1,25 @@
-"""What the summary says of published figures beside ours."""
+"""Published figures beside ours: which there are, and what the summary says of them."""
 
 from __future__ import annotations
 
-from workbench.model.study import Study
+from collections.abc import Sequence
+from dataclasses import fields
+
+from workbench.model.results import Kpis
+from workbench.model.study import CaseResult, Study
 from workbench.model.titles import kpi_title, within
-from workbench.report.results import reference_names
 from workbench.report.words import decimals_of, difference, join
 
-__all__ = ["reference_sentences"]
+__all__ = ["KPI_NAMES", "reference_names", "reference_sentences"]
+
+KPI_NAMES = tuple(f.name for f in fields(Kpis))
+
+
+def reference_names(cases: Sequence[CaseResult]) -> list[str]:
+    """Return the names of the published figures that any case has, in the order of the KPIs, others after them."""
+    given = {name for case in cases for name in case.reference}
+    known = [name for name in (*KPI_NAMES, "objective") if name in given]
+    return known + sorted(given - set(known))
 
 
 def reference_sentences(study: Study) -> list[str]:

@@ -19,43 +19,42 @@ from importlib.metadata import PackageNotFoundError, version
 from io import StringIO
 from typing import Any
 
-from workbench.model.controller import PID
 from workbench.model.cycle_map import OUTCOMES, CycleMap
 from workbench.model.detection import Detection
 from workbench.model.front import Front, FrontPoint, RobustRepair
-from workbench.model.loop import Loop
-from workbench.model.plant import FOPDT, Plant
 from workbench.model.results import (
     DescribingFunction,
     FittedModel,
-    Kpis,
     LimitCycle,
     Outcome,
     Repair,
     Repeats,
-    Robustness,
-    Tuned,
 )
 from workbench.model.rule import Rule
 from workbench.model.study import CaseResult, NamedEstimate, Study
-from workbench.model.tuning import Objective
-from workbench.model.valve import Directional, Positional, Valve
 from workbench.report.cells import DIGITS, cell
+from workbench.report.content import (
+    controller_content,
+    loop_content,
+    plain,
+    plant_content,
+    robustness_content,
+    tuned_content,
+    valve_content,
+    weights_content,
+)
 from workbench.report.judge import settling_doubt
+from workbench.report.reference import KPI_NAMES, reference_names
 from workbench.report.trends import experiment_content, trends_content
 from workbench.report.words import ROUNDING
 
 __all__ = [
     "FORMAT",
     "cases_csv",
-    "controller_content",
-    "loop_content",
-    "plain",
     "results_content",
     "results_json",
     "run_json",
     "strict",
-    "tuned_content",
 ]
 
 # Of results.json: told to readers, and raised where what stood in it means something else from then on. Files of
@@ -90,51 +89,8 @@ def strict(value: Any) -> Any:
     raise TypeError(msg)
 
 
-def plain(value: Any) -> dict[str, Any]:
-    """Return a value's fields by name."""
-    return {f.name: getattr(value, f.name) for f in fields(value)}
-
-
-def _weights(objective: Objective) -> dict[str, float]:
-    return {name: getattr(objective, name) for name in ("w1", "w2", "w3", "w4")} | dict(objective.kpis)
-
-
-def controller_content(controller: PID) -> dict[str, Any]:
-    """Return a controller in full; a resolution and a compensator are there only where it has one."""
-    content = plain(controller)
-    if controller.output_resolution == 0.0:
-        del content["output_resolution"]
-    given = content.pop("compensator")
-    if given is not None:
-        content["compensator"] = {"type": type(given).__name__, **plain(given)}
-    return {"form": controller.form, "structure": controller.structure, **content}
-
-
 def _or_none(value: float) -> float | str:
     return "none" if math.isinf(value) else value
-
-
-def _plant(plant: Plant) -> dict[str, Any]:
-    return {"type": "fopdt" if isinstance(plant, FOPDT) else "integrating", **plain(plant)}
-
-
-def _valve(valve: Valve) -> dict[str, Any]:
-    if isinstance(valve, Directional):
-        parts: dict[str, Any] = {"up": plain(valve.up), "down": plain(valve.down)}
-    elif isinstance(valve, Positional):
-        parts = {"positions": valve.positions, "valves": [_valve(one) for one in valve.valves]}
-    else:
-        parts = plain(valve)
-    return {"type": type(valve).__name__.lower(), **parts}
-
-
-def loop_content(loop: Loop) -> dict[str, Any]:
-    """Return plant, valve, sample time and further elements of a loop."""
-    content = {"plant": _plant(loop.plant), "valve": _valve(loop.valve), "sample_time": loop.sample_time}
-    if loop.characteristic is not None:
-        content["characteristic"] = {"type": "equal_percentage", **plain(loop.characteristic)}
-    more = {"fail_open": loop.fail_open, "scan": loop.scan if loop.scan > 1 else 0}
-    return content | {name: value for name, value in more.items() if value}
 
 
 def _describing_function(df: DescribingFunction | None) -> dict[str, Any] | None:
@@ -157,55 +113,6 @@ def _limit_cycle(cycle: LimitCycle | None) -> dict[str, Any] | None:
     form = None if cycle.closed_form is None else plain(cycle.closed_form)
     starts = [{name: v for name, v in plain(start).items() if name != "waveform"} for start in cycle.starts]
     return {**content, "closed_form": form, "starts": starts}
-
-
-def tuned_content(name: str, tuned: Tuned) -> dict[str, Any]:
-    """Return what results.json holds of a search."""
-    best, worst = tuned.spread
-    return {
-        "name": name,
-        "status": tuned.status.name.lower(),
-        "message": tuned.message,
-        "weights": _weights(tuned.weights),
-        "bounds": plain(tuned.bounds),
-        "digits": tuned.digits,
-        "objective": tuned.objective,
-        "nominal": tuned.nominal,
-        "worst": tuned.worst,
-        "margin": tuned.margin,
-        "start_objective": tuned.start_objective,
-        "guard_margin": tuned.guard_margin,
-        "slips": tuned.slips,
-        "nominal_only": tuned.nominal_only,
-        "knife_edge": tuned.knife_edge,
-        "agreeing": tuned.agreeing,
-        "steps": [plain(step) for step in tuned.steps],
-        "seed": tuned.seed,
-        "spread": {"best": best, "worst": worst},
-        "restarts": [plain(r) for r in tuned.restarts],
-        "evaluations": tuned.evaluations,
-        "solves": tuned.solves,
-        "iterations": tuned.iterations,
-        **_robust(tuned),
-    }
-
-
-def _robust(tuned: Tuned) -> dict[str, Any]:
-    """Return a tuning's constraints, ensemble and figures over it, as far as it has them."""
-    content = {} if tuned.constraints is None else {"constraints": plain(tuned.constraints)}
-    if tuned.ensemble is None or tuned.robustness is None:
-        return content
-    return {**content, "ensemble": plain(tuned.ensemble), "robustness": _robustness(tuned.robustness)}
-
-
-def _robustness(found: Robustness) -> dict[str, Any]:
-    names = ("mse_mean", "mse_median", "mse_p90", "travel_mean", "travel_median", "diverged", "stable")
-    return {
-        "draws": found.ensemble.draws,
-        "seed": found.ensemble.seed,
-        "objective": found.objective,
-        **{name: getattr(found, name) for name in (*names, "max_sensitivity", "gain_margin", "phase_margin")},
-    }
 
 
 def _front(front: Front) -> dict[str, Any]:
@@ -258,7 +165,7 @@ def _robust_repair(repair: RobustRepair) -> dict[str, Any]:
     names = ("present", "repaired", "best", "best_repaired")
     return {
         **{
-            name: {"controller": controller_content(one.loop.controller), **_robustness(one)}
+            name: {"controller": controller_content(one.loop.controller), **robustness_content(one)}
             for name in names
             for one in (getattr(repair, name),)
         },
@@ -283,7 +190,7 @@ def _repair(repair: Repair | None) -> dict[str, Any] | None:
     if repair is None:
         return None
     return {
-        "weights": _weights(repair.weights),
+        "weights": weights_content(repair.weights),
         **{name: _outcome(getattr(repair, name)) for name in ("present", "repaired", "best", "best_repaired")},
         "share_that_only_repair_removes": {
             name: repair.share(name) for name in ("objective", "error_variance", "mean_square_error")
@@ -307,7 +214,7 @@ def _case(case: CaseResult) -> dict[str, Any]:
         "rule": _rule(case.rule),
         "repaired": None if case.repaired is None else _outcome(case.repaired),
         **{
-            name: _robustness(found)
+            name: robustness_content(found)
             for name, found in (("robustness", case.robustness), ("robustness_repaired", case.robustness_repaired))
             if found is not None
         },
@@ -331,7 +238,7 @@ def _detection(found: Detection) -> dict[str, Any]:
 
 def _candidate(model: FittedModel) -> dict[str, Any]:
     criteria = {name: aic(getattr(model, name), model.residual_variance) for name in ("aic", "bic")}
-    return {**plain(model), "plant": _plant(model.plant), "valve": _valve(model.valve), **criteria}
+    return {**plain(model), "plant": plant_content(model.plant), "valve": valve_content(model.valve), **criteria}
 
 
 def _repeats(found: Repeats) -> dict[str, Any]:
@@ -340,14 +247,14 @@ def _repeats(found: Repeats) -> dict[str, Any]:
 
 def _estimate(named: NamedEstimate) -> dict[str, Any]:
     found, program = named.found, named.found.complementarity
-    ended = {} if program is None else {"status": program.status.value, "plant": _plant(program.plant)}
+    ended = {} if program is None else {"status": program.status.value, "plant": plant_content(program.plant)}
     return {
         "name": named.name,
         "method": found.method,
         "verdict": found.verdict,
         "reasons": list(found.reasons),
-        "plant": _plant(found.plant),
-        "valve": _valve(found.valve),
+        "plant": plant_content(found.plant),
+        "valve": valve_content(found.valve),
         "intervals": plain(found.intervals),
         "identifiable": found.identifiable,
         "bias": found.bias,
@@ -360,13 +267,14 @@ def _estimate(named: NamedEstimate) -> dict[str, Any]:
         "repeats": None if found.repeats is None else _repeats(found.repeats),
         "load_steps": [plain(step) for step in found.load_steps],
         "linear": {
-            "plant": _plant(found.linear.plant),
+            "plant": plant_content(found.linear.plant),
             "bias": found.linear.bias,
             "residual_variance": found.linear.residual_variance,
             "aic": aic(found.linear.aic, found.linear.residual_variance),
         },
         "iterations": [
-            {**plain(i), "plant": _plant(i.plant), "aic": aic(i.aic, i.residual_variance)} for i in found.iterations
+            {**plain(i), "plant": plant_content(i.plant), "aic": aic(i.aic, i.residual_variance)}
+            for i in found.iterations
         ],
         "record": {
             "samples": len(found.record),
@@ -455,16 +363,6 @@ def run_json(study: Study) -> str:
             "machine": {"platform": platform.platform(), "processor": platform.machine(), "cpus": os.cpu_count()},
         }
     )
-
-
-KPI_NAMES = tuple(f.name for f in fields(Kpis))
-
-
-def reference_names(cases: Sequence[CaseResult]) -> list[str]:
-    """Return the names of the published figures that any case has, in the order of the KPIs, others after them."""
-    given = {name for case in cases for name in case.reference}
-    known = [name for name in (*KPI_NAMES, "objective") if name in given]
-    return known + sorted(given - set(known))
 
 
 def cases_csv(study: Study) -> str:

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from workbench.model.study import CaseResult, Study
 from workbench.model.titles import KPI_ROWS, kpi_title
 from workbench.report.judge import settling_band, settling_doubt, unstable
-from workbench.report.results import reference_names
+from workbench.report.reference import reference_names
 from workbench.report.shared import CONTROLLER_ROWS
 from workbench.report.words import decimals_of, difference, duration, figure, published, setting
 

@@ -20,7 +20,7 @@ from workbench.scenario.refusals import Refusals
 from workbench.scenario.site_entries import cascade_site
 from workbench.scenario.valves import plant_of, valve_of
 from workbench.simulate.cascade import cascade_signals
-from workbench.simulate.run import signals
+from workbench.simulate.signals import signals
 
 if TYPE_CHECKING:
     from workbench.scenario.build import Builder

@@ -15,9 +15,8 @@ from workbench.model.plant import FOPDT
 from workbench.model.record import FloatArray
 from workbench.model.results import Run
 from workbench.simulate import kernel
-from workbench.simulate.coefficients import coefficients, discretise
-from workbench.simulate.run import rest, signals
-from workbench.simulate.signals import noise_signal, profile_signal
+from workbench.simulate.coefficients import coefficients, discretise, rest
+from workbench.simulate.signals import noise_signal, profile_signal, signals
 
 __all__ = ["CascadeSignals", "CascadeState", "cascade_signals", "chain", "simulate_cascade"]
 

@@ -25,7 +25,7 @@ from workbench.model.record import FloatArray
 from workbench.model.valve import Choudhury, Deadband, Directional, He, Kano, Positional, Stenman, Valve
 from workbench.simulate import kernel
 
-__all__ = ["Discrete", "ValveLaw", "coefficients", "discretise", "valve_law", "valve_row"]
+__all__ = ["Discrete", "ValveLaw", "coefficients", "discretise", "rest", "valve_law", "valve_row"]
 
 
 class Discrete(NamedTuple):
@@ -207,3 +207,10 @@ def _ideal_terms(pid: PID, tunings: FloatArray) -> tuple[FloatArray, FloatArray,
     terms = [replace(pid, Kc=row[0], Ti=row[1], Td=row[2]).ideal_terms() for row in tunings.tolist()]
     columns = np.array([(t.Kc, t.Ti, t.Td, t.Tf, t.b) for t in terms]).reshape(-1, 5).T
     return columns[0], columns[1], columns[2], columns[3], columns[4]
+
+
+def rest(row: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the kernel's state and past at rest for a coefficient row."""
+    state = np.zeros(kernel.STATES)
+    state[kernel.U_LAST] = row[kernel.BIAS]
+    return state, np.zeros(int(row[kernel.DELAY]) + 1)

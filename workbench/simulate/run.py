@@ -20,10 +20,11 @@ from workbench.model.tuning import Objective
 from workbench.model.valve import Valve
 from workbench.simulate import kernel
 from workbench.simulate.batch import kernel_weights, sums, weigh
-from workbench.simulate.coefficients import coefficients, valve_row
-from workbench.simulate.signals import Signals, noise_signal, profile_signal, sample_count
+from workbench.simulate.cascade import simulate_cascade
+from workbench.simulate.coefficients import coefficients, rest, valve_row
+from workbench.simulate.signals import signals
 
-__all__ = ["Batch", "evaluate", "signals", "simulate", "simulate_batch", "valve_response"]
+__all__ = ["Batch", "evaluate", "simulate", "simulate_batch", "valve_response"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,32 +39,6 @@ class Batch:
     kpis: tuple[Kpis, ...]
 
 
-def signals(loop: Loop, experiment: Experiment) -> Signals:
-    """Return the experiment's signals on the loop's samples, the load in OP's direction.
-
-    Raises `InvalidValue` where these are no loop and experiment, the duration is no whole number of samples, or the
-    stem offset is no resting state: the valve would not hold it, or OP cannot stand there.
-    """
-    instance(loop, Loop, "loop", "a Loop")
-    instance(experiment, Experiment, "experiment", "an Experiment")
-    n = sample_count(experiment.duration, loop.sample_time)
-    if abs(experiment.stem_offset) > loop.valve.hold:
-        raise InvalidValue(
-            "Experiment.stem_offset",
-            f"{experiment.stem_offset:g} %",
-            f"must be at most {loop.valve.hold:g} % in size, as this valve would not rest there",
-        )
-    limits = loop.controller.output_limits
-    if limits is not None and not limits[0] <= experiment.stem_offset <= limits[1]:
-        where, allowed = "Experiment.stem_offset", f"must lie within the output limits {limits}: OP rests there"
-        raise InvalidValue(where, f"{experiment.stem_offset:g} %", allowed)
-    return Signals(
-        profile_signal(experiment.setpoint_parts, n, loop.sample_time),
-        loop.direction * profile_signal(experiment.load_parts, n, loop.sample_time),
-        noise_signal(experiment.noise, n),
-    )
-
-
 @overload
 def simulate(loop: Loop, experiment: Experiment) -> Run: ...
 @overload
@@ -76,8 +51,6 @@ def simulate(loop: Loop | Cascade, experiment: Experiment) -> Run | CascadeRun:
     `InvalidValue` for an experiment that does not fit the loop.
     """
     if isinstance(loop, Cascade):
-        from workbench.simulate.cascade import simulate_cascade  # which builds on this module
-
         return simulate_cascade(loop, experiment)
     given = signals(loop, experiment)
     row = coefficients(loop, experiment.stem_offset)[0]
@@ -112,13 +85,6 @@ def simulate(loop: Loop | Cascade, experiment: Experiment) -> Run | CascadeRun:
         final_pv=float(measured[n]),
         kpis=figures,
     )
-
-
-def rest(row: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the kernel's state and past at rest for a coefficient row."""
-    state = np.zeros(kernel.STATES)
-    state[kernel.U_LAST] = row[kernel.BIAS]
-    return state, np.zeros(int(row[kernel.DELAY]) + 1)
 
 
 def simulate_batch(

@@ -1,4 +1,4 @@
-"""Profiles and noise as sampled signals."""
+"""An experiment's profiles and noise as sampled signals."""
 
 from __future__ import annotations
 
@@ -8,10 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from workbench.errors import InvalidValue
-from workbench.model.experiment import Noise, Profile, Ramp, Step
+from workbench.model.checks import instance
+from workbench.model.experiment import Experiment, Noise, Profile, Ramp, Step
+from workbench.model.loop import Loop
 from workbench.model.record import FloatArray
 
-__all__ = ["Signals", "noise_signal", "profile_signal", "sample_count"]
+__all__ = ["Signals", "noise_signal", "profile_signal", "sample_count", "signals"]
 
 # Samples of one run: a run keeps about a dozen signals of this length in memory.
 MOST = 20_000_000
@@ -74,3 +76,29 @@ def noise_signal(noise: Noise | None, n: int) -> FloatArray:
     if noise is None or noise.sd == 0.0:
         return np.zeros(n + 1)
     return np.random.default_rng(noise.seed).normal(0.0, noise.sd, n + 1)
+
+
+def signals(loop: Loop, experiment: Experiment) -> Signals:
+    """Return the experiment's signals on the loop's samples, the load in OP's direction.
+
+    Raises `InvalidValue` where these are no loop and experiment, the duration is no whole number of samples, or the
+    stem offset is no resting state: the valve would not hold it, or OP cannot stand there.
+    """
+    instance(loop, Loop, "loop", "a Loop")
+    instance(experiment, Experiment, "experiment", "an Experiment")
+    n = sample_count(experiment.duration, loop.sample_time)
+    if abs(experiment.stem_offset) > loop.valve.hold:
+        raise InvalidValue(
+            "Experiment.stem_offset",
+            f"{experiment.stem_offset:g} %",
+            f"must be at most {loop.valve.hold:g} % in size, as this valve would not rest there",
+        )
+    limits = loop.controller.output_limits
+    if limits is not None and not limits[0] <= experiment.stem_offset <= limits[1]:
+        where, allowed = "Experiment.stem_offset", f"must lie within the output limits {limits}: OP rests there"
+        raise InvalidValue(where, f"{experiment.stem_offset:g} %", allowed)
+    return Signals(
+        profile_signal(experiment.setpoint_parts, n, loop.sample_time),
+        loop.direction * profile_signal(experiment.load_parts, n, loop.sample_time),
+        noise_signal(experiment.noise, n),
+    )

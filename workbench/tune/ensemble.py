@@ -27,8 +27,7 @@ from workbench.model.valve import Choudhury, Deadband, Directional, He, Ideal, K
 from workbench.simulate import kernel
 from workbench.simulate.batch import kernel_weights, sums, weigh
 from workbench.simulate.coefficients import coefficients
-from workbench.simulate.run import signals
-from workbench.simulate.signals import Signals, sample_count
+from workbench.simulate.signals import Signals, sample_count, signals
 
 __all__ = ["Circumstances", "Draw", "assess", "corner_loops", "draws", "measured", "statistic"]
 

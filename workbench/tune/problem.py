@@ -25,7 +25,7 @@ from workbench.model.tuning import Bounds, Objective
 from workbench.simulate import kernel
 from workbench.simulate.batch import kernel_weights, sums, weigh, worst
 from workbench.simulate.coefficients import coefficients
-from workbench.simulate.run import signals
+from workbench.simulate.signals import signals
 from workbench.tune.limits import NARROW, UNSTABLE, WORN, more_than_sensitivity, narrowness, worn
 
 __all__ = ["Problem", "round_to"]

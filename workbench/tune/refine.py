@@ -17,8 +17,7 @@ from workbench.model.record import FloatArray
 from workbench.model.results import SolveStatus
 from workbench.simulate import kernel
 from workbench.simulate.batch import weigh
-from workbench.simulate.coefficients import coefficients
-from workbench.simulate.run import rest
+from workbench.simulate.coefficients import coefficients, rest
 from workbench.symbolic.branch import BranchProgram, BranchSolution, Decisions
 from workbench.symbolic.loop import COEFFICIENTS, unwritten
 from workbench.symbolic.solve import held_interrupt
