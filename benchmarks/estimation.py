@@ -59,8 +59,8 @@ def measured(loop: wb.Loop, experiment: wb.Experiment, skip: int, quantum: float
     return wb.Record(pv + 50.0, run.op[skip:] + 40.0, 1.0, sp=run.sp[skip:] + 50.0), slips
 
 
-def case(rng: np.random.Generator, kind: str, plant: str) -> Case | None:
-    """One random case; None where the loop does not move or runs away."""
+def drawn(rng: np.random.Generator, kind: str, plant: str) -> tuple[wb.Loop, float, float]:
+    """A random loop, its stick band S (%), and the size of a setpoint move that suits it (EU)."""
     S = float(np.exp(rng.uniform(np.log(0.5), np.log(5.0))))
     valve: wb.Stenman | wb.Choudhury | wb.Deadband = {
         "stenman": wb.Stenman(S),
@@ -79,6 +79,12 @@ def case(rng: np.random.Generator, kind: str, plant: str) -> Case | None:
         model = wb.Integrating(gain, theta)
         controller = wb.PID(Kc=1.0 / (gain * (slow + theta)), Ti=4.0 * (slow + theta))
         size = S * gain * tau * rng.uniform(0.3, 1.5)
+    return wb.Loop(model, valve, controller, 1.0), S, size
+
+
+def case(rng: np.random.Generator, kind: str, plant: str) -> Case | None:
+    """One random case; None where the loop does not move or runs away."""
+    loop, S, size = drawn(rng, kind, plant)
     skip = 0 if rng.random() < 0.5 else SAMPLES
     moved = skip == 0 or bool(rng.random() < 0.5)
     steps = [wb.Step(size)]
@@ -86,7 +92,6 @@ def case(rng: np.random.Generator, kind: str, plant: str) -> Case | None:
         steps.append(wb.Step(-1.5 * size, at=float(skip + rng.integers(300, 700))))
     load = wb.Step(S * rng.uniform(-0.5, 0.5), at=float(skip + rng.integers(100, 900))) if rng.random() < 0.3 else None
     noise, quantised = float(rng.choice(NOISE)), bool(rng.random() < 0.25)
-    loop = wb.Loop(model, valve, controller, 1.0)
     plain = wb.Experiment(float(SAMPLES + skip), setpoint=steps, load=load)
     quiet, _ = measured(loop, plain, skip, 0.0)
     swing = float(np.ptp(quiet.pv))

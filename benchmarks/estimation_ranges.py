@@ -16,7 +16,7 @@ import sys
 from dataclasses import replace
 
 import numpy as np
-from estimation import Case, covered, measured, share
+from estimation import Case, covered, drawn, measured, share
 
 import workbench as wb
 
@@ -31,31 +31,13 @@ def case(seed: int, moved: bool) -> tuple[Case, str]:
     rng = np.random.default_rng([9090, seed, int(moved)])
     while True:
         samples = 1000 if moved else int(rng.choice([300, 600, 1000, 1000, 2000]))
-        S = float(np.exp(rng.uniform(np.log(0.5), np.log(5.0))))
-        valve: wb.Stenman | wb.Choudhury | wb.Deadband = {
-            "stenman": wb.Stenman(S),
-            "choudhury": wb.Choudhury(S, S * rng.uniform(0.1, 1.2)),
-            "deadband": wb.Deadband(S),
-        }[kind]
-        tau, theta = float(np.exp(rng.uniform(np.log(3.0), np.log(40.0)))), float(rng.uniform(0.0, 10.0))
-        slow = tau * rng.uniform(0.8, 3.0)
-        if plant == "fopdt":
-            gain = float(np.exp(rng.uniform(np.log(0.3), np.log(3.0))))
-            model: wb.FOPDT | wb.Integrating = wb.FOPDT(gain, tau, theta)
-            controller = wb.PID(Kc=tau / (gain * (slow + theta)), Ti=tau * rng.uniform(0.5, 2.0))
-            size = S * gain * rng.uniform(0.7, 3.0)
-        else:
-            gain = float(np.exp(rng.uniform(np.log(0.003), np.log(0.03))))
-            model = wb.Integrating(gain, theta)
-            controller = wb.PID(Kc=1.0 / (gain * (slow + theta)), Ti=4.0 * (slow + theta))
-            size = S * gain * tau * rng.uniform(0.3, 1.5)
+        loop, _, size = drawn(rng, kind, plant)
         skip = 0 if moved and rng.random() < 0.5 else SETTLED
         steps = [wb.Step(size)]
         if moved:
             steps.append(wb.Step(-1.5 * size, at=float(skip + rng.integers(300, 700))))
         noise = float(rng.choice((0.01, 0.02, 0.05) if moved else (0.005, 0.01, 0.02, 0.05, 0.05, 0.2)))
         quantised = bool(rng.random() < 0.25) and not moved
-        loop = wb.Loop(model, valve, controller, 1.0)
         plain = wb.Experiment(float(samples + skip), setpoint=steps)
         swing = float(np.ptp(measured(loop, plain, skip, 0.0)[0].pv))
         if not 1e-6 < swing < 20.0 * size:
