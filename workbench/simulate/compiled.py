@@ -1,24 +1,56 @@
-"""The typed wrappers around numba: `@compiled` and `@written_out` keep a function's type and its `.py_func`."""
+"""The typed wrappers around numba: `@compiled` and its kin keep a function's type and its `.py_func`."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import ParamSpec, TypeVar, cast
+from typing import Any, ParamSpec, TypeVar, cast
 
 import numba
+import numpy as np
+from numpy.typing import NDArray
 
-__all__ = ["compiled", "written_out"]
+__all__ = ["compiled", "copy", "specialised", "written_out"]
 
 P = ParamSpec("P")
 R = TypeVar("R")
 
 
-def compiled(function: Callable[P, R]) -> Callable[P, R]:
+def _made(function: Callable[..., Any], **more: str) -> Any:
     """Compile a plain-float function, cached on disk, without fastmath: every rounding stays as written."""
-    return cast("Callable[P, R]", numba.njit(cache=True, nogil=True, fastmath=False, error_model="numpy")(function))
+    options = {"cache": True, "nogil": True, "fastmath": False, "error_model": "numpy"}
+    # Nobody calls these functions as C: numba would write, and compile, one more entry for each.
+    return numba.njit(no_cfunc_wrapper=True, **options, **more)(function)
+
+
+def compiled(function: Callable[P, R]) -> Callable[P, R]:
+    """Compile a plain-float function, cached on disk, without fastmath: every rounding stays as written.
+
+    A constant that compiled code calls it with is a value there like any other. numba would take each for a type of its
+    own, and compile the function and all that it calls once more: `specialised` and `written_out` are where that pays.
+    """
+    made = _made(function)
+    if not numba.config.DISABLE_JIT:
+        called_with, value = made.get_call_template, numba.types.unliteral
+
+        def called_with_values(args: Any, kws: Any) -> Any:
+            return called_with(tuple(map(value, args)), {name: value(kind) for name, kind in kws.items()})
+
+        made.get_call_template = called_with_values
+    return cast("Callable[P, R]", made)
+
+
+def specialised(function: Callable[P, R]) -> Callable[P, R]:
+    """The same, compiled once more for each constant that compiled code calls it with: a valve's kind, in a loop."""
+    return cast("Callable[P, R]", _made(function))
 
 
 def written_out(function: Callable[P, R]) -> Callable[P, R]:
     """The same, written out where it is called, so that constant arguments leave no trace in the compiled code."""
-    options = {"cache": True, "nogil": True, "fastmath": False, "error_model": "numpy", "inline": "always"}
-    return cast("Callable[P, R]", numba.njit(**options)(function))
+    return cast("Callable[P, R]", _made(function, inline="always"))
+
+
+@compiled
+def copy(source: NDArray[np.float64], target: NDArray[np.float64]) -> None:
+    """`target[:] = source`, which would bring in all that numba knows of shapes, and seconds of compilation."""
+    for i in range(target.size):
+        target[i] = source[i]
