@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Callable
+from functools import cache
+from pathlib import Path
 from typing import Any, ParamSpec, TypeVar, cast
 
 import numba
@@ -13,13 +16,6 @@ __all__ = ["compiled", "copy", "specialised", "written_out"]
 
 P = ParamSpec("P")
 R = TypeVar("R")
-
-
-def _made(function: Callable[..., Any], **more: str) -> Any:
-    """Compile a plain-float function, cached on disk, without fastmath: every rounding stays as written."""
-    options = {"cache": True, "nogil": True, "fastmath": False, "error_model": "numpy"}
-    # Nobody calls these functions as C: numba would write, and compile, one more entry for each.
-    return numba.njit(no_cfunc_wrapper=True, **options, **more)(function)
 
 
 def compiled(function: Callable[P, R]) -> Callable[P, R]:
@@ -47,6 +43,39 @@ def specialised(function: Callable[P, R]) -> Callable[P, R]:
 def written_out(function: Callable[P, R]) -> Callable[P, R]:
     """The same, written out where it is called, so that constant arguments leave no trace in the compiled code."""
     return cast("Callable[P, R]", _made(function, inline="always"))
+
+
+def _made(function: Callable[..., Any], **more: str) -> Any:
+    options = {"cache": True, "nogil": True, "fastmath": False, "error_model": "numpy"}
+    # Nobody calls these functions as C: numba would write, and compile, one more entry for each.
+    made = numba.njit(no_cfunc_wrapper=True, **options, **more)(function)
+    if not numba.config.DISABLE_JIT:
+        # numba's cache holds for a file as it was, but what is compiled holds functions and constants of others too.
+        file = made._cache._cache_file
+        file._source_stamp = (file._source_stamp, _stamp(function))
+    return made
+
+
+def _stamp(function: Callable[..., Any]) -> str:
+    """What the files are now that a function's compiled code may come from, as one word.
+
+    They are its own, and those of all compiled functions that its file imports, and that theirs do.
+    """
+    files = {__file__, function.__code__.co_filename}
+    waiting = [function.__globals__]
+    while waiting:
+        for value in waiting.pop().values():
+            inner = getattr(value, "py_func", None)
+            if inner is not None and inner.__code__.co_filename not in files:
+                files.add(inner.__code__.co_filename)
+                waiting.append(inner.__globals__)
+    paths = [Path(name) for name in sorted(files)]
+    return "".join(_digest(path, path.stat().st_mtime_ns, path.stat().st_size) for path in paths if path.exists())
+
+
+@cache
+def _digest(path: Path, changed: int, size: int) -> str:  # noqa: ARG001 a file that has changed is read anew
+    return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
 @compiled
