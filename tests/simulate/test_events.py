@@ -8,7 +8,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from hypothesis import assume, given, settings
+from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 from loops import controllers, loops, numbers, paper_loop
 
@@ -40,16 +40,19 @@ def near(given_value, wanted, size):
 
 def tied(row, u, x):
     """Whether u stands, but for rounding, at the end of the stick band, at a limit or between two levels."""
-    q = row[kernel.RESOLUTION]
-    if q > 0.0 and abs(abs(math.remainder(u - row[kernel.BIAS], q)) - 0.5 * q) <= TIE:
-        return True
+    q, seen = row[kernel.RESOLUTION], u
+    if q > 0.0:
+        if abs(abs(math.remainder(u - row[kernel.BIAS], q)) - 0.5 * q) <= TIE:
+            return True
+        # The stem sees the level: where this is the band's end, all that is rounded to it is tied.
+        seen = kernel._level(u, q, row[kernel.BIAS], row[kernel.LOW], row[kernel.HIGH])
     up, down = row[kernel.BAND], row[kernel.BAND_DOWN]
     if row[kernel.PLACES] > 0.0:
         up = down = kernel._place(row, x)[0]
-    gaps = [u - x - up, u - x + down, u - row[kernel.LOW], u - row[kernel.HIGH]]
+    gaps = [seen - x - up, seen - x + down, u - row[kernel.LOW], u - row[kernel.HIGH]]
     if row[kernel.VALVE] == kernel.KANO:
         # Where its stem has not moved yet.
-        gaps += [u - x - up + row[kernel.OFFSET], u - x + down + row[kernel.OFFSET]]
+        gaps += [seen - x - up + row[kernel.OFFSET], seen - x + down + row[kernel.OFFSET]]
     return min(abs(gap) for gap in gaps) <= TIE
 
 
@@ -151,8 +154,17 @@ def slow_loops(draw):
 pauses = st.lists(st.integers(1, 30), min_size=4, max_size=12)
 
 
+LEVEL_AT_THE_BANDS_END = wb.Loop(
+    wb.Integrating(0.07142857142857142, 0.0),
+    wb.Deadband(1.764295241414547),
+    wb.PID(1.0, math.inf, 14.0, derivative_on="pv", derivative_filter=math.inf, output_resolution=0.7),
+    1.0,
+)
+
+
 @settings(max_examples=150)
 @given(loop=slow_loops(), r=numbers(-6.0, 6.0), load=numbers(-2.0, 2.0), pauses=pauses)
+@example(LEVEL_AT_THE_BANDS_END, 3.0, 0.0, [1, 1, 1, 1])
 def test_each_jump_equals_the_kernel_restarted_from_the_same_state(loop, r, load, pauses):
     follow_jumps(loop, r, load, pauses)
 

@@ -12,7 +12,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from workbench.simulate.compiled import compiled
+from workbench.simulate.compiled import compiled, copy, specialised
 from workbench.simulate.kernel import STAIRS, TWO_PARAMETER, valve_step
 
 __all__ = ["LANES", "noise", "own_products", "plant", "screen", "screen_drive", "settle", "sums_of", "whiten"]
@@ -52,7 +52,7 @@ def whiten(a: Floats, row: Floats, out: Floats) -> None:
     """Write a signal filtered by a = (1, -a_1, .., -a_p), shape (N,), as if it had been 0 before."""
     taps = _four(a)
     before = np.zeros(taps.size - 1 + row.size)
-    before[taps.size - 1 :] = row
+    copy(row, before[taps.size - 1 :])
     _filter(taps, before, 1, out)
 
 
@@ -244,7 +244,7 @@ def screen_drive(
                     best[0], best[1], best[2] = cost, j, d
 
 
-@compiled
+@specialised
 def _stems(kind: int, u: Floats, stems: Floats, x: Floats) -> None:
     """Write the moves of LANES stems away from where they are in sample 0, `x[k LANES + j]`; at rest before it."""
     u_last = u[0]
@@ -256,7 +256,7 @@ def _stems(kind: int, u: Floats, stems: Floats, x: Floats) -> None:
             at, motion = valve_step(kind, band, offset, band, offset, now, u_last, stems[_X + j], motion)
             stems[_X + j], stems[_MOTION + j] = at, motion
         if k == 0:
-            stems[_X0 : _X0 + LANES] = stems[_X : _X + LANES]
+            copy(stems[_X : _X + LANES], stems[_X0 : _X0 + LANES])
         for j in range(LANES):
             row[j] = stems[_X + j] - stems[_X0 + j]
         u_last = now
@@ -286,11 +286,11 @@ def _four(a: Floats) -> Floats:
     while size > 1 and a[size - 1] == 0.0:
         size -= 1
     taps = np.zeros(1 + (size + 2) // 4 * 4)
-    taps[:size] = a[:size]
+    copy(a[:size], taps[:size])
     return taps
 
 
-@compiled
+@specialised
 def _filter(taps: Floats, x: Floats, stride: int, w: Floats) -> None:
     """Write a filtered signal, or `stride` of them side by side; taps: as `_four` has them, p + 1.
 
@@ -469,7 +469,7 @@ def _gather(
     while begin < n:
         rows = (end - begin + 7) // 8 * 8
         if e.size > 0:
-            pairs[:LANES] = st[_LAST : _LAST + LANES]
+            copy(st[_LAST : _LAST + LANES], pairs[:LANES])
         if end == head:
             _lag_edge(w, head, st, z, head_edge)
             st[_W : _W + LANES] = 1.0
@@ -722,7 +722,7 @@ def plant(
                 break
     pole = math.exp(-1.0 / tau)
     lag, last = 0.0, 0.0
-    residual[:delay] = y[:delay]
+    copy(y[:delay], residual[:delay])
     for k in range(delay, n):
         residual[k] = y[k] - (g0 * lag + g1 * last)
         last = lag
@@ -741,7 +741,8 @@ def noise(e: Floats, live: Bools, order: int, pole: float, a: Floats) -> float:
     own_products(e, live, order, pole, gram, terms)
     _least(gram, terms)
     a[0] = 1.0
-    a[1:] = -terms[:order]
+    for i in range(order):
+        a[1 + i] = -terms[i]
     left = np.empty(n)
     whiten(a, e, left)
     power, count, fading = 0.0, 0, terms[order + 1]

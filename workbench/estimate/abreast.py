@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workbench.estimate.kernel import FIT, SSE, least, own_sums, plant_terms, start_products, start_rests, transient_at
-from workbench.simulate.compiled import compiled, written_out
+from workbench.simulate.compiled import compiled, copy, written_out
 
 __all__ = ["LANES", "LINE", "ROW", "walk_bands"]
 
@@ -306,7 +306,7 @@ def _run(room: _Room, a: Floats, skip: int) -> None:
         for i in range(0, rows - STRIDE + 1, STRIDE):
             if chunk + i == counts:
                 lanes[_SUM : _SR + LANES] = 0.0
-                lanes[_R : _R + LANES] = room.after
+                copy(room.after, lanes[_R : _R + LANES])
                 late = False
             if late:
                 _sums_late(y[chunk + i :], w[i * LANES :], added[i * LANES :], lanes)
@@ -330,7 +330,8 @@ def _run(room: _Room, a: Floats, skip: int) -> None:
 def _complete(room: _Room, j: int, whole: float, out: Floats) -> None:
     """Write the products of lane j's columns (see `kernel.start_products` and `kernel.stem_products`)."""
     lanes = room.lanes
-    out[:] = room.products[j]
+    for i in range(out.shape[0]):
+        copy(room.products[j, i], out[i])
     out[0, 1], out[1, 1] = whole * lanes[_SUM + j], lanes[_SS + j]
     out[1, 2], out[1, 3], out[4, 1] = lanes[_SG + j], lanes[_SR + j], lanes[_SY + j]
 

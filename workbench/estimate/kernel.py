@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workbench.detect.kernel import screen_drive, sums_of
-from workbench.simulate.compiled import compiled
+from workbench.simulate.compiled import compiled, copy
 
 __all__ = [
     "band_path",
@@ -304,8 +304,9 @@ def walk(
                         if size == keys.size:
                             more_keys = np.empty(2 * size)
                             more_links = np.empty((2 * size, 2), np.int64)
-                            more_keys[:size] = keys
-                            more_links[:size] = links
+                            copy(keys, more_keys[:size])
+                            for i in range(size):
+                                more_links[i, 0], more_links[i, 1] = links[i, 0], links[i, 1]
                             keys, links = more_keys, more_links
                         keys[size] = abs(op[j] - x)
                         links[size, 0], links[size, 1] = j, origin
@@ -520,7 +521,7 @@ def solve(g: Floats, size: int) -> float:
 def drive_of(x: Floats, first: int, a: Floats, drive: Floats) -> None:
     """Write what drives the model along a stem path: 0 before `first`, the path from there on, filtered by a."""
     drive[:first] = 0.0
-    drive[first:] = x[first:]
+    copy(x[first:], drive[first:])
     for j in range(1, a.size):
         for k in range(first + j, x.size):
             drive[k] += a[j] * x[k - j]
@@ -845,7 +846,8 @@ def least(
     room, (2, 5, 4): the products as `start_products` and `stem_products` write them, and as much to work in.
     """
     q, g = room[0], room[1]
-    g[:] = q
+    for i in range(q.shape[0]):
+        copy(q[i], g[i])
     b = g[4]
     explained = solve(g, 4)
     if b[1] * sign < 0.0:
@@ -910,7 +912,7 @@ def oe_fit(
     points[0, 0] = min(max(math.log(tau), low_tau), high_tau)
     points[0, 1] = min(max(theta, theta_limits[0]), theta_limits[1])
     for i in range(1, 3):
-        points[i] = points[0]
+        copy(points[0], points[i])
     points[1, 0] += spread if points[0, 0] + spread <= high_tau else -spread
     side = 3.0 * spread
     points[2, 1] += side if points[0, 1] + side <= theta_limits[1] else -side
@@ -1323,7 +1325,7 @@ def screen_bands(
             known = 0
             if start == 3:
                 known = met + p
-                paths[3, met:] = paths[0, met:]
+                copy(paths[0, met:], paths[3, met:])
                 paths[3, :met] = paths[0, met]
             x = paths[start]
             for k in range(n):
@@ -1336,7 +1338,7 @@ def screen_bands(
             screen_drive(
                 w, y, poles, delays, within, sign, skip, known, False, sum_y, sum_yy, fading_y, faded, z, sums, best
             )
-            found[i, start] = best
+            copy(best, found[i, start])
 
 
 @compiled

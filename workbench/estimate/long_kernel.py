@@ -26,7 +26,7 @@ from workbench.estimate.kernel import (
     start_rests,
     stem_path,
 )
-from workbench.simulate.compiled import compiled
+from workbench.simulate.compiled import compiled, copy
 
 __all__ = ["fit_in_stretch", "fit_near", "halves_left", "path_range"]
 
@@ -172,7 +172,7 @@ def fit_near(
             if cost[i] < least:
                 least = cost[i]
                 best[0], best[1] = trial[0], trial[1]
-                chosen[:] = out
+                copy(out, chosen)
         slope_tau, bend_tau = 0.5 * (cost[1] - cost[2]), cost[1] - 2.0 * cost[0] + cost[2]
         slope_theta, bend_theta = 0.5 * (cost[3] - cost[4]), cost[3] - 2.0 * cost[0] + cost[4]
         both = cost[5] - cost[1] - cost[3] + cost[0]
@@ -195,10 +195,10 @@ def fit_near(
         if value < least:
             least = value
             best[0], best[1] = trial[0], trial[1]
-            chosen[:] = out
+            copy(out, chosen)
         far *= max(min(SHRINK * abs(step_tau), 1.0), 0.1)
         late *= max(min(SHRINK * abs(step_theta), 1.0), 0.1)
-    out[:] = chosen
+    copy(chosen, out)
     return least
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workbench.estimate.kernel import band_path, oe_columns, plant_terms, solve, stem_path
-from workbench.simulate.compiled import compiled, written_out
+from workbench.simulate.compiled import compiled, copy, written_out
 
 __all__ = ["LANES", "STRIDE", "left_beside", "screen_stepped"]
 
@@ -249,10 +249,11 @@ def screen_stepped(
                     value *= a
                 length = _apart_from(column, basis, size, skip)
                 if length > 0.0:
-                    basis[size, skip:] = column[skip:] / length
+                    for k in range(skip, n):
+                        basis[size, k] = column[k] / length
                     _step_products(basis[size], a, integrating, parts[size])
                     size += 1
-            rest[:] = y
+            copy(y, rest)
             left_y = _apart_from(rest, basis, size, skip) ** 2
             rest[:skip] = 0.0
             _step_products(rest, a, integrating, along)

@@ -33,7 +33,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from workbench.simulate.compiled import compiled, written_out
+from workbench.simulate.compiled import compiled, copy, specialised, written_out
 
 __all__ = [
     "CARRIED",
@@ -136,7 +136,7 @@ Y_FIRST, E_FIRST, SLOPE, I_LAST, D_FIRST, BASE = range(6)
 DONE, RESTS, AWAY = range(3)
 
 
-@compiled
+@specialised
 def valve_step(
     kind: int,
     band: float,
@@ -918,13 +918,6 @@ def collect(
 
 
 @compiled
-def _copy(source: Floats, target: Floats) -> None:
-    """`target[:] = source`, which would bring in all that numba knows of shapes, and seconds of compilation."""
-    for i in range(target.size):
-        target[i] = source[i]
-
-
-@compiled
 def _join(before: Floats, after: Floats, both: Floats) -> None:
     """The entry for the samples of two entries, one after the other: sums of positive terms, so that none cancel."""
     a, w, n = before[POWER], before[RISE], after[SAMPLES]
@@ -945,7 +938,7 @@ def doublings(c: Floats, table: Floats) -> None:
     """
     a = c[POLE]
     q = c[TF] / c[TF_TS]
-    # One by one, see `_copy`.
+    # One by one, see `copy`.
     table[0, SAMPLES], table[0, POWER], table[0, RISE], table[0, RISE_SUM] = 1.0, a, 1.0, 0.0
     table[0, RISE2_SUM], table[0, FILTER], table[0, FILTER_SUM] = 0.0, q, 1.0
     for j in range(1, table.shape[0]):
@@ -1008,7 +1001,7 @@ def _room(c: Floats, state: Floats) -> tuple[float, float]:
     return max(low, c[LOW]), min(high, c[HIGH])
 
 
-@compiled
+@specialised
 def _grows(order: int, c: Floats, at: Floats, n: Floats) -> bool:
     """Whether u_{n+1} - u_n is positive (order 1), or that difference's own next step (order 2)."""
     step = -at[SLOPE] * n[POWER]
@@ -1023,7 +1016,7 @@ def _grows(order: int, c: Floats, at: Floats, n: Floats) -> bool:
     return bool(bend * step + lost * lost * d_term > 0.0)
 
 
-@compiled
+@specialised
 def _stays(order: int, grew: bool, low: float, high: float, c: Floats, at: Floats, n: Floats) -> bool:
     """What `_advance` asks: whether the sign is what it was (order 1 or 2), or u within [low, high] (order 0)."""
     if order == 0:
@@ -1032,7 +1025,7 @@ def _stays(order: int, grew: bool, low: float, high: float, c: Floats, at: Float
     return _grows(order, c, at, n) == grew
 
 
-@compiled
+@specialised
 def _advance(
     order: int, low: float, high: float, c: Floats, at: Floats, table: Floats, until: float, n: Floats, trial: Floats
 ) -> None:
@@ -1043,14 +1036,14 @@ def _advance(
         _join(n, table[j], trial)
         if not _stays(order, grew, low, high, c, at, trial):
             break
-        _copy(trial, n)
+        copy(trial, n)
         j += 1
     # The last step failed or went too far: halve it.
     for i in range(min(j, table.shape[0] - 1), -1, -1):
         if n[SAMPLES] + table[i, SAMPLES] <= until:
             _join(n, table[i], trial)
             if _stays(order, grew, low, high, c, at, trial):
-                _copy(trial, n)
+                copy(trial, n)
 
 
 @compiled
@@ -1085,7 +1078,7 @@ def jump(
     live = min(live, end)
     turn = live
     if at[D_FIRST] != 0.0 or (c[KD] != 0.0 and at[SLOPE] != 0.0):
-        _copy(n, last)
+        copy(n, last)
         _advance(2, low, high, c, at, table, live, last, trial)
         turn = min(last[SAMPLES] + 1.0, live)
     carry[U_HIGH], carry[U_LOW] = max(carry[U_HIGH], _shown(c, u)), min(carry[U_LOW], _shown(c, u))
@@ -1094,7 +1087,7 @@ def jump(
         until = turn if stage < 2 else (live if stage < 4 else end)
         if n[SAMPLES] >= until:
             continue
-        _copy(n, last)
+        copy(n, last)
         if stage == 0 or stage == 2:
             _advance(1, low, high, c, at, table, until - 1.0, last, trial)
             _join(last, table[0], cut)
@@ -1102,15 +1095,15 @@ def jump(
             for j in range(table.shape[0] - 1, -1, -1):
                 if last[SAMPLES] + table[j, SAMPLES] <= until:
                     _join(last, table[j], trial)
-                    _copy(trial, last)
-            _copy(last, cut)
+                    copy(trial, last)
+            copy(last, cut)
         u = _output(c, at, cut)
         outside = not low <= u <= high
         if outside:
             _advance(0, low, high, c, at, table, cut[SAMPLES] - 1.0, n, trial)
             u = _output(c, at, n)
         else:
-            _copy(cut, n)
+            copy(cut, n)
         carry[U_HIGH], carry[U_LOW] = max(carry[U_HIGH], _shown(c, u)), min(carry[U_LOW], _shown(c, u))
         if outside:
             break
