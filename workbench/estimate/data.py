@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from workbench.detect.action import gain_sign
 from workbench.detect.stem import whitened
 from workbench.errors import RecordError
+from workbench.estimate.resolution import resolved, step_of
 from workbench.model.plant import FOPDT, Integrating, Plant
 from workbench.model.record import FloatArray, Record
 
@@ -31,7 +32,8 @@ class Centred:
     the disturbance white, (1,) where it is taken to be; target: y filtered by it. skip: the first samples, which do not
     count: they answer to what the stem did before the record. load: EU, shape (N,), what load steps add to PV; y is
     without it. answers: shape (2 steps, N), what it would change by with each step's size and time, up to
-    factors: neither is known exactly.
+    factors: neither is known exactly. doubt: the standard deviation of what is not known of OP, %, where it is recorded
+    in steps (see `resolved`), else 0.
     """
 
     y: FloatArray
@@ -52,6 +54,7 @@ class Centred:
     skip: int
     load: FloatArray
     answers: FloatArray
+    doubt: float
 
     @property
     def samples(self) -> int:
@@ -111,6 +114,7 @@ def _centred(y: FloatArray, u: FloatArray, whole: Centred) -> Centred:
         skip=0,
         load=np.zeros(y.size),
         answers=np.empty((0, y.size)),
+        doubt=whole.doubt,
     )
 
 
@@ -136,13 +140,12 @@ def centre(record: Record, plant: str) -> Centred:
         if float(np.abs(signal).max()) > 1e100:
             msg = f"{where}: {name} reaches {np.abs(signal).max():g}: no signal of a plant"
             raise RecordError(msg)
-    mean, middle = float(record.pv.mean()), float(0.5 * (record.op.max() + record.op.min()))
-    y, u = record.pv - mean, record.op - middle
+    op, doubt = resolved(record)
+    mean, middle = float(record.pv.mean()), float(0.5 * (op.max() + op.min()))
+    y, u = record.pv - mean, op - middle
     variance = float(np.var(y))
-    steps = np.abs(np.diff(np.unique(record.pv)))
     # A quantised PV cannot be followed closer than its own steps allow.
-    quantum = float(steps.min()) if steps.size and steps.size < n / 4 else 0.0
-    floor = RESOLUTION**2 * variance + quantum**2 / 12.0
+    floor = RESOLUTION**2 * variance + step_of(record.pv) ** 2 / 12.0
     return Centred(
         y=y,
         u=u,
@@ -162,6 +165,7 @@ def centre(record: Record, plant: str) -> Centred:
         skip=0,
         load=np.zeros(y.size),
         answers=np.empty((0, y.size)),
+        doubt=doubt,
     )
 
 

@@ -382,8 +382,15 @@ def inflation(residuals: FloatArray) -> float:
 
 
 def effective_samples(data: Centred, x: FloatArray, first: int, fit: Fit) -> float:
-    """Return how many independent samples what a stem x, shape (N,), from `first` on leaves is worth."""
-    return data.samples / inflation(data.innovations(predict(data, x, first, fit)[0]))
+    """Return how many independent samples what a stem x, shape (N,), from `first` on leaves is worth.
+
+    Where OP is not known exactly a slip may be a sample off, and all that PV answers to it: each counts once then.
+    """
+    effective = data.samples / inflation(data.innovations(predict(data, x, first, fit)[0]))
+    if data.doubt == 0.0:
+        return effective
+    moves = np.diff(x[first:]) != 0.0
+    return min(effective, max(float(np.count_nonzero(moves[1:] & ~moves[:-1])), 1.0))
 
 
 def standard_errors(data: Centred, x: FloatArray, first: int, fit: Fit, clamped: bool) -> tuple[float, float, float]:

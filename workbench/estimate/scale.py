@@ -100,6 +100,24 @@ def ranges_of(
     )
 
 
+def _wider(data: Centred, band: tuple[float, float]) -> tuple[float, float]:
+    """A range of a valve's band, %, wider by what is not known of OP."""
+    reach = NORMAL * data.doubt
+    return max(band[0] - reach, 0.0), band[1] + reach
+
+
+def _unsure(data: Centred, errors: tuple[float, float, float], fit: Fit, band: float) -> tuple[float, float, float]:
+    """A plant's standard errors with what is not known of OP: of the gain in proportion to the band, of the dead time.
+
+    A cycle tells the product of gain and band, and a slip is seen sooner or later by as long as OP takes to go as far.
+    """
+    if data.doubt == 0.0:
+        return errors
+    gain, tau, theta = errors
+    rate = float(np.abs(np.diff(data.u)).mean())
+    return math.hypot(gain, fit.gain * data.doubt / band), tau, math.hypot(theta, data.doubt / rate)
+
+
 def _start(data: Centred, best: Candidate) -> tuple[float, bool]:
     """The stem before the first slip (centred), and whether it was set to an end of its range."""
     low, high = start_range(data.u, best.first, best.d_low, best.d_high)
@@ -170,7 +188,8 @@ def stem_of(data: Centred, found: Profile) -> Stem:
     errors = (math.nan, math.nan, math.nan)
     if best.fit.gain != 0.0:
         errors = standard_errors(data, x, best.first, best.fit, clamped)
-    d = (min(c.d_low for c in found.alike), max(c.d_high for c in found.alike))
+    errors = _unsure(data, errors, best.fit, best.d)
+    d = _wider(data, (min(c.d_low for c in found.alike), max(c.d_high for c in found.alike)))
     known = best.d_high > best.d_low and best.slips >= ENOUGH_SLIPS
     intervals = ranges_of(data, [c.fit for c in found.alike], errors, d if known else None)
     return Stem(position, prediction, bias_of(data, whole), intervals)
@@ -200,9 +219,10 @@ def band_of(data: Centred, found: Bands, name: str) -> Stem:
     errors = (math.nan, math.nan, math.nan)
     if best.fit.gain != 0.0:
         errors = standard_errors(data, x, begin, best.fit, clamped=False)
+    errors = _unsure(data, errors, best.fit, best.S)
     # The valve's own width and jump take part in what the plant may be: parts of the record differ in all of them.
     fits = [*(b.fit for b in found.alike), *found.parts]
     ranges = ranges_of(data, fits, errors, None, [*found.spare, *[1.0] * len(found.parts)])
     if best.slips >= ENOUGH_SLIPS:
-        ranges = replace(ranges, S=found.S, J=None if name == "deadband" else found.J)
+        ranges = replace(ranges, S=_wider(data, found.S), J=None if name == "deadband" else _wider(data, found.J))
     return Stem(band_position(data, best), prediction, bias_of(data, whole), ranges)

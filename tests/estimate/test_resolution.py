@@ -1,0 +1,134 @@
+"""OP that a historian keeps in steps: where within a step it was, and what estimates make of it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import workbench as wb
+from workbench.estimate.data import centre
+from workbench.estimate.resolution import resolved, step_of
+
+STEP = 0.1
+FLOW = wb.Loop(wb.FOPDT(2.0, 6.0, 3.0), wb.Stenman(1.2), wb.PID(Kc=0.3, Ti=10.0), 1.0)
+
+
+def cycle(loop: wb.Loop, seed: int, sd: float = 0.02, samples: int = 1000) -> wb.Record:
+    """Samples of a cycle long after its setpoint move, as the controller had them."""
+    run = wb.simulate(loop, wb.Experiment(777.0 + samples, setpoint=wb.Step(3.0), noise=wb.Noise(sd, seed)))
+    return wb.Record(run.pv[777:] + 50.0, run.op[777:] + 40.0, 1.0, sp=run.sp[777:] + 50.0)
+
+
+def kept(record: wb.Record, pv: float = 0.0) -> wb.Record:
+    """The record as a historian keeps it: OP, and PV where pv is a step, in steps."""
+    rounded = np.round(record.pv / pv) * pv if pv else record.pv
+    return replace(record, op=np.round(record.op / STEP) * STEP, pv=rounded)
+
+
+PID = replace(FLOW, controller=wb.PID(Kc=0.3, Ti=10.0, Td=1.5))
+REVERSED = wb.Loop(wb.FOPDT(-1.5, 20.0, 6.0), wb.Stenman(1.5), wb.PID(Kc=0.8, Ti=15.0, action="direct"), 1.0)
+
+
+@pytest.mark.parametrize("loop", [FLOW, PID, REVERSED], ids=["PI", "PID", "direct"])
+@pytest.mark.parametrize("pv", [0.0, 0.05], ids=["PV in full", "PV in steps"])
+def test_op_is_found_within_its_steps(loop: wb.Loop, pv: float) -> None:
+    full = cycle(loop, 1)
+    record = kept(full, pv)
+    op, doubt = resolved(record)
+    error = float(np.sqrt(np.mean((op - full.op) ** 2)))
+    rounding = float(np.sqrt(np.mean((record.op - full.op) ** 2)))
+    assert error < 0.6 * rounding
+    assert error < 1.5 * doubt < 0.6 * STEP
+    assert np.abs(op - record.op).max() <= STEP / 2 * (1 + 1e-9)
+
+
+def test_without_a_setpoint_pv_and_op_are_enough() -> None:
+    full = cycle(FLOW, 2)
+    op, doubt = resolved(replace(kept(full), sp=None))
+    assert np.sqrt(np.mean((op - full.op) ** 2)) < doubt < 0.2 * STEP
+
+
+def test_an_op_recorded_in_full_stays_as_it_is() -> None:
+    full = cycle(FLOW, 3)
+    op, doubt = resolved(full)
+    assert op is full.op
+    assert doubt == 0.0
+    assert centre(full, "fopdt").doubt == 0.0
+
+
+def test_an_op_that_no_law_explains_stays_as_it_is() -> None:
+    # An operator's moves in whole per cents, and a PV that has nothing to do with them.
+    rng = np.random.default_rng(0)
+    moves = np.where(rng.random(800) < 0.05, rng.choice([-2.0, -1.0, 1.0, 2.0], 800), 0.0)
+    record = wb.Record(rng.normal(50.0, 1.0, 800), 40.0 + np.cumsum(moves), 1.0)
+    op, doubt = resolved(record)
+    assert np.array_equal(op, record.op)
+    assert doubt == pytest.approx(1.0 / np.sqrt(12.0))
+
+
+@pytest.mark.parametrize(
+    ("values", "step"),
+    [
+        (np.arange(400) % 7 * 0.25, 0.25),
+        ((np.arange(400) % 7 * 0.1) * (1.0 + 1e-15) + 33.3, 0.1),  # rounding of the numbers themselves is no step
+        (np.arange(400) * 0.1, 0.0),  # as many values as samples tell of no steps
+        (np.full(400, 3.0), 0.0),
+    ],
+)
+def test_steps_are_told_from_few_values(values: np.ndarray, step: float) -> None:
+    assert step_of(values) == pytest.approx(step, rel=1e-9)
+
+
+@settings(deadline=None, max_examples=60)
+@given(
+    st.lists(st.integers(-3, 3), min_size=40, max_size=200).filter(any),
+    st.floats(1e-3, 10.0),
+    st.integers(0, 2**32 - 1),
+)
+def test_op_never_leaves_its_step(moves: list[int], step: float, seed: int) -> None:
+    pv = np.random.default_rng(seed).normal(size=len(moves)).cumsum()
+    record = wb.Record(pv, np.cumsum(moves) * step, 1.0)
+    op, doubt = resolved(record)
+    assert np.abs(op - record.op).max() <= 0.5 * step * (1.0 + 1e-6)
+    assert 0.0 <= doubt <= step
+
+
+STICKY = {
+    "flow": (FLOW, 0.02),
+    "direct": (REVERSED, 0.02),
+    "level": (wb.Loop(wb.Integrating(0.1, 5.0), wb.Stenman(1.0), wb.PID(Kc=0.9, Ti=60.0), 1.0), 0.01),
+    "two-parameter": (wb.Loop(wb.FOPDT(1.0, 10.0, 4.0), wb.Choudhury(2.0, 1.0), wb.PID(Kc=0.8, Ti=12.0), 1.0), 0.02),
+}
+
+
+@pytest.mark.parametrize("seed", [0, 2])
+@pytest.mark.parametrize("name", STICKY)
+def test_a_valve_is_identified_from_an_op_in_steps(name: str, seed: int) -> None:
+    # Taken for exact, the same OP gives a band 3 to 60 % off, another kind of valve, or a gain 40 % off.
+    loop, sd = STICKY[name]
+    plant = "integrating" if isinstance(loop.plant, wb.Integrating) else "fopdt"
+    found = wb.estimate(kept(cycle(loop, seed, sd)), plant=plant)
+    assert found.verdict == "stiction"
+    assert isinstance(found.valve, type(loop.valve))
+    assert found.valve.stick_band == pytest.approx(loop.valve.stick_band, rel=0.01)
+    assert found.plant.gain == pytest.approx(loop.plant.gain, rel=0.02)
+    assert found.identifiable
+    low, high = found.intervals.d or found.intervals.S
+    assert low <= loop.valve.stick_band <= high
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_ranges_know_what_is_not_known_of_op(seed: int) -> None:
+    # PV is kept in steps too: the law that is read from it leaves OP open by more.
+    record = kept(cycle(FLOW, seed), 0.1)
+    found = wb.estimate(record)
+    doubt = centre(record, "fopdt").doubt
+    low, high = found.intervals.d or found.intervals.S
+    assert high - low >= 3.9 * doubt > 0.0
+    assert low <= 1.2 <= high
+    gain = found.intervals.gain
+    assert gain[0] <= 2.0 <= gain[1]
