@@ -26,12 +26,12 @@ RESOLUTION = 1e-3
 class Centred:
     """PV and OP less `pv_mean` and `op_middle`, with prefix sums of y, y^2 and y_k y_{k+1}; floor: EU^2 (resolution).
 
-    op_range: OP's peak to peak, %. integrating: the kind of plant that is fitted. sign: of the
-    plant's gain, +1 or -1 where the controller's action shows, else 0. a: the filter (1, -a_1, .., -a_p) that leaves
-    the disturbance white, (1,) where it is taken to be; target: y filtered by it. skip: the first samples, which do not
-    count: they answer to what the stem did before the record. load: EU, shape (N,), what load steps add to PV; y is
-    without it. answers: shape (2 steps, N), what it would change by with each step's size and time, up to
-    factors: neither is known exactly.
+    op_range: OP's peak to peak, %; op_step: what it was rounded to, %, 0 where it was not. integrating: the kind of
+    plant that is fitted. sign: of the plant's gain, +1 or -1 where the controller's action shows, else 0. a: the filter
+    (1, -a_1, .., -a_p) that leaves the disturbance white, (1,) where it is taken to be; target: y filtered by it. skip:
+    the first samples, which do not count: they answer to what the stem did before the record. load: EU, shape (N,),
+    what load steps add to PV; y is without it. answers: shape (2 steps, N), what it would change by with each step's
+    size and time, up to factors: neither is known exactly.
     """
 
     y: FloatArray
@@ -46,6 +46,7 @@ class Centred:
     variance: float
     floor: float
     op_range: float
+    op_step: float
     sign: float
     a: FloatArray
     target: FloatArray
@@ -105,6 +106,7 @@ def _centred(y: FloatArray, u: FloatArray, whole: Centred) -> Centred:
         variance=whole.variance,
         floor=whole.floor,
         op_range=float(np.ptp(u)),
+        op_step=whole.op_step,
         sign=whole.sign,
         a=WHITE,
         target=y,
@@ -116,6 +118,12 @@ def _centred(y: FloatArray, u: FloatArray, whole: Centred) -> Centred:
 
 def _constant(signal: FloatArray) -> bool:
     return bool(np.ptp(signal) <= 1e-9 * max(1e-9, float(np.abs(signal).max())))
+
+
+def _step_of(signal: FloatArray) -> float:
+    """The step in which a signal was rounded, 0 where it was not."""
+    steps = np.diff(np.unique(signal))
+    return float(steps.min()) if steps.size and steps.size < signal.size / 4 else 0.0
 
 
 def centre(record: Record, plant: str) -> Centred:
@@ -139,10 +147,8 @@ def centre(record: Record, plant: str) -> Centred:
     mean, middle = float(record.pv.mean()), float(0.5 * (record.op.max() + record.op.min()))
     y, u = record.pv - mean, record.op - middle
     variance = float(np.var(y))
-    steps = np.abs(np.diff(np.unique(record.pv)))
     # A quantised PV cannot be followed closer than its own steps allow.
-    quantum = float(steps.min()) if steps.size and steps.size < n / 4 else 0.0
-    floor = RESOLUTION**2 * variance + quantum**2 / 12.0
+    floor = RESOLUTION**2 * variance + _step_of(record.pv) ** 2 / 12.0
     return Centred(
         y=y,
         u=u,
@@ -156,6 +162,7 @@ def centre(record: Record, plant: str) -> Centred:
         variance=variance,
         floor=floor,
         op_range=float(np.ptp(u)),
+        op_step=_step_of(record.op),
         sign=gain_sign(record),
         a=WHITE,
         target=y,
