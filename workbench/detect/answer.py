@@ -21,7 +21,7 @@ __all__ = ["Answer", "answer_of"]
 
 # Dickey and Fuller's critical values beside a constant: 5 %, and 1 % for OP's own return, which is the lesser evidence.
 PUSHES, RETURNS = 2.86, 3.43
-OWN = 0.25  # of OP's variance, the least that PV's last samples must leave for OP to have gone a way of its own
+OWN = 0.1  # of OP's variance, the least that PV's last samples must leave for OP to have gone a way of its own
 SHORT, LONG, PER_LAG = 8, 30, 100  # samples of the past: one for each hundred of the record, within limits
 SPARE = 10  # samples beyond the regressors, at least
 ROUNDING = 1e-12  # share of a variance
