@@ -43,6 +43,20 @@ def stem(data: Centred, d: float) -> Candidate:
     return min(found, key=lambda c: c.fit.sse)
 
 
+@pytest.mark.parametrize("kept", [np.float64, np.float32])
+def test_the_step_of_op_is_seen_however_far_it_ranges(kept: type) -> None:
+    rng = np.random.default_rng(2)
+    op = 50.0 + 8.0 * np.sin(0.1 * np.arange(800)) + rng.normal(size=800)
+
+    def step(signal: np.ndarray) -> float:
+        return centre(wb.Record(rng.normal(size=800), signal.astype(kept).astype(float), 1.0), "fopdt").op_step
+
+    for digits in (0, 1, 2):
+        assert step(np.round(op, digits)) == pytest.approx(10.0**-digits, rel=1e-3)
+    assert step(op) < 1e-5
+    assert step(np.where(op > 50.0, 51.0, 49.0)) == 0.0
+
+
 def test_a_wrong_stem_may_win_where_rounding_hides_the_right_one() -> None:
     exact, rounded = (centre(cycle(1000, digits), "fopdt") for digits in (None, 2))
     assert exact.op_step == 0.0

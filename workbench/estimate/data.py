@@ -20,6 +20,7 @@ FEWEST_SAMPLES = 30
 WHITE = np.ones(1)
 # What a record can resolve: fits whose rms residual is below this share of PV's standard deviation are equally good.
 RESOLUTION = 1e-3
+OFF_STEP = 0.2  # of a step: values further from a multiple were not rounded to it
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,9 +122,15 @@ def _constant(signal: FloatArray) -> bool:
 
 
 def _step_of(signal: FloatArray) -> float:
-    """The step in which a signal was rounded, 0 where it was not."""
-    steps = np.diff(np.unique(signal))
-    return float(steps.min()) if steps.size and steps.size < signal.size / 4 else 0.0
+    """The step in which a signal was rounded: what all of its values are multiples apart; 0 where there is none."""
+    values = np.unique(signal)
+    if values.size < 3:
+        return 0.0
+    steps = np.diff(values)
+    # Neighbours are one step apart, but for the digits in which they are kept.
+    step = float(steps[steps < 1.5 * steps.min()].mean())
+    away = (values - values[0]) / step
+    return step if float(np.abs(away - np.round(away)).max()) < OFF_STEP else 0.0
 
 
 def centre(record: Record, plant: str) -> Centred:
@@ -147,8 +154,10 @@ def centre(record: Record, plant: str) -> Centred:
     mean, middle = float(record.pv.mean()), float(0.5 * (record.op.max() + record.op.min()))
     y, u = record.pv - mean, record.op - middle
     variance = float(np.var(y))
+    steps = np.abs(np.diff(np.unique(record.pv)))
     # A quantised PV cannot be followed closer than its own steps allow.
-    floor = RESOLUTION**2 * variance + _step_of(record.pv) ** 2 / 12.0
+    quantum = float(steps.min()) if steps.size and steps.size < n / 4 else 0.0
+    floor = RESOLUTION**2 * variance + quantum**2 / 12.0
     return Centred(
         y=y,
         u=u,
