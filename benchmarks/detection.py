@@ -35,6 +35,7 @@ HEALTHY = (
 )
 ENOUGH = 10  # moves of the stem
 STICKY = ("Stenman", "S = J", "S > J", "S < J", "dead band")
+STUCK = ("stuck fast",)
 
 
 def drift(rng: np.random.Generator, n: int, correlation: float) -> np.ndarray:
@@ -49,8 +50,8 @@ def drift(rng: np.random.Generator, n: int, correlation: float) -> np.ndarray:
 
 
 def random_record(kind: str, level: bool, seed: int) -> tuple[wb.Record, int]:
-    """Return one random loop's record and how often its stem set off; kind: an entry of HEALTHY or STICKY."""
-    rng = np.random.default_rng([seed, int(level), (HEALTHY + STICKY).index(kind)])
+    """Return one random loop's record and how often its stem set off; kind: an entry of HEALTHY, STICKY or STUCK."""
+    rng = np.random.default_rng([seed, int(level), (HEALTHY + STICKY + STUCK).index(kind)])
     n = int(rng.choice([750, 1500, 3000]))
     gain = float(np.exp(rng.uniform(math.log(0.3), math.log(3.0)))) * float(rng.choice([1, 1, 1, -1]))
     action = "reverse" if gain > 0.0 else "direct"
@@ -92,6 +93,12 @@ def random_record(kind: str, level: bool, seed: int) -> tuple[wb.Record, int]:
         at = np.sort(rng.choice(np.arange(10, n - 10), int(rng.integers(1, 6)), replace=False))
         setpoint = [wb.Step(float(rng.normal()) * 1.5 * size * effect, float(t)) for t in at]
         load = 0.1 * size * drift(rng, n, rng.uniform(10.0, 40.0) * speed)
+    elif kind == "stuck fast":
+        noise = float(rng.uniform(0.0, 0.05)) * size * effect
+        load = size * drift(rng, n, rng.choice([1.0, 20.0]) * speed)
+        # A level with a stuck valve runs away from any load that lasts.
+        load = load - load.mean()
+        valve = wb.Stenman(1e9)
     else:
         noise = float(rng.uniform(0.0, 0.1)) * size * effect
         load = rng.uniform(0.0, 0.25) * size * drift(rng, n, rng.uniform(10.0, 40.0) * speed)
@@ -123,7 +130,7 @@ def main() -> None:
     parser.add_argument("--records", type=Path, action="append", default=[])
     given = parser.parse_args()
     groups: dict[str, list[wb.Detection]] = {}
-    for kind in HEALTHY + STICKY:
+    for kind in HEALTHY + STICKY + STUCK:
         for level in (False, True):
             name = f"{'level' if level else 'flow'}, {kind}"
             groups[name], seldom = [], []
@@ -157,7 +164,8 @@ def main() -> None:
                     rates[f"{name} right"] += verdict == labels[name][i]
                     rates[f"{name} wrong"] += verdict not in (labels[name][i], "undecided")
                 else:
-                    side = "healthy" if any(name.endswith(k) for k in HEALTHY) else "sticky"
+                    kind = name.partition(", ")[2]
+                    side = "healthy" if kind in HEALTHY else "sticky" if kind in STICKY else "stuck"
                     rates[side] += 1
                     rates[f"{side} {verdict}"] += 1
         told = [f"{rates['healthy stiction'] / rates['healthy']:.1%}"]

@@ -18,11 +18,12 @@ from workbench.model.results import Complementarity, Estimate, NoiseModel, Repea
 from workbench.model.study import NamedEstimate, Study
 from workbench.model.valve import Ideal, Stenman
 from workbench.report.content import controller_content
+from workbench.report.estimates import open_ranges
 from workbench.report.figures import estimate_figure, svg_file
 from workbench.report.files import write_files
 from workbench.report.results import results_content, strict
 from workbench.report.style import svg_text
-from workbench.report.words import controller_words, figure, interval, nearby, plant_words, valve_words
+from workbench.report.words import controller_words, figure, interval, join, nearby, plant_words, valve_words
 from workbench.scenario.retune import Retuned
 from workbench.score import Scored
 
@@ -119,7 +120,9 @@ def _stiction_ranges(found: Estimate) -> list[str]:
     if found.verdict != "stiction":
         lines.append("the record does not pin the stiction (see the verdict): take these figures as a hint")
     elif all(getattr(found.intervals, name) is None for name in names):
-        lines.append("the method gives no range, so whether the record pins the stiction stays open")
+        lines.append("no range is given, so whether the record pins the stiction stays open")
+    elif opened := open_ranges(found):
+        lines.append(f"the record leaves open what its moves do to PV ({join([n.replace('_', ' ') for n in opened])})")
     else:
         lines.append("the record pins the product of gain and stiction only, not the stiction alone")
     return lines

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import re
 from collections.abc import Callable
 from dataclasses import replace
@@ -24,7 +25,7 @@ from workbench.model.study import NamedEstimate, Study
 from workbench.model.valve import Choudhury, Deadband, Ideal, Stenman
 from workbench.report import figures
 from workbench.report.detections import detection_table, detection_words
-from workbench.report.estimates import candidates_table, known_sentences
+from workbench.report.estimates import candidates_table, estimate_sentences, estimate_table, known_sentences
 from workbench.report.page import figure_names, write_report
 
 Make = Callable[..., Any]
@@ -298,3 +299,21 @@ def test_a_day_by_the_second_makes_a_page_of_bounded_size(
     assert {"autocorrelation_day.svg", "op_stem_day.svg", "linear_fit_day.svg"} <= {p.name for p in tmp_path.iterdir()}
     assert len(html.encode()) < 2_000_000
     assert (tmp_path / "results.json").stat().st_size < 50_000
+
+
+def test_open_ranges_are_said_to_be_open(estimated: Make) -> None:
+    ranges = Intervals(d=(1.99, 2.01), gain=(4.0, math.inf), time_constant=(30.0, math.inf), dead_time=(0.9, 1.1))
+    estimate = replace(estimated()[0], intervals=ranges, verdict="stiction", identifiable=False)
+    text = " ".join(known_sentences(estimate))
+    assert re.search(r"Hardly known[^.]*: gain K and time constant\.", text)
+    assert "The range of the gain K and time constant is open: tune by no rule from these figures." in text
+    assert "upper end" not in text
+    named = NamedEstimate("a", estimate)
+    cells = {row.label: row.cells[1].text for row in estimate_table(named).rows}
+    assert cells["Gain K"] == "4.000 or more"
+    assert cells["Time constant"] == "30.00 or more"
+    sentences = " ".join(estimate_sentences(named, linear=False))
+    assert "leaves the range of the gain K and time constant open" in sentences
+    assert "pins only the product" not in sentences
+    bare = NamedEstimate("a", replace(estimate, intervals=Intervals()))
+    assert "take its value as a hint" in " ".join(estimate_sentences(bare, linear=False))

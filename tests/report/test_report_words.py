@@ -120,6 +120,14 @@ def test_intervals_take_digits_until_their_ends_differ() -> None:
     assert words.interval(None, "%") == "not given"
 
 
+def test_open_intervals_have_no_end() -> None:
+    assert words.interval((12.0, math.inf), "s", 3) == "12.0 s or more"
+    assert words.interval((-math.inf, -0.5), "EU/%", 3) == "−0.500 EU/% or less"
+    # As read back from a file, where an open end is "none" whichever it is.
+    assert words.interval((math.inf, 0.5), "", 3) == "0.500 or less"
+    assert words.interval((-math.inf, math.inf), "EU/%") == "open at both ends"
+
+
 def test_sentences_are_finished() -> None:
     assert words.sentences(["one thing", " Another. ", ""]) == "One thing. Another."
 

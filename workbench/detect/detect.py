@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from workbench.detect.action import control_error, feedback, gain_sign
+from workbench.detect.answer import answer_of
 from workbench.detect.bicoherence import bicoherence_of, ellipse_of
 from workbench.detect.causes import dead_signal, other_causes, steady_stretches
 from workbench.detect.correlation import cross_correlation, histogram_fit
@@ -71,6 +72,16 @@ def detect(record: Record, *, bicoherence: bool = False, fitted: Fitted | None =
     if verdict == "no_stiction" and follows(test) < Thresholds().seen and feedback(record)[0] < ACTS:
         verdict = "undecided"
         reasons = ["neither does PV follow OP nor OP the error: the record does not show a loop at work"]
+    if verdict == "no_stiction" and stem is None:
+        answer = answer_of(record)
+        if answer is not None and answer.missing:
+            verdict = "undecided"
+            unanswered = (
+                f"PV is not seen to answer the OP moves of {answer.moved:.3g} %: a slow disturbance may hide that it "
+                "does, and a stuck valve, a closed block valve or a valve in manual look the same; a setpoint move "
+                "would tell"
+            )
+            reasons = [unanswered, *reasons[1:]]
     stretch, cycle = _strongest(record, whole)
     pv, op, error = (signal[slice(*stretch)] for signal in (record.pv, record.op, control_error(record)))
     oscillates = not no_period(cycle)

@@ -23,6 +23,7 @@ from workbench.estimate.fit import (
     fit_nothing,
     predict,
 )
+from workbench.estimate.hidden import hidden, words_of_hidden
 from workbench.estimate.models import (
     PLANT_PARAMETERS,
     VALVE_PARAMETERS,
@@ -30,6 +31,7 @@ from workbench.estimate.models import (
     choose,
     compared,
     reasons_of,
+    words_of_open,
     words_of_rival,
 )
 from workbench.estimate.paths import Path, band_paths, linear_path, stem_paths
@@ -101,8 +103,9 @@ def estimate(
     Returns an `Estimate`; beside the model stands the linear fit that ignores stiction. Where stiction does not help
     ("no_stiction") the model is that linear fit with an ideal valve. intervals.d is the hull of all d whose fit the
     record cannot tell from the best, and None below ten stem moves, which do not pin the stem's unknown start; with
-    valve "auto" every range holds those of the other sticking valves that fit as well too. identifiable is True where
-    the verdict is "stiction", that hull is at most a tenth of d wide and gain's at most half of the gain. Raises
+    valve "auto" every range holds those of the other sticking valves that fit as well too. Where a search ended at its
+    limit, or the record tells nothing, a range is open (see `Intervals`). identifiable is True where the verdict is
+    "stiction", no range is open, that hull is at most a tenth of d wide and gain's at most half of the gain. Raises
     `RecordError` for a record that holds no information (too short, PV or OP constant) or is too long for the method,
     and `InvalidValue` for arguments that are not allowed.
     """
@@ -144,7 +147,13 @@ def estimate(
     repeats = repeats_of(data, answer)
     said = words_of(repeats) if repeats is not None and answer.verdict == "stiction" else ()
     tell(1.0)
-    return replace(answer, repeats=repeats, reasons=answer.reasons + said)
+    opened = words_of_open(answer.intervals, data.integrating)
+    return replace(
+        answer,
+        repeats=repeats,
+        reasons=answer.reasons + opened + said,
+        identifiable=answer.identifiable and not opened,
+    )
 
 
 def linear_loop(record: Record, plant: str = "fopdt") -> LinearFit:
@@ -330,19 +339,22 @@ def _answer(
         reasons += reasons_of(models, chosen, valve, ranged)
     reasons += _manual_said(record)
     if ranged is not None:
-        stem = band_of(data, ranged, chosen)
+        stem = band_of(data, ranged, chosen, limits)
         identifiable = verdict == "stiction" and ranged.best.slips >= ENOUGH_SLIPS
     if stem is not None and valve == "auto" and method != "two_step" and verdict != "no_stiction":
         rivals = rivals_of(data, chosen, found, bands, limits)
         stem = replace(stem, intervals=reduce(joined, rivals.values(), stem.intervals))
         reasons += tuple(words_of_rival(name, ranges, data.integrating) for name, ranges in rivals.items())
+    best = bands[chosen].best if chosen in bands else None if found is None else found.best
+    stuck = best is not None and chosen != "linear" and verdict != "no_stiction" and best.fit.gain != 0.0
+    if stuck and best is not None and stem is not None and hidden(data, best):
+        stem = replace(stem, intervals=Intervals())
+        reasons += (words_of_hidden(data.doubt),)
     identifiable = identifiable and stem is not None and _sharp(stem.intervals, models[chosen])
     if identifiable and steps and n > EXACT:
         # Where the search is not complete, steps may make up for a stem that is not the right one.
         identifiable = False
         reasons += (f"steps of load beside a stem that is sought in stretches alone ({n} samples) do not identify it",)
-    best = bands[chosen].best if chosen in bands else None if found is None else found.best
-    stuck = best is not None and chosen != "linear" and verdict != "no_stiction" and best.fit.gain != 0.0
     if not stuck:
         data, linear, steps = coloured_linear(unsettled, plain, longest)
         straight = linear_result(data, linear)
@@ -359,7 +371,7 @@ def _answer(
             bias=straight.bias,
             verdict=verdict,
             reasons=reasons,
-            intervals=linear_intervals(data, linear),
+            intervals=linear_intervals(data, linear, longest),
             identifiable=False,
             residual_variance=straight.residual_variance,
             aic=straight.aic,

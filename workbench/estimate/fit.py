@@ -15,6 +15,7 @@ from workbench.model.record import FloatArray
 
 __all__ = [
     "LOUD",
+    "NORMAL",
     "Fit",
     "Limits",
     "again_linear",
@@ -41,6 +42,7 @@ __all__ = [
 LEAST_TAU = 0.05
 # A real valve does not hold exactly; the stem's start may leave its exact range by this share of d.
 START_SLACK = 0.02
+NORMAL = 1.96  # standard deviations: a range of 95 %
 ORDERS = 8  # most of a disturbance's autoregression
 NEAR = 0.02  # of a time constant: how far apart the points of a quadratic about a plant are at first
 FOLLOWED = 2  # linear fits of a stretch of a long record, on all of it
@@ -384,13 +386,16 @@ def inflation(residuals: FloatArray) -> float:
 def effective_samples(data: Centred, x: FloatArray, first: int, fit: Fit) -> float:
     """Return how many independent samples what a stem x, shape (N,), from `first` on leaves is worth.
 
-    Where OP is not known exactly a slip may be a sample off, and all that PV answers to it: each counts once then.
+    Where OP is not known exactly a slip may be a sample off, and all that PV answers to it: of the slips, so many count
+    as may be off.
     """
     effective = data.samples / inflation(data.innovations(predict(data, x, first, fit)[0]))
     if data.doubt == 0.0:
         return effective
     moves = np.diff(x[first:]) != 0.0
-    return min(effective, max(float(np.count_nonzero(moves[1:] & ~moves[:-1])), 1.0))
+    slips = max(float(np.count_nonzero(moves[1:] & ~moves[:-1])), 1.0)
+    off = 2.0 * NORMAL * data.doubt / float(np.abs(np.diff(data.u)).mean())
+    return min(effective, slips / min(off, 1.0))
 
 
 def standard_errors(data: Centred, x: FloatArray, first: int, fit: Fit, clamped: bool) -> tuple[float, float, float]:

@@ -17,7 +17,7 @@ from scipy.optimize import minimize
 
 from workbench.detect.stem import whitened
 from workbench.estimate.data import WHITE, Centred
-from workbench.estimate.fit import LOUD, Fit, Limits, autoregression, fit_path, inflation, predict
+from workbench.estimate.fit import LOUD, NORMAL, Fit, Limits, autoregression, fit_path, inflation, predict
 from workbench.estimate.stepped_kernel import left_beside
 from workbench.model.load_step import LoadStep
 from workbench.model.record import FloatArray
@@ -36,7 +36,6 @@ DEGREES, CLEAR = 3, 10.0
 WHITER, WHITE_ENOUGH = 0.4, 5.0
 SPREADS, EVALUATIONS = (0.03, 0.01, -0.01, 0.003), 120  # of a valve's and plant's parameters, in turn
 SHIFT = 0.05  # a move of a dead time by one sample counts as that of a parameter by this share
-NORMAL = 1.96
 
 
 @dataclass(frozen=True, eq=False)

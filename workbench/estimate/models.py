@@ -12,11 +12,12 @@ from workbench.estimate.profile import Profile
 from workbench.estimate.stems import path_of
 from workbench.estimate.two_parameter import Band, band_stem
 from workbench.estimate.verdict import SHARP
+from workbench.model.numbers import interval
 from workbench.model.record import FloatArray
 from workbench.model.results import FittedModel, Intervals
 from workbench.model.valve import Choudhury, Deadband, Ideal, Stenman, Valve
 
-__all__ = ["STICKING", "bands_of", "choose", "compared", "reasons_of", "refitted", "words_of_rival"]
+__all__ = ["STICKING", "bands_of", "choose", "compared", "reasons_of", "refitted", "words_of_open", "words_of_rival"]
 
 # Free parameters beside those of the valve: gain, time constant, dead time, bias, input before the record, transient;
 # an integrating plant has no time constant.
@@ -133,11 +134,31 @@ def words_of_rival(name: str, ranges: Intervals, integrating: bool) -> str:
     }
     unit = "EU/(% s)" if integrating else "EU/%"
     told = [
-        f"{what} {pair[0]:.3g} to {pair[1]:.3g} {unit}"
+        f"{what} {interval(pair, unit, 3)}"
         for what, pair, unit in (("of", ranges.d or ranges.S, "%"), ("with a gain of", ranges.gain, unit))
         if pair is not None
     ]
     return " ".join(("the record does not tell this valve from", kinds[name], *told)) + ": the ranges hold both"
+
+
+def words_of_open(ranges: Intervals, integrating: bool) -> tuple[str, ...]:
+    """Return in words which ranges of the plant have an open end, and why; nothing where none has."""
+    said = []
+    gain, tau, theta = ranges.gain, ranges.time_constant, ranges.dead_time
+    if tau is not None and math.isinf(tau[1]):
+        said.append(
+            f"the time constant has no upper end ({interval(tau, 's', 3)}): over this record a slower process looks "
+            "the same, so that neither it nor the gain is identified"
+        )
+    elif gain is not None and any(math.isinf(end) for end in gain):
+        unit = "EU/(% s)" if integrating else "EU/%"
+        said.append(f"the gain is not identified ({interval(gain, unit, 3)}): PV hardly tells of the stem's moves")
+    if theta is not None and math.isinf(theta[1]):
+        said.append(
+            f"the dead time is not identified ({interval(theta, 's', 3)}): the longest one searched fits as well as "
+            "any, or the record tells nothing of it"
+        )
+    return tuple(said)
 
 
 def _words(valve: Valve) -> str:

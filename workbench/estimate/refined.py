@@ -10,10 +10,10 @@ import numpy as np
 
 from workbench.errors import InvalidValue, RecordError
 from workbench.estimate.data import Centred, plant_of
-from workbench.estimate.fit import Fit, Limits, grounded, predict, standard_errors
+from workbench.estimate.fit import NORMAL, Fit, Limits, grounded, predict, standard_errors
 from workbench.estimate.models import PLANT_PARAMETERS, VALVE_PARAMETERS
 from workbench.estimate.paths import Path
-from workbench.estimate.scale import NORMAL, bias_of, ranges_of
+from workbench.estimate.scale import bias_of, ranges_of
 from workbench.estimate.two_step import akaike
 from workbench.model.estimation import MOST_IN_PROGRAM, Complementarity, Estimate, Intervals, NoiseModel
 from workbench.model.record import FloatArray, Record
@@ -36,7 +36,7 @@ def jointly(
     if best is None:
         failed = f"the joint refinement ended as {found.status.value}: the profile's own fit is shown"
         return replace(plain, reasons=(*plain.reasons, failed))
-    ranges = ranges_of(data, [r.fit for r in found.alike], found.errors, plain.intervals.d)
+    ranges = _ranges(data, plain, [r.fit for r in found.alike], found.errors, limits)
     answer = _along(data, plain, best.path, best.fit, best.prediction(data), ranges, best.drifts)
     n = data.samples
     span = n * data.sample_time
@@ -105,10 +105,19 @@ def by_complementarity(
     if taken and exact is not None:
         fit = grounded(data, exact.x, exact.first, exact.fit, exact.bounds)
         errors = standard_errors(data, exact.x, exact.first, exact.fit, clamped=False)
-        ranges = ranges_of(data, [path.fit, exact.fit], errors, plain.intervals.d)
+        ranges = _ranges(data, plain, [path.fit, exact.fit], errors, limits)
         prediction = predict(data, exact.x, exact.first, fit)[0]
         answer = _along(data, plain, exact, fit, prediction, ranges, 2 * len(plain.load_steps))
     return replace(answer, reasons=(*plain.reasons, _said(program)), complementarity=program)
+
+
+def _ranges(
+    data: Centred, plain: Estimate, fits: list[Fit], errors: tuple[float, float, float], limits: Limits
+) -> Intervals:
+    """The ranges of a refined plant; none where none could be given of the profile's own."""
+    if plain.intervals == Intervals():
+        return plain.intervals
+    return ranges_of(data, fits, errors, plain.intervals.d, limits.theta[1])
 
 
 def _said(program: Complementarity) -> str:

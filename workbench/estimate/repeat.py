@@ -15,7 +15,7 @@ import numpy as np
 
 from workbench.estimate import kernel
 from workbench.estimate.data import Centred
-from workbench.estimate.fit import START_SLACK, Fit, inflation, predict
+from workbench.estimate.fit import NORMAL, START_SLACK, Fit, inflation, predict
 from workbench.estimate.profile import CHI_SQUARE
 from workbench.estimate.stems import first_slips
 from workbench.estimate.windows import EXACT
@@ -41,7 +41,6 @@ REPEAT = 0.01  # of the band: closer than this real valves do not repeat
 MATTERS = 0.10  # of the band: a difference or a drift over the record that is worth a word
 # 97.5 % points of Student's distribution with 1, 2, .. degrees of freedom.
 STUDENT = (12.706, 4.303, 3.182, 2.776, 2.571)
-NORMAL = 1.96
 
 
 @dataclass(frozen=True, eq=False)

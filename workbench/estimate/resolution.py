@@ -19,7 +19,7 @@ from workbench.model.record import FloatArray, Record
 __all__ = ["resolved", "step_of"]
 
 ROUNDED = 1e-9  # of a signal's range: values that lie closer are one
-OFF_GRID = 0.02  # of a step: signals that come closer to whole steps are recorded in them
+OFF_STEP = 0.2  # of a step: values further from a multiple were not rounded to it
 # Of the level's innovations, (1 - B)/(1 - l B): 0 where it goes where it likes, 1 where it stays.
 STEADY = (0.0, 0.5, 0.8, 0.9, 0.95, 0.98, 0.99, 0.995, 0.998, 1.0)
 AS_WELL = 1.05  # times the least variance: the steadiest level that leaves no more is taken
@@ -28,10 +28,18 @@ LEAST_DOUBT = 0.1  # of a step: laws that fit to rounding were off by .04 to .1 
 
 
 def step_of(signal: FloatArray) -> float:
-    """Return the least step between values of a signal that has few of them, in its unit, else 0."""
-    steps = np.diff(np.unique(signal))
+    """Return the step that all values of a signal are multiples of it apart, in its unit; 0 where there is none."""
+    values = np.unique(signal)
+    steps = np.diff(values)
     steps = steps[steps > ROUNDED * float(np.ptp(signal))]
-    return float(steps.min()) if steps.size and steps.size < signal.size / 4 else 0.0
+    if steps.size < 2:
+        return 0.0
+    # Neighbours are one step apart, but for the digits in which they are kept.
+    step = float(steps[steps < 1.5 * steps.min()].mean())
+    away = (values - values[0]) / step
+    if float(np.abs(away - np.round(away)).max()) > OFF_STEP:
+        return 0.0
+    return float(values[-1] - values[0]) / float(np.round(away[-1]))
 
 
 def resolved(record: Record) -> tuple[FloatArray, float]:
@@ -43,7 +51,7 @@ def resolved(record: Record) -> tuple[FloatArray, float]:
     their say by their variances.
     """
     op = record.op
-    step = _even(op)
+    step = step_of(op)
     if step == 0.0:
         return op, 0.0
     rounding = step * step / 12.0
@@ -61,18 +69,6 @@ def resolved(record: Record) -> tuple[FloatArray, float]:
     error = rounding * min(1.0 - share + (1.0 - steady) / (1.0 + steady), 1.0)
     within = np.clip(share * told + (1.0 - share) * op, op - 0.5 * step, op + 0.5 * step)
     return within, max(math.sqrt(error), LEAST_DOUBT * step)
-
-
-def _even(op: FloatArray) -> float:
-    """The step of an OP whose values all lie whole steps apart, else 0."""
-    step, values = step_of(op), np.unique(op)
-    span = float(values[-1] - values[0])
-    if step <= 0.0 or span < 2.0 * step:
-        return 0.0
-    whole = (values - values[0]) / step
-    if float(np.abs(whole - np.round(whole)).max()) > OFF_GRID:
-        return 0.0
-    return span / float(np.round(whole[-1]))
 
 
 def _causes(record: Record) -> FloatArray:

@@ -11,7 +11,17 @@ import numpy as np
 from workbench.estimate.bands import Bands, Found, alike
 from workbench.estimate.candidates import Candidate
 from workbench.estimate.data import Centred, plant_of
-from workbench.estimate.fit import Fit, Limits, effective_samples, grounded, predict, standard_errors, start_range
+from workbench.estimate.fit import (
+    LEAST_TAU,
+    NORMAL,
+    Fit,
+    Limits,
+    effective_samples,
+    grounded,
+    predict,
+    standard_errors,
+    start_range,
+)
 from workbench.estimate.models import PLANT_PARAMETERS
 from workbench.estimate.profile import CHI_SQUARE, Profile
 from workbench.estimate.stems import path_of
@@ -22,7 +32,6 @@ from workbench.model.record import FloatArray
 from workbench.model.results import Intervals, LinearFit
 
 __all__ = [
-    "NORMAL",
     "Stem",
     "band_of",
     "band_position",
@@ -35,7 +44,8 @@ __all__ = [
     "stem_of",
 ]
 
-NORMAL = 1.96
+AT_END = 0.05  # of a limit of the search for a time constant: nearer, it is the limit that was found
+HALF_SAMPLE = 0.5  # likewise of a dead time
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,12 +77,12 @@ def linear_result(data: Centred, fit: Fit) -> LinearFit:
     )
 
 
-def linear_intervals(data: Centred, fit: Fit) -> Intervals:
-    """Return the ranges of the linear fit's plant, none where OP has no part in PV."""
+def linear_intervals(data: Centred, fit: Fit, longest: float) -> Intervals:
+    """Return the ranges of the linear fit's plant, none where OP has no part in PV; longest: as in `ranges_of`."""
     if fit.gain == 0.0:
         return Intervals()
     errors = standard_errors(data, data.u, 0, fit, clamped=False)
-    return ranges_of(data, [fit], errors, None)
+    return ranges_of(data, [fit], errors, None, longest)
 
 
 def ranges_of(
@@ -80,24 +90,47 @@ def ranges_of(
     fits: list[Fit],
     errors: tuple[float, float, float],
     d: tuple[float, float] | None,
+    longest: float,
     spare: Sequence[float] = (),
 ) -> Intervals:
-    """Return hulls over fits that are alike, each widened by 1.96 standard errors, or by its share of that in spare."""
-    Ts = data.sample_time
+    """Return hulls over fits that are alike, each widened by 1.96 standard errors, or by its share of that in spare.
+
+    longest: samples, the longest dead time searched. An end that is the search's, or lies beyond all that the record
+    can show, says nothing of the plant: the range is open there (see `Intervals`). A time constant or a dead time as
+    long as the record is beyond it; so is a gain by which the whole of OP's range moves PV by more in one sample than
+    PV ranges (a lag takes up to N samples to show it). A slow plant shows the ratio of gain and time constant alone:
+    where the one is open upward, so is the other.
+    """
+    Ts, n = data.sample_time, data.samples
     wide = NORMAL * np.array(spare or [1.0] * len(fits))
 
-    def hull(values: FloatArray, error: float, unit: float, least: float = -math.inf) -> tuple[float, float] | None:
+    def hull(values: FloatArray, error: float) -> tuple[float, float] | None:
         if not math.isfinite(error):
             return None
-        low, high = float((values - wide * error).min()) * unit, float((values + wide * error).max()) * unit
-        return max(low, least), high
+        return float((values - wide * error).min()), float((values + wide * error).max())
 
-    return Intervals(
-        d=d,
-        gain=hull(np.array([f.gain for f in fits]), errors[0], 1.0 / Ts if data.integrating else 1.0),
-        time_constant=None if data.integrating else hull(np.array([f.tau for f in fits]), errors[1], Ts, 0.0),
-        dead_time=hull(np.array([f.theta for f in fits]), errors[2], Ts, 0.0),
+    def time(values: FloatArray, error: float, least: float, end: float) -> tuple[float, float] | None:
+        pair = hull(values, error)
+        if pair is None:
+            return None
+        low = 0.0 if values.min() <= least else max(pair[0], 0.0)
+        return low * Ts, math.inf if values.max() >= end or pair[1] > n else pair[1] * Ts
+
+    gains = np.array([f.gain for f in fits])
+    taus = np.array([f.tau for f in fits])
+    tau = None if data.integrating else time(taus, errors[1], (1.0 + AT_END) * LEAST_TAU, (1.0 - AT_END) * n)
+    gain = hull(gains, errors[0])
+    if gain is not None:
+        reach = float(np.ptp(data.y)) / data.op_range * (1.0 if data.integrating else n)
+        slow = tau is not None and math.isinf(tau[1])
+        low = -math.inf if gain[0] < -reach or (slow and gains.min() < 0.0) else min(gain[0], reach)
+        high = math.inf if gain[1] > reach or (slow and gains.max() > 0.0) else max(gain[1], -reach)
+        unit = 1.0 / Ts if data.integrating else 1.0
+        gain = low * unit, high * unit
+    theta = time(
+        np.array([f.theta for f in fits]), errors[2], 0.0, longest - HALF_SAMPLE if longest > 0.0 else math.inf
     )
+    return Intervals(d=d, gain=gain, time_constant=tau, dead_time=theta)
 
 
 def _wider(data: Centred, band: tuple[float, float]) -> tuple[float, float]:
@@ -169,7 +202,7 @@ def rivals_of(
         ranges["stenman"] = stem_of(data, replace(found, alike=near)).intervals
     for name, one in bands.items() if chosen == "stenman" else ():
         if max(one.best.fit.sse, n * data.floor) <= most:
-            ranges[name] = band_of(data, alike(data, one, limits, fit.sse), name).intervals
+            ranges[name] = band_of(data, alike(data, one, limits, fit.sse), name, limits).intervals
     return ranges
 
 
@@ -191,7 +224,7 @@ def stem_of(data: Centred, found: Profile) -> Stem:
     errors = _unsure(data, errors, best.fit, best.d)
     d = _wider(data, (min(c.d_low for c in found.alike), max(c.d_high for c in found.alike)))
     known = best.d_high > best.d_low and best.slips >= ENOUGH_SLIPS
-    intervals = ranges_of(data, [c.fit for c in found.alike], errors, d if known else None)
+    intervals = ranges_of(data, [c.fit for c in found.alike], errors, d if known else None, found.limits.theta[1])
     return Stem(position, prediction, bias_of(data, whole), intervals)
 
 
@@ -209,8 +242,8 @@ def band_position(data: Centred, best: Band) -> FloatArray:
     return position
 
 
-def band_of(data: Centred, found: Bands, name: str) -> Stem:
-    """Return the best two-parameter stem in the record's own scale."""
+def band_of(data: Centred, found: Bands, name: str, limits: Limits) -> Stem:
+    """Return the best two-parameter stem, searched within limits, in the record's own scale."""
     best = found.best
     x, _ = band_stem(data.u, best.S, best.J, best.first, best.sense)
     begin = max(best.first, 0)
@@ -222,7 +255,7 @@ def band_of(data: Centred, found: Bands, name: str) -> Stem:
     errors = _unsure(data, errors, best.fit, best.S)
     # The valve's own width and jump take part in what the plant may be: parts of the record differ in all of them.
     fits = [*(b.fit for b in found.alike), *found.parts]
-    ranges = ranges_of(data, fits, errors, None, [*found.spare, *[1.0] * len(found.parts)])
+    ranges = ranges_of(data, fits, errors, None, limits.theta[1], [*found.spare, *[1.0] * len(found.parts)])
     if best.slips >= ENOUGH_SLIPS:
         ranges = replace(ranges, S=_wider(data, found.S), J=None if name == "deadband" else _wider(data, found.J))
     return Stem(band_position(data, best), prediction, bias_of(data, whole), ranges)

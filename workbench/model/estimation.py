@@ -31,6 +31,9 @@ MOST_IN_PROGRAM = 1500  # samples in a complementarity program, whose time grows
 class Intervals:
     """95 % ranges (low, high) of what was estimated, or None where the data or the model give none.
 
+    An end is infinite where the range is open there: the search ended at its limit, or the record tells nothing up to
+    all that it could show. The estimate's reasons say so. In JSON such an end is "none".
+
     d, S, J in %; gain in EU/% (integrating: EU/(% s)); time_constant and dead_time in s.
     """
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 
-__all__ = ["ROUNDING", "duration", "figure", "given", "setting"]
+__all__ = ["ROUNDING", "duration", "figure", "given", "interval", "setting"]
 
 ROUNDING = 1e-12
 
@@ -68,3 +68,21 @@ def duration(seconds: float) -> str:
     if seconds < 72.0 * 3600.0:
         return f"{seconds / 3600.0:.1f} h"
     return f"{seconds / 86400.0:.1f} days"
+
+
+def interval(pair: tuple[float, float] | None, unit: str, digits: int = 4) -> str:
+    """Return "1.99 to 2.01 %", with more digits (up to seven) where its ends would look the same; None: "not given".
+
+    An open end is infinite: "12 s or more", "3 EU/% or less", and "open at both ends".
+    """
+    if pair is None:
+        return "not given"
+    low, high = pair
+    if math.isinf(low) and math.isinf(high):
+        return "open at both ends"
+    if math.isinf(low) or math.isinf(high):
+        end, way = (high, "less") if math.isinf(low) else (low, "more")
+        return f"{f'{figure(end, digits)} {unit}'.rstrip()} or {way}"
+    while digits < 7 and low != high and figure(low, digits) == figure(high, digits):
+        digits += 1
+    return f"{figure(low, digits)} to {figure(high, digits)} {unit}".rstrip()

@@ -14,7 +14,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from workbench.model.numbers import duration, figure, given
+from workbench.model.numbers import duration, figure, given, interval
 from workbench.model.titles import KPI_ROWS, kpi_title, within
 
 __all__ = ["SHOWN", "Shown", "rows_of"]
@@ -125,7 +125,7 @@ def _intervals(found: Any) -> Iterator[Row]:
         if pair is not None:
             title, unit = kpi_title(one.name)
             unit = "EU/(% s)" if one.name == "gain" and type(found.plant).__name__ == "Integrating" else unit
-            yield f"{title}, 95 %", f"{figure(pair[0])} to {figure(pair[1])}", unit
+            yield f"{title}, 95 %", interval(pair, ""), unit
 
 
 def _summary(record: Any) -> Iterator[Row]:

@@ -16,7 +16,7 @@ from workbench.model.plant import FOPDT
 from workbench.model.results import LimitCycle, Robustness, Tuned
 from workbench.model.study import CaseResult, NamedEstimate, Study
 from workbench.model.titles import kpi_title, within
-from workbench.report.estimates import known_groups, stiction_words
+from workbench.report.estimates import known_groups, open_ranges, stiction_words
 from workbench.report.judge import at_odds, last_change, quiet, run_travel, unstable
 from workbench.report.settings import as_typed_in, settings_words
 from workbench.report.words import capital, duration, figure, given, interval, join, nearby
@@ -113,7 +113,8 @@ def _model(study: Study, case: CaseResult, judged: Judged) -> None:
     if found.verdict == "undecided":
         text += "; whether the valve sticks is undecided"
     elif not found.identifiable:
-        text += "; the record does not pin the stiction apart from the gain"
+        apart = "what the stem's moves do to PV" if open_ranges(found) else "the stiction apart from the gain"
+        text += f"; the record does not pin {apart}"
     elif open_ones:
         text += f"; hardly known or without a range: {join([within(kpi_title(name)[0]) for name in open_ones])}"
     judged.say(

@@ -23,6 +23,7 @@ __all__ = [
     "estimate_table",
     "known_groups",
     "known_sentences",
+    "open_ranges",
     "stiction_words",
 ]
 
@@ -61,10 +62,19 @@ def estimate_sentences(named: NamedEstimate, *, linear: bool = True) -> list[str
     if found.verdict == "stiction" and not isinstance(found.valve, Ideal) and not found.identifiable:
         product = abs(plant.gain) * found.valve.stick_band
         unit = "EU" if isinstance(plant, FOPDT) else "EU/s"
-        if found.intervals.d is None and found.intervals.S is None:
+        if found.intervals.d is None and found.intervals.S is None and found.method != "two_step":
+            sentences.append(
+                f"{name}: the record gives no range for the stiction (the reasons say why): take its value as a hint."
+            )
+        elif found.intervals.d is None and found.intervals.S is None:
             sentences.append(
                 f"{name}: the method gives no range for the stiction, so this does not show whether the record pins "
                 "the stiction alone or only its product with the gain; the global profile tells."
+            )
+        elif opened := open_ranges(found):
+            sentences.append(
+                f"{name}: the record leaves the range of the {join([within(kpi_title(one)[0]) for one in opened])} "
+                "open: what the stem's moves do to PV is not known, however narrow the range of the stiction."
             )
         else:
             sentences.append(
@@ -83,6 +93,12 @@ def estimate_sentences(named: NamedEstimate, *, linear: bool = True) -> list[str
                 f"dead time {figure(plain.plant.dead_time)} s."
             )
     return sentences
+
+
+def open_ranges(found: Estimate) -> list[str]:
+    """Return the names of the plant's parameters whose range has an open end."""
+    pairs = {name: getattr(found.intervals, name) for name in ("gain", "time_constant", "dead_time")}
+    return [name for name, pair in pairs.items() if pair is not None and any(math.isinf(end) for end in pair)]
 
 
 def useless(found: Estimate) -> bool:
@@ -315,13 +331,17 @@ def _would_tell(found: Estimate, groups: dict[str, list[str]]) -> list[str]:
     if found.verdict == "stiction" and not found.identifiable and band > 0.0:
         step = abs(found.plant.gain) * band
         size = f" (gain times band: {figure(step, 2)} EU)" if isinstance(found.plant, FOPDT) else ""
+        known = found.intervals.d is not None or found.intervals.S is not None
+        told = f"Give maintenance the range of the stiction, not its value{size}. " if known else ""
         said.append(
-            f"Give maintenance the range of the stiction, not its value{size}. A setpoint change that moves OP by "
-            f"clearly more than {given(band, 2)} %, or a longer record, would narrow it."
+            f"{told}A setpoint change that moves OP by clearly more than {given(band, 2)} %, or a longer record, would "
+            f"{'narrow it' if known else 'tell more of the stiction'}."
         )
     if "J" in vague:
         said.append("How far the stem jumps once it breaks loose, J, would show in more slips, or in a measured stem.")
-    if vague & {"gain", "dead_time"} and found.verdict != "undecided":
+    if opened := [within(kpi_title(name)[0]) for name in open_ranges(found)]:
+        said.append(f"The range of the {join(opened)} is open: tune by no rule from these figures.")
+    elif vague & {"gain", "dead_time"} and found.verdict != "undecided":
         said.append("When tuning by a rule, take the upper end of the ranges of gain and dead time: the cautious side.")
     Ts = found.record.sample_time
     values = _plant_parameters(found.plant)

@@ -245,6 +245,11 @@ def _repeats(found: Repeats) -> dict[str, Any]:
     return {**plain(found), "parts": [plain(part) for part in found.parts]}
 
 
+def _open(pair: tuple[float, float] | None) -> tuple[float, float] | None:
+    """Return a range as it is written: where an end is open there is no limit, whichever end it is."""
+    return None if pair is None else (math.inf if math.isinf(pair[0]) else pair[0], pair[1])
+
+
 def _estimate(named: NamedEstimate) -> dict[str, Any]:
     found, program = named.found, named.found.complementarity
     ended = {} if program is None else {"status": program.status.value, "plant": plant_content(program.plant)}
@@ -255,7 +260,7 @@ def _estimate(named: NamedEstimate) -> dict[str, Any]:
         "reasons": list(found.reasons),
         "plant": plant_content(found.plant),
         "valve": valve_content(found.valve),
-        "intervals": plain(found.intervals),
+        "intervals": {name: _open(pair) for name, pair in plain(found.intervals).items()},
         "identifiable": found.identifiable,
         "bias": found.bias,
         "residual_variance": found.residual_variance,

@@ -17,7 +17,7 @@ from workbench.model.compensator import (
 from workbench.model.controller import PID
 from workbench.model.karnopp import Karnopp
 from workbench.model.loop import Loop
-from workbench.model.numbers import ROUNDING, duration, figure, given, setting
+from workbench.model.numbers import ROUNDING, duration, figure, given, interval, setting
 from workbench.model.plant import FOPDT, Plant
 from workbench.model.rule import Amigo, DetunedIntegral, Lambda, Rule, Simc, ZieglerNichols
 from workbench.model.valve import Choudhury, Deadband, Directional, He, Ideal, Kano, Positional, Stenman, Valve
@@ -120,15 +120,6 @@ def sentences(parts: Sequence[str]) -> str:
     """Return texts as sentences one after the other: each begins with a capital and ends with a full stop."""
     told = [p.strip() for p in parts if p.strip()]
     return " ".join(p[0].upper() + p[1:] + ("" if p.endswith((".", "!", "?")) else ".") for p in told)
-
-
-def interval(pair: tuple[float, float] | None, unit: str, digits: int = 4) -> str:
-    """Return "1.99 to 2.01 %", with more digits (up to seven) where its ends would look the same; None: "not given"."""
-    if pair is None:
-        return "not given"
-    while digits < 7 and pair[0] != pair[1] and figure(pair[0], digits) == figure(pair[1], digits):
-        digits += 1
-    return f"{figure(pair[0], digits)} to {figure(pair[1], digits)} {unit}".rstrip()
 
 
 def join(parts: Sequence[str]) -> str:

@@ -9,6 +9,7 @@ from workbench.errors import InvalidValue, RecordError
 from workbench.model.controller import PID
 from workbench.model.experiment import Experiment, Step
 from workbench.model.loop import Loop
+from workbench.model.numbers import interval
 from workbench.model.plant import FOPDT, Plant
 from workbench.model.results import Estimate, SolveStatus, Tuned
 from workbench.model.rule import Simc
@@ -214,8 +215,7 @@ def _gain_doubt(found: Estimate) -> str:
     """Return why the record does not show how the valve acts on PV, or ""."""
     pair, unit = found.intervals.gain, "EU/%" if isinstance(found.plant, FOPDT) else "EU/(% s)"
     if pair is not None and pair[0] <= 0.0 <= pair[1]:
-        span = f"{pair[0]:.3g} to {pair[1]:.3g} {unit}"
-        return f"does not show whether the gain is positive or negative (95 % range {span})"
+        return f"does not show whether the gain is positive or negative (95 % range {interval(pair, unit, 3)})"
     record = found.record
     length = 1.0 if isinstance(found.plant, FOPDT) else len(record) * record.sample_time
     effect = abs(found.plant.gain) * float(record.op.max() - record.op.min()) * length
