@@ -224,7 +224,7 @@ def looks(monkeypatch: pytest.MonkeyPatch) -> list[int]:
 
 def test_each_window_is_looked_at_once_whatever_the_measure(monkeypatch: pytest.MonkeyPatch) -> None:
     seen = looks(monkeypatch)
-    found = wb.estimate(sticky(wb.Choudhury(3.0, 1.2), seed=2, load=0.6))
+    found = wb.estimate(sticky(wb.Choudhury(3.0, 1.2), seed=2, samples=8000, load=0.6))
     assert 1 <= len(seen) <= 3
     assert set(seen) == {EXACT}
     assert isinstance(found.valve, wb.Choudhury)
@@ -232,7 +232,7 @@ def test_each_window_is_looked_at_once_whatever_the_measure(monkeypatch: pytest.
 
 
 def test_windows_are_not_asked_for_what_the_first_settles(monkeypatch: pytest.MonkeyPatch) -> None:
-    record = sticky(wb.Stenman(2.0))
+    record = sticky(wb.Stenman(2.0), samples=8000)
     seen = looks(monkeypatch)
     free = wb.estimate(record)
     assert isinstance(free.valve, wb.Stenman)

@@ -35,7 +35,7 @@ from workbench.estimate.two_parameter import (
     search_short,
     started,
 )
-from workbench.estimate.windows import EXACT, active_windows
+from workbench.estimate.windows import WHOLE, active_windows
 from workbench.model.record import FloatArray
 
 __all__ = [
@@ -141,7 +141,7 @@ def sought(data: Centred, longest: float, other: Fit | None, contested: bool, se
     """
     none = Sought(data.y, (), contested, seek is not look)
     windows: list[Window] = []
-    for part in active_windows(data) if data.samples > EXACT else ():
+    for part in active_windows(data) if data.samples > WHOLE else ():
         window = _window(part, min(longest, part.samples / 4.0), seek)
         settled = _hopeless(window, none.rival(other) / data.samples) or any(_agree(window, one) for one in windows)
         windows.append(window)
@@ -172,7 +172,7 @@ def _window(part: Centred, longest: float, seek: Seek = look) -> Window:
 
 def coarse_of(data: Centred, within: Sought, longest: float, seek: Seek = look) -> list[Band]:
     """Return the best stems of a grid, the best first: of a long record those of its windows, fitted to the whole."""
-    if data.samples <= EXACT:
+    if data.samples <= WHOLE:
         return seek(data, longest)
     limits = Limits((LEAST_TAU, float(data.samples)), (0.0, longest))
     found = [
@@ -220,7 +220,7 @@ def search_bands(
     which a short record is searched on too. rival: what the other valve leaves, EU^2. before: what the search found in
     another measure.
     """
-    if data.samples <= EXACT:
+    if data.samples <= WHOLE:
         bands, rows = search_short(data, coarse, only, limits, beside, only is None and within.known)
     else:
         bands, rows = _search_long(data, within, limits, only, rival, before)
@@ -278,7 +278,7 @@ def repeated(data: Centred, found: Found, limits: Limits, within: Sought) -> Ban
     ended, and from the stems that slip some samples earlier and later, and the best may then be another.
     """
     own = _of_parts(data, found.only, limits, within)
-    if data.samples <= EXACT:
+    if data.samples <= WHOLE:
         apart = [b for *_, b in own if abs(b.S / found.best.S - 1.0) > APART]
         found = _further(data, found, [_here(data, b, limits) for b in apart], limits)
         for _ in range(CROSSINGS):
@@ -298,7 +298,7 @@ def _of_parts(data: Centred, only: float | None, limits: Limits, within: Sought)
     """The parts of a record, each with the best stem of a search of its own, where one is found."""
     n = data.samples
     windows: Sequence[Window] = within.windows[:2]
-    if n <= EXACT:
+    if n <= WHOLE:
         halves = [data.part(0, n // 2), data.part(n // 2, n)]
         moved = [part for part in halves if part.op_range > 0.0 and float(np.ptp(part.y)) > 0.0]
         windows = [_window(part, min(limits.theta[1], part.samples / 4.0)) for part in moved]

@@ -19,6 +19,7 @@ from workbench.detect.stem import whitened
 from workbench.estimate.data import WHITE, Centred
 from workbench.estimate.fit import LOUD, NORMAL, Fit, Limits, autoregression, fit_path, inflation, predict
 from workbench.estimate.stepped_kernel import left_beside
+from workbench.estimate.windows import WHOLE
 from workbench.model.load_step import LoadStep
 from workbench.model.record import FloatArray
 
@@ -26,7 +27,6 @@ __all__ = ["Loads", "Stem", "loads_of"]
 
 TURNS = 6  # of least squares and output error in turn
 LEAST_BEFORE, LEAST_AFTER = 0.02, 0.02  # of the record, that a step must have on either side
-LONGEST = 3000  # samples: a longer record has its disturbances, none of them single steps
 # A step has a size and a time, and the time is found by a search: three degrees (N. Zhang, D. Siegmund, "A modified
 # Bayes information criterion", Biometrics 63 (2007) 22-32). Beyond these "very strong" evidence (Kass, Raftery 1995).
 DEGREES, CLEAR = 3, 10.0
@@ -85,7 +85,7 @@ def loads_of(
     n = data.samples
     nothing = Loads(np.zeros(n), np.empty((0, n)), np.zeros(n), ())
     span = (skip + max(int(LEAST_BEFORE * n), 3), n - max(int(LEAST_AFTER * n), 8))
-    if n > LONGEST or most == 0 or span[1] - span[0] <= 8 or lead.fit.gain == 0.0:
+    if n > WHOLE or most == 0 or span[1] - span[0] <= 8 or lead.fit.gain == 0.0:
         return nothing
     bare = _beside(data, lead.x, lead.first, lead.fit, limits, skip, [])
     stems = [lead, *(further(span) if further is not None and bare.a.size > 1 else ())]

@@ -23,7 +23,7 @@ from workbench.estimate.profile import Profile, profile_again, profile_of, searc
 from workbench.estimate.stems import path_of
 from workbench.estimate.stepped import stepped_stems
 from workbench.estimate.two_parameter import Band, band_stem
-from workbench.estimate.windows import EXACT
+from workbench.estimate.windows import WHOLE
 from workbench.model.load_step import LoadStep
 from workbench.model.record import FloatArray
 
@@ -122,13 +122,13 @@ def settled(
             return settled(whole, *first, delays, within, 0)
         same_steps = _same(before, steps, whole.sample_time)
         a = disturbance(left[skip:], data.floor)
-        if a.size > 1 and data.samples <= EXACT:
+        if a.size > 1 and data.samples <= WHOLE:
             a = colour_beside(bare, lead.x, lead.first, lead.fit, limits, skip)
         same = a.size == data.a.size == 1 and not steps
         stands = stands and (same_steps or not (before or steps))
         # Of a long record the first few samples are nothing.
         turn += 1
-        if same and (turn > 1 or skip == 0 or data.samples > EXACT):
+        if same and (turn > 1 or skip == 0 or data.samples > WHOLE):
             break
         data = bare.whitened(a, skip)
         anew = a.size > 1 or bool(steps)
@@ -150,7 +150,7 @@ def settled(
                 # A stem that stood fast while its measure changed has no rivals that have not been looked at.
                 other = None if found is None else found.best.fit
                 there = within if data.y is within.pv else sought(data, delays, other, within.contested)
-                known = stands or data.samples > EXACT
+                known = stands or data.samples > WHOLE
                 coarse = [one.best for one in bands.values()]
                 if not known:
                     coarse = [*coarse_of(data, there, delays), *like_stenman(found, data, delays)]
