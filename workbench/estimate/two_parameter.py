@@ -21,7 +21,7 @@ from workbench.estimate import abreast, kernel
 from workbench.estimate.data import Centred
 from workbench.estimate.fit import LEAST_TAU, Fit, Limits, fit_bands
 from workbench.estimate.stems import thin
-from workbench.estimate.windows import EXACT, WHOLE, windows_of
+from workbench.estimate.windows import EXACT, windows_of
 from workbench.model.record import FloatArray
 
 __all__ = [
@@ -313,7 +313,7 @@ def closer(
         J = np.array([only * seed.S])
     low, high = seed.S * (1.0 - reach[0]), min(seed.S * (1.0 + reach[0]), data.op_range)
     # Breakpoints closer than a tenth of the step are passed over: a stem that hardly moves has thousands of them.
-    steps = (0.1 * step * low if data.samples <= WHOLE else step * low, step * low)
+    steps = (0.1 * step * low if data.samples <= EXACT else step * low, step * low)
     plant = (seed.fit.tau, seed.fit.theta)
     start = (seed.first, seed.sense)
     lines = [

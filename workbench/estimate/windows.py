@@ -14,7 +14,7 @@ __all__ = ["EXACT", "WHOLE", "active_windows", "stretch_of", "windows_of"]
 # length.
 EXACT = 1500
 # Two-parameter stems, load steps and a disturbance's colour are sought in all of a record up to this many.
-WHOLE = 5000
+WHOLE = 10_000
 WINDOWS = 3  # most active windows of a long record, beside its head
 STRETCHES = 8  # the share of a long record in which plants are sought
 
