@@ -86,7 +86,8 @@ class Centred:
         """
         at = np.arange(self.samples // every) * every
         begin, stop = np.maximum(at - every // 2, 0), at - every // 2 + every
-        thin = _centred((self.sums[stop] - self.sums[begin]) / (stop - begin), self.u[at + every // 2], self)
+        means = np.add.reduceat(self.y[: stop[-1]], begin) / (stop - begin)
+        thin = _centred(means, self.u[at + every // 2], self)
         return replace(thin, skip=-(-self.skip // every))
 
     def innovations(self, prediction: FloatArray) -> FloatArray:

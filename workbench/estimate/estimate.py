@@ -351,10 +351,6 @@ def _answer(
         stem = replace(stem, intervals=Intervals())
         reasons += (words_of_hidden(data.doubt),)
     identifiable = identifiable and stem is not None and _sharp(stem.intervals, models[chosen])
-    if identifiable and steps and n > WHOLE:
-        # Where the search is not complete, steps may make up for a stem that is not the right one.
-        identifiable = False
-        reasons += (f"steps of load beside a stem that is sought in stretches alone ({n} samples) do not identify it",)
     if not stuck:
         data, linear, steps = coloured_linear(unsettled, plain, longest)
         straight = linear_result(data, linear)

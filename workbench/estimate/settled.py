@@ -17,12 +17,12 @@ from workbench.estimate.bands import Found, Sought, coarse_of, like_stenman, sou
 from workbench.estimate.coloured import colour_beside
 from workbench.estimate.data import Centred
 from workbench.estimate.fit import LEAST_TAU, Fit, Limits, again_linear, disturbance, grounded, predict
-from workbench.estimate.loads import Stem, loads_of
+from workbench.estimate.loads import Loads, Stem, loads_of
 from workbench.estimate.models import bands_of, refitted
 from workbench.estimate.profile import Profile, profile_again, profile_of, search
 from workbench.estimate.stems import path_of
 from workbench.estimate.stepped import stepped_stems
-from workbench.estimate.two_parameter import Band, band_stem
+from workbench.estimate.two_parameter import Band, band_stem, fit_band
 from workbench.estimate.windows import WHOLE
 from workbench.model.load_step import LoadStep
 from workbench.model.record import FloatArray
@@ -60,6 +60,7 @@ def _of_band(data: Centred, b: Band) -> Stem:
         max(b.first, 0),
         b.fit,
         lambda wider, further: band_stem(data.u, b.S * wider, b.J * further, b.first, b.sense)[0],
+        valve=(b.S, b.J, b.first, b.sense),
     )
 
 
@@ -71,20 +72,20 @@ def _relieved(
     skip: int,
     most: int,
     further: Callable[[tuple[int, int]], Sequence[Stem]] | None = None,
-) -> tuple[Centred, FloatArray, tuple[LoadStep, ...]]:
-    """The record without the load steps that a stem does not explain, what it leaves of that, EU, and the steps.
+) -> tuple[Centred, Loads]:
+    """The record without the load steps that a stem does not explain, and the steps.
 
     whole: the record with its load; data: as the lead was fitted to it; most, further: as in `loads_of`.
     """
     x, first, fit = lead.x, lead.first, lead.fit
     loads = loads_of(whole, lead, limits, skip, most, further, strict=further is None)
     if loads.steps:
-        return whole.less(loads.pv, loads.answers), loads.left, loads.steps
+        return whole.less(loads.pv, loads.answers), loads
     if data.load.any():
         left = whole.y - predict(whole, x, first, grounded(whole.whitened(data.a, max(skip, 1)), x, first, fit))[0]
     else:
         left = data.y - predict(data, x, first, grounded(data, x, first, fit))[0]
-    return whole, left, ()
+    return whole, replace(loads, left=left)
 
 
 def settled(
@@ -117,11 +118,12 @@ def settled(
         earlier, lead = lead, replace(_leading(data, found, bands, linear), times=at)
         stands = turn > 0 and _same_stem(earlier.x, lead.x)
         further = partial(stepped_stems, whole, limits, skip) if turn == 0 else None
-        bare, left, steps = _relieved(whole, data, lead, limits, skip, most, further)
+        bare, loads = _relieved(whole, data, lead, limits, skip, most, further)
+        steps = loads.steps
         if before and not steps:
             return settled(whole, *first, delays, within, 0)
         same_steps = _same(before, steps, whole.sample_time)
-        a = disturbance(left[skip:], data.floor)
+        a = disturbance(loads.left[skip:], data.floor)
         if a.size > 1 and data.samples <= WHOLE:
             a = colour_beside(bare, lead.x, lead.first, lead.fit, limits, skip)
         same = a.size == data.a.size == 1 and not steps
@@ -154,6 +156,9 @@ def settled(
                 coarse = [one.best for one in bands.values()]
                 if not known:
                     coarse = [*coarse_of(data, there, delays), *like_stenman(found, data, delays)]
+                if loads.beside is not None:
+                    (S, J, first_slip, sense), fit = loads.beside
+                    coarse.append(fit_band(data, S, J, (first_slip, sense), limits, (fit.tau, fit.theta)))
                 bands = bands_of(data, coarse, there, limits, there.rival(other), only_any, bands)
         if same_steps:
             break
@@ -183,8 +188,9 @@ def coloured_linear(data: Centred, linear: Fit, delays: float) -> tuple[Centred,
     steps: tuple[LoadStep, ...] = ()
     for _ in range(COLOURINGS):
         limits = Limits((LEAST_TAU, float(data.samples)), (0.0, delays))
-        bare, left, steps = _relieved(whole, data, Stem(data.u, 0, linear), limits, 0, STEPS_MOST)
-        data = bare.whitened(disturbance(left, data.floor), 0)
+        bare, loads = _relieved(whole, data, Stem(data.u, 0, linear), limits, 0, STEPS_MOST)
+        steps = loads.steps
+        data = bare.whitened(disturbance(loads.left, data.floor), 0)
         linear = again_linear(data, linear, delays)
     return data, linear, steps
 

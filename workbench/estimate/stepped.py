@@ -239,4 +239,5 @@ def _stem(search: _Search, one: _Found) -> Stem:
             return path_of(data.u, one.S * wider, one.first)[0]
         return band_stem(data.u, one.S * wider, one.J * further, one.first, one.sense)[0]
 
-    return Stem(near(1.0, 1.0), max(one.first, 0), fit, near, (one.at * every,))
+    valve = None if math.isnan(one.J) else (one.S, one.J, one.first, one.sense)
+    return Stem(near(1.0, 1.0), max(one.first, 0), fit, near, (one.at * every,), valve)
