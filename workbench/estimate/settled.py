@@ -16,7 +16,7 @@ import numpy as np
 from workbench.estimate.bands import Found, Sought, coarse_of, like_stenman, sought
 from workbench.estimate.coloured import colour_beside
 from workbench.estimate.data import Centred
-from workbench.estimate.fit import LEAST_TAU, Fit, Limits, again_linear, disturbance, grounded, predict
+from workbench.estimate.fit import LEAST_TAU, Fit, Limits, again_linear, disturbance, fit_path, grounded, predict
 from workbench.estimate.loads import Loads, Stem, loads_of
 from workbench.estimate.models import bands_of, refitted
 from workbench.estimate.profile import Profile, profile_again, profile_of, search
@@ -125,7 +125,8 @@ def settled(
         same_steps = _same(before, steps, whole.sample_time)
         a = disturbance(loads.left[skip:], data.floor)
         if a.size > 1 and data.samples <= WHOLE:
-            a = colour_beside(bare, lead.x, lead.first, lead.fit, limits, skip)
+            beside = colour_beside(bare, lead.x, lead.first, lead.fit, limits, skip)
+            a = min(a, beside, key=lambda one: _akaike_in(bare.whitened(one, skip), lead, limits))
         same = a.size == data.a.size == 1 and not steps
         stands = stands and (same_steps or not (before or steps))
         # Of a long record the first few samples are nothing.
@@ -163,6 +164,13 @@ def settled(
         if same_steps:
             break
     return data, found, bands, linear, steps
+
+
+def _akaike_in(data: Centred, lead: Stem, limits: Limits) -> float:
+    """AIC of a stem with a plant fitted to it in data's measure, as far as it depends on that."""
+    n, fit = data.samples, lead.fit
+    sse = fit_path(data, lead.x, lead.first, (-math.inf, math.inf), limits, fit.theta, tau=fit.tau).sse
+    return n * math.log(max(sse / n, data.floor)) + 2.0 * data.a.size
 
 
 def _same(before: Sequence[LoadStep], steps: Sequence[LoadStep], Ts: float) -> bool:
