@@ -224,7 +224,7 @@ def looks(monkeypatch: pytest.MonkeyPatch) -> list[int]:
 
 def test_each_window_is_looked_at_once_whatever_the_measure(monkeypatch: pytest.MonkeyPatch) -> None:
     seen = looks(monkeypatch)
-    found = wb.estimate(sticky(wb.Choudhury(3.0, 1.2), seed=2, load=0.6))
+    found = wb.estimate(sticky(wb.Choudhury(3.0, 1.2), seed=2, samples=12_000, load=0.6))
     assert 1 <= len(seen) <= 3
     assert set(seen) == {EXACT}
     assert isinstance(found.valve, wb.Choudhury)
@@ -232,7 +232,7 @@ def test_each_window_is_looked_at_once_whatever_the_measure(monkeypatch: pytest.
 
 
 def test_windows_are_not_asked_for_what_the_first_settles(monkeypatch: pytest.MonkeyPatch) -> None:
-    record = sticky(wb.Stenman(2.0))
+    record = sticky(wb.Stenman(2.0), samples=12_000)
     seen = looks(monkeypatch)
     free = wb.estimate(record)
     assert isinstance(free.valve, wb.Stenman)
@@ -245,6 +245,45 @@ def test_windows_are_not_asked_for_what_the_first_settles(monkeypatch: pytest.Mo
     by_name = {type(model.valve).__name__: model.residual_variance for model in free.candidates}
     assert asked.residual_variance <= by_name["Choudhury"] * (1.0 + 1e-9)
     assert by_name["Stenman"] < asked.residual_variance
+
+
+def test_a_thinned_record_has_means_of_pv_about_what_op_spans() -> None:
+    data = centre(sticky(wb.Stenman(2.0), samples=2000), "fopdt").whitened(np.array([1.0, -0.5]), 10)
+    thin = data.thinned(3)
+    assert thin.samples == 666
+    assert thin.a.size == 1
+    assert thin.skip == 4
+    for k in (1, 5, 300, 665):
+        assert thin.y[k] == pytest.approx(data.y[3 * k - 1 : 3 * k + 2].mean(), rel=1e-9)
+        assert thin.u[k] == data.u[3 * k + 1]
+    assert thin.y[0] == pytest.approx(data.y[:2].mean(), rel=1e-9)
+    assert np.array_equal(data.thinned(1).y, data.y)
+
+
+@pytest.mark.slow
+def test_a_slow_cycle_of_few_slips_is_found_in_all_of_its_record() -> None:
+    plant, valve = wb.Integrating(0.0054, 10.5), wb.Choudhury(2.1, 0.75)
+    loop = wb.Loop(plant, valve, wb.PID(Kc=4.3, Ti=173.0), 1.0)
+    steps = [wb.Step(0.12), wb.Step(-0.18, at=1742.0)]
+    run = wb.simulate(loop, wb.Experiment(3000.0, setpoint=steps, noise=wb.Noise(0.016, 1)))
+    found = wb.estimate(wb.Record(run.pv, run.op, 1.0), plant="integrating")
+    assert isinstance(found.valve, wb.Choudhury)
+    assert pytest.approx(2.1, rel=0.01) == found.valve.S
+    assert found.plant.gain == pytest.approx(0.0054, rel=0.02)
+
+
+@pytest.mark.slow
+def test_a_load_step_in_a_record_of_thousands_is_found_beside_its_valve() -> None:
+    loop = wb.Loop(wb.FOPDT(0.97, 14.2, 2.9), wb.Choudhury(3.9, 1.4), wb.PID(Kc=0.48, Ti=12.6), 1.0)
+    steps = [wb.Step(8.5), wb.Step(-12.7, at=3121.0)]
+    experiment = wb.Experiment(5000.0, setpoint=steps, load=wb.Step(0.8, at=1800.0), noise=wb.Noise(0.25, 1))
+    run = wb.simulate(loop, experiment)
+    found = wb.estimate(wb.Record(run.pv, run.op, 1.0))
+    assert pytest.approx(3.9, rel=0.02) == found.valve.stick_band
+    assert found.plant.gain == pytest.approx(0.97, rel=0.02)
+    (step,) = found.load_steps
+    assert step.size == pytest.approx(0.8, rel=0.1)
+    assert step.at == pytest.approx(1802.9, abs=10.0)
 
 
 @pytest.mark.slow

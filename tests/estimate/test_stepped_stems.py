@@ -41,6 +41,26 @@ def least(
     return float(((y[skip:] - terms @ matrix) ** 2).sum())
 
 
+def test_stems_of_a_finer_op_are_averaged_over_what_a_sample_of_pv_spans() -> None:
+    rng = np.random.default_rng(5)
+    n, many = 120, 3
+    u = 4.0 * np.sin(np.arange(n * many) / 17.0) + 0.2 * rng.normal(size=n * many)
+    y = np.cumsum(rng.normal(size=n))
+    stems = np.array(
+        [(2.0, 0.7, -1.0, 0.0), (1.5, math.nan, 0.0, 0.0), (2.0, 0.7, 7.0, 1.0), (2.5, math.nan, 31.0, 0.0)]
+    )
+    found = np.empty((len(stems), 1, 2))
+    screen_stepped(y, u, stems, np.array([(6.0, 1.3)]), False, 0.0, 4, 9, n - 6, 1, found)
+    for i, (S, J, first, sense) in enumerate(stems.tolist()):
+        x = path_of(u, S, int(first))[0] if math.isnan(J) else band_stem(u, S, J, int(first), sense)[0]
+        means, begin = x.reshape(n, many).mean(axis=1), int(first) // many
+        if first < 0:
+            # Before the record such a stem stood where it stands at its first sample.
+            means, begin = means + 0.0, 0
+        costs = [least(y, means, begin, (6.0, 1.3), False, 4, at) for at in range(9, n - 6)]
+        assert found[i, 0, 0] == pytest.approx(min(costs), rel=1e-6)
+
+
 @pytest.mark.parametrize("integrating", [False, True])
 @pytest.mark.parametrize("skip", [0, 9])
 def test_the_best_step_beside_a_stem_is_that_of_least_squares_at_every_sample(integrating: bool, skip: int) -> None:

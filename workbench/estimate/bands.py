@@ -35,7 +35,7 @@ from workbench.estimate.two_parameter import (
     search_short,
     started,
 )
-from workbench.estimate.windows import EXACT, active_windows
+from workbench.estimate.windows import EXACT, WHOLE, active_windows
 from workbench.model.record import FloatArray
 
 __all__ = [
@@ -116,13 +116,14 @@ class Window:
 
 @dataclass(frozen=True, eq=False)
 class Sought:
-    """Where stems are searched: a long record's most active windows, none in a short one; pv: whose they are, EU.
+    """Where stems are searched: in all of a record, or in a long one's most active windows; pv: whose they are, EU.
 
     contested: whether stems that leave far more of PV than another valve does are of no use. known: whether the grid's
     stems were not looked for, but are known to be close to the best.
     """
 
     pv: FloatArray
+    whole: bool
     windows: tuple[Window, ...]
     contested: bool
     known: bool
@@ -139,9 +140,11 @@ def sought(data: Centred, longest: float, other: Fit | None, contested: bool, se
     leaves far less than any stem does in the liveliest window, or where two windows agree, the next ones are not asked.
     A window takes any disturbance as white: what it says is as good in another measure of the same PV.
     """
-    none = Sought(data.y, (), contested, seek is not look)
+    known = seek is not look
+    # What is known closely needs no more than a window to be told apart from.
+    none = Sought(data.y, data.samples <= (EXACT if known else WHOLE), (), contested, known)
     windows: list[Window] = []
-    for part in active_windows(data) if data.samples > EXACT else ():
+    for part in () if none.whole else active_windows(data):
         window = _window(part, min(longest, part.samples / 4.0), seek)
         settled = _hopeless(window, none.rival(other) / data.samples) or any(_agree(window, one) for one in windows)
         windows.append(window)
@@ -172,7 +175,7 @@ def _window(part: Centred, longest: float, seek: Seek = look) -> Window:
 
 def coarse_of(data: Centred, within: Sought, longest: float, seek: Seek = look) -> list[Band]:
     """Return the best stems of a grid, the best first: of a long record those of its windows, fitted to the whole."""
-    if data.samples <= EXACT:
+    if within.whole:
         return seek(data, longest)
     limits = Limits((LEAST_TAU, float(data.samples)), (0.0, longest))
     found = [
@@ -220,7 +223,7 @@ def search_bands(
     which a short record is searched on too. rival: what the other valve leaves, EU^2. before: what the search found in
     another measure.
     """
-    if data.samples <= EXACT:
+    if within.whole:
         bands, rows = search_short(data, coarse, only, limits, beside, only is None and within.known)
     else:
         bands, rows = _search_long(data, within, limits, only, rival, before)
@@ -278,7 +281,7 @@ def repeated(data: Centred, found: Found, limits: Limits, within: Sought) -> Ban
     ended, and from the stems that slip some samples earlier and later, and the best may then be another.
     """
     own = _of_parts(data, found.only, limits, within)
-    if data.samples <= EXACT:
+    if within.whole:
         apart = [b for *_, b in own if abs(b.S / found.best.S - 1.0) > APART]
         found = _further(data, found, [_here(data, b, limits) for b in apart], limits)
         for _ in range(CROSSINGS):
@@ -298,7 +301,7 @@ def _of_parts(data: Centred, only: float | None, limits: Limits, within: Sought)
     """The parts of a record, each with the best stem of a search of its own, where one is found."""
     n = data.samples
     windows: Sequence[Window] = within.windows[:2]
-    if n <= EXACT:
+    if within.whole:
         halves = [data.part(0, n // 2), data.part(n // 2, n)]
         moved = [part for part in halves if part.op_range > 0.0 and float(np.ptp(part.y)) > 0.0]
         windows = [_window(part, min(limits.theta[1], part.samples / 4.0)) for part in moved]

@@ -78,6 +78,18 @@ class Centred:
         without = _centred(self.y - load, self.u, self)
         return replace(without, load=self.load + load, answers=np.vstack([self.answers, answers]))
 
+    def thinned(self, every: int) -> Centred:
+        """Return one sample of `every` so many, any disturbance white: PV's means about them, OP amid what they span.
+
+        Times in its samples are `every` times shorter; where the loop takes many samples over what it does, little else
+        changes.
+        """
+        at = np.arange(self.samples // every) * every
+        begin, stop = np.maximum(at - every // 2, 0), at - every // 2 + every
+        means = np.add.reduceat(self.y[: stop[-1]], begin) / (stop - begin)
+        thin = _centred(means, self.u[at + every // 2], self)
+        return replace(thin, skip=-(-self.skip // every))
+
     def innovations(self, prediction: FloatArray) -> FloatArray:
         """Return what a prediction of y leaves, filtered, without the samples that do not count: shape (N - skip,)."""
         left: FloatArray = whitened(self.a, self.y - prediction)[self.skip :]

@@ -53,7 +53,7 @@ from workbench.estimate.stems import path_of
 from workbench.estimate.two_parameter import look
 from workbench.estimate.two_step import akaike, two_step
 from workbench.estimate.verdict import ENOUGH_SLIPS, SHARP, WIDE_D, Evidence, agree, judge
-from workbench.estimate.windows import EXACT
+from workbench.estimate.windows import WHOLE
 from workbench.model.checks import choice, number
 from workbench.model.load_step import LoadStep
 from workbench.model.record import Record
@@ -282,7 +282,7 @@ def _answer(
     coarse = coarse_of(data, within, delays, seek)
     bands = {}
     if method != "two_step" and valve not in ("stenman", "linear"):
-        seeds = coarse if alone or n > EXACT else [*coarse, *like_stenman(found, data, delays)]
+        seeds = coarse if alone or n > WHOLE else [*coarse, *like_stenman(found, data, delays)]
         bands = bands_of(data, seeds, within, Limits((LEAST_TAU, float(n)), (0.0, delays)), within.rival(other))
     steps: tuple[LoadStep, ...] = ()
     # The verdict weighs what each model leaves of PV; the model itself is fitted in the measure that its disturbance
@@ -351,10 +351,6 @@ def _answer(
         stem = replace(stem, intervals=Intervals())
         reasons += (words_of_hidden(data.doubt),)
     identifiable = identifiable and stem is not None and _sharp(stem.intervals, models[chosen])
-    if identifiable and steps and n > EXACT:
-        # Where the search is not complete, steps may make up for a stem that is not the right one.
-        identifiable = False
-        reasons += (f"steps of load beside a stem that is sought in stretches alone ({n} samples) do not identify it",)
     if not stuck:
         data, linear, steps = coloured_linear(unsettled, plain, longest)
         straight = linear_result(data, linear)

@@ -19,6 +19,7 @@ from workbench.detect.stem import whitened
 from workbench.estimate.data import WHITE, Centred
 from workbench.estimate.fit import LOUD, NORMAL, Fit, Limits, autoregression, fit_path, inflation, predict
 from workbench.estimate.stepped_kernel import left_beside
+from workbench.estimate.windows import WHOLE
 from workbench.model.load_step import LoadStep
 from workbench.model.record import FloatArray
 
@@ -26,7 +27,6 @@ __all__ = ["Loads", "Stem", "loads_of"]
 
 TURNS = 6  # of least squares and output error in turn
 LEAST_BEFORE, LEAST_AFTER = 0.02, 0.02  # of the record, that a step must have on either side
-LONGEST = 3000  # samples: a longer record has its disturbances, none of them single steps
 # A step has a size and a time, and the time is found by a search: three degrees (N. Zhang, D. Siegmund, "A modified
 # Bayes information criterion", Biometrics 63 (2007) 22-32). Beyond these "very strong" evidence (Kass, Raftery 1995).
 DEGREES, CLEAR = 3, 10.0
@@ -37,18 +37,22 @@ WHITER, WHITE_ENOUGH = 0.4, 5.0
 SPREADS, EVALUATIONS = (0.03, 0.01, -0.01, 0.003), 120  # of a valve's and plant's parameters, in turn
 SHIFT = 0.05  # a move of a dead time by one sample counts as that of a parameter by this share
 
+Valve = tuple[float, float, int, float]  # S, J, %, and the stem's start, first and sense
+
 
 @dataclass(frozen=True, eq=False)
 class Loads:
     """What load steps add to PV, EU, shape (N,), what the model leaves beside them, and the steps themselves.
 
-    answers: shape (2 steps, N), what PV changes by with each step's size, and with its time, up to factors.
+    answers: shape (2 steps, N), what PV changes by with each step's size, and with its time, up to factors. beside: the
+    valve and start of the stem that they were found beside, as moved with them (see `Stem`), and its plant.
     """
 
     pv: FloatArray
     answers: FloatArray
     left: FloatArray
     steps: tuple[LoadStep, ...]
+    beside: tuple[Valve, Fit] | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,6 +60,7 @@ class Stem:
     """A stem path x, shape (N,), its first slip, the plant fitted to it, and the paths of valves near its own.
 
     near: the path of the same stem with S (or d) and J multiplied by two factors; None where it has no such parameters.
+    valve: of a two-parameter stem, None of any other.
     times: samples at which PV begins to answer load steps, where it was found beside such.
     """
 
@@ -64,6 +69,7 @@ class Stem:
     fit: Fit
     near: Callable[[float, float], FloatArray] | None = None
     times: tuple[int, ...] = ()
+    valve: Valve | None = None
 
 
 def loads_of(
@@ -85,12 +91,13 @@ def loads_of(
     n = data.samples
     nothing = Loads(np.zeros(n), np.empty((0, n)), np.zeros(n), ())
     span = (skip + max(int(LEAST_BEFORE * n), 3), n - max(int(LEAST_AFTER * n), 8))
-    if n > LONGEST or most == 0 or span[1] - span[0] <= 8 or lead.fit.gain == 0.0:
+    if n > WHOLE or most == 0 or span[1] - span[0] <= 8 or lead.fit.gain == 0.0:
         return nothing
     bare = _beside(data, lead.x, lead.first, lead.fit, limits, skip, [])
     stems = [lead, *(further(span) if further is not None and bare.a.size > 1 else ())]
-    found = [_explained(data, stem, limits, skip, span, most, strict) for stem in stems]
-    model = min((one for one in found if one is not None), key=lambda one: one.bic, default=None)
+    found = [(_explained(data, stem, limits, skip, span, most, strict), stem) for stem in stems]
+    explained = [(model, stem) for model, stem in found if model is not None]
+    model, stem = min(explained, key=lambda one: one[0].bic, default=(None, lead))
     # Steps beside a worse stem explain nothing that the first one does not by itself.
     if model is None or model.bic > bare.bic - CLEAR:
         return nothing
@@ -100,7 +107,11 @@ def loads_of(
         size, half = term / gain, NORMAL * error / abs(gain)
         steps.append(LoadStep(at * data.sample_time, size, (size - half, size + half)))
     answers = np.vstack([model.columns[4:], np.diff(model.columns[4:], prepend=0.0)])
-    return Loads(model.load, answers, model.left, tuple(sorted(steps, key=lambda step: step.at)))
+    valve = stem.valve
+    beside = None
+    if valve is not None:
+        beside = (valve[0] * model.wider, valve[1] * model.further, valve[2], valve[3]), model.fit
+    return Loads(model.load, answers, model.left, tuple(sorted(steps, key=lambda step: step.at)), beside)
 
 
 def _explained(
@@ -117,7 +128,7 @@ def _explained(
             [[*stem.times]] if stem.times and not model.times else []
         )
         trials = [_beside(data, x, first, model.fit, limits, skip, those) for those in times]
-        trial = min(trials, key=lambda t: t.bic)
+        trial = replace(min(trials, key=lambda t: t.bic), wider=model.wider, further=model.further)
         if not trial.bic < model.bic - CLEAR or trial.terms[1] * fit.gain <= 0.0:
             break
         model = _refined(data, stem, trial, limits, skip)
@@ -129,7 +140,10 @@ def _explained(
 
 @dataclass(frozen=True, eq=False)
 class _Model:
-    """A model beside steps: its stem and plant, columns and terms, what it leaves, its disturbance, BIC and times."""
+    """A model beside steps: its stem and plant, columns and terms, what it leaves, its disturbance, BIC and times.
+
+    wider, further: the factors by which S (or d) and J are others than they were given.
+    """
 
     x: FloatArray
     fit: Fit
@@ -139,6 +153,8 @@ class _Model:
     a: FloatArray
     bic: float
     times: tuple[int, ...]
+    wider: float = 1.0
+    further: float = 1.0
 
     def power(self, skip: int) -> float:
         """Mean square of what is left, EU^2."""
@@ -202,7 +218,8 @@ def _refined(data: Centred, stem: Stem, model: _Model, limits: Limits, skip: int
             },
         ).x
     x, fit = valve(point)
-    moved = _beside(data, x, stem.first, fit, limits, skip, list(model.times))
+    wider, further = np.exp(point[:2]).tolist()
+    moved = replace(_beside(data, x, stem.first, fit, limits, skip, list(model.times)), wider=wider, further=further)
     return moved if moved.power(skip) < model.power(skip) and moved.terms[1] * model.fit.gain > 0.0 else model
 
 

@@ -16,14 +16,14 @@ import numpy as np
 from workbench.estimate.bands import Found, Sought, coarse_of, like_stenman, sought
 from workbench.estimate.coloured import colour_beside
 from workbench.estimate.data import Centred
-from workbench.estimate.fit import LEAST_TAU, Fit, Limits, again_linear, disturbance, grounded, predict
-from workbench.estimate.loads import Stem, loads_of
+from workbench.estimate.fit import LEAST_TAU, Fit, Limits, again_linear, disturbance, fit_path, grounded, predict
+from workbench.estimate.loads import Loads, Stem, loads_of
 from workbench.estimate.models import bands_of, refitted
 from workbench.estimate.profile import Profile, profile_again, profile_of, search
 from workbench.estimate.stems import path_of
 from workbench.estimate.stepped import stepped_stems
-from workbench.estimate.two_parameter import Band, band_stem
-from workbench.estimate.windows import EXACT
+from workbench.estimate.two_parameter import Band, band_stem, fit_band
+from workbench.estimate.windows import WHOLE
 from workbench.model.load_step import LoadStep
 from workbench.model.record import FloatArray
 
@@ -60,6 +60,7 @@ def _of_band(data: Centred, b: Band) -> Stem:
         max(b.first, 0),
         b.fit,
         lambda wider, further: band_stem(data.u, b.S * wider, b.J * further, b.first, b.sense)[0],
+        valve=(b.S, b.J, b.first, b.sense),
     )
 
 
@@ -71,20 +72,20 @@ def _relieved(
     skip: int,
     most: int,
     further: Callable[[tuple[int, int]], Sequence[Stem]] | None = None,
-) -> tuple[Centred, FloatArray, tuple[LoadStep, ...]]:
-    """The record without the load steps that a stem does not explain, what it leaves of that, EU, and the steps.
+) -> tuple[Centred, Loads]:
+    """The record without the load steps that a stem does not explain, and the steps.
 
     whole: the record with its load; data: as the lead was fitted to it; most, further: as in `loads_of`.
     """
     x, first, fit = lead.x, lead.first, lead.fit
     loads = loads_of(whole, lead, limits, skip, most, further, strict=further is None)
     if loads.steps:
-        return whole.less(loads.pv, loads.answers), loads.left, loads.steps
+        return whole.less(loads.pv, loads.answers), loads
     if data.load.any():
         left = whole.y - predict(whole, x, first, grounded(whole.whitened(data.a, max(skip, 1)), x, first, fit))[0]
     else:
         left = data.y - predict(data, x, first, grounded(data, x, first, fit))[0]
-    return whole, left, ()
+    return whole, replace(loads, left=left)
 
 
 def settled(
@@ -117,18 +118,20 @@ def settled(
         earlier, lead = lead, replace(_leading(data, found, bands, linear), times=at)
         stands = turn > 0 and _same_stem(earlier.x, lead.x)
         further = partial(stepped_stems, whole, limits, skip) if turn == 0 else None
-        bare, left, steps = _relieved(whole, data, lead, limits, skip, most, further)
+        bare, loads = _relieved(whole, data, lead, limits, skip, most, further)
+        steps = loads.steps
         if before and not steps:
             return settled(whole, *first, delays, within, 0)
         same_steps = _same(before, steps, whole.sample_time)
-        a = disturbance(left[skip:], data.floor)
-        if a.size > 1 and data.samples <= EXACT:
-            a = colour_beside(bare, lead.x, lead.first, lead.fit, limits, skip)
+        a = disturbance(loads.left[skip:], data.floor)
+        if a.size > 1 and data.samples <= WHOLE:
+            beside = colour_beside(bare, lead.x, lead.first, lead.fit, limits, skip)
+            a = min(a, beside, key=lambda one: _akaike_in(bare.whitened(one, skip), lead, limits))
         same = a.size == data.a.size == 1 and not steps
         stands = stands and (same_steps or not (before or steps))
         # Of a long record the first few samples are nothing.
         turn += 1
-        if same and (turn > 1 or skip == 0 or data.samples > EXACT):
+        if same and (turn > 1 or skip == 0 or data.samples > WHOLE):
             break
         data = bare.whitened(a, skip)
         anew = a.size > 1 or bool(steps)
@@ -150,14 +153,24 @@ def settled(
                 # A stem that stood fast while its measure changed has no rivals that have not been looked at.
                 other = None if found is None else found.best.fit
                 there = within if data.y is within.pv else sought(data, delays, other, within.contested)
-                known = stands or data.samples > EXACT
+                known = stands or data.samples > WHOLE
                 coarse = [one.best for one in bands.values()]
                 if not known:
                     coarse = [*coarse_of(data, there, delays), *like_stenman(found, data, delays)]
+                if loads.beside is not None:
+                    (S, J, first_slip, sense), fit = loads.beside
+                    coarse.append(fit_band(data, S, J, (first_slip, sense), limits, (fit.tau, fit.theta)))
                 bands = bands_of(data, coarse, there, limits, there.rival(other), only_any, bands)
         if same_steps:
             break
     return data, found, bands, linear, steps
+
+
+def _akaike_in(data: Centred, lead: Stem, limits: Limits) -> float:
+    """AIC of a stem with a plant fitted to it in data's measure, as far as it depends on that."""
+    n, fit = data.samples, lead.fit
+    sse = fit_path(data, lead.x, lead.first, (-math.inf, math.inf), limits, fit.theta, tau=fit.tau).sse
+    return n * math.log(max(sse / n, data.floor)) + 2.0 * data.a.size
 
 
 def _same(before: Sequence[LoadStep], steps: Sequence[LoadStep], Ts: float) -> bool:
@@ -183,8 +196,9 @@ def coloured_linear(data: Centred, linear: Fit, delays: float) -> tuple[Centred,
     steps: tuple[LoadStep, ...] = ()
     for _ in range(COLOURINGS):
         limits = Limits((LEAST_TAU, float(data.samples)), (0.0, delays))
-        bare, left, steps = _relieved(whole, data, Stem(data.u, 0, linear), limits, 0, STEPS_MOST)
-        data = bare.whitened(disturbance(left, data.floor), 0)
+        bare, loads = _relieved(whole, data, Stem(data.u, 0, linear), limits, 0, STEPS_MOST)
+        steps = loads.steps
+        data = bare.whitened(disturbance(loads.left, data.floor), 0)
         linear = again_linear(data, linear, delays)
     return data, linear, steps
 

@@ -24,6 +24,7 @@ from workbench.estimate.loads import Stem
 from workbench.estimate.stems import firsts_for, path_of, thin
 from workbench.estimate.stepped_kernel import STRIDE, screen_stepped
 from workbench.estimate.two_parameter import NARROWEST, SHARES, WIDEST, band_stem
+from workbench.estimate.windows import EXACT
 from workbench.model.record import FloatArray
 
 __all__ = ["stepped_stems"]
@@ -64,27 +65,30 @@ class _Found:
 class _Search:
     """What is searched: the record in some measure, from `skip` on, for steps in a span of samples.
 
-    free: whether the plant's time constant is searched.
+    data: one sample of `every` so many of the whole record; plants, steps, skip and span count these. Stems and first
+    slips are those of the whole. free: whether the plant's time constant is searched.
     """
 
     data: Centred
+    whole: Centred
+    every: int
     skip: int
     span: tuple[int, int]
     free: bool
 
     def best_first(
-        self, stems: Sequence[tuple[float, float, int, float]], plants: FloatArray, most: int, every: int = 1
+        self, stems: Sequence[tuple[float, float, int, float]], plants: FloatArray, most: int, roughly: int = 1
     ) -> list[_Found]:
         """The best of some stems (S, J, first, sense), `most` of them, each with its best plant and time of the step.
 
-        plants: rows (tau, theta). every: samples between the times at which a step is tried, 1 or STRIDE.
+        plants: rows (tau, theta). roughly: samples between the times at which a step is tried, 1 or STRIDE.
         """
         if not stems:
             return []
         rows = np.array(sorted(stems, key=lambda stem: stem[2]))
         found = np.empty((len(rows), len(plants), 2))
-        data = self.data
-        screen_stepped(data.y, data.u, rows, plants, data.integrating, data.sign, self.skip, *self.span, every, found)
+        data, op = self.data, self.whole.u[: self.data.samples * self.every]
+        screen_stepped(data.y, op, rows, plants, data.integrating, data.sign, self.skip, *self.span, roughly, found)
         which = np.argmin(found[:, :, 0], axis=1)
         costs, ats = found[np.arange(len(rows)), which].T
         order = np.argsort(costs, kind="stable")[: min(int(np.isfinite(costs).sum()), most)].tolist()
@@ -96,15 +100,22 @@ class _Search:
 
 
 def stepped_stems(data: Centred, limits: Limits, skip: int, span: tuple[int, int]) -> list[Stem]:
-    """Return stems that explain a record together with one load step in a span of samples, the best first."""
-    whole = _Search(data, skip, span, not data.integrating)
+    """Return stems that explain a record together with one load step in a span of samples, the best first.
+
+    Plants and steps are fitted to a longer record's means over a few samples, of PV and of stems that see all of OP.
+    """
+    every = math.ceil(data.samples / EXACT)
+    thin = data.thinned(every)
+    skip, begin, end = (-(-at // every) for at in (skip, *span))
+    limits = Limits(limits.tau, (limits.theta[0] / every, limits.theta[1] / every))
+    whole = _Search(thin, data, every, skip, (begin, min(end, thin.samples)), not data.integrating)
     search = whole
     delays = [d for d in DELAYS if d <= limits.theta[1]]
-    taus = np.geomspace(SHORTEST, LONGEST * data.samples, TAUS).tolist()
+    taus = np.geomspace(SHORTEST, LONGEST * thin.samples, TAUS).tolist()
     if data.integrating:
         taus = [FADE]
-        faded = lfilter([1.0, -1.0], [1.0, -math.exp(-1.0 / FADE)], data.y)
-        search = _Search(replace(data, y=faded, integrating=False), skip, span, False)
+        faded = lfilter([1.0, -1.0], [1.0, -math.exp(-1.0 / FADE)], thin.y)
+        search = replace(whole, data=replace(thin, y=faded, integrating=False), free=False)
     plants = np.array([(tau, theta) for tau in taus for theta in delays])
     found: list[_Found] = []
     for shares in (SHARES, (math.nan,)):
@@ -118,12 +129,12 @@ def stepped_stems(data: Centred, limits: Limits, skip: int, span: tuple[int, int
                 one = again[0]
             found.append(_closer(whole, one, limits, SPREADS[1 if data.integrating else 0 :]))
     found.sort(key=lambda one: one.cost)
-    return [_stem(data, one) for one in found[:ANSWERS]]
+    return [_stem(whole, one) for one in found[:ANSWERS]]
 
 
 def _coarse(search: _Search, shares: Sequence[float], plants: FloatArray) -> list[_Found]:
     """The stems of a grid, each with the best of the plants, the best first."""
-    data = search.data
+    data = search.whole
     widths = (np.geomspace(NARROWEST, WIDEST, GRID) * data.op_range).tolist()
     ends = {S: [stem for share in shares for stem in _starts(data, S, share * S, 0)] for S in widths}
     stems = [stem for S in widths for stem in ends[S]]
@@ -195,7 +206,7 @@ def _alike(one: _Found, other: _Found) -> bool:
 
 def _closer(search: _Search, seed: _Found, limits: Limits, spreads: Sequence[float]) -> _Found:
     """The best stem that ever closer grids about a seed lead to."""
-    data, best = search.data, seed
+    data, best = search.whole, seed
     for spread in spreads:
         starts = _starts(data, best.S, best.J, FIRSTS_CLOSE)
         begun = search.best_first(starts, np.array([(best.tau, best.theta)]), 1)
@@ -218,13 +229,15 @@ def _closer(search: _Search, seed: _Found, limits: Limits, spreads: Sequence[flo
     return best
 
 
-def _stem(data: Centred, one: _Found) -> Stem:
+def _stem(search: _Search, one: _Found) -> Stem:
     """A found stem as others are found: its path, and the paths near it; its plant's gain is not yet known."""
-    fit = Fit(one.cost, one.tau, one.theta, data.sign or 1.0, 0.0, 0.0, 0.0)
+    data, every = search.whole, search.every
+    fit = Fit(one.cost, one.tau * every, one.theta * every, data.sign or 1.0, 0.0, 0.0, 0.0)
 
     def near(wider: float, further: float) -> FloatArray:
         if math.isnan(one.J):
             return path_of(data.u, one.S * wider, one.first)[0]
         return band_stem(data.u, one.S * wider, one.J * further, one.first, one.sense)[0]
 
-    return Stem(near(1.0, 1.0), max(one.first, 0), fit, near, (one.at,))
+    valve = None if math.isnan(one.J) else (one.S, one.J, one.first, one.sense)
+    return Stem(near(1.0, 1.0), max(one.first, 0), fit, near, (one.at * every,), valve)

@@ -128,9 +128,11 @@ def _back(w: Floats, lanes: Floats, fades: float, integrating: bool, begin: int,
 def _stems(op: Floats, stems: Floats, early: int, x: Floats, slips: Ints) -> None:
     """Write the paths of up to LANES stems, flat with LANES apart, behind `early` samples before the record.
 
-    Written: slips, of each.
+    Where x has fewer samples than OP each is a mean of OP's. Written: slips, of each.
     """
     path, box = np.empty(op.size), np.empty(4)
+    n = x.size // LANES - early
+    many = op.size // n
     x[:] = 0.0
     for i in range(stems.shape[0]):
         first = int(stems[i, 2])
@@ -141,8 +143,11 @@ def _stems(op: Floats, stems: Floats, early: int, x: Floats, slips: Ints) -> Non
         if first < 0:
             for k in range(early):
                 x[k * LANES + i] = path[0]
-        for k in range(op.size):
-            x[(early + k) * LANES + i] = path[k]
+        for k in range(n):
+            total = 0.0
+            for q in range(k * many, (k + 1) * many):
+                total += path[q]
+            x[(early + k) * LANES + i] = total / many
 
 
 @compiled
@@ -205,16 +210,18 @@ def screen_stepped(
 ) -> None:
     """Fit the model and one step of load, at the sample that explains most, to many stems at each of some plants.
 
-    stems: rows (S, J, first, sense), see `band_path`, those that slip first at one sample together; J nan for a Stenman
-    stem of band S. plants: rows (tau, theta) in samples. The step's answer begins in [begin, end), at one of its
-    samples (every 1) or one of STRIDE so many (every STRIDE). Written: found, shape (stems, plants, 2): the sum of
-    squares from `skip` on, inf where the stem does not move or its gain is not of `sign`, and that sample.
+    op: as many samples as y has, or a multiple, over which each stem is averaged. stems: rows (S, J, first, sense), see
+    `band_path`, those that slip first at one sample together; J nan for a Stenman stem of band S. plants: rows (tau,
+    theta) in samples. The step's answer begins in [begin, end), at one of its samples (every 1) or one of STRIDE so
+    many (every STRIDE). Written: found, shape (stems, plants, 2): the sum of squares from `skip` on, inf where the stem
+    does not move or its gain is not of `sign`, and that sample.
 
     What no stem changes is taken out of PV first, for each pole: bias, transient, what the stem was before. What a step
     explains beside these and the stem's response s is `(r.h)^2 / |h|^2` with r and h the residual and the step's answer
     less their parts along s; products of a signal with the answers at all times are one backward sum.
     """
     n = y.size
+    many = op.size // n
     early = 1
     for j in range(plants.shape[0]):
         early = max(early, plant_terms(integrating, plants[j, 0], plants[j, 1])[3] + 1)
@@ -265,7 +272,7 @@ def screen_stepped(
                 answer = answer + 1.0 if integrating else 1.0 - own
         started, left_bare = -2, 0.0
         for b in range(len(blocks) - 1):
-            first = int(stems[blocks[b], 2])
+            first = int(stems[blocks[b], 2]) // many
             if first != started:
                 # What the unknown stem before the first slip adds; stems that slip first at one sample share it.
                 started = first

@@ -21,7 +21,7 @@ from workbench.estimate import abreast, kernel
 from workbench.estimate.data import Centred
 from workbench.estimate.fit import LEAST_TAU, Fit, Limits, fit_bands
 from workbench.estimate.stems import thin
-from workbench.estimate.windows import EXACT
+from workbench.estimate.windows import EXACT, windows_of
 from workbench.model.record import FloatArray
 
 __all__ = [
@@ -99,6 +99,8 @@ def look(data: Centred, longest: float) -> list[Band]:
     Each of the grid's stems has the best of a grid of plants; the best few that differ are then fitted with their own.
     A long record is looked at in its most active windows (`bands`). Empty where no stem of the grid moves.
     """
+    if data.samples > EXACT:
+        return _look_aside(data, longest)
     limits = Limits((LEAST_TAU, float(data.samples)), (0.0, longest))
     taus = np.geomspace(SHORTEST, LONGEST * data.samples, TAUS)[-1 if data.integrating else 0 :]
     delays = [float(d) for d in dead_times(data.samples, math.nan) if d <= longest]
@@ -107,6 +109,24 @@ def look(data: Centred, longest: float) -> list[Band]:
     grid = np.column_stack([np.repeat(S, len(SHARES)), (S[:, None] * np.array(SHARES)).ravel()])
     found = [_placed(data, seed, limits) for seed in _screened(data, grid, taus, delays, PICKED)]
     return sorted((b for b in found if b.slips > 0 and b.fit.gain != 0.0), key=lambda b: b.fit.sse)
+
+
+def _look_aside(data: Centred, longest: float) -> list[Band]:
+    """What `look` sees of a longer record that is thinned, and in its liveliest window, each placed in all of it.
+
+    Thinned, slow cycles are all there; a window has slips enough of fast ones.
+    """
+    limits = Limits((LEAST_TAU, float(data.samples)), (0.0, longest))
+    every = math.ceil(data.samples / EXACT)
+    found = [(b, every) for b in look(data.thinned(every), longest / every)[:SEEDS]]
+    for begin, stop in windows_of(data)[:1]:
+        part = data.part(begin, stop)
+        if part.op_range > 0.0 and float(np.ptp(part.y)) > 0.0:
+            part = part.whitened(data.a, max(data.skip - begin, 0))
+            found += [(b, 1) for b in look(part, min(longest, part.samples / 4.0))[:SEEDS]]
+    seeds = [(b.S, b.J, b.fit.tau * times, b.fit.theta * times) for b, times in found]
+    placed = [_placed(data, seed, limits) for seed in seeds]
+    return sorted((b for b in placed if b.slips > 0 and b.fit.gain != 0.0), key=lambda b: b.fit.sse)
 
 
 def _screened(data: Centred, grid: FloatArray, taus: FloatArray, delays: list[float], most: int) -> list[Seed]:

@@ -8,11 +8,14 @@ import numpy as np
 
 from workbench.estimate.data import Centred
 
-__all__ = ["EXACT", "active_windows", "stretch_of", "windows_of"]
+__all__ = ["EXACT", "WHOLE", "active_windows", "stretch_of", "windows_of"]
 
 # Exact enumeration up to this many samples; longer records are first searched in their most active windows of this
 # length.
 EXACT = 1500
+# Two-parameter stems, load steps and a disturbance's colour are sought in all of a record up to this many: a stretch of
+# a slow cycle holds too few slips.
+WHOLE = 10_000
 WINDOWS = 3  # most active windows of a long record, beside its head
 STRETCHES = 8  # the share of a long record in which plants are sought
 
