@@ -77,7 +77,8 @@ def detect(record: Record, *, bicoherence: bool = False, fitted: Fitted | None =
         reasons = ["neither does PV follow OP nor OP the error: the record does not show a loop at work"]
     if verdict == "no_stiction" and stem is None and (hidden := _between_moves(record)):
         verdict, reasons = "undecided", [hidden]
-    if verdict == "no_stiction" and stem is None:
+    # Where a plant is seen to answer OP that clearly, by its lag and dead time, no more is asked.
+    if verdict == "no_stiction" and stem is None and follows(test) < Thresholds().likelihood:
         answer = answer_of(record)
         if answer is not None and answer.missing:
             verdict = "undecided"
