@@ -35,7 +35,7 @@ HEALTHY = (
 )
 ENOUGH = 10  # moves of the stem
 STICKY = ("Stenman", "S = J", "S > J", "S < J", "dead band")
-STUCK = ("stuck fast",)
+APART = ("stuck fast", "large setpoint moves")
 
 
 def drift(rng: np.random.Generator, n: int, correlation: float) -> np.ndarray:
@@ -50,8 +50,8 @@ def drift(rng: np.random.Generator, n: int, correlation: float) -> np.ndarray:
 
 
 def random_record(kind: str, level: bool, seed: int) -> tuple[wb.Record, int]:
-    """Return one random loop's record and how often its stem set off; kind: an entry of HEALTHY, STICKY or STUCK."""
-    rng = np.random.default_rng([seed, int(level), (HEALTHY + STICKY + STUCK).index(kind)])
+    """Return one random loop's record and how often its stem set off; kind: an entry of HEALTHY, STICKY or APART."""
+    rng = np.random.default_rng([seed, int(level), (HEALTHY + STICKY + APART).index(kind)])
     n = int(rng.choice([750, 1500, 3000]))
     gain = float(np.exp(rng.uniform(math.log(0.3), math.log(3.0)))) * float(rng.choice([1, 1, 1, -1]))
     action = "reverse" if gain > 0.0 else "direct"
@@ -99,6 +99,11 @@ def random_record(kind: str, level: bool, seed: int) -> tuple[wb.Record, int]:
         # A level with a stuck valve runs away from any load that lasts.
         load = load - load.mean()
         valve = wb.Stenman(1e9)
+    elif kind == "large setpoint moves":
+        at = np.sort(rng.choice(np.arange(20, n - 100), 4, replace=False))
+        setpoint = [wb.Step(20.0 * size * effect * float(rng.normal()), float(t)) for t in at]
+        noise = 0.03 * size * effect
+        valve = (wb.Stenman(size), wb.Deadband(size), wb.Choudhury(size, 0.3 * size))[int(rng.integers(3))]
     else:
         noise = float(rng.uniform(0.0, 0.1)) * size * effect
         load = rng.uniform(0.0, 0.25) * size * drift(rng, n, rng.uniform(10.0, 40.0) * speed)
@@ -130,7 +135,7 @@ def main() -> None:
     parser.add_argument("--records", type=Path, action="append", default=[])
     given = parser.parse_args()
     groups: dict[str, list[wb.Detection]] = {}
-    for kind in HEALTHY + STICKY + STUCK:
+    for kind in HEALTHY + STICKY + APART:
         for level in (False, True):
             name = f"{'level' if level else 'flow'}, {kind}"
             groups[name], seldom = [], []
@@ -165,7 +170,7 @@ def main() -> None:
                     rates[f"{name} wrong"] += verdict not in (labels[name][i], "undecided")
                 else:
                     kind = name.partition(", ")[2]
-                    side = "healthy" if kind in HEALTHY else "sticky" if kind in STICKY else "stuck"
+                    side = "healthy" if kind in HEALTHY else "sticky" if kind in STICKY else "apart"
                     rates[side] += 1
                     rates[f"{side} {verdict}"] += 1
         told = [f"{rates['healthy stiction'] / rates['healthy']:.1%}"]

@@ -68,7 +68,7 @@ def test_models_and_tunings_come_with_depth(folder: Path) -> None:
     assert row.form == "series"
     assert 0.0 < row.gain_of_tuning < 1.0  # better than the tuning that it has
     assert "Proposed tuning" in result.page
-    write_csv(folder / "calm.csv", record(sticky=False, n=600))
+    write_csv(folder / "calm.csv", record(sticky=False))
     found = task.look_at(LoopSource("FIC2", str(folder / "calm.csv")), Settings("tune")).row
     assert found.verdict == "no_stiction"
     assert math.isnan(found.Kc)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -27,6 +28,8 @@ __all__ = ["FEWEST_SAMPLES", "detect"]
 
 FEWEST_SAMPLES = 30
 ACTS = 0.05  # share of OP's moves that the error must explain for a controller to be seen
+SETTLING = 3  # the part of a stretch at constant SP, one in so many, that is left out at its start
+LEAST_BETWEEN = 100  # samples
 PATTERN = 20  # parts of a period over which moves are coded
 
 
@@ -72,7 +75,10 @@ def detect(record: Record, *, bicoherence: bool = False, fitted: Fitted | None =
     if verdict == "no_stiction" and follows(test) < Thresholds().seen and feedback(record)[0] < ACTS:
         verdict = "undecided"
         reasons = ["neither does PV follow OP nor OP the error: the record does not show a loop at work"]
-    if verdict == "no_stiction" and stem is None:
+    if verdict == "no_stiction" and stem is None and (hidden := _between_moves(record)):
+        verdict, reasons = "undecided", [hidden]
+    # Where a plant is seen to answer OP that clearly, by its lag and dead time, no more is asked.
+    if verdict == "no_stiction" and stem is None and follows(test) < Thresholds().likelihood:
         answer = answer_of(record)
         if answer is not None and answer.missing:
             verdict = "undecided"
@@ -106,6 +112,35 @@ def detect(record: Record, *, bicoherence: bool = False, fitted: Fitted | None =
         ellipse=ellipse_of(pv, op, samples) if bicoherence else None,
     )
     return replace(found, statistics=statistics_of(found, bicoherence))
+
+
+def _between_moves(record: Record) -> str:
+    """Say that stiction is found between setpoint moves, or return nothing; the longest stretch is looked at.
+
+    Moves of OP that are large beside a stick band hide it: over the whole record only bands are excluded that are wide
+    beside these. After a move the loop has a third of the stretch to settle.
+    """
+    if record.sp is None or not np.ptp(record.sp) > 0.0:
+        return ""
+    edges = np.concatenate([[0], np.flatnonzero(np.diff(record.sp) != 0.0) + 1, [len(record)]]).tolist()
+    first, stop = max(pairwise(edges), key=lambda ends: ends[1] - ends[0])
+    first += (stop - first) // SETTLING
+    if stop - first < LEAST_BETWEEN:
+        return ""
+    part = Record(record.pv[first:stop], record.op[first:stop], record.sample_time, sp=record.sp[first:stop])
+    if dead_signal(part):
+        return ""
+    cycle = oscillation_of(part.pv, part.sample_time)
+    period = math.nan if no_period(cycle) else cycle.period
+    test = stem_test(part.pv, part.op, part.sample_time, period, gain_sign(record))
+    verdict, reasons = decide(cycle, test, None)
+    if verdict != "stiction":
+        return ""
+    Ts = record.sample_time
+    return (
+        f"between setpoint moves, from {first * Ts:.6g} to {stop * Ts:.6g} s, {reasons[0]}; over the whole record "
+        "large moves hide a band that is narrow beside them: a longer stretch without them would tell"
+    )
 
 
 def _strongest(record: Record, whole: Oscillation) -> tuple[tuple[int, int], Oscillation]:
