@@ -132,3 +132,20 @@ def test_ranges_know_what_is_not_known_of_op(seed: int) -> None:
     assert low <= 1.2 <= high
     gain = found.intervals.gain
     assert gain[0] <= 2.0 <= gain[1]
+
+
+@pytest.mark.parametrize("valve", [wb.Stenman(1.24), wb.Choudhury(2.03, 1.04)], ids=["stenman", "two-parameter"])
+def test_steps_that_the_controller_sent_are_taken_as_they_are(valve: wb.Valve) -> None:
+    # Taken for the historian's, the same steps give another kind of valve or no range at all.
+    loop = replace(FLOW, valve=valve, controller=wb.PID(Kc=0.8, Ti=8.0, output_resolution=STEP))
+    moves = [wb.Step(3.0), wb.Step(-4.0, 1300.0)]
+    run = wb.simulate(loop, wb.Experiment(1777.0, setpoint=moves, noise=wb.Noise(0.02, 1)))
+    record = wb.Record(run.pv[777:] + 50.0, run.op[777:] + 40.0, 1.0, sp=run.sp[777:] + 50.0)
+    assert centre(record, "fopdt").doubt > 0.0
+    found = wb.estimate(record)
+    assert isinstance(found.valve, type(valve))
+    assert found.valve.stick_band == pytest.approx(valve.stick_band, abs=STEP)
+    assert found.plant.gain == pytest.approx(2.0, rel=0.02)
+    low, high = found.intervals.d or found.intervals.S
+    assert low - 1e-9 <= valve.stick_band <= high + 1e-9
+    assert found.identifiable

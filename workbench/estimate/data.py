@@ -57,6 +57,13 @@ class Centred:
     doubt: float
 
     @property
+    def unsure(self) -> float:
+        """The share of slips that what is not known of OP may well move by a sample, at most 1."""
+        # OP is in doubt by 1.96 standard deviations to either side, and comes that far in so much of a sample.
+        rate = float(np.abs(np.diff(self.u)).mean())
+        return min(4.0 * self.doubt / rate, 1.0) if self.doubt > 0.0 else 0.0
+
+    @property
     def samples(self) -> int:
         """N."""
         return int(self.y.size)
@@ -134,8 +141,10 @@ def _constant(signal: FloatArray) -> bool:
     return bool(np.ptp(signal) <= 1e-9 * max(1e-9, float(np.abs(signal).max())))
 
 
-def centre(record: Record, plant: str) -> Centred:
+def centre(record: Record, plant: str, sent: bool = False) -> Centred:
     """Return a record as the kernels take it.
+
+    sent: the valve got OP in the steps in which it is recorded; else these are the historian's (see `resolved`).
 
     Raises `RecordError` where nothing can be estimated: too few samples, or PV or OP that never moves.
     """
@@ -152,7 +161,7 @@ def centre(record: Record, plant: str) -> Centred:
         if float(np.abs(signal).max()) > 1e100:
             msg = f"{where}: {name} reaches {np.abs(signal).max():g}: no signal of a plant"
             raise RecordError(msg)
-    op, doubt = resolved(record)
+    op, doubt = (record.op, 0.0) if sent else resolved(record)
     mean, middle = float(record.pv.mean()), float(0.5 * (op.max() + op.min()))
     y, u = record.pv - mean, op - middle
     variance = float(np.var(y))

@@ -48,6 +48,7 @@ from workbench.estimate.scale import (
     rivals_of,
     stem_of,
 )
+from workbench.estimate.sent import likelier_op
 from workbench.estimate.settled import coloured_linear, settled
 from workbench.estimate.stems import path_of
 from workbench.estimate.two_parameter import look
@@ -128,15 +129,16 @@ def estimate(
         return _better_plant(record, (method, valve), start, max_dead_time, tell)
     data = centre(record, plant)
     tell(0.0)
-    longest = _longest(data, max_dead_time, LINEAR_DELAYS)
-    linear = fit_linear(data, longest)
-    tell(0.1)
+    delays = _longest(data, max_dead_time, DELAYS)
     history: tuple[Iteration, ...] = ()
     found: Profile | None
     if method == "two_step":
-        found, history = two_step(data, start, _longest(data, max_dead_time, DELAYS))
+        found, history = two_step(data, start, delays)
     else:
-        found = _profile(data, max_dead_time, (lambda share: tell(0.1 + 0.4 * share)) if method in PROGRAMS else tell)
+        told = (lambda share: tell(0.5 * share)) if method in PROGRAMS else tell
+        data, found = likelier_op(record, data, delays, lambda one: _profile(one, max_dead_time, told))
+    longest = _longest(data, max_dead_time, LINEAR_DELAYS)
+    linear = fit_linear(data, longest)
     answer, paths, settled = _answer(record, data, (method, valve), found, (linear, longest), history)
     data = data.less(settled.load, settled.answers)
     if method in PROGRAMS:

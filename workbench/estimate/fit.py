@@ -390,12 +390,11 @@ def effective_samples(data: Centred, x: FloatArray, first: int, fit: Fit) -> flo
     as may be off.
     """
     effective = data.samples / inflation(data.innovations(predict(data, x, first, fit)[0]))
-    if data.doubt == 0.0:
+    if data.unsure == 0.0:
         return effective
     moves = np.diff(x[first:]) != 0.0
     slips = max(float(np.count_nonzero(moves[1:] & ~moves[:-1])), 1.0)
-    off = 2.0 * NORMAL * data.doubt / float(np.abs(np.diff(data.u)).mean())
-    return min(effective, slips / min(off, 1.0))
+    return min(effective, slips / data.unsure)
 
 
 def standard_errors(data: Centred, x: FloatArray, first: int, fit: Fit, clamped: bool) -> tuple[float, float, float]:
