@@ -240,7 +240,7 @@ def test_a_found_loop_without_a_task_or_a_gain_is_refused(tmp_path: Path) -> Non
     with pytest.raises(wb.InvalidValue, match="--step: 0 EU given; must be other than 0"):
         Wishes(step=0.0)
     unsure = replace(found, intervals=replace(found.intervals, gain=(-0.01, 0.2)))
-    with pytest.raises(wb.RecordError, match=r"positive or negative \(95 % range -0.01 to 0.2 EU/%"):
+    with pytest.raises(wb.RecordError, match=r"positive or negative \(95 % range −0.0100 to 0.200 EU/%"):
         tune_found(unsure, Wishes())
     # What a fit without any effect of the valve leaves as a gain is no finding.
     blind = replace(found, plant=wb.FOPDT(1e-12, 6.0, 2.0), intervals=replace(found.intervals, gain=None))

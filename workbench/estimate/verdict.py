@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from workbench.detect.verdict import Thresholds, excluded
 from workbench.model.detection import Detection
 
 __all__ = ["ENOUGH_SLIPS", "WIDE_D", "Evidence", "agree", "judge"]
@@ -177,9 +178,11 @@ def agree(e: Evidence, verdict: str, reasons: tuple[str, ...], found: Detection)
         return verdict, found.reasons + reasons
     improvement = 1.0 - e.stem / e.linear if e.linear > 0.0 else 0.0
     sticks = verdict == "stiction" and found.test is not None
+    # Detection has tried all stems as wide as this one, and acquits the valve of them.
+    refuted = found.test is not None and e.d >= found.test.wide_from and excluded(found.test, Thresholds())
     if sticks and improvement >= (CERTAIN if found.verdict == "no_stiction" else MOST):
         final = "stiction"
-    elif found.verdict == "no_stiction" and (sticks or e.slips == 0):
+    elif found.verdict == "no_stiction" and ((sticks and not refuted) or e.slips == 0):
         final = "undecided"
     else:
         final = found.verdict

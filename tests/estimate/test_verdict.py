@@ -1,0 +1,72 @@
+"""The one verdict of fitted models and of detection, where they differ."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import workbench as wb
+from workbench.estimate.verdict import Evidence, agree
+
+
+@pytest.fixture(scope="module")
+def healthy() -> wb.Detection:
+    """Detection of a loop whose valve is ideal, which acquits it."""
+    loop = wb.Loop(wb.FOPDT(2.0, 8.0, 2.0), wb.Ideal(), wb.PID(Kc=0.6, Ti=10.0), 1.0)
+    load = wb.Series(np.random.default_rng(0).normal(0.0, 0.5, 1000).tolist())
+    moves = [wb.Step(2.0), wb.Step(-3.0, 500.0)]
+    run = wb.simulate(loop, wb.Experiment(1000.0, setpoint=moves, load=load, noise=wb.Noise(0.05, 1)))
+    found = wb.detect(wb.Record(run.pv, run.op, 1.0, sp=run.sp))
+    assert found.verdict == "no_stiction"
+    return found
+
+
+def evidence(d: float, left: float) -> Evidence:
+    """What a model with a stem of band d, %, that leaves a share of the linear model's residual has to say."""
+    return Evidence(
+        samples=1000,
+        variance=1.0,
+        linear=0.4,
+        stem=0.4 * left,
+        slips=20,
+        d=d,
+        gain=1.0,
+        op_range=10.0,
+        nothing=1.0,
+        wide=0.4,
+        two_parameter=0.4,
+        bands=(d, d),
+        linear_delay=0.01,
+        tau=0.01,
+        d_range=(d, d),
+        islands=(),
+        exact=True,
+        at_limit=False,
+        method="profile",
+        iterations=0,
+    )
+
+
+@pytest.mark.parametrize(("share", "verdict"), [(1.1, "no_stiction"), (0.5, "undecided")])
+def test_a_stem_that_detection_has_excluded_does_not_stand_against_it(
+    healthy: wb.Detection, share: float, verdict: str
+) -> None:
+    assert healthy.test is not None
+    d = share * healthy.test.wide_from
+    assert agree(evidence(d, 0.8), "stiction", ("why",), healthy)[0] == verdict
+    # Not where the test excludes nothing.
+    open_test = replace(healthy, test=replace(healthy.test, wide=0.0))
+    assert agree(evidence(d, 0.8), "stiction", ("why",), open_test)[0] == "undecided"
+
+
+def test_a_stem_that_leaves_hardly_anything_prevails(healthy: wb.Detection) -> None:
+    assert healthy.test is not None
+    for d in (0.5 * healthy.test.wide_from, 2.0 * healthy.test.wide_from):
+        assert agree(evidence(d, 0.05), "stiction", ("why",), healthy)[0] == "stiction"
+
+
+def test_no_slip_at_all_acquits_no_valve(healthy: wb.Detection) -> None:
+    assert agree(replace(evidence(math.nan, 1.0), slips=0), "undecided", ("why",), healthy)[0] == "undecided"
