@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 import workbench as wb
 from workbench.estimate.data import centre
 from workbench.estimate.resolution import resolved, step_of
+from workbench.model.results import Intervals
 
 STEP = 0.1
 FLOW = wb.Loop(wb.FOPDT(2.0, 6.0, 3.0), wb.Stenman(1.2), wb.PID(Kc=0.3, Ti=10.0), 1.0)
@@ -149,3 +150,35 @@ def test_steps_that_the_controller_sent_are_taken_as_they_are(valve: wb.Valve) -
     low, high = found.intervals.d or found.intervals.S
     assert low - 1e-9 <= valve.stick_band <= high + 1e-9
     assert found.identifiable
+
+
+def test_moves_between_a_few_levels_are_no_rounding() -> None:
+    op = np.repeat([40.0, 45.0, 50.0, 45.0, 40.0], 80)
+    pv = np.convolve(np.diff(op, prepend=op[0]), 1.0 - np.exp(-np.arange(400) / 20.0))[:400]
+    record = wb.Record(pv + np.random.default_rng(0).normal(0.0, 0.01, 400), op, 1.0)
+    assert resolved(record) == (record.op, 0.0)
+
+
+def test_a_pv_of_two_values_is_followed_no_closer_than_they_are_apart() -> None:
+    full = cycle(FLOW, 0)
+    record = replace(full, pv=np.where(full.pv > np.median(full.pv), 55.0, 51.0))
+    assert centre(record, "fopdt").floor >= 16.0 / 12.0
+
+
+def test_ops_steps_beside_a_valve_that_stands_still_end_in_no_traceback() -> None:
+    # A path that holds for every band below OP's step begins at a band of nothing.
+    full = cycle(FLOW, 1, samples=2000)
+    op = np.round(full.op)
+    op[1000:] = op[1000]
+    pv = np.where(np.arange(2000) < 1000, full.pv, full.pv[1000])
+    pv += np.where(np.arange(2000) < 1000, 0.0, np.random.default_rng(0).normal(0.0, 0.05, 2000))
+    found = wb.estimate(replace(full, op=op, pv=pv))
+    assert np.isfinite(found.plant.gain)
+
+
+def test_where_the_stem_is_hidden_nothing_says_that_ranges_hold_it() -> None:
+    found = wb.estimate(kept(cycle(FLOW, 1), 0.1))
+    assert found.intervals == Intervals()
+    assert found.repeats is None
+    assert any("no ranges are given" in reason for reason in found.reasons)
+    assert not any("the ranges hold both" in reason or "is not identified: from" in reason for reason in found.reasons)

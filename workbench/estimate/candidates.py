@@ -18,6 +18,8 @@ __all__ = ["Candidate", "again", "best_per_bin", "distinct", "fitted", "held", "
 EVALUATIONS = 120  # of the output-error cost for each
 CLOSER, FINEST = 2, 4  # rounds of a long record's fits near a plant: of the likely paths, of the best
 
+LEAST_BAND = 1e-9  # %
+
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
@@ -108,7 +110,8 @@ def distinct(fits: list[Candidate], most: int) -> list[Candidate]:
 def held(data: Centred, c: Candidate) -> Candidate:
     """Return the candidate with all of its path's range of d, of which a walk in steps sees a part."""
     low, high = range_of(data.u, c.d_low, c.first)
-    return replace(c, d_low=low, d_high=high)
+    # An OP in steps may slip at each of them, down to no band at all; ranges are compared by their logarithms.
+    return replace(c, d_low=max(low, LEAST_BAND), d_high=high)
 
 
 def polished(data: Centred, best: Candidate, limits: Limits) -> Candidate:

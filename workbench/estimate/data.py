@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from workbench.detect.action import gain_sign
 from workbench.detect.stem import whitened
 from workbench.errors import RecordError
-from workbench.estimate.resolution import resolved, step_of
+from workbench.estimate.resolution import coarseness, resolved
 from workbench.model.plant import FOPDT, Integrating, Plant
 from workbench.model.record import FloatArray, Record
 
@@ -166,7 +166,7 @@ def centre(record: Record, plant: str, sent: bool = False) -> Centred:
     y, u = record.pv - mean, op - middle
     variance = float(np.var(y))
     # A quantised PV cannot be followed closer than its own steps allow.
-    floor = RESOLUTION**2 * variance + step_of(record.pv) ** 2 / 12.0
+    floor = RESOLUTION**2 * variance + coarseness(record.pv) ** 2 / 12.0
     return Centred(
         y=y,
         u=u,

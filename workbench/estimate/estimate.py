@@ -146,7 +146,9 @@ def estimate(
         limits = Limits((LEAST_TAU, float(data.samples)), (0.0, _longest(data, max_dead_time, int(usual))))
         refine, used = (jointly, data) if method == "joint" else (by_complementarity, settled)
         answer = refine(used, answer, paths, limits, lambda share: tell(0.5 + 0.5 * share))
-    repeats = repeats_of(data, answer)
+    # Where OP's steps hide the stem, its parts tell no more than the whole.
+    lost = data.doubt > 0.0 and answer.valve.stick_band > 0.0 and answer.intervals == Intervals()
+    repeats = None if lost else repeats_of(data, answer)
     said = words_of(repeats) if repeats is not None and answer.verdict == "stiction" else ()
     tell(1.0)
     opened = words_of_open(answer.intervals, data.integrating)
@@ -337,21 +339,22 @@ def _answer(
     if ranged is not None and ranged.best is not bands[chosen].best:
         bands = bands | {chosen: replace(bands[chosen], best=ranged.best)}
         models = compared(data, linear, found, bands)
+    best = bands[chosen].best if chosen in bands else None if found is None else found.best
+    stuck = best is not None and chosen != "linear" and verdict != "no_stiction" and best.fit.gain != 0.0
+    lost = stuck and best is not None and hidden(data, best)
     if verdict != "no_stiction":
-        reasons += reasons_of(models, chosen, valve, ranged)
+        reasons += reasons_of(models, chosen, valve, None if lost else ranged)
     reasons += _manual_said(record)
     if ranged is not None:
         stem = band_of(data, ranged, chosen, limits)
         identifiable = verdict == "stiction" and ranged.best.slips >= ENOUGH_SLIPS
-    if stem is not None and valve == "auto" and method != "two_step" and verdict != "no_stiction":
+    if stem is not None and lost:
+        stem = replace(stem, intervals=Intervals())
+        reasons += (words_of_hidden(data.doubt),)
+    elif stem is not None and valve == "auto" and method != "two_step" and verdict != "no_stiction":
         rivals = rivals_of(data, chosen, found, bands, limits)
         stem = replace(stem, intervals=reduce(joined, rivals.values(), stem.intervals))
         reasons += tuple(words_of_rival(name, ranges, data.integrating) for name, ranges in rivals.items())
-    best = bands[chosen].best if chosen in bands else None if found is None else found.best
-    stuck = best is not None and chosen != "linear" and verdict != "no_stiction" and best.fit.gain != 0.0
-    if stuck and best is not None and stem is not None and hidden(data, best):
-        stem = replace(stem, intervals=Intervals())
-        reasons += (words_of_hidden(data.doubt),)
     identifiable = identifiable and stem is not None and _sharp(stem.intervals, models[chosen])
     if not stuck:
         data, linear, steps = coloured_linear(unsettled, plain, longest)

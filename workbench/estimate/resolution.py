@@ -16,7 +16,7 @@ from scipy.signal import lfilter
 from workbench.detect.action import control_error
 from workbench.model.record import FloatArray, Record
 
-__all__ = ["resolved", "step_of"]
+__all__ = ["coarseness", "resolved", "step_of"]
 
 ROUNDED = 1e-9  # of a signal's range: values that lie closer are one
 OFF_STEP = 0.2  # of a step: values further from a multiple were not rounded to it
@@ -24,6 +24,7 @@ OFF_STEP = 0.2  # of a step: values further from a multiple were not rounded to 
 STEADY = (0.0, 0.5, 0.8, 0.9, 0.95, 0.98, 0.99, 0.995, 0.998, 1.0)
 AS_WELL = 1.05  # times the least variance: the steadiest level that leaves no more is taken
 EXPLAINS = 0.5  # of what the level leaves without the law: a law that leaves more did not make this OP
+LEVELS = 8  # values of OP: fewer are moves that were made so, by an operator or a test
 LEAST_DOUBT = 0.1  # of a step: laws that fit to rounding were off by .04 to .1 of it in simulated loops
 
 
@@ -42,17 +43,24 @@ def step_of(signal: FloatArray) -> float:
     return float(values[-1] - values[0]) / float(np.round(away[-1]))
 
 
+def coarseness(signal: FloatArray) -> float:
+    """Return the least step between a signal's values where these are few, or multiples of it apart; else 0."""
+    steps = np.diff(np.unique(signal))
+    steps = steps[steps > ROUNDED * float(np.ptp(signal))]
+    return float(steps.min()) if 0 < steps.size < signal.size / 4 else step_of(signal)
+
+
 def resolved(record: Record) -> tuple[FloatArray, float]:
     """Return OP, %, shape (N,), within half a step of what is recorded, and the standard deviation of its error, %.
 
-    An OP that is not recorded in even steps is returned as it is, its error 0; one that no law of PV and SP explains
-    too, its error that of rounding. The level is a random walk seen under rounding, filtered and smoothed in the steady
-    state (J. F. Muth, J. Am. Stat. Assoc. 55 (1960) 299-306); where the law leaves more than rounding does, both have
-    their say by their variances.
+    An OP that is not recorded in even steps, or in a few levels alone, is returned as it is, its error 0; one that no
+    law of PV and SP explains too, its error that of rounding. The level is a random walk seen under rounding, filtered
+    and smoothed in the steady state (J. F. Muth, J. Am. Stat. Assoc. 55 (1960) 299-306); where the law leaves more than
+    rounding does, both have their say by their variances.
     """
     op = record.op
     step = step_of(op)
-    if step == 0.0:
+    if step == 0.0 or np.unique(op).size < LEVELS:
         return op, 0.0
     rounding = step * step / 12.0
     made, level = op - op.mean(), _causes(record)
