@@ -193,3 +193,46 @@ def test_resampling_a_straight_line_gives_the_line(tmp_path: Path, steps: list[f
     if record.counts.get("resampled"):
         assert record.pv == pytest.approx(0.5 * (record.time - shift), abs=1e-8)
         assert record.start >= times[0] - 1e-9 * abs(shift)
+
+
+def test_rows_stamped_early_and_late_are_taken_as_they_are(tmp_path: Path) -> None:
+    """Resampled at their median interval such rows would slip against the grid, and OP be held a row late."""
+    rng = np.random.default_rng(3)
+    times = 1e5 + 10.0 * (np.arange(400) + rng.uniform(-0.24, 0.24, 400))
+    record = read_record(write(tmp_path, [f"{t:.3f}" for t in times]))
+    assert record.pv.tolist() == list(range(400))
+    assert record.op.tolist() == [k % 7 for k in range(400)]
+    assert record.sample_time == pytest.approx(10.0, rel=2e-3)
+    assert any("taken as even" in note for note in record.notes)
+    away = read_record(write(tmp_path, [f"{t:.3f}" for t in times + 4.5 * (np.arange(400) % 50 == 7)]))
+    assert any("resampled, as the times are not even" in note for note in away.notes)
+
+
+@pytest.mark.parametrize("jitter", [0.0, 0.2])
+def test_the_place_of_a_single_missing_row_is_filled_and_that_of_two_is_a_gap(tmp_path: Path, jitter: float) -> None:
+    rng = np.random.default_rng(4)
+    gone = {30, 50, 120, 121, 180}
+    rows = [k for k in range(300) if k not in gone]
+    text = "t,SP,PV,OP,MODE\n" + "".join(f"{k + jitter * rng.uniform(-1, 1):.6f},{k},{k},{k + 1},AUTO\n" for k in rows)
+    path = tmp_path / "loop.csv"
+    path.write_text(text, encoding="utf-8")
+    record = read_record(path)
+    assert [len(part) for part in record.segments] == [120, 178]
+    assert (record.counts["gaps"], record.counts["between"]) == (1, 3)
+    assert "3 single rows are missing: there PV is linear between its neighbours, and OP held" in record.notes
+    for first, part in zip((0, 122), record.segments, strict=True):
+        places = np.arange(first, first + len(part))
+        assert part.pv == pytest.approx(places)
+        held = [k - 1.0 if k in gone else k for k in places.tolist()]
+        assert part.op.tolist() == [k + 1 for k in held]
+        assert part.sp is not None
+        assert part.sp.tolist() == held
+        assert part.mode == ("AUTO",) * len(part)
+
+
+def test_no_place_is_filled_beside_a_bad_value(tmp_path: Path) -> None:
+    path = tmp_path / "loop.csv"
+    path.write_text("t,PV,OP\n" + "".join(f"{k},{'x' if k == 51 else k},{k + 1}\n" for k in range(100) if k != 50))
+    record = read_record(path)
+    assert [len(part) for part in record.segments] == [50, 48]
+    assert "between" not in record.counts

@@ -1,13 +1,14 @@
 """A loop's signals on one even grid of time: as recorded where they are even, else resampled by a stated method.
 
 Method: PV and a measured stem are interpolated linearly; OP, SP and MODE hold their last value, as the controller's
-output and settings do. Nothing is interpolated over a gap, or over a value that was recorded as bad.
+output and settings do. Nothing is interpolated over a gap, or over a value that was recorded as bad. Rows are even
+where each lies near its place on an even grid: a clock that stamps them early or late did not move the samples.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +23,8 @@ __all__ = ["Samples", "lay"]
 
 UNEVEN = 0.05  # share of intervals that may break the pattern before the file counts as unevenly sampled
 SPARSE = 0.20  # share of blank cells from which they mean "no new value", as where a row is written per change
+ASTRAY = 0.4  # of the sample time, by which a row's time may miss its place on the even grid
+MISSING = 1  # row at most that may be missing between two: its place is filled, as in a resampled record
 COMMON = 0.90  # share of times that PV and OP must have in common to count as sampled together
 GAP = 10.0  # usual intervals without a value that are a gap in irregular records,
 # unless a compressed archive is often silent for longer: then this many times the longest silence but for the rarest.
@@ -60,7 +63,8 @@ def lay(signals: Signals, sample_time: float | None, max_gap: float | None, sour
     why = "PV and OP have times of their own"
     if pv.seconds is op.seconds or np.array_equal(pv.seconds, op.seconds):
         if not signals.timed:
-            return _as_recorded(signals, pv, op, 1.0 if sample_time is None else sample_time)
+            one_by_one = np.ones(max(pv.seconds.size - 1, 0), dtype=np.int64)
+            return _as_recorded(signals, pv, op, 1.0 if sample_time is None else sample_time, one_by_one)
         steps = np.diff(pv.seconds)
         if steps.size == 0:
             many = f"{pv.seconds.size} row{'s' if pv.seconds.size != 1 else ''}"
@@ -68,10 +72,11 @@ def lay(signals: Signals, sample_time: float | None, max_gap: float | None, sour
             raise RecordError(msg)
         usual = float(np.median(steps))
         bridging = max_gap is not None and max_gap > (1.0 + JITTER) * usual
-        if not bridging and _is_even(steps, usual) and not any(_sparse(s.cells) for s in (pv, op)):
+        usual, moved = _pattern(pv.seconds, steps, usual)
+        if not bridging and moved is not None and not any(_sparse(s.cells) for s in (pv, op)):
             _agree(sample_time, usual, signals, source)
-            return _as_recorded(signals, pv, op, usual)
-        why = "the times are not even" if not _is_even(steps, usual) else "most rows hold only what changed"
+            return _as_recorded(signals, pv, op, usual, moved)
+        why = "the times are not even" if moved is None else "most rows hold only what changed"
     if max_gap is not None:
         why = "gaps are to be bridged"
     return _resampled(signals, pv, op, sample_time, max_gap, source, why)
@@ -99,9 +104,31 @@ def _together(pv: Signal, op: Signal) -> tuple[Signal, Signal]:
     return spread[1], spread[0]
 
 
-def _is_even(steps: FloatArray, usual: float) -> bool:
-    uneven = int(np.count_nonzero(~(np.abs(steps - usual) <= JITTER * usual)))
-    return uneven <= max(UNEVEN * steps.size, 1 if steps.size < 40 else 0)
+def _pattern(seconds: FloatArray, steps: FloatArray, usual: float) -> tuple[float, NDArray[np.int64] | None]:
+    """Return the sample time, s, and by how many places each row follows the last, shape (N - 1,); 0 after a gap.
+
+    usual: the median interval, s. No places are returned where the rows lie on no even grid.
+    """
+    many = np.rint(np.clip(steps / usual, 0.0, MISSING + 2.0)).astype(np.int64)
+    fits = (np.abs(steps - many * usual) <= JITTER * usual) & (many >= 1) & (many <= MISSING + 1)
+    most = max(UNEVEN * steps.size, 1 if steps.size < 40 else 0)
+    if int(np.count_nonzero(~fits | (many != 1))) <= most:
+        return usual, np.where(fits, many, 0)
+    # No interval need be the usual one where a clock stamps rows early and late: look at the times themselves.
+    near = steps[np.abs(steps - usual) < 0.5 * usual]
+    if near.size == 0:
+        return usual, None
+    usual = float(near.mean())
+    many = np.rint(np.clip(steps / usual, 0.0, MISSING + 2.0)).astype(np.int64)
+    many[many > MISSING + 1] = 0
+    if int(np.count_nonzero(many != 1)) > most:
+        return usual, None
+    usual = float(steps[many > 0].sum() / many[many > 0].sum())
+    stretch = np.concatenate([[0], np.cumsum(many == 0)])
+    place = np.concatenate([[0], np.cumsum(many)])
+    off = seconds - usual * place
+    off -= (np.bincount(stretch, off) / np.bincount(stretch))[stretch]
+    return usual, many if float(np.abs(off).max()) <= ASTRAY * usual else None
 
 
 def _sparse(cells: Cells) -> bool:
@@ -118,17 +145,46 @@ def _agree(sample_time: float | None, usual: float, signals: Signals, source: st
         raise RecordError(msg)
 
 
-def _as_recorded(signals: Signals, pv: Signal, op: Signal, usual: float) -> Samples:
-    """The rows themselves: as they are evenly spaced, nothing is interpolated."""
+def _as_recorded(signals: Signals, pv: Signal, op: Signal, usual: float, moved: NDArray[np.int64]) -> Samples:
+    """The rows themselves, for they are evenly spaced; between rows of which few are missing, their places filled."""
     seconds = pv.seconds * (1.0 if signals.timed else usual)
-    steps = np.diff(seconds)
     usable = (pv.cells.marks == OK) & (op.cells.marks == OK)
-    joined = np.zeros(seconds.size, dtype=bool)
-    joined[1:] = np.abs(steps - usual) <= JITTER * usual
-    gaps = int(np.count_nonzero(steps > (1.0 + JITTER) * usual))
+    joined = np.concatenate([np.zeros(min(seconds.size, 1), dtype=bool), moved > 0])
+    gaps = int(np.count_nonzero((moved == 0) & (np.diff(seconds) > (1.0 + JITTER) * usual)))
     out = Samples(seconds, pv.cells.values, op.cells.values, usable, joined, usual, pv.lines, True, gaps)
     _others(out, signals, np.inf)
-    return out
+    return _filled(out, moved) if (moved > 1).any() else out
+
+
+def _filled(rows: Samples, moved: NDArray[np.int64]) -> Samples:
+    """Return the samples with the places between joined rows filled, where the rows on both sides are usable."""
+    both = rows.usable[1:] & rows.usable[:-1]
+    moved = np.where(both, moved, np.minimum(moved, 1))
+    place = np.concatenate([[0], np.cumsum(np.maximum(moved, 1))])
+    at = np.arange(int(place[-1]) + 1)
+    last = np.searchsorted(place, at, side="right") - 1
+    new = place[last] != at
+
+    def linear(values: FloatArray) -> FloatArray:
+        return np.where(new, np.interp(at, place, values), values[last])
+
+    missing = int(np.count_nonzero(new))
+    single = "1 single row is" if missing == 1 else f"{missing} single rows are"
+    note = f"{single} missing: there PV is linear between its neighbours, and OP held"
+    return replace(
+        rows,
+        seconds=linear(rows.seconds),
+        pv=linear(rows.pv),
+        op=rows.op[last],
+        usable=rows.usable[last],
+        joined=rows.joined[last] | new,
+        lines=rows.lines[last],
+        sp=None if rows.sp is None else rows.sp[last],
+        stem=None if rows.stem is None else linear(rows.stem),
+        mode=None if rows.mode is None else [rows.mode[i] for i in last.tolist()],
+        between=missing,
+        notes=[*rows.notes, note],
+    )
 
 
 def _resampled(

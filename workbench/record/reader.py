@@ -315,7 +315,7 @@ def _record(
 
 def _kept_said(signals: Signals, samples: Samples, parts: Parts, others: int) -> str:
     first, stop = parts.best
-    rows = samples.even and signals.what == "column"
+    rows = samples.even and signals.what == "column" and not samples.between
     of = f"{signals.rows} rows" if rows else f"{samples.seconds.size} samples"
     said = (
         f"kept the longest clean stretch: {stop - first} of {of}, {signals.unit}s "
