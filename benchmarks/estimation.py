@@ -17,6 +17,7 @@ import math
 import resource
 import sys
 import time
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -103,6 +104,20 @@ def case(rng: np.random.Generator, kind: str, plant: str) -> Case | None:
     return Case(loop, experiment, skip, noise, moved, quantised, record, slips)
 
 
+def random_cases(
+    loops: int, seed: int, wanted: Callable[[Case], bool] = lambda _: True
+) -> Iterator[tuple[str, str, list[Case]]]:
+    """Each kind of valve and of plant with so many of its random cases that are wanted."""
+    for kind in ("stenman", "choudhury", "deadband"):
+        for plant in ("fopdt", "integrating"):
+            rng = np.random.default_rng([seed, len(kind), len(plant)])
+            cases: list[Case] = []
+            while len(cases) < loops:
+                one = case(rng, kind, plant)
+                cases += [one] if one is not None and wanted(one) else []
+            yield kind, plant, cases
+
+
 def identifiable(c: Case, plant: str) -> bool:
     """By the truth: enough slips, and excitation or a narrow range without noise."""
     if c.slips < 10:
@@ -148,32 +163,24 @@ def within(found: list[dict[str, float]], names: tuple[str, ...]) -> list[bool]:
 
 def accuracy(loops: int, seed: int) -> None:
     """Print the tables of one valve and plant after the other."""
-    for kind in ("stenman", "choudhury", "deadband"):
-        for plant in ("fopdt", "integrating"):
-            rng = np.random.default_rng([seed, len(kind), len(plant)])
-            cases: list[Case] = []
-            while len(cases) < loops:
-                one = case(rng, kind, plant)
-                cases += [] if one is None else [one]
-            told: dict[bool, list[bool]] = {True: [], False: []}
-            found: dict[bool, list[tuple[Case, wb.Estimate, wb.Estimate]]] = {True: [], False: []}
-            for c in cases:
-                truth = identifiable(c, plant)
-                try:
-                    ours = wb.estimate(c.record, plant=plant)
-                    rival = wb.estimate(c.record, plant=plant, method="two_step")
-                except wb.RecordError:
-                    continue
-                told[truth].append(ours.identifiable)
-                if truth and c.noise <= 0.05:
-                    found[c.experiment.load is not None].append((c, ours, rival))
-            print(f"\n{kind}, {plant}: {len(cases)} loops")
-            for load, rows in found.items():
-                print(f"  {'with a load step' if load else 'without load'}: {len(rows)} identifiable, noise up to 5 %")
-                table(rows)
-            print(
-                f"  said to be identified: {share(told[True])} that are, {share(told[False])} that are not", flush=True
-            )
+    for kind, plant, cases in random_cases(loops, seed):
+        told: dict[bool, list[bool]] = {True: [], False: []}
+        found: dict[bool, list[tuple[Case, wb.Estimate, wb.Estimate]]] = {True: [], False: []}
+        for c in cases:
+            truth = identifiable(c, plant)
+            try:
+                ours = wb.estimate(c.record, plant=plant)
+                rival = wb.estimate(c.record, plant=plant, method="two_step")
+            except wb.RecordError:
+                continue
+            told[truth].append(ours.identifiable)
+            if truth and c.noise <= 0.05:
+                found[c.experiment.load is not None].append((c, ours, rival))
+        print(f"\n{kind}, {plant}: {len(cases)} loops")
+        for load, rows in found.items():
+            print(f"  {'with a load step' if load else 'without load'}: {len(rows)} identifiable, noise up to 5 %")
+            table(rows)
+        print(f"  said to be identified: {share(told[True])} that are, {share(told[False])} that are not", flush=True)
 
 
 def table(rows: list[tuple[Case, wb.Estimate, wb.Estimate]]) -> None:

@@ -4,7 +4,7 @@ Loops of `benchmarks/estimation.py`'s kind (three valves, two plants, no load, P
 5 % of PV's swing, ten slips or more, a band S of .5 to 5 %. Printed for each way of recording: how many have S (d) and
 K within 5 %, how many of those called identified, and how many 95 % intervals hold the truth.
 
-Run: python benchmarks/estimation_resolution.py [LOOPS [SEED]]
+Run: python benchmarks/estimation_resolution.py [LOOPS [SEED [METHOD]]]
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import sys
 from dataclasses import replace
 
 import numpy as np
-from estimation import Case, case, covered, errors, share, within
+from estimation import Case, covered, errors, random_cases, share, within
 
 import workbench as wb
 
@@ -21,24 +21,20 @@ STEP = 0.1  # %
 NAMES = ("S", "K", "tau", "theta")
 
 
-def main(loops: int, seed: int) -> None:
+def plain(c: Case) -> bool:
+    """Whether a case has no load, a PV in full, little noise and slips enough."""
+    return c.experiment.load is None and not c.quantised and c.noise <= 0.05 and c.slips >= 10
+
+
+def main(loops: int, seed: int, method: str) -> None:
     """Print a line for each kind of valve and plant and way of recording, and the sums."""
     told: dict[str, list[tuple[Case, wb.Estimate]]] = {"in full": [], "in steps": []}
-    for kind in ("stenman", "choudhury", "deadband"):
-        for plant in ("fopdt", "integrating"):
-            rng = np.random.default_rng([seed, len(kind), len(plant)])
-            cases: list[Case] = []
-            while len(cases) < loops:
-                one = case(rng, kind, plant)
-                plain = one is not None and one.experiment.load is None and not one.quantised and one.noise <= 0.05
-                cases += [one] if one is not None and plain and one.slips >= 10 else []
-            for name, step in (("in full", 0.0), ("in steps", STEP)):
-                records = [
-                    replace(c.record, op=np.round(c.record.op / step) * step) if step else c.record for c in cases
-                ]
-                rows = [(c, wb.estimate(r, plant=plant)) for c, r in zip(cases, records, strict=True)]
-                show(f"{kind}, {plant}, OP {name}", rows)
-                told[name] += rows
+    for kind, plant, cases in random_cases(loops, seed, plain):
+        for name, step in (("in full", 0.0), ("in steps", STEP)):
+            records = [replace(c.record, op=np.round(c.record.op / step) * step) if step else c.record for c in cases]
+            rows = [(c, wb.estimate(r, plant=plant, method=method)) for c, r in zip(cases, records, strict=True)]
+            show(f"{kind}, {plant}, OP {name}", rows)
+            told[name] += rows
     for name, rows in told.items():
         show(f"all, OP {name}", rows)
 
@@ -53,4 +49,6 @@ def show(what: str, rows: list[tuple[Case, wb.Estimate]]) -> None:
 
 
 if __name__ == "__main__":
-    main(int(sys.argv[1]) if len(sys.argv) > 1 else 6, int(sys.argv[2]) if len(sys.argv) > 2 else 0)
+    loops = int(sys.argv[1]) if len(sys.argv) > 1 else 6
+    seed = int(sys.argv[2]) if len(sys.argv) > 2 else 0
+    main(loops, seed, sys.argv[3] if len(sys.argv) > 3 else "profile")

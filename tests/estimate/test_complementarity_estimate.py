@@ -21,6 +21,7 @@ from workbench.estimate.data import Centred, centre
 from workbench.estimate.fit import Limits, fit_linear, fit_path, start_range
 from workbench.estimate.paths import Path
 from workbench.estimate.stems import path_of
+from workbench.model.results import Intervals
 from workbench.model.status import SolveStatus
 
 complementarity = importlib.import_module("workbench.estimate.complementarity")
@@ -139,6 +140,18 @@ def test_a_better_path_than_the_one_it_started_from_is_taken(monkeypatch: pytest
     assert found.intervals.d is not None
     assert found.intervals.d[0] <= found.valve.d <= found.intervals.d[1]
     assert "its better fit is shown" in found.reasons[-1]
+    # Where OP is not known closely its ranges are wider, as the profile's are, and none where that has none.
+    doubt = 0.05
+    wide = refined.by_complementarity(replace(data, doubt=doubt), plain, [poor], limits_of(data), shares.append)
+    assert wide.plant == found.plant
+    assert wide.intervals.gain is not None
+    assert wide.intervals.gain[1] - wide.intervals.gain[0] > 3.9 * doubt * found.plant.gain / found.valve.d
+    assert wide.intervals.d is not None
+    assert wide.intervals.d[0] == pytest.approx(min(plain.intervals.d[0], found.valve.d - 1.96 * doubt), abs=1e-4)
+    hidden = replace(plain, intervals=Intervals())
+    lost = refined.by_complementarity(replace(data, doubt=doubt), hidden, [poor], limits_of(data), shares.append)
+    assert lost.complementarity.taken
+    assert lost.intervals == Intervals()
     # Not so where the program was not solved.
     monkeypatch.setattr(complementarity, "OPTIONS", replace(complementarity.OPTIONS, max_iterations=0))
     kept = refined.by_complementarity(data, plain, [poor], limits_of(data), shares.append)

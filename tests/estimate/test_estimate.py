@@ -353,9 +353,15 @@ def test_estimates_repeat_to_the_bit() -> None:
     assert np.array_equal(one.profile_cost, two.profile_cost)
 
 
-def test_progress_ascends_to_one() -> None:
+@pytest.mark.parametrize("dead_time", [1.0, 40.0])
+def test_progress_ascends_to_one(dead_time: float) -> None:
+    # A dead time beyond those that are searched first is searched for anew.
     told: list[float] = []
-    wb.estimate(record_of(), progress=told.append)
+    loop = wb.Loop(wb.FOPDT(2.0, 5.0, dead_time), wb.Stenman(2.0), wb.PID(Kc=0.15, Ti=40.0), 1.0)
+    steps = [wb.Step(8.0), wb.Step(-8.0, 300.0)]
+    run = wb.simulate(loop, wb.Experiment(600.0, steps, noise=wb.Noise(0.02, 1)))
+    found = wb.estimate(wb.Record(run.pv, run.op, 1.0), progress=told.append)
+    assert found.plant.dead_time == pytest.approx(dead_time, abs=0.1)
     assert told == sorted(told)
     assert told[0] == 0.0
     assert told[-1] == 1.0

@@ -14,7 +14,7 @@ from scipy.signal import lfilter
 from workbench.estimate import kernel
 from workbench.estimate.data import centre
 from workbench.estimate.fit import Fit, predict
-from workbench.estimate.stems import first_slips, path_of
+from workbench.estimate.stems import path_of
 from workbench.model.plant import FOPDT, Integrating
 from workbench.model.record import Record
 from workbench.model.valve import Stenman
@@ -227,5 +227,8 @@ def test_compiled_and_python_agree() -> None:
 
 
 def test_first_slips_are_where_op_leaves_all_it_was() -> None:
-    op = np.array([1.0, 1.0, 2.0, 1.5, 0.5, 2.0, 3.0])
-    assert first_slips(op).tolist() == [0, 2, 4, 6]
+    op = np.tile([1.0, 1.0, 2.0, 1.5, 0.5, 2.0, 3.0, 0.5, 0.0], 4)
+    starts = centre(Record(np.arange(36.0), op, 1.0), "fopdt").starts
+    assert starts.firsts.tolist() == [0, 2, 4, 6, 8]
+    assert starts.ranged.tolist() == [0.0, 0.0, 1.0, 1.5, 2.5]
+    assert starts.senses[1:].tolist() == [1.0, -1.0, 1.0, -1.0]

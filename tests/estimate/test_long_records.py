@@ -26,7 +26,7 @@ from workbench.estimate.fit import (
     predict,
     start_range,
 )
-from workbench.estimate.stems import first_slips, path_of, walk, walk_starts
+from workbench.estimate.stems import path_of, walk, walk_starts
 from workbench.estimate.windows import EXACT, active_windows, stretch_of, windows_of
 from workbench.model.valve import Valve
 
@@ -47,7 +47,7 @@ def loop_data(plant: str = "fopdt", samples: int = 2000, sd: float = 0.05) -> Ce
 
 
 def check_starts(data: Centred, bands_tried: np.ndarray, delays: np.ndarray) -> None:
-    firsts = first_slips(data.u)
+    firsts = data.starts.firsts
     rows = walk_starts(data, firsts, bands_tried, delays)
     met = 0
     for d in bands_tried.tolist():
@@ -145,7 +145,7 @@ def test_the_quadratic_reaches_what_the_simplex_reaches(plant: str, d: float, wi
 @pytest.mark.parametrize(("a", "skip"), [((1.0,), 0), ((1.0,), 7), ((1.0, -1.2, 0.4), 2), ((1.0, -0.7), 60)])
 def test_what_halves_leave_is_what_the_prediction_leaves_filtered(plant: str, a: tuple[float, ...], skip: int) -> None:
     data = loop_data(plant, samples=700).whitened(np.array(a), skip)
-    for first in (0, int(first_slips(data.u)[4])):
+    for first in (0, int(data.starts.firsts[4])):
         x, _ = path_of(data.u, 1.4, first)
         bounds = start_range(data.u, first, 1.4, 1.41)
         fit = fit_path(data, x, first, bounds, LIMITS, 2.3, tau=5.0, evaluations=20)

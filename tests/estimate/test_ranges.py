@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+import importlib
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 import workbench as wb
 from workbench.estimate.scale import joined
 from workbench.model.results import Intervals
+
+# `wb.estimate`, the function, hides the folder of its name from a plain import.
+module = importlib.import_module("workbench.estimate.estimate")
 
 
 def cycle(loop: wb.Loop, size: float, sd: float, seed: int, samples: int, quantum: float = 0.0) -> wb.Record:
@@ -33,19 +39,37 @@ def test_gain_of_a_dead_band_is_as_open_as_its_width(seed: int) -> None:
     assert found.intervals.gain[1] - found.intervals.gain[0] < 0.5 * 0.0035
 
 
-@pytest.mark.parametrize("seed", [0, 1, 5])
-def test_ranges_hold_another_valve_that_fits_as_well(seed: int) -> None:
+@pytest.mark.parametrize(("seed", "method"), [(0, "profile"), (1, "profile"), (5, "profile"), (0, "joint")])
+def test_ranges_hold_another_valve_that_fits_as_well(seed: int, method: str) -> None:
     # Ten moves in a quantised PV: a stem that sticks again after every slip does as well as the true one.
     loop = wb.Loop(wb.FOPDT(1.35, 4.4, 0.0), wb.Choudhury(0.63, 0.67), wb.PID(Kc=0.29, Ti=8.0), 1.0)
-    found = wb.estimate(cycle(loop, 1.2, 0.0046, seed, 300, 0.0046))
+    found = wb.estimate(cycle(loop, 1.2, 0.0046, seed, 300, 0.0046), method=method)
     assert isinstance(found.valve, wb.Stenman)
     assert abs(found.plant.gain / 1.35 - 1.0) > 0.05
     assert holds(found.intervals.gain, 1.35)
     assert any("does not tell this valve from one with stick band" in reason for reason in found.reasons)
     # Who asks for the one valve is told of that alone.
-    alone = wb.estimate(cycle(loop, 1.2, 0.0046, seed, 300, 0.0046), valve="stenman")
+    alone = wb.estimate(cycle(loop, 1.2, 0.0046, seed, 300, 0.0046), valve="stenman", method=method)
     assert not any("does not tell" in reason for reason in alone.reasons)
     assert not holds(alone.intervals.gain, 1.35)
+
+
+@pytest.mark.parametrize("method", ["profile", "joint"])
+def test_ranges_hold_what_a_part_of_the_record_says(method: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    whole = module.repeated
+
+    def apart(*given: object) -> object:
+        bands = whole(*given)
+        return replace(bands, parts=(replace(bands.best.fit, gain=1.5 * bands.best.fit.gain),))
+
+    monkeypatch.setattr(module, "repeated", apart)
+    loop = wb.Loop(wb.FOPDT(1.35, 4.4, 0.5), wb.Deadband(1.5), wb.PID(Kc=0.5, Ti=8.0), 1.0)
+    run = wb.simulate(loop, wb.Experiment(400.0, [wb.Step(3.0), wb.Step(-4.0, 200.0)], noise=wb.Noise(0.02, 1)))
+    found = wb.estimate(wb.Record(run.pv, run.op, 1.0), valve="deadband", method=method)
+    assert found.plant.gain < 1.5
+    assert found.intervals.gain is not None
+    assert found.intervals.gain[1] > 1.9
+    assert not found.identifiable
 
 
 def test_a_long_records_stem_begins_as_suits_the_whole() -> None:

@@ -18,7 +18,7 @@ __all__ = ["Candidate", "again", "best_per_bin", "distinct", "fitted", "held", "
 EVALUATIONS = 120  # of the output-error cost for each
 CLOSER, FINEST = 2, 4  # rounds of a long record's fits near a plant: of the likely paths, of the best
 
-LEAST_BAND = 1e-9  # %
+LEAST_BAND = 1e-9  # % of travel: the least lower end of a range of d
 
 
 @dataclass(frozen=True, eq=False)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,12 +16,23 @@ from workbench.estimate.resolution import coarseness, resolved
 from workbench.model.plant import FOPDT, Integrating, Plant
 from workbench.model.record import FloatArray, Record
 
-__all__ = ["FEWEST_SAMPLES", "WHITE", "Centred", "centre", "integers", "plant_of"]
+__all__ = ["FEWEST_SAMPLES", "WHITE", "Centred", "Starts", "centre", "integers", "plant_of"]
 
 FEWEST_SAMPLES = 30
 WHITE = np.ones(1)
 # What a record can resolve: fits whose rms residual is below this share of PV's standard deviation are equally good.
 RESOLUTION = 1e-3
+
+
+class Starts(NamedTuple):
+    """The samples at which the stem may first slip: 0, and where OP exceeds all that was before it; each of shape (M,).
+
+    ranged: %, how far OP had ranged before each, 0 before the first; senses: +1 where OP goes above all, -1 below.
+    """
+
+    firsts: NDArray[np.int64]
+    ranged: FloatArray
+    senses: FloatArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,12 +81,16 @@ class Centred:
         return int(self.y.size)
 
     @cached_property
-    def starts(self) -> tuple[NDArray[np.int64], FloatArray, FloatArray]:
-        """The samples at which OP exceeds all before, how far it ranged before each, %, and +1 above it or -1 below."""
+    def starts(self) -> Starts:
+        """Where the stem may first slip."""
         highs, lows = np.maximum.accumulate(self.u), np.minimum.accumulate(self.u)
         above = self.u[1:] > highs[:-1]
-        firsts = np.flatnonzero(above | (self.u[1:] < lows[:-1])) + 1
-        return integers(firsts), (highs - lows)[firsts - 1], np.where(above[firsts - 1], 1.0, -1.0)
+        new = np.flatnonzero(above | (self.u[1:] < lows[:-1]))
+        return Starts(
+            integers(np.append(0, new + 1)),
+            np.append(0.0, (highs - lows)[new]),
+            np.where(np.append(True, above[new]), 1.0, -1.0),
+        )
 
     def whitened(self, a: FloatArray, skip: int) -> Centred:
         """Return the same record, its disturbance the autoregression that the filter a leaves white."""

@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial, reduce
+from typing import NamedTuple
 
 import numpy as np
 
@@ -13,7 +14,7 @@ from workbench.detect.detect import detect
 from workbench.detect.stem import Fitted
 from workbench.errors import InvalidValue
 from workbench.estimate.bands import Seek, coarse_of, like_stenman, repeated, sought
-from workbench.estimate.data import Centred, centre, plant_of
+from workbench.estimate.data import WHITE, Centred, centre, plant_of
 from workbench.estimate.fit import (
     LEAST_TAU,
     Fit,
@@ -48,9 +49,9 @@ from workbench.estimate.scale import (
     rivals_of,
     stem_of,
 )
-from workbench.estimate.sent import likelier_op
+from workbench.estimate.sent import left_by_line, left_by_stem, likelier_op
 from workbench.estimate.settled import coloured_linear, settled
-from workbench.estimate.stems import path_of
+from workbench.estimate.stems import path_of, silent
 from workbench.estimate.two_parameter import look
 from workbench.estimate.two_step import akaike, two_step
 from workbench.estimate.verdict import ENOUGH_SLIPS, SHARP, WIDE_D, Evidence, agree, judge
@@ -58,7 +59,7 @@ from workbench.estimate.windows import WHOLE
 from workbench.model.checks import choice, number
 from workbench.model.load_step import LoadStep
 from workbench.model.record import Record
-from workbench.model.results import Estimate, FittedModel, Intervals, Iteration, LinearFit
+from workbench.model.results import Estimate, Intervals, Iteration, LinearFit
 from workbench.model.valve import Choudhury, Ideal, Stenman
 from workbench.record.modes import manual_share, mode_words
 
@@ -124,28 +125,33 @@ def estimate(
     if method == "complementarity":
         refuse_complementarity(record, valve)
         valve = "stenman"
-    tell = progress if progress is not None else _silent
+    tell = silent if progress is None else _rising(progress)
     if plant == "auto":
         return _better_plant(record, (method, valve), start, max_dead_time, tell)
     data = centre(record, plant)
     tell(0.0)
+    line = _straight(record, data, max_dead_time)
     delays = _longest(data, max_dead_time, DELAYS)
     history: tuple[Iteration, ...] = ()
     found: Profile | None
     if method == "two_step":
         found, history = two_step(data, start, delays)
     else:
-        told = (lambda share: tell(0.5 * share)) if method in PROGRAMS else tell
-        data, found = likelier_op(record, data, delays, lambda one: _profile(one, max_dead_time, told))
-    longest = _longest(data, max_dead_time, LINEAR_DELAYS)
-    linear = fit_linear(data, longest)
-    answer, paths, settled = _answer(record, data, (method, valve), found, (linear, longest), history)
-    data = data.less(settled.load, settled.answers)
+        data, found = likelier_op(
+            record,
+            data,
+            lambda one, told: _profile(one, max_dead_time, told),
+            lambda one, model: left_by_stem(one, model, delays),
+            (lambda share: tell(0.5 * share)) if method in PROGRAMS else tell,
+        )
+    answer, paths, settled, others = _answer(record, data, (method, valve), found, line, history)
+    data = settled.whitened(WHITE, 0)
     if method in PROGRAMS:
         usual = LINEAR_DELAYS if isinstance(answer.valve, Ideal) else 2.0 * paths[0].fit.theta + DELAYS
         limits = Limits((LEAST_TAU, float(data.samples)), (0.0, _longest(data, max_dead_time, int(usual))))
         refine, used = (jointly, data) if method == "joint" else (by_complementarity, settled)
         answer = refine(used, answer, paths, limits, lambda share: tell(0.5 + 0.5 * share))
+    answer = replace(answer, intervals=reduce(joined, others, answer.intervals))
     # Where OP's steps hide the stem, its parts tell no more than the whole.
     lost = data.doubt > 0.0 and answer.valve.stick_band > 0.0 and answer.intervals == Intervals()
     repeats = None if lost else repeats_of(data, answer)
@@ -156,7 +162,7 @@ def estimate(
         answer,
         repeats=repeats,
         reasons=answer.reasons + opened + said,
-        identifiable=answer.identifiable and not opened,
+        identifiable=answer.identifiable and _sharp(answer) and not opened,
     )
 
 
@@ -173,10 +179,21 @@ def linear_loop(record: Record, plant: str = "fopdt") -> LinearFit:
             for one, fit in found.items()
         }
         return found[min(bics, key=lambda one: bics[one])]
-    data = centre(record, plant)
-    longest = _longest(data, None, LINEAR_DELAYS)
-    data, linear, _ = coloured_linear(data, fit_linear(data, longest), longest)
+    data, linear, _ = coloured_linear(*_straight(record, centre(record, plant), None))
     return linear_result(data, linear)
+
+
+class _Straight(NamedTuple):
+    """The linear fit to a record whose OP is as it explains more of PV; longest: the longest delay, samples."""
+
+    data: Centred
+    fit: Fit
+    longest: float
+
+
+def _straight(record: Record, data: Centred, max_dead_time: float | None) -> _Straight:
+    longest = _longest(data, max_dead_time, LINEAR_DELAYS)
+    return _Straight(*likelier_op(record, data, lambda one, _: fit_linear(one, longest), left_by_line), longest)
 
 
 def _better_plant(
@@ -224,8 +241,16 @@ def _better_plant(
     return replace(answer, reasons=(*answer.reasons, said))
 
 
-def _silent(share: float) -> None:
-    """Ignore the progress."""
+def _rising(progress: Callable[[float], None]) -> Callable[[float], None]:
+    """Progress that never falls: a search that goes on to longer dead times begins anew."""
+    most = 0.0
+
+    def tell(share: float) -> None:
+        nonlocal most
+        most = max(most, share)
+        progress(most)
+
+    return tell
 
 
 def _longest(data: Centred, max_dead_time: float | None, usual: int) -> float:
@@ -263,18 +288,17 @@ def _answer(
     data: Centred,
     asked: tuple[str, str],
     found: Profile | None,
-    straight_fit: tuple[Fit, float],
+    line: _Straight,
     history: tuple[Iteration, ...],
-) -> tuple[Estimate, list[Path], Centred]:
-    """The estimate, the likeliest stem paths of its valve, and the record without load steps as it was fitted.
+) -> tuple[Estimate, list[Path], Centred, tuple[Intervals, ...]]:
+    """The estimate, the likeliest stem paths of its valve, the record without load steps as it was fitted, and ranges.
 
-    straight_fit: the linear fit and its longest delay.
+    The ranges are those of parts of the record and of valves that fit as well; the estimate's own do not hold them yet.
     """
-    linear, longest = straight_fit
+    linear = line.fit if line.data is data else fit_linear(data, line.longest)
     n = data.samples
     method, valve = asked
     straight = linear_result(data, linear)
-    unsettled, plain = data, linear
     # The rival of the verdict is as causal as the stem model: a long dead time passes for half a cycle.
     delays = found.limits.theta[1] if found is not None else float(_longest(data, None, DELAYS))
     rival = linear if linear.theta <= delays else fit_linear(data, delays)
@@ -348,16 +372,16 @@ def _answer(
     if ranged is not None:
         stem = band_of(data, ranged, chosen, limits)
         identifiable = verdict == "stiction" and ranged.best.slips >= ENOUGH_SLIPS
+    others = () if stem is None else stem.parts
     if stem is not None and lost:
         stem = replace(stem, intervals=Intervals())
         reasons += (words_of_hidden(data.doubt),)
     elif stem is not None and valve == "auto" and method != "two_step" and verdict != "no_stiction":
         rivals = rivals_of(data, chosen, found, bands, limits)
-        stem = replace(stem, intervals=reduce(joined, rivals.values(), stem.intervals))
+        others += tuple(rivals.values())
         reasons += tuple(words_of_rival(name, ranges, data.integrating) for name, ranges in rivals.items())
-    identifiable = identifiable and stem is not None and _sharp(stem.intervals, models[chosen])
     if not stuck:
-        data, linear, steps = coloured_linear(unsettled, plain, longest)
+        data, linear, steps = coloured_linear(*line)
         straight = linear_result(data, linear)
     profile_d = np.array([] if found is None else [c.d for c in found.fits])
     profile_cost = np.array([] if found is None else [c.fit.sse / n for c in found.fits])
@@ -372,7 +396,7 @@ def _answer(
             bias=straight.bias,
             verdict=verdict,
             reasons=reasons,
-            intervals=linear_intervals(data, linear, longest),
+            intervals=linear_intervals(data, linear, line.longest),
             identifiable=False,
             residual_variance=straight.residual_variance,
             aic=straight.aic,
@@ -385,7 +409,7 @@ def _answer(
             candidates=tuple(models.values()),
             load_steps=steps,
         )
-        return unstuck, linear_path(data, linear), data
+        return unstuck, linear_path(data, linear), data, ()
     # Of the prediction itself: where the model's columns are nearly dependent, the normal equations lose digits.
     sse = float(((record.pv - stem.prediction) ** 2).sum())
     sticking = Estimate(
@@ -411,17 +435,18 @@ def _answer(
         candidates=tuple(models.values()),
         load_steps=steps,
     )
+    paths = [] if found is None else stem_paths(data, found)
     if ranged is not None:
-        return sticking, band_paths(data, ranged, chosen), data
-    return sticking, [] if found is None else stem_paths(data, found), data
+        paths = band_paths(data, ranged, chosen)
+    return sticking, paths, data, others
 
 
-def _sharp(ranges: Intervals, model: FittedModel) -> bool:
+def _sharp(found: Estimate) -> bool:
     """Whether the stick band is known closely; a stem whose gain may be anything is no model, however narrow it is."""
-    low, high = ranges.d or ranges.S or (0.0, math.inf)
-    least, most = ranges.gain or (0.0, math.inf)
-    sharp = high - low <= SHARP * model.valve.stick_band
-    return sharp and most - least <= WIDEST_GAIN * abs(model.plant.gain)
+    low, high = found.intervals.d or found.intervals.S or (0.0, math.inf)
+    least, most = found.intervals.gain or (0.0, math.inf)
+    sharp = high - low <= SHARP * found.valve.stick_band
+    return sharp and most - least <= WIDEST_GAIN * abs(found.plant.gain)
 
 
 def _manual_said(record: Record) -> tuple[str, ...]:

@@ -36,6 +36,7 @@ __all__ = [
     "score_covariance",
     "standard_errors",
     "start_range",
+    "sure_samples",
 ]
 
 # Time constants from far below the sample time (a plant that follows at once) up to the record's length.
@@ -384,17 +385,21 @@ def inflation(residuals: FloatArray) -> float:
 
 
 def effective_samples(data: Centred, x: FloatArray, first: int, fit: Fit) -> float:
-    """Return how many independent samples what a stem x, shape (N,), from `first` on leaves is worth.
+    """Return how many independent samples what a stem x, shape (N,), from `first` on leaves is worth."""
+    return sure_samples(data, x, first, data.samples / inflation(data.innovations(predict(data, x, first, fit)[0])))
+
+
+def sure_samples(data: Centred, x: FloatArray, first: int, samples: float) -> float:
+    """Return what so many independent samples beside a stem x, shape (N,), from `first` on are worth.
 
     Where OP is not known exactly a slip may be a sample off, and all that PV answers to it: of the slips, so many count
     as may be off.
     """
-    effective = data.samples / inflation(data.innovations(predict(data, x, first, fit)[0]))
     if data.unsure == 0.0:
-        return effective
+        return samples
     moves = np.diff(x[first:]) != 0.0
     slips = max(float(np.count_nonzero(moves[1:] & ~moves[:-1])), 1.0)
-    return min(effective, slips / data.unsure)
+    return min(samples, slips / data.unsure)
 
 
 def standard_errors(data: Centred, x: FloatArray, first: int, fit: Fit, clamped: bool) -> tuple[float, float, float]:

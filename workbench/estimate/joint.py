@@ -26,7 +26,7 @@ import numpy as np
 from scipy.signal import lfilter
 
 from workbench.estimate.data import Centred
-from workbench.estimate.fit import Fit, Limits, predict, score_covariance
+from workbench.estimate.fit import Fit, Limits, predict, score_covariance, sure_samples
 from workbench.estimate.paths import Path
 from workbench.model.record import FloatArray
 from workbench.model.results import SolveStatus
@@ -284,7 +284,11 @@ def _level(data: Centred, found: Refined) -> float:
 
 def _most(data: Centred, found: list[Refined]) -> float:
     """The largest mean square of e, EU^2, within the 95 % likelihood region of the best."""
-    return min(_level(data, r) for r in found) * math.exp(ALIKE / data.samples)
+    best = min(found, key=lambda r: r.sse)
+    n = float(data.samples)
+    if best.path.slips:
+        n = sure_samples(data, best.path.x, best.path.first, n)
+    return _level(data, best) * math.exp(ALIKE / n)
 
 
 def _bic(data: Centred, found: Refined) -> float:

@@ -19,7 +19,6 @@ from workbench.estimate.stems import (
     LEAST_D,
     LOW,
     WIDE_D,
-    first_slips,
     firsts_for,
     path_of,
     scan,
@@ -53,11 +52,11 @@ def _glimpse(part: Centred, delays: NDArray[np.int64], longest: float) -> _Glimp
     if not part.op_range > 0.0 or not float(np.ptp(part.y)) > 0.0:
         return None
     reach = LEAST_D * part.op_range, 1.0001 * part.op_range
-    firsts = firsts_for(part.u, part.op_range, GLIMPSED).tolist()
+    firsts = firsts_for(part, part.op_range, GLIMPSED).tolist()
     best = _distinct_in(part, np.vstack([walk(part, f, *reach, 0.0, delays) for f in firsts]), longest)
     if not best or not _noise_alone(part, best[0]):
         # Noise in OP makes stems slip alike after a while, wherever they stood at first; in a quiet cycle they do not.
-        best = _apart([*best, *_distinct_in(part, scan(part, delays, _silent), longest)])
+        best = _apart([*best, *_distinct_in(part, scan(part, delays), longest)])
     if not best:
         return None
     linear = fit_linear(part, longest)
@@ -135,7 +134,7 @@ def scan_long(
     span = data.op_range
     narrow = np.geomspace(LEAST_D, WIDE_D, NARROW, endpoint=False)
     wide = np.geomspace(WIDE_D, 1.0, math.ceil(math.log(1.0 / WIDE_D) / 0.01), endpoint=False)
-    firsts = thin(firsts_for(data.u, span, 40), 8)
+    firsts = thin(firsts_for(data, span, 40), 8)
     found = [walk_starts(data, firsts, span * np.concatenate([narrow, wide]), lean)]
     progress(0.7)
     order = np.argsort(found[0][:, COST], kind="stable")
@@ -146,12 +145,11 @@ def scan_long(
             centres.append(d)
     paths = math.ceil(max(4e5 / data.samples, 4.0))
     for d in centres:
-        firsts = firsts_for(data.u, 1.01 * d, 100)
+        firsts = firsts_for(data, 1.01 * d, 100)
         found.append(walk_starts(data, firsts, d * np.linspace(0.995, 1.005, paths), lean))
     rows = np.vstack(found)
     progress(0.8)
     # Closer and closer: the best of every likely band over 2 %, then every path about the best.
-    all_firsts = first_slips(data.u)
     for d in centres:
         near = rows[np.abs(np.log(rows[:, LOW] / d)) < 0.01]
         if near.size:
@@ -166,7 +164,7 @@ def scan_long(
     for d in rows[np.argsort(rows[:, COST], kind="stable")][:1000, LOW].tolist():
         if len(bands) < 2 and all(abs(d / b - 1.0) > 2e-3 for b in bands):
             bands.append(d)
-            firsts = firsts_for(data.u, 1.01 * d, 150)
+            firsts = firsts_for(data, 1.01 * d, 150)
             found.append(walk_starts(data, firsts, d * np.linspace(0.9995, 1.0005, paths), lean))
     rows = np.vstack(found)
     done: list[tuple[float, float]] = []
@@ -175,8 +173,8 @@ def scan_long(
         if any(first == f and abs(d / c - 1.0) < 1e-3 for f, c in done):
             continue
         done.append((first, d))
-        beside = int(np.searchsorted(all_firsts, int(first)))
-        others = all_firsts[max(beside - 4, 0) : beside + 5].tolist()
+        beside = int(np.searchsorted(data.starts.firsts, int(first)))
+        others = data.starts.firsts[max(beside - 4, 0) : beside + 5].tolist()
         found += [walk(data, other, 0.9995 * d, 1.0005 * d, 0.0, lean) for other in others]
         if len(done) == 4:
             break
@@ -190,7 +188,3 @@ def _each_once(rows: NDArray[np.float64]) -> NDArray[np.float64]:
     new = np.concatenate([[True], (np.diff(rows[:, [FIRST, HIGH]], axis=0) != 0.0).any(axis=1)])
     kept: NDArray[np.float64] = rows[new[: len(rows)]]
     return kept
-
-
-def _silent(share: float) -> None:
-    """Ignore the progress."""

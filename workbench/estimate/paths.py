@@ -13,7 +13,7 @@ from workbench.estimate.data import Centred
 from workbench.estimate.fit import Fit, start_range
 from workbench.estimate.profile import Profile
 from workbench.estimate.stems import path_of
-from workbench.estimate.two_parameter import Band, band_stem
+from workbench.estimate.two_parameter import Band, band_stem, held_range
 from workbench.model.record import FloatArray
 from workbench.model.valve import Choudhury, Deadband, Ideal, Stenman, Valve
 
@@ -75,13 +75,7 @@ def band_paths(data: Centred, found: Bands, name: str) -> list[Path]:
             chosen.append(b)
     paths = []
     for b in chosen:
-        first = max(b.first, 0)
-        low, high = -math.inf, math.inf
-        if first > 0:
-            # What the valve can hold until it first slips.
-            reach = 0.5 * (b.S + b.J)
-            low, high = sorted((float(data.u[:first].max()) - reach, float(data.u[:first].min()) + reach))
         valve = Deadband(b.S) if name == "deadband" else Choudhury(b.S, b.J)
         x = np.ascontiguousarray(band_stem(data.u, b.S, b.J, b.first, b.sense)[0])
-        paths.append(Path(valve, x, first, (low, high), b.fit, b.slips))
+        paths.append(Path(valve, x, max(b.first, 0), held_range(data.u, b), b.fit, b.slips))
     return paths

@@ -29,7 +29,7 @@ from workbench.estimate.candidates import (
 from workbench.estimate.data import Centred, integers
 from workbench.estimate.fit import LEAST_TAU, Limits, effective_samples, halves_left
 from workbench.estimate.long_record import scan_long
-from workbench.estimate.stems import COST, FIRST, LOW, path_of, scan
+from workbench.estimate.stems import COST, FIRST, LOW, path_of, scan, silent
 from workbench.estimate.windows import EXACT
 
 __all__ = [
@@ -69,7 +69,7 @@ class Profile:
     at_limit: bool
 
 
-def search(data: Centred, max_delay: float, progress: Callable[[float], None]) -> Profile | None:
+def search(data: Centred, max_delay: float, progress: Callable[[float], None] = silent) -> Profile | None:
     """Return the best stem path and plant, or None where no path fits.
 
     max_delay: samples, the longest dead time.
@@ -85,7 +85,7 @@ def search(data: Centred, max_delay: float, progress: Callable[[float], None]) -
     if not rows.size:
         return None
     by_cost = rows[np.argsort(rows[:, COST], kind="stable")]
-    return profile_of(data, by_cost, likely, limits, progress)
+    return profile_of(data, by_cost, likely, limits, progress=progress)
 
 
 def profile_of(
@@ -93,8 +93,8 @@ def profile_of(
     by_cost: NDArray[np.float64],
     likely: list[float],
     limits: Limits,
-    progress: Callable[[float], None],
     beside: tuple[Candidate, ...] = (),
+    progress: Callable[[float], None] = silent,
 ) -> Profile:
     """Return the profile of the paths in by_cost by fits in the measure of data's disturbance.
 

@@ -13,11 +13,11 @@ from workbench.estimate.data import Centred, plant_of
 from workbench.estimate.fit import NORMAL, Fit, Limits, grounded, predict, standard_errors
 from workbench.estimate.models import PLANT_PARAMETERS, VALVE_PARAMETERS
 from workbench.estimate.paths import Path
-from workbench.estimate.scale import bias_of, ranges_of
+from workbench.estimate.scale import bias_of, ranges_of, unsure, wider
 from workbench.estimate.two_step import akaike
 from workbench.model.estimation import MOST_IN_PROGRAM, Complementarity, Estimate, Intervals, NoiseModel
 from workbench.model.record import FloatArray, Record
-from workbench.model.valve import Choudhury, Deadband, Ideal
+from workbench.model.valve import Ideal
 
 __all__ = ["by_complementarity", "jointly", "refuse_complementarity"]
 
@@ -36,7 +36,8 @@ def jointly(
     if best is None:
         failed = f"the joint refinement ended as {found.status.value}: the profile's own fit is shown"
         return replace(plain, reasons=(*plain.reasons, failed))
-    ranges = _ranges(data, plain, [r.fit for r in found.alike], found.errors, limits)
+    errors = unsure(data, found.errors, best.fit, best.path.valve.stick_band)
+    ranges = _ranges(data, plain, best.path, [r.fit for r in found.alike], errors, limits)
     answer = _along(data, plain, best.path, best.fit, best.prediction(data), ranges, best.drifts)
     n = data.samples
     span = n * data.sample_time
@@ -105,19 +106,28 @@ def by_complementarity(
     if taken and exact is not None:
         fit = grounded(data, exact.x, exact.first, exact.fit, exact.bounds)
         errors = standard_errors(data, exact.x, exact.first, exact.fit, clamped=False)
-        ranges = _ranges(data, plain, [path.fit, exact.fit], errors, limits)
+        errors = unsure(data, errors, exact.fit, exact.valve.stick_band)
+        ranges = _ranges(data, plain, exact, [path.fit, exact.fit], errors, limits)
         prediction = predict(data, exact.x, exact.first, fit)[0]
         answer = _along(data, plain, exact, fit, prediction, ranges, 2 * len(plain.load_steps))
     return replace(answer, reasons=(*plain.reasons, _said(program)), complementarity=program)
 
 
 def _ranges(
-    data: Centred, plain: Estimate, fits: list[Fit], errors: tuple[float, float, float], limits: Limits
+    data: Centred,
+    plain: Estimate,
+    path: Path,
+    fits: list[Fit],
+    errors: tuple[float, float, float],
+    limits: Limits,
 ) -> Intervals:
-    """The ranges of a refined plant; none where none could be given of the profile's own."""
-    if plain.intervals == Intervals():
-        return plain.intervals
-    return ranges_of(data, fits, errors, plain.intervals.d, limits.theta[1])
+    """The ranges of fits, and of the valve the profile's with the path's; none where the profile's own has none."""
+    known = plain.intervals
+    if known == Intervals():
+        return known
+    S, J = path.valve.stick_band, path.valve.slip_jump
+    ranges = ranges_of(data, fits, errors, _with(data, known.d, path.d), limits.theta[1])
+    return replace(ranges, S=_with(data, known.S, (S, S)), J=_with(data, known.J, (J, J)))
 
 
 def _said(program: Complementarity) -> str:
@@ -150,12 +160,6 @@ def _along(
     position = path.x + data.op_middle
     if path.first > 0 and fit.gain != 0.0:
         position[: path.first] = data.op_middle + fit.start / fit.gain
-    if ranges.d is not None and path.d is not None:
-        ranges = replace(ranges, d=(min(ranges.d[0], path.d[0]), max(ranges.d[1], path.d[1])))
-    if isinstance(path.valve, Choudhury | Deadband):
-        ranges = replace(ranges, S=_with(plain.intervals.S, path.valve.stick_band))
-    if isinstance(path.valve, Choudhury):
-        ranges = replace(ranges, J=_with(plain.intervals.J, path.valve.J))
     left = plain.record.pv - prediction
     sse = float((left**2).sum())
     kind = type(path.valve).__name__.lower() if path.slips else "linear"
@@ -174,6 +178,11 @@ def _along(
     )
 
 
-def _with(pair: tuple[float, float] | None, value: float) -> tuple[float, float] | None:
-    """A range that holds a value too."""
-    return None if pair is None else (min(pair[0], value), max(pair[1], value))
+def _with(
+    data: Centred, pair: tuple[float, float] | None, other: tuple[float, float] | None
+) -> tuple[float, float] | None:
+    """A range of the profile's, %, that holds another too, as far as OP tells that."""
+    if pair is None or other is None:
+        return pair
+    low, high = wider(data, other)
+    return min(pair[0], low), max(pair[1], high)

@@ -17,7 +17,6 @@ from workbench.estimate import kernel
 from workbench.estimate.data import Centred
 from workbench.estimate.fit import NORMAL, START_SLACK, Fit, inflation, predict
 from workbench.estimate.profile import CHI_SQUARE
-from workbench.estimate.stems import first_slips
 from workbench.estimate.windows import EXACT
 from workbench.model.record import FloatArray
 from workbench.model.results import Estimate, Part, Repeats
@@ -165,16 +164,15 @@ def _stretches(moves: FloatArray, n: int, many: int) -> list[tuple[int, int]]:
     return chosen
 
 
-def _starts(u: FloatArray, stenman: bool) -> FloatArray:
+def _starts(data: Centred, stenman: bool) -> FloatArray:
     """Rows (first, sense): where OP exceeds all that was before it in the part, and its first sample."""
-    firsts = first_slips(u)[1:]
+    u, firsts, senses = data.u, data.starts.firsts[1:], data.starts.senses[1:]
     if firsts.size > STARTS:
         # Spread over the OP at which they happen: a kick of OP within one sample counts as much as a slow ramp.
         _, kept = np.unique(np.floor(u[firsts] * (STARTS / float(np.ptp(u[firsts])))), return_index=True)
-        firsts = firsts[np.sort(kept)]
+        firsts, senses = firsts[np.sort(kept)], senses[np.sort(kept)]
     rows = [[0.0, 1.0]] if stenman else [[0.0, 1.0], [0.0, -1.0]]
-    rows += [[float(f), 1.0 if u[f] > u[:f].max() else -1.0] for f in firsts.tolist()]
-    return np.array(rows)
+    return np.vstack([rows, np.column_stack([firsts, senses])])
 
 
 @dataclass(frozen=True, slots=True)
@@ -190,7 +188,7 @@ class _Found:
 
 def _part(held: _Held, law: _Law) -> _Found | None:
     """The band of one part, alike both ways and then each way by itself; None where too few slips are in it."""
-    starts = _starts(held.data.u, law.stenman)
+    starts = _starts(held.data, law.stenman)
     near = starts
     band, bands, costs = law.band, np.empty(0), np.empty(0)
     for reach in REACHES:

@@ -25,14 +25,14 @@ from workbench.estimate.fit import (
 from workbench.estimate.models import PLANT_PARAMETERS
 from workbench.estimate.profile import CHI_SQUARE, Profile
 from workbench.estimate.stems import path_of
-from workbench.estimate.two_parameter import Band, band_stem
+from workbench.estimate.two_parameter import Band, band_stem, held_range
 from workbench.estimate.two_step import akaike
 from workbench.estimate.verdict import ENOUGH_SLIPS
 from workbench.model.record import FloatArray
 from workbench.model.results import Intervals, LinearFit
 
 __all__ = [
-    "Stem",
+    "InScale",
     "band_of",
     "band_position",
     "bias_of",
@@ -42,6 +42,8 @@ __all__ = [
     "ranges_of",
     "rivals_of",
     "stem_of",
+    "unsure",
+    "wider",
 ]
 
 AT_END = 0.05  # of a limit of the search for a time constant: nearer, it is the limit that was found
@@ -49,13 +51,14 @@ HALF_SAMPLE = 0.5  # likewise of a dead time
 
 
 @dataclass(frozen=True, eq=False)
-class Stem:
-    """The best stem model in the record's own scale."""
+class InScale:
+    """The best stem model in the record's own scale; parts: what parts of the record say of its plant beside."""
 
     valve_position: FloatArray
     prediction: FloatArray
     bias: float
     intervals: Intervals
+    parts: tuple[Intervals, ...] = ()
 
 
 def bias_of(data: Centred, fit: Fit) -> float:
@@ -133,18 +136,20 @@ def ranges_of(
     return Intervals(d=d, gain=gain, time_constant=tau, dead_time=theta)
 
 
-def _wider(data: Centred, band: tuple[float, float]) -> tuple[float, float]:
-    """A range of a valve's band, %, wider by what is not known of OP."""
+def wider(data: Centred, band: tuple[float, float]) -> tuple[float, float]:
+    """Return a range of a valve's band, %, wider by what is not known of OP."""
     reach = NORMAL * data.doubt
     return max(band[0] - reach, 0.0), band[1] + reach
 
 
-def _unsure(data: Centred, errors: tuple[float, float, float], fit: Fit, band: float) -> tuple[float, float, float]:
-    """A plant's standard errors with what is not known of OP: of the gain in proportion to the band, of the dead time.
+def unsure(data: Centred, errors: tuple[float, float, float], fit: Fit, band: float) -> tuple[float, float, float]:
+    """Return a plant's standard errors with what is not known of OP: of the gain as a share of the band, of dead time.
 
-    A cycle tells the product of gain and band, and a slip is seen sooner or later by as long as OP takes to go as far.
+    errors: of gain, tau and theta (samples), of a fit along a stem; band: its stick band, %, or 0 for one that does not
+    stick. A cycle tells the product of gain and band, and a slip is seen sooner or later by as long as OP takes to go
+    as far.
     """
-    if data.doubt == 0.0:
+    if data.doubt == 0.0 or band == 0.0:
         return errors
     gain, tau, theta = errors
     rate = float(np.abs(np.diff(data.u)).mean())
@@ -206,7 +211,7 @@ def rivals_of(
     return ranges
 
 
-def stem_of(data: Centred, found: Profile) -> Stem:
+def stem_of(data: Centred, found: Profile) -> InScale:
     """Return the best one-parameter stem; d has a range where enough slips pin it."""
     best = found.best
     x, _ = path_of(data.u, best.d_low, best.first)
@@ -221,11 +226,11 @@ def stem_of(data: Centred, found: Profile) -> Stem:
     errors = (math.nan, math.nan, math.nan)
     if best.fit.gain != 0.0:
         errors = standard_errors(data, x, best.first, best.fit, clamped)
-    errors = _unsure(data, errors, best.fit, best.d)
-    d = _wider(data, (min(c.d_low for c in found.alike), max(c.d_high for c in found.alike)))
+    errors = unsure(data, errors, best.fit, best.d)
+    d = wider(data, (min(c.d_low for c in found.alike), max(c.d_high for c in found.alike)))
     known = best.d_high > best.d_low and best.slips >= ENOUGH_SLIPS
     intervals = ranges_of(data, [c.fit for c in found.alike], errors, d if known else None, found.limits.theta[1])
-    return Stem(position, prediction, bias_of(data, whole), intervals)
+    return InScale(position, prediction, bias_of(data, whole), intervals)
 
 
 def band_position(data: Centred, best: Band) -> FloatArray:
@@ -236,13 +241,11 @@ def band_position(data: Centred, best: Band) -> FloatArray:
     position = x + data.op_middle
     if begin > 0 and best.fit.gain != 0.0:
         # Where the stem was before it first slipped, kept to what the valve can hold there.
-        reach = 0.5 * (best.S + best.J)
-        low, high = float(data.u[:begin].max()) - reach, float(data.u[:begin].min()) + reach
-        position[:begin] = data.op_middle + float(np.clip(whole.start / whole.gain, min(low, high), max(low, high)))
+        position[:begin] = data.op_middle + float(np.clip(whole.start / whole.gain, *held_range(data.u, best)))
     return position
 
 
-def band_of(data: Centred, found: Bands, name: str, limits: Limits) -> Stem:
+def band_of(data: Centred, found: Bands, name: str, limits: Limits) -> InScale:
     """Return the best two-parameter stem, searched within limits, in the record's own scale."""
     best = found.best
     x, _ = band_stem(data.u, best.S, best.J, best.first, best.sense)
@@ -252,10 +255,10 @@ def band_of(data: Centred, found: Bands, name: str, limits: Limits) -> Stem:
     errors = (math.nan, math.nan, math.nan)
     if best.fit.gain != 0.0:
         errors = standard_errors(data, x, begin, best.fit, clamped=False)
-    errors = _unsure(data, errors, best.fit, best.S)
+    errors = unsure(data, errors, best.fit, best.S)
+    ranges = ranges_of(data, [b.fit for b in found.alike], errors, None, limits.theta[1], found.spare)
     # The valve's own width and jump take part in what the plant may be: parts of the record differ in all of them.
-    fits = [*(b.fit for b in found.alike), *found.parts]
-    ranges = ranges_of(data, fits, errors, None, limits.theta[1], [*found.spare, *[1.0] * len(found.parts)])
+    parts = (ranges_of(data, list(found.parts), errors, None, limits.theta[1]),) if found.parts else ()
     if best.slips >= ENOUGH_SLIPS:
-        ranges = replace(ranges, S=_wider(data, found.S), J=None if name == "deadband" else _wider(data, found.J))
-    return Stem(band_position(data, best), prediction, bias_of(data, whole), ranges)
+        ranges = replace(ranges, S=wider(data, found.S), J=None if name == "deadband" else wider(data, found.J))
+    return InScale(band_position(data, best), prediction, bias_of(data, whole), ranges, parts)

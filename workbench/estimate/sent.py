@@ -9,42 +9,59 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import replace
+from typing import TypeVar
 
 from workbench.estimate.data import Centred, centre
 from workbench.estimate.fit import Fit, disturbance, predict
 from workbench.estimate.profile import Profile
 from workbench.estimate.resolution import step_of
-from workbench.estimate.stems import path_of
+from workbench.estimate.stems import path_of, silent
 from workbench.estimate.two_parameter import band_stem, look
 from workbench.model.record import FloatArray, Record
 
-__all__ = ["likelier_op"]
+__all__ = ["left_by_line", "left_by_stem", "likelier_op"]
 
 CLEAR = 10.0  # of N log V: "very strong" evidence (R. Kass, A. Raftery, J. Am. Stat. Assoc. 90 (1995) 773-795)
 MATTERS = 0.05  # of the slips that may be a sample off: fewer are not worth a second search
 
 
-def likelier_op(
-    record: Record, data: Centred, delays: float, searched: Callable[[Centred], Profile | None]
-) -> tuple[Centred, Profile | None]:
-    """Return the record with OP within its steps, as `centre` has it, or as it was sent; and its profile, `searched`.
+Model = TypeVar("Model")
 
-    delays: the longest dead time looked at, samples. As it was sent only where that is clearly likelier. What is not
-    known of OP is nothing then, if the stem leaves noise alone; else the steps may be the historian's after all.
+
+def likelier_op(
+    record: Record,
+    data: Centred,
+    searched: Callable[[Centred, Callable[[float], None]], Model],
+    left: Callable[[Centred, Model], tuple[float, bool]],
+    tell: Callable[[float], None] = silent,
+) -> tuple[Centred, Model]:
+    """Return the record with OP within its steps, as `centre` has it, or as it was sent; and its model, `searched`.
+
+    left: the mean square that a model leaves of PV, EU^2, and whether that is noise alone. tell: called with the share
+    done, which `searched` tells of one record. As it was sent only where that is clearly likelier. What is not known of
+    OP is nothing then, if the model leaves noise alone; else the steps may be the historian's after all.
     """
-    found = searched(data)
     if data.unsure < MATTERS:
-        return data, found
+        return data, searched(data, tell)
     sent = centre(record, "integrating" if data.integrating else "fopdt", sent=True)
-    other = searched(sent)
-    (least, _), (as_sent, noise) = (_left(one, stem, delays) for one, stem in ((data, found), (sent, other)))
+    found = searched(data, lambda share: tell(0.5 * share))
+    other = searched(sent, lambda share: tell(0.5 + 0.5 * share))
+    (least, _), (as_sent, noise) = left(data, found), left(sent, other)
     if not data.samples * math.log(max(as_sent, 1e-300) / max(least, 1e-300)) < -CLEAR:
         return data, found
     return (sent if noise else replace(sent, doubt=step_of(record.op) / math.sqrt(12.0))), other
 
 
-def _left(data: Centred, found: Profile | None, delays: float) -> tuple[float, bool]:
-    """The least mean square that a stem leaves of PV, EU^2, and whether that is noise alone."""
+def left_by_line(data: Centred, linear: Fit) -> tuple[float, bool]:
+    """Return the mean square that a linear fit leaves of PV, EU^2, and whether that is noise alone."""
+    return _left(data, linear, data.u, 0)
+
+
+def left_by_stem(data: Centred, found: Profile | None, delays: float) -> tuple[float, bool]:
+    """Return the least mean square that a stem leaves of PV, EU^2, and whether that is noise alone.
+
+    delays: the longest dead time looked at, samples.
+    """
     stems: list[tuple[Fit, FloatArray, int]] = []
     if found is not None:
         best = found.best
@@ -54,6 +71,9 @@ def _left(data: Centred, found: Profile | None, delays: float) -> tuple[float, b
         stems.append((b.fit, band_stem(data.u, b.S, b.J, b.first, b.sense)[0], max(b.first, 0)))
     if not stems:
         return data.variance, False
-    fit, x, first = min(stems, key=lambda one: one[0].sse)
+    return _left(data, *min(stems, key=lambda one: one[0].sse))
+
+
+def _left(data: Centred, fit: Fit, x: FloatArray, first: int) -> tuple[float, bool]:
     left = data.y - predict(data, x, first, fit)[0]
     return max(fit.sse / data.samples, data.floor), disturbance(left, data.floor).size == 1

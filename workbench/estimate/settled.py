@@ -137,11 +137,11 @@ def settled(
         anew = a.size > 1 or bool(steps)
         linear = again_linear(data, linear, delays)
         if found is not None and steps and not same_steps:
-            found = search(bare, delays, _quiet) or found
+            found = search(bare, delays) or found
         if found is not None:
             likely = [*found.likely, found.best.d_low]
             if anew:
-                found = profile_of(data, found.rows, likely, found.limits, _quiet, (found.best,))
+                found = profile_of(data, found.rows, likely, found.limits, (found.best,))
             else:
                 found = profile_again(data, found)
         if bands:
@@ -201,7 +201,3 @@ def coloured_linear(data: Centred, linear: Fit, delays: float) -> tuple[Centred,
         data = bare.whitened(disturbance(loads.left, data.floor), 0)
         linear = again_linear(data, linear, delays)
     return data, linear, steps
-
-
-def _quiet(share: float) -> None:
-    """Ignore the progress."""

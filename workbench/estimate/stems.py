@@ -20,11 +20,12 @@ __all__ = [
     "LOW",
     "SLIPS",
     "WIDE_D",
-    "first_slips",
     "firsts_for",
+    "firsts_within",
     "path_of",
     "range_of",
     "scan",
+    "silent",
     "thin",
     "walk",
     "walk_starts",
@@ -36,14 +37,6 @@ WIDE_D = 0.08  # of OP's range
 LEAST_D = 0.005  # of OP's range: below it a stem is OP
 
 FIRST, LOW, HIGH, DELAY, COST, SLIPS = range(6)
-
-
-def first_slips(u: NDArray[np.float64]) -> NDArray[np.int64]:
-    """Return the samples at which the stem may first slip: 0, and where OP exceeds all that was before it."""
-    highs = np.maximum.accumulate(u)
-    lows = np.minimum.accumulate(u)
-    new = np.flatnonzero((u[1:] > highs[:-1]) | (u[1:] < lows[:-1])) + 1
-    return integers(np.concatenate([[0], new]))
 
 
 def path_of(u: NDArray[np.float64], d: float, first: int) -> tuple[NDArray[np.float64], int]:
@@ -90,9 +83,7 @@ def walk_starts(
     data: Centred, firsts: NDArray[np.int64], bands: NDArray[np.float64], delays: NDArray[np.int64]
 ) -> NDArray[np.float64]:
     """Return rows as `walk`, LOW the band itself, of the paths of some bands, %, from first slips, ascending from 0."""
-    highs, lows = np.maximum.accumulate(data.u), np.minimum.accumulate(data.u)
-    reaches = 0.5 * (highs - lows)[np.maximum(firsts - 1, 0)]
-    reaches[0] = 0.0
+    reaches = 0.5 * data.starts.ranged[np.searchsorted(data.starts.firsts, firsts)]
     buffer = np.empty((bands.size * firsts.size, kernel.ROW + 1))
     count = kernel.walk_starts(
         data.sums,
@@ -117,10 +108,14 @@ def thin(firsts: NDArray[np.int64], most: int) -> NDArray[np.int64]:
     return firsts[np.unique(np.round(np.linspace(0, firsts.size - 1, most)).astype(np.int64))]
 
 
-def scan(data: Centred, delays: NDArray[np.int64], progress: Callable[[float], None]) -> NDArray[np.float64]:
+def silent(share: float) -> None:
+    """Ignore the progress."""
+
+
+def scan(data: Centred, delays: NDArray[np.int64], progress: Callable[[float], None] = silent) -> NDArray[np.float64]:
     """Return all paths over all first slips (the likely ones first, then those beside the best), at every delay."""
     d_from, d_to = LEAST_D * data.op_range, 1.0001 * data.op_range
-    firsts = first_slips(data.u)
+    firsts = data.starts.firsts
     chosen = thin(firsts, STARTS)
     found = []
     for i, first in enumerate(chosen.tolist()):
@@ -135,11 +130,14 @@ def scan(data: Centred, delays: NDArray[np.int64], progress: Callable[[float], N
     return np.vstack([rows, *beside])
 
 
-def firsts_for(u: NDArray[np.float64], d: float, most: int) -> NDArray[np.int64]:
+def firsts_within(data: Centred, d: float) -> NDArray[np.int64]:
+    """Return the samples at which a stem that sticks within d, %, may first slip: OP had stayed in a band of 2 d."""
+    return data.starts.firsts[data.starts.ranged <= 2.0 * d]
+
+
+def firsts_for(data: Centred, d: float, most: int) -> NDArray[np.int64]:
     """Return the first slips that a band d allows, at most `most`, spread over the OP at which they happen."""
-    firsts = first_slips(u)
-    held = np.maximum.accumulate(u) - np.minimum.accumulate(u)
-    firsts = integers(firsts[(firsts == 0) | (0.5 * held[np.maximum(firsts - 1, 0)] <= d)])
+    u, firsts = data.u, firsts_within(data, d)
     if firsts.size <= most:
         return firsts
     width = float(np.ptp(u[firsts])) / most

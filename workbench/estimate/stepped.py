@@ -182,9 +182,9 @@ def _close(plants: FloatArray, one: _Found) -> FloatArray:
 def _starts(data: Centred, S: float, J: float, most: int) -> list[tuple[float, float, int, float]]:
     """A stem (S, J, first, sense) with the starts that it may have, `most` first slips at most."""
     if math.isnan(J):
-        return [(S, J, first, 0.0) for first in firsts_for(data.u, S, max(most, 1)).tolist()]
-    firsts, ranges, senses = data.starts
-    may = np.flatnonzero(ranges <= S + J)
+        return [(S, J, first, 0.0) for first in firsts_for(data, S, max(most, 1)).tolist()]
+    firsts, ranged, senses = data.starts
+    may = np.flatnonzero(ranged <= S + J)[1:]
     kept = thin(may, most) if most else may[:0]
     later = [(S, J, first, sense) for first, sense in zip(firsts[kept].tolist(), senses[kept].tolist(), strict=True)]
     return [(S, J, -1, 0.0), (S, J, 0, 1.0), (S, J, 0, -1.0), *later]

@@ -39,6 +39,7 @@ __all__ = [
     "best_start",
     "closer",
     "fit_band",
+    "held_range",
     "look",
     "nearer",
     "search_short",
@@ -93,11 +94,20 @@ def band_stem(u: FloatArray, S: float, J: float, first: int = -1, sense: float =
     return x, kernel.band_path(u, S, J, first, sense, x, np.empty(4))
 
 
+def held_range(u: FloatArray, b: Band) -> tuple[float, float]:
+    """Return the range of the stem before `first`, %, in which the valve can hold it until then; infinite from 0 on."""
+    if b.first <= 0:
+        return -math.inf, math.inf
+    reach = 0.5 * (b.S + b.J)
+    low, high = sorted((float(u[: b.first].max()) - reach, float(u[: b.first].min()) + reach))
+    return low, high
+
+
 def look(data: Centred, longest: float) -> list[Band]:
     """Return the best fits over a grid of (S, J), starts and plants, the best first, with dead times up to `longest`.
 
     Each of the grid's stems has the best of a grid of plants; the best few that differ are then fitted with their own.
-    A long record is looked at in its most active windows (`bands`). Empty where no stem of the grid moves.
+    A long record is looked at thinned and in its liveliest window. Empty where no stem of the grid moves.
     """
     if data.samples > EXACT:
         return _look_aside(data, longest)
@@ -282,9 +292,8 @@ def best_start(data: Centred, band: tuple[float, float], plant: tuple[float, flo
     Each sample at which OP lets it slip first is tried, both senses at the record's own start, and the stem that rests
     in the middle of its band.
     """
-    firsts, ranges, senses = data.starts
-    may = np.flatnonzero(ranges <= sum(band))
-    kept = may[thin(np.arange(may.size + 1), STARTS)[1:] - 1]
+    firsts, ranged, senses = data.starts
+    kept = thin(np.flatnonzero(ranged <= sum(band)), STARTS)[1:]
     starts = np.vstack([AT_ONCE, np.column_stack([firsts[kept], senses[kept]])])
     costs = np.empty(len(starts))
     kernel.scan_starts(

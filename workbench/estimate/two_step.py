@@ -17,7 +17,7 @@ from workbench.estimate.candidates import Candidate
 from workbench.estimate.data import Centred, integers, plant_of
 from workbench.estimate.fit import LEAST_TAU, Fit, Limits, predict
 from workbench.estimate.profile import Profile
-from workbench.estimate.stems import first_slips, path_of
+from workbench.estimate.stems import firsts_within, path_of, thin
 from workbench.model.record import FloatArray
 from workbench.model.results import Iteration
 
@@ -62,7 +62,7 @@ def _plant_step(data: Centred, d: float, delays: list[int]) -> tuple[int, Fit]:
     """Step 2: the plant for a given d. The paper is silent on where the stem starts: least squares chooses that too."""
     best_cost, best = math.inf, (0, Fit(math.nan, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0))
     u = data.u
-    for first in _firsts(u, d):
+    for first in thin(firsts_within(data, d), STARTS).tolist():
         x, _ = path_of(u, d, first)
         rows = np.empty((1, kernel.ROW))
         count = kernel.walk(
@@ -82,16 +82,6 @@ def _plant_step(data: Centred, d: float, delays: list[int]) -> tuple[int, Fit]:
         if count and rows[0, kernel.COST] < best_cost:
             best_cost, best = rows[0, kernel.COST], (first, _arx(data, x, first, int(rows[0, kernel.DELAY])))
     return best
-
-
-def _firsts(u: FloatArray, d: float) -> list[int]:
-    """Where the stem may first slip at this d: 0, and prefix records before OP has left a band of 2 d."""
-    firsts = first_slips(u)
-    spread = np.maximum.accumulate(u) - np.minimum.accumulate(u)
-    fit = firsts[(firsts == 0) | (spread[np.maximum(firsts - 1, 0)] <= 2.0 * d)]
-    if fit.size > STARTS:
-        fit = fit[np.unique(np.round(np.linspace(0, fit.size - 1, STARTS)).astype(np.int64))]
-    return [int(f) for f in fit]
 
 
 def _criterion(data: Centred, d: float, first: int, fit: Fit) -> float:
