@@ -18,12 +18,12 @@ from workbench.model.results import Complementarity, Estimate, NoiseModel, Repea
 from workbench.model.study import NamedEstimate, Study
 from workbench.model.valve import Ideal, Stenman
 from workbench.report.content import controller_content
-from workbench.report.estimates import open_ranges
+from workbench.report.estimates import unpinned
 from workbench.report.figures import estimate_figure, svg_file
 from workbench.report.files import write_files
 from workbench.report.results import results_content, strict
 from workbench.report.style import svg_text
-from workbench.report.words import controller_words, figure, interval, join, nearby, plant_words, valve_words
+from workbench.report.words import controller_words, figure, given, interval, nearby, plant_words, valve_words
 from workbench.scenario.retune import Retuned
 from workbench.score import Scored
 
@@ -55,8 +55,9 @@ def estimate_lines(found: Estimate) -> list[str]:
         f"PV is met within {figure(found.noise_sd, 3)} EU (standard deviation)"
     )
     for i, step in enumerate(found.load_steps):
-        size = f"{step.size:+.3g} % of OP (95 %: {interval(step.interval, '%', 3)}), nobody recorded it"
-        lines.append(f"{'' if i else 'Load':<10} from {figure(step.at, 6)} s on {size}")
+        sign = "+" if step.size > 0.0 else ""
+        size = f"{sign}{figure(step.size, 3)} % of OP (95 %: {interval(step.interval, '%', 3)}), nobody recorded it"
+        lines.append(f"{'' if i else 'Load':<10} from {given(step.at, 6)} s on {size}")
     if found.noise_model is not None:
         lines.append(f"Noise      {_noise_words(found.noise_model)}")
     if found.complementarity is not None:
@@ -76,7 +77,7 @@ def estimate_lines(found: Estimate) -> list[str]:
 def _repeats_lines(found: Repeats) -> list[str]:
     """Return what parts of the record say by themselves, each way and over time."""
     lines = [
-        f"{figure(part.start, 6)} to {figure(part.end, 6)} s by itself, with the same process: "
+        f"{given(part.start, 6)} to {given(part.end, 6)} s by itself, with the same process: "
         f"{figure(part.band, 3)} % (95 %: {interval(part.interval, '%', 3)}; {part.slips} stem moves)"
         for part in found.parts
     ]
@@ -119,12 +120,8 @@ def _stiction_ranges(found: Estimate) -> list[str]:
         return lines
     if found.verdict != "stiction":
         lines.append("the record does not pin the stiction (see the verdict): take these figures as a hint")
-    elif all(getattr(found.intervals, name) is None for name in names):
-        lines.append("no range is given, so whether the record pins the stiction stays open")
-    elif opened := open_ranges(found):
-        lines.append(f"the record leaves open what its moves do to PV ({join([n.replace('_', ' ') for n in opened])})")
     else:
-        lines.append("the record pins the product of gain and stiction only, not the stiction alone")
+        lines.append(unpinned(found))
     return lines
 
 

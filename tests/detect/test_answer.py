@@ -92,6 +92,32 @@ def test_where_no_controller_is_seen_nothing_is_said() -> None:
     assert answer_of(recorded(STUCK, 0, samples=20)) is None
 
 
+@pytest.mark.parametrize("samples", [30, 40])
+def test_a_pv_that_went_along_with_its_setpoint_answers(samples: int) -> None:
+    def moved(valve: wb.Stenman | wb.Ideal, seed: int) -> wb.Record:
+        rng = np.random.default_rng(seed)
+        load = wb.Series((0.3 * drift(rng, samples, 10.0)).tolist())
+        loop = wb.Loop(FLOW, valve, wb.PID(Kc=0.9, Ti=12.0), 1.0)
+        run = wb.simulate(loop, wb.Experiment(float(samples), wb.Step(4.0, at=8.0), load, wb.Noise(0.05, seed)))
+        return wb.Record(50.0 + run.pv, 50.0 + run.op, 1.0, sp=50.0 + run.sp)
+
+    # Beside such a move so few samples hold too little of OP's own way for the test.
+    for seed in range(12):
+        reasons = wb.detect(moved(wb.Ideal(), seed)).reasons
+        assert not any("PV is not seen to answer" in reason for reason in reasons)
+    stuck = [answer_of(moved(STUCK, seed)) for seed in range(12)]
+    assert sum(found is not None and found.missing for found in stuck) >= 6
+
+
+def test_where_the_setpoint_moved_a_larger_move_is_asked_for() -> None:
+    record = recorded(STUCK, 4, samples=500)
+    assert record.sp is not None
+    sp = record.sp + np.where(np.arange(len(record)) > 250, 0.05, 0.0)
+    assert "the same; a setpoint move would tell" in wb.detect(record).reasons[0]
+    moved = wb.detect(wb.Record(record.pv, record.op, 1.0, sp=sp))
+    assert "the same; a larger setpoint move would tell" in moved.reasons[0]
+
+
 def test_a_recorded_stem_that_follows_outweighs_it() -> None:
     record = recorded(STUCK, 2)
     seen = wb.Record(record.pv, record.op, 1.0, sp=record.sp, valve_position=record.op)

@@ -17,6 +17,7 @@ from workbench.errors import RecordError
 from workbench.fleet import task
 from workbench.fleet.groups import grouped
 from workbench.fleet.sampling import oscillation_at_any_rate
+from workbench.model.estimation import Intervals
 from workbench.model.fleet import FleetRow, LoopSource, Settings, Tuning
 
 SCREEN = Settings()
@@ -68,6 +69,10 @@ def test_models_and_tunings_come_with_depth(folder: Path) -> None:
     assert row.form == "series"
     assert 0.0 < row.gain_of_tuning < 1.0  # better than the tuning that it has
     assert "Proposed tuning" in result.page
+    estimate = replace(wb.estimate(wb.read_record(folder / "short.csv")), intervals=Intervals())
+    notes = task._tuned(row, loop, estimate)[0].notes
+    assert notes.endswith("the record gives no range for the gain K and dead time, so take this tuning as a hint")
+    assert "as a hint" not in row.notes
     write_csv(folder / "calm.csv", record(sticky=False))
     found = task.look_at(LoopSource("FIC2", str(folder / "calm.csv")), Settings("tune")).row
     assert found.verdict == "no_stiction"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -16,6 +17,8 @@ from workbench.model.experiment import Experiment, Noise, Step
 from workbench.model.results import Intervals, Kpis, Outcome, Repair, Restart, Robustness, Tuned
 from workbench.model.site import SiteForm
 from workbench.model.study import CaseResult, NamedEstimate, Study
+from workbench.model.valve import Ideal
+from workbench.report.estimates import hint
 from workbench.report.page import write_report
 from workbench.report.results import results_json
 from workbench.report.settings import as_found_as_left, site_table
@@ -126,8 +129,63 @@ def test_what_the_record_pins_of_the_loop_counts(study: Study, estimated: Make) 
     assert told(intervals=Intervals())[1].endswith(
         "hardly known or without a range: stiction d, gain K, time constant and dead time."
     )
-    assert "does not pin the stiction apart from the gain" in told(identifiable=False)[1]
+    assert "pins only the product of gain and stiction" in told(identifiable=False)[1]
     assert "the valve: d = 2.003 % (95 % range 1.990 to 2.010 %); gain 1.970 to 2.010 EU/% (95 % range)" in told()[1]
+
+
+OPEN = Intervals(d=(1.99, 2.01), gain=(1.2, math.inf), time_constant=(4.0, math.inf), dead_time=(0.9, 1.1))
+NO_DELAY = Intervals(d=(1.99, 2.01), gain=(1.97, 2.01), time_constant=(4.9, 5.1), dead_time=(0.5, math.inf))
+
+
+@pytest.mark.parametrize(
+    ("ranges", "why"),
+    [
+        (OPEN, "The record leaves the range of the gain K and time constant open"),
+        (NO_DELAY, "The record leaves the range of the dead time open"),
+        (Intervals(), "The record gives no range for the gain K and dead time"),
+        (replace(OPEN, gain=(-0.1, 2.0)), "The record does not show whether the gain is positive or negative"),
+    ],
+)
+def test_a_plant_that_the_record_leaves_open_makes_the_tuning_a_hint(
+    study: Study, estimated: Make, tuned: Make, ranges: Intervals, why: str
+) -> None:
+    found, truth = estimated(identifiable=False)
+    found = replace(found, intervals=ranges)
+    loop = replace(study.cases[0].loop, plant=found.plant, valve=found.valve)
+    base, best = (replace(case, loop=replace(loop, controller=case.loop.controller)) for case in study.cases[::2])
+    named = NamedEstimate("FIC1", found)
+    summary = summarise(replace(study, cases=(base, best), estimates=(named,)))
+    assert summary.decision.startswith("Set Kc ")
+    assert why in summary.decision
+    assert summary.decision.endswith("so take this tuning as a hint.")
+    assert summary.sure is not None
+    assert summary.sure.level == "low"
+    assert why in summary.sure.why
+    # Nor is it known what a slip does to PV.
+    assert not any("moves PV" in text for text in summary.advice)
+    # The same words as of a tuning without a scenario.
+    assert hint(found) in summary.decision.replace("The record", "the record")
+    # A loop that the scenario gives, or one that was simulated, is in no doubt.
+    for sure in (
+        replace(study, estimates=(named,)),
+        replace(study, cases=(base, best), estimates=(replace(named, truth=truth),)),
+    ):
+        assert "as a hint" not in summarise(sure).decision
+
+
+def test_a_known_plant_leaves_the_decision_as_it_is(study: Study, estimated: Make) -> None:
+    found, _ = estimated()
+    found = replace(found, intervals=replace(found.intervals, time_constant=(4.9, 5.1), dead_time=(0.97, 1.03)))
+    loop = replace(study.cases[0].loop, plant=found.plant, valve=found.valve)
+    base, best = (replace(case, loop=replace(loop, controller=case.loop.controller)) for case in study.cases[::2])
+    summary = summarise(replace(study, cases=(base, best), estimates=(NamedEstimate("FIC1", found),)))
+    assert "as a hint" not in summary.decision
+    assert any("each slip moves PV by 3.99 EU or more in the end" in text for text in summary.advice)
+    healthy = replace(found, verdict="no_stiction", valve=Ideal(), identifiable=False)
+    one = replace(base, loop=replace(loop, valve=Ideal()))
+    sure = summarise(replace(study, cases=(one,), estimates=(NamedEstimate("FIC1", healthy),))).sure
+    assert sure is not None
+    assert "pin" not in sure.why + sure.reasons[0]
 
 
 def test_one_given_tuning_leaves_nothing_to_set(study: Study) -> None:

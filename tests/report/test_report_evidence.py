@@ -16,6 +16,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 import workbench as wb
+from workbench.cli_output import estimate_lines
 from workbench.errors import InvalidValue
 from workbench.kpi.oscillation import autocorrelation
 from workbench.model.detection import Detection
@@ -251,7 +252,10 @@ def test_what_is_pinned_down_is_named_by_the_width_of_its_range(estimated: Make)
     assert re.search(r"Roughly known[^.]*: gain K\.", text)
     assert re.search(r"Hardly known[^.]*: time constant\.", text)
     assert "Given without a range: dead time." in text
-    assert "upper end of the ranges of gain and dead time" in text
+    assert "The record gives no range for the dead time: tune by no rule from these figures." in text
+    assert "upper end" not in text
+    whole = known(estimate, intervals=replace(ranges, dead_time=(0.9, 1.1)))
+    assert "upper end of the ranges of gain and dead time" in whole
     assert "More setpoint changes in the record would show the time constant better" in text
 
 
@@ -270,6 +274,9 @@ def test_a_stiction_that_is_not_pinned_down_says_what_would_narrow_it(estimated:
     text = known(estimate, intervals=Intervals(d=(1.5, 2.6), gain=(1.5, 2.7)))
     assert "the range of the stiction, not its value (gain times band: 4.0 EU)" in text
     assert "clearly more than 2 %" in text
+    sharp = known(estimate, intervals=Intervals(d=(1.98, 2.02), gain=(0.8, 3.1)))
+    assert "not its value" not in sharp
+    assert "would tell more of the gain" in sharp
     two = known(estimate, valve=Choudhury(3.0, 1.0), intervals=Intervals(S=(2.95, 3.05), J=(0.2, 2.0)))
     assert "How far the stem jumps" in two
 
@@ -306,7 +313,9 @@ def test_open_ranges_are_said_to_be_open(estimated: Make) -> None:
     estimate = replace(estimated()[0], intervals=ranges, verdict="stiction", identifiable=False)
     text = " ".join(known_sentences(estimate))
     assert re.search(r"Hardly known[^.]*: gain K and time constant\.", text)
-    assert "The range of the gain K and time constant is open: tune by no rule from these figures." in text
+    assert (
+        "The record leaves the range of the gain K and time constant open: tune by no rule from these figures." in text
+    )
     assert "upper end" not in text
     named = NamedEstimate("a", estimate)
     cells = {row.label: row.cells[1].text for row in estimate_table(named).rows}
@@ -317,3 +326,21 @@ def test_open_ranges_are_said_to_be_open(estimated: Make) -> None:
     assert "pins only the product" not in sentences
     bare = NamedEstimate("a", replace(estimate, intervals=Intervals()))
     assert "take its value as a hint" in " ".join(estimate_sentences(bare, linear=False))
+
+
+def test_hidden_ranges_ask_for_more_digits_of_op(estimated: Make) -> None:
+    estimate, _ = estimated(verdict="stiction", identifiable=False)
+    text = known(estimate, intervals=Intervals())
+    assert "The record gives no range for the gain K and dead time: tune by no rule from these figures." in text
+    assert "A record of OP with more digits would tell more of the stiction." in text
+    assert "upper end" not in text
+    assert "setpoint change" not in text
+
+
+def test_a_band_that_is_pinned_is_not_said_to_be_open(estimated: Make) -> None:
+    estimate, _ = estimated(verdict="stiction", identifiable=False)
+    wide = replace(estimate, intervals=replace(estimate.intervals, gain=(0.8, 3.1)))
+    sentences = " ".join(estimate_sentences(NamedEstimate("a", wide), linear=False))
+    assert "the record pins the stiction, but hardly the gain (0.800 to 3.10 EU/%)" in sentences
+    assert "pins only the product" not in sentences
+    assert any("the record pins the stiction, but hardly the gain" in line for line in estimate_lines(wide))

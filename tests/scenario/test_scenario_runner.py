@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -248,6 +250,26 @@ def test_a_found_loop_without_a_task_or_a_gain_is_refused(tmp_path: Path) -> Non
         tune_found(blind, Wishes())
     with pytest.raises(wb.InvalidValue, match=r"Experiment\.duration"):
         tune_found(found, Wishes(duration=0.0))
+
+
+@pytest.mark.parametrize(
+    ("changes", "why"),
+    [
+        (
+            {"gain": (0.8, math.inf), "time_constant": (5.0, math.inf)},
+            "leaves the range of the gain K and time constant",
+        ),
+        ({"gain": None, "dead_time": None}, "gives no range for the gain K and dead time"),
+    ],
+)
+def test_a_found_loop_that_the_record_leaves_open_is_tuned_as_a_hint(changes: dict[str, Any], why: str) -> None:
+    found = found_loop()
+    found = replace(found, intervals=replace(found.intervals, **changes))
+    said = tune_found(found, Wishes(duration=100.0, step=2.0)).assumed[0]
+    assert said.startswith(f"the record's loop: the valve sticks; the record {why}")
+    assert said.endswith(", so take this tuning as a hint")
+    unsure = tune_found(replace(found, verdict="undecided", identifiable=False), Wishes(duration=100.0, step=2.0))
+    assert unsure.assumed[0].startswith("the record's loop: whether the valve sticks is undecided and the record ")
 
 
 def test_a_found_loop_is_tuned_over_whole_samples_of_its_record() -> None:

@@ -24,6 +24,7 @@ PUSHES, RETURNS = 2.86, 3.43
 OWN = 0.1  # of OP's variance, the least that PV's last samples must leave for OP to have gone a way of its own
 SHORT, LONG, PER_LAG = 8, 30, 100  # samples of the past: one for each hundred of the record, within limits
 SPARE = 10  # samples beyond the regressors, at least
+WENT_ALONG = 0.5  # of PV's variance, and of a setpoint's move: a PV that goes along with that much answers OP
 ROUNDING = 1e-12  # share of a variance
 
 
@@ -46,16 +47,34 @@ class Answer:
 
 
 def answer_of(record: Record) -> Answer | None:
-    """Return how PV answers OP, or None where no controller is seen or the record is too short to say."""
+    """Return how PV answers OP, or None where that needs no telling or cannot be told.
+
+    No controller is seen, the record is too short, or PV went along with its setpoint, which it does through the valve
+    alone: beside such a move OP's own way is little, and PV's own past tells what is to come as well as OP does.
+    """
     sign = gain_sign(record)
     lags = min(max(len(record) // PER_LAG, SHORT), LONG)
-    if sign == 0.0 or len(record) < 2 * lags + SPARE:
+    if sign == 0.0 or len(record) < 2 * lags + SPARE or _went_along(record):
         return None
     y, u = record.pv - record.pv.mean(), record.op - record.op.mean()
     pushes, own = _level(y[lags:], _past(y, lags), u[lags - 1 : -1])
     moves = np.diff(u)
     returns, _ = _level(moves[lags:], _past(moves, lags), u[lags:-1])
     return Answer(sign * pushes, -returns, own, float(np.ptp(record.op)))
+
+
+def _went_along(record: Record) -> bool:
+    """Whether most of PV is its setpoint's moves of some samples before, at about their size."""
+    if record.sp is None:
+        return False
+    for lag in range(min(LONG, len(record) // 2)):
+        pv, sp = record.pv[lag:], record.sp[: len(record) - lag]
+        y, r = pv - pv.mean(), sp - sp.mean()
+        both, moved = float(r @ y), float(r @ r)
+        same_size = WENT_ALONG * moved < both < moved / WENT_ALONG
+        if same_size and both * both > WENT_ALONG * moved * float(y @ y):
+            return True
+    return False
 
 
 def _past(signal: FloatArray, lags: int) -> list[FloatArray]:

@@ -82,10 +82,11 @@ def detect(record: Record, *, bicoherence: bool = False, fitted: Fitted | None =
         answer = answer_of(record)
         if answer is not None and answer.missing:
             verdict = "undecided"
+            larger = "a" if record.sp is None or np.ptp(record.sp) == 0.0 else "a larger"
             unanswered = (
                 f"PV is not seen to answer the OP moves of {answer.moved:.3g} %: a slow disturbance may hide that it "
-                "does, and a stuck valve, a closed block valve or a valve in manual look the same; a setpoint move "
-                "would tell"
+                "does, and a stuck valve, a closed block valve or a valve in manual look the same; "
+                f"{larger} setpoint move would tell"
             )
             reasons = [unanswered, *reasons[1:]]
     stretch, cycle = _strongest(record, whole)

@@ -71,8 +71,8 @@ def judge(e: Evidence) -> tuple[str, tuple[str, ...], bool]:
         _search_said(e, reasons)
         return "undecided", tuple(reasons), False
     reasons.append(
-        f"a stem that sticks within d = {e.d:.3g} % leaves {stem:.1%} of PV's variance unexplained, "
-        f"the linear model {linear:.1%} ({e.slips} stem moves)"
+        f"a stem that sticks within d = {e.d:.3g} % leaves {_share(stem)} of PV's variance unexplained, "
+        f"the linear model {_share(linear)} ({e.slips} stem moves)"
     )
     if improvement >= GAIN and (linear >= UNEXPLAINED or improvement >= 0.5):
         verdict = _for_stiction(e, stem, reasons)
@@ -87,6 +87,10 @@ def judge(e: Evidence) -> tuple[str, tuple[str, ...], bool]:
     identifiable = _identified(e, verdict, reasons)
     _search_said(e, reasons)
     return verdict, tuple(reasons), identifiable
+
+
+def _share(left: float) -> str:
+    return f"{left:.1%}" if left <= 1.0 else "more than all"
 
 
 def _for_health(e: Evidence, reasons: list[str]) -> str:

@@ -21,6 +21,7 @@ from workbench.record.historian import Piece, read_tags
 from workbench.record.modes import manual_share
 from workbench.record.reader import read_record
 from workbench.record.segments import USABLE
+from workbench.report.estimates import hint
 from workbench.report.loop_page import render_loop
 
 if TYPE_CHECKING:
@@ -292,7 +293,7 @@ def _tuned(row: FleetRow, loop: LoopSource, found: Estimate) -> tuple[FleetRow, 
         tuned = tune_found(found, Wishes()).tuned
     except WorkbenchError as error:
         return replace(row, notes=_line(f"{row.notes}; no tuning: {error}".lstrip("; "))), None
-    controller, ratio, note = tuned.controller, math.nan, row.notes
+    controller, ratio, note = tuned.controller, math.nan, _line(f"{row.notes}; {hint(found)}".strip("; "))
     if loop.tuning is not None:
         present = _present(loop, controller)
         cost = float(evaluate(tuned.loop.with_controller(present), tuned.experiment, tuned.weights)[0])

@@ -2,7 +2,8 @@
 
 "high" asks for all of: a test over an ensemble that every draw passes, searches that agree, no knife-edge, a model
 whose parameters are known (or given), a run that shows the loop's own cycle. "low" is said of what may well turn out
-otherwise: an undecided valve, a knife-edge, draws that diverge, a run too short for the cycle. The rest is "moderate".
+otherwise: an undecided valve, a plant whose ranges are open or missing, a knife-edge, draws that diverge, a run too
+short for the cycle. The rest is "moderate".
 """
 
 from __future__ import annotations
@@ -14,10 +15,10 @@ from workbench.model.controller import PID
 from workbench.model.experiment import Noise
 from workbench.model.plant import FOPDT
 from workbench.model.results import LimitCycle, Robustness, Tuned
-from workbench.model.study import CaseResult, NamedEstimate, Study
+from workbench.model.study import CaseResult, Study
 from workbench.model.titles import kpi_title, within
-from workbench.report.estimates import known_groups, open_ranges, stiction_words
-from workbench.report.judge import at_odds, last_change, quiet, run_travel, unstable
+from workbench.report.estimates import known_groups, stiction_words, tuning_doubts, unpinned
+from workbench.report.judge import at_odds, last_change, quiet, run_travel, source_of, unstable
 from workbench.report.settings import as_typed_in, settings_words
 from workbench.report.words import capital, duration, figure, given, interval, join, nearby
 
@@ -69,7 +70,7 @@ def confidence(study: Study, case: CaseResult) -> Confidence:
         judged.say("No tuning was searched for: this is the best of the given ones, and a search may find a better one")
     _elsewhere(case.robustness, judged)
     _long_run(study, case, judged)
-    return settled(judged, given=_source(study, case) is None)
+    return settled(judged, given=source_of(study, case) is None)
 
 
 def settled(judged: Judged, *, given: bool) -> Confidence:
@@ -82,17 +83,8 @@ def settled(judged: Judged, *, given: bool) -> Confidence:
     return Confidence("low" if judged.doubts else "moderate", reasons, f"{capital(join(against))}.")
 
 
-def _source(study: Study, case: CaseResult) -> NamedEstimate | None:
-    """Return the estimate of a plant's own record that is the case's loop, None where the scenario gives the loop."""
-    for named in study.estimates:
-        found = named.found
-        if named.truth is None and found.plant == case.loop.plant and found.valve == case.loop.valve:
-            return named
-    return None
-
-
 def _model(study: Study, case: CaseResult, judged: Judged) -> None:
-    named = _source(study, case)
+    named = source_of(study, case)
     if named is None:
         judged.say(
             "The loop is as the scenario gives it: nothing here holds plant and valve against the plant's records"
@@ -107,19 +99,20 @@ def _model(study: Study, case: CaseResult, judged: Judged) -> None:
         unit = {"time_constant": "s"}.get(name, "EU/%" if isinstance(found.plant, FOPDT) else "EU/(% s)")
         if pair is not None:
             told.append(f"{name.replace('_', ' ')} {interval(pair, unit)} (95 % range)")
-    vague = not found.identifiable or bool(open_ones) or bool(groups["roughly"])
+    # A valve that does not stick has nothing to be identified.
+    unknown = found.verdict != "no_stiction" and not found.identifiable
+    vague = unknown or bool(open_ones) or bool(groups["roughly"])
     text = f"The loop is an estimate from {named.name}"
     text += f"; {'; '.join(told)}" if told else ""
     if found.verdict == "undecided":
         text += "; whether the valve sticks is undecided"
-    elif not found.identifiable:
-        apart = "what the stem's moves do to PV" if open_ranges(found) else "the stiction apart from the gain"
-        text += f"; the record does not pin {apart}"
+    elif not found.identifiable and found.verdict == "stiction":
+        text += f"; {unpinned(found)}"
     elif open_ones:
         text += f"; hardly known or without a range: {join([within(kpi_title(name)[0]) for name in open_ones])}"
     judged.say(
         text,
-        doubt="whether the valve sticks is undecided" if found.verdict == "undecided" else "",
+        doubt=join(tuning_doubts(found)),
         open_point="the record does not pin every parameter" if vague else "",
     )
 

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 from workbench.model.loop import Loop
 from workbench.model.plant import FOPDT, Plant
-from workbench.model.results import Estimate
+from workbench.model.results import Estimate, Intervals
 from workbench.model.study import NamedEstimate
 from workbench.model.titles import kpi_title, within
 from workbench.model.valve import Choudhury, Deadband, He, Ideal, Kano, Stenman, Valve
@@ -21,14 +21,20 @@ __all__ = [
     "estimate_advice",
     "estimate_sentences",
     "estimate_table",
+    "gain_doubt",
+    "hint",
     "known_groups",
     "known_sentences",
-    "open_ranges",
+    "least_step",
+    "plant_doubt",
     "stiction_words",
+    "tuning_doubts",
+    "unpinned",
 ]
 
 KNOWN, ROUGH = 0.1, 0.5  # width of a 95 % range over the value, up to which a parameter is known, or roughly known
 COARSE = 2.0  # samples: a time below that is one that the sampling hides
+NO_EFFECT = 1e-6  # share of PV's span that the whole of OP's moves: below it the gain is a number and no finding
 NO_BIAS = 1e-6  # share of PV's span below which a bias is rounding error
 
 
@@ -60,27 +66,7 @@ def estimate_sentences(named: NamedEstimate, *, linear: bool = True) -> list[str
         return [text]
     sentences = [text]
     if found.verdict == "stiction" and not isinstance(found.valve, Ideal) and not found.identifiable:
-        product = abs(plant.gain) * found.valve.stick_band
-        unit = "EU" if isinstance(plant, FOPDT) else "EU/s"
-        if found.intervals.d is None and found.intervals.S is None and found.method != "two_step":
-            sentences.append(
-                f"{name}: the record gives no range for the stiction (the reasons say why): take its value as a hint."
-            )
-        elif found.intervals.d is None and found.intervals.S is None:
-            sentences.append(
-                f"{name}: the method gives no range for the stiction, so this does not show whether the record pins "
-                "the stiction alone or only its product with the gain; the global profile tells."
-            )
-        elif opened := open_ranges(found):
-            sentences.append(
-                f"{name}: the record leaves the range of the {join([within(kpi_title(one)[0]) for one in opened])} "
-                "open: what the stem's moves do to PV is not known, however narrow the range of the stiction."
-            )
-        else:
-            sentences.append(
-                f"{name}: the record pins only the product of gain and stiction ({figure(product)} {unit}), not the "
-                "stiction alone; a record with a setpoint change in it would resolve that."
-            )
+        sentences.append(f"{name}: {unpinned(found)}.")
     plain = found.linear
     if linear and found.verdict == "stiction":
         left = found.residual_variance
@@ -95,16 +81,109 @@ def estimate_sentences(named: NamedEstimate, *, linear: bool = True) -> list[str
     return sentences
 
 
-def open_ranges(found: Estimate) -> list[str]:
+def unpinned(found: Estimate) -> str:
+    """Return what the record leaves unknown of a valve that sticks and is not identifiable."""
+    plant, band = found.plant, found.valve.stick_band
+    groups = known_groups(found)
+    if found.intervals.d is None and found.intervals.S is None:
+        if found.method != "two_step":
+            return "the record gives no range for the stiction (the reasons say why): take its value as a hint"
+        return (
+            "the method gives no range for the stiction, so this does not show whether the record pins the stiction "
+            "alone or only its product with the gain; the global profile tells"
+        )
+    if opened := _open_ranges(found):
+        return (
+            f"the record leaves the range of the {_titles(opened)} open: what the stem's moves do to PV is not known, "
+            "however narrow the range of the stiction"
+        )
+    if {"d", "S", "b"} & {*groups["known"]} and "gain" in groups["hardly"]:
+        return (
+            f"the record pins the stiction, but hardly the gain ({interval(found.intervals.gain, _gain_unit(plant), 3)}"
+            "): what the stem's moves do to PV is known roughly at best"
+        )
+    product = f"{figure(abs(plant.gain) * band)} {'EU' if isinstance(plant, FOPDT) else 'EU/s'}"
+    return (
+        f"the record pins only the product of gain and stiction ({product}), not the stiction alone; a record with a "
+        "setpoint change in it would resolve that"
+    )
+
+
+def tuning_doubts(found: Estimate) -> list[str]:
+    """Return in words why a tuning of this model is no more than a hint; nothing where it is more."""
+    said = []
+    if useless(found):
+        said.append("the model leaves more of PV unexplained than one without stiction")
+    if found.verdict == "undecided":
+        said.append("whether the valve sticks is undecided")
+    return said + [f"the record {doubt}" for doubt in (gain_doubt(found) or plant_doubt(found),) if doubt]
+
+
+def hint(found: Estimate, what: str = "this tuning") -> str:
+    """Return "whether the valve sticks is undecided, so take this tuning as a hint", or ""."""
+    doubts = tuning_doubts(found)
+    return f"{join(doubts)}, so take {what} as a hint" if doubts else ""
+
+
+def gain_doubt(found: Estimate) -> str:
+    """Return why the record does not show how the valve acts on PV at all, or ""."""
+    pair, unit = found.intervals.gain, _gain_unit(found.plant)
+    if pair is not None and pair[0] <= 0.0 <= pair[1]:
+        return f"does not show whether the gain is positive or negative (95 % range {interval(pair, unit, 3)})"
+    record = found.record
+    length = 1.0 if isinstance(found.plant, FOPDT) else len(record) * record.sample_time
+    effect = abs(found.plant.gain) * float(record.op.max() - record.op.min()) * length
+    if effect <= NO_EFFECT * float(record.pv.max() - record.pv.min()):
+        return f"shows no effect of the valve on PV (gain {figure(found.plant.gain, 3)} {unit})"
+    return ""
+
+
+def plant_doubt(found: Estimate) -> str:
+    """Return which of the plant's ranges are open, or not given where a tuning needs them, or ""."""
+    if opened := _open_ranges(found):
+        return f"leaves the range of the {_titles(opened)} open"
+    missing = [name for name in ("gain", "dead_time") if getattr(found.intervals, name) is None]
+    return f"gives no range for the {_titles(missing)}" if missing else ""
+
+
+def least_step(found: Estimate) -> tuple[str, str] | None:
+    """Return the least slip and what it does to PV in the end, "at least 1.5 %" and "1.8 EU", or None.
+
+    Each is "about" that where it is hardly known; None is told where it is not known at all.
+    """
+    jump = found.valve.slip_jump
+    step = abs(found.plant.gain) * jump if isinstance(found.plant, FOPDT) else 0.0
+    if step == 0.0 or useless(found) or gain_doubt(found) or plant_doubt(found):
+        return None
+    groups = known_groups(found)
+    vague = {*groups["hardly"], *groups["none"]}
+    about = "about" if {"d", "J"} & vague else "at least"
+    return f"{about} {given(jump)} %", f"{'about ' if {'d', 'J', 'gain'} & vague else ''}{given(step, 3)} EU"
+
+
+def _open_ranges(found: Estimate) -> list[str]:
     """Return the names of the plant's parameters whose range has an open end."""
     pairs = {name: getattr(found.intervals, name) for name in ("gain", "time_constant", "dead_time")}
     return [name for name, pair in pairs.items() if pair is not None and any(math.isinf(end) for end in pair)]
 
 
+def _titles(names: list[str]) -> str:
+    return join([within(kpi_title(name)[0]) for name in names])
+
+
+def _gain_unit(plant: Plant) -> str:
+    return "EU/%" if isinstance(plant, FOPDT) else "EU/(% s)"
+
+
 def useless(found: Estimate) -> bool:
-    """Return whether a model of a sticking valve explains PV no better than the fit that ignores stiction."""
+    """Return whether a model of a sticking valve explains PV no better than the fit that ignores stiction.
+
+    Not where it foretells PV better: a load that the stem's model leaves to the noise costs it PV's simulation alone.
+    """
     sticks = found.verdict == "stiction" and not isinstance(found.valve, Ideal)
-    return sticks and found.residual_variance > found.linear.residual_variance
+    bics = {type(model.valve): model.bic for model in found.candidates}
+    foretells = bics.get(type(found.valve), math.inf) < bics.get(Ideal, math.inf)
+    return sticks and not foretells and found.residual_variance > found.linear.residual_variance
 
 
 def _against_truth(named: NamedEstimate, truth: Loop) -> str:
@@ -157,10 +236,9 @@ def estimate_advice(named: NamedEstimate) -> list[str]:
     if named.truth is not None:
         return []
     if found.verdict == "stiction":
-        step = abs(found.plant.gain) * found.valve.slip_jump if isinstance(found.plant, FOPDT) else 0.0
         text = f"{named.name}: have the valve looked at (packing, actuator, positioner)."
-        if step > 0.0 and not useless(found):
-            text += f" As long as it sticks it moves PV in steps of at least {given(step, 3)} EU, whatever the tuning."
+        if step := least_step(found):
+            text += f" As long as it sticks each slip moves PV by {step[1]} or more in the end, whatever the tuning."
         return [text]
     if found.verdict == "no_stiction":
         return [f"{named.name}: if the loop oscillates, look for another cause: tight tuning, or a disturbance."]
@@ -295,8 +373,7 @@ def known_sentences(found: Estimate) -> list[str]:
     groups = known_groups(found)
 
     def names(which: str) -> str:
-        titles = [kpi_title(name)[0] for name in groups[which]]
-        return join([within(title) for title in titles])
+        return _titles(groups[which])
 
     if useless(found):
         return ["The model leaves more of PV unexplained than one without stiction: use none of its figures."]
@@ -331,16 +408,22 @@ def _would_tell(found: Estimate, groups: dict[str, list[str]]) -> list[str]:
     if found.verdict == "stiction" and not found.identifiable and band > 0.0:
         step = abs(found.plant.gain) * band
         size = f" (gain times band: {figure(step, 2)} EU)" if isinstance(found.plant, FOPDT) else ""
-        known = found.intervals.d is not None or found.intervals.S is not None
-        told = f"Give maintenance the range of the stiction, not its value{size}. " if known else ""
-        said.append(
-            f"{told}A setpoint change that moves OP by clearly more than {given(band, 2)} %, or a longer record, would "
-            f"{'narrow it' if known else 'tell more of the stiction'}."
-        )
+        told, what = f"Give maintenance the range of the stiction, not its value{size}. ", "narrow it"
+        if {"d", "S", "b"} & {*groups["known"]}:
+            told, what = "", "tell more of the gain"
+        elif found.intervals.d is None and found.intervals.S is None:
+            told, what = "", "tell more of the stiction"
+        if found.intervals == Intervals() and found.method != "two_step":
+            said.append("A record of OP with more digits would tell more of the stiction.")
+        else:
+            said.append(
+                f"{told}A setpoint change that moves OP by clearly more than {given(band, 2)} %, or a longer record, "
+                f"would {what}."
+            )
     if "J" in vague:
         said.append("How far the stem jumps once it breaks loose, J, would show in more slips, or in a measured stem.")
-    if opened := [within(kpi_title(name)[0]) for name in open_ranges(found)]:
-        said.append(f"The range of the {join(opened)} is open: tune by no rule from these figures.")
+    if doubt := gain_doubt(found) or plant_doubt(found):
+        said.append(f"The record {doubt}: tune by no rule from these figures.")
     elif vague & {"gain", "dead_time"} and found.verdict != "undecided":
         said.append("When tuning by a rule, take the upper end of the ranges of gain and dead time: the cautious side.")
     Ts = found.record.sample_time

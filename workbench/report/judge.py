@@ -14,7 +14,7 @@ from workbench.model.cascade import CascadeExperiment, CascadeRun
 from workbench.model.experiment import Experiment
 from workbench.model.results import Kpis, LimitCycle, Run, Tuned
 from workbench.model.site import SiteCase
-from workbench.model.study import CascadeResult, CaseResult, Study
+from workbench.model.study import CascadeResult, CaseResult, NamedEstimate, Study
 from workbench.report.words import figure, given, setting
 
 __all__ = [
@@ -33,6 +33,7 @@ __all__ = [
     "run_travel",
     "settling_band",
     "settling_doubt",
+    "source_of",
     "typed_case",
     "unstable",
 ]
@@ -60,6 +61,15 @@ def unstable(case: CaseResult | CascadeResult) -> bool:
 def base_case(study: Study) -> CaseResult | None:
     """Return the case that others are compared with: the first whose tuning was given."""
     return next((c for c in study.cases if c.tuned is None and not c.nearest_to), None)
+
+
+def source_of(study: Study, case: CaseResult) -> NamedEstimate | None:
+    """Return the estimate of a plant's own record that is the case's loop, None where the scenario gives the loop."""
+    for named in study.estimates:
+        found = named.found
+        if named.truth is None and found.plant == case.loop.plant and found.valve == case.loop.valve:
+            return named
+    return None
 
 
 def typed_case(study: Study, case: CaseResult) -> SiteCase | None:

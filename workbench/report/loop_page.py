@@ -13,6 +13,7 @@ from workbench.model.fleet import FleetRow
 from workbench.model.record import Record
 from workbench.model.results import Estimate, LinearFit
 from workbench.model.valve import Ideal
+from workbench.report.estimates import unpinned
 from workbench.report.lines import panel
 from workbench.report.templating import environment, style_sheet
 from workbench.report.words import controller_words, duration, figure, interval, plant_words, slug, valve_words
@@ -130,6 +131,6 @@ def _model(row: FleetRow, found: Estimate | LinearFit | None) -> list[tuple[str,
         return []
     valve = found.valve if isinstance(found, Estimate) else Ideal()
     lines = [("Plant", plant_words(found.plant)), ("Valve", valve_words(valve))]
-    if row.sticks and not row.identifiable:
-        lines.append(("Note", "the record does not pin the stiction by itself: take it as a hint"))
+    if isinstance(found, Estimate) and row.sticks and not row.identifiable:
+        lines.append(("Note", unpinned(found)))
     return lines

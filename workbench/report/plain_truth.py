@@ -15,7 +15,8 @@ from workbench.model.plant import FOPDT
 from workbench.model.results import LimitCycle
 from workbench.model.study import CaseResult, Study
 from workbench.report.draw_map import MapPoint
-from workbench.report.judge import late_figure, late_words, over_starts, unstable
+from workbench.report.estimates import least_step
+from workbench.report.judge import late_figure, late_words, over_starts, source_of, unstable
 from workbench.report.words import duration, figure, given, join
 
 __all__ = ["lasting", "map_points", "map_text"]
@@ -141,15 +142,24 @@ def lasting(study: Study, best: CaseResult) -> list[str]:
         return []
     out: list[str] = _by_tuning(study)
     if loop.valve.slip_jump > 0.0 and isinstance(loop.plant, FOPDT):
-        step, jump = abs(loop.plant.gain) * loop.valve.slip_jump, given(loop.valve.slip_jump)
-        curved = "" if loop.characteristic is None else " (at the operating point; elsewhere by the characteristic)"
         out.append(
-            f"What no tuning removes: this valve moves in steps of at least {jump} %, each of which moves PV by "
-            f"{given(step, 3)} EU in the end{curved}. While the controller integrates, it hunts for a setpoint between "
-            "two steps, the more slowly the weaker the integral action. Repairing the valve ends that; an integral "
-            "dead band stops it at the price of a lasting offset."
+            f"What no tuning removes: this valve moves in steps{_size(study, best)}. While the controller integrates, "
+            "it hunts for a setpoint between two steps, the more slowly the weaker the integral action. Repairing the "
+            "valve ends that; an integral dead band stops it at the price of a lasting offset."
         )
     return [*out, *_slower(study), *_at_best(study)]
+
+
+def _size(study: Study, best: CaseResult) -> str:
+    """Return how large the valve's least step is and what it does to PV, "" where an estimate does not tell."""
+    loop, named = best.loop, source_of(study, best)
+    jump = loop.valve.slip_jump
+    plain = f"at least {given(jump)} %", f"{given(abs(loop.plant.gain) * jump, 3)} EU"
+    told = plain if named is None else least_step(named.found)
+    if told is None:
+        return ""
+    curved = "" if loop.characteristic is None else " (at the operating point; elsewhere by the characteristic)"
+    return f" of {told[0]}, each of which moves PV by {told[1]} in the end{curved}"
 
 
 def _by_tuning(study: Study) -> list[str]:

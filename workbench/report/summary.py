@@ -2,23 +2,23 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
-from workbench.model.study import CascadeResult, Study
+from workbench.model.study import CascadeResult, CaseResult, Study
 from workbench.report.advice import Advice, case_advice
 from workbench.report.cascade import cascade_sentences
 from workbench.report.cascade_advice import cascade_advice, cascade_confidence, cascade_watch
 from workbench.report.cascade_settings import cascade_base, cascade_rounding, cascade_table
 from workbench.report.confidence import Confidence, confidence, watch
 from workbench.report.cycles import cycle_sentences
-from workbench.report.estimates import estimate_advice, estimate_sentences
-from workbench.report.judge import base_case, on_bounds
+from workbench.report.estimates import estimate_advice, estimate_sentences, hint
+from workbench.report.judge import base_case, best_case, on_bounds, source_of
 from workbench.report.over_ensemble import robust_advice, robust_choice
 from workbench.report.plain_truth import lasting
 from workbench.report.reference import reference_sentences
 from workbench.report.settings import as_found_as_left, refused_sentences, rounding_sentences
 from workbench.report.tables import Table
-from workbench.report.words import join
+from workbench.report.words import capital, join
 
 __all__ = ["Summary", "summarise"]
 
@@ -64,6 +64,8 @@ def summarise(study: Study) -> Summary:
             advice = case_advice(study)
         else:
             advice = Advice(robust[0], choice, tuple(robust[1:]), tuple(lasting(study, choice)))
+        if doubt := _hint(study, advice):
+            advice = replace(advice, decision=f"{advice.decision} {capital(doubt)}.")
     if study.cascade:
         found += cascade_sentences(study)
         advice = cascade_advice(study)
@@ -92,6 +94,13 @@ def summarise(study: Study) -> Summary:
         sure=confidence(study, case),
         watch=tuple(watch(study, base, case)),
     )
+
+
+def _hint(study: Study, advice: Advice) -> str:
+    """Return why the decision is no more than a hint, where it rests on an estimate that leaves the loop in doubt."""
+    case = advice.case or best_case(study)
+    named = source_of(study, case) if isinstance(case, CaseResult) else None
+    return "" if named is None else hint(named.found, "these tunings" if advice.case is None else "this tuning")
 
 
 def _bound_sentences(study: Study) -> list[str]:

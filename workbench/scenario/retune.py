@@ -9,11 +9,11 @@ from workbench.errors import InvalidValue, RecordError
 from workbench.model.controller import PID
 from workbench.model.experiment import Experiment, Step
 from workbench.model.loop import Loop
-from workbench.model.numbers import interval
 from workbench.model.plant import FOPDT, Plant
 from workbench.model.results import Estimate, SolveStatus, Tuned
 from workbench.model.rule import Simc
 from workbench.model.tuning import Bounds, Objective
+from workbench.report.estimates import gain_doubt, hint
 from workbench.scenario.controllers import fitting_action, ruled, wrong_way
 from workbench.scenario.plan import CaseJob, Scenario, TuneJob
 from workbench.scenario.runner import Progress, for_plant, run_scenario, tune_case
@@ -25,7 +25,6 @@ Range = tuple[float, float]
 
 # How long a found loop is simulated to tune it, in samples.
 FEWEST, MOST = 300, 20_000
-NO_EFFECT = 1e-6  # share of PV's span that the whole of OP's moves: below it the gain is a number and no finding
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,10 +119,11 @@ def _loop(plan: Scenario, progress: Progress | None) -> tuple[Loop, tuple[CaseJo
     if plan.loop is not None:
         return plan.loop, plan.cases, plan.warnings
     study = run_scenario(replace(plan, cases=(), estimates=plan.estimates[:1]), progress=progress)
-    found = study.estimates[0].found
+    named = study.estimates[0]
+    found, doubt = named.found, hint(named.found) if named.truth is None else ""
     cases, notes = for_plant(plan.cases, found.plant)
     loop = Loop(found.plant, found.valve, cases[0].controller, found.record.sample_time, plan.pv_range)
-    return loop, cases, (*notes, *_coarse(loop))
+    return loop, cases, (*notes, *_coarse(loop), *((doubt,) if doubt else ()))
 
 
 def _coarse(loop: Loop) -> tuple[str, ...]:
@@ -150,7 +150,7 @@ def tune_found(found: Estimate, wishes: Wishes, progress: Progress | None = None
     half way, a load step of half that size at the plant's input; D on PV. What was assumed is said in the result.
     Raises `RecordError` where the record does not show the plant's gain, and what tuning raises.
     """
-    doubt = _gain_doubt(found)
+    doubt = gain_doubt(found)
     if doubt:
         raise RecordError(
             f"{found.record.source or 'record'}: the record {doubt}; take one in which OP clearly moves PV"
@@ -196,12 +196,10 @@ def tune_found(found: Estimate, wishes: Wishes, progress: Progress | None = None
         f"{name} {low:g} to {high:g} {unit}"
         for name, (low, high), unit in (("Kc", bounds.Kc, "%/EU"), ("Ti", bounds.Ti, "s"), ("Td", bounds.Td, "s"))
     )
-    verdict = {"stiction": "the valve sticks", "no_stiction": "no stiction"}.get(
-        found.verdict, "undecided whether the valve sticks, so take this tuning as a hint"
-    )
+    verdict = {"stiction": "the valve sticks", "no_stiction": "no stiction"}.get(found.verdict, "")
     wrong = wrong_way(plant, replace(start, Kc=1.0))
     assumed = (
-        f"the record's loop: {verdict}",
+        f"the record's loop: {'; '.join(words for words in (verdict, hint(found)) if words)}",
         task,
         f"bounds {searched}",
         f"{action} action, derivative on PV",
@@ -209,19 +207,6 @@ def tune_found(found: Estimate, wishes: Wishes, progress: Progress | None = None
         *_coarse(loop),
     )
     return Retuned("Tuned for the record's loop", tune_case(loop, experiment, job, progress), assumed)
-
-
-def _gain_doubt(found: Estimate) -> str:
-    """Return why the record does not show how the valve acts on PV, or ""."""
-    pair, unit = found.intervals.gain, "EU/%" if isinstance(found.plant, FOPDT) else "EU/(% s)"
-    if pair is not None and pair[0] <= 0.0 <= pair[1]:
-        return f"does not show whether the gain is positive or negative (95 % range {interval(pair, unit, 3)})"
-    record = found.record
-    length = 1.0 if isinstance(found.plant, FOPDT) else len(record) * record.sample_time
-    effect = abs(found.plant.gain) * float(record.op.max() - record.op.min()) * length
-    if effect <= NO_EFFECT * float(record.pv.max() - record.pv.min()):
-        return f"shows no effect of the valve on PV (gain {found.plant.gain:.3g} {unit})"
-    return ""
 
 
 def _usual_step(found: Estimate, plant: Plant, scale: float) -> float:
