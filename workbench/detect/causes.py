@@ -7,6 +7,7 @@ from itertools import pairwise
 import numpy as np
 
 from workbench.detect.oscillation import oscillation_of
+from workbench.detect.verdict import Thresholds, times
 from workbench.model.detection import Oscillation
 from workbench.model.record import FloatArray, Record
 from workbench.record.modes import manual_share
@@ -57,6 +58,10 @@ def dead_signal(record: Record) -> str:
             f"OP moved over {width:.2g} % of travel only, less than a valve resolves ({RESOLVED:g} %): a longer record "
             "or a setpoint move would tell about the valve"
         )
+    moves = int(np.count_nonzero(np.diff(record.op)))
+    if moves <= Thresholds().few:
+        only = f"OP moved {times(moves)} only in {n} samples"
+        return f"{only}: a longer record or a setpoint move would tell about the valve"
     first, stop = _longest_stay(record.pv)
     moved = float(np.ptp(record.op[first:stop]))
     if stop - first >= HALF * n and moved >= HALF * float(np.ptp(record.op)):

@@ -29,8 +29,8 @@ EXCLUDED: chi^2 with one degree of freedom, the width, at 95 %: a wide stem whos
 linear loop's may be at work. So may one that never moved where PV is not seen to follow OP (CHANCE).
 SEEN: a gain, a time constant and a dead time chosen among ten gain 15 by chance once in 50. Where PV answers OP so
 clearly, a stem that hides a quarter of OP's range from it predicts PV worse, unless it is at work.
-FEW: a stem that moved at most four times, two cycles, cannot be told from a linear loop that leaves as much as LEFT
-where PV is not seen to follow OP (CHANCE).
+FEW: a stem that moved at most four times, two cycles, plays as many load steps on a linear loop: it finds no stiction.
+Nor is it told from the linear loop where PV is not seen to follow OP, or where it is wide and betters that (CHANCE).
 SLOW: under integral action alone a self-regulating loop is at its stability limit with a period of at most four times
 dead time and time constant together (pure dead time: exactly four dead times; proportional action: less). A slower
 cycle is not its own, and so smooth that the valve's part does not show.
@@ -47,7 +47,7 @@ from dataclasses import dataclass
 from workbench.detect.oscillation import no_period
 from workbench.model.detection import Oscillation, StemEvidence, StemTest
 
-__all__ = ["Thresholds", "beyond_chance", "decide", "excluded", "follows"]
+__all__ = ["Thresholds", "beyond_chance", "decide", "excluded", "follows", "times"]
 
 DUST = 1e-20  # share of PV's variance that is rounding, left or not
 
@@ -106,7 +106,11 @@ def decide(
         f"the stem that fits best throughout leaves {_less(test.improvement)} unpredicted (log likelihood ratio "
         f"{test.likelihood:.0f}) and {_less(test.simulated, 0)} of simulated PV"
     )
-    if _sticks(test, limits, 1.0):
+    sticks = _sticks(test, limits, 1.0)
+    if sticks and test.moves <= limits.few:
+        few = f"it moved {times(test.moves)} only, as load steps would move PV"
+        return "undecided", [f"{beats}, but {few}", f"{both}; {linear}"]
+    if sticks:
         kind = "the stem slips as it sets off" if test.jump > 0.1 * test.band else "a dead band without visible slip"
         return "stiction", [f"{beats}: {kind}", f"{both}; {linear}"]
     likely = test.unexplained >= limits.left and test.predicting >= limits.sole
@@ -137,6 +141,11 @@ def decide(
     return "no_stiction", [earned]
 
 
+def times(many: int) -> str:
+    """Return how often in words: "once", "2 times"."""
+    return "once" if many == 1 else f"{many} times"
+
+
 def _less(share: float, decimals: int = 1) -> str:
     """Return a share in words: "23.1% less", and "8.0% more" where a stem makes it worse."""
     return f"{abs(share):.{decimals}%} {'more' if round(share, decimals + 2) < 0.0 else 'less'}"
@@ -151,12 +160,12 @@ def _not_excluded(oscillation: Oscillation, test: StemTest, limits: Thresholds) 
     """Say why stiction that matters is not excluded, or return nothing."""
     if test.moves == 0:
         return "the stem that fits best never moved: the record is too short, or too quiet, to tell it from OP itself"
+    if test.moves <= limits.few and (follows(test) < limits.chance or test.wide > limits.chance):
+        stem = f"a stem that moved {times(test.moves)} fits as well"
+        hardly = f"OP hardly leaves a band of {test.band:.3g} %, within which {stem}"
+        return f"{hardly}: the record is too short, or too quiet, to exclude it"
     if test.unexplained < limits.left:
         return ""
-    if test.moves <= limits.few and follows(test) < limits.chance:
-        times = "once" if test.moves == 1 else f"{test.moves} times"
-        hardly = f"OP hardly leaves a band of {test.band:.3g} %, within which a stem that moved {times} fits as well"
-        return f"{hardly}: the record is too short, or too quiet, to exclude it"
     if excluded(test, limits):
         return ""
     wide = f"a stem that sticks over {test.wide_from:.3g} % or more, a quarter of OP's range, cannot be excluded"
