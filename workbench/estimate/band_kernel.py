@@ -158,10 +158,7 @@ def screen_drive(
     skip: int,
     known: int,
     alone: bool,
-    sum_y: Floats,
-    sum_yy: Floats,
-    fading_y: Floats,
-    faded: Floats,
+    own: tuple[Floats, Floats, Floats, Floats],
     z: Floats,
     sums: Floats,
     best: Floats,
@@ -171,11 +168,11 @@ def screen_drive(
     drive and y, shape (N,): the input, 0 before the record, and PV, both whitened. within: the first pole and the one
     after the last, the first dead time and the one after the last. sign: that the gain must have, or 0. The first
     `skip` samples do not count, nor those that answer to the first `known` samples of the drive. alone: whether a plant
-    counts in which the drive has no part. sum_y, sum_yy, fading_y, faded: see `sums_of`; z, (4, N), and sums,
-    (3, 4, N + 1): room to work in. best: (cost, pole, dead time) of the best so far, which is bettered; the cost is n
-    times the mean square that is left.
+    counts in which the drive has no part. own: of `sums_of`; z, (4, N), and sums, (3, 4, N + 1): room to work in. best:
+    (cost, pole, dead time) of the best so far, which is bettered; the cost is n times the mean square that is left.
     """
     n = y.size
+    sum_y, sum_yy, fading_y, faded = own
     low, high, soonest, latest = within
     # Sums are asked for from the first sample that counts on, and up to n less the dead time.
     tail = n - delays[-1]
@@ -244,7 +241,7 @@ def screen_bands(
     n, p = y.size, a.size - 1
     paths, w, z = np.empty((4, n)), np.empty(n), np.empty((4, n))
     box = np.empty(4)
-    sum_y, sum_yy, fading_y, faded = sums_of(y, poles, delays, skip)
+    own = sums_of(y, poles, delays, skip)
     sums, best = np.zeros((3, 4, n + 1)), np.empty(3)
     found[:, :, 0] = math.inf
     found[:, :, 1:] = 0.0
@@ -279,7 +276,5 @@ def screen_bands(
                 w[k] = total
             best[:] = math.inf, 0.0, 0.0
             within = (low, high, soonest, latest)
-            screen_drive(
-                w, y, poles, delays, within, sign, skip, known, False, sum_y, sum_yy, fading_y, faded, z, sums, best
-            )
+            screen_drive(w, y, poles, delays, within, sign, skip, known, False, own, z, sums, best)
             copy(best, found[i, start])

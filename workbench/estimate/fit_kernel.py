@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from workbench.estimate.output_error import FIT, cost_beside, drive_of, oe_cost, own_sums, start_rests
+from workbench.estimate.output_error import FIT, cost_at, drive_of, oe_cost, posed
 from workbench.estimate.path_kernel import band_path, rest_range, stem_path
 from workbench.simulate.compiled import compiled, copy
 
@@ -42,8 +42,7 @@ def oe_fit(
     spread: the first simplex's size, in log tau and, times three, in samples of dead time. Ends after `evaluations`, or
     when the simplex's costs agree to `tolerance` relative. For an integrating plant tau is not used.
     """
-    room, window, rest = np.empty((2, 5, 4)), np.empty((2, a.size + 2)), start_rests(a)
-    own, bounds = own_sums(y, skip), (low, high, sign)
+    given = posed(y, drive, first, (low, high, sign), integrating, a, skip)
     points = np.empty((3, 2))
     costs = np.empty(3)
     trial = np.empty(2)
@@ -59,22 +58,7 @@ def oe_fit(
     points[2, 1] += side if points[0, 1] + side <= theta_limits[1] else -side
     points[2, 1] = max(points[2, 1], theta_limits[0])
     for i in range(3):
-        costs[i] = cost_beside(
-            y,
-            own,
-            drive,
-            first,
-            bounds,
-            integrating,
-            math.exp(points[i, 0]),
-            points[i, 1],
-            a,
-            rest,
-            skip,
-            window,
-            room,
-            out,
-        )
+        costs[i] = cost_at(given, math.exp(points[i, 0]), points[i, 1], out)
     used = 3
     while used < evaluations:
         # Order: best, middle, worst.
@@ -105,22 +89,7 @@ def oe_fit(
                 trial[c] = centre[c] + factor * (points[2, c] - centre[c])
             trial[0] = min(max(trial[0], low_tau), high_tau)
             trial[1] = min(max(trial[1], theta_limits[0]), theta_limits[1])
-            value = cost_beside(
-                y,
-                own,
-                drive,
-                first,
-                bounds,
-                integrating,
-                math.exp(trial[0]),
-                trial[1],
-                a,
-                rest,
-                skip,
-                window,
-                room,
-                out,
-            )
+            value = cost_at(given, math.exp(trial[0]), trial[1], out)
             used += 1
             if value < kept:
                 kept = value
@@ -132,43 +101,13 @@ def oe_fit(
             for i in range(1, 3):
                 for c in range(2):
                     points[i, c] = 0.5 * (points[i, c] + points[0, c])
-                costs[i] = cost_beside(
-                    y,
-                    own,
-                    drive,
-                    first,
-                    bounds,
-                    integrating,
-                    math.exp(points[i, 0]),
-                    points[i, 1],
-                    a,
-                    rest,
-                    skip,
-                    window,
-                    room,
-                    out,
-                )
+                costs[i] = cost_at(given, math.exp(points[i, 0]), points[i, 1], out)
                 used += 1
     best = 0
     for i in range(1, 3):
         if costs[i] < costs[best]:
             best = i
-    return cost_beside(
-        y,
-        own,
-        drive,
-        first,
-        bounds,
-        integrating,
-        math.exp(points[best, 0]),
-        points[best, 1],
-        a,
-        rest,
-        skip,
-        window,
-        room,
-        out,
-    )
+    return cost_at(given, math.exp(points[best, 0]), points[best, 1], out)
 
 
 @compiled
@@ -176,11 +115,9 @@ def scan_plants(
     y: Floats, drive: Floats, sign: float, integrating: bool, plants: Floats, a: Floats, skip: int, costs: Floats
 ) -> None:
     """Write the costs (see `oe_cost`) of a drive from the first sample on at many plants, rows (tau, theta)."""
-    room, window, rest, out = np.empty((2, 5, 4)), np.empty((2, a.size + 2)), start_rests(a), np.empty(FIT)
-    own, bounds = own_sums(y, skip), (-math.inf, math.inf, sign)
+    given, out = posed(y, drive, 0, (-math.inf, math.inf, sign), integrating, a, skip), np.empty(FIT)
     for i in range(plants.shape[0]):
-        tau, theta = plants[i, 0], plants[i, 1]
-        costs[i] = cost_beside(y, own, drive, 0, bounds, integrating, tau, theta, a, rest, skip, window, room, out)
+        costs[i] = cost_at(given, plants[i, 0], plants[i, 1], out)
 
 
 @compiled

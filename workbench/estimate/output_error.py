@@ -6,6 +6,7 @@ Time is counted in samples; PV and OP are centred by the caller.
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,6 +44,22 @@ FIT = 7
 # Time constants after which nothing is left of a start in double precision.
 DIED = 25.0
 FADED = 1e-6  # of a transient, at the first sample that counts, from which it is left out
+
+
+class Posed(NamedTuple):
+    """A stem whose plant is sought: see `oe_cost`; own: of `own_sums`, rest: of `start_rests`, and room to work in."""
+
+    y: Floats
+    own: tuple[float, float]
+    drive: Floats
+    first: int
+    bounds: tuple[float, float, float]
+    integrating: bool
+    a: Floats
+    rest: Floats
+    skip: int
+    window: Floats
+    room: Floats
 
 
 @compiled
@@ -434,32 +451,32 @@ def oe_cost(
     outside, it is set to the nearer end. sign: the gain's sign, 0 for either. Written into `out` (FIT): SSE, TAU,
     THETA, GAIN (per sample for integrating plants), BIAS, START (gain times x0) and TRANSIENT.
     """
-    room, window, rest = np.empty((2, 5, 4)), np.empty((2, a.size + 2)), start_rests(a)
-    own = own_sums(y, skip)
-    bounds = (low, high, sign)
-    return cost_beside(y, own, drive, first, bounds, integrating, tau, theta, a, rest, skip, window, room, out)
+    return cost_at(posed(y, drive, first, (low, high, sign), integrating, a, skip), tau, theta, out)
 
 
 @compiled
-def cost_beside(
+def posed(
     y: Floats,
-    own: tuple[float, float],
     drive: Floats,
     first: int,
     bounds: tuple[float, float, float],
     integrating: bool,
-    tau: float,
-    theta: float,
     a: Floats,
-    rest: Floats,
     skip: int,
-    window: Floats,
-    room: Floats,
-    out: Floats,
-) -> float:
-    """`oe_cost` with what many costs share: own, of `own_sums`; rest, of `start_rests`; and what they work in."""
-    low, high, sign = bounds
-    plant = plant_terms(integrating, tau, theta)
-    passed = start_products(y, own[0], first, integrating, plant, a, rest, skip, window, room[0])
-    stem_products(y, drive, first, integrating, plant, rest[0], a.size - 1, skip, passed, window, room[0])
-    return least(room, own[1], low, high, sign, tau, theta, out)
+) -> Posed:
+    """Gather what all costs of one stem share, as `oe_cost` takes it; bounds: (low, high, sign)."""
+    room, window = np.empty((2, 5, 4)), np.empty((2, a.size + 2))
+    return Posed(y, own_sums(y, skip), drive, first, bounds, integrating, a, start_rests(a), skip, window, room)
+
+
+@compiled
+def cost_at(of: Posed, tau: float, theta: float, out: Floats) -> float:
+    """`oe_cost` of what is posed."""
+    low, high, sign = of.bounds
+    plant = plant_terms(of.integrating, tau, theta)
+    products, window = of.room[0], of.window
+    passed = start_products(of.y, of.own[0], of.first, of.integrating, plant, of.a, of.rest, of.skip, window, products)
+    stem_products(
+        of.y, of.drive, of.first, of.integrating, plant, of.rest[0], of.a.size - 1, of.skip, passed, window, products
+    )
+    return least(of.room, of.own[1], low, high, sign, tau, theta, out)
