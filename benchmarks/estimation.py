@@ -23,9 +23,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 import workbench as wb
-from workbench.estimate import kernel
 from workbench.estimate.data import centre
 from workbench.estimate.stems import LEAST_D
+from workbench.estimate.walk_kernel import COST, ROW, walk
 
 SAMPLES = 1000
 NOISE = (0.0, 0.01, 0.02, 0.05, 0.1, 0.2)  # of PV's swing
@@ -227,12 +227,12 @@ def speed() -> None:
         took = time.process_time() - began
         data = centre(record, "fopdt")
         delays, low = np.arange(31), LEAST_D * data.op_range
-        rows = np.empty((6 * samples + 1000, kernel.ROW))
+        rows = np.empty((6 * samples + 1000, ROW))
         counts, times, least = [], [], []
         for step in (0.0, (data.op_range / low) ** (1.0 / 200.0) - 1.0):
             began = time.process_time()
             counts.append(
-                kernel.walk(
+                walk(
                     data.sums,
                     data.squares,
                     data.products,
@@ -248,7 +248,7 @@ def speed() -> None:
                 )
             )
             times.append(time.process_time() - began)
-            least.append(float(rows[: counts[-1], kernel.COST].min()))
+            least.append(float(rows[: counts[-1], COST].min()))
         print(
             f"{samples:7} {took:12.3f} {times[0]:15.4f} {counts[0]:6} {times[1]:18.4f} {least[1] / least[0]:.3f}",
             flush=True,

@@ -25,6 +25,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
+from estimation_joint import stenman_loop
 
 import workbench as wb
 from workbench.estimate.complementarity import COLD, WARM, Found, cold, solved, warm
@@ -53,15 +54,8 @@ class Answer:
 def loop_of(seed: int, noise: float) -> tuple[tuple[float, float, float], wb.Record] | None:
     """A loop's (d, K, tau) and its record; None where its stem slips less than ten times."""
     rng = np.random.default_rng(seed)
-    tau, theta = math.exp(rng.uniform(math.log(3.0), math.log(20.0))), rng.uniform(0.3, 4.0)
-    K, d = math.exp(rng.uniform(math.log(0.5), math.log(3.0))), rng.uniform(0.8, 3.0)
-    slow = rng.uniform(1.0, 3.0) * max(tau, theta)
-    loop = wb.Loop(
-        wb.FOPDT(K, tau, theta),
-        wb.Stenman(d),
-        wb.PID(Kc=tau / (K * (slow + theta)), Ti=tau * rng.uniform(0.8, 2.0)),
-        1.0,
-    )
+    loop, truth = stenman_loop(rng)
+    K, d, tau = truth["gain"], truth["d"], truth["time_constant"]
     size = K * d * rng.uniform(0.7, 3.0)
     later = round(rng.uniform(0.4, 0.7) * SAMPLES)
     steps = [wb.Step(size), wb.Step(-1.5 * size, float(later))]

@@ -49,9 +49,8 @@ def steps_of(rng: np.random.Generator, size: float) -> list[wb.Step]:
     ]
 
 
-def sticky(seed: int) -> tuple[dict[str, float], wb.Record]:
-    """A Stenman loop under a coloured load, by its truth and its record."""
-    rng = np.random.default_rng(seed)
+def stenman_loop(rng: np.random.Generator) -> tuple[wb.Loop, dict[str, float]]:
+    """A loop with a Stenman valve, and its truth."""
     tau, theta = math.exp(rng.uniform(math.log(3.0), math.log(20.0))), rng.uniform(0.3, 4.0)
     K, d = math.exp(rng.uniform(math.log(0.5), math.log(3.0))), rng.uniform(0.8, 3.0)
     slow = rng.uniform(1.0, 3.0) * max(tau, theta)
@@ -61,13 +60,21 @@ def sticky(seed: int) -> tuple[dict[str, float], wb.Record]:
         wb.PID(Kc=tau / (K * (slow + theta)), Ti=tau * rng.uniform(0.8, 2.0)),
         1.0,
     )
+    return loop, {"d": d, "gain": K, "time_constant": tau, "dead_time": theta}
+
+
+def sticky(seed: int) -> tuple[dict[str, float], wb.Record]:
+    """A Stenman loop under a coloured load, by its truth and its record."""
+    rng = np.random.default_rng(seed)
+    loop, truth = stenman_loop(rng)
+    K, d = truth["gain"], truth["d"]
     experiment = wb.Experiment(
         float(SAMPLES),
         setpoint=steps_of(rng, K),
         load=load_of(rng, rng.uniform(0.8, 0.99), rng.uniform(0.05, 0.4) * d),
         noise=wb.Noise(K * d * rng.uniform(0.01, 0.1), seed),
     )
-    return {"d": d, "gain": K, "time_constant": tau, "dead_time": theta}, record_of(loop, experiment)
+    return truth, record_of(loop, experiment)
 
 
 def joint(loops: int, seed: int) -> None:

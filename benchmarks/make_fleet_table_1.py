@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
+from detection import drift
 
 import workbench as wb
 
@@ -28,17 +29,6 @@ TABLE = (
 FOLLOWS = {1: 2, 9: 8, 16: 15}
 OUTSIDE = {4: 3, 11: 10}
 LEAD, HOURS, SCAN = 6, 6, 5
-
-
-def drift(rng: np.random.Generator, n: int, correlation: float) -> np.ndarray:
-    """A first-order drift of unit variance and this correlation time, samples."""
-    pole = math.exp(-1.0 / correlation)
-    out = np.empty(n)
-    value = rng.normal()
-    for k, kick in enumerate(rng.normal(size=n).tolist()):
-        value = pole * value + math.sqrt(1.0 - pole * pole) * kick
-        out[k] = value
-    return out
 
 
 def made(number: int, driver: np.ndarray | None) -> tuple[np.ndarray, np.ndarray, np.ndarray, dict[str, float]]:

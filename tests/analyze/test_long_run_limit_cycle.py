@@ -16,18 +16,18 @@ import workbench as wb
 from workbench.analyze.half_cycles import fresh_carry
 from workbench.analyze.limit_cycle import standard_starts
 from workbench.analyze.long_run import follow
-from workbench.simulate.kernel import (
+from workbench.simulate.events import (
     END,
     HALF_CYCLE,
     SLIPS,
     SQUARES,
-    STAIRS,
     START,
     STEM_TRAVEL,
     Y_HIGH,
     Y_LOW,
     collect,
 )
+from workbench.simulate.kernel import STAIRS
 
 
 def test_case_1_cycles_as_long_runs_say() -> None:

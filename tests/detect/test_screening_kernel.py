@@ -6,38 +6,15 @@ import math
 
 import numpy as np
 import pytest
+from lags import DELAYS, POLES, N, left, signals
 
-from workbench.detect import kernel
+from workbench.detect.lags import LANES
+from workbench.detect.stem_kernel import plant, screen, settle, stems_abreast
+from workbench.detect.whitening import noise, own_products, whiten
 from workbench.model.valve import Choudhury, Stenman
 from workbench.simulate.coefficients import valve_law
 from workbench.simulate.kernel import STAIRS, TWO_PARAMETER
 from workbench.simulate.run import valve_response
-
-N = 160
-POLES = np.array([0.05, 0.5, 0.9, 0.97, 0.9995, 0.3, 0.8])
-DELAYS = np.array([0, 1, 3, 7], dtype=np.int64)
-
-
-def signals(seed: int) -> tuple[np.ndarray, np.ndarray]:
-    rng = np.random.default_rng(seed)
-    drive = np.repeat(rng.normal(size=N // 8), 8)
-    drive -= drive[0]
-    return drive, np.convolve(drive, 0.2 * 0.8 ** np.arange(20))[:N] + 0.3 * rng.normal(size=N)
-
-
-def left(drive: np.ndarray, y: np.ndarray, pole: float, delay: int, counted: np.ndarray, sign: float) -> float:
-    """What a constant, a transient and the delayed lag leave of y at the samples that count."""
-    z = np.zeros(N)
-    for k in range(N - 1):
-        z[k + 1] = pole * z[k] + (1.0 - pole) * drive[k]
-    answer = np.concatenate([np.zeros(delay), z[: N - delay]])
-    first = int(np.flatnonzero(counted)[0])
-    columns = np.column_stack([np.ones(N), pole ** (np.arange(N) - float(first)), answer])[counted]
-    terms, *_ = np.linalg.lstsq(columns, y[counted], rcond=1e-9)
-    if terms[2] * sign < 0.0:
-        columns = columns[:, :2]
-        terms, *_ = np.linalg.lstsq(columns, y[counted], rcond=1e-9)
-    return float(((y[counted] - columns @ terms) ** 2).sum())
 
 
 def stems(seed: int) -> tuple[np.ndarray, list[tuple[Stenman | Choudhury, float]]]:
@@ -45,7 +22,7 @@ def stems(seed: int) -> tuple[np.ndarray, list[tuple[Stenman | Choudhury, float]
     rng = np.random.default_rng(seed)
     u = np.cumsum(rng.normal(size=N))
     valves: list[tuple[Stenman | Choudhury, float]] = []
-    for _ in range(kernel.LANES + 3):
+    for _ in range(LANES + 3):
         width = float(rng.uniform(0.2, 4.0))
         valves.append((Stenman(width), float(rng.uniform(-1.0, 1.0)) * width))
         valves.append((Choudhury(width, float(rng.uniform(0.0, 1.5)) * width), 0.0))
@@ -59,13 +36,13 @@ def rows_of(valves: list[tuple[Stenman | Choudhury, float]]) -> np.ndarray:
 @pytest.mark.parametrize("kind", [STAIRS, TWO_PARAMETER])
 def test_stems_side_by_side_move_as_each_alone(kind: int) -> None:
     u, valves = stems(11)
-    some = [(v, rest) for v, rest in valves if isinstance(v, Stenman) == (kind == STAIRS)][: kernel.LANES - 2]
-    x, room = np.empty(N * kernel.LANES), np.empty(5 * kernel.LANES)
-    kernel.stems_abreast(kind, u, rows_of(some), room, x)
-    for j in range(kernel.LANES):
+    some = [(v, rest) for v, rest in valves if isinstance(v, Stenman) == (kind == STAIRS)][: LANES - 2]
+    x, room = np.empty(N * LANES), np.empty(5 * LANES)
+    stems_abreast(kind, u, rows_of(some), room, x)
+    for j in range(LANES):
         valve, rest = some[min(j, len(some) - 1)]
         alone = valve_response(valve, u, float(u[0]), float(u[0]) - rest)
-        assert (x[j :: kernel.LANES] == alone - alone[0]).all()
+        assert (x[j::LANES] == alone - alone[0]).all()
         assert np.ptp(alone) > 0.0
 
 
@@ -84,7 +61,7 @@ def test_the_best_plant_of_each_stem_is_that_of_least_squares(kind: int, held: s
     y = np.convolve(paths[2], 0.2 * 0.8 ** np.arange(20))[:N] + 0.3 * rng.normal(size=N)
     a = np.array([1.0, -0.4, 0.1, 0.0, -0.05])
     best = np.empty(len(some))
-    kernel.screen(kind, u, rows_of(some), a, y, live, POLES, first, DELAYS, sign, best)
+    screen(kind, u, rows_of(some), a, y, live, POLES, first, DELAYS, sign, best)
     for path, found in zip(paths, best.tolist(), strict=True):
         drive = np.convolve(a, path - path[0])[:N]
         costs = [left(drive, y, p, d, counted, sign) for d in DELAYS.tolist() for p in POLES.tolist()]
@@ -117,7 +94,7 @@ def test_a_plant_is_least_squares_and_none_beside_it_is_better(held: slice, firs
     drive, y = signals(3)
     taus, longest = np.geomspace(0.5, 300.0, 20), 10.0 * N
     residual, white = np.empty(N), np.array([1.0, 0.0, 0.0])
-    cost, tau, delay = kernel.plant(y, drive, white, live, first, taus, DELAYS, 0.0, longest, residual)
+    cost, tau, delay = plant(y, drive, white, live, first, taus, DELAYS, 0.0, longest, residual)
     best = two_taps(drive - drive[0], y, tau, delay, counted)
     assert cost == pytest.approx(float(best @ best), rel=1e-8)
     for factor in (1.0 / 1.03, 1.0, 1.03):
@@ -135,8 +112,8 @@ def test_a_gain_of_the_wrong_sign_is_none() -> None:
     drive, y = signals(4)
     live, white, residual = np.ones(N, dtype=bool), np.array([1.0]), np.empty(N)
     taus = np.geomspace(0.5, 300.0, 8)
-    cost, _, _ = kernel.plant(-y, drive, white, live, 4, taus, DELAYS, 1.0, 1000.0, residual)
-    right, _, _ = kernel.plant(-y, drive, white, live, 4, taus, DELAYS, -1.0, 1000.0, residual)
+    cost, _, _ = plant(-y, drive, white, live, 4, taus, DELAYS, 1.0, 1000.0, residual)
+    right, _, _ = plant(-y, drive, white, live, 4, taus, DELAYS, -1.0, 1000.0, residual)
     assert right < 0.7 * cost
     assert np.abs(residual + y).max() > 0.1 * np.abs(y).max()
 
@@ -147,7 +124,7 @@ def test_a_dead_time_far_from_the_grid_s_is_reached_and_the_measure_is_the_filte
     late = np.concatenate([np.zeros(7), drive[: N - 7]])
     y = np.convolve(late - late[0], np.concatenate([[0.0], 0.2 * 0.8 ** np.arange(60)]))[:N]
     live, residual, taus = np.ones(N, dtype=bool), np.empty(N), np.geomspace(0.5, 300.0, 20)
-    cost, tau, delay = kernel.plant(y, drive, np.array([1.0, -0.5]), live, 4, taus, delays, 0.0, 1600.0, residual)
+    cost, tau, delay = plant(y, drive, np.array([1.0, -0.5]), live, 4, taus, delays, 0.0, 1600.0, residual)
     assert delay in (6, 7)
     assert tau == pytest.approx(-1.0 / math.log(0.8), rel=0.03)
     filtered = np.convolve([1.0, -0.5], residual)[4:N]
@@ -162,7 +139,7 @@ def test_whitening_is_the_filter_from_rest(order: int) -> None:
     a = np.concatenate([[1.0], rng.normal(size=order)])
     row = rng.normal(size=700)
     out = np.empty_like(row)
-    kernel.whiten(a, row, out)
+    whiten(a, row, out)
     assert out == pytest.approx(np.convolve(a, row)[:700], rel=1e-12, abs=1e-12)
 
 
@@ -181,7 +158,7 @@ def test_a_residual_s_noise_is_least_squares_of_its_past(held: slice, smooth: bo
     wanted = e[order:][live[order:]]
     terms, *_ = np.linalg.lstsq(columns, wanted, rcond=1e-12)
     a = np.empty(order + 1)
-    variance = kernel.noise(e, live, order, pole, a)
+    variance = noise(e, live, order, pole, a)
     expected = float(((wanted - columns @ terms) ** 2).mean())
     assert variance == pytest.approx(expected, rel=1e-9, abs=1e-12 * float(e.var()))
     if not smooth:
@@ -194,12 +171,12 @@ def test_a_rival_settles_on_the_best_of_its_rounds() -> None:
     live, order, taus, longest = np.ones(N, dtype=bool), 4, np.geomspace(0.5, 300.0, 20), 10.0 * N
     filters, residuals = np.empty((3, order + 1)), np.empty((3, N))
     a = np.array([1.0, 0.0, 0.0, 0.0, 0.0])
-    found = kernel.settle(y, drive, a, live, order, taus, DELAYS, 0.0, longest, 3, filters, residuals)
+    found = settle(y, drive, a, live, order, taus, DELAYS, 0.0, longest, 3, filters, residuals)
     rounds = []
     for i in range(3):
         residual, following = np.empty(N), np.empty(order + 1)
-        _, tau, delay = kernel.plant(y, drive, a, live, order, taus, DELAYS, 0.0, longest, residual)
-        rounds.append((kernel.noise(residual, live, order, math.exp(-1.0 / tau), following), tau, delay))
+        _, tau, delay = plant(y, drive, a, live, order, taus, DELAYS, 0.0, longest, residual)
+        rounds.append((noise(residual, live, order, math.exp(-1.0 / tau), following), tau, delay))
         assert (residuals[i] == residual).all()
         assert (filters[i] == following).all()
         a = following
@@ -215,24 +192,8 @@ def test_an_autoregression_s_normal_equations_are_those_of_its_columns(held: sli
     live[held] = False
     e = np.cumsum(np.random.default_rng(7).normal(size=N))
     gram, side = np.empty((order + 2, order + 2)), np.empty(order + 2)
-    kernel.own_products(e, live, order, pole, gram, side)
+    own_products(e, live, order, pole, gram, side)
     lags = [e[order - 1 - i : N - 1 - i] for i in range(order)]
     columns = np.column_stack([*lags, np.ones(N - order), pole ** np.arange(N - order)])[live[order:]]
     assert gram == pytest.approx(columns.T @ columns, rel=1e-10)
     assert side == pytest.approx(columns.T @ e[order:][live[order:]], rel=1e-10)
-
-
-@pytest.mark.parametrize(("skip", "known"), [(0, 0), (9, 0), (0, 30), (9, 30), (60, 30)])
-def test_a_drive_known_from_some_sample_on_is_judged_by_what_answers_to_that(skip: int, known: int) -> None:
-    drive, y = signals(5)
-    room, sums = np.empty((4, N)), np.zeros((3, 4, N + 1))
-    given = kernel.sums_of(y, POLES, DELAYS, skip)
-    for j, pole in enumerate(POLES.tolist()):
-        for d, delay in enumerate(DELAYS.tolist()):
-            best = np.array([np.inf, 0.0, 0.0])
-            within = (j, j + 1, d, d + 1)
-            kernel.screen_drive(drive, y, POLES, DELAYS, within, 0.0, skip, known, True, *given, room, sums, best)
-            counted = np.arange(N) >= (max(skip, known + delay + 1) if known else skip)
-            expected = left(drive, y, pole, delay, counted, 0.0)
-            assert best[0] * counted.sum() / N == pytest.approx(expected, rel=1e-7)
-            assert best[1:].tolist() == [j, d]

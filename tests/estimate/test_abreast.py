@@ -10,7 +10,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from workbench.estimate import abreast, kernel
+from workbench.estimate import abreast
+from workbench.estimate.output_error import FIT, drive_of, oe_cost
+from workbench.estimate.path_kernel import band_path
 from workbench.estimate.two_parameter import band_stem
 
 WHITE = np.ones(1)
@@ -41,10 +43,10 @@ def plain_cost(
 ) -> tuple[float, int]:
     """The cost of a row's stem taken alone, and its slips that PV can answer to."""
     first, sense, tau, theta = int(line[6]), line[7], line[8], line[9]
-    x, drive, out = np.empty(op.size), np.empty(op.size), np.empty(kernel.FIT)
-    kernel.band_path(op, row[0], row[1], first, sense, x, np.empty(4))
-    kernel.drive_of(x, max(first, 0), a, drive)
-    cost = kernel.oe_cost(y, drive, max(first, 0), -math.inf, math.inf, 0.0, integrating, tau, theta, a, skip, out)
+    x, drive, out = np.empty(op.size), np.empty(op.size), np.empty(FIT)
+    band_path(op, row[0], row[1], first, sense, x, np.empty(4))
+    drive_of(x, max(first, 0), a, drive)
+    cost = oe_cost(y, drive, max(first, 0), -math.inf, math.inf, 0.0, integrating, tau, theta, a, skip, out)
     until = op.size - math.floor(theta)
     return cost, band_stem(op[:until], row[0], row[1], first, sense)[1] if first < until else 1
 

@@ -11,10 +11,13 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from scipy.signal import lfilter
 
-from workbench.estimate import kernel
 from workbench.estimate.data import centre
 from workbench.estimate.fit import Fit, predict
+from workbench.estimate.fit_kernel import oe_fit
+from workbench.estimate.output_error import FIT, GAIN, START, TAU, THETA, drive_of, oe_columns, oe_cost
+from workbench.estimate.path_kernel import stem_slips
 from workbench.estimate.stems import path_of
+from workbench.estimate.walk_kernel import COST, D_HIGH, D_LOW, ROW, walk
 from workbench.model.plant import FOPDT, Integrating
 from workbench.model.record import Record
 from workbench.model.valve import Stenman
@@ -49,8 +52,8 @@ def test_walking_meets_every_path_once_and_says_how_long_each_holds(op: np.ndarr
         return
     y = np.arange(op.size, dtype=np.float64) % 3 - 1.0
     data = centre(Record(np.resize(y, 40), np.resize(op, 40), 1.0), "fopdt")
-    rows = np.empty((400, kernel.ROW))
-    n = kernel.walk(
+    rows = np.empty((400, ROW))
+    n = walk(
         data.sums,
         data.squares,
         data.products,
@@ -65,14 +68,14 @@ def test_walking_meets_every_path_once_and_says_how_long_each_holds(op: np.ndarr
         rows,
     )
     found = rows[:n]
-    assert (found[1:, kernel.D_LOW] >= found[:-1, kernel.D_HIGH]).all()
+    assert (found[1:, D_LOW] >= found[:-1, D_HIGH]).all()
     bands = np.linspace(0.011, float(np.ptp(op)) * 1.01, 60)
     for d in bands:
-        row = found[(found[:, kernel.D_LOW] <= d) & (d < found[:, kernel.D_HIGH])]
+        row = found[(found[:, D_LOW] <= d) & (d < found[:, D_HIGH])]
         if not len(row):
             continue  # a path to which no plant could be fitted
         assert len(row) == 1
-        assert np.array_equal(path_of(data.u, float(d), 0)[0], path_of(data.u, float(row[0, kernel.D_LOW]), 0)[0])
+        assert np.array_equal(path_of(data.u, float(d), 0)[0], path_of(data.u, float(row[0, D_LOW]), 0)[0])
 
 
 @pytest.mark.parametrize("first", [0, 7, 30])
@@ -82,10 +85,10 @@ def test_the_one_step_cost_is_numpys_least_squares(first: int, integrating: bool
     op = np.cumsum(rng.normal(0, 0.5, 200))
     pv = np.convolve(op, [0.0, 0.2, 0.3, 0.1])[:200] + rng.normal(0, 0.3, 200)
     data = centre(Record(pv, op, 1.0), "fopdt")
-    rows = np.empty((1, kernel.ROW))
+    rows = np.empty((1, ROW))
     delays = np.array([2])
     pole = 1.0 if integrating else math.nan
-    kernel.walk(
+    walk(
         data.sums,
         data.squares,
         data.products,
@@ -108,7 +111,7 @@ def test_the_one_step_cost_is_numpys_least_squares(first: int, integrating: bool
         regressors.append(data.y[:-1])
     matrix = np.column_stack(regressors)
     terms = np.linalg.lstsq(matrix, target, rcond=None)[0]
-    assert rows[0, kernel.COST] == pytest.approx(float(((matrix @ terms - target) ** 2).sum()), rel=1e-9)
+    assert rows[0, COST] == pytest.approx(float(((matrix @ terms - target) ** 2).sum()), rel=1e-9)
 
 
 @pytest.mark.parametrize("plant", [FOPDT(2.0, 5.0, 1.7), FOPDT(-0.5, 0.4, 0.0), Integrating(0.3, 2.25)])
@@ -127,13 +130,13 @@ def test_the_output_error_model_is_the_simulations_plant(plant: FOPDT | Integrat
     integrating = isinstance(plant, Integrating)
     data = centre(Record(y + 50.0, op + 30.0, 1.0), "integrating" if integrating else "fopdt")
     path, _ = path_of(data.u, 1.0, first)
-    out = np.empty(kernel.FIT)
+    out = np.empty(FIT)
     tau = 1.0 if integrating else plant.time_constant
-    cost = kernel.oe_cost(
+    cost = oe_cost(
         data.y, path, first, *FREE, float(np.sign(plant.gain)), integrating, tau, plant.dead_time, *WHITE, out
     )
     assert cost <= 1e-12 * float(data.y @ data.y)
-    assert out[kernel.GAIN] == pytest.approx(plant.gain, rel=1e-6)
+    assert out[GAIN] == pytest.approx(plant.gain, rel=1e-6)
     fitted, _ = predict(data, path, first, Fit(*(float(v) for v in out)))
     assert np.abs(fitted - data.y).max() < 1e-5 * np.std(data.y)
 
@@ -142,11 +145,11 @@ def test_a_gain_of_the_wrong_sign_is_not_fitted() -> None:
     rng = np.random.default_rng(2)
     op = np.cumsum(rng.normal(0, 0.6, 200))
     data = centre(Record(-op + 5.0, op, 1.0), "fopdt")
-    out = np.empty(kernel.FIT)
-    free = kernel.oe_cost(data.y, data.u, 0, -np.inf, np.inf, 0.0, False, 0.05, 0.0, *WHITE, out)
-    assert out[kernel.GAIN] < 0.0
-    held = kernel.oe_cost(data.y, data.u, 0, -np.inf, np.inf, 1.0, False, 0.05, 0.0, *WHITE, out)
-    assert out[kernel.GAIN] == 0.0
+    out = np.empty(FIT)
+    free = oe_cost(data.y, data.u, 0, -np.inf, np.inf, 0.0, False, 0.05, 0.0, *WHITE, out)
+    assert out[GAIN] < 0.0
+    held = oe_cost(data.y, data.u, 0, -np.inf, np.inf, 1.0, False, 0.05, 0.0, *WHITE, out)
+    assert out[GAIN] == 0.0
     assert held > 4.0 * free
 
 
@@ -156,28 +159,28 @@ def test_the_start_is_held_within_its_range() -> None:
     data = centre(Record(np.roll(op, 3), op, 1.0), "fopdt")
     first = 12
     path, _ = path_of(data.u, 1.0, first)
-    out = np.empty(kernel.FIT)
-    free = kernel.oe_cost(data.y, path, first, -np.inf, np.inf, 0.0, False, 2.0, 2.0, *WHITE, out)
-    wanted = out[kernel.START] / out[kernel.GAIN]
-    held = kernel.oe_cost(data.y, path, first, wanted + 1.0, wanted + 2.0, 0.0, False, 2.0, 2.0, *WHITE, out)
-    assert out[kernel.START] / out[kernel.GAIN] == pytest.approx(wanted + 1.0)
+    out = np.empty(FIT)
+    free = oe_cost(data.y, path, first, -np.inf, np.inf, 0.0, False, 2.0, 2.0, *WHITE, out)
+    wanted = out[START] / out[GAIN]
+    held = oe_cost(data.y, path, first, wanted + 1.0, wanted + 2.0, 0.0, False, 2.0, 2.0, *WHITE, out)
+    assert out[START] / out[GAIN] == pytest.approx(wanted + 1.0)
     assert held > free
 
 
 def test_the_simplex_finds_time_constant_and_dead_time() -> None:
     rng = np.random.default_rng(8)
     op = np.repeat(rng.normal(0, 2, 30), 10)
-    out = np.empty(kernel.FIT)
+    out = np.empty(FIT)
     columns = np.empty((4, 300))
     pole = math.exp(-1.0 / 6.0)
-    kernel.oe_columns(op, 0, pole, 3, 1 - pole**0.6, pole**0.6 - pole, False, columns)
+    oe_columns(op, 0, pole, 3, 1 - pole**0.6, pole**0.6 - pole, False, columns)
     y = 1.5 * columns[1]
     white = np.ones(1)
-    cost = kernel.oe_fit(
+    cost = oe_fit(
         y, op, 0, -np.inf, np.inf, 0.0, False, 3.0, 2.0, (0.05, 300.0), (0.0, 30.0), 0.15, 400, 1e-14, white, 0, out
     )
     assert cost < 1e-8 * float(y @ y)
-    assert (out[kernel.TAU], out[kernel.THETA], out[kernel.GAIN]) == pytest.approx((6.0, 3.4, 1.5), rel=1e-3)
+    assert (out[TAU], out[THETA], out[GAIN]) == pytest.approx((6.0, 3.4, 1.5), rel=1e-3)
 
 
 @pytest.mark.parametrize("integrating", [False, True])
@@ -202,7 +205,7 @@ def test_the_cost_is_least_squares_of_the_filtered_columns(
     pole = 1.0 if integrating else math.exp(-1.0 / 6.0)
     part = 0.7 if integrating else 1.0 - pole**0.7
     columns = np.empty((4, 200))
-    kernel.oe_columns(op, first, pole, 2, part, 1.0 - pole - part if not integrating else 0.3, integrating, columns)
+    oe_columns(op, first, pole, 2, part, 1.0 - pole - part if not integrating else 0.3, integrating, columns)
     filtered, target = lfilter(a, [1.0], columns, axis=1)[:, skip:], lfilter(a, [1.0], y)
     free, *_ = np.linalg.lstsq(filtered.T, target[skip:], rcond=None)
     if np.isfinite(bounds[0]):
@@ -211,10 +214,10 @@ def test_the_cost_is_least_squares_of_the_filtered_columns(
         left = target[skip:] - np.linalg.lstsq(held.T, target[skip:], rcond=None)[0] @ held
     else:
         left = target[skip:] - free @ filtered
-    out = np.empty(kernel.FIT)
+    out = np.empty(FIT)
     drive = np.empty(200)
-    kernel.drive_of(op, first, a, drive)
-    cost = kernel.oe_cost(target, drive, first, *bounds, 0.0, integrating, 6.0, theta, a, skip, out)
+    drive_of(op, first, a, drive)
+    cost = oe_cost(target, drive, first, *bounds, 0.0, integrating, 6.0, theta, a, skip, out)
     assert cost == pytest.approx(float(left @ left), rel=1e-9)
 
 
@@ -223,7 +226,7 @@ def test_compiled_and_python_agree() -> None:
     op = np.cumsum(rng.normal(0, 0.5, 60))
     for d in (0.3, 1.1):
         at, again = np.empty(60, np.int64), np.empty(60, np.int64)
-        assert kernel.stem_slips(op, d, 2, at) == kernel.stem_slips.py_func(op, d, 2, again)  # type: ignore[attr-defined]
+        assert stem_slips(op, d, 2, at) == stem_slips.py_func(op, d, 2, again)  # type: ignore[attr-defined]
 
 
 def test_first_slips_are_where_op_leaves_all_it_was() -> None:

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 import workbench as wb
-from workbench.estimate import bands, kernel, long_kernel
+from workbench.estimate import bands, long_kernel
 from workbench.estimate.data import Centred, centre
 from workbench.estimate.fit import (
     Fit,
@@ -26,6 +26,7 @@ from workbench.estimate.fit import (
     predict,
     start_range,
 )
+from workbench.estimate.output_error import FIT, TAU, drive_of, oe_cost
 from workbench.estimate.stems import path_of, walk, walk_starts
 from workbench.estimate.windows import EXACT, active_windows, stretch_of, windows_of
 from workbench.model.valve import Valve
@@ -106,17 +107,17 @@ def test_a_plant_sought_in_a_stretch_is_the_stretchs_own_and_its_cost_the_record
     x, slips = path_of(data.u, 1.5, 0)
     begin, stop = 700, 1300
     ((fit, same),) = fit_in_stretch(data, np.array([[0.0, 1.5, 1.5001, 2.0]]), LIMITS, (begin, stop), 80)
-    out = np.empty(kernel.FIT)
+    out = np.empty(FIT)
     drive = np.empty(data.samples)
-    kernel.drive_of(x, 0, data.a, drive)
-    whole = kernel.oe_cost(
+    drive_of(x, 0, data.a, drive)
+    whole = oe_cost(
         data.target, drive, 0, -np.inf, np.inf, data.sign, False, fit.tau, fit.theta, data.a, data.skip, out
     )
     assert (fit.sse, same) == (whole, slips)
     part, within = data.target[begin:stop], drive[begin:stop]
 
     def there(tau: float, theta: float) -> float:
-        return kernel.oe_cost(part, within, 0, -np.inf, np.inf, data.sign, False, tau, theta, data.a, 1, out)
+        return oe_cost(part, within, 0, -np.inf, np.inf, data.sign, False, tau, theta, data.a, 1, out)
 
     around = [there(fit.tau * f, fit.theta + s) for f, s in ((1.01, 0), (0.99, 0), (1, 0.03), (1, -0.03))]
     assert there(fit.tau, fit.theta) < min(around)
@@ -158,7 +159,7 @@ def test_compiled_kernels_of_long_records_and_python_agree() -> None:
     data = loop_data(samples=120)
     x, _ = path_of(data.u, 1.5, 0)
     free, white = (-math.inf, math.inf), np.ones(1)
-    out, again = np.empty(kernel.FIT), np.empty(kernel.FIT)
+    out, again = np.empty(FIT), np.empty(FIT)
     given = (data.y, x, 0, *free, 0.0, False, 5.0, 2.0, LIMITS.tau, LIMITS.theta, 0.02, 2, white, 0)
     assert long_kernel.fit_near(*given, out) == long_kernel.fit_near.py_func(*given, again)  # type: ignore[attr-defined]
     halves = (data.y, x, 0, out, False, white, 0, 60)
@@ -317,10 +318,10 @@ def test_a_cycle_without_a_setpoint_move_gives_the_band_back(
 
 def test_a_dead_time_that_is_held_leaves_the_quadratic_to_the_time_constant() -> None:
     x = np.repeat([0.0, 2.0, -1.0, 1.5, 0.0], 400)
-    y, out = np.zeros(x.size), np.empty(kernel.FIT)
+    y, out = np.zeros(x.size), np.empty(FIT)
     for k in range(1, x.size):
         y[k] = y[k - 1] + (x[k - 1] - y[k - 1]) / 41.0
     white, inf = np.ones(1), math.inf
     limits = ((0.05, 2000.0), (0.0, 0.0))
     long_kernel.fit_near(y, x, 0, -inf, inf, 0.0, False, 45.0, 0.0, *limits, 0.05, 4, white, 0, out)
-    assert out[kernel.TAU] == pytest.approx(-1.0 / math.log(1.0 - 1.0 / 41.0), rel=1e-4)
+    assert out[TAU] == pytest.approx(-1.0 / math.log(1.0 - 1.0 / 41.0), rel=1e-4)

@@ -14,10 +14,11 @@ from hypothesis import strategies as st
 
 import workbench as wb
 from workbench.cli_output import estimate_lines
-from workbench.estimate import kernel
 from workbench.estimate.data import centre
 from workbench.estimate.fit import Fit, predict
+from workbench.estimate.path_kernel import band_path, each_way_path, stem_path
 from workbench.estimate.repeat import repeats_of, words_of
+from workbench.estimate.repeat_kernel import HELD, scan_held
 from workbench.model.results import Estimate, Part, Repeats
 from workbench.model.study import NamedEstimate, Study
 from workbench.report.results import results_content, strict
@@ -232,14 +233,14 @@ def test_a_stem_alike_both_ways_is_the_known_one(
 ) -> None:
     op = walk(seed, n)
     ours, theirs = np.empty(n), np.empty(n)
-    slips = kernel.each_way_path(op, math.nan, S, S, first, sense, ours)
-    assert slips == kernel.stem_path(op, S, first, theirs)
+    slips = each_way_path(op, math.nan, S, S, first, sense, ours)
+    assert slips == stem_path(op, S, first, theirs)
     np.testing.assert_array_equal(ours, theirs)
     J = share * S
     gap = S - J
-    slips = kernel.each_way_path(op, gap, J, J, first, sense, ours)
+    slips = each_way_path(op, gap, J, J, first, sense, ours)
     # gap + J may differ from S by one rounding.
-    assert slips == kernel.band_path(op, gap + J, J, first, sense, theirs, np.empty(4))
+    assert slips == band_path(op, gap + J, J, first, sense, theirs, np.empty(4))
     np.testing.assert_allclose(ours, theirs, atol=1e-12)
 
 
@@ -260,16 +261,16 @@ def test_held_costs_are_least_squares_and_the_kernel_is_its_plain_self(
     record = wb.Record(walk(seed, n), walk(seed + 1000, n), 1.0)
     data = centre(record, "integrating" if integrating else "fopdt")
     starts, bands = np.array([[0.0, 1.0]]), np.array([[math.nan, up, down], [0.5 * up, 0.2 * up, 0.3 * up]])
-    costs, found = np.empty(2), np.empty((2, kernel.HELD))
+    costs, found = np.empty(2), np.empty((2, HELD))
     arguments = (data.y, data.u, starts, bands, 0.02, gain, integrating, tau, theta)
-    kernel.scan_held(*arguments, costs, found)
-    plain, beside = np.empty(2), np.empty((2, kernel.HELD))
-    kernel.scan_held.py_func(*arguments, plain, beside)
+    scan_held(*arguments, costs, found)
+    plain, beside = np.empty(2), np.empty((2, HELD))
+    scan_held.py_func(*arguments, plain, beside)
     np.testing.assert_array_equal(costs, plain)
     np.testing.assert_array_equal(found, beside)
     for band, cost, row in zip(bands, costs, found, strict=True):
         x = np.empty(n)
-        kernel.each_way_path(data.u, *band, 0, 1.0, x)
+        each_way_path(data.u, *band, 0, 1.0, x)
         fit = Fit(math.nan, tau, theta, gain, row[3], row[4], row[5])
         prediction, columns = predict(data, x, 0, fit)
         rest = columns[[0, 2, 3]].T

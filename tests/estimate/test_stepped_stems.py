@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 import workbench as wb
-from workbench.estimate import kernel
 from workbench.estimate.coloured import colour_beside
 from workbench.estimate.data import centre
 from workbench.estimate.fit import Limits, disturbance, fit_path, grounded, predict, standard_errors
+from workbench.estimate.output_error import oe_columns, plant_terms
 from workbench.estimate.stems import path_of
 from workbench.estimate.stepped import stepped_stems
 from workbench.estimate.stepped_kernel import LANES, STRIDE, left_beside, screen_stepped
@@ -31,7 +31,7 @@ def least(
     c0 = 1.0 - f if integrating else 1.0 - a ** (1.0 - f)
     c1 = f if integrating else a ** (1.0 - f) - a
     columns = np.empty((4, n))
-    kernel.oe_columns(x, max(first, 0), a, m, c0, c1, integrating, columns)
+    oe_columns(x, max(first, 0), a, m, c0, c1, integrating, columns)
     k = np.arange(n - at, dtype=float)
     step = np.zeros(n)
     step[at:] = k if integrating else 1.0 - np.exp(-k / tau)
@@ -109,8 +109,8 @@ def test_what_is_left_beside_two_steps_is_that_of_least_squares(integrating: boo
     x, n, skip = np.repeat(rng.normal(size=40), 5), 200, 7
     y = np.cumsum(x) + rng.normal(size=n)
     columns = np.empty((4, n))
-    plant = kernel.plant_terms(integrating, 8.0, 2.3)
-    kernel.oe_columns(x, 3, plant[0], plant[3], plant[1], plant[2], integrating, columns)
+    plant = plant_terms(integrating, 8.0, 2.3)
+    oe_columns(x, 3, plant[0], plant[3], plant[1], plant[2], integrating, columns)
     k = np.arange(n, dtype=float)
     steps = [np.where(k >= at, (k - at) if integrating else 1.0 - np.exp(-(k - at) / 8.0), 0.0) for at in (60, 130)]
     matrix = np.vstack([columns, steps])[:, skip:]

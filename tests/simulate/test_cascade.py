@@ -12,7 +12,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 import workbench as wb
-from workbench.simulate import kernel
+from workbench.simulate import cascade_kernel as kernel
 from workbench.simulate.cascade import CascadeState, cascade_signals, chain
 
 STEP = wb.Experiment(1000.0, setpoint=wb.Step(5.0))

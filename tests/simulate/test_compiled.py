@@ -53,7 +53,8 @@ def test_a_copy_is_of_the_values() -> None:
 
 def test_an_edit_of_what_is_called_is_an_edit_of_what_calls(tmp_path: Path, load: Load) -> None:
     texts = {
-        "inmost": "SHARE = 2.0\n@compiled\ndef share(x):\n    return SHARE * x\n",
+        "amounts": "SHARE = 2.0\n",
+        "inmost": "from amounts import SHARE\n@compiled\ndef share(x):\n    return SHARE * x\n",
         "between": "from inmost import share\n@compiled\ndef more(x):\n    return 1.0 + share(x)\n",
         "outmost": "from between import more\n@compiled\ndef most(x):\n    return 10.0 * more(x)\n",
     }
@@ -67,6 +68,9 @@ def test_an_edit_of_what_is_called_is_an_edit_of_what_calls(tmp_path: Path, load
         (tmp_path / f"{name}.py").write_text(HEAD + text)
     assert most() == (70.0, 0)
     assert most() == (70.0, 1)
-    (tmp_path / "inmost.py").write_text(HEAD + texts["inmost"].replace("2.0", "5.0"))
+    (tmp_path / "amounts.py").write_text(texts["amounts"].replace("2.0", "5.0"))
     assert most() == (160.0, 0)
     assert most() == (160.0, 1)
+    (tmp_path / "inmost.py").write_text(HEAD + texts["inmost"].replace("SHARE * x", "SHARE * x + 1.0"))
+    assert most() == (170.0, 0)
+    assert most() == (170.0, 1)

@@ -14,7 +14,7 @@ from loops import controllers, loops, numbers, paper_loop
 
 import workbench as wb
 from workbench.analyze.half_cycles import fresh_carry
-from workbench.simulate import kernel
+from workbench.simulate import events, kernel
 from workbench.simulate.coefficients import coefficients, rest
 
 FAR = 100_000
@@ -22,8 +22,8 @@ TIE = 1e-9
 
 
 def table_of(row):
-    table = np.empty((kernel.DOUBLINGS, kernel.FILTER_SUM + 1))
-    kernel.doublings(row, table)
+    table = np.empty((events.DOUBLINGS, events.FILTER_SUM + 1))
+    events.doublings(row, table)
     return table
 
 
@@ -48,7 +48,7 @@ def tied(row, u, x):
         seen = kernel._level(u, q, row[kernel.BIAS], row[kernel.LOW], row[kernel.HIGH])
     up, down = row[kernel.BAND], row[kernel.BAND_DOWN]
     if row[kernel.PLACES] > 0.0:
-        up = down = kernel._place(row, x)[0]
+        up = down = kernel.place(row, x)[0]
     gaps = [seen - x - up, seen - x + down, u - row[kernel.LOW], u - row[kernel.HIGH]]
     if row[kernel.VALVE] == kernel.KANO:
         # Where its stem has not moved yet.
@@ -60,7 +60,7 @@ def check_jump(row, r, load, state, past, most=FAR):
     """Hold one jump against the kernel from the same state; return its samples and leave state and past after them."""
     x0, before = state[kernel.X_LAST], state.copy()
     jumped, carry = state.copy(), fresh_carry(x0)
-    n = kernel.jump(row, r, load, jumped, most, table_of(row), carry, np.empty(kernel.SCRATCH))
+    n = events.jump(row, r, load, jumped, most, table_of(row), carry, np.empty(events.SCRATCH))
     y, u, x, branch = run_on(row, r, load, state, past.copy(), max(n, 1))
     # What OP would be at any resolution: nothing of it comes back while the stem rests.
     fine = row.copy()
@@ -82,12 +82,12 @@ def check_jump(row, r, load, state, past, most=FAR):
         for entry, size in sizes.items():
             assert near(jumped[entry], state[entry], size) or tied(row, op[n - 1], x0), (entry, n)
         assert jumped[kernel.X_LAST] == x0
-        assert near(carry[kernel.Y_HIGH], y[:n].max(), sizes[kernel.Y])
-        assert near(carry[kernel.Y_LOW], y[:n].min(), sizes[kernel.Y])
-        for entry, extreme, at in ((kernel.U_HIGH, u.max(), op[:n].max()), (kernel.U_LOW, u.min(), op[:n].min())):
+        assert near(carry[events.Y_HIGH], y[:n].max(), sizes[kernel.Y])
+        assert near(carry[events.Y_LOW], y[:n].min(), sizes[kernel.Y])
+        for entry, extreme, at in ((events.U_HIGH, u.max(), op[:n].max()), (events.U_LOW, u.min(), op[:n].min())):
             assert near(carry[entry], extreme, sizes[kernel.U_LAST]) or tied(row, at, x0)
         squares = float(((r - y[:n]) ** 2).sum())
-        assert abs(carry[kernel.SQUARES] - squares) <= 1e-9 * n * sizes[kernel.Y] ** 2 + 1e-300
+        assert abs(carry[events.SQUARES] - squares) <= 1e-9 * n * sizes[kernel.Y] ** 2 + 1e-300
     if n < most:
         # The sample after the jump leaves the band, or meets a limit.
         _, u, x, branch = run_on(row, r, load, state.copy(), past.copy(), 1)
@@ -105,7 +105,7 @@ def follow_jumps(loop, r, load, pauses):
         run_on(row, r, load, state, past, past.size + pause)
         if not np.isfinite(state).all() or np.abs(state).max() > 1e6:
             break
-        if kernel._rests(row, load, state, past):
+        if events._rests(row, load, state, past):
             if check_jump(row, r, load, state, past) is None:
                 break
             jumps += 1
@@ -228,11 +228,11 @@ def test_the_compiled_jump_equals_its_python_source_to_the_bit(loop, r):
     row = coefficients(loop)[0]
     state, past = rest(row)
     run_on(row, r, 0.0, state, past, past.size + 3)
-    assume(np.isfinite(state).all() and kernel._rests(row, 0.0, state, past))
+    assume(np.isfinite(state).all() and events._rests(row, 0.0, state, past))
     table, results = table_of(row), []
-    for function in (kernel.jump, kernel.jump.py_func):
+    for function in (events.jump, events.jump.py_func):
         mine, carry = state.copy(), fresh_carry(state[kernel.X_LAST])
-        results.append([function(row, r, 0.0, mine, 3000, table, carry, np.empty(kernel.SCRATCH)), *mine, *carry])
+        results.append([function(row, r, 0.0, mine, 3000, table, carry, np.empty(events.SCRATCH)), *mine, *carry])
     np.testing.assert_array_equal(results[0], results[1])
 
 
@@ -244,7 +244,7 @@ def test_doublings_are_the_sums_that_they_stand_for(a, q, n):
     table, at, trial = table_of(row), np.array([0.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0]), np.empty(7)
     for j in range(11):
         if n >> j & 1:
-            kernel._join(at, table[j], trial)
+            events._join(at, table[j], trial)
             at[:] = trial
     rises = [sum(a**k for k in range(i)) for i in range(n + 1)]
     wanted = [
@@ -284,37 +284,37 @@ def test_a_run_made_of_jumps_has_the_half_cycles_of_the_plain_run(valve, Ti, dea
     loop = wb.Loop(wb.FOPDT(1.0, 12.0, dead_time), valve, wb.PID(Kc=0.5, Ti=Ti), 1.0)
     row, n = coefficients(loop)[0], 60_000
     state, past = rest(row)
-    carry, rows = fresh_carry(0.0), np.empty((8000, kernel.HALF_CYCLE))
+    carry, rows = fresh_carry(0.0), np.empty((8000, events.HALF_CYCLE))
     scale = (1e-10 * valve.stick_band, 1e-12, 1e9)
-    samples, worked, count, ended = kernel.run_events(
+    samples, worked, count, ended = events.run_events(
         row, 3.7, 0.0, state, past, table_of(row), n, n, 0, *scale, carry, rows
     )
     turns, run = plain_turns(loop, 3.7, n, valve.stick_band)
-    assert (samples, ended) == (n, kernel.DONE) or ended == kernel.RESTS
+    assert (samples, ended) == (n, events.DONE) or ended == events.RESTS
     assert worked <= samples
     # Small differences grow from slip to slip of all but Stenman's stem: sooner or later the two runs part.
     alike, off = (len(turns), 1e-9) if isinstance(valve, wb.Stenman) else (6, 1e-5)
-    assert rows[: min(count, alike), kernel.END].tolist() == turns[:alike]
+    assert rows[: min(count, alike), events.END].tolist() == turns[:alike]
     assert len(turns) >= 6
     moves = np.diff(run.valve, prepend=0.0)
     for row_ in rows[: min(count, 6)]:
-        inside = slice(int(row_[kernel.START]), int(row_[kernel.END]))
-        assert row_[kernel.Y_HIGH] == pytest.approx(run.pv[inside].max(), rel=off)
-        assert row_[kernel.U_LOW] == pytest.approx(run.op[inside].min(), rel=off, abs=off)
-        assert row_[kernel.SQUARES] == pytest.approx(float(((3.7 - run.pv[inside]) ** 2).sum()), rel=off)
-        assert row_[kernel.STEM_TRAVEL] == pytest.approx(np.abs(moves[inside]).sum(), rel=off)
+        inside = slice(int(row_[events.START]), int(row_[events.END]))
+        assert row_[events.Y_HIGH] == pytest.approx(run.pv[inside].max(), rel=off)
+        assert row_[events.U_LOW] == pytest.approx(run.op[inside].min(), rel=off, abs=off)
+        assert row_[events.SQUARES] == pytest.approx(float(((3.7 - run.pv[inside]) ** 2).sum()), rel=off)
+        assert row_[events.STEM_TRAVEL] == pytest.approx(np.abs(moves[inside]).sum(), rel=off)
         motion = run.branch % 3 - 1
         still = np.concatenate([[0], motion[:-1]])
         slips = (motion != 0) if valve.sticks_at_once else (motion != 0) & (motion != still)
-        assert row_[kernel.SLIPS] == np.count_nonzero(slips[inside])
+        assert row_[events.SLIPS] == np.count_nonzero(slips[inside])
 
 
 def test_most_of_a_slow_cycle_is_jumped_over():
     row = coefficients(paper_loop(0.5, 200.0))[0]
     state, past = rest(row)
-    rows = np.empty((2000, kernel.HALF_CYCLE))
+    rows = np.empty((2000, events.HALF_CYCLE))
     asked = (10**9, 10**9, 0, 1e-10, 1e-9, 1e9)
-    samples, worked, count, _ = kernel.run_events(
+    samples, worked, count, _ = events.run_events(
         row, 4.0, 0.0, state, past, table_of(row), *asked, fresh_carry(0.0), rows
     )
     assert count > 900
@@ -323,15 +323,15 @@ def test_most_of_a_slow_cycle_is_jumped_over():
 
 def test_what_never_slips_rests_and_what_grows_is_away():
     for loop, r, ended in (
-        (paper_loop(0.5, math.inf), 6.0, kernel.RESTS),
-        (paper_loop(0.5, 20.0), 0.0, kernel.RESTS),
-        (paper_loop(20.0, 20.0), 1.0, kernel.AWAY),
+        (paper_loop(0.5, math.inf), 6.0, events.RESTS),
+        (paper_loop(0.5, 20.0), 0.0, events.RESTS),
+        (paper_loop(20.0, 20.0), 1.0, events.AWAY),
     ):
         row = coefficients(loop)[0]
         state, past = rest(row)
         asked = (2**40, 10**6, 0, 1e-10, 1e-9, 1e9)
-        carry, rows = fresh_carry(0.0), np.empty((3000, kernel.HALF_CYCLE))
-        assert kernel.run_events(row, r, 0.0, state, past, table_of(row), *asked, carry, rows)[3] == ended
+        carry, rows = fresh_carry(0.0), np.empty((3000, events.HALF_CYCLE))
+        assert events.run_events(row, r, 0.0, state, past, table_of(row), *asked, carry, rows)[3] == ended
 
 
 @pytest.mark.parametrize("on_pv", ["error", "pv"])
@@ -342,6 +342,6 @@ def test_a_trace_shows_the_samples_of_the_plain_run(stride, on_pv):
     row = coefficients(loop)[0]
     state, past = rest(row)
     points = np.empty((2000 // stride, 3))
-    kernel.trace(row, 4.0, 0.0, state, past, table_of(row), stride, points)
+    events.trace(row, 4.0, 0.0, state, past, table_of(row), stride, points)
     for column, signal in enumerate((run.pv, run.op, run.valve)):
         np.testing.assert_allclose(points[:, column], signal[stride - 1 :: stride], rtol=1e-9, atol=1e-9)

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 import workbench as wb
 from workbench.model.tuning import WEIGHABLE
-from workbench.simulate import kernel
+from workbench.simulate import sums as kernel
 from workbench.simulate.batch import kernel_weights, sums, weigh, worst
 from workbench.simulate.coefficients import coefficients
 from workbench.simulate.signals import signals

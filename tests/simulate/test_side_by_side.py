@@ -9,10 +9,12 @@ from hypothesis import strategies as st
 from loops import experiments, loops, paper_loop, paper_step
 
 import workbench as wb
-from workbench.simulate import kernel
+from workbench.simulate import batch_kernel, kernel
 from workbench.simulate.batch import kernel_weights, sums, weigh, worst
+from workbench.simulate.batch_kernel import LANES
 from workbench.simulate.coefficients import coefficients, rest
 from workbench.simulate.signals import Signals, signals
+from workbench.simulate.sums import FEW_SUMS, SUMS, add_sums
 
 
 def tunings_near(loop: wb.Loop, count: int, seed: int) -> np.ndarray:
@@ -26,13 +28,13 @@ def tunings_near(loop: wb.Loop, count: int, seed: int) -> np.ndarray:
 def alone(rows: np.ndarray, s: Signals) -> np.ndarray:
     """The first sums of each row from its own trajectory, as the kernel makes it one sample after the other."""
     n = s.samples
-    found = np.zeros((rows.shape[0], kernel.SUMS))
+    found = np.zeros((rows.shape[0], SUMS))
     for row, out in zip(rows, found, strict=True):
         state, past = rest(row)
         y, u, x, v = np.empty(n + 1), np.empty(n), np.empty(n), np.empty(n)
         kernel.run_loop(row, s.r, s.load, s.noise, state, past, y, u, x, v, np.empty(n, np.int8))
-        kernel.add_sums(out, np.array([row[kernel.BIAS], 0.0, 0.0]), False, s.r, s.noise, y, u, x)
-    return found[:, : kernel.FEW_SUMS]
+        add_sums(out, np.array([row[kernel.BIAS], 0.0, 0.0]), False, s.r, s.noise, y, u, x)
+    return found[:, :FEW_SUMS]
 
 
 @given(loop=loops, experiment=experiments(), count=st.integers(1, 40), seed=st.integers(0, 99))
@@ -75,31 +77,33 @@ def test_worst_cases_in_lanes_are_those_of_whole_runs(loop, experiment, groups, 
 def test_lanes_are_taken_and_equal_their_python_source(valve, Td):
     loop = wb.Loop(wb.FOPDT(1.0, 5.0, 1.3), valve, wb.PID(0.8, 15.0, Td, output_limits=(-3.0, 6.0)), 1.0)
     s = signals(loop, wb.Experiment(90.0, wb.Step(4.0), wb.Step(1.0, at=40.0), wb.Noise(0.05, 1)))
-    rows = coefficients(loop, 0.0, tunings_near(loop, kernel.LANES, 3))
-    taken = np.zeros((kernel.LANES, kernel.SUMS))
-    assert kernel._run_abreast(rows, np.zeros(kernel.LANES, np.int64), s.r, s.load, s.noise, taken) == kernel.LANES
+    rows = coefficients(loop, 0.0, tunings_near(loop, LANES, 3))
+    taken = np.zeros((LANES, SUMS))
+    assert batch_kernel._run_abreast(rows, np.zeros(LANES, np.int64), s.r, s.load, s.noise, taken) == LANES
     kind = kernel.TWO_PARAMETER if isinstance(valve, wb.Choudhury) else kernel.STAIRS
     m = int(rows[0, kernel.DELAY])
-    lanes, v = np.zeros(kernel.ABREAST), np.zeros((90 + m + 2) * kernel.LANES)
-    for j in range(kernel.LANES):
-        kernel._enter(rows[j], lanes, j)
+    lanes, v = np.zeros(batch_kernel.ABREAST), np.zeros((90 + m + 2) * LANES)
+    for j in range(LANES):
+        batch_kernel._enter(rows[j], lanes, j)
     for a, b in ((0, 50), (50, 90)):
-        source = kernel._abreast.py_func  # type: ignore[attr-defined]
+        source = batch_kernel._abreast.py_func  # type: ignore[attr-defined]
         source(rows[0], s.r[a:b], s.load[a:b], s.noise[a:b], lanes, v, kind, a == 0)
-    python = np.zeros((kernel.LANES, kernel.SUMS))
-    for j in range(kernel.LANES):
-        kernel._leave(rows[0], lanes, v, j, s.r[90], s.noise[90], python[j])
+    python = np.zeros((LANES, SUMS))
+    for j in range(LANES):
+        batch_kernel._leave(rows[0], lanes, v, j, s.r[90], s.noise[90], python[j])
     np.testing.assert_array_equal(taken, python)
-    np.testing.assert_array_equal(python[:, : kernel.FEW_SUMS], alone(rows, s))
+    np.testing.assert_array_equal(python[:, :FEW_SUMS], alone(rows, s))
 
 
 def test_what_lanes_do_not_know_is_run_alone():
-    few = np.zeros((6, kernel.FEW_SUMS))
+    few = np.zeros((6, FEW_SUMS))
     s = signals(paper_loop(0.5, 20.0), paper_step(50.0))
 
     def taken(loop: wb.Loop, count: int = 6, which: np.ndarray | None = None) -> int:
         rows = coefficients(loop, 0.0, tunings_near(loop, count, 0))
-        return kernel._run_abreast(rows, np.zeros(6, np.int64) if which is None else which, s.r, s.load, s.noise, few)
+        return batch_kernel._run_abreast(
+            rows, np.zeros(6, np.int64) if which is None else which, s.r, s.load, s.noise, few
+        )
 
     plain = paper_loop(0.5, 20.0)
     assert taken(plain) == 6

@@ -16,7 +16,7 @@ from workbench.model.cascade import Appearance, Cascade, CascadeCycle, CascadeEx
 from workbench.model.checks import instance
 from workbench.model.experiment import Experiment
 from workbench.model.record import FloatArray
-from workbench.simulate import kernel
+from workbench.simulate import events, kernel
 from workbench.simulate.cascade import CascadeSignals, CascadeState, cascade_run, cascade_signals
 
 __all__ = ["cascade_cycle"]
@@ -57,7 +57,7 @@ def cascade_cycle(
     out, _ = state.run(_part(given, 0, start))
     r, band = float(given.r[-1]), _band(cascade)
     carry, kind = fresh_carry(float(out["x"][-1])), int(state.secondary[kernel.VALVE])
-    halves = np.empty((0, kernel.HALF_CYCLE))
+    halves = np.empty((0, events.HALF_CYCLE))
     first, size, before, begin = 1, FIRST_BLOCK, None, start
     piece = max(1, PIECE // every) * every
     while begin < given.samples:
@@ -66,9 +66,9 @@ def cascade_cycle(
         end = min(begin + piece, given.samples)
         part = _part(given, begin, end)
         out, branch = state.run(part)
-        rows = np.empty((end - begin, kernel.HALF_CYCLE))
+        rows = np.empty((end - begin, events.HALF_CYCLE))
         figures = (out["y2"], out["u2"], out["x"], branch)
-        count = kernel.collect(kind, *figures, 0.0, begin - start, DUST * band, carry, rows)
+        count = events.collect(kind, *figures, 0.0, begin - start, DUST * band, carry, rows)
         halves = np.concatenate([halves, rows[:count]])
         late = cascade_run(cascade, whole, part, out, branch, rested=False)
         if not max(abs(late.primary.final_pv), abs(late.secondary.final_pv)) <= AWAY * _reach(cascade, r):

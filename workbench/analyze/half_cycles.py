@@ -1,27 +1,27 @@
-"""Figures of half cycles: what happened between two reversals of the stem, as `simulate.kernel.collect` counted it."""
+"""Figures of half cycles: what happened between two reversals of the stem, as `simulate.events.collect` counted it."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from workbench.model.record import FloatArray
-from workbench.simulate import kernel
+from workbench.simulate import events
 
 __all__ = ["Block", "fresh_carry", "mean_period"]
 
 
 def fresh_carry(stem: float) -> FloatArray:
     """Return what `collect` carries along, for a stem at rest at `stem` (%) that has not moved yet."""
-    carry = np.zeros(kernel.CARRIED)
-    carry[kernel.STEM_AT] = stem
-    carry[kernel.Y_HIGH] = carry[kernel.U_HIGH] = -np.inf
-    carry[kernel.Y_LOW] = carry[kernel.U_LOW] = np.inf
+    carry = np.zeros(events.CARRIED)
+    carry[events.STEM_AT] = stem
+    carry[events.Y_HIGH] = carry[events.U_HIGH] = -np.inf
+    carry[events.Y_LOW] = carry[events.U_LOW] = np.inf
     return carry
 
 
 def mean_period(halves: FloatArray, sample_time: float) -> float:
     """Return the mean period (s) of an even number of successive half cycles."""
-    samples = float(halves[-1, kernel.END] - halves[0, kernel.START])
+    samples = float(halves[-1, events.END] - halves[0, events.START])
     return float(2.0 * samples * sample_time / halves.shape[0])
 
 
@@ -35,29 +35,29 @@ class Block:
     def __init__(self, halves: FloatArray, sample_time: float) -> None:
         self._halves = halves
         self.period = mean_period(halves, sample_time)
-        self.pv_peak_to_peak = self._swing(kernel.Y_HIGH, kernel.Y_LOW)
-        self._samples = float(halves[-1, kernel.END] - halves[0, kernel.START])
+        self.pv_peak_to_peak = self._swing(events.Y_HIGH, events.Y_LOW)
+        self._samples = float(halves[-1, events.END] - halves[0, events.START])
         self._per_hour = 3600.0 / (self._samples * sample_time)
 
     @property
     def op_peak_to_peak(self) -> float:
         """%, median over cycles."""
-        return self._swing(kernel.U_HIGH, kernel.U_LOW)
+        return self._swing(events.U_HIGH, events.U_LOW)
 
     @property
     def mean_square_error(self) -> float:
         """EU^2."""
-        return float(self._halves[:, kernel.SQUARES].sum()) / self._samples
+        return float(self._halves[:, events.SQUARES].sum()) / self._samples
 
     @property
     def travel_per_hour(self) -> float:
         """%."""
-        return float(self._halves[:, kernel.STEM_TRAVEL].sum()) * self._per_hour
+        return float(self._halves[:, events.STEM_TRAVEL].sum()) * self._per_hour
 
     @property
     def slips_per_hour(self) -> float:
         """Breakaways of the stem from rest."""
-        return float(self._halves[:, kernel.SLIPS].sum()) * self._per_hour
+        return float(self._halves[:, events.SLIPS].sum()) * self._per_hour
 
     @property
     def reversals_per_hour(self) -> float:

@@ -1,6 +1,6 @@
 """One start followed exactly and noise-free until its fate is decided: it settles, it cycles, or neither can be said.
 
-The run goes from slip to slip (`simulate.kernel.run_events`), so that a cycle of hours costs what one of seconds does.
+The run goes from slip to slip (`simulate.events.run_events`), so that a cycle of hours costs what one of seconds does.
 Blocks of stem reversals decide on a cycle, not the recurrence of a state: the setpoint's place between the stem
 positions drifts over many cycles, and hardly any run repeats itself.
 """
@@ -19,7 +19,7 @@ from workbench.model.loop import Loop
 from workbench.model.plant import FOPDT
 from workbench.model.record import FloatArray
 from workbench.model.results import LimitCycleStart
-from workbench.simulate import kernel
+from workbench.simulate import events, kernel
 from workbench.simulate.coefficients import coefficients, rest
 from workbench.simulate.signals import Signals
 
@@ -74,8 +74,8 @@ class _Follower:
     def __init__(self, loop: Loop, start: Start, traced: bool) -> None:
         self.loop, self.traced = loop, traced
         self.row = coefficients(loop, start.stem_offset)[0]
-        self.table = np.empty((kernel.DOUBLINGS, kernel.FILTER_SUM + 1))
-        kernel.doublings(self.row, self.table)
+        self.table = np.empty((events.DOUBLINGS, events.FILTER_SUM + 1))
+        events.doublings(self.row, self.table)
         self.state, self.past = rest(self.row)
         self.r, self.load = float(start.given.r[-1]), float(start.given.load[-1])
         self.scale = _scale(loop, self.r)
@@ -85,7 +85,7 @@ class _Follower:
         self._prelude(start.given)
         self.carry = fresh_carry(float(self.state[kernel.X_LAST]))
         self.samples = self.worked = 0
-        self._kept, self._filled = np.empty((1024, kernel.HALF_CYCLE)), 0
+        self._kept, self._filled = np.empty((1024, events.HALF_CYCLE)), 0
 
     @property
     def halves(self) -> FloatArray:
@@ -110,27 +110,27 @@ class _Follower:
 
     def advance(self, work: int, wanted: int) -> int:
         """Run on for about `work` samples of the kernel, or `wanted` half cycles; gather these; return the ending."""
-        rows = np.empty((wanted + max(4 * self.past.size + 4, 1024), kernel.HALF_CYCLE))
+        rows = np.empty((wanted + max(4 * self.past.size + 4, 1024), events.HALF_CYCLE))
         dust, still, reach = DUST * self.scale.band, 10.0 * STILL * self.scale.pv, self._reach()
         given = (self.row, self.r, self.load, self.state, self.past, self.table, NEVER, work)
-        samples, worked, count, ended = kernel.run_events(*given, self.samples, dust, still, reach, self.carry, rows)
+        samples, worked, count, ended = events.run_events(*given, self.samples, dust, still, reach, self.carry, rows)
         self._count(samples, worked, rows[:count])
         return ended
 
     def look(self, n: int) -> None:
         """Run n more samples one by one, and keep them to be looked at."""
         self._run(np.full(n, self.r), np.full(n, self.load))
-        rows = np.empty((n, kernel.HALF_CYCLE))
+        rows = np.empty((n, events.HALF_CYCLE))
         dust, kind = DUST * self.scale.band, int(self.row[kernel.VALVE])
         kept = (self.y, self.u, self.x, self.branch)
-        count = kernel.collect(kind, *kept, self.r, self.samples, dust, self.carry, rows)
+        count = events.collect(kind, *kept, self.r, self.samples, dust, self.carry, rows)
         self._count(n, n, rows[:count])
 
     def _count(self, samples: int, worked: int, rows: FloatArray) -> None:
         filled = self._filled + rows.shape[0]
         if filled > self._kept.shape[0]:
             # Doubled, so that a drifting loop's many thousands are copied a few times, not at every block.
-            self._kept = np.concatenate([self.halves, np.empty((filled, kernel.HALF_CYCLE))])
+            self._kept = np.concatenate([self.halves, np.empty((filled, events.HALF_CYCLE))])
         self._kept[self._filled : filled] = rows
         self._filled = filled
         self.samples += samples
@@ -211,7 +211,7 @@ class _Follower:
 
     def _on_setpoint(self) -> str:
         """By which way PV came to rest on the setpoint; only a stem that sticks at once lands there by a slip."""
-        slid = self._follows() and self.carry[kernel.DIRECTION] != 0.0
+        slid = self._follows() and self.carry[events.DIRECTION] != 0.0
         return SLIDES if slid else "PV comes to rest on the setpoint"
 
     def _follows(self) -> bool:
@@ -254,7 +254,7 @@ class _Follower:
         Ts = self.loop.sample_time
         stride = max(1, math.ceil(TRACED * period / Ts / POINTS))
         points = np.empty((math.ceil(TRACED * period / Ts / stride) + 2, 3))
-        kernel.trace(self.row, self.r, self.load, self.state, self.past, self.table, stride, points)
+        events.trace(self.row, self.r, self.load, self.state, self.past, self.table, stride, points)
         x = points[:, 2]
         moved = np.flatnonzero(np.abs(np.diff(x)) > DUST * self.scale.band) + 1
         rising = x[moved] > x[moved - 1]
@@ -288,9 +288,9 @@ def follow(loop: Loop, start: Start, *, least: int = LEAST, traced: bool = True)
     while run.worked < BUDGET:
         turns = run.halves.shape[0]
         ended = run.advance(min(chunk, BUDGET - run.worked), max(1, first + size - turns))
-        if ended == kernel.AWAY:
+        if ended == events.AWAY:
             return _no_cycle(run, start, "undecided", run.away())
-        if ended == kernel.RESTS:
+        if ended == events.RESTS:
             return _no_cycle(run, start, *run.at_rest())
         if run.halves.shape[0] == turns or frictionless:
             run.look(min(chunk, max(BUDGET - run.worked, FIRST_CHUNK)))
@@ -356,22 +356,22 @@ def _cycle(run: _Follower, start: Start, end: int, reason: str) -> LimitCycleSta
     half = (end - 1) // 4 * 2
     block = Block(halves[end - half : end], Ts)
     # Slow cycles are met long before they are late: the range holds what drifts from the first `LEAST` samples on.
-    early = 1 + max(FIRST_BLOCK, int(np.searchsorted(halves[:end, kernel.START], LEAST)))
+    early = 1 + max(FIRST_BLOCK, int(np.searchsorted(halves[:end, events.START], LEAST)))
     begin = min(early, end - half)
     part = min(FIRST_BLOCK, half)
     first = np.arange(begin, end - part + 1, part)
-    periods = 2.0 * Ts / part * (halves[first + part - 1, kernel.END] - halves[first, kernel.START])
+    periods = 2.0 * Ts / part * (halves[first + part - 1, events.END] - halves[first, events.START])
     return LimitCycleStart(
         name=start.name,
         outcome="cycles",
         reason=reason,
-        first_period=float(halves[2, kernel.END] - halves[1, kernel.START]) * Ts,
+        first_period=float(halves[2, events.END] - halves[1, events.START]) * Ts,
         period=block.period,
         pv_peak_to_peak=block.pv_peak_to_peak,
         op_peak_to_peak=block.op_peak_to_peak,
         mean_square_error=block.mean_square_error,
         travel_per_hour=block.travel_per_hour,
-        window=float(halves[2, kernel.END]) * Ts,
+        window=float(halves[2, events.END]) * Ts,
         period_range=(min(block.period, float(periods.min())), max(block.period, float(periods.max()))),
         slips_per_hour=block.slips_per_hour,
         reversals_per_hour=block.reversals_per_hour,

@@ -21,8 +21,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from workbench.detect import kernel
 from workbench.detect.predictor import FreePredictor
+from workbench.detect.stem_kernel import plant, screen, settle
+from workbench.detect.whitening import noise, whiten
 from workbench.model.detection import StemTest
 from workbench.model.record import FloatArray
 from workbench.model.valve import Choudhury, Stenman
@@ -191,7 +192,7 @@ def whitened(a: FloatArray, rows: FloatArray) -> FloatArray:
         return rows
     out = np.empty(rows.shape)
     for row, filtered in zip(np.atleast_2d(np.ascontiguousarray(rows)), np.atleast_2d(out), strict=True):
-        kernel.whiten(a, row, filtered)
+        whiten(a, row, filtered)
     return out
 
 
@@ -232,13 +233,13 @@ class _Rivals:
         best = np.empty(len(laws.rows))
         kind = simulate.STAIRS if laws.stenman else simulate.TWO_PARAMETER
         rows, target, poles = laws.kernel_rows, whitened(a, self.y), np.exp(-1.0 / taus)
-        kernel.screen(kind, u, rows, a, target, self.live, poles, self.order, self.delays, self.sign, best)
+        screen(kind, u, rows, a, target, self.live, poles, self.order, self.delays, self.sign, best)
         return best
 
     def plant(self, x: FloatArray, a: FloatArray, taus: FloatArray) -> _Fit:
         """Return the best plant driven by x, in the measure of the whitening filter a, the dead time in between too."""
         residual = np.empty(self.n)
-        cost, tau, delay = kernel.plant(
+        cost, tau, delay = plant(
             self.y, x, a, self.live, self.order, taus, self.delays, self.sign, LONGEST * self.n, residual
         )
         return _Fit(cost / self.count, tau, delay, a, residual)
@@ -247,7 +248,7 @@ class _Rivals:
         """Return the rival driven by x: plant and autoregression fitted in turn, the best round."""
         filters, residuals = np.empty((rounds, self.order + 1)), np.empty((rounds, self.n))
         longest = LONGEST * self.n
-        best, variance, tau, delay = kernel.settle(
+        best, variance, tau, delay = settle(
             self.y, x, a, self.live, self.order, taus, self.delays, self.sign, longest, rounds, filters, residuals
         )
         return _Fit(variance, tau, delay, filters[best], residuals[best])
@@ -295,7 +296,7 @@ class _Search:
         self.fine = np.geomspace(SHORTEST, LONGEST * rivals.n, FINE_TAUS)
         self.white = np.concatenate([[1.0], np.zeros(rivals.order)])
         alone = np.empty(rivals.order + 1)
-        self.unfollowed = kernel.noise(rivals.y, rivals.live, rivals.order, 0.5, alone)
+        self.unfollowed = noise(rivals.y, rivals.live, rivals.order, 0.5, alone)
         # The two ends of what noise may be: none but white, and all of PV. Each may lead to a better plant.
         linear = (rivals.settle(u, a, self.fine, ROUNDS) for a in (self.white, alone))
         self.linear = min(linear, key=lambda f: f.variance)

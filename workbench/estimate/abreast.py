@@ -2,7 +2,7 @@
 
 The compiler makes vector instructions of the loops over lanes. For that each decision is a choice between two values
 and all numbers of the lanes stand in one array at constant distances. What a stem is and what is summed is told where
-one stem is taken alone, in `kernel.band_path` and `kernel.oe_cost`.
+one stem is taken alone, in `path_kernel.band_path` and `output_error.oe_cost`.
 """
 
 from __future__ import annotations
@@ -13,7 +13,16 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from workbench.estimate.kernel import FIT, SSE, least, own_sums, plant_terms, start_products, start_rests, transient_at
+from workbench.estimate.output_error import (
+    FIT,
+    SSE,
+    least,
+    own_sums,
+    plant_terms,
+    start_products,
+    start_rests,
+    transient_at,
+)
 from workbench.simulate.compiled import compiled, copy, written_out
 
 __all__ = ["LANES", "LINE", "ROW", "walk_bands"]
@@ -46,7 +55,7 @@ WORTH = 3.0  # steps left of a line for which an idle lane takes the further hal
 
 @written_out
 def _stems(op: Floats, lanes: Floats, x: Floats, count: int) -> None:
-    """`count` samples of the lanes' stems: `kernel.band_path` without branches."""
+    """`count` samples of the lanes' stems: `path_kernel.band_path` without branches."""
     for j in range(LANES):
         S, J, along_j = lanes[_BACK + j], lanes[_ON + j], lanes[_ALONG_J + j] > 0.0
         offset = 0.5 * (S - J)
@@ -157,7 +166,7 @@ class _Room(NamedTuple):
     CHUNK rows, filtered; added: CHUNK rows, what start columns are set on by. held: by how many rows a lane's first
     slip is preceded; bases: its stem in those of them that are in the record; kept: the start and dead time that op
     stands for. starts: when, and by what, a lane's start column is set on; after: its transient from the first sample
-    that counts on. products: those of `kernel.start_products`.
+    that counts on. products: those of `start_products`.
     """
 
     op: Floats
@@ -208,7 +217,7 @@ def _enter(
     """Put a valve (S, J) into lane j; return whether its stem slips at all.
 
     start: its first slip and the sense of that, -1 for a stem that rests in the middle of its band (see
-    `kernel.band_path`). along: the edge asked for, 1 of J, 0 of S. delay: whole samples of the plant's dead time.
+    `path_kernel.band_path`). along: the edge asked for, 1 of J, 0 of S. delay: whole samples of the plant's dead time.
     """
     S, J = band
     first, sense = start
@@ -254,7 +263,7 @@ def _drive(
 ) -> int:
     """Give lane j a plant, for stems that start at `first`; return the whole samples of its dead time.
 
-    total: the sum of y (`kernel.own_sums`).
+    total: the sum of y (`own_sums`).
     """
     plant, rest = plant_terms(integrating, tau, theta), start_rests(a)
     pole, c0, c1, m = plant
@@ -328,7 +337,7 @@ def _run(room: _Room, a: Floats, skip: int) -> None:
 
 @written_out
 def _complete(room: _Room, j: int, whole: float, out: Floats) -> None:
-    """Write the products of lane j's columns (see `kernel.start_products` and `kernel.stem_products`)."""
+    """Write the products of lane j's columns (see `start_products` and `output_error.stem_products`)."""
     lanes = room.lanes
     for i in range(out.shape[0]):
         copy(room.products[j, i], out[i])
@@ -418,10 +427,10 @@ def walk_bands(
 ) -> Floats:
     """Walk lines along S or J, and fit the output-error model to each stem met; rows (S, J, COST, SLIPS, line).
 
-    y, a: as in `kernel.oe_cost`. lines: shape (lines, LINE), see BEGIN_S and what follows; a line goes from (S, J) on
-    along S or J up to `END`. The slips change where S passes the least return of OP at which the stem turned, or J the
-    least advance at which it moved on; between such breakpoints the path shifts evenly. LEAST, MOST: steps in %; a
-    least of 0 meets every sequence of slips. most: rows at most. Returned in the order of lines, and along each.
+    y, a: as in `output_error.oe_cost`. lines: shape (lines, LINE), see BEGIN_S and what follows; a line goes from
+    (S, J) on along S or J up to `END`. The slips change where S passes the least return of OP at which the stem turned,
+    or J the least advance at which it moved on; between such breakpoints the path shifts evenly. LEAST, MOST: steps in
+    %; a least of 0 meets every sequence of slips. most: rows at most. Returned in the order of lines, and along each.
     """
     rows = np.empty((most, ROW))
     count = _walk(_room(y, a, skip), y, op, np.ascontiguousarray(lines), sign, integrating, a, skip, rows)

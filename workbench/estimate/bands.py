@@ -14,9 +14,9 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
-from workbench.estimate import kernel
 from workbench.estimate.data import Centred
 from workbench.estimate.fit import LEAST_TAU, Fit, Limits, effective_samples, predict
+from workbench.estimate.path_kernel import J_HIGH, J_LOW, S_HIGH, S_LOW, band_path
 from workbench.estimate.profile import CHI_SQUARE, Profile
 from workbench.estimate.two_parameter import (
     CROSSINGS,
@@ -426,9 +426,9 @@ def _held(data: Centred, b: Band, only: float | None) -> tuple[float, float, flo
     if only is not None:
         return b.S, b.S, b.J, b.J
     box = np.empty(4)
-    kernel.band_path(data.u, b.S, b.J, b.first, b.sense, np.empty(data.samples), box)
-    less = min(b.S - box[kernel.S_LOW], b.J - box[kernel.J_LOW])
-    more = min(box[kernel.S_HIGH] - b.S, box[kernel.J_HIGH] - b.J, data.op_range)
+    band_path(data.u, b.S, b.J, b.first, b.sense, np.empty(data.samples), box)
+    less = min(b.S - box[S_LOW], b.J - box[J_LOW])
+    more = min(box[S_HIGH] - b.S, box[J_HIGH] - b.J, data.op_range)
     return b.S - less, b.S + more, b.J - less, b.J + more
 
 

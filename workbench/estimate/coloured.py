@@ -14,10 +14,11 @@ import math
 import numpy as np
 from scipy.optimize import minimize
 
-from workbench.estimate import kernel
 from workbench.estimate.data import Centred
 from workbench.estimate.fit import Fit, Limits, predict
+from workbench.estimate.output_error import solve
 from workbench.model.record import FloatArray
+from workbench.simulate.compiled import compiled
 
 __all__ = ["MOST_LAGS", "colour_beside"]
 
@@ -98,5 +99,36 @@ def _level(products: _Products, gain: float, lags: int, floor: float) -> tuple[f
     gram, scale = products.gram, products.samples
     terms = lags + gram.shape[0] - 2 * (MOST_LAGS + 1)
     room = np.empty((terms + 1, terms))
-    left = kernel.colour_level(gram, MOST_LAGS + 1, gain, lags, room) / scale
+    left = colour_level(gram, MOST_LAGS + 1, gain, lags, room) / scale
     return scale * math.log(max(left, floor, 1e-300)), room[terms, :lags].copy()
+
+
+@compiled
+def colour_level(products: FloatArray, size: int, gain: float, lags: int, room: FloatArray) -> float:
+    """Return the sum of squares that an autoregression leaves of PV less the stem's response times a gain.
+
+    products, (2 size + h, 2 size + h): of PV at lags 0 to size - 1, of the response of gain 1 at the same, and of h
+    signals that no stem changes, with each other. lags: the autoregression's order, below size. Written into the last
+    row of room, (lags + h + 1, lags + h): its coefficients, then those of the h signals.
+    """
+    held = products.shape[0] - 2 * size
+    for i in range(lags + 1):
+        for j in range(max(i, 1), lags + 1):
+            value = products[i, j] - gain * (products[i, size + j] + products[j, size + i])
+            value += gain * gain * products[size + i, size + j]
+            if i == 0:
+                room[lags + held, j - 1] = value
+            else:
+                room[i - 1, j - 1] = value
+        for j in range(held):
+            value = products[i, 2 * size + j] - gain * products[size + i, 2 * size + j]
+            if i == 0:
+                room[lags + held, lags + j] = value
+            else:
+                room[i - 1, lags + j] = value
+    for i in range(held):
+        for j in range(i, held):
+            room[lags + i, lags + j] = products[2 * size + i, 2 * size + j]
+    whole = products[0, 0] - 2.0 * gain * products[0, size] + gain * gain * products[size, size]
+    left: float = max(whole - solve(room, lags + held), 0.0)
+    return left

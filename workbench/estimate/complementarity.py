@@ -13,7 +13,7 @@ Given OP u and PV y of N samples, choose the plant, its bias, d, the stem before
 The pairs are relaxed by Scholtes' way, and their sides fixed in the end (`symbolic.mpcc`). The cost is piecewise
 constant in d, so that nearly every stem path is a local minimum; and at `|u - x| = d` a and b may lie between 0 and 1:
 a stem that moves part of the way, which no Stenman valve does. What the program finds is therefore no answer by itself:
-its d is taken, the stem moved by the valve's own law on OP (`kernel.stem_path`), and the plant fitted again.
+its d is taken, the stem moved by the valve's own law on OP (`path_kernel.stem_path`), and the plant fitted again.
 """
 
 from __future__ import annotations

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from workbench.detect.stem import whitened
-from workbench.estimate import kernel, long_kernel
+from workbench.estimate import fit_kernel, long_kernel, output_error, path_kernel
 from workbench.estimate.data import WHITE, Centred
 from workbench.estimate.windows import EXACT, stretch_of
 from workbench.model.record import FloatArray
@@ -77,13 +77,13 @@ def _fit(out: FloatArray) -> Fit:
 
 def start_range(u: FloatArray, first: int, d_low: float, d_high: float) -> tuple[float, float]:
     """Return the range of x0 for which a Stenman stem rests until it slips at `first`; infinite where first is 0."""
-    return kernel.rest_range(u, first, d_low, d_high, START_SLACK)
+    return path_kernel.rest_range(u, first, d_low, d_high, START_SLACK)
 
 
 def drive_of(data: Centred, x: FloatArray, first: int) -> FloatArray:
     """Return what drives the model in data's measure: the stem path x, shape (N,), from `first` on, filtered."""
     drive = np.empty_like(x)
-    kernel.drive_of(x, first, data.a, drive)
+    output_error.drive_of(x, first, data.a, drive)
     return drive
 
 
@@ -104,18 +104,18 @@ def fit_path(
     bounds: the range of x0 (see `start_range`). theta (samples): where the search starts; tau likewise, or the best of
     a coarse list.
     """
-    out = np.empty(kernel.FIT)
+    out = np.empty(output_error.FIT)
     low, high = bounds
     drive = drive_of(data, x, first)
     if tau is None and not data.integrating:
         best = math.inf
         for trial in np.geomspace(max(limits.tau[0], 0.3), limits.tau[1] / 4.0, 10).tolist():
-            cost = kernel.oe_cost(
+            cost = output_error.oe_cost(
                 data.target, drive, first, low, high, data.sign, False, trial, theta, data.a, data.skip, out
             )
             if cost < best:
                 best, tau = cost, trial
-    kernel.oe_fit(
+    fit_kernel.oe_fit(
         data.target,
         drive,
         first,
@@ -151,9 +151,9 @@ def fit_stems(
     theta (samples): where the search starts; tau likewise, nan for the best of a coarse list. evaluations: 0 for the
     fit at those two themselves.
     """
-    fits = np.empty((len(paths), kernel.FIT))
+    fits = np.empty((len(paths), output_error.FIT))
     slips = np.empty(len(paths), np.int64)
-    kernel.fit_stems(
+    fit_kernel.fit_stems(
         data.target,
         data.u,
         np.ascontiguousarray(paths),
@@ -177,7 +177,7 @@ def fit_in_stretch(
     data: Centred, paths: FloatArray, limits: Limits, stretch: tuple[int, int], evaluations: int
 ) -> list[tuple[Fit, int]]:
     """Return fits and slips as `fit_stems`, tau and theta searched in the samples [begin, stop) of a stretch alone."""
-    fits = np.empty((len(paths), kernel.FIT))
+    fits = np.empty((len(paths), output_error.FIT))
     slips = np.empty(len(paths), np.int64)
     long_kernel.fit_in_stretch(
         data.target,
@@ -202,7 +202,7 @@ def fit_near(
     data: Centred, x: FloatArray, first: int, bounds: tuple[float, float], limits: Limits, near: Fit, rounds: int
 ) -> Fit:
     """Return the fit of a plant to the stem path x, shape (N,), from one that is nearly right (see `fit_path`)."""
-    out = np.empty(kernel.FIT)
+    out = np.empty(output_error.FIT)
     long_kernel.fit_near(
         data.target,
         drive_of(data, x, first),
@@ -242,11 +242,11 @@ def fit_bands(
 ) -> list[tuple[Fit, int]]:
     """Return the output-error fit and the number of slips of many two-parameter stems, rows (S, J) in %.
 
-    start: (first, sense) of all of them (see `kernel.band_path`); plant: (tau, theta) in samples, where each begins.
+    start: (first, sense) of all of them (see `band_path`); plant: (tau, theta) in samples, where each begins.
     """
-    fits = np.empty((len(bands), kernel.FIT))
+    fits = np.empty((len(bands), output_error.FIT))
     slips = np.empty(len(bands), np.int64)
-    kernel.fit_bands(
+    fit_kernel.fit_bands(
         data.target,
         data.u,
         np.ascontiguousarray(bands),
@@ -278,7 +278,7 @@ def fit_linear(data: Centred, longest: float) -> Fit:
     plants = np.column_stack([np.repeat(taus, delays.size), np.tile(delays, taus.size)])
     costs = np.empty(len(plants))
     drive = drive_of(part, part.u, 0)
-    kernel.scan_plants(part.target, drive, data.sign, data.integrating, plants, data.a, part.skip, costs)
+    fit_kernel.scan_plants(part.target, drive, data.sign, data.integrating, plants, data.a, part.skip, costs)
     likely = plants[np.argsort(costs, kind="stable")[:6]].tolist()
     return _linear_from(data, part, [(tau, theta) for tau, theta in likely], longest)
 
@@ -332,9 +332,9 @@ def fit_nothing(data: Centred) -> float:
 
 def predict(data: Centred, x: FloatArray, first: int, fit: Fit) -> tuple[FloatArray, FloatArray]:
     """Return (prediction of y, shape (N,), and the model's columns, shape (4, N))."""
-    pole, c0, c1, delay = kernel.plant_terms(data.integrating, fit.tau, fit.theta)
+    pole, c0, c1, delay = output_error.plant_terms(data.integrating, fit.tau, fit.theta)
     columns = np.empty((4, data.samples))
-    kernel.oe_columns(x, first, pole, delay, c0, c1, data.integrating, columns)
+    output_error.oe_columns(x, first, pole, delay, c0, c1, data.integrating, columns)
     return np.array([fit.bias, fit.gain, fit.start, fit.transient]) @ columns, columns
 
 

@@ -1,7 +1,7 @@
 """The joint refinement: plant, bias, drift and load disturbance by one nonlinear program, the stem path held.
 
-`y_k = w_k + bias + drift t_k + n_k`, with w the plant's exact response to the stem (`kernel.oe_columns` holds the same
-law) and n what the loop suffers from outside: `n_k = a_1 n_{k-1} + .. + a_p n_{k-p} + e_k`, e white. That is the
+`y_k = w_k + bias + drift t_k + n_k`, with w the plant's exact response to the stem (`output_error.oe_columns` holds the
+same law) and n what the loop suffers from outside: `n_k = a_1 n_{k-1} + .. + a_p n_{k-p} + e_k`, e white. That is the
 Box-Jenkins structure with C = 1 (L. Ljung, System Identification, 2nd ed., Prentice Hall 1999, eq. (4.31)); the
 parameters minimise the sum of squares of its one-step prediction errors e (ibid. section 7.2), which is the likelihood
 of normal e. In closed loop OP carries past disturbances, so that an output-error fit (p = 0) is biased where they are

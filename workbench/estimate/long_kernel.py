@@ -1,6 +1,6 @@
 """Kernels for long records: fits that search a plant in one stretch, closer fits by a quadratic, squares of two halves.
 
-Signals, filters and units are those of `kernel`. Where a short record is fitted by a simplex from each stem's own
+Signals, filters and units are those of `output_error`. Where a short record is fitted by a simplex from each stem's own
 start, a long one has plants that are nearly right already, and each look at all of it is dear.
 """
 
@@ -11,7 +11,8 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from workbench.estimate.kernel import (
+from workbench.estimate.fit_kernel import oe_fit
+from workbench.estimate.output_error import (
     BIAS,
     GAIN,
     START,
@@ -20,12 +21,10 @@ from workbench.estimate.kernel import (
     TRANSIENT,
     drive_of,
     oe_cost,
-    oe_fit,
     plant_terms,
-    rest_range,
     start_rests,
-    stem_path,
 )
+from workbench.estimate.path_kernel import rest_range, stem_path
 from workbench.simulate.compiled import compiled, copy
 
 __all__ = ["fit_in_stretch", "fit_near", "halves_left", "path_range"]
@@ -71,7 +70,7 @@ def fit_in_stretch(
 ) -> None:
     """Fit the model to many stems: time constant and dead time in the samples [begin, stop), the rest in all of them.
 
-    paths: rows (first, d_low, d_high, theta); fits, slips and the rest: as in `kernel.fit_stems`. A stem that has
+    paths: rows (first, d_low, d_high, theta); fits, slips and the rest: as in `fit_kernel.fit_stems`. A stem that has
     slipped before the stretch stands there as it would from the record's start; what came before is unknown again.
     """
     x, drive = np.empty(op.size), np.empty(op.size)
@@ -135,11 +134,11 @@ def fit_near(
     skip: int,
     out: Floats,
 ) -> float:
-    """Minimise `kernel.oe_cost` over (log tau, theta) from a plant that is nearly right; return the sum of squares.
+    """Minimise `oe_cost` over (log tau, theta) from a plant that is nearly right; return the sum of squares.
 
     Each round takes the minimum of the quadratic through six points about the best so far, `spread` apart in log tau
     and three times that in samples of dead time, then closer as the steps are. No point that was met is better than
-    the answer; the rest: as in `kernel.oe_fit`.
+    the answer; the rest: as in `oe_fit`.
     """
     low_tau, high_tau = math.log(tau_limits[0]), math.log(tau_limits[1])
     at, best, trial = np.empty(2), np.empty(2), np.empty(2)
@@ -206,7 +205,7 @@ def fit_near(
 def halves_left(
     y: Floats, drive: Floats, first: int, fit: Floats, integrating: bool, a: Floats, skip: int, half: int
 ) -> tuple[float, float]:
-    """Sums of squares of what a fit (see `kernel.oe_cost`) leaves in the first `half` samples that count, and after.
+    """Sums of squares of what a fit (see `oe_cost`) leaves in the first `half` samples that count, and after.
 
     y, drive: filtered by a.
     """

@@ -13,10 +13,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from workbench.estimate import kernel
 from workbench.estimate.data import Centred
 from workbench.estimate.fit import NORMAL, START_SLACK, Fit, inflation, predict
+from workbench.estimate.path_kernel import each_way_path
 from workbench.estimate.profile import CHI_SQUARE
+from workbench.estimate.repeat_kernel import HELD, scan_held
 from workbench.estimate.windows import EXACT
 from workbench.model.record import FloatArray
 from workbench.model.results import Estimate, Part, Repeats
@@ -52,10 +53,10 @@ class _Held:
     theta: float
 
     def scan(self, starts: FloatArray, bands: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Costs of bands (gap, up, down), each from its best start, and what `kernel.scan_held` finds beside."""
-        costs, found = np.empty(len(bands)), np.zeros((len(bands), kernel.HELD))
+        """Costs of bands (gap, up, down), each from its best start, and what `scan_held` finds beside."""
+        costs, found = np.empty(len(bands)), np.zeros((len(bands), HELD))
         data = self.data
-        kernel.scan_held(
+        scan_held(
             data.y,
             data.u,
             starts,
@@ -75,7 +76,7 @@ class _Held:
         data = self.data
         x = np.empty(data.samples)
         first = int(found[0])
-        kernel.each_way_path(data.u, band[0], band[1], band[2], first, found[1], x)
+        each_way_path(data.u, band[0], band[1], band[2], first, found[1], x)
         fit = Fit(math.nan, self.tau, self.theta, self.gain, found[3], found[4], found[5])
         return data.samples / inflation(data.y - predict(data, x, first, fit)[0])
 

@@ -8,7 +8,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from workbench.estimate import kernel, long_kernel
+from workbench.estimate import long_kernel, path_kernel, walk_kernel
 from workbench.estimate.data import Centred, integers
 
 __all__ = [
@@ -42,7 +42,7 @@ FIRST, LOW, HIGH, DELAY, COST, SLIPS = range(6)
 def path_of(u: NDArray[np.float64], d: float, first: int) -> tuple[NDArray[np.float64], int]:
     """Return (stem path, number of slips): shape (N,), 0 before `first`, where the stem is unknown."""
     x = np.empty(u.size)
-    return x, kernel.stem_path(u, d, first, x)
+    return x, path_kernel.stem_path(u, d, first, x)
 
 
 def range_of(u: NDArray[np.float64], d: float, first: int) -> tuple[float, float]:
@@ -60,9 +60,9 @@ def walk(
         least = max(d_from, 0.5 * float(np.ptp(data.u[:first])))
     if least >= d_to:
         return np.empty((0, 6))
-    buffer = np.empty((4 * data.samples + 1000, kernel.ROW))
+    buffer = np.empty((4 * data.samples + 1000, walk_kernel.ROW))
     pole = 1.0 if data.integrating else math.nan
-    count = kernel.walk(
+    count = walk_kernel.walk(
         data.sums,
         data.squares,
         data.products,
@@ -84,8 +84,8 @@ def walk_starts(
 ) -> NDArray[np.float64]:
     """Return rows as `walk`, LOW the band itself, of the paths of some bands, %, from first slips, ascending from 0."""
     reaches = 0.5 * data.starts.ranged[np.searchsorted(data.starts.firsts, firsts)]
-    buffer = np.empty((bands.size * firsts.size, kernel.ROW + 1))
-    count = kernel.walk_starts(
+    buffer = np.empty((bands.size * firsts.size, walk_kernel.ROW + 1))
+    count = walk_kernel.walk_starts(
         data.sums,
         data.squares,
         data.products,

@@ -11,7 +11,8 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from workbench.estimate.kernel import band_path, oe_columns, plant_terms, solve, stem_path
+from workbench.estimate.output_error import oe_columns, plant_terms, solve
+from workbench.estimate.path_kernel import band_path, stem_path
 from workbench.simulate.compiled import compiled, copy, written_out
 
 __all__ = ["LANES", "STRIDE", "left_beside", "screen_stepped"]

@@ -17,9 +17,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workbench.detect.stem import dead_times
-from workbench.estimate import abreast, kernel
+from workbench.estimate import abreast
+from workbench.estimate.band_kernel import scan_bands, scan_starts, screen_bands
 from workbench.estimate.data import Centred
 from workbench.estimate.fit import LEAST_TAU, Fit, Limits, fit_bands
+from workbench.estimate.path_kernel import band_path
 from workbench.estimate.stems import thin
 from workbench.estimate.windows import EXACT, windows_of
 from workbench.model.record import FloatArray
@@ -91,7 +93,7 @@ class Band:
 def band_stem(u: FloatArray, S: float, J: float, first: int = -1, sense: float = 0.0) -> tuple[FloatArray, int]:
     """Return (stem path, number of slips): shape (N,), 0 before `first` unless that is -1 (see `band_path`)."""
     x = np.empty(u.size)
-    return x, kernel.band_path(u, S, J, first, sense, x, np.empty(4))
+    return x, band_path(u, S, J, first, sense, x, np.empty(4))
 
 
 def held_range(u: FloatArray, b: Band) -> tuple[float, float]:
@@ -144,7 +146,7 @@ def _screened(data: Centred, grid: FloatArray, taus: FloatArray, delays: list[fl
     grid = grid[grid.sum(axis=1) < 2.0 * data.op_range]
     found = np.empty((len(grid), 4, 3))
     poles, whole = np.exp(-1.0 / taus), np.array(delays, dtype=np.int64)
-    kernel.screen_bands(data.target, data.u, grid, poles, whole, data.sign, data.a, data.skip, found)
+    screen_bands(data.target, data.u, grid, poles, whole, data.sign, data.a, data.skip, found)
     chosen: list[Seed] = []
     # A start that is known uses all of the record, one that is not may leave its liveliest part out: both are asked.
     started = np.argmin(found[:, :3, 0], axis=1)
@@ -258,7 +260,7 @@ def _fitted(
 class Line:
     """A walk from (S, J), %, along S (0) or J (1) up to `end`, in steps of at least and at most so much.
 
-    start: the stem's (first, sense), see `kernel.band_path`; plant: (tau, theta) in samples.
+    start: the stem's (first, sense), see `band_path`; plant: (tau, theta) in samples.
     """
 
     begin: tuple[float, float]
@@ -296,9 +298,7 @@ def best_start(data: Centred, band: tuple[float, float], plant: tuple[float, flo
     kept = thin(np.flatnonzero(ranged <= sum(band)), STARTS)[1:]
     starts = np.vstack([AT_ONCE, np.column_stack([firsts[kept], senses[kept]])])
     costs = np.empty(len(starts))
-    kernel.scan_starts(
-        data.target, data.u, *band, starts, data.sign, data.integrating, *plant, data.a, data.skip, costs
-    )
+    scan_starts(data.target, data.u, *band, starts, data.sign, data.integrating, *plant, data.a, data.skip, costs)
     i = int(np.argmin(costs))
     return float(costs[i]), int(starts[i, 0]), float(starts[i, 1])
 
@@ -381,7 +381,7 @@ def _across(data: Centred, b: Band, only: float | None, limits: Limits) -> list[
     thetas = {min(max(b.fit.theta + step, 0.0), limits.theta[1]) for step in (-0.3, 0.0, 0.3)}
     plants = [(b.fit.tau * factor, theta) for factor in (0.93, 1.0, 1.07) for theta in sorted(thetas)]
     pairs, costs = np.array(plants), np.empty((len(grid), len(plants)))
-    kernel.scan_bands(
+    scan_bands(
         data.target, data.u, b.first, b.sense, grid, data.sign, data.integrating, pairs, data.a, data.skip, costs
     )
     chosen = np.argsort(costs.min(axis=1), kind="stable")[:SEEDS].tolist()

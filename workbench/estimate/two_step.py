@@ -12,12 +12,12 @@ import math
 
 import numpy as np
 
-from workbench.estimate import kernel
 from workbench.estimate.candidates import Candidate
 from workbench.estimate.data import Centred, integers, plant_of
 from workbench.estimate.fit import LEAST_TAU, Fit, Limits, predict
 from workbench.estimate.profile import Profile
 from workbench.estimate.stems import firsts_within, path_of, thin
+from workbench.estimate.walk_kernel import COST, DELAY, ROW, walk
 from workbench.model.record import FloatArray
 from workbench.model.results import Iteration
 
@@ -64,8 +64,8 @@ def _plant_step(data: Centred, d: float, delays: list[int]) -> tuple[int, Fit]:
     u = data.u
     for first in thin(firsts_within(data, d), STARTS).tolist():
         x, _ = path_of(u, d, first)
-        rows = np.empty((1, kernel.ROW))
-        count = kernel.walk(
+        rows = np.empty((1, ROW))
+        count = walk(
             data.sums,
             data.squares,
             data.products,
@@ -79,8 +79,8 @@ def _plant_step(data: Centred, d: float, delays: list[int]) -> tuple[int, Fit]:
             data.sign,
             rows,
         )
-        if count and rows[0, kernel.COST] < best_cost:
-            best_cost, best = rows[0, kernel.COST], (first, _arx(data, x, first, int(rows[0, kernel.DELAY])))
+        if count and rows[0, COST] < best_cost:
+            best_cost, best = rows[0, COST], (first, _arx(data, x, first, int(rows[0, DELAY])))
     return best
 
 

@@ -5,17 +5,18 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Literal, get_args
 
 from workbench.errors import InvalidValue
 from workbench.model.checks import choice, number, ordered_pair
 from workbench.model.controller import PID
 
-__all__ = ["WEIGHABLE", "Bounds", "DigitStep", "Objective"]
+__all__ = ["WEIGHABLE", "Bounds", "DigitStep", "Objective", "Weighable"]
 
 
 # The figures of `Kpis` that an objective can weigh: sums, variances and a standard deviation. The others say nothing
 # about a loop that goes on cycling: they are infinite, or hang on the window's last sample.
-WEIGHABLE = (
+Weighable = Literal[
     "error_variance",
     "mean_square_error",
     "op_variance",
@@ -26,7 +27,8 @@ WEIGHABLE = (
     "iae",
     "ise",
     "pv_sd",
-)
+]
+WEIGHABLE: tuple[str, ...] = get_args(Weighable)
 
 
 @dataclass(frozen=True, slots=True)

@@ -20,7 +20,6 @@ from workbench.model.tuning import Objective
 from workbench.model.valve import Valve
 from workbench.scenario import schema
 from workbench.scenario.analyses import check_analyses
-from workbench.scenario.cascade import cascade_scenario
 from workbench.scenario.controllers import Controllers, fitting_action, ruled, wrong_way
 from workbench.scenario.document import Path
 from workbench.scenario.element_entries import DESCRIBED, NOT_FROM_DATA, elements_of
@@ -31,7 +30,7 @@ from workbench.scenario.refusals import Refusals, one_line
 from workbench.scenario.robust import RobustEntries, measured_in
 from workbench.scenario.rule_entries import DetunedIntegralRule, rule_of
 from workbench.scenario.series import in_samples, read_data
-from workbench.scenario.site_entries import site_form
+from workbench.scenario.site_forms import site_form
 from workbench.scenario.valves import plant_of, valve_of
 from workbench.simulate.signals import sample_count
 
@@ -61,9 +60,7 @@ class Builder:
     # the whole -----------------------------------------------------------------------------------------------------
 
     def scenario(self, given: schema.ScenarioFile) -> Scenario | None:
-        """Return the scenario, or None where something is refused."""
-        if given.cascade is not None:
-            return cascade_scenario(self, given, given.cascade)
+        """Return the scenario of a single loop, or None where something is refused."""
         from_data = [i for i, e in enumerate(given.estimate or ()) if e.data is not None]
         loop = given.loop or schema.Loop()
         self.fail_open = loop.fail_open

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from workbench.model.cascade import Cascade, CascadeExperiment
 from workbench.model.controller import PID
@@ -13,17 +13,15 @@ from workbench.model.loop import Loop
 from workbench.model.tuning import Bounds, Objective
 from workbench.model.valve import Ideal, Valve
 from workbench.scenario import schema
+from workbench.scenario.build import Builder
 from workbench.scenario.controllers import Controllers, wrong_way
 from workbench.scenario.document import Path
 from workbench.scenario.plan import MAX_SAMPLES, CascadeJob, CascadeTuneJob, Scenario
 from workbench.scenario.refusals import Refusals
-from workbench.scenario.site_entries import cascade_site
+from workbench.scenario.site_forms import cascade_site
 from workbench.scenario.valves import plant_of, valve_of
 from workbench.simulate.cascade import cascade_signals
 from workbench.simulate.signals import signals
-
-if TYPE_CHECKING:
-    from workbench.scenario.build import Builder
 
 __all__ = ["cascade_scenario"]
 

@@ -14,6 +14,7 @@ from pydantic import ValidationError
 
 from workbench.errors import ScenarioError
 from workbench.scenario.build import Builder
+from workbench.scenario.cascade import cascade_scenario
 from workbench.scenario.document import Node, Path, Problem, locate, nearest, parse, plain, spell
 from workbench.scenario.plan import Scenario
 from workbench.scenario.schema import ScenarioFile, Tune, Tuning
@@ -59,7 +60,8 @@ def read_scenario(text: str, path: FilePath, shown: str | None = None) -> Scenar
         return f"{node.line}:{node.column}: {spell(taken)}"
 
     builder = Builder(path, text, place)
-    scenario = builder.scenario(given)
+    cascade = given.cascade
+    scenario = builder.scenario(given) if cascade is None else cascade_scenario(builder, given, cascade)
     problems += [_placed(root, where, what) for where, what in builder.refusals.issues]
     if scenario is None or problems:
         raise _error(shown, problems)

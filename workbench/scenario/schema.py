@@ -11,6 +11,7 @@ from typing import Annotated, Literal
 
 from pydantic import Discriminator, Field, Tag
 
+from workbench.model.tuning import Weighable
 from workbench.scenario.compensator_entries import CompensatorEntry
 from workbench.scenario.element_entries import Elements, KarnoppValve, OneParameterPlace, Place, PositionalValve
 from workbench.scenario.entries import (
@@ -318,16 +319,7 @@ class Tune(Tuning, ControllerKeys):
 
 
 KpiName = Literal[
-    "error_variance",
-    "mean_square_error",
-    "op_variance",
-    "valve_variance",
-    "valve_travel",
-    "controller_travel",
-    "reversals",
-    "iae",
-    "ise",
-    "pv_sd",
+    Weighable,
     "overshoot",
     "settling_time",
     "final_error",

@@ -17,8 +17,9 @@ from numpy.typing import NDArray
 
 from workbench.model.record import FloatArray
 from workbench.model.tuning import Objective
-from workbench.simulate import kernel
+from workbench.simulate import batch_kernel, kernel
 from workbench.simulate.signals import Signals
+from workbench.simulate.sums import FEW_SUMS, SUMS, weigh_all
 
 __all__ = ["cores", "kernel_weights", "shared_out", "sums", "weigh", "worst"]
 
@@ -27,7 +28,7 @@ WORTH_SHARING = 1_000_000
 
 
 def kernel_weights(objective: Objective, samples: int, sample_time: float) -> FloatArray:
-    """Return an objective's weights of the kernel's sums, shape (kernel.WEIGHTS,)."""
+    """Return an objective's weights of the kernel's sums, shape (WEIGHTS,)."""
     figures = dict(objective.kpis)
     window = figures.get("mean_square_error", 0.0) / samples + figures.get("ise", 0.0) * sample_time
     rest = ("controller_travel", "reversals", "error_variance", "op_variance", "valve_variance", "pv_sd")
@@ -45,17 +46,17 @@ def kernel_weights(objective: Objective, samples: int, sample_time: float) -> Fl
 def sums(
     rows: FloatArray, given: Signals, which: NDArray[np.int64] | None = None, *, every: bool = False
 ) -> FloatArray:
-    """Return the sums of `kernel.run_costs` for coefficient rows, shape (M, FEW_SUMS), or (M, SUMS) if `every`.
+    """Return the sums of `batch_kernel.run_costs` for coefficient rows, shape (M, FEW_SUMS), or (M, SUMS) if `every`.
 
     given: one experiment, shape (N + 1,) each, or several of the same N, shape (E, N + 1); row i runs in which[i].
     """
     r, load, noise = (np.atleast_2d(s) for s in (given.r, given.load, given.noise))
     which = np.zeros(rows.shape[0], np.int64) if which is None else which
-    result = np.empty((rows.shape[0], kernel.SUMS if every else kernel.FEW_SUMS))
+    result = np.empty((rows.shape[0], SUMS if every else FEW_SUMS))
     longest = int(rows[:, kernel.DELAY].max(initial=0.0))
 
     def work(part: slice) -> None:
-        kernel.run_costs(rows[part], which[part], r, load, noise, result[part], longest)
+        batch_kernel.run_costs(rows[part], which[part], r, load, noise, result[part], longest)
 
     shared_out(rows.shape[0], r.shape[1] - 1, work)
     return result
@@ -64,7 +65,7 @@ def sums(
 def weigh(terms: FloatArray, weights: FloatArray, samples: int) -> FloatArray:
     """Return J for sums of shape (M, FEW_SUMS or SUMS) and `kernel_weights`; inf where a run overflowed."""
     costs = np.empty(terms.shape[0])
-    kernel.weigh_all(terms, weights, samples, costs)
+    weigh_all(terms, weights, samples, costs)
     return costs
 
 
@@ -89,7 +90,7 @@ def worst(
 
     def work(part: slice) -> None:
         own, late = rows[part.start * group : part.stop * group], np.zeros(group, np.int64)
-        samples = kernel.run_worst(
+        samples = batch_kernel.run_worst(
             own,
             group,
             given.r,

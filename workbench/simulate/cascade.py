@@ -14,7 +14,7 @@ from workbench.model.experiment import Experiment
 from workbench.model.plant import FOPDT
 from workbench.model.record import FloatArray
 from workbench.model.results import Run
-from workbench.simulate import kernel
+from workbench.simulate import cascade_kernel as kernel
 from workbench.simulate.coefficients import coefficients, discretise, rest
 from workbench.simulate.signals import noise_signal, profile_signal, signals
 

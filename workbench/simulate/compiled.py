@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import hashlib
+import re
+import sys
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
@@ -16,6 +18,9 @@ __all__ = ["compiled", "copy", "specialised", "written_out"]
 
 P = ParamSpec("P")
 R = TypeVar("R")
+T = TypeVar("T")
+IMPORT = re.compile(r"^from (\S+) import (\([^)]*\)|.*)", re.MULTILINE)
+CONSTANT = (int, float, tuple, np.generic, np.ndarray)  # what compiled code holds as it was then
 
 
 def compiled(function: Callable[P, R]) -> Callable[P, R]:
@@ -59,23 +64,35 @@ def _made(function: Callable[..., Any], **more: str) -> Any:
 def _stamp(function: Callable[..., Any]) -> str:
     """What the files are now that a function's compiled code may come from, as one word.
 
-    They are its own, and those of all compiled functions that its file imports, and that theirs do.
+    They are its own, and those from which its file imports compiled functions or constants, and so on from them.
     """
-    files = {__file__, function.__code__.co_filename}
-    waiting = [function.__globals__]
+    files, waiting = {Path(__file__)}, {Path(function.__code__.co_filename)}
     while waiting:
-        for value in waiting.pop().values():
-            inner = getattr(value, "py_func", None)
-            if inner is not None and inner.__code__.co_filename not in files:
-                files.add(inner.__code__.co_filename)
-                waiting.append(inner.__globals__)
-    paths = [Path(name) for name in sorted(files)]
-    return "".join(_digest(path, path.stat().st_mtime_ns, path.stat().st_size) for path in paths if path.exists())
+        files |= waiting
+        waiting = {source for file in waiting for source in _at(file, _sources)} - files
+    return "".join(_at(file, _digest) for file in sorted(files))
+
+
+def _at(file: Path, read: Callable[[Path, int, int], T]) -> T:
+    """What `read` makes of a file, anew where it has changed."""
+    status = file.stat()
+    return read(file, status.st_mtime_ns, status.st_size)
 
 
 @cache
-def _digest(path: Path, changed: int, size: int) -> str:  # noqa: ARG001 a file that has changed is read anew
-    return hashlib.sha256(path.read_bytes()).hexdigest()
+def _sources(file: Path, changed: int, size: int) -> list[Path]:  # noqa: ARG001 see `_at`
+    found = []
+    for name, names in IMPORT.findall(file.read_text(encoding="utf-8")):
+        module = sys.modules.get(name)
+        values = [getattr(module, word, None) for word in re.findall(r"\w+", names)]
+        if any(isinstance(v, CONSTANT) or hasattr(v, "py_func") for v in values) and module and module.__file__:
+            found.append(Path(module.__file__))
+    return found
+
+
+@cache
+def _digest(file: Path, changed: int, size: int) -> str:  # noqa: ARG001 see `_at`
+    return hashlib.sha256(file.read_bytes()).hexdigest()
 
 
 @compiled

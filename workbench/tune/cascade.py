@@ -16,7 +16,7 @@ from workbench.model.experiment import Experiment
 from workbench.model.record import FloatArray
 from workbench.model.results import SolveStatus, Tuned
 from workbench.model.tuning import Bounds, Objective
-from workbench.simulate import kernel
+from workbench.simulate import cascade_kernel as kernel
 from workbench.simulate.batch import kernel_weights, shared_out
 from workbench.simulate.cascade import cascade_signals, chain
 from workbench.simulate.coefficients import coefficients

@@ -28,6 +28,7 @@ from workbench.simulate import kernel
 from workbench.simulate.batch import kernel_weights, sums, weigh
 from workbench.simulate.coefficients import coefficients
 from workbench.simulate.signals import Signals, sample_count, signals
+from workbench.simulate.sums import FEW_SUMS, SUMS
 
 __all__ = ["Circumstances", "Draw", "assess", "corner_loops", "draws", "measured", "statistic"]
 
@@ -190,7 +191,7 @@ class Circumstances:
         """Return the kernel's sums of tunings, shape (M, 3), in every draw, shape (M, draws, FEW_SUMS, or SUMS)."""
         own = coefficients(self.loop, 0.0, tunings)[:, CONTROLLER]
         count = self._rows.shape[0]
-        result = np.empty((own.shape[0], count, kernel.SUMS if every else kernel.FEW_SUMS))
+        result = np.empty((own.shape[0], count, SUMS if every else FEW_SUMS))
         size = max(1, ROWS // count)
         for begin in range(0, own.shape[0], size):
             part = own[begin : begin + size]

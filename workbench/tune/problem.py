@@ -22,10 +22,10 @@ from workbench.model.loop import Loop
 from workbench.model.plant import FOPDT
 from workbench.model.record import FloatArray
 from workbench.model.tuning import Bounds, Objective
-from workbench.simulate import kernel
 from workbench.simulate.batch import kernel_weights, sums, weigh, worst
 from workbench.simulate.coefficients import coefficients
 from workbench.simulate.signals import signals
+from workbench.simulate.sums import TRAVEL
 from workbench.tune.limits import NARROW, UNSTABLE, WORN, more_than_sensitivity, narrowness, worn
 
 __all__ = ["Problem", "round_to"]
@@ -189,7 +189,7 @@ class Problem:
 
     def _travel(self, rows: FloatArray) -> FloatArray:
         with np.errstate(over="ignore", invalid="ignore"):
-            return sums(rows, self.signals)[:, kernel.TRAVEL]
+            return sums(rows, self.signals)[:, TRAVEL]
 
     def _ranked(self, tunings: FloatArray, rows: FloatArray, values: FloatArray) -> FloatArray:
         """Return values with those of tunings that break a constraint replaced by how far they do."""

@@ -18,6 +18,7 @@ from workbench.model.results import SolveStatus
 from workbench.simulate import kernel
 from workbench.simulate.batch import weigh
 from workbench.simulate.coefficients import coefficients, rest
+from workbench.simulate.sums import SUMS, add_sums
 from workbench.symbolic.branch import BranchProgram, BranchSolution, Decisions
 from workbench.symbolic.loop import COEFFICIENTS, unwritten
 from workbench.symbolic.solve import held_interrupt
@@ -111,8 +112,8 @@ def path(problem: Problem, tuning: FloatArray, flip: int | None = None) -> Path:
         )
 
     def ended() -> Path:
-        sums, last = np.zeros(kernel.SUMS), np.array([row[kernel.BIAS], 0.0, 0.0])
-        kernel.add_sums(sums, last, bool(problem.objective.kpis), s.r, s.noise, y, u, x)
+        sums, last = np.zeros(SUMS), np.array([row[kernel.BIAS], 0.0, 0.0])
+        add_sums(sums, last, bool(problem.objective.kpis), s.r, s.noise, y, u, x)
         return Path(branch, u, x, float(weigh(sums[None, :], problem.weights, n)[0]))
 
     if flip is None:
