@@ -18,6 +18,16 @@ Ints = NDArray[np.int64]
 
 
 @compiled
+def _mirrored(value: float, low: float, high: float) -> float:
+    """Return a value as far within a limit as it is beyond it, between both limits."""
+    if value < low:
+        value = 2.0 * low - value
+    elif value > high:
+        value = 2.0 * high - value
+    return min(max(value, low), high)
+
+
+@compiled
 def oe_fit(
     y: Floats,
     drive: Floats,
@@ -87,8 +97,9 @@ def oe_fit(
                 factor = -0.5 if kept < costs[2] else 0.5
             for c in range(2):
                 trial[c] = centre[c] + factor * (points[2, c] - centre[c])
-            trial[0] = min(max(trial[0], low_tau), high_tau)
-            trial[1] = min(max(trial[1], theta_limits[0]), theta_limits[1])
+            # Back from a limit as far as beyond it: points that all lie on the limit would never leave it.
+            trial[0] = _mirrored(trial[0], low_tau, high_tau)
+            trial[1] = _mirrored(trial[1], theta_limits[0], theta_limits[1])
             value = cost_at(given, math.exp(trial[0]), trial[1], out)
             used += 1
             if value < kept:
