@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from workbench.detect import kernel
+from workbench.detect.stem import stem_test
 from workbench.model.valve import Choudhury, Stenman
 from workbench.simulate.coefficients import valve_law
 from workbench.simulate.kernel import STAIRS, TWO_PARAMETER
@@ -206,6 +207,14 @@ def test_a_rival_settles_on_the_best_of_its_rounds() -> None:
     assert found[1:] == min(rounds)
     assert rounds[found[0]] == min(rounds)
     assert len({variance for variance, _, _ in rounds}) > 1
+
+
+def test_a_thinned_record_asks_for_no_kernel_of_its_own() -> None:
+    op = 3.0 * np.sin(np.arange(900) * 2.0 * np.pi / 250.0)
+    stem = valve_response(Stenman(1.0), op)
+    found = stem_test(np.cumsum(stem) / 50.0, op, 1.0, 250.0, 0.0, fitted=(Stenman(1.0), stem))
+    assert found.samples <= 450
+    assert {len(used.signatures) for used in (kernel.settle, kernel.plant, kernel.screen)} == {1}  # type: ignore[attr-defined]
 
 
 @pytest.mark.parametrize("held", [slice(0, 0), slice(60, 75)])
