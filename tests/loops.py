@@ -33,7 +33,9 @@ valves = st.one_of(
     st.builds(wb.Stenman, d=numbers(0.1, 4.0)),
     st.builds(lambda fs, share: wb.He(fs, share * fs), fs=numbers(0.1, 4.0), share=numbers(0.0, 1.0)),
     st.builds(wb.Choudhury, S=numbers(0.1, 6.0), J=numbers(0.0, 6.0)),
-    st.builds(lambda S, share: wb.Kano(S, share * S), S=numbers(0.1, 6.0), share=numbers(0.0, 1.0)),
+    # Its edges are told from where OP stopped the stem, in the kernel from the stem itself: off the steps that OP moves
+    # by and off 0, so that rounding decides no slip.
+    st.builds(lambda S, share: wb.Kano(S + 3e-4, share * S + 1e-4), S=numbers(0.1, 6.0), share=numbers(0.0, 1.0)),
     st.builds(wb.Deadband, b=numbers(0.1, 5.0)),
     st.builds(
         lambda S, share, S_down, share_down: wb.Directional(

@@ -9,8 +9,9 @@ import pytest
 from lags import DELAYS, POLES, N, left, signals
 
 from workbench.detect.lags import LANES
+from workbench.detect.stem import stem_test
 from workbench.detect.stem_kernel import plant, screen, settle, stems_abreast
-from workbench.detect.whitening import noise, own_products, whiten
+from workbench.detect.whitening import noise, whiten
 from workbench.model.valve import Choudhury, Stenman
 from workbench.simulate.coefficients import valve_law
 from workbench.simulate.kernel import STAIRS, TWO_PARAMETER
@@ -185,15 +186,15 @@ def test_a_rival_settles_on_the_best_of_its_rounds() -> None:
     assert len({variance for variance, _, _ in rounds}) > 1
 
 
-@pytest.mark.parametrize("held", [slice(0, 0), slice(60, 75)])
-def test_an_autoregression_s_normal_equations_are_those_of_its_columns(held: slice) -> None:
-    order, pole = 6, 0.93
-    live = np.ones(N, dtype=bool)
-    live[held] = False
-    e = np.cumsum(np.random.default_rng(7).normal(size=N))
-    gram, side = np.empty((order + 2, order + 2)), np.empty(order + 2)
-    own_products(e, live, order, pole, gram, side)
-    lags = [e[order - 1 - i : N - 1 - i] for i in range(order)]
-    columns = np.column_stack([*lags, np.ones(N - order), pole ** np.arange(N - order)])[live[order:]]
-    assert gram == pytest.approx(columns.T @ columns, rel=1e-10)
-    assert side == pytest.approx(columns.T @ e[order:][live[order:]], rel=1e-10)
+def test_a_thinned_record_asks_for_no_kernel_of_its_own() -> None:
+    op = 3.0 * np.sin(np.arange(900) * 2.0 * np.pi / 250.0)
+    stem = valve_response(Stenman(1.0), op)
+    pv, fitted = np.cumsum(stem) / 50.0, (Stenman(1.0), stem)
+
+    def compiled() -> list[int]:
+        return [len(one.signatures) for one in (settle, plant, screen)]  # type: ignore[attr-defined]
+
+    assert stem_test(pv, op, 1.0, 90.0, 0.0, fitted=fitted).samples > 450
+    before = compiled()
+    assert stem_test(pv, op, 1.0, 250.0, 0.0, fitted=fitted).samples <= 450
+    assert compiled() == before

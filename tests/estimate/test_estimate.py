@@ -25,7 +25,6 @@ from workbench.model.study import NamedEstimate
 from workbench.report.estimates import estimate_sentences
 
 RECORDS = Path(os.environ.get("WORKBENCH_RECORDS", Path(__file__).resolve().parents[2].parent / "shared" / "data"))
-ROOT = Path(__file__).resolve().parents[2]
 
 
 @cache
@@ -48,6 +47,18 @@ def run_of(
 def record_of(**kind: object) -> wb.Record:
     run = run_of(**kind)
     return wb.Record(run.pv + 50.0, run.op + 40.0, 1.0)
+
+
+@cache
+def found_of(**kind: object) -> Estimate:
+    return wb.estimate(record_of(**kind))
+
+
+@cache
+def found_in_a_cycle() -> Estimate:
+    """A cycle without noise, long after the setpoint move that began it."""
+    run = run_of(samples=3000)
+    return wb.estimate(wb.Record(run.pv[1500:2500], run.op[1500:2500], 1.0))
 
 
 def near(found: Estimate, share: float, theta: float = 1.0) -> bool:
@@ -93,7 +104,7 @@ def check(found: Estimate, record: wb.Record) -> None:
 )
 def test_the_benchmark_is_found_within_one_per_cent(kind: dict[str, object]) -> None:
     record = record_of(**kind)
-    found = wb.estimate(record)
+    found = found_of(**kind)
     check(found, record)
     theta = float(kind.get("theta", 1.0))
     assert near(found, 0.01, theta)
@@ -111,7 +122,7 @@ def test_the_benchmark_is_found_within_one_per_cent(kind: dict[str, object]) -> 
 
 
 def test_the_linear_fit_that_ignores_stiction_is_inflated_and_poor() -> None:
-    found = wb.estimate(record_of())
+    found = found_of()
     linear = found.linear
     assert linear.plant.dead_time > 5.0
     assert linear.plant.time_constant > 8.0
@@ -147,11 +158,13 @@ def test_noise_biases_one_step_least_squares_and_not_the_estimate() -> None:
 
 
 def test_a_cycle_without_noise_or_excitation_gives_the_set_and_not_a_point() -> None:
-    run = run_of(samples=3000)
-    record = wb.Record(run.pv[1500:2500], run.op[1500:2500], 1.0)
-    found = wb.estimate(record)
-    check(found, record)
+    # K d and the shape are fixed; d makes up for gain and dead time (and the record starts within the cycle).
+    found = found_in_a_cycle()
+    check(found, found.record)
+    assert found.verdict == "stiction"
     assert not found.identifiable
+    assert found.intervals.gain is not None
+    assert found.intervals.gain[0] < 1.9 < 2.1 < found.intervals.gain[1]
     assert found.intervals.d is not None
     low, high = found.intervals.d
     assert low < 1.9
@@ -162,14 +175,14 @@ def test_a_cycle_without_noise_or_excitation_gives_the_set_and_not_a_point() -> 
     assert "setpoint change" in said
     # K d is what is known.
     assert isinstance(found.valve, wb.Stenman)
-    assert found.plant.gain * found.valve.d == pytest.approx(4.0, rel=0.02)
+    assert found.plant.gain * found.valve.d == pytest.approx(4.0, rel=0.01)
     moved = record_of(samples=1000, steps=((4.0, 0.0), (-6.0, 500.0)))
     assert wb.estimate(moved).identifiable
 
 
 def test_few_slips_give_no_number_to_rely_on() -> None:
     record = record_of(Ti=200.0)
-    found = wb.estimate(record)
+    found = found_of(Ti=200.0)
     check(found, record)
     assert found.slips < 10
     assert found.verdict != "no_stiction"
@@ -179,7 +192,7 @@ def test_few_slips_give_no_number_to_rely_on() -> None:
     assert found.intervals.d is None
 
 
-@pytest.mark.parametrize("longest", [0.0, 0.4, 1.5])
+@pytest.mark.parametrize("longest", [0.0, 1.5])
 def test_the_longest_dead_time_is_kept_to(longest: float) -> None:
     record = record_of(theta=2.4, samples=300)
     for method in ("profile", "two_step"):
@@ -196,7 +209,7 @@ def test_a_valve_that_never_slips_is_said_and_not_guessed() -> None:
     assert not found.identifiable
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 def test_a_loop_without_stiction_is_not_accused(seed: int) -> None:
     record = record_of(d=0.0, sd=0.05, seed=seed, steps=((2.0, 0.0), (-3.0, 300.0), (2.0, 700.0)))
     found = wb.estimate(record)
@@ -323,7 +336,7 @@ def test_a_record_partly_in_manual_is_said_with_the_verdict() -> None:
 
 
 def test_words_of_an_undecided_record_claim_neither_a_product_nor_certainty() -> None:
-    few = replace(wb.estimate(record_of(Ti=200.0)), verdict="undecided", identifiable=False)
+    few = replace(found_of(Ti=200.0), verdict="undecided", identifiable=False)
     printed = "\n".join(estimate_lines(few))
     assert "product" not in printed
     assert "(95 %)" not in printed
@@ -332,9 +345,7 @@ def test_words_of_an_undecided_record_claim_neither_a_product_nor_certainty() ->
     assert "product" not in told
     assert "95 %" not in told
     # Where the record does pin the product only, it is still said.
-    run = run_of(samples=3000)
-    cycle = wb.estimate(wb.Record(run.pv[1500:2500], run.op[1500:2500], 1.0))
-    assert "product of gain and stiction" in "\n".join(estimate_lines(cycle))
+    assert "product of gain and stiction" in "\n".join(estimate_lines(found_in_a_cycle()))
 
 
 def test_the_estimate_does_not_depend_on_units_and_offsets() -> None:
@@ -392,7 +403,7 @@ def test_two_step_locks_in_where_it_starts_far_away(start: float) -> None:
     assert found.intervals.d is None
     assert not found.identifiable
     assert any("minimum near its start" in reason for reason in found.reasons)
-    assert wb.estimate(record_of()).aic < found.aic - 1000.0
+    assert found_of().aic < found.aic - 1000.0
 
 
 # Bad input.
@@ -487,35 +498,13 @@ def test_random_records_give_an_estimate_or_our_own_error(signals: tuple[np.ndar
         check(wb.estimate(record), record)
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", range(3))
 def test_noise_alone_is_never_stiction(seed: int) -> None:
     record = wb.Record(signal("noise", seed, 400), signal("walk", seed + 50, 400), 1.0)
     assert wb.estimate(record).verdict == "undecided"
 
 
 # Records in files.
-
-
-def test_the_industrial_stand_in_is_found() -> None:
-    """The committed record: S = .63 %, K = .56, tau = 21 s, theta = 5 s under noise and a wandering load."""
-    record = wb.read_record(ROOT / "scenarios" / "data" / "industrial_flow_loop.csv")
-    found = wb.estimate(record)
-    check(found, record)
-    assert found.verdict == "stiction"
-    assert found.identifiable
-    assert isinstance(found.valve, wb.Stenman)
-    assert found.valve.d == pytest.approx(0.63, rel=0.02)
-    assert found.plant.gain == pytest.approx(0.56, rel=0.05)
-    assert found.plant.time_constant == pytest.approx(21.0, rel=0.1)
-    assert found.plant.dead_time == pytest.approx(5.0, abs=1.0)
-    for pair, truth in (
-        (found.intervals.d, 0.63),
-        (found.intervals.gain, 0.56),
-        (found.intervals.time_constant, 21.0),
-        (found.intervals.dead_time, 5.0),
-    ):
-        assert pair is not None
-        assert pair[0] <= truth <= pair[1]
 
 
 def real(name: str) -> wb.Record:
@@ -571,31 +560,15 @@ def test_no_real_loop_without_stiction_is_accused_and_none_ends_in_a_traceback(
     assert right >= least
 
 
-@pytest.mark.parametrize("seed", [1, 2])
-def test_a_load_step_is_a_disturbance_and_leaves_stiction_and_gain(seed: int) -> None:
+def test_a_load_step_is_a_disturbance_and_leaves_stiction_and_gain() -> None:
     loop = wb.Loop(wb.FOPDT(2.0, 5.0, 1.0), wb.Stenman(2.0), wb.PID(Kc=0.5, Ti=20.0), 1.0)
     steps = [wb.Step(8.0), wb.Step(-6.0, at=500.0)]
-    run = wb.simulate(loop, wb.Experiment(1000.0, steps, wb.Step(0.7, at=700.0), wb.Noise(0.1, seed)))
+    run = wb.simulate(loop, wb.Experiment(1000.0, steps, wb.Step(0.7, at=700.0), wb.Noise(0.1, 1)))
     found = wb.estimate(wb.Record(run.pv + 50.0, run.op + 40.0, 1.0))
     assert isinstance(found.valve, wb.Stenman)
     assert found.valve.d == pytest.approx(2.0, rel=0.01)
     assert found.plant.gain == pytest.approx(2.0, rel=0.05)
     assert found.plant.time_constant == pytest.approx(5.0, rel=0.1)
-
-
-def test_a_noise_free_cycle_does_not_identify_the_stiction_alone() -> None:
-    # K d and the shape are fixed; d makes up for gain and dead time (and the record starts within the cycle).
-    loop = wb.Loop(wb.FOPDT(2.0, 5.0, 1.0), wb.Stenman(2.0), wb.PID(Kc=0.5, Ti=20.0), 1.0)
-    run = wb.simulate(loop, wb.Experiment(2000.0, wb.Step(4.0)))
-    found = wb.estimate(wb.Record(run.pv[1000:] + 50.0, run.op[1000:] + 40.0, 1.0))
-    assert found.verdict == "stiction"
-    assert not found.identifiable
-    assert found.intervals.d is not None
-    assert found.intervals.d[0] < 1.9
-    assert found.intervals.d[1] > 2.1
-    assert found.intervals.gain is not None
-    assert found.intervals.gain[0] < 1.9 < 2.1 < found.intervals.gain[1]
-    assert found.valve.stick_band * found.plant.gain == pytest.approx(4.0, rel=0.01)
 
 
 def test_a_healthy_loop_with_a_long_dead_time_keeps_it_and_its_limit() -> None:
@@ -608,7 +581,7 @@ def test_a_healthy_loop_with_a_long_dead_time_keeps_it_and_its_limit() -> None:
     assert wb.estimate(record, valve="linear", max_dead_time=20.0).plant.dead_time <= 20.0 + 1e-9
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 def test_a_fast_plant_under_a_coloured_load_is_simulated_from_the_start(seed: int) -> None:
     # Start and transient have died out in the samples that count; they are told in PV's own measure.
     rng = np.random.default_rng(seed)

@@ -107,7 +107,7 @@ def test_a_gain_that_may_be_anything_is_not_identified() -> None:
     assert found.plant.gain == pytest.approx(0.03, rel=0.1) or not found.identifiable
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 def test_no_step_is_made_of_noise_or_of_a_load_that_drifts(seed: int) -> None:
     rng = np.random.default_rng(seed)
     load = np.zeros(1000)

@@ -144,7 +144,7 @@ def test_a_stem_that_sticks_one_way_more_is_seen(up: float, down: float, gap: fl
 
 @pytest.mark.slow
 def test_what_matters_is_among_the_reasons() -> None:
-    found = wb.estimate(record_of(2.6, 3.4, gap=1.8, samples=4000, sd=0.03, Ti=10.0), valve="choudhury")
+    found = wb.estimate(record_of(2.6, 3.4, gap=1.8, samples=1400, sd=0.03, Ti=10.0), valve="choudhury")
     assert found.verdict == "stiction"
     assert found.repeats is not None
     assert words_of(found.repeats)

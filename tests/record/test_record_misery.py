@@ -271,8 +271,8 @@ def damaged(folder: Path, data: st.DataObject, n: int, modes: bool) -> Path:
 
 
 @pytest.mark.slow
-@settings(max_examples=25, deadline=None, suppress_health_check=CALM)
-@given(data=st.data(), n=st.integers(60, 300), modes=st.booleans())
+@settings(max_examples=15, deadline=None, suppress_health_check=CALM)
+@given(data=st.data(), n=st.integers(60, 200), modes=st.booleans())
 def test_damaged_records_are_estimated_or_refused(tmp_path: Path, data: st.DataObject, n: int, modes: bool) -> None:
     said = outcome(damaged(tmp_path, data, n, modes))
     assert said in VERDICTS or str(tmp_path) in said

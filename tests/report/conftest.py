@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -30,6 +31,7 @@ from workbench.model.results import (
 from workbench.model.study import CaseResult, NamedEstimate, Study
 from workbench.model.tuning import Bounds, Objective
 from workbench.model.valve import Stenman
+from workbench.report.page import write_report
 from workbench.simulate.run import evaluate, simulate
 
 EXPERIMENT = Experiment(duration=1000.0, setpoint=Step(4.0))
@@ -194,6 +196,14 @@ def study() -> Study:
         notes=("One note.",),
         times={"simulate": 0.5},
     )
+
+
+@pytest.fixture(scope="session")
+def written(study: Study, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder that holds the made study's report."""
+    folder = tmp_path_factory.mktemp("reports") / "deep" / "made"
+    write_report(study, folder)
+    return folder
 
 
 @pytest.fixture(scope="session")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import re
+import shutil
 from collections.abc import Callable
 from dataclasses import replace
 from html.parser import HTMLParser
@@ -33,13 +34,6 @@ def read(folder: Path) -> dict[str, bytes]:
     return {p.name: p.read_bytes() for p in sorted(folder.iterdir())}
 
 
-@pytest.fixture(scope="module")
-def written(study: Study, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("reports") / "deep" / "made"
-    write_report(study, folder)
-    return folder
-
-
 def test_the_files(study: Study, written: Path) -> None:
     names = {p.name for p in written.iterdir()}
     figures = figure_names(study)
@@ -49,20 +43,15 @@ def test_the_files(study: Study, written: Path) -> None:
     assert sum(p.stat().st_size for p in written.iterdir()) < 2_000_000
 
 
-def test_the_same_to_the_byte(study: Study, written: Path, tmp_path: Path) -> None:
-    write_report(study, tmp_path / "again")
-    first, second = read(written), read(tmp_path / "again")
-    first.pop("run.json")
-    second.pop("run.json")
-    assert first == second
-
-
-def test_times_and_versions_stay_in_run_json(study: Study, tmp_path: Path, written: Path) -> None:
+def test_the_same_to_the_byte_but_for_times_and_versions_in_run_json(
+    study: Study, tmp_path: Path, written: Path
+) -> None:
     slower = replace(study.cases[2], tuned=replace(study.cases[2].tuned, wall_time=99.0, versions={"casadi": "9.9"}))
     write_report(replace(study, cases=(*study.cases[:2], slower), times={"simulate": 77.0}), tmp_path)
-    for name in ("report.html", "results.json", "cases.csv"):
-        assert (tmp_path / name).read_bytes() == (written / name).read_bytes()
-    run = json.loads((tmp_path / "run.json").read_text())
+    first, second = read(written), read(tmp_path)
+    first.pop("run.json")
+    run = json.loads(second.pop("run.json"))
+    assert first == second
     assert run["times"] == {"simulate": 77.0}
     assert run["tuning_times"] == {"Optimised PI": 99.0}
     assert run["solver"] == {"casadi": "9.9"}
@@ -256,8 +245,8 @@ def test_an_interrupted_run_leaves_the_last_good_report(
     assert read(tmp_path) == before
 
 
-def test_figures_of_a_former_run_are_removed_and_others_kept(study: Study, tmp_path: Path) -> None:
-    write_report(study, tmp_path)
+def test_figures_of_a_former_run_are_removed_and_others_kept(study: Study, written: Path, tmp_path: Path) -> None:
+    shutil.copytree(written, tmp_path, dirs_exist_ok=True)
     mine = tmp_path / "my_sketch.svg"
     mine.write_text("<svg xmlns='http://www.w3.org/2000/svg'/>")
     assert (tmp_path / "trend_case_2.svg").exists()
@@ -298,10 +287,10 @@ def test_a_study_of_nothing_has_a_page(tmp_path: Path) -> None:
 
 
 def test_many_cases_of_wild_names_and_an_unstable_one(study: Study, case: Callable[..., Any], tmp_path: Path) -> None:
-    cases = [replace(study.cases[0], name=f"名 {i} _$\\frac{{" + "x" * 80) for i in range(8)]
+    cases = [replace(study.cases[0], name=f"名 {i} _$\\frac{{" + "x" * 80) for i in range(3)]
     cases += [replace(case("same", 50.0, 5.0), name=n) for n in ("same", "SAME", "_same")]
     write_report(replace(study, cases=tuple(cases), estimates=()), tmp_path)
-    assert len(list(tmp_path.glob("trend_*.svg"))) == 11
+    assert len(list(tmp_path.glob("trend_*.svg"))) == 6
     assert "the loop is unstable" in (tmp_path / "report.html").read_text(encoding="utf-8")
     for path in tmp_path.glob("*.svg"):
         assert not re.search(r'd="[^"]*(nan|inf)', path.read_text(encoding="utf-8"))

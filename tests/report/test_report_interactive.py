@@ -45,13 +45,21 @@ def cases_of(study: Study) -> Study:
     return replace(study, estimates=())
 
 
-def test_the_page_has_none_of_it_unless_asked(study: Study, tmp_path: Path) -> None:
-    write_report(cases_of(study), tmp_path)
-    page = (tmp_path / "report.html").read_text()
+@pytest.fixture(scope="module")
+def named(study: Study, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A page to zoom in whose title and cases are named as scripts."""
+    folder = tmp_path_factory.mktemp("named")
+    told = cases_of(study)
+    cases = tuple(replace(case, name=f"{SCRIPT} {i}") for i, case in enumerate(told.cases))
+    write_report(replace(told, title=SCRIPT, cases=cases), folder, interactive=True)
+    return folder / "report.html"
+
+
+def test_the_page_has_none_of_it_unless_asked(study: Study, written: Path, tmp_path: Path) -> None:
+    page = (written / "report.html").read_text()
     assert "<script" not in page
     assert '"still"' not in page
-    without = cases_of(study)
-    write_report(replace(without, cases=()), tmp_path, interactive=True)
+    write_report(replace(cases_of(study), cases=()), tmp_path, interactive=True)
     assert "<script" not in (tmp_path / "report.html").read_text(), "nothing to zoom in"
 
 
@@ -70,11 +78,8 @@ def test_the_page_has_a_place_for_each_figure_of_its_script(study: Study, tmp_pa
     assert page.count("data-root-id") == len(places)
 
 
-def test_names_stay_text(study: Study, tmp_path: Path) -> None:
-    told = cases_of(study)
-    named = tuple(replace(case, name=f"{SCRIPT} {i}") for i, case in enumerate(told.cases))
-    write_report(replace(told, title=SCRIPT, cases=named), tmp_path, interactive=True)
-    assert "<script>alert(1)" not in (tmp_path / "report.html").read_text()
+def test_names_stay_text(named: Path) -> None:
+    assert "<script>alert(1)" not in named.read_text()
 
 
 def test_long_runs_are_thinned_to_what_bounds_the_page(study: Study) -> None:
@@ -89,11 +94,8 @@ def test_long_runs_are_thinned_to_what_bounds_the_page(study: Study) -> None:
 
 
 @pytest.mark.slow
-def test_figures_zoom_on_a_screen_and_stay_still_elsewhere(study: Study, browser: Any, tmp_path: Path) -> None:
-    told = cases_of(study)
-    named = tuple(replace(case, name=f"{SCRIPT} {i}") for i, case in enumerate(told.cases))
-    write_report(replace(told, cases=named), tmp_path, interactive=True)
-    where = (tmp_path / "report.html").as_uri()
+def test_figures_zoom_on_a_screen_and_stay_still_elsewhere(named: Path, browser: Any) -> None:
+    where = named.as_uri()
     page = browser.new_page(viewport={"width": 1280, "height": 900})
     page.set_default_timeout(10_000)
     wrong: list[str] = []

@@ -217,12 +217,12 @@ def test_results_hold_the_map_in_rows(study: Study) -> None:
 
 
 def test_the_report_shows_the_map(study: Study, tmp_path) -> None:
-    write_report(replace(study, cycle_map=made()), tmp_path)
+    write_report(replace(study, estimates=(), cycle_map=made()), tmp_path)
     page = (tmp_path / "report.html").read_text()
     assert (tmp_path / "map.svg").exists()
     assert "Which tunings cycle, and how" in page
     assert "come to rest" not in page.split("Which tunings cycle")[1].split("<h2>")[0]
-    write_report(study, tmp_path)
+    write_report(replace(study, cases=(), estimates=()), tmp_path)
     assert not (tmp_path / "map.svg").exists()
 
 

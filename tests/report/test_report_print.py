@@ -80,9 +80,8 @@ def printed(page: Any) -> bytes:
     return pdf
 
 
-def test_a_report_prints_to_clean_pages(study: Study, browser: Any, tmp_path: Path) -> None:
-    write_report(study, tmp_path)
-    page = opened(browser, tmp_path / "report.html")
+def test_a_report_prints_to_clean_pages(written: Path, browser: Any) -> None:
+    page = opened(browser, written / "report.html")
     assert 5 <= clean(printed(page)) <= 12
     page.close()
 

@@ -38,6 +38,15 @@ def test_the_record_gives_back_the_loop_that_made_it(names: dict[str, Any]) -> N
     assert found.plant.gain == pytest.approx(0.56, rel=0.05)
     assert found.plant.time_constant == pytest.approx(21.0, rel=0.05)
     assert found.plant.dead_time == pytest.approx(5.0, abs=1.0)
+    assert found.identifiable
+    for pair, truth in (
+        (found.intervals.d, 0.63),
+        (found.intervals.gain, 0.56),
+        (found.intervals.time_constant, 21.0),
+        (found.intervals.dead_time, 5.0),
+    ):
+        assert pair is not None
+        assert pair[0] <= truth <= pair[1]
 
 
 def test_the_analyses_say_what_the_text_says(names: dict[str, Any]) -> None:

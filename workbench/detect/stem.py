@@ -420,7 +420,8 @@ def stem_test(
     n = pv.size
 
     def part(first: int, stop: int) -> Fitted | None:
-        return None if fitted is None else (fitted[0], fitted[1][::thin][first:stop])
+        # Without gaps in memory, for which the kernels would be compiled once more.
+        return None if fitted is None else (fitted[0], np.ascontiguousarray(fitted[1][::thin][first:stop]))
 
     if n <= WINDOW:
         return _stretch(pv, op, step, period, sign, part(0, n))

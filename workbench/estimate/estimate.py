@@ -257,7 +257,7 @@ def _longest(data: Centred, max_dead_time: float | None, usual: int) -> float:
     """The longest dead time to search, in samples, never above `max_dead_time`; a quarter of the record at most."""
     most = max(data.samples // 4, 1)
     if max_dead_time is None:
-        return min(usual, max(data.samples // 10, 1) if usual == DELAYS else most)
+        return float(min(usual, max(data.samples // 10, 1) if usual == DELAYS else most))
     return min(max_dead_time / data.sample_time, float(most))
 
 
@@ -300,7 +300,7 @@ def _answer(
     method, valve = asked
     straight = linear_result(data, linear)
     # The rival of the verdict is as causal as the stem model: a long dead time passes for half a cycle.
-    delays = found.limits.theta[1] if found is not None else float(_longest(data, None, DELAYS))
+    delays = found.limits.theta[1] if found is not None else _longest(data, None, DELAYS)
     rival = linear if linear.theta <= delays else fit_linear(data, delays)
     wide = [] if found is None else [c.fit.sse / n for c in found.fits if c.d >= WIDE_D * data.op_range]
     other = None if found is None else found.best.fit
