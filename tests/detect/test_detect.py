@@ -171,6 +171,36 @@ def test_what_a_stem_makes_worse_is_more_and_not_less() -> None:
     assert "0.0% less unpredicted" in decide(QUIET, replace(FOUND, improvement=-1e-5, sure=31.0), None)[1][1]
 
 
+@pytest.mark.parametrize("moves", [1, 4, 5])
+def test_as_few_moves_as_load_steps_make_accuse_no_valve(moves: int) -> None:
+    verdict, reasons = decide(QUIET, replace(FOUND, moves=moves), None)
+    assert (verdict == "stiction") == (moves > 4)
+    assert ("only, as load steps would move PV" in reasons[0]) == (moves <= 4)
+
+
+def test_load_steps_are_no_sticking_valve() -> None:
+    """By three routes they were: a stem that moves as often as the load does explains what they leave."""
+    loop = wb.Loop(wb.FOPDT(2.0, 20.0, 4.0), wb.Ideal(), wb.PID(Kc=1.5, Ti=20.0), 1.0)
+    verdicts = set()
+    for seed in range(8):
+        rng = np.random.default_rng(seed)
+        load = np.zeros(1000)
+        for at in rng.integers(50, 950, 2):
+            load[at:] += 4.0 * rng.normal()
+        run = wb.simulate(loop, wb.Experiment(1000.0, load=wb.Series(load.tolist()), noise=wb.Noise(0.15, seed)))
+        verdicts.add(wb.detect(wb.Record(run.pv + 50.0, run.op + 50.0, 1.0)).verdict)
+    assert "stiction" not in verdicts
+
+
+def test_an_op_that_hardly_ever_moves_tells_nothing() -> None:
+    k = np.arange(600)
+    pv = np.sin(2.0 * np.pi * k / 40.0) + 0.05 * np.random.default_rng(0).normal(size=600)
+    for op, often in ((k >= 300, "once"), (k == 300, "2 times")):
+        found = wb.detect(wb.Record(pv, 40.0 + op, 1.0))
+        assert found.verdict == "undecided"
+        assert f"OP moved {often} only in 600 samples" in found.reasons[0]
+
+
 CYCLING = Oscillation(0.6, 20.0, 5.0, 40.0)
 
 
@@ -198,6 +228,10 @@ CYCLING = Oscillation(0.6, 20.0, 5.0, 40.0)
         (QUIET, {"moves": 2}, "no_stiction", "is excluded"),
         (QUIET, {"moves": 2, "unfollowed": 0.0501}, "undecided", "a stem that moved 2 times fits as well"),
         (QUIET, {"moves": 0, "unexplained": 0.01}, "undecided", "never moved"),
+        # Nor does what few moves leave acquit, however little that is.
+        (QUIET, {"moves": 1, "unexplained": 0.01, "unfollowed": 0.0501}, "undecided", "that moved once fits as well"),
+        (QUIET, {"moves": 4, "unexplained": 0.01, "wide": 11.0}, "undecided", "that moved 4 times fits as well"),
+        (QUIET, {"moves": 5, "unexplained": 0.01, "wide": 11.0}, "no_stiction", "has nothing to explain"),
     ],
 )
 def test_no_stiction_must_be_earned(cycle: Oscillation, changed: dict[str, float], verdict: str, why: str) -> None:

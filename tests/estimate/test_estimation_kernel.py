@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from scipy.signal import lfilter
 
+import workbench as wb
 from workbench.estimate.data import centre
 from workbench.estimate.fit import Fit, predict
 from workbench.estimate.fit_kernel import oe_fit
@@ -181,6 +182,38 @@ def test_the_simplex_finds_time_constant_and_dead_time() -> None:
     )
     assert cost < 1e-8 * float(y @ y)
     assert (out[TAU], out[THETA], out[GAIN]) == pytest.approx((6.0, 3.4, 1.5), rel=1e-3)
+
+
+@pytest.mark.parametrize("start", [0.0, 0.1, 0.3, 1.0, 2.0])
+def test_the_simplex_leaves_a_limit_that_it_has_met(start: float) -> None:
+    """From all points on a dead time of 0 it never would, and a fraction of a sample be found from some starts only."""
+    rng = np.random.default_rng(5)
+    loop = wb.Loop(wb.FOPDT(1.0, 6.0, 0.15), Stenman(2.2), wb.PID(Kc=0.6, Ti=6.0), 1.0)
+    run = wb.simulate(loop, wb.Experiment(1000.0, setpoint=wb.Step(4.0)))
+    pv = run.pv + 0.04 * rng.normal(size=run.pv.size)
+    out = np.empty(FIT)
+    cost = oe_fit(
+        pv - pv.mean(),
+        run.valve,
+        0,
+        -np.inf,
+        np.inf,
+        0.0,
+        False,
+        12.0,
+        start,
+        (0.05, 1000.0),
+        (0.0, 30.0),
+        0.3,
+        400,
+        1e-12,
+        np.ones(1),
+        0,
+        out,
+    )
+    assert cost < 1.05 * 0.04**2 * pv.size
+    assert out[THETA] == pytest.approx(0.15, abs=0.04)
+    assert out[TAU] == pytest.approx(6.0, rel=0.02)
 
 
 @pytest.mark.parametrize("integrating", [False, True])

@@ -70,3 +70,12 @@ def test_a_stem_that_leaves_hardly_anything_prevails(healthy: wb.Detection) -> N
 
 def test_no_slip_at_all_acquits_no_valve(healthy: wb.Detection) -> None:
     assert agree(replace(evidence(math.nan, 1.0), slips=0), "undecided", ("why",), healthy)[0] == "undecided"
+
+
+def test_a_valve_that_explains_most_is_not_acquitted_for_few_slips(healthy: wb.Detection) -> None:
+    few = replace(evidence(0.5, 0.05), slips=2)
+    assert agree(few, "undecided", ("why",), healthy)[0] == "undecided"
+    # By a dead band as by a staircase; not where the linear model leaves nothing that matters, or either explains it.
+    assert agree(replace(few, stem=0.4, two_parameter=0.1), "undecided", ("why",), healthy)[0] == "undecided"
+    assert agree(replace(few, stem=0.3), "undecided", ("why",), healthy)[0] == "no_stiction"
+    assert agree(replace(few, linear=0.04, stem=0.002), "undecided", ("why",), healthy)[0] == "no_stiction"

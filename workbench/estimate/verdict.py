@@ -182,11 +182,13 @@ def agree(e: Evidence, verdict: str, reasons: tuple[str, ...], found: Detection)
         return verdict, found.reasons + reasons
     improvement = 1.0 - e.stem / e.linear if e.linear > 0.0 else 0.0
     sticks = verdict == "stiction" and found.test is not None
+    # However few its slips: a valve that explains most of what the linear model leaves is not acquitted.
+    explains = e.linear >= UNEXPLAINED * e.variance and min(e.stem, e.two_parameter) <= (1.0 - MOST) * e.linear
     # Detection has tried all stems as wide as this one, and acquits the valve of them.
     refuted = found.test is not None and e.d >= found.test.wide_from and excluded(found.test, Thresholds())
     if sticks and improvement >= (CERTAIN if found.verdict == "no_stiction" else MOST):
         final = "stiction"
-    elif found.verdict == "no_stiction" and ((sticks and not refuted) or e.slips == 0):
+    elif found.verdict == "no_stiction" and ((sticks and not refuted) or explains or e.slips == 0):
         final = "undecided"
     else:
         final = found.verdict
