@@ -171,27 +171,6 @@ def test_what_a_stem_makes_worse_is_more_and_not_less() -> None:
     assert "0.0% less unpredicted" in decide(QUIET, replace(FOUND, improvement=-1e-5, sure=31.0), None)[1][1]
 
 
-@pytest.mark.parametrize("moves", [1, 4, 5])
-def test_as_few_moves_as_load_steps_make_accuse_no_valve(moves: int) -> None:
-    verdict, reasons = decide(QUIET, replace(FOUND, moves=moves), None)
-    assert (verdict == "stiction") == (moves > 4)
-    assert ("only, as load steps would move PV" in reasons[0]) == (moves <= 4)
-
-
-def test_load_steps_are_no_sticking_valve() -> None:
-    """By three routes they were: a stem that moves as often as the load does explains what they leave."""
-    loop = wb.Loop(wb.FOPDT(2.0, 20.0, 4.0), wb.Ideal(), wb.PID(Kc=1.5, Ti=20.0), 1.0)
-    verdicts = set()
-    for seed in range(8):
-        rng = np.random.default_rng(seed)
-        load = np.zeros(1000)
-        for at in rng.integers(50, 950, 2):
-            load[at:] += 4.0 * rng.normal()
-        run = wb.simulate(loop, wb.Experiment(1000.0, load=wb.Series(load.tolist()), noise=wb.Noise(0.15, seed)))
-        verdicts.add(wb.detect(wb.Record(run.pv + 50.0, run.op + 50.0, 1.0)).verdict)
-    assert "stiction" not in verdicts
-
-
 def test_an_op_that_hardly_ever_moves_tells_nothing() -> None:
     k = np.arange(600)
     pv = np.sin(2.0 * np.pi * k / 40.0) + 0.05 * np.random.default_rng(0).normal(size=600)

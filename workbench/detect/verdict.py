@@ -29,8 +29,8 @@ EXCLUDED: chi^2 with one degree of freedom, the width, at 95 %: a wide stem whos
 linear loop's may be at work. So may one that never moved where PV is not seen to follow OP (CHANCE).
 SEEN: a gain, a time constant and a dead time chosen among ten gain 15 by chance once in 50. Where PV answers OP so
 clearly, a stem that hides a quarter of OP's range from it predicts PV worse, unless it is at work.
-FEW: a stem that moved at most four times, two cycles, plays as many load steps on a linear loop: it finds no stiction.
-Nor is it told from the linear loop where PV is not seen to follow OP, or where it is wide and betters that (CHANCE).
+FEW: a stem that moved at most four times, two cycles, cannot be told from a linear loop, however little that leaves,
+where PV is not seen to follow OP, or where a wide one predicts PV better than chance has it (CHANCE).
 SLOW: under integral action alone a self-regulating loop is at its stability limit with a period of at most four times
 dead time and time constant together (pure dead time: exactly four dead times; proportional action: less). A slower
 cycle is not its own, and so smooth that the valve's part does not show.
@@ -106,11 +106,7 @@ def decide(
         f"the stem that fits best throughout leaves {_less(test.improvement)} unpredicted (log likelihood ratio "
         f"{test.likelihood:.0f}) and {_less(test.simulated, 0)} of simulated PV"
     )
-    sticks = _sticks(test, limits, 1.0)
-    if sticks and test.moves <= limits.few:
-        few = f"it moved {times(test.moves)} only, as load steps would move PV"
-        return "undecided", [f"{beats}, but {few}", f"{both}; {linear}"]
-    if sticks:
+    if _sticks(test, limits, 1.0):
         kind = "the stem slips as it sets off" if test.jump > 0.1 * test.band else "a dead band without visible slip"
         return "stiction", [f"{beats}: {kind}", f"{both}; {linear}"]
     likely = test.unexplained >= limits.left and test.predicting >= limits.sole
