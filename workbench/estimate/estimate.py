@@ -15,6 +15,7 @@ from workbench.detect.stem import Fitted
 from workbench.errors import InvalidValue
 from workbench.estimate.bands import Seek, coarse_of, like_stenman, repeated, sought
 from workbench.estimate.data import WHITE, Centred, centre, plant_of
+from workbench.estimate.dense import densely
 from workbench.estimate.fit import (
     LEAST_TAU,
     Fit,
@@ -310,7 +311,9 @@ def _answer(
     coarse = coarse_of(data, within, delays, seek)
     bands = {}
     if method != "two_step" and valve not in ("stenman", "linear"):
-        seeds = coarse if alone or n > WHOLE else [*coarse, *like_stenman(found, data, delays)]
+        seeds = coarse
+        if not alone and n <= WHOLE:
+            seeds = [*coarse, *densely(data, coarse, delays), *like_stenman(found, data, delays)]
         bands = bands_of(data, seeds, within, Limits((LEAST_TAU, float(n)), (0.0, delays)), within.rival(other))
     steps: tuple[LoadStep, ...] = ()
     # The verdict weighs what each model leaves of PV; the model itself is fitted in the measure that its disturbance
