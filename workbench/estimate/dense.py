@@ -40,14 +40,14 @@ WITHIN = (0.3, 1.8)  # and of S
 SEEDS = 8  # stems that get their own plant
 
 
-def densely(data: Centred, coarse: list[Band], longest: float) -> list[Band]:
+def densely(data: Centred, coarse: list[Band], longest: float) -> tuple[Band, ...]:
     """Return the best stems of a dense grid of (S, J) that differ, each with its own plant, dead time up to `longest`.
 
     coarse: what `two_parameter.look` found, the best first; none is found of a record that is too long to be looked at
     as it is, nor where that found none.
     """
     if not coarse or data.samples > EXACT:
-        return []
+        return ()
     lines = _lines(data, _plants(data, coarse[0], longest))
     chosen: list[Seed] = []
     for _, seed in sorted(bests(lines, walked(data, lines))):
@@ -59,7 +59,7 @@ def densely(data: Centred, coarse: list[Band], longest: float) -> list[Band]:
         tau, theta = plant
         start = best_start(data, (S, J), (tau, theta))[1:]
         found.append(fit_band(data, S, J, start, limits, (tau, theta), 60, 1e-5))
-    return [b for b in found if b.slips > 0 and b.fit.gain != 0.0]
+    return tuple(b for b in found if b.slips > 0 and b.fit.gain != 0.0)
 
 
 def _plants(data: Centred, best: Band, longest: float) -> list[tuple[float, float]]:

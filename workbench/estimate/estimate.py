@@ -309,12 +309,11 @@ def _answer(
     seek: Seek = partial(like_stenman, found) if alone else look
     within = sought(data, delays, other, alone and valve == "auto", seek)
     coarse = coarse_of(data, within, delays, seek)
-    bands = {}
+    bands, limits = {}, Limits((LEAST_TAU, float(n)), (0.0, delays))
     if method != "two_step" and valve not in ("stenman", "linear"):
-        seeds = coarse
-        if not alone and n <= WHOLE:
-            seeds = [*coarse, *densely(data, coarse, delays), *like_stenman(found, data, delays)]
-        bands = bands_of(data, seeds, within, Limits((LEAST_TAU, float(n)), (0.0, delays)), within.rival(other))
+        seeds = coarse if alone or n > WHOLE else [*coarse, *like_stenman(found, data, delays)]
+        dense = () if alone else densely(data, coarse, delays)
+        bands = bands_of(data, seeds, within, limits, within.rival(other), beside=dense)
     steps: tuple[LoadStep, ...] = ()
     # The verdict weighs what each model leaves of PV; the model itself is fitted in the measure that its disturbance
     # asks for.
@@ -345,7 +344,6 @@ def _answer(
         method=method,
         iterations=len(history),
     )
-    limits = Limits((LEAST_TAU, float(n)), (0.0, delays))
     models = compared(data, linear, found, bands)
     chosen = choose(models, "stenman" if method == "two_step" else valve)
     verdict, reasons, identifiable = judge(evidence)

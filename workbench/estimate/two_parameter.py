@@ -464,7 +464,8 @@ def search_short(
     if only is not None:
         met = [fit_band(data, b.S, only * b.S, (b.first, b.sense), limits, (b.fit.tau, b.fit.theta)) for b in met]
     bands: list[Band] = []
-    leaders = _apart(sorted([*met, *beside], key=lambda b: b.fit.sse))
+    # Neither takes the other's place: which of some stems with wrong slips leads to the right ones is not seen yet.
+    leaders = [b for kind in (met, beside) for b in _apart(sorted(kind, key=lambda b: b.fit.sse))]
     if not leaders:
         return [], np.empty((0, 4))
     steps = list(zip(SPREADS, BEHIND, (*SPREADS[1:], 0.0), strict=True))
