@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -12,12 +14,13 @@ import workbench as wb
 from workbench.cli_output import estimate_lines
 from workbench.estimate.bands import like_stenman, sought
 from workbench.estimate.data import centre
+from workbench.estimate.dense import densely
 from workbench.estimate.estimate import leaves_noise_alone
 from workbench.estimate.fit import LEAST_TAU, Limits, fit_linear
 from workbench.estimate.models import bands_of
 from workbench.estimate.path_kernel import band_path
 from workbench.estimate.profile import search
-from workbench.estimate.two_parameter import band_stem, look
+from workbench.estimate.two_parameter import band_stem, best_of, look, search_short
 from workbench.model.valve import Choudhury
 from workbench.simulate.run import valve_response
 
@@ -195,3 +198,35 @@ def test_a_wide_stem_that_slips_twice_a_cycle_is_found_without_a_setpoint_move()
     assert isinstance(found.valve, wb.Choudhury)
     assert found.valve.stick_band == pytest.approx(4.0, rel=0.01)
     assert found.plant.gain == pytest.approx(1.0, rel=0.1)
+
+
+@pytest.mark.parametrize(
+    ("plant", "valve", "pid", "step", "noise"),
+    [
+        (wb.FOPDT(0.294, 11.6, 1.18), wb.Kano(8.85, 8.05), wb.PID(2.24, 19.4), 3.9, wb.Noise(0.25, 3)),
+        (wb.FOPDT(0.684, 26.0, 3.31), wb.Choudhury(0.517, 0.229), wb.PID(2.93, math.inf), 0.53, wb.Noise(0.0304, 2)),
+    ],
+)
+def test_slips_that_few_stick_bands_and_jumps_hold_are_met_though_the_best_of_the_coarse_grid_is_far_off(
+    plant: wb.FOPDT, valve: wb.Kano | wb.Choudhury, pid: wb.PID, step: float, noise: wb.Noise
+) -> None:
+    moves = [wb.Step(step), wb.Step(-1.5 * step, at=1000.0)]
+    run = wb.simulate(wb.Loop(plant, valve, pid, 1.0), wb.Experiment(1600.0, setpoint=moves, noise=noise))
+    data = centre(wb.Record(run.pv[600:] + 50.0, run.op[600:] + 40.0, 1.0), "fopdt")
+    limits = Limits((LEAST_TAU, float(data.samples)), (0.0, 30.0))
+    coarse = look(data, 30.0)
+    found = best_of(search_short(data, coarse, None, limits, densely(data, coarse, 30.0))[0])
+    assert abs(found.S - valve.S) < 0.03 * valve.S
+    assert abs(found.J - valve.J) < 0.03 * valve.S
+    assert found.fit.gain == pytest.approx(plant.gain, rel=0.05)
+    # Without it the search ends elsewhere, with far more of PV left.
+    other = best_of(search_short(data, coarse, None, limits)[0])
+    assert data.samples * math.log(other.fit.sse / found.fit.sse) > 100.0
+
+
+def test_no_dense_grid_is_walked_where_nothing_moves_or_the_record_is_long() -> None:
+    data = centre(record_of(wb.Choudhury(3.0, 1.0), 1600), "fopdt")
+    assert densely(data, look(data, 30.0), 30.0) == ()
+    part = data.part(0, 1000)
+    assert densely(part, [], 30.0) == ()
+    assert densely(part, look(part, 30.0), 30.0)

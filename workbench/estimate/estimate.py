@@ -15,6 +15,7 @@ from workbench.detect.stem import Fitted
 from workbench.errors import InvalidValue
 from workbench.estimate.bands import Seek, coarse_of, like_stenman, repeated, sought
 from workbench.estimate.data import WHITE, Centred, centre, plant_of
+from workbench.estimate.dense import densely
 from workbench.estimate.fit import (
     LEAST_TAU,
     Fit,
@@ -308,10 +309,11 @@ def _answer(
     seek: Seek = partial(like_stenman, found) if alone else look
     within = sought(data, delays, other, alone and valve == "auto", seek)
     coarse = coarse_of(data, within, delays, seek)
-    bands = {}
+    bands, limits = {}, Limits((LEAST_TAU, float(n)), (0.0, delays))
     if method != "two_step" and valve not in ("stenman", "linear"):
         seeds = coarse if alone or n > WHOLE else [*coarse, *like_stenman(found, data, delays)]
-        bands = bands_of(data, seeds, within, Limits((LEAST_TAU, float(n)), (0.0, delays)), within.rival(other))
+        dense = () if alone else densely(data, coarse, delays)
+        bands = bands_of(data, seeds, within, limits, within.rival(other), beside=dense)
     steps: tuple[LoadStep, ...] = ()
     # The verdict weighs what each model leaves of PV; the model itself is fitted in the measure that its disturbance
     # asks for.
@@ -342,7 +344,6 @@ def _answer(
         method=method,
         iterations=len(history),
     )
-    limits = Limits((LEAST_TAU, float(n)), (0.0, delays))
     models = compared(data, linear, found, bands)
     chosen = choose(models, "stenman" if method == "two_step" else valve)
     verdict, reasons, identifiable = judge(evidence)

@@ -41,16 +41,17 @@ def bands_of(
     rival: float = math.inf,
     only_any: bool = False,
     before: Mapping[str, Found] | None = None,
+    beside: tuple[Band, ...] = (),
 ) -> dict[str, Found]:
     """Return the searches over two-parameter valves that found a stem: "deadband" (J = 0) and "choudhury" (any J).
 
-    The arguments are those of `search_bands`; only_any: without the dead band.
+    The arguments are those of `search_bands`; only_any: without the dead band; beside: further stems for any J.
     """
     was = {} if before is None else before
     dead = None
     if not only_any:
         dead = search_bands(data, coarse, within, limits, 0.0, (), rival, was.get("deadband"))
-    beside = () if dead is None else (dead.best,)
+    beside = beside if dead is None else (dead.best, *beside)
     any_jump = search_bands(data, coarse, within, limits, None, beside, rival, was.get("choudhury"))
     found = {"deadband": dead, "choudhury": any_jump}
     return {name: bands for name, bands in found.items() if bands is not None}

@@ -34,18 +34,24 @@ __all__ = [
     "SEEDS",
     "SHARES",
     "SPREADS",
+    "WIDE",
     "WIDEST",
     "Band",
+    "Line",
+    "Seed",
     "band_stem",
     "best_of",
     "best_start",
+    "bests",
     "closer",
+    "differs",
     "fit_band",
     "held_range",
     "look",
     "nearer",
     "search_short",
     "started",
+    "walked",
 ]
 
 NARROWEST, WIDEST = 0.04, 0.95  # of OP's range
@@ -154,7 +160,7 @@ def _screened(data: Centred, grid: FloatArray, taus: FloatArray, delays: list[fl
         best = found[np.arange(len(grid)), starts]
         for i in np.argsort(best[:, 0], kind="stable").tolist():
             seed = (*grid[i].tolist(), float(taus[int(best[i, 1])]), delays[int(best[i, 2])])
-            if len(chosen) < share and math.isfinite(best[i, 0]) and _differs(seed, chosen):
+            if len(chosen) < share and math.isfinite(best[i, 0]) and differs(seed, chosen):
                 chosen.append(seed)
     if most == 1:
         return chosen
@@ -174,12 +180,13 @@ def _screened(data: Centred, grid: FloatArray, taus: FloatArray, delays: list[fl
         (_over(data, sorted(plants)), most + WALKED_IN + WIDE_IN),
     ):
         for _, seed in sorted(walks):
-            if len(chosen) < share and _differs(seed, chosen):
+            if len(chosen) < share and differs(seed, chosen):
                 chosen.append(seed)
     return chosen
 
 
-def _differs(seed: Seed, chosen: list[Seed]) -> bool:
+def differs(seed: Seed, chosen: list[Seed]) -> bool:
+    """Return whether a stem's S or J is not near that of any of those chosen."""
     S, J = seed[:2]
     return all(abs(S / c[0] - 1.0) > NEAR or abs(J - c[1]) > NEAR_JUMP * S for c in chosen)
 
@@ -191,7 +198,7 @@ def _along(data: Centred, seeds: list[Seed]) -> list[tuple[float, Seed]]:
         _, first, sense = best_start(data, (S, J), (tau, theta))
         end = min(1.5 * S, 2.0 * data.op_range - S)
         lines.append(Line((S, 0.02 * S), 1, end, (0.004 * S, 0.02 * S), (first, sense), (tau, theta)))
-    return _bests(lines, walked(data, lines))
+    return bests(lines, walked(data, lines))
 
 
 def _over(data: Centred, plants: list[tuple[float, float]]) -> list[tuple[float, Seed]]:
@@ -206,11 +213,11 @@ def _over(data: Centred, plants: list[tuple[float, float]]) -> list[tuple[float,
             for start in sorted({(first, sense), (0, 1.0), (0, -1.0)}):
                 steps = (0.002 * span, 0.004 * span)
                 lines.append(Line((WIDE_OPEN * span, J), 0, WIDEST * span, steps, start, plant))
-    return _bests(lines, walked(data, lines))
+    return bests(lines, walked(data, lines))
 
 
-def _bests(lines: list[Line], rows: list[NDArray[np.float64]]) -> list[tuple[float, Seed]]:
-    """(cost, seed) of the best row of each line."""
+def bests(lines: list[Line], rows: list[NDArray[np.float64]]) -> list[tuple[float, Seed]]:
+    """Return (cost, seed) of the best row of each line that has any."""
     bests = [(line, met[np.argmin(met[:, 2])]) for line, met in zip(lines, rows, strict=True) if len(met)]
     return [(float(row[2]), (float(row[0]), float(row[1]), *line.plant)) for line, row in bests]
 
@@ -457,7 +464,8 @@ def search_short(
     if only is not None:
         met = [fit_band(data, b.S, only * b.S, (b.first, b.sense), limits, (b.fit.tau, b.fit.theta)) for b in met]
     bands: list[Band] = []
-    leaders = _apart(sorted([*met, *beside], key=lambda b: b.fit.sse))
+    # Neither takes the other's place: which of some stems with wrong slips leads to the right ones is not seen yet.
+    leaders = [b for kind in (met, beside) for b in _apart(sorted(kind, key=lambda b: b.fit.sse))]
     if not leaders:
         return [], np.empty((0, 4))
     steps = list(zip(SPREADS, BEHIND, (*SPREADS[1:], 0.0), strict=True))
