@@ -106,7 +106,8 @@ def estimate(
     ("no_stiction") the model is that linear fit with an ideal valve. intervals.d is the hull of all d whose fit the
     record cannot tell from the best, and None below ten stem moves, which do not pin the stem's unknown start; with
     valve "auto" every range holds those of the other sticking valves that fit as well too. Where a search ended at its
-    limit, or the record tells nothing, a range is open (see `Intervals`). identifiable is True where the verdict is
+    limit, or the record tells nothing, a range is open (see `Intervals`). A sticking valve by "two_step" has no ranges:
+    it does not look for others that fit as well. identifiable is True where the verdict is
     "stiction", no range is open, that hull is at most a tenth of d wide and gain's at most half of the gain. Raises
     `RecordError` for a record that holds no information (too short, PV or OP constant) or is too long for the method,
     and `InvalidValue` for arguments that are not allowed.
@@ -318,6 +319,9 @@ def _answer(
     if method != "two_step":
         data, found, bands, linear, steps = settled(data, found, bands, linear, delays, within)
     stem = None if found is None else stem_of(data, found)
+    if stem is not None and method == "two_step":
+        # It knows nothing of stems that fit as well as the one in which it ended.
+        stem = replace(stem, intervals=Intervals())
     left = math.inf if stem is None else float(np.mean((record.pv - stem.prediction) ** 2))
     evidence = Evidence(
         samples=n,
