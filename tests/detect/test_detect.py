@@ -266,6 +266,36 @@ def test_records_that_tell_nothing() -> None:
         wb.detect("loop.csv")
 
 
+@pytest.mark.parametrize("bicoherence", [False, True])
+def test_values_that_no_plant_has_are_refused_in_a_line(bicoherence: bool) -> None:
+    record = run_of(wb.Stenman(2.0), n=400)
+    for scale in (1e-8, 1e36):
+        scaled = replace(record, pv=record.pv * scale, sp=record.sp * scale)
+        assert wb.detect(scaled, bicoherence=bicoherence).verdict == "stiction"
+    # Smaller than rounding is constant, for detection as for the estimate.
+    still = wb.detect(replace(record, pv=record.pv * 1e-300, sp=record.sp * 1e-300), bicoherence=bicoherence)
+    assert still.test is None
+    assert "PV is constant" in still.reasons[0]
+    for scaled in (replace(record, pv=record.pv * 1e300), replace(record, sp=record.sp * 1e300)):
+        for ask in (wb.detect, wb.estimate):
+            with pytest.raises(wb.RecordError, match="no signal of a plant"):
+                ask(scaled)
+
+
+def test_a_model_given_to_the_stem_test_is_tried_beside_its_own() -> None:
+    loop = wb.Loop(wb.FOPDT(2.0, 5.0, 1.0), wb.Deadband(3.0), wb.PID(Kc=0.5, Ti=15.0), 1.0)
+    run = wb.simulate(loop, wb.Experiment(600.0, setpoint=wb.Step(4.0), noise=wb.Noise(0.1, 1)))
+    record = wb.Record(run.pv, run.op, 1.0, sp=run.sp)
+    band = wb.detect(record, fitted=(wb.Deadband(3.0), run.valve))
+    pair = wb.detect(record, fitted=(wb.Choudhury(3.0, 0.0), run.valve))
+    # One law under two names.
+    assert band.test.likelihood == pair.test.likelihood
+    assert band.test.likelihood >= wb.detect(record).test.likelihood
+    for wrong in ((wb.Kano(2.0, 1.0), run.valve), (wb.Stenman(2.0), run.valve[1:]), (wb.Stenman(2.0), "stem")):
+        with pytest.raises(wb.InvalidValue, match=r"detect\.fitted"):
+            wb.detect(record, fitted=wrong)
+
+
 def test_an_op_that_hardly_moves_tells_nothing_about_the_valve() -> None:
     record = run_of(wb.Ideal())
     mean = float(record.op.mean())

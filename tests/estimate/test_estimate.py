@@ -20,7 +20,7 @@ from workbench.estimate.candidates import Candidate
 from workbench.estimate.fit import Fit, Limits
 from workbench.estimate.profile import Profile, islands
 from workbench.estimate.verdict import Evidence, judge
-from workbench.model.results import Estimate
+from workbench.model.results import Estimate, Intervals
 from workbench.model.study import NamedEstimate
 from workbench.report.estimates import estimate_sentences
 
@@ -392,6 +392,10 @@ def test_two_step_converges_from_close_by(start: float) -> None:
     assert len(history) >= 3
     assert abs(history[-1].d - 2.0) < abs(history[0].d - 2.0)
     assert history[-1].aic < history[0].aic - 1000.0
+    # It knows nothing of other stems, so that what its last fit leaves says nothing of the truth.
+    assert isinstance(found.valve, wb.Stenman)
+    assert found.intervals == Intervals()
+    assert not found.identifiable
     assert all(step.aic == pytest.approx(1000.0 * np.log(step.residual_variance) + 10.0) for step in history[:3])
 
 
@@ -401,6 +405,8 @@ def test_two_step_locks_in_where_it_starts_far_away(start: float) -> None:
     found = wb.estimate(record_of(), method="two_step", start=start)
     assert abs(found.iterations[-1].d - 2.0) > 0.5
     assert found.intervals.d is None
+    # The linear model that answers where no stem fits is no end of its search, and keeps its ranges.
+    assert (found.intervals == Intervals()) == isinstance(found.valve, wb.Stenman)
     assert not found.identifiable
     assert any("minimum near its start" in reason for reason in found.reasons)
     assert found_of().aic < found.aic - 1000.0

@@ -81,6 +81,12 @@ NAN = math.nan
         (lambda: wb.Record(pv=[], op=[], sample_time=1.0), "Record.pv", "at least one"),
         (lambda: wb.Record(pv=[[1.0]], op=[1.0], sample_time=1.0), "Record.pv", "one dimension"),
         (lambda: wb.Record(pv=["a"], op=[1.0], sample_time=1.0), "Record.pv", "numbers"),
+        (lambda: wb.Record(pv=["1.5"], op=[1.0], sample_time=1.0), "Record.pv", "real numbers"),
+        (lambda: wb.Record(pv=[1.0 + 2.0j], op=[1.0], sample_time=1.0), "Record.pv", "real numbers"),
+        (lambda: wb.Record(pv=[1.0], op=np.array([True]), sample_time=1.0), "Record.op", "real numbers"),
+        (lambda: wb.Record(pv=[1.0], op=np.array([True], dtype=object), sample_time=1.0), "Record.op", "real numbers"),
+        (lambda: wb.Record(pv=[1.0], op=np.array(["1"], dtype=object), sample_time=1.0), "Record.op", "real numbers"),
+        (lambda: wb.Record(pv=[1.0, None], op=[1.0, 1.0], sample_time=1.0), r"Record.pv\[1\]", "finite"),
         (lambda: wb.Record(pv=[1.0], op=[1.0], sample_time=1.0, mode=("AUTO", "MAN")), "Record.mode", "samples of PV"),
     ],
 )

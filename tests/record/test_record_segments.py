@@ -177,6 +177,18 @@ def test_swapped_columns_are_refused_unless_insisted_on(tmp_path: Path) -> None:
     assert len(read_record(path, columns={"PV": "PV", "OP": "OP"})) == 200
 
 
+def test_swapped_columns_are_refused_where_op_lies_two_swings_from_sp(tmp_path: Path) -> None:
+    loop = wb.Loop(wb.FOPDT(1.0, 5.0, 1.0), wb.Stenman(2.0), wb.PID(0.5, 20.0), 1.0)
+    run = wb.simulate(loop, wb.Experiment(600.0, setpoint=wb.Step(4.0), noise=wb.Noise(0.05, 3)))
+    op = run.op + 54.0 - float(np.median(run.op)) - 2.0 * float(np.ptp(run.op))
+    path = write(tmp_path, {"SP": run.sp + 50.0, "PV": op, "OP": run.pv + 50.0})
+    with pytest.raises(RecordError, match=r"swapped\?"):
+        read_record(path)
+    # A proportional controller's PV rests away from SP, and so does its OP.
+    path = write(tmp_path, {"SP": np.full(200, 50.0), "PV": noise(200) + 8.0, "OP": noise(200, 1) - 3.0})
+    assert len(read_record(path)) == 200
+
+
 @pytest.mark.parametrize(
     ("op", "words"),
     [

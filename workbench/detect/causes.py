@@ -8,18 +8,43 @@ import numpy as np
 
 from workbench.detect.oscillation import oscillation_of
 from workbench.detect.verdict import Thresholds, times
+from workbench.errors import RecordError
 from workbench.model.detection import Oscillation
 from workbench.model.record import FloatArray, Record
 from workbench.record.modes import manual_share
 
-__all__ = ["dead_signal", "other_causes", "steady_stretches"]
+__all__ = ["FEWEST_SAMPLES", "constant", "dead_signal", "other_causes", "refuse_unusable", "steady_stretches"]
 
+FEWEST_SAMPLES = 30
+STILL = 1e-9  # of a signal's size, which counts as this much at least (EU, %): a signal that moves by less is constant
+HUGEST = 1e40  # EU, %: the sixth powers of larger values, of which the bicoherence is made, may overflow
 MUCH = 0.2  # of the record, worth a word
 HALF = 0.5  # of the record and of OP's range: PV no longer tells about the valve
 RESOLVED = 0.1  # % of travel: positioners hardly follow less
 ALIKE = 0.2  # relative difference of two periods that are one
 STEADY = 1.0 / 3.0  # of the record, the least stretch at constant SP that may stand for its cycle
 CYCLES = 0.5  # oscillation index of a setpoint that cycles
+
+
+def refuse_unusable(record: Record, purpose: str) -> None:
+    """Raise `RecordError` for a record of fewer than 30 samples, or with values that no plant has.
+
+    purpose: what the samples are needed for, in words.
+    """
+    where, n = record.source or "record", len(record)
+    if n < FEWEST_SAMPLES:
+        msg = f"{where}: {n} samples given; at least {FEWEST_SAMPLES} are needed to {purpose}"
+        raise RecordError(msg)
+    for name, signal in (("SP", record.sp), ("PV", record.pv), ("OP", record.op)):
+        largest = 0.0 if signal is None else float(np.abs(signal).max())
+        if largest > HUGEST:
+            msg = f"{where}: {name} reaches {largest:g}: no signal of a plant"
+            raise RecordError(msg)
+
+
+def constant(signal: FloatArray) -> bool:
+    """Return whether a signal (EU or %, shape (N,)) moves by no more than rounding, or not at all."""
+    return bool(np.ptp(signal) <= STILL * max(STILL, float(np.abs(signal).max())))
 
 
 def _longest_stay(signal: FloatArray) -> tuple[int, int]:
@@ -50,7 +75,7 @@ def dead_signal(record: Record) -> str:
     """
     n = len(record)
     for name, signal, why in (("PV", record.pv, "frozen or saturated"), ("OP", record.op, "in manual or saturated")):
-        if not np.ptp(signal) > 1e-9 * max(1e-9, float(np.abs(signal).max())):
+        if constant(signal):
             return f"{name} is constant over all {n} samples ({why}): nothing can be told about the valve"
     width = float(np.ptp(record.op))
     if width < RESOLVED:

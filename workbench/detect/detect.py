@@ -11,22 +11,22 @@ import numpy as np
 from workbench.detect.action import control_error, feedback, gain_sign
 from workbench.detect.answer import answer_of
 from workbench.detect.bicoherence import bicoherence_of, ellipse_of
-from workbench.detect.causes import dead_signal, other_causes, steady_stretches
+from workbench.detect.causes import constant, dead_signal, other_causes, refuse_unusable, steady_stretches
 from workbench.detect.correlation import cross_correlation, histogram_fit
 from workbench.detect.direct import stem_evidence
 from workbench.detect.evidence import statistics_of
 from workbench.detect.load import DETECTIONS, load_index
 from workbench.detect.oscillation import no_period, oscillation_of
 from workbench.detect.shape import movement_index, triangle_index
-from workbench.detect.stem import Fitted, stem_test
+from workbench.detect.stem import FITTED, Fitted, stem_test
 from workbench.detect.verdict import Thresholds, decide, follows
-from workbench.errors import InvalidValue, RecordError
+from workbench.errors import InvalidValue
+from workbench.model.checks import instance
 from workbench.model.detection import Detection, Oscillation
-from workbench.model.record import Record
+from workbench.model.record import Record, signal_of
 
-__all__ = ["FEWEST_SAMPLES", "detect"]
+__all__ = ["detect"]
 
-FEWEST_SAMPLES = 30
 ACTS = 0.05  # share of OP's moves that the error must explain for a controller to be seen
 SETTLING = 3  # the part of a stretch at constant SP, one in so many, that is left out at its start
 LEAST_BETWEEN = 100  # samples
@@ -37,20 +37,20 @@ def detect(record: Record, *, bicoherence: bool = False, fitted: Fitted | None =
     """Return the evidence for and against a sticking valve in a record.
 
     bicoherence: also the bicoherence of SP - PV with its indices and the ellipse of PV against OP, which want long
-    records. fitted: a valve and its stem (%, shape (N,)) from a model of the loop, which the stem test tries
-    beside its own. Raises `RecordError` for fewer than 30 samples and `InvalidValue` for anything that is not a record.
+    records. fitted: a valve (Stenman, Choudhury or Deadband) and its stem (%, shape (N,)) from a model of the loop,
+    which the stem test tries beside its own. Raises `RecordError` for fewer than 30 samples or values that no plant
+    has, and `InvalidValue` for anything that is not a record, or for a valve or a stem that cannot be tried.
     """
     if not isinstance(record, Record):
         raise InvalidValue("detect.record", type(record).__name__, "must be a Record (see read_record)")
-    if len(record) < FEWEST_SAMPLES:
-        where = record.source or "record"
-        msg = f"{where}: {len(record)} samples given; at least {FEWEST_SAMPLES} are needed to detect stiction"
-        raise RecordError(msg)
+    refuse_unusable(record, "detect stiction")
+    if fitted is not None:
+        instance(fitted[0], FITTED, "detect.fitted[0]", "a Stenman, Choudhury or Deadband valve")
+        fitted = fitted[0], signal_of(fitted[1], "detect.fitted[1]", len(record))
     dead = dead_signal(record)
-    constant = not (np.ptp(record.pv) > 0.0 and np.ptp(record.op) > 0.0)
     whole = oscillation_of(record.pv, record.sample_time)
     nothing = (math.nan, math.nan)
-    if constant:
+    if constant(record.pv) or constant(record.op):
         found = Detection(
             record=record,
             verdict="undecided",

@@ -26,13 +26,14 @@ from workbench.detect.stem_kernel import plant, screen, settle
 from workbench.detect.whitening import noise, whiten
 from workbench.model.detection import StemTest
 from workbench.model.record import FloatArray
-from workbench.model.valve import Choudhury, Stenman
+from workbench.model.valve import Choudhury, Deadband, Stenman
 from workbench.simulate import kernel as simulate
 from workbench.simulate.run import valve_response
 
-__all__ = ["Fitted", "Law", "dead_times", "laws_of", "stem_test", "whitened"]
+__all__ = ["FITTED", "Fitted", "Law", "dead_times", "laws_of", "stem_test", "whitened"]
 
-Fitted = tuple[Stenman | Choudhury, FloatArray]
+FITTED = (Stenman, Choudhury, Deadband)  # valves that the stem test may be given
+Fitted = tuple[Stenman | Choudhury | Deadband, FloatArray]
 
 # Valves: widths as a share of OP's range, from what noise leaves visible to what lets the stem move at all.
 WIDTHS = np.geomspace(0.03, 0.95, 70).tolist()  # d
@@ -109,13 +110,13 @@ class _Candidate:
 class Law:
     """A valve of the grid and where its stem rests at the start: OP less stem, %."""
 
-    valve: Stenman | Choudhury
+    valve: Stenman | Choudhury | Deadband
     rest: float
 
     @property
     def band(self) -> float:
         """Width of the stick band, % (Stenman: d)."""
-        return self.valve.d if isinstance(self.valve, Stenman) else self.valve.S
+        return self.valve.stick_band
 
     def path(self, u: FloatArray) -> FloatArray:
         """Return the stem under OP, %, shape (N,)."""
@@ -124,17 +125,17 @@ class Law:
     def about(self, spread: float) -> Laws:
         """Return laws about this one: widths scaled by up to twice the spread, the jump and the rest moved."""
         factors = [1.0 + spread * f for f in (-2.0, -1.0, -0.5, 0.5, 1.0, 2.0)]
-        v, rest = self.valve, self.rest
-        found: list[tuple[float, float, float]]
-        if isinstance(v, Stenman):
-            found = [(v.d * f, v.d * f, r) for f in (*factors, 1.0) for r in (rest * f, rest - 4.0 * spread * v.d)]
-            found.append((v.d, v.d, rest + 4.0 * spread * v.d))
+        S, J, rest = self.valve.stick_band, self.valve.slip_jump, self.rest
+        stenman = isinstance(self.valve, Stenman)
+        if stenman:
+            found = [(S * f, S * f, r) for f in (*factors, 1.0) for r in (rest * f, rest - 4.0 * spread * S)]
+            found.append((S, S, rest + 4.0 * spread * S))
         else:
-            more = 3.0 * spread * v.J + spread * v.S
-            jumps = (v.J, v.J + more, max(v.J - more, 0.0))
-            found = [(v.S * f, J, rest) for f in (*factors, 1.0) for J in jumps]
-            found += [(v.S, v.J, rest + f * spread * v.S) for f in (-3.0, 3.0)]
-        laws = Laws(isinstance(v, Stenman), np.array(found))
+            more = 3.0 * spread * J + spread * S
+            jumps = (J, J + more, max(J - more, 0.0))
+            found = [(S * f, jump, rest) for f in (*factors, 1.0) for jump in jumps]
+            found += [(S, J, rest + f * spread * S) for f in (-3.0, 3.0)]
+        laws = Laws(stenman, np.array(found))
         return Laws(laws.stenman, laws.rows[np.abs(laws.rows[:, REST]) <= laws.reach])
 
 

@@ -10,15 +10,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workbench.detect.action import gain_sign
+from workbench.detect.causes import constant, refuse_unusable
 from workbench.detect.stem import whitened
 from workbench.errors import RecordError
 from workbench.estimate.resolution import coarseness, resolved
 from workbench.model.plant import FOPDT, Integrating, Plant
 from workbench.model.record import FloatArray, Record
 
-__all__ = ["FEWEST_SAMPLES", "WHITE", "Centred", "Starts", "centre", "integers", "plant_of"]
+__all__ = ["WHITE", "Centred", "Starts", "centre", "integers", "plant_of"]
 
-FEWEST_SAMPLES = 30
 WHITE = np.ones(1)
 # What a record can resolve: fits whose rms residual is below this share of PV's standard deviation are equally good.
 RESOLUTION = 1e-3
@@ -153,10 +153,6 @@ def _centred(y: FloatArray, u: FloatArray, whole: Centred) -> Centred:
     )
 
 
-def _constant(signal: FloatArray) -> bool:
-    return bool(np.ptp(signal) <= 1e-9 * max(1e-9, float(np.abs(signal).max())))
-
-
 def centre(record: Record, plant: str, sent: bool = False) -> Centred:
     """Return a record as the kernels take it.
 
@@ -164,18 +160,12 @@ def centre(record: Record, plant: str, sent: bool = False) -> Centred:
 
     Raises `RecordError` where nothing can be estimated: too few samples, or PV or OP that never moves.
     """
-    where = record.source or "record"
-    n = len(record)
-    if n < FEWEST_SAMPLES:
-        msg = f"{where}: {n} samples given; at least {FEWEST_SAMPLES} are needed to estimate a loop"
-        raise RecordError(msg)
+    refuse_unusable(record, "estimate a loop")
+    where, n = record.source or "record", len(record)
     for name, signal in (("PV", record.pv), ("OP", record.op)):
-        if _constant(signal):
+        if constant(signal):
             why = "frozen or saturated" if name == "PV" else "in manual, saturated or frozen"
             msg = f"{where}: {name} is constant ({signal[0]:g}) over all {n} samples ({why}?): nothing to estimate"
-            raise RecordError(msg)
-        if float(np.abs(signal).max()) > 1e100:
-            msg = f"{where}: {name} reaches {np.abs(signal).max():g}: no signal of a plant"
             raise RecordError(msg)
     op, doubt = (record.op, 0.0) if sent else resolved(record)
     mean, middle = float(record.pv.mean()), float(0.5 * (op.max() + op.min()))

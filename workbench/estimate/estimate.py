@@ -16,6 +16,7 @@ from workbench.errors import InvalidValue
 from workbench.estimate.bands import Seek, coarse_of, like_stenman, repeated, sought
 from workbench.estimate.data import WHITE, Centred, centre, plant_of
 from workbench.estimate.dense import densely
+from workbench.estimate.few import widened
 from workbench.estimate.fit import (
     LEAST_TAU,
     Fit,
@@ -105,11 +106,13 @@ def estimate(
 
     Returns an `Estimate`; beside the model stands the linear fit that ignores stiction. Where stiction does not help
     ("no_stiction") the model is that linear fit with an ideal valve. intervals.d is the hull of all d whose fit the
-    record cannot tell from the best, and None below ten stem moves, which do not pin the stem's unknown start; with
+    record cannot tell from the best, and None below ten stem moves, which do not pin the stem's unknown start (the
+    plant's ranges then hold stems with S and J that slip some samples earlier or later too, see `estimate.few`); with
     valve "auto" every range holds those of the other sticking valves that fit as well too. Where a search ended at its
-    limit, or the record tells nothing, a range is open (see `Intervals`). identifiable is True where the verdict is
-    "stiction", no range is open, that hull is at most a tenth of d wide and gain's at most half of the gain. Raises
-    `RecordError` for a record that holds no information (too short, PV or OP constant) or is too long for the method,
+    limit, or the record tells nothing, a range is open (see `Intervals`). A sticking valve by "two_step" has no ranges:
+    it does not look for others that fit as well. identifiable is True where the verdict is "stiction", no range is
+    open, that hull is at most a tenth of d wide and gain's at most half of the gain. Raises `RecordError` for a record
+    that holds no information (too short, PV or OP constant, values that no plant has) or is too long for the method,
     and `InvalidValue` for arguments that are not allowed.
     """
     if not isinstance(record, Record):
@@ -320,6 +323,9 @@ def _answer(
     if method != "two_step":
         data, found, bands, linear, steps = settled(data, found, bands, linear, delays, within)
     stem = None if found is None else stem_of(data, found)
+    if stem is not None and method == "two_step":
+        # It knows nothing of stems that fit as well as the one in which it ended.
+        stem = replace(stem, intervals=Intervals())
     left = math.inf if stem is None else float(np.mean((record.pv - stem.prediction) ** 2))
     evidence = Evidence(
         samples=n,
@@ -361,6 +367,7 @@ def _answer(
     if chosen in bands and verdict != "no_stiction":
         there = within if data.y is within.pv else sought(data, delays, None, within.contested)
         ranged = repeated(data, bands[chosen], limits, there)
+        ranged = widened(data, ranged, bands[chosen].only, limits)
     if ranged is not None and ranged.best is not bands[chosen].best:
         bands = bands | {chosen: replace(bands[chosen], best=ranged.best)}
         models = compared(data, linear, found, bands)

@@ -11,6 +11,7 @@ import numpy as np
 from workbench.estimate.bands import Bands, Found, alike
 from workbench.estimate.candidates import Candidate
 from workbench.estimate.data import Centred, plant_of
+from workbench.estimate.few import widened
 from workbench.estimate.fit import (
     LEAST_TAU,
     NORMAL,
@@ -207,7 +208,8 @@ def rivals_of(
         ranges["stenman"] = stem_of(data, replace(found, alike=near)).intervals
     for name, one in bands.items() if chosen == "stenman" else ():
         if max(one.best.fit.sse, n * data.floor) <= most:
-            ranges[name] = band_of(data, alike(data, one, limits, fit.sse), name, limits).intervals
+            near_it = widened(data, alike(data, one, limits, fit.sse), one.only, limits, fit.sse)
+            ranges[name] = band_of(data, near_it, name, limits).intervals
     return ranges
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from numbers import Complex, Number, Real
 from types import MappingProxyType
 
 import numpy as np
@@ -13,16 +14,31 @@ from workbench.errors import InvalidValue
 from workbench.model.checks import number, ordered_pair
 from workbench.model.show import Shown
 
-__all__ = ["FloatArray", "Record"]
+__all__ = ["FloatArray", "Record", "signal_of"]
 
 FloatArray = NDArray[np.float64]
 
 
-def _signal(value: object, where: str, length: int | None) -> FloatArray:
+def _number(value: object) -> bool:
+    """Whether an object is a real number, or none that was recorded; a decimal one is no `Real` for Python."""
+    real = isinstance(value, Real) or not isinstance(value, Complex)
+    return value is None or (isinstance(value, Number) and real and not isinstance(value, bool))
+
+
+def signal_of(value: object, where: str, length: int | None) -> FloatArray:
+    """Return a signal as a read-only copy, shape (N,), of `length` samples where that is given.
+
+    Raises `InvalidValue` for anything but an array of one dimension of finite real numbers (truth values, text, times
+    and complex numbers are none).
+    """
+    what, rule = type(value).__name__, "must be an array of real numbers"
     try:
-        array = np.array(value, dtype=np.float64)
-    except (TypeError, ValueError):
-        raise InvalidValue(where, type(value).__name__, "must be an array of numbers") from None
+        given = np.asarray(value)
+        array = np.array(given, dtype=np.float64) if given.dtype.kind in "fiuO" else np.empty(0)
+    except (TypeError, ValueError, OverflowError):
+        raise InvalidValue(where, what, rule) from None
+    if given.dtype.kind not in "fiuO" or (given.dtype.kind == "O" and not all(map(_number, given.flat))):
+        raise InvalidValue(where, f"{what} of {given.dtype.name}", rule)
     if array.ndim != 1:
         raise InvalidValue(where, f"shape {array.shape}", "must have one dimension")
     if length is not None and array.size != length:
@@ -66,13 +82,13 @@ class Record(Shown):
     epoch: float = 0.0
 
     def __post_init__(self) -> None:
-        pv = _signal(self.pv, "Record.pv", None)
+        pv = signal_of(self.pv, "Record.pv", None)
         object.__setattr__(self, "pv", pv)
-        object.__setattr__(self, "op", _signal(self.op, "Record.op", pv.size))
+        object.__setattr__(self, "op", signal_of(self.op, "Record.op", pv.size))
         object.__setattr__(self, "sample_time", number(self.sample_time, "Record.sample_time", above=0.0, unit="s"))
         for name in ("sp", "valve_position"):
             if getattr(self, name) is not None:
-                object.__setattr__(self, name, _signal(getattr(self, name), f"Record.{name}", pv.size))
+                object.__setattr__(self, name, signal_of(getattr(self, name), f"Record.{name}", pv.size))
         if self.mode is not None:
             mode = tuple(str(m) for m in self.mode)
             if len(mode) != pv.size:

@@ -143,5 +143,6 @@ def op_said(op: FloatArray, scaled: bool) -> list[str]:
 def swapped(sp: FloatArray, pv: FloatArray, op: FloatArray) -> bool:
     """Whether SP goes with OP and not with PV (shapes (N,)), as in a file whose PV and OP are swapped."""
     from_pv, from_op = float(np.median(np.abs(sp - pv))), float(np.median(np.abs(sp - op)))
-    # OP is no controlled signal: it meets SP as closely as PV usually does only where the columns are swapped.
-    return from_pv > 10.0 * from_op and from_pv > 3.0 * float(np.ptp(pv)) and float(np.ptp(op)) > 0.0
+    # OP is no controlled signal: it meets SP as closely as PV usually does only where the columns are swapped. A
+    # controlled PV is usually nearer to SP than all that it ranges over.
+    return from_pv > 10.0 * from_op and from_pv > float(np.ptp(pv)) and float(np.ptp(op)) > 0.0
