@@ -14,10 +14,11 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from workbench.estimate import kernel
+from workbench.estimate.band_kernel import scan_starts
 from workbench.estimate.bands import Bands
 from workbench.estimate.data import Centred
 from workbench.estimate.fit import Limits, effective_samples
+from workbench.estimate.path_kernel import S_HIGH, S_LOW, band_path
 from workbench.estimate.profile import CHI_SQUARE
 from workbench.estimate.two_parameter import Band, band_stem, best_of, fit_band, started
 from workbench.estimate.verdict import ENOUGH_SLIPS
@@ -67,8 +68,8 @@ def _walked(data: Centred, best: Band, way: int, most: float, only: float | None
     last, at, aside = best, best, 0
     box = np.empty(4)
     for _ in range(MOST):
-        kernel.band_path(data.u, at.S, at.J, at.first, at.sense, np.empty(data.samples), box)
-        S = float(box[kernel.S_HIGH]) if way > 0 else math.nextafter(float(box[kernel.S_LOW]), 0.0)
+        band_path(data.u, at.S, at.J, at.first, at.sense, np.empty(data.samples), box)
+        S = float(box[S_HIGH]) if way > 0 else math.nextafter(float(box[S_LOW]), 0.0)
         if not 0.0 < S < data.op_range or aside > ASIDE * best.slips:
             break
         J, start = last.J if only is None else only * S, (at.first, at.sense)
@@ -95,9 +96,7 @@ def _started(data: Centred, b: Band, limits: Limits) -> Band:
     near = slice(max(i - BESIDE, 1), i + BESIDE + 1)
     starts = np.column_stack([data.starts.firsts[near], data.starts.senses[near]])
     costs, plant = np.empty(len(starts)), (b.fit.tau, b.fit.theta)
-    kernel.scan_starts(
-        data.target, data.u, b.S, b.J, starts, data.sign, data.integrating, *plant, data.a, data.skip, costs
-    )
+    scan_starts(data.target, data.u, b.S, b.J, starts, data.sign, data.integrating, *plant, data.a, data.skip, costs)
     first, sense = starts[int(np.argmin(costs))].tolist()
     return best_of([b, fit_band(data, b.S, b.J, (int(first), sense), limits, plant, EVALUATIONS)])
 
