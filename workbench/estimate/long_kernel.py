@@ -33,6 +33,7 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 STARTS = 10  # time constants from which a stem's plant is sought
+NO_DELAY = 1e-7  # samples: a dead time as good as none
 SHRINK = 0.2  # of a quadratic's step: how far apart the next one's points are
 
 
@@ -189,6 +190,8 @@ def fit_near(
         if trial[1] != at[1] + late * step_theta:
             # At the end of its range, what suits this dead time.
             step_tau = -(slope_tau + both * (trial[1] - at[1]) / late) / bend_tau
+        if trial[1] == 0.0 < theta_limits[1]:
+            trial[1] = NO_DELAY  # at none at all the input before the record, which is free, has no part
         trial[0] = min(max(at[0] + far * step_tau, low_tau), high_tau)
         value = oe_cost(y, drive, first, low, high, sign, integrating, math.exp(trial[0]), trial[1], a, skip, out)
         if value < least:
