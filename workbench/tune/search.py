@@ -28,7 +28,7 @@ ISLAND_FRESH, ISLAND_GENERATIONS = 20, 60
 # Members and generations in three dimensions, and in one or two, where there is time for more.
 JOINT, JOINT_FLAT = (80, 200), (200, 400)
 DENSE_MEMBERS, DENSE_GENERATIONS, DENSE_GAP = 60, 100, 2e-4
-ROUNDS, VALLEYS = 2, 24
+ROUNDS, ROUNDS_FLAT, VALLEYS = 2, 4, 24
 # Branch programs over all restarts, at few samples; a program's time grows with N. The least J lies at the end of a
 # walk across many decisions, the least worst case within the digits seldom does.
 SOLVES, NOMINAL_SOLVES = 24, 64
@@ -191,8 +191,8 @@ def _joint(
     """Search for the least worst case, from the pools of all restarts, at the digits to type in.
 
     The landscape of worst cases has many valleys: each pool is searched by itself, then the best of all together, and
-    all of that twice, from other members of the pools. So far with few points of each neighbourhood; from the best at
-    last with many. Returns the last population's tunings, then the best of the valleys.
+    all of that some times, each from other members of the pools. So far with few points of each neighbourhood; from the
+    best at last with many. Returns the last population's tunings, then the best of the valleys.
     """
     points: list[FloatArray] = []
     values: list[FloatArray] = []
@@ -211,13 +211,15 @@ def _joint(
             keep=keep if not dense else None,
         )
 
-    members, generations = JOINT if problem.free.size > 2 else JOINT_FLAT
-    for k in range(ROUNDS):
+    flat = problem.free.size <= 2
+    members, generations = JOINT_FLAT if flat else JOINT
+    rounds = ROUNDS_FLAT if flat else ROUNDS
+    for k in range(rounds):
         rng = np.random.default_rng([*seed, k])
         first = len(points)
         for pool in [problem.guesses(), *pools]:
             fresh = rng.random((ISLAND_FRESH, problem.free.size))
-            towards(np.concatenate([problem.cube(pool[k::ROUNDS]), fresh]), ISLAND_GENERATIONS, rng)
+            towards(np.concatenate([problem.cube(pool[k::rounds]), fresh]), ISLAND_GENERATIONS, rng)
         own, costs = np.concatenate(points[first:]), np.concatenate(values[first:])
         best = spread(own, costs, _sized(members, scale), GAP)
         if best.size:
