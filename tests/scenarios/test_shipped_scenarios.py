@@ -63,6 +63,7 @@ def given_tunings_come_out_as_committed(name: str, study: Any) -> None:
 
 
 def what_was_searched_for_is_as_good_as_committed(name: str, study: Any) -> None:
+    objectives = {case["name"]: case["objective"] for case in committed(name)["cases"]}
     found = {one["name"]: one for one in committed(name)["tuning"]}
     for case in study.cases:
         if case.tuned is None:
@@ -71,11 +72,13 @@ def what_was_searched_for_is_as_good_as_committed(name: str, study: Any) -> None
         again = wb.evaluate(case.loop, study.experiment, case.tuned.weights)[0]
         if study.objective is not None:
             assert case.objective == pytest.approx(again, rel=1e-12), "the figure shown is the exact simulation's"
-        # What is searched for is the least worst case within the digits; over an ensemble it is the objective itself.
-        if case.tuned.ensemble is None:
-            assert case.tuned.worst <= 1.02 * found[case.name]["worst"]
-        else:
+        if case.tuned.ensemble is not None:
             assert case.tuned.objective <= 1.02 * found[case.name]["objective"]
+            continue
+        # The least worst case within the digits is searched for: a tuning that betters it may have a higher J.
+        assert case.tuned.worst <= 1.02 * found[case.name]["worst"]
+        better = case.tuned.worst < found[case.name]["worst"]
+        assert better or case.objective <= 1.02 * objectives[case.name]
 
 
 def estimates_come_out_as_committed(name: str, study: Any) -> None:

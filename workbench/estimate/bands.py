@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from workbench.estimate.data import Centred
 from workbench.estimate.fit import LEAST_TAU, Fit, Limits, effective_samples, predict
 from workbench.estimate.path_kernel import J_HIGH, J_LOW, S_HIGH, S_LOW, band_path
-from workbench.estimate.profile import CHI_SQUARE, Profile
+from workbench.estimate.profile import CHI_SQUARE, HALF_SLIPS, Profile
 from workbench.estimate.two_parameter import (
     CROSSINGS,
     REACHES,
@@ -63,7 +63,6 @@ WIDE_REACH = (0.03, 0.0)  # as REACHES, where J follows from S, which is a singl
 # Steps of walks over all of a long record, shares of their reach, in proportion to what a look at it costs.
 COARSE, STEPS = 400_000.0, (0.03, 0.2)
 AGREED = 0.03, 0.1  # of S: windows of a long record whose S and J differ by less agree
-HALF_SLIPS = 5  # in each half of a record, for the halves to be compared
 
 
 @dataclass(frozen=True, eq=False)

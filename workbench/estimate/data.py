@@ -13,6 +13,7 @@ from workbench.detect.action import gain_sign
 from workbench.detect.causes import constant, refuse_unusable
 from workbench.detect.stem import whitened
 from workbench.errors import RecordError
+from workbench.estimate.output_error import NO_DELAY
 from workbench.estimate.resolution import coarseness, resolved
 from workbench.model.plant import FOPDT, Integrating, Plant
 from workbench.model.record import FloatArray, Record
@@ -20,7 +21,6 @@ from workbench.model.record import FloatArray, Record
 __all__ = ["WHITE", "Centred", "Starts", "centre", "integers", "plant_of"]
 
 WHITE = np.ones(1)
-NO_DELAY = 1e-3  # samples: a dead time of less is told as none
 # What a record can resolve: fits whose rms residual is below this share of PV's standard deviation are equally good.
 RESOLUTION = 1e-3
 
@@ -200,11 +200,11 @@ def centre(record: Record, plant: str, sent: bool = False) -> Centred:
 def plant_of(data: Centred, gain: float, tau: float, theta: float) -> Plant:
     """Return the plant of a fit whose times are in samples; a gain of 0 becomes the least that a plant may have.
 
-    A fit may come as near to no dead time as it likes: less than a record can tell of is none.
+    A fit comes only near to no dead time (``NO_DELAY``): that is none.
     """
     if gain == 0.0 or not np.isfinite(gain):
         gain = 1e-12
-    if theta < NO_DELAY:
+    if theta <= NO_DELAY:
         theta = 0.0
     if data.integrating:
         return Integrating(gain / data.sample_time, theta * data.sample_time)

@@ -15,6 +15,7 @@ from workbench.estimate.fit_kernel import oe_fit
 from workbench.estimate.output_error import (
     BIAS,
     GAIN,
+    NO_DELAY,
     START,
     TAU,
     THETA,
@@ -33,7 +34,6 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 STARTS = 10  # time constants from which a stem's plant is sought
-NO_DELAY = 1e-7  # samples: a dead time as good as none
 SHRINK = 0.2  # of a quadratic's step: how far apart the next one's points are
 
 

@@ -17,6 +17,7 @@ __all__ = [
     "BIAS",
     "FIT",
     "GAIN",
+    "NO_DELAY",
     "SSE",
     "START",
     "TAU",
@@ -43,6 +44,7 @@ SSE, TAU, THETA, GAIN, BIAS, START, TRANSIENT = range(7)
 FIT = 7
 # Time constants after which nothing is left of a start in double precision.
 DIED = 25.0
+NO_DELAY = 1e-4  # samples: a dead time as good as none, to which a fit comes and which is told as none
 FADED = 1e-6  # of a transient, at the first sample that counts, from which it is left out
 
 

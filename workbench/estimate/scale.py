@@ -24,6 +24,7 @@ from workbench.estimate.fit import (
     start_range,
 )
 from workbench.estimate.models import PLANT_PARAMETERS
+from workbench.estimate.output_error import NO_DELAY
 from workbench.estimate.profile import CHI_SQUARE, Profile
 from workbench.estimate.stems import path_of
 from workbench.estimate.two_parameter import Band, band_stem, held_range
@@ -131,9 +132,8 @@ def ranges_of(
         high = math.inf if gain[1] > reach or (slow and gains.max() > 0.0) else max(gain[1], -reach)
         unit = 1.0 / Ts if data.integrating else 1.0
         gain = low * unit, high * unit
-    theta = time(
-        np.array([f.theta for f in fits]), errors[2], 0.0, longest - HALF_SAMPLE if longest > 0.0 else math.inf
-    )
+    end = longest - HALF_SAMPLE if longest > 0.0 else math.inf
+    theta = time(np.array([f.theta for f in fits]), errors[2], NO_DELAY, end)
     return Intervals(d=d, gain=gain, time_constant=tau, dead_time=theta)
 
 
