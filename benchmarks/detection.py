@@ -4,7 +4,8 @@
 
 Loops are random: first-order and integrating plants, PI tuned from brisk to slow, 750 to 3,000 samples, measurement
 noise of 2 to 20 % of the disturbance's effect. Healthy classes: noise alone; fast, slow and sinusoidal load; tight
-tuning; setpoint steps; a nonlinear gain (the static square law that the PV of an orifice without a square root has).
+tuning; setpoint steps; a nonlinear gain (the static square law that the PV of an orifice without a square root has);
+one to three load steps.
 Sticky ones: every valve type, the load a slow drift of up to a quarter of the stick band; those whose stem set off less
 than ten times in the record are counted by themselves: nothing tells them from a healthy loop at rest. Each threshold
 is then moved by a fifth down and up on the same records.
@@ -32,10 +33,12 @@ HEALTHY = (
     "tight tuning",
     "setpoint steps",
     "nonlinear gain",
+    "load steps",
 )
 ENOUGH = 10  # moves of the stem
 STICKY = ("Stenman", "S = J", "S > J", "S < J", "dead band")
 APART = ("stuck fast", "large setpoint moves")
+SEEDED = (*HEALTHY[:7], *STICKY, *APART, *HEALTHY[7:])  # a class keeps its loops where another joins
 
 
 def drift(rng: np.random.Generator, n: int, correlation: float) -> np.ndarray:
@@ -51,7 +54,7 @@ def drift(rng: np.random.Generator, n: int, correlation: float) -> np.ndarray:
 
 def random_record(kind: str, level: bool, seed: int) -> tuple[wb.Record, int]:
     """Return one random loop's record and how often its stem set off; kind: an entry of HEALTHY, STICKY or APART."""
-    rng = np.random.default_rng([seed, int(level), (HEALTHY + STICKY + APART).index(kind)])
+    rng = np.random.default_rng([seed, int(level), SEEDED.index(kind)])
     n = int(rng.choice([750, 1500, 3000]))
     gain = float(np.exp(rng.uniform(math.log(0.3), math.log(3.0)))) * float(rng.choice([1, 1, 1, -1]))
     action = "reverse" if gain > 0.0 else "direct"
@@ -83,6 +86,10 @@ def random_record(kind: str, level: bool, seed: int) -> tuple[wb.Record, int]:
     elif kind == "sinusoidal load":
         period = max(min(rng.uniform(2.0, 40.0) * speed, n / 4.0), 6.0)
         load = size * np.sin(2.0 * math.pi * np.arange(n) / period + rng.uniform(0.0, 6.0))
+    elif kind == "load steps":
+        load = np.zeros(n)
+        for at in rng.integers(10, n - 10, int(rng.integers(1, 4))).tolist():
+            load[at:] += size * rng.normal()
     elif kind == "tight tuning":
         loop = wb.Loop(plant=plant, valve=wb.Ideal(), controller=controller, sample_time=1.0)
         margin = wb.margins(loop).gain_margin

@@ -21,6 +21,7 @@ RECORDS = Path(os.environ.get("WORKBENCH_RECORDS", Path(__file__).resolve().pare
 QUIET = Oscillation(0.0, math.nan, 0.0, 0.0)
 FOUND = StemTest(
     predicting=200.0,
+    loaded=200.0,
     improvement=0.18,
     likelihood=200.0,
     simulated=0.4,
@@ -115,7 +116,7 @@ def test_stretches_that_nobody_recorded_do_not_count() -> None:
     pv, op = record.pv.copy(), record.op.copy()
     for first in (200, 500, 900):
         pv[first : first + 40], op[first : first + 40] = pv[first], op[first]
-    held = stem_test(pv, op, 1.0, math.nan, 1.0)
+    held = stem_test(pv, op, None, 1.0, math.nan, 1.0)
     assert held.samples < 1200 - 3 * 39
     assert wb.detect(wb.Record(pv, op, 1.0, sp=record.sp)).verdict == "stiction"
 

@@ -194,7 +194,7 @@ def test_a_thinned_record_asks_for_no_kernel_of_its_own() -> None:
     def compiled() -> list[int]:
         return [len(one.signatures) for one in (settle, plant, screen)]  # type: ignore[attr-defined]
 
-    assert stem_test(pv, op, 1.0, 90.0, 0.0, fitted=fitted).samples > 450
+    assert stem_test(pv, op, None, 1.0, 90.0, 0.0, fitted=fitted).samples > 450
     before = compiled()
-    assert stem_test(pv, op, 1.0, 250.0, 0.0, fitted=fitted).samples <= 450
+    assert stem_test(pv, op, None, 1.0, 250.0, 0.0, fitted=fitted).samples <= 450
     assert compiled() == before

@@ -69,7 +69,7 @@ def detect(record: Record, *, bicoherence: bool = False, fitted: Fitted | None =
         )
         return replace(found, statistics=statistics_of(found, bicoherence))
     period = math.nan if no_period(whole) else whole.period
-    test = stem_test(record.pv, record.op, record.sample_time, period, gain_sign(record), fitted)
+    test = stem_test(record.pv, record.op, record.sp, record.sample_time, period, gain_sign(record), fitted)
     stem = None if record.valve_position is None else stem_evidence(record.op, record.valve_position)
     verdict, reasons = ("undecided", [dead]) if dead else decide(whole, test, stem)
     if verdict == "no_stiction" and follows(test) < Thresholds().seen and feedback(record)[0] < ACTS:
@@ -133,7 +133,7 @@ def _between_moves(record: Record) -> str:
         return ""
     cycle = oscillation_of(part.pv, part.sample_time)
     period = math.nan if no_period(cycle) else cycle.period
-    test = stem_test(part.pv, part.op, part.sample_time, period, gain_sign(record))
+    test = stem_test(part.pv, part.op, part.sp, part.sample_time, period, gain_sign(record))
     verdict, reasons = decide(cycle, test, None)
     if verdict != "stiction":
         return ""

@@ -115,6 +115,20 @@ def _stem_test(found: Detection) -> Iterator[Statistic]:
         says = "enough for stiction" if value >= least else "too little for stiction"
         says = _undefined(STILL) if math.isnan(value) else says
         yield Statistic(name, measures, "", value, unit, needed, says, decides=True)
+    yield Statistic(
+        "Stem test, load steps",
+        "log likelihood ratio of the best stem to the linear loop under load steps where it moved seldom",
+        "",
+        nan if test is None else test.loaded,
+        "",
+        f"stiction needs {limits.chance:g} or more",
+        _undefined(STILL)
+        if test is None
+        else "the linear loop does as well"
+        if test.loaded < limits.chance
+        else "the linear loop does worse",
+        decides=True,
+    )
     wide = nan if test is None else test.wide
     yield Statistic(
         "Stem test, wide bands",

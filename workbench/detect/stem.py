@@ -21,16 +21,17 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from workbench.detect.load_steps import load_steps, unforced
 from workbench.detect.predictor import FreePredictor
 from workbench.detect.stem_kernel import plant, screen, settle
-from workbench.detect.whitening import noise, whiten
+from workbench.detect.whitening import noise, whitened
 from workbench.model.detection import StemTest
 from workbench.model.record import FloatArray
 from workbench.model.valve import Choudhury, Deadband, Stenman
 from workbench.simulate import kernel as simulate
 from workbench.simulate.run import valve_response
 
-__all__ = ["FITTED", "Fitted", "Law", "dead_times", "laws_of", "stem_test", "whitened"]
+__all__ = ["FITTED", "Fitted", "Law", "dead_times", "laws_of", "stem_test"]
 
 FITTED = (Stenman, Choudhury, Deadband)  # valves that the stem test may be given
 Fitted = tuple[Stenman | Choudhury | Deadband, FloatArray]
@@ -45,7 +46,7 @@ CLOSER = (0.06, 0.03, 0.012, 0.005)  # widths are searched on by up to twice the
 BAND, JUMP, REST = range(3)  # columns of `Laws`
 CLASSES = (0.1, 0.25, 0.5)  # of OP's range: between narrow and wide bands
 # Plants: time constants and dead times, in samples.
-COARSE_TAUS, FINE_TAUS = 8, 28
+COARSE_TAUS, STEP_TAUS, FINE_TAUS = 8, 12, 28
 SHORTEST = 0.3
 LONGEST = 10.0  # records: as good as an integrating plant
 SHORT, LONG, PER_ORDER = (
@@ -61,6 +62,7 @@ LEAST_LIVE = 0.25  # of a record: where less is left it is the loop itself that 
 FEWEST_PERIODS = 3  # of a sinusoidal disturbance that the linear rival may have beside it
 FINER = 4  # its frequency against that of the record's own
 FLOOR = 0.005  # of PV's standard deviation: no record is good for less
+FEW = 8  # moves of a stem, two each of four load steps, that may look the same
 HARM = 0.5  # a stem that simulates PV worse than OP itself does by more than this share is not this loop's
 
 
@@ -187,16 +189,6 @@ def dead_times(n: int, period: float) -> list[int]:
     return tried
 
 
-def whitened(a: FloatArray, rows: FloatArray) -> FloatArray:
-    """Return signals, shape (N,) or (R, N), filtered by a = (1, -a_1, .., -a_p), as if they had been 0 before."""
-    if a.size == 1:
-        return rows
-    out = np.empty(rows.shape)
-    for row, filtered in zip(np.atleast_2d(np.ascontiguousarray(rows)), np.atleast_2d(out), strict=True):
-        whiten(a, row, filtered)
-    return out
-
-
 def _held(y: FloatArray, u: FloatArray) -> NDArray[np.bool_]:
     """Return the samples in which PV and OP both kept their values for a while: nobody recorded the loop then."""
     still = np.concatenate([[False], (np.diff(y) == 0.0) & (np.diff(u) == 0.0)])
@@ -265,11 +257,25 @@ class _Rivals:
             target = whitened(fit.a, fit.residual + wave)[order:][self.live[order:]]
             terms, *_ = np.linalg.lstsq(columns, target, rcond=None)
             wave = waves[:, :2] @ terms[:2]
-            fit = self._less(wave).settle(x, fit.a, taus, 2)
+            fit = self.less(wave).settle(x, fit.a, taus, 2)
             fits.append(fit)
         return min(fits, key=lambda f: f.variance)
 
-    def _less(self, wave: FloatArray) -> _Rivals:
+    def under_load(self, x: FloatArray, a: FloatArray, fine: FloatArray, free: NDArray[np.bool_], most: int) -> float:
+        """Return the least innovation variance beside up to `most` load steps, time and size of each paid for by ln N.
+
+        inf where there is no place for one.
+        """
+        taus = np.geomspace(SHORTEST, LONGEST * self.n, STEP_TAUS)
+        live = self.live.copy()
+        live[: self.order] = False
+        waves = load_steps(self.y, x, a, live, free, taus, self.delays, self.sign, most)
+        price = self.count ** (2.0 / self.count)
+        left = (self.less(wave).settle(x, a, fine, 2).variance * price**k for k, wave in enumerate(waves, 1))
+        return min(left, default=math.inf)
+
+    def less(self, wave: FloatArray) -> _Rivals:
+        """Return the same without a part of PV."""
         rivals = copy.copy(self)
         rivals.y = self.y - wave
         return rivals
@@ -306,9 +312,9 @@ class _Search:
         self.straight = rivals.plant(u, self.white, self.fine)
         self.free = FreePredictor(rivals.y, u, held, FLOOR**2 * power, rivals.longest)
 
-    def _gain(self, rival: _Fit, fit: _Fit) -> float:
+    def _gain(self, rival: float, variance: float) -> float:
         floor = FLOOR**2 * self.power
-        return self.rivals.count * math.log((rival.variance + floor) / (fit.variance + floor))
+        return self.rivals.count * math.log((rival + floor) / (variance + floor))
 
     def judged(self, law: Law, path: FloatArray, a: FloatArray, taus: FloatArray | None = None) -> _Candidate:
         """Return a valve with its likelihoods, its plant and noise fitted in turn from the whitening filter a.
@@ -318,9 +324,11 @@ class _Search:
         fit = self.rivals.settle(path, a, self.fine if taus is None else taus, 2)
         simulated, adds = -math.inf, 0.0
         if taus is None:
-            simulated = self._gain(self.straight, self.rivals.plant(path, self.white, self.fine))
+            simulated = self._gain(self.straight.variance, self.rivals.plant(path, self.white, self.fine).variance)
             adds = self.free.adds(path, fit.delay)
-        return _Candidate(law, path, fit, self._gain(self.rival, fit), simulated, adds, self.rivals.count)
+        return _Candidate(
+            law, path, fit, self._gain(self.rival.variance, fit.variance), simulated, adds, self.rivals.count
+        )
 
     def met(self) -> list[_Candidate]:
         """Return the valves judged: the best of the grid, and those found closer and closer about them."""
@@ -348,6 +356,15 @@ class _Search:
         ]
         return found + [self.closer(c) for c in leaders]
 
+    def over_load_steps(self, best: _Candidate, moves: int, free: NDArray[np.bool_]) -> float:
+        """Return a stem's log likelihood ratio over the linear rival under at most half as many load steps as FEW."""
+        if not 0 < moves <= FEW:
+            return best.innovations
+        most = min(moves, FEW // 2)
+        filters = (best.fit.a, self.linear.a, self.white)
+        left = min(self.rivals.under_load(self.u, a, self.fine, free, most) for a in filters)
+        return min(best.innovations, self._gain(left, best.fit.variance))
+
     def told(self, fitted: Fitted) -> list[_Candidate]:
         """Return a model's valve judged, and the best found about it."""
         judged = [self.judged(Law(fitted[0], 0.0), fitted[1], a) for a in (self.white, self.linear.a)]
@@ -368,24 +385,34 @@ class _Search:
 
 
 def _stretch(
-    y: FloatArray, u: FloatArray, sample_time: float, period: float, sign: float, fitted: Fitted | None
+    y: FloatArray,
+    u: FloatArray,
+    sp: FloatArray | None,
+    sample_time: float,
+    period: float,
+    sign: float,
+    fitted: Fitted | None,
 ) -> StemTest:
     held = _held(y, u)
     if not _innovations(held)[_order(y.size) :].mean() > LEAST_LIVE:
         held[:] = False
     at = np.arange(y.size)
     u = np.interp(at, at[~held], u[~held])
+    delays = dead_times(y.size, period / sample_time)
+    free = unforced(sp, y, delays[-1])
     y, u = y - y[~held].mean(), u - u.mean()
     power = float(y[~held].var())
-    rivals = _Rivals(y, dead_times(y.size, period / sample_time), sign, held)
+    rivals = _Rivals(y, delays, sign, held)
     search = _Search(rivals, u, held, power)
     own = search.met()
     met = own if fitted is None else own + search.told(fitted)
     best, both = max(met, key=lambda c: c.innovations), max(met, key=lambda c: c.both)
     moving = np.diff(best.path) != 0.0
+    moves = int((moving[1:] & ~moving[:-1]).sum()) + int(moving[0])
     width = float(np.ptp(u))
     return StemTest(
         predicting=best.innovations,
+        loaded=search.over_load_steps(best, moves, free),
         improvement=1.0 - math.exp(-both.innovations / rivals.count),
         likelihood=both.innovations,
         simulated=1.0 - math.exp(-both.simulated / rivals.count),
@@ -399,7 +426,7 @@ def _stretch(
         unfollowed=search.unfollowed / power,
         band=best.law.band,
         jump=best.law.valve.slip_jump,
-        moves=int((moving[1:] & ~moving[:-1]).sum()) + int(moving[0]),
+        moves=moves,
         samples=rivals.count,
         time_constant=search.straight.tau * sample_time,
         dead_time=search.straight.delay * sample_time,
@@ -407,9 +434,15 @@ def _stretch(
 
 
 def stem_test(
-    pv: FloatArray, op: FloatArray, sample_time: float, period: float, sign: float, fitted: Fitted | None = None
+    pv: FloatArray,
+    op: FloatArray,
+    sp: FloatArray | None,
+    sample_time: float,
+    period: float,
+    sign: float,
+    fitted: Fitted | None = None,
 ) -> StemTest:
-    """Return the stem test of PV (EU) and OP (%), shape (N,), both moving.
+    """Return the stem test of PV (EU) and OP (%), shape (N,), both moving; sp: EU, (N,), where it was recorded.
 
     period: s, of PV's oscillation, nan where it has none. sign: that the plant's gain must have, +1 or -1, 0 where it
     is not known. fitted: a valve and its stem, %, shape (N,), from a model of the loop, tried beside the grid. A cycle
@@ -418,28 +451,32 @@ def stem_test(
     """
     thin = max(int(period / sample_time / PER_CYCLE), 1) if math.isfinite(period) else 1
     pv, op, step = pv[::thin], op[::thin], thin * sample_time
+    sp = None if sp is None else sp[::thin]
     n = pv.size
+
+    def stretch(first: int, stop: int) -> StemTest:
+        there = slice(first, stop)
+        return _stretch(pv[there], op[there], None if sp is None else sp[there], step, period, sign, part(first, stop))
 
     def part(first: int, stop: int) -> Fitted | None:
         # Without gaps in memory, for which the kernels would be compiled once more.
         return None if fitted is None else (fitted[0], np.ascontiguousarray(fitted[1][::thin][first:stop]))
 
     if n <= WINDOW:
-        return _stretch(pv, op, step, period, sign, part(0, n))
+        return stretch(0, n)
     count = min(-(-n // WINDOW), WINDOWS)
     starts = np.linspace(0, n - WINDOW, count).astype(int).tolist()
     parts = [
-        _stretch(pv[s : s + WINDOW], op[s : s + WINDOW], step, period, sign, part(s, s + WINDOW))
-        for s in starts
-        if np.ptp(pv[s : s + WINDOW]) > 0.0 and np.ptp(op[s : s + WINDOW]) > 0.0
+        stretch(s, s + WINDOW) for s in starts if np.ptp(pv[s : s + WINDOW]) > 0.0 and np.ptp(op[s : s + WINDOW]) > 0.0
     ]
     if not parts:
-        return _stretch(pv, op, step, period, sign, part(0, n))
+        return stretch(0, n)
     total = sum(p.samples for p in parts)
     gain = sum(p.likelihood for p in parts)
     lead = max(parts, key=lambda p: p.predicting)
     return StemTest(
         predicting=sum(p.predicting for p in parts),
+        loaded=sum(p.loaded for p in parts),
         improvement=1.0 - math.exp(-gain / total),
         likelihood=gain,
         simulated=float(np.median([p.simulated for p in parts])),

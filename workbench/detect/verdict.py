@@ -4,7 +4,7 @@ Stiction is found where the linear loop leaves something to explain (LEFT) and a
 three routes: it betters both the linear loop and the free linear predictor (SURE); it betters the linear loop by
 prediction and in the simulated PV at once, significantly (LIKELIHOOD), by an amount that matters (PREDICTS, EXPLAINS),
 and adds more than chance to the free predictor (CHANCE); or it predicts so much better (SOLE, CLEAR) that no second
-opinion is asked.
+opinion is asked. None of them holds where a linear loop under a few load steps does as well (PLAYED).
 
 No stiction is a finding of its own: stems that stick over a quarter of OP's range or more, enough to matter, are
 excluded (EXCLUDED); or they fit no better than chance has it (CHANCE; where PV is seen to follow OP, worse than OP
@@ -27,6 +27,9 @@ CLOSE: four fifths of each of these is no acquittal, nor is a likelihood beyond 
 CHANCE: where PV is noise alone the best of the search gained less in 47 of 50 simulated loops.
 EXCLUDED: chi^2 with one degree of freedom, the width, at 95 %: a wide stem whose likelihood is not that far below the
 linear loop's may be at work. So may one that never moved where PV is not seen to follow OP (CHANCE).
+PLAYED: a stem that moves once or twice leaves PV as a load step does, if it is given the time. It accuses only where it
+beats the linear loop under as many load steps as it moves, four at most, each paid for by BIC, by more than chance
+(CHANCE). A step that comes with a setpoint move is the controller's work and the valve's, no load's.
 SEEN: a gain, a time constant and a dead time chosen among ten gain 15 by chance once in 50. Where PV answers OP so
 clearly, a stem that hides a quarter of OP's range from it predicts PV worse, unless it is at work.
 FEW: a stem that moved at most four times, two cycles, cannot be told from a linear loop, however little that leaves,
@@ -106,13 +109,20 @@ def decide(
         f"the stem that fits best throughout leaves {_less(test.improvement)} unpredicted (log likelihood ratio "
         f"{test.likelihood:.0f}) and {_less(test.simulated, 0)} of simulated PV"
     )
-    if _sticks(test, limits, 1.0):
+    played = test.loaded < limits.chance
+    if not played and _sticks(test, limits, 1.0):
         kind = "the stem slips as it sets off" if test.jump > 0.1 * test.band else "a dead band without visible slip"
         return "stiction", [f"{beats}: {kind}", f"{both}; {linear}"]
     likely = test.unexplained >= limits.left and test.predicting >= limits.sole
     likely = likely or (test.likelihood >= limits.sole and test.simulated >= limits.explains)
     if likely or _sticks(test, limits, limits.close):
-        return "undecided", [f"{beats}: nearly enough to find stiction, too much to exclude it", f"{both}; {linear}"]
+        enough = "nearly enough to find stiction, too much to exclude it"
+        if played:
+            enough = (
+                f"yet the stem moved {times(test.moves)} only, and a linear loop under as few load steps does as well "
+                f"(log likelihood ratio {test.loaded:.0f}); a setpoint move or a longer record would tell"
+            )
+        return "undecided", [f"{beats}: {enough}", f"{both}; {linear}"]
     doubt = _not_excluded(oscillation, test, limits)
     if doubt:
         return "undecided", [doubt, f"{both}; {linear}"]

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from workbench.simulate.compiled import compiled, copy, specialised
 
-__all__ = ["NOUGHT", "four_taps", "noise", "own_products", "run_filter", "whiten"]
+__all__ = ["NOUGHT", "four_taps", "noise", "own_products", "run_filter", "whiten", "whitened"]
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -18,6 +18,16 @@ BLOCK = 512  # numbers at a time, where a filter's terms are summed up: they sta
 NOUGHT = 1e-100  # of a transient that was 1
 PIVOT = 1e-8  # of Cholesky's factor of an autoregression's normal equations: with less they are solved with care
 RANK = 1e-12  # of their eigenvalues: less is rounding
+
+
+def whitened(a: Floats, rows: Floats) -> Floats:
+    """Return signals, shape (N,) or (R, N), filtered by a = (1, -a_1, .., -a_p), as if they had been 0 before."""
+    if a.size == 1:
+        return rows
+    out = np.empty(rows.shape)
+    for row, filtered in zip(np.atleast_2d(np.ascontiguousarray(rows)), np.atleast_2d(out), strict=True):
+        whiten(a, row, filtered)
+    return out
 
 
 @compiled

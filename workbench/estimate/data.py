@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from workbench.detect.action import gain_sign
 from workbench.detect.causes import constant, refuse_unusable
-from workbench.detect.stem import whitened
+from workbench.detect.whitening import whitened
 from workbench.errors import RecordError
 from workbench.estimate.output_error import NO_DELAY
 from workbench.estimate.resolution import coarseness, resolved

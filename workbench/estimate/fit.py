@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from workbench.detect.stem import whitened
+from workbench.detect.whitening import whitened
 from workbench.estimate import fit_kernel, long_kernel, output_error, path_kernel
 from workbench.estimate.data import WHITE, Centred
 from workbench.estimate.windows import EXACT, stretch_of

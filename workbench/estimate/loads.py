@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.optimize import minimize
 
-from workbench.detect.stem import whitened
+from workbench.detect.whitening import whitened
 from workbench.estimate.data import WHITE, Centred
 from workbench.estimate.fit import LOUD, NORMAL, Fit, Limits, autoregression, fit_path, inflation, predict
 from workbench.estimate.stepped_kernel import left_beside

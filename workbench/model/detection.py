@@ -68,10 +68,12 @@ class StemTest:
 
     predicting: the log likelihood ratio of the stem that predicts PV best, N times the logarithm of the ratio of
     innovation variances; band: width (%) of its stick band (Stenman: d); jump: its slip jump; moves: times that it set
-    off or turned. likelihood: the same ratio of the stem best by prediction and simulation together; improvement: share
-    of the linear rival's innovation variance that it explains; simulated: share of the error of the linear rival's
-    simulated PV that it explains; adds: its log likelihood ratio over the free linear predictor, which knows the past
-    of PV and OP and no valve. The linear rival of the innovations may have a sinusoidal disturbance.
+    off or turned. loaded: its ratio over the linear loop under a few load steps, twice ln N less for each, where that
+    is less: of a stem that hardly moved. likelihood: the same ratio of the stem best by prediction and simulation
+    together; improvement: share of the linear rival's innovation variance that it explains; simulated: share of the
+    error of the linear rival's simulated PV that it explains; adds: its log likelihood ratio over the free linear
+    predictor, which knows the past of PV and OP and no valve. The linear rival of the innovations may have a sinusoidal
+    disturbance.
 
     sure: the best of all stems by the less of both ratios, over the linear rival and over the free predictor; wide: the
     ratio over the linear rival of the best stem with a band of `wide_from` (%), a quarter of OP's range, or more. In
@@ -82,6 +84,7 @@ class StemTest:
     """
 
     predicting: float
+    loaded: float
     improvement: float
     likelihood: float
     simulated: float

@@ -1,0 +1,108 @@
+"""A stem that moves once or twice leaves PV as a load step does: it accuses only where load steps do not do as well."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import workbench as wb
+from workbench.detect.load_steps import load_steps, unforced
+from workbench.detect.verdict import decide
+from workbench.model.detection import Oscillation, StemTest
+
+FLOW = wb.Loop(wb.FOPDT(0.6, 2.4, 0.8), wb.Ideal(), wb.PID(Kc=1.18, Ti=2.6), 1.0)
+LEVEL = wb.Loop(wb.Integrating(0.0111, 3.7), wb.Ideal(), wb.PID(Kc=4.15, Ti=147.0), 1.0)
+SLOW = wb.Loop(wb.FOPDT(1.0, 12.0, 2.0), wb.Stenman(2.0), wb.PID(Kc=0.5, Ti=60.0), 1.0)
+
+
+def record_of(loop: wb.Loop, experiment: wb.Experiment) -> wb.Record:
+    run = wb.simulate(loop, experiment)
+    return wb.Record(run.pv + 50.0, run.op + 40.0, 1.0, sp=run.sp + 50.0)
+
+
+@pytest.mark.parametrize(
+    ("loop", "load", "noise"),
+    [
+        (FLOW, [wb.Step(-10.9, 236.0)], wb.Noise(0.39, 2)),
+        (LEVEL, [wb.Step(3.13, 386.0), wb.Step(-2.55, 718.0)], wb.Noise(0.215, 22)),
+    ],
+)
+def test_a_healthy_loop_is_not_accused_of_its_load_steps(loop: wb.Loop, load: list[wb.Step], noise: wb.Noise) -> None:
+    found = wb.detect(record_of(loop, wb.Experiment(750.0, load=load, noise=noise)))
+    assert found.test.predicting > 30.0, "a stem predicts PV far better than the loop without its load steps"
+    assert found.test.loaded < 0.0
+    assert found.verdict != "stiction"
+
+
+def test_a_step_that_comes_with_the_setpoint_is_no_loads() -> None:
+    record = record_of(SLOW, wb.Experiment(750.0, setpoint=wb.Step(3.0, 100.0), noise=wb.Noise(0.2, 1)))
+    found = wb.detect(record)
+    assert found.verdict == "stiction"
+    assert found.test.moves <= 4
+    # Where nobody recorded the setpoint, its move may have been a load's.
+    assert wb.detect(wb.Record(record.pv, record.op, 1.0)).test.loaded < found.test.loaded
+
+
+def test_one_step_is_found_where_it_was_with_its_size() -> None:
+    rng = np.random.default_rng(3)
+    n, tau, at, size = 600, 8.0, 250, -3.0
+    op = np.cumsum(rng.normal(size=n)) * 0.3
+    moved = size * (1.0 - np.exp(-np.arange(1, n - at + 1) / tau))
+    lag, pv = 0.0, np.zeros(n)
+    for k in range(3, n):
+        pv[k] = lag
+        lag = lag * np.exp(-1.0 / tau) + (1.0 - np.exp(-1.0 / tau)) * 2.0 * op[k - 3]
+    pv[at:] += moved
+    taus, delays = np.array([1.0, 4.0, tau, 20.0]), np.arange(6)
+    everywhere = np.ones(n, dtype=bool)
+    given = pv + 0.05 * rng.normal(size=n), op, np.ones(1), everywhere
+    part, *more = load_steps(*given, everywhere, taus, delays, 1.0, 2)
+    np.testing.assert_allclose(part[at:], moved, atol=0.1)
+    assert np.ptp(part[:at]) == 0.0
+    assert len(more) == 1
+    # No plant has a gain of the other sign; where no place is free there is no step.
+    assert not list(load_steps(*given, everywhere, taus, delays, -1.0, 1))
+    assert not list(load_steps(*given, ~everywhere, taus, delays, 1.0, 1))
+
+
+def test_no_load_is_sought_about_a_setpoint_move_until_pv_has_arrived() -> None:
+    sp, pv = np.zeros(100), np.zeros(100)
+    sp[40:] = 2.0
+    pv[55:] = 2.1
+    free = unforced(sp, pv, 5)
+    assert np.flatnonzero(~free).tolist() == list(range(35, 61))
+    # Never arrived: none until the end. No setpoint, or one that stands still: everywhere.
+    assert np.flatnonzero(~unforced(sp, np.zeros(100), 5)).tolist() == list(range(35, 100))
+    assert unforced(None, pv, 5).all()
+    assert unforced(np.ones(100), pv, 5).all()
+
+
+FOUND = StemTest(
+    predicting=200.0,
+    loaded=200.0,
+    improvement=0.18,
+    likelihood=200.0,
+    simulated=0.4,
+    adds=100.0,
+    sure=100.0,
+    wide=200.0,
+    wide_from=1.0,
+    left=0.05,
+    unexplained=0.3,
+    unfollowed=0.06,
+    band=2.0,
+    jump=1.0,
+    moves=2,
+    samples=1000,
+    time_constant=5.0,
+    dead_time=1.0,
+)
+
+
+@pytest.mark.parametrize(
+    ("loaded", "verdict"), [(-50.0, "undecided"), (9.9, "undecided"), (10.1, "stiction"), (200.0, "stiction")]
+)
+def test_the_stem_must_beat_load_steps_by_more_than_chance(loaded: float, verdict: str) -> None:
+    said, reasons = decide(Oscillation(0.0, np.nan, 0.0, 0.0), replace(FOUND, loaded=loaded), None)
+    assert said == verdict
+    assert ("moved 2 times only, and a linear loop under as few load steps" in reasons[0]) == (verdict == "undecided")

@@ -1,0 +1,142 @@
+"""Load steps beside the linear loop: the rival of a stem that moves so seldom that steps of a load may look the same.
+
+Under feedback an unseen load step spoils the plant that is fitted without it, so that its time cannot be read from what
+that plant leaves: plants and steps are searched together. For each plant of a grid, with all in the measure of the
+filter that whitens the noise, the step that lowers the sum of squares most is added to those before it (orthogonal
+least squares; S. Chen, S. Billings, W. Luo, Int. J. Control 50 (1989) 1873-1896). A load enters where the valve does.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import lfilter
+
+from workbench.detect.whitening import whitened
+from workbench.model.record import FloatArray
+
+__all__ = ["load_steps", "unforced"]
+
+ALONE = 1e-6  # of a step's squares: where less is left that the plant and the steps before it do not show, it is none
+FIRST, LAST = 2, 3  # samples at the record's ends in which no step is told from the start or from noise
+
+
+def unforced(sp: FloatArray | None, pv: FloatArray, reach: int) -> NDArray[np.bool_]:
+    """Return the samples in which a load step may be sought, shape (N,): those that no setpoint move accounts for.
+
+    sp, pv: EU, shape (N,); without a setpoint all. A move accounts for what comes until PV has arrived at the new
+    setpoint, and `reach` samples before and after: a step's time is known to within a dead time and a lag at best, and
+    one that comes with a move of the setpoint is the controller's own work and the valve's.
+    """
+    free = np.ones(pv.size, dtype=bool)
+    if sp is None:
+        return free
+    for k in (np.flatnonzero(np.diff(sp)) + 1).tolist():
+        arrived = (sp[k:] - pv[k:]) * np.sign(sp[k] - sp[k - 1]) <= 0.0
+        stop = k + int(np.argmax(arrived)) if arrived.any() else pv.size
+        free[max(k - reach, 0) : stop + reach + 1] = False
+    return free
+
+
+def load_steps(
+    y: FloatArray,
+    u: FloatArray,
+    a: FloatArray,
+    live: NDArray[np.bool_],
+    free: NDArray[np.bool_],
+    taus: FloatArray,
+    delays: NDArray[np.int64],
+    sign: float,
+    most: int,
+) -> Iterator[FloatArray]:
+    """Yield the part of PV, shape (N,), that one load step explains best beside OP, that two do, .., up to `most`.
+
+    y, u: PV (EU) and OP (%), shape (N,); a: the filter that whitens the noise; live: the innovations that count, free:
+    the samples at which a load may step; taus, delays: the grid of plants, samples; sign: that the plant's gain must
+    have, or 0. Ends early where no plant of that sign is left, or no place.
+    """
+    if not free[FIRST : y.size - LAST].any():
+        return
+    plants = [_Plants(y, u, a, live, free, tau, delays) for tau in taus.tolist()]
+    for _ in range(most):
+        for one in plants:
+            one.add()
+        found = min((one.best(sign) for one in plants), key=lambda best: best[0])
+        if found[1] is None:
+            return
+        yield found[1]
+
+
+class _Plants:
+    """Lags of one time constant, a row for each dead time, and the load steps that each has found so far."""
+
+    def __init__(
+        self,
+        y: FloatArray,
+        u: FloatArray,
+        a: FloatArray,
+        live: NDArray[np.bool_],
+        free: NDArray[np.bool_],
+        tau: float,
+        delays: NDArray[np.int64],
+    ) -> None:
+        n = y.size
+        pole, at = float(np.exp(-1.0 / tau)), np.arange(n)
+        self.n, self.live, self.count = n, live, delays.size
+        self.answer: FloatArray = np.asarray(1.0 - pole ** (at + 1.0), dtype=np.float64)  # to a step of 1 at sample 0
+        self.step = whitened(a, self.answer)
+        self.filter = np.fft.rfft(self.step, 2 * n).conj()
+        self.places = free & (at >= FIRST) & (at < n - LAST)
+        lag = lfilter([0.0, 1.0 - pole], [1.0, -pole], u - u[0])
+        rows = [np.ones(n), pole**at] + [np.concatenate([np.zeros(d), lag[: n - d]]) for d in delays.tolist()]
+        shown = np.where(live, whitened(a, np.array(rows)), 0.0)
+        self.target = np.where(live, whitened(a, y), 0.0)
+        self.shared, self.drives = shown[:2], shown[2:]
+        self.rest = np.repeat(self.target[None, :], self.count, axis=0)
+        squares = np.fft.irfft(np.fft.rfft(live.astype(float), 2 * n) * np.fft.rfft(self.step**2, 2 * n).conj())[:n]
+        self.whole = squares.max()
+        self.left = np.repeat(squares[None, :], self.count, axis=0)  # of each step's squares
+        self.basis: list[FloatArray] = []
+        self.times = np.empty((self.count, 0), dtype=np.int64)
+        for column in (*self.shared, self.drives):
+            self._take(np.broadcast_to(column, self.rest.shape))
+
+    def _seen(self, rows: FloatArray) -> FloatArray:
+        """The products of rows, (D, N), with the whitened step at every sample."""
+        return np.fft.irfft(np.fft.rfft(rows, 2 * self.n) * self.filter)[:, : self.n]
+
+    def _take(self, columns: FloatArray) -> None:
+        """Let columns, (D, N), explain what they can of what is left."""
+        for _ in range(2):
+            for taken in self.basis:
+                columns = columns - taken * np.einsum("ij,ij->i", taken, columns)[:, None]
+        columns = columns / np.maximum(np.linalg.norm(columns, axis=1), 1e-300)[:, None]
+        self.basis.append(columns)
+        self.rest = self.rest - columns * np.einsum("ij,ij->i", columns, self.rest)[:, None]
+        self.left = self.left - self._seen(columns) ** 2
+
+    def add(self) -> None:
+        """Let every plant find its next step."""
+        alone = self.left > ALONE * self.whole
+        gain = np.where(alone & self.places, self._seen(self.rest) ** 2 / np.where(alone, self.left, 1.0), -1.0)
+        times = np.argmax(gain, axis=1)
+        self.times = np.column_stack([self.times, times])
+        self._take(np.array([self._moved(self.step, t) for t in times.tolist()]) * self.live)
+
+    def _moved(self, row: FloatArray, by: int) -> FloatArray:
+        return np.concatenate([np.zeros(by), row[: self.n - by]])
+
+    def best(self, sign: float) -> tuple[float, FloatArray | None]:
+        """Return the least sum of squares of a plant whose gain has the sign, and its steps' part of PV."""
+        costs = np.einsum("ij,ij->i", self.rest, self.rest)
+        for i in np.argsort(costs, kind="stable").tolist():
+            times = self.times[i].tolist()
+            steps = [self._moved(self.step, t) * self.live for t in times]
+            columns = np.column_stack([*self.shared, self.drives[i], *steps])
+            terms, *_ = np.linalg.lstsq(columns, self.target, rcond=None)
+            if terms[2] * sign >= 0.0:
+                pairs = zip(terms[3:].tolist(), times, strict=True)
+                return float(costs[i]), sum((size * self._moved(self.answer, t) for size, t in pairs), np.zeros(self.n))
+        return np.inf, None
