@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 
 from workbench.detect.load_steps import load_steps, unforced
 from workbench.detect.predictor import FreePredictor
+from workbench.detect.sinusoid import strongest
 from workbench.detect.stem_kernel import plant, screen, settle
 from workbench.detect.whitening import noise, whitened
 from workbench.model.detection import StemTest
@@ -59,8 +60,6 @@ WINDOW, WINDOWS = 3000, 3  # samples of one stretch, and the stretches of a long
 PER_CYCLE = 100  # samples of a cycle: more are thinned out
 HOLD = 5  # samples in which both signals stand still: a running controller with an error moves OP in every one
 LEAST_LIVE = 0.25  # of a record: where less is left it is the loop itself that rests
-FEWEST_PERIODS = 3  # of a sinusoidal disturbance that the linear rival may have beside it
-FINER = 4  # its frequency against that of the record's own
 FLOOR = 0.005  # of PV's standard deviation: no record is good for less
 FEW = 8  # moves of a stem, two each of four load steps, that may look the same
 HARM = 0.5  # a stem that simulates PV worse than OP itself does by more than this share is not this loop's
@@ -249,7 +248,7 @@ class _Rivals:
     def beside_sinusoid(self, x: FloatArray, fit: _Fit, taus: FloatArray) -> _Fit:
         """Return the rival driven by x beside a sinusoidal disturbance, the strongest of what `fit` leaves."""
         n, order = self.n, self.order
-        angle = _strongest(fit.residual)
+        angle = strongest(fit.residual)
         waves = np.column_stack([np.cos(angle * np.arange(n)), np.sin(angle * np.arange(n)), np.ones(n)])
         wave, fits = np.zeros(n), []
         for _ in range(2):
@@ -279,14 +278,6 @@ class _Rivals:
         rivals = copy.copy(self)
         rivals.y = self.y - wave
         return rivals
-
-
-def _strongest(e: FloatArray) -> float:
-    """Return the angular frequency, rad a sample, of the strongest sinusoid with three periods or more in e."""
-    n = e.size
-    power = np.abs(np.fft.rfft((e - e.mean()) * np.hanning(n), FINER * n)) ** 2
-    lowest = FEWEST_PERIODS * FINER
-    return 2.0 * math.pi * (lowest + int(np.argmax(power[lowest : FINER * n // 4]))) / (FINER * n)
 
 
 def _best(costs: FloatArray, most: int) -> list[int]:

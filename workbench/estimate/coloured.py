@@ -20,7 +20,7 @@ from workbench.estimate.output_error import solve
 from workbench.model.record import FloatArray
 from workbench.simulate.compiled import compiled
 
-__all__ = ["MOST_LAGS", "colour_beside"]
+__all__ = ["DELAYS", "MOST_LAGS", "TAUS", "colour_beside"]
 
 MOST_LAGS = 12  # of the autoregression
 GAINS = np.geomspace(0.12, 6.0, 14)  # looked at: of the gain given,

@@ -37,7 +37,7 @@ from workbench.estimate.models import (
     words_of_open,
     words_of_rival,
 )
-from workbench.estimate.paths import Path, band_paths, linear_path, stem_paths
+from workbench.estimate.paths import band_paths, linear_path, stem_paths
 from workbench.estimate.plants import foretelling_bic
 from workbench.estimate.profile import Profile, islands, search
 from workbench.estimate.refined import by_complementarity, jointly, refuse_complementarity
@@ -54,6 +54,7 @@ from workbench.estimate.scale import (
 from workbench.estimate.sent import left_by_line, left_by_stem, likelier_op
 from workbench.estimate.settled import coloured_linear, settled
 from workbench.estimate.stems import path_of, silent
+from workbench.estimate.swing import Answered, Swing, beside_swing
 from workbench.estimate.two_parameter import look
 from workbench.estimate.two_step import akaike, two_step
 from workbench.estimate.verdict import ENOUGH_SLIPS, SHARP, WIDE_D, Evidence, agree, judge
@@ -148,7 +149,16 @@ def estimate(
             lambda one, model: left_by_stem(one, model, delays),
             (lambda share: tell(0.5 * share)) if method in PROGRAMS else tell,
         )
-    answer, paths, settled, others = _answer(record, data, (method, valve), found, line, history)
+    answered = _answer(record, data, (method, valve), found, line, history)
+    swing: Swing | None = None
+    if method != "two_step":
+
+        def again(calm: Centred) -> Answered[Estimate]:
+            still = _Straight(calm, fit_linear(calm, line.longest), line.longest)
+            return _answer(record, calm, (method, valve), _profile(calm, max_dead_time, silent), still, history)
+
+        answered, swing = beside_swing(data, answered, again, line.longest)
+    answer, paths, settled, others = answered
     data = settled.whitened(WHITE, 0)
     if method in PROGRAMS:
         usual = LINEAR_DELAYS if isinstance(answer.valve, Ideal) else 2.0 * paths[0].fit.theta + DELAYS
@@ -162,10 +172,11 @@ def estimate(
     said = words_of(repeats) if repeats is not None and answer.verdict == "stiction" else ()
     tell(1.0)
     opened = words_of_open(answer.intervals, data.integrating)
+    swung = () if swing is None else (swing.words(record.sample_time),)
     return replace(
         answer,
         repeats=repeats,
-        reasons=answer.reasons + opened + said,
+        reasons=answer.reasons + swung + opened + said,
         identifiable=answer.identifiable and _sharp(answer) and not opened,
     )
 
@@ -183,8 +194,16 @@ def linear_loop(record: Record, plant: str = "fopdt") -> LinearFit:
             for one, fit in found.items()
         }
         return found[min(bics, key=lambda one: bics[one])]
-    data, linear, _ = coloured_linear(*_straight(record, centre(record, plant), None))
-    return linear_result(data, linear)
+    line = _straight(record, centre(record, plant), None)
+
+    def settled(line: _Straight) -> Answered[LinearFit]:
+        data, linear, _ = coloured_linear(*line)
+        return Answered(linear_result(data, linear), linear_path(data, linear), data, ())
+
+    def again(calm: Centred) -> Answered[LinearFit]:
+        return settled(_Straight(calm, fit_linear(calm, line.longest), line.longest))
+
+    return beside_swing(line.data, settled(line), again, line.longest)[0].model
 
 
 class _Straight(NamedTuple):
@@ -294,11 +313,7 @@ def _answer(
     found: Profile | None,
     line: _Straight,
     history: tuple[Iteration, ...],
-) -> tuple[Estimate, list[Path], Centred, tuple[Intervals, ...]]:
-    """The estimate, the likeliest stem paths of its valve, the record without load steps as it was fitted, and ranges.
-
-    The ranges are those of parts of the record and of valves that fit as well; the estimate's own do not hold them yet.
-    """
+) -> Answered[Estimate]:
     linear = line.fit if line.data is data else fit_linear(data, line.longest)
     n = data.samples
     method, valve = asked
@@ -417,7 +432,7 @@ def _answer(
             candidates=tuple(models.values()),
             load_steps=steps,
         )
-        return unstuck, linear_path(data, linear), data, ()
+        return Answered(unstuck, linear_path(data, linear), data, ())
     # Of the prediction itself: where the model's columns are nearly dependent, the normal equations lose digits.
     sse = float(((record.pv - stem.prediction) ** 2).sum())
     sticking = Estimate(
@@ -433,7 +448,7 @@ def _answer(
         intervals=stem.intervals,
         identifiable=identifiable,
         residual_variance=sse / n,
-        aic=akaike(data, sse, PLANT_PARAMETERS + VALVE_PARAMETERS[chosen] - data.integrating + 2 * len(steps)),
+        aic=akaike(data, sse, PLANT_PARAMETERS + VALVE_PARAMETERS[chosen] - data.integrating + len(data.answers)),
         noise_sd=float(np.sqrt(np.mean((record.pv - stem.prediction)[data.skip :] ** 2))),
         slips=best.slips,
         linear=straight,
@@ -446,7 +461,7 @@ def _answer(
     paths = [] if found is None else stem_paths(data, found)
     if ranged is not None:
         paths = band_paths(data, ranged, chosen)
-    return sticking, paths, data, others
+    return Answered(sticking, paths, data, others)
 
 
 def _sharp(found: Estimate) -> bool:

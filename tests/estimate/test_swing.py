@@ -1,0 +1,53 @@
+"""An oscillation from outside the loop is fitted beside the model, and told."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import workbench as wb
+from workbench.estimate.estimate import linear_loop
+from workbench.model.results import Estimate
+
+LOOP = wb.Loop(wb.FOPDT(1.5, 12.0, 3.0), wb.Stenman(2.0), wb.PID(Kc=0.8, Ti=14.0), 1.0)
+N = 1000
+
+
+def record_of(loop: wb.Loop, amplitude: float, period: float, noise: float = 0.05) -> wb.Record:
+    load = wb.Series((amplitude * np.sin(2.0 * np.pi * np.arange(N) / period + 1.0)).tolist())
+    steps = [wb.Step(4.0, 0.0), wb.Step(-5.0, 450.0)]
+    run = wb.simulate(loop, wb.Experiment(float(N), setpoint=steps, load=load, noise=wb.Noise(noise, 3)))
+    return wb.Record(run.pv + 50.0, run.op + 40.0, 1.0, sp=run.sp + 50.0)
+
+
+def swing_said(found: Estimate) -> list[str]:
+    return [reason for reason in found.reasons if "an oscillation from outside the loop" in reason]
+
+
+@pytest.mark.parametrize("period", [47.0, 130.0])
+def test_the_gain_is_found_beside_an_oscillation_from_outside(period: float) -> None:
+    found = wb.estimate(record_of(LOOP, 1.0, period))
+    assert found.verdict == "stiction"
+    assert found.valve.stick_band == pytest.approx(2.0, rel=0.02)
+    assert found.plant.gain == pytest.approx(1.5, rel=0.03)
+    low, high = found.intervals.gain
+    assert low <= 1.5 <= high
+    # With 0.05 EU of noise the model explains all the rest.
+    assert found.noise_sd == pytest.approx(0.05, rel=0.3)
+    (said,) = swing_said(found)
+    told = float(said.split("a period of ")[1].split()[0])
+    assert told == pytest.approx(period, rel=0.01)
+
+
+def test_a_healthy_loops_plant_is_found_beside_it_and_by_itself_too() -> None:
+    record = record_of(replace(LOOP, valve=wb.Ideal()), 3.0, 130.0)
+    found = wb.estimate(record)
+    assert found.verdict != "stiction"
+    assert swing_said(found)
+    assert found.linear.plant.gain == pytest.approx(1.5, rel=0.05)
+    assert linear_loop(record).plant == found.linear.plant
+
+
+def test_none_is_found_where_there_is_none() -> None:
+    assert not swing_said(wb.estimate(record_of(LOOP, 0.0, 130.0)))
+    assert not swing_said(wb.estimate(record_of(LOOP, 0.0, 130.0, noise=0.3)))
