@@ -186,7 +186,7 @@ def test_a_rival_settles_on_the_best_of_its_rounds() -> None:
     assert len({variance for variance, _, _ in rounds}) > 1
 
 
-def test_a_thinned_record_asks_for_no_kernel_of_its_own() -> None:
+def test_a_thinned_record_or_one_that_may_only_be_read_asks_for_no_kernel_of_its_own() -> None:
     op = 3.0 * np.sin(np.arange(900) * 2.0 * np.pi / 250.0)
     stem = valve_response(Stenman(1.0), op)
     pv, fitted = np.cumsum(stem) / 50.0, (Stenman(1.0), stem)
@@ -197,4 +197,7 @@ def test_a_thinned_record_asks_for_no_kernel_of_its_own() -> None:
     assert stem_test(pv, op, None, 1.0, 90.0, 0.0, fitted=fitted).samples > 450
     before = compiled()
     assert stem_test(pv, op, None, 1.0, 250.0, 0.0, fitted=fitted).samples <= 450
+    assert compiled() == before
+    stem.setflags(write=False)
+    stem_test(pv, op, 1.0, 90.0, 0.0, fitted=fitted)
     assert compiled() == before

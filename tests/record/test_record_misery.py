@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from contextlib import suppress
 from functools import cache
 from pathlib import Path
@@ -48,44 +49,48 @@ def outcome(path: Path, **reading: object) -> str:
         return said
 
 
-def cases() -> dict[str, tuple[list[str], list[str], str]]:
-    """Name: PV and OP as text, and what must be in the outcome."""
-    y, u = sticky()
-    pv, op = texts(y), texts(u)
-    n = len(pv)
-    flat = ["50"] * n
-    return {
-        "one sample": (pv[:1], op[:1], "at least two are needed"),
-        "a few samples": (pv[:20], op[:20], "20 samples given; at least 30"),
-        "PV constant": (flat, op, "PV is constant (50)"),
-        "OP never moves": (pv, ["100"] * n, "OP is constant (100)"),
-        "all text": (["No Data"] * n, op, "line 2, column 'PV': no row holds a number, the first is text ('No Data')"),
-        "cells with units": (
-            [f"{v} m3/h" for v in pv],
-            op,
-            "first is text ('",
+Column = list[str]
+
+# Name: PV and OP as text, made of those of the sticky loop, and what must be in the outcome.
+CASES: dict[str, tuple[Callable[[Column, Column], tuple[Column, Column]], str]] = {
+    "one sample": (lambda pv, op: (pv[:1], op[:1]), "at least two are needed"),
+    "a few samples": (lambda pv, op: (pv[:20], op[:20]), "20 samples given; at least 30"),
+    "PV constant": (lambda pv, op: (["50"] * len(pv), op), "PV is constant (50)"),
+    "OP never moves": (lambda pv, op: (pv, ["100"] * len(op)), "OP is constant (100)"),
+    "all text": (
+        lambda pv, op: (["No Data"] * len(pv), op),
+        "line 2, column 'PV': no row holds a number, the first is text ('No Data')",
+    ),
+    "cells with units": (lambda pv, op: ([f"{v} m3/h" for v in pv], op), "first is text ('"),
+    "all infinite": (
+        lambda pv, op: (pv, ["inf"] * len(op)),
+        "column 'OP': no row holds a number, the first is not finite",
+    ),
+    "all nan": (
+        lambda pv, op: (["NaN"] * len(pv), ["NaN"] * len(op)),
+        "no row holds a number, the first is not finite",
+    ),
+    "fill values": (lambda pv, op: (["1e300"] * len(pv), op), "the first is not finite"),
+    "every other row bad": (
+        lambda pv, op: ([v if k % 2 else "Bad" for k, v in enumerate(pv)], op),
+        "no two clean rows follow each other",
+    ),
+    "PV is OP": (lambda _, op: (op, op), "PV and OP hold the same values in all 600 kept rows"),
+    "noise": (
+        lambda pv, op: (
+            texts(np.random.default_rng(1).normal(50, 1, len(pv))),
+            texts(np.random.default_rng(2).normal(50, 1, len(op))),
         ),
-        "all infinite": (pv, ["inf"] * n, "column 'OP': no row holds a number, the first is not finite"),
-        "all nan": (["NaN"] * n, ["NaN"] * n, "no row holds a number, the first is not finite"),
-        "fill values": (["1e300"] * n, op, "the first is not finite"),
-        "every other row bad": (
-            [v if k % 2 else "Bad" for k, v in enumerate(pv)],
-            op,
-            "no two clean rows follow each other",
-        ),
-        "PV is OP": (op, op, "PV and OP hold the same values in all 600 kept rows"),
-        "noise": (
-            texts(np.random.default_rng(1).normal(50, 1, n)),
-            texts(np.random.default_rng(2).normal(50, 1, n)),
-            "undecided",
-        ),
-    }
+        "undecided",
+    ),
+}
 
 
-@pytest.mark.parametrize("name", sorted(cases()))
+@pytest.mark.parametrize("name", CASES)
 def test_misery_has_a_clear_outcome(tmp_path: Path, name: str) -> None:
-    pv, op, words = cases()[name]
-    said = outcome(wide(tmp_path, pv, op))
+    y, u = sticky()
+    made, words = CASES[name]
+    said = outcome(wide(tmp_path, *made(texts(y), texts(u))))
     assert words in said, said
 
 

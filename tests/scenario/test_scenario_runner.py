@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,7 @@ import pytest
 
 import workbench as wb
 from workbench.errors import ScenarioError
-from workbench.model.results import SolveStatus
+from workbench.model.results import Estimate, SolveStatus
 from workbench.scenario import runner
 from workbench.scenario.loader import read_scenario
 from workbench.scenario.retune import Wishes, tune_found, tune_scenario
@@ -35,7 +36,8 @@ cases:
 """
 
 
-def found_loop():
+@cache
+def found_loop() -> Estimate:
     loop = wb.Loop(wb.FOPDT(1.0, 6.0, 2.0), wb.Stenman(1.0), wb.PID(0.6, 15.0), 1.0)
     return wb.estimate(simulated_record(loop, wb.Experiment(600.0, (wb.Step(2.0), wb.Step(1.5, 300.0)))))
 
@@ -224,8 +226,8 @@ def test_a_scenario_is_retuned_under_other_wishes() -> None:
         tune_scenario(replace(plan(LOOP + CASES), cases=()), Wishes())
 
 
-def test_a_found_loop_is_tuned_and_what_was_assumed_is_said(tmp_path: Path) -> None:
-    found = wb.estimate(wb.read_record(recorded(tmp_path)))
+def test_a_found_loop_is_tuned_and_what_was_assumed_is_said() -> None:
+    found = found_loop()
     result = tune_found(found, Wishes(duration=100.0, step=2.0))
     tuned = result.tuned
     assert tuned.status.success
@@ -237,7 +239,7 @@ def test_a_found_loop_is_tuned_and_what_was_assumed_is_said(tmp_path: Path) -> N
     assert "setpoint step of 2 EU" in result.assumed[1]
 
 
-def test_a_found_loop_without_a_task_or_a_gain_is_refused(tmp_path: Path) -> None:
+def test_a_found_loop_without_a_task_or_a_gain_is_refused() -> None:
     found = found_loop()
     with pytest.raises(wb.InvalidValue, match="--step: 0 EU given; must be other than 0"):
         Wishes(step=0.0)
@@ -263,17 +265,19 @@ def test_a_found_loop_without_a_task_or_a_gain_is_refused(tmp_path: Path) -> Non
     ],
 )
 def test_a_found_loop_that_the_record_leaves_open_is_tuned_as_a_hint(changes: dict[str, Any], why: str) -> None:
+    wishes = Wishes(duration=100.0, step=2.0, Kc=(0.5, 0.5), Ti=(15.0, 15.0))
     found = found_loop()
     found = replace(found, intervals=replace(found.intervals, **changes))
-    said = tune_found(found, Wishes(duration=100.0, step=2.0)).assumed[0]
+    said = tune_found(found, wishes).assumed[0]
     assert said.startswith(f"the record's loop: the valve sticks; the record {why}")
     assert said.endswith(", so take this tuning as a hint")
-    unsure = tune_found(replace(found, verdict="undecided", identifiable=False), Wishes(duration=100.0, step=2.0))
+    unsure = tune_found(replace(found, verdict="undecided", identifiable=False), wishes)
     assert unsure.assumed[0].startswith("the record's loop: whether the valve sticks is undecided and the record ")
 
 
 def test_a_found_loop_is_tuned_over_whole_samples_of_its_record() -> None:
-    slow = replace(found_loop(), record=replace(found_loop().record, sample_time=1.0003))
-    result = tune_found(slow, Wishes(duration=100.0, step=2.0, seed=0))
+    found = found_loop()
+    slow = replace(found, record=replace(found.record, sample_time=1.0003))
+    result = tune_found(slow, Wishes(duration=100.0, step=2.0, seed=0, Kc=(0.5, 0.5), Ti=(15.0, 15.0)))
     assert result.tuned.experiment.duration == pytest.approx(100 * 1.0003, rel=1e-12)
     assert "over 100.03 s" in result.assumed[1]

@@ -1,4 +1,7 @@
-"""The worked example runs from its first cell to its last, and says what its own text says."""
+"""The worked example runs from its first cell to its last, and says what its own text says.
+
+All that is asked of it is one test, as running it takes long and tests of one file may run in several processes.
+"""
 
 from __future__ import annotations
 
@@ -15,11 +18,9 @@ import workbench as wb
 
 EXAMPLE = Path(__file__).parents[2] / "scenarios" / "worked_example.py"
 
-pytestmark = pytest.mark.slow
 
-
-@pytest.fixture(scope="module")
-def names() -> dict[str, Any]:
+def ran() -> dict[str, Any]:
+    """What the example's names are in the end."""
     before = mpl.get_backend()
     mpl.use("Agg")
     try:
@@ -31,7 +32,7 @@ def names() -> dict[str, Any]:
         mpl.use(before)
 
 
-def test_the_record_gives_back_the_loop_that_made_it(names: dict[str, Any]) -> None:
+def the_record_gives_back_the_loop_that_made_it(names: dict[str, Any]) -> None:
     found = names["found"]
     assert found.verdict == names["evidence"].verdict == "stiction"
     assert found.valve.d == pytest.approx(0.63, rel=0.02)
@@ -49,7 +50,7 @@ def test_the_record_gives_back_the_loop_that_made_it(names: dict[str, Any]) -> N
         assert pair[0] <= truth <= pair[1]
 
 
-def test_the_analyses_say_what_the_text_says(names: dict[str, Any]) -> None:
+def the_analyses_say_what_the_text_says(names: dict[str, Any]) -> None:
     assert names["cycle"].outcome == "cycles"
     assert not names["loci"].predicts_cycle
     loop, found = names["loop"], names["found"]
@@ -57,7 +58,7 @@ def test_the_analyses_say_what_the_text_says(names: dict[str, Any]) -> None:
     assert loop.controller.Ti > found.plant.time_constant + found.plant.dead_time
 
 
-def test_the_tuning_is_better_and_verified(names: dict[str, Any]) -> None:
+def the_tuning_is_better_and_verified(names: dict[str, Any]) -> None:
     tuned, runs = names["tuned"], names["runs"]
     assert tuned.status is wb.SolveStatus.SOLVED
     assert tuned.objective < 0.7 * tuned.start_objective
@@ -66,7 +67,7 @@ def test_the_tuning_is_better_and_verified(names: dict[str, Any]) -> None:
     assert 0.0 < names["repair"].share("mean_square_error") < 1.0
 
 
-def test_each_cell_ends_with_what_a_notebook_shows(names: dict[str, Any]) -> None:
+def each_cell_ends_with_what_a_notebook_shows(names: dict[str, Any]) -> None:
     text = EXAMPLE.read_text(encoding="utf-8")
     cells = [cell for cell in re.split(r"^# %%.*\n", text, flags=re.M)[1:] if not cell.startswith("# ")]
     assert len(cells) >= 8
@@ -77,3 +78,12 @@ def test_each_cell_ends_with_what_a_notebook_shows(names: dict[str, Any]) -> Non
             assert "<table>" in names[last.value.id]._repr_html_()
             shown += 1
     assert shown >= 7
+
+
+@pytest.mark.slow
+def test_the_example_says_what_its_text_says() -> None:
+    names = ran()
+    the_record_gives_back_the_loop_that_made_it(names)
+    the_analyses_say_what_the_text_says(names)
+    the_tuning_is_better_and_verified(names)
+    each_cell_ends_with_what_a_notebook_shows(names)

@@ -117,7 +117,7 @@ def test_tuning_searches_directly_and_keeps_the_margins_of_the_executions():
     tuned = wb.tune(loop, paper_step(100.0), **asked)
     assert tuned.status.success
     assert wb.margins(tuned.loop.with_controller(tuned.controller)).max_sensitivity <= 1.6 * (1.0 + 1e-6)
-    free = wb.tune(loop, paper_step(100.0), bounds=wb.Bounds(Td=(0, 0)), restarts=1)
+    free = wb.tune(loop, paper_step(100.0), bounds=wb.Bounds(Td=(0, 0)), restarts=1, max_evaluations=200)
     assert "do not know the controller's scan" in free.message
 
 

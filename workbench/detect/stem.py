@@ -450,8 +450,8 @@ def stem_test(
         return _stretch(pv[there], op[there], None if sp is None else sp[there], step, period, sign, part(first, stop))
 
     def part(first: int, stop: int) -> Fitted | None:
-        # Without gaps in memory, for which the kernels would be compiled once more.
-        return None if fitted is None else (fitted[0], np.ascontiguousarray(fitted[1][::thin][first:stop]))
+        # Gaps in memory, or what may only be read, would have the kernels compiled once more.
+        return None if fitted is None else (fitted[0], np.array(fitted[1][::thin][first:stop]))
 
     if n <= WINDOW:
         return stretch(0, n)

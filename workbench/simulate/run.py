@@ -147,7 +147,8 @@ def valve_response(
     """
     x, state = np.empty(op.size), np.zeros(kernel.STATES)
     state[kernel.U_LAST], state[kernel.X_LAST] = start, start if rest_at is None else rest_at
-    kernel.valve_path(valve_row(valve, sample_time), np.ascontiguousarray(op, dtype=np.float64), state, x)
+    # A copy, as the kernel would be compiled once more for what may only be read.
+    kernel.valve_path(valve_row(valve, sample_time), np.array(op, dtype=np.float64), state, x)
     return x
 
 
