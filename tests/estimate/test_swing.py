@@ -48,6 +48,14 @@ def test_a_healthy_loops_plant_is_found_beside_it_and_by_itself_too() -> None:
     assert linear_loop(record).plant == found.linear.plant
 
 
+def test_the_right_plant_is_chosen_beside_it_and_refined() -> None:
+    found = wb.estimate(record_of(LOOP, 1.0, 47.0), plant="auto", method="joint")
+    assert isinstance(found.plant, wb.FOPDT)
+    assert found.plant.gain == pytest.approx(1.5, rel=0.02)
+    assert found.noise_sd == pytest.approx(0.05, rel=0.1)
+    assert swing_said(found)
+
+
 def test_none_is_found_where_there_is_none() -> None:
     assert not swing_said(wb.estimate(record_of(LOOP, 0.0, 130.0)))
     assert not swing_said(wb.estimate(record_of(LOOP, 0.0, 130.0, noise=0.3)))

@@ -54,7 +54,7 @@ from workbench.estimate.scale import (
 from workbench.estimate.sent import left_by_line, left_by_stem, likelier_op
 from workbench.estimate.settled import coloured_linear, settled
 from workbench.estimate.stems import path_of, silent
-from workbench.estimate.swing import Answered, Swing, beside_swing
+from workbench.estimate.swing import Answered, Swing, beside_swing, besides
 from workbench.estimate.two_parameter import look
 from workbench.estimate.two_step import akaike, two_step
 from workbench.estimate.verdict import ENOUGH_SLIPS, SHARP, WIDE_D, Evidence, agree, judge
@@ -133,6 +133,19 @@ def estimate(
     tell = silent if progress is None else _rising(progress)
     if plant == "auto":
         return _better_plant(record, (method, valve), start, max_dead_time, tell)
+    return _with_plant(record, plant, (method, valve), start, max_dead_time, tell)[0]
+
+
+def _with_plant(
+    record: Record,
+    plant: str,
+    asked: tuple[str, str],
+    start: float | None,
+    max_dead_time: float | None,
+    tell: Callable[[float], None],
+) -> tuple[Estimate, Swing | None]:
+    """The estimate with one kind of plant, by method and valve as asked, and the oscillation that it stands beside."""
+    method = asked[0]
     data = centre(record, plant)
     tell(0.0)
     line = _straight(record, data, max_dead_time)
@@ -149,13 +162,13 @@ def estimate(
             lambda one, model: left_by_stem(one, model, delays),
             (lambda share: tell(0.5 * share)) if method in PROGRAMS else tell,
         )
-    answered = _answer(record, data, (method, valve), found, line, history)
+    answered = _answer(record, data, asked, found, line, history)
     swing: Swing | None = None
     if method != "two_step":
 
         def again(calm: Centred) -> Answered[Estimate]:
             still = _Straight(calm, fit_linear(calm, line.longest), line.longest)
-            return _answer(record, calm, (method, valve), _profile(calm, max_dead_time, silent), still, history)
+            return _answer(record, calm, asked, _profile(calm, max_dead_time, silent), still, history)
 
         answered, swing = beside_swing(data, answered, again, line.longest)
     answer, paths, settled, others = answered
@@ -173,12 +186,13 @@ def estimate(
     tell(1.0)
     opened = words_of_open(answer.intervals, data.integrating)
     swung = () if swing is None else (swing.words(record.sample_time),)
-    return replace(
+    told = replace(
         answer,
         repeats=repeats,
         reasons=answer.reasons + swung + opened + said,
         identifiable=answer.identifiable and _sharp(answer) and not opened,
     )
+    return told, swing
 
 
 def linear_loop(record: Record, plant: str = "fopdt") -> LinearFit:
@@ -188,12 +202,17 @@ def linear_loop(record: Record, plant: str = "fopdt") -> LinearFit:
     """
     choice(plant, "linear_loop.plant", PLANTS)
     if plant == "auto":
-        found = {one: linear_loop(record, one) for one in ("fopdt", "integrating")}
+        found = {one: _line_with_plant(record, one) for one in ("fopdt", "integrating")}
         bics = {
-            one: foretelling_bic(centre(record, one), fit.plant, Ideal(), record.op, fit.prediction)
-            for one, fit in found.items()
+            one: foretelling_bic(besides(centre(record, one), swing), fit.plant, Ideal(), record.op, fit.prediction)
+            for one, (fit, swing) in found.items()
         }
-        return found[min(bics, key=lambda one: bics[one])]
+        return found[min(bics, key=lambda one: bics[one])][0]
+    return _line_with_plant(record, plant)[0]
+
+
+def _line_with_plant(record: Record, plant: str) -> tuple[LinearFit, Swing | None]:
+    """The linear model with one kind of plant, and the oscillation that it stands beside."""
     line = _straight(record, centre(record, plant), None)
 
     def settled(line: _Straight) -> Answered[LinearFit]:
@@ -203,7 +222,8 @@ def linear_loop(record: Record, plant: str = "fopdt") -> LinearFit:
     def again(calm: Centred) -> Answered[LinearFit]:
         return settled(_Straight(calm, fit_linear(calm, line.longest), line.longest))
 
-    return beside_swing(line.data, settled(line), again, line.longest)[0].model
+    answered, swing = beside_swing(line.data, settled(line), again, line.longest)
+    return answered.model, swing
 
 
 class _Straight(NamedTuple):
@@ -228,34 +248,26 @@ def _better_plant(
 ) -> Estimate:
     """The estimate with the plant of the lower BIC, and in words by how much."""
     method, valve = asked
-    quick = "profile" if method in PROGRAMS else method
+    quick = "profile" if method in PROGRAMS else method, valve
     shares = 3 if method in PROGRAMS else 2
 
     def part(i: int) -> Callable[[float], None]:
         return lambda share: tell((i + share) / shares)
 
     found = {
-        plant: estimate(
-            record,
-            method=quick,
-            valve=valve,
-            plant=plant,
-            start=start,
-            max_dead_time=max_dead_time,
-            progress=part(i),
-        )
+        plant: _with_plant(record, plant, quick, start, max_dead_time, _rising(part(i)))
         for i, plant in enumerate(("fopdt", "integrating"))
     }
     bics = {
-        plant: foretelling_bic(centre(record, plant), one.plant, one.valve, one.valve_position, one.prediction)
-        for plant, one in found.items()
+        plant: foretelling_bic(
+            besides(centre(record, plant), swing), one.plant, one.valve, one.valve_position, one.prediction
+        )
+        for plant, (one, swing) in found.items()
     }
     plant = min(bics, key=lambda name: bics[name])
-    answer = found[plant]
+    answer = found[plant][0]
     if method in PROGRAMS:
-        answer = estimate(
-            record, method=method, valve=valve, plant=plant, max_dead_time=max_dead_time, progress=part(2)
-        )
+        answer = _with_plant(record, plant, asked, None, max_dead_time, _rising(part(2)))[0]
     words = {"fopdt": "a first-order process", "integrating": "an integrating process"}
     by = max(bics.values()) - bics[plant]
     said = f"{words[plant]} has the lower BIC, by {by:.3g}"

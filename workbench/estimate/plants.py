@@ -27,15 +27,15 @@ def foretelling_bic(
     """Return `N log V + p log N` with V the mean square of the one-step prediction errors, along the stem found.
 
     data: the record as it was estimated, to the plant and valve with this stem (%, shape (N,)) and prediction (PV, EU,
-    shape (N,)). p counts plant, valve and disturbance.
+    shape (N,)), less an oscillation from outside. p counts plant, valve, oscillation and disturbance.
     """
     n = data.samples
     x = valve_position - data.op_middle
     tau = plant.time_constant / data.sample_time if isinstance(plant, FOPDT) else 1.0
     fit = Fit(math.nan, tau, plant.dead_time / data.sample_time, 0.0, 0.0, 0.0, 0.0)
     limits = Limits((LEAST_TAU, float(n)), (0.0, max(2.0 * fit.theta, 30.0)))
-    left = data.pv_mean + data.y - prediction
-    free = VALVE_PARAMETERS.get(type(valve).__name__.lower(), 0)
+    left = data.pv_mean + data.load + data.y - prediction
+    free = VALVE_PARAMETERS.get(type(valve).__name__.lower(), 0) + len(data.answers)
     least = math.inf
     for _ in range(ROUNDS):
         coloured = data.whitened(disturbance(left, data.floor), 0)

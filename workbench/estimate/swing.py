@@ -25,7 +25,7 @@ from workbench.estimate.windows import WHOLE
 from workbench.model.record import FloatArray
 from workbench.model.results import Estimate, Intervals, LinearFit
 
-__all__ = ["Answered", "Swing", "beside_swing"]
+__all__ = ["Answered", "Swing", "beside_swing", "besides"]
 
 # Of N log V: the highest of N/2 frequencies gains 2 log(N/2) in noise alone. Amplitude, phase and a frequency that is
 # searched for: four degrees (N. Zhang, D. Siegmund, Biometrics 63 (2007) 22-32, of change points). Beyond these "very
@@ -85,12 +85,17 @@ def beside_swing(
         beside = _swing_of(found.settled, found.paths[0], limits, swing)
         if beside is None:
             break
-        other = again(data.less(beside.pv, beside.answers))
+        other = again(besides(data, beside))
         least = found.model.residual_variance
         if not other.model.residual_variance < (1.0 if swing is None else SETTLED) * least:
             break
         found, swing = other, beside
     return found, swing
+
+
+def besides(data: Centred, swing: Swing | None) -> Centred:
+    """Return a record without an oscillation, if there is one."""
+    return data if swing is None else data.less(swing.pv, swing.answers)
 
 
 def _swing_of(data: Centred, lead: Path, limits: Limits, before: Swing | None) -> Swing | None:
