@@ -286,7 +286,8 @@ def repeated(data: Centred, found: Found, limits: Limits, within: Sought) -> Ban
         found = _further(data, found, [_here(data, b, limits) for b in apart], limits)
         for _ in range(CROSSINGS):
             known, found = found.best, _further(data, found, _beside(data, found.best, found.only, limits), limits)
-            if found.best is known:
+            # A best that moved by no whole sample has the same stems beside it.
+            if abs(found.best.S / known.S - 1.0) <= APART:
                 break
     # A part in which the best stem is as likely as its own may hold too few slips to tell any stem from another.
     against = [
@@ -316,7 +317,11 @@ def _of_parts(data: Centred, only: float | None, limits: Limits, within: Sought)
 
 def _further(data: Centred, found: Found, seeds: list[Band], limits: Limits) -> Found:
     """The same search, gone on with from further stems, and the best of both."""
-    met = [b for seed in seeds for b in nearer(data, seed, SPREADS[1:], found.only, limits) if b.fit.gain != 0.0]
+    met: list[Band] = []
+    ends: list[Band] = []
+    for seed in seeds:
+        way = [b for b in nearer(data, seed, SPREADS[1:], found.only, limits, ends) if b.fit.gain != 0.0]
+        met, ends = [*met, *way], [*ends, *([best_of(way)] if way else [])]
     best, rows = best_of([found.best, *met]), found.rows
     if best is not found.best:
         rows = np.empty((0, 4))

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -65,8 +66,10 @@ SHORTEST, LONGEST, TAUS = 0.3, 10.0, 9  # time constants looked at: samples, rec
 PICKED, WALKED_IN, WIDE_IN = 14, 6, 4  # stems of the grid, of walks of J from it and of S that get their own plant,
 NEAR, NEAR_JUMP = 0.05, 0.1  # no two of them as near as that, of S
 SPREADS = (0.1, 0.04, 0.015, 0.005)  # of S: how far stems with plants of their own are looked at about a seed,
+FURTHER = dict(zip(SPREADS, (*SPREADS[1:], 0.0), strict=True))  # how far next
 BEHIND = (40.0, 20.0, 20.0, math.inf)  # in N log V: who is as far behind after each of them has never come to lead
 CLOSE = 1  # of them are left out where the best is known to be near
+TELLS = 0.05  # in N log V: a stem that is likelier by less is no step on
 STEPS = 6  # how often at most, each time about the best so far,
 AROUND, QUICK = 5, 14  # how many values of S, and evaluations of each
 WALKED, WALKS = 2.0, 2  # of that: how far sequences of slips are walked, and how many of each are fitted
@@ -343,16 +346,40 @@ def closer(
     return [b for b in fits if b.fit.gain != 0.0 and b.slips > 0], np.vstack(lines)
 
 
-def nearer(data: Centred, seed: Band, spreads: tuple[float, ...], only: float | None, limits: Limits) -> list[Band]:
-    """Return all stems met from a seed on by steps of less and less size towards the best about it."""
-    met = [seed]
+def nearer(
+    data: Centred,
+    seed: Band,
+    spreads: tuple[float, ...],
+    only: float | None,
+    limits: Limits,
+    known: Sequence[Band] = (),
+) -> list[Band]:
+    """Return all stems met from a seed on by steps of less and less size towards the best about it.
+
+    spreads: some of `SPREADS`. known: ends of other such ways; one that comes close to them goes no further.
+    """
+    met, best = [seed], None
     for spread in spreads:
         for _ in range(STEPS):
-            best = started(data, best_of(met), limits)
-            met += [best, *_about(data, best, spread, only, limits), *_lengthways(data, best, spread, only, limits)]
-            if best_of(met) is best:
+            if best is not best_of(met):
+                best = started(data, best_of(met), limits)
+                met.append(best)
+            if any(_same_way(data, best, end, FURTHER[spread]) for end in known):
+                return met
+            met += [*_about(data, best, spread, only, limits), *_lengthways(data, best, spread, only, limits)]
+            if not _likelier(data, best_of(met), best):
                 break
     return met
+
+
+def _likelier(data: Centred, one: Band, other: Band) -> bool:
+    return _level(data, other) - _level(data, one) > TELLS
+
+
+def _same_way(data: Centred, b: Band, end: Band, reach: float) -> bool:
+    """Whether a stem is within a reach, of S, of the end of another's way, and no likelier than that."""
+    near = abs(math.log(b.S / end.S)) < 0.5 * reach and abs(b.J - end.J) < reach * end.S
+    return near and not _likelier(data, b, end)
 
 
 def _lengthways(data: Centred, seed: Band, spread: float, only: float | None, limits: Limits) -> list[Band]:
@@ -468,29 +495,35 @@ def search_short(
     leaders = [b for kind in (met, beside) for b in _apart(sorted(kind, key=lambda b: b.fit.sse))]
     if not leaders:
         return [], np.empty((0, 4))
-    steps = list(zip(SPREADS, BEHIND, (*SPREADS[1:], 0.0), strict=True))
-    for spread, behind, further in steps[CLOSE if known else 0 :]:
-        ends = []
+    for spread, behind in list(zip(SPREADS, BEHIND, strict=True))[CLOSE if known else 0 :]:
+        ends: list[Band] = []
         for seed in leaders:
-            met = nearer(data, seed, (spread,), only, limits)
+            met = nearer(data, seed, (spread,), only, limits, ends)
             bands += met
             ends.append(best_of(met))
-        leaders = _leading(data, ends, behind, further)
+        leaders = _leading(data, ends, behind, FURTHER[spread])
     # Between two sequences of slips lies many a worse one, which steps along the valley of S and plant do not cross.
     best = leaders[0]
     for _ in range(0 if known else CROSSINGS):
         # Whatever came to be better in the end was no worse when it was met.
         seeds = [seed for seed in _across(data, best, only, limits) if _level(data, seed) <= _level(data, best)]
-        met = [m for seed in seeds for m in nearer(data, seed, SPREADS[2:], only, limits)]
-        bands += met
-        before, best = best, best_of([best, *met])
-        if best is before:
+        ends = [best]
+        for seed in seeds:
+            met = nearer(data, seed, SPREADS[2:], only, limits, ends)
+            bands += met
+            ends.append(best_of(met))
+        before, best = best, best_of(ends)
+        if not _likelier(data, best, before):
             break
     best = started(data, best, limits)
     rows = np.empty((0, 4))
-    for reach in (*REACHES, *REACHES):
-        found, walked = closer(data, best, reach, 0.05 * reach[0], only, limits)
-        rows = np.vstack([rows, walked])
-        bands += found
-        best = best_of([best, *found])
+    for _ in range(2):
+        before = best
+        for reach in REACHES:
+            found, walked = closer(data, best, reach, 0.05 * reach[0], only, limits)
+            rows = np.vstack([rows, walked])
+            bands += found
+            best = best_of([best, *found])
+        if not _likelier(data, best, before):
+            break
     return [best, *bands], rows
