@@ -30,7 +30,7 @@ from workbench.model.record import FloatArray
 __all__ = ["stepped_stems"]
 
 GRID = 110  # values of S looked at
-FINER_SHARES = np.arange(0.0, 1.4, 0.025)  # at each S, with plants near its best
+FINER_SHARES = np.arange(0.0, 1.4, 0.025)  # at the better half of them, with plants near the best
 DELAYS = (0.0, 1.0, 2.0, 3.0, 4.5, 6.0, 8.0, 10.0, 13.0, 17.0, 22.0, 29.0, 38.0, 50.0)  # samples
 SHORTEST, LONGEST, TAUS = 1.5, 0.25, 5  # time constants looked at: samples, records, how many
 FADE = 25.0  # samples after which the filter has forgotten
@@ -148,12 +148,12 @@ def _coarse(search: _Search, shares: Sequence[float], plants: FloatArray) -> lis
         most = (1.0 + shares[-1]) * S
         later = [stem for share in shares for stem in _starts(data, S, share * S, FIRSTS, most) if stem[2] > 0]
         coarse += (here := search.best_first(later, _close(plants, best), SEEDS, STRIDE))
-        if not math.isnan(best.J):
+        likely[S] = min([best, *here[:1]], key=lambda one: one.cost)
+    for one in sorted(likely.values(), key=lambda one: one.cost)[: GRID // 2]:
+        if not math.isnan(one.J):
             # A sequence of slips may hold for a range of J too narrow for any grid.
-            for one in (best, *here[:1]):
-                jumps = (FINER_SHARES * S).tolist()
-                stems = [(S, J, one.first, one.sense) for J in jumps]
-                coarse += search.best_first(stems, _close(plants, one), SEEDS, STRIDE)
+            stems = [(one.S, J, one.first, one.sense) for J in (FINER_SHARES * one.S).tolist()]
+            coarse += search.best_first(stems, _close(plants, one), SEEDS, STRIDE)
     return sorted(coarse, key=lambda one: one.cost)
 
 
