@@ -1,7 +1,7 @@
 """What a record tells of a two-parameter valve: the best stem, and the stems that it cannot tell from that.
 
-The search for stems is that of `two_parameter`; here it is run over a whole record, a long one's most active windows
-first, and asked how far S and J may be moved, and what parts of the record say by themselves.
+The search for stems is that of `two_parameter` and `nearer`; here it is run over a whole record, a long one's most
+active windows first, and asked how far S and J may be moved, and what parts of the record say by themselves.
 """
 
 from __future__ import annotations
@@ -16,25 +16,10 @@ from numpy.typing import NDArray
 
 from workbench.estimate.data import Centred
 from workbench.estimate.fit import LEAST_TAU, Fit, Limits, effective_samples, predict
+from workbench.estimate.nearer import CROSSINGS, REACHES, REFITS, SPREADS, closer, nearer, search_short
 from workbench.estimate.path_kernel import J_HIGH, J_LOW, S_HIGH, S_LOW, band_path
 from workbench.estimate.profile import CHI_SQUARE, Profile
-from workbench.estimate.two_parameter import (
-    CROSSINGS,
-    REACHES,
-    REFITS,
-    SEEDS,
-    SPREADS,
-    Band,
-    band_stem,
-    best_of,
-    best_start,
-    closer,
-    fit_band,
-    look,
-    nearer,
-    search_short,
-    started,
-)
+from workbench.estimate.two_parameter import SEEDS, Band, band_stem, best_of, best_start, fit_band, look, started
 from workbench.estimate.windows import EXACT, WHOLE, active_windows
 from workbench.model.record import FloatArray
 

@@ -119,7 +119,7 @@ def stepped_stems(data: Centred, limits: Limits, skip: int, span: tuple[int, int
     plants = np.array([(tau, theta) for tau in taus for theta in delays])
     found: list[_Found] = []
     for shares in (SHARES, (math.nan,)):
-        seeds = _apart(_coarse(search, shares, plants), NEAR)
+        seeds = _apart(_coarse(search, shares, plants))
         if data.integrating:
             seeds = [
                 again
@@ -196,26 +196,36 @@ def _starts(
     return [(S, J, -1, 0.0), (S, J, 0, 1.0), (S, J, 0, -1.0), *later]
 
 
-def _apart(found: list[_Found], near: float) -> list[_Found]:
-    """The first few of some stems that differ, by more than a share `near` of S in S or twice that in J."""
+def _apart(found: list[_Found]) -> list[_Found]:
+    """The first few of some stems that differ."""
     kept: list[_Found] = []
     for one in found:
-        if len(kept) < SEEDS and not any(_alike(one, other, near) for other in kept):
+        if len(kept) < SEEDS and not any(_alike(one, other, NEAR) for other in kept):
             kept.append(one)
     return kept
 
 
 def _alike(one: _Found, other: _Found, near: float) -> bool:
+    """Whether S differs by no more than a share, and J by no more than twice that of S."""
     close = abs(math.log(one.S / other.S)) <= near
     return close and (math.isnan(one.J) or abs(one.J - other.J) <= 2.0 * near * one.S)
 
 
 def _closer(search: _Search, seeds: list[_Found], limits: Limits, spreads: Sequence[float]) -> list[_Found]:
-    """The best stems that ever closer grids about some seeds lead to; where two ways meet one goes on."""
+    """The best stems that ever closer grids about some seeds lead to; of ways that meet in all one goes on."""
     for spread in spreads:
-        ends = [_stepped(search, seed, limits, spread) for seed in seeds]
-        seeds = _apart(sorted(ends, key=lambda one: one.cost), spread * (SIDES[1] - SIDES[0]))
+        ends: list[_Found] = []
+        for end in sorted((_stepped(search, seed, limits, spread) for seed in seeds), key=lambda one: one.cost):
+            if not any(_met(end, other, spread * (SIDES[1] - SIDES[0])) for other in ends):
+                ends.append(end)
+        seeds = ends
     return seeds
+
+
+def _met(one: _Found, other: _Found, near: float) -> bool:
+    """Whether two ways have come to one stem, start and time of the step."""
+    begun = (one.first, one.sense) == (other.first, other.sense) and abs(one.at - other.at) <= 1
+    return begun and _alike(one, other, near)
 
 
 def _stepped(search: _Search, seed: _Found, limits: Limits, spread: float) -> _Found:
