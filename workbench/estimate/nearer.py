@@ -206,7 +206,7 @@ def search_short(
     for spread, behind in list(zip(SPREADS, BEHIND, strict=True))[CLOSE if known else 0 :]:
         ends: list[Band] = []
         for seed in leaders:
-            met = nearer(data, seed, (spread,), only, limits, ends)
+            met = nearer(data, seed, (spread,), only, limits)
             bands += met
             ends.append(best_of(met))
         leaders = _leading(data, ends, behind, FURTHER[spread])
