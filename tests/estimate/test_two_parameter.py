@@ -18,9 +18,10 @@ from workbench.estimate.dense import densely
 from workbench.estimate.estimate import leaves_noise_alone
 from workbench.estimate.fit import LEAST_TAU, Limits, fit_linear
 from workbench.estimate.models import bands_of
+from workbench.estimate.nearer import search_short
 from workbench.estimate.path_kernel import band_path
 from workbench.estimate.profile import search
-from workbench.estimate.two_parameter import band_stem, best_of, look, search_short
+from workbench.estimate.two_parameter import band_stem, best_of, look
 from workbench.model.valve import Choudhury
 from workbench.simulate.run import valve_response
 

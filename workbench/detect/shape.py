@@ -36,12 +36,22 @@ def triangle_index(signal: FloatArray) -> float:
         at = (np.arange(half.size) + 0.5) / half.size
         arch = np.sin(math.pi * at)
         sine += float(((half - arch * (half @ arch) / (arch @ arch)) ** 2).mean())
-        best = math.inf
-        for peak in at[1:-1].tolist():
-            roof = np.minimum(at / peak, (1.0 - at) / (1.0 - peak))
-            best = min(best, float(((half - roof * (half @ roof) / (roof @ roof)) ** 2).mean()))
-        triangle += best
+        # Of the two lines that meet at each sample, their product with the stretch and their own square.
+        peaks, falls = at[1:-1], 1.0 - at
+        along = _up_to(half * at) / peaks + _beyond(half * falls) / (1.0 - peaks)
+        power = _up_to(at**2) / peaks**2 + _beyond(falls**2) / (1.0 - peaks) ** 2
+        triangle += max(float(half @ half) - float((along**2 / power).max()), 0.0) / half.size
     return sine / (sine + triangle) if sine + triangle > 0.0 else math.nan
+
+
+def _up_to(values: FloatArray) -> FloatArray:
+    """Sums of the values up to each but the first and the last."""
+    return np.cumsum(values)[1:-1]
+
+
+def _beyond(values: FloatArray) -> FloatArray:
+    """Sums of the values after each but the first and the last."""
+    return np.cumsum(values[::-1])[::-1][2:]
 
 
 def movement_index(pv: FloatArray, op: FloatArray, step: int) -> tuple[float, float]:

@@ -1,7 +1,7 @@
 """What a record tells of a two-parameter valve: the best stem, and the stems that it cannot tell from that.
 
-The search for stems is that of `two_parameter`; here it is run over a whole record, a long one's most active windows
-first, and asked how far S and J may be moved, and what parts of the record say by themselves.
+The search for stems is that of `two_parameter` and `nearer`; here it is run over a whole record, a long one's most
+active windows first, and asked how far S and J may be moved, and what parts of the record say by themselves.
 """
 
 from __future__ import annotations
@@ -16,25 +16,10 @@ from numpy.typing import NDArray
 
 from workbench.estimate.data import Centred
 from workbench.estimate.fit import LEAST_TAU, Fit, Limits, effective_samples, predict
+from workbench.estimate.nearer import CROSSINGS, REACHES, REFITS, SPREADS, closer, nearer, search_short
 from workbench.estimate.path_kernel import J_HIGH, J_LOW, S_HIGH, S_LOW, band_path
 from workbench.estimate.profile import CHI_SQUARE, HALF_SLIPS, Profile
-from workbench.estimate.two_parameter import (
-    CROSSINGS,
-    REACHES,
-    REFITS,
-    SEEDS,
-    SPREADS,
-    Band,
-    band_stem,
-    best_of,
-    best_start,
-    closer,
-    fit_band,
-    look,
-    nearer,
-    search_short,
-    started,
-)
+from workbench.estimate.two_parameter import SEEDS, Band, band_stem, best_of, best_start, fit_band, look, started
 from workbench.estimate.windows import EXACT, WHOLE, active_windows
 from workbench.model.record import FloatArray
 
@@ -285,7 +270,8 @@ def repeated(data: Centred, found: Found, limits: Limits, within: Sought) -> Ban
         found = _further(data, found, [_here(data, b, limits) for b in apart], limits)
         for _ in range(CROSSINGS):
             known, found = found.best, _further(data, found, _beside(data, found.best, found.only, limits), limits)
-            if found.best is known:
+            # A best that moved by no whole sample has the same stems beside it.
+            if abs(found.best.S / known.S - 1.0) <= APART:
                 break
     # A part in which the best stem is as likely as its own may hold too few slips to tell any stem from another.
     against = [
@@ -315,7 +301,11 @@ def _of_parts(data: Centred, only: float | None, limits: Limits, within: Sought)
 
 def _further(data: Centred, found: Found, seeds: list[Band], limits: Limits) -> Found:
     """The same search, gone on with from further stems, and the best of both."""
-    met = [b for seed in seeds for b in nearer(data, seed, SPREADS[1:], found.only, limits) if b.fit.gain != 0.0]
+    met: list[Band] = []
+    ends: list[Band] = []
+    for seed in seeds:
+        way = [b for b in nearer(data, seed, SPREADS[1:], found.only, limits, ends) if b.fit.gain != 0.0]
+        met, ends = [*met, *way], [*ends, *([best_of(way)] if way else [])]
     best, rows = best_of([found.best, *met]), found.rows
     if best is not found.best:
         rows = np.empty((0, 4))

@@ -94,7 +94,9 @@ def loads_of(
     if n > WHOLE or most == 0 or span[1] - span[0] <= 8 or lead.fit.gain == 0.0:
         return nothing
     bare = _beside(data, lead.x, lead.first, lead.fit, limits, skip, [])
-    stems = [lead, *(further(span) if further is not None and bare.a.size > 1 else ())]
+    # What is hardly coloured leaves no colour for steps to take (see WHITER).
+    coloured = bare.a.size > 1 and WHITER * inflation(bare.left[skip:]) > 1.0
+    stems = [lead, *(further(span) if further is not None and coloured else ())]
     found = [(_explained(data, stem, limits, skip, span, most, strict), stem) for stem in stems]
     explained = [(model, stem) for model, stem in found if model is not None]
     model, stem = min(explained, key=lambda one: one[0].bic, default=(None, lead))

@@ -105,7 +105,7 @@ def thin(firsts: NDArray[np.int64], most: int) -> NDArray[np.int64]:
     """Return at most `most` of some samples, evenly chosen, the first and the last among them."""
     if firsts.size <= most:
         return firsts
-    return firsts[np.unique(np.round(np.linspace(0, firsts.size - 1, most)).astype(np.int64))]
+    return firsts[np.round(np.linspace(0, firsts.size - 1, most)).astype(np.int64)]
 
 
 def silent(share: float) -> None:

@@ -30,13 +30,13 @@ from workbench.model.record import FloatArray
 __all__ = ["stepped_stems"]
 
 GRID = 110  # values of S looked at
-FINER_SHARES = np.arange(0.0, 1.4, 0.025)  # at each S, with plants near its best
+FINER_SHARES = np.arange(0.0, 1.4, 0.025)  # at the better half of them, with plants near the best
 DELAYS = (0.0, 1.0, 2.0, 3.0, 4.5, 6.0, 8.0, 10.0, 13.0, 17.0, 22.0, 29.0, 38.0, 50.0)  # samples
 SHORTEST, LONGEST, TAUS = 1.5, 0.25, 5  # time constants looked at: samples, records, how many
 FADE = 25.0  # samples after which the filter has forgotten
-FIRSTS, FIRSTS_CLOSE = 4, 60  # first slips tried
+FIRSTS, FIRSTS_CLOSE = 6, 60  # first slips tried
 SEEDS = 6  # of either kind of valve, about which closer grids are laid
-NEAR, NEAR_JUMP = 0.05, 0.1  # no two of them as near as that, of S
+NEAR = 0.05  # no two of them as near as that, of S, and in J as twice that
 SPREADS = (0.04, 0.02, 0.008, 0.003, 0.001)  # how far these go, of S
 FADED_SPREADS = 3  # of them through the filter
 STEPS = 4  # about the best so far, how often at most
@@ -119,15 +119,14 @@ def stepped_stems(data: Centred, limits: Limits, skip: int, span: tuple[int, int
     plants = np.array([(tau, theta) for tau in taus for theta in delays])
     found: list[_Found] = []
     for shares in (SHARES, (math.nan,)):
-        for seed in _apart(_coarse(search, shares, plants)):
-            one = seed
-            if data.integrating:
-                one = _closer(search, seed, limits, SPREADS[:FADED_SPREADS])
-                again = whole.best_first([(one.S, one.J, one.first, one.sense)], np.array([(1.0, one.theta)]), 1)
-                if not again:
-                    continue
-                one = again[0]
-            found.append(_closer(whole, one, limits, SPREADS[1 if data.integrating else 0 :]))
+        seeds = _apart(_coarse(search, shares, plants))
+        if data.integrating:
+            seeds = [
+                again
+                for one in _closer(search, seeds, limits, SPREADS[:FADED_SPREADS])
+                for again in whole.best_first([(one.S, one.J, one.first, one.sense)], np.array([(1.0, one.theta)]), 1)
+            ]
+        found += _closer(whole, seeds, limits, SPREADS[1 if data.integrating else 0 :])
     found.sort(key=lambda one: one.cost)
     return [_stem(whole, one) for one in found[:ANSWERS]]
 
@@ -146,14 +145,15 @@ def _coarse(search: _Search, shares: Sequence[float], plants: FloatArray) -> lis
         coarse += (nearer := search.best_first(ends[S], _beside(plants, best), SEEDS, STRIDE))
         best = min([best, *nearer[:1]], key=lambda one: one.cost)
         # Where the stem was before its first slip asks for nearly the same plant.
-        later = [stem for share in shares for stem in _starts(data, S, share * S, FIRSTS) if stem[2] > 0]
+        most = (1.0 + shares[-1]) * S
+        later = [stem for share in shares for stem in _starts(data, S, share * S, FIRSTS, most) if stem[2] > 0]
         coarse += (here := search.best_first(later, _close(plants, best), SEEDS, STRIDE))
-        if not math.isnan(best.J):
+        likely[S] = min([best, *here[:1]], key=lambda one: one.cost)
+    for one in sorted(likely.values(), key=lambda one: one.cost)[: GRID // 2]:
+        if not math.isnan(one.J):
             # A sequence of slips may hold for a range of J too narrow for any grid.
-            for one in (best, *here[:1]):
-                jumps = (FINER_SHARES * S).tolist()
-                stems = [(S, J, one.first, one.sense) for J in jumps]
-                coarse += search.best_first(stems, _close(plants, one), SEEDS, STRIDE)
+            stems = [(one.S, J, one.first, one.sense) for J in (FINER_SHARES * one.S).tolist()]
+            coarse += search.best_first(stems, _close(plants, one), SEEDS, STRIDE)
     return sorted(coarse, key=lambda one: one.cost)
 
 
@@ -179,13 +179,19 @@ def _close(plants: FloatArray, one: _Found) -> FloatArray:
     return plants[(away[:, 0] < 0.1 * one.tau) & (away[:, 1] <= 0.35 * one.theta + 1.0)]
 
 
-def _starts(data: Centred, S: float, J: float, most: int) -> list[tuple[float, float, int, float]]:
-    """A stem (S, J, first, sense) with the starts that it may have, `most` first slips at most."""
+def _starts(
+    data: Centred, S: float, J: float, most: int, within: float | None = None
+) -> list[tuple[float, float, int, float]]:
+    """A stem (S, J, first, sense) with the starts that it may have, `most` first slips at most.
+
+    within: S + J of the stem, %, whose first slips these are some of: stems that share them are tried side by side.
+    """
     if math.isnan(J):
         return [(S, J, first, 0.0) for first in firsts_for(data, S, max(most, 1)).tolist()]
     firsts, ranged, senses = data.starts
-    may = np.flatnonzero(ranged <= S + J)[1:]
+    may = np.flatnonzero(ranged <= (S + J if within is None else within))[1:]
     kept = thin(may, most) if most else may[:0]
+    kept = kept[ranged[kept] <= S + J]
     later = [(S, J, first, sense) for first, sense in zip(firsts[kept].tolist(), senses[kept].tolist(), strict=True)]
     return [(S, J, -1, 0.0), (S, J, 0, 1.0), (S, J, 0, -1.0), *later]
 
@@ -194,38 +200,55 @@ def _apart(found: list[_Found]) -> list[_Found]:
     """The first few of some stems that differ."""
     kept: list[_Found] = []
     for one in found:
-        if len(kept) < SEEDS and not any(_alike(one, other) for other in kept):
+        if len(kept) < SEEDS and not any(_alike(one, other, NEAR) for other in kept):
             kept.append(one)
     return kept
 
 
-def _alike(one: _Found, other: _Found) -> bool:
-    near = abs(math.log(one.S / other.S)) <= NEAR
-    return near and (math.isnan(one.J) or abs(one.J - other.J) <= NEAR_JUMP * one.S)
+def _alike(one: _Found, other: _Found, near: float) -> bool:
+    """Whether S differs by no more than a share, and J by no more than twice that of S."""
+    close = abs(math.log(one.S / other.S)) <= near
+    return close and (math.isnan(one.J) or abs(one.J - other.J) <= 2.0 * near * one.S)
 
 
-def _closer(search: _Search, seed: _Found, limits: Limits, spreads: Sequence[float]) -> _Found:
-    """The best stem that ever closer grids about a seed lead to."""
-    data, best = search.whole, seed
+def _closer(search: _Search, seeds: list[_Found], limits: Limits, spreads: Sequence[float]) -> list[_Found]:
+    """The best stems that ever closer grids about some seeds lead to; of ways that meet in all one goes on."""
     for spread in spreads:
-        starts = _starts(data, best.S, best.J, FIRSTS_CLOSE)
-        begun = search.best_first(starts, np.array([(best.tau, best.theta)]), 1)
-        best = min([best, *begun], key=lambda one: one.cost)
-        for _ in range(STEPS):
-            before = best
-            thetas = np.unique(np.clip(best.theta + 50.0 * spread * SIDES[1:-1], *limits.theta))
-            taus = np.array([best.tau])
-            if search.free:
-                taus = np.maximum(best.tau * (1.0 + 4.0 * spread * np.array([-1.0, 0.0, 1.0])), LEAST_TAU)
-            plants = np.array([(tau, theta) for tau in taus for theta in thetas])
-            widths = best.S * (1.0 + spread * SIDES)
-            jumps = np.array([math.nan])
-            if not math.isnan(best.J):
-                jumps = np.unique(np.maximum(best.J + 2.0 * spread * best.S * SIDES, 0.0))
-            grid = [(S, J, best.first, best.sense) for S in widths.tolist() for J in jumps.tolist()]
-            best = min([best, *search.best_first(grid, plants, 1)], key=lambda one: one.cost)
-            if best is before:
-                break
+        ends: list[_Found] = []
+        for end in sorted((_stepped(search, seed, limits, spread) for seed in seeds), key=lambda one: one.cost):
+            if not any(_met(end, other, spread * (SIDES[1] - SIDES[0])) for other in ends):
+                ends.append(end)
+        seeds = ends
+    return seeds
+
+
+def _met(one: _Found, other: _Found, near: float) -> bool:
+    """Whether two ways have come to one stem, start and time of the step."""
+    begun = (one.first, one.sense) == (other.first, other.sense) and abs(one.at - other.at) <= 1
+    return begun and _alike(one, other, near)
+
+
+def _stepped(search: _Search, seed: _Found, limits: Limits, spread: float) -> _Found:
+    """The best stem that steps of a grid about a seed lead to."""
+    data, best = search.whole, seed
+    starts = _starts(data, best.S, best.J, FIRSTS_CLOSE)
+    begun = search.best_first(starts, np.array([(best.tau, best.theta)]), 1)
+    best = min([best, *begun], key=lambda one: one.cost)
+    for _ in range(STEPS):
+        before = best
+        thetas = np.unique(np.clip(best.theta + 50.0 * spread * SIDES[1:-1], *limits.theta))
+        taus = np.array([best.tau])
+        if search.free:
+            taus = np.maximum(best.tau * (1.0 + 4.0 * spread * np.array([-1.0, 0.0, 1.0])), LEAST_TAU)
+        plants = np.array([(tau, theta) for tau in taus for theta in thetas])
+        widths = best.S * (1.0 + spread * SIDES)
+        jumps = np.array([math.nan])
+        if not math.isnan(best.J):
+            jumps = np.unique(np.maximum(best.J + 2.0 * spread * best.S * SIDES, 0.0))
+        grid = [(S, J, best.first, best.sense) for S in widths.tolist() for J in jumps.tolist()]
+        best = min([best, *search.best_first(grid, plants, 1)], key=lambda one: one.cost)
+        if best is before:
+            break
     return best
 
 

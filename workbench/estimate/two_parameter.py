@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from workbench.detect.stem import dead_times
 from workbench.estimate import abreast
-from workbench.estimate.band_kernel import scan_bands, scan_starts, screen_bands
+from workbench.estimate.band_kernel import scan_starts, screen_bands
 from workbench.estimate.data import Centred
 from workbench.estimate.fit import LEAST_TAU, Fit, Limits, fit_bands
 from workbench.estimate.path_kernel import band_path
@@ -27,13 +27,9 @@ from workbench.estimate.windows import EXACT, windows_of
 from workbench.model.record import FloatArray
 
 __all__ = [
-    "CROSSINGS",
     "NARROWEST",
-    "REACHES",
-    "REFITS",
     "SEEDS",
     "SHARES",
-    "SPREADS",
     "WIDE",
     "WIDEST",
     "Band",
@@ -43,13 +39,11 @@ __all__ = [
     "best_of",
     "best_start",
     "bests",
-    "closer",
     "differs",
     "fit_band",
+    "fitted",
     "held_range",
     "look",
-    "nearer",
-    "search_short",
     "started",
     "walked",
 ]
@@ -64,18 +58,7 @@ FINER, FINER_TAUS = (-0.04, -0.02, 0.0, 0.02, 0.04), (0.7, 0.85, 1.0, 1.2, 1.45)
 SHORTEST, LONGEST, TAUS = 0.3, 10.0, 9  # time constants looked at: samples, records, how many
 PICKED, WALKED_IN, WIDE_IN = 14, 6, 4  # stems of the grid, of walks of J from it and of S that get their own plant,
 NEAR, NEAR_JUMP = 0.05, 0.1  # no two of them as near as that, of S
-SPREADS = (0.1, 0.04, 0.015, 0.005)  # of S: how far stems with plants of their own are looked at about a seed,
-BEHIND = (40.0, 20.0, 20.0, math.inf)  # in N log V: who is as far behind after each of them has never come to lead
-CLOSE = 1  # of them are left out where the best is known to be near
-STEPS = 6  # how often at most, each time about the best so far,
-AROUND, QUICK = 5, 14  # how many values of S, and evaluations of each
-WALKED, WALKS = 2.0, 2  # of that: how far sequences of slips are walked, and how many of each are fitted
-ACROSS, ACROSS_GRID = 0.07, 29  # of S: how far a close grid about the best goes, and how many values of S it has
-CROSSINGS = 3  # of it at most
-SEEDS = 4  # of them, about which S and J are walked
-REACHES = ((0.006, 0.015), (0.002, 0.005))  # how far, of S: along S and along J
-LINES = 13  # of J in each
-REFITS = 6  # best lines of which each gets its own plant
+SEEDS = 4  # of the best, from which the search goes on
 MOST_ROWS = 4000  # of a line that is walked
 AT_ONCE = np.array([[-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])  # starts (first, sense) that any record may have
 STARTS = 60  # first slips tried beside the stem that rests in the middle of its band
@@ -246,10 +229,10 @@ def fit_band(
     tolerance: float = 1e-7,
 ) -> Band:
     """The output-error fit of a stem, from the plant (tau, theta) in samples."""
-    return _fitted(data, [(S, J)], start, limits, plant, evaluations, tolerance)[0]
+    return fitted(data, [(S, J)], start, limits, plant, evaluations, tolerance)[0]
 
 
-def _fitted(
+def fitted(
     data: Centred,
     bands: list[tuple[float, float]],
     start: tuple[int, float],
@@ -319,178 +302,6 @@ def started(data: Centred, b: Band, limits: Limits) -> Band:
     return other if other.fit.sse < b.fit.sse and other.fit.gain != 0.0 else b
 
 
-def closer(
-    data: Centred, seed: Band, reach: tuple[float, float], step: float, only: float | None, limits: Limits
-) -> tuple[list[Band], NDArray[np.float64]]:
-    """Walk S and J about a seed within a reach of both, relative to S; fit the best and the best of each line of J."""
-    if only is None:
-        J = np.unique(np.maximum(seed.J + np.linspace(-reach[1], reach[1], LINES) * seed.S, 0.0))
-    else:
-        J = np.array([only * seed.S])
-    low, high = seed.S * (1.0 - reach[0]), min(seed.S * (1.0 + reach[0]), data.op_range)
-    # Breakpoints closer than a tenth of the step are passed over: a stem that hardly moves has thousands of them.
-    steps = (0.1 * step * low if data.samples <= EXACT else step * low, step * low)
-    plant = (seed.fit.tau, seed.fit.theta)
-    start = (seed.first, seed.sense)
-    lines = [
-        line for line in walked(data, [Line((low, j), 0, high, steps, start, plant) for j in J.tolist()]) if len(line)
-    ]
-    if not lines:
-        return [], np.empty((0, 4))
-    tops = np.array([line[np.argmin(line[:, 2])] for line in lines])
-    tops = tops[np.argsort(tops[:, 2], kind="stable")][:REFITS]
-    fits = _fitted(data, [tuple(row) for row in tops[:, :2].tolist()], start, limits, plant, 50)
-    return [b for b in fits if b.fit.gain != 0.0 and b.slips > 0], np.vstack(lines)
-
-
-def nearer(data: Centred, seed: Band, spreads: tuple[float, ...], only: float | None, limits: Limits) -> list[Band]:
-    """Return all stems met from a seed on by steps of less and less size towards the best about it."""
-    met = [seed]
-    for spread in spreads:
-        for _ in range(STEPS):
-            best = started(data, best_of(met), limits)
-            met += [best, *_about(data, best, spread, only, limits), *_lengthways(data, best, spread, only, limits)]
-            if best_of(met) is best:
-                break
-    return met
-
-
-def _lengthways(data: Centred, seed: Band, spread: float, only: float | None, limits: Limits) -> list[Band]:
-    """The best of the sequences of slips along S and along J about a seed, each fitted with its own plant.
-
-    A sequence may hold for a range of J far narrower than what a grid in proportion to S can meet.
-    """
-    if only is not None:
-        return []
-    reach = WALKED * spread * seed.S
-    steps = (0.01 * reach, 0.1 * reach)
-    plant, start = (seed.fit.tau, seed.fit.theta), (seed.first, seed.sense)
-    lines = []
-    for along, at in enumerate((seed.S, seed.J)):
-        low = max(at - reach, 0.1 * at)
-        begin, other = ((low, seed.J), seed.J) if along == 0 else ((seed.S, low), seed.S)
-        end = min(at + reach, 2.0 * data.op_range - other)
-        lines.append(Line(begin, along, end, steps, start, plant))
-    found = []
-    for rows in walked(data, lines):
-        found += [tuple(row) for row in rows[np.argsort(rows[:, 2], kind="stable")[:WALKS], :2].tolist()]
-    fits = _fitted(data, found, start, limits, plant, QUICK, 1e-5)
-    return [b for b in fits if b.fit.gain != 0.0 and b.slips > 0]
-
-
-def _across(data: Centred, b: Band, only: float | None, limits: Limits) -> list[Band]:
-    """The best few of a close grid of (S, J) about a stem, at plants close to its own."""
-    widths = b.S * (1.0 + np.linspace(-ACROSS, ACROSS, ACROSS_GRID))
-    jumps = np.unique(np.maximum(b.J + 3.0 * ACROSS * b.S * np.linspace(-1.0, 1.0, 9), 0.0))
-    grid = np.column_stack([np.repeat(widths, jumps.size), np.tile(jumps, widths.size)])
-    if only is not None:
-        grid = np.column_stack([widths, only * widths])
-    thetas = {min(max(b.fit.theta + step, 0.0), limits.theta[1]) for step in (-0.3, 0.0, 0.3)}
-    plants = [(b.fit.tau * factor, theta) for factor in (0.93, 1.0, 1.07) for theta in sorted(thetas)]
-    pairs, costs = np.array(plants), np.empty((len(grid), len(plants)))
-    scan_bands(
-        data.target, data.u, b.first, b.sense, grid, data.sign, data.integrating, pairs, data.a, data.skip, costs
-    )
-    chosen = np.argsort(costs.min(axis=1), kind="stable")[:SEEDS].tolist()
-    found = []
-    for i in chosen:
-        S, J = grid[i].tolist()
-        found.append(fit_band(data, S, J, (b.first, b.sense), limits, plants[int(np.argmin(costs[i]))], 40))
-    return found
-
-
-def _about(data: Centred, seed: Band, spread: float, only: float | None, limits: Limits) -> list[Band]:
-    """The stems about a seed, up to a share of S away in S and twice that in J, each with its own plant."""
-    steps = np.linspace(-1.0, 1.0, AROUND) * spread
-    plant, start = (seed.fit.tau, seed.fit.theta), (seed.first, seed.sense)
-    jumps = [-spread, 0.0, spread] if only is None else [0.0]
-    widths = (seed.S * (1.0 + float(step)) for step in steps)
-    bands = [
-        (S, max(seed.J + 2.0 * float(jump) * seed.S, 0.0) if only is None else only * S)
-        for S in widths
-        for jump in jumps
-    ]
-    # A jump beyond all that OP moves is never made.
-    found = _fitted(data, [b for b in bands if sum(b) < 2.0 * data.op_range], start, limits, plant, QUICK, 1e-5)
-    return [b for b in found if b.fit.gain != 0.0 and b.slips > 0]
-
-
-def _apart(bands: list[Band]) -> list[Band]:
-    """The first few of some stems that differ in S."""
-    kept: list[Band] = []
-    for b in bands:
-        if len(kept) < SEEDS and all(abs(math.log(b.S / k.S)) > 0.04 or abs(b.J - k.J) > 0.1 * k.S for k in kept):
-            kept.append(b)
-    return kept
-
-
-def _level(data: Centred, b: Band) -> float:
-    """N log V of what a stem leaves, at least what the record resolves."""
-    return data.samples * math.log(max(b.fit.sse / data.samples, data.floor))
-
-
-def _leading(data: Centred, ends: list[Band], behind: float, further: float) -> list[Band]:
-    """Of the ends of some ways, the best first, those that are neither far behind nor on another's way.
-
-    behind: by which N log V may be higher than the best; further: the share of S within which each is looked about
-    next.
-    """
-    kept: list[Band] = []
-    for b in sorted(ends, key=lambda one: one.fit.sse):
-        near = (abs(math.log(b.S / k.S)) < 0.5 * further and abs(b.J - k.J) < further * k.S for k in kept)
-        if not kept or (_level(data, b) - _level(data, kept[0]) <= behind and not any(near)):
-            kept.append(b)
-    return kept
-
-
 def best_of(bands: list[Band]) -> Band:
     """Return the stem that leaves least."""
     return min(bands, key=lambda b: b.fit.sse)
-
-
-def search_short(
-    data: Centred,
-    coarse: list[Band],
-    only: float | None,
-    limits: Limits,
-    beside: tuple[Band, ...] = (),
-    known: bool = False,
-) -> tuple[list[Band], NDArray[np.float64]]:
-    """Search a short record: the close grid, then closer about its best few; all stems met and the last rows.
-
-    known: whether the best is known to be close by.
-    """
-    met = [b for b in coarse if b.fit.gain != 0.0]
-    if only is not None:
-        met = [fit_band(data, b.S, only * b.S, (b.first, b.sense), limits, (b.fit.tau, b.fit.theta)) for b in met]
-    bands: list[Band] = []
-    # Neither takes the other's place: which of some stems with wrong slips leads to the right ones is not seen yet.
-    leaders = [b for kind in (met, beside) for b in _apart(sorted(kind, key=lambda b: b.fit.sse))]
-    if not leaders:
-        return [], np.empty((0, 4))
-    steps = list(zip(SPREADS, BEHIND, (*SPREADS[1:], 0.0), strict=True))
-    for spread, behind, further in steps[CLOSE if known else 0 :]:
-        ends = []
-        for seed in leaders:
-            met = nearer(data, seed, (spread,), only, limits)
-            bands += met
-            ends.append(best_of(met))
-        leaders = _leading(data, ends, behind, further)
-    # Between two sequences of slips lies many a worse one, which steps along the valley of S and plant do not cross.
-    best = leaders[0]
-    for _ in range(0 if known else CROSSINGS):
-        # Whatever came to be better in the end was no worse when it was met.
-        seeds = [seed for seed in _across(data, best, only, limits) if _level(data, seed) <= _level(data, best)]
-        met = [m for seed in seeds for m in nearer(data, seed, SPREADS[2:], only, limits)]
-        bands += met
-        before, best = best, best_of([best, *met])
-        if best is before:
-            break
-    best = started(data, best, limits)
-    rows = np.empty((0, 4))
-    for reach in (*REACHES, *REACHES):
-        found, walked = closer(data, best, reach, 0.05 * reach[0], only, limits)
-        rows = np.vstack([rows, walked])
-        bands += found
-        best = best_of([best, *found])
-    return [best, *bands], rows
