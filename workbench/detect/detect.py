@@ -134,7 +134,8 @@ def _between_moves(record: Record) -> str:
     cycle = oscillation_of(part.pv, part.sample_time)
     period = math.nan if no_period(cycle) else cycle.period
     test = stem_test(part.pv, part.op, part.sp, part.sample_time, period, gain_sign(record))
-    verdict, reasons = decide(cycle, test, None)
+    # What load steps do as well is no finding, but reason enough not to acquit.
+    verdict, reasons = decide(cycle, replace(test, loaded=test.predicting), None)
     if verdict != "stiction":
         return ""
     Ts = record.sample_time
