@@ -25,7 +25,7 @@ from workbench.estimate.windows import WHOLE
 from workbench.model.record import FloatArray
 from workbench.model.results import Estimate, Intervals, LinearFit
 
-__all__ = ["Answered", "Swing", "beside_swing", "besides"]
+__all__ = ["SWINGS", "Answered", "Swing", "beside_swing", "besides"]
 
 # Of N log V: the highest of N/2 frequencies gains 2 log(N/2) in noise alone. Amplitude, phase and a frequency that is
 # searched for: four degrees (N. Zhang, D. Siegmund, Biometrics 63 (2007) 22-32, of change points). Beyond these "very
