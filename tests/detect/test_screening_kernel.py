@@ -199,5 +199,5 @@ def test_a_thinned_record_or_one_that_may_only_be_read_asks_for_no_kernel_of_its
     assert stem_test(pv, op, None, 1.0, 250.0, 0.0, fitted=fitted).samples <= 450
     assert compiled() == before
     stem.setflags(write=False)
-    stem_test(pv, op, 1.0, 90.0, 0.0, fitted=fitted)
+    stem_test(pv, op, None, 1.0, 90.0, 0.0, fitted=fitted)
     assert compiled() == before
