@@ -143,8 +143,10 @@ ALONE = {"sure": 0.0, "adds": 0.0}
     [
         ({}, "stiction"),
         # By two rivals alone: enough; a little less of either.
-        ({"improvement": 0.0, "likelihood": 0.0, "simulated": -0.4, "predicting": 31.0, "sure": 31.0}, "stiction"),
-        ({"improvement": 0.0, "likelihood": 0.0, "simulated": -0.4, "predicting": 35.0, "sure": 24.0}, "undecided"),
+        ({"improvement": 0.0, "likelihood": 0.0, "simulated": 0.01, "predicting": 31.0, "sure": 31.0}, "stiction"),
+        ({"improvement": 0.0, "likelihood": 0.0, "simulated": 0.01, "predicting": 35.0, "sure": 24.0}, "undecided"),
+        # A curved plant is no linear one either: no stem makes PV as it is.
+        ({"improvement": 0.0, "likelihood": 0.0, "simulated": -0.01, "predicting": 31.0, "sure": 31.0}, "undecided"),
         ({"improvement": 0.0, "likelihood": 0.0, "unexplained": 0.04, "predicting": 31.0, "sure": 31.0}, "no_stiction"),
         # By prediction and simulation together: the stem must add to the free predictor too.
         ({"predicting": 39.0, "sure": 15.0, "adds": 11.0}, "stiction"),
@@ -158,10 +160,17 @@ ALONE = {"sure": 0.0, "adds": 0.0}
         ({**ALONE, "simulated": -1.0}, "stiction"),
         ({**ALONE, "simulated": -1.0, "predicting": 70.0}, "undecided"),
         ({**ALONE, "simulated": -1.0, "samples": 5000}, "undecided"),
+        ({**ALONE, "simulated": -1.0, "moves": 2, "loaded": 39.0}, "undecided"),
+        ({**ALONE, "simulated": -1.0, "moves": 2, "loaded": 41.0}, "stiction"),
     ],
 )
 def test_stiction_is_found_by_any_of_three_routes(changed: dict[str, float], verdict: str) -> None:
     assert decide(QUIET, replace(FOUND, **changed), None)[0] == verdict
+
+
+def test_load_steps_that_are_not_clearly_worse_are_told() -> None:
+    _, reasons = decide(QUIET, replace(FOUND, sure=0.0, adds=0.0, simulated=-1.0, moves=2, loaded=39.0), None)
+    assert "moved 2 times only, and a linear loop under as few load steps is not clearly worse" in reasons[0]
 
 
 def test_what_a_stem_makes_worse_is_more_and_not_less() -> None:

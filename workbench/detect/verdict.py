@@ -1,10 +1,11 @@
 """The verdict: one rule over the stem test, the cycle and the recorded stem; the other statistics are told beside it.
 
 Stiction is found where the linear loop leaves something to explain (LEFT) and a sticking stem explains it, by one of
-three routes: it betters both the linear loop and the free linear predictor (SURE); it betters the linear loop by
-prediction and in the simulated PV at once, significantly (LIKELIHOOD), by an amount that matters (PREDICTS, EXPLAINS),
-and adds more than chance to the free predictor (CHANCE); or it predicts so much better (SOLE, CLEAR) that no second
-opinion is asked. None of them holds where a linear loop under a few load steps does as well (PLAYED).
+three routes: it betters both the linear loop and the free linear predictor (SURE), and the simulated PV is no worse;
+it betters the linear loop by prediction and in the simulated PV at once, significantly (LIKELIHOOD), by an amount that
+matters (PREDICTS, EXPLAINS), and adds more than chance to the free predictor (CHANCE); or it predicts so much better
+(SOLE, CLEAR), than a linear loop under a few load steps too, that no second opinion is asked. None of them holds where
+such a loop does as well (PLAYED).
 
 No stiction is a finding of its own: stems that stick over a quarter of OP's range or more, enough to matter, are
 excluded (EXCLUDED); or they fit no better than chance has it (CHANCE; where PV is seen to follow OP, worse than OP
@@ -18,12 +19,13 @@ LIKELIHOOD: a likelihood ratio with two free widths exceeds 30 by chance once in
 hundreds of stems that differ, that is less than once in 1,000.
 SURE: two tests that fail differently. A linear loop of low order leaves what a stem's steps may make up for; the free
 predictor does not: what a stem adds to it, three coefficients, exceeds 25 by chance once in 60,000, for one of the
-twenty stems that are tried less than once in 1,000.
+twenty stems that are tried less than once in 1,000. Neither is given what a curved plant does; where no stem betters
+the simulated PV, it may be that.
 PREDICTS: a real linear plant is no first-order lag; what its shape leaves unmodelled was below 3 % of the innovations'
 variance in nine of ten simulated loops, and below three times that (CLEAR) in all.
 EXPLAINS, LEFT: 5 % of the error, and of PV's variance; a linear model that leaves less has explained PV, unless the
 stem predicts clearly better, by three times PREDICTS (CLEAR), and explains most (MOST) of the little that is left.
-CLOSE: four fifths of each of these is no acquittal, nor is a likelihood beyond SOLE by itself.
+CLOSE: four fifths of each of these is no acquittal, nor is a likelihood beyond SOLE by itself, nor SURE by itself.
 CHANCE: where PV is noise alone the best of the search gained less in 47 of 50 simulated loops.
 EXCLUDED: chi^2 with one degree of freedom, the width, at 95 %: a wide stem whose likelihood is not that far below the
 linear loop's may be at work. So may one that never moved where PV is not seen to follow OP (CHANCE).
@@ -113,14 +115,17 @@ def decide(
     if not played and _sticks(test, limits, 1.0):
         kind = "the stem slips as it sets off" if test.jump > 0.1 * test.band else "a dead band without visible slip"
         return "stiction", [f"{beats}: {kind}", f"{both}; {linear}"]
-    likely = test.unexplained >= limits.left and test.predicting >= limits.sole
+    either = test.predicting >= limits.sole or test.sure >= limits.close * limits.sure
+    likely = test.unexplained >= limits.left and either
     likely = likely or (test.likelihood >= limits.sole and test.simulated >= limits.explains)
     if likely or _sticks(test, limits, limits.close):
         enough = "nearly enough to find stiction, too much to exclude it"
-        if played:
+        if test.loaded < test.predicting:
+            well = "does as well" if played else "is not clearly worse"
             enough = (
-                f"yet the stem moved {times(test.moves)} only, and a linear loop under as few load steps does as well "
-                f"(log likelihood ratio {test.loaded:.0f}); a setpoint move or a longer record would tell"
+                f"yet the stem moved {times(test.moves)} only, and a linear loop under as few load steps {well} (log "
+                f"likelihood ratio {test.loaded:.0f}); a setpoint move, recorded with its setpoint, or a longer record "
+                "would tell"
             )
         return "undecided", [f"{beats}: {enough}", f"{both}; {linear}"]
     doubt = _not_excluded(oscillation, test, limits)
@@ -209,10 +214,11 @@ def _sticks(test: StemTest, limits: Thresholds, share: float) -> bool:
     )
     alone = (
         test.unexplained >= limits.left
-        and test.predicting >= share * limits.sole
+        and test.loaded >= share * limits.sole
         and test.predicting >= -test.samples * math.log(1.0 - share * limits.much)
     )
-    return together or alone or (test.unexplained >= limits.left and test.sure >= share * limits.sure)
+    sure = test.unexplained >= limits.left and test.sure >= share * limits.sure and test.simulated >= 0.0
+    return together or alone or sure
 
 
 def _direct(stem: StemEvidence, limits: Thresholds) -> tuple[str, list[str]] | None:
