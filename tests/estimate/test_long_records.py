@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 import workbench as wb
-from workbench.estimate import bands, long_kernel
+from workbench.estimate import bands, long_kernel, long_record
 from workbench.estimate.data import Centred, centre
 from workbench.estimate.fit import (
     Fit,
@@ -27,7 +27,7 @@ from workbench.estimate.fit import (
     start_range,
 )
 from workbench.estimate.output_error import FIT, TAU, drive_of, oe_cost
-from workbench.estimate.stems import path_of, walk, walk_starts
+from workbench.estimate.stems import FIRST, HIGH, LOW, path_of, walk, walk_starts
 from workbench.estimate.windows import EXACT, active_windows, stretch_of, windows_of
 from workbench.model.valve import Valve
 
@@ -313,6 +313,13 @@ def test_a_cycle_without_a_setpoint_move_gives_the_band_back(
     assert found.valve.d == pytest.approx(2.0, rel=0.01)
     assert found.plant.gain == pytest.approx(1.5, rel=0.03)
     assert found.identifiable
+
+
+def test_paths_without_end_are_kept_once_too() -> None:
+    rows = np.zeros((5, 1 + max(FIRST, LOW, HIGH)))
+    rows[:, FIRST], rows[:, LOW], rows[:, HIGH] = [1, 0, 0, 1, 0], [5.0, 4.0, 3.0, 4.5, 1.0], [math.inf] * 4 + [2.0]
+    kept = long_record._each_once(rows)
+    assert kept[:, [FIRST, LOW]].tolist() == [[0.0, 1.0], [0.0, 3.0], [1.0, 4.5]]
 
 
 def test_a_dead_time_that_is_held_leaves_the_quadratic_to_the_time_constant() -> None:

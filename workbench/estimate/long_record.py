@@ -185,6 +185,7 @@ def scan_long(
 def _each_once(rows: NDArray[np.float64]) -> NDArray[np.float64]:
     """Rows of which each path, known by its start and the band at which it ends, is kept once, from where it begins."""
     rows = rows[np.lexsort((rows[:, LOW], rows[:, HIGH], rows[:, FIRST]))]
-    new = np.concatenate([[True], (np.diff(rows[:, [FIRST, HIGH]], axis=0) != 0.0).any(axis=1)])
+    ends = rows[:, [FIRST, HIGH]]  # a path whose stem never moves again ends at no band: inf
+    new = np.concatenate([[True], (ends[1:] != ends[:-1]).any(axis=1)])
     kept: NDArray[np.float64] = rows[new[: len(rows)]]
     return kept
