@@ -58,6 +58,13 @@ def estimate_lines(found: Estimate) -> list[str]:
         sign = "+" if step.size > 0.0 else ""
         size = f"{sign}{figure(step.size, 3)} % of OP (95 %: {interval(step.interval, '%', 3)}), nobody recorded it"
         lines.append(f"{'' if i else 'Load':<10} from {given(step.at, 6)} s on {size}")
+    if found.load_swing is not None:
+        swing = found.load_swing
+        title = "" if found.load_steps else "Load"
+        lines.append(
+            f"{title:<10} swings by {figure(swing.size, 3)} % of OP to either side with a period of "
+            f"{figure(swing.period, 3)} s, nobody recorded it"
+        )
     if found.noise_model is not None:
         lines.append(f"Noise      {_noise_words(found.noise_model)}")
     if found.complementarity is not None:

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import workbench as wb
+from workbench.cli_output import estimate_lines
 from workbench.estimate.estimate import linear_loop
 from workbench.model.results import Estimate
 
@@ -34,9 +35,11 @@ def test_the_gain_is_found_beside_an_oscillation_from_outside(period: float) -> 
     assert low <= 1.5 <= high
     # With 0.05 EU of noise the model explains all the rest.
     assert found.noise_sd == pytest.approx(0.05, rel=0.3)
-    (said,) = swing_said(found)
-    told = float(said.split("a period of ")[1].split()[0])
-    assert told == pytest.approx(period, rel=0.01)
+    assert len(swing_said(found)) == 1
+    assert found.load_swing is not None
+    assert found.load_swing.period == pytest.approx(period, rel=0.01)
+    assert found.load_swing.size == pytest.approx(1.0, rel=0.03)
+    assert any(f"swings by {found.load_swing.size:.3g}" in line for line in estimate_lines(found))
 
 
 def test_a_healthy_loops_plant_is_found_beside_it_and_by_itself_too() -> None:

@@ -54,13 +54,13 @@ from workbench.estimate.scale import (
 from workbench.estimate.sent import left_by_line, left_by_stem, likelier_op
 from workbench.estimate.settled import coloured_linear, settled
 from workbench.estimate.stems import path_of, silent
-from workbench.estimate.swing import Answered, Swing, beside_swing, besides
+from workbench.estimate.swing import Answered, Swing, beside_swing, besides, words_of_swing
 from workbench.estimate.two_parameter import look
 from workbench.estimate.two_step import akaike, two_step
 from workbench.estimate.verdict import ENOUGH_SLIPS, SHARP, WIDE_D, Evidence, agree, judge
 from workbench.estimate.windows import WHOLE
 from workbench.model.checks import choice, number
-from workbench.model.load_step import LoadStep
+from workbench.model.loads import LoadStep
 from workbench.model.record import Record
 from workbench.model.results import Estimate, Intervals, Iteration, LinearFit
 from workbench.model.valve import Choudhury, Ideal, Stenman
@@ -111,10 +111,12 @@ def estimate(
     plant's ranges then hold stems with S and J that slip some samples earlier or later too, see `estimate.few`); with
     valve "auto" every range holds those of the other sticking valves that fit as well too. Where a search ended at its
     limit, or the record tells nothing, a range is open (see `Intervals`). A sticking valve by "two_step" has no ranges:
-    it does not look for others that fit as well. identifiable is True where the verdict is "stiction", no range is
-    open, that hull is at most a tenth of d wide and gain's at most half of the gain. Raises `RecordError` for a record
-    that holds no information (too short, PV or OP constant, values that no plant has) or is too long for the method,
-    and `InvalidValue` for arguments that are not allowed.
+    it does not look for others that fit as well. An oscillation from outside the loop, a sinusoid that is a quarter or
+    more of what the model leaves, is fitted beside the model (`load_swing`; 10,000 samples at most; not by "two_step").
+    identifiable is True where the verdict is "stiction", no range is open, that hull is at most a tenth of d wide and
+    gain's at most half of the gain. Raises `RecordError` for a record that holds no information (too short, PV or OP
+    constant, values that no plant has) or is too long for the method, and `InvalidValue` for arguments that are not
+    allowed.
     """
     if not isinstance(record, Record):
         raise InvalidValue("estimate.record", type(record).__name__, "must be a Record (see read_record)")
@@ -185,10 +187,12 @@ def _with_plant(
     said = words_of(repeats) if repeats is not None and answer.verdict == "stiction" else ()
     tell(1.0)
     opened = words_of_open(answer.intervals, data.integrating)
-    swung = () if swing is None else (swing.words(record.sample_time),)
+    load = None if swing is None else swing.load(answer.plant, record.sample_time)
+    swung = () if load is None else (words_of_swing(load),)
     told = replace(
         answer,
         repeats=repeats,
+        load_swing=load,
         reasons=answer.reasons + swung + opened + said,
         identifiable=answer.identifiable and _sharp(answer) and not opened,
     )

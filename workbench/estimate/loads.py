@@ -20,7 +20,7 @@ from workbench.estimate.data import WHITE, Centred
 from workbench.estimate.fit import LOUD, NORMAL, Fit, Limits, autoregression, fit_path, inflation, predict
 from workbench.estimate.stepped_kernel import left_beside
 from workbench.estimate.windows import WHOLE
-from workbench.model.load_step import LoadStep
+from workbench.model.loads import LoadStep
 from workbench.model.record import FloatArray
 
 __all__ = ["Loads", "Stem", "loads_of"]

@@ -24,7 +24,7 @@ from workbench.estimate.stems import path_of
 from workbench.estimate.stepped import stepped_stems
 from workbench.estimate.two_parameter import Band, band_stem, fit_band
 from workbench.estimate.windows import WHOLE
-from workbench.model.load_step import LoadStep
+from workbench.model.loads import LoadStep
 from workbench.model.record import FloatArray
 
 __all__ = ["coloured_linear", "settled"]

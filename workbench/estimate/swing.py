@@ -22,10 +22,12 @@ from workbench.estimate.data import Centred
 from workbench.estimate.fit import LEAST_TAU, LOUD, Limits, autoregression, grounded, predict
 from workbench.estimate.paths import Path
 from workbench.estimate.windows import WHOLE
+from workbench.model.loads import LoadSwing
+from workbench.model.plant import Integrating, Plant
 from workbench.model.record import FloatArray
 from workbench.model.results import Estimate, Intervals, LinearFit
 
-__all__ = ["SWINGS", "Answered", "Swing", "beside_swing", "besides"]
+__all__ = ["SWINGS", "Answered", "Swing", "beside_swing", "besides", "words_of_swing"]
 
 # Of N log V: the highest of N/2 frequencies gains 2 log(N/2) in noise alone. Amplitude, phase and a frequency that is
 # searched for: four degrees (N. Zhang, D. Siegmund, Biometrics 63 (2007) 22-32, of change points). Beyond these "very
@@ -51,13 +53,11 @@ class Swing:
     pv: FloatArray
     answers: FloatArray
 
-    def words(self, sample_time: float) -> str:
-        """Return in words that it was found; sample_time: s."""
-        return (
-            f"PV swings by {self.amplitude:.3g} EU to either side with a period of "
-            f"{2.0 * math.pi / self.angle * sample_time:.3g} s, which no stem makes: an oscillation from outside the "
-            "loop, beside which the model is fitted"
-        )
+    def load(self, plant: Plant, sample_time: float) -> LoadSwing:
+        """Return the load that makes it, at the input of a plant; sample_time: s."""
+        frequency = self.angle / sample_time
+        falls = frequency if isinstance(plant, Integrating) else math.hypot(1.0, frequency * plant.time_constant)
+        return LoadSwing(2.0 * math.pi / frequency, self.amplitude / abs(plant.gain) * falls, self.amplitude)
 
 
 class Answered(NamedTuple, Generic[Model]):
@@ -91,6 +91,14 @@ def beside_swing(
             break
         found, swing = other, beside
     return found, swing
+
+
+def words_of_swing(load: LoadSwing) -> str:
+    """Return in words that an oscillation from outside was found."""
+    return (
+        f"PV swings by {load.amplitude:.3g} EU to either side with a period of {load.period:.3g} s, which no stem "
+        "makes: an oscillation from outside the loop, beside which the model is fitted"
+    )
 
 
 def besides(data: Centred, swing: Swing | None) -> Centred:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from workbench.model.load_step import LoadStep
+from workbench.model.loads import LoadStep, LoadSwing
 from workbench.model.plant import Plant
 from workbench.model.record import FloatArray, Record
 from workbench.model.show import Shown
@@ -174,6 +174,7 @@ class Estimate(Shown):
     slips: stem moves in the record. profile_d and profile_cost: variance of the innovations (EU^2) against d.
     iterations: of two-step. candidates: the models compared, the lowest BIC first. noise_model: of "joint", or None.
     repeats: parts of the record by themselves; None with few moves. load_steps: lasting, and in the prediction.
+    load_swing: an oscillation from outside, in the prediction too, or None.
     complementarity: the program of the method of that name, or None.
     """
 
@@ -200,4 +201,5 @@ class Estimate(Shown):
     noise_model: NoiseModel | None = None
     repeats: Repeats | None = None
     load_steps: tuple[LoadStep, ...] = ()
+    load_swing: LoadSwing | None = None
     complementarity: Complementarity | None = None

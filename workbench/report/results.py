@@ -271,6 +271,7 @@ def _estimate(named: NamedEstimate) -> dict[str, Any]:
         **({} if program is None else {"complementarity": plain(program) | ended}),
         "repeats": None if found.repeats is None else _repeats(found.repeats),
         "load_steps": [plain(step) for step in found.load_steps],
+        **({} if found.load_swing is None else {"load_swing": plain(found.load_swing)}),
         "linear": {
             "plant": plant_content(found.linear.plant),
             "bias": found.linear.bias,

@@ -1,10 +1,10 @@
-"""A load step: what an estimate holds of a disturbance that nobody recorded."""
+"""Loads that nobody recorded: what an estimate holds of them."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
-__all__ = ["LoadStep"]
+__all__ = ["LoadStep", "LoadSwing"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -18,3 +18,15 @@ class LoadStep:
     at: float
     size: float
     interval: tuple[float, float]
+
+
+@dataclass(frozen=True, slots=True)
+class LoadSwing:
+    """An oscillation of load, a sinusoid that PV shows and neither OP nor the stem explains.
+
+    period: s; size: % of OP at the plant's input, to either side; amplitude: EU, what PV swings by, to either side.
+    """
+
+    period: float
+    size: float
+    amplitude: float
