@@ -201,6 +201,8 @@ def table(rows: list[tuple[Case, wb.Estimate, wb.Estimate]]) -> None:
     held = [covered(c, ours) for c, ours, _ in rows]
     text = "; ".join(f"{n} {share([h[n] for h in held if n in h])}" for n in ("S", "K", "tau", "theta"))
     print(f"    coverage of the 95 % intervals: {text}")
+    called = [errors(c, ours) for c, ours, _ in rows if ours.identifiable]
+    print(f"    of those called identified: S+K {share(within(called, ('S', 'K')))}")
     kinds = [isinstance(ours.valve, type(c.loop.valve)) for c, ours, _ in rows]
     verdicts = [ours.verdict == "stiction" for _, ours, _ in rows]
     print(f"    the true kind of valve {share(kinds)}; verdict stiction {share(verdicts)}")

@@ -12,10 +12,10 @@ from hypothesis.extra.numpy import arrays
 
 import workbench as wb
 from workbench.cli_output import estimate_lines
+from workbench.estimate.answer import leaves_noise_alone
 from workbench.estimate.bands import like_stenman, sought
 from workbench.estimate.data import centre
 from workbench.estimate.dense import densely
-from workbench.estimate.estimate import leaves_noise_alone
 from workbench.estimate.fit import LEAST_TAU, Limits, fit_linear
 from workbench.estimate.models import bands_of
 from workbench.estimate.nearer import search_short

@@ -5,66 +5,38 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import replace
-from functools import partial, reduce
-from typing import NamedTuple
+from functools import reduce
 
-import numpy as np
-
-from workbench.detect.detect import detect
-from workbench.detect.stem import Fitted
 from workbench.errors import InvalidValue
-from workbench.estimate.bands import Seek, coarse_of, like_stenman, repeated, sought
-from workbench.estimate.data import WHITE, Centred, centre, plant_of
-from workbench.estimate.dense import densely
-from workbench.estimate.few import widened
+from workbench.estimate.answer import DELAYS, LINEAR_DELAYS, Straight, answer_of, longest_delay
+from workbench.estimate.data import WHITE, Centred, centre
 from workbench.estimate.fit import (
     LEAST_TAU,
-    Fit,
     Limits,
-    disturbance,
     fit_linear,
-    fit_nothing,
-    predict,
 )
-from workbench.estimate.hidden import hidden, words_of_hidden
 from workbench.estimate.models import (
-    PLANT_PARAMETERS,
-    VALVE_PARAMETERS,
-    bands_of,
-    choose,
-    compared,
-    reasons_of,
     words_of_open,
-    words_of_rival,
 )
-from workbench.estimate.paths import band_paths, linear_path, stem_paths
+from workbench.estimate.paths import linear_path
 from workbench.estimate.plants import foretelling_bic
-from workbench.estimate.profile import Profile, islands, search
+from workbench.estimate.profile import Profile, search
 from workbench.estimate.refined import by_complementarity, jointly, refuse_complementarity
 from workbench.estimate.repeat import repeats_of, words_of
 from workbench.estimate.scale import (
-    band_of,
-    band_position,
     joined,
-    linear_intervals,
     linear_result,
-    rivals_of,
-    stem_of,
 )
 from workbench.estimate.sent import left_by_line, left_by_stem, likelier_op
-from workbench.estimate.settled import coloured_linear, settled
-from workbench.estimate.stems import path_of, silent
+from workbench.estimate.settled import coloured_linear
+from workbench.estimate.stems import silent
 from workbench.estimate.swing import Answered, Swing, beside_swing, besides, words_of_swing
-from workbench.estimate.two_parameter import look
-from workbench.estimate.two_step import akaike, two_step
-from workbench.estimate.verdict import ENOUGH_SLIPS, SHARP, WIDE_D, Evidence, agree, judge
-from workbench.estimate.windows import WHOLE
+from workbench.estimate.two_step import two_step
+from workbench.estimate.verdict import SHARP
 from workbench.model.checks import choice, number
-from workbench.model.loads import LoadStep
 from workbench.model.record import Record
 from workbench.model.results import Estimate, Intervals, Iteration, LinearFit
-from workbench.model.valve import Choudhury, Ideal, Stenman
-from workbench.record.modes import manual_share, mode_words
+from workbench.model.valve import Ideal
 
 __all__ = ["estimate", "linear_loop"]
 
@@ -73,13 +45,8 @@ PROGRAMS = ("joint", "complementarity")  # go on from the profile with nonlinear
 VALVES = ("auto", "linear", "stenman", "choudhury", "deadband")
 PLANTS = ("fopdt", "integrating", "auto")
 
-# Dead times searched by default, in samples, doubled while the best fit lies at the end.
-DELAYS = 30
-LINEAR_DELAYS = 240
 WIDEST_GAIN = 0.5  # of the gain itself: a 95 % range wider than this does not identify a valve
 CLEAR_BIC = 10.0  # R. Kass, A. Raftery, J. Am. Stat. Assoc. 90 (1995) 773-795: "very strong" evidence above it
-HALF = 0.5  # of what the linear fit leaves: a stem that leaves no more explains PV by itself
-MUCH_MANUAL = 0.05  # share of the record in manual that is worth a word
 
 
 def estimate(
@@ -151,7 +118,7 @@ def _with_plant(
     data = centre(record, plant)
     tell(0.0)
     line = _straight(record, data, max_dead_time)
-    delays = _longest(data, max_dead_time, DELAYS)
+    delays = longest_delay(data, max_dead_time, DELAYS)
     history: tuple[Iteration, ...] = ()
     found: Profile | None
     if method == "two_step":
@@ -164,20 +131,20 @@ def _with_plant(
             lambda one, model: left_by_stem(one, model, delays),
             (lambda share: tell(0.5 * share)) if method in PROGRAMS else tell,
         )
-    answered = _answer(record, data, asked, found, line, history)
+    answered = answer_of(record, data, asked, found, line, history)
     swing: Swing | None = None
     if method != "two_step":
 
         def again(calm: Centred) -> Answered[Estimate]:
-            still = _Straight(calm, fit_linear(calm, line.longest), line.longest)
-            return _answer(record, calm, asked, _profile(calm, max_dead_time, silent), still, history)
+            still = Straight(calm, fit_linear(calm, line.longest), line.longest)
+            return answer_of(record, calm, asked, _profile(calm, max_dead_time, silent), still, history)
 
         answered, swing = beside_swing(data, answered, again, line.longest)
     answer, paths, settled, others = answered
     data = settled.whitened(WHITE, 0)
     if method in PROGRAMS:
         usual = LINEAR_DELAYS if isinstance(answer.valve, Ideal) else 2.0 * paths[0].fit.theta + DELAYS
-        limits = Limits((LEAST_TAU, float(data.samples)), (0.0, _longest(data, max_dead_time, int(usual))))
+        limits = Limits((LEAST_TAU, float(data.samples)), (0.0, longest_delay(data, max_dead_time, int(usual))))
         refine, used = (jointly, data) if method == "joint" else (by_complementarity, settled)
         answer = refine(used, answer, paths, limits, lambda share: tell(0.5 + 0.5 * share))
     answer = replace(answer, intervals=reduce(joined, others, answer.intervals))
@@ -219,28 +186,20 @@ def _line_with_plant(record: Record, plant: str) -> tuple[LinearFit, Swing | Non
     """The linear model with one kind of plant, and the oscillation that it stands beside."""
     line = _straight(record, centre(record, plant), None)
 
-    def settled(line: _Straight) -> Answered[LinearFit]:
+    def settled(line: Straight) -> Answered[LinearFit]:
         data, linear, _ = coloured_linear(*line)
         return Answered(linear_result(data, linear), linear_path(data, linear), data, ())
 
     def again(calm: Centred) -> Answered[LinearFit]:
-        return settled(_Straight(calm, fit_linear(calm, line.longest), line.longest))
+        return settled(Straight(calm, fit_linear(calm, line.longest), line.longest))
 
     answered, swing = beside_swing(line.data, settled(line), again, line.longest)
     return answered.model, swing
 
 
-class _Straight(NamedTuple):
-    """The linear fit to a record whose OP is as it explains more of PV; longest: the longest delay, samples."""
-
-    data: Centred
-    fit: Fit
-    longest: float
-
-
-def _straight(record: Record, data: Centred, max_dead_time: float | None) -> _Straight:
-    longest = _longest(data, max_dead_time, LINEAR_DELAYS)
-    return _Straight(*likelier_op(record, data, lambda one, _: fit_linear(one, longest), left_by_line), longest)
+def _straight(record: Record, data: Centred, max_dead_time: float | None) -> Straight:
+    longest = longest_delay(data, max_dead_time, LINEAR_DELAYS)
+    return Straight(*likelier_op(record, data, lambda one, _: fit_linear(one, longest), left_by_line), longest)
 
 
 def _better_plant(
@@ -292,192 +251,13 @@ def _rising(progress: Callable[[float], None]) -> Callable[[float], None]:
     return tell
 
 
-def _longest(data: Centred, max_dead_time: float | None, usual: int) -> float:
-    """The longest dead time to search, in samples, never above `max_dead_time`; a quarter of the record at most."""
-    most = max(data.samples // 4, 1)
-    if max_dead_time is None:
-        return float(min(usual, max(data.samples // 10, 1) if usual == DELAYS else most))
-    return min(max_dead_time / data.sample_time, float(most))
-
-
 def _profile(data: Centred, max_dead_time: float | None, tell: Callable[[float], None]) -> Profile | None:
-    longest = _longest(data, max_dead_time, DELAYS)
+    longest = longest_delay(data, max_dead_time, DELAYS)
     while True:
         found = search(data, longest, lambda share: tell(0.1 + 0.9 * share))
         if found is None or not found.at_limit or max_dead_time is not None or 2 * longest > data.samples // 4:
             return found
         longest *= 2
-
-
-def leaves_noise_alone(data: Centred, found: Profile, linear: Fit) -> bool:
-    """Whether a Stenman valve explains all of PV but white noise, of which a valve with more freedom can take nothing.
-
-    Only where it does so by a stem of its own: with slips enough, a sharp d, and much less left than the linear fit's.
-    """
-    best = found.best
-    d = [end for c in found.alike for end in (c.d_low, c.d_high)]
-    if best.slips < ENOUGH_SLIPS or max(d) - min(d) > SHARP * best.d or best.fit.sse > HALF * linear.sse:
-        return False
-    left = data.y - predict(data, path_of(data.u, best.d_low, best.first)[0], best.first, best.fit)[0]
-    return disturbance(left, data.floor).size == 1
-
-
-def _answer(
-    record: Record,
-    data: Centred,
-    asked: tuple[str, str],
-    found: Profile | None,
-    line: _Straight,
-    history: tuple[Iteration, ...],
-) -> Answered[Estimate]:
-    linear = line.fit if line.data is data else fit_linear(data, line.longest)
-    n = data.samples
-    method, valve = asked
-    straight = linear_result(data, linear)
-    # The rival of the verdict is as causal as the stem model: a long dead time passes for half a cycle.
-    delays = found.limits.theta[1] if found is not None else _longest(data, None, DELAYS)
-    rival = linear if linear.theta <= delays else fit_linear(data, delays)
-    wide = [] if found is None else [c.fit.sse / n for c in found.fits if c.d >= WIDE_D * data.op_range]
-    other = None if found is None else found.best.fit
-    alone = found is not None and leaves_noise_alone(data, found, rival)
-    seek: Seek = partial(like_stenman, found) if alone else look
-    within = sought(data, delays, other, alone and valve == "auto", seek)
-    coarse = coarse_of(data, within, delays, seek)
-    bands, limits = {}, Limits((LEAST_TAU, float(n)), (0.0, delays))
-    if method != "two_step" and valve not in ("stenman", "linear"):
-        seeds = coarse if alone or n > WHOLE else [*coarse, *like_stenman(found, data, delays)]
-        dense = () if alone else densely(data, coarse, delays)
-        bands = bands_of(data, seeds, within, limits, within.rival(other), beside=dense)
-    steps: tuple[LoadStep, ...] = ()
-    # The verdict weighs what each model leaves of PV; the model itself is fitted in the measure that its disturbance
-    # asks for.
-    if method != "two_step":
-        data, found, bands, linear, steps = settled(data, found, bands, linear, delays, within)
-    stem = None if found is None else stem_of(data, found)
-    if stem is not None and method == "two_step":
-        # It knows nothing of stems that fit as well as the one in which it ended.
-        stem = replace(stem, intervals=Intervals())
-    left = math.inf if stem is None else float(np.mean((record.pv - stem.prediction) ** 2))
-    evidence = Evidence(
-        samples=n,
-        variance=data.variance,
-        # A load step is no stiction: where there is one, both have it.
-        linear=min(rival.sse / n, linear_result(data, linear).residual_variance) if steps else rival.sse / n,
-        stem=left,
-        slips=0 if found is None else found.best.slips,
-        d=math.nan if found is None else found.best.d,
-        gain=0.0 if found is None else found.best.fit.gain,
-        op_range=data.op_range,
-        nothing=fit_nothing(data) / n,
-        wide=min(wide, default=math.inf),
-        two_parameter=coarse[0].fit.sse / n if coarse else math.inf,
-        bands=(coarse[0].S, coarse[0].J) if coarse else (0.0, 0.0),
-        linear_delay=rival.theta / n,
-        tau=0.0 if found is None or data.integrating else found.best.fit.tau / n,
-        d_range=None if stem is None else stem.intervals.d,
-        islands=() if found is None else islands(found),
-        exact=found is None or found.exact,
-        at_limit=found is not None and found.at_limit,
-        method=method,
-        iterations=len(history),
-    )
-    models = compared(data, linear, found, bands)
-    chosen = choose(models, "stenman" if method == "two_step" else valve)
-    verdict, reasons, identifiable = judge(evidence)
-    if chosen in bands and verdict == "stiction":
-        # The range of d is that of another valve than the one chosen.
-        reasons = judge(replace(evidence, d_range=None))[1]
-    fitted: Fitted | None = None if found is None or stem is None else (Stenman(found.best.d), stem.valve_position)
-    leader = next((name for name in models if name in bands), None)
-    if leader is not None and models[leader].bic < models.get("stenman", models[leader]).bic + 1e-9:
-        pair = bands[leader].best
-        fitted = (Choudhury(pair.S, pair.J), band_position(data, pair))
-    verdict, reasons = agree(evidence, verdict, reasons, detect(record, fitted=fitted))
-    identifiable = identifiable and verdict == "stiction"
-    ranged = None
-    if chosen in bands and verdict != "no_stiction":
-        there = within if data.y is within.pv else sought(data, delays, None, within.contested)
-        ranged = repeated(data, bands[chosen], limits, there)
-        ranged = widened(data, ranged, bands[chosen].only, limits)
-    if ranged is not None and ranged.best is not bands[chosen].best:
-        bands = bands | {chosen: replace(bands[chosen], best=ranged.best)}
-        models = compared(data, linear, found, bands)
-    best = bands[chosen].best if chosen in bands else None if found is None else found.best
-    stuck = best is not None and chosen != "linear" and verdict != "no_stiction" and best.fit.gain != 0.0
-    lost = stuck and best is not None and hidden(data, best)
-    if verdict != "no_stiction":
-        reasons += reasons_of(models, chosen, valve, None if lost else ranged)
-    reasons += _manual_said(record)
-    if ranged is not None:
-        stem = band_of(data, ranged, chosen, limits)
-        identifiable = verdict == "stiction" and ranged.best.slips >= ENOUGH_SLIPS
-    others = () if stem is None else stem.parts
-    if stem is not None and lost:
-        stem = replace(stem, intervals=Intervals())
-        reasons += (words_of_hidden(data.doubt),)
-    elif stem is not None and valve == "auto" and method != "two_step" and verdict != "no_stiction":
-        rivals = rivals_of(data, chosen, found, bands, limits)
-        others += tuple(rivals.values())
-        reasons += tuple(words_of_rival(name, ranges, data.integrating) for name, ranges in rivals.items())
-    if not stuck:
-        data, linear, steps = coloured_linear(*line)
-        straight = linear_result(data, linear)
-    profile_d = np.array([] if found is None else [c.d for c in found.fits])
-    profile_cost = np.array([] if found is None else [c.fit.sse / n for c in found.fits])
-    if best is None or stem is None or not stuck:
-        unstuck = Estimate(
-            record=record,
-            method=method,
-            plant=straight.plant,
-            valve=Ideal(),
-            valve_position=record.op.copy(),
-            prediction=straight.prediction,
-            bias=straight.bias,
-            verdict=verdict,
-            reasons=reasons,
-            intervals=linear_intervals(data, linear, line.longest),
-            identifiable=False,
-            residual_variance=straight.residual_variance,
-            aic=straight.aic,
-            noise_sd=math.sqrt(straight.residual_variance),
-            slips=0,
-            linear=straight,
-            profile_d=profile_d,
-            profile_cost=profile_cost,
-            iterations=history,
-            candidates=tuple(models.values()),
-            load_steps=steps,
-        )
-        return Answered(unstuck, linear_path(data, linear), data, ())
-    # Of the prediction itself: where the model's columns are nearly dependent, the normal equations lose digits.
-    sse = float(((record.pv - stem.prediction) ** 2).sum())
-    sticking = Estimate(
-        record=record,
-        method=method,
-        plant=plant_of(data, best.fit.gain, best.fit.tau, best.fit.theta),
-        valve=models[chosen].valve,
-        valve_position=stem.valve_position,
-        prediction=stem.prediction,
-        bias=stem.bias,
-        verdict=verdict,
-        reasons=reasons,
-        intervals=stem.intervals,
-        identifiable=identifiable,
-        residual_variance=sse / n,
-        aic=akaike(data, sse, PLANT_PARAMETERS + VALVE_PARAMETERS[chosen] - data.integrating + len(data.answers)),
-        noise_sd=float(np.sqrt(np.mean((record.pv - stem.prediction)[data.skip :] ** 2))),
-        slips=best.slips,
-        linear=straight,
-        profile_d=profile_d,
-        profile_cost=profile_cost,
-        iterations=history,
-        candidates=tuple(models.values()),
-        load_steps=steps,
-    )
-    paths = [] if found is None else stem_paths(data, found)
-    if ranged is not None:
-        paths = band_paths(data, ranged, chosen)
-    return Answered(sticking, paths, data, others)
 
 
 def _sharp(found: Estimate) -> bool:
@@ -486,11 +266,3 @@ def _sharp(found: Estimate) -> bool:
     least, most = found.intervals.gain or (0.0, math.inf)
     sharp = high - low <= SHARP * found.valve.stick_band
     return sharp and most - least <= WIDEST_GAIN * abs(found.plant.gain)
-
-
-def _manual_said(record: Record) -> tuple[str, ...]:
-    share = 0.0 if record.mode is None else manual_share(record.mode)
-    if record.mode is None or share < MUCH_MANUAL:
-        return ()
-    said = f"the controller was in manual in {share:.0%} of the record ({mode_words(record.mode)})"
-    return (f"{said}: a stretch in automatic alone would show the loop better",)

@@ -1,0 +1,332 @@
+"""A record's answer: all models fitted, the verdict over them, and the one that is told, with its ranges."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import NamedTuple
+
+import numpy as np
+
+from workbench.detect.detect import detect
+from workbench.detect.stem import Fitted
+from workbench.estimate.bands import Bands, Found, Seek, Sought, coarse_of, like_stenman, repeated, sought
+from workbench.estimate.candidates import Candidate
+from workbench.estimate.data import Centred, plant_of
+from workbench.estimate.dense import densely
+from workbench.estimate.few import widened
+from workbench.estimate.fit import LEAST_TAU, Fit, Limits, disturbance, fit_linear, fit_nothing, predict
+from workbench.estimate.hidden import hidden, words_of_hidden
+from workbench.estimate.models import (
+    PLANT_PARAMETERS,
+    VALVE_PARAMETERS,
+    bands_of,
+    choose,
+    compared,
+    reasons_of,
+    words_of_rival,
+)
+from workbench.estimate.paths import band_paths, linear_path, stem_paths
+from workbench.estimate.profile import Profile, islands
+from workbench.estimate.scale import (
+    InScale,
+    band_of,
+    band_position,
+    linear_intervals,
+    linear_result,
+    rivals_of,
+    stem_of,
+)
+from workbench.estimate.settled import coloured_linear, settled
+from workbench.estimate.stems import path_of
+from workbench.estimate.swing import Answered
+from workbench.estimate.two_parameter import Band, look
+from workbench.estimate.two_step import akaike
+from workbench.estimate.verdict import ENOUGH_SLIPS, SHARP, WIDE_D, Evidence, agree, judge
+from workbench.estimate.windows import WHOLE
+from workbench.model.loads import LoadStep
+from workbench.model.record import Record
+from workbench.model.results import Estimate, FittedModel, Intervals, Iteration, LinearFit
+from workbench.model.valve import Choudhury, Ideal, Stenman
+from workbench.record.modes import manual_share, mode_words
+
+__all__ = ["DELAYS", "LINEAR_DELAYS", "Straight", "answer_of", "leaves_noise_alone", "longest_delay"]
+
+# Dead times searched by default, in samples, doubled while the best fit lies at the end.
+DELAYS = 30
+LINEAR_DELAYS = 240
+HALF = 0.5  # of what the linear fit leaves: a stem that leaves no more explains PV by itself
+MUCH_MANUAL = 0.05  # share of the record in manual that is worth a word
+
+
+class Straight(NamedTuple):
+    """The linear fit to a record whose OP is as it explains more of PV; longest: the longest delay, samples."""
+
+    data: Centred
+    fit: Fit
+    longest: float
+
+
+@dataclass(frozen=True, eq=False)
+class _Fits:
+    """All models of a record, in the measure of the disturbance that the best stem leaves, and where they were sought.
+
+    data: without load steps; found: Stenman's profile; bands: two-parameter valves by name; rival: the linear model
+    with dead times as short as the stem's, before `steps`, the load steps, were taken out; wide: what the best stem
+    over much of OP's range leaves, EU^2; coarse: the first stems of the two-parameter search, the best first.
+    """
+
+    data: Centred
+    found: Profile | None
+    bands: dict[str, Found]
+    linear: Fit
+    rival: Fit
+    steps: tuple[LoadStep, ...]
+    wide: float
+    coarse: list[Band]
+    within: Sought
+    limits: Limits
+
+    def best(self, name: str) -> Band | Candidate | None:
+        """The best stem of a valve by its name; of any that is not two-parameter, the profile's."""
+        return self.bands[name].best if name in self.bands else None if self.found is None else self.found.best
+
+    def compared(self) -> dict[str, FittedModel]:
+        """Every model by its name, the lowest BIC first."""
+        return compared(self.data, self.linear, self.found, self.bands)
+
+
+class _Said(NamedTuple):
+    """A verdict, its reasons in words, and whether the stiction is identified."""
+
+    verdict: str
+    reasons: tuple[str, ...]
+    identifiable: bool
+
+
+def longest_delay(data: Centred, max_dead_time: float | None, usual: int) -> float:
+    """Return the longest dead time to search, in samples; never above `max_dead_time`, a quarter of the record."""
+    most = max(data.samples // 4, 1)
+    if max_dead_time is None:
+        return float(min(usual, max(data.samples // 10, 1) if usual == DELAYS else most))
+    return min(max_dead_time / data.sample_time, float(most))
+
+
+def leaves_noise_alone(data: Centred, found: Profile, linear: Fit) -> bool:
+    """Whether a Stenman valve explains all of PV but white noise, of which a valve with more freedom can take nothing.
+
+    Only where it does so by a stem of its own: with slips enough, a sharp d, and much less left than the linear fit's.
+    """
+    best = found.best
+    d = [end for c in found.alike for end in (c.d_low, c.d_high)]
+    if best.slips < ENOUGH_SLIPS or max(d) - min(d) > SHARP * best.d or best.fit.sse > HALF * linear.sse:
+        return False
+    left = data.y - predict(data, path_of(data.u, best.d_low, best.first)[0], best.first, best.fit)[0]
+    return disturbance(left, data.floor).size == 1
+
+
+def answer_of(
+    record: Record,
+    data: Centred,
+    asked: tuple[str, str],
+    found: Profile | None,
+    line: Straight,
+    history: tuple[Iteration, ...],
+) -> Answered[Estimate]:
+    """Return the answer that one search for Stenman's stem leads to.
+
+    asked: method and valve; found: that search, in `data`; line: the linear fit; history: of "two_step".
+    """
+    method, valve = asked
+    linear = line.fit if line.data is data else fit_linear(data, line.longest)
+    fits = _fitted(data, asked, found, linear)
+    stem, models = None if fits.found is None else stem_of(fits.data, fits.found), fits.compared()
+    if stem is not None and method == "two_step":
+        # It knows nothing of stems that fit as well as the one in which it ended.
+        stem = replace(stem, intervals=Intervals())
+    chosen = choose(models, "stenman" if method == "two_step" else valve)
+    said = _judged(record, fits, stem, chosen, models, _evidence(record, fits, stem, method, len(history)))
+    maybe = said.verdict != "no_stiction"
+    ranged = _ranged(fits, chosen) if maybe and chosen in fits.bands else None
+    if ranged is not None:
+        stem = band_of(fits.data, ranged, chosen, fits.limits)
+        said = said._replace(identifiable=said.verdict == "stiction" and ranged.best.slips >= ENOUGH_SLIPS)
+        if ranged.best is not fits.bands[chosen].best:
+            fits = replace(fits, bands=fits.bands | {chosen: replace(fits.bands[chosen], best=ranged.best)})
+            models = fits.compared()
+    best = fits.best(chosen)
+    sticks = maybe and chosen != "linear" and best is not None and best.fit.gain != 0.0
+    lost = sticks and best is not None and hidden(fits.data, best)
+    reasons = said.reasons
+    if maybe:
+        reasons += reasons_of(models, chosen, valve, None if lost else ranged)
+    reasons += _manual_said(record)
+    others = () if stem is None else stem.parts
+    if stem is not None and lost:
+        stem = replace(stem, intervals=Intervals())
+        reasons += (words_of_hidden(fits.data.doubt),)
+    elif stem is not None and valve == "auto" and method != "two_step" and maybe:
+        rivals = rivals_of(fits.data, chosen, fits.found, fits.bands, fits.limits)
+        others += tuple(rivals.values())
+        reasons += tuple(words_of_rival(name, ranges, data.integrating) for name, ranges in rivals.items())
+    said = said._replace(reasons=reasons)
+    if best is None or stem is None or not sticks:
+        data, linear, steps = coloured_linear(*line)
+        fits = replace(fits, steps=steps)
+        answer = _straight_answer(record, method, fits, models, said, linear_result(data, linear), history)
+        ranges = linear_intervals(data, linear, line.longest)
+        return Answered(replace(answer, intervals=ranges, identifiable=False), linear_path(data, linear), data, ())
+    answer = _straight_answer(record, method, fits, models, said, linear_result(data, linear), history)
+    # Of the prediction itself: where the model's columns are nearly dependent, the normal equations lose digits.
+    left = record.pv - stem.prediction
+    sse, data = float((left**2).sum()), fits.data
+    answer = replace(
+        answer,
+        plant=plant_of(data, best.fit.gain, best.fit.tau, best.fit.theta),
+        valve=models[chosen].valve,
+        valve_position=stem.valve_position,
+        prediction=stem.prediction,
+        bias=stem.bias,
+        intervals=stem.intervals,
+        residual_variance=sse / data.samples,
+        aic=akaike(data, sse, PLANT_PARAMETERS + VALVE_PARAMETERS[chosen] - data.integrating + len(data.answers)),
+        noise_sd=float(np.sqrt(np.mean(left[data.skip :] ** 2))),
+        slips=best.slips,
+    )
+    paths = [] if fits.found is None else stem_paths(data, fits.found)
+    if ranged is not None:
+        paths = band_paths(data, ranged, chosen)
+    return Answered(answer, paths, data, others)
+
+
+def _fitted(data: Centred, asked: tuple[str, str], found: Profile | None, linear: Fit) -> _Fits:
+    """Every model fitted; then load steps and the colour of the disturbance together with them."""
+    method, valve = asked
+    n = data.samples
+    # The rival of the verdict is as causal as the stem model: a long dead time passes for half a cycle.
+    delays = found.limits.theta[1] if found is not None else longest_delay(data, None, DELAYS)
+    rival = linear if linear.theta <= delays else fit_linear(data, delays)
+    wide = [] if found is None else [c.fit.sse / n for c in found.fits if c.d >= WIDE_D * data.op_range]
+    other = None if found is None else found.best.fit
+    alone = found is not None and leaves_noise_alone(data, found, rival)
+    seek: Seek = partial(like_stenman, found) if alone else look
+    within = sought(data, delays, other, alone and valve == "auto", seek)
+    coarse = coarse_of(data, within, delays, seek)
+    bands, limits = {}, Limits((LEAST_TAU, float(n)), (0.0, delays))
+    if method != "two_step" and valve not in ("stenman", "linear"):
+        seeds = coarse if alone or n > WHOLE else [*coarse, *like_stenman(found, data, delays)]
+        dense = () if alone else densely(data, coarse, delays)
+        bands = bands_of(data, seeds, within, limits, within.rival(other), beside=dense)
+    steps: tuple[LoadStep, ...] = ()
+    # The verdict weighs what each model leaves of PV; the model itself is fitted in the measure that its disturbance
+    # asks for.
+    if method != "two_step":
+        data, found, bands, linear, steps = settled(data, found, bands, linear, delays, within)
+    return _Fits(data, found, bands, linear, rival, steps, min(wide, default=math.inf), coarse, within, limits)
+
+
+def _evidence(record: Record, fits: _Fits, stem: InScale | None, method: str, iterations: int) -> Evidence:
+    """What the verdict of the fitted models rests on; stem: the profile's."""
+    data, found, coarse, n = fits.data, fits.found, fits.coarse, fits.data.samples
+    linear = fits.rival.sse / n
+    return Evidence(
+        samples=n,
+        variance=data.variance,
+        # A load step is no stiction: where there is one, both have it.
+        linear=min(linear, linear_result(data, fits.linear).residual_variance) if fits.steps else linear,
+        stem=math.inf if stem is None else float(np.mean((record.pv - stem.prediction) ** 2)),
+        slips=0 if found is None else found.best.slips,
+        d=math.nan if found is None else found.best.d,
+        gain=0.0 if found is None else found.best.fit.gain,
+        op_range=data.op_range,
+        nothing=fit_nothing(data) / n,
+        wide=fits.wide,
+        two_parameter=coarse[0].fit.sse / n if coarse else math.inf,
+        bands=(coarse[0].S, coarse[0].J) if coarse else (0.0, 0.0),
+        linear_delay=fits.rival.theta / n,
+        tau=0.0 if found is None or data.integrating else found.best.fit.tau / n,
+        d_range=None if stem is None else stem.intervals.d,
+        islands=() if found is None else islands(found),
+        exact=found is None or found.exact,
+        at_limit=found is not None and found.at_limit,
+        method=method,
+        iterations=iterations,
+    )
+
+
+def _judged(
+    record: Record,
+    fits: _Fits,
+    stem: InScale | None,
+    chosen: str,
+    models: Mapping[str, FittedModel],
+    evidence: Evidence,
+) -> _Said:
+    """The verdict of the fitted models and of detection, which tries the likeliest of the stems found here too."""
+    verdict, reasons, identifiable = judge(evidence)
+    if chosen in fits.bands and verdict == "stiction":
+        # The range of d is that of another valve than the one chosen.
+        reasons = judge(replace(evidence, d_range=None))[1]
+    fitted: Fitted | None = None
+    if fits.found is not None and stem is not None:
+        fitted = (Stenman(fits.found.best.d), stem.valve_position)
+    leader = next((name for name in models if name in fits.bands), None)
+    if leader is not None and models[leader].bic < models.get("stenman", models[leader]).bic + 1e-9:
+        pair = fits.bands[leader].best
+        fitted = (Choudhury(pair.S, pair.J), band_position(fits.data, pair))
+    verdict, reasons = agree(evidence, verdict, reasons, detect(record, fitted=fitted))
+    return _Said(verdict, reasons, identifiable and verdict == "stiction")
+
+
+def _ranged(fits: _Fits, chosen: str) -> Bands:
+    """The two-parameter valve that was chosen, with its ranges, from parts of the record too."""
+    data, within = fits.data, fits.within
+    there = within if data.y is within.pv else sought(data, fits.limits.theta[1], None, within.contested)
+    ranged = repeated(data, fits.bands[chosen], fits.limits, there)
+    return widened(data, ranged, fits.bands[chosen].only, fits.limits)
+
+
+def _straight_answer(
+    record: Record,
+    method: str,
+    fits: _Fits,
+    models: Mapping[str, FittedModel],
+    said: _Said,
+    straight: LinearFit,
+    history: tuple[Iteration, ...],
+) -> Estimate:
+    """The answer whose model is the linear fit, without ranges."""
+    profiled = () if fits.found is None else fits.found.fits
+    return Estimate(
+        record=record,
+        method=method,
+        plant=straight.plant,
+        valve=Ideal(),
+        valve_position=record.op.copy(),
+        prediction=straight.prediction,
+        bias=straight.bias,
+        verdict=said.verdict,
+        reasons=said.reasons,
+        intervals=Intervals(),
+        identifiable=said.identifiable,
+        residual_variance=straight.residual_variance,
+        aic=straight.aic,
+        noise_sd=math.sqrt(straight.residual_variance),
+        slips=0,
+        linear=straight,
+        profile_d=np.array([c.d for c in profiled]),
+        profile_cost=np.array([c.fit.sse / fits.data.samples for c in profiled]),
+        iterations=history,
+        candidates=tuple(models.values()),
+        load_steps=fits.steps,
+    )
+
+
+def _manual_said(record: Record) -> tuple[str, ...]:
+    share = 0.0 if record.mode is None else manual_share(record.mode)
+    if record.mode is None or share < MUCH_MANUAL:
+        return ()
+    said = f"the controller was in manual in {share:.0%} of the record ({mode_words(record.mode)})"
+    return (f"{said}: a stretch in automatic alone would show the loop better",)
