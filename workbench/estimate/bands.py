@@ -15,10 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workbench.estimate.data import Centred
-from workbench.estimate.fit import LEAST_TAU, Fit, Limits, effective_samples, predict
+from workbench.estimate.fit import LEAST_TAU, Fit, Limits, predict
 from workbench.estimate.nearer import CROSSINGS, REACHES, REFITS, SPREADS, closer, nearer, search_short
 from workbench.estimate.path_kernel import J_HIGH, J_LOW, S_HIGH, S_LOW, band_path
 from workbench.estimate.profile import CHI_SQUARE, HALF_SLIPS, Profile
+from workbench.estimate.sureness import effective_samples
 from workbench.estimate.two_parameter import SEEDS, Band, band_stem, best_of, best_start, fit_band, look, started
 from workbench.estimate.windows import EXACT, WHOLE, active_windows
 from workbench.model.record import FloatArray

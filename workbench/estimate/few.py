@@ -17,9 +17,10 @@ from numpy.typing import NDArray
 from workbench.estimate.band_kernel import scan_starts
 from workbench.estimate.bands import Bands
 from workbench.estimate.data import Centred
-from workbench.estimate.fit import Limits, effective_samples
+from workbench.estimate.fit import Limits
 from workbench.estimate.path_kernel import S_HIGH, S_LOW, band_path
 from workbench.estimate.profile import CHI_SQUARE
+from workbench.estimate.sureness import effective_samples
 from workbench.estimate.two_parameter import Band, band_stem, best_of, fit_band, started
 from workbench.estimate.verdict import ENOUGH_SLIPS
 

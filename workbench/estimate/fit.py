@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from workbench.detect.whitening import whitened
 from workbench.estimate import fit_kernel, long_kernel, output_error, path_kernel
 from workbench.estimate.data import WHITE, Centred
 from workbench.estimate.windows import EXACT, stretch_of
@@ -15,13 +14,11 @@ from workbench.model.record import FloatArray
 
 __all__ = [
     "LOUD",
-    "NORMAL",
     "Fit",
     "Limits",
     "again_linear",
     "autoregression",
     "disturbance",
-    "effective_samples",
     "fit_bands",
     "fit_in_stretch",
     "fit_linear",
@@ -31,19 +28,14 @@ __all__ = [
     "fit_stems",
     "grounded",
     "halves_left",
-    "inflation",
     "predict",
-    "score_covariance",
-    "standard_errors",
     "start_range",
-    "sure_samples",
 ]
 
 # Time constants from far below the sample time (a plant that follows at once) up to the record's length.
 LEAST_TAU = 0.05
 # A real valve does not hold exactly; the stem's start may leave its exact range by this share of d.
 START_SLACK = 0.02
-NORMAL = 1.96  # standard deviations: a range of 95 %
 ORDERS = 8  # most of a disturbance's autoregression
 NEAR = 0.02  # of a time constant: how far apart the points of a quadratic about a plant are at first
 FOLLOWED = 2  # linear fits of a stretch of a long record, on all of it
@@ -365,97 +357,6 @@ def grounded(
     return Fit(float(left @ left), fit.tau, fit.theta, fit.gain, bias, start, transient)
 
 
-def inflation(residuals: FloatArray) -> float:
-    """Return by how much autocorrelation inflates the variance of a mean: 1 + 2 sum of the autocorrelation, >= 1.
-
-    Summed over lags while sums of successive pairs stay positive (C. Geyer, "Practical Markov chain Monte Carlo",
-    Statistical Science 7 (1992) 473-483).
-    """
-    n = residuals.size
-    centred = residuals - residuals.mean()
-    power = float(centred @ centred)
-    if power <= 0.0:
-        return 1.0
-    size = 1 << (2 * n - 1).bit_length()
-    acf = np.fft.irfft(np.abs(np.fft.rfft(centred, size)) ** 2, size)[: n // 2] / power
-    pairs = acf[: 2 * (acf.size // 2)].reshape(-1, 2).sum(axis=1)
-    negative = np.flatnonzero(pairs <= 0.0)
-    stop = int(negative[0]) if negative.size else pairs.size
-    return float(np.clip(2.0 * pairs[:stop].sum() - 1.0, 1.0, n / 4.0))
-
-
-def effective_samples(data: Centred, x: FloatArray, first: int, fit: Fit) -> float:
-    """Return how many independent samples what a stem x, shape (N,), from `first` on leaves is worth."""
-    return sure_samples(data, x, first, data.samples / inflation(data.innovations(predict(data, x, first, fit)[0])))
-
-
-def sure_samples(data: Centred, x: FloatArray, first: int, samples: float) -> float:
-    """Return what so many independent samples beside a stem x, shape (N,), from `first` on are worth.
-
-    Where OP is not known exactly a slip may be a sample off, and all that PV answers to it: of the slips, so many count
-    as may be off.
-    """
-    if data.unsure == 0.0:
-        return samples
-    moves = np.diff(x[first:]) != 0.0
-    slips = max(float(np.count_nonzero(moves[1:] & ~moves[:-1])), 1.0)
-    return min(samples, slips / data.unsure)
-
-
-def standard_errors(data: Centred, x: FloatArray, first: int, fit: Fit, clamped: bool) -> tuple[float, float, float]:
-    """Return standard errors of (gain, tau, theta), tau and theta in samples, with the path fixed.
-
-    From the Jacobian of the (filtered) prediction, load steps and the filter included, the larger of the error for
-    white residuals and the one that allows for their autocorrelation. clamped: x0 is held at an end of its range, so
-    that gain and start move together. nan where the data do not say.
-    """
-    base, columns = predict(data, x, first, fit)
-    residuals = data.innovations(base)
-    vectors = [columns[0], columns[1] + fit.start / fit.gain * columns[2] if clamped and fit.gain else columns[1]]
-    names = ["bias", "gain"]
-    for name, step in (("tau", 1e-3 * fit.tau), ("theta", 1e-2)):
-        if name == "tau" and data.integrating:
-            continue
-        up = predict(data, x, first, _moved(fit, name, step))[0]
-        down_step = min(step, getattr(fit, name)) if name == "theta" else step
-        down = predict(data, x, first, _moved(fit, name, -down_step))[0]
-        vectors.append((up - down) / (step + down_step))
-        names.append(name)
-    if not clamped:
-        vectors.append(columns[2])
-    vectors += [columns[3], *data.answers]
-    # The filter was found beside the plant: in closed loop a gain that is off passes for a part of the disturbance.
-    left = data.y - base
-    lagged = [np.concatenate([np.zeros(lag), left[:-lag]]) for lag in range(1, data.a.size)]
-    jacobian = np.vstack([whitened(data.a, np.array(vectors)), *lagged])[:, data.skip :]
-    scale = np.sqrt((jacobian**2).sum(axis=1))
-    kept = scale > 0.0
-    jacobian, scale = jacobian[kept] / scale[kept, None], scale[kept]
-    names = [n for n, k in zip(names, kept.tolist(), strict=False) if k]
-    inverse = np.linalg.pinv(jacobian @ jacobian.T, rcond=1e-12)
-    white = float(residuals @ residuals) / max(residuals.size - len(jacobian), 1) + data.floor
-    spread = np.maximum(np.diag(inverse) * white, np.diag(inverse @ score_covariance(jacobian, residuals) @ inverse))
-    found = {n: math.sqrt(max(float(spread[i]), 0.0)) / float(scale[i]) for i, n in enumerate(names)}
-    return found.get("gain", math.nan), found.get("tau", math.nan), found.get("theta", math.nan)
-
-
-def score_covariance(jacobian: FloatArray, residuals: FloatArray) -> FloatArray:
-    """Return the covariance of the sum of scores, shape (p, p), with a Bartlett window over their autocorrelation.
-
-    W. Newey, K. West, "A simple, positive semi-definite, heteroskedasticity and autocorrelation consistent covariance
-    matrix", Econometrica 55 (1987) 703-708; the window is twice the residuals' own correlation time.
-    """
-    n = residuals.size
-    window = int(np.clip(2.0 * inflation(residuals), 1.0, min(n / 8.0, 400.0)))
-    scores = jacobian * residuals
-    total = scores @ scores.T
-    for lag in range(1, window + 1):
-        part = scores[:, lag:] @ scores[:, :-lag].T
-        total += (1.0 - lag / (window + 1.0)) * (part + part.T)
-    covariance: FloatArray = total * (n / max(n - jacobian.shape[0], 1))
-    return covariance
-
-
 def disturbance(residuals: FloatArray, floor: float) -> FloatArray:
     """Return the filter (1, -a_1, .., -a_p) that leaves a residual white (see `autoregression`)."""
     return autoregression(residuals, floor)[0]
@@ -484,15 +385,3 @@ def autoregression(residuals: FloatArray, floor: float) -> tuple[FloatArray, flo
         if bic < least:
             best, least = a, bic
     return best, least
-
-
-def _moved(fit: Fit, name: str, step: float) -> Fit:
-    return Fit(
-        fit.sse,
-        fit.tau + step if name == "tau" else fit.tau,
-        max(fit.theta + step, 0.0) if name == "theta" else fit.theta,
-        fit.gain,
-        fit.bias,
-        fit.start,
-        fit.transient,
-    )

@@ -15,9 +15,10 @@ import numpy as np
 
 from workbench.estimate.candidates import Candidate
 from workbench.estimate.data import Centred
-from workbench.estimate.fit import disturbance, effective_samples, predict
+from workbench.estimate.fit import disturbance, predict
 from workbench.estimate.profile import CHI_SQUARE
 from workbench.estimate.stems import path_of
+from workbench.estimate.sureness import effective_samples
 from workbench.estimate.two_parameter import Band, band_stem
 from workbench.model.record import FloatArray
 

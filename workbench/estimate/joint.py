@@ -26,8 +26,9 @@ import numpy as np
 from scipy.signal import lfilter
 
 from workbench.estimate.data import Centred
-from workbench.estimate.fit import Fit, Limits, predict, score_covariance, sure_samples
+from workbench.estimate.fit import Fit, Limits, predict
 from workbench.estimate.paths import Path
+from workbench.estimate.sureness import score_covariance, sure_samples
 from workbench.model.record import FloatArray
 from workbench.model.results import SolveStatus
 from workbench.symbolic.loop import held

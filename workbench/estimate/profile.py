@@ -27,9 +27,10 @@ from workbench.estimate.candidates import (
     refitted,
 )
 from workbench.estimate.data import Centred, integers
-from workbench.estimate.fit import LEAST_TAU, Limits, effective_samples, halves_left
+from workbench.estimate.fit import LEAST_TAU, Limits, halves_left
 from workbench.estimate.long_record import scan_long
 from workbench.estimate.stems import COST, FIRST, LOW, path_of, scan, silent
+from workbench.estimate.sureness import effective_samples
 from workbench.estimate.windows import EXACT
 
 __all__ = [

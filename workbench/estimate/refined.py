@@ -10,10 +10,11 @@ import numpy as np
 
 from workbench.errors import InvalidValue, RecordError
 from workbench.estimate.data import Centred, plant_of
-from workbench.estimate.fit import NORMAL, Fit, Limits, grounded, predict, standard_errors
+from workbench.estimate.fit import Fit, Limits, grounded, predict
 from workbench.estimate.models import PLANT_PARAMETERS, VALVE_PARAMETERS
 from workbench.estimate.paths import Path
 from workbench.estimate.scale import bias_of, ranges_of, unsure, wider
+from workbench.estimate.sureness import NORMAL, standard_errors
 from workbench.estimate.two_step import akaike
 from workbench.model.estimation import MOST_IN_PROGRAM, Complementarity, Estimate, Intervals, NoiseModel
 from workbench.model.record import FloatArray, Record

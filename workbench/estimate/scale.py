@@ -12,21 +12,12 @@ from workbench.estimate.bands import Bands, Found, alike
 from workbench.estimate.candidates import Candidate
 from workbench.estimate.data import Centred, plant_of
 from workbench.estimate.few import widened
-from workbench.estimate.fit import (
-    LEAST_TAU,
-    NORMAL,
-    Fit,
-    Limits,
-    effective_samples,
-    grounded,
-    predict,
-    standard_errors,
-    start_range,
-)
+from workbench.estimate.fit import LEAST_TAU, Fit, Limits, grounded, predict, start_range
 from workbench.estimate.models import PLANT_PARAMETERS
 from workbench.estimate.output_error import NO_DELAY
 from workbench.estimate.profile import CHI_SQUARE, Profile
 from workbench.estimate.stems import path_of
+from workbench.estimate.sureness import NORMAL, effective_samples, standard_errors
 from workbench.estimate.two_parameter import Band, band_stem, held_range
 from workbench.estimate.two_step import akaike
 from workbench.estimate.verdict import ENOUGH_SLIPS
