@@ -7,8 +7,9 @@ noise of 2 to 20 % of the disturbance's effect. Healthy classes: noise alone; fa
 tuning; setpoint steps; a nonlinear gain (the static square law that the PV of an orifice without a square root has);
 one to three load steps.
 Sticky ones: every valve type, the load a slow drift of up to a quarter of the stick band; those whose stem set off less
-than ten times in the record are counted by themselves: nothing tells them from a healthy loop at rest. Each threshold
-is then moved by a fifth down and up on the same records.
+than ten times in the record are counted by themselves: nothing tells them from a healthy loop at rest. Labelled records
+are looked at whole, and cut, thinned, noisier and rounded. Each threshold is then moved by a fifth down and up on the
+same records.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ import argparse
 import csv
 import math
 from collections import Counter
+from collections.abc import Iterator
 from dataclasses import fields, replace
 from pathlib import Path
 
@@ -134,6 +136,41 @@ def random_record(kind: str, level: bool, seed: int) -> tuple[wb.Record, int]:
     return wb.Record(pv + 50.0, run.op + 50.0, 1.0, sp=run.sp + 50.0), moves
 
 
+def changed(record: wb.Record) -> Iterator[tuple[str, wb.Record]]:
+    """A record cut, thinned, turned, without its setpoint, noisier, rounded: what is true of it mostly stays true."""
+
+    def part(begin: float, end: float, step: int = 1) -> wb.Record:
+        at = slice(int(begin * len(record)), int(end * len(record)), step)
+        sp = None if record.sp is None else record.sp[at]
+        return wb.Record(record.pv[at], record.op[at], record.sample_time * step, sp=sp)
+
+    whole = part(0.0, 1.0)
+    for begin, end in ((0.0, 0.5), (0.25, 0.75), (0.5, 1.0), (0.0, 0.7), (0.3, 1.0)):
+        yield f"{begin:.0%} to {end:.0%}", part(begin, end)
+    yield "every second sample", part(0.0, 1.0, 2)
+    yield "turned over", replace(whole, pv=-whole.pv, sp=None if whole.sp is None else -whole.sp)
+    yield "without setpoint", replace(whole, sp=None)
+    noise = np.random.default_rng(1).normal(size=len(record)) * 0.5 * np.std(np.diff(record.pv))
+    yield "noise of half its steps", replace(whole, pv=whole.pv + noise)
+    for share in (0.01, 0.05):
+        quantum = share * np.ptp(record.pv)
+        yield f"PV in steps of {share:.0%} of its range", replace(whole, pv=np.round(whole.pv / quantum) * quantum)
+    yield "OP in steps of 0.1", replace(whole, op=np.round(whole.op, 1))
+
+
+def tell_changed(rows: list[tuple[str, wb.Record]]) -> None:
+    """Print the verdicts on all changed records by label; rows: label and record."""
+    verdicts: dict[tuple[str, str], Counter[str]] = {}
+    for label, record in rows:
+        for name, other in changed(record):
+            verdicts.setdefault((label, name), Counter())[wb.detect(other).verdict] += 1
+    for label in sorted({label for label, _ in verdicts}):
+        mine = {name: counts for (one, name), counts in verdicts.items() if one == label}
+        for name, counts in mine.items():
+            print(f"{label}, {name}: {dict(counts)}")
+        print(f"{label}, all: {dict(sum(mine.values(), Counter()))}", flush=True)
+
+
 def main() -> None:
     """Print the rates by class, and what each threshold does to them."""
     parser = argparse.ArgumentParser()
@@ -153,10 +190,14 @@ def main() -> None:
             told = f", hardly moving {dict(Counter(found.verdict for found in seldom))}" if seldom else ""
             print(told, flush=True)
     labels: dict[str, list[str]] = {}
+    read: list[tuple[str, wb.Record]] = []
     for folder in given.records:
         rows = list(csv.DictReader((folder / "labels.csv").open(encoding="utf-8")))
-        groups[str(folder)] = [wb.detect(wb.read_record(folder / row["file"])) for row in rows]
         labels[str(folder)] = [row["label"] for row in rows]
+        records = [wb.read_record(folder / row["file"]) for row in rows]
+        groups[str(folder)] = [wb.detect(record) for record in records]
+        read += zip(labels[str(folder)], records, strict=True)
+    tell_changed(read)
     plain = Thresholds()
     trials = [("as they are", plain)]
     for field in fields(plain):
