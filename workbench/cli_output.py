@@ -18,7 +18,7 @@ from workbench.model.results import Complementarity, Estimate, NoiseModel, Repea
 from workbench.model.study import NamedEstimate, Study
 from workbench.model.valve import Ideal, Stenman
 from workbench.report.content import controller_content
-from workbench.report.estimates import unpinned
+from workbench.report.estimates import load_words, unpinned
 from workbench.report.figures import estimate_figure, svg_file
 from workbench.report.files import write_files
 from workbench.report.results import results_content, strict
@@ -54,17 +54,8 @@ def estimate_lines(found: Estimate) -> list[str]:
         f"Stem       {found.slips} moves, {figure(float(stem.min()))} to {figure(float(stem.max()))} %; "
         f"PV is met within {figure(found.noise_sd, 3)} EU (standard deviation)"
     )
-    for i, step in enumerate(found.load_steps):
-        sign = "+" if step.size > 0.0 else ""
-        size = f"{sign}{figure(step.size, 3)} % of OP (95 %: {interval(step.interval, '%', 3)}), nobody recorded it"
-        lines.append(f"{'' if i else 'Load':<10} from {given(step.at, 6)} s on {size}")
-    if found.load_swing is not None:
-        swing = found.load_swing
-        title = "" if found.load_steps else "Load"
-        lines.append(
-            f"{title:<10} swings by {figure(swing.size, 3)} % of OP to either side with a period of "
-            f"{figure(swing.period, 3)} s, nobody recorded it"
-        )
+    for i, load in enumerate(load_words(found)):
+        lines.append(f"{'' if i else 'Load':<10} {load}, nobody recorded it")
     if found.noise_model is not None:
         lines.append(f"Noise      {_noise_words(found.noise_model)}")
     if found.complementarity is not None:

@@ -9,6 +9,9 @@ import workbench as wb
 from workbench.cli_output import estimate_lines
 from workbench.estimate.estimate import linear_loop
 from workbench.model.results import Estimate
+from workbench.model.study import NamedEstimate
+from workbench.report.estimates import estimate_advice, estimate_sentences
+from workbench.report.words import figure
 
 LOOP = wb.Loop(wb.FOPDT(1.5, 12.0, 3.0), wb.Stenman(2.0), wb.PID(Kc=0.8, Ti=14.0), 1.0)
 N = 1000
@@ -39,7 +42,11 @@ def test_the_gain_is_found_beside_an_oscillation_from_outside(period: float) -> 
     assert found.load_swing is not None
     assert found.load_swing.period == pytest.approx(period, rel=0.01)
     assert found.load_swing.size == pytest.approx(1.0, rel=0.03)
-    assert any(f"swings by {found.load_swing.size:.3g}" in line for line in estimate_lines(found))
+    (load,) = (line for line in estimate_lines(found) if line.startswith("Load"))
+    assert f"an oscillation of {figure(found.load_swing.size, 3)} % of OP" in load
+    named = NamedEstimate("FIC1", found)
+    assert any(load.removeprefix("Load").split(",")[0].strip() in said for said in estimate_sentences(named))
+    assert "look outside the loop" in estimate_advice(named)[-1]
 
 
 def test_a_healthy_loops_plant_is_found_beside_it_and_by_itself_too() -> None:

@@ -14,7 +14,17 @@ from workbench.model.titles import kpi_title, within
 from workbench.model.valve import Choudhury, Deadband, He, Ideal, Kano, Stenman, Valve
 from workbench.report.results import aic
 from workbench.report.tables import Cell, Row, Table
-from workbench.report.words import decimals_of, difference, figure, given, interval, join, published, valve_words
+from workbench.report.words import (
+    decimals_of,
+    difference,
+    duration,
+    figure,
+    given,
+    interval,
+    join,
+    published,
+    valve_words,
+)
 
 __all__ = [
     "candidates_table",
@@ -26,6 +36,7 @@ __all__ = [
     "known_groups",
     "known_sentences",
     "least_step",
+    "load_words",
     "plant_doubt",
     "stiction_words",
     "tuning_doubts",
@@ -78,7 +89,25 @@ def estimate_sentences(named: NamedEstimate, *, linear: bool = True) -> list[str
                 f"{figure(plain.plant.gain)} EU/%, time constant {figure(plain.plant.time_constant)} s and "
                 f"dead time {figure(plain.plant.dead_time)} s."
             )
+    sentences += [
+        f"{name}: beside the valve PV holds a load that nobody recorded: {load}." for load in load_words(found)
+    ]
     return sentences
+
+
+def load_words(found: Estimate) -> list[str]:
+    """Return in words what loads, of which the record tells nothing but PV, were found beside the model."""
+    words = []
+    for step in found.load_steps:
+        size = f"{'+' if step.size > 0.0 else ''}{figure(step.size, 3)} % of OP"
+        words.append(f"from {given(step.at, 6)} s on {size} (95 %: {interval(step.interval, '%', 3)})")
+    if found.load_swing is not None:
+        swing = found.load_swing
+        words.append(
+            f"an oscillation of {figure(swing.size, 3)} % of OP to either side, with a period of "
+            f"{duration(swing.period)}"
+        )
+    return words
 
 
 def unpinned(found: Estimate) -> str:
@@ -235,15 +264,24 @@ def estimate_advice(named: NamedEstimate) -> list[str]:
     found = named.found
     if named.truth is not None:
         return []
+    swings = []
+    if found.load_swing is not None:
+        swings.append(
+            f"{named.name}: look outside the loop for what oscillates with a period of "
+            f"{duration(found.load_swing.period)}, and drives it: another loop, or what feeds this one."
+        )
     if found.verdict == "stiction":
         text = f"{named.name}: have the valve looked at (packing, actuator, positioner)."
         if step := least_step(found):
             text += f" As long as it sticks each slip moves PV by {step[1]} or more in the end, whatever the tuning."
-        return [text]
+        return [text, *swings]
     if found.verdict == "no_stiction":
+        if swings:
+            return swings
         return [f"{named.name}: if the loop oscillates, look for another cause: tight tuning, or a disturbance."]
     return [
-        f"{named.name}: before acting, take a longer record, with a setpoint change of several per cent of OP in it."
+        *swings,
+        f"{named.name}: before acting, take a longer record, with a setpoint change of several per cent of OP in it.",
     ]
 
 
