@@ -89,9 +89,9 @@ def estimate_sentences(named: NamedEstimate, *, linear: bool = True) -> list[str
                 f"{figure(plain.plant.gain)} EU/%, time constant {figure(plain.plant.time_constant)} s and "
                 f"dead time {figure(plain.plant.dead_time)} s."
             )
-    sentences += [
-        f"{name}: beside the valve PV holds a load that nobody recorded: {load}." for load in load_words(found)
-    ]
+    # An undecided record gives no number to rely on.
+    loads = [] if found.verdict == "undecided" else load_words(found)
+    sentences += [f"{name}: beside the valve PV holds a load that nobody recorded: {load}." for load in loads]
     return sentences
 
 
