@@ -59,6 +59,11 @@ def test_the_stem_test_is_judged_by_the_thresholds_of_the_verdict(sticky: Detect
     assert rows["Stem test, prediction"].says == "enough for stiction"
     assert rows["Stem test, likelihood"].says == "too little for stiction"
     assert f"{LIMITS.likelihood:g}" in rows["Stem test, likelihood"].limits
+    assert rows["Stem test, two rivals"].says == "enough for stiction"
+    # Both rivals speak for a stem, and simulated PV against all: the verdict does not find stiction by that.
+    worse = table(replace(sticky, test=replace(at, simulated=-0.01)))
+    assert worse["Stem test, two rivals"].says == "too little for stiction"
+    assert f"by prediction alone {LIMITS.sole:g}" in worse["Stem test, load steps"].limits
 
 
 @pytest.mark.parametrize(

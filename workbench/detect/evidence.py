@@ -50,7 +50,7 @@ def _says(value: float, none: float, some: float, why: str) -> str:
 
 def _stem_test(found: Detection) -> Iterator[Statistic]:
     test, limits = found.test, Thresholds()
-    alone, both, three = "by itself", "these two together", "these four together"
+    alone, both, three = "and a stem that makes simulated PV no worse", "these two together", "these four together"
     nan = math.nan
     rows = (
         (
@@ -112,7 +112,8 @@ def _stem_test(found: Detection) -> Iterator[Statistic]:
     )
     for name, measures, unit, value, least, route in rows:
         needed = f"stiction needs {least:g}{' %' if unit else ''} or more, {route}"
-        says = "enough for stiction" if value >= least else "too little for stiction"
+        enough = value >= least and (route != alone or test is None or test.simulated >= 0.0)
+        says = "enough for stiction" if enough else "too little for stiction"
         says = _undefined(STILL) if math.isnan(value) else says
         yield Statistic(name, measures, "", value, unit, needed, says, decides=True)
     yield Statistic(
@@ -121,7 +122,7 @@ def _stem_test(found: Detection) -> Iterator[Statistic]:
         "",
         nan if test is None else test.loaded,
         "",
-        f"stiction needs {limits.chance:g} or more",
+        f"stiction needs {limits.chance:g} or more, by prediction alone {limits.sole:g}",
         _undefined(STILL)
         if test is None
         else "the linear loop does as well"
