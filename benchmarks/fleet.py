@@ -137,9 +137,8 @@ def kill(sources: Sources, folder: Path) -> None:
         shutil.rmtree(out, ignore_errors=True)
 
     def command(out: Path, *more: str) -> list[str]:
-        code = "import sys; sys.argv[0] = 'workbench'; from workbench.cli import main; main()"
         given = ["fleet", str(folder), "--out", str(out), "--workers", "2", *patterns, *more]
-        return [sys.executable, "-c", code, *given]
+        return [sys.executable, "-m", "workbench", *given]
 
     begin = time.perf_counter()
     subprocess.run(command(outs["whole"]), check=True, stdout=subprocess.DEVNULL)

@@ -21,7 +21,7 @@ from typing import Any
 from playwright.sync_api import sync_playwright
 
 ROOT = Path(__file__).parents[1]
-COMMAND = [sys.executable, "-c", "from workbench.cli import main; main()", "ui", "--no-browser", "--port", "0"]
+COMMAND = [sys.executable, "-m", "workbench", "ui", "--no-browser", "--port", "0"]
 PATH = "loop.controller.Kc"
 MOVES = """async ([path, moves]) => {
   const slider = document.querySelector(`[data-slider="${path}"]`);

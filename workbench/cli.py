@@ -10,20 +10,15 @@ import sys
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-try:
-    from dataclasses import dataclass
+import typer
 
-    import typer
-
-    from workbench import __version__, cli_compare, cli_fleet, cli_ui
-    from workbench.cli_input import Reading, quantity, read_data, scenario_of, span
-    from workbench.errors import InvalidValue, OutputError, ScenarioError, WorkbenchError
-except KeyboardInterrupt:  # while the command starts
-    sys.stderr.write("workbench: interrupted\n")
-    sys.exit(130)
+from workbench import __version__, cli_compare, cli_fleet, cli_ui
+from workbench.cli_input import Reading, quantity, read_data, scenario_of, span
+from workbench.errors import InvalidValue, OutputError, ScenarioError, WorkbenchError
 
 if TYPE_CHECKING:
     from workbench.model.results import Estimate
@@ -50,11 +45,11 @@ Progress = Callable[[str, float], None]
 
 def main() -> None:
     """Run the command: exit code 0, 1 for a solve that failed, 2 for bad input, 130 when interrupted."""
-    for stream in (sys.stdout, sys.stderr):
-        if isinstance(stream, io.TextIOWrapper):
-            stream.reconfigure(errors="replace")
-    gc.set_threshold(20_000, 50, 50)  # what a command makes lasts to its end: looking for garbage took 0.4 s of table_2
     try:
+        for stream in (sys.stdout, sys.stderr):
+            if isinstance(stream, io.TextIOWrapper):
+                stream.reconfigure(errors="replace")
+        gc.set_threshold(20_000, 50, 50)  # what a command makes lasts to its end: collecting took 0.4 s of table_2
         app()
     except KeyboardInterrupt:
         code = INTERRUPTED

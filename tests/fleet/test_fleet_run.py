@@ -80,10 +80,9 @@ def test_one_worker_gives_the_same_as_two(site: Path, whole: Path, tmp_path: Pat
 
 
 def started(site: Path, out: Path, *more: str) -> subprocess.Popen[bytes]:
-    command = [sys.executable, "-m", "workbench.cli", "fleet", str(site), "--out", str(out), "--workers", "2", *more]
+    command = [sys.executable, "-m", "workbench", "fleet", str(site), "--out", str(out), "--workers", "2", *more]
     environment = os.environ | {"PYTHONPATH": str(Path(workbench.__file__).parents[1])}
-    code = "import sys; from workbench.cli import main; sys.argv[0] = 'workbench'; main()"
-    return subprocess.Popen([sys.executable, "-c", code, *command[3:]], env=environment, stdout=-1, stderr=-1)
+    return subprocess.Popen(command, env=environment, stdout=-1, stderr=-1)
 
 
 def test_a_run_that_is_killed_goes_on(site: Path, whole: Path, tmp_path: Path) -> None:

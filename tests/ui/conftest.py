@@ -13,7 +13,6 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[2]
-COMMAND = "from workbench.cli import main; main()"
 
 
 class Served:
@@ -23,7 +22,7 @@ class Served:
         environment = os.environ | {
             "PYTHONPATH": os.pathsep.join([str(ROOT), *filter(None, [os.environ.get("PYTHONPATH")])])
         }
-        command = [sys.executable, "-c", COMMAND, "ui", *arguments, "--no-browser", "--port", "0"]
+        command = [sys.executable, "-m", "workbench", "ui", *arguments, "--no-browser", "--port", "0"]
         self.process = subprocess.Popen(
             command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, env=environment, cwd=ROOT
         )
