@@ -8,8 +8,8 @@ tuning; setpoint steps; a nonlinear gain (the static square law that the PV of a
 one to three load steps.
 Sticky ones: every valve type, the load a slow drift of up to a quarter of the stick band; those whose stem set off less
 than ten times in the record are counted by themselves: nothing tells them from a healthy loop at rest. Labelled records
-are looked at whole, and cut, thinned, noisier and rounded. Each threshold is then moved by a fifth down and up on the
-same records.
+are looked at whole, and cut, thinned, late, noisier and rounded. Each threshold is then moved by a fifth down and up on
+the same records.
 """
 
 from __future__ import annotations
@@ -137,7 +137,7 @@ def random_record(kind: str, level: bool, seed: int) -> tuple[wb.Record, int]:
 
 
 def changed(record: wb.Record) -> Iterator[tuple[str, wb.Record]]:
-    """A record cut, thinned, turned, without its setpoint, noisier, rounded: what is true of it mostly stays true."""
+    """A record cut, thinned, late, turned, without setpoint, noisier, rounded: what is true of it mostly stays true."""
 
     def part(begin: float, end: float, step: int = 1) -> wb.Record:
         at = slice(int(begin * len(record)), int(end * len(record)), step)
@@ -148,6 +148,9 @@ def changed(record: wb.Record) -> Iterator[tuple[str, wb.Record]]:
     for begin, end in ((0.0, 0.5), (0.25, 0.75), (0.5, 1.0), (0.0, 0.7), (0.3, 1.0)):
         yield f"{begin:.0%} to {end:.0%}", part(begin, end)
     yield "every second sample", part(0.0, 1.0, 2)
+    last = len(record) - 2
+    sp = None if record.sp is None else record.sp[2:]
+    yield "PV two samples late", wb.Record(record.pv[:last], record.op[2:], record.sample_time, sp=sp)
     yield "turned over", replace(whole, pv=-whole.pv, sp=None if whole.sp is None else -whole.sp)
     yield "without setpoint", replace(whole, sp=None)
     noise = np.random.default_rng(1).normal(size=len(record)) * 0.5 * np.std(np.diff(record.pv))

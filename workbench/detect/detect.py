@@ -11,10 +11,11 @@ import numpy as np
 from workbench.detect.action import control_error, feedback, gain_sign
 from workbench.detect.answer import answer_of
 from workbench.detect.bicoherence import bicoherence_of, ellipse_of
-from workbench.detect.causes import constant, dead_signal, other_causes, refuse_unusable, steady_stretches
+from workbench.detect.causes import constant, dead_signal, other_causes, steady_stretches
 from workbench.detect.correlation import cross_correlation, histogram_fit
 from workbench.detect.direct import stem_evidence
 from workbench.detect.evidence import statistics_of
+from workbench.detect.late import as_seen, later, words_of_late
 from workbench.detect.load import DETECTIONS, load_index
 from workbench.detect.oscillation import no_period, oscillation_of
 from workbench.detect.shape import movement_index, triangle_index
@@ -30,6 +31,10 @@ __all__ = ["detect"]
 ACTS = 0.05  # share of OP's moves that the error must explain for a controller to be seen
 SETTLING = 3  # the part of a stretch at constant SP, one in so many, that is left out at its start
 LEAST_BETWEEN = 100  # samples
+PERHAPS_LATE = (
+    "OP answers PV better some samples ahead than up to now: PV may be recorded later than the controller saw it, and "
+    "a valve that sticks then looks like one that does not; records whose times agree would tell"
+)
 PATTERN = 20  # parts of a period over which moves are coded
 
 
@@ -38,15 +43,30 @@ def detect(record: Record, *, bicoherence: bool = False, fitted: Fitted | None =
 
     bicoherence: also the bicoherence of SP - PV with its indices and the ellipse of PV against OP, which want long
     records. fitted: a valve (Stenman, Choudhury or Deadband) and its stem (%, shape (N,)) from a model of the loop,
-    which the stem test tries beside its own. Raises `RecordError` for fewer than 30 samples or values that no plant
+    which the stem test tries beside its own. A PV that is recorded later than the controller saw it is looked at as
+    that did (`pv_late`). Raises `RecordError` for fewer than 30 samples or values that no plant
     has, and `InvalidValue` for anything that is not a record, or for a valve or a stem that cannot be tried.
     """
     if not isinstance(record, Record):
         raise InvalidValue("detect.record", type(record).__name__, "must be a Record (see read_record)")
-    refuse_unusable(record, "detect stiction")
     if fitted is not None:
         instance(fitted[0], FITTED, "detect.fitted[0]", "a Stenman, Choudhury or Deadband valve")
         fitted = fitted[0], signal_of(fitted[1], "detect.fitted[1]", len(record))
+    seen, late = as_seen(record, "detect stiction")
+    if late.samples == 0:
+        found = _detected(record, bicoherence, fitted)
+        if not late.perhaps or found.verdict != "no_stiction" or found.stem is not None:
+            return found
+        return replace(found, verdict="undecided", reasons=(PERHAPS_LATE, *found.reasons))
+    if fitted is not None:
+        fitted = fitted[0], later(fitted[1], late.samples)
+    found = _detected(seen, bicoherence, fitted)
+    said = words_of_late(record, late)
+    return replace(found, record=record, reasons=found.reasons + said, pv_late=late.samples * record.sample_time)
+
+
+def _detected(record: Record, bicoherence: bool, fitted: Fitted | None) -> Detection:
+    """The evidence in a record whose PV is not late."""
     dead = dead_signal(record)
     whole = oscillation_of(record.pv, record.sample_time)
     nothing = (math.nan, math.nan)

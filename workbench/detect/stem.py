@@ -41,7 +41,9 @@ Fitted = tuple[Stenman | Choudhury | Deadband, FloatArray]
 WIDTHS = np.geomspace(0.03, 0.95, 70).tolist()  # d
 BANDS = np.geomspace(0.04, 0.97, 48).tolist()  # S
 JUMPS = (0.0, 0.3, 0.9, 1.4)  # J/S
-STARTS = (-0.8, 0.0, 0.8)  # where the stem may rest at the start: OP less stem, as a share of what holds it
+# Where the stem may rest at the start: OP less stem, as a share of what holds it. A start that is wrong puts slips in
+# wrong places until OP makes a move that is large beside the band: of narrow ones a few are enough.
+STARTS = (-0.9, -0.6, -0.3, 0.0, 0.3, 0.6, 0.9)
 WIDE = 0.25  # of OP's range: a band that matters to the loop, one of CLASSES
 CLOSER = (0.06, 0.03, 0.012, 0.005)  # widths are searched on by up to twice these shares
 BAND, JUMP, REST = range(3)  # columns of `Laws`
@@ -170,7 +172,9 @@ class Laws:
 
 def laws_of(width: float) -> tuple[Laws, Laws]:
     """Return the grid of valves for an OP that moves over `width` (%)."""
-    stenman = [(w * width, w * width, s * w * width) for w in WIDTHS for s in STARTS]
+    stenman = [
+        (w * width, w * width, s * w * width) for w in WIDTHS for s in (STARTS if w > CLASSES[0] else STARTS[::3])
+    ]
     choudhury = [(b * width, j * b * width, 0.0) for b in BANDS for j in JUMPS]
     return Laws(True, np.array(stenman)), Laws(False, np.array(choudhury))
 
@@ -326,7 +330,7 @@ class _Search:
         width = float(np.ptp(self.u))
         grid = laws_of(width)
         limits = np.array(CLASSES) * width
-        classes = np.digitize(np.concatenate([laws.rows[:, BAND] for laws in grid]), limits)
+        classes = [np.digitize(laws.rows[:, BAND], limits) for laws in grid]
         coarse = np.geomspace(SHORTEST, LONGEST * self.rivals.n, COARSE_TAUS)
         found: list[_Candidate] = []
 
@@ -334,18 +338,17 @@ class _Search:
         # the noise of the best so far. Wide and narrow stems are looked at apart: neither is to crowd out the other.
         for start in (self.linear.a, self.white, None):
             a = max(found, key=lambda c: c.innovations).fit.a if start is None else start
-            costs = np.concatenate([self.rivals.least(self.u, laws, a, coarse) for laws in grid])
+            costs = [self.rivals.least(self.u, laws, a, coarse) for laws in grid]
             for part in range(len(CLASSES) + 1):
-                i = _best(np.where(classes == part, costs, math.inf), 1)[0]
-                first = len(grid[0].rows)
-                law = grid[0].law(i) if i < first else grid[1].law(i - first)
-                found.append(self.judged(law, law.path(self.u), a))
-        kinds = np.digitize([c.law.band for c in found], limits)
-        leaders = [
-            max((c for c, kind in zip(found, kinds, strict=True) if kind == part), key=lambda c: c.innovations)
-            for part in range(len(CLASSES) + 1)
-        ]
-        return found + [self.closer(c) for c in leaders]
+                there = [np.where(c == part, cost, math.inf) for c, cost in zip(classes, costs, strict=True)]
+                # Of both kinds of valve in the end: which of them comes nearer is not known yet.
+                for kind in sorted((0, 1), key=lambda k: there[k].min())[: 1 if start is not None else 2]:
+                    law = grid[kind].law(_best(there[kind], 1)[0])
+                    found.append(self.judged(law, law.path(self.u), a))
+        leaders: list[dict[type, _Candidate]] = [{} for _ in range(len(CLASSES) + 1)]
+        for c in sorted(found, key=lambda c: c.innovations):
+            leaders[np.digitize(c.law.band, limits)][type(c.law.valve)] = c
+        return found + [self.closer(list(rivals.values())) for rivals in leaders]
 
     def over_load_steps(self, best: _Candidate, moves: int, free: NDArray[np.bool_]) -> float:
         """Return a stem's log likelihood ratio over the linear rival under at most half as many load steps as FEW."""
@@ -359,20 +362,28 @@ class _Search:
     def told(self, fitted: Fitted) -> list[_Candidate]:
         """Return a model's valve judged, and the best found about it."""
         judged = [self.judged(Law(fitted[0], 0.0), fitted[1], a) for a in (self.white, self.linear.a)]
-        return [*judged, self.closer(max(judged, key=lambda c: c.innovations))]
+        return [*judged, self.closer([max(judged, key=lambda c: c.innovations)])]
 
-    def closer(self, best: _Candidate) -> _Candidate:
-        """Return the best about a candidate, closer and closer: a stem a little off slips at other times."""
-        for spread in CLOSER:
-            laws = best.law.about(spread)
-            taus = best.fit.tau * np.array([0.85, 1.0, 1.18])
-            costs = self.rivals.least(self.u, laws, best.fit.a, taus)
-            first, *others = _best(costs, 2)
-            # Wide stems that differ little make the same moves: where the costs are equal it is the same stem.
-            near = [laws.law(i) for i in (first, *others) if i == first or costs[i] > costs[first]]
-            judged = [self.judged(law, law.path(self.u), best.fit.a, taus) for law in near]
-            best = max([best, *judged], key=lambda c: c.innovations)
+    def closer(self, leaders: list[_Candidate]) -> _Candidate:
+        """Return the best about some candidates, closer and closer: a stem a little off slips at other times.
+
+        Only the one goes on about which the first, the widest look finds the best.
+        """
+        best = max((self._about(c, CLOSER[0]) for c in leaders), key=lambda c: c.innovations)
+        for spread in CLOSER[1:]:
+            best = self._about(best, spread)
         return self.judged(best.law, best.path, best.fit.a)
+
+    def _about(self, best: _Candidate, spread: float) -> _Candidate:
+        """Return the best of a candidate and the laws about it."""
+        laws = best.law.about(spread)
+        taus = best.fit.tau * np.array([0.85, 1.0, 1.18])
+        costs = self.rivals.least(self.u, laws, best.fit.a, taus)
+        first, *others = _best(costs, 2)
+        # Wide stems that differ little make the same moves: where the costs are equal it is the same stem.
+        near = [laws.law(i) for i in (first, *others) if i == first or costs[i] > costs[first]]
+        judged = [self.judged(law, law.path(self.u), best.fit.a, taus) for law in near]
+        return max([best, *judged], key=lambda c: c.innovations)
 
 
 def _stretch(

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workbench.detect.action import gain_sign
-from workbench.detect.causes import constant, refuse_unusable
+from workbench.detect.causes import constant
 from workbench.detect.whitening import whitened
 from workbench.errors import RecordError
 from workbench.estimate.output_error import NO_DELAY
@@ -159,9 +159,8 @@ def centre(record: Record, plant: str, sent: bool = False) -> Centred:
 
     sent: the valve got OP in the steps in which it is recorded; else these are the historian's (see `resolved`).
 
-    Raises `RecordError` where nothing can be estimated: too few samples, or PV or OP that never moves.
+    Raises `RecordError` where nothing can be estimated: PV or OP never moves.
     """
-    refuse_unusable(record, "estimate a loop")
     where, n = record.source or "record", len(record)
     for name, signal in (("PV", record.pv), ("OP", record.op)):
         if constant(signal):

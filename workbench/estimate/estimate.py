@@ -7,6 +7,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import reduce
 
+from workbench.detect.late import as_seen, earlier, words_of_late
 from workbench.errors import InvalidValue
 from workbench.estimate.answer import DELAYS, LINEAR_DELAYS, Straight, answer_of, longest_delay
 from workbench.estimate.data import WHITE, Centred, centre
@@ -80,6 +81,7 @@ def estimate(
     limit, or the record tells nothing, a range is open (see `Intervals`). A sticking valve by "two_step" has no ranges:
     it does not look for others that fit as well. An oscillation from outside the loop, a sinusoid that is a quarter or
     more of what the model leaves, is fitted beside the model (`load_swing`; 10,000 samples at most; not by "two_step").
+    A PV that is recorded later than the controller saw it is looked at as that did (`pv_late`).
     identifiable is True where the verdict is "stiction", no range is open, that hull is at most a tenth of d wide and
     gain's at most half of the gain. Raises `RecordError` for a record that holds no information (too short, PV or OP
     constant, values that no plant has) or is too long for the method, and `InvalidValue` for arguments that are not
@@ -100,9 +102,20 @@ def estimate(
         refuse_complementarity(record, valve)
         valve = "stenman"
     tell = silent if progress is None else _rising(progress)
+    seen, late = as_seen(record, "estimate a loop")
     if plant == "auto":
-        return _better_plant(record, (method, valve), start, max_dead_time, tell)
-    return _with_plant(record, plant, (method, valve), start, max_dead_time, tell)[0]
+        answer = _better_plant(seen, (method, valve), start, max_dead_time, tell)
+    else:
+        answer = _with_plant(seen, plant, (method, valve), start, max_dead_time, tell)[0]
+    if late.samples == 0:
+        return answer
+    return replace(
+        answer,
+        record=record,
+        valve_position=earlier(answer.valve_position, late.samples),
+        reasons=answer.reasons + words_of_late(record, late),
+        pv_late=late.samples * record.sample_time,
+    )
 
 
 def _with_plant(
@@ -172,6 +185,7 @@ def linear_loop(record: Record, plant: str = "fopdt") -> LinearFit:
     It is the model that `estimate` gives such a loop, without the search for stiction. Raises as that does.
     """
     choice(plant, "linear_loop.plant", PLANTS)
+    record = as_seen(record, "estimate a loop")[0]
     if plant == "auto":
         found = {one: _line_with_plant(record, one) for one in ("fopdt", "integrating")}
         bics = {

@@ -134,7 +134,8 @@ class Detection(Shown):
 
     oscillation is that of the whole record. stretch: the samples [first, stop) that the statistics of a cycle are of:
     the stretch at constant SP, at least a third of the record long, in which PV cycles most strongly, or the whole
-    record without such a stretch; cycle: PV's oscillation there.
+    record without such a stretch; cycle: PV's oscillation there. pv_late: s by which PV is recorded later than the
+    controller saw it; the evidence is of the loop as the controller saw it.
     """
 
     record: Record
@@ -154,3 +155,4 @@ class Detection(Shown):
     bicoherence: Bicoherence | None = None
     ellipse: Ellipse | None = None
     statistics: tuple[Statistic, ...] = ()
+    pv_late: float = 0.0

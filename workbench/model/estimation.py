@@ -175,7 +175,8 @@ class Estimate(Shown):
     iterations: of two-step. candidates: the models compared, the lowest BIC first. noise_model: of "joint", or None.
     repeats: parts of the record by themselves; None with few moves. load_steps: lasting, and in the prediction.
     load_swing: an oscillation from outside, in the prediction too, or None.
-    complementarity: the program of the method of that name, or None.
+    complementarity: the program of the method of that name, or None. pv_late: s by which PV is recorded later than the
+    controller saw it; the plant's dead time is without it.
     """
 
     record: Record
@@ -203,3 +204,4 @@ class Estimate(Shown):
     load_steps: tuple[LoadStep, ...] = ()
     load_swing: LoadSwing | None = None
     complementarity: Complementarity | None = None
+    pv_late: float = 0.0

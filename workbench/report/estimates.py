@@ -89,6 +89,9 @@ def estimate_sentences(named: NamedEstimate, *, linear: bool = True) -> list[str
                 f"{figure(plain.plant.gain)} EU/%, time constant {figure(plain.plant.time_constant)} s and "
                 f"dead time {figure(plain.plant.dead_time)} s."
             )
+    if found.pv_late:
+        by = f"{given(found.pv_late, 6)} s"
+        sentences.append(f"{name}: PV is recorded {by} later than the controller saw it; the dead time is without it.")
     # An undecided record gives no number to rely on.
     loads = [] if found.verdict == "undecided" else load_words(found)
     sentences += [f"{name}: beside the valve PV holds a load that nobody recorded: {load}." for load in loads]

@@ -233,6 +233,7 @@ def _detection(found: Detection) -> dict[str, Any]:
         "verdict": found.verdict,
         "reasons": list(found.reasons),
         "statistics": [{n: getattr(s, n) for n in ("name", "value", "unit", "says")} for s in found.statistics],
+        **({"pv_late": found.pv_late} if found.pv_late else {}),
     }
 
 
@@ -272,6 +273,7 @@ def _estimate(named: NamedEstimate) -> dict[str, Any]:
         "repeats": None if found.repeats is None else _repeats(found.repeats),
         "load_steps": [plain(step) for step in found.load_steps],
         **({} if found.load_swing is None else {"load_swing": plain(found.load_swing)}),
+        **({"pv_late": found.pv_late} if found.pv_late else {}),
         "linear": {
             "plant": plant_content(found.linear.plant),
             "bias": found.linear.bias,
