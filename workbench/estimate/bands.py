@@ -44,7 +44,7 @@ BEFORE = 4  # samples before a slip over which OP's rate is taken
 SIDEWAYS = (0.01, 0.0)  # of S: how far S follows a step of J
 SLACK = 6.0  # in N log V: what another measure of the same record may make of a stem
 LIKELIEST = 24  # stems fitted again in it, beside the outermost
-HOPELESS = 3.0  # times what a rival leaves of a long record: a stem that leaves more is not looked at closer
+HOPELESS = 3.0  # times what a rival leaves: a stem that leaves more is not looked at closer
 WIDE_REACH = (0.03, 0.0)  # as REACHES, where J follows from S, which is a single line
 # Steps of walks over all of a long record, shares of their reach, in proportion to what a look at it costs.
 COARSE, STEPS = 400_000.0, (0.03, 0.2)
@@ -205,11 +205,13 @@ def search_bands(
     """Return the best stem, or None where none moves.
 
     coarse: the answer of `coarse_of`. only: J as a share of S (0: a dead band). beside: stems found otherwise, from
-    which a short record is searched on too. rival: what the other valve leaves, EU^2. before: what the search found in
+    which a short record is searched on too. rival: what another valve leaves, EU^2. before: what the search found in
     another measure.
     """
     if within.whole:
-        bands, rows = search_short(data, coarse, only, limits, beside, only is None and within.known)
+        most = HOPELESS * max(rival, data.samples * data.floor)
+        beside = tuple(b for b in beside if b.fit.sse <= most)
+        bands, rows = search_short(data, coarse, only, limits, beside, only is None and within.known, most)
     else:
         bands, rows = _search_long(data, within, limits, only, rival, before)
     bands = [b for b in bands if b.fit.gain != 0.0]

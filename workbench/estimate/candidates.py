@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -15,7 +16,7 @@ from workbench.estimate.windows import EXACT, stretch_of
 
 __all__ = ["Candidate", "again", "best_per_bin", "distinct", "fitted", "held", "polished", "refitted"]
 
-EVALUATIONS = 120  # of the output-error cost for each
+EVALUATIONS, FURTHER = 120, 80  # of the output-error cost for each, and for one that is fitted on
 CLOSER, FINEST = 2, 4  # rounds of a long record's fits near a plant: of the likely paths, of the best
 
 LEAST_BAND = 1e-9  # % of travel: the least lower end of a range of d
@@ -58,14 +59,13 @@ def fitted(
 
 def refitted(data: Centred, found: list[Candidate], limits: Limits, most: int) -> list[Candidate]:
     """Return the candidates, best first, of which the `most` best are fitted on from their own plant."""
-    onward = _nearer if data.samples > EXACT else _further
-    better = [replace(c, fit=min(c.fit, onward(data, c, limits), key=lambda f: f.sse)) for c in found[:most]]
+    likely = found[:most]
+    if data.samples > EXACT:
+        fits = [_nearer(data, c, limits) for c in likely]
+    else:
+        fits = _from_own(data, likely, limits, FURTHER)
+    better = [replace(c, fit=min(c.fit, fit, key=lambda f: f.sse)) for c, fit in zip(likely, fits, strict=True)]
     return sorted([*better, *found[most:]], key=lambda c: c.fit.sse)
-
-
-def _further(data: Centred, c: Candidate, limits: Limits) -> Fit:
-    path = np.array([[c.first, c.d_low, c.d_high, c.fit.theta]])
-    return fit_stems(data, path, limits, tau=c.fit.tau, evaluations=80)[0][0]
 
 
 def _nearer(data: Centred, c: Candidate, limits: Limits) -> Fit:
@@ -73,19 +73,16 @@ def _nearer(data: Centred, c: Candidate, limits: Limits) -> Fit:
     return fit_near(data, path_of(data.u, c.d_low, c.first)[0], c.first, bounds, limits, c.fit, CLOSER)
 
 
-def again(data: Centred, found: tuple[Candidate, ...], limits: Limits) -> list[Candidate]:
+def again(data: Centred, found: Sequence[Candidate], limits: Limits) -> list[Candidate]:
     """Return the candidates at their own plants in another measure, unsorted."""
-    return [
-        Candidate(c.first, c.d_low, c.d_high, c.slips, fit)
-        for c in found
-        for fit, _ in fit_stems(
-            data,
-            np.array([[c.first, c.d_low, c.d_high, c.fit.theta]]),
-            limits,
-            tau=c.fit.tau,
-            evaluations=0,
-        )
-    ]
+    return [replace(c, fit=fit) for c, fit in zip(found, _from_own(data, found, limits, 0), strict=True)]
+
+
+def _from_own(data: Centred, found: Sequence[Candidate], limits: Limits, evaluations: int) -> list[Fit]:
+    """Fits of the candidates, each from its own plant; evaluations: 0 for that plant itself."""
+    paths = np.array([(c.first, c.d_low, c.d_high, c.fit.theta) for c in found]).reshape(-1, 4)
+    taus = np.array([c.fit.tau for c in found])
+    return [fit for fit, _ in fit_stems(data, paths, limits, tau=taus, evaluations=evaluations)]
 
 
 def best_per_bin(by_cost: NDArray[np.float64], bins: int) -> NDArray[np.float64]:

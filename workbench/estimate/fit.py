@@ -134,14 +134,14 @@ def fit_stems(
     paths: FloatArray,
     limits: Limits,
     *,
-    tau: float = math.nan,
+    tau: float | FloatArray = math.nan,
     evaluations: int = 120,
     tolerance: float = 1e-7,
 ) -> list[tuple[Fit, int]]:
     """Return the output-error fit and the number of slips of many stem paths, rows (first, d_low, d_high, theta).
 
-    theta (samples): where the search starts; tau likewise, nan for the best of a coarse list. evaluations: 0 for the
-    fit at those two themselves.
+    theta (samples): where the search starts; tau likewise, of all or of each, nan for the best of a coarse list.
+    evaluations: 0 for the fit at those two themselves.
     """
     fits = np.empty((len(paths), output_error.FIT))
     slips = np.empty(len(paths), np.int64)
@@ -152,7 +152,7 @@ def fit_stems(
         START_SLACK,
         data.sign,
         data.integrating,
-        tau,
+        np.full(len(paths), tau),
         limits.tau,
         limits.theta,
         evaluations,

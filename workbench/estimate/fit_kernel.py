@@ -139,7 +139,7 @@ def fit_stems(
     slack: float,
     sign: float,
     integrating: bool,
-    tau: float,
+    taus: Floats,
     tau_limits: tuple[float, float],
     theta_limits: tuple[float, float],
     evaluations: int,
@@ -151,7 +151,7 @@ def fit_stems(
 ) -> None:
     """Fit the output-error model to many stem paths: rows (first, d_low, d_high, theta), theta where the search starts.
 
-    tau: where it starts, nan for the best of ten from .3 samples to a quarter of its upper limit. evaluations: as in
+    taus: where each starts, nan for the best of ten from .3 samples to a quarter of the upper limit. evaluations: as in
     `oe_fit`, 0 for the cost at the start itself. Written: fits, shape (paths, FIT), and slips, shape (paths,).
     """
     x, drive = np.empty(op.size), np.empty(op.size)
@@ -163,10 +163,10 @@ def fit_stems(
         drive_of(x, first, a, drive)
         low, high = rest_range(op, first, d_low, d_high, slack)
         out = fits[i]
-        start = tau
+        start = taus[i]
         if integrating:
             start = 1.0
-        elif math.isnan(tau):
+        elif math.isnan(start):
             least = math.inf
             for j in range(10):
                 trial = low_tau * (high_tau / low_tau) ** (j / 9.0)

@@ -97,8 +97,10 @@ def loads_of(
     bare = _beside(data, lead.x, lead.first, lead.fit, limits, skip, [])
     # What is hardly coloured leaves no colour for steps to take (see WHITER).
     coloured = bare.a.size > 1 and WHITER * inflation(bare.left[skip:]) > 1.0
-    stems = [lead, *(further(span) if further is not None and coloured else ())]
-    found = [(_explained(data, stem, limits, skip, span, most, strict), stem) for stem in stems]
+    stems = [(bare, lead)]
+    if further is not None and coloured:
+        stems += [(_beside(data, s.x, s.first, s.fit, limits, skip, []), s) for s in further(span)]
+    found = [(_explained(data, stem, alone, limits, skip, span, most, strict), stem) for alone, stem in stems]
     explained = [(model, stem) for model, stem in found if model is not None]
     model, stem = min(explained, key=lambda one: one[0].bic, default=(None, lead))
     # Steps beside a worse stem explain nothing that the first one does not by itself.
@@ -118,11 +120,13 @@ def loads_of(
 
 
 def _explained(
-    data: Centred, stem: Stem, limits: Limits, skip: int, span: tuple[int, int], most: int, strict: bool
+    data: Centred, stem: Stem, model: _Model, limits: Limits, skip: int, span: tuple[int, int], most: int, strict: bool
 ) -> _Model | None:
-    """The model of one stem with the load steps that it needs, or None where it needs none (see `loads_of`)."""
+    """The model of one stem with the load steps that it needs, or None where it needs none (see `loads_of`).
+
+    model: without any.
+    """
     x, first, fit = stem.x, stem.first, stem.fit
-    model = _beside(data, x, first, fit, limits, skip, [])
     coloured = inflation(model.left[skip:])
     while len(model.times) < most:
         measures = [WHITE] if model.a.size == 1 else [model.a, WHITE]

@@ -190,10 +190,11 @@ def search_short(
     limits: Limits,
     beside: tuple[Band, ...] = (),
     known: bool = False,
+    most: float = math.inf,
 ) -> tuple[list[Band], NDArray[np.float64]]:
     """Search a short record: the close grid, then closer about its best few; all stems met and the last rows.
 
-    known: whether the best is known to be close by.
+    known: whether the best is known to be close by. most: EU^2, of a stem that is looked at closer.
     """
     met = [b for b in coarse if b.fit.gain != 0.0]
     if only is not None:
@@ -210,6 +211,8 @@ def search_short(
             bands += met
             ends.append(best_of(met))
         leaders = _leading(data, ends, behind, FURTHER[spread])
+        if leaders[0].fit.sse > most:
+            return bands, np.empty((0, 4))
     # Between two sequences of slips lies many a worse one, which steps along the valley of S and plant do not cross.
     best = leaders[0]
     for _ in range(0 if known else CROSSINGS):
