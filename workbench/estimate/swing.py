@@ -82,11 +82,15 @@ def beside_swing(
     found, swing = first, None
     for _ in range(SWINGS):
         limits = Limits((LEAST_TAU, float(data.samples)), (0.0, longest))
-        beside = _swing_of(found.settled, found.paths[0], limits, swing)
+        beside, left = _swing_of(found.settled, found.paths[0], limits, swing)
+        least = found.model.residual_variance
         if beside is None:
             break
+        likelier = data.samples * math.log(max(least, data.floor) / max(left, data.floor))
+        # Both fitted on together, and hardly likelier: the model has been found beside the same sinusoid.
+        if swing is not None and likelier < CLEAR:
+            break
         other = again(besides(data, beside))
-        least = found.model.residual_variance
         if not other.model.residual_variance < (1.0 if swing is None else SETTLED) * least:
             break
         found, swing = other, beside
@@ -106,30 +110,32 @@ def besides(data: Centred, swing: Swing | None) -> Centred:
     return data if swing is None else data.less(swing.pv, swing.answers)
 
 
-def _swing_of(data: Centred, lead: Path, limits: Limits, before: Swing | None) -> Swing | None:
-    """Return the oscillation that the best model leaves, or None where there is none.
+def _swing_of(data: Centred, lead: Path, limits: Limits, before: Swing | None) -> tuple[Swing | None, float]:
+    """Return the oscillation that the best model leaves, or None where there is none, and what both leave, EU^2.
 
     data: without load steps, and without the oscillation that was found before; lead: the model's stem with its plant.
     """
     n, fit = data.samples, lead.fit
     if not FEWEST <= n <= WHOLE or fit.gain == 0.0:
-        return None
+        return None, math.inf
     left = data.y - predict(data, lead.x, lead.first, grounded(data, lead.x, lead.first, fit, lead.bounds))[0]
     a, level = autoregression(left, data.floor)
     if before is not None:
-        return _fitted(data, data.y + before.pv, lead, limits, before.angle)[0]
+        swing, rest = _fitted(data, data.y + before.pv, lead, limits, before.angle)
+        return swing, float(rest @ rest) / n
     innovations = whitened(a, left)[a.size :]
     angles = {strongest(left), strongest(innovations)}
     stands_out = max(-n * math.log(_beside(innovations, angle)) for angle in angles)
     if not float(np.mean(left**2)) > LOUD * data.floor or (
         a.size == 1 and stands_out < 2.0 * math.log(n / 2.0) + CLEAR
     ):
-        return None
+        return None, math.inf
     found = (_fitted(data, data.y, lead, limits, angle) for angle in sorted(angles))
     swing, rest = min(found, key=lambda one: float(one[1] @ one[1]))
     much = float(np.var(swing.pv)) >= MUCH * (float(np.var(swing.pv)) + float(np.var(rest)))
     price = DEGREES * math.log(n) + CLEAR
-    return swing if much and autoregression(rest, data.floor)[1] < level - price else None
+    clear = much and autoregression(rest, data.floor)[1] < level - price
+    return swing if clear else None, float(rest @ rest) / n
 
 
 def _fitted(data: Centred, y: FloatArray, lead: Path, limits: Limits, angle: float) -> tuple[Swing, FloatArray]:
