@@ -210,8 +210,10 @@ def search_bands(
     """
     if within.whole:
         most = HOPELESS * max(rival, data.samples * data.floor)
-        beside = tuple(b for b in beside if b.fit.sse <= most)
-        bands, rows = search_short(data, coarse, only, limits, beside, only is None and within.known, most)
+        likely = tuple(b for b in beside if b.fit.sse <= most)
+        bands, rows = search_short(data, coarse, only, limits, likely, only is None and within.known, most)
+        # No jump at all is one of any.
+        bands += beside
     else:
         bands, rows = _search_long(data, within, limits, only, rival, before)
     bands = [b for b in bands if b.fit.gain != 0.0]

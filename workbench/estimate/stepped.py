@@ -12,7 +12,7 @@ hardly more than it was, and only the last grids look at PV itself.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -83,19 +83,40 @@ class _Search:
 
         plants: rows (tau, theta). roughly: samples between the times at which a step is tried, 1 or STRIDE.
         """
+        return self.best_of_each([stems], plants, most, roughly)[0]
+
+    def best_of_each(
+        self, lots: Sequence[Sequence[tuple[float, float, int, float]]], plants: FloatArray, most: int, roughly: int
+    ) -> list[list[_Found]]:
+        """`best_first` of each of some lots of stems, all tried side by side."""
+        stems = [(*stem, lot) for lot, those in enumerate(lots) for stem in those]
         if not stems:
-            return []
+            return [[] for _ in lots]
         rows = np.array(sorted(stems, key=lambda stem: stem[2]))
         found = np.empty((len(rows), len(plants), 2))
         data, op = self.data, self.whole.u[: self.data.samples * self.every]
-        screen_stepped(data.y, op, rows, plants, data.integrating, data.sign, self.skip, *self.span, roughly, found)
+        screen_stepped(
+            data.y,
+            op,
+            np.ascontiguousarray(rows[:, :4]),
+            plants,
+            data.integrating,
+            data.sign,
+            self.skip,
+            *self.span,
+            roughly,
+            found,
+        )
         which = np.argmin(found[:, :, 0], axis=1)
         costs, ats = found[np.arange(len(rows)), which].T
-        order = np.argsort(costs, kind="stable")[: min(int(np.isfinite(costs).sum()), most)].tolist()
-        out = []
-        for i in order:
-            (S, J, first, sense), (tau, theta) = rows[i].tolist(), plants[which[i]].tolist()
-            out.append(_Found(float(costs[i]), S, J, int(first), sense, tau, theta, int(ats[i])))
+        order = np.argsort(costs, kind="stable")
+        order = order[np.isfinite(costs[order])]
+        out: list[list[_Found]] = []
+        for lot in range(len(lots)):
+            out.append([])
+            for i in order[rows[order, 4] == lot][:most].tolist():
+                (S, J, first, sense), (tau, theta) = rows[i, :4].tolist(), plants[which[i]].tolist()
+                out[-1].append(_Found(float(costs[i]), S, J, int(first), sense, tau, theta, int(ats[i])))
         return out
 
 
@@ -141,20 +162,41 @@ def _coarse(search: _Search, shares: Sequence[float], plants: FloatArray) -> lis
     likely: dict[float, _Found] = {}
     for one in coarse:
         likely.setdefault(one.S, one)
-    for S, best in likely.items():
-        coarse += (nearer := search.best_first(ends[S], _beside(plants, best), SEEDS, STRIDE))
-        best = min([best, *nearer[:1]], key=lambda one: one.cost)
-        # Where the stem was before its first slip asks for nearly the same plant.
-        most = (1.0 + shares[-1]) * S
-        later = [stem for share in shares for stem in _starts(data, S, share * S, FIRSTS, most) if stem[2] > 0]
-        coarse += (here := search.best_first(later, _close(plants, best), SEEDS, STRIDE))
-        likely[S] = min([best, *here[:1]], key=lambda one: one.cost)
+    coarse += _likelier(search, likely, ends, lambda best: _beside(plants, best))
+    # Where the stem was before its first slip asks for nearly the same plant.
+    later = {
+        S: [s for share in shares for s in _starts(data, S, share * S, FIRSTS, (1.0 + shares[-1]) * S) if s[2] > 0]
+        for S in likely
+    }
+    coarse += _likelier(search, likely, later, lambda best: _close(plants, best))
     for one in sorted(likely.values(), key=lambda one: one.cost)[: GRID // 2]:
         if not math.isnan(one.J):
             # A sequence of slips may hold for a range of J too narrow for any grid.
             stems = [(one.S, J, one.first, one.sense) for J in (FINER_SHARES * one.S).tolist()]
             coarse += search.best_first(stems, _close(plants, one), SEEDS, STRIDE)
     return sorted(coarse, key=lambda one: one.cost)
+
+
+def _likelier(
+    search: _Search,
+    likely: dict[float, _Found],
+    stems: Mapping[float, Sequence[tuple[float, float, int, float]]],
+    plants: Callable[[_Found], FloatArray],
+) -> list[_Found]:
+    """The best few of further stems of each S, at the plants that its best so far asks for; `likely` is brought up.
+
+    Those of the same plant are tried side by side.
+    """
+    lots: dict[tuple[float, float], list[float]] = {}
+    for S, best in likely.items():
+        lots.setdefault((best.tau, best.theta), []).append(S)
+    found: list[_Found] = []
+    for those in lots.values():
+        each = search.best_of_each([stems[S] for S in those], plants(likely[those[0]]), SEEDS, STRIDE)
+        for S, here in zip(those, each, strict=True):
+            found += here
+            likely[S] = min([likely[S], *here[:1]], key=lambda one: one.cost)
+    return found
 
 
 def _thinned(plants: FloatArray) -> FloatArray:
