@@ -1,5 +1,6 @@
 """An oscillation from outside the loop is fitted beside the model, and told."""
 
+import importlib
 from dataclasses import replace
 
 import numpy as np
@@ -47,6 +48,21 @@ def test_the_gain_is_found_beside_an_oscillation_from_outside(period: float) -> 
     named = NamedEstimate("FIC1", found)
     assert any(load.removeprefix("Load").split(",")[0].strip() in said for said in estimate_sentences(named))
     assert "look outside the loop" in estimate_advice(named)[-1]
+
+
+def test_the_search_is_made_anew_once_where_the_oscillation_stays_what_it_was(monkeypatch: pytest.MonkeyPatch) -> None:
+    module = importlib.import_module("workbench.estimate.estimate")
+    searched: list[float] = []
+    search = module.search
+
+    def counted(data: object, *rest: object) -> object:
+        searched.append(float(np.ptp(data.y)))
+        return search(data, *rest)
+
+    monkeypatch.setattr(module, "search", counted)
+    found = wb.estimate(record_of(LOOP, 0.5, 130.0))
+    assert found.load_swing is not None
+    assert len(searched) == 2
 
 
 def test_a_healthy_loops_plant_is_found_beside_it_and_by_itself_too() -> None:

@@ -112,6 +112,9 @@ def test_the_lowest_bic_is_chosen_and_the_table_is_whole() -> None:
     assert found.candidates[0].valve == found.valve
     bics = [m.bic for m in found.candidates]
     assert bics == sorted(bics)
+    # No jump is one of any, where neither is searched for to its end too.
+    left = {type(m.valve).__name__: m.residual_variance for m in found.candidates}
+    assert 3.0 * left["Stenman"] < left["Choudhury"] <= (1.0 + 1e-4) * left["Deadband"]
     free = {"Ideal": 6, "Stenman": 7, "Deadband": 7, "Choudhury": 8}
     for model in found.candidates:
         p = free[type(model.valve).__name__]
