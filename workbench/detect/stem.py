@@ -341,14 +341,18 @@ class _Search:
             costs = [self.rivals.least(self.u, laws, a, coarse) for laws in grid]
             for part in range(len(CLASSES) + 1):
                 there = [np.where(c == part, cost, math.inf) for c, cost in zip(classes, costs, strict=True)]
-                # Of both kinds of valve in the end: which of them comes nearer is not known yet.
+                # Of both kinds of valve in the end: which of them is nearer to a better one is not known yet.
                 for kind in sorted((0, 1), key=lambda k: there[k].min())[: 1 if start is not None else 2]:
                     law = grid[kind].law(_best(there[kind], 1)[0])
                     found.append(self.judged(law, law.path(self.u), a))
-        leaders: list[dict[type, _Candidate]] = [{} for _ in range(len(CLASSES) + 1)]
-        for c in sorted(found, key=lambda c: c.innovations):
-            leaders[np.digitize(c.law.band, limits)][type(c.law.valve)] = c
-        return found + [self.closer(list(rivals.values())) for rivals in leaders]
+        # The best of each class is looked at closer, and beside the best of all the other kind of valve too.
+        found.sort(key=lambda c: -c.innovations)
+        parts = np.digitize([c.law.band for c in found], limits).tolist()
+        leaders = [found[parts.index(part)] for part in range(len(CLASSES) + 1)]
+        lead = found[0]
+        kinds = (c for c, part in zip(found, parts, strict=True) if part == parts[0])
+        leaders.append(next(c for c in kinds if type(c.law.valve) is not type(lead.law.valve)))
+        return found + [self.closer(c) for c in leaders]
 
     def over_load_steps(self, best: _Candidate, moves: int, free: NDArray[np.bool_]) -> float:
         """Return a stem's log likelihood ratio over the linear rival under at most half as many load steps as FEW."""
@@ -362,28 +366,20 @@ class _Search:
     def told(self, fitted: Fitted) -> list[_Candidate]:
         """Return a model's valve judged, and the best found about it."""
         judged = [self.judged(Law(fitted[0], 0.0), fitted[1], a) for a in (self.white, self.linear.a)]
-        return [*judged, self.closer([max(judged, key=lambda c: c.innovations)])]
+        return [*judged, self.closer(max(judged, key=lambda c: c.innovations))]
 
-    def closer(self, leaders: list[_Candidate]) -> _Candidate:
-        """Return the best about some candidates, closer and closer: a stem a little off slips at other times.
-
-        Only the one goes on about which the first, the widest look finds the best.
-        """
-        best = max((self._about(c, CLOSER[0]) for c in leaders), key=lambda c: c.innovations)
-        for spread in CLOSER[1:]:
-            best = self._about(best, spread)
+    def closer(self, best: _Candidate) -> _Candidate:
+        """Return the best about a candidate, closer and closer: a stem a little off slips at other times."""
+        for spread in CLOSER:
+            laws = best.law.about(spread)
+            taus = best.fit.tau * np.array([0.85, 1.0, 1.18])
+            costs = self.rivals.least(self.u, laws, best.fit.a, taus)
+            first, *others = _best(costs, 2)
+            # Wide stems that differ little make the same moves: where the costs are equal it is the same stem.
+            near = [laws.law(i) for i in (first, *others) if i == first or costs[i] > costs[first]]
+            judged = [self.judged(law, law.path(self.u), best.fit.a, taus) for law in near]
+            best = max([best, *judged], key=lambda c: c.innovations)
         return self.judged(best.law, best.path, best.fit.a)
-
-    def _about(self, best: _Candidate, spread: float) -> _Candidate:
-        """Return the best of a candidate and the laws about it."""
-        laws = best.law.about(spread)
-        taus = best.fit.tau * np.array([0.85, 1.0, 1.18])
-        costs = self.rivals.least(self.u, laws, best.fit.a, taus)
-        first, *others = _best(costs, 2)
-        # Wide stems that differ little make the same moves: where the costs are equal it is the same stem.
-        near = [laws.law(i) for i in (first, *others) if i == first or costs[i] > costs[first]]
-        judged = [self.judged(law, law.path(self.u), best.fit.a, taus) for law in near]
-        return max([best, *judged], key=lambda c: c.innovations)
 
 
 def _stretch(
