@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 
@@ -69,9 +70,10 @@ def standard_errors(data: Centred, x: FloatArray, first: int, fit: Fit, clamped:
     for name, step in (("tau", 1e-3 * fit.tau), ("theta", 1e-2)):
         if name == "tau" and data.integrating:
             continue
-        up = predict(data, x, first, _moved(fit, name, step))[0]
-        down_step = min(step, getattr(fit, name)) if name == "theta" else step
-        down = predict(data, x, first, _moved(fit, name, -down_step))[0]
+        at = getattr(fit, name)
+        down_step = min(step, at) if name == "theta" else step
+        up = predict(data, x, first, replace(fit, **{name: at + step}))[0]
+        down = predict(data, x, first, replace(fit, **{name: at - down_step}))[0]
         vectors.append((up - down) / (step + down_step))
         names.append(name)
     if not clamped:
@@ -118,15 +120,3 @@ def score_covariance(jacobian: FloatArray, residuals: FloatArray) -> FloatArray:
         total += (1.0 - lag / (window + 1.0)) * (part + part.T)
     covariance: FloatArray = total * (n / max(n - jacobian.shape[0], 1))
     return covariance
-
-
-def _moved(fit: Fit, name: str, step: float) -> Fit:
-    return Fit(
-        fit.sse,
-        fit.tau + step if name == "tau" else fit.tau,
-        max(fit.theta + step, 0.0) if name == "theta" else fit.theta,
-        fit.gain,
-        fit.bias,
-        fit.start,
-        fit.transient,
-    )

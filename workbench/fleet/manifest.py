@@ -19,6 +19,7 @@ from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Fie
 
 from workbench.errors import InvalidValue, RecordError, ScenarioError
 from workbench.fleet.loops import Sources, loops_in, of_tags, tagged
+from workbench.model.checks import reads_as_number
 from workbench.model.fleet import LoopSource, Tuning
 from workbench.record.columns import TAGGED
 from workbench.record.historian import Pieces, tags_of
@@ -339,7 +340,7 @@ def _cells(cells: dict[str, str]) -> dict[str, Any]:
     for name in ("Ti", "Td", "sample_time", "max_gap"):
         if name in cells:
             # A bare number of a column is in seconds, as the column's unit is.
-            out[name] = f"{cells[name]} s" if _is_number(cells[name]) else cells[name]
+            out[name] = f"{cells[name]} s" if reads_as_number(cells[name]) else cells[name]
     if "Kc" in cells:
         out["Kc"] = _number("Kc", cells["Kc"])
     if "criticality" in cells:
@@ -356,15 +357,7 @@ def _cells(cells: dict[str, str]) -> dict[str, Any]:
     return out
 
 
-def _is_number(text: str) -> bool:
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True
-
-
 def _number(name: str, text: str) -> float:
-    if not _is_number(text):
+    if not reads_as_number(text):
         raise InvalidValue(name, text, "must be a number")
     return float(text)

@@ -8,7 +8,7 @@ from numbers import Integral, Real
 
 from workbench.errors import InvalidValue
 
-__all__ = ["choice", "instance", "number", "ordered_pair", "whole"]
+__all__ = ["choice", "instance", "number", "ordered_pair", "reads_as_number", "whole"]
 
 
 def number(
@@ -74,3 +74,11 @@ def ordered_pair(value: object, where: str, *, least: float | None = None, equal
     if low > high or (low == high and not equal):
         raise InvalidValue(where, (low, high), rule)
     return low, high
+
+
+def reads_as_number(text: str) -> bool:
+    """Return whether a text is that of a finite number."""
+    try:
+        return math.isfinite(float(text))
+    except ValueError:
+        return False

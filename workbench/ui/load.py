@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 
 from workbench.model.cascade import Cascade, CascadeExperiment
+from workbench.model.checks import reads_as_number
 from workbench.model.controller import PID
 from workbench.model.experiment import Profile, Step
 from workbench.model.loop import Loop
@@ -285,7 +285,7 @@ def _typed(plan: Scenario) -> dict[str, str]:
         if not (_is_own(plan) or path.startswith("experiment.") or _AS_WRITTEN.match(path)):
             continue
         number, _, unit = value.strip().partition(" ")
-        if unit in field.units and _is_number(number):
+        if unit in field.units and reads_as_number(number):
             entries |= {path: number, f"{path}.unit": unit}
     entries |= _estimate(data.get("estimate"))
     loop = _under(data, "loop")
@@ -337,10 +337,3 @@ def _is_own(plan: Scenario) -> bool:
     cases = _written(plan).get("cases")
     first = cases[0] if isinstance(cases, list) and cases else None
     return isinstance(first, Mapping) and list(first) == ["name"] and str(first["name"]).startswith(ON_SCREEN)
-
-
-def _is_number(text: str) -> bool:
-    try:
-        return math.isfinite(float(text))
-    except ValueError:
-        return False

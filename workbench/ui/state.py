@@ -14,6 +14,7 @@ import numpy as np
 
 from workbench.errors import InvalidValue, ScenarioError, WorkbenchError
 from workbench.model.cascade import Cascade
+from workbench.model.checks import reads_as_number
 from workbench.model.controller import PID
 from workbench.model.experiment import Experiment
 from workbench.model.loop import Loop
@@ -193,7 +194,7 @@ class Session:
     def use_model(self, plant: Plant, valve: Valve, sample_time: float, action: str) -> None:
         """Put an estimated plant and valve on the page, at `MODEL_DIGITS`, with the action that the gain needs."""
         entries = {
-            path: f"{float(text):.{MODEL_DIGITS}g}" if _is_number(text) else text
+            path: f"{float(text):.{MODEL_DIGITS}g}" if reads_as_number(text) else text
             for path, text in (plant_entries(plant) | valve_entries(valve)).items()
         }
         entries |= time_entry("loop.sample_time", sample_time) | {"loop.controller.action": action}
@@ -394,11 +395,3 @@ def _files(data: object) -> list[str]:
         return []
     own = [value for key, value in data.items() if key in ("data", "file") and isinstance(value, str)]
     return own + [name for value in data.values() for name in _files(value)]
-
-
-def _is_number(text: str) -> bool:
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True
