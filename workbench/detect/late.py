@@ -8,6 +8,7 @@ samples ahead, and with no PV up to now.
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -28,7 +29,7 @@ LEAVES, LESS = 0.4, 0.6
 PERHAPS = 0.8  # of either: not enough to look at the loop otherwise, too much to acquit it
 MATTERS = 0.02  # of OP's moves: where the past tells so much of them, PV ahead tells nothing that is new
 CERTAIN = 3.0  # standard errors that the integral action is away from none; in a plant's answer it has the other sign
-NOUGHT = 1e-9  # share of OP's moves that is rounding
+NOUGHT, DEPENDENT = 1e-9, 1e-10  # shares of OP's moves, and of what error and its change are together: rounding
 
 
 class Late(NamedTuple):
@@ -46,29 +47,34 @@ def late(record: Record) -> Late:
     for comparison, on the errors and setpoints of the past.
     """
     n = len(record)
-    if n < FEWEST:
+    if n < FEWEST or constant(record.pv):
         return Late()
-    at = np.arange(PAST, n - LATEST)
-    moves = np.diff(record.op)[at - 1]
+
+    def at(signal: FloatArray, ahead: int) -> FloatArray:
+        return signal[PAST + ahead : n - LATEST + ahead]
+
+    moves = np.diff(at(record.op, 0), prepend=record.op[PAST - 1])
     moves = moves - moves.mean()
     power = float(moves @ moves)
-    if not power > 0.0 or constant(record.pv):
+    if not power > 0.0:
         return Late()
     sp = np.zeros(n) if record.sp is None else record.sp
     moved = bool(np.ptp(sp) > 0.0)
-    past = [(sp - record.pv)[at - back] for back in range(PAST)]
-    past += [sp[at - back] for back in range(2)] if moved else []
-    least = _regressed(past, moves)[0] / power
+    past = [at(sp - record.pv, -back) for back in range(PAST)]
+    past += [at(sp, -back) for back in range(2)] if moved else []
+    least = _left(np.column_stack(past), moves) / power
+    if least <= MATTERS:
+        return Late()
     best, found, perhaps = min(LEAVES, LESS * least, least - MATTERS), Late(), False
     for ahead in range(1, LATEST + 1):
         for with_sp in (False, True)[: 1 + moved]:
-            now, before = (sp[at + back + ahead * with_sp] - record.pv[at + back + ahead] for back in (0, -1))
-            left, terms, certain = _regressed([now - before, now], moves)
-            feedback = np.sign(terms[0]) * certain[1]
+            now, before = (at(sp, back + ahead * with_sp) - at(record.pv, back + ahead) for back in (0, -1))
+            left, feedback = _law(now - before, now, moves)
             if left / power < best and feedback > CERTAIN:
                 best, found = left / power, Late(ahead, with_sp)
-            perhaps = perhaps or (left / power < min(PERHAPS, PERHAPS * least, least - MATTERS) and feedback > -CERTAIN)
-    return found if found.samples else Late(perhaps=bool(perhaps))
+            likely = left / power < min(PERHAPS, PERHAPS * least, least - MATTERS)
+            perhaps = perhaps or (likely and feedback > -CERTAIN)
+    return found if found.samples else Late(perhaps=perhaps)
 
 
 def as_seen(record: Record, purpose: str) -> tuple[Record, Late]:
@@ -106,13 +112,28 @@ def words_of_late(record: Record, found: Late) -> tuple[str, ...]:
     return (f"{both} recorded {by} later than the controller saw it: {seen}",)
 
 
-def _regressed(causes: list[FloatArray], moves: FloatArray) -> tuple[float, FloatArray, FloatArray]:
-    """Return the squares that causes leave of OP's moves, their terms, and these in standard errors."""
-    columns = np.column_stack(causes)
+def _left(columns: FloatArray, moves: FloatArray) -> float:
+    """Return the squares of OP's moves that columns, shape (N, M), leave."""
     columns = columns - columns.mean(axis=0)
     scale = np.sqrt((columns**2).sum(axis=0))
     columns = columns / np.where(scale > 0.0, scale, 1.0)
     terms, *_ = np.linalg.lstsq(columns, moves, rcond=1e-10)
-    left = max(float(((moves - columns @ terms) ** 2).sum()), NOUGHT * float(moves @ moves))
-    spread = np.sqrt(np.abs(np.diag(np.linalg.pinv(columns.T @ columns))) * left / moves.size)
-    return left, terms, terms / np.where(spread > 0.0, spread, 1.0)
+    return float(((moves - columns @ terms) ** 2).sum())
+
+
+def _law(change: FloatArray, error: FloatArray, moves: FloatArray) -> tuple[float, float]:
+    """Return the squares of OP's moves that a PI law leaves, and its integral action in standard errors.
+
+    That is positive where both actions have one sign.
+    """
+    change, error = change - change.mean(), error - error.mean()
+    pp, pi, ii = float(change @ change), float(change @ error), float(error @ error)
+    det = pp * ii - pi * pi
+    if not det > DEPENDENT * pp * ii:
+        return math.inf, 0.0
+    with_change, with_error = float(change @ moves), float(error @ moves)
+    proportional = (with_change * ii - with_error * pi) / det
+    integral = (with_error * pp - with_change * pi) / det
+    left = float(((moves - proportional * change - integral * error) ** 2).sum())
+    spread = math.sqrt(max(left, NOUGHT * float(moves @ moves)) * pp / det / moves.size)
+    return left, math.copysign(1.0, proportional) * integral / spread
