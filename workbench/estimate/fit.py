@@ -381,7 +381,8 @@ def autoregression(residuals: FloatArray, floor: float) -> tuple[FloatArray, flo
         variance *= 1.0 - partial * partial
         if not variance > 0.0:
             break
-        bic = n * math.log(variance) + p * math.log(n)
+        # Innovations that the record does not resolve are no smaller for it.
+        bic = n * math.log(max(variance, floor)) + p * math.log(n)
         if bic < least:
             best, least = a, bic
     return best, least
