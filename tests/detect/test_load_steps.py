@@ -106,3 +106,14 @@ def test_the_stem_must_beat_load_steps_by_more_than_chance(loaded: float, verdic
     said, reasons = decide(Oscillation(0.0, np.nan, 0.0, 0.0), replace(FOUND, loaded=loaded), None)
     assert said == verdict
     assert ("moved 2 times only, and a linear loop under as few load steps" in reasons[0]) == (verdict == "undecided")
+
+
+def test_a_transient_that_has_died_out_before_the_first_sample_that_counts_explains_nothing() -> None:
+    rng = np.random.default_rng(3)
+    op, live = np.cumsum(rng.normal(size=600)), np.arange(600) >= 300
+    pv = np.concatenate([[0.0], op[:-1]]) + 3.0 * (np.arange(600) >= 450) + 0.05 * rng.normal(size=600)
+    free = np.ones(600, dtype=bool)
+    (part,) = load_steps(pv, op, np.ones(1), live, free, np.array([0.7]), np.arange(3), 1.0, 1)
+    np.testing.assert_allclose(part[455:], np.full(145, part[-1]), atol=0.1)
+    assert part[-1] == pytest.approx(3.0, abs=0.5)
+    assert not part[:449].any()

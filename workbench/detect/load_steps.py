@@ -19,6 +19,7 @@ from workbench.model.record import FloatArray
 
 __all__ = ["load_steps", "unforced"]
 
+NOUGHT = 1e-100  # its square is nought
 ALONE = 1e-6  # of a step's squares: where less is left that the plant and the steps before it do not show, it is none
 FIRST, LAST = 2, 3  # samples at the record's ends in which no step is told from the start or from noise
 
@@ -112,7 +113,9 @@ class _Plants:
         for _ in range(2):
             for taken in self.basis:
                 columns = columns - taken * np.einsum("ij,ij->i", taken, columns)[:, None]
-        columns = columns / np.maximum(np.linalg.norm(columns, axis=1), 1e-300)[:, None]
+        length = np.linalg.norm(columns, axis=1)[:, None]
+        # A transient that has died out before the first sample that counts explains nothing.
+        columns = np.where(length > NOUGHT, columns / np.maximum(length, NOUGHT), 0.0)
         self.basis.append(columns)
         self.rest = self.rest - columns * np.einsum("ij,ij->i", columns, self.rest)[:, None]
         self.left = self.left - self._seen(columns) ** 2
