@@ -169,7 +169,7 @@ def _fitted(data: Centred, y: FloatArray, lead: Path, limits: Limits, angle: flo
             method="Nelder-Mead",
             options={"initial_simplex": simplex, "maxfev": EVALUATIONS, "xatol": 1e-4, "fatol": 1e-6 * cost(point)},
         ).x
-    at = placed(point)[2]
+    at = float(placed(point)[2])
     rest, sizes, waves = left(point)
     turned = np.arange(n) * (sizes @ _waves(at, n, 0.5 * math.pi))
     return Swing(at, float(np.hypot(*sizes)), sizes @ waves, np.vstack([waves, turned])), rest
