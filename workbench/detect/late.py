@@ -17,7 +17,7 @@ import numpy as np
 from workbench.detect.causes import constant, refuse_unusable
 from workbench.model.record import FloatArray, Record
 
-__all__ = ["Late", "as_seen", "earlier", "later", "words_of_late"]
+__all__ = ["Late", "as_seen", "earlier", "late", "later", "words_of_late"]
 
 LATEST = 10  # samples that PV may be late
 PAST = 6  # samples of PV, up to now, from which OP's moves may come otherwise: more than PID or a filter needs
