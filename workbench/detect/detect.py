@@ -25,6 +25,7 @@ from workbench.errors import InvalidValue
 from workbench.model.checks import instance
 from workbench.model.detection import Detection, Oscillation
 from workbench.model.record import Record, signal_of
+from workbench.simulate.one_thread import one_thread
 
 __all__ = ["detect"]
 
@@ -38,6 +39,7 @@ PERHAPS_LATE = (
 PATTERN = 20  # parts of a period over which moves are coded
 
 
+@one_thread
 def detect(record: Record, *, bicoherence: bool = False, fitted: Fitted | None = None) -> Detection:
     """Return the evidence for and against a sticking valve in a record.
 

@@ -12,10 +12,10 @@ from collections.abc import Iterator
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import lfilter
 
 from workbench.detect.whitening import whitened
 from workbench.model.record import FloatArray
+from workbench.simulate.filter import first_order
 
 __all__ = ["load_steps", "unforced"]
 
@@ -90,7 +90,7 @@ class _Plants:
         self.step = whitened(a, self.answer)
         self.filter = np.fft.rfft(self.step, 2 * n).conj()
         self.places = free & (at >= FIRST) & (at < n - LAST)
-        lag = lfilter([0.0, 1.0 - pole], [1.0, -pole], u - u[0])
+        lag = first_order(u - u[0], 0.0, 1.0 - pole, pole)
         rows = [np.ones(n), pole**at] + [np.concatenate([np.zeros(d), lag[: n - d]]) for d in delays.tolist()]
         shown = np.where(live, whitened(a, np.array(rows)), 0.0)
         self.target = np.where(live, whitened(a, y), 0.0)

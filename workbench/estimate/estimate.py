@@ -38,6 +38,7 @@ from workbench.model.checks import choice, number
 from workbench.model.record import Record
 from workbench.model.results import Estimate, Intervals, Iteration, LinearFit
 from workbench.model.valve import Ideal
+from workbench.simulate.one_thread import one_thread
 
 __all__ = ["estimate", "linear_loop"]
 
@@ -50,6 +51,7 @@ WIDEST_GAIN = 0.5  # of the gain itself: a 95 % range wider than this does not i
 CLEAR_BIC = 10.0  # R. Kass, A. Raftery, J. Am. Stat. Assoc. 90 (1995) 773-795: "very strong" evidence above it
 
 
+@one_thread
 def estimate(
     record: Record,
     *,
@@ -179,6 +181,7 @@ def _with_plant(
     return told, swing
 
 
+@one_thread
 def linear_loop(record: Record, plant: str = "fopdt") -> LinearFit:
     """Return a loop's linear model alone, for a valve that is known not to stick; plant: as in `estimate`.
 

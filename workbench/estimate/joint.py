@@ -23,7 +23,6 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-from scipy.signal import lfilter
 
 from workbench.estimate.data import Centred
 from workbench.estimate.fit import Fit, Limits, predict
@@ -272,7 +271,7 @@ def _beginning(partial: Sequence[Any]) -> Iterator[tuple[Any, list[Any]]]:
 
 def _whitened(signal: FloatArray, partial: tuple[float, ...]) -> FloatArray:
     """What of a signal of shape (N,) the disturbance's model does not foretell, shape (N,)."""
-    out: FloatArray = lfilter([1.0, *(-a for a in _coefficients(list(partial)))], [1.0], signal)
+    out: FloatArray = np.convolve(signal, [1.0, *(-a for a in _coefficients(list(partial)))])[: signal.size]
     for k, (scale, past) in enumerate(_beginning(partial)):
         out[k] = scale * (signal[k] - sum(a * signal[k - 1 - i] for i, a in enumerate(past)))
     return out

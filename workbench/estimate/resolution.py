@@ -11,10 +11,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from scipy.signal import lfilter
 
 from workbench.detect.action import control_error
 from workbench.model.record import FloatArray, Record
+from workbench.simulate.filter import first_order
 
 __all__ = ["coarseness", "resolved", "step_of"]
 
@@ -101,8 +101,8 @@ def _left(made: FloatArray, causes: FloatArray, steady: float) -> tuple[float, F
         filtered, columns = made, causes
     else:
         # The first samples hold what the filter makes of their start.
-        filtered = lfilter([1.0, -1.0], [1.0, -steady], made)[2:]
-        columns = lfilter([1.0, -1.0], [1.0, -steady], causes)[:, 2:] if len(causes) else causes[:, 2:]
+        filtered = first_order(made, 1.0, -1.0, steady)[2:]
+        columns = first_order(causes, 1.0, -1.0, steady)[:, 2:]
     law = np.asarray(np.linalg.lstsq(columns.T, filtered, rcond=1e-10)[0], dtype=np.float64)
     return float(np.mean((filtered - law @ columns) ** 2)), law
 
@@ -114,7 +114,6 @@ def _smoothed(left: FloatArray, steady: float) -> FloatArray:
     some = max(3, int(1.0 / (1.0 - steady)))
 
     def onward(values: FloatArray) -> FloatArray:
-        begin = [steady * float(values[:some].mean())]
-        return np.asarray(lfilter([1.0 - steady], [1.0, -steady], values, zi=begin)[0])
+        return first_order(values, 1.0 - steady, 0.0, steady, steady * float(values[:some].mean()))
 
     return np.asarray((onward(left) + onward(left[::-1])[::-1] - (1.0 - steady) * left) / (1.0 + steady))

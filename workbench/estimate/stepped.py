@@ -16,7 +16,6 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.signal import lfilter
 
 from workbench.estimate.data import Centred
 from workbench.estimate.fit import LEAST_TAU, Fit, Limits
@@ -26,6 +25,7 @@ from workbench.estimate.stepped_kernel import STRIDE, screen_stepped
 from workbench.estimate.two_parameter import NARROWEST, SHARES, WIDEST, band_stem
 from workbench.estimate.windows import EXACT
 from workbench.model.record import FloatArray
+from workbench.simulate.filter import first_order
 
 __all__ = ["stepped_stems"]
 
@@ -135,7 +135,7 @@ def stepped_stems(data: Centred, limits: Limits, skip: int, span: tuple[int, int
     taus = np.geomspace(SHORTEST, LONGEST * thin.samples, TAUS).tolist()
     if data.integrating:
         taus = [FADE]
-        faded = lfilter([1.0, -1.0], [1.0, -math.exp(-1.0 / FADE)], thin.y)
+        faded = first_order(thin.y, 1.0, -1.0, math.exp(-1.0 / FADE))
         search = replace(whole, data=replace(thin, y=faded, integrating=False), free=False)
     plants = np.array([(tau, theta) for tau in taus for theta in delays])
     found: list[_Found] = []

@@ -30,6 +30,7 @@ from workbench.model.valve import Choudhury, Ideal, Stenman, Valve
 from workbench.report.files import write_files
 from workbench.simulate import kernel
 from workbench.simulate.coefficients import coefficients, rest
+from workbench.simulate.filter import first_order
 
 __all__ = ["KINDS", "MEMBERS", "Truth", "site", "write_site"]
 
@@ -201,11 +202,9 @@ def _load(rng: np.random.Generator, n: int, size: float, period: float) -> Float
 
 def _drift(rng: np.random.Generator, n: int, correlation: float) -> FloatArray:
     """A first-order drift of unit variance and this correlation time, samples."""
-    from scipy.signal import lfilter
-
     pole = math.exp(-1.0 / max(correlation, 1.0))
     kicks = rng.normal(size=n)
-    return np.asarray(lfilter([math.sqrt(1.0 - pole * pole)], [1.0, -pole], kicks), dtype=np.float64)
+    return first_order(kicks, math.sqrt(1.0 - pole * pole), 0.0, pole)
 
 
 def _run(loop: Loop, load: FloatArray, noise: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:

@@ -16,6 +16,7 @@ from workbench.model.record import FloatArray
 from workbench.model.results import Run
 from workbench.simulate import cascade_kernel as kernel
 from workbench.simulate.coefficients import coefficients, discretise, rest
+from workbench.simulate.filter import first_order
 from workbench.simulate.signals import noise_signal, profile_signal, signals
 
 __all__ = ["CascadeSignals", "CascadeState", "cascade_signals", "chain", "simulate_cascade"]
@@ -133,10 +134,7 @@ def _answer(cascade: Cascade, disturbance: FloatArray) -> FloatArray:
     pushed = step.gain * (step.c0 * held[1 : n + 1] + step.c1 * held[:n])
     if not pushed.any():
         return np.zeros(n + 1)
-    from scipy.signal import lfilter
-
-    answer: FloatArray = lfilter([1.0], [1.0, -step.pole], np.append(0.0, pushed))
-    return answer
+    return first_order(np.append(0.0, pushed), 1.0, 0.0, step.pole)
 
 
 def simulate_cascade(cascade: Cascade, experiment: Experiment) -> CascadeRun:
