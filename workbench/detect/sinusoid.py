@@ -8,10 +8,15 @@ import numpy as np
 
 from workbench.model.record import FloatArray
 
-__all__ = ["strongest"]
+__all__ = ["slowest", "strongest"]
 
 FEWEST_PERIODS = 3  # of a sinusoidal disturbance
 FINER = 4  # its frequency against that of the record's own
+
+
+def slowest(n: int) -> float:
+    """Return the angular frequency, rad a sample, of which n samples hold just enough periods to tell it from drift."""
+    return 2.0 * math.pi * FEWEST_PERIODS / n
 
 
 def strongest(e: FloatArray) -> float:

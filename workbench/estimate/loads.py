@@ -16,9 +16,9 @@ import numpy as np
 from scipy.optimize import minimize
 
 from workbench.detect.whitening import whitened
+from workbench.estimate.beside_kernel import left_beside
 from workbench.estimate.data import WHITE, Centred
 from workbench.estimate.fit import LOUD, Fit, Limits, autoregression, fit_path, predict
-from workbench.estimate.stepped_kernel import left_beside
 from workbench.estimate.sureness import NORMAL, inflation
 from workbench.estimate.windows import WHOLE
 from workbench.model.loads import LoadStep

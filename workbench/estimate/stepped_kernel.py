@@ -11,11 +11,11 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from workbench.estimate.output_error import oe_columns, plant_terms, solve
+from workbench.estimate.output_error import plant_terms
 from workbench.estimate.path_kernel import band_path, stem_path
 from workbench.simulate.compiled import compiled, copy, written_out
 
-__all__ = ["LANES", "STRIDE", "left_beside", "screen_stepped"]
+__all__ = ["LANES", "STRIDE", "screen_stepped"]
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -339,34 +339,3 @@ def _step_products(signal: Floats, a: float, integrating: bool, out: Floats) -> 
             beyond += signal[k]
             faded = signal[k] + a * faded
             out[k] = beyond - faded
-
-
-@compiled
-def left_beside(
-    y: Floats, x: Floats, first: int, integrating: bool, tau: float, theta: float, times: Ints, skip: int
-) -> float:
-    """Mean square that the model beside steps whose answers begin at some samples leaves of PV from `skip` on.
-
-    x, first: the stem path, shape (N,), and its first slip; tau, theta: samples. Every column's size is free.
-    """
-    n, size = y.size, 4 + times.size
-    columns, g = np.zeros((size, n)), np.empty((size + 1, size))
-    pole, c0, c1, m = plant_terms(integrating, tau, theta)
-    oe_columns(x, first, pole, m, c0, c1, integrating, columns[:4])
-    for q in range(times.size):
-        rest = 1.0
-        for k in range(times[q], n):
-            columns[4 + q, k] = k - times[q] if integrating else 1.0 - rest
-            rest *= pole
-    for i in range(size):
-        for j in range(i, size):
-            g[i, j] = np.dot(columns[i, skip:], columns[j, skip:])
-        g[size, i] = np.dot(columns[i, skip:], y[skip:])
-    solve(g, size)
-    left = 0.0
-    for k in range(skip, n):
-        error = y[k]
-        for i in range(size):
-            error -= g[size, i] * columns[i, k]
-        left += error * error
-    return left / (n - skip)

@@ -15,8 +15,9 @@ from typing import Generic, NamedTuple, TypeVar
 import numpy as np
 from scipy.optimize import minimize
 
-from workbench.detect.sinusoid import strongest
+from workbench.detect.sinusoid import slowest, strongest
 from workbench.detect.whitening import whitened
+from workbench.estimate.beside_kernel import left_swinging
 from workbench.estimate.coloured import DELAYS, TAUS
 from workbench.estimate.data import Centred
 from workbench.estimate.fit import LEAST_TAU, LOUD, Limits, autoregression, grounded, predict
@@ -114,6 +115,7 @@ def _swing_of(data: Centred, lead: Path, limits: Limits, before: Swing | None) -
     """Return the oscillation that the best model leaves, or None where there is none, and what both leave, EU^2.
 
     data: without load steps, and without the oscillation that was found before; lead: the model's stem with its plant.
+    What turns more slowly than the record can tell is a drift.
     """
     n, fit = data.samples, lead.fit
     if not FEWEST <= n <= WHOLE or fit.gain == 0.0:
@@ -132,6 +134,8 @@ def _swing_of(data: Centred, lead: Path, limits: Limits, before: Swing | None) -
         return None, math.inf
     found = (_fitted(data, data.y, lead, limits, angle) for angle in sorted(angles))
     swing, rest = min(found, key=lambda one: float(one[1] @ one[1]))
+    if swing.angle <= slowest(n):
+        return None, math.inf
     much = float(np.var(swing.pv)) >= MUCH * (float(np.var(swing.pv)) + float(np.var(rest)))
     price = DEGREES * math.log(n) + CLEAR
     clear = much and autoregression(rest, data.floor)[1] < level - price
@@ -144,19 +148,11 @@ def _fitted(data: Centred, y: FloatArray, lead: Path, limits: Limits, angle: flo
 
     def placed(point: FloatArray) -> tuple[float, float, float]:
         tau = fit.tau if data.integrating else min(max(fit.tau * math.exp(point[2]), limits.tau[0]), limits.tau[1])
-        return tau, min(max(fit.theta + point[0], 0.0), limits.theta[1]), angle + 2.0 * math.pi * point[1] / n
-
-    def left(point: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        tau, theta, at = placed(point)
-        waves = _waves(at, n)
-        columns = np.vstack([predict(data, lead.x, lead.first, replace(fit, tau=tau, theta=theta))[1], waves])
-        sizes, *_ = np.linalg.lstsq(columns.T, y, rcond=1e-10)
-        rest: FloatArray = y - sizes @ columns
-        return rest, np.asarray(sizes[-2:], dtype=np.float64), waves
+        at = max(angle + 2.0 * math.pi * float(point[1]) / n, slowest(n))
+        return tau, min(max(fit.theta + float(point[0]), 0.0), limits.theta[1]), at
 
     def cost(point: FloatArray) -> float:
-        rest = left(point)[0]
-        return float(rest @ rest)
+        return left_swinging(y, lead.x, lead.first, data.integrating, *placed(point))
 
     delays = sorted({min(float(d), limits.theta[1]) for d in DELAYS} | {fit.theta})
     points = [[d - fit.theta, 0.0, math.log(t)][:size] for d in delays for t in (TAUS if size == 3 else TAUS[:1])]
@@ -169,10 +165,13 @@ def _fitted(data: Centred, y: FloatArray, lead: Path, limits: Limits, angle: flo
             method="Nelder-Mead",
             options={"initial_simplex": simplex, "maxfev": EVALUATIONS, "xatol": 1e-4, "fatol": 1e-6 * cost(point)},
         ).x
-    at = float(placed(point)[2])
-    rest, sizes, waves = left(point)
+    tau, theta, at = placed(point)
+    waves = _waves(at, n)
+    columns = np.vstack([predict(data, lead.x, lead.first, replace(fit, tau=tau, theta=theta))[1], waves])
+    terms, *_ = np.linalg.lstsq(columns.T, y, rcond=1e-10)
+    sizes = terms[-2:]
     turned = np.arange(n) * (sizes @ _waves(at, n, 0.5 * math.pi))
-    return Swing(at, float(np.hypot(*sizes)), sizes @ waves, np.vstack([waves, turned])), rest
+    return Swing(at, float(np.hypot(*sizes)), sizes @ waves, np.vstack([waves, turned])), y - terms @ columns
 
 
 def _waves(angle: float, n: int, ahead: float = 0.0) -> FloatArray:
