@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import os
 from contextlib import suppress
 from dataclasses import replace
@@ -219,6 +220,27 @@ def test_a_loop_without_stiction_is_not_accused(seed: int) -> None:
     assert np.array_equal(found.valve_position, record.op)
     assert found.plant.gain == pytest.approx(2.0, rel=0.05)
     assert found.plant.time_constant == pytest.approx(5.0, rel=0.1)
+
+
+def test_an_acquitted_valve_is_not_searched_for_further(monkeypatch: pytest.MonkeyPatch) -> None:
+    module = importlib.import_module("workbench.estimate.answer")
+    close = module.settled
+
+    def closely(*_: object) -> object:
+        raise AssertionError
+
+    steps = ((2.0, 0.0), (-3.0, 300.0), (2.0, 700.0))
+    record = record_of(d=0.0, sd=0.05, steps=steps)
+    monkeypatch.setattr(module, "settled", closely)
+    for method in ("profile", "joint"):
+        found = wb.estimate(record, method=method)
+        assert found.verdict == "no_stiction"
+        # The other valves are compared all the same, in the measure that the linear model asks for.
+        assert {type(one.valve) for one in found.candidates} == {wb.Ideal, wb.Stenman, wb.Deadband, wb.Choudhury}
+        assert isinstance(found.candidates[0].valve, wb.Ideal)
+    assert len(wb.estimate(record, valve="stenman").candidates) == 2
+    monkeypatch.setattr(module, "settled", close)
+    assert wb.estimate(record_of(d=2.0, sd=0.05, steps=steps)).verdict == "stiction"
 
 
 def test_an_integrating_plant() -> None:

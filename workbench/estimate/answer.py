@@ -29,7 +29,7 @@ from workbench.estimate.models import (
     words_of_rival,
 )
 from workbench.estimate.paths import band_paths, linear_path, stem_paths
-from workbench.estimate.profile import Profile, islands
+from workbench.estimate.profile import Profile, islands, profile_of
 from workbench.estimate.scale import (
     InScale,
     band_of,
@@ -46,6 +46,7 @@ from workbench.estimate.two_parameter import Band, look
 from workbench.estimate.two_step import akaike
 from workbench.estimate.verdict import ENOUGH_SLIPS, SHARP, WIDE_D, Evidence, agree, judge
 from workbench.estimate.windows import WHOLE
+from workbench.model.detection import Detection
 from workbench.model.loads import LoadStep
 from workbench.model.record import Record
 from workbench.model.results import Estimate, FittedModel, Intervals, Iteration, LinearFit
@@ -88,6 +89,13 @@ class _Fits:
     coarse: list[Band]
     within: Sought
     limits: Limits
+    alone: bool
+
+    def seen_in(self, data: Centred) -> Sought:
+        """Where stems are sought in the record as it is in another measure, or without its load."""
+        if data.y is self.within.pv:
+            return self.within
+        return sought(data, self.limits.theta[1], None, self.within.contested)
 
     def best(self, name: str) -> Band | Candidate | None:
         """The best stem of a valve by its name; of any that is not two-parameter, the profile's."""
@@ -141,13 +149,24 @@ def answer_of(
     """
     method, valve = asked
     linear = line.fit if line.data is data else fit_linear(data, line.longest)
-    fits = _fitted(data, asked, found, linear)
+    fits = _first(data, valve, found, linear)
+    early = None if method == "two_step" else _at_first(record, fits, method)
+    healthy = early is not None and early[0].verdict == "no_stiction"
+    fits = _sound(fits, valve, line) if healthy else _closely(fits, asked)
     stem, models = None if fits.found is None else stem_of(fits.data, fits.found), fits.compared()
     if stem is not None and method == "two_step":
         # It knows nothing of stems that fit as well as the one in which it ended.
         stem = replace(stem, intervals=Intervals())
     chosen = choose(models, "stenman" if method == "two_step" else valve)
-    said = _judged(record, fits, stem, chosen, models, _evidence(record, fits, stem, method, len(history)))
+    if early is not None and healthy:
+        said = early[0]
+    else:
+        # Once it is convinced, detection asks for no likelier stem.
+        if early is not None and early[1].verdict == "stiction":
+            detection = early[1]
+        else:
+            detection = _detected(record, fits, stem, _likelier_pair(fits, models))
+        said = _judged(fits, chosen, _evidence(record, fits, stem, method, len(history)), detection)
     maybe = said.verdict != "no_stiction"
     ranged = _ranged(fits, chosen) if maybe and chosen in fits.bands else None
     if ranged is not None:
@@ -201,9 +220,8 @@ def answer_of(
     return Answered(answer, paths, data, others)
 
 
-def _fitted(data: Centred, asked: tuple[str, str], found: Profile | None, linear: Fit) -> _Fits:
-    """Every model fitted; then load steps and the colour of the disturbance together with them."""
-    method, valve = asked
+def _first(data: Centred, valve: str, found: Profile | None, linear: Fit) -> _Fits:
+    """Where stems are sought, and the first of them, as if the disturbance were white."""
     n = data.samples
     # The rival of the verdict is as causal as the stem model: a long dead time passes for half a cycle.
     delays = found.limits.theta[1] if found is not None else longest_delay(data, None, DELAYS)
@@ -214,17 +232,63 @@ def _fitted(data: Centred, asked: tuple[str, str], found: Profile | None, linear
     seek: Seek = partial(like_stenman, found) if alone else look
     within = sought(data, delays, other, alone and valve == "auto", seek)
     coarse = coarse_of(data, within, delays, seek)
-    bands, limits = {}, Limits((LEAST_TAU, float(n)), (0.0, delays))
-    if method != "two_step" and valve not in ("stenman", "linear"):
-        seeds = coarse if alone or n > WHOLE else [*coarse, *like_stenman(found, data, delays)]
-        dense = () if alone else densely(data, coarse, delays)
-        bands = bands_of(data, seeds, within, limits, within.rival(other), beside=dense)
-    steps: tuple[LoadStep, ...] = ()
+    limits, least = Limits((LEAST_TAU, float(n)), (0.0, delays)), min(wide, default=math.inf)
+    return _Fits(data, found, {}, linear, rival, (), least, coarse, within, limits, alone)
+
+
+def _closely(fits: _Fits, asked: tuple[str, str]) -> _Fits:
+    """Every model fitted; then load steps and the colour of the disturbance together with them."""
+    method, valve = asked
+    if method == "two_step":
+        return fits
+    data, delays, bands = fits.data, fits.limits.theta[1], {}
+    if valve not in ("stenman", "linear"):
+        other = None if fits.found is None else fits.found.best.fit
+        seeds = fits.coarse
+        if not (fits.alone or data.samples > WHOLE):
+            seeds = [*seeds, *like_stenman(fits.found, data, delays)]
+        dense = () if fits.alone else densely(data, fits.coarse, delays)
+        bands = bands_of(data, seeds, fits.within, fits.limits, fits.within.rival(other), beside=dense)
     # The verdict weighs what each model leaves of PV; the model itself is fitted in the measure that its disturbance
     # asks for.
-    if method != "two_step":
-        data, found, bands, linear, steps = settled(data, found, bands, linear, delays, within)
-    return _Fits(data, found, bands, linear, rival, steps, min(wide, default=math.inf), coarse, within, limits)
+    data, found, bands, linear, steps = settled(data, fits.found, bands, fits.linear, delays, fits.within)
+    return replace(fits, data=data, found=found, bands=bands, linear=linear, steps=steps)
+
+
+def _sound(fits: _Fits, valve: str, line: Straight) -> _Fits:
+    """The models of a loop whose valve was acquitted, in the measure of what its linear model leaves."""
+    data, linear, _ = coloured_linear(fits.data, fits.linear, line.longest)
+    found, bands = fits.found, fits.bands
+    if found is not None:
+        found = profile_of(data, found.rows, [*found.likely, found.best.d_low], found.limits, (found.best,))
+    if valve not in ("stenman", "linear"):
+        other = None if found is None else found.best.fit
+        bands = bands_of(data, fits.coarse, fits.seen_in(data), fits.limits, fits.within.rival(other))
+    return replace(fits, data=data, found=found, bands=bands, linear=linear)
+
+
+def _at_first(record: Record, fits: _Fits, method: str) -> tuple[_Said, Detection] | None:
+    """The verdict of the first stems and of detection, which tries the likeliest of them; None where stems say enough.
+
+    Where it acquits the valve nothing is gained by a close search for a stem that the loop does not have.
+    """
+    stem = None if fits.found is None else stem_of(fits.data, fits.found)
+    evidence = _evidence(record, fits, stem, method, 0)
+    if judge(evidence)[0] == "stiction":
+        return None
+    pair = min(fits.coarse, key=lambda one: one.fit.sse, default=None)
+    if pair is not None and fits.found is not None and fits.found.best.fit.sse <= pair.fit.sse:
+        pair = None
+    found = _detected(record, fits, stem, pair)
+    return _judged(fits, "linear", evidence, found), found
+
+
+def _likelier_pair(fits: _Fits, models: Mapping[str, FittedModel]) -> Band | None:
+    """The best two-parameter stem where its BIC is below that of Stenman's."""
+    leader = next((name for name in models if name in fits.bands), None)
+    if leader is None or models[leader].bic >= models.get("stenman", models[leader]).bic + 1e-9:
+        return None
+    return fits.bands[leader].best
 
 
 def _evidence(record: Record, fits: _Fits, stem: InScale | None, method: str, iterations: int) -> Evidence:
@@ -256,35 +320,30 @@ def _evidence(record: Record, fits: _Fits, stem: InScale | None, method: str, it
     )
 
 
-def _judged(
-    record: Record,
-    fits: _Fits,
-    stem: InScale | None,
-    chosen: str,
-    models: Mapping[str, FittedModel],
-    evidence: Evidence,
-) -> _Said:
-    """The verdict of the fitted models and of detection, which tries the likeliest of the stems found here too."""
+def _detected(record: Record, fits: _Fits, stem: InScale | None, pair: Band | None) -> Detection:
+    """What detection says, which tries the profile's stem, or the two-parameter one that is likelier than it, too."""
+    fitted: Fitted | None = None
+    if fits.found is not None and stem is not None:
+        fitted = (Stenman(fits.found.best.d), stem.valve_position)
+    if pair is not None:
+        fitted = (Choudhury(pair.S, pair.J), band_position(fits.data, pair))
+    return detect(record, fitted=fitted)
+
+
+def _judged(fits: _Fits, chosen: str, evidence: Evidence, detection: Detection) -> _Said:
+    """The verdict of the fitted models and of detection."""
     verdict, reasons, identifiable = judge(evidence)
     if chosen in fits.bands and verdict == "stiction":
         # The range of d is that of another valve than the one chosen.
         reasons = judge(replace(evidence, d_range=None))[1]
-    fitted: Fitted | None = None
-    if fits.found is not None and stem is not None:
-        fitted = (Stenman(fits.found.best.d), stem.valve_position)
-    leader = next((name for name in models if name in fits.bands), None)
-    if leader is not None and models[leader].bic < models.get("stenman", models[leader]).bic + 1e-9:
-        pair = fits.bands[leader].best
-        fitted = (Choudhury(pair.S, pair.J), band_position(fits.data, pair))
-    verdict, reasons = agree(evidence, verdict, reasons, detect(record, fitted=fitted))
+    verdict, reasons = agree(evidence, verdict, reasons, detection)
     return _Said(verdict, reasons, identifiable and verdict == "stiction")
 
 
 def _ranged(fits: _Fits, chosen: str) -> Bands:
     """The two-parameter valve that was chosen, with its ranges, from parts of the record too."""
-    data, within = fits.data, fits.within
-    there = within if data.y is within.pv else sought(data, fits.limits.theta[1], None, within.contested)
-    ranged = repeated(data, fits.bands[chosen], fits.limits, there)
+    data = fits.data
+    ranged = repeated(data, fits.bands[chosen], fits.limits, fits.seen_in(data))
     return widened(data, ranged, fits.bands[chosen].only, fits.limits)
 
 
