@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import math
 import os
 from dataclasses import replace
@@ -304,6 +305,26 @@ def test_a_model_given_to_the_stem_test_is_tried_beside_its_own() -> None:
     for wrong in ((wb.Kano(2.0, 1.0), run.valve), (wb.Stenman(2.0), run.valve[1:]), (wb.Stenman(2.0), "stem")):
         with pytest.raises(wb.InvalidValue, match=r"detect\.fitted"):
             wb.detect(record, fitted=wrong)
+
+
+def test_where_a_models_stem_leaves_no_doubt_no_other_is_tried(monkeypatch: pytest.MonkeyPatch) -> None:
+    loop = wb.Loop(wb.FOPDT(2.0, 5.0, 1.0), wb.Stenman(2.0), wb.PID(Kc=0.5, Ti=15.0), 1.0)
+    run = wb.simulate(loop, wb.Experiment(600.0, setpoint=wb.Step(4.0), noise=wb.Noise(0.1, 1)))
+    record = wb.Record(run.pv, run.op, 1.0, sp=run.sp)
+    searched = []
+    module = importlib.import_module("workbench.detect.stem")
+    met = module._Search.met
+    monkeypatch.setattr(module._Search, "met", lambda search: searched.append(search) or met(search))
+    told = wb.detect(record, fitted=(wb.Stenman(2.0), run.valve))
+    assert told.verdict == "stiction"
+    assert not searched
+    assert math.isnan(told.test.wide)
+    (wide,) = (one for one in told.statistics if one.name == "Stem test, wide bands")
+    assert wide.says == "not asked: the model's stem leaves no doubt"
+    # One that explains nothing leaves the search what it is by itself.
+    wrong = wb.detect(record, fitted=(wb.Stenman(0.01), run.op.copy()))
+    assert len(searched) == 1
+    assert wrong.test == wb.detect(record).test
 
 
 def test_an_op_that_hardly_moves_tells_nothing_about_the_valve() -> None:

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from workbench.detect.stem import laws_of
+from workbench.detect.laws import laws_of
 from workbench.model.detection import StemEvidence
 from workbench.model.record import FloatArray
 

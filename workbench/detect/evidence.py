@@ -141,6 +141,8 @@ def _stem_test(found: Detection) -> Iterator[Statistic]:
         "to follow OP",
         _undefined(STILL)
         if test is None
+        else "not asked: the model's stem leaves no doubt"
+        if math.isnan(wide)
         else f"a band of {test.wide_from:.3g} % or more is excluded"
         if excluded(test, limits)
         else "wide bands are not excluded"

@@ -15,39 +15,30 @@ from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from workbench.detect.laws import BAND, CLASSES, Law, Laws, laws_of
 from workbench.detect.load_steps import load_steps, unforced
 from workbench.detect.predictor import FreePredictor
 from workbench.detect.sinusoid import strongest
 from workbench.detect.stem_kernel import plant, screen, settle
+from workbench.detect.verdict import beyond_doubt
 from workbench.detect.whitening import noise, whitened
 from workbench.model.detection import StemTest
 from workbench.model.record import FloatArray
 from workbench.model.valve import Choudhury, Deadband, Stenman
 from workbench.simulate import kernel as simulate
-from workbench.simulate.run import valve_response
 
-__all__ = ["FITTED", "Fitted", "Law", "dead_times", "laws_of", "stem_test"]
+__all__ = ["FITTED", "Fitted", "dead_times", "stem_test"]
 
 FITTED = (Stenman, Choudhury, Deadband)  # valves that the stem test may be given
 Fitted = tuple[Stenman | Choudhury | Deadband, FloatArray]
 
-# Valves: widths as a share of OP's range, from what noise leaves visible to what lets the stem move at all.
-WIDTHS = np.geomspace(0.03, 0.95, 70).tolist()  # d
-BANDS = np.geomspace(0.04, 0.97, 48).tolist()  # S
-JUMPS = (0.0, 0.3, 0.9, 1.4)  # J/S
-# Where the stem may rest at the start: OP less stem, as a share of what holds it. A start that is wrong puts slips in
-# wrong places until OP makes a move that is large beside the band: of narrow ones a few are enough.
-STARTS = (-0.9, -0.6, -0.3, 0.0, 0.3, 0.6, 0.9)
 WIDE = 0.25  # of OP's range: a band that matters to the loop, one of CLASSES
 CLOSER = (0.06, 0.03, 0.012, 0.005)  # widths are searched on by up to twice these shares
-BAND, JUMP, REST = range(3)  # columns of `Laws`
-CLASSES = (0.1, 0.25, 0.5)  # of OP's range: between narrow and wide bands
 # Plants: time constants and dead times, in samples.
 COARSE_TAUS, STEP_TAUS, FINE_TAUS = 8, 12, 28
 SHORTEST = 0.3
@@ -107,76 +98,6 @@ class _Candidate:
     def sure(self) -> float:
         """The less of that and of what the stem adds to the free predictor."""
         return min(self.harmless, self.adds)
-
-
-@dataclass(frozen=True, slots=True)
-class Law:
-    """A valve of the grid and where its stem rests at the start: OP less stem, %."""
-
-    valve: Stenman | Choudhury | Deadband
-    rest: float
-
-    @property
-    def band(self) -> float:
-        """Width of the stick band, % (Stenman: d)."""
-        return self.valve.stick_band
-
-    def path(self, u: FloatArray) -> FloatArray:
-        """Return the stem under OP, %, shape (N,)."""
-        return valve_response(self.valve, u, float(u[0]), float(u[0]) - self.rest)
-
-    def about(self, spread: float) -> Laws:
-        """Return laws about this one: widths scaled by up to twice the spread, the jump and the rest moved."""
-        factors = [1.0 + spread * f for f in (-2.0, -1.0, -0.5, 0.5, 1.0, 2.0)]
-        S, J, rest = self.valve.stick_band, self.valve.slip_jump, self.rest
-        stenman = isinstance(self.valve, Stenman)
-        if stenman:
-            found = [(S * f, S * f, r) for f in (*factors, 1.0) for r in (rest * f, rest - 4.0 * spread * S)]
-            found.append((S, S, rest + 4.0 * spread * S))
-        else:
-            more = 3.0 * spread * J + spread * S
-            jumps = (J, J + more, max(J - more, 0.0))
-            found = [(S * f, jump, rest) for f in (*factors, 1.0) for jump in jumps]
-            found += [(S, J, rest + f * spread * S) for f in (-3.0, 3.0)]
-        laws = Laws(stenman, np.array(found))
-        return Laws(laws.stenman, laws.rows[np.abs(laws.rows[:, REST]) <= laws.reach])
-
-
-@dataclass(frozen=True, slots=True)
-class Laws:
-    """Valves of one kind, Stenman (its d is both S and J) or Choudhury: rows (S, J, rest), %, as `Law` has the rest."""
-
-    stenman: bool
-    rows: FloatArray
-
-    def law(self, i: int) -> Law:
-        """Return one of them."""
-        S, J, rest = self.rows[i].tolist()
-        return Law(Stenman(S) if self.stenman else Choudhury(S, J), rest)
-
-    def each(self) -> Iterator[Law]:
-        """Return one after the other."""
-        return (self.law(i) for i in range(len(self.rows)))
-
-    @property
-    def reach(self) -> FloatArray:
-        """How far OP may be from a stem at rest, %."""
-        reach: FloatArray = 0.5 * (self.rows[:, BAND] + self.rows[:, JUMP])
-        return reach
-
-    @property
-    def kernel_rows(self) -> FloatArray:
-        """The kernel's rows: the leads at which they slip, those that they keep while moving, those at the start."""
-        return np.column_stack([self.reach, 0.5 * (self.rows[:, BAND] - self.rows[:, JUMP]), self.rows[:, REST]])
-
-
-def laws_of(width: float) -> tuple[Laws, Laws]:
-    """Return the grid of valves for an OP that moves over `width` (%)."""
-    stenman = [
-        (w * width, w * width, s * w * width) for w in WIDTHS for s in (STARTS if w > CLASSES[0] else STARTS[::3])
-    ]
-    choudhury = [(b * width, j * b * width, 0.0) for b in BANDS for j in JUMPS]
-    return Laws(True, np.array(stenman)), Laws(False, np.array(choudhury))
 
 
 def dead_times(n: int, period: float) -> list[int]:
@@ -400,14 +321,24 @@ def _stretch(
     free = unforced(sp, y, delays[-1])
     y, u = y - y[~held].mean(), u - u.mean()
     power = float(y[~held].var())
-    rivals = _Rivals(y, delays, sign, held)
-    search = _Search(rivals, u, held, power)
-    own = search.met()
-    met = own if fitted is None else own + search.told(fitted)
+    search = _Search(_Rivals(y, delays, sign, held), u, held, power)
+    told = [] if fitted is None else search.told(fitted)
+    if told:
+        test = _test(search, [], told, free, sample_time)
+        if beyond_doubt(test):
+            return test
+    return _test(search, search.met(), told, free, sample_time)
+
+
+def _test(
+    search: _Search, own: list[_Candidate], told: list[_Candidate], free: NDArray[np.bool_], sample_time: float
+) -> StemTest:
+    """What the search's own stems and a model's come to; free: the samples in which a load step may be."""
+    rivals, power, met = search.rivals, search.power, own + told
     best, both = max(met, key=lambda c: c.innovations), max(met, key=lambda c: c.both)
     moving = np.diff(best.path) != 0.0
     moves = int((moving[1:] & ~moving[:-1]).sum()) + int(moving[0])
-    width = float(np.ptp(u))
+    width = float(np.ptp(search.u))
     return StemTest(
         predicting=best.innovations,
         loaded=search.over_load_steps(best, moves, free),
@@ -417,7 +348,7 @@ def _stretch(
         adds=both.adds,
         sure=max(c.sure for c in met),
         # What chance gives is known for the search's own stems, not for one that a model was fitted with.
-        wide=max(c.harmless for c in own if c.law.band >= WIDE * width),
+        wide=max((c.harmless for c in own if c.law.band >= WIDE * width), default=math.nan),
         wide_from=WIDE * width,
         left=search.linear.variance / power,
         unexplained=search.straight.variance / power,
@@ -443,9 +374,10 @@ def stem_test(
     """Return the stem test of PV (EU) and OP (%), shape (N,), both moving; sp: EU, (N,), where it was recorded.
 
     period: s, of PV's oscillation, nan where it has none. sign: that the plant's gain must have, +1 or -1, 0 where it
-    is not known. fitted: a valve and its stem, %, shape (N,), from a model of the loop, tried beside the grid. A cycle
-    of more than 100 samples is thinned to that, and of a long record three stretches of 3,000 samples are looked at,
-    evenly spaced, whose likelihoods add up; the rest is told for the clearest of them.
+    is not known. fitted: a valve and its stem, %, shape (N,), from a model of the loop, tried before the grid, which is
+    not asked where that one leaves no doubt (`wide` is nan then). A cycle of more than 100 samples is thinned to that,
+    and of a long record three stretches of 3,000 samples are looked at, evenly spaced, whose likelihoods add up; the
+    rest is told for the clearest of them.
     """
     thin = max(int(period / sample_time / PER_CYCLE), 1) if math.isfinite(period) else 1
     pv, op, step = pv[::thin], op[::thin], thin * sample_time

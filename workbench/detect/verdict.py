@@ -52,7 +52,7 @@ from dataclasses import dataclass
 from workbench.detect.oscillation import no_period
 from workbench.model.detection import Oscillation, StemEvidence, StemTest
 
-__all__ = ["Thresholds", "beyond_chance", "decide", "excluded", "follows", "times"]
+__all__ = ["Thresholds", "beyond_chance", "beyond_doubt", "decide", "excluded", "follows", "times"]
 
 DUST = 1e-20  # share of PV's variance that is rounding, left or not
 
@@ -198,8 +198,15 @@ def excluded(test: StemTest, limits: Thresholds) -> bool:
 
 
 def beyond_chance(test: StemTest, limits: Thresholds) -> bool:
-    """Return whether a stem with a wide band predicts PV better than chance has it."""
-    return test.wide > (0.0 if follows(test) >= limits.seen else limits.chance)
+    """Return whether a stem with a wide band predicts PV better than chance has it, or was never asked for (nan)."""
+    return not test.wide <= (0.0 if follows(test) >= limits.seen else limits.chance)
+
+
+def beyond_doubt(test: StemTest) -> bool:
+    """Return whether a sticking stem reaches twice what finding stiction takes, and explains most of both errors."""
+    limits = Thresholds()
+    most = min(test.improvement, test.simulated) >= limits.most
+    return most and test.loaded >= 2.0 * limits.chance and _sticks(test, limits, 2.0)
 
 
 def _sticks(test: StemTest, limits: Thresholds, share: float) -> bool:

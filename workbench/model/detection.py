@@ -77,7 +77,8 @@ class StemTest:
 
     sure: the best of all stems by the less of both ratios, over the linear rival and over the free predictor; wide: the
     ratio over the linear rival of the best stem with a band of `wide_from` (%), a quarter of OP's range, or more. In
-    these two a stem that makes the simulated PV worse by half counts for what it simulates.
+    these two a stem that makes the simulated PV worse by half counts for what it simulates. wide is nan where a model's
+    stem left no doubt and no other was tried.
 
     left: share of PV's variance that the linear rival leaves as innovations, unfollowed: likewise without any input;
     unexplained: what its simulated PV leaves.
