@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable
 from dataclasses import replace
 from functools import reduce
+from typing import NamedTuple
 
 from workbench.detect.late import as_seen, earlier, words_of_late
 from workbench.errors import InvalidValue
@@ -105,10 +106,17 @@ def estimate(
         valve = "stenman"
     tell = silent if progress is None else _rising(progress)
     seen, late = as_seen(record, "estimate a loop")
+    asked = _Asked(method, valve, start, max_dead_time)
+    # A search for each plant, and where programs go on from one as much again.
+    shares = (1 if plant != "auto" else 2) + (method in PROGRAMS)
+    said: tuple[str, ...] = ()
     if plant == "auto":
-        answer = _better_plant(seen, (method, valve), start, max_dead_time, tell)
+        found, said = _better_plant(seen, asked, tell, shares)
     else:
-        answer = _with_plant(seen, plant, (method, valve), start, max_dead_time, tell)[0]
+        found = _searched(seen, plant, asked, lambda share: tell(share / shares))
+    answer = _told(seen, found, asked, lambda share: tell(1.0 - (1.0 - share) / shares))
+    answer = replace(answer, reasons=answer.reasons + said)
+    tell(1.0)
     if late.samples == 0:
         return answer
     return replace(
@@ -120,16 +128,25 @@ def estimate(
     )
 
 
-def _with_plant(
-    record: Record,
-    plant: str,
-    asked: tuple[str, str],
-    start: float | None,
-    max_dead_time: float | None,
-    tell: Callable[[float], None],
-) -> tuple[Estimate, Swing | None]:
-    """The estimate with one kind of plant, by method and valve as asked, and the oscillation that it stands beside."""
-    method = asked[0]
+class _Asked(NamedTuple):
+    """What `estimate` was asked for; start: %, max_dead_time: s."""
+
+    method: str
+    valve: str
+    start: float | None
+    max_dead_time: float | None
+
+
+class _Searched(NamedTuple):
+    """What a search came to with one kind of plant, and the oscillation that it stands beside."""
+
+    answered: Answered[Estimate]
+    swing: Swing | None
+
+
+def _searched(record: Record, plant: str, asked: _Asked, tell: Callable[[float], None]) -> _Searched:
+    """The search with one kind of plant."""
+    method, valve, start, max_dead_time = asked
     data = centre(record, plant)
     tell(0.0)
     line = _straight(record, data, max_dead_time)
@@ -144,41 +161,45 @@ def _with_plant(
             data,
             lambda one, told: _profile(one, max_dead_time, told),
             lambda one, model: left_by_stem(one, model, delays),
-            (lambda share: tell(0.5 * share)) if method in PROGRAMS else tell,
+            tell,
         )
-    answered = answer_of(record, data, asked, found, line, history)
+    answered = answer_of(record, data, (method, valve), found, line, history)
     swing: Swing | None = None
     if method != "two_step":
 
         def again(calm: Centred) -> Answered[Estimate]:
             still = Straight(calm, fit_linear(calm, line.longest), line.longest)
-            return answer_of(record, calm, asked, _profile(calm, max_dead_time, silent), still, history)
+            return answer_of(record, calm, (method, valve), _profile(calm, max_dead_time, silent), still, history)
 
         answered, swing = beside_swing(data, answered, again, line.longest)
-    answer, paths, settled, others = answered
+    return _Searched(answered, swing)
+
+
+def _told(record: Record, found: _Searched, asked: _Asked, tell: Callable[[float], None]) -> Estimate:
+    """The estimate that a search comes to: by programs if they are asked for, with its ranges, repeats and words."""
+    (answer, paths, settled, others), swing = found
+    method, max_dead_time = asked.method, asked.max_dead_time
     data = settled.whitened(WHITE, 0)
     if method in PROGRAMS:
         usual = LINEAR_DELAYS if isinstance(answer.valve, Ideal) else 2.0 * paths[0].fit.theta + DELAYS
         limits = Limits((LEAST_TAU, float(data.samples)), (0.0, longest_delay(data, max_dead_time, int(usual))))
         refine, used = (jointly, data) if method == "joint" else (by_complementarity, settled)
-        answer = refine(used, answer, paths, limits, lambda share: tell(0.5 + 0.5 * share))
+        answer = refine(used, answer, paths, limits, tell)
     answer = replace(answer, intervals=reduce(joined, others, answer.intervals))
     # Where OP's steps hide the stem, its parts tell no more than the whole.
     lost = data.doubt > 0.0 and answer.valve.stick_band > 0.0 and answer.intervals == Intervals()
     repeats = None if lost else repeats_of(data, answer)
     said = words_of(repeats) if repeats is not None and answer.verdict == "stiction" else ()
-    tell(1.0)
     opened = words_of_open(answer.intervals, data.integrating)
     load = None if swing is None else swing.load(answer.plant, record.sample_time)
     swung = () if load is None else (words_of_swing(load),)
-    told = replace(
+    return replace(
         answer,
         repeats=repeats,
         load_swing=load,
         reasons=answer.reasons + swung + opened + said,
         identifiable=answer.identifiable and _sharp(answer) and not opened,
     )
-    return told, swing
 
 
 @one_thread
@@ -220,40 +241,27 @@ def _straight(record: Record, data: Centred, max_dead_time: float | None) -> Str
 
 
 def _better_plant(
-    record: Record,
-    asked: tuple[str, str],
-    start: float | None,
-    max_dead_time: float | None,
-    tell: Callable[[float], None],
-) -> Estimate:
-    """The estimate with the plant of the lower BIC, and in words by how much."""
-    method, valve = asked
-    quick = "profile" if method in PROGRAMS else method, valve
-    shares = 3 if method in PROGRAMS else 2
+    record: Record, asked: _Asked, tell: Callable[[float], None], shares: int
+) -> tuple[_Searched, tuple[str, ...]]:
+    """The search with the plant of the lower BIC, and in words by how much."""
 
     def part(i: int) -> Callable[[float], None]:
         return lambda share: tell((i + share) / shares)
 
     found = {
-        plant: _with_plant(record, plant, quick, start, max_dead_time, _rising(part(i)))
-        for i, plant in enumerate(("fopdt", "integrating"))
+        plant: _searched(record, plant, asked, _rising(part(i))) for i, plant in enumerate(("fopdt", "integrating"))
     }
-    bics = {
-        plant: foretelling_bic(
-            besides(centre(record, plant), swing), one.plant, one.valve, one.valve_position, one.prediction
-        )
-        for plant, (one, swing) in found.items()
-    }
+    bics = {}
+    for plant, ((one, *_), swing) in found.items():
+        data = besides(centre(record, plant), swing)
+        bics[plant] = foretelling_bic(data, one.plant, one.valve, one.valve_position, one.prediction)
     plant = min(bics, key=lambda name: bics[name])
-    answer = found[plant][0]
-    if method in PROGRAMS:
-        answer = _with_plant(record, plant, asked, None, max_dead_time, _rising(part(2)))[0]
     words = {"fopdt": "a first-order process", "integrating": "an integrating process"}
     by = max(bics.values()) - bics[plant]
     said = f"{words[plant]} has the lower BIC, by {by:.3g}"
     if by < CLEAR_BIC:
         said += ": the record hardly tells it from " + next(w for name, w in words.items() if name != plant)
-    return replace(answer, reasons=(*answer.reasons, said))
+    return found[plant], (said,)
 
 
 def _rising(progress: Callable[[float], None]) -> Callable[[float], None]:
