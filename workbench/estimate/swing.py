@@ -132,10 +132,11 @@ def _swing_of(data: Centred, lead: Path, limits: Limits, before: Swing | None) -
         a.size == 1 and stands_out < 2.0 * math.log(n / 2.0) + CLEAR
     ):
         return None, math.inf
-    found = (_fitted(data, data.y, lead, limits, angle) for angle in sorted(angles))
-    swing, rest = min(found, key=lambda one: float(one[1] @ one[1]))
-    if swing.angle <= slowest(n):
+    tried = (_fitted(data, data.y, lead, limits, angle) for angle in sorted(angles))
+    found = [one for one in tried if one[0].angle > slowest(n)]
+    if not found:
         return None, math.inf
+    swing, rest = min(found, key=lambda one: float(one[1] @ one[1]))
     much = float(np.var(swing.pv)) >= MUCH * (float(np.var(swing.pv)) + float(np.var(rest)))
     price = DEGREES * math.log(n) + CLEAR
     clear = much and autoregression(rest, data.floor)[1] < level - price
