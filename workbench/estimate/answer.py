@@ -76,7 +76,8 @@ class _Fits:
 
     data: without load steps; found: Stenman's profile; bands: two-parameter valves by name; rival: the linear model
     with dead times as short as the stem's, before `steps`, the load steps, were taken out; wide: what the best stem
-    over much of OP's range leaves, EU^2; coarse: the first stems of the two-parameter search, the best first.
+    over much of OP's range leaves, EU^2; coarse: the first stems of the two-parameter search, the best first;
+    alone: whether Stenman's stem leaves noise alone (`leaves_noise_alone`).
     """
 
     data: Centred
