@@ -61,11 +61,12 @@ __all__ = ["run_costs", "run_worst"]
 Floats = NDArray[np.float64]
 
 # Runs side by side (see `_abreast`): so many lanes, and where each number of theirs begins in a flat array: what a
-# tuning's row has of its own, the state, this sample's proportional term and integral step, and the sums.
+# tuning's row has of its own, the state, this sample's proportional term and integral step and the stem before it, and
+# the sums.
 LANES = 16
-ABREAST = 20 * LANES
+ABREAST = 22 * LANES
 _KC, _KI, _KD, _TF, _TF_TS, _WEIGHT, _I, _D, _S, _U, _X, _MOTION, _Y = range(0, 13 * LANES, LANES)
-_P, _STEP, _ERROR2, _OP2, _MOVES2, _WINDOW2, _TRAVEL = range(13 * LANES, ABREAST, LANES)
+_P, _STEP, _X_LAST, _MOTION_LAST, _ERROR2, _OP2, _MOVES2, _WINDOW2, _TRAVEL = range(13 * LANES, ABREAST, LANES)
 # Below so many runs the idle lanes cost more than the others save.
 WORTH_LANES = 5
 # Samples of a search's runs at a time: so long that the bookkeeping between costs little, so short as to stop early.
@@ -80,10 +81,11 @@ def _abreast(
 
     The compiler makes vector instructions of the loops over lanes, each lane rounded as if it ran alone. For that, each
     decision is a choice between two values, all numbers of the lanes are in one array at constant distances, and the
-    loops are two, as a single one would read inputs of the plant that it might itself have written. c: the row of what
-    all lanes share; v: the plant's inputs of samples -m-2 .. r.size-1, LANES of each, moved up at the end for the next
-    stretch; the plant's output in `lanes` is the last sample's. kind: STAIRS or TWO_PARAMETER; first: whether the runs
-    begin here.
+    loops are two, as a single one would read inputs of the plant that it might itself have written. A choice that keeps
+    a number as it is would become a store under a mask, which is slow where vectors are of four numbers: the stem's
+    last values have places of their own. c: the row of what all lanes share; v: the plant's inputs of
+    samples -m-2 .. r.size-1, LANES of each, moved up at the end for the next stretch; the plant's output in `lanes` is
+    the last sample's. kind: STAIRS or TWO_PARAMETER; first: whether the runs begin here.
     """
     on_pv, bias, low, high = c[ON_PV] != 0.0, c[BIAS], c[LOW], c[HIGH]
     band, offset, band_down, offset_down = c[BAND], c[OFFSET], c[BAND_DOWN], c[OFFSET_DOWN]
@@ -100,11 +102,13 @@ def _abreast(
             measured = plant + noise_now
             e = r_now - measured
             s = -measured if on_pv else e
-            kd, d_last = lanes[_KD + j], lanes[_D + j]
-            d_term = (lanes[_TF + j] * d_last + kd * (s - lanes[_S + j])) / lanes[_TF_TS + j]
-            lanes[_D + j] = d_term if kd != 0.0 or d_last != 0.0 else d_last
+            d_term = (lanes[_TF + j] * lanes[_D + j] + lanes[_KD + j] * (s - lanes[_S + j])) / lanes[_TF_TS + j]
+            lanes[_D + j] = d_term if lanes[_KD + j] != 0.0 else 0.0
             lanes[_Y + j], lanes[_S + j], lanes[_STEP + j] = plant, s, lanes[_KI + j] * e
             lanes[_P + j] = lanes[_KC + j] * (lanes[_WEIGHT + j] * r_now - measured)
+            lanes[_X_LAST + j] = lanes[_X + j]
+            if kind != STAIRS:
+                lanes[_MOTION_LAST + j] = lanes[_MOTION + j]
             lanes[_ERROR2 + j] += e * e
             lanes[_WINDOW2 + j] += e * e
         for j in range(LANES):
@@ -112,11 +116,11 @@ def _abreast(
             i_term, d_term = i_last + step, lanes[_D + j]
             out = others + i_term + d_term
             undone = (out > high and step > 0.0) or (out < low and step < 0.0)
-            i_term = i_last if undone else i_term
-            out = others + i_term + d_term if undone else out
+            i_term = i_last + (0.0 if undone else step)
+            out = others + i_term + d_term
             out = high if out > high else (low if out < low else out)
-            u_last, x_last = lanes[_U + j], lanes[_X + j]
-            motion = 0 if kind == STAIRS else int(lanes[_MOTION + j])
+            u_last, x_last = lanes[_U + j], lanes[_X_LAST + j]
+            motion = lanes[_MOTION_LAST + j]
             x, motion = valve_step(kind, band, offset, band_down, offset_down, out, u_last, x_last, motion)
             lanes[_I + j], lanes[_U + j], lanes[_X + j], lanes[_MOTION + j] = i_term, out, x, motion
             lanes[_OP2 + j] += out * out
