@@ -55,27 +55,31 @@ WORTH = 3.0  # steps left of a line for which an idle lane takes the further hal
 
 @written_out
 def _stems(op: Floats, lanes: Floats, x: Floats, count: int) -> None:
-    """`count` samples of the lanes' stems: `path_kernel.band_path` without branches."""
+    """`count` samples of the lanes' stems: `path_kernel.band_path` without branches.
+
+    Each choice has one comparison: such as are made of several are slow where vectors are of four numbers.
+    """
     for j in range(LANES):
         S, J, along_j = lanes[_BACK + j], lanes[_ON + j], lanes[_ALONG_J + j] > 0.0
-        offset = 0.5 * (S - J)
+        offset, edge_on, edge_back = 0.5 * (S - J), J if along_j else NEVER, NEVER if along_j else S
         led, sense, motion, last = lanes[_LED + j], lanes[_SENSE + j], lanes[_MOTION + j], lanes[_LAST + j]
         edge, slips = lanes[_EDGE + j], lanes[_SLIPS + j]
         for i in range(count):
             v = op[i * LANES + j]
-            on = (v - led) * sense
             goes_on = motion * (v - last) > 0.0
-            further = (on > J) & (not goes_on)
-            turned = (-on > S) & (not goes_on)
-            slip = further | turned
-            asked = (further & along_j) | (turned & (not along_j))
-            size = abs(on) if asked else NEVER
+            # A stem that goes on is led as one that slips on is, over an edge of no size.
+            on = NEVER if goes_on else (v - led) * sense
+            size = on if on > edge_on else NEVER
             edge = size if size < edge else edge
-            sense = -sense if turned else sense
-            moved = goes_on | slip
-            led = v if moved else led
-            motion = sense if moved else 0.0
-            slips += 1.0 if slip else 0.0
+            size = -on if on < -edge_back else NEVER
+            edge = size if size < edge else edge
+            slip = 0.0 if goes_on else (1.0 if on > J else 0.0)
+            slips += 1.0 if on < -S else slip
+            led = v if on > J else led
+            led = v if on < -S else led
+            motion = sense if on > J else 0.0
+            motion = -sense if on < -S else motion
+            sense = -sense if on < -S else sense
             last = v
             x[i * LANES + j] = led - sense * offset
         lanes[_LED + j], lanes[_SENSE + j], lanes[_MOTION + j], lanes[_LAST + j] = led, sense, motion, last
@@ -138,25 +142,28 @@ def _sums_rest(y: Floats, w: Floats, added: Floats, lanes: Floats, count: int) -
 
 @compiled
 def _filtered(a: Floats, x: Floats, w: Floats, count: int) -> None:
-    """Filter `count` rows of x, which stand behind a.size - 1 earlier ones, by a."""
-    p = a.size - 1
-    for i in range(count):
-        row, now = w[i * LANES :], x[(p + i) * LANES :]
-        for j in range(LANES):
-            row[j] = now[j]
-        q = 1
-        while q + 3 <= p:
-            # Four at a time: fewer loads and stores of the row.
-            a0, a1, a2, a3 = a[q], a[q + 1], a[q + 2], a[q + 3]
-            four = x[(p + i - q - 3) * LANES :]
-            for j in range(LANES):
-                row[j] += (a0 * four[3 * LANES + j] + a1 * four[2 * LANES + j]) + (a2 * four[LANES + j] + a3 * four[j])
-            q += 4
-        while q <= p:
-            share, earlier = a[q], x[(p + i - q) * LANES :]
-            for j in range(LANES):
-                row[j] += share * earlier[j]
-            q += 1
+    """Filter `count` rows of x, which stand behind a.size - 1 earlier ones, by a, which is not (1,)."""
+    p, n, q = a.size - 1, count * LANES, min(a.size - 1, 4)
+    # As the rows stand one behind the other, a sample earlier is LANES numbers earlier in all of them.
+    now, one, two = x[p * LANES :], x[max(p - 1, 0) * LANES :], x[max(p - 2, 0) * LANES :]
+    three, four = x[max(p - 3, 0) * LANES :], x[max(p - 4, 0) * LANES :]
+    if q == 1:
+        for k in range(n):
+            w[k] = now[k] + a[1] * one[k]
+    elif q == 2:
+        for k in range(n):
+            w[k] = now[k] + a[1] * one[k] + a[2] * two[k]
+    elif q == 3:
+        for k in range(n):
+            w[k] = now[k] + a[1] * one[k] + a[2] * two[k] + a[3] * three[k]
+    else:
+        for k in range(n):
+            w[k] = now[k] + ((a[1] * one[k] + a[2] * two[k]) + (a[3] * three[k] + a[4] * four[k]))
+    while q < p:
+        q += 1
+        one = x[(p - q) * LANES :]
+        for k in range(n):
+            w[k] += a[q] * one[k]
 
 
 class _Room(NamedTuple):
