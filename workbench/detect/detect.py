@@ -19,6 +19,7 @@ from workbench.detect.late import as_seen, later, words_of_late
 from workbench.detect.load import DETECTIONS, load_index
 from workbench.detect.oscillation import no_period, oscillation_of
 from workbench.detect.shape import movement_index, triangle_index
+from workbench.detect.spikes import words_of_spikes
 from workbench.detect.stem import FITTED, Fitted, stem_test
 from workbench.detect.verdict import Thresholds, decide, follows
 from workbench.errors import InvalidValue
@@ -46,9 +47,9 @@ def detect(record: Record, *, bicoherence: bool = False, fitted: Fitted | None =
     bicoherence: also the bicoherence of SP - PV with its indices and the ellipse of PV against OP, which want long
     records. fitted: a valve (Stenman, Choudhury or Deadband) and its stem (%, shape (N,)) from a model of the loop,
     which the stem test tries too; where it leaves no doubt, no others are tried and `test.wide` is nan. A PV that is
-    recorded later than the controller saw it is looked at as that did (`pv_late`). Raises `RecordError` for fewer than
-    30 samples or values that no plant has, and `InvalidValue` for anything that is not a record, or for a valve or a
-    stem that cannot be tried.
+    recorded later than the controller saw it is looked at as that did (`pv_late`), and values of PV that stand out from
+    their neighbours alone are left out (`detect.spikes`). Raises `RecordError` for fewer than 30 samples or values that
+    no plant has, and `InvalidValue` for anything that is not a record, or for a valve or a stem that cannot be tried.
     """
     if not isinstance(record, Record):
         raise InvalidValue("detect.record", type(record).__name__, "must be a Record (see read_record)")
@@ -56,15 +57,12 @@ def detect(record: Record, *, bicoherence: bool = False, fitted: Fitted | None =
         instance(fitted[0], FITTED, "detect.fitted[0]", "a Stenman, Choudhury or Deadband valve")
         fitted = fitted[0], signal_of(fitted[1], "detect.fitted[1]", len(record))
     seen, late = as_seen(record, "detect stiction")
-    if late.samples == 0:
-        found = _detected(record, bicoherence, fitted)
-        if not late.perhaps or found.verdict != "no_stiction" or found.stem is not None:
-            return found
-        return replace(found, verdict="undecided", reasons=(PERHAPS_LATE, *found.reasons))
-    if fitted is not None:
+    if late.samples and fitted is not None:
         fitted = fitted[0], later(fitted[1], late.samples)
     found = _detected(seen, bicoherence, fitted)
-    said = words_of_late(record, late)
+    if late.perhaps and found.verdict == "no_stiction" and found.stem is None:
+        found = replace(found, verdict="undecided", reasons=(PERHAPS_LATE, *found.reasons))
+    said = words_of_late(record, late) + words_of_spikes(record)
     return replace(found, record=record, reasons=found.reasons + said, pv_late=late.samples * record.sample_time)
 
 

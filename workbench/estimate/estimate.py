@@ -9,6 +9,7 @@ from functools import reduce
 from typing import NamedTuple
 
 from workbench.detect.late import as_seen, earlier, words_of_late
+from workbench.detect.spikes import words_of_spikes
 from workbench.errors import InvalidValue
 from workbench.estimate.answer import DELAYS, LINEAR_DELAYS, Straight, answer_of, longest_delay
 from workbench.estimate.data import WHITE, Centred, centre
@@ -84,7 +85,8 @@ def estimate(
     limit, or the record tells nothing, a range is open (see `Intervals`). A sticking valve by "two_step" has no ranges:
     it does not look for others that fit as well. An oscillation from outside the loop, a sinusoid that is a quarter or
     more of what the model leaves, is fitted beside the model (`load_swing`; 10,000 samples at most; not by "two_step").
-    A PV that is recorded later than the controller saw it is looked at as that did (`pv_late`).
+    A PV that is recorded later than the controller saw it is looked at as that did (`pv_late`), and values of PV that
+    stand out from their neighbours alone are left out (`detect.spikes`).
     identifiable is True where the verdict is "stiction", no range is open, that hull is at most a tenth of d wide and
     gain's at most half of the gain. Raises `RecordError` for a record that holds no information (too short, PV or OP
     constant, values that no plant has) or is too long for the method, and `InvalidValue` for arguments that are not
@@ -115,15 +117,13 @@ def estimate(
     else:
         found = _searched(seen, plant, asked, lambda share: tell(share / shares))
     answer = _told(seen, found, asked, lambda share: tell(1.0 - (1.0 - share) / shares))
-    answer = replace(answer, reasons=answer.reasons + said)
+    said += words_of_late(record, late) + words_of_spikes(record)
     tell(1.0)
-    if late.samples == 0:
-        return answer
     return replace(
         answer,
         record=record,
         valve_position=earlier(answer.valve_position, late.samples),
-        reasons=answer.reasons + words_of_late(record, late),
+        reasons=answer.reasons + said,
         pv_late=late.samples * record.sample_time,
     )
 

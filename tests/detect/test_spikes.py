@@ -1,0 +1,102 @@
+"""Single wrong values of PV, the sensor's or the historian's: found, told, and left out of verdict and model."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import workbench as wb
+from workbench.detect.spikes import MOST, spikes_of
+from workbench.model.record import FloatArray
+
+N = 1000
+
+
+def slow_load(rng: np.random.Generator) -> FloatArray:
+    load = np.zeros(N)
+    for k in range(1, N):
+        load[k] = 0.99 * load[k - 1] + rng.normal(0.0, 0.3)
+    return load
+
+
+def sticky(seed: int) -> wb.Record:
+    rng = np.random.default_rng(seed)
+    loop = wb.Loop(wb.FOPDT(1.0, 12.0, 3.0), wb.Stenman(3.0), wb.PID(Kc=1.0, Ti=12.0), 1.0)
+    run = wb.simulate(loop, wb.Experiment(float(N), load=wb.Series(slow_load(rng).tolist())))
+    return wb.Record(run.pv + rng.normal(0.0, 0.1, N) + 120.0, run.op + 45.0, 1.0, sp=run.sp + 120.0)
+
+
+def healthy(seed: int, spikes: FloatArray) -> wb.Record:
+    """A loop without stiction whose controller sees the sensor's spikes (EU) and answers them."""
+    rng = np.random.default_rng(seed)
+    load, noise, pole = slow_load(rng), rng.normal(0.0, 0.1, N) + spikes, float(np.exp(-1.0 / 12.0))
+    pv, op, past, y, u, last = np.empty(N), np.empty(N), [0.0] * 4, 0.0, 0.0, 0.0
+    for k in range(N):
+        error = -(y + noise[k])
+        u += 2.0 * (error - last) + 2.0 / 12.0 * error
+        pv[k], op[k], last = 120.0 - error, 45.0 + u, error
+        past = [u + load[k], *past[:-1]]
+        y = pole * y + (1.0 - pole) * past[3]
+    return wb.Record(pv, op, 1.0, sp=np.full(N, 120.0))
+
+
+@given(seed=st.integers(0, 10_000), scale=st.sampled_from([1e-3, 1.0, 1e4]), round_to=st.sampled_from([0.0, 0.5, 2.0]))
+def test_noise_and_a_rounded_one_have_none(seed: int, scale: float, round_to: float) -> None:
+    pv = np.random.default_rng(seed).normal(0.0, 1.0, 500)
+    pv = np.round(pv / round_to) * round_to if round_to else pv
+    assert not spikes_of(scale * pv + 50.0).any()
+
+
+def test_sharp_peaks_steps_and_a_noisy_stretch_are_none() -> None:
+    t = np.arange(600.0)
+    triangle = np.abs((t % 40.0) - 20.0)
+    assert not spikes_of(triangle).any()
+    assert not spikes_of(np.where(t < 300.0, 0.0, 10.0)).any()
+    noisy = np.where(t < 100.0, np.random.default_rng(0).normal(0.0, 1.0, 600), 0.0)
+    assert not spikes_of(noisy).any()
+    assert not spikes_of(np.zeros(600)).any()
+    for few in range(12):
+        assert not spikes_of(np.arange(float(few)) ** 2).any()
+
+
+def test_they_are_found_alone_and_up_to_three_together() -> None:
+    pv = np.random.default_rng(1).normal(50.0, 0.2, 600)
+    pv[[60, 62, 200, 201, 400, 401, 402]] += [9.0, 8.0, -5.0, -6.0, 4.0, 5.0, 6.0]
+    assert np.flatnonzero(spikes_of(pv)).tolist() == [60, 62, 200, 201, 400, 401, 402]
+    # A PV that stands elsewhere for longer is one that the process may have had, and many are the noise it has.
+    pv[500:504] += 9.0
+    assert not spikes_of(pv)[500:504].any()
+    often = np.random.default_rng(2).normal(0.0, 0.2, 600)
+    often[10:590:40] += 9.0
+    assert np.count_nonzero(spikes_of(often)) == 15 < MOST * 600
+    often[30:590:40] += 9.0
+    assert not spikes_of(often).any()
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_sensors_spikes_accuse_no_valve(seed: int) -> None:
+    rng = np.random.default_rng(100 + seed)
+    spikes = np.where(rng.random(N) < 0.01, rng.choice([-3.0, 3.0], N), 0.0)
+    record = healthy(seed, spikes)
+    found = wb.detect(record)
+    assert found.verdict != "stiction"
+    assert found.record is record
+    count = np.count_nonzero(spikes)
+    assert any(f"{count} samples of PV stand out from" in reason for reason in found.reasons)
+
+
+def test_a_few_zeros_hide_no_valve_that_sticks() -> None:
+    record = sticky(0)
+    pv = record.pv.copy()
+    pv[[150, 400, 700]] = 0.0
+    hidden = wb.Record(pv, record.op, 1.0, sp=record.sp)
+    clean, found = wb.estimate(record), wb.estimate(hidden)
+    assert clean.verdict == found.verdict == wb.detect(hidden).verdict == "stiction"
+    assert found.valve.stick_band == pytest.approx(clean.valve.stick_band, rel=0.01)
+    assert found.plant.gain == pytest.approx(clean.plant.gain, rel=0.01)
+    assert found.noise_sd == pytest.approx(clean.noise_sd, rel=0.05)
+    assert found.record is hidden
+    assert any("3 samples of PV stand out from" in reason for reason in found.reasons)
+    assert not any("stand out" in reason for reason in clean.reasons)
