@@ -21,6 +21,7 @@ from workbench.estimate.fit import LEAST_TAU, Fit, Limits, disturbance, fit_line
 from workbench.estimate.hidden import hidden, words_of_hidden
 from workbench.estimate.models import (
     PLANT_PARAMETERS,
+    STICKING,
     VALVE_PARAMETERS,
     bands_of,
     choose,
@@ -28,6 +29,7 @@ from workbench.estimate.models import (
     reasons_of,
     words_of_rival,
 )
+from workbench.estimate.outside import weighed
 from workbench.estimate.paths import band_paths, linear_path, stem_paths
 from workbench.estimate.profile import Profile, islands, profile_of
 from workbench.estimate.scale import (
@@ -41,6 +43,7 @@ from workbench.estimate.scale import (
 )
 from workbench.estimate.settled import coloured_linear, settled
 from workbench.estimate.stems import path_of
+from workbench.estimate.straight import Straight
 from workbench.estimate.swing import Answered
 from workbench.estimate.two_parameter import Band, look
 from workbench.estimate.two_step import akaike
@@ -53,21 +56,13 @@ from workbench.model.results import Estimate, FittedModel, Intervals, Iteration,
 from workbench.model.valve import Choudhury, Ideal, Stenman
 from workbench.record.modes import manual_share, mode_words
 
-__all__ = ["DELAYS", "LINEAR_DELAYS", "Straight", "answer_of", "leaves_noise_alone", "longest_delay"]
+__all__ = ["DELAYS", "LINEAR_DELAYS", "answer_of", "leaves_noise_alone", "longest_delay"]
 
 # Dead times searched by default, in samples, doubled while the best fit lies at the end.
 DELAYS = 30
 LINEAR_DELAYS = 240
 HALF = 0.5  # of what the linear fit leaves: a stem that leaves no more explains PV by itself
 MUCH_MANUAL = 0.05  # share of the record in manual that is worth a word
-
-
-class Straight(NamedTuple):
-    """The linear fit to a record whose OP is as it explains more of PV; longest: the longest delay, samples."""
-
-    data: Centred
-    fit: Fit
-    longest: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -158,7 +153,7 @@ def answer_of(
     if stem is not None and method == "two_step":
         # It knows nothing of stems that fit as well as the one in which it ended.
         stem = replace(stem, intervals=Intervals())
-    chosen = choose(models, "stenman" if method == "two_step" else valve)
+    chosen, sure = choose(models, "stenman" if method == "two_step" else valve), True
     if early is not None and healthy:
         said = early[0]
     else:
@@ -168,11 +163,18 @@ def answer_of(
         else:
             detection = _detected(record, fits, stem, _likelier_pair(fits, models))
         said = _judged(fits, chosen, _evidence(record, fits, stem, method, len(history)), detection)
+        known = fits.best(chosen) if method != "two_step" and chosen in STICKING else None
+        if known is not None and not (said.verdict == "stiction" and _beyond_doubt(detection)):
+            verdict, reason = weighed(fits.data, known.fit, models[chosen], line, said.verdict)
+            if reason:
+                # A step of the load that was missed, or is not quite where it was, moves the gain.
+                sure = verdict == "stiction" and not fits.steps
+                said = _Said(verdict, (reason, *said.reasons), sure)
     maybe = said.verdict != "no_stiction"
     ranged = _ranged(fits, chosen) if maybe and chosen in fits.bands else None
     if ranged is not None:
         stem = band_of(fits.data, ranged, chosen, fits.limits)
-        said = said._replace(identifiable=said.verdict == "stiction" and ranged.best.slips >= ENOUGH_SLIPS)
+        said = said._replace(identifiable=sure and said.verdict == "stiction" and ranged.best.slips >= ENOUGH_SLIPS)
         if ranged.best is not fits.bands[chosen].best:
             fits = replace(fits, bands=fits.bands | {chosen: replace(fits.bands[chosen], best=ranged.best)})
             models = fits.compared()
@@ -329,6 +331,11 @@ def _detected(record: Record, fits: _Fits, stem: InScale | None, pair: Band | No
     if pair is not None:
         fitted = (Choudhury(pair.S, pair.J), band_position(fits.data, pair))
     return detect(record, fitted=fitted)
+
+
+def _beyond_doubt(detection: Detection) -> bool:
+    """Whether the model's stem left detection no doubt, so that it tried no others."""
+    return detection.test is not None and math.isnan(detection.test.wide)
 
 
 def _judged(fits: _Fits, chosen: str, evidence: Evidence, detection: Detection) -> _Said:

@@ -11,7 +11,7 @@ from typing import NamedTuple
 from workbench.detect.late import as_seen, earlier, words_of_late
 from workbench.detect.spikes import words_of_spikes
 from workbench.errors import InvalidValue
-from workbench.estimate.answer import DELAYS, LINEAR_DELAYS, Straight, answer_of, longest_delay
+from workbench.estimate.answer import DELAYS, LINEAR_DELAYS, answer_of, longest_delay
 from workbench.estimate.data import WHITE, Centred, centre
 from workbench.estimate.fit import (
     LEAST_TAU,
@@ -21,18 +21,16 @@ from workbench.estimate.fit import (
 from workbench.estimate.models import (
     words_of_open,
 )
-from workbench.estimate.paths import linear_path
 from workbench.estimate.plants import foretelling_bic
 from workbench.estimate.profile import Profile, search
 from workbench.estimate.refined import by_complementarity, jointly, refuse_complementarity
 from workbench.estimate.repeat import repeats_of, words_of
 from workbench.estimate.scale import (
     joined,
-    linear_result,
 )
 from workbench.estimate.sent import left_by_line, left_by_stem, likelier_op
-from workbench.estimate.settled import coloured_linear
 from workbench.estimate.stems import silent
+from workbench.estimate.straight import Straight, linear_beside
 from workbench.estimate.swing import Answered, Swing, beside_swing, besides, words_of_swing
 from workbench.estimate.two_step import two_step
 from workbench.estimate.verdict import SHARP
@@ -222,16 +220,7 @@ def linear_loop(record: Record, plant: str = "fopdt") -> LinearFit:
 
 def _line_with_plant(record: Record, plant: str) -> tuple[LinearFit, Swing | None]:
     """The linear model with one kind of plant, and the oscillation that it stands beside."""
-    line = _straight(record, centre(record, plant), None)
-
-    def settled(line: Straight) -> Answered[LinearFit]:
-        data, linear, _ = coloured_linear(*line)
-        return Answered(linear_result(data, linear), linear_path(data, linear), data, ())
-
-    def again(calm: Centred) -> Answered[LinearFit]:
-        return settled(Straight(calm, fit_linear(calm, line.longest), line.longest))
-
-    answered, swing = beside_swing(line.data, settled(line), again, line.longest)
+    answered, swing = linear_beside(_straight(record, centre(record, plant), None))
     return answered.model, swing
 
 

@@ -1,0 +1,71 @@
+"""The sticking model against the linear loop beside what disturbs it from outside: which of the two is believed."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import workbench as wb
+from workbench.model.valve import Valve
+
+
+def flow(seed: int) -> wb.Record:
+    """A dead band under two load steps, in much noise."""
+    loop = wb.Loop(wb.FOPDT(19.3, 0.76, 0.2), wb.Deadband(4.5), wb.PID(0.0633, 0.566), 0.2)
+    load = [wb.Step(5.0, at=28.0), wb.Step(-11.0, at=77.0)]
+    run = wb.simulate(loop, wb.Experiment(140.0, load=load, noise=wb.Noise(8.0, seed)))
+    return wb.Record(run.pv + 500.0, run.op + 40.0, 0.2)
+
+
+def level(seed: int) -> wb.Record:
+    """A slow level, from within its cycle, under a load step: noise hides in every sample what it does by the next."""
+    loop = wb.Loop(wb.Integrating(4.1e-4, 67.0), wb.Choudhury(5.4, 1.7), wb.PID(11.4, 854.0), 30.0)
+    load = wb.Step(-5.9, at=16_800.0)
+    run = wb.simulate(loop, wb.Experiment(33_000.0, wb.Step(1.0), load, wb.Noise(0.08, seed)))
+    return wb.Record(run.pv[200:], run.op[200:] + 40.0, 30.0)
+
+
+def swung(seed: int) -> wb.Record:
+    """A loop whose valve does not stick, under a sinusoidal load."""
+    loop = wb.Loop(wb.FOPDT(-0.14, 204.7, 9.15), wb.Ideal(), wb.PID(8.1, 276.5, action="direct"), 5.0)
+    load = wb.Series((3.0 * np.sin(2.0 * np.pi * np.arange(989) / 157.0)).tolist())
+    moves = [wb.Step(1.0, at=50.0), wb.Step(-0.8, at=2500.0)]
+    run = wb.simulate(loop, wb.Experiment(4945.0, moves, load, wb.Noise(0.017, seed)))
+    return wb.Record(run.pv + 350.0, run.op + 50.0, 5.0, sp=run.sp + 350.0)
+
+
+@pytest.mark.parametrize(
+    ("record", "plant", "valve", "gain"),
+    [(flow(2), "fopdt", wb.Deadband(4.5), 19.3), (level(1), "integrating", wb.Choudhury(5.4, 1.7), 4.1e-4)],
+    ids=["flow", "level"],
+)
+def test_a_stem_beside_load_steps_that_leaves_noise_alone_is_at_work(
+    record: wb.Record, plant: str, valve: Valve, gain: float
+) -> None:
+    assert wb.detect(record).verdict == "undecided"
+    found = wb.estimate(record, plant=plant)
+    assert found.verdict == "stiction"
+    assert "explains all of PV but noise" in found.reasons[0]
+    assert type(found.valve) is type(valve)
+    assert found.valve.stick_band == pytest.approx(valve.stick_band, rel=0.02)
+    assert found.plant.gain == pytest.approx(gain, rel=0.15)
+    assert found.load_steps
+    # A step that was missed, or is not quite where it was, would move the gain.
+    assert not found.identifiable
+
+
+@pytest.mark.slow
+def test_a_stem_that_follows_a_sinusoid_accuses_no_valve() -> None:
+    found = wb.estimate(swung(1))
+    assert found.verdict == "undecided"
+    assert not found.identifiable
+    assert "a linear loop beside an oscillation from outside of 785 s explains PV better" in found.reasons[0]
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_load_steps_alone_accuse_no_valve(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    load = [wb.Step(float(rng.normal(0.0, 5.0)), at=float(at)) for at in rng.uniform(0.0, 700.0, 6)]
+    loop = wb.Loop(wb.FOPDT(1.5, 12.0, 3.0), wb.Ideal(), wb.PID(0.8, 14.0), 1.0)
+    run = wb.simulate(loop, wb.Experiment(700.0, load=load, noise=wb.Noise(0.1, seed)))
+    assert wb.estimate(wb.Record(run.pv + 50.0, run.op + 40.0, 1.0)).verdict != "stiction"
