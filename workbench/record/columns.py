@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 
 from workbench.errors import RecordError
 
-__all__ = ["SIGNALS", "TAGGED", "is_tall", "match_columns", "match_tags", "split_tag", "time_unit"]
+__all__ = ["SIGNALS", "TAGGED", "is_tall", "match_columns", "match_tags", "qualities_unused", "split_tag", "time_unit"]
 
 SIGNALS = ("time", "SP", "PV", "OP", "MODE", "valve_position")
 # A tall file, as historians export them, has a row per value: tag, time, value and perhaps its quality.
@@ -52,7 +52,8 @@ _SUFFIXES: dict[str, tuple[str, ...]] = {
 }
 # What control systems write after the signal: FIC101/PID1/PV.CV, FIC101/PID1/MODE.ACTUAL.
 _AFTER = ("cv", "value", "val", "actual")
-_QUALITIES = ("quality", "status", "qual", "good", "isgood", "st")
+# A quality beside a value bears the value's name and one of these: PV_Q, PV.Status, "FIC101.PV Quality", Quality_PV.
+_QUALITIES = (*_OWN["quality"], *_SPELLINGS["quality"], "good", "bad", "valid", "invalid", "st", "q")
 # Time columns may carry their unit, as in t_s, "time [min]" or time_ms.
 _TIME_UNITS = {
     "s": 1.0,
@@ -142,39 +143,85 @@ def match_columns(
 
     header: the file's column names. columns: an explicit mapping from signal (`SIGNALS`, or the columns of a tall
     file, in any case) to column name, which goes before all spellings. A wide file's qualities are found as "quality"
-    (of the row), "PV quality" and "OP quality"; the day as "date" where "time" may be but a clock. Raises `RecordError`
+    (of the row), "PV quality", "OP quality" ...; the day as "date" where "time" may be but a clock. Raises `RecordError`
     for columns that are missing, ambiguous or mapped twice.
     """
     names = [h.strip() for h in header]
-    wanted = TALL if tall else (*SIGNALS, "quality")
-    needed = ("tag", "time", "value") if tall else NEEDED
-    found = _match(names, columns, wanted, needed, source, "column")
+    if tall:
+        return _match(names, columns, TALL, TALL, ("tag", "time", "value"), source, "column")
+    found = _match(names, columns, (*SIGNALS, "quality"), SIGNALS, NEEDED, source, "column")
     # A day and a clock in columns of their own are one time.
     days = [i for i, n in enumerate(names) if _plain(n) == "date" and i not in found.values()]
     if days and "time" in found and _plain(names[found["time"]]) == "time":
         found["date"] = days[0]
-    for signal in () if tall else NEEDED:
-        plain = _plain(names[found[signal]])
-        stems = [plain] + [plain.removesuffix(word) for word in _AFTER if plain.endswith(word)]
-        own = [i for i, n in enumerate(names) if _plain(n) in {stem + word for stem in stems for word in _QUALITIES}]
-        if own and own[0] not in found.values():
-            found[f"{signal} quality"] = own[0]
-    return found
+    return found | _qualities(names, found)
+
+
+def _qualities(names: Sequence[str], found: Mapping[str, int]) -> dict[str, int]:
+    """Return the columns of quality of a wide file, by their names; found: its other columns."""
+    taken = set(found.values())
+    out: dict[str, int] = {}
+    for signal in TAGGED:
+        if signal in found:
+            own = [_plain(names[found[signal]]), *_OWN[signal]]
+            hits = [i for i, n in enumerate(names) if i not in taken and not _rated(n).isdisjoint(own)]
+            if hits:
+                out[f"{signal} quality"] = hits[0]
+                taken.add(hits[0])
+    # Quality and nothing else: of the row, or of the column before it where there are several.
+    rows = [i for i, n in enumerate(names) if i not in taken and re.sub(r"\d+$", "", _plain(n)) in _OWN["quality"] + _SPELLINGS["quality"]]
+    if len(rows) == 1 and "quality" not in found:
+        out["quality"] = rows[0]
+    elif len(rows) > 1:
+        signals = {i: signal for signal, i in found.items() if signal in TAGGED}
+        out |= {f"{signals[i - 1]} quality": i for i in rows if i - 1 in signals}
+    return out
+
+
+def _rated(name: str) -> set[str]:
+    """Return what a column may hold the quality of, by its name: plain names, none where it is no quality's."""
+    plain, tokens = _plain(name), _tokens(name)
+    whole = {plain.removesuffix(word) for word in _QUALITIES if plain.endswith(word)}
+    if len(tokens) > 1 and tokens[0] in _QUALITIES:
+        whole.add("".join(tokens[2:] if tokens[1] in ("of", "for") else tokens[1:]))
+    return {stem for one in whole for stem in (one, *(one.removesuffix(word) for word in _AFTER)) if stem}
+
+
+def qualities_unused(header: Sequence[str], found: Mapping[str, int]) -> list[str]:
+    """Return a note on the columns of a wide file that look like qualities and belong to no column of it, or none.
+
+    found: the columns in use.
+    """
+    names = [h.strip() for h in header]
+    others = {_plain(n) for n in names}
+
+    def looks(name: str) -> bool:
+        tokens = _tokens(name)
+        # Q alone is a flow.
+        ends = {token for token in tokens[:1] if len(token) > 2} | set(tokens[-1:] if len(tokens) > 1 else ())
+        rated = "quality" in _plain(name) or not ends.isdisjoint(_QUALITIES)
+        return rated and _rated(name).isdisjoint(others)
+
+    unused = [repr(n) for i, n in enumerate(names) if i not in found.values() and looks(n)]
+    more = f" and {len(unused) - NAMED} more" if len(unused) > NAMED else ""
+    return [f"not used, for whose quality is it? {', '.join(unused[:NAMED])}{more}"] if unused else []
 
 
 def match_tags(tags: Sequence[str], mapping: Mapping[str, str] | None, source: str) -> dict[str, int]:
     """Return which of a tall file's tags is which signal; PV and OP always. As `match_columns`."""
-    return _match(list(tags), mapping, TAGGED, NEEDED, source, "tag")
+    return _match(list(tags), mapping, TAGGED, TAGGED, NEEDED, source, "tag")
 
 
 def _match(
     names: list[str],
     mapping: Mapping[str, str] | None,
     wanted: Sequence[str],
+    spelled: Sequence[str],
     needed: Sequence[str],
     source: str,
     what: str,
 ) -> dict[str, int]:
+    """Return the index of each of `wanted` that the mapping gives, or, of those in `spelled`, that its name tells."""
     there = ", ".join(repr(n) for n in names[:NAMED]) + (
         f" and {len(names) - NAMED} more" if len(names) > NAMED else ""
     )
@@ -195,7 +242,7 @@ def _match(
             raise RecordError(msg)
         found[signal] = fits[0]
     taken = set(found.values())
-    for signal in wanted:
+    for signal in spelled:
         if signal in found:
             continue
         tiers: dict[int, list[int]] = {}

@@ -19,7 +19,7 @@ from workbench.errors import RecordError
 from workbench.model.checks import instance, number, ordered_pair
 from workbench.model.record import Record
 from workbench.record.checks import held_said, op_said, swapped, within_range
-from workbench.record.columns import NEEDED, is_tall, match_columns
+from workbench.record.columns import NEEDED, is_tall, match_columns, qualities_unused
 from workbench.record.grid import Samples, lay
 from workbench.record.segments import Parts, part, record_of
 from workbench.record.signals import Signal, Signals, from_tall, from_wide
@@ -106,6 +106,8 @@ def read_record(
         msg = f"{source}: a header and no row of data"
         raise RecordError(msg)
     signals = from_tall(table, names, tags, source) if tall else from_wide(table, names, source)
+    if not tall:
+        signals.notes += qualities_unused(header, found)
     given = {str(key).upper() for key in {**(columns or {}), **(tags or {})}}
     return record_from(signals, sample_time, max_gap, scale_pv, scale_op, set(NEEDED) <= given, source)
 

@@ -146,7 +146,7 @@ def _setpoint(values: FloatArray, notes: list[str]) -> FloatArray | None:
         return values
     held = np.maximum.accumulate(np.where(good, np.arange(values.size), -1))
     held[held < 0] = int(np.argmax(good))
-    notes.append(f"SP: {missing} cells without a number hold the value before them")
+    notes.append(f"SP: {missing} cells without a good value hold the value before them")
     return values[held]
 
 

@@ -1,0 +1,75 @@
+"""Wide files as plants export them: whose quality a column is, OP in mA, names with their units."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import pytest
+
+from workbench.errors import RecordError
+from workbench.model.record import Record
+from workbench.record.reader import read_record
+
+N = 60
+PV = [50 + 0.25 * (k * k % 11) for k in range(N)]
+OP = [40 + 0.5 * (k % 9) for k in range(N)]
+
+
+def read(folder: Path, header: str, columns: Sequence[Sequence[object]], **reading: object) -> Record:
+    path = folder / "loop.csv"
+    lines = [header, *(",".join(str(cell) for cell in (k, *row)) for k, row in enumerate(zip(*columns, strict=True)))]
+    path.write_text("\n".join(lines), encoding="utf-8")
+    return read_record(path, **reading)  # type: ignore[arg-type]
+
+
+def bad_at(*rows: int, good: str = "Good", bad: str = "Bad") -> list[str]:
+    return [bad if k in rows else good for k in range(N)]
+
+
+@pytest.mark.parametrize(
+    "header",
+    [
+        "t,PV,PV_Q,OP,OP_Q",
+        "t,PV,PV Quality,OP,OP Quality",
+        "t,PV,PV.Status,OP,OP.Status",
+        "t,PV (m3/h),PV (m3/h) Status Code,OP (%),OP Status Code",
+        "t,FIC101.PV,FIC101.PV_Quality,FIC101.OP,FIC101.OP_Quality",
+        "t,FIC101.PV,PV_Quality,FIC101.OP,OP_Quality",
+        "t,PV,Quality (PV),OP,Quality (OP)",
+        "t,PV,Q_PV,OP,Q_OP",
+        "t,Process Value,Quality of PV,Controller Output,Quality of OP",
+        "t,PV,Quality,OP,Quality",
+        "t,PV,Quality,OP,Quality.1",
+    ],
+)
+@pytest.mark.parametrize(("good", "bad"), [("Good", "Bad"), ("192", "0"), ("1", "0"), ("Good", "Uncertain")])
+def test_a_quality_beside_a_signal_is_that_signals(tmp_path: Path, header: str, good: str, bad: str) -> None:
+    of_pv, of_op = bad_at(4, 5, good=good, bad=bad), bad_at(9, good=good, bad=bad)
+    record = read(tmp_path, header, [PV, of_pv, OP, of_op])
+    assert record.pv.tolist() == PV[10:]
+    assert record.counts["rejected, bad quality"] == 3
+    assert any("3 rows rejected: bad quality" in line for line in record.summary())
+    assert not any("whose quality" in note for note in record.notes)
+
+
+def test_a_setpoint_of_bad_quality_holds_the_one_before(tmp_path: Path) -> None:
+    sp = [50 if k < 30 else 0 if k == 40 else 51 for k in range(N)]
+    record = read(tmp_path, "t,PV,OP,SP,SP_Q", [PV, OP, sp, bad_at(40)])
+    assert record.sp is not None
+    assert record.sp.tolist() == [50.0] * 30 + [51.0] * 30
+    assert "SP: 1 cells without a good value hold the value before them" in record.notes
+
+
+@pytest.mark.parametrize("name", ["Quality of the flow", "FIC101.Status", "LT7_Q", "Good"])
+def test_a_quality_of_no_signal_is_said(tmp_path: Path, name: str) -> None:
+    record = read(tmp_path, f"t,PV,OP,{name}", [PV, OP, bad_at(3)])
+    assert len(record) == N
+    assert f"not used, for whose quality is it? {name!r}" in record.notes
+
+
+@pytest.mark.parametrize("name", ["LT7,LT7_Q", "Q,X", "Qualifier,Y", "PV_HI,Equipment"])
+def test_another_columns_quality_is_not_told(tmp_path: Path, name: str) -> None:
+    record = read(tmp_path, f"t,PV,OP,{name}", [PV, OP, PV, bad_at(3)])
+    assert len(record) == N
+    assert not any("quality" in note for note in record.notes)
