@@ -100,6 +100,35 @@ def test_days_as_spreadsheets_count_them(tmp_path: Path) -> None:
     assert any("as spreadsheets count them" in note for note in record.notes)
 
 
+@pytest.mark.parametrize(
+    ("form", "start", "day"),
+    [
+        ("%m/%d/%Y %I:%M:%S %p", dt.datetime(2021, 5, 11, 23, 50), "over midnight"),  # noqa: DTZ001 - a clock on a wall
+        ("%d/%m/%Y %I:%M:%S %p", dt.datetime(2021, 5, 11, 23, 50), "over midnight"),  # noqa: DTZ001
+        ("%m/%d/%Y %H:%M:%S", dt.datetime(2021, 5, 11, 23, 50), "over midnight"),  # noqa: DTZ001
+        ("%d/%m/%Y %H:%M", dt.datetime(2021, 5, 11, 22, 0), "over midnight"),  # noqa: DTZ001
+        ("%m/%d/%Y %I:%M %p", dt.datetime(2021, 5, 11, 22, 0), "over midnight"),  # noqa: DTZ001
+        ("%m/%d/%Y %I:%M:%S %p", dt.datetime(2021, 5, 12, 23, 50), "day beyond 12"),  # noqa: DTZ001
+        ("%d/%m/%Y %I:%M:%S %p", dt.datetime(2021, 5, 13, 3, 50), "day beyond 12"),  # noqa: DTZ001
+        ("%m/%d/%Y %I:%M:%S %p", dt.datetime(2021, 5, 11, 3, 50), "either"),  # noqa: DTZ001
+        ("%d/%m/%Y %H:%M:%S", dt.datetime(2021, 5, 11, 3, 50), "either"),  # noqa: DTZ001
+    ],
+)
+@pytest.mark.parametrize("uneven", [False, True])
+def test_of_day_and_month_the_reading_without_leaps_counts(
+    tmp_path: Path, form: str, start: dt.datetime, day: str, uneven: bool
+) -> None:
+    step = 60 if ":%S" not in form else 5
+    at = [start + dt.timedelta(seconds=step * (2 * k + k % 2 if uneven else k)) for k in range(600)]
+    record = read_record(write(tmp_path, [one.strftime(form) for one in at]))
+    assert record.rest == ()
+    assert record.counts["gaps"] == 0
+    assert record.epoch == (at[0] - dt.datetime(1970, 1, 1)).total_seconds()  # noqa: DTZ001
+    said = next(note for note in record.notes if note.startswith("timestamps read as"))
+    assert said.startswith(f"timestamps read as {form}")
+    assert ("would run as evenly" in said) == (day == "either")
+
+
 def test_uneven_times_are_resampled_and_said(tmp_path: Path) -> None:
     rng = np.random.default_rng(1)
     times = np.round(np.cumsum(rng.uniform(2.0, 9.0, 300)), 3)

@@ -7,7 +7,6 @@ from pathlib import Path
 
 import pytest
 
-from workbench.errors import RecordError
 from workbench.model.record import Record
 from workbench.record.reader import read_record
 

@@ -143,8 +143,8 @@ def match_columns(
 
     header: the file's column names. columns: an explicit mapping from signal (`SIGNALS`, or the columns of a tall
     file, in any case) to column name, which goes before all spellings. A wide file's qualities are found as "quality"
-    (of the row), "PV quality", "OP quality" ...; the day as "date" where "time" may be but a clock. Raises `RecordError`
-    for columns that are missing, ambiguous or mapped twice.
+    (of the row), "PV quality", "OP quality" ...; the day as "date" where "time" may be but a clock. Raises
+    `RecordError` for columns that are missing, ambiguous or mapped twice.
     """
     names = [h.strip() for h in header]
     if tall:
@@ -169,7 +169,8 @@ def _qualities(names: Sequence[str], found: Mapping[str, int]) -> dict[str, int]
                 out[f"{signal} quality"] = hits[0]
                 taken.add(hits[0])
     # Quality and nothing else: of the row, or of the column before it where there are several.
-    rows = [i for i, n in enumerate(names) if i not in taken and re.sub(r"\d+$", "", _plain(n)) in _OWN["quality"] + _SPELLINGS["quality"]]
+    bare = _OWN["quality"] + _SPELLINGS["quality"]
+    rows = [i for i, n in enumerate(names) if i not in taken and _plain(n).rstrip("0123456789") in bare]
     if len(rows) == 1 and "quality" not in found:
         out["quality"] = rows[0]
     elif len(rows) > 1:

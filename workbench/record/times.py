@@ -20,12 +20,20 @@ HOUR = 3600.0
 DUPLICATES = 0.2  # share of times that may repeat with other values before they say nothing
 # Of an hour that goes by twice, only this many sample times may be missing: anything longer is no changed clock.
 SLACK = 10.0
+LEAP = 10.0  # usual steps, from which a step tells that a day and a month may have been mistaken
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 _SUNDAY, _NIGHT = 3, 4.0  # 1 January 1970 was a Thursday; clocks change before four in the morning
 
 _DAYS = ("%Y/%m/%d", "%d.%m.%Y", "%d.%m.%y", "%d-%b-%Y", "%d-%b-%y", "%d %b %Y", "%d/%m/%Y", "%m/%d/%Y", "%d-%m-%Y")
-_CLOCKS = ("%H:%M:%S", "%H:%M:%S.%f", "%H:%M", "%I:%M:%S %p", "%I:%M %p")
-_FORMATS = (*(f"{day} {clock}" for day in _DAYS for clock in _CLOCKS), "%Y%m%d%H%M%S")
+_CLOCKS = ("%H:%M:%S", "%H:%M:%S.%f", "%H:%M")
+# Where the clock has twelve hours, the month is written before the day.
+_TWELVE = ("%I:%M:%S %p", "%I:%M %p")
+_MONTH_FIRST = sorted(_DAYS, key=lambda day: day != "%m/%d/%Y")
+_FORMATS = (
+    *(f"{day} {clock}" for day in _DAYS for clock in _CLOCKS),
+    *(f"{day} {clock}" for day in _MONTH_FIRST for clock in _TWELVE),
+    "%Y%m%d%H%M%S",
+)
 FORMATS_SAID = (
     "seconds, ISO 8601 (2024-10-17 21:55:00, with or without a zone) or spellings such as 17.10.2024 21:55:00"
 )
@@ -75,7 +83,8 @@ def parse_timestamps(cells: Sequence[str]) -> tuple[FloatArray, str, bool] | str
     """Return (seconds, note, zoned) of timestamps, shape (N,), nan where a cell is none; or a refusal in words.
 
     The spelling is settled for the whole column: the one that reads most cells, and of two that read the same (day or
-    month first) the one whose times run in one direction; the note says so where both do. zoned: whether the stamps
+    month first) the one whose times run in one direction, then the one with the fewest leaps; where both do as well,
+    the day comes first, or the month with a clock of twelve hours, and the note says so. zoned: whether the stamps
     carry a zone; without one they are a clock on a wall, which may have been changed.
     """
     # Fractions with a comma are ISO 8601, and Python reads them as such.
@@ -85,20 +94,26 @@ def parse_timestamps(cells: Sequence[str]) -> tuple[FloatArray, str, bool] | str
     if read < len(cells):
         sample = [c for c, s in zip(cells, stamps, strict=True) if s is None and c][:50]
         fitting = [f for f in _FORMATS if any(_formatted(c, f) is not None for c in sample)]
-        best: tuple[int, bool] = (read, False)
+        best: tuple[int, bool, int] = (read, False, 0)
         for form in fitting:
             other = [_formatted(c, form) for c in cells]
-            count = sum(s is not None for s in other)
             plain = [s for s in other if s is not None]
             one_way = all(b > a for a, b in pairwise(plain)) or all(b < a for a, b in pairwise(plain))
-            if (count, one_way) > best:
-                best, stamps, note = (count, one_way), other, f"timestamps read as {form}"
-            elif (count, one_way) == best and one_way and count > 0 and other != stamps:
-                note += f" (as {form} they would ascend as well)"
+            rank = (len(plain), one_way, -_leaps(plain))
+            if rank > best:
+                best, stamps, note = rank, other, f"timestamps read as {form}"
+            elif rank == best and plain and other != stamps:
+                note += f" (as {form} they would run as evenly)"
     parsed = _seconds(stamps)
     if parsed is None:
         return "some timestamps carry a time zone and some do not; all or none must"
     return parsed[0], note, parsed[1]
+
+
+def _leaps(stamps: Sequence[datetime]) -> int:
+    """Return how many steps are far longer than usual, as over midnight where day and month are mistaken."""
+    steps = np.abs(np.diff(np.array(stamps, dtype="datetime64[us]").astype(np.int64)))
+    return int(np.count_nonzero(steps > LEAP * np.median(steps[steps > 0]))) if steps.any() else 0
 
 
 @dataclass(frozen=True)
