@@ -5,9 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 
+from workbench.errors import RecordError
 from workbench.model.record import Record
+from workbench.record.historian import read_tags, tags_of
 from workbench.record.reader import read_record
 
 N = 60
@@ -72,3 +76,55 @@ def test_another_columns_quality_is_not_told(tmp_path: Path, name: str) -> None:
     record = read(tmp_path, f"t,PV,OP,{name}", [PV, OP, PV, bad_at(3)])
     assert len(record) == N
     assert not any("quality" in note for note in record.notes)
+
+
+MA = [4 + 0.16 * u for u in OP]
+
+
+@pytest.mark.parametrize("name", ["OP (mA)", "OP [mA]", "OP_mA", "Output (MA)", "FIC101.OP (mA)", "FIC101_OP_mA"])
+def test_an_output_in_ma_is_brought_to_percent(tmp_path: Path, name: str) -> None:
+    record = read(tmp_path, f"t,PV,{name}", [PV, MA])
+    assert record.op == pytest.approx(OP)
+    assert "OP (in mA) taken in % of its range, 4 to 20" in record.notes
+    given = read(tmp_path, f"t,PV,{name}", [PV, MA], op_range=(0.0, 20.0))
+    assert given.op == pytest.approx([5.0 * value for value in MA])
+    assert "OP taken in % of its range, 0 to 20" in given.notes
+
+
+def test_a_row_of_units_and_a_stem_in_ma_are_heeded(tmp_path: Path) -> None:
+    columns = [["m3/h", *PV], ["[mA]", *MA], ["mA", *MA]]
+    record = read(tmp_path, "t,PV,OP,ZT", columns)
+    assert record.op == pytest.approx(OP)
+    assert record.valve_position == pytest.approx(OP)
+    assert "valve position (in mA) taken in % of its range, 4 to 20" in record.notes
+
+
+@pytest.mark.parametrize("name", ["OP", "OP (%)", "OP_ma", "gamma_OP", "OP (max)"])
+def test_names_that_do_not_say_ma_leave_percent(tmp_path: Path, name: str) -> None:
+    assert read(tmp_path, f"t,PV,{name}", [PV, MA]).op.tolist() == MA
+
+
+def test_percent_under_a_name_that_says_ma_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(RecordError, match=r"OP \(in mA\) runs from 40 to 44, and most of it lies beyond its range, 4"):
+        read(tmp_path, "t,PV,OP (mA)", [PV, OP])
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".parquet"])
+def test_a_tall_file_may_have_units(tmp_path: Path, suffix: str) -> None:
+    path = tmp_path / f"tall{suffix}"
+    rows = [
+        [tag, float(k), value, unit]
+        for k in range(N)
+        for tag, value, unit in (("F.PV", PV[k], "m3/h"), ("F.OP", MA[k], "mA"))
+    ]
+    names = ["tag", "time", "value", "Units"]
+    if suffix == ".csv":
+        path.write_text("\n".join(",".join(map(str, row)) for row in [names, *rows]), encoding="utf-8")
+        records = [read_record(path)]
+    else:
+        pq.write_table(pa.table(dict(zip(names, map(list, zip(*rows, strict=True)), strict=True))), path)
+        pieces = tags_of(path)["F.OP"]
+        records = [read_record(path), read_tags(pieces, {"PV": "F.PV", "OP": "F.OP"}, "F")]
+    for record in records:
+        assert record.op == pytest.approx(OP)
+        assert "OP (in mA) taken in % of its range, 4 to 20" in record.notes

@@ -7,11 +7,21 @@ from collections.abc import Mapping, Sequence
 
 from workbench.errors import RecordError
 
-__all__ = ["SIGNALS", "TAGGED", "is_tall", "match_columns", "match_tags", "qualities_unused", "split_tag", "time_unit"]
+__all__ = [
+    "SIGNALS",
+    "TAGGED",
+    "in_milliamperes",
+    "is_tall",
+    "match_columns",
+    "match_tags",
+    "qualities_unused",
+    "split_tag",
+    "time_unit",
+]
 
 SIGNALS = ("time", "SP", "PV", "OP", "MODE", "valve_position")
-# A tall file, as historians export them, has a row per value: tag, time, value and perhaps its quality.
-TALL = ("tag", "time", "value", "quality")
+# A tall file, as historians export them, has a row per value: tag, time, value and perhaps its quality and unit.
+TALL = ("tag", "time", "value", "quality", "unit")
 TAGGED = ("SP", "PV", "OP", "MODE", "valve_position")
 NEEDED = ("PV", "OP")
 NAMED = 12  # names of a file listed in a message
@@ -25,6 +35,7 @@ _OWN: dict[str, tuple[str, ...]] = {
     "MODE": ("mode",),
     "valve_position": ("valveposition",),
     "quality": ("quality",),
+    "unit": ("unit", "units"),
     "tag": ("tag", "tagname"),
     "value": ("value",),
 }
@@ -36,6 +47,7 @@ _SPELLINGS: dict[str, tuple[str, ...]] = {
     "MODE": ("mod", "controllermode", "controlmode", "operatingmode"),
     "valve_position": ("valvepos", "stem", "stemposition", "position", "zt", "pos", "zi", "valvetravel", "valve"),
     "quality": ("qual", "qualitycode", "status", "statuscode", "isgood", "opcquality", "confidence", "questionable"),
+    "unit": ("uom", "eu", "engunit", "engunits", "engineeringunit", "engineeringunits"),
     "tag": ("tagid", "point", "pointname", "pointid", "item", "itemid", "itemname", "name", "signal", "variable"),
     "value": ("val", "reading", "average", "avg", "pointvalue", "itemvalue"),
 }
@@ -47,6 +59,7 @@ _SUFFIXES: dict[str, tuple[str, ...]] = {
     "MODE": ("mode", "mod"),
     "valve_position": ("zt", "zi", "pos", "position", "stem"),
     "quality": (),
+    "unit": (),
     "tag": (),
     "value": (),
 }
@@ -93,11 +106,20 @@ def _tier(name: str, signal: str) -> int | None:
         head = "".join(tokens[:-1])
         return 0 if tokens[-1] in _TIME_UNITS and head in _OWN["time"] + _SPELLINGS["time"] else None
     # "valve position %" and the like: a unit word after the name.
-    if tokens[-1] in ("pct", "percent", "eu") and "".join(tokens[:-1]) in _OWN[signal] + _SPELLINGS[signal]:
-        return 1
+    if tokens[-1] in ("pct", "percent", "eu", "ma"):
+        tokens = tokens[:-1]
+        if "".join(tokens) in _OWN[signal] + _SPELLINGS[signal]:
+            return 1
+        if len(tokens) < 2:
+            return None
     if tokens[-1] in _AFTER and len(tokens) > 2:
         tokens = tokens[:-1]
     return 2 if tokens[-1] in _SUFFIXES[signal] else None
+
+
+def in_milliamperes(text: str) -> bool:
+    """Whether a name, a unit or the cell of a row of units says mA; _ma in small letters may be a moving average."""
+    return re.search(r"(?<![A-Za-z])mA(?![A-Za-z])|[(\[]\s*(?i:ma)\s*[)\]]|(?i:milliamp)", text) is not None
 
 
 def time_unit(name: str) -> float:
@@ -254,7 +276,7 @@ def _match(
         if not tiers:
             continue
         best = tiers[min(tiers)]
-        if len(best) > 1 and signal != "quality":
+        if len(best) > 1 and signal not in ("quality", "unit"):
             which = ", ".join(repr(names[i]) for i in best[:NAMED])
             msg = (
                 f"{source}: {argument} {which} could each be {signal}; say which one, "

@@ -67,7 +67,7 @@ def _open(path: str, **how: object) -> Any:
 
 
 def _names(header: list[str], source: str) -> dict[str, str]:
-    """Return the column of each of tag, time, value and quality."""
+    """Return the column of each of tag, time, value, quality and unit."""
     found = match_columns(header, None, source, tall=True)
     return {signal: header[i] for signal, i in found.items() if signal in TALL}
 
@@ -133,7 +133,10 @@ def read_tags(
                 raise RecordError(f"{source}: tag {tag!r} holds no value{within}")
         clocks = [arrow_cells(rows.column("time"), "time", f"{source}: column 'time'") for _, _, rows in order]
         values = [arrow_cells(rows.column("value"), kind, f"{source}: tag {tag!r}") for kind, tag, rows in order]
-        qualities = [_texts(rows.column("quality")) if "quality" in rows.column_names else None for _, _, rows in order]
+        said = [
+            [_texts(rows.column(name)) if name in rows.column_names else None for name in TALL[3:]]
+            for _, _, rows in order
+        ]
     lines = np.arange(1, sum(clock.marks.size for clock in clocks) + 1, dtype=np.int64)
     signals = Signals({}, "value", lines.size, time_name="time", what="tag")
     clock = _joined(clocks)
@@ -141,15 +144,15 @@ def read_tags(
     times, wall_clock, signals.epoch = seconds_of(clock, "time", table, source, signals.notes)
     tall = Tall(signals, times, wall_clock, clock.marks == FIELDS, lines, {name: name for name in TALL}, source)
     first = 0
-    for (kind, tag, _), cells, said in zip(order, values, qualities, strict=True):
+    for (kind, tag, _), cells, (qualities, units) in zip(order, values, said, strict=True):
         stop = first + cells.marks.size
-        tall.add(kind, tag, np.arange(first, stop), cells, said)
+        tall.add(kind, tag, np.arange(first, stop), cells, qualities, units)
         first = stop
     return record_from(tall.done(), sample_time, max_gap, pv_range, op_range, True, source)
 
 
 def _rows(piece: Piece, tags: list[str], window: tuple[float, float] | None, source: str) -> Any:
-    """Return a piece's rows of these tags within the window as a table of tag, time, value and perhaps quality."""
+    """Return a piece's rows of these tags within the window as a table of the columns of `TALL` that it has."""
     import pyarrow as pa
     import pyarrow.compute as pc
 
@@ -158,7 +161,7 @@ def _rows(piece: Piece, tags: list[str], window: tuple[float, float] | None, sou
         groups = list(piece.groups)
         if window is not None:
             groups = [g for g in groups if _meets(file.metadata.row_group(g), names["time"], window)]
-    texts = [names[name] for name in ("tag", "quality") if name in names]
+    texts = [names[name] for name in ("tag", "quality", "unit") if name in names]
     with _open(piece.path, read_dictionary=texts) as file:
         read = file.read_row_groups(groups, columns=list(names.values()), use_threads=False)
     table = read.select(list(names.values())).rename_columns(list(names))

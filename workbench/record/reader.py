@@ -19,7 +19,7 @@ from workbench.errors import RecordError
 from workbench.model.checks import instance, number, ordered_pair
 from workbench.model.record import Record
 from workbench.record.checks import held_said, op_said, swapped, within_range
-from workbench.record.columns import NEEDED, is_tall, match_columns, qualities_unused
+from workbench.record.columns import NEEDED, in_milliamperes, is_tall, match_columns, qualities_unused
 from workbench.record.grid import Samples, lay
 from workbench.record.segments import Parts, part, record_of
 from workbench.record.signals import Signal, Signals, from_tall, from_wide
@@ -38,6 +38,7 @@ from workbench.record.table import (
 __all__ = ["LARGEST", "read_record", "record_from"]
 
 LARGEST = 1 << 30  # bytes
+CURRENT = (4.0, 20.0)  # mA, of 0 to 100 % (IEC 60381-1)
 SAME = 10  # samples in which PV and OP are equal by chance at most
 SHOWN = 4  # texts or qualities named one by one
 
@@ -70,7 +71,8 @@ def read_record(
     its ending. sample_time: s, needed where the file has no time column; where the rows are even, taken in the place of
     their own if both agree within 1 %; else the sample time to resample to (default: the usual interval).
 
-    pv_range: (low, high) of the transmitter, EU; op_range: (low, high) of OP in the file's unit, which are 0 and 100 %.
+    pv_range: (low, high) of the transmitter, EU; op_range: (low, high) of OP in the file's unit, which are 0 and 100 %,
+    by default 4 and 20 where its name, a row of units or a tall file's column of units says mA.
     Values beyond a given range are rejected (NAMUR NE 43). max_gap: s, the longest time without a good value of PV or
     OP that is interpolated or held over; by default not even one missing row of an even file, and ten usual intervals
     of others.
@@ -125,7 +127,7 @@ def record_from(
 
     named: whether the user said which signal is PV and which OP. Raises `RecordError`.
     """
-    _scale(signals, pv_range, op_range, source)
+    scaled = _scale(signals, pv_range, op_range, source)
     _some_usable(signals, source)
     if not signals.timed and sample_time is None:
         msg = f"{source}: no time column; give sample_time in seconds, or the column, columns={{'time': 'name'}}"
@@ -140,7 +142,7 @@ def record_from(
         causes = [*_rejections(signals, samples)[1], *parts.notes]
         msg = f"{source}: no two clean rows follow each other in one mode" + "".join(f"; {one}" for one in causes)
         raise RecordError(msg)
-    return _record(signals, samples, parts, sample_time, pv_range, op_range is not None, named, source)
+    return _record(signals, samples, parts, sample_time, pv_range, scaled, named, source)
 
 
 def _check_file(file: Path, source: str) -> None:
@@ -182,16 +184,28 @@ def _is_parquet(file: Path) -> bool:
 
 def _scale(
     signals: Signals, pv_range: tuple[float, float] | None, op_range: tuple[float, float] | None, source: str
-) -> None:
+) -> bool:
+    """Mark what is beyond the ranges, bring OP and the stem to %; return whether OP's range is known."""
     if pv_range is not None:
         within_range(signals.by["PV"].cells, pv_range, "PV", source)
-    if op_range is not None:
-        cells = signals.by["OP"].cells
-        within_range(cells, op_range, "OP", source)
-        if op_range != (0.0, 100.0):
-            low, high = op_range
-            cells.values = 100.0 * (cells.values - low) / (high - low)
-            signals.notes.append(f"OP taken in % of its range, {low:g} to {high:g}")
+    known = {} if op_range is None else {"OP": op_range}
+    for name in ("OP", "valve_position"):
+        signal = signals.by.get(name)
+        if signal is None:
+            continue
+        said = name.replace("_", " ")
+        if name not in known and any(map(in_milliamperes, (signal.name, signal.unit, *signal.cells.words))):
+            known[name] = CURRENT
+            said += " (in mA)"
+        if name not in known:
+            continue
+        low, high = known[name]
+        if name == "OP":
+            within_range(signal.cells, known[name], said, source)
+        if (low, high) != (0.0, 100.0):
+            signal.cells.values = 100.0 * (signal.cells.values - low) / (high - low)
+            signals.notes.append(f"{said} taken in % of its range, {low:g} to {high:g}")
+    return "OP" in known
 
 
 def _some_usable(signals: Signals, source: str) -> None:

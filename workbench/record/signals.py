@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from workbench.errors import RecordError
 from workbench.model.record import FloatArray
-from workbench.record.columns import NEEDED, TAGGED, match_tags, time_unit
+from workbench.record.columns import NEEDED, TAGGED, TALL, match_tags, time_unit
 from workbench.record.quality import good_quality
 from workbench.record.table import BLANK, FIELDS, NOT_FINITE, NUMERIC, OK, QUALITY, Cells, Table, number_cells
 from workbench.record.times import FORMATS_SAID, Order, in_order, parse_timestamps
@@ -27,12 +27,16 @@ _SERIAL = (20_000.0, 80_000.0, 600.0 / 86_400.0)
 
 @dataclass
 class Signal:
-    """One signal as recorded: times, s, strictly ascending, shape (N,), its cells, and the line of each."""
+    """One signal as recorded: times, s, strictly ascending, shape (N,), its cells, the line of each, and its unit.
+
+    unit: as a tall file's column of units has it, or "".
+    """
 
     name: str
     seconds: FloatArray
     cells: Cells
     lines: NDArray[np.int64]
+    unit: str = ""
 
 
 @dataclass
@@ -105,12 +109,13 @@ def from_tall(table: Table, names: Mapping[str, str], tags: Mapping[str, str] | 
         out.notes.append(f"tags not used: {', '.join(others[:5])}{more}")
     times, wall_clock, out.epoch = seconds_of(table.columns["time"], names["time"], table, source, out.notes)
     times[table.columns["time"].marks == FIELDS] = np.nan
-    qualities = table.columns["quality"].as_texts() if "quality" in table.columns else None
+    qualities, units = (table.columns[name].as_texts() if name in table.columns else None for name in TALL[3:])
     tall = Tall(out, times, wall_clock, table.columns["time"].marks == FIELDS, table.lines, names, source)
     for kind, i in found.items():
         rows = np.flatnonzero(of_row == codes[listed[i]])
         cells = _values(table, rows, kind, f"{source}: tag {listed[i]!r}")
-        tall.add(kind, listed[i], rows, cells, None if qualities is None else [qualities[k] for k in rows.tolist()])
+        said = [None if texts is None else [texts[k] for k in rows.tolist()] for texts in (qualities, units)]
+        tall.add(kind, listed[i], rows, cells, *said)
     return tall.done()
 
 
@@ -131,8 +136,16 @@ class Tall:
     source: str
     said: Counter[str] = field(default_factory=Counter)
 
-    def add(self, kind: str, tag: str, rows: NDArray[np.int64], cells: Cells, qualities: list[str] | None) -> None:
-        """Add one tag as the signal `kind`; rows: its own, cells and qualities: theirs. Raises `RecordError`."""
+    def add(
+        self,
+        kind: str,
+        tag: str,
+        rows: NDArray[np.int64],
+        cells: Cells,
+        qualities: list[str] | None,
+        units: list[str] | None,
+    ) -> None:
+        """Add one tag as the signal `kind`; rows: its own, cells, qualities, units: theirs. Raises `RecordError`."""
         out, times = self.out, self.times[rows]
         if qualities is not None:
             _mark_quality(cells, qualities, self.names["quality"], out.notes)
@@ -146,7 +159,8 @@ class Tall:
         self.said.update(order.notes)
         out.repeated += order.repeated
         _dropped(out, times, self.wide[rows], self.lines[rows])
-        out.by[kind] = Signal(tag, order.seconds - out.epoch, cells.take(order.rows), self.lines[rows[order.rows]])
+        lines, unit = self.lines[rows[order.rows]], next(filter(None, units or ()), "")
+        out.by[kind] = Signal(tag, order.seconds - out.epoch, cells.take(order.rows), lines, unit)
 
     def done(self) -> Signals:
         """Return the signals, with what was said of several tags said once."""
