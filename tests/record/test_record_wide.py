@@ -128,3 +128,16 @@ def test_a_tall_file_may_have_units(tmp_path: Path, suffix: str) -> None:
     for record in records:
         assert record.op == pytest.approx(OP)
         assert "OP (in mA) taken in % of its range, 4 to 20" in record.notes
+
+
+@pytest.mark.parametrize(("sp", "said"), [(120.0, True), (54.0, False), (48.0, False), (44.0, True), (40.0, True)])
+def test_a_setpoint_far_from_pv_all_along_is_said(tmp_path: Path, sp: float, said: bool) -> None:
+    # PV runs from 50 to 52.25, OP from 40 to 44: within a swing of PV an offset is one of control.
+    record = read(tmp_path, "t,PV,OP,SP", [PV, OP, [sp] * N])
+    words = f"SP ({sp:g}) stays far from PV (50 to 52.25) all along: are PV and OP exchanged"
+    assert any(line.startswith(words) for line in record.summary()) == said
+
+
+def test_a_setpoint_that_is_met_at_times_is_not_told(tmp_path: Path) -> None:
+    record = read(tmp_path, "t,PV,OP,SP", [PV, OP, [90] * (N - 1) + [51]])
+    assert not any("exchanged" in note for note in record.notes)

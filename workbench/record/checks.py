@@ -11,7 +11,7 @@ from workbench.errors import RecordError
 from workbench.model.record import FloatArray
 from workbench.record.table import OK, RANGE, Cells
 
-__all__ = ["frozen_rows", "held_said", "op_said", "runs", "swapped", "within_range"]
+__all__ = ["frozen_rows", "held_said", "op_said", "runs", "setpoint_said", "swapped", "within_range"]
 
 # NAMUR NE 43: a transmitter below 3.6 mA or above 21 mA of its 4 to 20 mA reports a failure, not a measurement.
 BELOW, ABOVE = 0.4 / 16.0, 1.0 / 16.0
@@ -138,6 +138,16 @@ def op_said(op: FloatArray, scaled: bool) -> list[str]:
                     f"OP stays at its {which} value, {value:.4g} %, in {share:.0%} of the samples: saturated or held"
                 )
     return notes
+
+
+def setpoint_said(sp: FloatArray, pv: FloatArray) -> list[str]:
+    """Return what an SP (shape (N,)) says that never comes near to PV: no loop that controls has one."""
+    low, high = float(pv.min()), float(pv.max())
+    if low == high or float(np.maximum(low - sp, sp - high).min()) <= high - low:
+        return []
+    where = " to ".join(f"{value:.4g}" for value in sorted({float(sp.min()), float(sp.max())}))
+    said = f"SP ({where}) stays far from PV ({low:.4g} to {high:.4g}) all along"
+    return [f"{said}: are PV and OP exchanged, is SP that of another loop or unit, or does the loop not reach it?"]
 
 
 def swapped(sp: FloatArray, pv: FloatArray, op: FloatArray) -> bool:

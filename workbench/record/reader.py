@@ -18,7 +18,7 @@ import numpy as np
 from workbench.errors import RecordError
 from workbench.model.checks import instance, number, ordered_pair
 from workbench.model.record import Record
-from workbench.record.checks import held_said, op_said, swapped, within_range
+from workbench.record.checks import held_said, op_said, setpoint_said, swapped, within_range
 from workbench.record.columns import NEEDED, in_milliamperes, is_tall, match_columns, qualities_unused
 from workbench.record.grid import Samples, lay
 from workbench.record.segments import Parts, part, record_of
@@ -314,6 +314,7 @@ def _record(
         raise RecordError(msg)
     notes += held_said(best.pv, best.op, np.ones(len(best), dtype=bool)) if samples.even else []
     notes += op_said(best.op, scaled)
+    notes += setpoint_said(best.sp, best.pv) if best.sp is not None else []
     rest = [record_of(samples, b, e, sample_time, []) for b, e in parts.others]
     return replace(
         best,
