@@ -57,6 +57,13 @@ def test_labels_that_are_refused(tmp_path: Path, text: str, message: str) -> Non
     assert not (tmp_path / "score.json").exists()
 
 
+@pytest.mark.parametrize("mark", [",", ";", "\t"])
+def test_labels_are_parted_as_records_are(tmp_path: Path, mark: str) -> None:
+    (tmp_path / "a.csv").touch()
+    (tmp_path / "labels.csv").write_text(f"file{mark}label\r\na.csv{mark}stiction\r\n", encoding="utf-8")
+    assert [(line.path.name, line.label) for line in labelled(tmp_path)] == [("a.csv", "stiction")]
+
+
 def test_a_folder_without_labels_is_refused(tmp_path: Path) -> None:
     with pytest.raises(wb.RecordError, match="cannot be read"):
         labelled(tmp_path)

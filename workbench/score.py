@@ -53,15 +53,18 @@ class Scored:
 
 
 def labelled(folder: Path) -> list[Labelled]:
-    """Return the lines of folder/labels.csv, whose columns are file, label and optionally tag.
+    """Return the lines of folder/labels.csv, whose columns are file, label and optionally tag, parted as records are.
 
     Raises `RecordError` where the file is missing, has other columns or labels, names a file twice, or one that is not
     in the folder.
     """
+    from workbench.record.table import delimiter
+
     path = folder / "labels.csv"
     try:
         with path.open(encoding="utf-8-sig", newline="") as stream:
-            reader = csv.DictReader(stream)
+            text = stream.readlines()
+            reader = csv.DictReader(text, delimiter=delimiter(text[0] if text else ""))
             rows = [(reader.line_num, row) for row in reader]
             columns = [name.strip() for name in reader.fieldnames or ()]
     except (OSError, ValueError, csv.Error) as error:

@@ -19,9 +19,9 @@ PV = [50 + 0.25 * (k * k % 11) for k in range(N)]
 OP = [40 + 0.5 * (k % 9) for k in range(N)]
 
 
-def read(folder: Path, header: str, columns: Sequence[Sequence[object]], **reading: object) -> Record:
+def read(folder: Path, header: str, cells: Sequence[Sequence[object]], **reading: object) -> Record:
     path = folder / "loop.csv"
-    lines = [header, *(",".join(str(cell) for cell in (k, *row)) for k, row in enumerate(zip(*columns, strict=True)))]
+    lines = [header, *(",".join(str(cell) for cell in (k, *row)) for k, row in enumerate(zip(*cells, strict=True)))]
     path.write_text("\n".join(lines), encoding="utf-8")
     return read_record(path, **reading)  # type: ignore[arg-type]
 
@@ -141,3 +141,34 @@ def test_a_setpoint_far_from_pv_all_along_is_said(tmp_path: Path, sp: float, sai
 def test_a_setpoint_that_is_met_at_times_is_not_told(tmp_path: Path) -> None:
     record = read(tmp_path, "t,PV,OP,SP", [PV, OP, [90] * (N - 1) + [51]])
     assert not any("exchanged" in note for note in record.notes)
+
+
+@pytest.mark.parametrize(
+    "header",
+    [
+        "Timestamp (s),Flow (m3/h),Valve Output (%),Flow Setpoint (m3/h)",
+        "t,Flow PV (m3/h),Controller Output (%),Flow SP [m3/h]",
+        "t,FIC101.PV (m3/h),FIC101.OP (%),FIC101.SP (m3/h)",
+        "t,FIC101,FIC101.OP,FIC101.SP",
+        "t,FIC101 (PV),FIC101 (OP),FIC101 (SP)",
+        "t,PV,CV,SP",
+        "t,CV,MV,SP",
+        "t,Controlled Variable,CO,SP",
+    ],
+)
+def test_names_with_units_and_of_quantities_are_found(tmp_path: Path, header: str) -> None:
+    record = read(tmp_path, header, [PV, OP, [51] * N])
+    assert (record.pv.tolist(), record.op.tolist()) == (PV, OP)
+    assert record.sp is not None
+    assert record.sp.tolist() == [51.0] * N
+
+
+@pytest.mark.parametrize("header", ["t,CV,X", "t,Flow (m3/h),Valve Output (%)", "t,Flow (m3/h),Flow (t/h),OP,Flow SP"])
+def test_names_that_leave_a_doubt_are_refused(tmp_path: Path, header: str) -> None:
+    with pytest.raises(RecordError, match="no column for "):
+        read(tmp_path, header, [PV, PV, OP, OP][: header.count(",")])
+
+
+def test_a_setpoint_named_by_a_sign_tells_no_pv(tmp_path: Path) -> None:
+    with pytest.raises(RecordError, match="no column for PV; the file has"):
+        read(tmp_path, "t,%,OP", [PV, OP], columns={"SP": "%"})

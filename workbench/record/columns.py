@@ -63,6 +63,8 @@ _SUFFIXES: dict[str, tuple[str, ...]] = {
     "tag": (),
     "value": (),
 }
+# CV is the controlled variable beside an MV or OP, and the controller's beside a PV: the last to be looked at for both.
+_LAST = {"PV": ("cv", "controlledvariable"), "OP": ("cv", "controlvariable")}
 # What control systems write after the signal: FIC101/PID1/PV.CV, FIC101/PID1/MODE.ACTUAL.
 _AFTER = ("cv", "value", "val", "actual")
 # A quality beside a value bears the value's name and one of these: PV_Q, PV.Status, "FIC101.PV Quality", Quality_PV.
@@ -84,9 +86,15 @@ _TIME_UNITS = {
 }
 
 
+# Unit words that stand after a name without brackets too, as in "valve position %" written out.
+_UNITS = ("pct", "percent", "eu", "ma")
+_ENDINGS = {*_AFTER, *_UNITS, *(word for words in _SUFFIXES.values() for word in words)}
+_BRACKETS = re.compile(r"\([^)]*\)|\[[^]]*\]")
+
+
 def _plain(name: str) -> str:
     """Lower case without units in brackets and without anything but letters and digits."""
-    return re.sub(r"[^0-9a-z]", "", re.sub(r"\([^)]*\)|\[[^]]*\]", "", name.lower()))
+    return re.sub(r"[^0-9a-z]", "", _BRACKETS.sub("", name.lower()))
 
 
 def _tokens(name: str) -> list[str]:
@@ -94,27 +102,33 @@ def _tokens(name: str) -> list[str]:
 
 
 def _tier(name: str, signal: str) -> int | None:
-    """Return how well a column's name fits a signal: 0 its own name, 1 a usual spelling, 2 a tag's suffix."""
+    """Return how well a column's name fits a signal: 0 its own name, 1 a usual spelling, 2 a tag's suffix, 3 CV."""
     plain, tokens = _plain(name), _tokens(name)
     if plain in _OWN[signal]:
         return 0
     if plain in _SPELLINGS[signal]:
         return 1
+    if plain in _LAST.get(signal, ()):
+        return 3
     if len(tokens) < 2:
         return None
     if signal == "time":
         head = "".join(tokens[:-1])
         return 0 if tokens[-1] in _TIME_UNITS and head in _OWN["time"] + _SPELLINGS["time"] else None
-    # "valve position %" and the like: a unit word after the name.
-    if tokens[-1] in ("pct", "percent", "eu", "ma"):
+    tokens = _tag(name)
+    if "".join(tokens) in _OWN[signal] + _SPELLINGS[signal]:
+        return 1
+    return 2 if len(tokens) > 1 and tokens[-1] in _SUFFIXES[signal] else None
+
+
+def _tag(name: str) -> list[str]:
+    """Return a name's tokens up to its signal: without a unit, in brackets or not, and what systems write after it."""
+    tokens = _tokens(name)
+    if tokens and tokens[-1] not in _ENDINGS:
+        tokens = _tokens(_BRACKETS.sub(" ", name)) or tokens
+    if len(tokens) > 1 and tokens[-1] in _UNITS:
         tokens = tokens[:-1]
-        if "".join(tokens) in _OWN[signal] + _SPELLINGS[signal]:
-            return 1
-        if len(tokens) < 2:
-            return None
-    if tokens[-1] in _AFTER and len(tokens) > 2:
-        tokens = tokens[:-1]
-    return 2 if tokens[-1] in _SUFFIXES[signal] else None
+    return tokens[:-1] if len(tokens) > 2 and tokens[-1] in _AFTER else tokens
 
 
 def in_milliamperes(text: str) -> bool:
@@ -285,6 +299,12 @@ def _match(
             raise RecordError(msg)
         found[signal] = best[0]
         taken.add(best[0])
+    if "PV" in spelled and "PV" not in found and "SP" in found:
+        # A flow beside a "flow setpoint", or FIC101 beside FIC101.SP.
+        *head, end = _tag(names[found["SP"]]) or [""]
+        alone = [i for i, name in enumerate(names) if i not in taken and _plain(name) == "".join(head)]
+        if head and end in _SUFFIXES["SP"] and len(alone) == 1:
+            found["PV"] = alone[0]
     missing = [s for s in needed if s not in found]
     if missing:
         msg = (

@@ -30,6 +30,7 @@ __all__ = [
     "Cells",
     "Table",
     "arrow_cells",
+    "delimiter",
     "number_cells",
     "read_csv",
     "read_parquet",
@@ -184,7 +185,8 @@ def _reading(source: str) -> Iterator[None]:
         raise RecordError(msg) from None
 
 
-def _delimiter(line: str) -> str:
+def delimiter(line: str) -> str:
+    """Return what parts the cells of a CSV file's line: tab, semicolon, bar or comma."""
     bare = "".join(part for i, part in enumerate(line.split('"')) if i % 2 == 0)
     counts = {mark: bare.count(mark) for mark in ("\t", ";", "|", ",")}
     # A comma may be a decimal comma or part of a name where another delimiter is there.
@@ -225,7 +227,7 @@ def _header(
     for skipped, line in enumerate(lines):
         if not line.strip() or line.lstrip().startswith("#"):
             continue
-        mark = _delimiter(line)
+        mark = delimiter(line)
         # A name in quotes may go on in the next line.
         cells = next(csv.reader(lines[skipped:], delimiter=mark, skipinitialspace=True, strict=False))
         if all(_number(cell, mark != ",")[1] == OK for cell in cells):
