@@ -39,6 +39,8 @@ def bad_at(*rows: int, good: str = "Good", bad: str = "Bad") -> list[str]:
         "t,PV (m3/h),PV (m3/h) Status Code,OP (%),OP Status Code",
         "t,FIC101.PV,FIC101.PV_Quality,FIC101.OP,FIC101.OP_Quality",
         "t,FIC101.PV,PV_Quality,FIC101.OP,OP_Quality",
+        "t,FIC101/PID1/PV.CV,FIC101/PID1/PV.ST,FIC101/PID1/OUT.CV,FIC101/PID1/OUT.ST",
+        "t,PV value,PV quality,OP value,OP quality",
         "t,PV,Quality (PV),OP,Quality (OP)",
         "t,PV,Q_PV,OP,Q_OP",
         "t,Process Value,Quality of PV,Controller Output,Quality of OP",
@@ -68,7 +70,14 @@ def test_a_setpoint_of_bad_quality_holds_the_one_before(tmp_path: Path) -> None:
 def test_a_quality_of_no_signal_is_said(tmp_path: Path, name: str) -> None:
     record = read(tmp_path, f"t,PV,OP,{name}", [PV, OP, bad_at(3)])
     assert len(record) == N
-    assert f"not used, for whose quality is it? {name!r}" in record.notes
+    assert sum(note.startswith(f"not used, for whose quality is it? {name!r}; columns") for note in record.notes) == 1
+    told = read(tmp_path, f"t,PV,OP,{name}", [PV, OP, bad_at(3)], columns={"OP quality": name})
+    assert told.op.tolist() == OP[4:]
+    assert not any("whose quality" in note for note in told.notes)
+
+
+def test_a_quality_given_for_a_signal_that_is_not_there_does_no_harm(tmp_path: Path) -> None:
+    assert len(read(tmp_path, "t,PV,OP,X", [PV, OP, bad_at(3)], columns={"SP quality": "X"})) == N
 
 
 @pytest.mark.parametrize("name", ["LT7,LT7_Q", "Q,X", "Qualifier,Y", "PV_HI,Equipment"])

@@ -23,6 +23,8 @@ SIGNALS = ("time", "SP", "PV", "OP", "MODE", "valve_position")
 # A tall file, as historians export them, has a row per value: tag, time, value and perhaps its quality and unit.
 TALL = ("tag", "time", "value", "quality", "unit")
 TAGGED = ("SP", "PV", "OP", "MODE", "valve_position")
+# The qualities of a wide file: of the row, or of one signal.
+QUALITIES = ("quality", *(f"{signal} quality" for signal in TAGGED))
 NEEDED = ("PV", "OP")
 NAMED = 12  # names of a file listed in a message
 
@@ -46,7 +48,17 @@ _SPELLINGS: dict[str, tuple[str, ...]] = {
     "OP": ("output", "co", "mv", "out", "controlleroutput", "manipulatedvariable", "outputvalue", "u"),
     "MODE": ("mod", "controllermode", "controlmode", "operatingmode"),
     "valve_position": ("valvepos", "stem", "stemposition", "position", "zt", "pos", "zi", "valvetravel", "valve"),
-    "quality": ("qual", "qualitycode", "status", "statuscode", "isgood", "opcquality", "confidence", "questionable"),
+    "quality": (
+        "qual",
+        "qualitycode",
+        "qualityflag",
+        "status",
+        "statuscode",
+        "isgood",
+        "opcquality",
+        "confidence",
+        "questionable",
+    ),
     "unit": ("uom", "eu", "engunit", "engunits", "engineeringunit", "engineeringunits"),
     "tag": ("tagid", "point", "pointname", "pointid", "item", "itemid", "itemname", "name", "signal", "variable"),
     "value": ("val", "reading", "average", "avg", "pointvalue", "itemvalue"),
@@ -128,7 +140,8 @@ def _tag(name: str) -> list[str]:
         tokens = _tokens(_BRACKETS.sub(" ", name)) or tokens
     if len(tokens) > 1 and tokens[-1] in _UNITS:
         tokens = tokens[:-1]
-    return tokens[:-1] if len(tokens) > 2 and tokens[-1] in _AFTER else tokens
+    named = len(tokens) > 2 or tokens[:1] in (["pv"], ["op"], ["sp"])
+    return tokens[:-1] if named and tokens[-1] in _AFTER else tokens
 
 
 def in_milliamperes(text: str) -> bool:
@@ -185,7 +198,7 @@ def match_columns(
     names = [h.strip() for h in header]
     if tall:
         return _match(names, columns, TALL, TALL, ("tag", "time", "value"), source, "column")
-    found = _match(names, columns, (*SIGNALS, "quality"), SIGNALS, NEEDED, source, "column")
+    found = _match(names, columns, (*SIGNALS, *QUALITIES), SIGNALS, NEEDED, source, "column")
     # A day and a clock in columns of their own are one time.
     days = [i for i, n in enumerate(names) if _plain(n) == "date" and i not in found.values()]
     if days and "time" in found and _plain(names[found["time"]]) == "time":
@@ -198,8 +211,8 @@ def _qualities(names: Sequence[str], found: Mapping[str, int]) -> dict[str, int]
     taken = set(found.values())
     out: dict[str, int] = {}
     for signal in TAGGED:
-        if signal in found:
-            own = [_plain(names[found[signal]]), *_OWN[signal]]
+        if signal in found and f"{signal} quality" not in found:
+            own = _stems(_plain(names[found[signal]])) | set(_OWN[signal])
             hits = [i for i, n in enumerate(names) if i not in taken and not _rated(n).isdisjoint(own)]
             if hits:
                 out[f"{signal} quality"] = hits[0]
@@ -211,7 +224,8 @@ def _qualities(names: Sequence[str], found: Mapping[str, int]) -> dict[str, int]
         out["quality"] = rows[0]
     elif len(rows) > 1:
         signals = {i: signal for signal, i in found.items() if signal in TAGGED}
-        out |= {f"{signals[i - 1]} quality": i for i in rows if i - 1 in signals}
+        before = {f"{signals[i - 1]} quality": i for i in rows if i - 1 in signals}
+        out |= {name: i for name, i in before.items() if name not in found}
     return out
 
 
@@ -221,7 +235,12 @@ def _rated(name: str) -> set[str]:
     whole = {plain.removesuffix(word) for word in _QUALITIES if plain.endswith(word)}
     if len(tokens) > 1 and tokens[0] in _QUALITIES:
         whole.add("".join(tokens[2:] if tokens[1] in ("of", "for") else tokens[1:]))
-    return {stem for one in whole for stem in (one, *(one.removesuffix(word) for word in _AFTER)) if stem}
+    return {stem for one in whole for stem in _stems(one)}
+
+
+def _stems(plain: str) -> set[str]:
+    """Return a plain name as it is and without what control systems write after it."""
+    return {plain, *(plain.removesuffix(word) for word in _AFTER)} - {""}
 
 
 def qualities_unused(header: Sequence[str], found: Mapping[str, int]) -> list[str]:
@@ -241,7 +260,8 @@ def qualities_unused(header: Sequence[str], found: Mapping[str, int]) -> list[st
 
     unused = [repr(n) for i, n in enumerate(names) if i not in found.values() and looks(n)]
     more = f" and {len(unused) - NAMED} more" if len(unused) > NAMED else ""
-    return [f"not used, for whose quality is it? {', '.join(unused[:NAMED])}{more}"] if unused else []
+    say = "columns (--column) can say, as 'PV quality'"
+    return [f"not used, for whose quality is it? {', '.join(unused[:NAMED])}{more}; {say}"] if unused else []
 
 
 def match_tags(tags: Sequence[str], mapping: Mapping[str, str] | None, source: str) -> dict[str, int]:

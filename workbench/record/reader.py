@@ -66,16 +66,16 @@ def read_record(
 
     path: of the file, at most 1 GiB; wide (a column per signal) or tall, as historians export (a row per value, with
     tag, time, value and perhaps quality). columns: which column is which signal ("time", "SP", "PV", "OP", "MODE",
-    "valve_position"; "tag", "value" and "quality" of a tall file), where the usual spellings do not tell; only PV and
-    OP are needed. tags: which tag, or column of a wide file, is which signal ({"PV": "FIC101.PV"}), by default told by
-    its ending. sample_time: s, needed where the file has no time column; where the rows are even, taken in the place of
-    their own if both agree within 1 %; else the sample time to resample to (default: the usual interval).
+    "valve_position", "quality" of the row, "PV quality" ...; "tag", "value", "quality" and "unit" of a tall file),
+    where the usual spellings do not tell; only PV and OP are needed. tags: which tag, or column of a wide file, is
+    which signal ({"PV": "FIC101.PV"}), by default told by its ending. sample_time: s, needed where the file has no time
+    column; where the rows are even, taken in the place of their own if both agree within 1 %; else the sample time to
+    resample to (default: the usual interval).
 
     pv_range: (low, high) of the transmitter, EU; op_range: (low, high) of OP in the file's unit, which are 0 and 100 %,
-    by default 4 and 20 where its name, a row of units or a tall file's column of units says mA.
-    Values beyond a given range are rejected (NAMUR NE 43). max_gap: s, the longest time without a good value of PV or
-    OP that is interpolated or held over; by default not even one missing row of an even file, and ten usual intervals
-    of others.
+    by default 4 and 20 where its name, a row of units or a tall file's column of units says mA. Values beyond a given
+    range are rejected (NAMUR NE 43). max_gap: s, the longest time without a good value of PV or OP that is interpolated
+    or held over; by default not even one missing row of an even file, and ten usual intervals of others.
 
     Returns a `Record` in PV's unit and OP in %: the longest clean stretch in one mode, the others as its `rest`; its
     `notes` and `counts` (rows, kept, rejected, gaps ...) say what was done and left out. Times become seconds: as

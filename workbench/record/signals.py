@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from workbench.errors import RecordError
 from workbench.model.record import FloatArray
-from workbench.record.columns import NEEDED, TAGGED, TALL, match_tags, time_unit
+from workbench.record.columns import NEEDED, QUALITIES, TALL, match_tags, time_unit
 from workbench.record.quality import good_quality
 from workbench.record.table import BLANK, FIELDS, NOT_FINITE, NUMERIC, OK, QUALITY, Cells, Table, number_cells
 from workbench.record.times import FORMATS_SAID, Order, in_order, parse_timestamps
@@ -65,10 +65,11 @@ def from_wide(table: Table, names: Mapping[str, str], source: str) -> Signals:
     """Return the signals of a file with a column each; names: of the columns. Raises `RecordError`."""
     rows = table.lines.size
     out = Signals({}, table.unit, rows, notes=list(table.notes), time_name=names.get("time", ""))
-    for key in ("quality", *(f"{signal} quality" for signal in TAGGED)):
+    for key in QUALITIES:
         if key in table.columns:
             for signal in NEEDED if key == "quality" else (key.removesuffix(" quality"),):
-                _mark_quality(table.columns[signal], table.columns[key].as_texts(), names[key], out.notes)
+                if signal in table.columns:
+                    _mark_quality(table.columns[signal], table.columns[key].as_texts(), names[key], out.notes)
     kinds = [s for s in ("PV", "OP", "SP", "MODE", "valve_position") if s in table.columns]
     if "time" not in table.columns:
         seconds, order_rows = np.arange(rows, dtype=np.float64), np.arange(rows)
