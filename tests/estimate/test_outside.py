@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 
 import workbench as wb
+from workbench.estimate.models import words_of_closer
+from workbench.model.results import FittedModel
 from workbench.model.valve import Valve
 
 
@@ -69,3 +71,17 @@ def test_load_steps_alone_accuse_no_valve(seed: int) -> None:
     loop = wb.Loop(wb.FOPDT(1.5, 12.0, 3.0), wb.Ideal(), wb.PID(0.8, 14.0), 1.0)
     run = wb.simulate(loop, wb.Experiment(700.0, load=load, noise=wb.Noise(0.1, seed)))
     assert wb.estimate(wb.Record(run.pv + 50.0, run.op + 40.0, 1.0)).verdict != "stiction"
+
+
+def test_a_valve_that_leaves_far_more_of_pv_than_another_is_not_known() -> None:
+    def model(valve: Valve, left: float) -> FittedModel:
+        return FittedModel(valve, wb.FOPDT(1.0, 5.0, 1.0), left, 0.0, 0.0, 40)
+
+    models = {"choudhury": model(wb.Choudhury(2.4, 2.1), 44.5), "stenman": model(wb.Stenman(2.56), 4.6)}
+    (said,) = words_of_closer(models, "choudhury")
+    assert said.startswith("one that sticks within d = 2.56 % leaves 4.6 EU² of PV's variance")
+    assert words_of_closer(models, "stenman") == ()
+    # A linear model that leaves less is no other valve, and half as much is not far less.
+    models = {"deadband": model(wb.Deadband(2.0), 2.0), "linear": model(wb.Ideal(), 0.1)}
+    assert words_of_closer(models, "deadband") == ()
+    assert words_of_closer(models | {"stenman": model(wb.Stenman(1.0), 1.0)}, "deadband") == ()

@@ -27,6 +27,7 @@ from workbench.estimate.models import (
     choose,
     compared,
     reasons_of,
+    words_of_closer,
     words_of_rival,
 )
 from workbench.estimate.outside import weighed
@@ -182,6 +183,8 @@ def answer_of(
     sticks = maybe and chosen != "linear" and best is not None and best.fit.gain != 0.0
     lost = sticks and best is not None and hidden(fits.data, best)
     reasons = said.reasons
+    if maybe and method != "two_step" and chosen in STICKING and (closer := words_of_closer(models, chosen)):
+        said, reasons = said._replace(identifiable=False), reasons + closer
     if maybe:
         reasons += reasons_of(models, chosen, valve, None if lost else ranged)
     reasons += _manual_said(record)

@@ -17,13 +17,24 @@ from workbench.model.record import FloatArray
 from workbench.model.results import FittedModel, Intervals
 from workbench.model.valve import Choudhury, Deadband, Ideal, Stenman, Valve
 
-__all__ = ["STICKING", "bands_of", "choose", "compared", "reasons_of", "refitted", "words_of_open", "words_of_rival"]
+__all__ = [
+    "STICKING",
+    "bands_of",
+    "choose",
+    "compared",
+    "reasons_of",
+    "refitted",
+    "words_of_closer",
+    "words_of_open",
+    "words_of_rival",
+]
 
 # Free parameters beside those of the valve: gain, time constant, dead time, bias, input before the record, transient;
 # an integrating plant has no time constant.
 PLANT_PARAMETERS = 6
 VALVE_PARAMETERS = {"linear": 0, "stenman": 1, "deadband": 1, "choudhury": 2}
 STICKING = ("stenman", "deadband", "choudhury")
+CLOSER = 0.5  # of what the valve chosen leaves of PV: another that leaves less than that speaks against it
 UNKNOWN_JUMP = 0.25  # of S: a range of J wider than this does not identify it
 
 
@@ -126,6 +137,19 @@ def reasons_of(models: dict[str, FittedModel], chosen: str, valve: str, found: B
     return tuple(said)
 
 
+def words_of_closer(models: Mapping[str, FittedModel], chosen: str) -> tuple[str, ...]:
+    """Return in words that another sticking valve than the one chosen leaves far less of PV itself; nothing else.
+
+    What remains of PV is weighed as far as nobody could foretell it. A stem that is off by what wanders slowly may then
+    be the likelier, but it is not known well.
+    """
+    closer = min((models[name] for name in STICKING if name in models), key=lambda model: model.residual_variance)
+    if closer.residual_variance >= CLOSER * models[chosen].residual_variance:
+        return ()
+    own = f"the one with the lowest BIC {models[chosen].residual_variance:.3g}: which of them it is, is not known"
+    return (f"{_words(closer.valve)} leaves {closer.residual_variance:.3g} EU² of PV's variance, {own}",)
+
+
 def words_of_rival(name: str, ranges: Intervals, integrating: bool) -> str:
     """Return in words that another kind of valve fits as well, and with which stick band and gain."""
     kinds = {
@@ -165,4 +189,6 @@ def words_of_open(ranges: Intervals, integrating: bool) -> tuple[str, ...]:
 def _words(valve: Valve) -> str:
     if isinstance(valve, Deadband):
         return f"a dead band of {valve.b:.3g} %"
+    if isinstance(valve, Stenman):
+        return f"one that sticks within d = {valve.d:.3g} %"
     return f"one with stick band S = {valve.stick_band:.3g} % and slip jump J = {valve.slip_jump:.3g} %"
