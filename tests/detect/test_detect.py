@@ -23,11 +23,13 @@ QUIET = Oscillation(0.0, math.nan, 0.0, 0.0)
 FOUND = StemTest(
     predicting=200.0,
     loaded=200.0,
+    waved=200.0,
     improvement=0.18,
     likelihood=200.0,
     simulated=0.4,
     adds=100.0,
     sure=100.0,
+    instead=0.0,
     wide=200.0,
     wide_from=1.0,
     left=0.05,
@@ -137,6 +139,7 @@ def test_a_recorded_stem_decides() -> None:
 
 
 ALONE = {"sure": 0.0, "adds": 0.0}
+SMOOTH = {"improvement": 0.0, "likelihood": 0.0, "unexplained": 0.04}
 
 
 @pytest.mark.parametrize(
@@ -149,6 +152,8 @@ ALONE = {"sure": 0.0, "adds": 0.0}
         # A curved plant is no linear one either: no stem makes PV as it is.
         ({"improvement": 0.0, "likelihood": 0.0, "simulated": -0.01, "predicting": 31.0, "sure": 31.0}, "undecided"),
         ({"improvement": 0.0, "likelihood": 0.0, "unexplained": 0.04, "predicting": 31.0, "sure": 31.0}, "no_stiction"),
+        ({**SMOOTH, "predicting": 31.0, "sure": 31.0, "instead": 25.1}, "undecided"),
+        ({**SMOOTH, "predicting": 31.0, "sure": 31.0, "instead": 24.9}, "no_stiction"),
         # By prediction and simulation together: the stem must add to the free predictor too.
         ({"predicting": 39.0, "sure": 15.0, "adds": 11.0}, "stiction"),
         ({"predicting": 39.0, "sure": 15.0, "adds": 9.0}, "undecided"),

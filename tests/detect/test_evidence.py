@@ -37,6 +37,8 @@ def test_every_statistic_is_told_with_its_value(sticky: Detection) -> None:
     assert rows["Stem test, likelihood"].value == sticky.test.likelihood
     assert rows["Stem test, two rivals"].value == sticky.test.sure
     assert rows["Stem test, what it adds"].value == sticky.test.adds
+    assert rows["Stem test, steady wave"].value == sticky.test.waved
+    assert rows["Stem test, in OP's place"].value == sticky.test.instead
     assert rows["Oscillation period"].value == sticky.oscillation.period
     assert rows["Regularity"].value == sticky.oscillation.regularity
     assert (rows["Cross-correlation, lags"].value, rows["Cross-correlation, values"].value) == sticky.correlation
@@ -60,6 +62,9 @@ def test_the_stem_test_is_judged_by_the_thresholds_of_the_verdict(sticky: Detect
     assert rows["Stem test, likelihood"].says == "too little for stiction"
     assert f"{LIMITS.likelihood:g}" in rows["Stem test, likelihood"].limits
     assert rows["Stem test, two rivals"].says == "enough for stiction"
+    outdone = table(replace(sticky, test=replace(at, waved=LIMITS.chance - 1e-9, instead=LIMITS.sure)))
+    assert outdone["Stem test, steady wave"].says == "such a load does as well"
+    assert outdone["Stem test, in OP's place"].says == "too much to exclude stiction"
     # Both rivals speak for a stem, and simulated PV against all: the verdict does not find stiction by that.
     worse = table(replace(sticky, test=replace(at, simulated=-0.01)))
     assert worse["Stem test, two rivals"].says == "too little for stiction"

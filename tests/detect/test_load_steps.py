@@ -80,11 +80,13 @@ def test_no_load_is_sought_about_a_setpoint_move_until_pv_has_arrived() -> None:
 FOUND = StemTest(
     predicting=200.0,
     loaded=200.0,
+    waved=200.0,
     improvement=0.18,
     likelihood=200.0,
     simulated=0.4,
     adds=100.0,
     sure=100.0,
+    instead=0.0,
     wide=200.0,
     wide_from=1.0,
     left=0.05,

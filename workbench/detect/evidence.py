@@ -130,6 +130,31 @@ def _stem_test(found: Detection) -> Iterator[Statistic]:
         else "the linear loop does worse",
         decides=True,
     )
+    yield Statistic(
+        "Stem test, steady wave",
+        "how far the best stem predicts PV, beside OP or in its place, ahead of a square or triangular wave of load",
+        "",
+        nan if test is None else test.waved,
+        "",
+        f"stiction needs {limits.chance:g} or more",
+        _undefined(STILL)
+        if test is None
+        else "such a load does as well"
+        if test.waved < limits.chance
+        else "such a load does worse",
+        decides=True,
+    )
+    yield Statistic(
+        "Stem test, in OP's place",
+        "the less of a stem's log likelihood ratios to the linear loop, to a prediction by PV's and OP's past, and "
+        "between that and one with the stem for OP",
+        "",
+        nan if test is None else test.instead,
+        "",
+        f"no stiction is not said from {limits.sure:g} on",
+        _undefined(STILL) if test is None else "too much to exclude stiction" if test.instead >= limits.sure else OPEN,
+        decides=True,
+    )
     wide = nan if test is None else test.wide
     yield Statistic(
         "Stem test, wide bands",

@@ -35,6 +35,7 @@ class FreePredictor:
     """
 
     def __init__(self, y: FloatArray, u: FloatArray, held: NDArray[np.bool_], floor: float, longest: int) -> None:
+        self.asked = y, held, floor, longest
         past = max(min(PAST, y.size // PER_PAST), 1)
         while not self._knows(y, u, held, past, longest) and past > 1:
             # Where samples are missing a shorter past leaves more of them to predict.
@@ -53,7 +54,7 @@ class FreePredictor:
         self.freedom = columns.shape[0] - coefficients
         self.enough = bool(columns.shape[0] >= LEAST_ROWS * coefficients)
         self.basis = _orthonormal(columns) if self.enough else columns
-        self.left = self._beside(y[self.first :][self.live]) if self.enough else np.zeros(0)
+        self.left = self.beside(y[self.first :][self.live]) if self.enough else np.zeros(0)
         return self.enough
 
     def _known(self, columns: list[FloatArray]) -> FloatArray:
@@ -61,7 +62,8 @@ class FreePredictor:
         known: FloatArray = np.column_stack(columns if self.live.all() else [v[self.live] for v in columns])
         return known
 
-    def _beside(self, columns: FloatArray) -> FloatArray:
+    def beside(self, columns: FloatArray) -> FloatArray:
+        """Return what is left of columns (at the samples that are known) beside the past."""
         beside: FloatArray = columns - self.basis @ (self.basis.T @ columns)
         return beside
 
@@ -76,15 +78,31 @@ class FreePredictor:
             return 0.0
         x = path - path.mean()
         columns = self._known([_back(x, delay + 1 + i, self.first) for i in range(ANSWERS)])
-        beside_past = self._beside(columns)
+        beside_past = self.beside(columns)
         powers, axes = np.linalg.eigh(beside_past.T @ beside_past)
         # A stem that follows OP is known already: what is left of it is rounding.
         kept = powers > RANK**2 * float((columns**2).sum())
         left = beside_past @ (axes[:, kept] / np.sqrt(powers[kept]))
-        with_stem = self.left - left @ (left.T @ self.left)
+        return self.gain(float(((left.T @ self.left) ** 2).sum()))
+
+    def gain(self, explained: float) -> float:
+        """Return the log likelihood ratio of a prediction that leaves so much less of PV's squares, EU^2."""
         without = float(self.left @ self.left) + self.floor
-        beside = float(with_stem @ with_stem) + self.floor
+        beside = max(without - explained, self.floor)
         return float(self.freedom * math.log(without / beside)) if beside > 0.0 else 0.0
+
+    def instead(self, path: FloatArray) -> float:
+        """Return the log likelihood ratio of the prediction by a stem's past (%, shape (N,)) to that by OP's.
+
+        0 where the record is too short to say.
+        """
+        y, held, floor, longest = self.asked
+        by_stem = FreePredictor(y, path - path.mean(), held, floor, longest)
+        if not self.enough or not np.ptp(path) > 0.0 or by_stem.left.size != self.left.size:
+            return 0.0
+        by_op = float(self.left @ self.left) + self.floor
+        left = float(by_stem.left @ by_stem.left) + by_stem.floor
+        return float(self.freedom * math.log(by_op / left)) if min(by_op, left) > 0.0 else 0.0
 
 
 def _orthonormal(columns: FloatArray) -> FloatArray:

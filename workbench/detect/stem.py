@@ -25,7 +25,8 @@ from workbench.detect.load_steps import load_steps, unforced
 from workbench.detect.predictor import FreePredictor
 from workbench.detect.sinusoid import strongest
 from workbench.detect.stem_kernel import plant, screen, settle
-from workbench.detect.verdict import beyond_doubt
+from workbench.detect.verdict import Thresholds, beyond_doubt
+from workbench.detect.wave import steady_wave
 from workbench.detect.whitening import noise, whitened
 from workbench.model.detection import StemTest
 from workbench.model.record import FloatArray
@@ -284,6 +285,29 @@ class _Search:
         left = min(self.rivals.under_load(self.u, a, self.fine, free, most) for a in filters)
         return min(best.innovations, self._gain(left, best.fit.variance))
 
+    def instead(self, met: list[_Candidate]) -> float:
+        """Return the best stem's least ratio: over the linear rival, beside OP in the free predictor, in its place."""
+        best = -math.inf
+        for c in sorted(met, key=lambda c: -min(c.innovations, c.adds)):
+            least = min(c.innovations, c.adds)
+            if least <= max(best, 0.0):
+                return max(best, least)
+            best = max(best, min(least, self.free.instead(c.path)))
+        return best
+
+    def over_wave(self, met: list[_Candidate], period: float) -> float:
+        """Return what the best stem is ahead of a wave of PV's period in the free predictor, beside OP or in its place.
+
+        The best likelihood ratio over the linear rival where that is chance, or PV has no period (nan; samples).
+        """
+        best = max(c.innovations for c in met)
+        if not (best > Thresholds().chance and math.isfinite(period) and self.free.enough):
+            return best
+        wave = steady_wave(self.free, self.rivals.y, period)
+        ahead = max(c.adds for c in met) - wave
+        # In OP's place each stem is a regression of its own: not asked where it changes nothing.
+        return ahead if wave <= 0.0 else max([ahead, *(self.free.instead(c.path) - wave for c in met)])
+
     def told(self, fitted: Fitted) -> list[_Candidate]:
         """Return a model's valve judged, and the best found about it."""
         judged = [self.judged(Law(fitted[0], 0.0), fitted[1], a) for a in (self.white, self.linear.a)]
@@ -324,14 +348,19 @@ def _stretch(
     search = _Search(_Rivals(y, delays, sign, held), u, held, power)
     told = [] if fitted is None else search.told(fitted)
     if told:
-        test = _test(search, [], told, free, sample_time)
+        test = _test(search, [], told, free, sample_time, period)
         if beyond_doubt(test):
             return test
-    return _test(search, search.met(), told, free, sample_time)
+    return _test(search, search.met(), told, free, sample_time, period)
 
 
 def _test(
-    search: _Search, own: list[_Candidate], told: list[_Candidate], free: NDArray[np.bool_], sample_time: float
+    search: _Search,
+    own: list[_Candidate],
+    told: list[_Candidate],
+    free: NDArray[np.bool_],
+    sample_time: float,
+    period: float,
 ) -> StemTest:
     """What the search's own stems and a model's come to; free: the samples in which a load step may be."""
     rivals, power, met = search.rivals, search.power, own + told
@@ -342,11 +371,13 @@ def _test(
     return StemTest(
         predicting=best.innovations,
         loaded=search.over_load_steps(best, moves, free),
+        waved=search.over_wave(met, period / sample_time),
         improvement=1.0 - math.exp(-both.innovations / rivals.count),
         likelihood=both.innovations,
         simulated=1.0 - math.exp(-both.simulated / rivals.count),
         adds=both.adds,
         sure=max(c.sure for c in met),
+        instead=search.instead(met),
         # What chance gives is known for the search's own stems, not for one that a model was fitted with.
         wide=max((c.harmless for c in own if c.law.band >= WIDE * width), default=math.nan),
         wide_from=WIDE * width,
@@ -407,11 +438,13 @@ def stem_test(
     return StemTest(
         predicting=sum(p.predicting for p in parts),
         loaded=sum(p.loaded for p in parts),
+        waved=sum(p.waved for p in parts),
         improvement=1.0 - math.exp(-gain / total),
         likelihood=gain,
         simulated=float(np.median([p.simulated for p in parts])),
         adds=sum(p.adds for p in parts),
         sure=sum(p.sure for p in parts),
+        instead=sum(p.instead for p in parts),
         wide=sum(p.wide for p in parts),
         wide_from=max(p.wide_from for p in parts),
         left=float(np.mean([p.left for p in parts])),

@@ -5,7 +5,7 @@ three routes: it betters both the linear loop and the free linear predictor (SUR
 it betters the linear loop by prediction and in the simulated PV at once, significantly (LIKELIHOOD), by an amount that
 matters (PREDICTS, EXPLAINS), and adds more than chance to the free predictor (CHANCE); or it predicts so much better
 (SOLE, CLEAR), than a linear loop under a few load steps too, that no second opinion is asked. None of them holds where
-such a loop does as well (PLAYED).
+such a loop does as well, or one under a wave of steady period (PLAYED).
 
 No stiction is a finding of its own: stems that stick over a quarter of OP's range or more, enough to matter, are
 excluded (EXCLUDED); or they fit no better than chance has it (CHANCE; where PV is seen to follow OP, worse than OP
@@ -25,13 +25,17 @@ PREDICTS: a real linear plant is no first-order lag; what its shape leaves unmod
 variance in nine of ten simulated loops, and below three times that (CLEAR) in all.
 EXPLAINS, LEFT: 5 % of the error, and of PV's variance; a linear model that leaves less has explained PV, unless the
 stem predicts clearly better, by three times PREDICTS (CLEAR), and explains most (MOST) of the little that is left.
-CLOSE: four fifths of each of these is no acquittal, nor is a likelihood beyond SOLE by itself, nor SURE by itself.
+CLOSE: four fifths of each of these is no acquittal, nor is a likelihood beyond SOLE by itself, nor SURE by itself. Nor,
+however little the linear loop leaves, is a stem that betters it and the free predictor as SURE has it, and that
+predictor too when it takes OP's place: a cycle through a slow plant is so smooth that a longer lag makes up for it.
 CHANCE: where PV is noise alone the best of the search gained less in 47 of 50 simulated loops.
 EXCLUDED: chi^2 with one degree of freedom, the width, at 95 %: a wide stem whose likelihood is not that far below the
 linear loop's may be at work. So may one that never moved where PV is not seen to follow OP (CHANCE).
 PLAYED: a stem that moves once or twice leaves PV as a load step does, if it is given the time. It accuses only where it
 beats the linear loop under as many load steps as it moves, four at most, each paid for by BIC, by more than chance
-(CHANCE). A step that comes with a setpoint move is the controller's work and the valve's, no load's.
+(CHANCE). A step that comes with a setpoint move is the controller's work and the valve's, no load's. Nor does any stem
+accuse that is not ahead by more than chance of a square or triangular load of steady period, as another loop's valve
+makes it, ln N paid for each of its period, phase and form: its corners are a clock's, not OP's.
 SEEN: a gain, a time constant and a dead time chosen among ten gain 15 by chance once in 50. Where PV answers OP so
 clearly, a stem that hides a quarter of OP's range from it predicts PV worse, unless it is at work.
 FEW: a stem that moved at most four times, two cycles, cannot be told from a linear loop, however little that leaves,
@@ -112,12 +116,14 @@ def decide(
         f"{test.likelihood:.0f}) and {_less(test.simulated, 0)} of simulated PV"
     )
     played = test.loaded < limits.chance
-    if not played and _sticks(test, limits, 1.0):
+    waved = test.waved < limits.chance
+    if not played and not waved and _sticks(test, limits, 1.0):
         kind = "the stem slips as it sets off" if test.jump > 0.1 * test.band else "a dead band without visible slip"
         return "stiction", [f"{beats}: {kind}", f"{both}; {linear}"]
     either = test.predicting >= limits.sole or test.sure >= limits.close * limits.sure
     likely = test.unexplained >= limits.left and either
     likely = likely or (test.likelihood >= limits.sole and test.simulated >= limits.explains)
+    likely = likely or test.instead >= limits.sure
     if likely or _sticks(test, limits, limits.close):
         enough = "nearly enough to find stiction, too much to exclude it"
         if test.loaded < test.predicting:
@@ -126,6 +132,12 @@ def decide(
                 f"yet the stem moved {times(test.moves)} only, and a linear loop under as few load steps {well} (log "
                 f"likelihood ratio {test.loaded:.0f}); a setpoint move, recorded with its setpoint, or a longer record "
                 "would tell"
+            )
+        elif waved:
+            enough = (
+                "yet a linear loop under a square or triangular load of steady period, as another loop's valve makes "
+                f"it, is not clearly worse (log likelihood ratio {test.waved:.0f}); a stretch in manual, or the other "
+                "loop's record, would tell"
             )
         return "undecided", [f"{beats}: {enough}", f"{both}; {linear}"]
     doubt = _not_excluded(oscillation, test, limits)
@@ -206,7 +218,7 @@ def beyond_doubt(test: StemTest) -> bool:
     """Return whether a sticking stem reaches twice what finding stiction takes, and explains most of both errors."""
     limits = Thresholds()
     most = min(test.improvement, test.simulated) >= limits.most
-    return most and test.loaded >= 2.0 * limits.chance and _sticks(test, limits, 2.0)
+    return most and min(test.loaded, test.waved) >= 2.0 * limits.chance and _sticks(test, limits, 2.0)
 
 
 def _sticks(test: StemTest, limits: Thresholds, share: float) -> bool:

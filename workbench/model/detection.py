@@ -69,7 +69,9 @@ class StemTest:
     predicting: the log likelihood ratio of the stem that predicts PV best, N times the logarithm of the ratio of
     innovation variances; band: width (%) of its stick band (Stenman: d); jump: its slip jump; moves: times that it set
     off or turned. loaded: its ratio over the linear loop under a few load steps, twice ln N less for each, where that
-    is less: of a stem that hardly moved. likelihood: the same ratio of the stem best by prediction and simulation
+    is less: of a stem that hardly moved. waved: by how much the best stem in the free linear predictor, beside OP or in
+    its place, is ahead there of a square or triangular load of steady period, three ln N for that; `predicting` where
+    that is chance, or PV has no period. likelihood: the same ratio of the stem best by prediction and simulation
     together; improvement: share of the linear rival's innovation variance that it explains; simulated: share of the
     error of the linear rival's simulated PV that it explains; adds: its log likelihood ratio over the free linear
     predictor, which knows the past of PV and OP and no valve. The linear rival of the innovations may have a sinusoidal
@@ -78,7 +80,8 @@ class StemTest:
     sure: the best of all stems by the less of both ratios, over the linear rival and over the free predictor; wide: the
     ratio over the linear rival of the best stem with a band of `wide_from` (%), a quarter of OP's range, or more. In
     these two a stem that makes the simulated PV worse by half counts for what it simulates. wide is nan where a model's
-    stem left no doubt and no other was tried.
+    stem left no doubt and no other was tried. instead: the best of all stems by the least of three ratios, the two of
+    sure, whatever the stem simulates, and that of the free predictor given the stem in OP's place to that given OP.
 
     left: share of PV's variance that the linear rival leaves as innovations, unfollowed: likewise without any input;
     unexplained: what its simulated PV leaves.
@@ -86,11 +89,13 @@ class StemTest:
 
     predicting: float
     loaded: float
+    waved: float
     improvement: float
     likelihood: float
     simulated: float
     adds: float
     sure: float
+    instead: float
     wide: float
     wide_from: float
     left: float
