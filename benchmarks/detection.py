@@ -5,7 +5,7 @@
 Loops are random: first-order and integrating plants, PI tuned from brisk to slow, 750 to 3,000 samples, measurement
 noise of 2 to 20 % of the disturbance's effect. Healthy classes: noise alone; fast, slow and sinusoidal load; tight
 tuning; setpoint steps; a nonlinear gain (the static square law that the PV of an orifice without a square root has);
-one to three load steps.
+one to three load steps; and, counted by itself, a square or triangular load of steady period.
 Sticky ones: every valve type, the load a slow drift of up to a quarter of the stick band; those whose stem set off less
 than ten times in the record are counted by themselves: nothing tells them from a healthy loop at rest. Labelled records
 are looked at whole, and cut, thinned, late, noisier and rounded. Each threshold is then moved by a fifth down and up on
@@ -39,8 +39,8 @@ HEALTHY = (
 )
 ENOUGH = 10  # moves of the stem
 STICKY = ("Stenman", "S = J", "S > J", "S < J", "dead band")
-APART = ("stuck fast", "large setpoint moves")
-SEEDED = (*HEALTHY[:7], *STICKY, *APART, *HEALTHY[7:])  # a class keeps its loops where another joins
+APART = ("stuck fast", "large setpoint moves", "wave load")
+SEEDED = (*HEALTHY[:7], *STICKY, *APART[:2], *HEALTHY[7:], *APART[2:])  # a class keeps its loops where another joins
 
 
 def drift(rng: np.random.Generator, n: int, correlation: float) -> np.ndarray:
@@ -88,6 +88,10 @@ def random_record(kind: str, level: bool, seed: int) -> tuple[wb.Record, int]:
     elif kind == "sinusoidal load":
         period = max(min(rng.uniform(2.0, 40.0) * speed, n / 4.0), 6.0)
         load = size * np.sin(2.0 * math.pi * np.arange(n) / period + rng.uniform(0.0, 6.0))
+    elif kind == "wave load":
+        # Another loop whose valve sticks sends a square or a triangle.
+        phase = (np.arange(n) / max(min(rng.uniform(2.0, 40.0) * speed, n / 4.0), 6.0) + rng.uniform()) % 1.0
+        load = size * (np.where(phase < 0.5, 1.0, -1.0) if rng.random() < 0.5 else 1.0 - 4.0 * np.abs(phase - 0.5))
     elif kind == "load steps":
         load = np.zeros(n)
         for at in rng.integers(10, n - 10, int(rng.integers(1, 4))).tolist():
