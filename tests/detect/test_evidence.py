@@ -62,7 +62,7 @@ def test_the_stem_test_is_judged_by_the_thresholds_of_the_verdict(sticky: Detect
     assert rows["Stem test, likelihood"].says == "too little for stiction"
     assert f"{LIMITS.likelihood:g}" in rows["Stem test, likelihood"].limits
     assert rows["Stem test, two rivals"].says == "enough for stiction"
-    outdone = table(replace(sticky, test=replace(at, waved=LIMITS.chance - 1e-9, instead=LIMITS.sure)))
+    outdone = table(replace(sticky, test=replace(at, waved=LIMITS.chance - 1e-9, instead=LIMITS.sole)))
     assert outdone["Stem test, steady wave"].says == "such a load does as well"
     assert outdone["Stem test, in OP's place"].says == "too much to exclude stiction"
     # Both rivals speak for a stem, and simulated PV against all: the verdict does not find stiction by that.

@@ -125,7 +125,7 @@ def second_order_cycle(noise: float) -> wb.Record:
     return wb.Record(pv[200:], op[200:], 1.0, sp=np.zeros(n - 200))
 
 
-@pytest.mark.parametrize("noise", [0.004, 0.02])
+@pytest.mark.parametrize("noise", [0.002, 0.004])
 def test_a_smooth_cycle_that_a_longer_lag_makes_up_for_is_not_acquitted(noise: float) -> None:
     found = wb.detect(second_order_cycle(noise))
     assert found.test is not None

@@ -151,8 +151,8 @@ def _stem_test(found: Detection) -> Iterator[Statistic]:
         "",
         nan if test is None else test.instead,
         "",
-        f"no stiction is not said from {limits.sure:g} on",
-        _undefined(STILL) if test is None else "too much to exclude stiction" if test.instead >= limits.sure else OPEN,
+        f"no stiction is not said from {limits.sole:g} on",
+        _undefined(STILL) if test is None else "too much to exclude stiction" if test.instead >= limits.sole else OPEN,
         decides=True,
     )
     wide = nan if test is None else test.wide

@@ -26,7 +26,7 @@ variance in nine of ten simulated loops, and below three times that (CLEAR) in a
 EXPLAINS, LEFT: 5 % of the error, and of PV's variance; a linear model that leaves less has explained PV, unless the
 stem predicts clearly better, by three times PREDICTS (CLEAR), and explains most (MOST) of the little that is left.
 CLOSE: four fifths of each of these is no acquittal, nor is a likelihood beyond SOLE by itself, nor SURE by itself. Nor,
-however little the linear loop leaves, is a stem that betters it and the free predictor as SURE has it, and that
+however little the linear loop leaves, is a stem that betters it and the free predictor as SOLE has it, and that
 predictor too when it takes OP's place: a cycle through a slow plant is so smooth that a longer lag makes up for it.
 CHANCE: where PV is noise alone the best of the search gained less in 47 of 50 simulated loops.
 EXCLUDED: chi^2 with one degree of freedom, the width, at 95 %: a wide stem whose likelihood is not that far below the
@@ -123,7 +123,7 @@ def decide(
     either = test.predicting >= limits.sole or test.sure >= limits.close * limits.sure
     likely = test.unexplained >= limits.left and either
     likely = likely or (test.likelihood >= limits.sole and test.simulated >= limits.explains)
-    likely = likely or test.instead >= limits.sure
+    likely = likely or test.instead >= limits.sole
     if likely or _sticks(test, limits, limits.close):
         enough = "nearly enough to find stiction, too much to exclude it"
         if test.loaded < test.predicting:
