@@ -125,9 +125,8 @@ def second_order_cycle(noise: float) -> wb.Record:
     return wb.Record(pv[200:], op[200:], 1.0, sp=np.zeros(n - 200))
 
 
-@pytest.mark.parametrize("noise", [0.002, 0.004])
-def test_a_smooth_cycle_that_a_longer_lag_makes_up_for_is_not_acquitted(noise: float) -> None:
-    found = wb.detect(second_order_cycle(noise))
+def test_a_smooth_cycle_that_a_longer_lag_makes_up_for_is_not_acquitted() -> None:
+    found = wb.detect(second_order_cycle(0.004))
     assert found.test is not None
     assert decide(found.oscillation, replace(found.test, instead=0.0), None)[0] == "no_stiction"
     assert found.verdict == "undecided"
