@@ -166,7 +166,9 @@ def answer_of(
         said = _judged(fits, chosen, _evidence(record, fits, stem, method, len(history)), detection)
         known = fits.best(chosen) if method != "two_step" and chosen in STICKING else None
         if known is not None and not (said.verdict == "stiction" and _beyond_doubt(detection)):
-            verdict, reason = weighed(fits.data, known.fit, models[chosen], line, said.verdict)
+            verdict, reason = weighed(
+                fits.data, known.fit, models[chosen], (fits.linear, models["linear"]), line, said.verdict
+            )
             if reason:
                 # A step of the load that was missed, or is not quite where it was, moves the gain.
                 sure = verdict == "stiction" and not fits.steps

@@ -27,13 +27,19 @@ ORDER = 1  # of the disturbance's autoregression: what is left is as good as noi
 SLIPS = 2 * ENOUGH_SLIPS  # a few may fall in with as many steps of the load
 
 
-def weighed(data: Centred, fit: Fit, model: FittedModel, line: Straight, verdict: str) -> tuple[str, str]:
+def weighed(
+    data: Centred, fit: Fit, model: FittedModel, beside: tuple[Fit, FittedModel], line: Straight, verdict: str
+) -> tuple[str, str]:
     """Return the verdict that the likelier explanation leads to, and why; as it was, and nothing, where none does.
 
-    data: the record in the measure that the sticking model was fitted in, with its fit; line: the linear fit.
+    data: the record in the measure that the sticking model was fitted in, with its fit; beside: the linear model there,
+    less the same load steps; line: the linear fit to the record as it is.
     """
     accused = verdict == "stiction"
-    if not accused and (model.slips < SLIPS or data.a.size > 1 + ORDER):
+    ahead = 0.5 * data.samples * math.log(max(beside[0].sse, data.samples * data.floor) / max(fit.sse, 1e-300))
+    # A stem that hardly sticks leaves what the linear loop leaves once it is given the same steps.
+    closer = ahead >= LIKELIER and model.residual_variance <= MOST * beside[1].residual_variance
+    if not accused and not (closer and model.slips >= SLIPS and data.a.size <= 1 + ORDER):
         return verdict, ""
     answered, swing = linear_beside(line)
     rival, linear = answered.settled, answered.paths[0].fit
@@ -44,11 +50,11 @@ def weighed(data: Centred, fit: Fit, model: FittedModel, line: Straight, verdict
     likelier = 0.5 * data.samples * math.log(innovations(rival, linear) / innovations(data, fit))
     share = model.residual_variance / max(answered.model.residual_variance, data.floor)
     if accused and likelier <= 0.0 and share >= 1.0:
-        beside = "with load steps of its own" if rival.load.any() else "by itself"
+        with_what = "with load steps of its own" if rival.load.any() else "by itself"
         if swing is not None:
-            beside = f"beside an oscillation from outside of {2.0 * math.pi / swing.angle * data.sample_time:.3g} s"
+            with_what = f"beside an oscillation from outside of {2.0 * math.pi / swing.angle * data.sample_time:.3g} s"
         return "undecided", (
-            f"a linear loop {beside} explains PV better than a stem that sticks over {model.valve.stick_band:.3g} % "
+            f"a linear loop {with_what} explains PV better than a stem that sticks over {model.valve.stick_band:.3g} % "
             f"(log likelihood ratio {-likelier:.0f}): look for what disturbs the loop"
         )
     if not accused and likelier >= LIKELIER and share <= MOST:
