@@ -73,6 +73,14 @@ def test_load_steps_alone_accuse_no_valve(seed: int) -> None:
     assert wb.estimate(wb.Record(run.pv + 50.0, run.op + 40.0, 1.0)).verdict != "stiction"
 
 
+def test_a_stem_in_the_likeness_of_a_load_step_accuses_no_valve() -> None:
+    # The linear loop's own search misses the step where PV is kept coarsely.
+    loop = wb.Loop(wb.FOPDT(0.3768, 51.8, 104.0), wb.Ideal(), wb.PID(0.2328, 64.0), 10.0)
+    run = wb.simulate(loop, wb.Experiment(3980.0, load=wb.Step(6.0, at=1500.0), noise=wb.Noise(0.04, 1)))
+    found = wb.estimate(wb.Record(np.round(run.pv / 0.17) * 0.17, run.op + 45.0, 10.0))
+    assert found.verdict == "undecided"
+
+
 def test_a_valve_that_leaves_far_more_of_pv_than_another_is_not_known() -> None:
     def model(valve: Valve, left: float) -> FittedModel:
         return FittedModel(valve, wb.FOPDT(1.0, 5.0, 1.0), left, 0.0, 0.0, 40)

@@ -39,7 +39,9 @@ def weighed(
     ahead = 0.5 * data.samples * math.log(max(beside[0].sse, data.samples * data.floor) / max(fit.sse, 1e-300))
     # A stem that hardly sticks leaves what the linear loop leaves once it is given the same steps.
     closer = ahead >= LIKELIER and model.residual_variance <= MOST * beside[1].residual_variance
-    if not accused and not (closer and model.slips >= SLIPS and data.a.size <= 1 + ORDER):
+    # Without steps of its own a stem may be no more than the likeness of one.
+    stands = closer and data.load.any() and model.slips >= SLIPS and data.a.size <= 1 + ORDER
+    if not accused and not stands:
         return verdict, ""
     answered, swing = linear_beside(line)
     rival, linear = answered.settled, answered.paths[0].fit
