@@ -62,7 +62,7 @@ def detect(record: Record, *, bicoherence: bool = False, fitted: Fitted | None =
     found = _detected(seen, bicoherence, fitted)
     if late.perhaps and found.verdict == "no_stiction" and found.stem is None:
         found = replace(found, verdict="undecided", reasons=(PERHAPS_LATE, *found.reasons))
-    said = words_of_late(record, late) + words_of_spikes(record)
+    said = words_of_late(record, late) + words_of_spikes(record, seen)
     return replace(found, record=record, reasons=found.reasons + said, pv_late=late.samples * record.sample_time)
 
 

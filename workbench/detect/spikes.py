@@ -85,9 +85,9 @@ def _without(pv: FloatArray, spikes: NDArray[np.bool_]) -> FloatArray:
     return np.interp(at, at[kept], pv[kept])
 
 
-def words_of_spikes(record: Record) -> tuple[str, ...]:
-    """Return in words that PV has spikes, where it has."""
-    count = int(np.count_nonzero(spikes_of(record.pv)))
+def words_of_spikes(record: Record, seen: Record) -> tuple[str, ...]:
+    """Return in words how many samples of PV are spikes, where any are; seen: the record without them."""
+    count = int(np.count_nonzero(record.pv != seen.pv))
     if count == 0:
         return ()
     many = "1 sample of PV stands" if count == 1 else f"{count} samples of PV stand"

@@ -165,14 +165,14 @@ def answer_of(
             detection = _detected(record, fits, stem, _likelier_pair(fits, models))
         said = _judged(fits, chosen, _evidence(record, fits, stem, method, len(history)), detection)
         known = fits.best(chosen) if method != "two_step" and chosen in STICKING else None
-        if known is not None and not (said.verdict == "stiction" and _beyond_doubt(detection)):
-            verdict, reason = weighed(
-                fits.data, known.fit, models[chosen], (fits.linear, models["linear"]), line, said.verdict
-            )
+        # Without steps of its own a stem that nothing else accuses may be no more than the likeness of one.
+        asked_for = not _beyond_doubt(detection) if said.verdict == "stiction" else bool(fits.steps)
+        if known is not None and asked_for:
+            pairs = (known.fit, models[chosen]), (fits.linear, models["linear"])
+            verdict, reason = weighed(fits.data, *pairs, line, said.verdict)
             if reason:
                 # A step of the load that was missed, or is not quite where it was, moves the gain.
-                sure = verdict == "stiction" and not fits.steps
-                said = _Said(verdict, (reason, *said.reasons), sure)
+                said, sure = _Said(verdict, (reason, *said.reasons), False), False
     maybe = said.verdict != "no_stiction"
     ranged = _ranged(fits, chosen) if maybe and chosen in fits.bands else None
     if ranged is not None:

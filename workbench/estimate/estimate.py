@@ -115,7 +115,7 @@ def estimate(
     else:
         found = _searched(seen, plant, asked, lambda share: tell(share / shares))
     answer = _told(seen, found, asked, lambda share: tell(1.0 - (1.0 - share) / shares))
-    said += words_of_late(record, late) + words_of_spikes(record)
+    said += words_of_late(record, late) + words_of_spikes(record, seen)
     tell(1.0)
     return replace(
         answer,
