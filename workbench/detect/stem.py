@@ -277,13 +277,26 @@ class _Search:
         return found + [self.closer(c) for c in leaders]
 
     def over_load_steps(self, best: _Candidate, moves: int, free: NDArray[np.bool_]) -> float:
-        """Return a stem's log likelihood ratio over the linear rival under at most half as many load steps as FEW."""
-        if not 0 < moves <= FEW:
+        """Return a stem's log likelihood ratio over the linear rival under at most half as many load steps as FEW.
+
+        A stem that moves more often than FEW is no likeness of them, and may have as many beside it.
+        """
+        of_its_own = moves > FEW
+        if moves == 0 or (of_its_own and not self._may_be_load(best)):
             return best.innovations
-        most = min(moves, FEW // 2)
-        filters = (best.fit.a, self.linear.a, self.white)
-        left = min(self.rivals.under_load(self.u, a, self.fine, free, most) for a in filters)
-        return min(best.innovations, self._gain(left, best.fit.variance))
+        most, filters = min(moves, FEW // 2), (best.fit.a, self.linear.a, self.white)
+
+        def least(x: FloatArray) -> float:
+            return min(self.rivals.under_load(x, a, self.fine, free, most) for a in filters)
+
+        stem = min(best.fit.variance, least(best.path)) if of_its_own else best.fit.variance
+        return min(best.innovations, self._gain(least(self.u), stem))
+
+    def _may_be_load(self, best: _Candidate) -> bool:
+        """Whether load steps may account for what a stem predicts: for more than chance, but not for most of all."""
+        limits = Thresholds()
+        most = -best.samples * math.log(1.0 - limits.most)
+        return limits.chance < best.innovations < most
 
     def instead(self, met: list[_Candidate]) -> float:
         """Return the best stem's least ratio: over the linear rival, beside OP in the free predictor, in its place."""

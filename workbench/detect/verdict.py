@@ -33,7 +33,8 @@ EXCLUDED: chi^2 with one degree of freedom, the width, at 95 %: a wide stem whos
 linear loop's may be at work. So may one that never moved where PV is not seen to follow OP (CHANCE).
 PLAYED: a stem that moves once or twice leaves PV as a load step does, if it is given the time. It accuses only where it
 beats the linear loop under as many load steps as it moves, four at most, each paid for by BIC, by more than chance
-(CHANCE). A step that comes with a setpoint move is the controller's work and the valve's, no load's. Nor does any stem
+(CHANCE). A stem that moves more often must beat it too, but may have as many steps beside it. A step that comes with a
+setpoint move is the controller's work and the valve's, no load's. Nor does any stem
 accuse that is not ahead by more than chance of a square or triangular load of steady period, as another loop's valve
 makes it, ln N paid for each of its period, phase and form: its corners are a clock's, not OP's.
 SEEN: a gain, a time constant and a dead time chosen among ten gain 15 by chance once in 50. Where PV answers OP so
@@ -128,10 +129,11 @@ def decide(
         enough = "nearly enough to find stiction, too much to exclude it"
         if test.loaded < test.predicting:
             well = "does as well" if played else "is not clearly worse"
+            seldom = f"the stem moved {times(test.moves)} only, and a linear loop under as few load steps"
+            often = "a linear loop under a few load steps, which the stem was given too,"
             enough = (
-                f"yet the stem moved {times(test.moves)} only, and a linear loop under as few load steps {well} (log "
-                f"likelihood ratio {test.loaded:.0f}); a setpoint move, recorded with its setpoint, or a longer record "
-                "would tell"
+                f"yet {seldom if test.moves <= 2.0 * limits.few else often} {well} (log likelihood ratio "
+                f"{test.loaded:.0f}); a setpoint move, recorded with its setpoint, or a longer record would tell"
             )
         elif waved:
             enough = (
