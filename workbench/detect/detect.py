@@ -99,17 +99,17 @@ def _detected(record: Record, bicoherence: bool, fitted: Fitted | None) -> Detec
     if verdict == "no_stiction" and stem is None and (hidden := _between_moves(record)):
         verdict, reasons = "undecided", [hidden]
     # Where a plant is seen to answer OP that clearly, by its lag and dead time, no more is asked.
-    if verdict == "no_stiction" and stem is None and follows(test) < Thresholds().likelihood:
+    if verdict != "stiction" and not dead and stem is None and follows(test) < Thresholds().likelihood:
         answer = answer_of(record)
         if answer is not None and answer.missing:
-            verdict = "undecided"
             larger = "a" if record.sp is None or np.ptp(record.sp) == 0.0 else "a larger"
             unanswered = (
                 f"PV is not seen to answer the OP moves of {answer.moved:.3g} %: a slow disturbance may hide that it "
                 "does, and a stuck valve, a closed block valve or a valve in manual look the same; "
                 f"{larger} setpoint move would tell"
             )
-            reasons = [unanswered, *reasons[1:]]
+            reasons = [unanswered, *reasons[verdict == "no_stiction" :]]
+            verdict = "undecided"
     stretch, cycle = _strongest(record, whole)
     pv, op, error = (signal[slice(*stretch)] for signal in (record.pv, record.op, control_error(record)))
     oscillates = not no_period(cycle)

@@ -12,6 +12,7 @@ from collections.abc import Iterator
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.fft import next_fast_len
 
 from workbench.detect.whitening import whitened
 from workbench.model.record import FloatArray
@@ -86,9 +87,10 @@ class _Plants:
         n = y.size
         pole, at = float(np.exp(-1.0 / tau)), np.arange(n)
         self.n, self.live, self.count = n, live, delays.size
+        self.fast = next_fast_len(2 * n, real=True)
         self.answer: FloatArray = np.asarray(1.0 - pole ** (at + 1.0), dtype=np.float64)  # to a step of 1 at sample 0
         self.step = whitened(a, self.answer)
-        self.filter = np.fft.rfft(self.step, 2 * n).conj()
+        self.filter = np.fft.rfft(self.step, self.fast).conj()
         self.places = free & (at >= FIRST) & (at < n - LAST)
         lag = first_order(u - u[0], 0.0, 1.0 - pole, pole)
         rows = [np.ones(n), pole**at] + [np.concatenate([np.zeros(d), lag[: n - d]]) for d in delays.tolist()]
@@ -96,7 +98,8 @@ class _Plants:
         self.target = np.where(live, whitened(a, y), 0.0)
         self.shared, self.drives = shown[:2], shown[2:]
         self.rest = np.repeat(self.target[None, :], self.count, axis=0)
-        squares = np.fft.irfft(np.fft.rfft(live.astype(float), 2 * n) * np.fft.rfft(self.step**2, 2 * n).conj())[:n]
+        both = np.fft.rfft(live.astype(float), self.fast) * np.fft.rfft(self.step**2, self.fast).conj()
+        squares = np.fft.irfft(both, self.fast)[:n]
         self.whole = squares.max()
         self.left = np.repeat(squares[None, :], self.count, axis=0)  # of each step's squares
         self.basis: list[FloatArray] = []
@@ -106,7 +109,7 @@ class _Plants:
 
     def _seen(self, rows: FloatArray) -> FloatArray:
         """The products of rows, (D, N), with the whitened step at every sample."""
-        return np.fft.irfft(np.fft.rfft(rows, 2 * self.n) * self.filter)[:, : self.n]
+        return np.fft.irfft(np.fft.rfft(rows, self.fast) * self.filter, self.fast)[:, : self.n]
 
     def _take(self, columns: FloatArray) -> None:
         """Let columns, (D, N), explain what they can of what is left."""

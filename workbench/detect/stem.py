@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import copy
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,7 +25,7 @@ from workbench.detect.load_steps import load_steps, unforced
 from workbench.detect.predictor import FreePredictor
 from workbench.detect.sinusoid import strongest
 from workbench.detect.stem_kernel import plant, screen, settle
-from workbench.detect.verdict import Thresholds, beyond_doubt
+from workbench.detect.verdict import Thresholds, accuses, beyond_doubt
 from workbench.detect.wave import steady_wave
 from workbench.detect.whitening import noise, whitened
 from workbench.model.detection import StemTest
@@ -56,6 +56,7 @@ HOLD = 5  # samples in which both signals stand still: a running controller with
 LEAST_LIVE = 0.25  # of a record: where less is left it is the loop itself that rests
 FLOOR = 0.005  # of PV's standard deviation: no record is good for less
 FEW = 8  # moves of a stem, two each of four load steps, that may look the same
+SINUSOID = 3  # parameters
 HARM = 0.5  # a stem that simulates PV worse than OP itself does by more than this share is not this loop's
 
 
@@ -68,6 +69,15 @@ class _Fit:
     delay: int
     a: FloatArray
     residual: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class _Loaded:
+    """A rival under load steps: innovation variance with each step paid for, their part of PV (EU, (N,)), how many."""
+
+    variance: float
+    wave: FloatArray
+    steps: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -186,18 +196,21 @@ class _Rivals:
             fits.append(fit)
         return min(fits, key=lambda f: f.variance)
 
-    def under_load(self, x: FloatArray, a: FloatArray, fine: FloatArray, free: NDArray[np.bool_], most: int) -> float:
+    def under_load(self, x: FloatArray, a: FloatArray, fine: FloatArray, free: NDArray[np.bool_], most: int) -> _Loaded:
         """Return the least innovation variance beside up to `most` load steps, time and size of each paid for by ln N.
 
-        inf where there is no place for one.
+        inf, and no steps, where there is no place for one.
         """
         taus = np.geomspace(SHORTEST, LONGEST * self.n, STEP_TAUS)
         live = self.live.copy()
         live[: self.order] = False
         waves = load_steps(self.y, x, a, live, free, taus, self.delays, self.sign, most)
         price = self.count ** (2.0 / self.count)
-        left = (self.less(wave).settle(x, a, fine, 2).variance * price**k for k, wave in enumerate(waves, 1))
-        return min(left, default=math.inf)
+        left = (
+            _Loaded(self.less(wave).settle(x, a, fine, 2).variance * price**k, wave, k)
+            for k, wave in enumerate(waves, 1)
+        )
+        return min(left, key=lambda one: one.variance, default=_Loaded(math.inf, np.zeros(self.n), 0))
 
     def less(self, wave: FloatArray) -> _Rivals:
         """Return the same without a part of PV."""
@@ -281,22 +294,32 @@ class _Search:
 
         A stem that moves more often than FEW is no likeness of them, and may have as many beside it.
         """
-        of_its_own = moves > FEW
-        if moves == 0 or (of_its_own and not self._may_be_load(best)):
+        if moves == 0:
             return best.innovations
         most, filters = min(moves, FEW // 2), (best.fit.a, self.linear.a, self.white)
 
         def least(x: FloatArray) -> float:
-            return min(self.rivals.under_load(x, a, self.fine, free, most) for a in filters)
+            return min(self.rivals.under_load(x, a, self.fine, free, most).variance for a in filters)
 
-        stem = min(best.fit.variance, least(best.path)) if of_its_own else best.fit.variance
+        stem = min(best.fit.variance, least(best.path)) if moves > FEW else best.fit.variance
         return min(best.innovations, self._gain(least(self.u), stem))
 
-    def _may_be_load(self, best: _Candidate) -> bool:
-        """Whether load steps may account for what a stem predicts: for more than chance, but not for most of all."""
-        limits = Thresholds()
-        most = -best.samples * math.log(1.0 - limits.most)
-        return limits.chance < best.innovations < most
+    def load(self, free: NDArray[np.bool_]) -> _Loaded:
+        """Return the load steps under which the linear rival does best, none where they add no more than chance."""
+        tried = (self.rivals.under_load(self.u, a, self.fine, free, FEW // 2) for a in (self.linear.a, self.white))
+        best = min(tried, key=lambda one: one.variance)
+        more = best.steps and self._gain(self.rival.variance, best.variance) > Thresholds().chance
+        return best if more else _Loaded(self.rival.variance, np.zeros(self.rivals.n), 0)
+
+    def swung(self, judged: _Candidate) -> _Candidate:
+        """Return a valve with a sinusoidal disturbance beside it where that is likelier, as its rival may have one.
+
+        Frequency, size and phase are paid for by ln N each; of that the rival's own gain by them is taken off.
+        """
+        fit = self.rivals.beside_sinusoid(judged.path, judged.fit, self.fine)
+        price = SINUSOID * math.log(self.rivals.count) - self._gain(self.linear.variance, self.rival.variance)
+        innovations = self._gain(self.rival.variance, fit.variance) - max(price, 0.0)
+        return replace(judged, fit=fit, innovations=innovations) if innovations > judged.innovations else judged
 
     def instead(self, met: list[_Candidate]) -> float:
         """Return the best stem's least ratio: over the linear rival, beside OP in the free predictor, in its place."""
@@ -356,15 +379,32 @@ def _stretch(
     u = np.interp(at, at[~held], u[~held])
     delays = dead_times(y.size, period / sample_time)
     free = unforced(sp, y, delays[-1])
-    y, u = y - y[~held].mean(), u - u.mean()
-    power = float(y[~held].var())
-    search = _Search(_Rivals(y, delays, sign, held), u, held, power)
-    told = [] if fitted is None else search.told(fitted)
-    if told:
-        test = _test(search, [], told, free, sample_time, period)
-        if beyond_doubt(test):
-            return test
-    return _test(search, search.met(), told, free, sample_time, period)
+    u = u - u.mean()
+
+    def look(pv: FloatArray, steps: int) -> tuple[StemTest, _Search]:
+        pv = pv - pv[~held].mean()
+        search = _Search(_Rivals(pv, delays, sign, held), u, held, float(pv[~held].var()))
+        told = [] if fitted is None else search.told(fitted)
+        if told:
+            test = _test(search, [], told, free, sample_time, period, steps)
+            if beyond_doubt(test):
+                return test, search
+        own = search.met()
+        test = _test(search, own, told, free, sample_time, period, steps)
+        if search.rival is not search.linear and not accuses(test):
+            own, told = ([search.swung(c) for c in found] for found in (own, told))
+            beside = _test(search, own, told, free, sample_time, period, steps, swings=True)
+            test = beside if accuses(beside) else test
+        return test, search
+
+    # What disturbs the loop from outside is taken out as the linear loop shows it, and much of what the valve did may
+    # go with it: to look so may accuse a valve, but acquits none.
+    test, search = look(y, 0)
+    if accuses(test):
+        return test
+    load = search.load(free)
+    relieved = look(y - load.wave, load.steps)[0] if load.steps else test
+    return relieved if accuses(relieved) else test
 
 
 def _test(
@@ -374,16 +414,22 @@ def _test(
     free: NDArray[np.bool_],
     sample_time: float,
     period: float,
+    steps: int,
+    swings: bool = False,
 ) -> StemTest:
-    """What the search's own stems and a model's come to; free: the samples in which a load step may be."""
+    """What the search's own stems and a model's come to.
+
+    free: the samples in which a load step may be; steps: those taken out of PV; swings: the stems are beside a sinusoid
+    from outside, as their rival is.
+    """
     rivals, power, met = search.rivals, search.power, own + told
     best, both = max(met, key=lambda c: c.innovations), max(met, key=lambda c: c.both)
     moving = np.diff(best.path) != 0.0
     moves = int((moving[1:] & ~moving[:-1]).sum()) + int(moving[0])
     width = float(np.ptp(search.u))
-    return StemTest(
+    test = StemTest(
         predicting=best.innovations,
-        loaded=search.over_load_steps(best, moves, free),
+        loaded=best.innovations,
         waved=search.over_wave(met, period / sample_time),
         improvement=1.0 - math.exp(-both.innovations / rivals.count),
         likelihood=both.innovations,
@@ -403,7 +449,12 @@ def _test(
         samples=rivals.count,
         time_constant=search.straight.tau * sample_time,
         dead_time=search.straight.delay * sample_time,
+        steps=steps,
+        swings=swings,
     )
+    # A stem that moves often, and accuses nobody or explains most, is not worth a search for steps.
+    asked = moves <= FEW or (accuses(test) and test.improvement < Thresholds().most)
+    return replace(test, loaded=search.over_load_steps(best, moves, free)) if asked else test
 
 
 def stem_test(
@@ -469,4 +520,6 @@ def stem_test(
         samples=total,
         time_constant=lead.time_constant,
         dead_time=lead.dead_time,
+        steps=sum(p.steps for p in parts),
+        swings=any(p.swings for p in parts),
     )

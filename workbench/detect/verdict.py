@@ -34,9 +34,12 @@ linear loop's may be at work. So may one that never moved where PV is not seen t
 PLAYED: a stem that moves once or twice leaves PV as a load step does, if it is given the time. It accuses only where it
 beats the linear loop under as many load steps as it moves, four at most, each paid for by BIC, by more than chance
 (CHANCE). A stem that moves more often must beat it too, but may have as many steps beside it. A step that comes with a
-setpoint move is the controller's work and the valve's, no load's. Nor does any stem
-accuse that is not ahead by more than chance of a square or triangular load of steady period, as another loop's valve
-makes it, ln N paid for each of its period, phase and form: its corners are a clock's, not OP's.
+setpoint move is the controller's work and the valve's, no load's. Nor does any stem accuse that is not ahead by more
+than chance of a square or triangular load of steady period, as another loop's valve makes it, ln N paid for each of its
+period, phase and form: its corners are a clock's, not OP's.
+OUTSIDE: what disturbs the loop may hide a stem. Where none accuses, all are looked at once more beside a sinusoid of
+their own (ln N paid for each of its size, phase and frequency), and in PV without the load steps under which the linear
+loop does best. Much of what the valve did may have gone with these: such a look may accuse, but acquits nobody.
 SEEN: a gain, a time constant and a dead time chosen among ten gain 15 by chance once in 50. Where PV answers OP so
 clearly, a stem that hides a quarter of OP's range from it predicts PV worse, unless it is at work.
 FEW: a stem that moved at most four times, two cycles, cannot be told from a linear loop, however little that leaves,
@@ -57,7 +60,7 @@ from dataclasses import dataclass
 from workbench.detect.oscillation import no_period
 from workbench.model.detection import Oscillation, StemEvidence, StemTest
 
-__all__ = ["Thresholds", "beyond_chance", "beyond_doubt", "decide", "excluded", "follows", "times"]
+__all__ = ["Thresholds", "accuses", "beyond_chance", "beyond_doubt", "decide", "excluded", "follows", "times"]
 
 DUST = 1e-20  # share of PV's variance that is rounding, left or not
 
@@ -109,8 +112,8 @@ def decide(
     alone = 1.0 - math.exp(-test.predicting / test.samples)
     linear = f"the linear loop leaves {test.unexplained:.1%} of PV's variance"
     beats = (
-        f"a stem that sticks over {test.band:.3g} % leaves {_less(alone)} of PV unpredicted than OP itself does "
-        f"(log likelihood ratio {test.predicting:.0f})"
+        f"{_outside(test)}a stem that sticks over {test.band:.3g} % leaves {_less(alone)} of PV unpredicted than OP "
+        f"itself does (log likelihood ratio {test.predicting:.0f})"
     )
     both = (
         f"the stem that fits best throughout leaves {_less(test.improvement)} unpredicted (log likelihood ratio "
@@ -118,7 +121,7 @@ def decide(
     )
     played = test.loaded < limits.chance
     waved = test.waved < limits.chance
-    if not played and not waved and _sticks(test, limits, 1.0):
+    if accuses(test, limits):
         kind = "the stem slips as it sets off" if test.jump > 0.1 * test.band else "a dead band without visible slip"
         return "stiction", [f"{beats}: {kind}", f"{both}; {linear}"]
     either = test.predicting >= limits.sole or test.sure >= limits.close * limits.sure
@@ -127,7 +130,7 @@ def decide(
     likely = likely or test.instead >= limits.sole
     if likely or _sticks(test, limits, limits.close):
         enough = "nearly enough to find stiction, too much to exclude it"
-        if test.loaded < test.predicting:
+        if played or (test.loaded < test.predicting and not waved):
             well = "does as well" if played else "is not clearly worse"
             seldom = f"the stem moved {times(test.moves)} only, and a linear loop under as few load steps"
             often = "a linear loop under a few load steps, which the stem was given too,"
@@ -164,6 +167,13 @@ def decide(
             earned,
         ]
     return "no_stiction", [earned]
+
+
+def _outside(test: StemTest) -> str:
+    """Say beside which disturbances the stems stand."""
+    steps = f"{test.steps} load step{'s' if test.steps > 1 else ''}, taken out of PV" if test.steps else ""
+    both = " and ".join(filter(None, (steps, "an oscillation from outside" if test.swings else "")))
+    return f"beside {both}, " if both else ""
 
 
 def times(many: int) -> str:
@@ -214,6 +224,12 @@ def excluded(test: StemTest, limits: Thresholds) -> bool:
 def beyond_chance(test: StemTest, limits: Thresholds) -> bool:
     """Return whether a stem with a wide band predicts PV better than chance has it, or was never asked for (nan)."""
     return not test.wide <= (0.0 if follows(test) >= limits.seen else limits.chance)
+
+
+def accuses(test: StemTest, limits: Thresholds | None = None) -> bool:
+    """Return whether a sticking stem is found by one of the three routes, and no load does as well."""
+    limits = Thresholds() if limits is None else limits
+    return min(test.loaded, test.waved) >= limits.chance and _sticks(test, limits, 1.0)
 
 
 def beyond_doubt(test: StemTest) -> bool:

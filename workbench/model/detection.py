@@ -84,7 +84,8 @@ class StemTest:
     sure, whatever the stem simulates, and that of the free predictor given the stem in OP's place to that given OP.
 
     left: share of PV's variance that the linear rival leaves as innovations, unfollowed: likewise without any input;
-    unexplained: what its simulated PV leaves.
+    unexplained: what its simulated PV leaves. steps: load steps of the linear loop that were taken out of PV first,
+    and swings: whether the stems are beside a sinusoidal disturbance too, where one is found only so.
     """
 
     predicting: float
@@ -107,6 +108,8 @@ class StemTest:
     samples: int
     time_constant: float
     dead_time: float
+    steps: int = 0
+    swings: bool = False
 
 
 @dataclass(frozen=True, slots=True)
