@@ -41,7 +41,7 @@ Fitted = tuple[Stenman | Choudhury | Deadband, FloatArray]
 WIDE = 0.25  # of OP's range: a band that matters to the loop, one of CLASSES
 CLOSER = (0.06, 0.03, 0.012, 0.005)  # widths are searched on by up to twice these shares
 # Plants: time constants and dead times, in samples.
-COARSE_TAUS, STEP_TAUS, FINE_TAUS = 8, 12, 28
+COARSE_TAUS, STEP_TAUS, FINE_TAUS = 8, 8, 28
 SHORTEST = 0.3
 LONGEST = 10.0  # records: as good as an integrating plant
 SHORT, LONG, PER_ORDER = (
@@ -57,6 +57,7 @@ LEAST_LIVE = 0.25  # of a record: where less is left it is the loop itself that 
 FLOOR = 0.005  # of PV's standard deviation: no record is good for less
 FEW = 8  # moves of a stem, two each of four load steps, that may look the same
 SINUSOID = 3  # parameters
+FAR = 100.0  # a stem that is so far ahead of a linear loop under load steps needs none of its own
 HARM = 0.5  # a stem that simulates PV worse than OP itself does by more than this share is not this loop's
 
 
@@ -204,7 +205,8 @@ class _Rivals:
         taus = np.geomspace(SHORTEST, LONGEST * self.n, STEP_TAUS)
         live = self.live.copy()
         live[: self.order] = False
-        waves = load_steps(self.y, x, a, live, free, taus, self.delays, self.sign, most)
+        delays = np.union1d(self.delays[::2], self.delays[-1:])
+        waves = load_steps(self.y, x, a, live, free, taus, delays, self.sign, most)
         price = self.count ** (2.0 / self.count)
         left = (
             _Loaded(self.less(wave).settle(x, a, fine, 2).variance * price**k, wave, k)
@@ -296,18 +298,21 @@ class _Search:
         """
         if moves == 0:
             return best.innovations
-        most, filters = min(moves, FEW // 2), (best.fit.a, self.linear.a, self.white)
-
-        def least(x: FloatArray) -> float:
-            return min(self.rivals.under_load(x, a, self.fine, free, most).variance for a in filters)
-
-        stem = min(best.fit.variance, least(best.path)) if moves > FEW else best.fit.variance
-        return min(best.innovations, self._gain(least(self.u), stem))
+        most, often = min(moves, FEW // 2), moves > FEW
+        filters = [self.linear.a, best.fit.a] if often else [self.linear.a, best.fit.a, self.white]
+        left = math.inf
+        for a in filters:
+            left = min(left, self.rivals.under_load(self.u, a, self.fine, free, most).variance)
+            if often and self._gain(left, best.fit.variance) > FAR:
+                return best.innovations
+        stem = best.fit.variance
+        if often:
+            stem = min([stem, *(self.rivals.under_load(best.path, a, self.fine, free, most).variance for a in filters)])
+        return min(best.innovations, self._gain(left, stem))
 
     def load(self, free: NDArray[np.bool_]) -> _Loaded:
         """Return the load steps under which the linear rival does best, none where they add no more than chance."""
-        tried = (self.rivals.under_load(self.u, a, self.fine, free, FEW // 2) for a in (self.linear.a, self.white))
-        best = min(tried, key=lambda one: one.variance)
+        best = self.rivals.under_load(self.u, self.linear.a, self.fine, free, FEW // 2)
         more = best.steps and self._gain(self.rival.variance, best.variance) > Thresholds().chance
         return best if more else _Loaded(self.rival.variance, np.zeros(self.rivals.n), 0)
 
