@@ -34,6 +34,68 @@ def test_a_healthy_loop_is_not_accused_of_its_load_steps(loop: wb.Loop, load: li
     assert found.verdict != "stiction"
 
 
+def test_a_stem_that_moves_often_is_weighed_against_load_steps_too() -> None:
+    # A slow controller answers two load steps for long; a dead band in OP's likeness turns as often as noise does.
+    loop = wb.Loop(wb.FOPDT(7.5, 1.0, 15.6), wb.Ideal(), wb.PID(Kc=0.0144, Ti=16.6), 1.0)
+    load = [wb.Step(1.24, 142.0), wb.Step(7.32, 154.0)]
+    found = wb.detect(record_of(loop, wb.Experiment(457.0, load=load, noise=wb.Noise(0.675, 2))))
+    assert found.test.moves > 8
+    assert found.test.predicting > 30.0, "a stem predicts PV far better than the loop without its load steps"
+    assert found.test.loaded < 0.0
+    assert max(found.test.sure, found.test.likelihood) <= found.test.loaded
+    assert found.verdict != "stiction"
+
+
+HIDDEN = [wb.Step(-5.0, 200.0), wb.Step(6.0, 450.0)]
+
+
+@pytest.mark.parametrize(
+    ("plant", "controller", "valve"),
+    [
+        (wb.FOPDT(1.5, 12.0, 3.0), wb.PID(0.8, 14.0), wb.Choudhury(1.5, 0.5)),
+        (wb.Integrating(0.05, 4.0), wb.PID(1.5, 60.0), wb.Choudhury(3.0, 1.0)),
+    ],
+)
+def test_a_valve_that_load_steps_hide_is_found_without_them(plant: wb.FOPDT, controller: wb.PID, valve: object) -> None:
+    experiment = wb.Experiment(700.0, load=HIDDEN, noise=wb.Noise(0.1, 1))
+    found = wb.detect(record_of(wb.Loop(plant, valve, controller, 1.0), experiment))
+    assert found.verdict == "stiction"
+    assert found.test.steps == 2
+    assert found.reasons[0].startswith("beside 2 load steps, taken out of PV, a stem that sticks over")
+    assert wb.detect(record_of(wb.Loop(plant, wb.Ideal(), controller, 1.0), experiment)).verdict != "stiction"
+
+
+def test_a_look_without_the_load_acquits_nobody() -> None:
+    # The linear loop's load steps may take along what the valve did.
+    experiment = wb.Experiment(700.0, load=HIDDEN, noise=wb.Noise(0.1, 0))
+    for valve in (wb.Stenman(1.0), wb.Deadband(2.0), wb.Choudhury(1.5, 0.5)):
+        loop = wb.Loop(wb.FOPDT(1.5, 12.0, 3.0), valve, wb.PID(0.8, 14.0), 1.0)
+        found = wb.detect(record_of(loop, experiment))
+        assert found.verdict == "undecided"
+        assert found.test.steps == 0
+
+
+@pytest.mark.parametrize("outside", [{"steps": 1}, {"swings": True}])
+def test_a_stem_beside_a_load_of_its_own_must_be_sure(outside: dict[str, float]) -> None:
+    quiet = Oscillation(0.0, np.nan, 0.0, 0.0)
+    beside = replace(FOUND, **outside)
+    assert decide(quiet, beside, None)[0] == "stiction"
+    assert decide(quiet, replace(beside, sure=24.9), None)[0] == "undecided"
+    assert decide(quiet, replace(FOUND, sure=24.9), None)[0] == "stiction"
+
+
+def test_a_valve_that_an_oscillation_from_outside_hides_is_found_beside_one() -> None:
+    load = wb.Series((3.0 * np.sin(2.0 * np.pi * np.arange(1500) / 130.0)).tolist())
+    experiment = wb.Experiment(1500.0, load=load, noise=wb.Noise(0.25, 7))
+    loop = wb.Loop(wb.FOPDT(1.5, 20.0, 3.0), wb.Deadband(5.0), wb.PID(1.5, 24.0), 1.0)
+    found = wb.detect(record_of(loop, experiment))
+    assert found.verdict == "stiction"
+    assert found.test.swings
+    assert found.test.band == pytest.approx(5.0, rel=0.15)
+    assert found.reasons[0].startswith("beside an oscillation from outside, a stem that sticks over")
+    assert wb.detect(record_of(replace(loop, valve=wb.Ideal()), experiment)).verdict != "stiction"
+
+
 def test_a_step_that_comes_with_the_setpoint_is_no_loads() -> None:
     record = record_of(SLOW, wb.Experiment(750.0, setpoint=wb.Step(3.0, 100.0), noise=wb.Noise(0.2, 1)))
     found = wb.detect(record)

@@ -319,11 +319,10 @@ class _Search:
     def swung(self, judged: _Candidate) -> _Candidate:
         """Return a valve with a sinusoidal disturbance beside it where that is likelier, as its rival may have one.
 
-        Frequency, size and phase are paid for by ln N each; of that the rival's own gain by them is taken off.
+        Frequency, size and phase are paid for by ln N each, which the rival does not pay.
         """
         fit = self.rivals.beside_sinusoid(judged.path, judged.fit, self.fine)
-        price = SINUSOID * math.log(self.rivals.count) - self._gain(self.linear.variance, self.rival.variance)
-        innovations = self._gain(self.rival.variance, fit.variance) - max(price, 0.0)
+        innovations = self._gain(self.rival.variance, fit.variance) - SINUSOID * math.log(self.rivals.count)
         return replace(judged, fit=fit, innovations=innovations) if innovations > judged.innovations else judged
 
     def instead(self, met: list[_Candidate]) -> float:
@@ -458,8 +457,13 @@ def _test(
         swings=swings,
     )
     # A stem that moves often, and accuses nobody or explains most, is not worth a search for steps.
-    asked = moves <= FEW or (accuses(test) and test.improvement < Thresholds().most)
-    return replace(test, loaded=search.over_load_steps(best, moves, free)) if asked else test
+    if moves > FEW and not (accuses(test) and test.improvement < Thresholds().most):
+        return test
+    loaded = search.over_load_steps(best, moves, free)
+    if moves <= FEW:
+        return replace(test, loaded=loaded)
+    # It had steps too: what it is ahead by is the less of both.
+    return replace(test, loaded=loaded, likelihood=min(test.likelihood, loaded), sure=min(test.sure, loaded))
 
 
 def stem_test(

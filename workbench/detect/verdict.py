@@ -33,13 +33,14 @@ EXCLUDED: chi^2 with one degree of freedom, the width, at 95 %: a wide stem whos
 linear loop's may be at work. So may one that never moved where PV is not seen to follow OP (CHANCE).
 PLAYED: a stem that moves once or twice leaves PV as a load step does, if it is given the time. It accuses only where it
 beats the linear loop under as many load steps as it moves, four at most, each paid for by BIC, by more than chance
-(CHANCE). A stem that moves more often must beat it too, but may have as many steps beside it. A step that comes with a
-setpoint move is the controller's work and the valve's, no load's. Nor does any stem accuse that is not ahead by more
-than chance of a square or triangular load of steady period, as another loop's valve makes it, ln N paid for each of its
-period, phase and form: its corners are a clock's, not OP's.
+(CHANCE). A stem that moves more often must beat that loop by what it must beat the one without steps, but may have as
+many beside it. A step that comes with a setpoint move is the controller's work and the valve's, no load's. Nor does any
+stem accuse that is not ahead by more than chance of a square or triangular load of steady period, as another loop's
+valve makes it, ln N paid for each of its period, phase and form: its corners are a clock's, not OP's.
 OUTSIDE: what disturbs the loop may hide a stem. Where none accuses, all are looked at once more beside a sinusoid of
 their own (ln N paid for each of its size, phase and frequency), and in PV without the load steps under which the linear
-loop does best. Much of what the valve did may have gone with these: such a look may accuse, but acquits nobody.
+loop does best. Much of what the valve did may have gone with these: such a look acquits nobody, and accuses only by
+what two tests that fail differently say (SURE).
 SEEN: a gain, a time constant and a dead time chosen among ten gain 15 by chance once in 50. Where PV answers OP so
 clearly, a stem that hides a quarter of OP's range from it predicts PV worse, unless it is at work.
 FEW: a stem that moved at most four times, two cycles, cannot be told from a linear loop, however little that leaves,
@@ -227,9 +228,13 @@ def beyond_chance(test: StemTest, limits: Thresholds) -> bool:
 
 
 def accuses(test: StemTest, limits: Thresholds | None = None) -> bool:
-    """Return whether a sticking stem is found by one of the three routes, and no load does as well."""
+    """Return whether a sticking stem is found by one of the three routes, and no load does as well.
+
+    One beside a load of its own is found by the first route alone.
+    """
     limits = Thresholds() if limits is None else limits
-    return min(test.loaded, test.waved) >= limits.chance and _sticks(test, limits, 1.0)
+    free = (test.swings or test.steps) and test.sure < limits.sure
+    return not free and min(test.loaded, test.waved) >= limits.chance and _sticks(test, limits, 1.0)
 
 
 def beyond_doubt(test: StemTest) -> bool:
