@@ -2,6 +2,8 @@
 
 import math
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -73,6 +75,20 @@ def test_margins_and_travel_are_kept_for_the_loop_itself():
     grid = np.column_stack([Kc.ravel(), Ti.ravel(), np.zeros(900)])
     values = Problem(LOOP, STEP, wb.Objective(), PI, 4, 0.001, constraints=asked).values(grid)
     assert tuned.objective <= values.min()
+
+
+def test_a_travel_limit_holds_wherever_the_digits_and_the_margin_may_lead():
+    # At Kc = 0.6623, Ti = 32.35 the stem travels by 4.84 %, and by 6.8 % half a digit beside it.
+    loop = wb.Loop(wb.FOPDT(1.5, 10.0, 3.0), wb.Stenman(2.0), wb.PID(0.5, 15.0), 1.0)
+    experiment = wb.Experiment(300.0, wb.Step(4.0), wb.Step(-3.0, 150.0))
+    bounds, asked = wb.Bounds(Kc=(0.02, 5.0), Ti=(2.0, 300.0), Td=(0.0, 0.0)), wb.Constraints(valve_travel=5.0)
+    tuned = wb.tune(loop, experiment, wb.Objective(w1=1.0, w3=0.0), bounds, constraints=asked, restarts=1)
+    found = tuned.require_success().controller
+    assert tuned.worst < 700.0
+    for Kc in found.Kc * np.linspace(0.999, 1.001, 7):
+        for Ti in found.Ti * np.linspace(0.999, 1.001, 7):
+            run = wb.simulate(loop.with_controller(replace(found, Kc=float(Kc), Ti=float(Ti))), experiment)
+            assert run.kpis.valve_travel <= 5.0
 
 
 def test_constraints_that_nothing_keeps_are_infeasible_with_what_the_nearest_reaches():

@@ -168,7 +168,9 @@ class Problem:
             return values
         # Margins cost more than a run: what has lost already against a feasible parent is not asked for them.
         alive = np.flatnonzero(np.isfinite(values) | (ceilings >= WORN))
-        values[alive] = self._ranked(tunings[::group][alive], rows[::group][alive], values[alive])
+        values[alive] = self._ranked(
+            tunings[::group][alive], rows.reshape(-1, group, rows.shape[1])[alive], values[alive]
+        )
         values[values > ceilings] = np.inf
         return values
 
@@ -183,21 +185,27 @@ class Problem:
         values, _, stable = loop_margins(rows, Ts, all_three=all_three)
         return values, stable
 
-    def travel(self, tunings: FloatArray) -> FloatArray:
-        """Return the valve travel of tunings (%), shape (M, 3) -> (M,)."""
-        return self._travel(coefficients(self.loop, self.experiment.stem_offset, tunings))
+    def travel(self, tuning: FloatArray) -> float:
+        """Return the largest valve travel (%) in the neighbourhood of a tuning, shape (3,); nominal: its own."""
+        tried = tuning[None, :] if self.nominal else self.around(tuning[None, :], dense=True)
+        return float(self._travel(coefficients(self.loop, self.experiment.stem_offset, tried)).max())
 
     def _travel(self, rows: FloatArray) -> FloatArray:
         with np.errstate(over="ignore", invalid="ignore"):
             return sums(rows, self.signals)[:, TRAVEL]
 
     def _ranked(self, tunings: FloatArray, rows: FloatArray, values: FloatArray) -> FloatArray:
-        """Return values with those of tunings that break a constraint replaced by how far they do."""
+        """Return values with those of tunings that break a constraint replaced by how far they do.
+
+        rows: of each tuning's neighbourhood, shape (M, points, ...): a stem that slips once more travels by a step
+        further, so that travel must keep its limit wherever J is looked at. Margins change as smoothly as tunings do.
+        """
         asked = self.constraints
         assert asked is not None  # noqa: S101
         if asked.valve_travel is not None:
             runs = np.flatnonzero(np.isfinite(values))
-            values[runs] = worn(values[runs], self._travel(rows[runs]), asked.valve_travel)
+            travel = self._travel(rows[runs].reshape(-1, rows.shape[2])).reshape(-1, rows.shape[1]).max(axis=1)
+            values[runs] = worn(values[runs], travel, asked.valve_travel)
         if asked == Constraints(valve_travel=asked.valve_travel) or not tunings.size:
             return values
         margins, stable = self.margins(tunings, all_three=more_than_sensitivity(asked))

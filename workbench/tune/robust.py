@@ -303,6 +303,13 @@ def _verdict(
     if fresh.diverged:
         words = f"{fresh.diverged} of {fresh.ensemble.draws} fresh draws diverge"
         return (SolveStatus.UNVERIFIED if ended else status), words
+    # A mean over the draws that were searched; over others it is another.
+    limit = asked.valve_travel
+    if limit is not None and fresh.travel_mean > limit:
+        kept = (
+            f"on fresh draws the mean valve travel is {fresh.travel_mean:.3g} %, above the {limit:g} % kept on its own"
+        )
+        return status, kept
     return status, ""
 
 

@@ -81,7 +81,8 @@ def tune(
     sequences of decisions and refined; for Stenman's valve without output limits, up to 500 samples, under eq. (2).
     A second opinion on the scans: it takes a second or more for each.
 
-    constraints: what the tuning must keep: margins of the loop's own plant, valve travel in the experiment. Where no
+    constraints: what the tuning must keep: margins of the loop's own plant, valve travel in the experiment (of a search
+    for the least worst J, wherever J is looked at). Where no
     tuning keeps them, the nearest is returned as `INFEASIBLE`.
 
     robust: tune for an `Ensemble` of circumstances and plants instead of the one experiment; True takes the default,
@@ -192,7 +193,7 @@ def _broken(problem: Problem, tuning: FloatArray) -> list[str]:
         return []
     margins, stable = problem.margins(tuning[None, :])
     Ms, gain, phase = (float(v) for v in margins[0]) if stable[0] else (math.inf, 0.0, 0.0)
-    return missed(asked, (Ms, gain, phase), float(problem.travel(tuning[None, :])[0]), "valve travel")
+    return missed(asked, (Ms, gain, phase), problem.travel(tuning), "valve travel")
 
 
 def _runs_away(problem: Problem, run: Path, cost: float) -> bool:
