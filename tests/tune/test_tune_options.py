@@ -1,7 +1,6 @@
 """What `wb.tune` can be asked beside eq. (2): nominal optima, figures of the run, constraints, budgets, sureness."""
 
 import math
-
 from dataclasses import replace
 
 import numpy as np

@@ -81,9 +81,8 @@ def tune(
     sequences of decisions and refined; for Stenman's valve without output limits, up to 500 samples, under eq. (2).
     A second opinion on the scans: it takes a second or more for each.
 
-    constraints: what the tuning must keep: margins of the loop's own plant, valve travel in the experiment (of a search
-    for the least worst J, wherever J is looked at). Where no
-    tuning keeps them, the nearest is returned as `INFEASIBLE`.
+    constraints: what the tuning must keep: margins of the loop's own plant, valve travel in the experiment, within
+    digits and margin too unless nominal. Where no tuning keeps them, the nearest is returned as `INFEASIBLE`.
 
     robust: tune for an `Ensemble` of circumstances and plants instead of the one experiment; True takes the default,
     `Ensemble.plant_ready(loop)`. The constraints then hold at the worst corner of the plant's uncertainty and for the
