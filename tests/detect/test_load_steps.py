@@ -96,6 +96,14 @@ def test_a_valve_that_an_oscillation_from_outside_hides_is_found_beside_one() ->
     assert wb.detect(record_of(replace(loop, valve=wb.Ideal()), experiment)).verdict != "stiction"
 
 
+def test_a_transient_that_has_died_out_overflows_nowhere() -> None:
+    pv = np.full(34, 0.5)
+    pv[[2, 6, 21, 23, 29, 30]] = 3.0, 0.0, 5.0, 0.0, 0.0, 1.0
+    op = np.zeros(34)
+    op[8] = 1.0
+    assert wb.detect(wb.Record(pv, op, 1.0)).verdict == "undecided"
+
+
 def test_a_step_that_comes_with_the_setpoint_is_no_loads() -> None:
     record = record_of(SLOW, wb.Experiment(750.0, setpoint=wb.Step(3.0, 100.0), noise=wb.Noise(0.2, 1)))
     found = wb.detect(record)

@@ -57,6 +57,7 @@ LEAST_LIVE = 0.25  # of a record: where less is left it is the loop itself that 
 FLOOR = 0.005  # of PV's standard deviation: no record is good for less
 FEW = 8  # moves of a stem, two each of four load steps, that may look the same
 SINUSOID = 3  # parameters
+FURTHEST = 1e6  # times PV's largest value, that a residual may be
 FAR = 100.0  # a stem that is so far ahead of a linear loop under load steps needs none of its own
 HARM = 0.5  # a stem that simulates PV worse than OP itself does by more than this share is not this loop's
 
@@ -185,15 +186,19 @@ class _Rivals:
     def beside_sinusoid(self, x: FloatArray, fit: _Fit, taus: FloatArray) -> _Fit:
         """Return the rival driven by x beside a sinusoidal disturbance, the strongest of what `fit` leaves."""
         n, order = self.n, self.order
-        angle = strongest(fit.residual)
+        # A transient that has died out where samples count may have begun with anything.
+        most = FURTHEST * float(np.abs(self.y).max())
+        left = np.clip(fit.residual, -most, most)
+        angle = strongest(left)
         waves = np.column_stack([np.cos(angle * np.arange(n)), np.sin(angle * np.arange(n)), np.ones(n)])
         wave, fits = np.zeros(n), []
         for _ in range(2):
             columns = whitened(fit.a, waves.T).T[order:][self.live[order:]]
-            target = whitened(fit.a, fit.residual + wave)[order:][self.live[order:]]
+            target = whitened(fit.a, left + wave)[order:][self.live[order:]]
             terms, *_ = np.linalg.lstsq(columns, target, rcond=None)
             wave = waves[:, :2] @ terms[:2]
             fit = self.less(wave).settle(x, fit.a, taus, 2)
+            left = np.clip(fit.residual, -most, most)
             fits.append(fit)
         return min(fits, key=lambda f: f.variance)
 

@@ -164,6 +164,9 @@ def answer_of(
         else:
             detection = _detected(record, fits, stem, _likelier_pair(fits, models))
         said = _judged(fits, chosen, _evidence(record, fits, stem, method, len(history)), detection)
+        if detection.test is not None and detection.test.steps:
+            # A step of the load that was missed, or is not quite where it was, moves the gain.
+            said, sure = said._replace(identifiable=False), False
         known = fits.best(chosen) if method != "two_step" and chosen in STICKING else None
         # Without steps of its own a stem that nothing else accuses may be no more than the likeness of one.
         asked_for = not _beyond_doubt(detection) if said.verdict == "stiction" else bool(fits.steps)
@@ -171,7 +174,6 @@ def answer_of(
             pairs = (known.fit, models[chosen]), (fits.linear, models["linear"])
             verdict, reason = weighed(fits.data, *pairs, line, said.verdict)
             if reason:
-                # A step of the load that was missed, or is not quite where it was, moves the gain.
                 said, sure = _Said(verdict, (reason, *said.reasons), False), False
     maybe = said.verdict != "no_stiction"
     ranged = _ranged(fits, chosen) if maybe and chosen in fits.bands else None
