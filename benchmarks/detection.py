@@ -7,7 +7,8 @@ noise of 2 to 20 % of the disturbance's effect. Healthy classes: noise alone; fa
 tuning; setpoint steps; a nonlinear gain (the static square law that the PV of an orifice without a square root has);
 one to three load steps; and, counted by itself, a square or triangular load of steady period.
 Sticky ones: every valve type, the load a slow drift of up to a quarter of the stick band; those whose stem set off less
-than ten times in the record are counted by themselves: nothing tells them from a healthy loop at rest. Labelled records
+than ten times in the record are counted by themselves: nothing tells them from a healthy loop at rest. And, by
+themselves too, sticky loops under load steps or a sinusoid of half to twice the stick band. Labelled records
 are looked at whole, and cut, thinned, late, noisier and rounded. Each threshold is then moved by a fifth down and up on
 the same records.
 """
@@ -39,7 +40,8 @@ HEALTHY = (
 )
 ENOUGH = 10  # moves of the stem
 STICKY = ("Stenman", "S = J", "S > J", "S < J", "dead band")
-APART = ("stuck fast", "large setpoint moves", "wave load")
+HIDDEN = ("stiction under load steps", "stiction under a sinusoid")
+APART = ("stuck fast", "large setpoint moves", "wave load", *HIDDEN)
 SEEDED = (*HEALTHY[:7], *STICKY, *APART[:2], *HEALTHY[7:], *APART[2:])  # a class keeps its loops where another joins
 
 
@@ -85,14 +87,14 @@ def random_record(kind: str, level: bool, seed: int) -> tuple[wb.Record, int]:
         load = size * drift(rng, n, rng.uniform(0.3, 2.0) * max(speed, 1.0))
     elif kind == "slow load":
         load = size * drift(rng, n, rng.uniform(10.0, 40.0) * speed)
-    elif kind == "sinusoidal load":
+    elif kind in ("sinusoidal load", HIDDEN[1]):
         period = max(min(rng.uniform(2.0, 40.0) * speed, n / 4.0), 6.0)
         load = size * np.sin(2.0 * math.pi * np.arange(n) / period + rng.uniform(0.0, 6.0))
     elif kind == "wave load":
         # Another loop whose valve sticks sends a square or a triangle.
         phase = (np.arange(n) / max(min(rng.uniform(2.0, 40.0) * speed, n / 4.0), 6.0) + rng.uniform()) % 1.0
         load = size * (np.where(phase < 0.5, 1.0, -1.0) if rng.random() < 0.5 else 1.0 - 4.0 * np.abs(phase - 0.5))
-    elif kind == "load steps":
+    elif kind in ("load steps", HIDDEN[0]):
         load = np.zeros(n)
         for at in rng.integers(10, n - 10, int(rng.integers(1, 4))).tolist():
             load[at:] += size * rng.normal()
@@ -127,6 +129,9 @@ def random_record(kind: str, level: bool, seed: int) -> tuple[wb.Record, int]:
             "S < J": wb.Choudhury(size, size * float(rng.uniform(1.1, 1.8))),
             "dead band": wb.Deadband(size),
         }[kind]
+    if kind in HIDDEN:
+        noise, load = float(rng.uniform(0.0, 0.1)) * size * effect, rng.uniform(0.5, 2.0) * load
+        valve = (wb.Stenman(size), wb.Deadband(size), wb.Choudhury(size, 0.3 * size))[int(rng.integers(3))]
     loop = wb.Loop(plant=plant, valve=valve, controller=controller, sample_time=1.0)
     disturbance = None if load is None else wb.Series(load.tolist())
     run = wb.simulate(loop, wb.Experiment(float(n), setpoint, disturbance, wb.Noise(noise, seed)))
@@ -192,7 +197,7 @@ def main() -> None:
             groups[name], seldom = [], []
             for seed in range(given.first, given.first + given.loops):
                 record, moves = random_record(kind, level, seed)
-                (seldom if kind in STICKY and moves < ENOUGH else groups[name]).append(wb.detect(record))
+                (seldom if kind in STICKY + HIDDEN and moves < ENOUGH else groups[name]).append(wb.detect(record))
             print(name, dict(Counter(found.verdict for found in groups[name])), end="")
             told = f", hardly moving {dict(Counter(found.verdict for found in seldom))}" if seldom else ""
             print(told, flush=True)

@@ -139,7 +139,8 @@ def test_a_recorded_stem_decides() -> None:
 
 
 ALONE = {"sure": 0.0, "adds": 0.0}
-SMOOTH = {"improvement": 0.0, "likelihood": 0.0, "unexplained": 0.04}
+LITTLE = {"unexplained": 0.04, "wide": -5.0}
+SMOOTH = {**LITTLE, "improvement": 0.0, "likelihood": 0.0}
 
 
 @pytest.mark.parametrize(
@@ -151,7 +152,7 @@ SMOOTH = {"improvement": 0.0, "likelihood": 0.0, "unexplained": 0.04}
         ({"improvement": 0.0, "likelihood": 0.0, "simulated": 0.01, "predicting": 35.0, "sure": 24.0}, "undecided"),
         # A curved plant is no linear one either: no stem makes PV as it is.
         ({"improvement": 0.0, "likelihood": 0.0, "simulated": -0.01, "predicting": 31.0, "sure": 31.0}, "undecided"),
-        ({"improvement": 0.0, "likelihood": 0.0, "unexplained": 0.04, "predicting": 31.0, "sure": 31.0}, "no_stiction"),
+        ({**SMOOTH, "predicting": 31.0, "sure": 31.0}, "no_stiction"),
         ({**SMOOTH, "predicting": 31.0, "sure": 31.0, "instead": 40.1}, "undecided"),
         ({**SMOOTH, "predicting": 31.0, "sure": 31.0, "instead": 39.9}, "no_stiction"),
         # By prediction and simulation together: the stem must add to the free predictor too.
@@ -160,7 +161,7 @@ SMOOTH = {"improvement": 0.0, "likelihood": 0.0, "unexplained": 0.04}
         ({"predicting": 30.0, "likelihood": 26.0, "sure": 10.0}, "undecided"),
         # The linear loop leaves little: the stem must explain most of it.
         ({"unexplained": 0.04, "improvement": 0.1, "simulated": 0.3}, "undecided"),
-        ({"unexplained": 0.04, "improvement": 0.03, "likelihood": 30.0}, "no_stiction"),
+        ({**LITTLE, "improvement": 0.03, "likelihood": 30.0}, "no_stiction"),
         ({"unexplained": 0.04, "improvement": 0.1, "simulated": 0.6}, "stiction"),
         # By prediction alone: enough; a little less; many samples, of which it explains too little.
         ({**ALONE, "simulated": -1.0}, "stiction"),

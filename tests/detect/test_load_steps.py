@@ -84,6 +84,19 @@ def test_a_stem_beside_a_load_of_its_own_must_be_sure(outside: dict[str, float])
     assert decide(quiet, replace(FOUND, sure=24.9), None)[0] == "stiction"
 
 
+@pytest.mark.parametrize(
+    ("wide", "simulated", "verdict"),
+    [(-5.0, 0.2, "no_stiction"), (9.0, 0.2, "no_stiction"), (11.0, 0.04, "no_stiction"), (11.0, 0.06, "undecided")],
+)
+def test_little_that_is_left_acquits_unless_a_wide_stem_explains_it(
+    wide: float, simulated: float, verdict: str
+) -> None:
+    quiet = Oscillation(0.0, np.nan, 0.0, 0.0)
+    little = replace(FOUND, unexplained=0.01, wide=wide, simulated=simulated, likelihood=9.0, predicting=9.0, sure=9.0)
+    little = replace(little, adds=9.0, improvement=0.01, moves=20)
+    assert decide(quiet, little, None)[0] == verdict
+
+
 def test_a_valve_that_an_oscillation_from_outside_hides_is_found_beside_one() -> None:
     load = wb.Series((3.0 * np.sin(2.0 * np.pi * np.arange(1500) / 130.0)).tolist())
     experiment = wb.Experiment(1500.0, load=load, noise=wb.Noise(0.25, 7))

@@ -403,7 +403,7 @@ def _stretch(
         if search.rival is not search.linear and not accuses(test):
             own, told = ([search.swung(c) for c in found] for found in (own, told))
             beside = _test(search, own, told, free, sample_time, period, steps, swings=True)
-            test = beside if accuses(beside) else test
+            test = beside if accuses(beside) else replace(test, wide=float(np.fmax(test.wide, beside.wide)))
         return test, search
 
     # What disturbs the loop from outside is taken out as the linear loop shows it, and much of what the valve did may
