@@ -13,73 +13,51 @@ enough for a verdict; `estimate` finds the model.
 
 from __future__ import annotations
 
-import copy
 import math
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from workbench.detect.laws import BAND, CLASSES, Law, Laws, laws_of
-from workbench.detect.load_steps import load_steps, unforced
+from workbench.detect.laws import BAND, CLASSES, Law, laws_of
+from workbench.detect.load_steps import unforced
 from workbench.detect.predictor import FreePredictor
-from workbench.detect.sinusoid import strongest
-from workbench.detect.stem_kernel import plant, screen, settle
+from workbench.detect.rivals import (
+    FINE_TAUS,
+    LONGEST,
+    SHORTEST,
+    Fit,
+    Loaded,
+    Rivals,
+    dead_times,
+    held_of,
+    live_of,
+    order_of,
+)
 from workbench.detect.verdict import Thresholds, accuses, beyond_doubt
 from workbench.detect.wave import steady_wave
-from workbench.detect.whitening import noise, whitened
+from workbench.detect.whitening import noise
 from workbench.model.detection import StemTest
 from workbench.model.record import FloatArray
 from workbench.model.valve import Choudhury, Deadband, Stenman
-from workbench.simulate import kernel as simulate
 
-__all__ = ["FITTED", "Fitted", "dead_times", "stem_test"]
+__all__ = ["FITTED", "Fitted", "stem_test"]
 
 FITTED = (Stenman, Choudhury, Deadband)  # valves that the stem test may be given
 Fitted = tuple[Stenman | Choudhury | Deadband, FloatArray]
 
 WIDE = 0.25  # of OP's range: a band that matters to the loop, one of CLASSES
 CLOSER = (0.06, 0.03, 0.012, 0.005)  # widths are searched on by up to twice these shares
-# Plants: time constants and dead times, in samples.
-COARSE_TAUS, STEP_TAUS, FINE_TAUS = 8, 8, 28
-SHORTEST = 0.3
-LONGEST = 10.0  # records: as good as an integrating plant
-SHORT, LONG, PER_ORDER = (
-    8,
-    30,
-    100,
-)  # order of the autoregression: samples/100 within limits; white noise on a slow drift is no short one
+COARSE_TAUS = 8  # time constants of the grid
 ROUNDS = 3  # of plant and autoregression in turn
 WINDOW, WINDOWS = 3000, 3  # samples of one stretch, and the stretches of a long record
 PER_CYCLE = 100  # samples of a cycle: more are thinned out
-HOLD = 5  # samples in which both signals stand still: a running controller with an error moves OP in every one
 LEAST_LIVE = 0.25  # of a record: where less is left it is the loop itself that rests
 FLOOR = 0.005  # of PV's standard deviation: no record is good for less
 FEW = 8  # moves of a stem, two each of four load steps, that may look the same
 SINUSOID = 3  # parameters
-FURTHEST = 1e6  # times PV's largest value, that a residual may be
 FAR = 100.0  # a stem that is so far ahead of a linear loop under load steps needs none of its own
 HARM = 0.5  # a stem that simulates PV worse than OP itself does by more than this share is not this loop's
-
-
-@dataclass(frozen=True, slots=True)
-class _Fit:
-    """One rival fitted: innovation variance, time constant and dead time (samples), autoregression, residual."""
-
-    variance: float
-    tau: float
-    delay: int
-    a: FloatArray
-    residual: FloatArray
-
-
-@dataclass(frozen=True, slots=True)
-class _Loaded:
-    """A rival under load steps: innovation variance with each step paid for, their part of PV (EU, (N,)), how many."""
-
-    variance: float
-    wave: FloatArray
-    steps: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,7 +69,7 @@ class _Candidate:
 
     law: Law
     path: FloatArray
-    fit: _Fit
+    fit: Fit
     innovations: float
     simulated: float
     adds: float
@@ -113,119 +91,6 @@ class _Candidate:
         return min(self.harmless, self.adds)
 
 
-def dead_times(n: int, period: float) -> list[int]:
-    """Return the dead times to try, in samples: all up to 4, then by 40 % more, up to the longest that is sensible.
-
-    At most a twentieth of the record and half of PV's period (samples; nan where it has none).
-    """
-    longest = max(min(n / 20.0, period / 2.0 if math.isfinite(period) else math.inf), 2.0)
-    tried, at = [], 0.0
-    while at <= longest:
-        tried.append(round(at))
-        at = max(at + 1.0, at * 1.4)
-    return tried
-
-
-def _held(y: FloatArray, u: FloatArray) -> NDArray[np.bool_]:
-    """Return the samples in which PV and OP both kept their values for a while: nobody recorded the loop then."""
-    still = np.concatenate([[False], (np.diff(y) == 0.0) & (np.diff(u) == 0.0)])
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], still.astype(np.int8), [0]])))
-    held = np.zeros(y.size, dtype=bool)
-    for first, stop in edges.reshape(-1, 2).tolist():
-        if stop - first >= HOLD:
-            held[first:stop] = True
-    return held
-
-
-def _order(n: int) -> int:
-    return min(max(n // PER_ORDER, SHORT), LONG)
-
-
-def _innovations(held: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    live: NDArray[np.bool_] = np.convolve(held, np.ones(_order(held.size) + 1))[: held.size] == 0.0
-    return live
-
-
-class _Rivals:
-    """PV of one stretch and all that both rivals share."""
-
-    def __init__(self, y: FloatArray, delays: list[int], sign: float, held: NDArray[np.bool_]) -> None:
-        self.y, self.n, self.sign = y, y.size, sign
-        # An innovation is known where neither its sample nor one of those that it is predicted from was held.
-        self.order = _order(y.size)
-        self.live = _innovations(held)
-        self.count = int(self.live[self.order :].sum())
-        self.delays = np.array(delays, dtype=np.int64)
-        self.longest = delays[-1]
-
-    def least(self, u: FloatArray, laws: Laws, a: FloatArray, taus: FloatArray) -> FloatArray:
-        """Return each stem's least sum of squares over the plants of the grid, in the measure of the filter a."""
-        best = np.empty(len(laws.rows))
-        kind = simulate.STAIRS if laws.stenman else simulate.TWO_PARAMETER
-        rows, target, poles = laws.kernel_rows, whitened(a, self.y), np.exp(-1.0 / taus)
-        screen(kind, u, rows, a, target, self.live, poles, self.order, self.delays, self.sign, best)
-        return best
-
-    def plant(self, x: FloatArray, a: FloatArray, taus: FloatArray) -> _Fit:
-        """Return the best plant driven by x, in the measure of the whitening filter a, the dead time in between too."""
-        residual = np.empty(self.n)
-        cost, tau, delay = plant(
-            self.y, x, a, self.live, self.order, taus, self.delays, self.sign, LONGEST * self.n, residual
-        )
-        return _Fit(cost / self.count, tau, delay, a, residual)
-
-    def settle(self, x: FloatArray, a: FloatArray, taus: FloatArray, rounds: int) -> _Fit:
-        """Return the rival driven by x: plant and autoregression fitted in turn, the best round."""
-        filters, residuals = np.empty((rounds, self.order + 1)), np.empty((rounds, self.n))
-        longest = LONGEST * self.n
-        best, variance, tau, delay = settle(
-            self.y, x, a, self.live, self.order, taus, self.delays, self.sign, longest, rounds, filters, residuals
-        )
-        return _Fit(variance, tau, delay, filters[best], residuals[best])
-
-    def beside_sinusoid(self, x: FloatArray, fit: _Fit, taus: FloatArray) -> _Fit:
-        """Return the rival driven by x beside a sinusoidal disturbance, the strongest of what `fit` leaves."""
-        n, order = self.n, self.order
-        # A transient that has died out where samples count may have begun with anything.
-        most = FURTHEST * float(np.abs(self.y).max())
-        left = np.clip(fit.residual, -most, most)
-        angle = strongest(left)
-        waves = np.column_stack([np.cos(angle * np.arange(n)), np.sin(angle * np.arange(n)), np.ones(n)])
-        wave, fits = np.zeros(n), []
-        for _ in range(2):
-            columns = whitened(fit.a, waves.T).T[order:][self.live[order:]]
-            target = whitened(fit.a, left + wave)[order:][self.live[order:]]
-            terms, *_ = np.linalg.lstsq(columns, target, rcond=None)
-            wave = waves[:, :2] @ terms[:2]
-            fit = self.less(wave).settle(x, fit.a, taus, 2)
-            left = np.clip(fit.residual, -most, most)
-            fits.append(fit)
-        return min(fits, key=lambda f: f.variance)
-
-    def under_load(self, x: FloatArray, a: FloatArray, fine: FloatArray, free: NDArray[np.bool_], most: int) -> _Loaded:
-        """Return the least innovation variance beside up to `most` load steps, time and size of each paid for by ln N.
-
-        inf, and no steps, where there is no place for one.
-        """
-        taus = np.geomspace(SHORTEST, LONGEST * self.n, STEP_TAUS)
-        live = self.live.copy()
-        live[: self.order] = False
-        delays = np.union1d(self.delays[::2], self.delays[-1:])
-        waves = load_steps(self.y, x, a, live, free, taus, delays, self.sign, most)
-        price = self.count ** (2.0 / self.count)
-        left = (
-            _Loaded(self.less(wave).settle(x, a, fine, 2).variance * price**k, wave, k)
-            for k, wave in enumerate(waves, 1)
-        )
-        return min(left, key=lambda one: one.variance, default=_Loaded(math.inf, np.zeros(self.n), 0))
-
-    def less(self, wave: FloatArray) -> _Rivals:
-        """Return the same without a part of PV."""
-        rivals = copy.copy(self)
-        rivals.y = self.y - wave
-        return rivals
-
-
 def _best(costs: FloatArray, most: int) -> list[int]:
     """Return where the lowest costs are, the lowest first."""
     first: list[int] = np.argsort(costs, kind="stable")[:most].tolist()
@@ -235,7 +100,7 @@ def _best(costs: FloatArray, most: int) -> list[int]:
 class _Search:
     """The search for the stem that beats the linear rival of one stretch."""
 
-    def __init__(self, rivals: _Rivals, u: FloatArray, held: NDArray[np.bool_], power: float) -> None:
+    def __init__(self, rivals: Rivals, u: FloatArray, held: NDArray[np.bool_], power: float) -> None:
         self.rivals, self.u, self.power = rivals, u, power
         self.fine = np.geomspace(SHORTEST, LONGEST * rivals.n, FINE_TAUS)
         self.white = np.concatenate([[1.0], np.zeros(rivals.order)])
@@ -315,11 +180,11 @@ class _Search:
             stem = min([stem, *(self.rivals.under_load(best.path, a, self.fine, free, most).variance for a in filters)])
         return min(best.innovations, self._gain(left, stem))
 
-    def load(self, free: NDArray[np.bool_]) -> _Loaded:
+    def load(self, free: NDArray[np.bool_]) -> Loaded:
         """Return the load steps under which the linear rival does best, none where they add no more than chance."""
         best = self.rivals.under_load(self.u, self.linear.a, self.fine, free, FEW // 2)
         more = best.steps and self._gain(self.rival.variance, best.variance) > Thresholds().chance
-        return best if more else _Loaded(self.rival.variance, np.zeros(self.rivals.n), 0)
+        return best if more else Loaded(self.rival.variance, np.zeros(self.rivals.n), 0)
 
     def swung(self, judged: _Candidate) -> _Candidate:
         """Return a valve with a sinusoidal disturbance beside it where that is likelier, as its rival may have one.
@@ -381,8 +246,8 @@ def _stretch(
     sign: float,
     fitted: Fitted | None,
 ) -> StemTest:
-    held = _held(y, u)
-    if not _innovations(held)[_order(y.size) :].mean() > LEAST_LIVE:
+    held = held_of(y, u)
+    if not live_of(held)[order_of(y.size) :].mean() > LEAST_LIVE:
         held[:] = False
     at = np.arange(y.size)
     u = np.interp(at, at[~held], u[~held])
@@ -392,7 +257,7 @@ def _stretch(
 
     def look(pv: FloatArray, steps: int) -> tuple[StemTest, _Search]:
         pv = pv - pv[~held].mean()
-        search = _Search(_Rivals(pv, delays, sign, held), u, held, float(pv[~held].var()))
+        search = _Search(Rivals(pv, delays, sign, held), u, held, float(pv[~held].var()))
         told = [] if fitted is None else search.told(fitted)
         if told:
             test = _test(search, [], told, free, sample_time, period, steps)

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from workbench.detect.stem import dead_times
+from workbench.detect.rivals import dead_times
 from workbench.estimate import abreast
 from workbench.estimate.band_kernel import scan_starts, screen_bands
 from workbench.estimate.data import Centred

@@ -1,0 +1,178 @@
+"""The two rivals of the stem test: PV of one stretch, answered for by one kind of plant, whatever drives it.
+
+A first-order lag with gain and dead time is fitted in the measure of an autoregression, what no valve explains, which
+is fitted in turn; beside a sinusoid from outside, or beside load steps, where that is asked for.
+"""
+
+from __future__ import annotations
+
+import copy
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from workbench.detect.laws import Laws
+from workbench.detect.load_steps import load_steps
+from workbench.detect.sinusoid import strongest
+from workbench.detect.stem_kernel import plant, screen, settle
+from workbench.detect.whitening import whitened
+from workbench.model.record import FloatArray
+from workbench.simulate import kernel as simulate
+
+__all__ = [
+    "FINE_TAUS",
+    "LONGEST",
+    "SHORTEST",
+    "Fit",
+    "Loaded",
+    "Rivals",
+    "dead_times",
+    "held_of",
+    "live_of",
+    "order_of",
+]
+
+# Plants: time constants and dead times, in samples.
+STEP_TAUS, FINE_TAUS = 8, 28
+SHORTEST = 0.3
+LONGEST = 10.0  # records: as good as an integrating plant
+# Order of the autoregression: samples/100 within limits; white noise on a slow drift is no short one.
+SHORT, LONG, PER_ORDER = 8, 30, 100
+HOLD = 5  # samples in which both signals stand still: a running controller with an error moves OP in every one
+FURTHEST = 1e6  # times PV's largest value, that a residual may be
+
+
+@dataclass(frozen=True, slots=True)
+class Fit:
+    """One rival fitted: innovation variance, time constant and dead time (samples), autoregression, residual."""
+
+    variance: float
+    tau: float
+    delay: int
+    a: FloatArray
+    residual: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class Loaded:
+    """A rival under load steps: innovation variance with each step paid for, their part of PV (EU, (N,)), how many."""
+
+    variance: float
+    wave: FloatArray
+    steps: int
+
+
+def dead_times(n: int, period: float) -> list[int]:
+    """Return the dead times to try, in samples: all up to 4, then by 40 % more, up to the longest that is sensible.
+
+    At most a twentieth of the record and half of PV's period (samples; nan where it has none).
+    """
+    longest = max(min(n / 20.0, period / 2.0 if math.isfinite(period) else math.inf), 2.0)
+    tried, at = [], 0.0
+    while at <= longest:
+        tried.append(round(at))
+        at = max(at + 1.0, at * 1.4)
+    return tried
+
+
+def held_of(y: FloatArray, u: FloatArray) -> NDArray[np.bool_]:
+    """Return the samples in which PV and OP both kept their values for a while: nobody recorded the loop then."""
+    still = np.concatenate([[False], (np.diff(y) == 0.0) & (np.diff(u) == 0.0)])
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], still.astype(np.int8), [0]])))
+    held = np.zeros(y.size, dtype=bool)
+    for first, stop in edges.reshape(-1, 2).tolist():
+        if stop - first >= HOLD:
+            held[first:stop] = True
+    return held
+
+
+def order_of(n: int) -> int:
+    """Return the order of the autoregression for n samples."""
+    return min(max(n // PER_ORDER, SHORT), LONG)
+
+
+def live_of(held: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return the innovations, shape (N,), that are known: neither held nor predicted from a sample that was."""
+    live: NDArray[np.bool_] = np.convolve(held, np.ones(order_of(held.size) + 1))[: held.size] == 0.0
+    return live
+
+
+class Rivals:
+    """PV of one stretch and all that both rivals share."""
+
+    def __init__(self, y: FloatArray, delays: list[int], sign: float, held: NDArray[np.bool_]) -> None:
+        self.y, self.n, self.sign = y, y.size, sign
+        self.order = order_of(y.size)
+        self.live = live_of(held)
+        self.count = int(self.live[self.order :].sum())
+        self.delays = np.array(delays, dtype=np.int64)
+        self.longest = delays[-1]
+
+    def least(self, u: FloatArray, laws: Laws, a: FloatArray, taus: FloatArray) -> FloatArray:
+        """Return each stem's least sum of squares over the plants of the grid, in the measure of the filter a."""
+        best = np.empty(len(laws.rows))
+        kind = simulate.STAIRS if laws.stenman else simulate.TWO_PARAMETER
+        rows, target, poles = laws.kernel_rows, whitened(a, self.y), np.exp(-1.0 / taus)
+        screen(kind, u, rows, a, target, self.live, poles, self.order, self.delays, self.sign, best)
+        return best
+
+    def plant(self, x: FloatArray, a: FloatArray, taus: FloatArray) -> Fit:
+        """Return the best plant driven by x, in the measure of the whitening filter a, the dead time in between too."""
+        residual = np.empty(self.n)
+        cost, tau, delay = plant(
+            self.y, x, a, self.live, self.order, taus, self.delays, self.sign, LONGEST * self.n, residual
+        )
+        return Fit(cost / self.count, tau, delay, a, residual)
+
+    def settle(self, x: FloatArray, a: FloatArray, taus: FloatArray, rounds: int) -> Fit:
+        """Return the rival driven by x: plant and autoregression fitted in turn, the best round."""
+        filters, residuals = np.empty((rounds, self.order + 1)), np.empty((rounds, self.n))
+        longest = LONGEST * self.n
+        best, variance, tau, delay = settle(
+            self.y, x, a, self.live, self.order, taus, self.delays, self.sign, longest, rounds, filters, residuals
+        )
+        return Fit(variance, tau, delay, filters[best], residuals[best])
+
+    def beside_sinusoid(self, x: FloatArray, fit: Fit, taus: FloatArray) -> Fit:
+        """Return the rival driven by x beside a sinusoidal disturbance, the strongest of what `fit` leaves."""
+        n, order = self.n, self.order
+        # A transient that has died out where samples count may have begun with anything.
+        most = FURTHEST * float(np.abs(self.y).max())
+        left = np.clip(fit.residual, -most, most)
+        angle = strongest(left)
+        waves = np.column_stack([np.cos(angle * np.arange(n)), np.sin(angle * np.arange(n)), np.ones(n)])
+        wave, fits = np.zeros(n), []
+        for _ in range(2):
+            columns = whitened(fit.a, waves.T).T[order:][self.live[order:]]
+            target = whitened(fit.a, left + wave)[order:][self.live[order:]]
+            terms, *_ = np.linalg.lstsq(columns, target, rcond=None)
+            wave = waves[:, :2] @ terms[:2]
+            fit = self.less(wave).settle(x, fit.a, taus, 2)
+            left = np.clip(fit.residual, -most, most)
+            fits.append(fit)
+        return min(fits, key=lambda f: f.variance)
+
+    def under_load(self, x: FloatArray, a: FloatArray, fine: FloatArray, free: NDArray[np.bool_], most: int) -> Loaded:
+        """Return the least innovation variance beside up to `most` load steps, time and size of each paid for by ln N.
+
+        inf, and no steps, where there is no place for one.
+        """
+        taus = np.geomspace(SHORTEST, LONGEST * self.n, STEP_TAUS)
+        live = self.live.copy()
+        live[: self.order] = False
+        delays = np.union1d(self.delays[::2], self.delays[-1:])
+        waves = load_steps(self.y, x, a, live, free, taus, delays, self.sign, most)
+        price = self.count ** (2.0 / self.count)
+        left = (
+            Loaded(self.less(wave).settle(x, a, fine, 2).variance * price**k, wave, k)
+            for k, wave in enumerate(waves, 1)
+        )
+        return min(left, key=lambda one: one.variance, default=Loaded(math.inf, np.zeros(self.n), 0))
+
+    def less(self, wave: FloatArray) -> Rivals:
+        """Return the same without a part of PV."""
+        rivals = copy.copy(self)
+        rivals.y = self.y - wave
+        return rivals
