@@ -72,7 +72,24 @@ def test_the_settling_band_is_the_larger_of_two_per_cent_and_half_a_slip():
     assert last_event(loop, wb.Experiment(10.0, setpoint=wb.Step(200.0))).band == 4.0
     assert last_event(loop, wb.Experiment(10.0)) is None
     load = last_event(loop, wb.Experiment(100.0, setpoint=wb.Step(4.0), load=wb.Step(-80.0, at=50.0)))
-    assert (load.at, load.setpoint_step, load.band) == (50.0, 0.0, 1.6)
+    assert (load.at, load.band) == (50.0, 1.6)
+    assert (load.setpoint_step, load.setpoint_at, load.setpoint_stop) == (4.0, 0.0, 50.0)
+
+
+@pytest.mark.parametrize("plant", [wb.FOPDT(1.0, 5.0, 1.0), wb.Integrating(0.2, 1.0)], ids=["flow", "level"])
+def test_the_overshoot_of_a_setpoint_step_stays_where_a_load_steps_later(plant):
+    loop = wb.Loop(plant, wb.Ideal(), wb.PID(2.5, 5.0), 1.0)
+    step = wb.Step(4.0, at=10.0)
+    alone = wb.simulate(loop, wb.Experiment(100.0, setpoint=step)).kpis
+    loads = [wb.Step(1.0, at=150.0), wb.Step(-9.0, at=100.0), wb.Step(2.0)]
+    later = wb.simulate(loop, wb.Experiment(250.0, setpoint=step, load=loads[:2]))
+    assert alone.overshoot > 1.0
+    assert later.kpis.overshoot == alone.overshoot
+    assert later.kpis.settling_time != alone.settling_time
+    # A load before it, or none of the setpoint at all.
+    before = wb.simulate(loop, wb.Experiment(100.0, setpoint=step, load=loads[2]))
+    assert before.kpis.overshoot == pytest.approx(25.0 * max(before.pv[10:].max() - 4.0, 0.0))
+    assert math.isnan(wb.simulate(loop, wb.Experiment(100.0, load=loads[2])).kpis.overshoot)
 
 
 def test_a_run_that_never_settles_says_infinity_and_one_without_a_step_nan():

@@ -21,14 +21,17 @@ __all__ = ["Event", "cascade_event", "last_event", "measure", "record_kpis", "re
 
 @dataclass(frozen=True, slots=True)
 class Event:
-    """The last change that a loop has to settle from: its time (s), the setpoint step (EU, 0 for a load) and the band.
+    """The last change that a loop has to settle from: its time (s) and its band; and the last step of the setpoint.
 
-    band: EU; nan takes 2 % of the largest error after the change.
+    band: EU; nan takes 2 % of the largest error after the change. setpoint_step: EU, 0 where there is none, at
+    `setpoint_at` (s); PV answers it alone until `setpoint_stop` (s), when a load steps, if one does.
     """
 
     at: float
-    setpoint_step: float
     band: float
+    setpoint_step: float = 0.0
+    setpoint_at: float = 0.0
+    setpoint_stop: float = math.inf
 
 
 def last_event(loop: Loop, experiment: Experiment) -> Event | None:
@@ -37,17 +40,22 @@ def last_event(loop: Loop, experiment: Experiment) -> Event | None:
     A load step of size L on a self-regulating plant counts as the PV change K L that it would make; on an integrating
     plant, which has no such figure, 2 % of the largest error after it is taken.
     """
-    setpoint = [(p.at, p.size, True) for p in experiment.setpoint_parts if isinstance(p, Step)]
-    load = [(p.at, p.size, False) for p in experiment.load_parts if isinstance(p, Step)]
+    setpoint = [(p.at, p.size) for p in experiment.setpoint_parts if isinstance(p, Step)]
+    load = [(p.at, p.size) for p in experiment.load_parts if isinstance(p, Step)]
     if not setpoint and not load:
         return None
-    at, size, is_setpoint = max(setpoint + load, key=lambda part: part[0])
-    slip = loop.valve.slip_jump
+    set_at, step = max(setpoint, key=lambda part: part[0], default=(-math.inf, 0.0))
+    load_at, size = max(load, key=lambda part: part[0], default=(-math.inf, 0.0))
+    at, is_setpoint = max(set_at, load_at), set_at >= load_at
+    event = Event(at, 0.02 * abs(step))
+    if setpoint:
+        event = replace(event, setpoint_step=step, setpoint_at=set_at)
+        event = replace(event, setpoint_stop=min((t for t, _ in load if t > set_at), default=math.inf))
     if not isinstance(loop.plant, FOPDT):
-        return Event(at, size if is_setpoint else 0.0, 0.02 * abs(size) if is_setpoint else math.nan)
+        return event if is_setpoint else replace(event, band=math.nan)
     gain = abs(loop.plant.gain)
-    effect = abs(size) if is_setpoint else gain * abs(size)
-    return Event(at, size if is_setpoint else 0.0, max(0.02 * effect, 0.5 * gain * slip))
+    effect = abs(step) if is_setpoint else gain * abs(size)
+    return replace(event, band=max(0.02 * effect, 0.5 * gain * loop.valve.slip_jump))
 
 
 def cascade_event(cascade: Cascade, experiment: Experiment) -> Event | None:
@@ -135,19 +143,23 @@ def measure(
 
 def _step_response(error: FloatArray, sample_time: float, event: Event) -> tuple[float, float]:
     """Overshoot (% of the setpoint step) and settling time (s, inf if it never settles) from the event on."""
-    start = math.ceil(event.at / sample_time - 1e-9)
-    after = error[start:]
+
+    def sample(time: float) -> int:
+        return math.ceil(time / sample_time - 1e-9) if math.isfinite(time) else error.size
+
+    after = error[sample(event.at) :]
     if after.size == 0:
         return math.nan, math.nan
-    step = event.setpoint_step
     # A run that overflowed holds nan from there on: its overshoot is nan, and it never settles.
-    overshoot = math.nan if step == 0.0 else 100.0 * float(np.maximum((-after * np.sign(step)).max(), 0.0)) / abs(step)
+    step, answer = event.setpoint_step, error[sample(event.setpoint_at) : sample(event.setpoint_stop)]
+    overshoot = math.nan
+    if step != 0.0 and answer.size > 0:
+        overshoot = 100.0 * float(np.maximum((-answer * np.sign(step)).max(), 0.0)) / abs(step)
     band = 0.02 * float(np.abs(after).max()) if math.isnan(event.band) else event.band
     outside = np.flatnonzero(~(np.abs(after) <= band))
-    if outside.size == 0:
-        return overshoot, 0.0
-    entry = int(outside[-1]) + 1
-    return overshoot, math.inf if entry == after.size else entry * sample_time
+    entry = 0 if outside.size == 0 else int(outside[-1]) + 1
+    settling = math.inf if 0 < entry == after.size else entry * sample_time
+    return overshoot, settling
 
 
 def record_kpis(record: Record, window: tuple[float, float] | None = None) -> Kpis:
