@@ -444,6 +444,10 @@ def test_bounds_that_exclude_the_start_are_refused() -> None:
     assert "tune.start" in message
     plan = read(GOOD + TUNED.replace("§", "").replace("{bounds", "{start: {Kc: 2, Ti: 20 s}, bounds"))
     assert plan.cases[1].controller.Kc == 2.0
+    # A gain that is refused is no start of which to say anything.
+    message = refusal(GOOD.replace("Kc: 0.5", "Kc: -0.5") + TUNED.replace("§", ""))
+    assert ".Kc: -0.5 given" in message
+    assert "excludes" not in message
     # A parameter that is held need not contain the start.
     assert read(GOOD + "  - {name: T, tune: {Kc: 3}}\n").cases[1].controller.Kc == 3.0
 

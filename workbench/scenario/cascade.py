@@ -221,7 +221,7 @@ class _Cases:
         own = self.builder.controllers.objective(given.objective, (*path, "objective"))
         if bounds is None or (given.objective is not None and own is None):
             return None
-        for name in ("Kc", "Ti", "Td"):
+        for name in ("Ti", "Td") if self.builder.controllers.gain_refused else ("Kc", "Ti", "Td"):
             low, high = getattr(bounds, name)
             value = getattr(start, name)
             if low < high and not low <= value <= high:

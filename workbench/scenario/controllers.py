@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any
 
@@ -58,6 +58,7 @@ class Controllers:
     refusals: Refusals
     pv_range: tuple[float, float] | None
     without_range: str = "needs loop.pv_range: [low, high] in EU"
+    gain_refused: bool = field(default=False, init=False)  # one stands at 0 for now: nothing is to be said of that
 
     def keys(self, given: schema.ControllerKeys, path: Path) -> dict[str, Any]:
         """Return the PID's fields that an entry sets."""
@@ -102,16 +103,17 @@ class Controllers:
 
     def _gain(self, quantity: Quantity, path: Path, form: str) -> float | None:
         if quantity.unit != "%/EU" and form == "parallel":
-            self.refusals.refuse(path, "given in % of the PV range; a parallel controller takes its gains in %/EU")
-            return None
-        try:
-            return gain_from(quantity.value, quantity.unit, self.pv_range)
-        except InvalidValue as error:
-            if error.where == "pv_range":
-                self.refusals.refuse(path, f"a gain in {quantity.unit} given; {self.without_range}")
-            else:
-                self.refusals.refuse(path, f"{error.given} given; {error.allowed}")
-            return None
+            why = "given in % of the PV range; a parallel controller takes its gains in %/EU"
+        else:
+            try:
+                return gain_from(quantity.value, quantity.unit, self.pv_range)
+            except InvalidValue as error:
+                why = f"{error.given} given; {error.allowed}"
+                if error.where == "pv_range":
+                    why = f"a gain in {quantity.unit} given; {self.without_range}"
+        self.refusals.refuse(path, why)
+        self.gain_refused = True
+        return None
 
     def pid(self, path: Path, fields: dict[str, Any], tuning: dict[str, float]) -> PID | None:
         """Return the controller of these fields and tuning, if Kc and Ti are there and the model takes it."""
@@ -179,7 +181,7 @@ class Controllers:
         controller = self.pid(path, fields, start)
         if controller is None:
             return None
-        for name in ("Kc", "Ti", "Td"):
+        for name in ("Ti", "Td") if self.gain_refused else ("Kc", "Ti", "Td"):
             low, high = getattr(bounds, name)
             value = getattr(controller, name)
             if low < high and not low - 1e-9 * abs(low) <= value <= high + 1e-9 * abs(high):
