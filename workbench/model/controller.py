@@ -52,7 +52,9 @@ class PID:
     `derivative_filter`: n of `Tf = Td/n` (in the parallel form `Tf = Td/(Kc n)`), > 0; `math.inf` for unfiltered.
     `setpoint_weight`: b of the proportional action, 0..1. `action`: "reverse" (OP falls when PV rises, for plants of
     positive gain) or "direct". `output_limits`: (low, high), % in deviation from the resting output, or None.
-    `anti_windup`: "clamp" or "back_calculation", with `tracking_time` Tt, s (Ti of the ideal form unless given).
+    `anti_windup`: "clamp" (where OP lies beyond a limit and this sample's integral step pushes it further out, the step
+    is undone and OP formed anew without it) or "back_calculation" (`I += Ts/Tt (u_limited - u)`, with `tracking_time`
+    Tt, s, Ti of the ideal form unless given).
     `output_resolution`: q, %, >= 0, of the output that leaves the controller, as a converter or a smart positioner has
     it; 0 for none. After the limits, an output u that no limit holds becomes `bias + q round((u - bias)/q)`, halves to
     even: levels are counted from the resting output (bias, u before the first sample), which is a level; a level beyond
