@@ -392,3 +392,17 @@ def test_verdicts_on_real_loops() -> None:
         answers = [(c[place], wb.detect(wb.read_record(RECORDS / kind / c[0])).verdict) for c in cells]
         assert sum(label == verdict for label, verdict in answers) >= least
         assert {verdict for label, verdict in answers if verdict != label} <= {"undecided"}
+
+
+def test_a_slow_cycle_recorded_closely_is_looked_at_in_all_its_samples() -> None:
+    # A level whose dead band cycles once in some 330 samples, under a slow load: every third sample is not enough.
+    rng, load, pole = np.random.default_rng(1), np.zeros(3000), math.exp(-1.0 / 200.0)
+    for k in range(1, 3000):
+        load[k] = pole * load[k - 1] + 0.33 * math.sqrt(1.0 - pole**2) * rng.normal()
+    loop = wb.Loop(wb.Integrating(0.0175, 5.4), wb.Deadband(3.8), wb.PID(2.8, 129.0), 1.0)
+    run = wb.simulate(loop, wb.Experiment(3000.0, load=wb.Series(load.tolist()), noise=wb.Noise(0.07, 1)))
+    found = wb.detect(wb.Record(run.pv + 50.0, run.op + 50.0, 1.0, sp=run.sp + 50.0))
+    assert found.oscillation.period > 300.0
+    assert found.test is not None
+    assert found.test.samples > 2900
+    assert found.verdict == "stiction"

@@ -51,7 +51,7 @@ CLOSER = (0.06, 0.03, 0.012, 0.005)  # widths are searched on by up to twice the
 COARSE_TAUS = 8  # time constants of the grid
 ROUNDS = 3  # of plant and autoregression in turn
 WINDOW, WINDOWS = 3000, 3  # samples of one stretch, and the stretches of a long record
-PER_CYCLE = 100  # samples of a cycle: more are thinned out
+PER_CYCLE = 100  # samples of a cycle: more are thinned out of a record longer than a stretch
 LEAST_LIVE = 0.25  # of a record: where less is left it is the loop itself that rests
 FLOOR = 0.005  # of PV's standard deviation: no record is good for less
 FEW = 8  # moves of a stem, two each of four load steps, that may look the same
@@ -349,11 +349,12 @@ def stem_test(
 
     period: s, of PV's oscillation, nan where it has none. sign: that the plant's gain must have, +1 or -1, 0 where it
     is not known. fitted: a valve and its stem, %, shape (N,), from a model of the loop, tried before the grid, which is
-    not asked where that one leaves no doubt (`wide` is nan then). A cycle of more than 100 samples is thinned to that,
-    and of a long record three stretches of 3,000 samples are looked at, evenly spaced, whose likelihoods add up; the
-    rest is told for the clearest of them.
+    not asked where that one leaves no doubt (`wide` is nan then). A record of more than 3,000 samples is thinned
+    until a cycle has no more than 100 or one stretch of 3,000 holds all; of what is longer yet three stretches are
+    looked at, evenly spaced, whose likelihoods add up; the rest is told for the clearest of them.
     """
-    thin = max(int(period / sample_time / PER_CYCLE), 1) if math.isfinite(period) else 1
+    thin = int(period / sample_time / PER_CYCLE) if math.isfinite(period) else 1
+    thin = max(min(thin, -(-pv.size // WINDOW)), 1)
     pv, op, step = pv[::thin], op[::thin], thin * sample_time
     sp = None if sp is None else sp[::thin]
     n = pv.size
