@@ -172,8 +172,9 @@ def test_without_stiction_the_linear_model_is_refined() -> None:
     assert found.plant.gain == pytest.approx(2.0, rel=0.1)
     assert found.plant.time_constant == pytest.approx(6.0, rel=0.15)
     assert found.plant.dead_time == pytest.approx(1.6, abs=0.3)
-    off = [abs(f.plant.time_constant - 6.0) + abs(f.plant.dead_time - 1.6) for f in (plain, found)]
-    assert off[1] < off[0]
+    # Both find the colour of the load together with the plant.
+    for one in (plain, found):
+        assert abs(one.plant.time_constant - 6.0) + abs(one.plant.dead_time - 1.6) < 0.06
 
 
 def test_a_long_record_is_refined_on_its_most_active_stretch(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -118,3 +118,76 @@ def test_a_dead_time_cut_short_identifies_nothing() -> None:
     assert cut.intervals.dead_time[1] == math.inf
     assert not cut.identifiable
     assert any("the dead time is not identified" in reason for reason in cut.reasons)
+
+
+def disturbed(
+    plant: wb.Plant, valve: object = None, setpoint: object = None, n: int = 900, level: float = 0.3
+) -> wb.Run:
+    """A loop under a slow load of its own colour, with little noise."""
+    rng, load = np.random.default_rng(4), np.zeros(n)
+    for k in range(1, n):
+        load[k] = 0.95 * load[k - 1] + level * rng.normal()
+    Kc, Ti = (0.8, 9.0) if isinstance(plant, wb.FOPDT) else (2.0, 30.0)
+    action = "reverse" if plant.gain > 0.0 else "direct"
+    loop = wb.Loop(plant, valve or wb.Ideal(), wb.PID(Kc, Ti, action=action), 1.0)
+    return wb.simulate(loop, wb.Experiment(float(n), setpoint, wb.Series(load.tolist()), wb.Noise(0.05, 3)))
+
+
+BLIND = "the setpoint stands still and OP only answers PV"
+
+
+@pytest.mark.parametrize("plant", [wb.FOPDT(2.0, 8.0, 2.0), wb.Integrating(-0.05, 2.0)], ids=["flow", "level"])
+@pytest.mark.parametrize("valve", ["auto", "linear"])
+def test_a_linear_loop_that_nobody_moves_shows_its_gains_sign_alone(plant: wb.Plant, valve: str) -> None:
+    # What the controller makes of the load passes for the plant: a gain an eighth of the true one and less.
+    run = disturbed(plant)
+    kind = "fopdt" if isinstance(plant, wb.FOPDT) else "integrating"
+    for sp in (run.sp + 50.0, None):
+        found = wb.estimate(wb.Record(run.pv + 50.0, run.op + 50.0, 1.0, sp=sp), plant=kind, valve=valve)
+        assert found.verdict != "stiction"
+        assert any(BLIND in reason for reason in found.reasons)
+        assert not any("looks the same" in reason for reason in found.reasons)
+        assert found.intervals.gain is not None
+        low, high = np.sort(math.copysign(1.0, plant.gain) * np.array(found.intervals.gain))
+        assert low == pytest.approx(0.0, abs=0.02 * abs(plant.gain))
+        assert high == math.inf
+        assert found.intervals.dead_time == (0.0, math.inf)
+        assert found.intervals.time_constant == ((0.0, math.inf) if kind == "fopdt" else None)
+        assert not found.identifiable
+
+
+def test_a_linear_loop_whose_setpoint_moves_shows_its_plant() -> None:
+    plant = wb.FOPDT(2.0, 8.0, 2.0)
+    run = disturbed(plant, setpoint=[wb.Step(8.0, at=100.0 * k) for k in range(1, 8, 2)])
+    found = wb.estimate(wb.Record(run.pv + 50.0, run.op + 50.0, 1.0, sp=run.sp + 50.0), valve="linear")
+    assert not any(BLIND in reason for reason in found.reasons)
+    assert found.intervals.gain is not None
+    low, high = found.intervals.gain
+    assert 1.0 < low <= 2.0 <= high < 3.0
+
+
+def test_an_op_that_is_moved_by_hand_shows_its_plant() -> None:
+    # The setpoint stands still too: the controller is out.
+    rng = np.random.default_rng(1)
+    op = 40.0 + np.repeat(rng.normal(size=30), 20)
+    response = wb.simulate(
+        wb.Loop(wb.FOPDT(2.0, 8.0, 2.0), wb.Ideal(), wb.PID(0.0, math.inf), 1.0),
+        wb.Experiment(600.0, load=wb.Series((op - 40.0).tolist()), noise=wb.Noise(0.1, 2)),
+    )
+    found = wb.estimate(wb.Record(response.pv + 50.0, op, 1.0, sp=np.full(600, 50.0)), valve="linear")
+    assert not any(BLIND in reason for reason in found.reasons)
+    assert found.intervals.gain is not None
+    assert found.intervals.gain == pytest.approx((2.0, 2.0), rel=0.05)
+
+
+def test_where_nothing_decides_the_ranges_hold_the_linear_loops_plant_too() -> None:
+    run = disturbed(wb.FOPDT(2.0, 8.0, 2.0), setpoint=[wb.Step(3.0, 200.0), wb.Step(-3.0, 600.0)], n=1200)
+    found = wb.estimate(wb.Record(run.pv + 50.0, run.op + 50.0, 1.0, sp=run.sp + 50.0))
+    assert found.verdict == "undecided"
+    assert "a linear loop without stiction is not clearly less likely: the plant's ranges hold that one's too" in (
+        found.reasons
+    )
+    straight = wb.estimate(wb.Record(run.pv + 50.0, run.op + 50.0, 1.0, sp=run.sp + 50.0), valve="linear").intervals
+    for name in ("gain", "time_constant", "dead_time"):
+        (low, high), (least, most) = getattr(found.intervals, name), getattr(straight, name)
+        assert low <= least <= most <= high

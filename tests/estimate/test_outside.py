@@ -2,11 +2,18 @@
 
 from __future__ import annotations
 
+import math
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 import workbench as wb
+from workbench.estimate.data import centre
+from workbench.estimate.fit import fit_linear
 from workbench.estimate.models import words_of_closer
+from workbench.estimate.outside import rival_of, weighed
+from workbench.estimate.straight import Straight, linear_beside
 from workbench.model.results import FittedModel
 from workbench.model.valve import Valve
 
@@ -74,6 +81,45 @@ def test_load_steps_alone_accuse_no_valve(seed: int) -> None:
     loop = wb.Loop(wb.FOPDT(1.5, 12.0, 3.0), wb.Ideal(), wb.PID(0.8, 14.0), 1.0)
     run = wb.simulate(loop, wb.Experiment(700.0, load=load, noise=wb.Noise(0.1, seed)))
     assert wb.estimate(wb.Record(run.pv + 50.0, run.op + 40.0, 1.0)).verdict != "stiction"
+
+
+@pytest.mark.parametrize(
+    ("plant", "controller", "Ts", "load", "noise", "seed"),
+    [
+        (wb.FOPDT(0.0747, 361.8), wb.PID(44.08, 186.5), 20.0, [(-6.186, 4240.0), (7.628, 4640.0)], 0.00102, 2),
+        (wb.FOPDT(0.0887, 14.55), wb.PID(10.0, 41.45), 5.0, [(-6.213, 520.0), (2.722, 2555.0)], 0.00442, 3),
+    ],
+    ids=["two soon after each other", "two apart"],
+)
+def test_the_linear_loop_is_given_the_steps_that_a_stem_was_found_beside(
+    plant: wb.FOPDT, controller: wb.PID, Ts: float, load: list[tuple[float, float]], noise: float, seed: int
+) -> None:
+    # Beside the right steps a stem that hardly sticks leaves noise alone; so does the linear loop, once it has them.
+    loop = wb.Loop(plant, wb.Ideal(), controller, Ts)
+    steps = [wb.Step(size, at) for size, at in load]
+    run = wb.simulate(loop, wb.Experiment(1000.0 * Ts, load=steps, noise=wb.Noise(noise, seed)))
+    found = wb.estimate(wb.Record(run.pv + 50.0, run.op + 50.0, Ts, sp=run.sp + 50.0))
+    assert found.verdict == "undecided"
+    assert "a linear loop with load steps of its own explains PV better" in found.reasons[0]
+
+
+def test_models_accuse_alone_only_where_the_linear_loop_is_clearly_less_likely() -> None:
+    data = centre(flow(2), "fopdt")
+    line = Straight(data, fit_linear(data, 30.0), 30.0)
+    answered = linear_beside(line)[0]
+    linear = answered.paths[0].fit
+    n = answered.settled.samples - answered.settled.skip
+    models = [FittedModel(valve, wb.FOPDT(19.3, 0.76), 1.0, 0.0, 0.0, 40) for valve in (wb.Deadband(4.5), wb.Ideal())]
+
+    def said(ahead: float, alone: bool) -> tuple[str, str]:
+        fit = replace(linear, sse=linear.sse / n * data.samples * math.exp(-2.0 * ahead / data.samples))
+        pairs = (fit, models[0]), (linear, models[1])
+        return weighed(data, *pairs, lambda: rival_of(data, fit, line, ()), "stiction", alone)
+
+    assert said(29.0, True)[0] == "undecided"
+    assert "is hardly less likely than a stem that sticks over 4.5 %" in said(29.0, True)[1]
+    assert said(31.0, True) == ("stiction", "")
+    assert said(29.0, False) == ("stiction", "")
 
 
 def test_a_stem_in_the_likeness_of_a_load_step_accuses_no_valve() -> None:

@@ -6,12 +6,13 @@ import numpy as np
 
 from workbench.model.record import FloatArray, Record
 
-__all__ = ["control_error", "feedback", "gain_sign"]
+__all__ = ["control_error", "feedback", "gain_sign", "only_answers"]
 
 # Share of OP's moves that error and its change must explain for the controller's action to count as known.
 CLEAR = 0.1
 # Proportional and integral action have one sign; where the weaker is against the stronger by more, it was no PI.
 AGAINST = 0.25
+CLOSED = 0.5  # share of OP's moves that they explain where OP goes no way of its own
 
 
 def control_error(record: Record) -> FloatArray:
@@ -29,6 +30,16 @@ def gain_sign(record: Record) -> float:
     if explained < CLEAR or other * np.sign(main) < -AGAINST * abs(main):
         return 0.0
     return float(np.sign(main))
+
+
+def only_answers(record: Record) -> bool:
+    """Return whether OP moves as the controller answers PV alone: no setpoint moves, and nobody moves OP by hand.
+
+    What disturbs PV is then all that moves OP, and a linear plant is told from the disturbance by nothing but the
+    colour that this is taken to have (L. Ljung, "System identification", 2nd ed., Prentice Hall 1999, 13.4).
+    """
+    still = record.sp is None or bool(np.ptp(record.sp) == 0.0)
+    return still and feedback(record)[0] >= CLOSED
 
 
 def feedback(record: Record) -> tuple[float, float, float]:

@@ -5,11 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cache, partial
 from typing import NamedTuple
 
 import numpy as np
 
+from workbench.detect.action import only_answers
 from workbench.detect.detect import detect
 from workbench.detect.stem import Fitted
 from workbench.estimate.bands import Bands, Found, Seek, Sought, coarse_of, like_stenman, repeated, sought
@@ -23,6 +24,8 @@ from workbench.estimate.models import (
     PLANT_PARAMETERS,
     STICKING,
     VALVE_PARAMETERS,
+    WORDS_OF_BLIND,
+    WORDS_OF_STRAIGHT,
     bands_of,
     choose,
     compared,
@@ -30,7 +33,7 @@ from workbench.estimate.models import (
     words_of_closer,
     words_of_rival,
 )
-from workbench.estimate.outside import weighed
+from workbench.estimate.outside import CHANCE, rival_of, weighed
 from workbench.estimate.paths import band_paths, linear_path, stem_paths
 from workbench.estimate.profile import Profile, islands, profile_of
 from workbench.estimate.scale import (
@@ -41,6 +44,7 @@ from workbench.estimate.scale import (
     linear_result,
     rivals_of,
     stem_of,
+    unknown,
 )
 from workbench.estimate.settled import coloured_linear, settled
 from workbench.estimate.stems import path_of
@@ -155,6 +159,7 @@ def answer_of(
         # It knows nothing of stems that fit as well as the one in which it ended.
         stem = replace(stem, intervals=Intervals())
     chosen, sure = choose(models, "stenman" if method == "two_step" else valve), True
+    straight: tuple[Centred, Fit] | None = None  # a linear loop that may as well be, in its measure
     if early is not None and healthy:
         said = early[0]
     else:
@@ -168,13 +173,18 @@ def answer_of(
             # A step of the load that was missed, or is not quite where it was, moves the gain.
             said, sure = said._replace(identifiable=False), False
         known = fits.best(chosen) if method != "two_step" and chosen in STICKING else None
-        # Without steps of its own a stem that nothing else accuses may be no more than the likeness of one.
-        asked_for = not _beyond_doubt(detection) if said.verdict == "stiction" else bool(fits.steps)
-        if known is not None and asked_for:
-            pairs = (known.fit, models[chosen]), (fits.linear, models["linear"])
-            verdict, reason = weighed(fits.data, *pairs, line, said.verdict)
-            if reason:
-                said, sure = _Said(verdict, (reason, *said.reasons), False), False
+        if known is not None:
+            times = tuple(round(step.at / data.sample_time) for step in fits.steps)
+            rival = cache(partial(rival_of, fits.data, known.fit, line, times))
+            # Without steps of its own a stem that nothing else accuses may be no more than the likeness of one.
+            if not _beyond_doubt(detection) if said.verdict == "stiction" else bool(fits.steps):
+                pairs = (known.fit, models[chosen]), (fits.linear, models["linear"])
+                verdict, reason = weighed(fits.data, *pairs, rival, said.verdict, detection.verdict != "stiction")
+                if reason:
+                    said, sure = _Said(verdict, (reason, *said.reasons), False), False
+            if said.verdict == "undecided" and rival().ahead < CHANCE:
+                answered = rival().answered
+                straight = answered.settled, answered.paths[0].fit
     maybe = said.verdict != "no_stiction"
     ranged = _ranged(fits, chosen) if maybe and chosen in fits.bands else None
     if ranged is not None:
@@ -193,6 +203,8 @@ def answer_of(
         reasons += reasons_of(models, chosen, valve, None if lost else ranged)
     reasons += _manual_said(record)
     others = () if stem is None else stem.parts
+    # A stem that slips moves PV by itself; a linear loop that nobody moves does not.
+    blind = only_answers(record)
     if stem is not None and lost:
         stem = replace(stem, intervals=Intervals())
         reasons += (words_of_hidden(fits.data.doubt),)
@@ -200,13 +212,21 @@ def answer_of(
         rivals = rivals_of(fits.data, chosen, fits.found, fits.bands, fits.limits)
         others += tuple(rivals.values())
         reasons += tuple(words_of_rival(name, ranges, data.integrating) for name, ranges in rivals.items())
-    said = said._replace(reasons=reasons)
     if best is None or stem is None or not sticks:
         data, linear, steps = coloured_linear(*line)
         fits = replace(fits, steps=steps)
         answer = _straight_answer(record, method, fits, models, said, linear_result(data, linear), history)
         ranges = linear_intervals(data, linear, line.longest)
-        return Answered(replace(answer, intervals=ranges, identifiable=False), linear_path(data, linear), data, ())
+        others = ()
+        if blind and ranges != Intervals():
+            reasons, others = (*reasons, WORDS_OF_BLIND), (unknown(answer.plant),)
+        answer = replace(answer, intervals=ranges, reasons=reasons, identifiable=False)
+        return Answered(answer, linear_path(data, linear), data, others)
+    if straight is not None:
+        plant = plant_of(data, best.fit.gain, best.fit.tau, best.fit.theta)
+        one = unknown(plant) if blind else linear_intervals(*straight, line.longest)
+        reasons, others = (*reasons, WORDS_OF_BLIND if blind else WORDS_OF_STRAIGHT), (*others, one)
+    said = said._replace(reasons=reasons)
     answer = _straight_answer(record, method, fits, models, said, linear_result(data, linear), history)
     # Of the prediction itself: where the model's columns are nearly dependent, the normal equations lose digits.
     left = record.pv - stem.prediction

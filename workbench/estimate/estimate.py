@@ -13,21 +13,13 @@ from workbench.detect.spikes import words_of_spikes
 from workbench.errors import InvalidValue
 from workbench.estimate.answer import DELAYS, LINEAR_DELAYS, answer_of, longest_delay
 from workbench.estimate.data import WHITE, Centred, centre
-from workbench.estimate.fit import (
-    LEAST_TAU,
-    Limits,
-    fit_linear,
-)
-from workbench.estimate.models import (
-    words_of_open,
-)
+from workbench.estimate.fit import LEAST_TAU, Limits, fit_linear
+from workbench.estimate.models import WORDS_OF_BLIND, words_of_open
 from workbench.estimate.plants import foretelling_bic
 from workbench.estimate.profile import Profile, search
 from workbench.estimate.refined import by_complementarity, jointly, refuse_complementarity
 from workbench.estimate.repeat import repeats_of, words_of
-from workbench.estimate.scale import (
-    joined,
-)
+from workbench.estimate.scale import joined
 from workbench.estimate.sent import left_by_line, left_by_stem, likelier_op
 from workbench.estimate.stems import silent
 from workbench.estimate.straight import Straight, linear_beside
@@ -80,7 +72,9 @@ def estimate(
     record cannot tell from the best, and None below ten stem moves, which do not pin the stem's unknown start (the
     plant's ranges then hold stems with S and J that slip some samples earlier or later too, see `estimate.few`); with
     valve "auto" every range holds those of the other sticking valves that fit as well too. Where a search ended at its
-    limit, or the record tells nothing, a range is open (see `Intervals`). A sticking valve by "two_step" has no ranges:
+    limit, or the record tells nothing, a range is open (see `Intervals`); so are the plant's of a linear loop whose
+    setpoint stands still, where OP only answers PV. Where the verdict is "undecided" and a linear loop is not clearly
+    less likely, the plant's ranges hold that one's too. A sticking valve by "two_step" has no ranges:
     it does not look for others that fit as well. An oscillation from outside the loop, a sinusoid that is a quarter or
     more of what the model leaves, is fitted beside the model (`load_swing`; 10,000 samples at most; not by "two_step").
     A PV that is recorded later than the controller saw it is looked at as that did (`pv_late`), and values of PV that
@@ -188,7 +182,7 @@ def _told(record: Record, found: _Searched, asked: _Asked, tell: Callable[[float
     lost = data.doubt > 0.0 and answer.valve.stick_band > 0.0 and answer.intervals == Intervals()
     repeats = None if lost else repeats_of(data, answer)
     said = words_of(repeats) if repeats is not None and answer.verdict == "stiction" else ()
-    opened = words_of_open(answer.intervals, data.integrating)
+    opened = () if WORDS_OF_BLIND in answer.reasons else words_of_open(answer.intervals, data.integrating)
     load = None if swing is None else swing.load(answer.plant, record.sample_time)
     swung = () if load is None else (words_of_swing(load),)
     return replace(

@@ -19,6 +19,8 @@ from workbench.model.valve import Choudhury, Deadband, Ideal, Stenman, Valve
 
 __all__ = [
     "STICKING",
+    "WORDS_OF_BLIND",
+    "WORDS_OF_STRAIGHT",
     "bands_of",
     "choose",
     "compared",
@@ -164,6 +166,13 @@ def words_of_rival(name: str, ranges: Intervals, integrating: bool) -> str:
         if pair is not None
     ]
     return " ".join(("the record does not tell this valve from", kinds[name], *told)) + ": the ranges hold both"
+
+
+WORDS_OF_BLIND = (
+    "the setpoint stands still and OP only answers PV: what the controller makes of a disturbance may pass for the "
+    "plant, whose gain, time constant and dead time are not identified; a setpoint move in the record would show them"
+)
+WORDS_OF_STRAIGHT = "a linear loop without stiction is not clearly less likely: the plant's ranges hold that one's too"
 
 
 def words_of_open(ranges: Intervals, integrating: bool) -> tuple[str, ...]:

@@ -10,15 +10,21 @@ follow a sinusoid or a step of the load, but seldom as well as these do.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from dataclasses import replace
+from typing import NamedTuple
 
 from workbench.detect.verdict import Thresholds
 from workbench.estimate.data import Centred
 from workbench.estimate.fit import Fit
 from workbench.estimate.straight import Straight, linear_beside
+from workbench.estimate.swing import Answered, Swing
 from workbench.estimate.verdict import ENOUGH_SLIPS, MOST
-from workbench.model.results import FittedModel
+from workbench.model.results import FittedModel, LinearFit
 
-__all__ = ["weighed"]
+__all__ = ["CHANCE", "Rival", "rival_of", "weighed"]
+
+CHANCE = Thresholds().likelihood  # a search over stems gains less than this of a linear loop
 
 # Of the log likelihood, twice what detection asks for; of 27 real healthy loops 26 at most, with three quarters of PV
 # left and more. Healthy ones under load steps and waves reach more, by a few slips or leaving colour.
@@ -27,44 +33,78 @@ ORDER = 1  # of the disturbance's autoregression: what is left is as good as noi
 SLIPS = 2 * ENOUGH_SLIPS  # a few may fall in with as many steps of the load
 
 
+class Rival(NamedTuple):
+    """The likeliest linear loop, the oscillation beside it if there is one, and how far a stem's model is ahead of it.
+
+    ahead: log likelihood ratio.
+    """
+
+    answered: Answered[LinearFit]
+    swing: Swing | None
+    ahead: float
+
+
+def rival_of(data: Centred, fit: Fit, line: Straight, times: tuple[int, ...]) -> Rival:
+    """Return the likeliest linear loop beside what may disturb it, as the rival of a sticking model.
+
+    data, fit: the record in the measure, and without the load steps, that the model was fitted in, and its fit there;
+    line: the linear fit to the record as it is; times: samples at which the model's load steps begin.
+    """
+    lines: list[tuple[Straight, tuple[int, ...]]] = [(line, ())]
+    if times:
+        # The linear loop may have the steps that the stem was found beside, and its plant.
+        lines.append((line._replace(fit=replace(line.fit, tau=fit.tau, theta=fit.theta, gain=fit.gain)), times))
+
+    def ahead(answered: Answered[LinearFit]) -> float:
+        return _ahead(data, fit, answered.settled, answered.paths[0].fit)
+
+    answered, swing = min((linear_beside(*one) for one in lines), key=lambda one: ahead(one[0]))
+    return Rival(answered, swing, ahead(answered))
+
+
+def _ahead(data: Centred, fit: Fit, where: Centred, rival: Fit) -> float:
+    """The log likelihood ratio of one fit to another."""
+    left = [max(f.sse / (d.samples - d.skip), d.floor) for d, f in ((where, rival), (data, fit))]
+    return 0.5 * data.samples * math.log(left[0] / left[1])
+
+
 def weighed(
     data: Centred,
     sticking: tuple[Fit, FittedModel],
     linear: tuple[Fit, FittedModel],
-    line: Straight,
+    rival: Callable[[], Rival],
     verdict: str,
+    alone: bool,
 ) -> tuple[str, str]:
     """Return the verdict that the likelier explanation leads to, and why; as it was, and nothing, where none does.
 
     data: the record in the measure, and without the load steps, that the sticking model was fitted in; sticking,
-    linear: these models there; line: the linear fit to the record as it is.
+    linear: these models there; rival: gives the likeliest linear loop; alone: whether the models accuse without
+    detection.
     """
-
-    def ahead(where: Centred, rival: Fit) -> float:
-        """The log likelihood ratio of the sticking model to a rival."""
-        left = [max(fit.sse / (d.samples - d.skip), d.floor) for d, fit in ((where, rival), (data, sticking[0]))]
-        return 0.5 * data.samples * math.log(left[0] / left[1])
-
     model, accused = sticking[1], verdict == "stiction"
     # A stem that hardly sticks leaves what the linear loop leaves once it is given the same steps.
-    closer = ahead(data, linear[0]) >= LIKELIER and model.residual_variance <= MOST * linear[1].residual_variance
+    closer = _ahead(data, sticking[0], data, linear[0]) >= LIKELIER
+    closer = closer and model.residual_variance <= MOST * linear[1].residual_variance
     if not accused and not (closer and model.slips >= SLIPS and data.a.size <= 1 + ORDER):
         return verdict, ""
-    answered, swing = linear_beside(line)
-    likelier = ahead(answered.settled, answered.paths[0].fit)
+    answered, swing, ahead = rival()
     share = model.residual_variance / max(answered.model.residual_variance, data.floor)
-    if accused and likelier <= 0.0 and share >= 1.0:
+    if accused and ((ahead <= 0.0 and share >= 1.0) or (alone and ahead < CHANCE)):
         beside = "with load steps of its own" if answered.settled.load.any() else "by itself"
         if swing is not None:
             beside = f"beside an oscillation from outside of {2.0 * math.pi / swing.angle * data.sample_time:.3g} s"
-        return "undecided", (
-            f"a linear loop {beside} explains PV better than a stem that sticks over {model.valve.stick_band:.3g} % "
-            f"(log likelihood ratio {-likelier:.0f}): look for what disturbs the loop"
+        than = f"than a stem that sticks over {model.valve.stick_band:.3g} %"
+        better = (
+            f"explains PV better {than}" if ahead <= 0.0 else f"is hardly less likely {than}, which nothing else shows"
         )
-    if not accused and likelier >= LIKELIER and share <= MOST:
+        return "undecided", (
+            f"a linear loop {beside} {better} (log likelihood ratio {abs(ahead):.0f}): look for what disturbs the loop"
+        )
+    if not accused and ahead >= LIKELIER and share <= MOST:
         return "stiction", (
             f"a stem that sticks over {model.valve.stick_band:.3g} %, with {model.slips} slips, explains all of PV but "
             f"noise: it leaves {share:.1%} of what a linear loop with its own load steps and oscillation leaves (log "
-            f"likelihood ratio {likelier:.0f})"
+            f"likelihood ratio {ahead:.0f})"
         )
     return verdict, ""

@@ -21,6 +21,7 @@ from workbench.estimate.sureness import NORMAL, effective_samples, standard_erro
 from workbench.estimate.two_parameter import Band, band_stem, held_range
 from workbench.estimate.two_step import akaike
 from workbench.estimate.verdict import ENOUGH_SLIPS
+from workbench.model.plant import FOPDT, Plant
 from workbench.model.record import FloatArray
 from workbench.model.results import Intervals, LinearFit
 
@@ -35,6 +36,7 @@ __all__ = [
     "ranges_of",
     "rivals_of",
     "stem_of",
+    "unknown",
     "unsure",
     "wider",
 ]
@@ -79,6 +81,14 @@ def linear_intervals(data: Centred, fit: Fit, longest: float) -> Intervals:
         return Intervals()
     errors = standard_errors(data, data.u, 0, fit, clamped=False)
     return ranges_of(data, [fit], errors, None, longest)
+
+
+def unknown(plant: Plant) -> Intervals:
+    """Return the ranges of a plant of which the record tells no more than the gain's sign."""
+    all_that_lasts = 0.0, math.inf
+    gain = all_that_lasts if plant.gain > 0.0 else (-math.inf, 0.0)
+    tau = all_that_lasts if isinstance(plant, FOPDT) else None
+    return Intervals(gain=gain, time_constant=tau, dead_time=all_that_lasts)
 
 
 def ranges_of(

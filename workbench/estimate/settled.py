@@ -135,7 +135,7 @@ def settled(
             break
         data = bare.whitened(a, skip)
         anew = a.size > 1 or bool(steps)
-        linear = again_linear(data, linear, delays)
+        linear = again_linear(data, linear, delays, lead.fit if steps else None)
         if found is not None and steps and not same_steps:
             found = search(bare, delays) or found
         if found is not None:
@@ -190,14 +190,24 @@ def _same_stem(one: FloatArray, other: FloatArray) -> bool:
     return bool(np.std(one - other) <= SAME_STEM * np.std(other))
 
 
-def coloured_linear(data: Centred, linear: Fit, delays: float) -> tuple[Centred, Fit, tuple[LoadStep, ...]]:
-    """The record without load steps and its linear fit, in the measure of the disturbance that this leaves."""
+def coloured_linear(
+    data: Centred, linear: Fit, delays: float, times: tuple[int, ...] = ()
+) -> tuple[Centred, Fit, tuple[LoadStep, ...]]:
+    """The record without load steps and its linear fit, in the measure of the disturbance that this leaves.
+
+    times: samples at which load steps are tried first.
+    """
     whole = data
     steps: tuple[LoadStep, ...] = ()
     for _ in range(COLOURINGS):
         limits = Limits((LEAST_TAU, float(data.samples)), (0.0, delays))
-        bare, loads = _relieved(whole, data, Stem(data.u, 0, linear), limits, 0, STEPS_MOST)
+        bare, loads = _relieved(whole, data, Stem(data.u, 0, linear, lambda *_: whole.u, times), limits, 0, STEPS_MOST)
         steps = loads.steps
-        data = bare.whitened(disturbance(loads.left, data.floor), 0)
+        a = disturbance(loads.left, data.floor)
+        if a.size > 1 and data.samples <= WHOLE and linear.gain != 0.0:
+            lead = Stem(data.u, 0, linear)
+            beside = colour_beside(bare, data.u, 0, linear, limits, 0)
+            a = min(a, beside, key=lambda one: _akaike_in(bare.whitened(one, 0), lead, limits))
+        data = bare.whitened(a, 0)
         linear = again_linear(data, linear, delays)
     return data, linear, steps

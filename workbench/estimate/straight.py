@@ -23,11 +23,14 @@ class Straight(NamedTuple):
     longest: float
 
 
-def linear_beside(line: Straight) -> tuple[Answered[LinearFit], Swing | None]:
-    """Return the linear model beside what disturbs the loop from outside, and the oscillation if there is one."""
+def linear_beside(line: Straight, times: tuple[int, ...] = ()) -> tuple[Answered[LinearFit], Swing | None]:
+    """Return the linear model beside what disturbs the loop from outside, and the oscillation if there is one.
+
+    times: samples at which load steps are tried first.
+    """
 
     def settled(line: Straight) -> Answered[LinearFit]:
-        data, linear, _ = coloured_linear(*line)
+        data, linear, _ = coloured_linear(*line, times)
         return Answered(linear_result(data, linear), linear_path(data, linear), data, ())
 
     def again(calm: Centred) -> Answered[LinearFit]:
