@@ -492,7 +492,7 @@ def signal(kind: str, seed: int, n: int) -> np.ndarray:
 KINDS = ("noise", "walk", "spike", "steps", "square", "ramp", "constant", "sine")
 
 
-@settings(deadline=None, max_examples=50)
+@settings(deadline=None, max_examples=30)
 @given(
     pv=st.sampled_from(KINDS),
     op=st.sampled_from(KINDS),
@@ -509,7 +509,7 @@ def test_adversarial_records_give_an_estimate_or_our_own_error(
         check(wb.estimate(record, method=method, plant=plant), record)
 
 
-@settings(deadline=None, max_examples=25)
+@settings(deadline=None, max_examples=15)
 @given(
     signals=st.integers(30, 45).flatmap(
         lambda n: st.tuples(
