@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -17,8 +18,9 @@ from workbench.errors import RecordError
 from workbench.fleet import task
 from workbench.fleet.groups import grouped
 from workbench.fleet.sampling import oscillation_at_any_rate
-from workbench.model.estimation import Intervals
+from workbench.model.estimation import Estimate, Intervals
 from workbench.model.fleet import FleetRow, LoopSource, Settings, Tuning
+from workbench.scenario import retune
 
 SCREEN = Settings()
 
@@ -57,7 +59,15 @@ def test_a_healthy_loop(folder: Path) -> None:
 
 
 @pytest.mark.slow
-def test_models_and_tunings_come_with_depth(folder: Path) -> None:
+def test_models_and_tunings_come_with_depth(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[Estimate] = []
+    search = cache(retune.tune_found)
+
+    def searched_once(found: Estimate, wishes: retune.Wishes) -> object:
+        asked.append(found)
+        return search(asked[0], wishes)
+
+    monkeypatch.setattr(retune, "tune_found", searched_once)
     write_csv(folder / "short.csv", record(sticky=True, n=700))
     loop = LoopSource("FIC1", str(folder / "short.csv"), tuning=Tuning(0.5, 20.0, 0.0, "series"))
     result = task.look_at(loop, Settings("tune"))
@@ -69,8 +79,7 @@ def test_models_and_tunings_come_with_depth(folder: Path) -> None:
     assert row.form == "series"
     assert 0.0 < row.gain_of_tuning < 1.0  # better than the tuning that it has
     assert "Proposed tuning" in result.page
-    estimate = replace(wb.estimate(wb.read_record(folder / "short.csv")), intervals=Intervals())
-    notes = task._tuned(row, loop, estimate)[0].notes
+    notes = task._tuned(row, loop, replace(asked[0], intervals=Intervals()))[0].notes
     assert notes.endswith("the record gives no range for the gain K and dead time, so take this tuning as a hint")
     assert "as a hint" not in row.notes
     write_csv(folder / "calm.csv", record(sticky=False))

@@ -156,6 +156,7 @@ def page_of(study: Study, folder: Path) -> str:
     return (folder / "report.html").read_text(encoding="utf-8")
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_the_page_holds_the_evidence_once_for_each_record(
     study: Study, estimated: Make, found: Detection, tmp_path: Path
 ) -> None:

@@ -211,6 +211,7 @@ def test_cells_that_spreadsheets_would_run_are_defused(text: str) -> None:
     assert cell(-1.5) == "-1.5"
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_an_interrupted_run_leaves_the_last_good_report(
     study: Study, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -245,6 +246,7 @@ def test_an_interrupted_run_leaves_the_last_good_report(
     assert read(tmp_path) == before
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_figures_of_a_former_run_are_removed_and_others_kept(study: Study, written: Path, tmp_path: Path) -> None:
     shutil.copytree(written, tmp_path, dirs_exist_ok=True)
     mine = tmp_path / "my_sketch.svg"
@@ -264,6 +266,7 @@ def test_a_folder_that_cannot_be_written(study: Study, tmp_path: Path, where: st
     assert read(tmp_path) == {"a_file": b"in the way"}
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_folder_in_a_files_place_leaves_the_old_report_whole(study: Study, tmp_path: Path) -> None:
     small = replace(study, cases=study.cases[:1], estimates=())
     write_report(small, tmp_path)

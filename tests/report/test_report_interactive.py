@@ -63,6 +63,7 @@ def test_the_page_has_none_of_it_unless_asked(study: Study, written: Path, tmp_p
     assert "<script" not in (tmp_path / "report.html").read_text(), "nothing to zoom in"
 
 
+@pytest.mark.usefixtures("undrawn")
 @pytest.mark.parametrize("count", [1, 2])
 def test_the_page_has_a_place_for_each_figure_of_its_script(study: Study, tmp_path: Path, count: int) -> None:
     # Bokeh draws none of them where it does not find one.

@@ -120,6 +120,7 @@ def test_each_point_of_a_front_says_its_tuning(study: Study) -> None:
     assert names == [["Mine"], ["Mine"]]
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_planes_have_their_places_and_names_stay_text(told: Study, page: Path, tmp_path: Path) -> None:
     html = page.read_text()
     roots = re.search(r'"roots":(\{.*?\})', html)

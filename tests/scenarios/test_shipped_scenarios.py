@@ -96,8 +96,12 @@ def table_2_says_what_the_paper_says_where_it_can(study: Any) -> None:
     assert round(cases["Case 2"].run.kpis.valve_travel, 2) == 4.01
     assert round(cases["Case 4"].objective, 1) == 303.6
     assert round(cases["Case 5"].objective, 1) == 320.5
-    assert cases["Optimised PI"].objective <= 10.6
-    assert cases["Optimised PID"].objective <= 9.8
+    for name, target in (("Optimised PI", 10.6), ("Optimised PID", 9.8)):
+        assert cases[name].objective == cases[name].tuned.objective <= target
+        assert cases[name].tuned.worst <= 1.01 * target
+    # Three decisions in a thousand samples: the refinement slides along them where the scan is caught.
+    pid = cases["Optimised PID"].tuned
+    assert pid.controller.Td == 0.0 or any(r.refined < 0.99 * r.scanned for r in pid.restarts)
     assert not cases["Case 1"].describing_function.predicts_cycle
     assert cases["Case 1"].limit_cycle.outcome == "cycles"
     assert "Kc K J/S < 1" in cases["Case 1"].agreement

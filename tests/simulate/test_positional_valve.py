@@ -114,7 +114,7 @@ def test_linear_methods_say_that_they_have_nothing_to_say():
     with pytest.raises(wb.InvalidValue, match="depends on where along the travel"):
         wb.apply_rule(loop, wb.NoCrossing())
     assert wb.limit_cycle(loop).closed_form is None
-    tuned = wb.tune(loop, paper_step(100.0), bounds=wb.Bounds(Td=(0, 0)), restarts=1)
+    tuned = wb.tune(loop, paper_step(100.0), bounds=wb.Bounds(Td=(0, 0)), restarts=1, max_evaluations=3000)
     assert "do not know the valve Positional" in tuned.message
     assert tuned.guard_margin >= 0.0
     plane = wb.cycle_map(loop, Kc=(0.1, 2.0), Ti=(5.0, 60.0), points=2, starts=1)

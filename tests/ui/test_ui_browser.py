@@ -60,7 +60,8 @@ def browser() -> Iterator[Any]:
 class Opened:
     """A page in a session of its own, with what it said and asked for."""
 
-    def __init__(self, browser: Any, url: str, width: int = 1280, height: int = 900) -> None:
+    def __init__(self, browser: Any, served: Any, width: int = 1280, height: int = 900) -> None:
+        self.served = served
         self.context = browser.new_context(viewport={"width": width, "height": height}, accept_downloads=True)
         self.page = self.context.new_page()
         self.page.set_default_timeout(20_000)
@@ -70,7 +71,7 @@ class Opened:
         self.page.on("console", lambda said: said.type == "error" and self.wrong.append(said.text))
         self.page.on("request", lambda request: self.asked.append(request.url))
         self.page.on("dialog", lambda dialog: (self.wrong.append(f"dialog: {dialog.message}"), dialog.dismiss()))
-        self.page.goto(url)
+        self.page.goto(served.url)
         self.page.wait_for_selector("html[data-drawn]")
 
     def figure(self, name: str) -> Any:
@@ -105,32 +106,54 @@ class Opened:
     def picture(self, name: str) -> None:
         self.page.screenshot(path=SCREENSHOTS / f"{name}.png")
 
+    def undo_all(self) -> None:
+        self.view("loop")
+        self.settled()
+        while self.page.locator("#undo").is_enabled():
+            self.page.click("#undo")
+            self.settled()
+
+    def check(self) -> None:
+        """It may not have said an error, opened a dialog, or asked anything of another place."""
+        assert all(url.startswith((self.served.url, "data:", "blob:")) for url in self.asked), self.asked
+        assert self.wrong == []
+
 
 @pytest.fixture
 def opened(browser: Any, serve: Callable[..., Any]) -> Iterator[Callable[..., Opened]]:
-    """Open pages; none may have said an error, opened a dialog, or asked anything of another place."""
+    """Open pages."""
     pages: list[Opened] = []
 
     def make(*arguments: str, **size: int) -> Opened:
-        served = serve(*arguments)
-        pages.append(Opened(browser, served.url, **size))
-        pages[-1].served = served  # type: ignore[attr-defined]
+        pages.append(Opened(browser, serve(*arguments), **size))
         return pages[-1]
 
     yield make
     for one in pages:
         one.context.close()
-        home = one.served.url  # type: ignore[attr-defined]
-        assert all(url.startswith((home, "data:", "blob:")) for url in one.asked), one.asked
-        assert one.wrong == []
+        one.check()
+
+
+@pytest.fixture(scope="module")
+def paper_page(browser: Any, serve: Callable[..., Any]) -> Iterator[Opened]:
+    page = Opened(browser, serve(PAPER))
+    yield page
+    page.context.close()
+
+
+@pytest.fixture
+def paper(paper_page: Opened) -> Iterator[Opened]:
+    """The paper's scenario on one page for many tests, as opening one takes seconds: each begins with all undone."""
+    paper_page.undo_all()
+    yield paper_page
+    paper_page.check()
 
 
 def expect(locator: Any) -> Any:
     return sync_api.expect(locator)
 
 
-def test_a_slider_of_the_papers_loop_shows_what_the_kernel_gives(opened):
-    paper = opened(PAPER)
+def test_a_slider_of_the_papers_loop_shows_what_the_kernel_gives(paper):
     expect(paper.figure("valve_travel")).to_have_text("12.18 %")
     expect(paper.page.locator("#title")).to_have_text("Five tunings of one sticky flow loop, and two optimised ones")
     paper.picture("loop")
@@ -151,8 +174,7 @@ def test_a_slider_of_the_papers_loop_shows_what_the_kernel_gives(opened):
     expect(paper.page.locator("#undo")).to_be_disabled()
 
 
-def test_the_keyboard_is_enough(opened):
-    paper = opened(PAPER)
+def test_the_keyboard_is_enough(paper):
     page = paper.page
     paper.entry("loop.controller.Kc").focus()
     page.keyboard.press("ArrowUp")
@@ -229,8 +251,7 @@ def test_a_cascade_and_what_few_loops_have_show_where_a_scenario_has_them(opened
     expect(start.entry("cascade.primary.controller.Kc")).to_have_value(f"{Kc:g}")
 
 
-def test_what_the_loader_refuses_is_said_at_the_field(opened):
-    paper = opened(PAPER)
+def test_what_the_loader_refuses_is_said_at_the_field(paper):
     paper.type("loop.valve.d", "-1")
     said = paper.page.locator('[data-field="loop.valve.d"] .said')
     expect(said).to_have_text("loop.valve.d: -1 % given; must be >= 0")
@@ -243,8 +264,7 @@ def test_what_the_loader_refuses_is_said_at_the_field(opened):
     expect(paper.entry("loop.valve.d")).to_be_hidden()
 
 
-def test_cases_are_pinned_renamed_moved_and_removed(opened):
-    paper = opened(PAPER)
+def test_cases_are_pinned_renamed_moved_and_removed(paper):
     page = paper.page
     paper.view("compare")
     expect(page.locator("#comparison tbody tr").nth(3).locator("td").nth(1)).to_contain_text("4.013")
@@ -265,8 +285,7 @@ def test_cases_are_pinned_renamed_moved_and_removed(opened):
     paper.picture("compare")
 
 
-def test_a_tuning_runs_and_another_is_stopped(opened):
-    paper = opened(PAPER)
+def test_a_tuning_runs_and_another_is_stopped(paper):
     page = paper.page
     paper.type("experiment.duration", "120")
     paper.view("tune")
@@ -293,8 +312,7 @@ def test_a_tuning_runs_and_another_is_stopped(opened):
 
 
 @pytest.mark.skipif(os.name != "posix", reason="ends a process by a signal")
-def test_a_dead_worker_leaves_the_page_alive_with_the_reason(opened):
-    paper = opened(PAPER)
+def test_a_dead_worker_leaves_the_page_alive_with_the_reason(paper):
     page = paper.page
     paper.type("experiment.duration", "3000")
     paper.view("tune")
@@ -318,8 +336,7 @@ def children(parent: int) -> list[int]:
     return [found.pid for found in psutil.Process(parent).children() if "spawn_main" in " ".join(found.cmdline())]
 
 
-def test_the_scenario_leaves_and_comes_back_to_the_same_screen_and_numbers(opened, tmp_path):
-    paper = opened(PAPER)
+def test_the_scenario_leaves_and_comes_back_to_the_same_screen_and_numbers(paper, opened, tmp_path):
     page = paper.page
     paper.type("loop.controller.Kc", "0.7")
     paper.type("experiment.duration", "0.1")
@@ -373,8 +390,8 @@ def test_a_bad_record_says_why_and_a_good_one_is_estimated(opened, tmp_path):
     assert float(start.entry("loop.valve.d").input_value()) == pytest.approx(1.0, rel=0.05)
 
 
-def test_two_sessions_do_not_see_each_other(opened):
-    one, other = opened(PAPER), opened(PAPER)
+def test_two_sessions_do_not_see_each_other(paper, opened):
+    one, other = paper, opened(PAPER)
     one.type("loop.controller.Kc", "2.01")
     one.view("compare")
     one.page.fill("#pin-name", "mine")
@@ -388,10 +405,9 @@ def test_two_sessions_do_not_see_each_other(opened):
     expect(other.page.locator("#undo")).to_be_disabled()
 
 
-def test_a_click_on_the_map_sets_the_tuning(opened):
+def test_a_click_on_the_map_sets_the_tuning(paper):
     # Compiled here, the kernels of a cycle are there for the server: the page is not to wait for a compiler.
     wb.limit_cycle(paper_loop(0.51, 20.0))
-    paper = opened(PAPER)
     page = paper.page
     paper.view("frequency")
     expect(page.locator("#frequency-lines li").nth(1)).to_contain_text("102.4 s")
@@ -417,8 +433,7 @@ def test_a_click_on_the_map_sets_the_tuning(opened):
     expect(page.locator("#undo")).to_be_enabled()
 
 
-def test_the_front_of_error_and_travel_is_searched_and_drawn(opened):
-    paper = opened(PAPER)
+def test_the_front_of_error_and_travel_is_searched_and_drawn(paper):
     page = paper.page
     # A quick plant needs few samples; Cases 3 to 5 do not hold all of its draws.
     paper.type("loop.plant.time_constant", "1.2")
@@ -478,15 +493,19 @@ def test_a_server_that_has_ended_is_said(opened):
 
 
 def test_accessibility_has_no_serious_findings(opened):
+    start = opened(PAPER)
+    page = start.page
+    page.add_script_tag(content=AXE.read_text())
+    page.evaluate("document.querySelectorAll('details').forEach(part => { part.open = true; })")
     for scenario, views in (("table_2", VIEWS), ("cascade", ("loop", "tune"))):
-        start = opened(str(ROOT / "scenarios" / f"{scenario}.yaml"))
-        page = start.page
-        page.add_script_tag(content=AXE.read_text())
-        page.evaluate("document.querySelectorAll('details').forEach(part => { part.open = true; })")
         if scenario == "table_2":
             start.entry("loop.valve.type").select_option("positional")
             start.entry("loop.controller.compensator.type").select_option("two_move")
             start.settled()
+        else:
+            page.set_input_files("#open", ROOT / "scenarios" / "cascade.yaml")
+            start.view("loop")
+            expect(start.entry("cascade.primary.plant.gain")).to_be_visible()
         for view in views:
             start.view(view)
             page.wait_for_timeout(200)
