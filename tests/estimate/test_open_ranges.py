@@ -142,7 +142,7 @@ def test_a_linear_loop_that_nobody_moves_shows_its_gains_sign_alone(plant: wb.Pl
     # What the controller makes of the load passes for the plant: a gain an eighth of the true one and less.
     run = disturbed(plant)
     kind = "fopdt" if isinstance(plant, wb.FOPDT) else "integrating"
-    for sp in (run.sp + 50.0, None):
+    for sp in (run.sp + 50.0, None) if valve == "linear" else (None,):
         found = wb.estimate(wb.Record(run.pv + 50.0, run.op + 50.0, 1.0, sp=sp), plant=kind, valve=valve)
         assert found.verdict != "stiction"
         assert any(BLIND in reason for reason in found.reasons)

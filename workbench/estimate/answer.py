@@ -153,7 +153,12 @@ def answer_of(
     fits = _first(data, valve, found, linear)
     early = None if method == "two_step" else _at_first(record, fits, method)
     healthy = early is not None and early[0].verdict == "no_stiction"
-    fits = _sound(fits, valve, line) if healthy else _closely(fits, asked)
+    own = cache(partial(coloured_linear, *line))
+    if healthy:
+        same = fits.data is line.data
+        fits = _sound(fits, valve, *(own() if same else coloured_linear(fits.data, fits.linear, line.longest))[:2])
+    else:
+        fits = _closely(fits, asked)
     stem, models = None if fits.found is None else stem_of(fits.data, fits.found), fits.compared()
     if stem is not None and method == "two_step":
         # It knows nothing of stems that fit as well as the one in which it ended.
@@ -213,7 +218,7 @@ def answer_of(
         others += tuple(rivals.values())
         reasons += tuple(words_of_rival(name, ranges, data.integrating) for name, ranges in rivals.items())
     if best is None or stem is None or not sticks:
-        data, linear, steps = coloured_linear(*line)
+        data, linear, steps = own()
         fits = replace(fits, steps=steps)
         answer = _straight_answer(record, method, fits, models, said, linear_result(data, linear), history)
         ranges = linear_intervals(data, linear, line.longest)
@@ -285,9 +290,8 @@ def _closely(fits: _Fits, asked: tuple[str, str]) -> _Fits:
     return replace(fits, data=data, found=found, bands=bands, linear=linear, steps=steps)
 
 
-def _sound(fits: _Fits, valve: str, line: Straight) -> _Fits:
-    """The models of a loop whose valve was acquitted, in the measure of what its linear model leaves."""
-    data, linear, _ = coloured_linear(fits.data, fits.linear, line.longest)
+def _sound(fits: _Fits, valve: str, data: Centred, linear: Fit) -> _Fits:
+    """The models of a loop whose valve was acquitted, in data: the measure of what its linear model leaves."""
     found, bands = fits.found, fits.bands
     if found is not None:
         found = profile_of(data, found.rows, [*found.likely, found.best.d_low], found.limits, (found.best,))
