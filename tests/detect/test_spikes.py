@@ -92,7 +92,7 @@ def test_a_few_zeros_hide_no_valve_that_sticks() -> None:
     pv = record.pv.copy()
     pv[[150, 400, 700]] = 0.0
     hidden = wb.Record(pv, record.op, 1.0, sp=record.sp)
-    clean, found = (wb.estimate(one, valve="stenman") for one in (record, hidden))
+    clean, found = wb.estimate(record), wb.estimate(hidden)
     assert clean.verdict == found.verdict == wb.detect(hidden).verdict == "stiction"
     assert found.valve.stick_band == pytest.approx(clean.valve.stick_band, rel=0.01)
     assert found.plant.gain == pytest.approx(clean.plant.gain, rel=0.01)

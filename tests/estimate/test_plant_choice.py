@@ -56,7 +56,7 @@ def test_the_other_plant_foretells_worse_under_a_load() -> None:
         record = record_of(plant, wb.Stenman(2.0), 3, load=0.2)
         bic = {}
         for name in ("fopdt", "integrating"):
-            one = wb.estimate(record, plant=name, valve="stenman")
+            one = wb.estimate(record, plant=name)
             bic[name] = foretelling_bic(centre(record, name), one.plant, one.valve, one.valve_position, one.prediction)
         own, other = ("fopdt", "integrating") if isinstance(plant, wb.FOPDT) else ("integrating", "fopdt")
         assert bic[own] < bic[other] - 10.0

@@ -114,9 +114,7 @@ def test_a_constant_stiction_repeats_in_every_part(method: str) -> None:
 
 def at_the_true_plant(record: wb.Record, valve: wb.Stenman | wb.Choudhury) -> Repeats:
     """What the parts say where the plant is not in doubt."""
-    found = replace(
-        wb.estimate(record, method="two_step", valve="stenman"), plant=PLANT, valve=valve, verdict="stiction", slips=60
-    )
+    found = replace(wb.estimate(record, method="two_step"), plant=PLANT, valve=valve, verdict="stiction", slips=60)
     repeats = repeats_of(centre(record, "fopdt"), found)
     assert repeats is not None
     return repeats

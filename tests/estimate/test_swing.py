@@ -60,7 +60,7 @@ def test_the_search_is_made_anew_once_where_the_oscillation_stays_what_it_was(mo
         return search(data, *rest)
 
     monkeypatch.setattr(module, "search", counted)
-    found = wb.estimate(record_of(LOOP, 0.5, 130.0), valve="stenman")
+    found = wb.estimate(record_of(LOOP, 0.5, 130.0))
     assert found.load_swing is not None
     assert len(searched) == 2
 
@@ -75,7 +75,7 @@ def test_a_healthy_loops_plant_is_found_beside_it_and_by_itself_too() -> None:
 
 
 def test_the_right_plant_is_chosen_beside_it_and_refined() -> None:
-    found = wb.estimate(record_of(LOOP, 1.0, 47.0), plant="auto", method="joint", valve="stenman")
+    found = wb.estimate(record_of(LOOP, 1.0, 47.0), plant="auto", method="joint")
     assert isinstance(found.plant, wb.FOPDT)
     assert found.plant.gain == pytest.approx(1.5, rel=0.02)
     assert found.noise_sd == pytest.approx(0.05, rel=0.1)
@@ -89,5 +89,5 @@ def test_none_is_found_where_there_is_none() -> None:
 
 @pytest.mark.parametrize("period", [450.0, 600.0])
 def test_what_turns_slower_than_a_third_of_the_record_is_a_drift(period: float) -> None:
-    assert not swing_said(wb.estimate(record_of(LOOP, 1.0, period), valve="stenman"))
-    assert not swing_said(wb.estimate(record_of(replace(LOOP, valve=wb.Ideal()), 3.0, period), valve="linear"))
+    assert not swing_said(wb.estimate(record_of(LOOP, 1.0, period)))
+    assert not swing_said(wb.estimate(record_of(replace(LOOP, valve=wb.Ideal()), 3.0, period)))

@@ -275,18 +275,13 @@ def fit_linear(data: Centred, longest: float) -> Fit:
     return _linear_from(data, part, [(tau, theta) for tau, theta in likely], longest)
 
 
-def again_linear(data: Centred, linear: Fit, longest: float, beside: Fit | None = None) -> Fit:
-    """Return the linear fit in the measure of data's disturbance, from that in another.
-
-    beside: of the stem along which data's load steps were found, whose plant may be far from the linear loop's without.
-    """
+def again_linear(data: Centred, linear: Fit, longest: float) -> Fit:
+    """Return the linear fit in the measure of data's disturbance, from that in another."""
     plants = [
         (tau, min(theta, longest))
         for tau in {linear.tau, max(linear.tau / 4.0, LEAST_TAU)}
         for theta in {linear.theta, 0.0}
     ]
-    if beside is not None:
-        plants.append((beside.tau, min(beside.theta, longest)))
     return _linear_from(data, _sought_in(data, longest), plants, longest)
 
 

@@ -135,7 +135,7 @@ def settled(
             break
         data = bare.whitened(a, skip)
         anew = a.size > 1 or bool(steps)
-        linear = again_linear(data, linear, delays, lead.fit if steps else None)
+        linear = again_linear(data, linear, delays)
         if found is not None and steps and not same_steps:
             found = search(bare, delays) or found
         if found is not None:
@@ -201,11 +201,12 @@ def coloured_linear(
     steps: tuple[LoadStep, ...] = ()
     for _ in range(COLOURINGS):
         limits = Limits((LEAST_TAU, float(data.samples)), (0.0, delays))
-        bare, loads = _relieved(whole, data, Stem(data.u, 0, linear, lambda *_: whole.u, times), limits, 0, STEPS_MOST)
+        # OP's path is no valve's to move, but beside steps of free sizes its plant moves on as a stem's does.
+        lead = Stem(data.u, 0, linear, lambda *_: whole.u, times)
+        bare, loads = _relieved(whole, data, lead, limits, 0, STEPS_MOST)
         steps = loads.steps
         a = disturbance(loads.left, data.floor)
         if a.size > 1 and data.samples <= WHOLE and linear.gain != 0.0:
-            lead = Stem(data.u, 0, linear)
             beside = colour_beside(bare, data.u, 0, linear, limits, 0)
             a = min(a, beside, key=lambda one: _akaike_in(bare.whitened(one, 0), lead, limits))
         data = bare.whitened(a, 0)
