@@ -184,24 +184,23 @@ def independent_simulation(loop: wb.Loop, r: Any, load: Any, noise: Any, offset:
         derivative = (Tf * derivative + Kc * pid.Td * (s - s_last)) / (Tf + own)
         s_last = s
         u = offset + P + integral + derivative
-        held = False
         if pid.output_limits is not None:
             low, high = pid.output_limits
             if pid.anti_windup == "clamp":
                 if (u > high and rises > 0) or (u < low and rises < 0):
                     integral = before
                     u = offset + P + integral + derivative
-                held, u = not low <= u <= high, min(max(u, low), high)
+                u = min(max(u, low), high)
             else:
                 limited = min(max(u, low), high)
                 if limited != u:
                     integral += own / (pid.tracking_time or pid.Ti) * (limited - u)
-                held, u = limited != u, limited
+                u = limited
         due = k % loop.scan == 0
         if pid.compensator is not None and due:
             u, integral = compensator.output(u, e, offset + P + derivative, integral)
-            held = pid.output_limits is not None and u in pid.output_limits
-        if pid.output_resolution > 0 and not held:
+        # An output that stands at a limit, if only just, stays there.
+        if pid.output_resolution > 0 and u not in (pid.output_limits or ()):
             u = offset + pid.output_resolution * round((u - offset) / pid.output_resolution)
             low, high = pid.output_limits or (-math.inf, math.inf)
             u = min(max(u, low), high)
