@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workbench.estimate.path_kernel import stem_slips
-from workbench.simulate.compiled import compiled, copy
+from workbench.simulate.compiled import compiled
 
 __all__ = ["COST", "DELAY", "D_HIGH", "D_LOW", "ROW", "SLIPS", "walk", "walk_starts"]
 
@@ -18,38 +18,37 @@ Ints = NDArray[np.int64]
 # Columns of a row that `walk` writes.
 D_LOW, D_HIGH, DELAY, COST, SLIPS = range(5)
 ROW = 5
+# A link of the heap is one number, to be moved at once: the slip, and below it the slip before.
+HALF = 32
+BEFORE = (1 << HALF) - 1
 # A step of d that takes more than this share of the slips is routed anew.
 MANY = 0.05
 
 
 @compiled
-def _sift_down(keys: Floats, links: Ints, size: int, i: int) -> None:
-    """Restore the order of a heap below place i: the least key on top, each with its link (slip, slip before)."""
-    while True:
-        child = 2 * i + 1
-        if child >= size:
-            return
+def _sink(keys: Floats, links: Ints, size: int, i: int, key: float, link: int) -> None:
+    """Put a link in at place i of a heap, the least key on top, or below it, where what is there is smaller."""
+    child = 2 * i + 1
+    while child < size:
         if child + 1 < size and keys[child + 1] < keys[child]:
             child += 1
-        if keys[i] <= keys[child]:
-            return
-        keys[i], keys[child] = keys[child], keys[i]
-        links[i, 0], links[child, 0] = links[child, 0], links[i, 0]
-        links[i, 1], links[child, 1] = links[child, 1], links[i, 1]
-        i = child
+        if key <= keys[child]:
+            break
+        keys[i], links[i] = keys[child], links[child]
+        i, child = child, 2 * child + 1
+    keys[i], links[i] = key, link
 
 
 @compiled
-def _sift_up(keys: Floats, links: Ints, i: int) -> None:
-    """Restore the order of a heap above place i."""
+def _rise(keys: Floats, links: Ints, i: int, key: float, link: int) -> None:
+    """Put a link in at place i of a heap, its last, or above it, where what is there is larger."""
     while i > 0:
         parent = (i - 1) // 2
-        if keys[parent] <= keys[i]:
-            return
-        keys[i], keys[parent] = keys[parent], keys[i]
-        links[i, 0], links[parent, 0] = links[parent, 0], links[i, 0]
-        links[i, 1], links[parent, 1] = links[parent, 1], links[i, 1]
+        if keys[parent] <= key:
+            break
+        keys[i], links[i] = keys[parent], links[parent]
         i = parent
+    keys[i], links[i] = key, link
 
 
 @compiled
@@ -57,12 +56,22 @@ def _fill(op: Floats, first: int, after: Ints, keys: Floats, links: Ints) -> int
     """Fill the heap with a path's slips by their size; return their number."""
     size, k = 0, first
     while after[k] < op.size:
-        keys[size] = abs(op[after[k]] - op[k])
-        links[size, 0], links[size, 1] = after[k], k
+        keys[size], links[size] = abs(op[after[k]] - op[k]), after[k] << HALF | k
         size += 1
         k = after[k]
     for i in range(size // 2 - 1, -1, -1):
-        _sift_down(keys, links, size, i)
+        _sink(keys, links, size, i, keys[i], links[i])
+    return size
+
+
+@compiled
+def _refill(op: Floats, first: int, after: Ints, before: Ints, keys: Floats, links: Ints) -> int:
+    """Fill the heap anew, amid a change of the path, without the links that are no more; return their number."""
+    size = 0
+    for k in range(first + 1, op.size):
+        if after[k] >= 0:
+            _rise(keys, links, size, abs(op[k] - op[before[k]]), k << HALF | before[k])
+            size += 1
     return size
 
 
@@ -176,8 +185,7 @@ def walk(
     groups = np.zeros((delays.size, 6))
     for j in range(delays.size):
         _grouped(sums, squares, products, min(first + delays[j], last - 1), groups[j])
-    keys = np.empty(last + 1)
-    links = np.empty((last + 1, 2), np.int64)
+    keys, links = np.empty(2 * last + 2), np.empty(2 * last + 2, np.int64)
     d = d_from
     slips = _route(sums, op, d, first, delays, after, before, totals)
     size = _fill(op, first, after, keys, links)
@@ -192,13 +200,12 @@ def walk(
                 size = _fill(op, first, after, keys, links)
         # A link that is larger than d holds, however the others came about: so all smaller ones go, in any order.
         while size > 0:
-            k, p = links[0, 0], links[0, 1]
+            k, p = links[0] >> HALF, links[0] & BEFORE
             stale = after[k] < 0 or before[k] != p
             if not stale and keys[0] > d:
                 break
             size -= 1
-            keys[0], links[0, 0], links[0, 1] = keys[size], links[size, 0], links[size, 1]
-            _sift_down(keys, links, size, 0)
+            _sink(keys, links, size, 0, keys[size], links[size])
             if stale:
                 continue
             _hold(totals, sums, delays, op[p], p, k, -1.0)
@@ -211,16 +218,9 @@ def walk(
                     before[j] = origin
                     if j < last:
                         if size == keys.size:
-                            more_keys = np.empty(2 * size)
-                            more_links = np.empty((2 * size, 2), np.int64)
-                            copy(keys, more_keys[:size])
-                            for i in range(size):
-                                more_links[i, 0], more_links[i, 1] = links[i, 0], links[i, 1]
-                            keys, links = more_keys, more_links
-                        keys[size] = abs(op[j] - x)
-                        links[size, 0], links[size, 1] = j, origin
+                            size = _refill(op, first, after, before, keys, links)
+                        _rise(keys, links, size, abs(op[j] - x), j << HALF | origin)
                         size += 1
-                        _sift_up(keys, links, size - 1)
                     if met:
                         break
                     slips += 1
