@@ -32,9 +32,8 @@ __all__ = [
 ]
 
 STARTS = 48  # first slips scanned in the first round
-WIDE_D = 0.08  # of OP's range: the second round looks beside the best of the paths at wider bands
-BESIDE = 10  # of them
-AROUND = 1.35  # times their band, and as much below it
+MOST_STARTS = 400  # and in the second, at wider bands
+WIDE_D = 0.08  # of OP's range
 LEAST_D = 0.005  # of OP's range: below it a stem is OP
 
 FIRST, LOW, HIGH, DELAY, COST, SLIPS = range(6)
@@ -125,47 +124,10 @@ def scan(data: Centred, delays: NDArray[np.int64], progress: Callable[[float], N
     rows = np.vstack(found)
     if rows.size == 0 or chosen.size == firsts.size:
         return rows
-    windows = _windows(rows, firsts, chosen, WIDE_D * data.op_range, d_to)
-    return np.vstack([rows, *(_walk_within(data, *window, delays) for window in windows)])
-
-
-def _walk_within(
-    data: Centred, first: int, d_from: float, d_to: float, delays: NDArray[np.int64]
-) -> NDArray[np.float64]:
-    """Return rows as `walk`; the paths at both ends with all of their ranges of d."""
-    rows = walk(data, first, d_from, d_to, 0.0, delays)
-    if rows.size:
-        if rows[0, LOW] == d_from:
-            allowed = max(0.5 * float(np.ptp(data.u[:first])), LEAST_D * data.op_range)  # as in `walk`
-            rows[0, LOW] = max(range_of(data.u, d_from, first)[0], allowed)
-        rows[-1, HIGH] = min(range_of(data.u, rows[-1, LOW], first)[1], 1.0001 * data.op_range)
-    return rows
-
-
-def _windows(
-    rows: NDArray[np.float64], firsts: NDArray[np.int64], chosen: NDArray[np.int64], least: float, most: float
-) -> list[tuple[int, float, float]]:
-    """First slips that were not chosen, next to those of the best rows, each with a range of d, %, about theirs.
-
-    Only from `least` on, at bands where a late first slip can matter: small ones slip early.
-    """
-    left = rows[rows[:, HIGH] > least]
-    best: list[tuple[float, int]] = []
-    while left.size and len(best) < BESIDE:
-        row = left[np.argmin(left[:, COST])]
-        d = max(float(row[LOW]), least)
-        best.append((d, int(np.searchsorted(chosen, row[FIRST]))))
-        apart = np.abs(np.log(np.maximum(left[:, LOW], least) / d)) >= 0.5 * math.log(AROUND)
-        left = left[(left[:, FIRST] != row[FIRST]) | apart]
-    windows: dict[int, list[tuple[float, float]]] = {}
-    for d, i in sorted(best):
-        low, high = max(d / AROUND, least), min(d * AROUND, most)
-        inside = (firsts > chosen[max(i - 1, 0)]) & (firsts < chosen[min(i + 1, chosen.size - 1)])
-        for first in firsts[inside & (firsts != chosen[i])].tolist():
-            own = windows.setdefault(first, [])
-            # In order of d: two that overlap are one.
-            own.append((own.pop()[0] if own and low <= own[-1][1] else low, high))
-    return [(first, *ends) for first, own in windows.items() for ends in own]
+    # Every other first slip as well, at bands where a late first slip can matter: small ones slip early.
+    rest = np.setdiff1d(firsts, chosen)
+    beside = [walk(data, f, WIDE_D * data.op_range, d_to, 0.0, delays) for f in thin(rest, MOST_STARTS).tolist()]
+    return np.vstack([rows, *beside])
 
 
 def firsts_within(data: Centred, d: float) -> NDArray[np.int64]:
