@@ -14,14 +14,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import next_fast_len
 
+from workbench.detect.load_kernel import add_step, take
 from workbench.detect.whitening import whitened
 from workbench.model.record import FloatArray
 from workbench.simulate.filter import first_order
 
 __all__ = ["load_steps", "unforced"]
 
-NOUGHT = 1e-100  # its square is nought
-ALONE = 1e-6  # of a step's squares: where less is left that the plant and the steps before it do not show, it is none
 FIRST, LAST = 2, 3  # samples at the record's ends in which no step is told from the start or from noise
 
 
@@ -61,14 +60,15 @@ def load_steps(
     """
     if not free[FIRST : y.size - LAST].any():
         return
-    plants = [_Plants(y, u, a, live, free, tau, delays) for tau in taus.tolist()]
+    plants = [_Plants(y, u, a, live, free, tau, delays, most) for tau in taus.tolist()]
     for _ in range(most):
         for one in plants:
             one.add()
-        found = min((one.best(sign) for one in plants), key=lambda best: best[0])
-        if found[1] is None:
+        costs = sorted((cost, i, j) for i, one in enumerate(plants) for j, cost in enumerate(one.costs()))
+        found = next((wave for _, i, j in costs if (wave := plants[i].wave(j, sign)) is not None), None)
+        if found is None:
             return
-        yield found[1]
+        yield found
 
 
 class _Plants:
@@ -83,66 +83,59 @@ class _Plants:
         free: NDArray[np.bool_],
         tau: float,
         delays: NDArray[np.int64],
+        most: int,
     ) -> None:
         n = y.size
-        pole, at = float(np.exp(-1.0 / tau)), np.arange(n)
+        self.a, self.pole, at = a, float(np.exp(-1.0 / tau)), np.arange(n)
         self.n, self.live, self.count = n, live, delays.size
-        self.fast = next_fast_len(2 * n, real=True)
-        self.answer: FloatArray = np.asarray(1.0 - pole ** (at + 1.0), dtype=np.float64)  # to a step of 1 at sample 0
+        self.answer: FloatArray = np.asarray(1.0 - self.pole ** (at + 1.0), dtype=np.float64)  # to a step of 1 at 0
         self.step = whitened(a, self.answer)
-        self.filter = np.fft.rfft(self.step, self.fast).conj()
         self.places = free & (at >= FIRST) & (at < n - LAST)
-        lag = first_order(u - u[0], 0.0, 1.0 - pole, pole)
-        rows = [np.ones(n), pole**at] + [np.concatenate([np.zeros(d), lag[: n - d]]) for d in delays.tolist()]
+        lag = first_order(u - u[0], 0.0, 1.0 - self.pole, self.pole)
+        rows = [np.ones(n), self.pole**at] + [np.concatenate([np.zeros(d), lag[: n - d]]) for d in delays.tolist()]
         shown = np.where(live, whitened(a, np.array(rows)), 0.0)
         self.target = np.where(live, whitened(a, y), 0.0)
         self.shared, self.drives = shown[:2], shown[2:]
         self.rest = np.repeat(self.target[None, :], self.count, axis=0)
-        both = np.fft.rfft(live.astype(float), self.fast) * np.fft.rfft(self.step**2, self.fast).conj()
-        squares = np.fft.irfft(both, self.fast)[:n]
-        self.whole = squares.max()
+        fast = next_fast_len(2 * n, real=True)
+        both = np.fft.rfft(live.astype(float), fast) * np.fft.rfft(self.step**2, fast).conj()
+        squares = np.fft.irfft(both, fast)[:n]
+        self.whole = float(squares.max())
         self.left = np.repeat(squares[None, :], self.count, axis=0)  # of each step's squares
-        self.basis: list[FloatArray] = []
+        self.basis = np.empty((len(self.shared) + 1 + most, self.count, n))
+        self.taken = 0
         self.times = np.empty((self.count, 0), dtype=np.int64)
-        for column in (*self.shared, self.drives):
-            self._take(np.broadcast_to(column, self.rest.shape))
-
-    def _seen(self, rows: FloatArray) -> FloatArray:
-        """The products of rows, (D, N), with the whitened step at every sample."""
-        return np.fft.irfft(np.fft.rfft(rows, self.fast) * self.filter, self.fast)[:, : self.n]
+        for column in self.shared:
+            self._take(np.tile(column, (self.count, 1)))
+        self._take(self.drives.copy())
 
     def _take(self, columns: FloatArray) -> None:
         """Let columns, (D, N), explain what they can of what is left."""
-        for _ in range(2):
-            for taken in self.basis:
-                columns = columns - taken * np.einsum("ij,ij->i", taken, columns)[:, None]
-        length = np.linalg.norm(columns, axis=1)[:, None]
-        # A transient that has died out before the first sample that counts explains nothing.
-        columns = np.where(length > NOUGHT, columns / np.maximum(length, NOUGHT), 0.0)
-        self.basis.append(columns)
-        self.rest = self.rest - columns * np.einsum("ij,ij->i", columns, self.rest)[:, None]
-        self.left = self.left - self._seen(columns) ** 2
+        take(columns, self.a, self.pole, self.basis, self.taken, self.rest, self.left)
+        self.taken += 1
 
     def add(self) -> None:
         """Let every plant find its next step."""
-        alone = self.left > ALONE * self.whole
-        gain = np.where(alone & self.places, self._seen(self.rest) ** 2 / np.where(alone, self.left, 1.0), -1.0)
-        times = np.argmax(gain, axis=1)
+        times = np.empty(self.count, dtype=np.int64)
+        given = self.step, self.live, self.places, self.a, self.pole
+        self._take(add_step(*given, self.rest, self.left, self.whole, times))
         self.times = np.column_stack([self.times, times])
-        self._take(np.array([self._moved(self.step, t) for t in times.tolist()]) * self.live)
+
+    def costs(self) -> list[float]:
+        """Return the sums of squares that the plants leave."""
+        costs: list[float] = np.einsum("ij,ij->i", self.rest, self.rest).tolist()
+        return costs
+
+    def wave(self, i: int, sign: float) -> FloatArray | None:
+        """Return the steps' part of PV beside plant i, None where its gain has not the sign."""
+        times = self.times[i].tolist()
+        steps = [self._moved(self.step, t) * self.live for t in times]
+        columns = np.column_stack([*self.shared, self.drives[i], *steps])
+        terms, *_ = np.linalg.lstsq(columns, self.target, rcond=None)
+        if terms[2] * sign < 0.0:
+            return None
+        pairs = zip(terms[3:].tolist(), times, strict=True)
+        return sum((size * self._moved(self.answer, t) for size, t in pairs), np.zeros(self.n))
 
     def _moved(self, row: FloatArray, by: int) -> FloatArray:
         return np.concatenate([np.zeros(by), row[: self.n - by]])
-
-    def best(self, sign: float) -> tuple[float, FloatArray | None]:
-        """Return the least sum of squares of a plant whose gain has the sign, and its steps' part of PV."""
-        costs = np.einsum("ij,ij->i", self.rest, self.rest)
-        for i in np.argsort(costs, kind="stable").tolist():
-            times = self.times[i].tolist()
-            steps = [self._moved(self.step, t) * self.live for t in times]
-            columns = np.column_stack([*self.shared, self.drives[i], *steps])
-            terms, *_ = np.linalg.lstsq(columns, self.target, rcond=None)
-            if terms[2] * sign >= 0.0:
-                pairs = zip(terms[3:].tolist(), times, strict=True)
-                return float(costs[i]), sum((size * self._moved(self.answer, t) for size, t in pairs), np.zeros(self.n))
-        return np.inf, None
