@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from functools import cache, partial
+from functools import cache, cached_property, partial
 from typing import NamedTuple
 
 import numpy as np
@@ -33,7 +32,7 @@ from workbench.estimate.models import (
     words_of_closer,
     words_of_rival,
 )
-from workbench.estimate.outside import CHANCE, rival_of, weighed
+from workbench.estimate.outside import CHANCE, Rival, rival_of, weighed
 from workbench.estimate.paths import band_paths, linear_path, stem_paths
 from workbench.estimate.profile import Profile, islands, profile_of
 from workbench.estimate.scale import (
@@ -102,17 +101,44 @@ class _Fits:
         """The best stem of a valve by its name; of any that is not two-parameter, the profile's."""
         return self.bands[name].best if name in self.bands else None if self.found is None else self.found.best
 
-    def compared(self) -> dict[str, FittedModel]:
+    @cached_property
+    def models(self) -> dict[str, FittedModel]:
         """Every model by its name, the lowest BIC first."""
         return compared(self.data, self.linear, self.found, self.bands)
 
 
 class _Said(NamedTuple):
-    """A verdict, its reasons in words, and whether the stiction is identified."""
+    """A verdict, its reasons in words, and whether the stiction is identified; sure: whether its ranges may say so."""
 
     verdict: str
     reasons: tuple[str, ...]
     identifiable: bool
+    sure: bool = True
+
+
+@dataclass(frozen=True, eq=False)
+class _Asked:
+    """What is asked of a record, and its linear loop; history: of "two_step", which knows of no other stem."""
+
+    record: Record
+    method: str
+    valve: str
+    line: Straight
+    history: tuple[Iteration, ...]
+
+    @property
+    def two_step(self) -> bool:
+        return self.method == "two_step"
+
+    @cached_property
+    def coloured(self) -> tuple[Centred, Fit, tuple[LoadStep, ...]]:
+        """The linear loop in the measure of what disturbs it, with its load steps."""
+        return coloured_linear(*self.line)
+
+    @cached_property
+    def blind(self) -> bool:
+        """Whether nobody moves the loop: a stem that slips moves PV by itself, a linear loop only answers."""
+        return only_answers(self.record)
 
 
 def longest_delay(data: Centred, max_dead_time: float | None, usual: int) -> float:
@@ -148,111 +174,57 @@ def answer_of(
 
     asked: method and valve; found: that search, in `data`; line: the linear fit; history: of "two_step".
     """
-    method, valve = asked
+    loop = _Asked(record, *asked, line, history)
     linear = line.fit if line.data is data else fit_linear(data, line.longest)
-    fits = _first(data, valve, found, linear)
-    early = None if method == "two_step" else _at_first(record, fits, method)
-    healthy = early is not None and early[0].verdict == "no_stiction"
-    own = cache(partial(coloured_linear, *line))
-    if healthy:
-        same = fits.data is line.data
-        fits = _sound(fits, valve, *(own() if same else coloured_linear(fits.data, fits.linear, line.longest))[:2])
-    else:
-        fits = _closely(fits, asked)
-    stem, models = None if fits.found is None else stem_of(fits.data, fits.found), fits.compared()
-    if stem is not None and method == "two_step":
+    fits = _first(data, loop.valve, found, linear)
+    early = None if loop.two_step else _at_first(record, fits, loop.method)
+    if early is not None and early[0].verdict == "no_stiction":
+        own = loop.coloured if fits.data is line.data else coloured_linear(fits.data, fits.linear, line.longest)
+        fits = _sound(fits, loop.valve, *own[:2])
+        return _told_straight(loop, fits, _reasoned(loop, fits, "linear", early[0], None))
+    fits = _closely(fits, loop)
+    stem = None if fits.found is None else stem_of(fits.data, fits.found)
+    if stem is not None and loop.two_step:
         # It knows nothing of stems that fit as well as the one in which it ended.
         stem = replace(stem, intervals=Intervals())
-    chosen, sure = choose(models, "stenman" if method == "two_step" else valve), True
-    straight: tuple[Centred, Fit] | None = None  # a linear loop that may as well be, in its measure
-    if early is not None and healthy:
-        said = early[0]
-    else:
-        # Once it is convinced, detection asks for no likelier stem.
-        if early is not None and early[1].verdict == "stiction":
-            detection = early[1]
-        else:
-            detection = _detected(record, fits, stem, _likelier_pair(fits, models))
-        said = _judged(fits, chosen, _evidence(record, fits, stem, method, len(history)), detection)
-        if detection.test is not None and detection.test.steps:
-            # A step of the load that was missed, or is not quite where it was, moves the gain.
-            said, sure = said._replace(identifiable=False), False
-        known = fits.best(chosen) if method != "two_step" and chosen in STICKING else None
-        if known is not None:
-            times = tuple(round(step.at / data.sample_time) for step in fits.steps)
-            rival = cache(partial(rival_of, fits.data, known.fit, line, times))
-            # Without steps of its own a stem that nothing else accuses may be no more than the likeness of one.
-            if not _beyond_doubt(detection) if said.verdict == "stiction" else bool(fits.steps):
-                pairs = (known.fit, models[chosen]), (fits.linear, models["linear"])
-                verdict, reason = weighed(fits.data, *pairs, rival, said.verdict, detection.verdict != "stiction")
-                if reason:
-                    said, sure = _Said(verdict, (reason, *said.reasons), False), False
-            if said.verdict == "undecided" and rival().ahead < CHANCE:
-                answered = rival().answered
-                straight = answered.settled, answered.paths[0].fit
+    chosen = choose(fits.models, "stenman" if loop.two_step else loop.valve)
+    said, rival = _weighed(loop, fits, chosen, stem, None if early is None else early[1])
     maybe = said.verdict != "no_stiction"
     ranged = _ranged(fits, chosen) if maybe and chosen in fits.bands else None
     if ranged is not None:
         stem = band_of(fits.data, ranged, chosen, fits.limits)
-        said = said._replace(identifiable=sure and said.verdict == "stiction" and ranged.best.slips >= ENOUGH_SLIPS)
-        if ranged.best is not fits.bands[chosen].best:
-            fits = replace(fits, bands=fits.bands | {chosen: replace(fits.bands[chosen], best=ranged.best)})
-            models = fits.compared()
-    best = fits.best(chosen)
-    sticks = maybe and chosen != "linear" and best is not None and best.fit.gain != 0.0
-    lost = sticks and best is not None and hidden(fits.data, best)
-    reasons = said.reasons
-    if maybe and method != "two_step" and chosen in STICKING and (closer := words_of_closer(models, chosen)):
-        said, reasons = said._replace(identifiable=False), reasons + closer
-    if maybe:
-        reasons += reasons_of(models, chosen, valve, None if lost else ranged)
-    reasons += _manual_said(record)
-    others = () if stem is None else stem.parts
-    # A stem that slips moves PV by itself; a linear loop that nobody moves does not.
-    blind = only_answers(record)
-    if stem is not None and lost:
-        stem = replace(stem, intervals=Intervals())
-        reasons += (words_of_hidden(fits.data.doubt),)
-    elif stem is not None and valve == "auto" and method != "two_step" and maybe:
-        rivals = rivals_of(fits.data, chosen, fits.found, fits.bands, fits.limits)
-        others += tuple(rivals.values())
-        reasons += tuple(words_of_rival(name, ranges, data.integrating) for name, ranges in rivals.items())
-    if best is None or stem is None or not sticks:
-        data, linear, steps = own()
-        fits = replace(fits, steps=steps)
-        answer = _straight_answer(record, method, fits, models, said, linear_result(data, linear), history)
-        ranges = linear_intervals(data, linear, line.longest)
-        others = ()
-        if blind and ranges != Intervals():
-            reasons, others = (*reasons, WORDS_OF_BLIND), (unknown(answer.plant),)
-        answer = replace(answer, intervals=ranges, reasons=reasons, identifiable=False)
-        return Answered(answer, linear_path(data, linear), data, others)
-    if straight is not None:
-        plant = plant_of(data, best.fit.gain, best.fit.tau, best.fit.theta)
-        one = unknown(plant) if blind else linear_intervals(*straight, line.longest)
-        reasons, others = (*reasons, WORDS_OF_BLIND if blind else WORDS_OF_STRAIGHT), (*others, one)
-    said = said._replace(reasons=reasons)
-    answer = _straight_answer(record, method, fits, models, said, linear_result(data, linear), history)
-    # Of the prediction itself: where the model's columns are nearly dependent, the normal equations lose digits.
-    left = record.pv - stem.prediction
-    sse, data = float((left**2).sum()), fits.data
-    answer = replace(
-        answer,
-        plant=plant_of(data, best.fit.gain, best.fit.tau, best.fit.theta),
-        valve=models[chosen].valve,
-        valve_position=stem.valve_position,
-        prediction=stem.prediction,
-        bias=stem.bias,
-        intervals=stem.intervals,
-        residual_variance=sse / data.samples,
-        aic=akaike(data, sse, PLANT_PARAMETERS + VALVE_PARAMETERS[chosen] - data.integrating + len(data.answers)),
-        noise_sd=float(np.sqrt(np.mean(left[data.skip :] ** 2))),
-        slips=best.slips,
-    )
-    paths = [] if fits.found is None else stem_paths(data, fits.found)
-    if ranged is not None:
-        paths = band_paths(data, ranged, chosen)
-    return Answered(answer, paths, data, others)
+        known = said.sure and said.verdict == "stiction" and ranged.best.slips >= ENOUGH_SLIPS
+        said = said._replace(identifiable=known)
+        fits = replace(fits, bands=fits.bands | {chosen: replace(fits.bands[chosen], best=ranged.best)})
+    best = fits.best(chosen) if maybe and chosen in STICKING else None
+    if best is None or stem is None or best.fit.gain == 0.0:
+        return _told_straight(loop, fits, _reasoned(loop, fits, chosen, said, ranged))
+    return _told_stem(loop, fits, chosen, best, said, stem, ranged, rival)
+
+
+def _weighed(
+    loop: _Asked, fits: _Fits, chosen: str, stem: InScale | None, seen: Detection | None
+) -> tuple[_Said, Rival | None]:
+    """The verdict on the chosen valve, and a linear loop that may as well be; seen: detection of the first stems."""
+    # Once it is convinced, detection asks for no likelier stem.
+    if seen is None or seen.verdict != "stiction":
+        seen = _detected(loop.record, fits, stem, _likelier_pair(fits))
+    said = _judged(fits, chosen, _evidence(loop.record, fits, stem, loop.method, len(loop.history)), seen)
+    if seen.test is not None and seen.test.steps:
+        # A step of the load that was missed, or is not quite where it was, moves the gain.
+        said = said._replace(identifiable=False, sure=False)
+    known = fits.best(chosen) if not loop.two_step and chosen in STICKING else None
+    if known is None:
+        return said, None
+    times = tuple(round(step.at / fits.data.sample_time) for step in fits.steps)
+    rival = cache(partial(rival_of, fits.data, known.fit, loop.line, times))
+    # Without steps of its own a stem that nothing else accuses may be no more than the likeness of one.
+    if not _beyond_doubt(seen) if said.verdict == "stiction" else bool(fits.steps):
+        pairs = (known.fit, fits.models[chosen]), (fits.linear, fits.models["linear"])
+        verdict, reason = weighed(fits.data, *pairs, rival, said.verdict, seen.verdict != "stiction")
+        if reason:
+            said = _Said(verdict, (reason, *said.reasons), identifiable=False, sure=False)
+    return said, rival() if said.verdict == "undecided" and rival().ahead < CHANCE else None
 
 
 def _first(data: Centred, valve: str, found: Profile | None, linear: Fit) -> _Fits:
@@ -271,13 +243,12 @@ def _first(data: Centred, valve: str, found: Profile | None, linear: Fit) -> _Fi
     return _Fits(data, found, {}, linear, rival, (), least, coarse, within, limits, alone)
 
 
-def _closely(fits: _Fits, asked: tuple[str, str]) -> _Fits:
+def _closely(fits: _Fits, loop: _Asked) -> _Fits:
     """Every model fitted; then load steps and the colour of the disturbance together with them."""
-    method, valve = asked
-    if method == "two_step":
+    if loop.two_step:
         return fits
     data, delays, bands = fits.data, fits.limits.theta[1], {}
-    if valve not in ("stenman", "linear"):
+    if loop.valve not in ("stenman", "linear"):
         other = None if fits.found is None else fits.found.best.fit
         seeds = fits.coarse
         if not (fits.alone or data.samples > WHOLE):
@@ -317,8 +288,9 @@ def _at_first(record: Record, fits: _Fits, method: str) -> tuple[_Said, Detectio
     return _judged(fits, "linear", evidence, found), found
 
 
-def _likelier_pair(fits: _Fits, models: Mapping[str, FittedModel]) -> Band | None:
+def _likelier_pair(fits: _Fits) -> Band | None:
     """The best two-parameter stem where its BIC is below that of Stenman's."""
+    models = fits.models
     leader = next((name for name in models if name in fits.bands), None)
     if leader is None or models[leader].bic >= models.get("stenman", models[leader]).bic + 1e-9:
         return None
@@ -386,23 +358,87 @@ def _ranged(fits: _Fits, chosen: str) -> Bands:
     return widened(data, ranged, fits.bands[chosen].only, fits.limits)
 
 
-def _straight_answer(
-    record: Record,
-    method: str,
+def _reasoned(loop: _Asked, fits: _Fits, chosen: str, said: _Said, ranged: Bands | None) -> _Said:
+    """The verdict with what else is to be said of the models and the record; ranged: the two-parameter valve told."""
+    reasons = said.reasons
+    if said.verdict != "no_stiction":
+        if not loop.two_step and chosen in STICKING and (closer := words_of_closer(fits.models, chosen)):
+            said, reasons = said._replace(identifiable=False), reasons + closer
+        reasons += reasons_of(fits.models, chosen, loop.valve, ranged)
+    return said._replace(reasons=reasons + _manual_said(loop.record))
+
+
+def _told_straight(loop: _Asked, fits: _Fits, said: _Said) -> Answered[Estimate]:
+    """The answer whose model is the linear loop."""
+    data, linear, steps = loop.coloured
+    said, answer = said._replace(identifiable=False), linear_result(data, linear)
+    ranges, others = linear_intervals(data, linear, loop.line.longest), tuple[Intervals, ...]()
+    if loop.blind and ranges != Intervals():
+        said, others = said._replace(reasons=(*said.reasons, WORDS_OF_BLIND)), (unknown(answer.plant),)
+    told = _linear_estimate(loop, replace(fits, steps=steps), said, answer)
+    return Answered(replace(told, intervals=ranges), linear_path(data, linear), data, others)
+
+
+def _told_stem(
+    loop: _Asked,
     fits: _Fits,
-    models: Mapping[str, FittedModel],
+    chosen: str,
+    best: Band | Candidate,
     said: _Said,
-    straight: LinearFit,
-    history: tuple[Iteration, ...],
-) -> Estimate:
-    """The answer whose model is the linear fit, without ranges."""
+    stem: InScale,
+    ranged: Bands | None,
+    rival: Rival | None,
+) -> Answered[Estimate]:
+    """The answer whose model is a valve that sticks.
+
+    rival: a linear loop that may as well be, whose plant the ranges then hold too.
+    """
+    data = fits.data
+    lost, others = hidden(data, best), stem.parts
+    said = _reasoned(loop, fits, chosen, said, None if lost else ranged)
+    reasons = said.reasons
+    if lost:
+        stem, reasons = replace(stem, intervals=Intervals()), (*reasons, words_of_hidden(data.doubt))
+    elif loop.valve == "auto" and not loop.two_step:
+        rivals = rivals_of(data, chosen, fits.found, fits.bands, fits.limits)
+        others += tuple(rivals.values())
+        reasons += tuple(words_of_rival(name, ranges, data.integrating) for name, ranges in rivals.items())
+    plant = plant_of(data, best.fit.gain, best.fit.tau, best.fit.theta)
+    if rival is not None:
+        straight = rival.answered.settled, rival.answered.paths[0].fit
+        others += (unknown(plant) if loop.blind else linear_intervals(*straight, loop.line.longest),)
+        reasons += (WORDS_OF_BLIND if loop.blind else WORDS_OF_STRAIGHT,)
+    answer = _linear_estimate(loop, fits, said._replace(reasons=reasons), linear_result(data, fits.linear))
+    # Of the prediction itself: where the model's columns are nearly dependent, the normal equations lose digits.
+    left = loop.record.pv - stem.prediction
+    sse = float((left**2).sum())
+    parameters = PLANT_PARAMETERS + VALVE_PARAMETERS[chosen] - data.integrating + len(data.answers)
+    answer = replace(
+        answer,
+        plant=plant,
+        valve=fits.models[chosen].valve,
+        valve_position=stem.valve_position,
+        prediction=stem.prediction,
+        bias=stem.bias,
+        intervals=stem.intervals,
+        residual_variance=sse / data.samples,
+        aic=akaike(data, sse, parameters),
+        noise_sd=float(np.sqrt(np.mean(left[data.skip :] ** 2))),
+        slips=best.slips,
+    )
+    paths = [] if fits.found is None else stem_paths(data, fits.found)
+    return Answered(answer, paths if ranged is None else band_paths(data, ranged, chosen), data, others)
+
+
+def _linear_estimate(loop: _Asked, fits: _Fits, said: _Said, straight: LinearFit) -> Estimate:
+    """An estimate whose model is the linear fit, without ranges."""
     profiled = () if fits.found is None else fits.found.fits
     return Estimate(
-        record=record,
-        method=method,
+        record=loop.record,
+        method=loop.method,
         plant=straight.plant,
         valve=Ideal(),
-        valve_position=record.op.copy(),
+        valve_position=loop.record.op.copy(),
         prediction=straight.prediction,
         bias=straight.bias,
         verdict=said.verdict,
@@ -416,8 +452,8 @@ def _straight_answer(
         linear=straight,
         profile_d=np.array([c.d for c in profiled]),
         profile_cost=np.array([c.fit.sse / fits.data.samples for c in profiled]),
-        iterations=history,
-        candidates=tuple(models.values()),
+        iterations=loop.history,
+        candidates=tuple(fits.models.values()),
         load_steps=fits.steps,
     )
 
