@@ -12,13 +12,14 @@ from hypothesis.extra.numpy import arrays
 from scipy.signal import lfilter
 
 import workbench as wb
+from workbench.estimate import walk_kernel
 from workbench.estimate.data import centre
 from workbench.estimate.fit import Fit, predict
 from workbench.estimate.fit_kernel import oe_fit
 from workbench.estimate.output_error import FIT, GAIN, START, TAU, THETA, drive_of, oe_columns, oe_cost
 from workbench.estimate.path_kernel import stem_slips
 from workbench.estimate.stems import path_of
-from workbench.estimate.walk_kernel import COST, D_HIGH, D_LOW, ROW, walk
+from workbench.estimate.walk_kernel import COST, D_HIGH, D_LOW, ROW, SLIPS, walk
 from workbench.model.plant import FOPDT, Integrating
 from workbench.model.record import Record
 from workbench.model.valve import Stenman
@@ -77,6 +78,31 @@ def test_walking_meets_every_path_once_and_says_how_long_each_holds(op: np.ndarr
             continue  # a path to which no plant could be fitted
         assert len(row) == 1
         assert np.array_equal(path_of(data.u, float(d), 0)[0], path_of(data.u, float(row[0, D_LOW]), 0)[0])
+
+
+def test_a_walk_that_drops_more_links_than_its_heap_holds_meets_the_same_paths(monkeypatch) -> None:
+    """A smooth cycle re-routes nearly all of its slips at each breakpoint; each row is that of a path routed anew."""
+    op = 3.0 * np.sin(0.13 * np.arange(300)) + 0.2 * np.sin(0.029 * np.arange(300))
+    pv = np.convolve(op, [0.0, 0.2, 0.3, 0.1])[:300] + np.random.default_rng(1).normal(0, 0.1, 300)
+    data = centre(Record(pv, op, 1.0), "fopdt")
+    refilled = []
+    refill = walk_kernel._refill
+    monkeypatch.setattr(walk_kernel, "_refill", lambda *given: refilled.append(1) or refill(*given))
+
+    def rows_of(d_from: float, d_to: float, walking=walk) -> np.ndarray:
+        rows = np.empty((2500, ROW))
+        signals = data.sums, data.squares, data.products, data.u
+        return rows[: walking(*signals, 0, d_from, d_to, 0.0, np.arange(3), math.nan, 0.0, rows)]
+
+    found = rows_of(0.01, 8.0, walk.py_func)
+    assert len(found) > 300
+    assert refilled
+    for row in found[::7]:
+        (anew,) = rows_of(row[D_LOW], math.nextafter(row[D_LOW], math.inf))
+        assert anew[SLIPS] == row[SLIPS]
+        assert anew[COST] == pytest.approx(row[COST], rel=1e-9)
+    np.testing.assert_array_equal(found[1:, D_LOW], found[:-1, D_HIGH])
+    np.testing.assert_allclose(rows_of(0.01, 8.0), found, rtol=1e-9)
 
 
 @pytest.mark.parametrize("first", [0, 7, 30])
