@@ -85,15 +85,22 @@ def test_a_stem_beside_a_load_of_its_own_must_be_sure(outside: dict[str, float])
 
 
 @pytest.mark.parametrize(
-    ("wide", "simulated", "verdict"),
-    [(-5.0, 0.2, "no_stiction"), (9.0, 0.2, "no_stiction"), (11.0, 0.04, "no_stiction"), (11.0, 0.06, "undecided")],
+    ("wide", "simulated", "likelihood", "verdict"),
+    [
+        (-5.0, 0.2, 9.0, "no_stiction"),
+        (9.0, 0.2, 9.0, "no_stiction"),
+        (11.0, 0.04, 9.0, "no_stiction"),
+        (11.0, 0.06, 9.0, "undecided"),
+        (11.0, 0.04, 11.0, "undecided"),
+        (9.0, 0.04, 11.0, "no_stiction"),
+    ],
 )
 def test_little_that_is_left_acquits_unless_a_wide_stem_explains_it(
-    wide: float, simulated: float, verdict: str
+    wide: float, simulated: float, likelihood: float, verdict: str
 ) -> None:
     quiet = Oscillation(0.0, np.nan, 0.0, 0.0)
-    little = replace(FOUND, unexplained=0.01, wide=wide, simulated=simulated, likelihood=9.0, predicting=9.0, sure=9.0)
-    little = replace(little, adds=9.0, improvement=0.01, moves=20)
+    little = replace(FOUND, unexplained=0.01, wide=wide, simulated=simulated, likelihood=likelihood, predicting=9.0)
+    little = replace(little, adds=9.0, sure=9.0, improvement=0.01, moves=20)
     assert decide(quiet, little, None)[0] == verdict
 
 

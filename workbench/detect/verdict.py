@@ -10,8 +10,9 @@ such a loop does as well, or one under a wave of steady period (PLAYED).
 No stiction is a finding of its own: stems that stick over a quarter of OP's range or more, enough to matter, are
 excluded (EXCLUDED); or they fit no better than chance has it (CHANCE; where PV is seen to follow OP, worse than OP
 itself: SEEN), PV does not cycle as a sticking valve makes it under integral action, and the record is long enough to
-have shown more; or the linear loop leaves nothing to explain (LEFT), unless a wide stem explains that better by
-prediction (CHANCE) and in the simulated PV (EXPLAINS): an oscillation from outside makes much of PV, and hides it.
+have shown more; or the linear loop leaves nothing to explain (LEFT), unless a wide stem predicts that better than
+chance (CHANCE) and one explains it in the simulated PV (EXPLAINS), or is ahead by prediction and simulation together
+(CHANCE): what moves most of PV, an oscillation from outside or a large setpoint move, hides what a valve does.
 What is neither is undecided.
 
 The thresholds are stated, not fitted:
@@ -201,7 +202,8 @@ def _not_excluded(oscillation: Oscillation, test: StemTest, limits: Thresholds) 
         stem = f"a stem that moved {times(test.moves)} fits as well"
         hardly = f"OP hardly leaves a band of {test.band:.3g} %, within which {stem}"
         return f"{hardly}: the record is too short, or too quiet, to exclude it"
-    if test.unexplained < limits.left and not (test.wide > limits.chance and test.simulated >= limits.explains):
+    both = test.simulated >= limits.explains or test.likelihood > limits.chance
+    if test.unexplained < limits.left and not (test.wide > limits.chance and both):
         return ""
     if excluded(test, limits):
         return ""

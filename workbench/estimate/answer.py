@@ -51,6 +51,7 @@ from workbench.estimate.straight import Straight
 from workbench.estimate.swing import Answered
 from workbench.estimate.two_parameter import Band, look
 from workbench.estimate.two_step import akaike
+from workbench.estimate.unseen import unseen, words_of_unseen
 from workbench.estimate.verdict import ENOUGH_SLIPS, SHARP, WIDE_D, Evidence, agree, judge
 from workbench.estimate.windows import WHOLE
 from workbench.model.detection import Detection
@@ -375,6 +376,9 @@ def _told_straight(loop: _Asked, fits: _Fits, said: _Said) -> Answered[Estimate]
     ranges, others = linear_intervals(data, linear, loop.line.longest), tuple[Intervals, ...]()
     if loop.blind and ranges != Intervals():
         said, others = said._replace(reasons=(*said.reasons, WORDS_OF_BLIND)), (unknown(answer.plant),)
+    elif loop.valve != "linear" and not loop.two_step and (found := unseen(data, linear, loop.line.longest)):
+        words = words_of_unseen(found, ranges, data.integrating)
+        said, others = said._replace(reasons=(*said.reasons, *words)), (found.plant,)
     told = _linear_estimate(loop, replace(fits, steps=steps), said, answer)
     return Answered(replace(told, intervals=ranges), linear_path(data, linear), data, others)
 

@@ -1,0 +1,100 @@
+"""Dead bands that pass for a linear loop: the plant's ranges hold the plants that go with them, and it is said."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+import workbench as wb
+from workbench.estimate.data import centre
+from workbench.estimate.fit import Fit, fit_linear
+from workbench.estimate.scale import linear_intervals
+from workbench.estimate.unseen import Unseen, unseen, words_of_unseen
+from workbench.model.results import Intervals
+
+PLANT = wb.FOPDT(0.37, 24.0, 2.0)
+MOVED = [wb.Step(1.1), wb.Step(-1.65, at=670.0)]
+
+
+def record_of(
+    valve: wb.Ideal | wb.Deadband, noise: float = 0.076, seed: int = 0, samples: int = 1000, plant: wb.Plant = PLANT
+) -> wb.Record:
+    pid = wb.PID(1.2, 43.0) if isinstance(plant, wb.FOPDT) else wb.PID(2.0, 90.0)
+    experiment = wb.Experiment(float(samples), setpoint=MOVED, noise=wb.Noise(noise, seed))
+    run = wb.simulate(wb.Loop(plant, valve, pid, 1.0), experiment)
+    return wb.Record(run.pv + 50.0, run.op + 40.0, 1.0, sp=run.sp + 50.0)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_ranges_of_a_loop_that_looks_linear_hold_the_plant_behind_its_dead_band(seed: int) -> None:
+    record = record_of(wb.Deadband(1.5), seed=seed)
+    found = wb.estimate(record)
+    assert found.verdict != "stiction"
+    low, high = found.intervals.gain
+    assert low <= PLANT.gain <= high
+    assert found.intervals.time_constant[0] <= PLANT.time_constant <= found.intervals.time_constant[1]
+    # A linear loop's own range does not: the band weakens and slows what PV shows of OP.
+    data = centre(record, "fopdt")
+    own = linear_intervals(data, fit_linear(data, 240.0), 240.0)
+    assert own.gain[1] < PLANT.gain
+    assert own.time_constant[0] > PLANT.time_constant
+    assert not found.identifiable
+    said = [reason for reason in found.reasons if reason.startswith("dead bands of up to 1.71 % fit as well")]
+    assert len(said) == (found.verdict == "no_stiction") == (seed == 1)
+    # Who knows that the valve does not stick is given the linear loop's own.
+    assert wb.estimate(record, valve="linear").intervals.gain[1] < PLANT.gain
+
+
+@pytest.mark.parametrize("plant", [PLANT, wb.Integrating(0.02, 3.0)])
+def test_a_healthy_loops_ranges_stay_close(plant: wb.Plant) -> None:
+    record = record_of(wb.Ideal(), noise=0.02, plant=plant)
+    kind = "fopdt" if isinstance(plant, wb.FOPDT) else "integrating"
+    found = wb.estimate(record, plant=kind)
+    assert found.verdict == "no_stiction"
+    low, high = found.intervals.gain
+    assert low <= plant.gain <= high
+    assert high - low < 0.05 * plant.gain
+    assert not any("dead bands" in reason for reason in found.reasons)
+
+
+def test_bands_are_those_within_the_likelihood_region() -> None:
+    data = centre(record_of(wb.Ideal(), noise=0.02), "fopdt")
+    linear = fit_linear(data, 240.0)
+    found = unseen(data, linear, 240.0)
+    assert found is not None
+    # A band of a tenth of OP's range is seen, one of a hundredth is not.
+    assert 0.01 * data.op_range < found.band < 0.1 * data.op_range
+    assert found.plant.gain[0] < linear.gain < found.plant.gain[1]
+    # A noisier record excludes less.
+    noisy = centre(record_of(wb.Ideal(), noise=0.2), "fopdt")
+    wider = unseen(noisy, fit_linear(noisy, 240.0), 240.0)
+    assert wider is not None
+    assert wider.band > found.band
+
+
+def test_a_long_record_is_looked_at_too() -> None:
+    data = centre(record_of(wb.Ideal(), noise=0.6, samples=12_000), "fopdt")
+    linear = fit_linear(data, 240.0)
+    found = unseen(data, linear, 240.0)
+    assert found is not None
+    assert found.plant.gain == pytest.approx((linear.gain, linear.gain), rel=0.05)
+
+
+def test_without_a_part_of_op_in_pv_there_is_nothing_to_say() -> None:
+    rng = np.random.default_rng(0)
+    data = centre(wb.Record(rng.normal(size=200), rng.normal(size=200), 1.0), "fopdt")
+    assert unseen(data, Fit(1.0, 5.0, 1.0, 0.0, 0.0, 0.0, 0.0), 30.0) is None
+
+
+@pytest.mark.parametrize(
+    ("own", "other", "told"),
+    [((1.0, 1.1), (0.9, 1.1), True), ((1.0, 1.1), (0.98, 1.12), False), ((-1.1, -1.0), (-math.inf, -1.0), True)],
+)
+def test_only_what_matters_is_said(own: tuple[float, float], other: tuple[float, float], told: bool) -> None:
+    found = Unseen(0.7, Intervals(gain=other))
+    said = words_of_unseen(found, Intervals(gain=own), integrating=False)
+    assert bool(said) == told
+    assert not told or said[0].startswith("dead bands of up to 0.7 % fit as well")
+    assert words_of_unseen(found, Intervals(), integrating=False) == ()
