@@ -14,8 +14,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import workbench as wb
+from workbench.detect import stem
 from workbench.detect.stem import stem_test
-from workbench.detect.verdict import Thresholds, decide, follows
+from workbench.detect.verdict import Thresholds, accuses, decide, follows
 from workbench.model.detection import Oscillation, StemEvidence, StemTest
 
 RECORDS = Path(os.environ.get("WORKBENCH_RECORDS", Path(__file__).resolve().parents[2].parent / "shared" / "data"))
@@ -129,6 +130,19 @@ def test_a_long_record_is_looked_at_in_stretches() -> None:
     found = wb.detect(record)
     assert found.verdict == "stiction"
     assert 0 < found.test.samples <= 9000
+
+
+@pytest.mark.parametrize(
+    ("sures", "sure"), [([45.0, 0.3, 0.1], 0.4), ([16.0, 17.0, 18.0], 33.0), ([320.0, 39.0], 39.0), ([31.0], 31.0)]
+)
+def test_the_clearest_of_several_stretches_accuses_nobody(monkeypatch, sures: list[float], sure: float) -> None:
+    """Each stretch is searched anew, and what another loop sends may look like a stem for a while."""
+    stretches = iter([replace(FOUND, sure=one, likelihood=0.0, predicting=0.0) for one in sures])
+    monkeypatch.setattr(stem, "_stretch", lambda *_: next(stretches))
+    pv = np.random.default_rng(0).normal(size=3000 * len(sures))
+    test = stem_test(pv, -pv, None, 1.0, math.nan, 1.0)
+    assert test.sure == pytest.approx(sure)
+    assert accuses(test) == (sure >= 25.0)
 
 
 def test_a_recorded_stem_decides() -> None:

@@ -351,7 +351,8 @@ def stem_test(
     is not known. fitted: a valve and its stem, %, shape (N,), from a model of the loop, tried before the grid, which is
     not asked where that one leaves no doubt (`wide` is nan then). A record of more than 3,000 samples is thinned
     until a cycle has no more than 100 or one stretch of 3,000 holds all; of what is longer yet three stretches are
-    looked at, evenly spaced, whose likelihoods add up; the rest is told for the clearest of them.
+    looked at, evenly spaced, whose likelihoods add up, those of two rivals without the clearest's (see `verdict`); the
+    rest is told for the clearest of them.
     """
     thin = int(period / sample_time / PER_CYCLE) if math.isfinite(period) else 1
     thin = max(min(thin, -(-pv.size // WINDOW)), 1)
@@ -387,7 +388,7 @@ def stem_test(
         likelihood=gain,
         simulated=float(np.median([p.simulated for p in parts])),
         adds=sum(p.adds for p in parts),
-        sure=sum(p.sure for p in parts),
+        sure=sum(sorted(p.sure for p in parts)[: max(len(parts) - 1, 1)]),
         instead=sum(p.instead for p in parts),
         wide=sum(p.wide for p in parts),
         wide_from=max(p.wide_from for p in parts),

@@ -77,11 +77,12 @@ class StemTest:
     it explains; adds: its log likelihood ratio over the free linear predictor, which knows the past of PV and OP and no
     valve. The linear rival of the innovations may have a sinusoidal disturbance.
 
-    sure: the best of all stems by the less of both ratios, over the linear rival and over the free predictor; wide: the
-    ratio over the linear rival of the best stem with a band of `wide_from` (%), a quarter of OP's range, or more. In
-    these two a stem that makes the simulated PV worse by half counts for what it simulates. wide is nan where a model's
-    stem left no doubt and no other was tried. instead: the best of all stems by the least of three ratios, the two of
-    sure, whatever the stem simulates, and that of the free predictor given the stem in OP's place to that given OP.
+    sure: the best of all stems by the less of both ratios, over the linear rival and over the free predictor, of a long
+    record the sum over its stretches but the clearest; wide: the ratio over the linear rival of the best stem with a
+    band of `wide_from` (%), a quarter of OP's range, or more. In these two a stem that makes the simulated PV worse by
+    half counts for what it simulates. wide is nan where a model's stem left no doubt and no other was tried. instead:
+    the best of all stems by the least of three ratios, the two of sure, whatever the stem simulates, and that of the
+    free predictor given the stem in OP's place to that given OP.
 
     left: share of PV's variance that the linear rival leaves as innovations, unfollowed: likewise without any input;
     unexplained: what its simulated PV leaves. steps: load steps of the linear loop that were taken out of PV first,
