@@ -19,8 +19,10 @@ import workbench as wb
 from workbench.cli_output import estimate_lines
 from workbench.detect.spikes import without_spikes
 from workbench.estimate.candidates import Candidate
-from workbench.estimate.fit import Fit, Limits
+from workbench.estimate.data import centre
+from workbench.estimate.fit import Fit, Limits, fit_linear
 from workbench.estimate.profile import Profile, islands
+from workbench.estimate.scale import linear_result
 from workbench.estimate.verdict import Evidence, judge
 from workbench.model.results import Estimate, Intervals
 from workbench.model.study import NamedEstimate
@@ -130,6 +132,9 @@ def test_the_linear_fit_that_ignores_stiction_is_inflated_and_poor() -> None:
     assert linear.residual_variance > 0.3 * np.var(found.record.pv)
     assert linear.aic > found.aic + 1000.0
     assert linear.aic == pytest.approx(1000.0 * np.log(linear.residual_variance) + 12.0)
+    # It takes what it leaves as white, in whatever measure the stem was fitted: in no other does it leave less.
+    seen = centre(found.record, "fopdt")
+    assert linear.plant == linear_result(seen, fit_linear(seen, 240.0)).plant
 
 
 def test_noise_leaves_the_benchmark_within_five_per_cent() -> None:

@@ -119,13 +119,17 @@ class _Said(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class _Asked:
-    """What is asked of a record, and its linear loop; history: of "two_step", which knows of no other stem."""
+    """What is asked of a record, and its linear loop; history: of "two_step", which knows of no other stem.
+
+    white: the linear fit as if what disturbs the loop were white, which ignores stiction.
+    """
 
     record: Record
     method: str
     valve: str
     line: Straight
     history: tuple[Iteration, ...]
+    white: LinearFit
 
     @property
     def two_step(self) -> bool:
@@ -175,8 +179,8 @@ def answer_of(
 
     asked: method and valve; found: that search, in `data`; line: the linear fit; history: of "two_step".
     """
-    loop = _Asked(record, *asked, line, history)
     linear = line.fit if line.data is data else fit_linear(data, line.longest)
+    loop = _Asked(record, *asked, line, history, linear_result(data, linear))
     fits = _first(data, loop.valve, found, linear)
     early = None if loop.two_step else _at_first(record, fits, loop.method)
     if early is not None and early[0].verdict == "no_stiction":
@@ -412,7 +416,7 @@ def _told_stem(
         straight = rival.answered.settled, rival.answered.paths[0].fit
         others += (unknown(plant) if loop.blind else linear_intervals(*straight, loop.line.longest),)
         reasons += (WORDS_OF_BLIND if loop.blind else WORDS_OF_STRAIGHT,)
-    answer = _linear_estimate(loop, fits, said._replace(reasons=reasons), linear_result(data, fits.linear))
+    answer = _linear_estimate(loop, fits, said._replace(reasons=reasons), loop.white)
     # Of the prediction itself: where the model's columns are nearly dependent, the normal equations lose digits.
     left = loop.record.pv - stem.prediction
     sse = float((left**2).sum())
