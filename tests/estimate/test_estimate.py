@@ -132,9 +132,20 @@ def test_the_linear_fit_that_ignores_stiction_is_inflated_and_poor() -> None:
     assert linear.residual_variance > 0.3 * np.var(found.record.pv)
     assert linear.aic > found.aic + 1000.0
     assert linear.aic == pytest.approx(1000.0 * np.log(linear.residual_variance) + 12.0)
-    # It takes what it leaves as white, in whatever measure the stem was fitted: in no other does it leave less.
+
+
+def test_the_linear_fit_takes_what_it_leaves_as_white_in_whatever_measure_the_stem_was_fitted() -> None:
+    rng = np.random.default_rng(3)
+    load = np.zeros(1000)
+    for k in range(1, load.size):
+        load[k] = 0.95 * load[k - 1] + 0.2 * rng.normal()
+    loop = wb.Loop(wb.FOPDT(2.0, 5.0, 1.0), wb.Stenman(2.0), wb.PID(0.5, 20.0), 1.0)
+    moved = [wb.Step(4.0), wb.Step(-4.0, at=500.0)]
+    run = wb.simulate(loop, wb.Experiment(1000.0, moved, wb.Series(load.tolist()), wb.Noise(0.1, 1)))
+    found = wb.estimate(wb.Record(run.pv + 50.0, run.op + 40.0, 1.0, sp=run.sp + 50.0))
+    assert found.verdict == "stiction"
     seen = centre(found.record, "fopdt")
-    assert linear.plant == linear_result(seen, fit_linear(seen, 240.0)).plant
+    assert found.linear.plant == linear_result(seen, fit_linear(seen, 240.0)).plant
 
 
 def test_noise_leaves_the_benchmark_within_five_per_cent() -> None:
