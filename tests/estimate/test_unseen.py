@@ -31,7 +31,6 @@ def record_of(
 def test_the_ranges_of_a_loop_that_looks_linear_hold_the_plant_behind_its_dead_band(seed: int) -> None:
     record = record_of(wb.Deadband(1.5), seed=seed)
     found = wb.estimate(record)
-    assert found.verdict != "stiction"
     low, high = found.intervals.gain
     assert low <= PLANT.gain <= high
     assert found.intervals.time_constant[0] <= PLANT.time_constant <= found.intervals.time_constant[1]
@@ -41,8 +40,9 @@ def test_the_ranges_of_a_loop_that_looks_linear_hold_the_plant_behind_its_dead_b
     assert own.gain[1] < PLANT.gain
     assert own.time_constant[0] > PLANT.time_constant
     assert not found.identifiable
-    said = [reason for reason in found.reasons if reason.startswith("dead bands of up to 1.71 % fit as well")]
-    assert len(said) == (found.verdict == "no_stiction") == (seed == 1)
+    # Detection has no doubt of the second: the band itself, over a quarter of OP's range, is doubt enough.
+    assert found.verdict == "undecided"
+    assert found.reasons[0].startswith("dead bands of up to 1.71 % fit as well") == (seed == 1)
     # Who knows that the valve does not stick is given the linear loop's own.
     assert wb.estimate(record, valve="linear").intervals.gain[1] < PLANT.gain
 

@@ -41,7 +41,7 @@ from workbench.model.detection import StemTest
 from workbench.model.record import FloatArray
 from workbench.model.valve import Choudhury, Deadband, Stenman
 
-__all__ = ["FITTED", "Fitted", "stem_test"]
+__all__ = ["FITTED", "WIDE", "Fitted", "stem_test"]
 
 FITTED = (Stenman, Choudhury, Deadband)  # valves that the stem test may be given
 Fitted = tuple[Stenman | Choudhury | Deadband, FloatArray]

@@ -11,7 +11,7 @@ import numpy as np
 
 from workbench.detect.action import only_answers
 from workbench.detect.detect import detect
-from workbench.detect.stem import Fitted
+from workbench.detect.stem import WIDE, Fitted
 from workbench.estimate.bands import Bands, Found, Seek, Sought, coarse_of, like_stenman, repeated, sought
 from workbench.estimate.candidates import Candidate
 from workbench.estimate.data import Centred, plant_of
@@ -381,8 +381,11 @@ def _told_straight(loop: _Asked, fits: _Fits, said: _Said) -> Answered[Estimate]
     if loop.blind and ranges != Intervals():
         said, others = said._replace(reasons=(*said.reasons, WORDS_OF_BLIND)), (unknown(answer.plant),)
     elif loop.valve != "linear" and not loop.two_step and (found := unseen(data, linear, loop.line.longest)):
-        words = words_of_unseen(found, ranges, data.integrating)
-        said, others = said._replace(reasons=(*said.reasons, *words)), (found.plant,)
+        words, others = words_of_unseen(found, ranges, data.integrating), (found.plant,)
+        # Who is acquitted hides no band over much of OP's range, unless the plant is the same.
+        doubt = bool(words) and said.verdict == "no_stiction" and found.band >= WIDE * data.op_range
+        reasons = (*words, *said.reasons) if doubt else (*said.reasons, *words)
+        said = said._replace(verdict="undecided" if doubt else said.verdict, reasons=reasons)
     told = _linear_estimate(loop, replace(fits, steps=steps), said, answer)
     return Answered(replace(told, intervals=ranges), linear_path(data, linear), data, others)
 
