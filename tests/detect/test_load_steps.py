@@ -80,8 +80,9 @@ def test_a_stem_beside_a_load_of_its_own_must_be_sure(outside: dict[str, float])
     quiet = Oscillation(0.0, np.nan, 0.0, 0.0)
     beside = replace(FOUND, **outside)
     assert decide(quiet, beside, None)[0] == "stiction"
-    assert decide(quiet, replace(beside, sure=24.9), None)[0] == "undecided"
-    assert decide(quiet, replace(FOUND, sure=24.9), None)[0] == "stiction"
+    assert decide(quiet, replace(beside, sure=19.9), None)[0] == "undecided"
+    assert decide(quiet, replace(beside, turned=-0.1), None)[0] == "undecided"
+    assert decide(quiet, replace(FOUND, sure=19.9), None)[0] == "stiction"
 
 
 @pytest.mark.parametrize(
@@ -171,6 +172,7 @@ FOUND = StemTest(
     predicting=200.0,
     loaded=200.0,
     waved=200.0,
+    turned=50.0,
     improvement=0.18,
     likelihood=200.0,
     simulated=0.4,

@@ -50,7 +50,7 @@ def _says(value: float, none: float, some: float, why: str) -> str:
 
 def _stem_test(found: Detection) -> Iterator[Statistic]:
     test, limits = found.test, Thresholds()
-    alone, both, three = "and a stem that makes simulated PV no worse", "these two together", "these four together"
+    alone, both, three = "ahead of PV's own turns, simulated PV no worse", "these two together", "these four together"
     nan = math.nan
     rows = (
         (
@@ -112,7 +112,7 @@ def _stem_test(found: Detection) -> Iterator[Statistic]:
     )
     for name, measures, unit, value, least, route in rows:
         needed = f"stiction needs {least:g}{' %' if unit else ''} or more, {route}"
-        enough = value >= least and (route != alone or test is None or test.simulated >= 0.0)
+        enough = value >= least and (route != alone or test is None or min(test.simulated, test.turned) >= 0.0)
         says = "enough for stiction" if enough else "too little for stiction"
         says = _undefined(STILL) if math.isnan(value) else says
         yield Statistic(name, measures, "", value, unit, needed, says, decides=True)
@@ -143,6 +143,23 @@ def _stem_test(found: Detection) -> Iterator[Statistic]:
         else "such a load does as well"
         if test.waved < limits.chance
         else "such a load does worse",
+        decides=True,
+    )
+    yield Statistic(
+        "Stem test, PV's own turns",
+        "how far what the best stem adds to a prediction by PV's and OP's past is ahead of what PV behind a dead band "
+        "adds",
+        "",
+        nan if test is None else test.turned,
+        "",
+        "stiction by two rivals needs 0 or more",
+        _undefined(STILL)
+        if test is None
+        else "not asked: no stem is surer than chance"
+        if test.turned == 0.0
+        else "they tell more: something turns PV before OP"
+        if test.turned < 0.0
+        else "they tell less",
         decides=True,
     )
     yield Statistic(

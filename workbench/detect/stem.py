@@ -34,6 +34,7 @@ from workbench.detect.rivals import (
     live_of,
     order_of,
 )
+from workbench.detect.turns import turns_of_pv
 from workbench.detect.verdict import Thresholds, accuses, beyond_doubt
 from workbench.detect.wave import steady_wave
 from workbench.detect.whitening import noise
@@ -218,6 +219,15 @@ class _Search:
         # In OP's place each stem is a regression of its own: not asked where it changes nothing.
         return ahead if wave <= 0.0 else max([ahead, *(self.free.instead(c.path) - wave for c in met)])
 
+    def over_turns(self, met: list[_Candidate]) -> float:
+        """Return by how much what the best stem adds to the free predictor is ahead of what PV's own turns add.
+
+        0 where no stem is surer than chance: not asked then.
+        """
+        if not (max(c.sure for c in met) > Thresholds().chance and self.free.enough):
+            return 0.0
+        return max(c.adds for c in met) - turns_of_pv(self.free, self.rivals.y, self.rivals.delays.tolist())
+
     def told(self, fitted: Fitted) -> list[_Candidate]:
         """Return a model's valve judged, and the best found about it."""
         judged = [self.judged(Law(fitted[0], 0.0), fitted[1], a) for a in (self.white, self.linear.a)]
@@ -305,6 +315,7 @@ def _test(
         predicting=best.innovations,
         loaded=best.innovations,
         waved=search.over_wave(met, period / sample_time),
+        turned=search.over_turns(met),
         improvement=1.0 - math.exp(-both.innovations / rivals.count),
         likelihood=both.innovations,
         simulated=1.0 - math.exp(-both.simulated / rivals.count),
@@ -351,8 +362,8 @@ def stem_test(
     is not known. fitted: a valve and its stem, %, shape (N,), from a model of the loop, tried before the grid, which is
     not asked where that one leaves no doubt (`wide` is nan then). A record of more than 3,000 samples is thinned
     until a cycle has no more than 100 or one stretch of 3,000 holds all; of what is longer yet three stretches are
-    looked at, evenly spaced, whose likelihoods add up, those of two rivals without the clearest's (see `verdict`); the
-    rest is told for the clearest of them.
+    looked at, evenly spaced, whose likelihoods add up, but for those of two rivals: the clearest but one's count (see
+    `verdict`); the rest is told for the clearest of them.
     """
     thin = int(period / sample_time / PER_CYCLE) if math.isfinite(period) else 1
     thin = max(min(thin, -(-pv.size // WINDOW)), 1)
@@ -384,11 +395,12 @@ def stem_test(
         predicting=sum(p.predicting for p in parts),
         loaded=sum(p.loaded for p in parts),
         waved=sum(p.waved for p in parts),
+        turned=sum(p.turned for p in parts),
         improvement=1.0 - math.exp(-gain / total),
         likelihood=gain,
         simulated=float(np.median([p.simulated for p in parts])),
         adds=sum(p.adds for p in parts),
-        sure=sum(sorted(p.sure for p in parts)[: max(len(parts) - 1, 1)]),
+        sure=sorted(p.sure for p in parts)[max(len(parts) - 2, 0)],
         instead=sum(p.instead for p in parts),
         wide=sum(p.wide for p in parts),
         wide_from=max(p.wide_from for p in parts),

@@ -72,13 +72,15 @@ class StemTest:
     is less; a stem that moved more than a few times may have them too, and one that explains most is not asked. waved:
     by how much the best stem in the free linear predictor, beside OP or in its place, is ahead there of a square or
     triangular load of steady period, three ln N for that; `predicting` where that is chance, or PV has no period.
+    turned: by how much the stem that adds most to the free predictor is ahead of PV's own turns there; 0 where none is
+    surer than chance.
     likelihood: the same ratio of the stem best by prediction and simulation together; improvement: share of the linear
     rival's innovation variance that it explains; simulated: share of the error of the linear rival's simulated PV that
     it explains; adds: its log likelihood ratio over the free linear predictor, which knows the past of PV and OP and no
     valve. The linear rival of the innovations may have a sinusoidal disturbance.
 
     sure: the best of all stems by the less of both ratios, over the linear rival and over the free predictor, of a long
-    record the sum over its stretches but the clearest; wide: the ratio over the linear rival of the best stem with a
+    record that of the clearest stretch but one; wide: the ratio over the linear rival of the best stem with a
     band of `wide_from` (%), a quarter of OP's range, or more. In these two a stem that makes the simulated PV worse by
     half counts for what it simulates. wide is nan where a model's stem left no doubt and no other was tried. instead:
     the best of all stems by the least of three ratios, the two of sure, whatever the stem simulates, and that of the
@@ -92,6 +94,7 @@ class StemTest:
     predicting: float
     loaded: float
     waved: float
+    turned: float
     improvement: float
     likelihood: float
     simulated: float

@@ -1,0 +1,41 @@
+"""PV's own turns beside the free linear predictor: a placebo for the stem.
+
+A stem knows more than a linear predictor does only by where OP turns, and by which moves hide within the stick band.
+Where something from outside turns PV, another loop's sticking valve by any road through the plant, a process that is
+not linear, a sensor, OP turns after it, and a stem passes for the cause. PV itself turns first: a stem made of PV in
+OP's place knows that as well or better. What the loop's own valve does follows OP's turns, and no such stem's.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+
+from workbench.detect.laws import Law
+from workbench.detect.predictor import FreePredictor
+from workbench.model.record import FloatArray
+from workbench.model.valve import Deadband
+
+__all__ = ["turns_of_pv"]
+
+BANDS = np.geomspace(0.02, 0.8, 8).tolist()  # as shares of PV's range, and between two of them
+CLOSER = (0.82, 0.9, 1.1, 1.21)
+
+
+def turns_of_pv(free: FreePredictor, y: FloatArray, delays: list[int]) -> float:
+    """Return the log likelihood ratio of the prediction of PV (EU, shape (N,)) with and without its own turns.
+
+    The best of PV behind dead bands of any width, delayed by any of `delays` (samples, rising) or between, each beside
+    the past of PV and OP with as many coefficients as a stem has (`FreePredictor.adds`).
+    """
+    width = float(np.ptp(y))
+
+    def best(share: float, delays: Iterable[int]) -> tuple[float, float, int]:
+        path = Law(Deadband(share * width), 0.0).path(y)
+        return max((free.adds(path, delay), share, delay) for delay in delays)
+
+    _, share, delay = max(best(share, delays) for share in BANDS)
+    k = delays.index(delay)
+    gain, _, delay = best(share, range(delays[max(k - 1, 0)], delays[min(k + 1, len(delays) - 1)] + 1))
+    return max([gain, *(best(share * factor, [delay])[0] for factor in CLOSER)])
