@@ -35,7 +35,7 @@ from workbench.detect.rivals import (
     order_of,
 )
 from workbench.detect.turns import turns_of_pv
-from workbench.detect.verdict import Thresholds, accuses, beyond_doubt
+from workbench.detect.verdict import Thresholds, accuses, beyond_doubt, nearly_sure
 from workbench.detect.wave import steady_wave
 from workbench.detect.whitening import noise
 from workbench.model.detection import StemTest
@@ -220,12 +220,7 @@ class _Search:
         return ahead if wave <= 0.0 else max([ahead, *(self.free.instead(c.path) - wave for c in met)])
 
     def over_turns(self, met: list[_Candidate]) -> float:
-        """Return by how much what the best stem adds to the free predictor is ahead of what PV's own turns add.
-
-        0 where no stem is surer than chance: not asked then.
-        """
-        if not (max(c.sure for c in met) > Thresholds().chance and self.free.enough):
-            return 0.0
+        """Return by how much what the best stem adds to the free predictor is ahead of what PV's own turns add."""
         return max(c.adds for c in met) - turns_of_pv(self.free, self.rivals.y, self.rivals.delays.tolist())
 
     def told(self, fitted: Fitted) -> list[_Candidate]:
@@ -315,7 +310,7 @@ def _test(
         predicting=best.innovations,
         loaded=best.innovations,
         waved=search.over_wave(met, period / sample_time),
-        turned=search.over_turns(met),
+        turned=0.0,
         improvement=1.0 - math.exp(-both.innovations / rivals.count),
         likelihood=both.innovations,
         simulated=1.0 - math.exp(-both.simulated / rivals.count),
@@ -337,6 +332,8 @@ def _test(
         steps=steps,
         swings=swings,
     )
+    if nearly_sure(test):
+        test = replace(test, turned=search.over_turns(met))
     # A stem that moves often, and accuses nobody or explains most, is not worth a search for steps.
     if moves > FEW and not (accuses(test) and test.improvement < Thresholds().most):
         return test

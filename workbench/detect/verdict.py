@@ -66,12 +66,22 @@ evidence told to the reader, and decide nothing.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from workbench.detect.oscillation import no_period
 from workbench.model.detection import Oscillation, StemEvidence, StemTest
 
-__all__ = ["Thresholds", "accuses", "beyond_chance", "beyond_doubt", "decide", "excluded", "follows", "times"]
+__all__ = [
+    "Thresholds",
+    "accuses",
+    "beyond_chance",
+    "beyond_doubt",
+    "decide",
+    "excluded",
+    "follows",
+    "nearly_sure",
+    "times",
+]
 
 DUST = 1e-20  # share of PV's variance that is rounding, left or not
 
@@ -252,6 +262,12 @@ def accuses(test: StemTest, limits: Thresholds | None = None) -> bool:
     limits = Thresholds() if limits is None else limits
     free = (test.swings or test.steps) and not _betters(test, limits, 1.0)
     return not free and min(test.loaded, test.waved) >= limits.chance and _sticks(test, limits, 1.0)
+
+
+def nearly_sure(test: StemTest) -> bool:
+    """Return whether a sticking stem betters both rivals, nearly or quite, and is not found but for that."""
+    limits = Thresholds()
+    return test.sure >= limits.close * limits.sure and not accuses(replace(test, turned=-math.inf))
 
 
 def beyond_doubt(test: StemTest) -> bool:
