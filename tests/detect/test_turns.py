@@ -93,7 +93,7 @@ def test_where_no_stem_is_nearly_sure_turns_are_not_asked() -> None:
     assert quiet.test is not None
     assert quiet.test.turned == 0.0
     row = next(row for row in statistics_of(quiet, False) if row.name == "Stem test, PV's own turns")
-    assert row.says == "not asked: two rivals find no stiction, or others do"
+    assert row.says == "not asked: two rivals say too little, or another way finds stiction"
 
 
 def predictor(y: FloatArray, u: FloatArray) -> FreePredictor:

@@ -155,7 +155,7 @@ def _stem_test(found: Detection) -> Iterator[Statistic]:
         "stiction by two rivals needs 0 or more",
         _undefined(STILL)
         if test is None
-        else "not asked: two rivals find no stiction, or others do"
+        else "not asked: two rivals say too little, or another way finds stiction"
         if test.turned == 0.0
         else "they tell more: something turns PV before OP"
         if test.turned < 0.0
