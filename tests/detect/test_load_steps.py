@@ -81,7 +81,6 @@ def test_a_stem_beside_a_load_of_its_own_must_be_sure(outside: dict[str, float])
     beside = replace(FOUND, **outside)
     assert decide(quiet, beside, None)[0] == "stiction"
     assert decide(quiet, replace(beside, sure=19.9), None)[0] == "undecided"
-    assert decide(quiet, replace(beside, turned=-0.1), None)[0] == "undecided"
     assert decide(quiet, replace(FOUND, sure=19.9), None)[0] == "stiction"
 
 

@@ -257,10 +257,10 @@ def beyond_chance(test: StemTest, limits: Thresholds) -> bool:
 def accuses(test: StemTest, limits: Thresholds | None = None) -> bool:
     """Return whether a sticking stem is found by one of the three routes, and no load does as well.
 
-    One beside a load of its own must better both rivals, whatever the route.
+    One beside a load of its own must better both rivals, whatever the route (SURE).
     """
     limits = Thresholds() if limits is None else limits
-    free = (test.swings or test.steps) and not _betters(test, limits, 1.0)
+    free = (test.swings or test.steps) and test.sure < limits.sure
     return not free and min(test.loaded, test.waved) >= limits.chance and _sticks(test, limits, 1.0)
 
 
@@ -292,13 +292,8 @@ def _sticks(test: StemTest, limits: Thresholds, share: float) -> bool:
         and test.loaded >= share * limits.sole
         and test.predicting >= -test.samples * math.log(1.0 - share * limits.much)
     )
-    surely = test.unexplained >= limits.left and _betters(test, limits, share) and test.simulated >= 0.0
-    return together or alone or surely
-
-
-def _betters(test: StemTest, limits: Thresholds, share: float) -> bool:
-    """Say whether a stem betters both rivals by a share of what is asked (SURE), PV's own turns no better (TURNED)."""
-    return test.sure >= share * limits.sure and test.turned >= 0.0
+    sure = test.unexplained >= limits.left and test.sure >= share * limits.sure and test.simulated >= 0.0
+    return together or alone or (sure and test.turned >= 0.0)
 
 
 def _direct(stem: StemEvidence, limits: Thresholds) -> tuple[str, list[str]] | None:
