@@ -166,6 +166,10 @@ SMOOTH = {**LITTLE, "improvement": 0.0, "likelihood": 0.0}
         # By two rivals alone: enough; a little less of either.
         (TWO, "stiction"),
         ({"improvement": 0.0, "likelihood": 0.0, "simulated": 0.01, "predicting": 35.0, "sure": 19.0}, "undecided"),
+        # A stem that moves seldom is asked for more.
+        ({**TWO, "sure": 20.1, "moves": 9}, "stiction"),
+        ({**TWO, "sure": 29.9, "moves": 8}, "undecided"),
+        ({**TWO, "sure": 30.1, "moves": 8}, "stiction"),
         # PV's own turns do better.
         ({**TWO, "turned": 0.0}, "stiction"),
         ({**TWO, "turned": -0.1}, "undecided"),

@@ -58,7 +58,7 @@ def _stem_test(found: Detection) -> Iterator[Statistic]:
             "log likelihood ratio of a stem to the linear loop, and to a prediction by PV's and OP's past: the less",
             "",
             nan if test is None else test.sure,
-            limits.sure,
+            limits.sure if test is None else limits.surely(test),
             alone,
         ),
         (

@@ -23,9 +23,10 @@ hundreds of stems that differ, that is less than once in 1,000.
 SURE: two tests that fail differently. A linear loop of low order leaves what a stem's steps may make up for; the free
 predictor does not: what a stem adds to it, three coefficients, exceeds 20 by chance once in 6,000, for one of the
 twenty stems that are tried once in 300. Neither is given what a curved plant does; where no stem betters the simulated
-PV, it may be that. Of a long record's stretches, each searched anew, the clearest does not count, but the next: it is
-the largest of as many chances, and what another loop's cycle sends may look like a stem for a while. A valve that
-sticks shows in the others too.
+PV, it may be that. A stem that moves no more often than FEW has it twice over is a few steps, which suit what a slow
+load leaves around setpoint moves: 30 is asked of it, as LIKELIHOOD has it. Of a long record's stretches, each searched
+anew, the clearest does not count, but the next: it is the largest of as many chances, and what another loop's cycle
+sends may look like a stem for a while. A valve that sticks shows in the others too.
 TURNED: what turns PV from outside, an unsteady cycle that another loop's valve sends by any road, turns OP after it,
 and a stem betters both rivals; so it may where the process or a sensor is no straight line. PV's own turns know as
 much. Of nearly all loops that such a cycle drives, and of nearly all real healthy ones with a stem beyond chance, they
@@ -112,6 +113,10 @@ class Thresholds:
         """Share of the innovations' variance that is clearly explained."""
         return self.clear * self.predicts
 
+    def surely(self, test: StemTest) -> float:
+        """Log likelihood ratio to both rivals that finds a stem: one that moves seldom has its moves to suit a load."""
+        return self.sure if test.moves > 2.0 * self.few else max(self.sure, self.likelihood)
+
     @property
     def shortest(self) -> float:
         """Samples in which a stem that clearly explains PV reaches the likelihood that finds it."""
@@ -165,7 +170,7 @@ def decide(
                 f"it, is not clearly worse (log likelihood ratio {test.waved:.0f}); a stretch in manual, or the other "
                 "loop's record, would tell"
             )
-        elif test.turned < 0.0 and test.sure >= limits.sure:
+        elif test.turned < 0.0 and test.sure >= limits.surely(test):
             enough = (
                 "yet PV's own turns, before OP's, foretell PV better than any stem does (log likelihood ratio "
                 f"{-test.turned:.0f}): another loop's cycle, or a process or sensor that is no straight line, turns PV "
@@ -260,14 +265,14 @@ def accuses(test: StemTest, limits: Thresholds | None = None) -> bool:
     One beside a load of its own must better both rivals, whatever the route (SURE).
     """
     limits = Thresholds() if limits is None else limits
-    free = (test.swings or test.steps) and test.sure < limits.sure
+    free = (test.swings or test.steps) and test.sure < limits.surely(test)
     return not free and min(test.loaded, test.waved) >= limits.chance and _sticks(test, limits, 1.0)
 
 
 def nearly_sure(test: StemTest) -> bool:
     """Return whether a sticking stem betters both rivals, nearly or quite, and is not found but for that."""
     limits = Thresholds()
-    return test.sure >= limits.close * limits.sure and not accuses(replace(test, turned=-math.inf))
+    return test.sure >= limits.close * limits.surely(test) and not accuses(replace(test, turned=-math.inf))
 
 
 def beyond_doubt(test: StemTest) -> bool:
@@ -292,7 +297,7 @@ def _sticks(test: StemTest, limits: Thresholds, share: float) -> bool:
         and test.loaded >= share * limits.sole
         and test.predicting >= -test.samples * math.log(1.0 - share * limits.much)
     )
-    sure = test.unexplained >= limits.left and test.sure >= share * limits.sure and test.simulated >= 0.0
+    sure = test.unexplained >= limits.left and test.sure >= share * limits.surely(test) and test.simulated >= 0.0
     return together or alone or (sure and test.turned >= 0.0)
 
 
