@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import workbench as wb
+from workbench.detect import stem
 from workbench.detect.evidence import statistics_of
 from workbench.detect.predictor import ANSWERS, PAST, FreePredictor
 from workbench.detect.turns import BANDS, turns_of_pv
@@ -82,9 +83,9 @@ def test_a_valve_that_sticks_is_found_under_such_a_cycle(valve: Valve, root: tup
     record = driven(replace(BRISK, valve=valve), root, 1.0, 0.15, 1)
     assert wb.detect(record).verdict == "stiction"
     # Its corners follow where OP turns: the true stem adds more than PV's own turns.
-    stem = valve_response(valve, record.op, 0.0, 0.0)
+    true = valve_response(valve, record.op, 0.0, 0.0)
     free, delays = predictor(record.pv, record.op), list(range(20))
-    assert max(free.adds(stem, delay) for delay in delays) > turns_of_pv(free, record.pv, delays)
+    assert max(free.adds(true, delay) for delay in delays) > turns_of_pv(free, delays)
 
 
 def test_where_no_stem_is_nearly_sure_turns_are_not_asked() -> None:
@@ -93,7 +94,7 @@ def test_where_no_stem_is_nearly_sure_turns_are_not_asked() -> None:
     assert quiet.test is not None
     assert quiet.test.turned == 0.0
     row = next(row for row in statistics_of(quiet, False) if row.name == "Stem test, PV's own turns")
-    assert row.says == "not asked: two rivals say too little, or another way finds stiction"
+    assert row.says == "not asked: two rivals say too little"
 
 
 def predictor(y: FloatArray, u: FloatArray) -> FreePredictor:
@@ -110,7 +111,7 @@ def test_turns_are_found_by_their_band_and_their_delay(late: int) -> None:
         y[k] = 0.8 * y[k - 1] + 0.5 * u[k - 1] + 0.15 * play[max(k - 1 - late, 0)] + 0.1 * rng.normal()
         play[k] = min(max(play[k - 1], y[k] - band / 2.0), y[k] + band / 2.0)
     free = predictor(y, u)
-    gain = turns_of_pv(free, y - y.mean(), [0, 1, 2, 3, 4, 6, 9, 13, 20])
+    gain = turns_of_pv(free, [0, 1, 2, 3, 4, 6, 9, 13, 20])
     # By hand: least squares with and without the true play's three answers.
     first = max(PAST, 20 + ANSWERS) + 1
     past = [v[first - lag : n - lag] for v in (y, u) for lag in range(1, PAST + 1)] + [np.ones(n - first)]
@@ -130,8 +131,32 @@ def test_noise_turns_tell_no_more_than_chance() -> None:
     for seed in range(20):
         rng = np.random.default_rng(seed)
         y, u = rng.normal(size=(2, 600))
-        gains.append(turns_of_pv(predictor(y, u), y, [0, 1, 2, 3, 4, 6, 9]))
+        gains.append(turns_of_pv(predictor(y, u), [0, 1, 2, 3, 4, 6, 9]))
     # The best of 8 bands and 7 delays with three coefficients each: the 1 in 56 upper end of chi^2(3) is 10.
     assert len(BANDS) * 7 == 56
     assert 5.0 < np.median(gains) < 13.0
     assert max(gains) < 25.0
+
+
+def test_what_nobody_recorded_is_no_turn_of_pv() -> None:
+    """A frozen bad value far off would widen PV's range, and with it the bands, beyond any turn that it has."""
+    rng = np.random.default_rng(1)
+    y, u = np.cumsum(rng.normal(size=(2, 900)), axis=1) * 0.1
+    held = np.zeros(900, dtype=bool)
+    held[300:320] = True
+    gains = []
+    for bad in (0.0, 1e4):
+        frozen = np.where(held, bad, y)
+        gains.append(turns_of_pv(FreePredictor(frozen, u, held, 0.0, 9), [0, 1, 2, 3, 4, 6, 9]))
+    assert gains[0] == pytest.approx(gains[1], rel=1e-9)
+
+
+def test_of_a_long_record_the_turns_are_those_of_the_stretch_that_counts(monkeypatch: pytest.MonkeyPatch) -> None:
+    record = driven(BRISK, ROUGH, 2.0, 0.1, 1)
+    one = stem._stretch(record.pv, record.op, record.sp, 1.0, 100.0, 1.0, None)
+    told = [(60.0, 40.0), (22.0, -10.0), (21.0, 30.0)]
+    stretches = iter([replace(one, sure=sure, turned=turned) for sure, turned in told])
+    monkeypatch.setattr(stem, "_stretch", lambda *_: next(stretches))
+    pv = np.random.default_rng(0).normal(size=9000)
+    test = stem.stem_test(pv, -pv, None, 1.0, np.nan, 1.0)
+    assert (test.sure, test.turned) == (22.0, -10.0)

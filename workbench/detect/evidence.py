@@ -50,7 +50,7 @@ def _says(value: float, none: float, some: float, why: str) -> str:
 
 def _stem_test(found: Detection) -> Iterator[Statistic]:
     test, limits = found.test, Thresholds()
-    alone, both, three = "ahead of PV's own turns, simulated PV no worse", "these two together", "these four together"
+    alone, both, three = "PV's own turns no better, simulated PV no worse", "these two together", "these four together"
     nan = math.nan
     rows = (
         (
@@ -147,7 +147,7 @@ def _stem_test(found: Detection) -> Iterator[Statistic]:
     )
     yield Statistic(
         "Stem test, PV's own turns",
-        "how far what the best stem adds to a prediction by PV's and OP's past is ahead of what PV behind a dead band "
+        "how far the stem that adds most to a prediction by PV's and OP's past is ahead of what PV behind a dead band "
         "adds",
         "",
         nan if test is None else test.turned,
@@ -155,7 +155,7 @@ def _stem_test(found: Detection) -> Iterator[Statistic]:
         "stiction by two rivals needs 0 or more",
         _undefined(STILL)
         if test is None
-        else "not asked: two rivals say too little, or another way finds stiction"
+        else "not asked: two rivals say too little"
         if test.turned == 0.0
         else "they tell more: something turns PV before OP"
         if test.turned < 0.0

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,7 +36,7 @@ from workbench.detect.rivals import (
     order_of,
 )
 from workbench.detect.turns import turns_of_pv
-from workbench.detect.verdict import Thresholds, accuses, beyond_doubt, nearly_sure
+from workbench.detect.verdict import Thresholds, accuses, beyond_doubt
 from workbench.detect.wave import steady_wave
 from workbench.detect.whitening import noise
 from workbench.model.detection import StemTest
@@ -219,9 +220,10 @@ class _Search:
         # In OP's place each stem is a regression of its own: not asked where it changes nothing.
         return ahead if wave <= 0.0 else max([ahead, *(self.free.instead(c.path) - wave for c in met)])
 
-    def over_turns(self, met: list[_Candidate]) -> float:
-        """Return by how much what the best stem adds to the free predictor is ahead of what PV's own turns add."""
-        return max(c.adds for c in met) - turns_of_pv(self.free, self.rivals.y, self.rivals.delays.tolist())
+    @cached_property
+    def turns(self) -> float:
+        """What PV's own turns add to the free predictor."""
+        return turns_of_pv(self.free, self.rivals.delays.tolist())
 
     def told(self, fitted: Fitted) -> list[_Candidate]:
         """Return a model's valve judged, and the best found about it."""
@@ -332,10 +334,11 @@ def _test(
         steps=steps,
         swings=swings,
     )
-    if nearly_sure(test):
-        test = replace(test, turned=search.over_turns(met))
+    limits = Thresholds()
+    if test.sure >= limits.close * limits.sure:
+        test = replace(test, turned=max(c.adds for c in met) - search.turns)
     # A stem that moves often, and accuses nobody or explains most, is not worth a search for steps.
-    if moves > FEW and not (accuses(test) and test.improvement < Thresholds().most):
+    if moves > FEW and not (accuses(test) and test.improvement < limits.most):
         return test
     loaded = search.over_load_steps(best, moves, free)
     if moves <= FEW:
@@ -388,16 +391,17 @@ def stem_test(
     total = sum(p.samples for p in parts)
     gain = sum(p.likelihood for p in parts)
     lead = max(parts, key=lambda p: p.predicting)
+    counts = sorted(parts, key=lambda p: p.sure)[max(len(parts) - 2, 0)]
     return StemTest(
         predicting=sum(p.predicting for p in parts),
         loaded=sum(p.loaded for p in parts),
         waved=sum(p.waved for p in parts),
-        turned=sum(p.turned for p in parts),
+        turned=counts.turned,
         improvement=1.0 - math.exp(-gain / total),
         likelihood=gain,
         simulated=float(np.median([p.simulated for p in parts])),
         adds=sum(p.adds for p in parts),
-        sure=sorted(p.sure for p in parts)[max(len(parts) - 2, 0)],
+        sure=counts.sure,
         instead=sum(p.instead for p in parts),
         wide=sum(p.wide for p in parts),
         wide_from=max(p.wide_from for p in parts),

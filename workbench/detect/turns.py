@@ -14,21 +14,24 @@ import numpy as np
 
 from workbench.detect.laws import Law
 from workbench.detect.predictor import FreePredictor
-from workbench.model.record import FloatArray
 from workbench.model.valve import Deadband
 
 __all__ = ["turns_of_pv"]
 
-BANDS = np.geomspace(0.02, 0.8, 8).tolist()  # as shares of PV's range, and between two of them
-CLOSER = (0.82, 0.9, 1.1, 1.21)
+BANDS = np.geomspace(0.02, 0.8, 8).tolist()  # as shares of PV's range
+CLOSER = (0.77, 0.88, 1.14, 1.3)  # times one of them: between it and the next
 
 
-def turns_of_pv(free: FreePredictor, y: FloatArray, delays: list[int]) -> float:
-    """Return the log likelihood ratio of the prediction of PV (EU, shape (N,)) with and without its own turns.
+def turns_of_pv(free: FreePredictor, delays: list[int]) -> float:
+    """Return the log likelihood ratio of the prediction of PV with and without its own turns.
 
     The best of PV behind dead bands of any width, delayed by any of `delays` (samples, rising) or between, each beside
     the past of PV and OP with as many coefficients as a stem has (`FreePredictor.adds`).
     """
+    y, held, *_ = free.asked
+    # What nobody recorded turns nowhere.
+    at = np.arange(y.size)
+    y = np.interp(at, at[~held], y[~held])
     width = float(np.ptp(y))
 
     def best(share: float, delays: Iterable[int]) -> tuple[float, float, int]:

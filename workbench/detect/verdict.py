@@ -36,9 +36,10 @@ PREDICTS: a real linear plant is no first-order lag; what its shape leaves unmod
 variance in nine of ten simulated loops, and below three times that (CLEAR) in all.
 EXPLAINS, LEFT: 5 % of the error, and of PV's variance; a linear model that leaves less has explained PV, unless the
 stem predicts clearly better, by three times PREDICTS (CLEAR), and explains most (MOST) of the little that is left.
-CLOSE: four fifths of each of these is no acquittal, nor is a likelihood beyond SOLE by itself, nor SURE by itself. Nor,
-however little the linear loop leaves, is a stem that betters it and the free predictor as SOLE has it, and that
-predictor too when it takes OP's place: a cycle through a slow plant is so smooth that a longer lag makes up for it.
+CLOSE: four fifths of each of these is no acquittal, nor is a likelihood beyond SOLE by itself, nor that of SURE, of a
+stem that moves seldom too. Nor, however little the linear loop leaves, is a stem that betters it and the free predictor
+as SOLE has it, and that predictor too when it takes OP's place: a cycle through a slow plant is so smooth that a longer
+lag makes up for it.
 CHANCE: where PV is noise alone the best of the search gained less in 47 of 50 simulated loops.
 EXCLUDED: chi^2 with one degree of freedom, the width, at 95 %: a wide stem whose likelihood is not that far below the
 linear loop's may be at work. So may one that never moved where PV is not seen to follow OP (CHANCE).
@@ -80,7 +81,6 @@ __all__ = [
     "decide",
     "excluded",
     "follows",
-    "nearly_sure",
     "times",
 ]
 
@@ -113,9 +113,13 @@ class Thresholds:
         """Share of the innovations' variance that is clearly explained."""
         return self.clear * self.predicts
 
+    def seldom(self, test: StemTest) -> bool:
+        """Whether a stem moved no more often than FEW has it twice over."""
+        return test.moves <= 2.0 * self.few
+
     def surely(self, test: StemTest) -> float:
         """Log likelihood ratio to both rivals that finds a stem: one that moves seldom has its moves to suit a load."""
-        return self.sure if test.moves > 2.0 * self.few else max(self.sure, self.likelihood)
+        return max(self.sure, self.likelihood) if self.seldom(test) else self.sure
 
     @property
     def shortest(self) -> float:
@@ -161,7 +165,7 @@ def decide(
             seldom = f"the stem moved {times(test.moves)} only, and a linear loop under as few load steps"
             often = "a linear loop under a few load steps, which the stem was given too,"
             enough = (
-                f"yet {seldom if test.moves <= 2.0 * limits.few else often} {well} (log likelihood ratio "
+                f"yet {seldom if limits.seldom(test) else often} {well} (log likelihood ratio "
                 f"{test.loaded:.0f}); a setpoint move, recorded with its setpoint, or a longer record would tell"
             )
         elif waved:
@@ -170,7 +174,7 @@ def decide(
                 f"it, is not clearly worse (log likelihood ratio {test.waved:.0f}); a stretch in manual, or the other "
                 "loop's record, would tell"
             )
-        elif test.turned < 0.0 and test.sure >= limits.surely(test):
+        elif accuses(replace(test, turned=0.0), limits):
             enough = (
                 "yet PV's own turns, before OP's, foretell PV better than any stem does (log likelihood ratio "
                 f"{-test.turned:.0f}): another loop's cycle, or a process or sensor that is no straight line, turns PV "
@@ -267,12 +271,6 @@ def accuses(test: StemTest, limits: Thresholds | None = None) -> bool:
     limits = Thresholds() if limits is None else limits
     free = (test.swings or test.steps) and test.sure < limits.surely(test)
     return not free and min(test.loaded, test.waved) >= limits.chance and _sticks(test, limits, 1.0)
-
-
-def nearly_sure(test: StemTest) -> bool:
-    """Return whether a sticking stem betters both rivals, nearly or quite, and is not found but for that."""
-    limits = Thresholds()
-    return test.sure >= limits.close * limits.surely(test) and not accuses(replace(test, turned=-math.inf))
 
 
 def beyond_doubt(test: StemTest) -> bool:

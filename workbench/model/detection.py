@@ -72,9 +72,9 @@ class StemTest:
     is less; a stem that moved more than a few times may have them too, and one that explains most is not asked. waved:
     by how much the best stem in the free linear predictor, beside OP or in its place, is ahead there of a square or
     triangular load of steady period, three ln N for that; `predicting` where that is chance, or PV has no period.
-    turned: by how much the stem that adds most to the free predictor is ahead of PV's own turns there; 0 where `sure`
-    is far from enough, or not needed.
-    likelihood: the same ratio of the stem best by prediction and simulation together; improvement: share of the linear
+    turned: by how much the stem that adds most to the free predictor is ahead of PV's own turns there, in the stretch
+    of `sure`; 0 where that is far from enough.
+    likelihood: `predicting` of the stem best by prediction and simulation together; improvement: share of the linear
     rival's innovation variance that it explains; simulated: share of the error of the linear rival's simulated PV that
     it explains; adds: its log likelihood ratio over the free linear predictor, which knows the past of PV and OP and no
     valve. The linear rival of the innovations may have a sinusoidal disturbance.
