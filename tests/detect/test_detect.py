@@ -26,6 +26,7 @@ FOUND = StemTest(
     loaded=200.0,
     waved=200.0,
     turned=50.0,
+    squares=0.0,
     improvement=0.18,
     likelihood=200.0,
     simulated=0.4,
@@ -183,9 +184,15 @@ SMOOTH = {**LITTLE, "improvement": 0.0, "likelihood": 0.0}
         ({"predicting": 39.0, "sure": 15.0, "adds": 9.0}, "undecided"),
         ({"predicting": 30.0, "likelihood": 26.0, "sure": 10.0}, "undecided"),
         # The linear loop leaves little: the stem must explain most of it.
-        ({"unexplained": 0.04, "improvement": 0.1, "simulated": 0.3}, "undecided"),
-        ({**LITTLE, "improvement": 0.03, "likelihood": 30.0}, "no_stiction"),
-        ({"unexplained": 0.04, "improvement": 0.1, "simulated": 0.6}, "stiction"),
+        ({"unexplained": 0.04, "improvement": 0.1, "simulated": 0.3, "sure": 0.0}, "undecided"),
+        ({**LITTLE, "improvement": 0.03, "likelihood": 30.0, "sure": 0.0}, "no_stiction"),
+        ({"unexplained": 0.04, "improvement": 0.1, "simulated": 0.6, "sure": 0.0}, "stiction"),
+        # Or better both rivals by far, and the simulated PV.
+        ({**LITTLE, "improvement": 0.03, "simulated": 0.051, "sure": 40.1}, "stiction"),
+        ({**LITTLE, "improvement": 0.03, "simulated": 0.051, "sure": 39.9}, "undecided"),
+        ({**LITTLE, "improvement": 0.03, "likelihood": 30.0, "simulated": 0.051, "sure": 31.9}, "no_stiction"),
+        ({**LITTLE, "improvement": 0.03, "simulated": 0.049, "sure": 40.1}, "undecided"),
+        ({**LITTLE, "improvement": 0.03, "simulated": 0.051, "sure": 40.1, "turned": -0.1}, "undecided"),
         # By prediction alone: enough; a little less; many samples, of which it explains too little.
         ({**ALONE, "simulated": -1.0}, "stiction"),
         ({**ALONE, "simulated": -1.0, "predicting": 70.0}, "undecided"),

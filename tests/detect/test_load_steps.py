@@ -172,6 +172,7 @@ FOUND = StemTest(
     loaded=200.0,
     waved=200.0,
     turned=50.0,
+    squares=0.0,
     improvement=0.18,
     likelihood=200.0,
     simulated=0.4,

@@ -47,9 +47,10 @@ def swung(seed: int) -> wb.Record:
     ("record", "plant", "valve", "gain", "detected", "why"),
     [
         (flow(2), "fopdt", wb.Deadband(4.5), 19.3, "stiction", "beside 4 load steps, taken out of PV, a stem"),
-        (level(1), "integrating", wb.Choudhury(5.4, 1.7), 4.1e-4, "undecided", "explains all of PV but noise"),
+        (level(1), "integrating", wb.Choudhury(5.4, 1.7), 4.1e-4, "stiction", "beside 1 load step, taken out of PV, a"),
+        (level(2), "integrating", wb.Choudhury(5.4, 1.7), 4.1e-4, "undecided", "explains all of PV but noise"),
     ],
-    ids=["flow", "level"],
+    ids=["flow", "level", "level by its model"],
 )
 def test_a_stem_beside_load_steps_that_leaves_noise_alone_is_at_work(
     record: wb.Record, plant: str, valve: Valve, gain: float, detected: str, why: str

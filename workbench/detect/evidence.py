@@ -50,8 +50,9 @@ def _says(value: float, none: float, some: float, why: str) -> str:
 
 def _stem_test(found: Detection) -> Iterator[Statistic]:
     test, limits = found.test, Thresholds()
-    alone, both, three = "PV's own turns no better, simulated PV no worse", "these two together", "these four together"
-    nan = math.nan
+    nan, better = math.nan, 0.0 if test is None else limits.simulates(test)
+    alone = f"PV's own turns no better, simulated PV {f'better by {better:.0%}' if better else 'no worse'}"
+    both, three = "these two together", "these four together"
     rows = (
         (
             "Stem test, two rivals",
@@ -103,7 +104,7 @@ def _stem_test(found: Detection) -> Iterator[Statistic]:
         ),
         (
             "Stem test, what it adds",
-            "its log likelihood ratio to the predictor by PV's and OP's past",
+            "its log likelihood ratio to the predictor by PV's and OP's past; with their squares where little is left",
             "",
             nan if test is None else test.adds,
             limits.chance,
@@ -112,7 +113,9 @@ def _stem_test(found: Detection) -> Iterator[Statistic]:
     )
     for name, measures, unit, value, least, route in rows:
         needed = f"stiction needs {least:g}{' %' if unit else ''} or more, {route}"
-        enough = value >= least and (route != alone or test is None or min(test.simulated, test.turned) >= 0.0)
+        enough = value >= least
+        if route == alone and test is not None:
+            enough = enough and test.simulated >= better and test.turned >= 0.0
         says = "enough for stiction" if enough else "too little for stiction"
         says = _undefined(STILL) if math.isnan(value) else says
         yield Statistic(name, measures, "", value, unit, needed, says, decides=True)
@@ -143,6 +146,22 @@ def _stem_test(found: Detection) -> Iterator[Statistic]:
         else "such a load does as well"
         if test.waved < limits.chance
         else "such a load does worse",
+        decides=True,
+    )
+    yield Statistic(
+        "Stem test, a curved plant",
+        "log likelihood ratio of the prediction by PV's and OP's past with their squares to that without",
+        "",
+        nan if test is None else test.squares,
+        "",
+        "beside them a stem must add as much",
+        _undefined(STILL)
+        if test is None
+        else "not asked: the linear loop leaves much"
+        if test.unexplained >= limits.little
+        else "a curve shows"
+        if test.squares >= limits.sole
+        else "no curve shows",
         decides=True,
     )
     yield Statistic(

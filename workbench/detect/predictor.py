@@ -6,6 +6,10 @@ no valve and no plant, a regression of PV on its own past and OP's, which any li
 inverse included. What the stem adds is tested as R. Davidson, J.G. MacKinnon, "Several tests for model specification in
 the presence of alternative hypotheses", Econometrica 49 (1981) 781-793, test one model against another: by putting
 the one's answer beside the other's regressors.
+
+Where setpoint moves or an oscillation from outside make most of PV, they show what no linear law obeys, the curve of a
+process, a valve or a sensor, and where OP is about to turn a stem takes that up too. The curved predictor knows the
+squares of PV and OP, and their product, as well (second-order Volterra terms, on the diagonal).
 """
 
 from __future__ import annotations
@@ -21,6 +25,7 @@ __all__ = ["FreePredictor"]
 
 PAST = 30  # samples of PV and of OP that are known, fewer in short records
 PER_PAST = 20  # samples of the record for each
+CURVES = (1, 2, 3, 5, 8, 13)  # samples ago, of which the squares are known
 ANSWERS = 3  # samples of the stem, one after the other, that PV may answer to
 LEAST_ROWS = 4  # samples for each coefficient: with fewer nothing is said
 SAME = 1e-10  # share of a regressor's power: less apart from the others is rounding
@@ -31,11 +36,13 @@ class FreePredictor:
     """PV of one stretch (EU), predicted from the past of PV and OP (%), each of shape (N,).
 
     held: the samples that nobody recorded, shape (N,). floor: variance (EU^2) below which no residual counts.
-    longest: the longest dead time of a stem, samples.
+    longest: the longest dead time of a stem, samples. curved: whether the past's squares are known too.
     """
 
-    def __init__(self, y: FloatArray, u: FloatArray, held: NDArray[np.bool_], floor: float, longest: int) -> None:
-        self.asked = y, held, floor, longest
+    def __init__(
+        self, y: FloatArray, u: FloatArray, held: NDArray[np.bool_], floor: float, longest: int, curved: bool = False
+    ) -> None:
+        self.asked = y, held, floor, longest, curved
         past = max(min(PAST, y.size // PER_PAST), 1)
         while not self._knows(y, u, held, past, longest) and past > 1:
             # Where samples are missing a shorter past leaves more of them to predict.
@@ -48,6 +55,9 @@ class FreePredictor:
         reach = np.concatenate([np.ones(past + 1), np.zeros(self.first - past)])
         self.live = np.convolve(held, reach)[: y.size][self.first :] == 0.0
         known = [_back(v, lag, self.first) for v in (y, u) for lag in range(1, past + 1)]
+        if self.asked[-1]:
+            squares = y * y, u * u, y * u
+            known += [_back(v, lag, self.first) for v in squares for lag in CURVES if lag <= past]
         known.append(np.ones(y.size - self.first))
         columns = self._known(known)
         coefficients = columns.shape[1] + ANSWERS
@@ -96,13 +106,18 @@ class FreePredictor:
 
         0 where the record is too short to say.
         """
-        y, held, floor, longest = self.asked
-        by_stem = FreePredictor(y, path - path.mean(), held, floor, longest)
-        if not self.enough or not np.ptp(path) > 0.0 or by_stem.left.size != self.left.size:
+        if not self.enough or not np.ptp(path) > 0.0:
             return 0.0
-        by_op = float(self.left @ self.left) + self.floor
-        left = float(by_stem.left @ by_stem.left) + by_stem.floor
-        return float(self.freedom * math.log(by_op / left)) if min(by_op, left) > 0.0 else 0.0
+        y, held, floor, longest, curved = self.asked
+        return FreePredictor(y, path - path.mean(), held, floor, longest, curved).ahead_of(self)
+
+    def ahead_of(self, other: FreePredictor) -> float:
+        """Return the log likelihood ratio of this prediction of the same PV to another, 0 where either is not known."""
+        if not self.enough or not other.enough or self.left.size != other.left.size:
+            return 0.0
+        theirs = float(other.left @ other.left) + other.floor
+        left = float(self.left @ self.left) + self.floor
+        return float(other.freedom * math.log(theirs / left)) if min(theirs, left) > 0.0 else 0.0
 
 
 def _orthonormal(columns: FloatArray) -> FloatArray:

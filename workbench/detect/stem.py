@@ -66,7 +66,8 @@ HARM = 0.5  # a stem that simulates PV worse than OP itself does by more than th
 class _Candidate:
     """A valve and its log likelihood ratios over the linear rival: of the innovations, and of the simulated PV.
 
-    adds: that over the free linear predictor. samples: that count.
+    adds: that over the free linear predictor, and over the curved one where little is left, the less. samples: that
+    count.
     """
 
     law: Law
@@ -114,7 +115,11 @@ class _Search:
         # A sinusoid from outside is no valve's work; an autoregression under noise does not see all of it.
         self.rival = min(self.linear, rivals.beside_sinusoid(u, self.linear, self.fine), key=lambda f: f.variance)
         self.straight = rivals.plant(u, self.white, self.fine)
-        self.free = FreePredictor(rivals.y, u, held, FLOOR**2 * power, rivals.longest)
+        past = rivals.y, u, held, FLOOR**2 * power, rivals.longest
+        self.free = FreePredictor(*past)
+        # What moves most of PV shows what curve the plant has.
+        little = self.straight.variance < Thresholds().little * power
+        self.known = [self.free, FreePredictor(*past, curved=True)] if little else [self.free]
 
     def _gain(self, rival: float, variance: float) -> float:
         floor = FLOOR**2 * self.power
@@ -129,7 +134,7 @@ class _Search:
         simulated, adds = -math.inf, 0.0
         if taus is None:
             simulated = self._gain(self.straight.variance, self.rivals.plant(path, self.white, self.fine).variance)
-            adds = self.free.adds(path, fit.delay)
+            adds = min(known.adds(path, fit.delay) for known in self.known)
         return _Candidate(
             law, path, fit, self._gain(self.rival.variance, fit.variance), simulated, adds, self.rivals.count
         )
@@ -219,6 +224,11 @@ class _Search:
         ahead = max(c.adds for c in met) - wave
         # In OP's place each stem is a regression of its own: not asked where it changes nothing.
         return ahead if wave <= 0.0 else max([ahead, *(self.free.instead(c.path) - wave for c in met)])
+
+    @property
+    def squares(self) -> float:
+        """What squares add to the free linear predictor; 0 where they are not asked."""
+        return self.known[-1].ahead_of(self.free)
 
     @cached_property
     def turns(self) -> float:
@@ -313,6 +323,7 @@ def _test(
         loaded=best.innovations,
         waved=search.over_wave(met, period / sample_time),
         turned=0.0,
+        squares=search.squares,
         improvement=1.0 - math.exp(-both.innovations / rivals.count),
         likelihood=both.innovations,
         simulated=1.0 - math.exp(-both.simulated / rivals.count),
@@ -397,6 +408,7 @@ def stem_test(
         loaded=sum(p.loaded for p in parts),
         waved=sum(p.waved for p in parts),
         turned=counts.turned,
+        squares=sum(p.squares for p in parts),
         improvement=1.0 - math.exp(-gain / total),
         likelihood=gain,
         simulated=float(np.median([p.simulated for p in parts])),
