@@ -37,9 +37,10 @@ variance in nine of ten simulated loops, and below three times that (CLEAR) in a
 EXPLAINS, LEFT: 5 % of the error, and of PV's variance; a linear model that leaves less has explained PV, unless the
 stem predicts clearly better, by three times PREDICTS (CLEAR), and explains most (MOST) of the little that is left, or
 betters both rivals as SOLE has it and the simulated PV as EXPLAINS has it. What moves most of PV shows the plant's
-curve, which a stem takes up: where the linear loop leaves less than three times LEFT (CLEAR) the free predictor is given
-squares of PV and OP too, and a stem must add as much to both. Of 864 healthy loops under setpoint moves, through one lag
-or two, straight or curved, one is accused (three without either), and of 864 whose valve sticks 501 are found (448).
+curve, which a stem takes up: where the linear loop leaves less than three times LEFT (CLEAR) the free predictor is
+given squares of PV and OP too, and a stem must add as much to both. Of 864 healthy loops under setpoint moves, through
+one lag or two, straight or curved, one is accused (three without either), and of 864 whose valve sticks 501 are found
+(448).
 CLOSE: four fifths of each of these is no acquittal, nor is a likelihood beyond SOLE by itself, nor that of SURE, of a
 stem that moves seldom too. Nor, however little the linear loop leaves, is a stem that betters it and the free predictor
 as SOLE has it, and that predictor too when it takes OP's place: a cycle through a slow plant is so smooth that a longer
