@@ -1,15 +1,17 @@
-"""Verdicts on random loops under setpoint moves that make nearly all of PV, healthy and sticky.
+"""Verdicts on loops under setpoint moves that make nearly all of PV, healthy and sticky.
 
     python benchmarks/detection_moves.py [LOOPS [FIRST]]
 
 The loops are simulated here, apart from the product, with what its models do not have: plants of two lags, valves and
 sensors with a curve. Each class is flow (self-regulating) and level, 600 to 2,000 samples, PI tuned from brisk to slow,
 one to five setpoint moves, noise of .1 to 5 % and a slow load of .3 to 5 % ("drift": 15 %) of the largest move; stick
-bands of 3 to 60 % of the OP that such a move takes.
+bands of 3 to 60 % of the OP that such a move takes. Last, one healthy loop, tuned briskly, with valves of several
+curves, noises and dead times.
 """
 
 from __future__ import annotations
 
+import itertools
 import math
 import sys
 from collections import Counter
@@ -139,6 +141,18 @@ def record(kind: str, level: bool, seed: int) -> wb.Record | None:
     return wb.Record(pv + 50.0, op + 50.0, 1.0, sp=sp + 50.0)
 
 
+def brisk(seed: int, curve: float, noise: float, late: float) -> wb.Record | None:
+    """Return the record of a brisk loop with a curved valve, per %; late: its dead time, s. None where it runs away."""
+    rng, n = np.random.default_rng(seed), 600
+    slow = np.convolve(rng.normal(size=n + 300), np.exp(-np.arange(300) / 60.0), "valid")[:n]
+    sp = -0.55 * (np.arange(n) >= 306) + 0.89 * (np.arange(n) >= 357)
+    plant, rough = (0.43, 2.9, 0.0, late), noise * rng.normal(size=n)
+    pv, op = simulated(sp, 5.0 * noise / slow.std() * slow, rough, (0, 0.0, 0.0), plant, False, (3.6, 2.0), 2.0 * curve)
+    if not np.isfinite(pv).all() or np.abs(pv).max() > 20.0:
+        return None
+    return wb.Record(pv + 50.0, op + 40.0, 1.0, sp=sp + 50.0)
+
+
 def main(loops: int, first: int) -> None:
     """Print the verdicts by class, and of all that are healthy and all that stick."""
     total = {"healthy": Counter[str](), "sticky": Counter[str]()}
@@ -150,6 +164,11 @@ def main(loops: int, first: int) -> None:
             print(f"{'level' if level else 'flow'}, {kind}: {dict(verdicts)}", flush=True)
     for name, verdicts in total.items():
         print(f"{name}: {dict(verdicts)}")
+    curves, noises = (-0.2, -0.14, -0.1, -0.05, 0.05, 0.1), (0.002, 0.004, 0.008, 0.016)
+    cases = itertools.product(range(first, first + 6), curves, noises, (0.0, 1.0))
+    records = (brisk(*case) for case in cases)
+    verdicts = Counter(wb.detect(one).verdict for one in records if one is not None)
+    print(f"one brisk loop with curved valves, healthy: {dict(verdicts)}")
 
 
 if __name__ == "__main__":

@@ -23,8 +23,11 @@ def drift(rng: np.random.Generator, size: float) -> FloatArray:
     return size * slow / float(slow.std())
 
 
-def curved_valve(seed: int, curve: float, noise: float = 0.004) -> tuple[wb.Record, FloatArray]:
-    """A healthy loop under two setpoint moves, what passes its valve OP plus `curve` times its square; and that."""
+def curved_valve(seed: int, curve: float, noise: float = 0.004, late: int = 0) -> tuple[wb.Record, FloatArray]:
+    """A healthy loop under two setpoint moves, what passes its valve OP plus `curve` times its square; and that.
+
+    late: samples by which it comes later.
+    """
     rng = np.random.default_rng(seed)
     gain, pole, Kc, Ti = 0.43, math.exp(-1.0 / 2.9), 3.6, 2.0
     load = drift(rng, 5.0 * noise)
@@ -37,7 +40,8 @@ def curved_valve(seed: int, curve: float, noise: float = 0.004) -> tuple[wb.Reco
         integral += Kc / Ti * error
         op[k] = integral + Kc * error
         flow[k] = op[k] + curve * op[k] ** 2
-        lag = pole * lag + (1.0 - pole) * gain * (flow[k] + load[k])
+        through = flow[k - late] if k >= late else 0.0
+        lag = pole * lag + (1.0 - pole) * gain * (through + load[k])
     return wb.Record(pv + 50.0, op + 40.0, 1.0, sp=sp + 50.0), flow
 
 
@@ -66,6 +70,16 @@ def test_a_curved_valve_under_setpoint_moves_is_not_accused(seed: int, curve: fl
     # A stem takes up most of what the curve makes: without squares it would pass for stiction.
     assert test.likelihood > 20.0
     assert test.adds < 10.0
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3, 5])
+def test_nor_where_it_is_tuned_close_to_its_limit_and_a_stem_predicts_by_itself(seed: int) -> None:
+    found = wb.detect(curved_valve(seed, -0.14, 0.008, late=1)[0])
+    assert found.test is not None
+    assert found.test.unexplained > Thresholds().left
+    assert accuses(replace(found.test, squares=0.0))
+    assert found.verdict == "undecided"
+    assert "squares of PV and OP foretell PV as well" in found.reasons[0]
 
 
 def test_the_curve_is_told_as_the_reason() -> None:

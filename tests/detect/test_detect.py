@@ -193,6 +193,10 @@ SMOOTH = {**LITTLE, "improvement": 0.0, "likelihood": 0.0}
         ({**LITTLE, "improvement": 0.03, "likelihood": 30.0, "simulated": 0.051, "sure": 31.9}, "no_stiction"),
         ({**LITTLE, "improvement": 0.03, "simulated": 0.049, "sure": 40.1}, "undecided"),
         ({**LITTLE, "improvement": 0.03, "simulated": 0.051, "sure": 40.1, "turned": -0.1}, "undecided"),
+        # A curve shows, and the stem adds no more than chance beside it.
+        ({"squares": 40.1, "adds": 9.9}, "undecided"),
+        ({"squares": 39.9, "adds": 9.9}, "stiction"),
+        ({"squares": 40.1, "adds": 10.1}, "stiction"),
         # By prediction alone: enough; a little less; many samples, of which it explains too little.
         ({**ALONE, "simulated": -1.0}, "stiction"),
         ({**ALONE, "simulated": -1.0, "predicting": 70.0}, "undecided"),

@@ -6,7 +6,7 @@ and the simulated PV is no worse; it betters the linear loop by prediction and i
 significantly (LIKELIHOOD), by an amount that matters (PREDICTS, EXPLAINS), and adds more than chance to the free
 predictor (CHANCE); or it predicts so much better (SOLE, CLEAR), than a linear loop under a few load steps too, that no
 second opinion is asked. None of them holds where such a loop does as well, or one under a wave of steady period
-(PLAYED).
+(PLAYED), or where a curve of the plant does (CURVED).
 
 No stiction is a finding of its own: stems that stick over a quarter of OP's range or more, enough to matter, are
 excluded (EXCLUDED); or they fit no better than chance has it (CHANCE; where PV is seen to follow OP, worse than OP
@@ -37,10 +37,12 @@ variance in nine of ten simulated loops, and below three times that (CLEAR) in a
 EXPLAINS, LEFT: 5 % of the error, and of PV's variance; a linear model that leaves less has explained PV, unless the
 stem predicts clearly better, by three times PREDICTS (CLEAR), and explains most (MOST) of the little that is left, or
 betters both rivals as SOLE has it and the simulated PV as EXPLAINS has it. What moves most of PV shows the plant's
-curve, which a stem takes up: where the linear loop leaves less than three times LEFT (CLEAR) the free predictor is
-given squares of PV and OP too, and a stem must add as much to both. Of 864 healthy loops under setpoint moves, through
-one lag or two, straight or curved, one is accused (three without either), and of 864 whose valve sticks 501 are found
-(448).
+curve (CURVED). Of 864 healthy loops under setpoint moves, through one lag or two, straight or curved, one is accused
+(three before both), and of 864 whose valve sticks 501 are found (448).
+CURVED: a stem takes up what a curved process, valve or sensor makes of large moves. Where the linear loop leaves less
+than three times LEFT (CLEAR) the free predictor is given squares of PV and OP too, and a stem must add as much to both.
+Eighteen squares gain more than 40 (SOLE) by chance once in 500: where they do, and the stem adds but chance to them, it
+accuses nobody, by whatever route.
 CLOSE: four fifths of each of these is no acquittal, nor is a likelihood beyond SOLE by itself, nor that of SURE, of a
 stem that moves seldom too. Nor, however little the linear loop leaves, is a stem that betters it and the free predictor
 as SOLE has it, and that predictor too when it takes OP's place: a cycle through a slow plant is so smooth that a longer
@@ -190,7 +192,7 @@ def decide(
                 f"it, is not clearly worse (log likelihood ratio {test.waved:.0f}); a stretch in manual, or the other "
                 "loop's record, would tell"
             )
-        elif test.adds < limits.chance and test.squares >= limits.sole:
+        elif curved(test, limits):
             enough = (
                 f"yet squares of PV and OP foretell PV as well (log likelihood ratio {test.squares:.0f}): a curved "
                 "process, valve or sensor makes the same of large moves; a record about one operating point would tell"
@@ -285,13 +287,19 @@ def beyond_chance(test: StemTest, limits: Thresholds) -> bool:
 
 
 def accuses(test: StemTest, limits: Thresholds | None = None) -> bool:
-    """Return whether a sticking stem is found by one of the three routes, and no load does as well.
+    """Return whether a sticking stem is found by one of the three routes, and no load or curve does as well.
 
     One beside a load of its own must better both rivals, whatever the route (SURE).
     """
     limits = Thresholds() if limits is None else limits
     free = (test.swings or test.steps) and test.sure < limits.surely(test)
-    return not free and min(test.loaded, test.waved) >= limits.chance and _sticks(test, limits, 1.0)
+    rivalled = min(test.loaded, test.waved) < limits.chance or curved(test, limits)
+    return not free and not rivalled and _sticks(test, limits, 1.0)
+
+
+def curved(test: StemTest, limits: Thresholds) -> bool:
+    """Return whether a curve of the plant shows, beside which the best stem adds no more than chance."""
+    return test.squares >= limits.sole and test.adds < limits.chance
 
 
 def beyond_doubt(test: StemTest) -> bool:
