@@ -90,11 +90,17 @@ def test_the_curve_is_told_as_the_reason() -> None:
     assert found.test is not None
     straight = replace(found, test=replace(found.test, squares=5.0, unexplained=0.14))
     much = replace(found, test=replace(found.test, squares=0.0, unexplained=0.16))
+    beside = replace(found, test=replace(found.test, adds=11.0))
     says = []
-    for one in (found, straight, much):
+    for one in (found, beside, straight, much):
         (row,) = (row for row in statistics_of(one, bicoherence=False) if row.name == "Stem test, a curved plant")
         says.append(row.says)
-    assert says == ["a curve shows", "no curve shows", "not asked: the linear loop leaves much"]
+    assert says == [
+        "a curve of the plant does as well as a stem",
+        "a stem tells more than a curve of the plant",
+        "no curve shows",
+        "not asked: the linear loop leaves much",
+    ]
 
 
 def test_squares_know_what_a_curved_valve_passes_and_lines_do_not() -> None:

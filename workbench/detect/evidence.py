@@ -10,7 +10,7 @@ from workbench.detect.correlation import LAGS, VALUES
 from workbench.detect.load import DETECTIONS
 from workbench.detect.oscillation import OSCILLATES, REGULAR, no_period
 from workbench.detect.shape import TRIANGLES, UNANSWERED
-from workbench.detect.verdict import Thresholds, beyond_chance, excluded
+from workbench.detect.verdict import Thresholds, beyond_chance, curved, excluded
 from workbench.model.detection import Detection, Statistic
 
 __all__ = ["statistics_of"]
@@ -154,14 +154,16 @@ def _stem_test(found: Detection) -> Iterator[Statistic]:
         "",
         nan if test is None else test.squares,
         "",
-        "beside them a stem must add as much",
+        f"{limits.sole:g} or more shows a curve; beside it stiction needs a stem that adds {limits.chance:g} or more",
         _undefined(STILL)
         if test is None
         else "not asked: the linear loop leaves much"
         if test.unexplained >= limits.little
-        else "a curve shows"
-        if test.squares >= limits.sole
-        else "no curve shows",
+        else "no curve shows"
+        if test.squares < limits.sole
+        else "a curve of the plant does as well as a stem"
+        if curved(test, limits)
+        else "a stem tells more than a curve of the plant",
         decides=True,
     )
     yield Statistic(

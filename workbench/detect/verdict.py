@@ -85,6 +85,7 @@ __all__ = [
     "accuses",
     "beyond_chance",
     "beyond_doubt",
+    "curved",
     "decide",
     "excluded",
     "follows",
