@@ -176,9 +176,14 @@ SMOOTH = {**LITTLE, "improvement": 0.0, "likelihood": 0.0}
         ({**TWO, "turned": -0.1}, "undecided"),
         # A curved plant is no linear one either: no stem makes PV as it is.
         ({"improvement": 0.0, "likelihood": 0.0, "simulated": -0.01, "predicting": 31.0, "sure": 31.0}, "undecided"),
-        ({**SMOOTH, "predicting": 31.0, "sure": 31.0}, "no_stiction"),
-        ({**SMOOTH, "predicting": 31.0, "sure": 31.0, "instead": 40.1}, "undecided"),
-        ({**SMOOTH, "predicting": 31.0, "sure": 31.0, "instead": 39.9}, "no_stiction"),
+        # Too smooth for the simulated PV to show it.
+        ({**SMOOTH, "simulated": 0.049, "predicting": 31.0, "sure": 31.0}, "no_stiction"),
+        ({**SMOOTH, "simulated": 0.049, "predicting": 31.0, "sure": 31.0, "instead": 40.1}, "undecided"),
+        ({**SMOOTH, "simulated": 0.049, "predicting": 31.0, "sure": 31.0, "instead": 39.9}, "no_stiction"),
+        # Both rivals and the simulated PV speak for it: no acquittal, however little is left.
+        ({**SMOOTH, "simulated": 0.051, "predicting": 31.0, "sure": 16.1}, "undecided"),
+        ({**SMOOTH, "simulated": 0.051, "predicting": 31.0, "sure": 15.9}, "no_stiction"),
+        ({**SMOOTH, "simulated": 0.051, "predicting": 31.0, "sure": 16.1, "turned": -0.1}, "no_stiction"),
         # By prediction and simulation together: the stem must add to the free predictor too.
         ({"predicting": 39.0, "sure": 15.0, "adds": 11.0}, "stiction"),
         ({"predicting": 39.0, "sure": 15.0, "adds": 9.0}, "undecided"),
@@ -190,7 +195,7 @@ SMOOTH = {**LITTLE, "improvement": 0.0, "likelihood": 0.0}
         # Or better both rivals by far, and the simulated PV.
         ({**LITTLE, "improvement": 0.03, "simulated": 0.051, "sure": 40.1}, "stiction"),
         ({**LITTLE, "improvement": 0.03, "simulated": 0.051, "sure": 39.9}, "undecided"),
-        ({**LITTLE, "improvement": 0.03, "likelihood": 30.0, "simulated": 0.051, "sure": 31.9}, "no_stiction"),
+        ({**LITTLE, "improvement": 0.03, "likelihood": 30.0, "simulated": 0.049, "sure": 31.9}, "no_stiction"),
         ({**LITTLE, "improvement": 0.03, "simulated": 0.049, "sure": 40.1}, "undecided"),
         ({**LITTLE, "improvement": 0.03, "simulated": 0.051, "sure": 40.1, "turned": -0.1}, "undecided"),
         # A curve shows, and the stem adds no more than chance beside it.
