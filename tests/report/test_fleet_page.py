@@ -194,6 +194,8 @@ def test_a_loops_page() -> None:
     assert "<script>" not in page
     checker = parsed(page)
     assert checker.count["svg"] == 4  # the whole, and the latest cycles from near
+    alike = replace(row, period=170.0)  # 20 such cycles are more than two thirds
+    assert parsed(render_loop(alike, record, record, evidence, None, None)).count["svg"] == 2
     assert len(page) < 80_000
     assert "2.00 % of travel" in page
 

@@ -23,7 +23,7 @@ __all__ = ["DIGITS", "page_name", "render_loop", "verdict_words"]
 DIGITS = 4  # of a proposed tuning, as `wb.tune` gives it
 
 VERDICTS = {"stiction": "stiction", "no_stiction": "no stiction", "undecided": "undecided", "": "–"}
-NEAR = 20.0  # cycles drawn
+NEAR = 20.0  # cycles drawn once more where they are two thirds of the stretch at most
 
 
 def page_name(name: str) -> str:
@@ -63,7 +63,7 @@ def render_loop(
             model=_model(row, found),
             tuning=None if tuned is None else controller_words(tuned, DIGITS),
             gain=row.gain_of_tuning if math.isfinite(row.gain_of_tuning) else None,
-            pictures=[*_pictures(judged), *(_pictures(near) if len(near) < len(judged) else [])],
+            pictures=[*_pictures(judged), *(_pictures(near) if 3 * len(near) <= 2 * len(judged) else [])],
             evidence=evidence,
         )
     )
