@@ -18,6 +18,7 @@ from workbench.estimate.data import Centred, plant_of
 from workbench.estimate.dense import densely
 from workbench.estimate.few import widened
 from workbench.estimate.fit import LEAST_TAU, Fit, Limits, disturbance, fit_linear, fit_nothing, predict
+from workbench.estimate.freed import freed
 from workbench.estimate.hidden import hidden, words_of_hidden
 from workbench.estimate.models import (
     PLANT_PARAMETERS,
@@ -74,13 +75,14 @@ MUCH_MANUAL = 0.05  # share of the record in manual that is worth a word
 class _Fits:
     """All models of a record, in the measure of the disturbance that the best stem leaves, and where they were sought.
 
-    data: without load steps; found: Stenman's profile; bands: two-parameter valves by name; rival: the linear model
+    data: without load steps; whole: with them; found: Stenman's profile; bands: two-parameter valves by name; rival: the linear model
     with dead times as short as the stem's, before `steps`, the load steps, were taken out; wide: what the best stem
     over much of OP's range leaves, EU^2; coarse: the first stems of the two-parameter search, the best first;
     alone: whether Stenman's stem leaves noise alone (`leaves_noise_alone`).
     """
 
     data: Centred
+    whole: Centred
     found: Profile | None
     bands: dict[str, Found]
     linear: Fit
@@ -245,7 +247,7 @@ def _first(data: Centred, valve: str, found: Profile | None, linear: Fit) -> _Fi
     within = sought(data, delays, other, alone and valve == "auto", seek)
     coarse = coarse_of(data, within, delays, seek)
     limits, least = Limits((LEAST_TAU, float(n)), (0.0, delays)), min(wide, default=math.inf)
-    return _Fits(data, found, {}, linear, rival, (), least, coarse, within, limits, alone)
+    return _Fits(data, data, found, {}, linear, rival, (), least, coarse, within, limits, alone)
 
 
 def _closely(fits: _Fits, loop: _Asked) -> _Fits:
@@ -357,10 +359,11 @@ def _judged(fits: _Fits, chosen: str, evidence: Evidence, detection: Detection) 
 
 
 def _ranged(fits: _Fits, chosen: str) -> Bands:
-    """The two-parameter valve that was chosen, with its ranges, from parts of the record too."""
-    data = fits.data
+    """The two-parameter valve that was chosen, with its ranges, from parts of the record and beside other steps too."""
+    data, only = fits.data, fits.bands[chosen].only
     ranged = repeated(data, fits.bands[chosen], fits.limits, fits.seen_in(data))
-    return widened(data, ranged, fits.bands[chosen].only, fits.limits)
+    ranged = widened(data, ranged, only, fits.limits)
+    return freed(data, fits.whole, ranged, only, fits.limits, fits.steps)
 
 
 def _reasoned(loop: _Asked, fits: _Fits, chosen: str, said: _Said, ranged: Bands | None) -> _Said:

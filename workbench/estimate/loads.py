@@ -24,7 +24,7 @@ from workbench.estimate.windows import WHOLE
 from workbench.model.loads import LoadStep
 from workbench.model.record import FloatArray
 
-__all__ = ["Loads", "Stem", "loads_of"]
+__all__ = ["SHIFT", "Loads", "Stem", "loads_of", "steps_of"]
 
 TURNS = 6  # of least squares and output error in turn
 LEAST_BEFORE, LEAST_AFTER = 0.02, 0.02  # of the record, that a step must have on either side
@@ -32,9 +32,10 @@ LEAST_BEFORE, LEAST_AFTER = 0.02, 0.02  # of the record, that a step must have o
 # Bayes information criterion", Biometrics 63 (2007) 22-32). Beyond these "very strong" evidence (Kass, Raftery 1995).
 DEGREES, CLEAR = 3, 10.0
 # A load that drifts looks like steps too, but what these leave of it is as coloured as before. The sum of the
-# autocorrelation must in the end fall to WHITER of what it was and below WHITE_ENOUGH; single steps in noise pass that
-# by far (a hundredth), of 15 drifts two came to .3 and .4 and the others to .6 and more.
-WHITER, WHITE_ENOUGH = 0.4, 5.0
+# autocorrelation must in the end fall to WHITER of what it was and below WHITE_ENOUGH, or to what noise alone has; single
+# steps in noise pass that by far (a hundredth), of 15 drifts two came to .3 and .4 and the others to .6 and more. Of 400
+# records of 1,000 samples of noise nine in ten are below NOISE.
+WHITER, WHITE_ENOUGH, NOISE = 0.4, 5.0, 1.2
 SPREADS, EVALUATIONS = (0.03, 0.01, -0.01, 0.003), 120  # of a valve's and plant's parameters, in turn
 SHIFT = 0.05  # a move of a dead time by one sample counts as that of a parameter by this share
 
@@ -142,7 +143,8 @@ def _explained(
         x = model.x
     # What the record does not resolve has no colour.
     after = inflation(model.left[skip:]) if model.power(skip) > LOUD * data.floor else 0.0
-    return model if model.times and (not strict or after <= min(WHITER * coloured, WHITE_ENOUGH)) else None
+    white = after <= max(min(WHITER * coloured, WHITE_ENOUGH), NOISE)
+    return model if model.times and (white or not strict) else None
 
 
 @dataclass(frozen=True, eq=False)
@@ -177,7 +179,7 @@ class _Model:
 def _beside(data: Centred, x: FloatArray, first: int, fit: Fit, limits: Limits, skip: int, times: list[int]) -> _Model:
     """The model with load steps at some samples: their sizes by least squares, the plant by output error, in turn."""
     for turn in range(TURNS if times else 1):
-        columns = np.array([*predict(data, x, first, fit)[1], *(_step(_answer(data, fit), at) for at in times)])
+        columns = np.array([*predict(data, x, first, fit)[1], *steps_of(data, fit, times)])
         solved, *_ = np.linalg.lstsq(columns[:, skip:].T, data.y[skip:], rcond=1e-10)
         terms: FloatArray = solved.astype(np.float64)
         if times and turn < TURNS - 1:
@@ -234,6 +236,11 @@ def _answer(data: Centred, fit: Fit) -> FloatArray:
     """What PV makes of a unit step of load through a plant of gain 1, shape (N,)."""
     k = np.arange(data.samples, dtype=np.float64)
     return k if data.integrating else 1.0 - np.exp(-k / fit.tau)
+
+
+def steps_of(data: Centred, fit: Fit, times: Sequence[int]) -> list[FloatArray]:
+    """Return what PV makes, through a plant of gain 1, of unit steps of load that it begins to answer at some samples."""
+    return [_step(_answer(data, fit), at) for at in times]
 
 
 def _step(answer: FloatArray, at: int) -> FloatArray:
