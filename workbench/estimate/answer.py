@@ -75,10 +75,10 @@ MUCH_MANUAL = 0.05  # share of the record in manual that is worth a word
 class _Fits:
     """All models of a record, in the measure of the disturbance that the best stem leaves, and where they were sought.
 
-    data: without load steps; whole: with them; found: Stenman's profile; bands: two-parameter valves by name; rival: the linear model
-    with dead times as short as the stem's, before `steps`, the load steps, were taken out; wide: what the best stem
-    over much of OP's range leaves, EU^2; coarse: the first stems of the two-parameter search, the best first;
-    alone: whether Stenman's stem leaves noise alone (`leaves_noise_alone`).
+    data: without load steps; whole: with them; found: Stenman's profile; bands: two-parameter valves by name; rival:
+    the linear model with dead times as short as the stem's, before `steps`, the load steps, were taken out; wide: what
+    the best stem over much of OP's range leaves, EU^2; coarse: the first stems of the two-parameter search, the best
+    first; alone: whether Stenman's stem leaves noise alone (`leaves_noise_alone`).
     """
 
     data: Centred

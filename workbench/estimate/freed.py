@@ -1,8 +1,8 @@
 """Stems that fit as well as the best where the load steps beside them may have sizes and times of their own.
 
-Steps of the load are found beside the best stem and taken out of PV as large as suits it. A wider stem has another gain,
-and would have had others: against PV less these it looks worse than it is. From the best stem outwards S is followed
-here in the record with its load, the sizes free, and the times by a sample.
+Steps of the load are found beside the best stem and taken out of PV as large as suits it. A wider stem has another
+gain, and would have had others: against PV less these it looks worse than it is. From the best stem outwards S is
+followed here in the record with its load, the sizes free, and the times by a sample.
 """
 
 from __future__ import annotations
@@ -130,11 +130,13 @@ def _stepped(
     apart = S - best.S
     # As a share of S, or as slips stay where they are: on the way back, or on the way on.
     jumps = {only * S} if only is not None else {best.J * S / best.S, *(max(best.J + f * apart, 0.0) for f in (-1, 1))}
-    tried = []
+    tried = list[tuple[float, int, FloatArray, Band]]()
     for first, sense in ((best.first, best.sense), *((int(first), float(sense)) for first, sense in AT_ONCE)):
         for J in sorted(jumps):
             x, _ = band_stem(u, S, J, first, sense)
-            tried.append((loaded.left(point, x, max(first, 0)), len(tried), x, replace(best, S=S, J=J, first=first, sense=sense)))
+            tried.append(
+                (loaded.left(point, x, max(first, 0)), len(tried), x, replace(best, S=S, J=J, first=first, sense=sense))
+            )
     _, _, x, band = min(tried)
     cost, point = loaded.least(point, x, max(band.first, 0))
     return cost, band, point

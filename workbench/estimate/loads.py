@@ -32,9 +32,9 @@ LEAST_BEFORE, LEAST_AFTER = 0.02, 0.02  # of the record, that a step must have o
 # Bayes information criterion", Biometrics 63 (2007) 22-32). Beyond these "very strong" evidence (Kass, Raftery 1995).
 DEGREES, CLEAR = 3, 10.0
 # A load that drifts looks like steps too, but what these leave of it is as coloured as before. The sum of the
-# autocorrelation must in the end fall to WHITER of what it was and below WHITE_ENOUGH, or to what noise alone has; single
-# steps in noise pass that by far (a hundredth), of 15 drifts two came to .3 and .4 and the others to .6 and more. Of 400
-# records of 1,000 samples of noise nine in ten are below NOISE.
+# autocorrelation must in the end fall to WHITER of what it was and below WHITE_ENOUGH, or to what noise alone has: of
+# 400 records of 1,000 samples of noise nine in ten are below NOISE. Single steps in noise pass that by far (a
+# hundredth), of 15 drifts two came to .3 and .4 and the others to .6 and more.
 WHITER, WHITE_ENOUGH, NOISE = 0.4, 5.0, 1.2
 SPREADS, EVALUATIONS = (0.03, 0.01, -0.01, 0.003), 120  # of a valve's and plant's parameters, in turn
 SHIFT = 0.05  # a move of a dead time by one sample counts as that of a parameter by this share
@@ -239,7 +239,7 @@ def _answer(data: Centred, fit: Fit) -> FloatArray:
 
 
 def steps_of(data: Centred, fit: Fit, times: Sequence[int]) -> list[FloatArray]:
-    """Return what PV makes, through a plant of gain 1, of unit steps of load that it begins to answer at some samples."""
+    """Return what PV makes of unit steps of load, through a plant of gain 1, that it answers from some samples on."""
     return [_step(_answer(data, fit), at) for at in times]
 
 

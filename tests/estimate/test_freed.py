@@ -1,0 +1,112 @@
+"""Load steps beside which a stem is found: another has steps of its own, and fits as well where it is given them."""
+
+from __future__ import annotations
+
+import importlib
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import workbench as wb
+from workbench.estimate.bands import Bands
+from workbench.estimate.data import Centred, centre
+from workbench.estimate.fit import Limits
+from workbench.estimate.freed import freed
+from workbench.estimate.two_parameter import Band, band_stem, fit_band
+from workbench.model.loads import LoadStep
+
+BAND, GAIN, LATE, NOISE = 5.0, 0.009, 7.0, 0.022
+LOOP = wb.Loop(wb.Integrating(GAIN, LATE), wb.Deadband(BAND), wb.PID(Kc=3.4, Ti=130.0), 1.0)
+
+
+def record_of(seed: int, noise: float = NOISE) -> wb.Record:
+    """A level whose dead band shows beside one load step, which with another band would have had another size."""
+    setpoint, load = [wb.Step(0.8), wb.Step(-1.2, 650.0)], wb.Step(2.2, 715.0)
+    run = wb.simulate(LOOP, wb.Experiment(1000.0, setpoint=setpoint, load=load, noise=wb.Noise(noise, seed)))
+    return wb.Record(run.pv + 50.0, run.op + 40.0, 1.0, sp=run.sp + 50.0)
+
+
+def left_by_hand(data: Centred, band: Band, steps: list[float]) -> float:
+    """Least squares of a level's PV on its stem's integral, a constant, a ramp and steps of load of any time nearby."""
+    x, _ = band_stem(data.u, band.S, band.J, band.first, band.sense)
+    first, n = max(band.first, 0), data.samples
+    x = np.where(np.arange(n) < first, 0.0, x)
+    before = np.where(np.arange(n) < first, 1.0, 0.0)
+    k = np.arange(n, dtype=float)
+
+    def integral(signal: np.ndarray, ahead: float) -> np.ndarray:
+        # A dead time between samples lets part of a sample's input act in the next.
+        whole = math.floor(band.fit.theta)
+        part = band.fit.theta - whole
+        late = [np.concatenate([np.full(lag, ahead), signal])[:n] for lag in (whole, whole + 1)]
+        rate = (1.0 - part) * late[0] + part * late[1]
+        return np.concatenate([[0.0], np.cumsum(rate)[:-1]])
+
+    loads = [np.maximum(k - at - moved, 0.0) for at in steps for moved in (-1.0, 0.0, 1.0)]
+    columns = np.column_stack([np.ones(n), k, integral(x, 0.0), integral(before, 1.0), *loads])
+    terms, *_ = np.linalg.lstsq(columns, data.y, rcond=None)
+    return float(np.mean((data.y - columns @ terms) ** 2))
+
+
+@pytest.fixture(scope="module")
+def held() -> tuple[Centred, Bands, Bands, Limits]:
+    """A record with its load, a dead band that fits, alone, and what is alike with it beside free steps."""
+    data = centre(record_of(1), "integrating")
+    load = 2.2 * GAIN * np.maximum(np.arange(1000.0) - 722.0, 0.0)
+    limits = Limits((0.05, 1000.0), (0.0, 30.0))
+    bare = data.less(load, load[None, :])
+    best = fit_band(bare, BAND, 0.0, (0, 1.0), limits, (1.0, LATE))
+    alone = Bands(best, (best,), (1.0,), (BAND, BAND), (0.0, 0.0))
+    steps = (LoadStep(722.0, 2.2, (2.0, 2.4)),)
+    return data, alone, freed(bare, data, alone, 0.0, limits, steps), limits
+
+
+def test_alike_are_those_that_fit_as_well_beside_steps_of_their_own(held) -> None:
+    data, alone, found, _ = held
+    assert found.S[0] < BAND < found.S[1]
+    assert found.S[1] - found.S[0] < 0.1 * BAND
+    left = [left_by_hand(data, band, [722.0]) for band in found.alike[1:]]
+    least = min(left)
+    assert least == pytest.approx(NOISE**2, rel=0.1)
+    # A chi square of one degree of freedom, at 95 %, from as many samples as are there at most.
+    assert max(left) < least * math.exp(3.841 / (0.5 * data.samples))
+    assert [band.fit.sse / data.samples for band in found.alike[1:]] == pytest.approx(left, rel=1e-6)
+    # Further out they fit worse.
+    out = replace(found.alike[1], S=1.1 * found.S[1])
+    assert left_by_hand(data, out, [722.0]) > max(left)
+    assert alone.best is found.best
+
+
+def test_without_steps_nothing_is_freed(held) -> None:
+    data, alone, _, limits = held
+    assert freed(data, data, alone, 0.0, limits, ()) is alone
+
+
+def test_ranges_hold_the_truth_beside_a_load_step() -> None:
+    """Without this neither range of S, nor of the gain or the dead time, held it."""
+    found = [wb.estimate(record_of(seed), plant="integrating") for seed in (1, 3)]
+    assert all(one.verdict == "stiction" and len(one.load_steps) == 1 for one in found)
+    for truth, pairs in (
+        (BAND, [one.intervals.S for one in found]),
+        (GAIN, [one.intervals.gain for one in found]),
+        (LATE, [one.intervals.dead_time for one in found]),
+    ):
+        assert all(low <= truth <= high for low, high in pairs)
+
+
+def test_a_step_that_leaves_white_noise_is_white_enough(monkeypatch) -> None:
+    """Its part of PV was so small that what it left had little colour to lose: the gain was told 13 % too high."""
+    loop = wb.Loop(wb.FOPDT(1.66386, 4.34266, 0.022966), wb.Stenman(0.774092), wb.PID(Kc=0.403312, Ti=6.47798), 1.0)
+    setpoint, load = [wb.Step(3.08996), wb.Step(-4.63494, 659.0)], wb.Step(-0.318138, 666.0)
+    run = wb.simulate(loop, wb.Experiment(1000.0, setpoint=setpoint, load=load, noise=wb.Noise(0.119562, 649522422)))
+    record = wb.Record(run.pv + 50.0, run.op + 40.0, 1.0, sp=run.sp + 50.0)
+    found = wb.estimate(record)
+    assert [step.at for step in found.load_steps] == [pytest.approx(666.0, abs=2.0)]
+    assert found.plant.gain == pytest.approx(1.66386, rel=0.02)
+    low, high = found.intervals.gain
+    assert low <= 1.66386 <= high
+    loads = importlib.import_module("workbench.estimate.loads")
+    monkeypatch.setattr(loads, "NOISE", 0.0)
+    assert not wb.estimate(record).load_steps
