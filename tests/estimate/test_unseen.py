@@ -42,7 +42,7 @@ def test_the_ranges_of_a_loop_that_looks_linear_hold_the_plant_behind_its_dead_b
     assert not found.identifiable
     # Detection has no doubt of the second: the band itself, over a quarter of OP's range, is doubt enough.
     assert found.verdict == "undecided"
-    assert found.reasons[0].startswith("dead bands of up to 1.71 % fit as well") == (seed == 1)
+    assert found.reasons[0].startswith("dead bands of up to 1.93 % fit as well") == (seed == 1)
     # Who knows that the valve does not stick is given the linear loop's own.
     assert wb.estimate(record, valve="linear").intervals.gain[1] < PLANT.gain
 
@@ -98,3 +98,22 @@ def test_only_what_matters_is_said(own: tuple[float, float], other: tuple[float,
     assert bool(said) == told
     assert not told or said[0].startswith("dead bands of up to 0.7 % fit as well")
     assert words_of_unseen(found, Intervals(), integrating=False) == ()
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_band_that_is_crossed_once_and_one_way_is_told_by_no_start_that_lies_beyond_it(seed: int) -> None:
+    """OP goes one way: a stem that lies at that end of its band to begin with never crosses it, and any band does."""
+    plant = wb.FOPDT(0.35, 37.0, 1.9)
+    loop = wb.Loop(plant, wb.Deadband(1.15), wb.PID(Kc=1.33, Ti=45.0), 1.0)
+    setpoint = [wb.Step(0.31), wb.Step(-0.465, at=1357.0)]
+    run = wb.simulate(loop, wb.Experiment(2000.0, setpoint=setpoint, noise=wb.Noise(0.0092, seed)))
+    part = slice(1000, 2000)
+    found = wb.estimate(wb.Record(run.pv[part] + 50.0, run.op[part] + 40.0, 1.0, sp=run.sp[part] + 50.0))
+    for truth, pair in (
+        (0.35, found.intervals.gain),
+        (37.0, found.intervals.time_constant),
+        (1.9, found.intervals.dead_time),
+    ):
+        assert pair[0] <= truth <= pair[1]
+    assert found.verdict == "undecided"
+    assert not found.identifiable

@@ -8,6 +8,7 @@ out: for each the likeliest plant, and all of them within the 95 % likelihood re
 
 from __future__ import annotations
 
+import itertools
 import math
 from typing import NamedTuple
 
@@ -28,6 +29,8 @@ __all__ = ["Unseen", "unseen", "words_of_unseen"]
 BANDS, BANDS_LONG = 32, 12  # looked at, as many to a tenth of the range as to a hundredth
 LEAST = 0.25 * NARROWEST  # of OP's range
 EVALUATIONS = 60
+ACROSS = ((-1, 0.0), (0, 1.0), (0, -1.0))  # starts (first, sense), amid the band and at its ends
+HALVINGS = 5  # of the step from a band that fits as well to one that does not
 MATTERS = 0.05  # of the gain, beyond the linear loop's own range: less is not worth a word
 
 
@@ -47,30 +50,54 @@ def unseen(data: Centred, linear: Fit, longest: float) -> Unseen | None:
     if linear.gain == 0.0:
         return None
     limits = Limits((LEAST_TAU, float(data.samples)), (0.0, max(longest, linear.theta)))
-    short, met = data.samples <= WHOLE, list[Band]()
-    plant = (linear.tau, linear.theta)
-    for S in np.geomspace(LEAST, WIDEST, BANDS if short else BANDS_LONG) * data.op_range:
-        # Of a long record its start is nothing; the plant moves on with the band.
-        start = best_start(data, (S, 0.0), plant)[1:] if short else (-1, 0.0)
-        one = fit_band(data, float(S), 0.0, start, limits, plant, EVALUATIONS, 1e-6)
-        if one.slips > 0 and one.fit.gain * linear.gain > 0.0:
-            met.append(one)
-            plant = (one.fit.tau, one.fit.theta)
+    # Of a long record its start is nothing. In a short one the stem that starts where it suits best may never cross its
+    # band, where OP goes one way: those that have to are as likely, with other plants.
+    starts = (None, *ACROSS) if data.samples <= WHOLE else ACROSS[:1]
+    chains = [_followed(data, linear, start, limits) for start in starts]
+    met = [one for chain in chains for one in chain]
     if not met:
         return None
-    n, best = data.samples, best_of(met)
-    base = max(min(best.fit.sse, linear.sse) / n, data.floor)
+    n = data.samples
+    base = max(min(best_of(met).fit.sse, linear.sse) / n, data.floor)
     effective = effective_samples(data, data.u, 0, linear)
-    behind = {id(b): effective * math.log(max(b.fit.sse / n, base) / base) / CHI_SQUARE for b in met}
-    alike = [b for b in met if behind[id(b)] <= 1.0]
+
+    def behind(one: Band) -> float:
+        return effective * math.log(max(one.fit.sse / n, base) / base) / CHI_SQUARE
+
+    alike = [one for one in met if behind(one) <= 1.0]
     if not alike:
         return None
+    for chain in chains:
+        for one, other in itertools.pairwise(chain):
+            if (behind(one) <= 1.0) != (behind(other) <= 1.0):
+                inner, outer = (one, other) if behind(one) <= 1.0 else (other, one)
+                for _ in range(HALVINGS):
+                    amid = _fitted(data, math.sqrt(inner.S * outer.S), (inner.first, inner.sense), limits, inner.fit)
+                    inner, outer = (amid, outer) if behind(amid) <= 1.0 else (inner, amid)
+                alike.append(inner)
     best = best_of(alike)
     x, begin = band_stem(data.u, best.S, 0.0, best.first, best.sense)[0], max(best.first, 0)
     errors = standard_errors(data, x, begin, best.fit, clamped=False)
-    spare = [math.sqrt(1.0 - behind[id(b)]) for b in alike]
+    spare = [math.sqrt(1.0 - max(behind(b), 0.0)) for b in alike]
     ranges = ranges_of(data, [b.fit for b in alike], errors, None, limits.theta[1], spare)
     return Unseen(max(b.S for b in alike), ranges)
+
+
+def _followed(data: Centred, linear: Fit, start: tuple[int, float] | None, limits: Limits) -> list[Band]:
+    """Dead bands, narrow to wide, whose plants move on from the linear loop's; start: (first, sense), or the best."""
+    met: list[Band] = []
+    fit = linear
+    for S in (np.geomspace(LEAST, WIDEST, BANDS if data.samples <= WHOLE else BANDS_LONG) * data.op_range).tolist():
+        given = best_start(data, (S, 0.0), (fit.tau, fit.theta))[1:] if start is None else start
+        one = _fitted(data, S, given, limits, fit)
+        if one.slips > 0 and one.fit.gain * linear.gain > 0.0:
+            met.append(one)
+            fit = one.fit
+    return met
+
+
+def _fitted(data: Centred, S: float, start: tuple[int, float], limits: Limits, near: Fit) -> Band:
+    return fit_band(data, S, 0.0, start, limits, (near.tau, near.theta), EVALUATIONS, 1e-6)
 
 
 def words_of_unseen(found: Unseen, own: Intervals, integrating: bool) -> tuple[str, ...]:
