@@ -117,3 +117,22 @@ def test_a_band_that_is_crossed_once_and_one_way_is_told_by_no_start_that_lies_b
         assert pair[0] <= truth <= pair[1]
     assert found.verdict == "undecided"
     assert not found.identifiable
+
+
+def test_beside_a_load_step_each_band_has_a_step_of_its_own() -> None:
+    """The linear loop's step was twice the load's: with that taken out no band fitted."""
+    plant = wb.FOPDT(1.49175, 30.2633, 2.70859)
+    loop = wb.Loop(plant, wb.Deadband(0.791), wb.PID(Kc=0.243075, Ti=48.3316), 1.0)
+    setpoint, load = [wb.Step(1.04908), wb.Step(-1.57362, 1319.0)], wb.Step(0.179422, 1229.0)
+    run = wb.simulate(loop, wb.Experiment(2000.0, setpoint=setpoint, load=load, noise=wb.Noise(0.0180325, 556988177)))
+    part = slice(1000, 2000)
+    found = wb.estimate(wb.Record(run.pv[part] + 50.0, run.op[part] + 40.0, 1.0, sp=run.sp[part] + 50.0))
+    assert len(found.load_steps) == 1
+    for truth, pair in (
+        (1.49175, found.intervals.gain),
+        (30.2633, found.intervals.time_constant),
+        (2.70859, found.intervals.dead_time),
+    ):
+        assert pair[0] <= truth <= pair[1]
+    assert found.verdict == "undecided"
+    assert any("dead bands of up to" in reason for reason in found.reasons)

@@ -18,7 +18,7 @@ from workbench.estimate.data import Centred, plant_of
 from workbench.estimate.dense import densely
 from workbench.estimate.few import widened
 from workbench.estimate.fit import LEAST_TAU, Fit, Limits, disturbance, fit_linear, fit_nothing, predict
-from workbench.estimate.freed import freed
+from workbench.estimate.freed import Loaded, freed
 from workbench.estimate.hidden import hidden, words_of_hidden
 from workbench.estimate.models import (
     PLANT_PARAMETERS,
@@ -141,6 +141,13 @@ class _Asked:
     def coloured(self) -> tuple[Centred, Fit, tuple[LoadStep, ...]]:
         """The linear loop in the measure of what disturbs it, with its load steps."""
         return coloured_linear(*self.line)
+
+    @cached_property
+    def loaded(self) -> Loaded | None:
+        """The record with the linear loop's load steps; None without any, or where what is left beside is coloured."""
+        bare, _, steps = self.coloured
+        limits = Limits((LEAST_TAU, float(bare.samples)), (0.0, self.line.longest))
+        return Loaded.of(self.line.data, bare, steps, limits) if steps and bare.a.size == 1 else None
 
     @cached_property
     def blind(self) -> bool:
@@ -383,7 +390,9 @@ def _told_straight(loop: _Asked, fits: _Fits, said: _Said) -> Answered[Estimate]
     ranges, others = linear_intervals(data, linear, loop.line.longest), tuple[Intervals, ...]()
     if loop.blind and ranges != Intervals():
         said, others = said._replace(reasons=(*said.reasons, WORDS_OF_BLIND)), (unknown(answer.plant),)
-    elif loop.valve != "linear" and not loop.two_step and (found := unseen(data, linear, loop.line.longest)):
+    elif (
+        loop.valve != "linear" and not loop.two_step and (found := unseen(data, linear, loop.line.longest, loop.loaded))
+    ):
         words, others = words_of_unseen(found, ranges, data.integrating), (found.plant,)
         # Who is acquitted hides no band over much of OP's range, unless the plant is the same.
         doubt = bool(words) and said.verdict == "no_stiction" and found.band >= WIDE * data.op_range

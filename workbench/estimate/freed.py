@@ -8,6 +8,7 @@ followed here in the record with its load, the sizes free, and the times by a sa
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,7 +17,7 @@ from scipy.optimize import minimize
 
 from workbench.estimate.bands import Bands
 from workbench.estimate.beside_kernel import left_beside
-from workbench.estimate.data import Centred
+from workbench.estimate.data import WHITE, Centred
 from workbench.estimate.fit import Fit, Limits, predict
 from workbench.estimate.loads import SHIFT, steps_of
 from workbench.estimate.profile import CHI_SQUARE
@@ -25,7 +26,7 @@ from workbench.estimate.two_parameter import AT_ONCE, Band, band_stem
 from workbench.model.loads import LoadStep
 from workbench.model.record import FloatArray
 
-__all__ = ["freed"]
+__all__ = ["Loaded", "freed"]
 
 # Of S: steps outwards, fine at first, and how many in a row may fit worse before the rest is taken to do so too.
 AWAY = np.concatenate([np.arange(0.001, 0.02, 0.001), np.arange(0.02, 0.1, 0.004), np.arange(0.1, 0.31, 0.02)])
@@ -34,55 +35,63 @@ SPREAD, EVALUATIONS = 0.03, 60  # of a plant's parameters, as one search for the
 
 
 @dataclass(frozen=True, eq=False)
-class _Loaded:
-    """A record with its load steps; times: samples at which PV may begin to answer these."""
+class Loaded:
+    """A record with its load steps; times: samples at which PV may begin to answer these; skip: as in `Centred`."""
 
     data: Centred
     times: NDArray[np.int64]
     skip: int
     limits: Limits
 
-    def plant(self, point: FloatArray) -> tuple[float, float]:
-        """Time constant and dead time, samples, of a point of the search."""
-        tau, theta = self.limits.tau, self.limits.theta
-        return float(np.clip(math.exp(point[0]), *tau)), float(np.clip(point[1] / SHIFT, *theta))
+    @classmethod
+    def of(cls, whole: Centred, bare: Centred, steps: Sequence[LoadStep], limits: Limits) -> Loaded:
+        """A record as it is with its steps, whole, from where they were taken out of it, bare."""
+        at = {round(step.at / whole.sample_time) + moved for step in steps for moved in (-1, 0, 1)}
+        return cls(whole, np.array(sorted(at)), bare.skip, limits)
 
-    def left(self, point: FloatArray, x: FloatArray, first: int) -> float:
-        """Mean square that a plant leaves along a stem path."""
+    def left(self, plant: tuple[float, float], x: FloatArray, first: int) -> float:
+        """Sum of squares that a plant, (tau, theta) in samples, leaves along a stem x, shape (N,), from `first` on."""
         data = self.data
-        return left_beside(data.y, x, first, data.integrating, *self.plant(point), self.times, self.skip)
+        mean = left_beside(data.y, x, first, data.integrating, *plant, self.times, self.skip)
+        return mean * (data.samples - self.skip)
 
-    def least(self, point: FloatArray, x: FloatArray, first: int) -> tuple[float, FloatArray]:
-        """The least of these, from a point onwards, and where."""
-        done = minimize(
-            self.left,
+    def band(self, S: float, J: float, start: tuple[int, float], near: Fit) -> Band:
+        """A two-parameter stem with the plant that leaves least, sought from another."""
+        x, slips = band_stem(self.data.u, S, J, *start)
+        return Band(S, J, *start, slips, self.fit(x, max(start[0], 0), near))
+
+    def fit(self, x: FloatArray, first: int, near: Fit) -> Fit:
+        """The plant that leaves least along a stem path, sought from another."""
+        data, skip, limits = self.data, self.skip, self.limits
+
+        def plant(point: FloatArray) -> tuple[float, float]:
+            return float(np.clip(math.exp(point[0]), *limits.tau)), float(np.clip(point[1] / SHIFT, *limits.theta))
+
+        def left(point: FloatArray) -> float:
+            return self.left(plant(point), x, first)
+
+        point = np.array([math.log(near.tau), near.theta * SHIFT])
+        least = minimize(
+            left,
             point,
-            args=(x, first),
             method="Nelder-Mead",
             options={
                 "initial_simplex": point + SPREAD * np.vstack([np.zeros(2), np.eye(2)]),
                 "maxfev": EVALUATIONS,
                 "xatol": 0.0,
-                "fatol": 1e-6 * self.left(point, x, first),
+                "fatol": 1e-6 * self.left((near.tau, near.theta), x, first),
             },
         )
-        return float(done.fun), done.x
-
-    def fitted(self, band: Band, cost: float, point: FloatArray) -> Band:
-        """A stem with its plant, from the place of that in the search."""
-        data, first = self.data, max(band.first, 0)
-        x, slips = band_stem(data.u, band.S, band.J, band.first, band.sense)
-        tau, theta = self.plant(point)
-        fit = replace(band.fit, tau=tau, theta=theta)
-        columns = np.array([*predict(data, x, first, fit)[1], *steps_of(data, fit, self.times.tolist())])
-        terms, *_ = np.linalg.lstsq(columns[:, self.skip :].T, data.y[self.skip :], rcond=1e-10)
+        tau, theta = plant(least.x)
+        placed = replace(near, tau=tau, theta=theta)
+        columns = np.array([*predict(data, x, first, placed)[1], *steps_of(data, placed, self.times.tolist())])
+        terms, *_ = np.linalg.lstsq(columns[:, skip:].T, data.y[skip:], rcond=1e-10)
         bias, gain, start, transient = terms[:4].tolist()
-        sse = cost * (data.samples - self.skip)
-        return replace(band, slips=slips, fit=Fit(sse, tau, theta, gain, bias, start, transient))
+        return Fit(float(least.fun), tau, theta, gain, bias, start, transient)
 
 
 def freed(
-    data: Centred, whole: Centred, found: Bands, only: float | None, limits: Limits, steps: tuple[LoadStep, ...]
+    data: Centred, whole: Centred, found: Bands, only: float | None, limits: Limits, steps: Sequence[LoadStep]
 ) -> Bands:
     """Return the stems alike with those among them that are as likely with load steps of their own.
 
@@ -91,52 +100,46 @@ def freed(
     best = found.best
     if not steps or best.fit.gain == 0.0:
         return found
-    at = {round(step.at / data.sample_time) + moved for step in steps for moved in (-1, 0, 1)}
-    loaded = _Loaded(whole, np.array(sorted(at)), data.skip, limits)
-    x, _ = band_stem(data.u, best.S, best.J, best.first, best.sense)
-    room = CHI_SQUARE / effective_samples(data, x, max(best.first, 0), best.fit)
-    floor = data.floor
-    begun = loaded.least(np.array([math.log(best.fit.tau), best.fit.theta * SHIFT]), x, max(best.first, 0))
-    least, met = max(begun[0], floor), list[tuple[float, Band, FloatArray]]()
+    loaded = Loaded.of(whole, data, steps, limits)
+    # What is coloured is so here: the steps stand beside no filter.
+    bare, x = data.whitened(WHITE, data.skip), band_stem(data.u, best.S, best.J, best.first, best.sense)[0]
+    room = CHI_SQUARE / effective_samples(bare, x, max(best.first, 0), best.fit)
+    begun = loaded.band(best.S, best.J, (best.first, best.sense), best.fit)
+    floor = data.floor * data.samples
+    least, met = max(begun.fit.sse, floor), list[Band]()
     for way in (1.0, -1.0):
-        point, worse = begun[1], 0
+        last, worse = begun, 0
         for away in (way * AWAY).tolist():
-            cost, band, point = _stepped(loaded, best, away, only, point)
-            least, worse = min(least, max(cost, floor)), worse + 1
-            if cost <= least * math.exp(room):
-                met.append((cost, band, point))
+            last, worse = _stepped(loaded, best, away, only, last.fit), worse + 1
+            least = min(least, max(last.fit.sse, floor))
+            if last.fit.sse <= least * math.exp(room):
+                met.append(last)
                 worse = 0
             if worse == WORSE:
                 break
-    near = [one for one in met if one[0] <= least * math.exp(room)]
-    alike = [(max(cost, floor), loaded.fitted(band, cost, point)) for cost, band, point in near]
-    alike = [one for one in alike if one[1].fit.gain * best.fit.gain > 0.0]
-    S, J = [b.S for _, b in alike], [b.J for _, b in alike]
-    spare = [math.sqrt(max(1.0 - math.log(cost / least) / room, 0.0)) for cost, _ in alike]
+    alike = [b for b in met if b.fit.sse <= least * math.exp(room) and b.fit.gain * best.fit.gain > 0.0]
+    S, J = [b.S for b in alike], [b.J for b in alike]
+    behind = [math.log(max(b.fit.sse, floor) / least) / room for b in alike]
     return replace(
         found,
-        alike=(*found.alike, *(b for _, b in alike)),
-        spare=(*found.spare, *spare),
+        alike=(*found.alike, *alike),
+        spare=(*found.spare, *(math.sqrt(max(1.0 - share, 0.0)) for share in behind)),
         S=(min([found.S[0], *S]), max([found.S[1], *S])),
         J=(min([found.J[0], *J]), max([found.J[1], *J])),
     )
 
 
-def _stepped(
-    loaded: _Loaded, best: Band, away: float, only: float | None, point: FloatArray
-) -> tuple[float, Band, FloatArray]:
-    """The best stem with an S that is wider by a share, its cost, and its plant, sought from a point."""
+def _stepped(loaded: Loaded, best: Band, away: float, only: float | None, near: Fit) -> Band:
+    """The best stem with an S that is wider by a share, its plant sought from another."""
     u, S = loaded.data.u, best.S * (1.0 + away)
     apart = S - best.S
     # As a share of S, or as slips stay where they are: on the way back, or on the way on.
     jumps = {only * S} if only is not None else {best.J * S / best.S, *(max(best.J + f * apart, 0.0) for f in (-1, 1))}
-    tried = list[tuple[float, int, FloatArray, Band]]()
-    for first, sense in ((best.first, best.sense), *((int(first), float(sense)) for first, sense in AT_ONCE)):
-        for J in sorted(jumps):
-            x, _ = band_stem(u, S, J, first, sense)
-            tried.append(
-                (loaded.left(point, x, max(first, 0)), len(tried), x, replace(best, S=S, J=J, first=first, sense=sense))
-            )
-    _, _, x, band = min(tried)
-    cost, point = loaded.least(point, x, max(band.first, 0))
-    return cost, band, point
+    starts = {(best.first, best.sense), *((int(first), float(sense)) for first, sense in AT_ONCE)}
+    tried = [
+        (loaded.left((near.tau, near.theta), band_stem(u, S, J, *start)[0], max(start[0], 0)), J, start)
+        for start in starts
+        for J in jumps
+    ]
+    _, J, start = min(tried)
+    return loaded.band(S, J, start, near)

@@ -10,12 +10,15 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections.abc import Callable
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 
 from workbench.estimate.data import Centred
 from workbench.estimate.fit import LEAST_TAU, Fit, Limits
+from workbench.estimate.freed import Loaded
 from workbench.estimate.profile import CHI_SQUARE
 from workbench.estimate.scale import ranges_of
 from workbench.estimate.sureness import effective_samples, standard_errors
@@ -34,6 +37,10 @@ HALVINGS = 5  # of the step from a band that fits as well to one that does not
 MATTERS = 0.05  # of the gain, beyond the linear loop's own range: less is not worth a word
 
 
+# A stem (S, J) from its start, with the plant that leaves least, sought from another.
+Place = Callable[[float, float, tuple[int, float], Fit], Band]
+
+
 class Unseen(NamedTuple):
     """The widest dead band that a record does not exclude, %, and the ranges of the plants of all such bands."""
 
@@ -41,11 +48,11 @@ class Unseen(NamedTuple):
     plant: Intervals
 
 
-def unseen(data: Centred, linear: Fit, longest: float) -> Unseen | None:
+def unseen(data: Centred, linear: Fit, longest: float, loaded: Loaded | None = None) -> Unseen | None:
     """Return the dead bands that fit as well as the linear loop; None where none does.
 
     data, linear: the record in the measure of what the linear loop leaves, and its fit there. longest: samples, the
-    longest dead time searched.
+    longest dead time searched. loaded: the record with its load steps, beside which each band has its own.
     """
     if linear.gain == 0.0:
         return None
@@ -53,12 +60,14 @@ def unseen(data: Centred, linear: Fit, longest: float) -> Unseen | None:
     # Of a long record its start is nothing. In a short one the stem that starts where it suits best may never cross its
     # band, where OP goes one way: those that have to are as likely, with other plants.
     starts = (None, *ACROSS) if data.samples <= WHOLE else ACROSS[:1]
-    chains = [_followed(data, linear, start, limits) for start in starts]
+    rival = linear if loaded is None else loaded.fit(data.u, 0, linear)
+    place: Place = partial(_placed, data, limits) if loaded is None else loaded.band
+    chains = [_followed(data, linear, start, place) for start in starts]
     met = [one for chain in chains for one in chain]
     if not met:
         return None
     n = data.samples
-    base = max(min(best_of(met).fit.sse, linear.sse) / n, data.floor)
+    base = max(min(best_of(met).fit.sse, rival.sse) / n, data.floor)
     effective = effective_samples(data, data.u, 0, linear)
 
     def behind(one: Band) -> float:
@@ -72,32 +81,34 @@ def unseen(data: Centred, linear: Fit, longest: float) -> Unseen | None:
             if (behind(one) <= 1.0) != (behind(other) <= 1.0):
                 inner, outer = (one, other) if behind(one) <= 1.0 else (other, one)
                 for _ in range(HALVINGS):
-                    amid = _fitted(data, math.sqrt(inner.S * outer.S), (inner.first, inner.sense), limits, inner.fit)
+                    amid = place(math.sqrt(inner.S * outer.S), 0.0, (inner.first, inner.sense), inner.fit)
                     inner, outer = (amid, outer) if behind(amid) <= 1.0 else (inner, amid)
                 alike.append(inner)
-    best = best_of(alike)
-    x, begin = band_stem(data.u, best.S, 0.0, best.first, best.sense)[0], max(best.first, 0)
-    errors = standard_errors(data, x, begin, best.fit, clamped=False)
+    x, begin, fit = data.u, 0, linear
+    if loaded is None:
+        best = best_of(alike)
+        x, begin, fit = band_stem(data.u, best.S, 0.0, best.first, best.sense)[0], max(best.first, 0), best.fit
+    errors = standard_errors(data, x, begin, fit, clamped=False)
     spare = [math.sqrt(1.0 - max(behind(b), 0.0)) for b in alike]
     ranges = ranges_of(data, [b.fit for b in alike], errors, None, limits.theta[1], spare)
     return Unseen(max(b.S for b in alike), ranges)
 
 
-def _followed(data: Centred, linear: Fit, start: tuple[int, float] | None, limits: Limits) -> list[Band]:
+def _followed(data: Centred, linear: Fit, start: tuple[int, float] | None, place: Place) -> list[Band]:
     """Dead bands, narrow to wide, whose plants move on from the linear loop's; start: (first, sense), or the best."""
     met: list[Band] = []
     fit = linear
     for S in (np.geomspace(LEAST, WIDEST, BANDS if data.samples <= WHOLE else BANDS_LONG) * data.op_range).tolist():
         given = best_start(data, (S, 0.0), (fit.tau, fit.theta))[1:] if start is None else start
-        one = _fitted(data, S, given, limits, fit)
+        one = place(S, 0.0, given, fit)
         if one.slips > 0 and one.fit.gain * linear.gain > 0.0:
             met.append(one)
             fit = one.fit
     return met
 
 
-def _fitted(data: Centred, S: float, start: tuple[int, float], limits: Limits, near: Fit) -> Band:
-    return fit_band(data, S, 0.0, start, limits, (near.tau, near.theta), EVALUATIONS, 1e-6)
+def _placed(data: Centred, limits: Limits, S: float, J: float, start: tuple[int, float], near: Fit) -> Band:
+    return fit_band(data, S, J, start, limits, (near.tau, near.theta), EVALUATIONS, 1e-6)
 
 
 def words_of_unseen(found: Unseen, own: Intervals, integrating: bool) -> tuple[str, ...]:
