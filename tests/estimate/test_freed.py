@@ -110,3 +110,17 @@ def test_a_step_that_leaves_white_noise_is_white_enough(monkeypatch) -> None:
     loads = importlib.import_module("workbench.estimate.loads")
     monkeypatch.setattr(loads, "NOISE", 0.0)
     assert not wb.estimate(record).load_steps
+
+
+def test_a_slip_jump_that_is_hardly_likelier_than_none_leaves_the_dead_band_in_the_ranges() -> None:
+    loop = wb.Loop(wb.FOPDT(0.674881, 21.3368, 4.55789), wb.Deadband(4.81975), wb.PID(Kc=0.642898, Ti=12.4367), 1.0)
+    setpoint, load = [wb.Step(6.81583), wb.Step(-10.2238, 376.0)], wb.Step(0.54121, 449.0)
+    run = wb.simulate(loop, wb.Experiment(1000.0, setpoint=setpoint, load=load, noise=wb.Noise(0.2194, 2018511134)))
+    found = wb.estimate(wb.Record(run.pv + 50.0, run.op + 40.0, 1.0, sp=run.sp + 50.0))
+    assert isinstance(found.valve, wb.Choudhury)
+    dead = next(one for one in found.candidates if isinstance(one.valve, wb.Deadband))
+    own = next(one for one in found.candidates if isinstance(one.valve, wb.Choudhury))
+    assert 0.0 <= dead.bic - own.bic < 2.0
+    low, high = found.intervals.S
+    assert low <= 4.81975 <= high
+    assert any("does not tell this valve from a dead band of" in reason for reason in found.reasons)

@@ -12,7 +12,7 @@ import numpy as np
 from workbench.detect.action import only_answers
 from workbench.detect.detect import detect
 from workbench.detect.stem import WIDE, Fitted
-from workbench.estimate.bands import Bands, Found, Seek, Sought, coarse_of, like_stenman, repeated, sought
+from workbench.estimate.bands import Bands, Found, Seek, Sought, alike, coarse_of, like_stenman, repeated, sought
 from workbench.estimate.candidates import Candidate
 from workbench.estimate.data import Centred, plant_of
 from workbench.estimate.dense import densely
@@ -68,6 +68,7 @@ __all__ = ["DELAYS", "LINEAR_DELAYS", "answer_of", "leaves_noise_alone", "longes
 DELAYS = 30
 LINEAR_DELAYS = 240
 HALF = 0.5  # of what the linear fit leaves: a stem that leaves no more explains PV by itself
+BARE_MENTION = 2.0  # of BIC: up to it a difference is "not worth more than a bare mention" (R. Kass, A. Raftery, 1995)
 MUCH_MANUAL = 0.05  # share of the record in manual that is worth a word
 
 
@@ -373,6 +374,15 @@ def _ranged(fits: _Fits, chosen: str) -> Bands:
     return freed(data, fits.whole, ranged, only, fits.limits, fits.steps)
 
 
+def _without_jump(fits: _Fits) -> dict[str, Intervals]:
+    """The ranges of the dead band, by its name, where a slip jump beside it is not worth more than a bare mention."""
+    if fits.models["deadband"].bic > fits.models["choudhury"].bic + BARE_MENTION:
+        return {}
+    data, dead, limits = fits.data, fits.bands["deadband"], fits.limits
+    near = freed(data, fits.whole, alike(data, dead, limits), dead.only, limits, fits.steps)
+    return {"deadband": band_of(data, near, "deadband", limits).intervals}
+
+
 def _reasoned(loop: _Asked, fits: _Fits, chosen: str, said: _Said, ranged: Bands | None) -> _Said:
     """The verdict with what else is to be said of the models and the record; ranged: the two-parameter valve told."""
     reasons = said.reasons
@@ -424,6 +434,8 @@ def _told_stem(
         stem, reasons = replace(stem, intervals=Intervals()), (*reasons, words_of_hidden(data.doubt))
     elif loop.valve == "auto" and not loop.two_step:
         rivals = rivals_of(data, chosen, fits.found, fits.bands, fits.limits)
+        if chosen == "choudhury" and "deadband" in fits.models:
+            rivals |= _without_jump(fits)
         others += tuple(rivals.values())
         reasons += tuple(words_of_rival(name, ranges, data.integrating) for name, ranges in rivals.items())
     plant = plant_of(data, best.fit.gain, best.fit.tau, best.fit.theta)
