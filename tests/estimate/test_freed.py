@@ -67,14 +67,15 @@ def test_alike_are_those_that_fit_as_well_beside_steps_of_their_own(held) -> Non
     data, alone, found, _ = held
     assert found.S[0] < BAND < found.S[1]
     assert found.S[1] - found.S[0] < 0.1 * BAND
-    left = [left_by_hand(data, band, [722.0]) for band in found.alike[1:]]
+    assert found.alike == alone.alike
+    left = [left_by_hand(data, band, [722.0]) for band in found.beside]
     least = min(left)
     assert least == pytest.approx(NOISE**2, rel=0.1)
     # A chi square of one degree of freedom, at 95 %, from as many samples as are there at most.
     assert max(left) < least * math.exp(3.841 / (0.5 * data.samples))
-    assert [band.fit.sse / data.samples for band in found.alike[1:]] == pytest.approx(left, rel=1e-6)
+    assert [band.fit.sse / data.samples for band in found.beside] == pytest.approx(left, rel=1e-6)
     # Further out they fit worse.
-    out = replace(found.alike[1], S=1.1 * found.S[1])
+    out = replace(found.beside[0], S=1.1 * found.S[1])
     assert left_by_hand(data, out, [722.0]) > max(left)
     assert alone.best is found.best
 

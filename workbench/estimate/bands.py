@@ -73,7 +73,8 @@ class Bands:
     """The best stem, those that the record cannot tell from it, and their ranges of S and J, %.
 
     spare: of each of those, the share of a 95 % range's half that its cost leaves it within the likelihood region.
-    parts: the fits that parts of the record have by themselves (see `repeated`).
+    parts: the fits that parts of the record have by themselves (see `repeated`). beside: those alike with load steps of
+    their own (see `freed`), spare_beside: their spare.
     """
 
     best: Band
@@ -82,6 +83,8 @@ class Bands:
     S: tuple[float, float]
     J: tuple[float, float]
     parts: tuple[Fit, ...] = ()
+    beside: tuple[Band, ...] = ()
+    spare_beside: tuple[float, ...] = ()
 
 
 Seek = Callable[[Centred, float], list[Band]]

@@ -93,7 +93,7 @@ class Loaded:
 def freed(
     data: Centred, whole: Centred, found: Bands, only: float | None, limits: Limits, steps: Sequence[LoadStep]
 ) -> Bands:
-    """Return the stems alike with those among them that are as likely with load steps of their own.
+    """Return the stems alike, and those that are as likely with load steps of their own.
 
     data: without its load steps; whole: with them. only: J as a share of S, None for any.
     """
@@ -122,8 +122,8 @@ def freed(
     behind = [math.log(max(b.fit.sse, floor) / least) / room for b in alike]
     return replace(
         found,
-        alike=(*found.alike, *alike),
-        spare=(*found.spare, *(math.sqrt(max(1.0 - share, 0.0)) for share in behind)),
+        beside=tuple(alike),
+        spare_beside=tuple(math.sqrt(max(1.0 - share, 0.0)) for share in behind),
         S=(min([found.S[0], *S]), max([found.S[1], *S])),
         J=(min([found.J[0], *J]), max([found.J[1], *J])),
     )

@@ -259,7 +259,8 @@ def band_of(data: Centred, found: Bands, name: str, limits: Limits) -> InScale:
     if best.fit.gain != 0.0:
         errors = standard_errors(data, x, begin, best.fit, clamped=False)
     errors = unsure(data, errors, best.fit, best.S)
-    ranges = ranges_of(data, [b.fit for b in found.alike], errors, None, limits.theta[1], found.spare)
+    fits, spare = [b.fit for b in (*found.alike, *found.beside)], (*found.spare, *found.spare_beside)
+    ranges = ranges_of(data, fits, errors, None, limits.theta[1], spare)
     # The valve's own width and jump take part in what the plant may be: parts of the record differ in all of them.
     parts = (ranges_of(data, list(found.parts), errors, None, limits.theta[1]),) if found.parts else ()
     if best.slips >= ENOUGH_SLIPS:
