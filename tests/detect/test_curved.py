@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 
 import workbench as wb
+from workbench.detect import stem
 from workbench.detect.evidence import statistics_of
 from workbench.detect.predictor import FreePredictor
-from workbench.detect.verdict import Thresholds, accuses
+from workbench.detect.verdict import Thresholds, accuses, beyond_doubt
 from workbench.model.record import FloatArray
 
 N = 600
@@ -124,3 +125,31 @@ def test_stiction_shows_beside_moves_that_make_nearly_all_of_pv(valve: object) -
 
 def test_moves_alone_make_no_stiction() -> None:
     assert [wb.detect(moved(wb.Ideal(), seed)).verdict for seed in range(4)] == ["no_stiction"] * 4
+
+
+def test_no_stem_is_beyond_doubt_where_a_curve_does_as_well() -> None:
+    found = wb.detect(moved(wb.Stenman(0.3), 0)).test
+    assert found is not None
+    strong = replace(
+        found,
+        predicting=500.0,
+        loaded=500.0,
+        waved=500.0,
+        improvement=0.6,
+        simulated=0.6,
+        unexplained=0.1,
+        samples=1000,
+    )
+    assert beyond_doubt(replace(strong, squares=39.9, adds=9.9))
+    assert not beyond_doubt(replace(strong, squares=40.1, adds=9.9))
+    assert not accuses(replace(strong, squares=40.1, adds=9.9))
+
+
+def test_of_a_long_record_the_clearest_curve_but_one_counts(monkeypatch) -> None:
+    """Chance adds up: what squares gain in three stretches of a straight loop may be more than one shows by chance."""
+    found = wb.detect(moved(wb.Stenman(0.3), 0)).test
+    assert found is not None
+    stretches = iter([replace(found, squares=one) for one in (20.0, 60.0, 30.0)])
+    monkeypatch.setattr(stem, "_stretch", lambda *_: next(stretches))
+    pv = np.random.default_rng(0).normal(size=9000)
+    assert stem.stem_test(pv, -pv, None, 1.0, math.nan, 1.0).squares == 30.0

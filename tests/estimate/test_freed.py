@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import importlib
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,7 +12,7 @@ import workbench as wb
 from workbench.estimate.bands import Bands
 from workbench.estimate.data import Centred, centre
 from workbench.estimate.fit import Limits
-from workbench.estimate.freed import freed
+from workbench.estimate.freed import Loaded, freed
 from workbench.estimate.two_parameter import Band, band_stem, fit_band
 from workbench.model.loads import LoadStep
 
@@ -64,7 +63,7 @@ def held() -> tuple[Centred, Bands, Bands, Limits]:
 
 
 def test_alike_are_those_that_fit_as_well_beside_steps_of_their_own(held) -> None:
-    data, alone, found, _ = held
+    data, alone, found, limits = held
     assert found.S[0] < BAND < found.S[1]
     assert found.S[1] - found.S[0] < 0.1 * BAND
     assert found.alike == alone.alike
@@ -74,9 +73,11 @@ def test_alike_are_those_that_fit_as_well_beside_steps_of_their_own(held) -> Non
     # A chi square of one degree of freedom, at 95 %, from as many samples as are there at most.
     assert max(left) < least * math.exp(3.841 / (0.5 * data.samples))
     assert [band.fit.sse / data.samples for band in found.beside] == pytest.approx(left, rel=1e-6)
-    # Further out they fit worse.
-    out = replace(found.beside[0], S=1.1 * found.S[1])
-    assert left_by_hand(data, out, [722.0]) > max(left)
+    # Further out they fit worse, whatever their plant.
+    loaded = Loaded(data, np.array([721, 722, 723]), 0, limits)
+    for S in (0.95 * found.S[0], 1.05 * found.S[1]):
+        out = [loaded.band(S, 0.0, start, found.best.fit) for start in ((-1, 0.0), (0, 1.0), (0, -1.0))]
+        assert min(left_by_hand(data, band, [722.0]) for band in out) > max(left)
     assert alone.best is found.best
 
 
@@ -89,6 +90,8 @@ def test_ranges_hold_the_truth_beside_a_load_step() -> None:
     """Without this neither range of S, nor of the gain or the dead time, held it."""
     found = [wb.estimate(record_of(seed), plant="integrating") for seed in (1, 3)]
     assert all(one.verdict == "stiction" and len(one.load_steps) == 1 for one in found)
+    # The refinement knows the steps of the best alone: the plants of the others stay in its ranges.
+    found.append(wb.estimate(record_of(1), plant="integrating", method="joint"))
     for truth, pairs in (
         (BAND, [one.intervals.S for one in found]),
         (GAIN, [one.intervals.gain for one in found]),
@@ -124,4 +127,5 @@ def test_a_slip_jump_that_is_hardly_likelier_than_none_leaves_the_dead_band_in_t
     assert 0.0 <= dead.bic - own.bic < 2.0
     low, high = found.intervals.S
     assert low <= 4.81975 <= high
+    assert found.intervals.J[0] == 0.0
     assert any("does not tell this valve from a dead band of" in reason for reason in found.reasons)

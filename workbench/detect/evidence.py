@@ -158,7 +158,7 @@ def _stem_test(found: Detection) -> Iterator[Statistic]:
         _undefined(STILL)
         if test is None
         else "not asked: the linear loop leaves much"
-        if test.unexplained >= limits.little
+        if test.squares == 0.0
         else "no curve shows"
         if test.squares < limits.sole
         else "a curve of the plant does as well as a stem"

@@ -47,7 +47,7 @@ class FreePredictor:
         while not self._knows(y, u, held, past, longest) and past > 1:
             # Where samples are missing a shorter past leaves more of them to predict.
             past //= 2
-        self.floor = floor * self.left.size
+        self.past, self.floor = past, floor * self.left.size
 
     def _knows(self, y: FloatArray, u: FloatArray, held: NDArray[np.bool_], past: int, longest: int) -> bool:
         """Regress PV on the past and say whether the samples are enough."""
@@ -112,7 +112,7 @@ class FreePredictor:
         return FreePredictor(y, path - path.mean(), held, floor, longest, curved).ahead_of(self)
 
     def ahead_of(self, other: FreePredictor) -> float:
-        """Return the log likelihood ratio of this prediction of the same PV to another, 0 where either is not known."""
+        """Return the log likelihood ratio of this prediction to another, 0 where one is not known, or of less of PV."""
         if not self.enough or not other.enough or self.left.size != other.left.size:
             return 0.0
         theirs = float(other.left @ other.left) + other.floor

@@ -66,8 +66,8 @@ HARM = 0.5  # a stem that simulates PV worse than OP itself does by more than th
 class _Candidate:
     """A valve and its log likelihood ratios over the linear rival: of the innovations, and of the simulated PV.
 
-    adds: that over the free linear predictor, and over the curved one where little is left, the less. samples: that
-    count.
+    linearly: that over the free linear predictor; adds: the less of it and of that over the curved one, where little is
+    left. samples: that count.
     """
 
     law: Law
@@ -75,6 +75,7 @@ class _Candidate:
     fit: Fit
     innovations: float
     simulated: float
+    linearly: float
     adds: float
     samples: int
 
@@ -119,7 +120,11 @@ class _Search:
         self.free = FreePredictor(*past)
         # What moves most of PV shows what curve the plant has.
         little = self.straight.variance < Thresholds().little * power
-        self.known = [self.free, FreePredictor(*past, curved=True)] if little else [self.free]
+        self.known = [self.free]
+        if little:
+            curved = FreePredictor(*past, curved=True)
+            # In a short record the one may have to do with less of the past than the other.
+            self.known += [curved] if curved.past == self.free.past else []
 
     def _gain(self, rival: float, variance: float) -> float:
         floor = FLOOR**2 * self.power
@@ -131,13 +136,12 @@ class _Search:
         taus: the time constants to start from, samples; then its simulation is not looked at.
         """
         fit = self.rivals.settle(path, a, self.fine if taus is None else taus, 2)
-        simulated, adds = -math.inf, 0.0
+        simulated, adds = -math.inf, [0.0]
         if taus is None:
             simulated = self._gain(self.straight.variance, self.rivals.plant(path, self.white, self.fine).variance)
-            adds = min(known.adds(path, fit.delay) for known in self.known)
-        return _Candidate(
-            law, path, fit, self._gain(self.rival.variance, fit.variance), simulated, adds, self.rivals.count
-        )
+            adds = [known.adds(path, fit.delay) for known in self.known]
+        innovations = self._gain(self.rival.variance, fit.variance)
+        return _Candidate(law, path, fit, innovations, simulated, adds[0], min(adds), self.rivals.count)
 
     def met(self) -> list[_Candidate]:
         """Return the valves judged: the best of the grid, and those found closer and closer about them."""
@@ -221,7 +225,7 @@ class _Search:
         if not (best > Thresholds().chance and math.isfinite(period) and self.free.enough):
             return best
         wave = steady_wave(self.free, self.rivals.y, period)
-        ahead = max(c.adds for c in met) - wave
+        ahead = max(c.linearly for c in met) - wave
         # In OP's place each stem is a regression of its own: not asked where it changes nothing.
         return ahead if wave <= 0.0 else max([ahead, *(self.free.instead(c.path) - wave for c in met)])
 
@@ -347,7 +351,7 @@ def _test(
     )
     limits = Thresholds()
     if test.sure >= limits.close * limits.sure:
-        test = replace(test, turned=max(c.adds for c in met) - search.turns)
+        test = replace(test, turned=max(c.linearly for c in met) - search.turns)
     # A stem that moves often, and accuses nobody or explains most, is not worth a search for steps.
     if moves > FEW and not (accuses(test) and test.improvement < limits.most):
         return test
@@ -373,8 +377,8 @@ def stem_test(
     is not known. fitted: a valve and its stem, %, shape (N,), from a model of the loop, tried before the grid, which is
     not asked where that one leaves no doubt (`wide` is nan then). A record of more than 3,000 samples is thinned
     until a cycle has no more than 100 or one stretch of 3,000 holds all; of what is longer yet three stretches are
-    looked at, evenly spaced, whose likelihoods add up, but for those of two rivals: the clearest but one's count (see
-    `verdict`); the rest is told for the clearest of them.
+    looked at, evenly spaced, whose likelihoods add up, but for those of two rivals, and of squares: the clearest but
+    one's count (see `verdict`); the rest is told for the clearest of them.
     """
     thin = int(period / sample_time / PER_CYCLE) if math.isfinite(period) else 1
     thin = max(min(thin, -(-pv.size // WINDOW)), 1)
@@ -408,7 +412,7 @@ def stem_test(
         loaded=sum(p.loaded for p in parts),
         waved=sum(p.waved for p in parts),
         turned=counts.turned,
-        squares=sum(p.squares for p in parts),
+        squares=sorted(p.squares for p in parts)[max(len(parts) - 2, 0)],
         improvement=1.0 - math.exp(-gain / total),
         likelihood=gain,
         simulated=float(np.median([p.simulated for p in parts])),

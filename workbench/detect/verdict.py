@@ -315,7 +315,8 @@ def beyond_doubt(test: StemTest) -> bool:
     """Return whether a sticking stem reaches twice what finding stiction takes, and explains most of both errors."""
     limits = Thresholds()
     most = min(test.improvement, test.simulated) >= limits.most
-    return most and min(test.loaded, test.waved) >= 2.0 * limits.chance and _sticks(test, limits, 2.0)
+    rivalled = min(test.loaded, test.waved) < 2.0 * limits.chance or curved(test, limits)
+    return most and not rivalled and _sticks(test, limits, 2.0)
 
 
 def _sticks(test: StemTest, limits: Thresholds, share: float) -> bool:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from functools import cache, cached_property, partial
+from functools import cache, cached_property, partial, reduce
 from typing import NamedTuple
 
 import numpy as np
@@ -40,6 +40,7 @@ from workbench.estimate.scale import (
     InScale,
     band_of,
     band_position,
+    joined,
     linear_intervals,
     linear_result,
     rivals_of,
@@ -379,8 +380,9 @@ def _without_jump(fits: _Fits) -> dict[str, Intervals]:
     if fits.models["deadband"].bic > fits.models["choudhury"].bic + BARE_MENTION:
         return {}
     data, dead, limits = fits.data, fits.bands["deadband"], fits.limits
-    near = freed(data, fits.whole, alike(data, dead, limits), dead.only, limits, fits.steps)
-    return {"deadband": band_of(data, near, "deadband", limits).intervals}
+    near = widened(data, alike(data, dead, limits), dead.only, limits)
+    found = band_of(data, freed(data, fits.whole, near, dead.only, limits, fits.steps), "deadband", limits)
+    return {"deadband": replace(reduce(joined, found.parts, found.intervals), J=(0.0, 0.0))}
 
 
 def _reasoned(loop: _Asked, fits: _Fits, chosen: str, said: _Said, ranged: Bands | None) -> _Said:

@@ -17,7 +17,7 @@ from scipy.optimize import minimize
 
 from workbench.estimate.bands import Bands
 from workbench.estimate.beside_kernel import left_beside
-from workbench.estimate.data import WHITE, Centred
+from workbench.estimate.data import Centred
 from workbench.estimate.fit import Fit, Limits, predict
 from workbench.estimate.loads import SHIFT, steps_of
 from workbench.estimate.profile import CHI_SQUARE
@@ -98,26 +98,26 @@ def freed(
     data: without its load steps; whole: with them. only: J as a share of S, None for any.
     """
     best = found.best
-    if not steps or best.fit.gain == 0.0:
+    # The steps stand beside no filter: where what is left is coloured they are not asked.
+    if not steps or best.fit.gain == 0.0 or data.a.size > 1:
         return found
     loaded = Loaded.of(whole, data, steps, limits)
-    # What is coloured is so here: the steps stand beside no filter.
-    bare, x = data.whitened(WHITE, data.skip), band_stem(data.u, best.S, best.J, best.first, best.sense)[0]
-    room = CHI_SQUARE / effective_samples(bare, x, max(best.first, 0), best.fit)
+    x, _ = band_stem(data.u, best.S, best.J, best.first, best.sense)
+    room = CHI_SQUARE / effective_samples(data, x, max(best.first, 0), best.fit)
     begun = loaded.band(best.S, best.J, (best.first, best.sense), best.fit)
     floor = data.floor * data.samples
-    least, met = max(begun.fit.sse, floor), list[Band]()
+    least, met = max(begun.fit.sse, floor), [begun]
     for way in (1.0, -1.0):
         last, worse = begun, 0
         for away in (way * AWAY).tolist():
             last, worse = _stepped(loaded, best, away, only, last.fit), worse + 1
-            least = min(least, max(last.fit.sse, floor))
-            if last.fit.sse <= least * math.exp(room):
+            if last.slips > 0 and last.fit.gain * best.fit.gain > 0.0 and last.fit.sse <= least * math.exp(room):
+                least = min(least, max(last.fit.sse, floor))
                 met.append(last)
                 worse = 0
             if worse == WORSE:
                 break
-    alike = [b for b in met if b.fit.sse <= least * math.exp(room) and b.fit.gain * best.fit.gain > 0.0]
+    alike = [b for b in met if b.fit.sse <= least * math.exp(room)]
     S, J = [b.S for b in alike], [b.J for b in alike]
     behind = [math.log(max(b.fit.sse, floor) / least) / room for b in alike]
     return replace(

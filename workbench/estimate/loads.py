@@ -33,7 +33,7 @@ LEAST_BEFORE, LEAST_AFTER = 0.02, 0.02  # of the record, that a step must have o
 DEGREES, CLEAR = 3, 10.0
 # A load that drifts looks like steps too, but what these leave of it is as coloured as before. The sum of the
 # autocorrelation must in the end fall to WHITER of what it was and below WHITE_ENOUGH, or to what noise alone has: of
-# 400 records of 1,000 samples of noise nine in ten are below NOISE. Single steps in noise pass that by far (a
+# 400 records of 1,000 samples of noise about nine in ten are below NOISE. Single steps in noise pass that by far (a
 # hundredth), of 15 drifts two came to .3 and .4 and the others to .6 and more.
 WHITER, WHITE_ENOUGH, NOISE = 0.4, 5.0, 1.2
 SPREADS, EVALUATIONS = (0.03, 0.01, -0.01, 0.003), 120  # of a valve's and plant's parameters, in turn
@@ -96,7 +96,7 @@ def loads_of(
     if n > WHOLE or most == 0 or span[1] - span[0] <= 8 or lead.fit.gain == 0.0:
         return nothing
     bare = _beside(data, lead.x, lead.first, lead.fit, limits, skip, [])
-    # What is hardly coloured leaves no colour for steps to take (see WHITER).
+    # Where it is hardly coloured (see WHITER) the lead is not far from right.
     coloured = bare.a.size > 1 and WHITER * inflation(bare.left[skip:]) > 1.0
     stems = [(bare, lead)]
     if further is not None and coloured:

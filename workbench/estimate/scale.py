@@ -259,10 +259,10 @@ def band_of(data: Centred, found: Bands, name: str, limits: Limits) -> InScale:
     if best.fit.gain != 0.0:
         errors = standard_errors(data, x, begin, best.fit, clamped=False)
     errors = unsure(data, errors, best.fit, best.S)
-    fits, spare = [b.fit for b in (*found.alike, *found.beside)], (*found.spare, *found.spare_beside)
-    ranges = ranges_of(data, fits, errors, None, limits.theta[1], spare)
+    ranges = ranges_of(data, [b.fit for b in found.alike], errors, None, limits.theta[1], found.spare)
     # The valve's own width and jump take part in what the plant may be: parts of the record differ in all of them.
-    parts = (ranges_of(data, list(found.parts), errors, None, limits.theta[1]),) if found.parts else ()
+    apart = (found.parts, ()), ([b.fit for b in found.beside], found.spare_beside)
+    parts = tuple(ranges_of(data, list(fits), errors, None, limits.theta[1], spare) for fits, spare in apart if fits)
     if best.slips >= ENOUGH_SLIPS:
         ranges = replace(ranges, S=wider(data, found.S), J=None if name == "deadband" else wider(data, found.J))
     return InScale(band_position(data, best), prediction, bias_of(data, whole), ranges, parts)

@@ -82,7 +82,8 @@ def unseen(data: Centred, linear: Fit, longest: float, loaded: Loaded | None = N
                 inner, outer = (one, other) if behind(one) <= 1.0 else (other, one)
                 for _ in range(HALVINGS):
                     amid = place(math.sqrt(inner.S * outer.S), 0.0, (inner.first, inner.sense), inner.fit)
-                    inner, outer = (amid, outer) if behind(amid) <= 1.0 else (inner, amid)
+                    fits = amid.slips > 0 and amid.fit.gain * linear.gain > 0.0 and behind(amid) <= 1.0
+                    inner, outer = (amid, outer) if fits else (inner, amid)
                 alike.append(inner)
     x, begin, fit = data.u, 0, linear
     if loaded is None:

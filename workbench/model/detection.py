@@ -74,15 +74,16 @@ class StemTest:
     triangular load of steady period, three ln N for that; `predicting` where that is chance, or PV has no period.
     turned: by how much the stem that adds most to the free predictor is ahead of PV's own turns there, in the stretch
     of `sure`; 0 where that is far from enough. squares: of the free predictor with the squares of PV and OP, the ratio
-    to that without; 0 where much is unexplained and they are not asked.
+    to that without, of a long record that of the clearest stretch but one; 0 where much is unexplained and they are not
+    asked.
     likelihood: `predicting` of the stem best by prediction and simulation together; improvement: share of the linear
     rival's innovation variance that it explains; simulated: share of the error of the linear rival's simulated PV that
     it explains; adds: its log likelihood ratio over the free linear predictor, which knows the past of PV and OP and no
     valve, and where little is unexplained over one that knows the squares too, the less. The linear rival of the
     innovations may have a sinusoidal disturbance.
 
-    sure: the best of all stems by the less of both ratios, over the linear rival and over the free predictor; of a long
-    record that of the clearest stretch but one; wide: the ratio over the linear rival of the best stem with a
+    sure: the best of all stems by the less of both ratios, over the linear rival and as in `adds`; of a long record
+    that of the clearest stretch but one; wide: the ratio over the linear rival of the best stem with a
     band of `wide_from` (%), a quarter of OP's range, or more. In these two a stem that makes the simulated PV worse by
     half counts for what it simulates. wide is nan where a model's stem left no doubt and no other was tried. instead:
     the best of all stems by the least of three ratios, the two of sure, whatever the stem simulates, and that of the
