@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from functools import cache, cached_property, partial, reduce
+from functools import cache, cached_property, partial
 from typing import NamedTuple
 
 import numpy as np
@@ -12,7 +12,7 @@ import numpy as np
 from workbench.detect.action import only_answers
 from workbench.detect.detect import detect
 from workbench.detect.stem import WIDE, Fitted
-from workbench.estimate.bands import Bands, Found, Seek, Sought, alike, coarse_of, like_stenman, repeated, sought
+from workbench.estimate.bands import Bands, Found, Seek, Sought, coarse_of, like_stenman, repeated, sought
 from workbench.estimate.candidates import Candidate
 from workbench.estimate.data import Centred, plant_of
 from workbench.estimate.dense import densely
@@ -40,12 +40,12 @@ from workbench.estimate.scale import (
     InScale,
     band_of,
     band_position,
-    joined,
     linear_intervals,
     linear_result,
     rivals_of,
     stem_of,
     unknown,
+    without_jump,
 )
 from workbench.estimate.settled import coloured_linear, settled
 from workbench.estimate.stems import path_of
@@ -375,16 +375,6 @@ def _ranged(fits: _Fits, chosen: str) -> Bands:
     return freed(data, fits.whole, ranged, only, fits.limits, fits.steps)
 
 
-def _without_jump(fits: _Fits) -> dict[str, Intervals]:
-    """The ranges of the dead band, by its name, where a slip jump beside it is not worth more than a bare mention."""
-    if fits.models["deadband"].bic > fits.models["choudhury"].bic + BARE_MENTION:
-        return {}
-    data, dead, limits = fits.data, fits.bands["deadband"], fits.limits
-    near = widened(data, alike(data, dead, limits), dead.only, limits)
-    found = band_of(data, freed(data, fits.whole, near, dead.only, limits, fits.steps), "deadband", limits)
-    return {"deadband": replace(reduce(joined, found.parts, found.intervals), J=(0.0, 0.0))}
-
-
 def _reasoned(loop: _Asked, fits: _Fits, chosen: str, said: _Said, ranged: Bands | None) -> _Said:
     """The verdict with what else is to be said of the models and the record; ranged: the two-parameter valve told."""
     reasons = said.reasons
@@ -436,8 +426,9 @@ def _told_stem(
         stem, reasons = replace(stem, intervals=Intervals()), (*reasons, words_of_hidden(data.doubt))
     elif loop.valve == "auto" and not loop.two_step:
         rivals = rivals_of(data, chosen, fits.found, fits.bands, fits.limits)
-        if chosen == "choudhury" and "deadband" in fits.models:
-            rivals |= _without_jump(fits)
+        dead = fits.bands.get("deadband") if chosen == "choudhury" else None
+        if dead is not None and fits.models["deadband"].bic <= fits.models[chosen].bic + BARE_MENTION:
+            rivals["deadband"] = without_jump(data, fits.whole, dead, fits.limits, fits.steps)
         others += tuple(rivals.values())
         reasons += tuple(words_of_rival(name, ranges, data.integrating) for name, ranges in rivals.items())
     plant = plant_of(data, best.fit.gain, best.fit.tau, best.fit.theta)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import reduce
 
 import numpy as np
 
@@ -13,6 +14,7 @@ from workbench.estimate.candidates import Candidate
 from workbench.estimate.data import Centred, plant_of
 from workbench.estimate.few import widened
 from workbench.estimate.fit import LEAST_TAU, Fit, Limits, grounded, predict, start_range
+from workbench.estimate.freed import freed
 from workbench.estimate.models import PLANT_PARAMETERS
 from workbench.estimate.output_error import NO_DELAY
 from workbench.estimate.profile import CHI_SQUARE, Profile
@@ -21,6 +23,7 @@ from workbench.estimate.sureness import NORMAL, effective_samples, standard_erro
 from workbench.estimate.two_parameter import Band, band_stem, held_range
 from workbench.estimate.two_step import akaike
 from workbench.estimate.verdict import ENOUGH_SLIPS
+from workbench.model.loads import LoadStep
 from workbench.model.plant import FOPDT, Plant
 from workbench.model.record import FloatArray
 from workbench.model.results import Intervals, LinearFit
@@ -39,6 +42,7 @@ __all__ = [
     "unknown",
     "unsure",
     "wider",
+    "without_jump",
 ]
 
 AT_END = 0.05  # of a limit of the search for a time constant: nearer, it is the limit that was found
@@ -47,7 +51,8 @@ HALF_SAMPLE = 0.5  # likewise of a dead time
 
 @dataclass(frozen=True, eq=False)
 class InScale:
-    """The best stem model in the record's own scale; parts: what parts of the record say of its plant beside."""
+    """The best stem model in the record's own scale; parts: what parts of the record say of its plant beside,
+    and stems beside load steps of their own."""
 
     valve_position: FloatArray
     prediction: FloatArray
@@ -192,7 +197,7 @@ def rivals_of(
 ) -> dict[str, Intervals]:
     """Return the ranges of the sticking valves beside the chosen one whose fit the record cannot tell from its own.
 
-    A dead band is a stem with S and J that needs no J: neither is the other's rival.
+    A dead band is a stem with S and J that needs no J: neither is the other's rival (but see `without_jump`).
     """
     n = data.samples
     best = bands[chosen].best if chosen in bands else None
@@ -212,6 +217,16 @@ def rivals_of(
             near_it = widened(data, alike(data, one, limits, fit.sse), one.only, limits, fit.sse)
             ranges[name] = band_of(data, near_it, name, limits).intervals
     return ranges
+
+
+def without_jump(data: Centred, whole: Centred, dead: Found, limits: Limits, steps: Sequence[LoadStep]) -> Intervals:
+    """Return the ranges of a dead band that the record cannot tell from a stem with a slip jump: J is 0.
+
+    whole: the record with its load steps.
+    """
+    near = freed(data, whole, widened(data, alike(data, dead, limits), dead.only, limits), dead.only, limits, steps)
+    found = band_of(data, near, "deadband", limits)
+    return replace(reduce(joined, found.parts, found.intervals), J=(0.0, 0.0))
 
 
 def stem_of(data: Centred, found: Profile) -> InScale:
