@@ -75,11 +75,11 @@ class Loaded:
             left,
             point,
             method="Nelder-Mead",
+            # As many steps for each: a stem is not to look worse because its search ended sooner.
             options={
                 "initial_simplex": point + SPREAD * np.vstack([np.zeros(2), np.eye(2)]),
                 "maxfev": EVALUATIONS,
                 "xatol": 0.0,
-                "fatol": 1e-6 * self.left((near.tau, near.theta), x, first),
             },
         )
         tau, theta = plant(least.x)

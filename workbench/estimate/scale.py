@@ -51,8 +51,10 @@ HALF_SAMPLE = 0.5  # likewise of a dead time
 
 @dataclass(frozen=True, eq=False)
 class InScale:
-    """The best stem model in the record's own scale; parts: what parts of the record say of its plant beside,
-    and stems beside load steps of their own."""
+    """The best stem model in the record's own scale.
+
+    parts: what parts of the record say of its plant beside, and stems that have load steps of their own.
+    """
 
     valve_position: FloatArray
     prediction: FloatArray

@@ -36,7 +36,6 @@ ACROSS = ((-1, 0.0), (0, 1.0), (0, -1.0))  # starts (first, sense), amid the ban
 HALVINGS = 5  # of the step from a band that fits as well to one that does not
 MATTERS = 0.05  # of the gain, beyond the linear loop's own range: less is not worth a word
 
-
 # A stem (S, J) from its start, with the plant that leaves least, sought from another.
 Place = Callable[[float, float, tuple[int, float], Fit], Band]
 
@@ -90,7 +89,7 @@ def unseen(data: Centred, linear: Fit, longest: float, loaded: Loaded | None = N
         best = best_of(alike)
         x, begin, fit = band_stem(data.u, best.S, 0.0, best.first, best.sense)[0], max(best.first, 0), best.fit
     errors = standard_errors(data, x, begin, fit, clamped=False)
-    spare = [math.sqrt(1.0 - max(behind(b), 0.0)) for b in alike]
+    spare = [math.sqrt(1.0 - behind(b)) for b in alike]
     ranges = ranges_of(data, [b.fit for b in alike], errors, None, limits.theta[1], spare)
     return Unseen(max(b.S for b in alike), ranges)
 
