@@ -25,7 +25,7 @@ import numpy as np
 import workbench as wb
 from workbench.estimate.data import centre
 from workbench.estimate.stems import LEAST_D
-from workbench.estimate.walk_kernel import COST, ROW, walk
+from workbench.estimate.walk_kernel import COST, ROW, at_delays, walk
 
 SAMPLES = 1000
 NOISE = (0.0, 0.01, 0.02, 0.05, 0.1, 0.2)  # of PV's swing
@@ -228,7 +228,7 @@ def speed() -> None:
         wb.estimate(record)
         took = time.process_time() - began
         data = centre(record, "fopdt")
-        delays, low = np.arange(31), LEAST_D * data.op_range
+        shifted, low = at_delays(data.sums, np.arange(31)), LEAST_D * data.op_range
         rows = np.empty((6 * samples + 1000, ROW))
         counts, times, least = [], [], []
         for step in (0.0, (data.op_range / low) ** (1.0 / 200.0) - 1.0):
@@ -243,7 +243,7 @@ def speed() -> None:
                     low,
                     data.op_range,
                     step,
-                    delays,
+                    shifted,
                     math.nan,
                     data.sign,
                     rows,

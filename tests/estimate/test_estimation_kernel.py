@@ -19,7 +19,7 @@ from workbench.estimate.fit_kernel import oe_fit
 from workbench.estimate.output_error import FIT, GAIN, START, TAU, THETA, drive_of, oe_columns, oe_cost
 from workbench.estimate.path_kernel import stem_slips
 from workbench.estimate.stems import path_of
-from workbench.estimate.walk_kernel import COST, D_HIGH, D_LOW, ROW, SLIPS, walk
+from workbench.estimate.walk_kernel import COST, D_HIGH, D_LOW, DELAY, ROW, SLIPS, at_delays, walk
 from workbench.model.plant import FOPDT, Integrating
 from workbench.model.record import Record
 from workbench.model.valve import Stenman
@@ -64,7 +64,7 @@ def test_walking_meets_every_path_once_and_says_how_long_each_holds(op: np.ndarr
         0.01,
         100.0,
         0.0,
-        np.arange(3),
+        at_delays(data.sums, np.arange(3)),
         math.nan,
         0.0,
         rows,
@@ -85,14 +85,14 @@ def test_a_walk_that_drops_more_links_than_its_heap_holds_meets_the_same_paths(m
     op = 3.0 * np.sin(0.13 * np.arange(300)) + 0.2 * np.sin(0.029 * np.arange(300))
     pv = np.convolve(op, [0.0, 0.2, 0.3, 0.1])[:300] + np.random.default_rng(1).normal(0, 0.1, 300)
     data = centre(Record(pv, op, 1.0), "fopdt")
-    refilled = []
+    shifted, refilled = at_delays(data.sums, np.arange(3)), []
     refill = walk_kernel._refill
     monkeypatch.setattr(walk_kernel, "_refill", lambda *given: refilled.append(1) or refill(*given))
 
     def rows_of(d_from: float, d_to: float, walking=walk) -> np.ndarray:
         rows = np.empty((2500, ROW))
         signals = data.sums, data.squares, data.products, data.u
-        return rows[: walking(*signals, 0, d_from, d_to, 0.0, np.arange(3), math.nan, 0.0, rows)]
+        return rows[: walking(*signals, 0, d_from, d_to, 0.0, shifted, math.nan, 0.0, rows)]
 
     found = rows_of(0.01, 8.0, walk.py_func)
     assert len(found) > 300
@@ -105,40 +105,33 @@ def test_a_walk_that_drops_more_links_than_its_heap_holds_meets_the_same_paths(m
     np.testing.assert_allclose(rows_of(0.01, 8.0), found, rtol=1e-9)
 
 
+@pytest.mark.parametrize("delays", [[2], list(range(1, 20)), [0, 2, 5, 9, 40]])
 @pytest.mark.parametrize("first", [0, 7, 30])
 @pytest.mark.parametrize("integrating", [False, True])
-def test_the_one_step_cost_is_numpys_least_squares(first: int, integrating: bool) -> None:
+def test_the_one_step_cost_is_numpys_least_squares(first: int, integrating: bool, delays: list[int]) -> None:
     rng = np.random.default_rng(3)
     op = np.cumsum(rng.normal(0, 0.5, 200))
     pv = np.convolve(op, [0.0, 0.2, 0.3, 0.1])[:200] + rng.normal(0, 0.3, 200)
     data = centre(Record(pv, op, 1.0), "fopdt")
     rows = np.empty((1, ROW))
-    delays = np.array([2])
+    shifted = at_delays(data.sums, np.array(delays))
     pole = 1.0 if integrating else math.nan
-    walk(
-        data.sums,
-        data.squares,
-        data.products,
-        data.u,
-        first,
-        0.8,
-        0.8001,
-        0.0,
-        delays,
-        pole,
-        0.0,
-        rows,
-    )
+    signals = data.sums, data.squares, data.products, data.u
+    assert walk(*signals, first, 0.8, 0.8001, 0.0, shifted, pole, 0.0, rows) == 1
     x, _ = path_of(data.u, 0.8, first)
     k = np.arange(199)
-    shifted = np.where(k - 2 >= 0, x[np.maximum(k - 2, 0)], 0.0)
-    regressors = [shifted, np.ones(199), (k < first + 2).astype(float)]
     target = data.y[1:] - data.y[:-1] if integrating else data.y[1:]
-    if not integrating:
-        regressors.append(data.y[:-1])
-    matrix = np.column_stack(regressors)
-    terms = np.linalg.lstsq(matrix, target, rcond=None)[0]
-    assert rows[0, COST] == pytest.approx(float(((matrix @ terms - target) ** 2).sum()), rel=1e-9)
+    least = {}
+    for delay in delays:
+        answered = np.where(k - delay >= 0, x[np.maximum(k - delay, 0)], 0.0)
+        regressors = [answered, np.ones(199), (k < first + delay).astype(float)]
+        if not integrating:
+            regressors.append(data.y[:-1])
+        matrix = np.column_stack(regressors)
+        terms = np.linalg.lstsq(matrix, target, rcond=None)[0]
+        least[delay] = float(((matrix @ terms - target) ** 2).sum())
+    assert rows[0, DELAY] == min(least, key=lambda delay: least[delay])
+    assert rows[0, COST] == pytest.approx(min(least.values()), rel=1e-9)
 
 
 @pytest.mark.parametrize("plant", [FOPDT(2.0, 5.0, 1.7), FOPDT(-0.5, 0.4, 0.0), Integrating(0.3, 2.25)])

@@ -28,6 +28,7 @@ from workbench.estimate.fit import (
 )
 from workbench.estimate.output_error import FIT, TAU, drive_of, oe_cost
 from workbench.estimate.stems import FIRST, HIGH, LOW, path_of, walk, walk_starts
+from workbench.estimate.walk_kernel import at_delays
 from workbench.estimate.windows import EXACT, active_windows, stretch_of, windows_of
 from workbench.model.valve import Valve
 
@@ -49,11 +50,12 @@ def loop_data(plant: str = "fopdt", samples: int = 2000, sd: float = 0.05) -> Ce
 
 def check_starts(data: Centred, bands_tried: np.ndarray, delays: np.ndarray) -> None:
     firsts = data.starts.firsts
-    rows = walk_starts(data, firsts, bands_tried, delays)
+    shifted = at_delays(data.sums, delays)
+    rows = walk_starts(data, firsts, bands_tried, shifted)
     met = 0
     for d in bands_tried.tolist():
         for first in firsts.tolist():
-            plain = walk(data, first, d, math.nextafter(d, math.inf), 0.0, delays)
+            plain = walk(data, first, d, math.nextafter(d, math.inf), 0.0, shifted)
             here = rows[(rows[:, 0] == first) & (rows[:, 1] == d)]
             assert len(here) == len(plain)
             if not len(plain):

@@ -61,8 +61,8 @@ class Loads:
 class Stem:
     """A stem path x, shape (N,), its first slip, the plant fitted to it, and the paths of valves near its own.
 
-    near: the path of the same stem with S (or d) and J multiplied by two factors; None where it has no such parameters.
-    valve: of a two-parameter stem, None of any other.
+    near: the path of the same stem with S (or d) and J multiplied by two factors; None where the plant stays as it is.
+    free: the first so many of these factors make a difference. valve: of a two-parameter stem, None of any other.
     times: samples at which PV begins to answer load steps, where it was found beside such.
     """
 
@@ -70,6 +70,7 @@ class Stem:
     first: int
     fit: Fit
     near: Callable[[float, float], FloatArray] | None = None
+    free: int = 0
     times: tuple[int, ...] = ()
     valve: Valve | None = None
 
@@ -207,25 +208,27 @@ def _refined(data: Centred, stem: Stem, model: _Model, limits: Limits, skip: int
         return near(math.exp(point[0]), math.exp(point[1])), replace(model.fit, tau=tau, theta=theta)
 
     times = np.array(model.times)
+    moves = np.eye(4)[[*range(stem.free), *([] if data.integrating else [2]), 3]]
 
-    def left(point: FloatArray) -> float:
-        x, fit = valve(point)
+    def left(step: FloatArray) -> float:
+        x, fit = valve(step @ moves)
         return left_beside(data.y, x, stem.first, data.integrating, fit.tau, fit.theta, times, skip)
 
-    point = np.zeros(4)
+    step = np.zeros(len(moves))
     for spread in SPREADS:
-        simplex = point + spread * np.vstack([np.zeros(4), np.eye(4)])
-        point = minimize(
+        simplex = step + spread * np.vstack([np.zeros(step.size), np.eye(step.size)])
+        step = minimize(
             left,
-            point,
+            step,
             method="Nelder-Mead",
             options={
                 "initial_simplex": simplex,
                 "maxfev": EVALUATIONS,
-                "xatol": 0.0,
+                "xatol": math.inf,
                 "fatol": 1e-6 * model.power(skip),
             },
         ).x
+    point = step @ moves
     x, fit = valve(point)
     wider, further = np.exp(point[:2]).tolist()
     moved = replace(_beside(data, x, stem.first, fit, limits, skip, list(model.times)), wider=wider, further=further)

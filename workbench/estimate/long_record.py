@@ -26,6 +26,7 @@ from workbench.estimate.stems import (
     walk,
     walk_starts,
 )
+from workbench.estimate.walk_kernel import at_delays
 from workbench.estimate.windows import EXACT, windows_of
 
 __all__ = ["scan_long"]
@@ -52,8 +53,8 @@ def _glimpse(part: Centred, delays: NDArray[np.int64], longest: float) -> _Glimp
     if not part.op_range > 0.0 or not float(np.ptp(part.y)) > 0.0:
         return None
     reach = LEAST_D * part.op_range, 1.0001 * part.op_range
-    firsts = firsts_for(part, part.op_range, GLIMPSED).tolist()
-    best = _distinct_in(part, np.vstack([walk(part, f, *reach, 0.0, delays) for f in firsts]), longest)
+    firsts, shifted = firsts_for(part, part.op_range, GLIMPSED).tolist(), at_delays(part.sums, delays)
+    best = _distinct_in(part, np.vstack([walk(part, f, *reach, 0.0, shifted) for f in firsts]), longest)
     if not best or not _noise_alone(part, best[0]):
         # Noise in OP makes stems slip alike after a while, wherever they stood at first; in a quiet cycle they do not.
         best = _apart([*best, *_distinct_in(part, scan(part, delays), longest)])
@@ -124,11 +125,11 @@ def scan_long(
     """
     glimpses = _glimpses(data, delays, longest, lambda share: progress(0.5 * share))
     clear = [g for g in glimpses if g.clear]
-    lean = delays
+    searched = delays
     if clear:
         low, high = min(g.delays[0] for g in clear) - 4, max(g.delays[0] for g in clear) + 4
-        lean = delays[(delays >= low) & (delays <= high)]
-    lean = thin(lean, LEAN)
+        searched = delays[(delays >= low) & (delays <= high)]
+    lean = at_delays(data.sums, thin(searched, LEAN))
     likely = [d for g in clear for d in g.bands[:2]] + [g.bands[0] for g in glimpses if not g.clear]
     # Some paths over every d, for what no window is long enough to show; narrow bands slip often in each of them.
     span = data.op_range

@@ -50,6 +50,7 @@ def _leading(data: Centred, found: Profile | None, bands: dict[str, Found], line
         best.first,
         best.fit,
         lambda wider, _: path_of(data.u, best.d_low * wider, best.first)[0],
+        free=1,
     )
 
 
@@ -60,6 +61,7 @@ def _of_band(data: Centred, b: Band) -> Stem:
         max(b.first, 0),
         b.fit,
         lambda wider, further: band_stem(data.u, b.S * wider, b.J * further, b.first, b.sense)[0],
+        free=2 if b.J > 0.0 else 1,
         valve=(b.S, b.J, b.first, b.sense),
     )
 
@@ -202,7 +204,7 @@ def coloured_linear(
     for _ in range(COLOURINGS):
         limits = Limits((LEAST_TAU, float(data.samples)), (0.0, delays))
         # OP's path is no valve's to move, but beside steps of free sizes its plant moves on as a stem's does.
-        lead = Stem(data.u, 0, linear, lambda *_: whole.u, times)
+        lead = Stem(data.u, 0, linear, lambda *_: whole.u, times=times)
         bare, loads = _relieved(whole, data, lead, limits, 0, STEPS_MOST)
         steps = loads.steps
         a = disturbance(loads.left, data.floor)

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from workbench.estimate import long_kernel, path_kernel, walk_kernel
 from workbench.estimate.data import Centred, integers
+from workbench.estimate.walk_kernel import AtDelays, at_delays
 
 __all__ = [
     "COST",
@@ -50,9 +51,7 @@ def range_of(u: NDArray[np.float64], d: float, first: int) -> tuple[float, float
     return long_kernel.path_range(u, d, first)
 
 
-def walk(
-    data: Centred, first: int, d_from: float, d_to: float, step: float, delays: NDArray[np.int64]
-) -> NDArray[np.float64]:
+def walk(data: Centred, first: int, d_from: float, d_to: float, step: float, shifted: AtDelays) -> NDArray[np.float64]:
     """Return rows (FIRST, LOW, HIGH, DELAY, COST, SLIPS) of the paths from `first` with d in [d_from, d_to)."""
     least = d_from
     if first > 0:
@@ -71,7 +70,7 @@ def walk(
         least,
         d_to,
         step,
-        delays,
+        shifted,
         pole,
         data.sign,
         buffer,
@@ -80,7 +79,7 @@ def walk(
 
 
 def walk_starts(
-    data: Centred, firsts: NDArray[np.int64], bands: NDArray[np.float64], delays: NDArray[np.int64]
+    data: Centred, firsts: NDArray[np.int64], bands: NDArray[np.float64], shifted: AtDelays
 ) -> NDArray[np.float64]:
     """Return rows as `walk`, LOW the band itself, of the paths of some bands, %, from first slips, ascending from 0."""
     reaches = 0.5 * data.starts.ranged[np.searchsorted(data.starts.firsts, firsts)]
@@ -93,7 +92,7 @@ def walk_starts(
         firsts,
         reaches,
         np.ascontiguousarray(bands),
-        delays,
+        shifted,
         1.0 if data.integrating else math.nan,
         data.sign,
         buffer,
@@ -117,16 +116,16 @@ def scan(data: Centred, delays: NDArray[np.int64], progress: Callable[[float], N
     d_from, d_to = LEAST_D * data.op_range, 1.0001 * data.op_range
     firsts = data.starts.firsts
     chosen = thin(firsts, STARTS)
-    found = []
+    found, shifted = [], at_delays(data.sums, delays)
     for i, first in enumerate(chosen.tolist()):
-        found.append(walk(data, first, d_from, d_to, 0.0, delays))
+        found.append(walk(data, first, d_from, d_to, 0.0, shifted))
         progress((i + 1) / chosen.size)
     rows = np.vstack(found)
     if rows.size == 0 or chosen.size == firsts.size:
         return rows
     # Every other first slip as well, at bands where a late first slip can matter: small ones slip early.
     rest = np.setdiff1d(firsts, chosen)
-    beside = [walk(data, f, WIDE_D * data.op_range, d_to, 0.0, delays) for f in thin(rest, MOST_STARTS).tolist()]
+    beside = [walk(data, f, WIDE_D * data.op_range, d_to, 0.0, shifted) for f in thin(rest, MOST_STARTS).tolist()]
     return np.vstack([rows, *beside])
 
 

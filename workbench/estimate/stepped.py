@@ -305,4 +305,5 @@ def _stem(search: _Search, one: _Found) -> Stem:
         return band_stem(data.u, one.S * wider, one.J * further, one.first, one.sense)[0]
 
     valve = None if math.isnan(one.J) else (one.S, one.J, one.first, one.sense)
-    return Stem(near(1.0, 1.0), max(one.first, 0), fit, near, (one.at * every,), valve)
+    free = 2 if one.J > 0.0 else 1
+    return Stem(near(1.0, 1.0), max(one.first, 0), fit, near, free, (one.at * every,), valve)

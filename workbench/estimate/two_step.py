@@ -17,7 +17,7 @@ from workbench.estimate.data import Centred, integers, plant_of
 from workbench.estimate.fit import LEAST_TAU, Fit, Limits, predict
 from workbench.estimate.profile import Profile
 from workbench.estimate.stems import firsts_within, path_of, thin
-from workbench.estimate.walk_kernel import COST, DELAY, ROW, walk
+from workbench.estimate.walk_kernel import COST, DELAY, ROW, AtDelays, at_delays, walk
 from workbench.model.record import FloatArray
 from workbench.model.results import Iteration
 
@@ -58,7 +58,7 @@ def _arx(data: Centred, x: FloatArray, first: int, delay: int) -> Fit:
     return Fit(math.nan, tau, float(delay), gain, bias, start, float(y[0]) - bias - start)
 
 
-def _plant_step(data: Centred, d: float, delays: list[int]) -> tuple[int, Fit]:
+def _plant_step(data: Centred, d: float, shifted: AtDelays) -> tuple[int, Fit]:
     """Step 2: the plant for a given d. The paper is silent on where the stem starts: least squares chooses that too."""
     best_cost, best = math.inf, (0, Fit(math.nan, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0))
     u = data.u
@@ -74,7 +74,7 @@ def _plant_step(data: Centred, d: float, delays: list[int]) -> tuple[int, Fit]:
             d,
             math.nextafter(d, math.inf),
             0.0,
-            integers(delays),
+            shifted,
             1.0 if data.integrating else math.nan,
             data.sign,
             rows,
@@ -109,11 +109,11 @@ def _stiction_step(data: Centred, d: float, first: int, fit: Fit) -> float:
 def two_step(data: Centred, start: float | None, max_delay: float) -> tuple[Profile, tuple[Iteration, ...]]:
     """Run the algorithm from `start` (%, a quarter of OP's range by default); return its end and its history."""
     d = 0.25 * data.op_range if start is None else start
-    delays = list(range(math.floor(max_delay + 1e-9) + 1))
+    shifted = at_delays(data.sums, integers(np.arange(math.floor(max_delay + 1e-9) + 1)))
     history: list[Iteration] = []
     seen: list[Candidate] = []
     for _ in range(ROUNDS):
-        first, fit = _plant_step(data, d, delays)
+        first, fit = _plant_step(data, d, shifted)
         x, slips = path_of(data.u, d, first)
         errors = data.y - predict(data, x, first, fit)[0]
         sse = float(errors @ errors)
