@@ -131,7 +131,7 @@ def test_a_stuck_valve_is_left_undecided_by_the_estimate_too() -> None:
     assert any("PV is not seen to answer the OP moves of" in reason for reason in found.reasons)
 
 
-@pytest.mark.parametrize("valve", [wb.Deadband(3.0), wb.Stenman(3.0), wb.Ideal()])
+@pytest.mark.parametrize("valve", [wb.Deadband(2.0), wb.Stenman(3.0), wb.Ideal()])
 def test_large_setpoint_moves_do_not_acquit_a_narrow_band(valve: wb.Deadband | wb.Stenman | wb.Ideal) -> None:
     loop = wb.Loop(FLOW, valve, wb.PID(Kc=1.2, Ti=12.0), 1.0)
     steps = [wb.Step(60.0, at=50.0), wb.Step(-50.0, at=250.0)]

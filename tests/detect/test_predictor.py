@@ -46,6 +46,21 @@ def test_in_a_linear_loop_what_a_stem_adds_is_chance() -> None:
     assert max(gains) < 20.0
 
 
+@pytest.mark.parametrize("curved", [False, True])
+def test_op_before_the_past_is_known_where_the_loop_has_a_dead_time_as_long(curved: bool) -> None:
+    rng = np.random.default_rng(0)
+    u = np.convolve(rng.normal(size=1560), np.ones(8))[:1560]
+    y = np.convolve(np.concatenate([np.zeros(70), u])[:1560], 0.8 ** np.arange(40))[:1560] + rng.normal(size=1560)
+    y, u = y[60:] - y[60:].mean(), u[60:] - u[60:].mean()
+    still = np.zeros(y.size, dtype=bool)
+    unknown, known = (FreePredictor(y, u, still, 0.0, 90, curved, delay) for delay in (0, 73))
+    late = np.roll(u, 1) + rng.normal(size=1500)
+    # Without it whatever resembles OP tells what OP did then.
+    assert unknown.adds(late, 69) > 100.0
+    assert known.adds(late, 69) < 20.0
+    assert known.instead(late) < 0.0
+
+
 def test_a_stem_that_follows_op_is_known_already() -> None:
     y, u, _ = loop_run(wb.Ideal(), 0)
     free = predictor(y, u)

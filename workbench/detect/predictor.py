@@ -26,6 +26,7 @@ __all__ = ["FreePredictor"]
 PAST = 30  # samples of PV and of OP that are known, fewer in short records
 PER_PAST = 20  # samples of the record for each
 CURVES = (1, 2, 3, 5, 8, 13)  # samples ago, of which the squares are known
+CLOSE = 10  # a dead time is known to within so much of it, or a few samples
 ANSWERS = 3  # samples of the stem, one after the other, that PV may answer to
 LEAST_ROWS = 4  # samples for each coefficient: with fewer nothing is said
 SAME = 1e-10  # share of a regressor's power: less apart from the others is rounding
@@ -36,13 +37,21 @@ class FreePredictor:
     """PV of one stretch (EU), predicted from the past of PV and OP (%), each of shape (N,).
 
     held: the samples that nobody recorded, shape (N,). floor: variance (EU^2) below which no residual counts.
-    longest: the longest dead time of a stem, samples. curved: whether the past's squares are known too.
+    longest: the longest dead time of a stem, samples. curved: whether the past's squares are known too. delay: the dead
+    time of the linear loop, samples: where the past does not reach as far, what OP was about then is known too.
     """
 
     def __init__(
-        self, y: FloatArray, u: FloatArray, held: NDArray[np.bool_], floor: float, longest: int, curved: bool = False
+        self,
+        y: FloatArray,
+        u: FloatArray,
+        held: NDArray[np.bool_],
+        floor: float,
+        longest: int,
+        curved: bool = False,
+        delay: int = 0,
     ) -> None:
-        self.asked = y, held, floor, longest, curved
+        self.asked = y, held, floor, longest, curved, delay
         past = max(min(PAST, y.size // PER_PAST), 1)
         while not self._knows(y, u, held, past, longest) and past > 1:
             # Where samples are missing a shorter past leaves more of them to predict.
@@ -51,13 +60,20 @@ class FreePredictor:
 
     def _knows(self, y: FloatArray, u: FloatArray, held: NDArray[np.bool_], past: int, longest: int) -> bool:
         """Regress PV on the past and say whether the samples are enough."""
-        self.first = max(past, longest + ANSWERS) + 1
-        reach = np.concatenate([np.ones(past + 1), np.zeros(self.first - past)])
+        curved, delay = self.asked[-2:]
+        late = range(0)
+        if delay + ANSWERS > past:
+            late = range(max(past + 1, delay - max(delay // CLOSE, ANSWERS)), delay + past // 2 + 1)
+        self.first = max(past, longest + ANSWERS, *late) + 1
+        reach = np.zeros(self.first + 1)
+        reach[[*range(past + 1), *late]] = 1.0
         self.live = np.convolve(held, reach)[: y.size][self.first :] == 0.0
         known = [_back(v, lag, self.first) for v in (y, u) for lag in range(1, past + 1)]
-        if self.asked[-1]:
+        known += [_back(u, lag, self.first) for lag in late]
+        if curved:
             squares = y * y, u * u, y * u
             known += [_back(v, lag, self.first) for v in squares for lag in CURVES if lag <= past]
+            known += [_back(u * u, delay + lag, self.first) for lag in CURVES if delay + lag in late]
         known.append(np.ones(y.size - self.first))
         columns = self._known(known)
         coefficients = columns.shape[1] + ANSWERS
@@ -108,8 +124,8 @@ class FreePredictor:
         """
         if not self.enough or not np.ptp(path) > 0.0:
             return 0.0
-        y, held, floor, longest, curved = self.asked
-        return FreePredictor(y, path - path.mean(), held, floor, longest, curved).ahead_of(self)
+        y, held, floor, longest, curved, delay = self.asked
+        return FreePredictor(y, path - path.mean(), held, floor, longest, curved, delay).ahead_of(self)
 
     def ahead_of(self, other: FreePredictor) -> float:
         """Return the log likelihood ratio of this prediction to another, 0 where one is not known, or of less of PV."""

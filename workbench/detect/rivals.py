@@ -23,8 +23,10 @@ from workbench.simulate import kernel as simulate
 
 __all__ = [
     "FINE_TAUS",
+    "FURTHER",
     "LONGEST",
     "SHORTEST",
+    "USUAL",
     "Fit",
     "Loaded",
     "Rivals",
@@ -38,8 +40,10 @@ __all__ = [
 STEP_TAUS, FINE_TAUS = 8, 28
 SHORTEST = 0.3
 LONGEST = 10.0  # records: as good as an integrating plant
+USUAL, FURTHER = 1.0 / 20.0, 1.0 / 4.0  # of the record: the longest dead time, and where PV clearly shows one beyond it
 # Order of the autoregression: samples/100 within limits; white noise on a slow drift is no short one.
 SHORT, LONG, PER_ORDER = 8, 30, 100
+ROUNDS = 3  # of plant and autoregression in turn
 HOLD = 5  # samples in which both signals stand still: a running controller with an error moves OP in every one
 FURTHEST = 1e6  # times PV's largest value, that a residual may be
 
@@ -64,12 +68,12 @@ class Loaded:
     steps: int
 
 
-def dead_times(n: int, period: float) -> list[int]:
+def dead_times(n: int, period: float, share: float = USUAL) -> list[int]:
     """Return the dead times to try, in samples: all up to 4, then by 40 % more, up to the longest that is sensible.
 
-    At most a twentieth of the record and half of PV's period (samples; nan where it has none).
+    At most a share of the record, and half of PV's period (samples; nan where it has none).
     """
-    longest = max(min(n / 20.0, period / 2.0 if math.isfinite(period) else math.inf), 2.0)
+    longest = max(min(share * n, period / 2.0 if math.isfinite(period) else math.inf), 2.0)
     tried, at = [], 0.0
     while at <= longest:
         tried.append(round(at))
@@ -134,6 +138,14 @@ class Rivals:
             self.y, x, a, self.live, self.order, taus, self.delays, self.sign, longest, rounds, filters, residuals
         )
         return Fit(variance, tau, delay, filters[best], residuals[best])
+
+    def linear(self, u: FloatArray, alone: FloatArray, taus: FloatArray) -> Fit:
+        """Return the linear rival, driven by OP; alone: the filter that makes white noise of PV by itself.
+
+        The two ends of what noise may be, none but white, and all of PV: each may lead to a better plant.
+        """
+        white = np.concatenate([[1.0], np.zeros(self.order)])
+        return min((self.settle(u, a, taus, ROUNDS) for a in (white, alone)), key=lambda f: f.variance)
 
     def beside_sinusoid(self, x: FloatArray, fit: Fit, taus: FloatArray) -> Fit:
         """Return the rival driven by x beside a sinusoidal disturbance, the strongest of what `fit` leaves."""

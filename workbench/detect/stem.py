@@ -7,8 +7,10 @@ G. Orcutt, J. American Statistical Association 44 (1949) 32-61). What counts is 
 of the innovations, `1 - s_stem^2/s_linear^2`, and the log likelihood ratio `N ln(s_linear^2/s_stem^2)`.
 
 The plant is causal and of low order on purpose: a free impulse response copies the controller's inverse, and a dead
-time of more than half a cycle passes for any phase. Valves and plants come from a coarse grid with a short refinement:
-enough for a verdict; `estimate` finds the model.
+time of more than half a cycle passes for any phase. One of more than a twentieth of the record is tried only where a
+linear loop that has one is clearly likelier than any stem without: else it makes up for what a valve does in a slow
+cycle. Valves and plants come from a coarse grid with a short refinement: enough for a verdict; `estimate` finds the
+model.
 """
 
 from __future__ import annotations
@@ -25,8 +27,10 @@ from workbench.detect.load_steps import unforced
 from workbench.detect.predictor import FreePredictor
 from workbench.detect.rivals import (
     FINE_TAUS,
+    FURTHER,
     LONGEST,
     SHORTEST,
+    USUAL,
     Fit,
     Loaded,
     Rivals,
@@ -50,8 +54,8 @@ Fitted = tuple[Stenman | Choudhury | Deadband, FloatArray]
 
 WIDE = 0.25  # of OP's range: a band that matters to the loop, one of CLASSES
 CLOSER = (0.06, 0.03, 0.012, 0.005)  # widths are searched on by up to twice these shares
-COARSE_TAUS = 8  # time constants of the grid
-ROUNDS = 3  # of plant and autoregression in turn
+COARSE_TAUS, OWN_TAUS = 8, (0.8, 1.0, 1.25)  # time constants of the grid, and times those of the linear loop
+BEYOND = 1.5  # of the dead time that the linear loop shows: as far stems are tried where that is an unusual one
 WINDOW, WINDOWS = 3000, 3  # samples of one stretch, and the stretches of a long record
 PER_CYCLE = 100  # samples of a cycle: more are thinned out of a record longer than a stretch
 LEAST_LIVE = 0.25  # of a record: where less is left it is the loop itself that rests
@@ -110,19 +114,17 @@ class _Search:
         self.white = np.concatenate([[1.0], np.zeros(rivals.order)])
         alone = np.empty(rivals.order + 1)
         self.unfollowed = noise(rivals.y, rivals.live, rivals.order, 0.5, alone)
-        # The two ends of what noise may be: none but white, and all of PV. Each may lead to a better plant.
-        linear = (rivals.settle(u, a, self.fine, ROUNDS) for a in (self.white, alone))
-        self.linear = min(linear, key=lambda f: f.variance)
+        self.linear = rivals.linear(u, alone, self.fine)
         # A sinusoid from outside is no valve's work; an autoregression under noise does not see all of it.
         self.rival = min(self.linear, rivals.beside_sinusoid(u, self.linear, self.fine), key=lambda f: f.variance)
         self.straight = rivals.plant(u, self.white, self.fine)
         past = rivals.y, u, held, FLOOR**2 * power, rivals.longest
-        self.free = FreePredictor(*past)
+        self.free = FreePredictor(*past, delay=self.linear.delay)
         # What moves most of PV shows what curve the plant has.
-        little = self.straight.variance < Thresholds().little * power
+        self.little = self.straight.variance < Thresholds().little * power
         self.known = [self.free]
-        if little:
-            curved = FreePredictor(*past, curved=True)
+        if self.little:
+            curved = FreePredictor(*past, True, self.linear.delay)
             # In a short record the one may have to do with less of the past than the other.
             self.known += [curved] if curved.past == self.free.past else []
 
@@ -150,13 +152,17 @@ class _Search:
         limits = np.array(CLASSES) * width
         classes = [np.digitize(laws.rows[:, BAND], limits) for laws in grid]
         coarse = np.geomspace(SHORTEST, LONGEST * self.rivals.n, COARSE_TAUS)
+        # Where OP makes most of PV, what is amiss with the grid's plants hides any stem: it is looked at with plants
+        # like the linear loops' own too.
+        own = np.array([f.tau * share for f in (self.linear, self.straight) for share in OWN_TAUS])
         found: list[_Candidate] = []
 
         # The linear rival's noise holds what the stem would explain, white noise what it would not: once more with
         # the noise of the best so far. Wide and narrow stems are looked at apart: neither is to crowd out the other.
-        for start in (self.linear.a, self.white, None):
+        starts = [(self.linear.a, coarse), (self.white, coarse), *([(self.linear.a, own)] if self.little else [])]
+        for start, taus in (*starts, (None, coarse)):
             a = max(found, key=lambda c: c.innovations).fit.a if start is None else start
-            costs = [self.rivals.least(self.u, laws, a, coarse) for laws in grid]
+            costs = [self.rivals.least(self.u, laws, a, taus) for laws in grid]
             for part in range(len(CLASSES) + 1):
                 there = [np.where(c == part, cost, math.inf) for c, cost in zip(classes, costs, strict=True)]
                 # Of both kinds of valve in the end: which of them is nearer to a better one is not known yet.
@@ -272,9 +278,48 @@ def _stretch(
         held[:] = False
     at = np.arange(y.size)
     u = np.interp(at, at[~held], u[~held])
-    delays = dead_times(y.size, period / sample_time)
-    free = unforced(sp, y, delays[-1])
     u = u - u.mean()
+
+    def among(delays: list[int]) -> StemTest:
+        return _among(delays, y, u, held, unforced(sp, y, delays[-1]), sample_time, period, sign, fitted)
+
+    usual, further = (dead_times(y.size, period / sample_time, share) for share in (USUAL, FURTHER))
+    test = among(usual)
+    if len(further) == len(usual):
+        return test
+    level = y - y[~held].mean()
+    long = _linear(level, u, further, sign, held)
+    if long.delay <= usual[-1]:
+        return test
+    short = _linear(level, u, usual, sign, held)
+    floor = FLOOR**2 * float(y[~held].var())
+    ahead = test.samples * math.log((short.variance + floor) / (long.variance + floor))
+    # Stems that are clearly worse than a linear loop with a longer dead time were given too short ones.
+    if ahead < max(test.predicting, Thresholds().likelihood):
+        return test
+    return among([d for d in further if d <= BEYOND * long.delay])
+
+
+def _linear(y: FloatArray, u: FloatArray, delays: list[int], sign: float, held: NDArray[np.bool_]) -> Fit:
+    """The linear loop by itself."""
+    rivals = Rivals(y, delays, sign, held)
+    taus, alone = np.geomspace(SHORTEST, LONGEST * y.size, FINE_TAUS), np.empty(rivals.order + 1)
+    noise(y, rivals.live, rivals.order, 0.5, alone)
+    return rivals.linear(u, alone, taus)
+
+
+def _among(
+    delays: list[int],
+    y: FloatArray,
+    u: FloatArray,
+    held: NDArray[np.bool_],
+    free: NDArray[np.bool_],
+    sample_time: float,
+    period: float,
+    sign: float,
+    fitted: Fitted | None,
+) -> StemTest:
+    """The stem test of one stretch with some dead times; held: the samples that nobody recorded, free: see `_test`."""
 
     def look(pv: FloatArray, steps: int) -> tuple[StemTest, _Search]:
         pv = pv - pv[~held].mean()
