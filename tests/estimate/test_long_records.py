@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 import workbench as wb
-from workbench.estimate import bands, long_kernel, long_record
+from workbench.estimate import long_kernel, long_record, sought
+from workbench.estimate.band_kernel import screen_bands
 from workbench.estimate.data import Centred, centre
 from workbench.estimate.fit import (
     Fit,
@@ -215,13 +216,13 @@ def sticky(valve: Valve, seed: int = 1, samples: int = 4000, load: float = 0.0) 
 def looks(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     """The sizes of the records that are looked at for two-parameter stems from now on."""
     seen: list[int] = []
-    real = bands._window
+    real = sought.window_of
 
-    def counted(part: Centred, *asked: Any) -> bands.Window:
+    def counted(part: Centred, *asked: Any) -> sought.Window:
         seen.append(part.samples)
         return real(part, *asked)
 
-    monkeypatch.setattr(bands, "_window", counted)
+    monkeypatch.setattr(sought, "window_of", counted)
     return seen
 
 
@@ -248,6 +249,31 @@ def test_windows_are_not_asked_for_what_the_first_settles(monkeypatch: pytest.Mo
     by_name = {type(model.valve).__name__: model.residual_variance for model in free.candidates}
     assert asked.residual_variance <= by_name["Choudhury"] * (1.0 + 1e-9)
     assert by_name["Stenman"] < asked.residual_variance
+
+
+def test_a_slow_loops_few_slips_are_searched_in_all_of_a_long_record() -> None:
+    """Cycles of hundreds of samples: no window holds slips enough, and a stem thinned slips at other times."""
+    samples = 6000
+    loop = wb.Loop(wb.FOPDT(1.2, 40.0, 60.0), wb.Choudhury(3.0, 1.2), wb.PID(Kc=0.2778, Ti=40.0), 1.0)
+    steps = [wb.Step(6.0, at=100.0), wb.Step(-9.0, at=2700.0)]
+    run = wb.simulate(loop, wb.Experiment(float(samples), setpoint=steps, noise=wb.Noise(0.2, 3)))
+    found = wb.estimate(wb.Record(run.pv, run.op, 1.0, sp=run.sp))
+    assert isinstance(found.valve, wb.Choudhury)
+    assert pytest.approx(3.0, rel=0.02) == found.valve.S
+    assert pytest.approx(1.2, abs=0.05) == found.valve.J
+    assert found.plant.gain == pytest.approx(1.2, rel=0.02)
+    assert found.plant.dead_time == pytest.approx(60.0, abs=1.0)
+
+
+@pytest.mark.parametrize("many", [1, 4])
+def test_stems_that_see_all_of_op_are_averaged(many: int) -> None:
+    data = loop_data(samples=1200)
+    op = np.repeat(data.u, many)
+    found = [np.empty((3, 4, 3)) for _ in range(2)]
+    grid, poles, delays = np.array([[0.5, 0.0], [1.0, 0.0], [2.0, 0.0]]), np.exp([-1.0, -0.2]), np.array([0, 2, 5])
+    for u, out in zip((data.u, op), found, strict=True):
+        screen_bands(data.target, u, grid, poles, delays, data.sign, data.a, 0, out)
+    np.testing.assert_allclose(found[0], found[1], rtol=1e-9)
 
 
 def test_a_thinned_record_has_means_of_pv_about_what_op_spans() -> None:

@@ -51,7 +51,7 @@ def test_the_gain_is_found_beside_an_oscillation_from_outside(period: float) -> 
 
 
 def test_the_search_is_made_anew_once_where_the_oscillation_stays_what_it_was(monkeypatch: pytest.MonkeyPatch) -> None:
-    module = importlib.import_module("workbench.estimate.estimate")
+    module = importlib.import_module("workbench.estimate.reach")
     searched: list[float] = []
     search = module.search
 

@@ -12,12 +12,12 @@ import numpy as np
 from workbench.detect.action import only_answers
 from workbench.detect.detect import detect
 from workbench.detect.stem import WIDE, Fitted
-from workbench.estimate.bands import Bands, Found, Seek, Sought, coarse_of, like_stenman, repeated, sought
-from workbench.estimate.candidates import Candidate
+from workbench.estimate.bands import Bands, Found, repeated
+from workbench.estimate.candidates import Candidate, leaves_noise
 from workbench.estimate.data import Centred, plant_of
 from workbench.estimate.dense import densely
 from workbench.estimate.few import widened
-from workbench.estimate.fit import LEAST_TAU, Fit, Limits, disturbance, fit_linear, fit_nothing, predict
+from workbench.estimate.fit import LEAST_TAU, Fit, Limits, fit_linear, fit_nothing
 from workbench.estimate.freed import Loaded, freed
 from workbench.estimate.hidden import hidden, words_of_hidden
 from workbench.estimate.models import (
@@ -48,7 +48,7 @@ from workbench.estimate.scale import (
     without_jump,
 )
 from workbench.estimate.settled import coloured_linear, settled
-from workbench.estimate.stems import path_of
+from workbench.estimate.sought import Seek, Sought, coarse_of, like_stenman, sought
 from workbench.estimate.straight import Straight
 from workbench.estimate.swing import Answered
 from workbench.estimate.two_parameter import Band, look
@@ -65,7 +65,7 @@ from workbench.record.modes import manual_share, mode_words
 
 __all__ = ["DELAYS", "LINEAR_DELAYS", "answer_of", "leaves_noise_alone", "longest_delay"]
 
-# Dead times searched by default, in samples, doubled while the best fit lies at the end.
+# Dead times searched by default, in samples, and longer ones where they are asked for (`reach`).
 DELAYS = 30
 LINEAR_DELAYS = 240
 HALF = 0.5  # of what the linear fit leaves: a stem that leaves no more explains PV by itself
@@ -174,8 +174,7 @@ def leaves_noise_alone(data: Centred, found: Profile, linear: Fit) -> bool:
     d = [end for c in found.alike for end in (c.d_low, c.d_high)]
     if best.slips < ENOUGH_SLIPS or max(d) - min(d) > SHARP * best.d or best.fit.sse > HALF * linear.sse:
         return False
-    left = data.y - predict(data, path_of(data.u, best.d_low, best.first)[0], best.first, best.fit)[0]
-    return disturbance(left, data.floor).size == 1
+    return leaves_noise(data, best)
 
 
 def answer_of(

@@ -220,6 +220,19 @@ def screen_drive(
 
 
 @compiled
+def _averaged(stem: Floats, many: int, out: Floats) -> None:
+    """Write the means of a stem over so many samples each."""
+    if many == 1:
+        copy(stem, out)
+        return
+    for k in range(out.size):
+        total = 0.0
+        for i in range(k * many, (k + 1) * many):
+            total += stem[i]
+        out[k] = total / many
+
+
+@compiled
 def screen_bands(
     y: Floats,
     op: Floats,
@@ -233,13 +246,15 @@ def screen_bands(
 ) -> None:
     """Write for each (S, J) the best of a grid of plants, found[i, start] = (COST, pole, delay), for four starts.
 
-    bands: rows (S, J); y, a: as in `oe_cost`; delays: whole samples. COST: n times the mean square that is left, inf
+    op: as many samples as y has, or a multiple, over which each stem is averaged. bands: rows (S, J); y, a: as in
+    `oe_cost`; delays: whole samples. COST: n times the mean square that is left, inf
     where the stem never moves. Starts: either end of the band, its middle, and any: from where the paths from both ends
     have met the stem is known; what was before is a constant and a transient with the plant's pole, and does not count.
     Where they meet after half the record, that is no start. An integrating plant is a pole just below 1.
     """
     n, p = y.size, a.size - 1
-    paths, w, z = np.empty((4, n)), np.empty(n), np.empty((4, n))
+    many = op.size // n
+    stems, paths, w, z = np.empty((3, op.size)), np.empty((4, n)), np.empty(n), np.empty((4, n))
     box = np.empty(4)
     own = sums_of(y, poles, delays, skip)
     sums, best = np.zeros((3, 4, n + 1)), np.empty(3)
@@ -247,12 +262,15 @@ def screen_bands(
     found[:, :, 1:] = 0.0
     for i in range(bands.shape[0]):
         S, J = bands[i, 0], bands[i, 1]
-        band_path(op, S, J, 0, 1.0, paths[0], box)
-        band_path(op, S, J, 0, -1.0, paths[1], box)
-        moves = band_path(op, S, J, -1, 0.0, paths[2], box) > 0
-        met = n
-        while met > 0 and paths[0, met - 1] == paths[1, met - 1]:
+        band_path(op, S, J, 0, 1.0, stems[0], box)
+        band_path(op, S, J, 0, -1.0, stems[1], box)
+        moves = band_path(op, S, J, -1, 0.0, stems[2], box) > 0
+        met = op.size
+        while met > 0 and stems[0, met - 1] == stems[1, met - 1]:
             met -= 1
+        met = (met + many - 1) // many
+        for way in range(3):
+            _averaged(stems[way], many, paths[way])
         for way in range(4):
             start = 3 - way
             if (start == 2 and not moves) or (start == 3 and 2 * met > n):

@@ -7,9 +7,8 @@ active windows first, and asked how far S and J may be moved, and what parts of 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,37 +17,37 @@ from workbench.estimate.data import Centred
 from workbench.estimate.fit import LEAST_TAU, Fit, Limits, predict
 from workbench.estimate.nearer import CROSSINGS, REACHES, REFITS, SPREADS, closer, nearer, search_short
 from workbench.estimate.path_kernel import J_HIGH, J_LOW, S_HIGH, S_LOW, band_path
-from workbench.estimate.profile import CHI_SQUARE, HALF_SLIPS, Profile
+from workbench.estimate.profile import CHI_SQUARE, HALF_SLIPS
+from workbench.estimate.sought import HOPELESS, Sought, Window, on_all, window_of
 from workbench.estimate.sureness import effective_samples
-from workbench.estimate.two_parameter import SEEDS, Band, band_stem, best_of, best_start, fit_band, look, started
-from workbench.estimate.windows import EXACT, WHOLE, active_windows
-from workbench.model.record import FloatArray
+from workbench.estimate.two_parameter import (
+    Band,
+    band_stem,
+    best_of,
+    best_start,
+    fit_band,
+    started,
+)
 
 __all__ = [
     "Bands",
     "Found",
-    "Sought",
     "alike",
-    "coarse_of",
-    "like_stenman",
     "refit",
     "repeated",
     "search_bands",
-    "sought",
 ]
 
 OUTWARDS = (0.004, 0.5, 1.5)  # of S: the least and the largest step away from the best, each to the one before
-ABOUT = (0.8, 1.0, 1.2)  # of d: jumps of the stem that goes on from a one-parameter one
 APART = 0.01  # of S: where a part's own stem is as far from the whole's, the search goes on from it
 BEFORE = 4  # samples before a slip over which OP's rate is taken
 SIDEWAYS = (0.01, 0.0)  # of S: how far S follows a step of J
 SLACK = 6.0  # in N log V: what another measure of the same record may make of a stem
 LIKELIEST = 24  # stems fitted again in it, beside the outermost
-HOPELESS = 3.0  # times what a rival leaves: a stem that leaves more is not looked at closer
+THINNED = 4  # stems of a long record thinned from which it is searched
 WIDE_REACH = (0.03, 0.0)  # as REACHES, where J follows from S, which is a single line
 # Steps of walks over all of a long record, shares of their reach, in proportion to what a look at it costs.
 COARSE, STEPS = 400_000.0, (0.03, 0.2)
-AGREED = 0.03, 0.1  # of S: windows of a long record whose S and J differ by less agree
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,114 +84,6 @@ class Bands:
     parts: tuple[Fit, ...] = ()
     beside: tuple[Band, ...] = ()
     spare_beside: tuple[float, ...] = ()
-
-
-Seek = Callable[[Centred, float], list[Band]]
-
-
-@dataclass(frozen=True, eq=False)
-class Window:
-    """A long record's window, the best of a grid there (`look`), and all stems that a search from them meets.
-
-    met: of J as a share of S, None for any; searched when first asked for.
-    """
-
-    data: Centred
-    coarse: list[Band]
-    met: Callable[[float | None], list[Band]]
-
-
-@dataclass(frozen=True, eq=False)
-class Sought:
-    """Where stems are searched: in all of a record, or in a long one's most active windows; pv: whose they are, EU.
-
-    contested: whether stems that leave far more of PV than another valve does are of no use. known: whether the grid's
-    stems were not looked for, but are known to be close to the best.
-    """
-
-    pv: FloatArray
-    whole: bool
-    windows: tuple[Window, ...]
-    contested: bool
-    known: bool
-
-    def rival(self, other: Fit | None) -> float:
-        """What another valve's fit leaves where it is a rival, EU^2; infinite where it is none."""
-        return other.sse if self.contested and other is not None else math.inf
-
-
-def sought(data: Centred, longest: float, other: Fit | None, contested: bool, seek: Seek = look) -> Sought:
-    """Return where to search, with dead times up to `longest` samples.
-
-    seek: `look`, or the like (`like_stenman`). other: the fit of another valve to the record; where it
-    leaves far less than any stem does in the liveliest window, or where two windows agree, the next ones are not asked.
-    A window takes any disturbance as white: what it says is as good in another measure of the same PV.
-    """
-    known = seek is not look
-    # What is known closely needs no more than a window to be told apart from.
-    none = Sought(data.y, data.samples <= (EXACT if known else WHOLE), (), contested, known)
-    windows: list[Window] = []
-    for part in () if none.whole else active_windows(data):
-        window = _window(part, min(longest, part.samples / 4.0), seek)
-        settled = _hopeless(window, none.rival(other) / data.samples) or any(_agree(window, one) for one in windows)
-        windows.append(window)
-        if settled:
-            break
-    return replace(none, windows=tuple(windows))
-
-
-def _hopeless(window: Window, rival: float) -> bool:
-    return bool(window.coarse) and all(b.fit.sse / window.data.samples > HOPELESS * rival for b in window.coarse)
-
-
-def _agree(one: Window, other: Window) -> bool:
-    """Whether the best stems of two windows are nearly one."""
-    if not one.coarse or not other.coarse:
-        return False
-    a, b = one.coarse[0], other.coarse[0]
-    return abs(math.log(a.S / b.S)) <= AGREED[0] and abs(a.J - b.J) <= AGREED[1] * a.S
-
-
-def _window(part: Centred, longest: float, seek: Seek = look) -> Window:
-    limits, coarse = Limits((LEAST_TAU, float(part.samples)), (0.0, longest)), seek(part, longest)
-    known = seek is not look
-    return Window(
-        part, coarse, cache(lambda only: search_short(part, coarse, only, limits, (), known and only is None)[0])
-    )
-
-
-def coarse_of(data: Centred, within: Sought, longest: float, seek: Seek = look) -> list[Band]:
-    """Return the best stems of a grid, the best first: of a long record those of its windows, fitted to the whole."""
-    if within.whole:
-        return seek(data, longest)
-    limits = Limits((LEAST_TAU, float(data.samples)), (0.0, longest))
-    found = [
-        fit_band(data, b.S, b.J, (-1, 0.0), limits, (b.fit.tau, b.fit.theta), 20, 1e-4)
-        for window in within.windows
-        for b in window.coarse[:SEEDS]
-    ]
-    return sorted((b for b in found if b.slips > 0 and b.fit.gain != 0.0), key=lambda b: b.fit.sse)
-
-
-def _on_all(data: Centred, b: Band, limits: Limits) -> Band:
-    """A window's stem fitted to all of a long record, from the start that suits it best there."""
-    plant = (b.fit.tau, b.fit.theta)
-    return fit_band(data, b.S, b.J, best_start(data, (b.S, b.J), plant)[1:], limits, plant, 40)
-
-
-def like_stenman(found: Profile | None, data: Centred, longest: float) -> list[Band]:
-    """Return the two-parameter stem nearest to the best one-parameter one, S = d and J about d, or none.
-
-    Between reversals of OP the two go alike, and a grid over S and J, with few plants, may miss what d tells. longest:
-    samples, the longest dead time.
-    """
-    if found is None or found.best.fit.gain == 0.0:
-        return []
-    limits = Limits((LEAST_TAU, float(data.samples)), (0.0, longest))
-    d, plant = found.best.d, (found.best.fit.tau, found.best.fit.theta)
-    start = best_start(data, (d, d), plant)[1:]
-    best = best_of([fit_band(data, d, share * d, start, limits, plant, 40) for share in ABOUT])
-    return [best] if best.slips > 0 and best.fit.gain != 0.0 else []
 
 
 def search_bands(
@@ -242,14 +133,24 @@ def _search_long(
         bands.append(fit_band(data, b.S, b.J, (b.first, b.sense), limits, (b.fit.tau, b.fit.theta), 40))
     for window in within.windows:
         if met := window.met(only):
-            bands.append(_on_all(data, best_of(met), limits))
-            b = replace(best_of(met), first=bands[-1].first, sense=bands[-1].sense)
+            b = best_of(met)
+            bands.append(on_all(data, (b.S, b.J, b.fit.tau, b.fit.theta), limits))
+            b = replace(b, first=bands[-1].first, sense=bands[-1].sense)
             # A window's plant is nearer the truth than what all of the record makes of a stem that is a little off. In
             # a measure that takes what is slow the whole is no worse a judge.
             if before is None and b.fit.sse / window.data.samples <= HOPELESS * rival / data.samples:
                 reach = REACHES[0] if only is None else WIDE_REACH
                 bands += closer(data, b, reach, step * reach[0], only, limits)[0]
-    bands = [b for b in bands if b.slips > 0]
+    if before is None and only is None:
+        # Where each window shows a few slips, what all of the record shows is nearer the truth; else it is far off.
+        least = min([rival, *(b.fit.sse for b in bands)])
+        placed = sorted((on_all(data, seed, limits) for seed in within.thinned), key=lambda b: b.fit.sse)
+        ends: list[Band] = []
+        for seed in placed[:THINNED]:
+            if seed.fit.sse < HOPELESS * least:
+                bands += nearer(data, seed, SPREADS, None, limits, ends)
+                ends.append(best_of(bands))
+    bands = [b for b in bands if b.slips > 0 and b.fit.gain != 0.0]
     for reach in REACHES if bands and best_of(bands).fit.sse <= HOPELESS * rival else ():
         found, rows = closer(data, best_of(bands), reach, step * reach[0], only, limits)
         bands += found
@@ -297,7 +198,7 @@ def _of_parts(data: Centred, only: float | None, limits: Limits, within: Sought)
     if within.whole:
         halves = [data.part(0, n // 2), data.part(n // 2, n)]
         moved = [part for part in halves if part.op_range > 0.0 and float(np.ptp(part.y)) > 0.0]
-        windows = [_window(part, min(limits.theta[1], part.samples / 4.0)) for part in moved]
+        windows = [window_of(part, min(limits.theta[1], part.samples / 4.0)) for part in moved]
     found = []
     for window in windows:
         part, met = window.data, window.met(only)

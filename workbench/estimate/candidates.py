@@ -10,11 +10,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workbench.estimate.data import Centred
-from workbench.estimate.fit import Fit, Limits, fit_in_stretch, fit_near, fit_path, fit_stems, start_range
+from workbench.estimate.fit import (
+    Fit,
+    Limits,
+    disturbance,
+    fit_in_stretch,
+    fit_near,
+    fit_path,
+    fit_stems,
+    predict,
+    start_range,
+)
 from workbench.estimate.stems import DELAY, FIRST, HIGH, LOW, path_of, range_of
 from workbench.estimate.windows import EXACT, stretch_of
 
-__all__ = ["Candidate", "again", "best_per_bin", "distinct", "fitted", "held", "polished", "refitted"]
+__all__ = ["Candidate", "again", "best_per_bin", "distinct", "fitted", "held", "leaves_noise", "polished", "refitted"]
 
 EVALUATIONS, FURTHER = 120, 80  # of the output-error cost for each, and for one that is fitted on
 CLOSER, FINEST = 2, 4  # rounds of a long record's fits near a plant: of the likely paths, of the best
@@ -91,6 +101,12 @@ def best_per_bin(by_cost: NDArray[np.float64], bins: int) -> NDArray[np.float64]
     edges = np.geomspace(low, high * 1.0001, bins + 1)
     _, first = np.unique(np.digitize(by_cost[:, LOW], edges), return_index=True)
     return by_cost[first]
+
+
+def leaves_noise(data: Centred, best: Candidate) -> bool:
+    """Return whether a stem leaves no more of PV than white noise."""
+    left = data.y - predict(data, path_of(data.u, best.d_low, best.first)[0], best.first, best.fit)[0]
+    return disturbance(left, data.floor).size == 1
 
 
 def distinct(fits: list[Candidate], most: int) -> list[Candidate]:

@@ -19,13 +19,14 @@ from workbench.estimate.data import Centred
 from workbench.estimate.fit import Fit, Limits
 from workbench.model.record import FloatArray
 
-__all__ = ["DELAYS", "MOST_LAGS", "TAUS", "colour_beside"]
+__all__ = ["MOST_LAGS", "TAUS", "colour_beside", "delays_about"]
 
 MOST_LAGS = 12  # of the autoregression
 SIZE = MOST_LAGS + 1
 GAINS = np.geomspace(0.12, 6.0, 14)  # looked at: of the gain given,
 TAUS = (0.2, 0.4, 0.7, 1.0, 1.5, 2.5, 5.0)  # of the time constant,
 DELAYS = (0, 1, 2, 3, 4, 5, 6, 8, 10, 12, 15, 18, 22, 26, 30, 36, 43, 50)  # and in samples
+ABOUT = (0.7, 0.85, 0.95, 1.0, 1.05, 1.15, 1.3)  # times a longer one
 SPREAD, SHIFT = 0.1, 0.1  # of gain and time constant, and samples as a share: where the search for the best goes on
 EVALUATIONS = 150
 
@@ -38,7 +39,7 @@ def colour_beside(data: Centred, x: FloatArray, first: int, fit: Fit, limits: Li
     """
     if fit.gain == 0.0:
         return np.ones(1)
-    delays = sorted({min(float(d), limits.theta[1]) for d in DELAYS} | {fit.theta})
+    delays = delays_about(fit.theta, limits.theta[1])
     taus = [fit.tau] if data.integrating else [min(max(f * fit.tau, limits.tau[0]), limits.tau[1]) for f in TAUS]
     plants, gains = np.array([(tau, theta) for tau in taus for theta in delays]), fit.gain * GAINS
     left = np.empty((len(plants), gains.size))
@@ -71,6 +72,12 @@ def colour_beside(data: Centred, x: FloatArray, first: int, fit: Fit, limits: Li
             break
         lags = order
     return placed(point).filter_of(lags)
+
+
+def delays_about(theta: float, longest: float) -> list[float]:
+    """The dead times to look at beside a fit's, samples, up to `longest`; about one that is long, others like it."""
+    about = {theta} if theta <= DELAYS[-1] else {theta * share for share in ABOUT}
+    return sorted({min(float(d), longest) for d in (*DELAYS, *about)})
 
 
 class _Beside:

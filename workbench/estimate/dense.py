@@ -34,6 +34,7 @@ NARROWEST = 0.05  # of OP's range: the least S
 STEPS = (0.02, 0.025)  # of S: how far apart the values of S are, up to `WIDE` of OP's range and from there on
 JUMPS, JUMP = 1.36, (0.056, 0.08)  # of S: the largest J, the least and the largest step of J
 DELAYS = (0.5, 2.0, 5.0, 10.0, 20.0)  # samples
+USUAL, FURTHER = 40.0, 1.6  # where longer ones are asked for, each so much longer than the one before
 LAGGED, LEAST_LAG = 0.9, 0.2  # of time constant and dead time together: the longest dead time, the least time constant
 RANGED = (0.05, 0.8)  # of OP's range: how far OP has ranged before a start that is tried,
 WITHIN = (0.3, 1.8)  # and of S
@@ -68,7 +69,8 @@ def _plants(data: Centred, best: Band, longest: float) -> list[tuple[float, floa
     Which of them makes up the lag is what a stem with wrong slips gets wrong.
     """
     lag = best.fit.tau + best.fit.theta
-    delays = [d for d in DELAYS if d <= longest and (data.integrating or d <= LAGGED * lag)]
+    further = [DELAYS[-1] * FURTHER**i for i in range(1, 20)] if longest > USUAL else []
+    delays = [d for d in (*DELAYS, *further) if d <= longest and (data.integrating or d <= LAGGED * lag)]
     return [(max(lag - d, LEAST_LAG * lag, LEAST_TAU), d) for d in delays or [0.0]]
 
 

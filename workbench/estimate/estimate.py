@@ -16,7 +16,8 @@ from workbench.estimate.data import WHITE, Centred, centre
 from workbench.estimate.fit import LEAST_TAU, Limits, fit_linear
 from workbench.estimate.models import WORDS_OF_BLIND, words_of_open
 from workbench.estimate.plants import foretelling_bic
-from workbench.estimate.profile import Profile, search
+from workbench.estimate.profile import Profile
+from workbench.estimate.reach import searched
 from workbench.estimate.refined import by_complementarity, jointly, refuse_complementarity
 from workbench.estimate.repeat import repeats_of, words_of
 from workbench.estimate.scale import joined
@@ -64,7 +65,8 @@ def estimate(
     that name holds what it found; 1,500 samples at most). valve: "stenman", "choudhury" (S, J), "deadband" (J = 0),
     "linear" (none), or "auto", the one that sticks with the lowest BIC. plant: "fopdt", "integrating", or "auto", the
     one with the lower BIC among the same valves (twice the time).
-    max_dead_time: s, the longest dead time searched (default: 30 samples, more where the best fit asks for it).
+    max_dead_time: s, the longest dead time searched (default: 30 samples, and up to a quarter of the record where PV
+    clearly shows a longer one).
     progress: called with the share done, 0 to 1.
 
     Returns an `Estimate`; beside the model stands the linear fit that ignores stiction. Where stiction does not help
@@ -261,11 +263,8 @@ def _rising(progress: Callable[[float], None]) -> Callable[[float], None]:
 
 def _profile(data: Centred, max_dead_time: float | None, tell: Callable[[float], None]) -> Profile | None:
     longest = longest_delay(data, max_dead_time, DELAYS)
-    while True:
-        found = search(data, longest, lambda share: tell(0.1 + 0.9 * share))
-        if found is None or not found.at_limit or max_dead_time is not None or 2 * longest > data.samples // 4:
-            return found
-        longest *= 2
+    most = longest if max_dead_time is not None else data.samples / 4.0
+    return searched(data, longest, most, lambda share: tell(0.1 + 0.9 * share))
 
 
 def _sharp(found: Estimate) -> bool:

@@ -9,9 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from workbench.estimate.candidates import Candidate, best_per_bin, distinct, fitted, refitted
+from workbench.estimate.candidates import Candidate, best_per_bin, distinct, fitted, leaves_noise, refitted
 from workbench.estimate.data import Centred
-from workbench.estimate.fit import LEAST_TAU, Limits, disturbance, fit_linear, predict
+from workbench.estimate.fit import LEAST_TAU, Limits, fit_linear
 from workbench.estimate.stems import (
     COST,
     FIRST,
@@ -20,7 +20,6 @@ from workbench.estimate.stems import (
     LOW,
     WIDE_D,
     firsts_for,
-    path_of,
     scan,
     thin,
     walk,
@@ -55,7 +54,7 @@ def _glimpse(part: Centred, delays: NDArray[np.int64], longest: float) -> _Glimp
     reach = LEAST_D * part.op_range, 1.0001 * part.op_range
     firsts, shifted = firsts_for(part, part.op_range, GLIMPSED).tolist(), at_delays(part.sums, delays)
     best = _distinct_in(part, np.vstack([walk(part, f, *reach, 0.0, shifted) for f in firsts]), longest)
-    if not best or not _noise_alone(part, best[0]):
+    if not best or not leaves_noise(part, best[0]):
         # Noise in OP makes stems slip alike after a while, wherever they stood at first; in a quiet cycle they do not.
         best = _apart([*best, *_distinct_in(part, scan(part, delays), longest)])
     if not best:
@@ -83,12 +82,6 @@ def _distinct_in(part: Centred, rows: NDArray[np.float64], longest: float) -> li
 def _apart(fits: list[Candidate]) -> list[Candidate]:
     """The best few bands of some fits."""
     return distinct(sorted((c for c in fits if c.fit.gain != 0.0), key=lambda c: c.fit.sse), 3)
-
-
-def _noise_alone(part: Centred, best: Candidate) -> bool:
-    """Whether a window's stem leaves no more than white noise."""
-    x, _ = path_of(part.u, best.d_low, best.first)
-    return disturbance(part.y - predict(part, x, best.first, best.fit)[0], part.floor).size == 1
 
 
 def _glimpses(

@@ -5,10 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 
-from workbench.estimate.bands import Bands, Found, Sought, refit, search_bands
+from workbench.estimate.bands import Bands, Found, refit, search_bands
 from workbench.estimate.data import Centred, plant_of
 from workbench.estimate.fit import Fit, Limits, grounded
 from workbench.estimate.profile import Profile
+from workbench.estimate.sought import Sought
 from workbench.estimate.stems import path_of
 from workbench.estimate.two_parameter import Band, band_stem
 from workbench.estimate.verdict import SHARP

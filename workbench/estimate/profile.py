@@ -26,7 +26,7 @@ from workbench.estimate.candidates import (
     polished,
     refitted,
 )
-from workbench.estimate.data import Centred, integers
+from workbench.estimate.data import Centred
 from workbench.estimate.fit import LEAST_TAU, Limits, halves_left
 from workbench.estimate.long_record import scan_long
 from workbench.estimate.stems import COST, FIRST, LOW, path_of, scan, silent
@@ -42,6 +42,7 @@ __all__ = [
     "search",
 ]
 
+EACH, SPACED = 40, 1.03  # samples up to which each dead time is tried, then each so much longer than the one before
 BINS = 120  # of log d, one output-error fit each
 HALF_SLIPS = 5  # in each half of a record, for the halves to be compared
 WINNERS = 6  # paths of a long record with a full output-error fit before the search about the best
@@ -76,7 +77,7 @@ def search(data: Centred, max_delay: float, progress: Callable[[float], None] = 
     max_delay: samples, the longest dead time.
     """
     limits = Limits((LEAST_TAU, float(data.samples)), (0.0, float(max_delay)))
-    delays = integers(np.arange(math.floor(max_delay + 1e-9) + 1))
+    delays = _delays(max_delay)
     exact = data.samples <= EXACT
     likely: list[float] = []
     if exact:
@@ -87,6 +88,13 @@ def search(data: Centred, max_delay: float, progress: Callable[[float], None] = 
         return None
     by_cost = rows[np.argsort(rows[:, COST], kind="stable")]
     return profile_of(data, by_cost, likely, limits, progress=progress)
+
+
+def _delays(longest: float) -> NDArray[np.int64]:
+    """The dead times that each path is scanned at: whole samples, and from `EACH` on as many as tell them apart."""
+    last = math.floor(longest + 1e-9)
+    beyond = np.geomspace(EACH, max(last, EACH), math.ceil(math.log(max(last / EACH, 1.0)) / math.log(SPACED)) + 1)
+    return np.unique(np.concatenate([np.arange(min(last, EACH) + 1), np.round(beyond[1:])])).astype(np.int64)
 
 
 def profile_of(

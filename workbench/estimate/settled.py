@@ -13,13 +13,14 @@ from functools import partial
 
 import numpy as np
 
-from workbench.estimate.bands import Found, Sought, coarse_of, like_stenman, sought
+from workbench.estimate.bands import Found
 from workbench.estimate.coloured import colour_beside
 from workbench.estimate.data import Centred
 from workbench.estimate.fit import LEAST_TAU, Fit, Limits, again_linear, disturbance, fit_path, grounded, predict
 from workbench.estimate.loads import Loads, Stem, loads_of
 from workbench.estimate.models import bands_of, refitted
 from workbench.estimate.profile import Profile, profile_again, profile_of, search
+from workbench.estimate.sought import Sought, coarse_of, like_stenman, sought
 from workbench.estimate.stems import path_of
 from workbench.estimate.stepped import stepped_stems
 from workbench.estimate.two_parameter import Band, band_stem, fit_band

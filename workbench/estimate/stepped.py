@@ -31,6 +31,7 @@ __all__ = ["stepped_stems"]
 
 GRID = 110  # values of S looked at
 FINER_SHARES = np.arange(0.0, 1.4, 0.025)  # at the better half of them, with plants near the best
+FURTHER = 1.3  # times the longest of these, and so on, where longer ones are asked for
 DELAYS = (0.0, 1.0, 2.0, 3.0, 4.5, 6.0, 8.0, 10.0, 13.0, 17.0, 22.0, 29.0, 38.0, 50.0)  # samples
 SHORTEST, LONGEST, TAUS = 1.5, 0.25, 5  # time constants looked at: samples, records, how many
 FADE = 25.0  # samples after which the filter has forgotten
@@ -131,7 +132,8 @@ def stepped_stems(data: Centred, limits: Limits, skip: int, span: tuple[int, int
     limits = Limits(limits.tau, (limits.theta[0] / every, limits.theta[1] / every))
     whole = _Search(thin, data, every, skip, (begin, min(end, thin.samples)), not data.integrating)
     search = whole
-    delays = [d for d in DELAYS if d <= limits.theta[1]]
+    further = [DELAYS[-1] * FURTHER**i for i in range(1, 12)]
+    delays = [d for d in (*DELAYS, *further) if d <= limits.theta[1]]
     taus = np.geomspace(SHORTEST, LONGEST * thin.samples, TAUS).tolist()
     if data.integrating:
         taus = [FADE]

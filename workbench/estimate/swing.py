@@ -18,7 +18,7 @@ from scipy.optimize import minimize
 from workbench.detect.sinusoid import slowest, strongest
 from workbench.detect.whitening import whitened
 from workbench.estimate.beside_kernel import left_swinging
-from workbench.estimate.coloured import DELAYS, TAUS
+from workbench.estimate.coloured import TAUS, delays_about
 from workbench.estimate.data import Centred
 from workbench.estimate.fit import LEAST_TAU, LOUD, Limits, autoregression, grounded, predict
 from workbench.estimate.paths import Path
@@ -155,7 +155,7 @@ def _fitted(data: Centred, y: FloatArray, lead: Path, limits: Limits, angle: flo
     def cost(point: FloatArray) -> float:
         return left_swinging(y, lead.x, lead.first, data.integrating, *placed(point))
 
-    delays = sorted({min(float(d), limits.theta[1]) for d in DELAYS} | {fit.theta})
+    delays = delays_about(fit.theta, limits.theta[1])
     points = [[d - fit.theta, 0.0, math.log(t)][:size] for d in delays for t in (TAUS if size == 3 else TAUS[:1])]
     point = min((np.array(one) for one in points), key=cost)
     for share in (1.0, 0.1):

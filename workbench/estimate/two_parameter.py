@@ -44,6 +44,7 @@ __all__ = [
     "fitted",
     "held_range",
     "look",
+    "seen_thinned",
     "started",
     "walked",
 ]
@@ -56,7 +57,9 @@ STEEPEST = 3  # and the plants of so many of the best
 SHARES = (0.0, 0.12, 0.27, 0.45, 0.7, 1.0, 1.35)  # of J, of S
 FINER, FINER_TAUS = (-0.04, -0.02, 0.0, 0.02, 0.04), (0.7, 0.85, 1.0, 1.2, 1.45)  # about the best of them, of each
 SHORTEST, LONGEST, TAUS = 0.3, 10.0, 9  # time constants looked at: samples, records, how many
+USUAL, FURTHER = 40.0, 1.15  # samples: beyond it each dead time is so much longer than the one before
 PICKED, WALKED_IN, WIDE_IN = 14, 6, 4  # stems of the grid, of walks of J from it and of S that get their own plant,
+SEEN = 10  # stems of a long record thinned
 NEAR, NEAR_JUMP = 0.05, 0.1  # no two of them as near as that, of S
 SEEDS = 4  # of the best, from which the search goes on
 MOST_ROWS = 4000  # of a line that is walked
@@ -103,39 +106,67 @@ def look(data: Centred, longest: float) -> list[Band]:
     if data.samples > EXACT:
         return _look_aside(data, longest)
     limits = Limits((LEAST_TAU, float(data.samples)), (0.0, longest))
-    taus = np.geomspace(SHORTEST, LONGEST * data.samples, TAUS)[-1 if data.integrating else 0 :]
-    delays = [float(d) for d in dead_times(data.samples, math.nan) if d <= longest]
-    narrow, wide = np.geomspace(NARROWEST, WIDEST, GRID), np.geomspace(WIDE, WIDEST, GRID_WIDE)
-    S = np.concatenate([narrow[narrow < WIDE], wide]) * data.op_range
-    grid = np.column_stack([np.repeat(S, len(SHARES)), (S[:, None] * np.array(SHARES)).ravel()])
-    found = [_placed(data, seed, limits) for seed in _screened(data, grid, taus, delays, PICKED)]
+    found = [_placed(data, seed, limits) for seed in _screened(data, *_grid(data, longest), PICKED)]
     return sorted((b for b in found if b.slips > 0 and b.fit.gain != 0.0), key=lambda b: b.fit.sse)
 
 
+def _grid(data: Centred, longest: float) -> tuple[FloatArray, FloatArray, list[float]]:
+    """Rows (S, J), time constants and dead times to look at."""
+    taus = np.geomspace(SHORTEST, LONGEST * data.samples, TAUS)[-1 if data.integrating else 0 :]
+    narrow, wide = np.geomspace(NARROWEST, WIDEST, GRID), np.geomspace(WIDE, WIDEST, GRID_WIDE)
+    S = np.concatenate([narrow[narrow < WIDE], wide]) * data.op_range
+    grid = np.column_stack([np.repeat(S, len(SHARES)), (S[:, None] * np.array(SHARES)).ravel()])
+    return grid, taus, _delays(data.samples, longest)
+
+
+def seen_thinned(data: Centred, longest: float) -> list[Seed]:
+    """Return the best (S, J, tau, theta) that differ of a grid over a long record thinned, whose stems see all of OP.
+
+    A stem that sees one sample of so many of OP slips at other times, and few slips forgive nothing.
+    """
+    every = math.ceil(data.samples / EXACT)
+    thin = data.thinned(every)
+    op = data.u[: thin.samples * every]
+    seeds = _screened(thin, *_grid(thin, longest / every), SEEN, op)
+    return [(S, J, tau * every, theta * every) for S, J, tau, theta in seeds]
+
+
+def _delays(n: int, longest: float) -> list[float]:
+    """The dead times of the grid of plants, samples: closer together where longer ones than usual are asked for."""
+    delays = [float(d) for d in dead_times(n, math.nan) if d <= longest]
+    while longest > USUAL and (further := max(delays[-1] + 1.0, round(FURTHER * delays[-1]))) <= longest:
+        delays.append(float(further))
+    return delays
+
+
 def _look_aside(data: Centred, longest: float) -> list[Band]:
-    """What `look` sees of a longer record that is thinned, and in its liveliest window, each placed in all of it.
+    """What is seen of a longer record that is thinned, and in its liveliest window, each placed in all of it.
 
     Thinned, slow cycles are all there; a window has slips enough of fast ones.
     """
     limits = Limits((LEAST_TAU, float(data.samples)), (0.0, longest))
-    every = math.ceil(data.samples / EXACT)
-    found = [(b, every) for b in look(data.thinned(every), longest / every)[:SEEDS]]
+    found: list[Band] = []
     for begin, stop in windows_of(data)[:1]:
         part = data.part(begin, stop)
         if part.op_range > 0.0 and float(np.ptp(part.y)) > 0.0:
             part = part.whitened(data.a, max(data.skip - begin, 0))
-            found += [(b, 1) for b in look(part, min(longest, part.samples / 4.0))[:SEEDS]]
-    seeds = [(b.S, b.J, b.fit.tau * times, b.fit.theta * times) for b, times in found]
+            found += look(part, min(longest, part.samples / 4.0))[:SEEDS]
+    seeds = [*seen_thinned(data, longest), *((b.S, b.J, b.fit.tau, b.fit.theta) for b in found)]
     placed = [_placed(data, seed, limits) for seed in seeds]
     return sorted((b for b in placed if b.slips > 0 and b.fit.gain != 0.0), key=lambda b: b.fit.sse)
 
 
-def _screened(data: Centred, grid: FloatArray, taus: FloatArray, delays: list[float], most: int) -> list[Seed]:
-    """The best (S, J, tau, theta) of a grid of rows (S, J) that differ, each with the best plant of a grid."""
+def _screened(
+    data: Centred, grid: FloatArray, taus: FloatArray, delays: list[float], most: int, op: FloatArray | None = None
+) -> list[Seed]:
+    """The best (S, J, tau, theta) of a grid of rows (S, J) that differ, each with the best plant of a grid.
+
+    op: that stems see, where data is a record thinned.
+    """
     grid = grid[grid.sum(axis=1) < 2.0 * data.op_range]
     found = np.empty((len(grid), 4, 3))
     poles, whole = np.exp(-1.0 / taus), np.array(delays, dtype=np.int64)
-    screen_bands(data.target, data.u, grid, poles, whole, data.sign, data.a, data.skip, found)
+    screen_bands(data.target, data.u if op is None else op, grid, poles, whole, data.sign, data.a, data.skip, found)
     chosen: list[Seed] = []
     # A start that is known uses all of the record, one that is not may leave its liveliest part out: both are asked.
     started = np.argmin(found[:, :3, 0], axis=1)
@@ -145,7 +176,7 @@ def _screened(data: Centred, grid: FloatArray, taus: FloatArray, delays: list[fl
             seed = (*grid[i].tolist(), float(taus[int(best[i, 1])]), delays[int(best[i, 2])])
             if len(chosen) < share and math.isfinite(best[i, 0]) and differs(seed, chosen):
                 chosen.append(seed)
-    if most == 1:
+    if most == 1 or op is not None:
         return chosen
     # A sequence of slips may hold for a range of J too narrow for any grid: at each S all of J is walked.
     least = np.argmin(found.reshape(len(grid), 4, 3)[:, :, 0], axis=1)
