@@ -14,6 +14,7 @@ from hypothesis.extra.numpy import arrays
 import workbench as wb
 from workbench.estimate import long_kernel, long_record, sought
 from workbench.estimate.band_kernel import screen_bands
+from workbench.estimate.bands import search_bands
 from workbench.estimate.data import Centred, centre
 from workbench.estimate.fit import (
     Fit,
@@ -263,6 +264,18 @@ def test_a_slow_loops_few_slips_are_searched_in_all_of_a_long_record() -> None:
     assert pytest.approx(1.2, abs=0.05) == found.valve.J
     assert found.plant.gain == pytest.approx(1.2, rel=0.02)
     assert found.plant.dead_time == pytest.approx(60.0, abs=1.0)
+
+
+def test_what_is_known_is_not_seen_thinned_and_a_hopeless_stem_is_not_searched_on() -> None:
+    data = loop_data(samples=12_000)
+    known = sought.sought(data, 20.0, None, False, lambda *_: [])
+    assert len(known.windows) > 1
+    assert known.thinned == ()
+    nothing = sought.Sought(data.y, False, (), True, False, ((1.5, 1.5, 6.0, 2.4),))
+    assert search_bands(data, [], nothing, LIMITS, None, rival=1e-9) is None
+    found = search_bands(data, [], nothing, LIMITS, None)
+    assert found is not None
+    assert pytest.approx(1.5, rel=0.02) == found.best.S
 
 
 @pytest.mark.parametrize("many", [1, 4])

@@ -20,14 +20,7 @@ from workbench.estimate.path_kernel import J_HIGH, J_LOW, S_HIGH, S_LOW, band_pa
 from workbench.estimate.profile import CHI_SQUARE, HALF_SLIPS
 from workbench.estimate.sought import HOPELESS, Sought, Window, on_all, window_of
 from workbench.estimate.sureness import effective_samples
-from workbench.estimate.two_parameter import (
-    Band,
-    band_stem,
-    best_of,
-    best_start,
-    fit_band,
-    started,
-)
+from workbench.estimate.two_parameter import Band, band_stem, best_of, best_start, fit_band, started
 
 __all__ = [
     "Bands",
@@ -148,8 +141,8 @@ def _search_long(
         ends: list[Band] = []
         for seed in placed[:THINNED]:
             if seed.fit.sse < HOPELESS * least:
-                bands += nearer(data, seed, SPREADS, None, limits, ends)
-                ends.append(best_of(bands))
+                way = nearer(data, seed, SPREADS, None, limits, ends)
+                bands, ends = [*bands, *way], [*ends, best_of(way)]
     bands = [b for b in bands if b.slips > 0 and b.fit.gain != 0.0]
     for reach in REACHES if bands and best_of(bands).fit.sse <= HOPELESS * rival else ():
         found, rows = closer(data, best_of(bands), reach, step * reach[0], only, limits)

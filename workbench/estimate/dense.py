@@ -15,6 +15,7 @@ import numpy as np
 from workbench.estimate.data import Centred
 from workbench.estimate.fit import LEAST_TAU, Limits
 from workbench.estimate.two_parameter import (
+    USUAL,
     WIDE,
     WIDEST,
     Band,
@@ -34,7 +35,7 @@ NARROWEST = 0.05  # of OP's range: the least S
 STEPS = (0.02, 0.025)  # of S: how far apart the values of S are, up to `WIDE` of OP's range and from there on
 JUMPS, JUMP = 1.36, (0.056, 0.08)  # of S: the largest J, the least and the largest step of J
 DELAYS = (0.5, 2.0, 5.0, 10.0, 20.0)  # samples
-USUAL, FURTHER = 40.0, 1.6  # where longer ones are asked for, each so much longer than the one before
+FURTHER = 1.6  # times the longest of these, and so on, where longer ones than usual are asked for
 LAGGED, LEAST_LAG = 0.9, 0.2  # of time constant and dead time together: the longest dead time, the least time constant
 RANGED = (0.05, 0.8)  # of OP's range: how far OP has ranged before a start that is tried,
 WITHIN = (0.3, 1.8)  # and of S

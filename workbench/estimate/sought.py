@@ -70,14 +70,14 @@ def sought(data: Centred, longest: float, other: Fit | None, contested: bool, se
     # What is known closely needs no more than a window to be told apart from.
     none = Sought(data.y, data.samples <= (EXACT if known else WHOLE), (), contested, known)
     windows: list[Window] = []
-    settled = none.whole or known
+    settled = none.whole
     for part in () if none.whole else active_windows(data):
         window = window_of(part, min(longest, part.samples / 4.0), seek)
         settled = _hopeless(window, none.rival(other) / data.samples) or any(_agree(window, one) for one in windows)
         windows.append(window)
         if settled:
             break
-    thinned = () if settled or data.samples > THINNEST * EXACT else tuple(seen_thinned(data, longest))
+    thinned = () if settled or known or data.samples > THINNEST * EXACT else tuple(seen_thinned(data, longest))
     return replace(none, windows=tuple(windows), thinned=thinned)
 
 

@@ -30,6 +30,7 @@ __all__ = [
     "NARROWEST",
     "SEEDS",
     "SHARES",
+    "USUAL",
     "WIDE",
     "WIDEST",
     "Band",
