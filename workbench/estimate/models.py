@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 
 from workbench.estimate.bands import Bands, Found, refit, search_bands
 from workbench.estimate.data import Centred, plant_of
@@ -68,12 +69,26 @@ def bands_of(
     beside = beside if dead is None else (dead.best, *beside)
     any_jump = search_bands(data, coarse, within, limits, None, beside, rival, was.get("choudhury"))
     found = {"deadband": dead, "choudhury": any_jump}
-    return {name: bands for name, bands in found.items() if bands is not None}
+    searched = {name: bands for name, bands in found.items() if bands is not None}
+    return searched if only_any else _without_jump(searched)
 
 
 def refitted(data: Centred, found: dict[str, Found], limits: Limits) -> dict[str, Found]:
     """Return the same searches with each best stem fitted anew, in the measure that data has now."""
-    return {name: refit(data, bands, limits) for name, bands in found.items()}
+    again = {name: refit(data, bands, limits) for name, bands in found.items()}
+    return _without_jump(again) if "deadband" in found else again
+
+
+def _without_jump(found: dict[str, Found]) -> dict[str, Found]:
+    """The same searches; where one over any jump ended without one and left less, it is that over dead bands too."""
+    other = found.get("choudhury")
+    if other is None or other.best.J > 0.0:
+        return found
+    if "deadband" in found and found["deadband"].best.fit.sse <= other.best.fit.sse:
+        return found
+    met, again = (tuple(b for b in bands if b.J == 0.0) for bands in (other.met, other.again))
+    dead = replace(other, met=met, again=again, rows=other.rows[other.rows[:, 1] == 0.0], only=0.0)
+    return {"deadband": dead, **{name: bands for name, bands in found.items() if name != "deadband"}}
 
 
 def compared(data: Centred, linear: Fit, found: Profile | None, bands: dict[str, Found]) -> dict[str, FittedModel]:

@@ -36,6 +36,10 @@ COLOURINGS = 2  # rounds of model and disturbance in turn
 ROUNDS = 4  # where there are load steps
 SAME_TIME, SAME_SIZE = 5, 0.1  # samples, share: steps that moved less have settled
 SAME_STEM = 0.05  # of its standard deviation: a stem's path that moved less has
+WORSE = 2.0  # of AIC: a turn that ends so far above an earlier one is taken back
+
+# A record without load steps in some measure, its models there, and the steps.
+_Settled = tuple[Centred, Profile | None, dict[str, Found], Fit, tuple[LoadStep, ...]]
 
 
 def _leading(data: Centred, found: Profile | None, bands: dict[str, Found], linear: Fit) -> Stem:
@@ -99,7 +103,7 @@ def settled(
     delays: float,
     within: Sought,
     most: int = STEPS_MOST,
-) -> tuple[Centred, Profile | None, dict[str, Found], Fit, tuple[LoadStep, ...]]:
+) -> _Settled:
     """The record and its models without load steps, in the measure of the disturbance that the best stem leaves.
 
     Where the record starts within a cycle, its first samples, up to the dead time, answer to slips before it: they no
@@ -115,7 +119,8 @@ def settled(
     skip = min(math.ceil(theta) + 2, data.samples // STARTING) if amid else 0
     limits = Limits((LEAST_TAU, float(data.samples)), (0.0, delays))
     turn, lead = 0, Stem(data.u, 0, linear)
-    while turn < COLOURINGS or (steps and turn < ROUNDS):
+    turns: list[tuple[float, _Settled]] = []
+    while turn < COLOURINGS or ((steps or _exact(data, found, bands, linear)) and turn < ROUNDS):
         before = steps
         at = tuple(round(step.at / whole.sample_time) for step in steps)
         earlier, lead = lead, replace(_leading(data, found, bands, linear), times=at)
@@ -164,9 +169,36 @@ def settled(
                     (S, J, first_slip, sense), fit = loads.beside
                     coarse.append(fit_band(data, S, J, (first_slip, sense), limits, (fit.tau, fit.theta)))
                 bands = bands_of(data, coarse, there, limits, there.rival(other), only_any, bands)
+        turns.append((_akaike_of(data, found, bands, linear, steps), (data, found, bands, linear, steps)))
         if same_steps:
             break
+    least, best = min(turns, key=lambda one: one[0], default=(math.inf, None))
+    if best is not None and steps and least < turns[-1][0] - WORSE:
+        # Stem, steps and colour may lead each other away from what explained PV best.
+        data, found, bands, linear, steps = best
+        if bands:
+            other = None if found is None else found.best.fit
+            there = sought(data, delays, other, within.contested)
+            coarse = [one.best for one in bands.values()]
+            bands = bands_of(data, coarse, there, limits, there.rival(other), before=bands)
     return data, found, bands, linear, steps
+
+
+def _exact(data: Centred, found: Profile | None, bands: dict[str, Found], linear: Fit) -> bool:
+    """Whether the best stem leaves less than the record resolves in the measure of what another one left.
+
+    In that measure others may leave as little.
+    """
+    return data.a.size > 1 and _leading(data, found, bands, linear).fit.sse <= data.samples * data.floor
+
+
+def _akaike_of(
+    data: Centred, found: Profile | None, bands: dict[str, Found], linear: Fit, steps: Sequence[LoadStep]
+) -> float:
+    """AIC of the best stem in the measure of its disturbance, as far as it depends on that and on load steps."""
+    sse = _leading(data, found, bands, linear).fit.sse
+    level = data.samples * math.log(max(sse / data.samples, data.floor))
+    return level + 2.0 * (data.a.size + 2 * len(steps))
 
 
 def _akaike_in(data: Centred, lead: Stem, limits: Limits) -> float:
