@@ -20,18 +20,29 @@ from workbench.estimate.path_kernel import J_HIGH, J_LOW, S_HIGH, S_LOW, band_pa
 from workbench.estimate.profile import CHI_SQUARE, HALF_SLIPS
 from workbench.estimate.sought import HOPELESS, Sought, Window, on_all, window_of
 from workbench.estimate.sureness import effective_samples
-from workbench.estimate.two_parameter import Band, band_stem, best_of, best_start, fit_band, started
+from workbench.estimate.two_parameter import (
+    NARROWEST,
+    WIDEST,
+    Band,
+    band_stem,
+    best_of,
+    best_start,
+    fit_band,
+    started,
+    started_beside,
+)
 
 __all__ = [
     "Bands",
     "Found",
     "alike",
+    "alike_about",
     "refit",
     "repeated",
     "search_bands",
 ]
 
-OUTWARDS = (0.004, 0.5, 1.5)  # of S: the least and the largest step away from the best, each to the one before
+OUTWARDS = (0.004, 6.0, 1.5)  # of S: the least and the largest step away from the best, each to the one before
 APART = 0.01  # of S: where a part's own stem is as far from the whole's, the search goes on from it
 BEFORE = 4  # samples before a slip over which OP's rate is taken
 SIDEWAYS = (0.01, 0.0)  # of S: how far S follows a step of J
@@ -106,7 +117,7 @@ def search_bands(
     bands = [b for b in bands if b.fit.gain != 0.0]
     if not bands:
         return None
-    best = best_of(bands)
+    best = best_of(started_beside(data, best_of(bands), limits))
     start = (best.first, best.sense)
     best = best_of([best, fit_band(data, best.S, best.J, start, limits, (best.fit.tau, best.fit.theta), 300)])
     return Found(best, data, (best, *bands), rows, data, only)
@@ -208,17 +219,25 @@ def _further(data: Centred, found: Found, seeds: list[Band], limits: Limits) -> 
     for seed in seeds:
         way = [b for b in nearer(data, seed, SPREADS[1:], found.only, limits, ends) if b.fit.gain != 0.0]
         met, ends = [*met, *way], [*ends, *([best_of(way)] if way else [])]
-    best, rows = best_of([found.best, *met]), found.rows
-    if best is not found.best:
-        rows = np.empty((0, 4))
-        for reach in REACHES:
-            fits, walked = closer(data, best, reach, 0.05 * reach[0], found.only, limits)
-            met, rows = [*met, *fits], np.vstack([rows, walked])
-            best = best_of([best, *fits])
-        plant, start = (best.fit.tau, best.fit.theta), (best.first, best.sense)
-        best = best_of([best, fit_band(data, best.S, best.J, start, limits, plant, 300)])
-        found = replace(found, walked=data)
-    return replace(found, best=best, again=(*found.again, *met), rows=rows)
+    best = best_of([found.best, *met])
+    if best is found.best:
+        return replace(found, again=(*found.again, *met))
+    best, fits, rows = _polished(data, best, found.only, limits)
+    return replace(found, best=best, again=(*found.again, *met, *fits), rows=rows, walked=data)
+
+
+def _polished(
+    data: Centred, best: Band, only: float | None, limits: Limits
+) -> tuple[Band, list[Band], NDArray[np.float64]]:
+    """The best of the stems close about one, all that were met, and the walks' rows."""
+    met: list[Band] = []
+    rows = np.empty((0, 4))
+    for reach in REACHES:
+        fits, walked = closer(data, best, reach, 0.05 * reach[0], only, limits)
+        met, rows = [*met, *fits], np.vstack([rows, walked])
+        best = best_of([best, *fits])
+    plant, start = (best.fit.tau, best.fit.theta), (best.first, best.sense)
+    return best_of([best, fit_band(data, best.S, best.J, start, limits, plant, 300)]), met, rows
 
 
 def _beside(data: Centred, best: Band, only: float | None, limits: Limits) -> list[Band]:
@@ -297,6 +316,17 @@ def alike(data: Centred, found: Found, limits: Limits, rival: float = math.inf) 
     return Bands(best, tuple(stems), spare, (min(S), max(S)), (min(J), max(J)))
 
 
+def alike_about(data: Centred, best: Band, met: tuple[Band, ...], only: float | None, limits: Limits) -> Bands:
+    """Return what the record cannot tell from the best stem close about one that was met beside the search.
+
+    met: others that were met there.
+    """
+    ways = [_polished(data, b, only, limits) for b in started_beside(data, best, limits)]
+    best, _, rows = min(ways, key=lambda way: way[0].fit.sse)
+    fits = (b for _, fits, _ in ways for b in fits)
+    return alike(data, Found(best, data, (best, *met, *fits), rows, data, only), limits)
+
+
 def _measured(data: Centred, found: Found, limits: Limits) -> list[Band]:
     """The stems met in a search, in the measure that the record has now: the likely ones are fitted again."""
     if data is found.measure:
@@ -350,6 +380,8 @@ def _beyond(
     plant, start = (last.fit.tau, last.fit.theta), (last.first, last.sense)
     if along == 0:
         S = best.S + step
+        if not NARROWEST * data.op_range <= S <= WIDEST * data.op_range:
+            return None
         jumps = {max(best.J + f * abs(step), 0.0) for f in (-1.0, 0.0, 1.0)} | {last.J} if only is None else {only * S}
         there = started(data, best_of([fit_band(data, S, J, start, limits, plant, 24) for J in jumps]), limits)
     else:

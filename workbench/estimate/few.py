@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workbench.estimate.band_kernel import scan_starts
-from workbench.estimate.bands import Bands
+from workbench.estimate.bands import Bands, alike_about
 from workbench.estimate.data import Centred
 from workbench.estimate.fit import Limits
 from workbench.estimate.path_kernel import S_HIGH, S_LOW, band_path
@@ -52,14 +52,21 @@ def widened(data: Centred, found: Bands, only: float | None, limits: Limits, riv
         known, best = best, best_of([best, *others])
         if known.fit.sse <= max(best.fit.sse, n * data.floor):
             break
-    S, J = [b.S for b in others], [b.J for b in others]
+    spare = [1.0 for _ in others]
+    ends = [(b.S, b.J) for b in others]
+    if best is not found.best:
+        # What cannot be told from the better stem lies about it; that from which it was met shows how far a search
+        # may end from the best.
+        about = alike_about(data, best, tuple(others), only, limits)
+        best, others, spare = about.best, [*others, *about.alike], [*spare, *about.spare]
+        ends += zip(about.S, about.J, strict=True)
     return replace(
         found,
         best=best,
         alike=(*found.alike, *others),
-        spare=(*found.spare, *(1.0 for _ in others)),
-        S=(min([found.S[0], *S]), max([found.S[1], *S])),
-        J=(min([found.J[0], *J]), max([found.J[1], *J])),
+        spare=(*found.spare, *spare),
+        S=(min([found.S[0], *(S for S, _ in ends)]), max([found.S[1], *(S for S, _ in ends)])),
+        J=(min([found.J[0], *(J for _, J in ends)]), max([found.J[1], *(J for _, J in ends)])),
     )
 
 

@@ -47,6 +47,7 @@ __all__ = [
     "look",
     "seen_thinned",
     "started",
+    "started_beside",
     "walked",
 ]
 
@@ -66,6 +67,7 @@ SEEDS = 4  # of the best, from which the search goes on
 MOST_ROWS = 4000  # of a line that is walked
 AT_ONCE = np.array([[-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])  # starts (first, sense) that any record may have
 STARTS = 60  # first slips tried beside the stem that rests in the middle of its band
+BESIDE = 2  # and before and after the best, with plants of their own
 
 
 Seed = tuple[float, float, float, float]  # S, J, tau, theta
@@ -314,14 +316,28 @@ def best_start(data: Centred, band: tuple[float, float], plant: tuple[float, flo
     """Return (cost, first, sense) of the start that suits a stem best, at one plant.
 
     Each sample at which OP lets it slip first is tried, both senses at the record's own start, and the stem that rests
-    in the middle of its band.
+    in the middle of its band. Of many such samples some are tried, then those about the best: a first slip that is off
+    by one sample costs more of the likelihood than another stem may gain.
     """
     firsts, ranged, senses = data.starts
-    kept = thin(np.flatnonzero(ranged <= sum(band)), STARTS)[1:]
-    starts = np.vstack([AT_ONCE, np.column_stack([firsts[kept], senses[kept]])])
-    costs = np.empty(len(starts))
-    scan_starts(data.target, data.u, *band, starts, data.sign, data.integrating, *plant, data.a, data.skip, costs)
+    able = np.flatnonzero(ranged <= sum(band))[1:]
+
+    def scanned(starts: FloatArray) -> tuple[FloatArray, FloatArray]:
+        costs = np.empty(len(starts))
+        scan_starts(data.target, data.u, *band, starts, data.sign, data.integrating, *plant, data.a, data.skip, costs)
+        return starts, costs
+
+    def among(places: NDArray[np.int64]) -> FloatArray:
+        return np.column_stack([firsts[places], senses[places]])
+
+    tried = thin(able, STARTS)
+    starts, costs = scanned(np.vstack([AT_ONCE, among(tried)]))
     i = int(np.argmin(costs))
+    if tried.size < able.size and i >= len(AT_ONCE):
+        here = i - len(AT_ONCE)
+        low, high = tried[max(here - 1, 0)], tried[min(here + 1, tried.size - 1)]
+        starts, costs = scanned(among(thin(able[(able >= low) & (able <= high)], STARTS)))
+        i = int(np.argmin(costs))
     return float(costs[i]), int(starts[i, 0]), float(starts[i, 1])
 
 
@@ -332,6 +348,18 @@ def started(data: Centred, b: Band, limits: Limits) -> Band:
         return b
     other = fit_band(data, b.S, b.J, (first, sense), limits, (b.fit.tau, b.fit.theta))
     return other if other.fit.sse < b.fit.sse and other.fit.gain != 0.0 else b
+
+
+def started_beside(data: Centred, b: Band, limits: Limits) -> list[Band]:
+    """Return the same stem, and from the first slips before and after its own, each with a plant of its own."""
+    if b.first <= 0:
+        return [b]
+    firsts, _, senses = data.starts
+    i = int(np.searchsorted(firsts, b.first))
+    plant = b.fit.tau, b.fit.theta
+    near = [k for k in range(max(i - BESIDE, 1), min(i + BESIDE + 1, firsts.size)) if firsts[k] != b.first]
+    fits = [fit_band(data, b.S, b.J, (int(firsts[k]), float(senses[k])), limits, plant) for k in near]
+    return [b, *(one for one in fits if one.fit.gain != 0.0)]
 
 
 def best_of(bands: list[Band]) -> Band:
