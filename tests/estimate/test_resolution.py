@@ -101,12 +101,15 @@ def test_op_never_leaves_its_step(moves: list[int], step: float, seed: int) -> N
     assert 0.0 <= doubt <= step
 
 
+TWO_PARAMETER = wb.Loop(wb.FOPDT(1.0, 10.0, 4.0), wb.Choudhury(2.0, 1.0), wb.PID(Kc=0.8, Ti=12.0), 1.0)
 STICKY = {
     "flow": (FLOW, 0.02),
     "direct": (REVERSED, 0.02),
     "level": (wb.Loop(wb.Integrating(0.1, 5.0), wb.Stenman(1.0), wb.PID(Kc=0.9, Ti=60.0), 1.0), 0.01),
-    "two-parameter": (wb.Loop(wb.FOPDT(1.0, 10.0, 4.0), wb.Choudhury(2.0, 1.0), wb.PID(Kc=0.8, Ti=12.0), 1.0), 0.02),
+    "two-parameter": (TWO_PARAMETER, 0.005),
+    "two-parameter, noise": (TWO_PARAMETER, 0.02),
 }
+VAGUE = ("two-parameter, noise",)  # what is not known of OP and the noise leave the gain open by more than a tenth
 
 
 @pytest.mark.parametrize("name", STICKY)
@@ -119,9 +122,13 @@ def test_a_valve_is_identified_from_an_op_in_steps(name: str) -> None:
     assert isinstance(found.valve, type(loop.valve))
     assert found.valve.stick_band == pytest.approx(loop.valve.stick_band, rel=0.01)
     assert found.plant.gain == pytest.approx(loop.plant.gain, rel=0.02)
-    assert found.identifiable
+    assert found.identifiable == (name not in VAGUE)
     low, high = found.intervals.d or found.intervals.S
     assert low <= loop.valve.stick_band <= high
+    assert high - low <= 0.1 * loop.valve.stick_band
+    low, high = found.intervals.gain
+    assert low <= loop.plant.gain <= high
+    assert (high - low <= 0.2 * abs(found.plant.gain)) == (name not in VAGUE)
 
 
 @cache

@@ -40,7 +40,7 @@ PROGRAMS = ("joint", "complementarity")  # go on from the profile with nonlinear
 VALVES = ("auto", "linear", "stenman", "choudhury", "deadband")
 PLANTS = ("fopdt", "integrating", "auto")
 
-WIDEST_GAIN = 0.5  # of the gain itself: a 95 % range wider than this does not identify a valve
+WIDEST_GAIN = 0.2  # of the gain itself: a 95 % range wider than this does not identify a valve and what it does to PV
 CLEAR_BIC = 10.0  # R. Kass, A. Raftery, J. Am. Stat. Assoc. 90 (1995) 773-795: "very strong" evidence above it
 
 
@@ -82,7 +82,7 @@ def estimate(
     A PV that is recorded later than the controller saw it is looked at as that did (`pv_late`), and values of PV that
     stand out from their neighbours alone are left out (`detect.spikes`).
     identifiable is True where the verdict is "stiction", no range is open, that hull is at most a tenth of d wide and
-    gain's at most half of the gain. Raises `RecordError` for a record that holds no information (too short, PV or OP
+    gain's at most a fifth of the gain. Raises `RecordError` for a record that holds no information (too short, PV or OP
     constant, values that no plant has) or is too long for the method, and `InvalidValue` for arguments that are not
     allowed.
     """

@@ -129,10 +129,12 @@ def unpinned(found: Estimate) -> str:
             f"the record leaves the range of the {_titles(opened)} open: what the stem's moves do to PV is not known, "
             "however narrow the range of the stiction"
         )
-    if {"d", "S", "b"} & {*groups["known"]} and "gain" in groups["hardly"]:
+    if {"d", "S", "b"} & {*groups["known"]} and "gain" in (*groups["roughly"], *groups["hardly"]):
+        closely, best = ("only roughly", "") if "gain" in groups["roughly"] else ("hardly", " at best")
         return (
-            f"the record pins the stiction, but hardly the gain ({interval(found.intervals.gain, _gain_unit(plant), 3)}"
-            "): what the stem's moves do to PV is known roughly at best"
+            f"the record pins the stiction, but {closely} the gain "
+            f"({interval(found.intervals.gain, _gain_unit(plant), 3)}): what the stem's moves do to PV is known "
+            f"roughly{best}"
         )
     product = f"{figure(abs(plant.gain) * band)} {'EU' if isinstance(plant, FOPDT) else 'EU/s'}"
     return (
