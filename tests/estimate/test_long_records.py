@@ -29,6 +29,7 @@ from workbench.estimate.fit import (
     start_range,
 )
 from workbench.estimate.output_error import FIT, TAU, drive_of, oe_cost
+from workbench.estimate.profile import search
 from workbench.estimate.stems import FIRST, HIGH, LOW, path_of, walk, walk_starts
 from workbench.estimate.walk_kernel import at_delays
 from workbench.estimate.windows import EXACT, active_windows, stretch_of, windows_of
@@ -372,3 +373,14 @@ def test_a_dead_time_that_is_held_leaves_the_quadratic_to_the_time_constant() ->
     limits = ((0.05, 2000.0), (0.0, 0.0))
     long_kernel.fit_near(y, x, 0, -inf, inf, 0.0, False, 45.0, 0.0, *limits, 0.05, 4, white, 0, out)
     assert out[TAU] == pytest.approx(-1.0 / math.log(1.0 - 1.0 / 41.0), rel=1e-4)
+
+
+def test_a_band_with_a_lower_one_step_cost_leaves_the_best_one_its_paths() -> None:
+    # A slow loop of 33 slips: of one sample's step of PV noise is nearly all, and bands 10 % too wide look better.
+    loop = wb.Loop(wb.FOPDT(1.2, 40.0, 60.0), wb.Stenman(2.0), wb.PID(Kc=40.0 / 144.0, Ti=40.0), 1.0)
+    moves = [wb.Step(6.0, at=100.0), wb.Step(-9.0, at=9000.0)]
+    run = wb.simulate(loop, wb.Experiment(20_000.0, setpoint=moves, noise=wb.Noise(0.2456, 3)))
+    found = search(centre(wb.Record(run.pv, run.op, 1.0, sp=run.sp), "fopdt"), 80.0)
+    assert found is not None
+    assert found.best.d == pytest.approx(2.0, rel=0.002)
+    assert found.best.fit.gain == pytest.approx(1.2, rel=0.01)

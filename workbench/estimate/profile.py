@@ -48,6 +48,7 @@ HALF_SLIPS = 5  # in each half of a record, for the halves to be compared
 WINNERS = 6  # paths of a long record with a full output-error fit before the search about the best
 LIKELIEST = 60  # paths of which the halves of the record choose
 ROUGH = 30  # evaluations of a first fit; the best are fitted on
+CLOSER_ABOUT, AROUND = 3, 2000  # bands about which every path is looked at, and how many paths in all
 REFITS = 60  # and about the best, fewer in a long record
 APART = 0.02  # of d, the least gap between ranges of d that counts
 CHI_SQUARE = 3.841  # 95 %, one degree of freedom
@@ -123,10 +124,14 @@ def profile_of(
     progress(0.8)
     # Closer around the best few: every path there, judged by the output-error fit.
     done = {(c.first, c.d_low) for c in fits}
-    around = np.zeros(len(by_cost), dtype=bool)
-    for best in distinct(fits, 3):
-        around |= np.abs(np.log(by_cost[:, LOW] / best.d_low)) < 0.03
-    near = by_cost[around][: int(2000 * effort)]
+    # Half of them about the best: another band may have them all by a lower one-step cost, and be no better for that.
+    around, left = np.zeros(len(by_cost), dtype=bool), int(AROUND * effort)
+    for i, best in enumerate(distinct(fits, CLOSER_ABOUT), 1):
+        there = np.flatnonzero(~around & (np.abs(np.log(by_cost[:, LOW] / best.d_low)) < 0.03))
+        there = there[: left // 2 if i < CLOSER_ABOUT else left]
+        around[there] = True
+        left -= there.size
+    near = by_cost[around]
     near = near[[(int(row[FIRST]), float(row[LOW])) not in done for row in near]]
     if near.size:
         fits = sorted([*fits, *fitted(data, near, limits, fits[0].fit, 0)], key=lambda c: c.fit.sse)
