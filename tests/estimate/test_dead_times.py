@@ -9,7 +9,10 @@ import pytest
 
 import workbench as wb
 from workbench.estimate.coloured import DELAYS, delays_about
+from workbench.estimate.data import centre
 from workbench.estimate.profile import EACH, _delays
+from workbench.estimate.reach import searched
+from workbench.estimate.stems import silent
 from workbench.model.valve import Valve
 
 
@@ -78,3 +81,18 @@ def test_about_a_long_dead_time_others_like_it_are_looked_at() -> None:
     about = delays_about(120.0, 130.0)
     assert {84.0, 120.0, 130.0} <= set(about)
     assert max(about) == 130.0
+
+
+def test_a_usual_dead_time_is_met_in_a_long_record_whose_thinned_look_asks_for_longer_ones() -> None:
+    # 24 slips in 20,000 samples: thinned, a stem with a long dead time fits; no other of 2 % more or less does.
+    controller = wb.PID(Kc=0.904856581111127, Ti=353.64720407631125)
+    loop = wb.Loop(wb.Integrating(0.01, 6.845850105669755), wb.Stenman(0.9770805368631066), controller, 1.0)
+    moves, noise = [wb.Step(0.7300755621169038, at=100.0)], wb.Noise(0.07876110593140363, 544050456)
+    run = wb.simulate(loop, wb.Experiment(20_000.0, setpoint=moves, noise=noise))
+    data = centre(wb.Record(run.pv, run.op, 1.0, sp=run.sp), "integrating")
+    found = searched(data, 30.0, 5000.0, silent)
+    assert found is not None
+    assert found.limits.theta[1] > 30.0
+    assert found.best.d == pytest.approx(0.97708, rel=0.001)
+    assert found.best.fit.gain == pytest.approx(0.01, rel=0.005)
+    assert found.best.fit.theta == pytest.approx(6.85, abs=0.5)

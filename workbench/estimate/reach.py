@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -49,13 +50,20 @@ def searched(data: Centred, longest: float, most: float, progress: Callable[[flo
     """
     if data.samples <= EXACT:
         return _searched(data, longest, most, _seen, progress)
-    every = math.ceil(data.samples / EXACT)
+    usual, every = longest, math.ceil(data.samples / EXACT)
     views = [(data.thinned(every), every), *((part, 1) for part in active_windows(data)[:1])] if longest < most else []
     for view, times in views:
         reach = longest / times, min(most / times, view.samples / 4.0)
         if reach[0] < reach[1] and (found := _searched(view, *reach, _seen, silent)) is not None:
             longest = max(longest, times * found.limits.theta[1])
-    return _searched(data, longest, most, _unseen, progress)
+    found = _searched(data, longest, most, _unseen, progress)
+    if longest > usual and found is not None:
+        # Of fewer dead times each is looked at closer, and a stem may be met that was passed over among more; what else
+        # is searched may have the longer ones all the same.
+        other = search(data, usual)
+        if other is not None and other.best.fit.sse <= found.best.fit.sse:
+            found = replace(other, limits=found.limits)
+    return found
 
 
 def _searched(
