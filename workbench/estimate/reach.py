@@ -57,7 +57,7 @@ def searched(data: Centred, longest: float, most: float, progress: Callable[[flo
         if reach[0] < reach[1] and (found := _searched(view, *reach, _seen, silent)) is not None:
             longest = max(longest, times * found.limits.theta[1])
     found = _searched(data, longest, most, _unseen, progress)
-    if longest > usual and found is not None:
+    if longest > usual and found is not None and not leaves_noise(data, found.best):
         # Of fewer dead times each is looked at closer, and a stem may be met that was passed over among more; what else
         # is searched may have the longer ones all the same.
         other = search(data, usual)
