@@ -40,7 +40,7 @@ from workbench.detect.rivals import (
     order_of,
 )
 from workbench.detect.turns import turns_of_pv
-from workbench.detect.verdict import Thresholds, accuses, beyond_doubt
+from workbench.detect.verdict import Thresholds, accuses, beyond_doubt, explains_most
 from workbench.detect.wave import steady_wave
 from workbench.detect.whitening import noise
 from workbench.model.detection import StemTest
@@ -325,7 +325,7 @@ def _among(
         pv = pv - pv[~held].mean()
         search = _Search(Rivals(pv, delays, sign, held), u, held, float(pv[~held].var()))
         told = [] if fitted is None else search.told(fitted)
-        if told:
+        if told and explains_most(*_explained(told)):
             test = _test(search, [], told, free, sample_time, period, steps)
             if beyond_doubt(test):
                 return test, search
@@ -347,6 +347,17 @@ def _among(
     return relieved if accuses(relieved) else test
 
 
+def _throughout(met: list[_Candidate]) -> _Candidate:
+    """The stem that is best by prediction and simulation together."""
+    return max(met, key=lambda c: c.both)
+
+
+def _explained(met: list[_Candidate]) -> tuple[float, float]:
+    """Of what the linear loop leaves, unpredicted and simulated, the shares that this stem explains."""
+    both = _throughout(met)
+    return 1.0 - math.exp(-both.innovations / both.samples), 1.0 - math.exp(-both.simulated / both.samples)
+
+
 def _test(
     search: _Search,
     own: list[_Candidate],
@@ -363,7 +374,8 @@ def _test(
     from outside, as their rival is.
     """
     rivals, power, met = search.rivals, search.power, own + told
-    best, both = max(met, key=lambda c: c.innovations), max(met, key=lambda c: c.both)
+    best, both = max(met, key=lambda c: c.innovations), _throughout(met)
+    improvement, simulated = _explained(met)
     moving = np.diff(best.path) != 0.0
     moves = int((moving[1:] & ~moving[:-1]).sum()) + int(moving[0])
     width = float(np.ptp(search.u))
@@ -373,9 +385,9 @@ def _test(
         waved=search.over_wave(met, period / sample_time),
         turned=0.0,
         squares=search.squares,
-        improvement=1.0 - math.exp(-both.innovations / rivals.count),
+        improvement=improvement,
         likelihood=both.innovations,
-        simulated=1.0 - math.exp(-both.simulated / rivals.count),
+        simulated=simulated,
         adds=both.adds,
         sure=max(c.sure for c in met),
         instead=search.instead(met),

@@ -90,6 +90,7 @@ __all__ = [
     "curved",
     "decide",
     "excluded",
+    "explains_most",
     "follows",
     "times",
 ]
@@ -314,9 +315,14 @@ def _simulated_too(test: StemTest, limits: Thresholds) -> bool:
 def beyond_doubt(test: StemTest) -> bool:
     """Return whether a sticking stem reaches twice what finding stiction takes, and explains most of both errors."""
     limits = Thresholds()
-    most = min(test.improvement, test.simulated) >= limits.most
+    most = explains_most(test.improvement, test.simulated)
     rivalled = min(test.loaded, test.waved) < 2.0 * limits.chance or curved(test, limits)
     return most and not rivalled and _sticks(test, limits, 2.0)
+
+
+def explains_most(improvement: float, simulated: float) -> bool:
+    """Return whether a stem explains most of what the linear loop leaves of PV, unpredicted and simulated (shares)."""
+    return min(improvement, simulated) >= Thresholds().most
 
 
 def _sticks(test: StemTest, limits: Thresholds, share: float) -> bool:
