@@ -28,6 +28,7 @@ from workbench.estimate.two_parameter import (
     best_of,
     best_start,
     fit_band,
+    jumped,
     started,
     started_beside,
 )
@@ -120,6 +121,7 @@ def search_bands(
     best = best_of(started_beside(data, best_of(bands), limits))
     start = (best.first, best.sense)
     best = best_of([best, fit_band(data, best.S, best.J, start, limits, (best.fit.tau, best.fit.theta), 300)])
+    best = best if only is not None else jumped(data, best, limits)
     return Found(best, data, (best, *bands), rows, data, only)
 
 
@@ -237,7 +239,8 @@ def _polished(
         met, rows = [*met, *fits], np.vstack([rows, walked])
         best = best_of([best, *fits])
     plant, start = (best.fit.tau, best.fit.theta), (best.first, best.sense)
-    return best_of([best, fit_band(data, best.S, best.J, start, limits, plant, 300)]), met, rows
+    best = best_of([best, fit_band(data, best.S, best.J, start, limits, plant, 300)])
+    return best if only is not None else jumped(data, best, limits), met, rows
 
 
 def _beside(data: Centred, best: Band, only: float | None, limits: Limits) -> list[Band]:

@@ -21,7 +21,7 @@ from workbench.estimate.fit import Limits
 from workbench.estimate.path_kernel import S_HIGH, S_LOW, band_path
 from workbench.estimate.profile import CHI_SQUARE
 from workbench.estimate.sureness import effective_samples
-from workbench.estimate.two_parameter import Band, band_stem, best_of, fit_band, started
+from workbench.estimate.two_parameter import Band, band_stem, best_of, fit_band, jumped, started
 from workbench.estimate.verdict import ENOUGH_SLIPS
 
 __all__ = ["widened"]
@@ -31,7 +31,6 @@ MOST = 400  # paths tried each way
 ASIDE = 4  # samples by which every slip moves while no path fits as well: no further one is looked for
 EVALUATIONS = 40  # of each fit
 BESIDE = 3  # first slips before and after the present one
-JUMPS, FURTHEST = 0.005, 8.0  # of S: a step of J, and how many of them a parabola is followed
 
 
 def widened(data: Centred, found: Bands, only: float | None, limits: Limits, rival: float = math.inf) -> Bands:
@@ -87,7 +86,7 @@ def _walked(data: Centred, best: Band, way: int, most: float, only: float | None
             break
         plant = (last.fit.tau, float(np.clip(theta, *limits.theta)))
         at = _started(data, fit_band(data, S, J, start, limits, plant, EVALUATIONS), limits)
-        at = at if only is not None else _jumped(data, at, limits)
+        at = at if only is not None else jumped(data, at, limits, 1, EVALUATIONS)
         aside += 1
         if at.fit.sse <= most and at.fit.gain != 0.0:
             met.append(at)
@@ -107,19 +106,6 @@ def _started(data: Centred, b: Band, limits: Limits) -> Band:
     scan_starts(data.target, data.u, b.S, b.J, starts, data.sign, data.integrating, *plant, data.a, data.skip, costs)
     first, sense = starts[int(np.argmin(costs))].tolist()
     return best_of([b, fit_band(data, b.S, b.J, (int(first), sense), limits, plant, EVALUATIONS)])
-
-
-def _jumped(data: Centred, b: Band, limits: Limits) -> Band:
-    """The same stem with the jump that suits its slip times best, by a parabola through three jumps."""
-    start, step = (b.first, b.sense), JUMPS * b.S
-
-    def at(J: float) -> Band:
-        return fit_band(data, b.S, J, start, limits, (b.fit.tau, b.fit.theta), EVALUATIONS)
-
-    less, more = at(max(b.J - step, 0.0)), at(b.J + step)
-    slope, bend = more.fit.sse - less.fit.sse, more.fit.sse + less.fit.sse - 2.0 * b.fit.sse
-    move = -0.5 * slope / bend * step if bend > 0.0 else 0.0
-    return best_of([b, less, more, at(max(b.J + float(np.clip(move, -FURTHEST * step, FURTHEST * step)), 0.0))])
 
 
 def _slips(data: Centred, b: Band) -> NDArray[np.int64]:

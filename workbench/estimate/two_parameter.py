@@ -44,6 +44,7 @@ __all__ = [
     "fit_band",
     "fitted",
     "held_range",
+    "jumped",
     "look",
     "seen_thinned",
     "started",
@@ -68,6 +69,7 @@ MOST_ROWS = 4000  # of a line that is walked
 AT_ONCE = np.array([[-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])  # starts (first, sense) that any record may have
 STARTS = 60  # first slips tried beside the stem that rests in the middle of its band
 BESIDE = 2  # and before and after the best, with plants of their own
+JUMP, FURTHEST, PARABOLAS = 0.005, 8.0, 3  # of S: a step of J, how many of them a parabola is followed, and how often
 
 
 Seed = tuple[float, float, float, float]  # S, J, tau, theta
@@ -360,6 +362,28 @@ def started_beside(data: Centred, b: Band, limits: Limits) -> list[Band]:
     near = [k for k in range(max(i - BESIDE, 1), min(i + BESIDE + 1, firsts.size)) if firsts[k] != b.first]
     fits = [fit_band(data, b.S, b.J, (int(firsts[k]), float(senses[k])), limits, plant) for k in near]
     return [b, *(one for one in fits if one.fit.gain != 0.0)]
+
+
+def jumped(data: Centred, b: Band, limits: Limits, rounds: int = PARABOLAS, evaluations: int = 80) -> Band:
+    """Return the same stem with the jump that suits its slips best, by parabolas through three jumps.
+
+    Stems that slip at about the same samples differ in how far they stand to the side from which they were led. What
+    that changes of PV gain and dead time make up for in part, so that steps of S and J at one plant stop short of it.
+    """
+    start, step = (b.first, b.sense), JUMP * b.S
+    for _ in range(rounds):
+        here, plant = b.J, (b.fit.tau, b.fit.theta)
+        less, more = (
+            fit_band(data, b.S, max(here + way * step, 0.0), start, limits, plant, evaluations) for way in (-1.0, 1.0)
+        )
+        slope, bend = more.fit.sse - less.fit.sse, more.fit.sse + less.fit.sse - 2.0 * b.fit.sse
+        way = -0.5 * slope / bend if bend > 0.0 else 0.0
+        J = max(here + step * min(max(way, -FURTHEST), FURTHEST), 0.0)
+        third = fit_band(data, b.S, J, start, limits, plant, evaluations)
+        b = best_of([b, *(one for one in (less, more, third) if one.fit.gain != 0.0)])
+        if abs(b.J - here) <= step:
+            break
+    return b
 
 
 def best_of(bands: list[Band]) -> Band:
