@@ -118,7 +118,7 @@ def _for_health(e: Evidence, reasons: list[str]) -> str:
             f"{e.bands[1]:.2g} %) would leave only {e.two_parameter / e.variance:.1%}"
         )
         return "undecided"
-    reasons.append("the linear model explains PV as well: stiction adds nothing that matters")
+    reasons.append("the linear model leaves little of PV too: this comparison makes no case for stiction")
     return "no_stiction"
 
 
