@@ -239,7 +239,7 @@ def test_a_loop_without_stiction_is_not_accused(seed: int) -> None:
 
 
 def test_an_acquitted_valve_is_not_searched_for_further(monkeypatch: pytest.MonkeyPatch) -> None:
-    module = importlib.import_module("workbench.estimate.answer")
+    module = importlib.import_module("workbench.estimate.record_fits")
     close = module.settled
 
     def closely(*_: object) -> object:

@@ -13,7 +13,7 @@ from workbench.estimate.scale import joined
 from workbench.model.results import Intervals
 
 # `wb.estimate`, the function, hides the folder of its name from a plain import.
-module = importlib.import_module("workbench.estimate.answer")
+module = importlib.import_module("workbench.estimate.record_fits")
 
 
 def cycle(loop: wb.Loop, size: float, sd: float, seed: int, samples: int, quantum: float = 0.0) -> wb.Record:

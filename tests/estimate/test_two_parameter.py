@@ -12,7 +12,6 @@ from hypothesis.extra.numpy import arrays
 
 import workbench as wb
 from workbench.cli_output import estimate_lines
-from workbench.estimate.answer import leaves_noise_alone
 from workbench.estimate.data import centre
 from workbench.estimate.dense import densely
 from workbench.estimate.fit import LEAST_TAU, Limits, fit_linear
@@ -20,6 +19,7 @@ from workbench.estimate.models import bands_of
 from workbench.estimate.nearer import search_short
 from workbench.estimate.path_kernel import band_path
 from workbench.estimate.profile import search
+from workbench.estimate.record_fits import leaves_noise_alone
 from workbench.estimate.sought import like_stenman, sought
 from workbench.estimate.two_parameter import band_stem, best_of, look
 from workbench.model.valve import Choudhury

@@ -12,13 +12,11 @@ import numpy as np
 from workbench.detect.action import only_answers
 from workbench.detect.detect import detect
 from workbench.detect.stem import WIDE, Fitted
-from workbench.estimate.bands import Bands, Found, repeated
-from workbench.estimate.candidates import Candidate, leaves_noise
+from workbench.estimate.bands import Bands
+from workbench.estimate.candidates import Candidate
 from workbench.estimate.data import Centred, plant_of
-from workbench.estimate.dense import densely
-from workbench.estimate.few import widened
 from workbench.estimate.fit import LEAST_TAU, Fit, Limits, fit_linear, fit_nothing
-from workbench.estimate.freed import Loaded, freed
+from workbench.estimate.freed import Loaded
 from workbench.estimate.hidden import hidden, words_of_hidden
 from workbench.estimate.models import (
     PLANT_PARAMETERS,
@@ -26,16 +24,15 @@ from workbench.estimate.models import (
     VALVE_PARAMETERS,
     WORDS_OF_BLIND,
     WORDS_OF_STRAIGHT,
-    bands_of,
     choose,
-    compared,
     reasons_of,
     words_of_closer,
     words_of_rival,
 )
 from workbench.estimate.outside import CHANCE, Rival, rival_of, weighed
 from workbench.estimate.paths import band_paths, linear_path, stem_paths
-from workbench.estimate.profile import Profile, islands, profile_of
+from workbench.estimate.profile import Profile, islands
+from workbench.estimate.record_fits import Fits, closely, first_fits, likelier_pair, sound, with_ranges
 from workbench.estimate.scale import (
     InScale,
     band_of,
@@ -47,69 +44,24 @@ from workbench.estimate.scale import (
     unknown,
     without_jump,
 )
-from workbench.estimate.settled import coloured_linear, settled
-from workbench.estimate.sought import Seek, Sought, coarse_of, like_stenman, sought
+from workbench.estimate.settled import coloured_linear
 from workbench.estimate.straight import Straight
 from workbench.estimate.swing import Answered
-from workbench.estimate.two_parameter import Band, look
+from workbench.estimate.two_parameter import Band
 from workbench.estimate.two_step import akaike
 from workbench.estimate.unseen import unseen, words_of_unseen
-from workbench.estimate.verdict import ENOUGH_SLIPS, SHARP, WIDE_D, Evidence, agree, judge
-from workbench.estimate.windows import WHOLE
+from workbench.estimate.verdict import ENOUGH_SLIPS, Evidence, agree, judge
 from workbench.model.detection import Detection
 from workbench.model.loads import LoadStep
 from workbench.model.record import Record
-from workbench.model.results import Estimate, FittedModel, Intervals, Iteration, LinearFit
+from workbench.model.results import Estimate, Intervals, Iteration, LinearFit
 from workbench.model.valve import Choudhury, Ideal, Stenman
 from workbench.record.modes import manual_share, mode_words
 
-__all__ = ["DELAYS", "LINEAR_DELAYS", "answer_of", "leaves_noise_alone", "longest_delay"]
+__all__ = ["answer_of"]
 
-# Dead times searched by default, in samples, and longer ones where they are asked for (`reach`).
-DELAYS = 30
-LINEAR_DELAYS = 240
-HALF = 0.5  # of what the linear fit leaves: a stem that leaves no more explains PV by itself
 BARE_MENTION = 2.0  # of BIC: up to it a difference is "not worth more than a bare mention" (R. Kass, A. Raftery, 1995)
 MUCH_MANUAL = 0.05  # share of the record in manual that is worth a word
-
-
-@dataclass(frozen=True, eq=False)
-class _Fits:
-    """All models of a record, in the measure of the disturbance that the best stem leaves, and where they were sought.
-
-    data: without load steps; whole: with them; found: Stenman's profile; bands: two-parameter valves by name; rival:
-    the linear model with dead times as short as the stem's, before `steps`, the load steps, were taken out; wide: what
-    the best stem over much of OP's range leaves, EU^2; coarse: the first stems of the two-parameter search, the best
-    first; alone: whether Stenman's stem leaves noise alone (`leaves_noise_alone`).
-    """
-
-    data: Centred
-    whole: Centred
-    found: Profile | None
-    bands: dict[str, Found]
-    linear: Fit
-    rival: Fit
-    steps: tuple[LoadStep, ...]
-    wide: float
-    coarse: list[Band]
-    within: Sought
-    limits: Limits
-    alone: bool
-
-    def seen_in(self, data: Centred) -> Sought:
-        """Where stems are sought in the record as it is in another measure, or without its load."""
-        if data.y is self.within.pv:
-            return self.within
-        return sought(data, self.limits.theta[1], None, self.within.contested)
-
-    def best(self, name: str) -> Band | Candidate | None:
-        """The best stem of a valve by its name; of any that is not two-parameter, the profile's."""
-        return self.bands[name].best if name in self.bands else None if self.found is None else self.found.best
-
-    @cached_property
-    def models(self) -> dict[str, FittedModel]:
-        """Every model by its name, the lowest BIC first."""
-        return compared(self.data, self.linear, self.found, self.bands)
 
 
 class _Said(NamedTuple):
@@ -157,26 +109,6 @@ class _Asked:
         return only_answers(self.record)
 
 
-def longest_delay(data: Centred, max_dead_time: float | None, usual: int) -> float:
-    """Return the longest dead time to search, in samples; never above `max_dead_time`, a quarter of the record."""
-    most = max(data.samples // 4, 1)
-    if max_dead_time is None:
-        return float(min(usual, max(data.samples // 10, 1) if usual == DELAYS else most))
-    return min(max_dead_time / data.sample_time, float(most))
-
-
-def leaves_noise_alone(data: Centred, found: Profile, linear: Fit) -> bool:
-    """Whether a Stenman valve explains all of PV but white noise, of which a valve with more freedom can take nothing.
-
-    Only where it does so by a stem of its own: with slips enough, a sharp d, and much less left than the linear fit's.
-    """
-    best = found.best
-    d = [end for c in found.alike for end in (c.d_low, c.d_high)]
-    if best.slips < ENOUGH_SLIPS or max(d) - min(d) > SHARP * best.d or best.fit.sse > HALF * linear.sse:
-        return False
-    return leaves_noise(data, best)
-
-
 def answer_of(
     record: Record,
     data: Centred,
@@ -191,13 +123,13 @@ def answer_of(
     """
     linear = line.fit if line.data is data else fit_linear(data, line.longest)
     loop = _Asked(record, *asked, line, history, linear_result(data, linear))
-    fits = _first(data, loop.valve, found, linear)
-    early = None if loop.two_step else _at_first(record, fits, loop.method)
+    fits = first_fits(data, loop.valve, found, linear)
+    early = None if loop.two_step else _atfirst_fits(record, fits, loop.method)
     if early is not None and early[0].verdict == "no_stiction":
         own = loop.coloured if fits.data is line.data else coloured_linear(fits.data, fits.linear, line.longest)
-        fits = _sound(fits, loop.valve, *own[:2])
+        fits = sound(fits, loop.valve, *own[:2])
         return _told_straight(loop, fits, _reasoned(loop, fits, "linear", early[0], None))
-    fits = _closely(fits, loop)
+    fits = fits if loop.two_step else closely(fits, loop.valve)
     stem = None if fits.found is None else stem_of(fits.data, fits.found)
     if stem is not None and loop.two_step:
         # It knows nothing of stems that fit as well as the one in which it ended.
@@ -205,8 +137,9 @@ def answer_of(
     chosen = choose(fits.models, "stenman" if loop.two_step else loop.valve)
     said, rival = _weighed(loop, fits, chosen, stem, None if early is None else early[1])
     maybe = said.verdict != "no_stiction"
-    ranged = _ranged(fits, chosen) if maybe and chosen in fits.bands else None
-    if ranged is not None:
+    ranged: Bands | None = None
+    if maybe and chosen in fits.bands:
+        fits, ranged = with_ranges(fits, chosen)
         stem = band_of(fits.data, ranged, chosen, fits.limits)
         known = said.sure and said.verdict == "stiction" and ranged.best.slips >= ENOUGH_SLIPS
         said = said._replace(identifiable=known)
@@ -218,12 +151,12 @@ def answer_of(
 
 
 def _weighed(
-    loop: _Asked, fits: _Fits, chosen: str, stem: InScale | None, seen: Detection | None
+    loop: _Asked, fits: Fits, chosen: str, stem: InScale | None, seen: Detection | None
 ) -> tuple[_Said, Rival | None]:
     """The verdict on the chosen valve, and a linear loop that may as well be; seen: detection of the first stems."""
     # Once it is convinced, detection asks for no likelier stem.
     if seen is None or seen.verdict != "stiction":
-        seen = _detected(loop.record, fits, stem, _likelier_pair(fits))
+        seen = _detected(loop.record, fits, stem, likelier_pair(fits))
     said = _judged(fits, chosen, _evidence(loop.record, fits, stem, loop.method, len(loop.history)), seen)
     if seen.test is not None and seen.test.steps:
         # A step of the load that was missed, or is not quite where it was, moves the gain.
@@ -242,52 +175,7 @@ def _weighed(
     return said, rival() if said.verdict == "undecided" and rival().ahead < CHANCE else None
 
 
-def _first(data: Centred, valve: str, found: Profile | None, linear: Fit) -> _Fits:
-    """Where stems are sought, and the first of them, as if the disturbance were white."""
-    n = data.samples
-    # The rival of the verdict is as causal as the stem model: a long dead time passes for half a cycle.
-    delays = found.limits.theta[1] if found is not None else longest_delay(data, None, DELAYS)
-    rival = linear if linear.theta <= delays else fit_linear(data, delays)
-    wide = [] if found is None else [c.fit.sse / n for c in found.fits if c.d >= WIDE_D * data.op_range]
-    other = None if found is None else found.best.fit
-    alone = found is not None and leaves_noise_alone(data, found, rival)
-    seek: Seek = partial(like_stenman, found) if alone else look
-    within = sought(data, delays, other, alone and valve == "auto", seek)
-    coarse = coarse_of(data, within, delays, seek)
-    limits, least = Limits((LEAST_TAU, float(n)), (0.0, delays)), min(wide, default=math.inf)
-    return _Fits(data, data, found, {}, linear, rival, (), least, coarse, within, limits, alone)
-
-
-def _closely(fits: _Fits, loop: _Asked) -> _Fits:
-    """Every model fitted; then load steps and the colour of the disturbance together with them."""
-    if loop.two_step:
-        return fits
-    data, delays, bands = fits.data, fits.limits.theta[1], {}
-    if loop.valve not in ("stenman", "linear"):
-        other = None if fits.found is None else fits.found.best.fit
-        seeds = fits.coarse
-        if not (fits.alone or data.samples > WHOLE):
-            seeds = [*seeds, *like_stenman(fits.found, data, delays)]
-        dense = () if fits.alone else densely(data, fits.coarse, delays)
-        bands = bands_of(data, seeds, fits.within, fits.limits, fits.within.rival(other), beside=dense)
-    # The verdict weighs what each model leaves of PV; the model itself is fitted in the measure that its disturbance
-    # asks for.
-    data, found, bands, linear, steps = settled(data, fits.found, bands, fits.linear, delays, fits.within)
-    return replace(fits, data=data, found=found, bands=bands, linear=linear, steps=steps)
-
-
-def _sound(fits: _Fits, valve: str, data: Centred, linear: Fit) -> _Fits:
-    """The models of a loop whose valve was acquitted, in data: the measure of what its linear model leaves."""
-    found, bands = fits.found, fits.bands
-    if found is not None:
-        found = profile_of(data, found.rows, [*found.likely, found.best.d_low], found.limits, (found.best,))
-    if valve not in ("stenman", "linear"):
-        other = None if found is None else found.best.fit
-        bands = bands_of(data, fits.coarse, fits.seen_in(data), fits.limits, fits.within.rival(other))
-    return replace(fits, data=data, found=found, bands=bands, linear=linear)
-
-
-def _at_first(record: Record, fits: _Fits, method: str) -> tuple[_Said, Detection] | None:
+def _atfirst_fits(record: Record, fits: Fits, method: str) -> tuple[_Said, Detection] | None:
     """The verdict of the first stems and of detection, which tries the likeliest of them; None where stems say enough.
 
     Where it acquits the valve nothing is gained by a close search for a stem that the loop does not have.
@@ -303,16 +191,7 @@ def _at_first(record: Record, fits: _Fits, method: str) -> tuple[_Said, Detectio
     return _judged(fits, "linear", evidence, found), found
 
 
-def _likelier_pair(fits: _Fits) -> Band | None:
-    """The best two-parameter stem where its BIC is below that of Stenman's."""
-    models = fits.models
-    leader = next((name for name in models if name in fits.bands), None)
-    if leader is None or models[leader].bic >= models.get("stenman", models[leader]).bic + 1e-9:
-        return None
-    return fits.bands[leader].best
-
-
-def _evidence(record: Record, fits: _Fits, stem: InScale | None, method: str, iterations: int) -> Evidence:
+def _evidence(record: Record, fits: Fits, stem: InScale | None, method: str, iterations: int) -> Evidence:
     """What the verdict of the fitted models rests on; stem: the profile's."""
     data, found, coarse, n = fits.data, fits.found, fits.coarse, fits.data.samples
     linear = fits.rival.sse / n
@@ -341,7 +220,7 @@ def _evidence(record: Record, fits: _Fits, stem: InScale | None, method: str, it
     )
 
 
-def _detected(record: Record, fits: _Fits, stem: InScale | None, pair: Band | None) -> Detection:
+def _detected(record: Record, fits: Fits, stem: InScale | None, pair: Band | None) -> Detection:
     """What detection says, which tries the profile's stem, or the two-parameter one that is likelier than it, too."""
     fitted: Fitted | None = None
     if fits.found is not None and stem is not None:
@@ -356,7 +235,7 @@ def _beyond_doubt(detection: Detection) -> bool:
     return detection.test is not None and math.isnan(detection.test.wide)
 
 
-def _judged(fits: _Fits, chosen: str, evidence: Evidence, detection: Detection) -> _Said:
+def _judged(fits: Fits, chosen: str, evidence: Evidence, detection: Detection) -> _Said:
     """The verdict of the fitted models and of detection."""
     verdict, reasons, identifiable = judge(evidence)
     if chosen in fits.bands and verdict == "stiction":
@@ -366,15 +245,7 @@ def _judged(fits: _Fits, chosen: str, evidence: Evidence, detection: Detection) 
     return _Said(verdict, reasons, identifiable and verdict == "stiction")
 
 
-def _ranged(fits: _Fits, chosen: str) -> Bands:
-    """The two-parameter valve that was chosen, with its ranges, from parts of the record and beside other steps too."""
-    data, only = fits.data, fits.bands[chosen].only
-    ranged = repeated(data, fits.bands[chosen], fits.limits, fits.seen_in(data))
-    ranged = widened(data, ranged, only, fits.limits)
-    return freed(data, fits.whole, ranged, only, fits.limits, fits.steps)
-
-
-def _reasoned(loop: _Asked, fits: _Fits, chosen: str, said: _Said, ranged: Bands | None) -> _Said:
+def _reasoned(loop: _Asked, fits: Fits, chosen: str, said: _Said, ranged: Bands | None) -> _Said:
     """The verdict with what else is to be said of the models and the record; ranged: the two-parameter valve told."""
     reasons = said.reasons
     if said.verdict != "no_stiction":
@@ -384,7 +255,7 @@ def _reasoned(loop: _Asked, fits: _Fits, chosen: str, said: _Said, ranged: Bands
     return said._replace(reasons=reasons + _manual_said(loop.record))
 
 
-def _told_straight(loop: _Asked, fits: _Fits, said: _Said) -> Answered[Estimate]:
+def _told_straight(loop: _Asked, fits: Fits, said: _Said) -> Answered[Estimate]:
     """The answer whose model is the linear loop."""
     data, linear, steps = loop.coloured
     said, answer = said._replace(identifiable=False), linear_result(data, linear)
@@ -405,7 +276,7 @@ def _told_straight(loop: _Asked, fits: _Fits, said: _Said) -> Answered[Estimate]
 
 def _told_stem(
     loop: _Asked,
-    fits: _Fits,
+    fits: Fits,
     chosen: str,
     best: Band | Candidate,
     said: _Said,
@@ -457,7 +328,7 @@ def _told_stem(
     return Answered(answer, paths if ranged is None else band_paths(data, ranged, chosen), data, others)
 
 
-def _linear_estimate(loop: _Asked, fits: _Fits, said: _Said, straight: LinearFit) -> Estimate:
+def _linear_estimate(loop: _Asked, fits: Fits, said: _Said, straight: LinearFit) -> Estimate:
     """An estimate whose model is the linear fit, without ranges."""
     profiled = () if fits.found is None else fits.found.fits
     return Estimate(

@@ -11,13 +11,14 @@ from typing import NamedTuple
 from workbench.detect.late import as_seen, earlier, words_of_late
 from workbench.detect.spikes import words_of_spikes
 from workbench.errors import InvalidValue
-from workbench.estimate.answer import DELAYS, LINEAR_DELAYS, answer_of, longest_delay
+from workbench.estimate.answer import answer_of
 from workbench.estimate.data import WHITE, Centred, centre
 from workbench.estimate.fit import LEAST_TAU, Limits, fit_linear
 from workbench.estimate.models import WORDS_OF_BLIND, words_of_open
 from workbench.estimate.plants import foretelling_bic
 from workbench.estimate.profile import Profile
 from workbench.estimate.reach import searched
+from workbench.estimate.record_fits import DELAYS, LINEAR_DELAYS, longest_delay
 from workbench.estimate.refined import by_complementarity, jointly, refuse_complementarity
 from workbench.estimate.repeat import repeats_of, words_of
 from workbench.estimate.scale import joined

@@ -24,7 +24,7 @@ from workbench.estimate.windows import WHOLE
 from workbench.model.loads import LoadStep
 from workbench.model.record import FloatArray
 
-__all__ = ["SHIFT", "Loads", "Stem", "loads_of", "steps_of"]
+__all__ = ["CLEAR", "DEGREES", "SHIFT", "Loads", "Stem", "loads_of", "steps_of"]
 
 TURNS = 6  # of least squares and output error in turn
 LEAST_BEFORE, LEAST_AFTER = 0.02, 0.02  # of the record, that a step must have on either side

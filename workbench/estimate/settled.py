@@ -17,7 +17,7 @@ from workbench.estimate.bands import Found
 from workbench.estimate.coloured import colour_beside
 from workbench.estimate.data import Centred
 from workbench.estimate.fit import LEAST_TAU, Fit, Limits, again_linear, disturbance, fit_path, grounded, predict
-from workbench.estimate.loads import Loads, Stem, loads_of
+from workbench.estimate.loads import CLEAR, DEGREES, Loads, Stem, loads_of
 from workbench.estimate.models import bands_of, refitted
 from workbench.estimate.profile import Profile, profile_again, profile_of, search
 from workbench.estimate.sought import Sought, coarse_of, like_stenman, sought
@@ -28,7 +28,7 @@ from workbench.estimate.windows import WHOLE
 from workbench.model.loads import LoadStep
 from workbench.model.record import FloatArray
 
-__all__ = ["coloured_linear", "settled"]
+__all__ = ["STEPS_MOST", "coloured_linear", "needs_steps", "settled"]
 
 STARTING = 20  # of the record at most is left out at its start
 STEPS_MOST = 2  # load steps
@@ -196,9 +196,22 @@ def _akaike_of(
     data: Centred, found: Profile | None, bands: dict[str, Found], linear: Fit, steps: Sequence[LoadStep]
 ) -> float:
     """AIC of the best stem in the measure of its disturbance, as far as it depends on that and on load steps."""
-    sse = _leading(data, found, bands, linear).fit.sse
-    level = data.samples * math.log(max(sse / data.samples, data.floor))
-    return level + 2.0 * (data.a.size + 2 * len(steps))
+    return _akaike(data, _leading(data, found, bands, linear).fit) + 4.0 * len(steps)
+
+
+def _akaike(data: Centred, fit: Fit) -> float:
+    return data.samples * math.log(max(fit.sse / data.samples, data.floor)) + 2.0 * data.a.size
+
+
+def needs_steps(beside: tuple[Centred, Band], steps: Sequence[LoadStep], without: tuple[Centred, Band]) -> bool:
+    """Return whether a stem beside load steps is as much likelier than one without as steps are asked to be (`loads`).
+
+    beside, without: the measure of the disturbance that each leaves, and the stem in it. One without that leaves more
+    of PV itself is not asked: an autoregression may hold what a step left.
+    """
+    left = [grounded(data, _of_band(data, b).x, max(b.first, 0), b.fit).sse for data, b in (without, beside)]
+    price = DEGREES * len(steps) * math.log(beside[0].samples) + CLEAR
+    return left[0] > left[1] or _akaike(beside[0], beside[1].fit) + price < _akaike(without[0], without[1].fit)
 
 
 def _akaike_in(data: Centred, lead: Stem, limits: Limits) -> float:

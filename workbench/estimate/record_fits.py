@@ -1,0 +1,184 @@
+"""A record's fits: every model of it in the measure of what disturbs the loop, and where its stems were sought."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
+
+from workbench.estimate.bands import Bands, Found, repeated
+from workbench.estimate.candidates import Candidate, leaves_noise
+from workbench.estimate.data import Centred
+from workbench.estimate.dense import densely
+from workbench.estimate.few import widened
+from workbench.estimate.fit import LEAST_TAU, Fit, Limits, fit_linear
+from workbench.estimate.freed import freed
+from workbench.estimate.models import bands_of, compared
+from workbench.estimate.profile import Profile, profile_of
+from workbench.estimate.settled import STEPS_MOST, needs_steps, settled
+from workbench.estimate.sought import Seek, Sought, coarse_of, like_stenman, sought
+from workbench.estimate.two_parameter import Band, look
+from workbench.estimate.verdict import ENOUGH_SLIPS, SHARP, WIDE_D
+from workbench.estimate.windows import WHOLE
+from workbench.model.loads import LoadStep
+from workbench.model.results import FittedModel
+
+__all__ = [
+    "DELAYS",
+    "LINEAR_DELAYS",
+    "Fits",
+    "closely",
+    "first_fits",
+    "leaves_noise_alone",
+    "likelier_pair",
+    "longest_delay",
+    "sound",
+    "with_ranges",
+]
+
+# Dead times searched by default, in samples, and longer ones where they are asked for (`reach`).
+DELAYS = 30
+LINEAR_DELAYS = 240
+HALF = 0.5  # of what the linear fit leaves: a stem that leaves no more explains PV by itself
+UNSURE_SLIPS = 2 * ENOUGH_SLIPS  # fewer may come at other times than found, and a load step make up for that
+
+
+@dataclass(frozen=True, eq=False)
+class Fits:
+    """All models of a record, in the measure of the disturbance that the best stem leaves, and where they were sought.
+
+    data: without load steps; whole: with them; found: Stenman's profile; bands: two-parameter valves by name; rival:
+    the linear model with dead times as short as the stem's, before `steps`, the load steps, were taken out; wide: what
+    the best stem over much of OP's range leaves, EU^2; coarse: the first stems of the two-parameter search, the best
+    first; alone: whether Stenman's stem leaves noise alone (`leaves_noise_alone`); bare: the fits without load steps.
+    """
+
+    data: Centred
+    whole: Centred
+    found: Profile | None
+    bands: dict[str, Found]
+    linear: Fit
+    rival: Fit
+    steps: tuple[LoadStep, ...]
+    wide: float
+    coarse: list[Band]
+    within: Sought
+    limits: Limits
+    alone: bool
+    bare: Callable[[], Fits] | None = None
+
+    def seen_in(self, data: Centred) -> Sought:
+        """Where stems are sought in the record as it is in another measure, or without its load."""
+        if data.y is self.within.pv:
+            return self.within
+        return sought(data, self.limits.theta[1], None, self.within.contested)
+
+    def best(self, name: str) -> Band | Candidate | None:
+        """The best stem of a valve by its name; of any that is not two-parameter, the profile's."""
+        return self.bands[name].best if name in self.bands else None if self.found is None else self.found.best
+
+    @cached_property
+    def models(self) -> dict[str, FittedModel]:
+        """Every model by its name, the lowest BIC first."""
+        return compared(self.data, self.linear, self.found, self.bands)
+
+
+def longest_delay(data: Centred, max_dead_time: float | None, usual: int) -> float:
+    """Return the longest dead time to search, in samples; never above `max_dead_time`, a quarter of the record."""
+    most = max(data.samples // 4, 1)
+    if max_dead_time is None:
+        return float(min(usual, max(data.samples // 10, 1) if usual == DELAYS else most))
+    return min(max_dead_time / data.sample_time, float(most))
+
+
+def leaves_noise_alone(data: Centred, found: Profile, linear: Fit) -> bool:
+    """Whether a Stenman valve explains all of PV but white noise, of which a valve with more freedom can take nothing.
+
+    Only where it does so by a stem of its own: with slips enough, a sharp d, and much less left than the linear fit's.
+    """
+    best = found.best
+    d = [end for c in found.alike for end in (c.d_low, c.d_high)]
+    if best.slips < ENOUGH_SLIPS or max(d) - min(d) > SHARP * best.d or best.fit.sse > HALF * linear.sse:
+        return False
+    return leaves_noise(data, best)
+
+
+def first_fits(data: Centred, valve: str, found: Profile | None, linear: Fit) -> Fits:
+    """Return where stems are sought, and the first of them, as if the disturbance were white."""
+    n = data.samples
+    # The rival of the verdict is as causal as the stem model: a long dead time passes for half a cycle.
+    delays = found.limits.theta[1] if found is not None else longest_delay(data, None, DELAYS)
+    rival = linear if linear.theta <= delays else fit_linear(data, delays)
+    wide = [] if found is None else [c.fit.sse / n for c in found.fits if c.d >= WIDE_D * data.op_range]
+    other = None if found is None else found.best.fit
+    alone = found is not None and leaves_noise_alone(data, found, rival)
+    seek: Seek = partial(like_stenman, found) if alone else look
+    within = sought(data, delays, other, alone and valve == "auto", seek)
+    coarse = coarse_of(data, within, delays, seek)
+    limits, least = Limits((LEAST_TAU, float(n)), (0.0, delays)), min(wide, default=math.inf)
+    return Fits(data, data, found, {}, linear, rival, (), least, coarse, within, limits, alone)
+
+
+def closely(fits: Fits, valve: str) -> Fits:
+    """Return every model fitted; then load steps and the colour of the disturbance together with them."""
+    data, delays, bands = fits.data, fits.limits.theta[1], {}
+    if valve not in ("stenman", "linear"):
+        other = None if fits.found is None else fits.found.best.fit
+        seeds = fits.coarse
+        if not (fits.alone or data.samples > WHOLE):
+            seeds = [*seeds, *like_stenman(fits.found, data, delays)]
+        dense = () if fits.alone else densely(data, fits.coarse, delays)
+        bands = bands_of(data, seeds, fits.within, fits.limits, fits.within.rival(other), beside=dense)
+
+    # The verdict weighs what each model leaves of PV; the model itself is fitted in the measure that its disturbance
+    # asks for.
+    def with_steps(most: int) -> Fits:
+        there, found, own, linear, steps = settled(data, fits.found, bands, fits.linear, delays, fits.within, most)
+        return replace(fits, data=there, found=found, bands=own, linear=linear, steps=steps)
+
+    return replace(with_steps(STEPS_MOST), bare=partial(with_steps, 0))
+
+
+def sound(fits: Fits, valve: str, data: Centred, linear: Fit) -> Fits:
+    """Return the models of a loop whose valve was acquitted, in data: the measure of what its linear model leaves."""
+    found, bands = fits.found, fits.bands
+    if found is not None:
+        found = profile_of(data, found.rows, [*found.likely, found.best.d_low], found.limits, (found.best,))
+    if valve not in ("stenman", "linear"):
+        other = None if found is None else found.best.fit
+        bands = bands_of(data, fits.coarse, fits.seen_in(data), fits.limits, fits.within.rival(other))
+    return replace(fits, data=data, found=found, bands=bands, linear=linear)
+
+
+def likelier_pair(fits: Fits) -> Band | None:
+    """Return the best two-parameter stem where its BIC is below that of Stenman's."""
+    models = fits.models
+    leader = next((name for name in models if name in fits.bands), None)
+    if leader is None or models[leader].bic >= models.get("stenman", models[leader]).bic + 1e-9:
+        return None
+    return fits.bands[leader].best
+
+
+def with_ranges(fits: Fits, chosen: str) -> tuple[Fits, Bands]:
+    """Return the fits, and of them the two-parameter valve that was chosen with its ranges.
+
+    The ranges come from parts of the record, and beside other load steps too. Where slips are few, steps found beside a
+    stem that slips at other times than the valve did may be no more than the difference: where the search for the
+    ranges leads to a stem that explains PV as well without any, the fits are those.
+    """
+    found = _ranged(fits, chosen)
+    if fits.steps and fits.bare is not None and found.best.slips < UNSURE_SLIPS:
+        still = fits.bare()
+        other = _ranged(still, chosen)
+        if not needs_steps((fits.data, found.best), fits.steps, (still.data, other.best)):
+            return still, other
+    return fits, found
+
+
+def _ranged(fits: Fits, chosen: str) -> Bands:
+    """The two-parameter valve that was chosen, with its ranges."""
+    data, only = fits.data, fits.bands[chosen].only
+    found = repeated(data, fits.bands[chosen], fits.limits, fits.seen_in(data))
+    found = widened(data, found, only, fits.limits)
+    return freed(data, fits.whole, found, only, fits.limits, fits.steps)
