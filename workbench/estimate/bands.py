@@ -32,6 +32,7 @@ from workbench.estimate.two_parameter import (
     started,
     started_beside,
 )
+from workbench.estimate.verdict import ENOUGH_SLIPS
 
 __all__ = [
     "Bands",
@@ -46,6 +47,8 @@ __all__ = [
 OUTWARDS = (0.004, 6.0, 1.5)  # of S: the least and the largest step away from the best, each to the one before
 APART = 0.01  # of S: where a part's own stem is as far from the whole's, the search goes on from it
 BEFORE = 4  # samples before a slip over which OP's rate is taken
+# Samples by which stems beside the best slip later; where slips are many the first so many of these.
+LATER, LATER_MANY = (-2, -1, 1, 2, -3, 3, -5, 5, -8, 8, -12, 12, -18, 18, -27, 27), 4
 SIDEWAYS = (0.01, 0.0)  # of S: how far S follows a step of J
 SLACK = 6.0  # in N log V: what another measure of the same record may make of a stem
 LIKELIEST = 24  # stems fitted again in it, beside the outermost
@@ -121,7 +124,7 @@ def search_bands(
     best = best_of(started_beside(data, best_of(bands), limits))
     start = (best.first, best.sense)
     best = best_of([best, fit_band(data, best.S, best.J, start, limits, (best.fit.tau, best.fit.theta), 300)])
-    best = best if only is not None else jumped(data, best, limits)
+    best = best if only is not None or within.known else jumped(data, best, limits)
     return Found(best, data, (best, *bands), rows, data, only)
 
 
@@ -256,12 +259,10 @@ def _beside(data: Centred, best: Band, only: float | None, limits: Limits) -> li
     if not slips.size:
         return []
     rate = float(np.median(np.abs(data.u[slips] - data.u[slips - BEFORE]))) / BEFORE
-    if rate < APART * best.S:
-        return []
     start, found = (best.first, best.sense), []
-    for later in (-2, -1, 1, 2):
+    for later in LATER[: LATER_MANY if best.slips >= ENOUGH_SLIPS else None]:
         S, theta = best.S + later * rate, best.fit.theta - later
-        if S > 0.0 and 0.0 <= theta <= limits.theta[1]:
+        if S > 0.0 and abs(S - best.S) >= APART * best.S and 0.0 <= theta <= limits.theta[1]:
             J = best.J if only is None else only * S
             found.append(fit_band(data, S, J, start, limits, (best.fit.tau, theta), 40))
     return found

@@ -15,7 +15,7 @@ import numpy as np
 
 from workbench.estimate.bands import Found
 from workbench.estimate.coloured import colour_beside
-from workbench.estimate.data import Centred
+from workbench.estimate.data import WHITE, Centred
 from workbench.estimate.fit import LEAST_TAU, Fit, Limits, again_linear, disturbance, fit_path, grounded, predict
 from workbench.estimate.loads import CLEAR, DEGREES, Loads, Stem, loads_of
 from workbench.estimate.models import bands_of, refitted
@@ -206,12 +206,20 @@ def _akaike(data: Centred, fit: Fit) -> float:
 def needs_steps(beside: tuple[Centred, Band], steps: Sequence[LoadStep], without: tuple[Centred, Band]) -> bool:
     """Return whether a stem beside load steps is as much likelier than one without as steps are asked to be (`loads`).
 
-    beside, without: the measure of the disturbance that each leaves, and the stem in it. One without that leaves more
-    of PV itself is not asked: an autoregression may hold what a step left.
+    beside, without: the measure of the disturbance that each leaves, and the stem in it. Both of it and of PV itself:
+    an autoregression may hold what a step left.
     """
-    left = [grounded(data, _of_band(data, b).x, max(b.first, 0), b.fit).sse for data, b in (without, beside)]
     price = DEGREES * len(steps) * math.log(beside[0].samples) + CLEAR
-    return left[0] > left[1] or _akaike(beside[0], beside[1].fit) + price < _akaike(without[0], without[1].fit)
+    levels = [
+        (_akaike(data, b.fit), _akaike(data.whitened(WHITE, data.skip), _itself(data, b)))
+        for data, b in (beside, without)
+    ]
+    return any(one + price < other for one, other in zip(*levels, strict=True))
+
+
+def _itself(data: Centred, b: Band) -> Fit:
+    """The fit of a stem as it is to PV itself."""
+    return grounded(data, band_stem(data.u, b.S, b.J, b.first, b.sense)[0], max(b.first, 0), b.fit)
 
 
 def _akaike_in(data: Centred, lead: Stem, limits: Limits) -> float:
