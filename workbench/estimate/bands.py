@@ -260,7 +260,7 @@ def _beside(data: Centred, best: Band, only: float | None, limits: Limits) -> li
         return []
     rate = float(np.median(np.abs(data.u[slips] - data.u[slips - BEFORE]))) / BEFORE
     start, found = (best.first, best.sense), []
-    for later in LATER[: LATER_MANY if best.slips >= ENOUGH_SLIPS else None]:
+    for later in LATER[: LATER_MANY if best.slips >= 2 * ENOUGH_SLIPS else None]:
         S, theta = best.S + later * rate, best.fit.theta - later
         if S > 0.0 and abs(S - best.S) >= APART * best.S and 0.0 <= theta <= limits.theta[1]:
             J = best.J if only is None else only * S
