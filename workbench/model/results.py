@@ -184,6 +184,18 @@ class Margins(Shown):
     delay_margin: float
 
 
+@dataclass(frozen=True, slots=True)
+class Standing:
+    """How a tuning holds its loop with an ideal valve: on its own plant, and where the plant's ranges are worst for it.
+
+    worst: the margins of the plant, each parameter its own or an end of its 95 % range, that the tuning holds least;
+    None for a plant without ranges. Its `loop.plant` names the place.
+    """
+
+    own: Margins
+    worst: Margins | None = None
+
+
 @dataclass(frozen=True, eq=False)
 class Robustness(Shown):
     """How a loop fares in an ensemble, by exact simulation of each draw.
