@@ -15,8 +15,8 @@ from workbench.model.plant import FOPDT
 from workbench.model.results import LimitCycle
 from workbench.model.study import CaseResult, Study
 from workbench.report.draw_map import MapPoint
-from workbench.report.estimates import least_step
 from workbench.report.judge import late_figure, late_words, over_starts, source_of, unstable
+from workbench.report.known import least_step
 from workbench.report.words import duration, figure, given, join
 
 __all__ = ["lasting", "map_points", "map_text"]
