@@ -164,8 +164,11 @@ def searches(tuned: Tuned, judged: Judged, lead: str = "Search") -> None:
     agree = tuned.agreeing
     alike = 2 * agree > many or (math.isfinite(worst) and worst <= NEARLY * best)
     text = f"{lead}: {agree} of {many} independent searches end within 0.1 % of the best J"
-    if math.isfinite(worst) and agree < many and best > 0.0:
-        text += f", the worst {figure(100.0 * (worst / best - 1.0), 2)} % above it"
+    least = min(best, tuned.nominal)
+    if math.isfinite(worst) and agree < many and least > 0.0:
+        text += f", the worst {figure(100.0 * (worst / least - 1.0), 2)} % above it"
+    elif math.isinf(best) and tuned.status.success:
+        text += ": none of them keeps the constraints by itself; the search that goes on from all of them does"
     judged.say(text, open_point="" if alike else "the searches do not agree")
 
 
