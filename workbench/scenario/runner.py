@@ -105,16 +105,9 @@ class _Runner:
             for job in jobs:
                 cases.append(self._case(job, loop, cases))
             cases += self._nearest(cases)
-        front = None
         if plan.ensemble is not None and cases:
             with self._stage("ensemble", "ensemble", _SHARE["case"]) as progress:
-                ensemble = plan.ensemble.of(cases[0].loop)
-                cases = with_robustness(cases, ensemble, plan.objective, progress)
-            if plan.tradeoff:
-                with self._stage("trade-off", "analyze.tradeoff", 2.0 * _SHARE["tune"]) as progress:
-                    front = front_of(cases, jobs, ensemble, progress)
-                if front.status is SolveStatus.INTERRUPTED:
-                    raise KeyboardInterrupt
+                cases = with_robustness(cases, plan.ensemble.of(cases[0].loop), plan.objective, progress)
         mapped = None
         if plan.cycle_map is not None and cases:
             with self._stage("map", "analyze.map", _SHARE["map"]) as progress:
@@ -126,6 +119,14 @@ class _Runner:
             else:
                 repair = self._repair(cases)
                 robust_repair = self._robust_repair(cases)
+        front = None
+        if plan.tradeoff and plan.ensemble is not None and cases:
+            # The best tuning of the repaired valve must not lie below the front.
+            also = () if robust_repair is None else (robust_repair.tuned_repaired.controller,)
+            with self._stage("trade-off", "analyze.tradeoff", 2.0 * _SHARE["tune"]) as progress:
+                front = front_of(cases, jobs, plan.ensemble.of(cases[0].loop), progress, also)
+            if front.status is SolveStatus.INTERRUPTED:
+                raise KeyboardInterrupt
         if self.tell is not None:
             self.tell("done", 1.0)
         return Study(
