@@ -97,10 +97,12 @@ def test_the_answer_to_a_late_load_is_not_taken_for_lasting_motion(study: Study,
 
 def test_settling_is_told_with_its_band_and_not_praised_where_it_does_not_last(study: Study) -> None:
     settling = row(study, "Settling time")
-    assert settling.unit == "into ±1 EU"
+    assert settling.unit == "from the last step into ±1 EU"
     first, _, best = study.cases
     assert math.isfinite(first.run.kpis.settling_time)
     assert settling.cells[0].small == "not for good: it cycles"
+    printed = of(study, replace(first, reference={"settling_time": 90.0}), best)
+    assert row(printed, "Settling time").cells[0].small == "not for good: it cycles; publ. 90.0 s"
     assert not any(cell.best for cell in settling.cells)
     alone = of(study, replace(first, limit_cycle=None), replace(best, limit_cycle=None))
     assert [c.best for c in row(alone, "Settling time").cells].count(True) == 1

@@ -160,9 +160,8 @@ def settling_band(case: CaseResult | CascadeResult, experiment: Experiment | Non
     event = _event(case, experiment)
     if event is None:
         return ""
-    if math.isnan(event.band):
-        return "into ±2 % of the largest error"
-    return f"into ±{given(event.band, 2)} EU"
+    band = "2 % of the largest error" if math.isnan(event.band) else f"{given(event.band, 2)} EU"
+    return f"from the last step into ±{band}"
 
 
 def settling_doubt(case: CaseResult | CascadeResult, experiment: Experiment | None, kpis: Kpis | None = None) -> str:
