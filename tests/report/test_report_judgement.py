@@ -13,6 +13,7 @@ import pytest
 from workbench.model.experiment import Experiment, Noise, Step
 from workbench.model.study import CaseResult, NamedEstimate, Study
 from workbench.model.tuning import Bounds, Objective
+from workbench.model.valve import Deadband
 from workbench.report import figures, words
 from workbench.report.cycles import cycle_tables
 from workbench.report.estimates import estimate_table
@@ -225,3 +226,10 @@ def test_how_a_tuning_was_found_names_its_searches_its_weights_and_its_worst_cas
 def test_where_the_worst_case_is_sought_without_a_margin() -> None:
     assert words.nearby(0.0) == "within half the last digit of each setting"
     assert words.nearby(0.002).startswith("within the larger of ±0.2 % and")
+
+
+def test_a_dead_bands_range_stands_in_its_table(estimated: Make) -> None:
+    found, _ = estimated()
+    dead = replace(found, valve=Deadband(3.5), intervals=replace(found.intervals, d=None, S=(3.4, 5.6)))
+    rows = {row.label: row.cells[1].text for row in estimate_table(NamedEstimate("FIC1", dead)).rows}
+    assert rows["Dead band b"] == "3.400 to 5.600"

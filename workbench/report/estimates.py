@@ -12,7 +12,15 @@ from workbench.model.results import Estimate
 from workbench.model.study import NamedEstimate
 from workbench.model.titles import kpi_title
 from workbench.model.valve import Choudhury, Deadband, Ideal, Stenman
-from workbench.report.known import gain_doubt, least_step, plant_parameters, unpinned, useless, valve_parameters
+from workbench.report.known import (
+    gain_doubt,
+    least_step,
+    plant_parameters,
+    range_of,
+    unpinned,
+    useless,
+    valve_parameters,
+)
 from workbench.report.results import aic
 from workbench.report.tables import Cell, Row, Table
 from workbench.report.words import (
@@ -193,7 +201,7 @@ def estimate_table(named: NamedEstimate) -> Table:
         title, unit = kpi_title(name)
         if name == "gain" and not isinstance(found.plant, FOPDT):
             unit = "EU/(% s)"
-        cells = [Cell(figure(value)), Cell(interval(getattr(found.intervals, name, None), ""))]
+        cells = [Cell(figure(value)), Cell(interval(range_of(found.intervals, name), ""))]
         if truth is not None:
             true = true_values.get(name)
             cells.append(Cell("–" if true is None else given(true)))

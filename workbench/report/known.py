@@ -20,6 +20,7 @@ __all__ = [
     "least_step",
     "plant_doubt",
     "plant_parameters",
+    "range_of",
     "tuning_doubts",
     "unpinned",
     "useless",
@@ -36,7 +37,7 @@ def known_groups(found: Estimate) -> dict[str, list[str]]:
     values = dict(valve_parameters(found.valve)) | plant_parameters(found.plant)
     groups: dict[str, list[str]] = {"known": [], "roughly": [], "hardly": [], "none": []}
     for name, value in values.items():
-        pair = getattr(found.intervals, "S" if name == "b" else name, None)
+        pair = range_of(found.intervals, name)
         groups[_how_known(name, value, pair, found.record.sample_time)].append(name)
     return groups
 
@@ -157,6 +158,12 @@ def unpinned(found: Estimate) -> str:
     if all("closely" in text for text in told):
         return f"the record pins {join(told)} for this model alone, which may be another (the reasons say why)"
     return f"the record pins {join(told)}; {remedy}"
+
+
+def range_of(ranges: Intervals, name: str) -> tuple[float, float] | None:
+    """Return a parameter's 95 % range by its name; a dead band's is that of S."""
+    pair: tuple[float, float] | None = getattr(ranges, "S" if name == "b" else name, None)
+    return pair
 
 
 def _width(pair: tuple[float, float]) -> float:
