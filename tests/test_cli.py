@@ -374,8 +374,12 @@ def test_tune_prints_the_settings_of_a_scenario(folder: Path) -> None:
     assert out.startswith("PI: Kc 0.")
     assert "within the larger of ±0.1 % and half the last digit of each setting)" in out
     assert "solved" in out
+    assert "model     first order plus dead time: gain 1 EU/%" in out
+    assert "weights   J = 1 Σ (SP − PV)², sums over samples" in out
     code, out, _ = call("tune", "good.yaml", "--Kc", "0.3", "--json")
     (tuning,) = strict(out)["tunings"]  # type: ignore[misc]
+    assert tuning["model"]["plant"]["gain"] == 1.0
+    assert tuning["weights"]["w1"] > 0.0
     assert (code, tuning["status"], tuning["controller"]["Kc"]) == (0, "solved", 0.3)
     assert not (folder / "reports").exists()
 

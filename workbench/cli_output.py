@@ -17,11 +17,13 @@ from rich.text import Text
 from workbench.model.results import Complementarity, Estimate, NoiseModel, Repeats, SolveStatus
 from workbench.model.study import NamedEstimate, Study
 from workbench.model.valve import Ideal, Stenman
-from workbench.report.content import controller_content
-from workbench.report.estimates import load_words, unpinned
+from workbench.report.content import controller_content, plant_content, valve_content, weights_content
+from workbench.report.estimates import load_words
 from workbench.report.figures import estimate_figure, svg_file
 from workbench.report.files import write_files
+from workbench.report.known import unpinned
 from workbench.report.results import results_content, strict
+from workbench.report.shared import objective_words
 from workbench.report.style import svg_text
 from workbench.report.words import controller_words, figure, given, interval, nearby, plant_words, valve_words
 from workbench.scenario.retune import Retuned
@@ -178,7 +180,9 @@ def tuned_lines(result: Retuned) -> list[str]:
     best, worst = tuned.spread
     structure = tuned.controller.structure or f"setpoint weight {tuned.controller.setpoint_weight:g}"
     lines = [f"{result.name}: {controller_words(tuned.controller, tuned.digits)}"]
+    lines.append(f"  model     {plant_words(tuned.loop.plant)}; {valve_words(tuned.loop.valve)}")
     lines.append(f"  form      {tuned.controller.form}, {structure}, {tuned.controller.action} action")
+    lines.append(f"  weights   J = {objective_words(tuned.weights)}")
     lines.append(
         f"  J         {figure(tuned.objective, 5)} (start {figure(tuned.start_objective, 5)}; at most "
         f"{figure(tuned.worst, 5)} {nearby(tuned.margin)})"
@@ -213,6 +217,8 @@ def tuned_json(results: Sequence[Retuned]) -> str:
                 "seed": tuned.seed,
                 "spread": {"best": best, "worst": worst},
                 "assumed": list(result.assumed),
+                "model": {"plant": plant_content(tuned.loop.plant), "valve": valve_content(tuned.loop.valve)},
+                "weights": weights_content(tuned.weights),
             }
         )
     return _json({"tunings": content})

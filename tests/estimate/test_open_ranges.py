@@ -133,7 +133,7 @@ def disturbed(
     return wb.simulate(loop, wb.Experiment(float(n), setpoint, wb.Series(load.tolist()), wb.Noise(0.05, 3)))
 
 
-BLIND = "the setpoint stands still and OP only answers PV"
+BLIND = "no setpoint move is recorded and OP only answers PV"
 
 
 @pytest.mark.parametrize("plant", [wb.FOPDT(2.0, 8.0, 2.0), wb.Integrating(-0.05, 2.0)], ids=["flow", "level"])

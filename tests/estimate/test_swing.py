@@ -9,6 +9,8 @@ import pytest
 import workbench as wb
 from workbench.cli_output import estimate_lines
 from workbench.estimate.estimate import linear_loop
+from workbench.estimate.swing import words_of_swing
+from workbench.model.estimation import LoadSwing
 from workbench.model.results import Estimate
 from workbench.model.study import NamedEstimate
 from workbench.report.estimates import estimate_advice, estimate_sentences
@@ -91,3 +93,11 @@ def test_none_is_found_where_there_is_none() -> None:
 def test_what_turns_slower_than_a_third_of_the_record_is_a_drift(period: float) -> None:
     assert not swing_said(wb.estimate(record_of(LOOP, 1.0, period)))
     assert not swing_said(wb.estimate(record_of(replace(LOOP, valve=wb.Ideal()), 3.0, period)))
+
+
+def test_beside_a_plant_that_is_not_identified_an_oscillation_may_be_the_loops_own() -> None:
+    load = LoadSwing(period=42.0, size=2.3, amplitude=4.8)
+    assert words_of_swing(load, blind=False).endswith(
+        "an oscillation from outside the loop, beside which the model is fitted"
+    )
+    assert words_of_swing(load, blind=True).endswith("be it from outside or of the loop's own tuning")

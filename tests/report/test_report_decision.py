@@ -12,13 +12,15 @@ from typing import Any
 import numpy as np
 import pytest
 
+from workbench.analyze.standing import standing
+from workbench.model.controller import PID
 from workbench.model.ensemble import Ensemble
 from workbench.model.experiment import Experiment, Noise, Step
 from workbench.model.results import Intervals, Kpis, Outcome, Repair, Restart, Robustness, Tuned
 from workbench.model.site import SiteForm
 from workbench.model.study import CaseResult, NamedEstimate, Study
 from workbench.model.valve import Ideal
-from workbench.report.estimates import hint
+from workbench.report.known import hint
 from workbench.report.page import write_report
 from workbench.report.results import results_json
 from workbench.report.settings import as_found_as_left, site_table
@@ -129,7 +131,9 @@ def test_what_the_record_pins_of_the_loop_counts(study: Study, estimated: Make) 
     assert told(intervals=Intervals())[1].endswith(
         "hardly known or without a range: stiction d, gain K, time constant and dead time."
     )
-    assert "pins only the product of gain and stiction" in told(identifiable=False)[1]
+    product = Intervals(d=(1.0, 3.0), gain=(1.3, 4.0), dead_time=(0.9, 1.1))
+    assert "pins only the product of gain and stiction" in told(identifiable=False, intervals=product)[1]
+    assert "dead time 0.9000 to 1.100 s (95 % range)" in told(intervals=product)[1]
     assert "the valve: d = 2.003 % (95 % range 1.990 to 2.010 %); gain 1.970 to 2.010 EU/% (95 % range)" in told()[1]
 
 
@@ -143,7 +147,6 @@ NO_DELAY = Intervals(d=(1.99, 2.01), gain=(1.97, 2.01), time_constant=(4.9, 5.1)
         (OPEN, "The record leaves the range of the gain K and time constant open"),
         (NO_DELAY, "The record leaves the range of the dead time open"),
         (Intervals(), "The record gives no range for the gain K and dead time"),
-        (replace(OPEN, gain=(-0.1, 2.0)), "The record does not show whether the gain is positive or negative"),
     ],
 )
 def test_a_plant_that_the_record_leaves_open_makes_the_tuning_a_hint(
@@ -171,6 +174,62 @@ def test_a_plant_that_the_record_leaves_open_makes_the_tuning_a_hint(
         replace(study, cases=(base, best), estimates=(replace(named, truth=truth),)),
     ):
         assert "as a hint" not in summarise(sure).decision
+
+
+def test_a_record_that_does_not_show_the_gain_advises_no_tuning(study: Study, estimated: Make) -> None:
+    found, _ = estimated(identifiable=False)
+    loop = replace(study.cases[0].loop, plant=found.plant, valve=found.valve)
+    base, best = (replace(case, loop=replace(loop, controller=case.loop.controller)) for case in study.cases[::2])
+    for gain, why in (
+        ((-0.1, 2.0), "does not show whether the gain is positive or negative (95 % range −0.100 to 2.00 EU/%)"),
+        ((0.0, math.inf), "does not show that the valve moves PV at all (95 % range of the gain 0 EU/% or more)"),
+    ):
+        named = NamedEstimate("FIC1", replace(found, intervals=replace(OPEN, gain=gain)))
+        summary = summarise(replace(study, cases=(base, best), estimates=(named,)))
+        assert summary.decision.startswith(f"Set none of these tunings: the record of FIC1 {why}.")
+        assert summary.settings is summary.sure is None
+        assert not any("Kc" in text for text in summary.advice)
+
+
+def stands(case: CaseResult, controller: PID | None = None, ranges: Intervals | None = None) -> CaseResult:
+    loop = case.loop if controller is None else case.loop.with_controller(controller)
+    return replace(case, standing=standing(loop, ranges))
+
+
+def test_a_tuning_that_only_stiction_holds_is_no_advice_where_another_holds_the_loop(study: Study) -> None:
+    base, best = stands(study.cases[0]), stands(study.cases[2], PID(5.0, 5.0))
+    other = replace(stands(study.cases[1]), name="Calm", objective=100.0)
+    summary = summarise(of(study, base, other, best))
+    assert "(Calm)" in summary.decision
+    assert any("Do not use Optimised PI" in text and "only stiction holds it" in text for text in summary.do)
+    kept = summarise(of(study, replace(base, objective=50.0), other, best)).decision
+    assert "none of the other tunings that hold the loop without stiction too has a lower J" in kept
+    # Where there is no other, it is said beside the settings, and how sure it is.
+    alone = summarise(of(study, best))
+    assert "Before the valve is repaired take another tuning" in alone.decision
+    assert alone.sure is not None
+    assert alone.sure.level == "low"
+    assert alone.sure.why == "The loop with an ideal valve is unstable: only stiction holds it."
+    # What is there now is no reason to stay with it.
+    changed = summarise(of(study, stands(study.cases[0], PID(5.0, 5.0)), other)).decision
+    assert changed.startswith("Set ")
+
+
+def test_ranges_within_which_a_tuning_fails_make_it_a_hint(study: Study, estimated: Make) -> None:
+    found, _ = estimated()
+    wide = Intervals(d=(1.99, 2.01), gain=(1.9, 20.0), time_constant=(4.9, 5.1), dead_time=(0.97, 1.03))
+    found = replace(found, intervals=wide)
+    loop = replace(study.cases[0].loop, plant=found.plant, valve=found.valve)
+    base, best = (replace(case, loop=replace(loop, controller=case.loop.controller)) for case in study.cases[::2])
+    best = stands(best, PID(1.0, 9.5), wide)
+    summary = summarise(replace(study, cases=(base, best), estimates=(NamedEstimate("FIC1", found),)))
+    why = "ith gain 20.0 EU/%, within the plant's 95 % range, the loop with an ideal valve is unstable"
+    assert f"W{why}, so take this tuning as a hint." in summary.decision
+    assert summary.sure is not None
+    assert (summary.sure.level, why in summary.sure.why) == ("low", True)
+    assert hint(found, standing=best.standing) == f"w{why}, so take this tuning as a hint"
+    near = stands(best, PID(1.0, 9.5), replace(wide, gain=(1.9, 4.2))).standing
+    assert "is near instability (maximum sensitivity " in hint(found, standing=near)
 
 
 def test_a_known_plant_leaves_the_decision_as_it_is(study: Study, estimated: Make) -> None:

@@ -26,7 +26,8 @@ from workbench.model.study import NamedEstimate, Study
 from workbench.model.valve import Choudhury, Deadband, Ideal, Stenman
 from workbench.report import figures
 from workbench.report.detections import detection_table, detection_words
-from workbench.report.estimates import candidates_table, estimate_sentences, estimate_table, known_sentences
+from workbench.report.estimates import candidates_table, estimate_sentences, estimate_table
+from workbench.report.known import known_sentences
 from workbench.report.page import figure_names, write_report
 
 Make = Callable[..., Any]

@@ -13,6 +13,7 @@ import pytest
 from workbench.model.experiment import Experiment, Noise, Step
 from workbench.model.study import CaseResult, NamedEstimate, Study
 from workbench.model.tuning import Bounds, Objective
+from workbench.model.valve import Deadband
 from workbench.report import figures, words
 from workbench.report.cycles import cycle_tables
 from workbench.report.estimates import estimate_table
@@ -97,10 +98,12 @@ def test_the_answer_to_a_late_load_is_not_taken_for_lasting_motion(study: Study,
 
 def test_settling_is_told_with_its_band_and_not_praised_where_it_does_not_last(study: Study) -> None:
     settling = row(study, "Settling time")
-    assert settling.unit == "into ±1 EU"
+    assert settling.unit == "from the last step into ±1 EU"
     first, _, best = study.cases
     assert math.isfinite(first.run.kpis.settling_time)
     assert settling.cells[0].small == "not for good: it cycles"
+    printed = of(study, replace(first, reference={"settling_time": 90.0}), best)
+    assert row(printed, "Settling time").cells[0].small == "not for good: it cycles; publ. 90.0 s"
     assert not any(cell.best for cell in settling.cells)
     alone = of(study, replace(first, limit_cycle=None), replace(best, limit_cycle=None))
     assert [c.best for c in row(alone, "Settling time").cells].count(True) == 1
@@ -223,3 +226,10 @@ def test_how_a_tuning_was_found_names_its_searches_its_weights_and_its_worst_cas
 def test_where_the_worst_case_is_sought_without_a_margin() -> None:
     assert words.nearby(0.0) == "within half the last digit of each setting"
     assert words.nearby(0.002).startswith("within the larger of ±0.2 % and")
+
+
+def test_a_dead_bands_range_stands_in_its_table(estimated: Make) -> None:
+    found, _ = estimated()
+    dead = replace(found, valve=Deadband(3.5), intervals=replace(found.intervals, d=None, S=(3.4, 5.6)))
+    rows = {row.label: row.cells[1].text for row in estimate_table(NamedEstimate("FIC1", dead)).rows}
+    assert rows["Dead band b"] == "3.400 to 5.600"

@@ -12,6 +12,7 @@ from workbench.model.results import LimitCycle
 from workbench.model.study import CaseResult, Study
 from workbench.report.cycles import by_start, cycle_tables, late_figures
 from workbench.report.judge import last_change
+from workbench.report.plain_truth import lasting
 from workbench.report.summary import summarise
 from workbench.simulate.run import simulate
 
@@ -150,3 +151,18 @@ def test_the_table_of_cycles_shows_what_depends_on_the_start(study: Study) -> No
     rows = {r.label: [c.text for c in r.cells] for r in cycle_tables(told)[0].rows}
     assert rows["Late period"] == ["102 s"]
     assert "Late period, all starts" not in rows
+
+
+def test_text_and_table_give_one_cycle_the_same_figures(study: Study) -> None:
+    wide = with_errors(study.cases[0], 0.03, 0.9)
+    assert wide.limit_cycle is not None
+    late = replace(wide.limit_cycle.starts[1], travel_per_hour=900.0, window=4000.0)
+    cycle = replace(wide.limit_cycle, starts=(wide.limit_cycle.starts[0], late))
+    told = of(study, replace(wide, limit_cycle=cycle), study.cases[1])
+    rows = {r.label: r.cells[0].text.replace("\u00a0", " ") for r in cycle_tables(told)[0].rows}
+    assert rows["Valve travel an hour, all starts"] == "142 to 900"
+    assert rows["Time after the last change to see it, all starts"] == "13 min to 67 min"
+    repair = next(text for text in lasting(told, told.cases[0]) if text.startswith("When to repair"))
+    assert rows["Late period, all starts"] == "102 s to 123 s"
+    assert "2.01 EU every 102 s to 123 s" in repair
+    assert "142 to 900 % of valve travel an hour" in repair or "142 to 900 % an hour" in repair

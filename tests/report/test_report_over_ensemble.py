@@ -18,6 +18,7 @@ import workbench as wb
 from workbench.model.front import Front, FrontPoint, RobustRepair
 from workbench.model.results import SolveStatus
 from workbench.model.study import CaseResult, Study
+from workbench.report.confidence import Judged, searches
 from workbench.report.how import how_tables
 from workbench.report.over_ensemble import (
     ensemble_tables,
@@ -33,6 +34,7 @@ from workbench.report.over_ensemble import (
 from workbench.report.page import write_report
 from workbench.report.summary import summarise
 from workbench.report.trade import FONT, LETTER, NamedPoint, trade_figure
+from workbench.report.words import duration
 
 
 def made(study: Study) -> Study:
@@ -160,7 +162,21 @@ def test_a_search_whose_first_stage_kept_no_constraint_says_so(robust: Study) ->
     none = replace(tuned, restarts=tuple(replace(r, refined=math.inf) for r in tuned.restarts))
     table = how_tables(replace(robust, cases=(replace(robust.cases[2], tuned=none),)))[0]
     rows = {row.label: row.cells[0].text for row in table.rows}
+    assert rows["J over the restarts"] == "none kept the constraints, only the search from all of them"
+    lost = replace(none, status=SolveStatus.INFEASIBLE)
+    rows = {
+        row.label: row.cells[0].text
+        for row in how_tables(replace(robust, cases=(replace(robust.cases[2], tuned=lost),)))[0].rows
+    }
     assert rows["J over the restarts"] == "none kept the constraints"
+    # What was found on all draws is the best J, which none of the searches before came to.
+    cells = how_tables(robust)[1].rows[0].cells
+    assert [cells[1].small, cells[2].small] == ["on the first draws", "on all draws"]
+    better = replace(tuned, nominal=0.9 * tuned.objective)
+    assert better.agreeing == 0
+    judged = Judged()
+    searches(better, judged)
+    assert "0 of 3 independent searches end within 0.1 % of the best J, the worst 11 % above it" in judged.reasons[0]
 
 
 def test_what_one_experiment_likes_is_not_recommended(robust: Study) -> None:
@@ -204,6 +220,14 @@ def test_a_calmer_robust_tuning_is_offered_beside(robust: Study) -> None:
     other = replace(best, name="Calm", tuned=capped, robustness=calm)
     text = " ".join(robust_advice(replace(robust, cases=(*robust.cases, other))))
     assert "Where wear counts more: Kc 2.351 %/EU, Ti 9.500 s (Calm)" in text
+    # Beside the decision itself where that costs the valve several times its travel as found.
+    first = robust.cases[0]
+    for ratio, beside in ((3.0, True), (1.5, False)):
+        found = replace(over(first), valve_travel=over(best).valve_travel / ratio)
+        told = replace(robust, cases=(replace(first, robustness=found), best, other))
+        assert ("Where wear counts more: " in robust_advice(told)[0]) is beside
+        assert " ".join(robust_advice(told)).count("Where wear counts more: ") == 1
+        assert f"plants and circumstances of {duration(over(best).ensemble.duration)} each" in robust_advice(told)[0]
     asked = ensemble_text(replace(robust, cases=(*robust.cases, other)))[-1]
     assert "mean valve travel at most 50.0 %" in asked
 

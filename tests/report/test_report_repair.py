@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 import workbench as wb
+from workbench.analyze.standing import standing
 from workbench.model.results import Repair
 from workbench.model.rule import Rule
 from workbench.model.study import Study
@@ -84,16 +85,30 @@ def of_error(repair: Repair, left: float, after: float) -> Repair:
 )
 def test_no_more_is_claimed_than_the_figures_say(repaired: Study, left: float, after: float, words: str) -> None:
     assert repaired.repair is not None
-    repair = of_error(repaired.repair, left, after)
-    assert words in repair_sentence(repair, "Case 1")
-    assert words in repair_text(repair)[1]
+    told = replace(repaired, repair=of_error(repaired.repair, left, after))
+    assert words in repair_sentence(told)
+    assert words in repair_text(told)[1]
+
+
+def test_a_loop_that_only_stiction_holds_is_unstable_once_repaired(repaired: Study) -> None:
+    first, best = repaired.cases[0], repaired.cases[2]
+    fast = [replace(case, standing=standing(case.loop.with_controller(wb.PID(5.0, 5.0)))) for case in (first, best)]
+    told = replace(repaired, cases=tuple(fast))
+    four, cases = repair_tables(told)
+    assert {row.cells[1].text for row in four.rows[3:]} == {"unstable"}
+    assert "unstable" not in {row.cells[0].text for row in four.rows}
+    assert [cell.text for cell in cases.rows[0].cells] == ["unstable"] * 3
+    assert cases.rows[0].cells[2].small == "12.18 sticky"
+    text = repair_sentence(told)
+    assert text.startswith("What repair is worth: with an ideal valve Case 1 is unstable. ")
+    assert "the sticky valve (a loop that only stiction holds)" in text
 
 
 def test_an_unfinished_search_is_said(repaired: Study) -> None:
     assert repaired.repair is not None
-    assert len(repair_text(repaired.repair)) == 2
+    assert len(repair_text(repaired)) == 2
     unfinished = replace(repaired.repair.tuned_repaired, status=wb.SolveStatus.TIME_LIMIT)
-    told = repair_text(replace(repaired.repair, tuned_repaired=unfinished))
+    told = repair_text(replace(repaired, repair=replace(repaired.repair, tuned_repaired=unfinished)))
     assert "The search with the repaired valve ended as “time limit”" in told[2]
 
 

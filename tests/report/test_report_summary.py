@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
 import pytest
 
+from workbench.model.estimation import LoadSwing
 from workbench.model.results import FittedModel, Intervals, SolveStatus
 from workbench.model.study import CaseResult, NamedEstimate, Study
 from workbench.model.valve import Ideal
-from workbench.report.estimates import estimate_advice, estimate_sentences, known_sentences
+from workbench.report.estimates import estimate_advice, estimate_sentences
 from workbench.report.judge import best_case, df_disagrees
+from workbench.report.known import known_sentences
 from workbench.report.summary import summarise
 
 Make = Callable[..., Any]
@@ -145,9 +148,33 @@ def test_a_model_that_explains_less_than_none_is_of_no_use(estimated: Make) -> N
     assert "of no use" in estimate_sentences(NamedEstimate("E", replace(poor, candidates=worse)))[0]
 
 
+def test_an_oscillation_beside_a_gain_that_is_not_known_may_be_the_loops_own(estimated: Make) -> None:
+    found, _ = estimated()
+    found = replace(found, verdict="no_stiction", load_swing=LoadSwing(42.0, 2.3, 4.8))
+    known, unknown = (
+        NamedEstimate("E", replace(found, intervals=replace(found.intervals, gain=gain)))
+        for gain in ((1.97, 2.01), (0.0, math.inf))
+    )
+    assert "look outside the loop for what oscillates" in estimate_advice(known)[-1]
+    assert "a load that nobody recorded" in " ".join(estimate_sentences(known))
+    assert "the loop's own tuning, or what drives it from outside" in estimate_advice(unknown)[-1]
+    assert "a load that nobody recorded" not in " ".join(estimate_sentences(unknown))
+
+
 def test_what_is_not_identified_is_said(estimated: Make) -> None:
     found, _ = estimated(identifiable=False)
-    assert "pins only the product of gain and stiction (3.986 EU)" in estimate_sentences(NamedEstimate("E", found))[1]
+
+    def said(d: tuple[float, float], gain: tuple[float, float]) -> str:
+        ranges = replace(found.intervals, d=d, gain=gain)
+        return estimate_sentences(NamedEstimate("E", replace(found, intervals=ranges)))[1]
+
+    assert "pins only the product of gain and stiction (3.986 EU)" in said((1.0, 3.0), (1.3, 4.0))
+    # A band that is known better than the gain is no matter of their product, nor is one known worse.
+    assert "pins the stiction only roughly (1.90 to 2.20 %) and the gain hardly (0.800 to 5.00 EU/%)" in said(
+        (1.9, 2.2), (0.8, 5.0)
+    )
+    assert "pins the stiction hardly (1.50 to 3.00 %) and the gain closely" in said((1.5, 3.0), (1.95, 2.0))
+    assert "for this model alone" in said((1.99, 2.01), (1.97, 2.01))
     bare = replace(found, intervals=Intervals())
     assert "gives no range" in estimate_sentences(NamedEstimate("E", bare))[1]
 

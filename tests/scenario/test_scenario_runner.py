@@ -271,6 +271,12 @@ def test_a_found_loop_that_the_record_leaves_open_is_tuned_as_a_hint(changes: di
     said = tune_found(found, wishes).assumed[0]
     assert said.startswith(f"the record's loop: the valve sticks; the record {why}")
     assert said.endswith(", so take this tuning as a hint")
+    # Nor is one that its own ranges upset more than a hint.
+    wide = found_loop()
+    wide = replace(wide, intervals=replace(wide.intervals, gain=(0.9, 30.0)))
+    said = tune_found(wide, wishes).assumed[0]
+    assert said.endswith("with an ideal valve is unstable, so take this tuning as a hint")
+    assert "with gain 30.0 EU/%, within the plant's 95 % range, the loop" in said
     unsure = tune_found(replace(found, verdict="undecided", identifiable=False), wishes)
     assert unsure.assumed[0].startswith("the record's loop: whether the valve sticks is undecided and the record ")
 

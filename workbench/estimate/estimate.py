@@ -185,9 +185,10 @@ def _told(record: Record, found: _Searched, asked: _Asked, tell: Callable[[float
     lost = data.doubt > 0.0 and answer.valve.stick_band > 0.0 and answer.intervals == Intervals()
     repeats = None if lost else repeats_of(data, answer)
     said = words_of(repeats) if repeats is not None and answer.verdict == "stiction" else ()
-    opened = () if WORDS_OF_BLIND in answer.reasons else words_of_open(answer.intervals, data.integrating)
+    blind = WORDS_OF_BLIND in answer.reasons
+    opened = () if blind else words_of_open(answer.intervals, data.integrating)
     load = None if swing is None else swing.load(answer.plant, record.sample_time)
-    swung = () if load is None else (words_of_swing(load),)
+    swung = () if load is None else (words_of_swing(load, blind=blind),)
     return replace(
         answer,
         repeats=repeats,

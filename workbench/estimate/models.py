@@ -185,7 +185,7 @@ def words_of_rival(name: str, ranges: Intervals, integrating: bool) -> str:
 
 
 WORDS_OF_BLIND = (
-    "the setpoint stands still and OP only answers PV: what the controller makes of a disturbance may pass for the "
+    "no setpoint move is recorded and OP only answers PV: what the controller makes of a disturbance may pass for the "
     "plant, whose gain, time constant and dead time are not identified; a setpoint move in the record would show them"
 )
 WORDS_OF_STRAIGHT = "a linear loop without stiction is not clearly less likely: the plant's ranges hold that one's too"

@@ -98,12 +98,13 @@ def beside_swing(
     return found, swing
 
 
-def words_of_swing(load: LoadSwing) -> str:
-    """Return in words that an oscillation from outside was found."""
-    return (
-        f"PV swings by {load.amplitude:.3g} EU to either side with a period of {load.period:.3g} s, which no stem "
-        "makes: an oscillation from outside the loop, beside which the model is fitted"
-    )
+def words_of_swing(load: LoadSwing, *, blind: bool) -> str:
+    """Return in words that an oscillation beside the stem was found; blind: whether the plant is not identified."""
+    swings = f"PV swings by {load.amplitude:.3g} EU to either side with a period of {load.period:.3g} s, which no stem"
+    if blind:
+        # What a tight controller makes of an unknown plant looks the same.
+        return f"{swings} makes: the model is fitted beside it, be it from outside or of the loop's own tuning"
+    return f"{swings} makes: an oscillation from outside the loop, beside which the model is fitted"
 
 
 def besides(data: Centred, swing: Swing | None) -> Centred:

@@ -21,7 +21,7 @@ from workbench.record.historian import Piece, read_tags
 from workbench.record.modes import manual_share
 from workbench.record.reader import read_record
 from workbench.record.segments import USABLE
-from workbench.report.estimates import hint
+from workbench.report.known import hint
 from workbench.report.loop_page import render_loop
 
 if TYPE_CHECKING:
@@ -290,10 +290,11 @@ def _tuned(row: FleetRow, loop: LoopSource, found: Estimate) -> tuple[FleetRow, 
     from workbench.simulate.run import evaluate
 
     try:
-        tuned = tune_found(found, Wishes()).tuned
+        result = tune_found(found, Wishes())
     except WorkbenchError as error:
         return replace(row, notes=_line(f"{row.notes}; no tuning: {error}".lstrip("; "))), None
-    controller, ratio, note = tuned.controller, math.nan, _line(f"{row.notes}; {hint(found)}".strip("; "))
+    tuned, doubt = result.tuned, hint(found, standing=result.standing)
+    controller, ratio, note = tuned.controller, math.nan, _line(f"{row.notes}; {doubt}".strip("; "))
     if loop.tuning is not None:
         present = _present(loop, controller)
         cost = float(evaluate(tuned.loop.with_controller(present), tuned.experiment, tuned.weights)[0])

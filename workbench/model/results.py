@@ -184,6 +184,18 @@ class Margins(Shown):
     delay_margin: float
 
 
+@dataclass(frozen=True, slots=True)
+class Standing:
+    """How a tuning holds its loop with an ideal valve: on its own plant, and where the plant's ranges are worst for it.
+
+    worst: the margins of the plant, each parameter its own or an end of its 95 % range, that the tuning holds least;
+    None for a plant without ranges. Its `loop.plant` names the place.
+    """
+
+    own: Margins
+    worst: Margins | None = None
+
+
 @dataclass(frozen=True, eq=False)
 class Robustness(Shown):
     """How a loop fares in an ensemble, by exact simulation of each draw.
@@ -236,7 +248,8 @@ class Tuned(Shown):
     """A tuning and how it was found.
 
     controller: in the form of the loop's controller, with parameters rounded to `digits` significant digits, the ones
-    to type in. objective: J of exactly that controller by exact simulation; nominal: J of the unrounded best;
+    to type in. objective: J of exactly that controller by exact simulation; nominal: the least J met at any settings,
+    unrounded and as near to a cliff as it may be;
     worst: the worst J when each parameter moves by up to the larger of the relative `margin` and half a last digit.
     start_objective: J of the loop's own controller. guard_margin: the least distance (%) of the trajectory to a
     stick/slip decision; slips: how many samples the stem moves in, the length of its sequence of decisions. steps: J at
@@ -280,8 +293,8 @@ class Tuned(Shown):
 
     @property
     def agreeing(self) -> int:
-        """How many of the restarts ended within 0.1 % of the best of them."""
-        best = self.spread[0]
+        """How many of the restarts ended within 0.1 % of the least J that was met, theirs or a later search's."""
+        best = min(self.nominal, self.spread[0])
         return sum(math.isfinite(best) and r.refined <= best + 1e-3 * abs(best) for r in self.restarts)
 
     @property

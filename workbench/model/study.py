@@ -12,7 +12,17 @@ from workbench.model.detection import Detection
 from workbench.model.experiment import Experiment
 from workbench.model.front import Front, RobustRepair
 from workbench.model.loop import Loop
-from workbench.model.results import DescribingFunction, Estimate, LimitCycle, Outcome, Repair, Robustness, Run, Tuned
+from workbench.model.results import (
+    DescribingFunction,
+    Estimate,
+    LimitCycle,
+    Outcome,
+    Repair,
+    Robustness,
+    Run,
+    Standing,
+    Tuned,
+)
 from workbench.model.rule import Rule
 from workbench.model.show import Shown
 from workbench.model.site import CascadeSite, CascadeSiteCase, SiteCase, SiteForm
@@ -31,7 +41,8 @@ class CaseResult:
     `rule`: the rule that gave the tuning. `repaired`: the figures at this tuning with an ideal valve, where asked for.
     `robustness`: how it fares over the study's ensemble, on draws that no search has seen, and `robustness_repaired`
     with an ideal valve; None where the scenario has no ensemble, or the valve does not stick. `nearest_to`: the name of
-    the case that the site's form cannot take, where this is what comes nearest to it there.
+    the case that the site's form cannot take, where this is what comes nearest to it there. `standing`: whether the
+    tuning holds the loop without the valve's stiction, None where nothing is fed back.
     """
 
     name: str
@@ -49,6 +60,7 @@ class CaseResult:
     robustness: Robustness | None = None
     robustness_repaired: Robustness | None = None
     nearest_to: str = ""
+    standing: Standing | None = None
 
 
 @dataclass(frozen=True, eq=False)

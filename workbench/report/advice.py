@@ -19,6 +19,7 @@ from workbench.report.judge import (
 from workbench.report.plain_truth import lasting
 from workbench.report.repair import repair_sentence
 from workbench.report.settings import as_typed_in, settings_words, spread
+from workbench.report.standing import held_by_stiction, trap_words
 from workbench.report.words import change, figure, nearby
 
 __all__ = ["Advice", "case_advice", "worth_it"]
@@ -57,11 +58,14 @@ def case_advice(study: Study) -> Advice:
     if best is None:
         text = "None of these tunings can be recommended: their loops are unstable, or their searches failed."
         return Advice(text, None, tuple(failed))
+    do += _traps(study, best)
     if len(study.cases) > 1 and best.objective is None:
         decision, case = _trade_off(study, best), None
         do += late_errors(study)
     else:
         decision, case = _recommendation(study, base, best)
+        back = "" if base is None or base is case or held_by_stiction(base.standing) else settings_words(study, base)
+        decision = " ".join(text for text in (decision, trap_words(case, back)) if text)
         # What follows is of the case that is to be set, or kept.
         best = case
         if best.tuned is not None and best.tuned.knife_edge:
@@ -73,7 +77,7 @@ def case_advice(study: Study) -> Advice:
         do += _less_wear(study, best)
     left += lasting(study, best)
     if study.repair is not None:
-        left.append(repair_sentence(study.repair, (base or study.cases[0]).name))
+        left.append(repair_sentence(study))
     return Advice(decision, case, (*failed, *do), tuple(left))
 
 
@@ -93,9 +97,12 @@ def _recommendation(study: Study, base: CaseResult | None, best: CaseResult) -> 
     if len(study.cases) == 1 and best is base:
         return f"Nothing to set: {best.name} ({controller}) is the only tuning here, and none was searched for.", best
     if best is base:
+        better = [case for case in study.cases if measure(case) < measure(best)]
         others = "other tunings"
-        if any(refused(study, case) and measure(case) < measure(best) for case in study.cases):
+        if any(refused(study, case) for case in better):
             others += " that can be typed in"
+        if any(held_by_stiction(case.standing) for case in better):
+            others += " that hold the loop without stiction too"
         return f"Keep {best.name} ({controller}): none of the {others} has a lower {by} in this experiment.", best
     if base is None or unstable(base):
         least = "the lowest " + by + " of the cases" if len(study.cases) > 1 else "the best that the search found"
@@ -112,7 +119,8 @@ def _recommendation(study: Study, base: CaseResult | None, best: CaseResult) -> 
     parts.append(f"mean square error {change(kpis.mean_square_error, was.mean_square_error)}")
     parts.append(f"valve travel {change(kpis.valve_travel, was.valve_travel)}")
     told = f"in this run {', '.join(parts)} against {base.name}.{_in_the_long_run(study, base, best)}"
-    if not worth_it((_cost(best), best.run.kpis.valve_travel), (_cost(base), base.run.kpis.valve_travel)):
+    worth = worth_it((_cost(best), best.run.kpis.valve_travel), (_cost(base), base.run.kpis.valve_travel))
+    if not worth and not held_by_stiction(base.standing):
         return (
             f"Keep {base.name} ({settings_words(study, base)}): nothing here is worth a change. The best other tuning, "
             f"{best.name} ({controller}), has {told}"
@@ -159,12 +167,25 @@ def _by_repair(study: Study, best: CaseResult) -> str:
 
 
 def _can_be_set(study: Study, case: CaseResult) -> bool:
-    return (case.tuned is None or case.tuned.status.success) and not unstable(case) and not refused(study, case)
+    found = case.tuned is None or case.tuned.status.success
+    return found and not unstable(case) and not refused(study, case) and not held_by_stiction(case.standing)
+
+
+def _traps(study: Study, best: CaseResult) -> list[str]:
+    """Name the cases that do better than the best and that nothing but the valve's stiction holds."""
+    by = "J" if best.objective is not None else "mean square error"
+    return [
+        f"Do not use {case.name} ({settings_words(study, case)}), whose {by} is {figure(measure(case))} here: with an "
+        "ideal valve the loop is unstable, and only stiction holds it. A search with “max_sensitivity” under "
+        "“constraints” in tune keeps to tunings that hold the loop by themselves."
+        for case in study.cases
+        if held_by_stiction(case.standing) and not unstable(case) and measure(case) < measure(best)
+    ]
 
 
 def _trade_off(study: Study, best: CaseResult) -> str:
     """Without an objective to go by: name the case of least error and the case of least wear."""
-    fit = [c for c in study.cases if _can_be_set(study, c)]
+    fit = [c for c in study.cases if _can_be_set(study, c)] or [best]
     # A valve that never moves does not wear, and does not control either.
     calm = min([c for c in fit if c.run.kpis.valve_travel > 0.0] or fit, key=lambda c: c.run.kpis.valve_travel)
 

@@ -14,12 +14,14 @@ from dataclasses import dataclass, field
 from workbench.model.controller import PID
 from workbench.model.experiment import Noise
 from workbench.model.plant import FOPDT
-from workbench.model.results import LimitCycle, Robustness, Tuned
+from workbench.model.results import LimitCycle, Robustness, Standing, Tuned
 from workbench.model.study import CaseResult, Study
 from workbench.model.titles import kpi_title, within
-from workbench.report.estimates import known_groups, stiction_words, tuning_doubts, unpinned
+from workbench.report.estimates import stiction_words
 from workbench.report.judge import at_odds, last_change, quiet, run_travel, source_of, unstable
+from workbench.report.known import known_groups, tuning_doubts, unpinned
 from workbench.report.settings import as_typed_in, settings_words
+from workbench.report.standing import standing_doubt
 from workbench.report.words import capital, duration, figure, given, interval, join, nearby
 
 __all__ = ["Confidence", "Judged", "confidence", "digits", "recovery", "searches", "settled", "watch"]
@@ -57,6 +59,7 @@ def confidence(study: Study, case: CaseResult) -> Confidence:
     """Return how sure it is that a case does at the plant what it does here."""
     judged = Judged()
     _model(study, case, judged)
+    _by_itself(case.standing, judged)
     if case.tuned is not None:
         digits(case.tuned, judged)
         searches(case.tuned, judged)
@@ -94,9 +97,9 @@ def _model(study: Study, case: CaseResult, judged: Judged) -> None:
     groups = known_groups(found)
     open_ones = [*groups["hardly"], *groups["none"]]
     told = [] if found.verdict == "undecided" else [f"the valve: {stiction_words(named)}"]
-    for name in ("gain", "time_constant") if isinstance(found.plant, FOPDT) else ("gain",):
+    for name in ("gain", "time_constant", "dead_time"):
         pair = getattr(found.intervals, name)
-        unit = {"time_constant": "s"}.get(name, "EU/%" if isinstance(found.plant, FOPDT) else "EU/(% s)")
+        unit = "s" if name != "gain" else "EU/%" if isinstance(found.plant, FOPDT) else "EU/(% s)"
         if pair is not None:
             told.append(f"{name.replace('_', ' ')} {interval(pair, unit)} (95 % range)")
     # A valve that does not stick has nothing to be identified.
@@ -115,6 +118,22 @@ def _model(study: Study, case: CaseResult, judged: Judged) -> None:
         doubt=join(tuning_doubts(found)),
         open_point="the record does not pin every parameter" if vague else "",
     )
+
+
+def _by_itself(standing: Standing | None, judged: Judged) -> None:
+    """Say whether the tuning holds the loop without the valve's stiction, over all that the plant may be."""
+    if standing is None:
+        return
+    worst, lead = standing.worst, "With an ideal valve the loop is"
+    if standing.own.stable:
+        text = f"{lead} stable, its maximum sensitivity {figure(standing.own.max_sensitivity, 3)}"
+        if worst is not None and worst.stable:
+            text += f", at most {figure(worst.max_sensitivity, 3)} within the plant's 95 % ranges"
+        elif worst is not None:
+            text += "; within the plant's 95 % ranges it may be unstable"
+    else:
+        text = f"{lead} unstable"
+    judged.say(text, doubt=standing_doubt(standing))
 
 
 def digits(tuned: Tuned, judged: Judged, lead: str = "Digits", whose: str = "the optimum") -> None:
@@ -145,8 +164,11 @@ def searches(tuned: Tuned, judged: Judged, lead: str = "Search") -> None:
     agree = tuned.agreeing
     alike = 2 * agree > many or (math.isfinite(worst) and worst <= NEARLY * best)
     text = f"{lead}: {agree} of {many} independent searches end within 0.1 % of the best J"
-    if math.isfinite(worst) and agree < many and best > 0.0:
-        text += f", the worst {figure(100.0 * (worst / best - 1.0), 2)} % above it"
+    least = min(best, tuned.nominal)
+    if math.isfinite(worst) and agree < many and least > 0.0:
+        text += f", the worst {figure(100.0 * (worst / least - 1.0), 2)} % above it"
+    elif math.isinf(best) and tuned.status.success:
+        text += ": none of them keeps the constraints by itself; the search that goes on from all of them does"
     judged.say(text, open_point="" if alike else "the searches do not agree")
 
 

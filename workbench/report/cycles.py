@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable
 
 from workbench.model.results import DescribingFunction, LimitCycle, LimitCycleStart
@@ -20,7 +21,16 @@ from workbench.report.judge import (
 from workbench.report.tables import Cell, Row, Table, blocks
 from workbench.report.words import capital, duration, figure, join, lower_first
 
-__all__ = ["better_late", "by_start", "cycle_sentences", "cycle_tables", "late_errors", "late_figures", "swing"]
+__all__ = [
+    "better_late",
+    "by_start",
+    "cycle_sentences",
+    "cycle_tables",
+    "late_errors",
+    "late_figures",
+    "period_words",
+    "swing",
+]
 
 LISTED = 3  # cycling cases that are listed one by one
 ALONE = "not the valve's alone"
@@ -221,29 +231,39 @@ def _first_period(cycle: LimitCycle) -> str:
     return "–" if start is None else duration(start.first_period)
 
 
-def _range(cycle: LimitCycle) -> str:
-    low, high = cycle.period_range
+def period_words(cycle: LimitCycle) -> str:
+    """Return the late period over all starts: "28 min to 85 min", or one where they agree."""
+    return _times(*cycle.period_range)
+
+
+def _seen_after(cycle: LimitCycle) -> str:
+    windows = [start.window for start in cycle.starts if start.outcome == "cycles"] or [cycle.window]
+    return _times(min(windows), max(windows))
+
+
+def _times(low: float, high: float) -> str:
     if math.isnan(low) or duration(low) == duration(high):
         return duration(low)
-    return f"{_held(low)} to {_held(high)}"
+    return f"{duration(low)} to {duration(high)}"
+
+
+def _held(text: str) -> str:
+    """Return a range whose numbers do not part from their units."""
+    return text if " to " not in text else re.sub(r"(\d) ", "\\1\u00a0", text)
 
 
 def _all_starts(name: str) -> Callable[[CaseResult], str]:
     return _of_cycle(lambda cycle: late_words(cycle, name))
 
 
-def _held(seconds: float) -> str:
-    """A duration that does not break between number and unit."""
-    return duration(seconds).replace(" ", "\u00a0")
-
-
 _CYCLE_ROWS: tuple[tuple[str, str, Callable[[CaseResult], str]], ...] = (
     ("Exact simulation", "", _of_cycle(lambda c: _OUTCOMES.get(c.outcome, c.outcome))),
     ("First period", "", _of_cycle(_first_period)),
     ("Late period", "", _of_cycle(lambda c: duration(c.period))),
-    ("Late period, all starts", "", _of_cycle(_range)),
+    ("Late period, all starts", "", _of_cycle(lambda c: _held(period_words(c)))),
     ("Closed form, shortest", "", _of_cycle(lambda c: duration(c.closed_form_period))),
     ("PV peak to peak", "EU", _of_cycle(lambda c: figure(c.pv_peak_to_peak, 3))),
+    ("PV peak to peak, all starts", "EU", _all_starts("pv_peak_to_peak")),
     ("OP peak to peak", "%", _of_cycle(lambda c: figure(c.op_peak_to_peak, 3))),
     ("Mean square error", "EU²", _of_cycle(lambda c: figure(c.mean_square_error, 3))),
     ("Mean square error, all starts", "EU²", _all_starts("mean_square_error")),
@@ -252,6 +272,7 @@ _CYCLE_ROWS: tuple[tuple[str, str, Callable[[CaseResult], str]], ...] = (
     ("Slips an hour", "", _of_cycle(lambda c: figure(c.slips_per_hour, 3))),
     ("Stem reversals an hour", "", _of_cycle(lambda c: figure(c.reversals_per_hour, 3))),
     ("Time after the last change to see it", "", _of_cycle(lambda c: duration(c.window))),
+    ("Time after the last change to see it, all starts", "", _of_cycle(lambda c: _held(_seen_after(c)))),
     ("Describing function", "", _of_df(lambda d: d.prediction)),
     ("Predicted period", "", _of_df(lambda d: duration(d.period))),
     ("Predicted PV peak to peak", "EU", _of_df(lambda d: figure(2.0 * d.pv_amplitude, 3))),

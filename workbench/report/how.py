@@ -29,9 +29,13 @@ def how_tables(study: Study) -> list[Table]:
     restarts = []
     for name, one in tuned:
         for i, r in enumerate(one.restarts):
-            cells = (str(r.seed), figure(r.scanned), figure(r.refined), f"{r.evaluations:,}", str(r.solves))
-            row = tuple(Cell(text) for text in (*cells, f"{r.iterations:,}"))
-            restarts.append(Row(name, "", row, group=i == 0))
+            # A robust tuning is scanned on the first of its draws alone.
+            few = "" if one.ensemble is None else "on the first draws"
+            kept = figure(r.refined) if math.isfinite(r.refined) else "breaks a constraint"
+            last = Cell(kept, "" if one.ensemble is None else "on all draws")
+            counts = (f"{r.evaluations:,}", str(r.solves), f"{r.iterations:,}")
+            cells = (Cell(str(r.seed)), Cell(figure(r.scanned), few), last, *(Cell(text) for text in counts))
+            restarts.append(Row(name, "", cells, group=i == 0))
     if restarts:
         heads = ("search", "J after the scan", "J refined", "simulations", "NLPs", "IPOPT iterations")
         tables.append(Table(heads, tuple(restarts), "Restarts"))
@@ -41,7 +45,8 @@ def how_tables(study: Study) -> list[Table]:
 def _spread(tuned: Tuned) -> str:
     best, worst = tuned.spread
     if math.isinf(best):
-        return "none kept the constraints"  # before the joint search on all draws
+        by_itself = ", only the search from all of them" if tuned.status.success else ""
+        return f"none kept the constraints{by_itself}"
     return f"{figure(best)} to {figure(worst)}"
 
 
@@ -53,7 +58,7 @@ _HOW_ROWS: tuple[tuple[str, str, Callable[[Tuned], str]], ...] = (
     ("Status", "", lambda t: t.status.value),
     ("J of the settings, rounded", "", lambda t: figure(t.objective)),
     ("Digits typed in", "", lambda t: str(t.digits)),
-    ("J of the unrounded best", "", lambda t: figure(t.nominal)),
+    ("Least J met, unrounded and however near a cliff", "", lambda t: figure(t.nominal)),
     ("Worst J near the settings", "", lambda t: f"{figure(t.worst)} {nearby(t.margin)}"),
     ("J of the start", "", lambda t: figure(t.start_objective)),
     ("Guard margin", "%", lambda t: figure(t.guard_margin, 3)),

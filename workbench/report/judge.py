@@ -15,6 +15,7 @@ from workbench.model.experiment import Experiment
 from workbench.model.results import Kpis, LimitCycle, Run, Tuned
 from workbench.model.site import SiteCase
 from workbench.model.study import CascadeResult, CaseResult, NamedEstimate, Study
+from workbench.report.standing import held_by_stiction
 from workbench.report.words import figure, given, setting
 
 __all__ = [
@@ -92,11 +93,13 @@ def measure(case: CaseResult) -> float:
 def best_case(study: Study) -> CaseResult | None:
     """Return the case of least J (least mean square error without an objective) of those that can be set.
 
-    They are verified, bounded, and have an equivalent in the site's form; where none has, its form is left aside.
+    They are verified, bounded, have an equivalent in the site's form, and hold the loop without the valve's stiction;
+    where none has, the form, and where none does, the stiction is left aside.
     """
     fit = [c for c in study.cases if c.tuned is None or c.tuned.status.success]
     fit = [c for c in fit if math.isfinite(measure(c)) and not unstable(c)]
-    return min([c for c in fit if not refused(study, c)] or fit, key=measure, default=None)
+    fit = [c for c in fit if not refused(study, c)] or fit
+    return min([c for c in fit if not held_by_stiction(c.standing)] or fit, key=measure, default=None)
 
 
 def df_disagrees(case: CaseResult) -> bool:
@@ -157,9 +160,8 @@ def settling_band(case: CaseResult | CascadeResult, experiment: Experiment | Non
     event = _event(case, experiment)
     if event is None:
         return ""
-    if math.isnan(event.band):
-        return "into ±2 % of the largest error"
-    return f"into ±{given(event.band, 2)} EU"
+    band = "2 % of the largest error" if math.isnan(event.band) else f"{given(event.band, 2)} EU"
+    return f"from the last step into ±{band}"
 
 
 def settling_doubt(case: CaseResult | CascadeResult, experiment: Experiment | None, kpis: Kpis | None = None) -> str:

@@ -13,7 +13,7 @@ from workbench.model.fleet import FleetRow
 from workbench.model.record import Record
 from workbench.model.results import Estimate, LinearFit
 from workbench.model.valve import Ideal
-from workbench.report.estimates import unpinned
+from workbench.report.known import unpinned
 from workbench.report.lines import panel
 from workbench.report.templating import environment, style_sheet
 from workbench.report.words import controller_words, duration, figure, interval, plant_words, slug, valve_words

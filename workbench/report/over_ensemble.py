@@ -12,7 +12,7 @@ from workbench.model.study import CaseResult, Study
 from workbench.report.settings import as_typed_in, settings_words
 from workbench.report.tables import Cell, Row, Table
 from workbench.report.trade import NamedPoint
-from workbench.report.words import change, controller_words, figure, given, join
+from workbench.report.words import change, controller_words, duration, figure, given, join
 
 __all__ = [
     "ensemble_tables",
@@ -28,6 +28,7 @@ __all__ = [
 
 NEAR = 1.1  # times the front's error, up to which a case lies on it
 LISTED = 10  # points of the front in its table
+DEAR = 2.0  # times the travel as found from which the decision names the calmer tuning beside it
 
 
 def ensemble_text(study: Study) -> list[str]:
@@ -131,7 +132,7 @@ def ensemble_tables(study: Study) -> list[Table]:
     if both:
         heads += ["Repaired: mean square error, median", "valve travel, median"]
     asked = _asked(study)
-    steady = [r for c in some for r in (c.robustness,) if r is not None and held(r) and _keeps(r, asked)]
+    steady = [r for c in some for r in (c.robustness,) if r is not None and held(r) and not _broken(r, asked)]
     least = min((r.mse_mean for r in steady), default=math.nan)
     rows = []
     for case in some:
@@ -246,7 +247,7 @@ def front_text(study: Study) -> list[str]:
             beyond.append(f"{case.name} moves the valve less than any tuning on the front")
         elif r.mse_mean > NEAR * point.mean_square_error:
             above.append((r.mse_mean / point.mean_square_error, case, point))
-        elif _keeps(r, front.constraints):
+        elif not _broken(r, front.constraints):
             near.append(case.name)
         else:
             beyond.append(f"{case.name} is not on it: {_broken(r, front.constraints)}")
@@ -273,10 +274,6 @@ def _noisy(front: Front) -> list[str]:
         f"{figure(last.valve_travel, 3)} % of travel. Filter PV before judging its wear."
     )
     return [text]
-
-
-def _keeps(r: Robustness, asked: Constraints) -> bool:
-    return not _broken(r, asked)
 
 
 def _broken(r: Robustness, asked: Constraints) -> str:
@@ -415,14 +412,17 @@ def robust_advice(study: Study) -> list[str]:
         return []
     case, tuned, r = next(one for one in found if one[0] is choice)
     base = next((c for c in study.cases if c.tuned is None and not c.nearest_to and c.robustness is not None), None)
-    out = [f"{_setting(study, case, r)}{_against(r, base)}"]
-    calmer = [one for one in found if one[0] is not case and one[2].travel_mean < 0.8 * r.travel_mean]
-    for other, _, figures in calmer:
-        out.append(
-            f"Where wear counts more: {settings_words(study, other)} ({other.name}) has mean "
-            f"square error {figure(figures.mse_mean, 3)} EU² at valve travel {figure(figures.travel_mean, 3)} %"
-            f"{_matched(study, figures, other)}."
-        )
+    calmer = [
+        f"Where wear counts more: {settings_words(study, other)} ({other.name}) has mean "
+        f"square error {figure(figures.mse_mean, 3)} EU² at valve travel {figure(figures.travel_mean, 3)} %"
+        f"{_matched(study, figures, other)}."
+        for other, _, figures in found
+        if other is not case and figures.travel_mean < 0.8 * r.travel_mean
+    ]
+    # Less error at several times the wear is a choice, which belongs with the decision.
+    dear = base is not None and base.robustness is not None and r.travel_mean > DEAR * base.robustness.travel_mean
+    beside = calmer[:1] if dear else []
+    out = [" ".join([f"{_setting(study, case, r)}{_against(r, base)}", *beside]), *calmer[len(beside) :]]
     asked = tuned.constraints or Constraints()
     for other in study.cases:
         theirs = other.robustness
@@ -444,9 +444,10 @@ def robust_advice(study: Study) -> list[str]:
 def _setting(study: Study, case: CaseResult, r: Robustness) -> str:
     lost = "none diverges" if r.diverged == 0 else f"{r.diverged} diverge"
     return (
-        f"Set {settings_words(study, case)} ({case.name}). Over {r.ensemble.draws:,} plants "
-        f"and circumstances that no search has seen it has mean square error {figure(r.mse_mean, 3)} EU² and valve "
-        f"travel {figure(r.travel_mean, 3)} % (means); {lost}, and Ms is at most {figure(r.max_sensitivity, 3)}"
+        f"Set {settings_words(study, case)} ({case.name}). Over {r.ensemble.draws:,} plants and circumstances of "
+        f"{duration(r.ensemble.duration)} each that no search has seen it has mean square error "
+        f"{figure(r.mse_mean, 3)} EU² and valve travel {figure(r.travel_mean, 3)} % (means); {lost}, and Ms is at most "
+        f"{figure(r.max_sensitivity, 3)}"
     )
 
 

@@ -20,10 +20,11 @@ from workbench.report.cascade_settings import cascade_site_table
 from workbench.report.cycles import cycle_tables
 from workbench.report.detections import detection_table, detection_words, first_with
 from workbench.report.draw_map import map_figure
-from workbench.report.estimates import candidates_table, estimate_table, known_sentences
+from workbench.report.estimates import candidates_table, estimate_table
 from workbench.report.files import write_files
 from workbench.report.how import how_tables
 from workbench.report.interactive import Zoomable, zoomable
+from workbench.report.known import known_sentences
 from workbench.report.over_ensemble import (
     ensemble_tables,
     ensemble_text,
@@ -123,7 +124,7 @@ def render(study: Study, drawn: Mapping[str, str], zoom: Zoomable | None = None)
             robust_repair_table=robust_repair_table(study),
             map_text=[] if study.cycle_map is None else map_text(study.cycle_map),
             repair_tables=repair_tables(study),
-            repair_text=repair_text(study.repair) if study.repair is not None else [],
+            repair_text=repair_text(study),
             rules=[(c.name, rule_words(c.rule)) for c in study.cases if c.rule is not None],
             agreements=_agreements(study),
             seeds=_seeds(study),

@@ -14,9 +14,10 @@ from workbench.model.cycle_map import CycleMap, MapCell
 from workbench.model.plant import FOPDT
 from workbench.model.results import LimitCycle
 from workbench.model.study import CaseResult, Study
+from workbench.report.cycles import period_words
 from workbench.report.draw_map import MapPoint
-from workbench.report.estimates import least_step
-from workbench.report.judge import late_figure, late_words, over_starts, source_of, unstable
+from workbench.report.judge import late_figure, late_words, source_of, unstable
+from workbench.report.known import least_step
 from workbench.report.words import duration, figure, given, join
 
 __all__ = ["lasting", "map_points", "map_text"]
@@ -29,12 +30,14 @@ ROOM = 2.0  # gain margin below which a tuning is said to be near instability
 
 @dataclass(frozen=True, slots=True)
 class _Seen:
-    """A tuning whose cycle was measured: where it is, in words, and medians over its starts (EU, s, % an hour)."""
+    """A tuning whose cycle was measured: where it is, medians over its starts (EU, % an hour), and all in words."""
 
     where: str
     swing: float
-    period: float
     travel: float
+    swing_words: str
+    period_words: str
+    travel_words: str
 
 
 def map_points(study: Study) -> list[MapPoint]:
@@ -188,15 +191,21 @@ def _measured(study: Study) -> list[_Seen]:
         cycle = case.limit_cycle
         alone = case.describing_function is not None and not case.describing_function.linear_stable
         if cycle is not None and cycle.outcome == "cycles" and not alone and not unstable(case):
-            swing, period, travel = (
-                late_figure(cycle, name) for name in ("pv_peak_to_peak", "period", "travel_per_hour")
-            )
-            out.append(_Seen(case.name, swing, period, travel))
+            swing, travel = (late_figure(cycle, name) for name in ("pv_peak_to_peak", "travel_per_hour"))
+            words = (late_words(cycle, name) for name in ("pv_peak_to_peak", "travel_per_hour"))
+            out.append(_Seen(case.name, swing, travel, next(words), period_words(cycle), next(words)))
     found = study.cycle_map
     if found is not None:
         cells = (found.least("pv_peak_to_peak"), found.least("travel_per_hour"))
         out += [
-            _Seen(_where(found, cell), cell.pv_peak_to_peak, cell.period, cell.travel_per_hour)
+            _Seen(
+                _where(found, cell),
+                cell.pv_peak_to_peak,
+                cell.travel_per_hour,
+                figure(cell.pv_peak_to_peak, 3),
+                duration(cell.period),
+                figure(cell.travel_per_hour, 3),
+            )
             for cell in cells
             if cell is not None
         ]
@@ -240,11 +249,7 @@ def _slowed(fast: CaseResult, was: LimitCycle, slow: CaseResult, now: LimitCycle
         return late_words(was, name), late_words(now, name)
 
     travel, error = both("travel_per_hour"), both("mean_square_error")
-    periods = [over_starts(cycle, "period") for cycle in (was, now)]
-    spans = [
-        duration(cycle.period) if b <= ALIKE * a else f"{duration(a)} to {duration(b)}"
-        for cycle, (a, b) in zip((was, now), periods, strict=True)
-    ]
+    spans = [period_words(cycle) for cycle in (was, now)]
     return (
         f"Slower integral action spares the valve and does not shrink the cycle: {fast.name} (Ti "
         f"{given(fast.loop.controller.Ti)} s) cycles every {spans[0]} and moves the valve {travel[0]} % an hour, "
@@ -262,15 +267,15 @@ def _at_best(study: Study) -> list[str]:
     least, calm = min(seen, key=lambda one: one.swing), min(seen, key=lambda one: one.travel)
     found = study.cycle_map
     many = f"{len(seen)} tunings" if found is None else f"all tunings, {found.count('cycles'):,} of the map among them,"
-    travel = f"{figure(least.travel, 3)} % of valve travel an hour"
     text = (
-        f"When to repair: of {many} whose cycle was measured here (medians, where it depends on the start), PV swings "
-        f"least, {figure(least.swing, 3)} EU every {duration(least.period)}, with {least.where}, at {travel}"
+        f"When to repair: of {many} whose cycle was measured here (by medians, where it depends on the start), PV "
+        f"swings least, {least.swing_words} EU every {least.period_words}, with {least.where}, at "
+        f"{least.travel_words} % of valve travel an hour"
     )
     if calm.where != least.where:
         text += (
-            f"; the valve moves least, {figure(calm.travel, 3)} % an hour, with {calm.where}, where PV swings "
-            f"{figure(calm.swing, 3)} EU every {duration(calm.period)}"
+            f"; the valve moves least, {calm.travel_words} % an hour, with {calm.where}, where PV swings "
+            f"{calm.swing_words} EU every {calm.period_words}"
         )
     end = "What the process or the valve cannot bear of that is a matter of repair, not of tuning."
     if found is None:

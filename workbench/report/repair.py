@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from functools import partial
 
 from workbench.model.results import Outcome, Repair
-from workbench.model.study import Study
+from workbench.model.study import CaseResult, Study
 from workbench.model.titles import KPI_ROWS
+from workbench.report.judge import base_case
+from workbench.report.standing import held_by_stiction
 from workbench.report.tables import Cell, Row, Table, shown
 from workbench.report.words import change, controller_words, figure, setting
 
@@ -16,6 +19,7 @@ __all__ = ["repair_sentence", "repair_tables", "repair_text"]
 FIGURES = ("error_variance", "mean_square_error", "valve_travel", "controller_travel", "reversals", "iae")
 WORTH_NAMING = 0.05  # share of the error below which repair is not said to remove anything
 NOTHING = 1e-9  # EU^2: an error this small is none
+UNSTABLE = "unstable"
 
 
 def repair_tables(study: Study) -> list[Table]:
@@ -35,11 +39,26 @@ def repair_tables(study: Study) -> list[Table]:
         )
         for name, unit in (("Kc", "%/EU"), ("Ti", "EU s/%" if parallel else "s"), ("Td", "% s/EU" if parallel else "s"))
     ]
-    rows.append(Row("J", "", tuple(Cell(figure(o.objective)) for o in outcomes), group=True))
+    falls = held_by_stiction(_present(study).standing)
+
+    def cells(text: Callable[[Outcome], str]) -> tuple[Cell, ...]:
+        # Figures of a loop that grows without bound tell how long the run is, and nothing else.
+        return tuple(Cell(UNSTABLE if falls and o is repair.repaired else text(o)) for o in outcomes)
+
+    rows.append(Row("J", "", cells(lambda o: figure(o.objective)), group=True))
     for name, title, unit, _ in KPI_ROWS:
         if name in FIGURES:
-            rows.append(Row(title, unit, tuple(Cell(shown(name, float(getattr(o.kpis, name)))) for o in outcomes)))
+            rows.append(Row(title, unit, cells(partial(_shown, name))))
     return [Table(heads, tuple(rows)), _cases_table(study)]
+
+
+def _shown(name: str, outcome: Outcome) -> str:
+    return shown(name, float(getattr(outcome.kpis, name)))
+
+
+def _present(study: Study) -> CaseResult:
+    """Return the case of the present tuning."""
+    return base_case(study) or study.cases[0]
 
 
 def _cases_table(study: Study) -> Table:
@@ -53,10 +72,11 @@ def _cases_table(study: Study) -> Table:
         if case.repaired is None:
             continue
         sticky = Outcome(case.loop.controller, math.nan, case.run.kpis)
+        falls = held_by_stiction(case.standing)
         cells = [
             Cell(
-                change(of(case.repaired), of(sticky)),
-                f"{figure(of(sticky))} sticky, {figure(of(case.repaired))} repaired",
+                UNSTABLE if falls else change(of(case.repaired), of(sticky)),
+                f"{figure(of(sticky))} sticky{'' if falls else f', {figure(of(case.repaired))} repaired'}",
             )
             for _, of in columns
         ]
@@ -64,8 +84,11 @@ def _cases_table(study: Study) -> Table:
     return Table(tuple(head for head, _ in columns), tuple(rows))
 
 
-def repair_text(repair: Repair) -> list[str]:
-    """Return the sentences of the report's section."""
+def repair_text(study: Study) -> list[str]:
+    """Return the sentences of the report's section, none where the study does not ask what repair is worth."""
+    repair = study.repair
+    if repair is None:
+        return []
     best, repaired = repair.best, repair.best_repaired
     settings = (
         f"{controller_words(best.controller, repair.tuned.digits)} with the sticky valve, "
@@ -74,7 +97,7 @@ def repair_text(repair: Repair) -> list[str]:
     what = (
         "The same experiment with an ideal valve in place of the sticky one, at the present tuning and at the best one"
     )
-    text = [f"{what}: {settings}, searched for within the same bounds and for the same J.", _limit(repair)]
+    text = [f"{what}: {settings}, searched for within the same bounds and for the same J.", _limit(study, repair)]
     text += [
         f"The search with the {what} valve ended as “{one.status.value}”: its best tuning is the best found so far."
         for what, one in (("sticky", repair.tuned), ("repaired", repair.tuned_repaired))
@@ -83,8 +106,10 @@ def repair_text(repair: Repair) -> list[str]:
     return text
 
 
-def _limit(repair: Repair) -> str:
+def _limit(study: Study, repair: Repair) -> str:
     """Say which share of the error no tuning removes."""
+    alone = any(case.tuned is repair.tuned and held_by_stiction(case.standing) for case in study.cases)
+    sticky = f"the sticky valve{' (a loop that only stiction holds)' if alone else ''}"
     best, repaired = repair.best.kpis, repair.best_repaired.kpis
     left = best.mean_square_error
     if not math.isfinite(left) or left < NOTHING:
@@ -92,23 +117,29 @@ def _limit(repair: Repair) -> str:
     share = repair.share("mean_square_error")
     if share < WORTH_NAMING:
         return (
-            f"In this experiment the best tuning for the sticky valve does as well as a repair: mean square error "
+            f"In this experiment the best tuning for {sticky} does as well as a repair: mean square error "
             f"{figure(left)} EU² against {figure(repaired.mean_square_error)} EU². One run without further "
             "disturbances flatters it: where the setpoint lies between two of the valve's steps, the loop cycles."
         )
     variance = repair.share("error_variance")
     also = "" if math.isnan(variance) else f" ({figure(100.0 * variance, 2)} % of the error variance)"
     return (
-        f"Of the mean square error that the best tuning found for the sticky valve leaves ({figure(left)} EU²), "
+        f"Of the mean square error that the best tuning found for {sticky} leaves ({figure(left)} EU²), "
         f"{figure(100.0 * share, 2)} % goes only with the repair{also}: {figure(repaired.mean_square_error)} EU² "
         "remain with the repaired valve at its own best tuning."
     )
 
 
-def repair_sentence(repair: Repair, present: str) -> str:
-    """Return the summary's sentence. present: the name of the case of the present tuning."""
-    was, now = repair.present.kpis, repair.repaired.kpis
-    text = f"What repair is worth: with an ideal valve {present} has mean square error "
+def repair_sentence(study: Study) -> str:
+    """Return the summary's sentence, "" where the study does not ask what repair is worth."""
+    repair = study.repair
+    if repair is None:
+        return ""
+    was, now, case = repair.present.kpis, repair.repaired.kpis, _present(study)
+    lead = f"What repair is worth: with an ideal valve {case.name}"
+    if held_by_stiction(case.standing):
+        return f"{lead} is unstable. {_limit(study, repair)}"
+    text = f"{lead} has mean square error "
     text += f"{figure(now.mean_square_error)} EU² instead of {figure(was.mean_square_error)} EU², valve travel "
     text += f"{figure(now.valve_travel)} % instead of {figure(was.valve_travel)} %."
-    return f"{text} {_limit(repair)}"
+    return f"{text} {_limit(study, repair)}"

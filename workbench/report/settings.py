@@ -11,7 +11,7 @@ from workbench.model.results import Kpis
 from workbench.model.site import SiteCase, SiteForm, SiteSettings
 from workbench.model.study import CaseResult, Study
 from workbench.model.titles import kpi_title
-from workbench.report.judge import base_case, late_words, measure, refused, settling_doubt, typed_case
+from workbench.report.judge import base_case, late_words, measure, refused, settling_band, settling_doubt, typed_case
 from workbench.report.shared import CONTROLLER_ROWS
 from workbench.report.tables import Cell, Row, Table, shown
 from workbench.report.words import change, controller_words, figure, join, setting
@@ -167,6 +167,7 @@ def _effect(study: Study, cases: list[CaseResult], kpis: list[Kpis], costs: list
             continue
         doubts = [""] * len(cases)
         if name == "settling_time":
+            unit = settling_band(cases[-1], study.experiment)
             doubts = [settling_doubt(case, study.experiment, one) for case, one in zip(cases, kpis, strict=True)]
         cells = [Cell(shown(name, value), doubt) for value, doubt in zip(values, doubts, strict=True)]
         if len(cases) > 1:

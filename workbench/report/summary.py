@@ -11,12 +11,14 @@ from workbench.report.cascade_advice import cascade_advice, cascade_confidence, 
 from workbench.report.cascade_settings import cascade_base, cascade_rounding, cascade_table
 from workbench.report.confidence import Confidence, confidence, watch
 from workbench.report.cycles import cycle_sentences
-from workbench.report.estimates import estimate_advice, estimate_sentences, hint
+from workbench.report.estimates import estimate_advice, estimate_sentences
 from workbench.report.judge import base_case, best_case, on_bounds, source_of
+from workbench.report.known import gain_doubt, hint
 from workbench.report.over_ensemble import robust_advice, robust_choice
 from workbench.report.plain_truth import lasting
 from workbench.report.reference import reference_sentences
 from workbench.report.settings import as_found_as_left, refused_sentences, rounding_sentences
+from workbench.report.standing import held_by_stiction
 from workbench.report.tables import Table
 from workbench.report.words import capital, join
 
@@ -60,11 +62,13 @@ def summarise(study: Study) -> Summary:
         found += cycle_sentences(study) + reference_sentences(study) + _bound_sentences(study)
         robust = robust_advice(study)
         choice = robust_choice(study)
-        if choice is None:
+        if refusal := _refusal(study):
+            advice = Advice(refusal)
+        elif choice is None:
             advice = case_advice(study)
         else:
             advice = Advice(robust[0], choice, tuple(robust[1:]), tuple(lasting(study, choice)))
-        if doubt := _hint(study, advice):
+        if not refusal and (doubt := _hint(study, advice)):
             advice = replace(advice, decision=f"{advice.decision} {capital(doubt)}.")
     if study.cascade:
         found += cascade_sentences(study)
@@ -96,11 +100,25 @@ def summarise(study: Study) -> Summary:
     )
 
 
+def _refusal(study: Study) -> str:
+    """Return why none of the tunings is advised, where they rest on a record that does not show the plant's gain."""
+    for named in (source_of(study, case) for case in study.cases):
+        if named is not None and (doubt := gain_doubt(named.found)):
+            return (
+                f"Set none of these tunings: the record of {named.name} {doubt}. Take one in which OP clearly moves PV."
+            )
+    return ""
+
+
 def _hint(study: Study, advice: Advice) -> str:
     """Return why the decision is no more than a hint, where it rests on an estimate that leaves the loop in doubt."""
     case = advice.case or best_case(study)
     named = source_of(study, case) if isinstance(case, CaseResult) else None
-    return "" if named is None else hint(named.found, "these tunings" if advice.case is None else "this tuning")
+    if named is None or not isinstance(case, CaseResult):
+        return ""
+    # A decision for what only stiction holds says so itself.
+    standing = None if held_by_stiction(case.standing) else case.standing
+    return hint(named.found, "these tunings" if advice.case is None else "this tuning", standing)
 
 
 def _bound_sentences(study: Study) -> list[str]:

@@ -123,7 +123,7 @@ def _case_rows(study: Study, block: Sequence[CaseResult], decimals: dict[str, in
         for case, value in zip(block, values, strict=True):
             small = doubts[case.name]
             if name in case.reference:
-                small = f"publ. {printed(name, case.reference[name], decimals[name])}"
+                small = "; ".join(filter(None, (small, f"publ. {printed(name, case.reference[name], decimals[name])}")))
             mark = less and len(study.cases) > 1 and value == best and math.isfinite(value) and case in fit
             cells.append(Cell(shown(name, value), small, mark))
         rows.append(Row(title, unit, tuple(cells), group=first))

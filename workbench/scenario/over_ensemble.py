@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
+from workbench.model.controller import PID
 from workbench.model.ensemble import Constraints, Ensemble
 from workbench.model.front import Front
 from workbench.model.results import Tuned
@@ -40,10 +41,17 @@ def with_robustness(
     return found
 
 
-def front_of(cases: Sequence[CaseResult], jobs: Sequence[CaseJob], ensemble: Ensemble, progress: Progress) -> Front:
+def front_of(
+    cases: Sequence[CaseResult],
+    jobs: Sequence[CaseJob],
+    ensemble: Ensemble,
+    progress: Progress,
+    also: Sequence[PID] = (),
+) -> Front:
     """Return the trade-off in the widest bounds of the robust tunings, under the first one's other wishes.
 
-    Without any: under the first case's controller, in the bounds and constraints that `pareto_front` takes itself.
+    also: controllers beside those of the cases that must not lie below it. Without any robust tuning: under the first
+    case's controller, in the bounds and constraints that `pareto_front` takes itself.
     """
     robust = [job for job in jobs if job.tune is not None and job.tune.robust is not None]
     present = cases[0].loop
@@ -63,7 +71,7 @@ def front_of(cases: Sequence[CaseResult], jobs: Sequence[CaseJob], ensemble: Ens
         ensemble,
         constraints,
         bounds,
-        known=[case.loop.controller for case in cases],
+        known=[*(case.loop.controller for case in cases), *also],
         seed=seed,
         digits=digits,
         progress=progress,

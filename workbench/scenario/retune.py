@@ -5,15 +5,16 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 
+from workbench.analyze.standing import standing
 from workbench.errors import InvalidValue, RecordError
 from workbench.model.controller import PID
 from workbench.model.experiment import Experiment, Step
 from workbench.model.loop import Loop
 from workbench.model.plant import FOPDT, Plant
-from workbench.model.results import Estimate, SolveStatus, Tuned
+from workbench.model.results import Estimate, SolveStatus, Standing, Tuned
 from workbench.model.rule import Simc
 from workbench.model.tuning import Bounds, Objective
-from workbench.report.estimates import gain_doubt, hint
+from workbench.report.known import gain_doubt, hint
 from workbench.scenario.controllers import fitting_action, ruled, wrong_way
 from workbench.scenario.plan import CaseJob, Scenario, TuneJob
 from workbench.scenario.runner import Progress, for_plant, run_scenario, tune_case
@@ -51,11 +52,12 @@ class Wishes:
 
 @dataclass(frozen=True, eq=False)
 class Retuned:
-    """A tuning under its name, with what was assumed to find it, in words."""
+    """A tuning under its name, with what was assumed to find it, in words, and how it holds its loop by itself."""
 
     name: str
     tuned: Tuned
     assumed: tuple[str, ...] = ()
+    standing: Standing | None = None
 
 
 def tune_scenario(plan: Scenario, wishes: Wishes, progress: Progress | None = None) -> list[Retuned]:
@@ -63,7 +65,7 @@ def tune_scenario(plan: Scenario, wishes: Wishes, progress: Progress | None = No
 
     Wishes go before the scenario's own objective, bounds and seed. Ends with a tuning that was interrupted. Raises
     `InvalidValue` where there is no loop or experiment, or the wishes belong to a record's loop, and what tuning and
-    estimating raise.
+    estimating raise; `RecordError` where the scenario's record does not show the plant's gain.
     """
     for name in ("step", "duration", "action"):
         if getattr(wishes, name) is not None:
@@ -75,7 +77,7 @@ def tune_scenario(plan: Scenario, wishes: Wishes, progress: Progress | None = No
         )
     if not plan.cases or experiment is None:
         raise InvalidValue(str(plan.path), "no case and experiment", "needs both, to know controller and task")
-    base, cases, notes = _loop(plan, progress)
+    base, cases, notes, source = _loop(plan, progress)
     jobs = [case for case in cases if case.tune is not None]
     if not jobs:
         first = cases[0]
@@ -98,7 +100,9 @@ def tune_scenario(plan: Scenario, wishes: Wishes, progress: Progress | None = No
         as_case = own.robust.as_case if own.robust is not None else ""
         known = {as_case: _controller(as_case, base, cases, found)} if as_case else {}
         tuned = tune_case(base.with_controller(controller), experiment, job, progress, known)
-        found.append(Retuned(case.name, tuned, notes))
+        stands = _standing(tuned, source)
+        doubt = hint(source, standing=stands)
+        found.append(Retuned(case.name, tuned, (*notes, *((doubt,) if doubt else ())), stands))
         if tuned.status is SolveStatus.INTERRUPTED:
             break
     return found
@@ -114,16 +118,34 @@ def _controller(name: str, base: Loop, cases: tuple[CaseJob, ...], found: list[R
     return ruled(base, _controller(case.base, base, cases, found) if case.base else case.controller, case.rule)
 
 
-def _loop(plan: Scenario, progress: Progress | None) -> tuple[Loop, tuple[CaseJob, ...], tuple[str, ...]]:
-    """Return the loop, the cases with the action that it needs, and notes on what was assumed."""
+def _standing(tuned: Tuned, source: Estimate | None) -> Standing | None:
+    """Return how a tuning holds its loop by itself; source: the estimate of a plant's record that is the loop."""
+    loop = tuned.loop.with_controller(tuned.controller)
+    return standing(loop, None if source is None else source.intervals)
+
+
+def _loop(
+    plan: Scenario, progress: Progress | None
+) -> tuple[Loop, tuple[CaseJob, ...], tuple[str, ...], Estimate | None]:
+    """Return the loop, the cases with the action that it needs, notes on what was assumed, and a record's estimate."""
     if plan.loop is not None:
-        return plan.loop, plan.cases, plan.warnings
+        return plan.loop, plan.cases, plan.warnings, None
     study = run_scenario(replace(plan, cases=(), estimates=plan.estimates[:1]), progress=progress)
     named = study.estimates[0]
-    found, doubt = named.found, hint(named.found) if named.truth is None else ""
+    found = named.found
+    if named.truth is None:
+        _refuse_blind(found)
     cases, notes = for_plant(plan.cases, found.plant)
     loop = Loop(found.plant, found.valve, cases[0].controller, found.record.sample_time, plan.pv_range)
-    return loop, cases, (*notes, *_coarse(loop), *((doubt,) if doubt else ()))
+    return loop, cases, (*notes, *_coarse(loop)), found if named.truth is None else None
+
+
+def _refuse_blind(found: Estimate) -> None:
+    """Raise `RecordError` for an estimate whose record does not show the plant's gain."""
+    if doubt := gain_doubt(found):
+        raise RecordError(
+            f"{found.record.source or 'record'}: the record {doubt}; take one in which OP clearly moves PV"
+        )
 
 
 def _coarse(loop: Loop) -> tuple[str, ...]:
@@ -150,11 +172,7 @@ def tune_found(found: Estimate, wishes: Wishes, progress: Progress | None = None
     half way, a load step of half that size at the plant's input; D on PV. What was assumed is said in the result.
     Raises `RecordError` where the record does not show the plant's gain, and what tuning raises.
     """
-    doubt = gain_doubt(found)
-    if doubt:
-        raise RecordError(
-            f"{found.record.source or 'record'}: the record {doubt}; take one in which OP clearly moves PV"
-        )
+    _refuse_blind(found)
     plant, Ts = found.plant, found.record.sample_time
     lag = max(plant.dead_time, Ts)
     scale = (plant.time_constant if isinstance(plant, FOPDT) else 4.0 * lag) + lag
@@ -198,15 +216,17 @@ def tune_found(found: Estimate, wishes: Wishes, progress: Progress | None = None
     )
     verdict = {"stiction": "the valve sticks", "no_stiction": "no stiction"}.get(found.verdict, "")
     wrong = wrong_way(plant, replace(start, Kc=1.0))
+    tuned = tune_case(loop, experiment, job, progress)
+    stands = _standing(tuned, found)
     assumed = (
-        f"the record's loop: {'; '.join(words for words in (verdict, hint(found)) if words)}",
+        f"the record's loop: {'; '.join(words for words in (verdict, hint(found, standing=stands)) if words)}",
         task,
         f"bounds {searched}",
         f"{action} action, derivative on PV",
         *(() if wrong is None else (wrong,)),
         *_coarse(loop),
     )
-    return Retuned("Tuned for the record's loop", tune_case(loop, experiment, job, progress), assumed)
+    return Retuned("Tuned for the record's loop", tuned, assumed, stands)
 
 
 def _usual_step(found: Estimate, plant: Plant, scale: float) -> float:

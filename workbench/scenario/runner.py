@@ -15,6 +15,7 @@ from workbench.analyze.agreement import agreement
 from workbench.analyze.cycle_map import cycle_map, map_ranges
 from workbench.analyze.describing_function import describing_function
 from workbench.analyze.limit_cycle import limit_cycle
+from workbench.analyze.standing import standing
 from workbench.analyze.valve_loci import no_locus
 from workbench.errors import ScenarioError, WorkbenchError
 from workbench.model.controller import PID
@@ -25,7 +26,7 @@ from workbench.model.front import RobustRepair
 from workbench.model.loop import Loop
 from workbench.model.plant import Plant
 from workbench.model.record import Record
-from workbench.model.results import Repair, SolveStatus, Tuned
+from workbench.model.results import Intervals, Repair, SolveStatus, Tuned
 from workbench.model.study import CaseResult, NamedEstimate, Study
 from workbench.model.tuning import Objective
 from workbench.scenario.controllers import fitting_action, ruled, wrong_way
@@ -74,6 +75,7 @@ class _Runner:
         self.times: dict[str, float] = {}
         self.detections: list[Detection] = []
         self.done = 0.0
+        self.ranges: Intervals | None = None  # of the plant, where it is an estimate
         cases = sum(_SHARE["case"] + (_SHARE["tune"] if case.tune is not None else 0.0) for case in plan.cases)
         searches = 0.0
         if plan.repair:
@@ -94,7 +96,7 @@ class _Runner:
         if loop is None and jobs:
             jobs, said = for_plant(jobs, estimates[0].found.plant)
             notes += said
-            loop = self._found_loop(estimates[0], jobs[0])
+            loop, self.ranges = self._found_loop(estimates[0], jobs[0]), estimates[0].found.intervals
             note = loop.sampling_note()
             if note is not None:
                 notes.append(f"Coarse sampling: {note}.")
@@ -103,16 +105,9 @@ class _Runner:
             for job in jobs:
                 cases.append(self._case(job, loop, cases))
             cases += self._nearest(cases)
-        front = None
         if plan.ensemble is not None and cases:
             with self._stage("ensemble", "ensemble", _SHARE["case"]) as progress:
-                ensemble = plan.ensemble.of(cases[0].loop)
-                cases = with_robustness(cases, ensemble, plan.objective, progress)
-            if plan.tradeoff:
-                with self._stage("trade-off", "analyze.tradeoff", 2.0 * _SHARE["tune"]) as progress:
-                    front = front_of(cases, jobs, ensemble, progress)
-                if front.status is SolveStatus.INTERRUPTED:
-                    raise KeyboardInterrupt
+                cases = with_robustness(cases, plan.ensemble.of(cases[0].loop), plan.objective, progress)
         mapped = None
         if plan.cycle_map is not None and cases:
             with self._stage("map", "analyze.map", _SHARE["map"]) as progress:
@@ -124,6 +119,14 @@ class _Runner:
             else:
                 repair = self._repair(cases)
                 robust_repair = self._robust_repair(cases)
+        front = None
+        if plan.tradeoff and plan.ensemble is not None and cases:
+            # The best tuning of the repaired valve must not lie below the front.
+            also = () if robust_repair is None else (robust_repair.tuned_repaired.controller,)
+            with self._stage("trade-off", "analyze.tradeoff", 2.0 * _SHARE["tune"]) as progress:
+                front = front_of(cases, jobs, plan.ensemble.of(cases[0].loop), progress, also)
+            if front.status is SolveStatus.INTERRUPTED:
+                raise KeyboardInterrupt
         if self.tell is not None:
             self.tell("done", 1.0)
         return Study(
@@ -225,6 +228,7 @@ class _Runner:
             note=job.note,
             rule=job.rule,
             repaired=repaired,
+            standing=standing(loop, self.ranges),
         )
 
     def _nearest(self, cases: Sequence[CaseResult]) -> list[CaseResult]:

@@ -163,7 +163,8 @@ def estimate_record(text: str, folder: str, progress: Progress) -> Found:
     from workbench.estimate.estimate import estimate
     from workbench.model.study import NamedEstimate
     from workbench.report.detections import detection_table, detection_words
-    from workbench.report.estimates import estimate_sentences, estimate_table, known_sentences
+    from workbench.report.estimates import estimate_sentences, estimate_table
+    from workbench.report.known import known_sentences
     from workbench.scenario.controllers import fitting_action
 
     progress("reading", 0.0)
