@@ -13,7 +13,15 @@ from workbench.model.detection import Oscillation
 from workbench.model.record import FloatArray, Record
 from workbench.record.modes import manual_share
 
-__all__ = ["FEWEST_SAMPLES", "constant", "dead_signal", "other_causes", "refuse_unusable", "steady_stretches"]
+__all__ = [
+    "FEWEST_SAMPLES",
+    "RESOLVED",
+    "constant",
+    "dead_signal",
+    "other_causes",
+    "refuse_unusable",
+    "steady_stretches",
+]
 
 FEWEST_SAMPLES = 30
 STILL = 1e-9  # of a signal's size, which counts as this much at least (EU, %): a signal that moves by less is constant
@@ -80,8 +88,9 @@ def dead_signal(record: Record) -> str:
     width = float(np.ptp(record.op))
     if width < RESOLVED:
         return (
-            f"OP moved over {width:.2g} % of travel only, less than a valve resolves ({RESOLVED:g} %): a longer record "
-            "or a setpoint move would tell about the valve"
+            f"OP moved over {width:.2g} % of travel only, less than a valve resolves ({RESOLVED:g} %): give its range "
+            "if it is in another unit, such as a fraction of 1; else a longer record or a setpoint move would tell "
+            "about the valve"
         )
     moves = int(np.count_nonzero(np.diff(record.op)))
     if moves <= Thresholds().few:

@@ -47,9 +47,10 @@ def detect(record: Record, *, bicoherence: bool = False, fitted: Fitted | None =
     bicoherence: also the bicoherence of SP - PV with its indices and the ellipse of PV against OP, which want long
     records. fitted: a valve (Stenman, Choudhury or Deadband) and its stem (%, shape (N,)) from a model of the loop,
     which the stem test tries too; where it leaves no doubt, no others are tried and `test.wide` is nan. A PV that is
-    recorded later than the controller saw it is looked at as that did (`pv_late`), and values of PV that stand out from
-    their neighbours alone are left out (`detect.spikes`). Raises `RecordError` for fewer than 30 samples or values that
-    no plant has, and `InvalidValue` for anything that is not a record, or for a valve or a stem that cannot be tried.
+    recorded later than the controller saw it is looked at as that did (`pv_late`), and values of PV or OP that stand
+    out from their neighbours alone are left out (`detect.spikes`). Raises `RecordError` for fewer than 30 samples or
+    values that no plant has, and `InvalidValue` for anything that is not a record, or for a valve or a stem that cannot
+    be tried.
     """
     if not isinstance(record, Record):
         raise InvalidValue("detect.record", type(record).__name__, "must be a Record (see read_record)")
@@ -62,7 +63,7 @@ def detect(record: Record, *, bicoherence: bool = False, fitted: Fitted | None =
     found = _detected(seen, bicoherence, fitted)
     if late.perhaps and found.verdict == "no_stiction" and found.stem is None:
         found = replace(found, verdict="undecided", reasons=(PERHAPS_LATE, *found.reasons))
-    said = words_of_late(record, late) + words_of_spikes(record, seen)
+    said = words_of_late(record, late) + words_of_spikes(record)
     return replace(found, record=record, reasons=found.reasons + said, pv_late=late.samples * record.sample_time)
 
 
