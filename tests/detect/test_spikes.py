@@ -160,8 +160,9 @@ def test_what_the_controller_answers_a_sensors_spike_stays(seed: int, size: floa
 
 
 def test_no_verdict_names_a_band_that_no_valve_has() -> None:
-    record = sticky(0)
-    counts = replace(record, op=40.0 * (record.op - 40.0))
+    whole = sticky(0)
+    record = wb.Record(whole.pv[:300], whole.op[:300], 1.0)
+    counts = replace(record, op=60.0 * (record.op - 40.0))
     for found in (wb.detect(counts), wb.estimate(counts)):
         assert found.verdict == "undecided"
         assert "no valve travels so far: give OP's range" in " ".join(found.reasons)

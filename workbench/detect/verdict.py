@@ -99,7 +99,7 @@ __all__ = [
 DUST = 1e-20  # share of PV's variance that is rounding, left or not
 TRAVEL = 100.0  # %, all of a valve's
 NO_VALVE = (
-    "no valve travels so far: give OP's range if it is in another unit, or look for values of OP that were not sent"
+    "no valve travels so far: give OP's range if it has another unit, or look for values of OP that were not sent"
 )
 
 
