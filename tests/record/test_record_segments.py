@@ -218,8 +218,11 @@ def test_a_pv_in_another_unit_than_its_range_is_refused(tmp_path: Path) -> None:
 def test_swapped_columns_are_refused_unless_insisted_on(tmp_path: Path) -> None:
     sp = np.repeat([250.0, 251.0], 100)
     path = write(tmp_path, {"SP": sp, "PV": noise(200) - 10.0, "OP": sp + noise(200, 1) - 50.0})
-    with pytest.raises(RecordError, match=r"goes with 'OP', read as OP, and not with 'PV'.*swapped\?.*tags=\{'PV'"):
+    with pytest.raises(RecordError, match=r"goes with 'OP', read as OP, and not with 'PV'.*swapped\?") as refused:
         read_record(path)
+    assert "If so, give columns={'PV': 'OP', 'OP': 'PV'}; if they are right as they are, columns={'PV': 'PV'" in str(
+        refused.value
+    )
     assert len(read_record(path, columns={"PV": "OP", "OP": "PV"})) == 200
     assert len(read_record(path, columns={"PV": "PV", "OP": "OP"})) == 200
 

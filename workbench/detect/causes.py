@@ -41,7 +41,9 @@ def refuse_unusable(record: Record, purpose: str) -> None:
     """
     where, n = record.source or "record", len(record)
     if n < FEWEST_SAMPLES:
-        msg = f"{where}: {n} samples given; at least {FEWEST_SAMPLES} are needed to {purpose}"
+        lost = record.notes if n < record.counts.get("rows", n) else ()
+        why = "".join(f"; {note}" for note in lost if not note.startswith("first timestamp"))
+        msg = f"{where}: {n} samples given; at least {FEWEST_SAMPLES} are needed to {purpose}{why}"
         raise RecordError(msg)
     for name, signal in (("SP", record.sp), ("PV", record.pv), ("OP", record.op)):
         largest = 0.0 if signal is None else float(np.abs(signal).max())

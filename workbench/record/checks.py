@@ -177,7 +177,7 @@ def op_said(op: FloatArray, scaled: bool) -> list[str]:
         )
     elif not scaled and low >= 0.0 and high <= 1.0 and high > low:
         notes.append(f"OP runs from {low:.4g} to {high:.4g} %: give its range, 0 to 1, if it is a fraction")
-    if high > low:
+    if high > low and op.size >= SHORTEST:
         for value, which in ((high, "highest"), (low, "lowest")):
             share = float(np.mean(op == value))
             if share >= LIMITED:

@@ -317,9 +317,10 @@ def _record(
         raise RecordError(msg)
     if not named and best.sp is not None and swapped(best.sp, best.pv, best.op):
         pv, op = signals.by["PV"].name, signals.by["OP"].name
+        way = f"{signals.what}s={{'PV': %r, 'OP': %r}}"
         msg = (
-            f"{source}: the setpoint goes with {op!r}, read as OP, and not with {pv!r}, read as PV: swapped? Say which "
-            f"is which, PV and OP both, for example tags={{'PV': {pv!r}, 'OP': {op!r}}}"
+            f"{source}: the setpoint goes with {op!r}, read as OP, and not with {pv!r}, read as PV: swapped? If so, "
+            f"give {way % (op, pv)}; if they are right as they are, {way % (pv, op)}"
         )
         raise RecordError(msg)
     notes += held_said(best.pv, best.op, np.ones(len(best), dtype=bool)) if samples.even else []
