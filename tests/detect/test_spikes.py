@@ -10,6 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import workbench as wb
+from workbench.detect.causes import beyond_op
 from workbench.detect.spikes import MOST, op_spikes_of, spikes_of
 from workbench.model.record import FloatArray
 
@@ -157,6 +158,17 @@ def test_what_the_controller_answers_a_sensors_spike_stays(seed: int, size: floa
     op[550] += 20.0
     assert np.flatnonzero(op_spikes_of(replace(record, op=op))).tolist() == [550]
     assert not op_spikes_of(replace(record, op=op, valve_position=op)).any()
+
+
+def test_a_band_rests_on_more_than_a_few_values_of_op() -> None:
+    cycle = 45.0 + np.abs((np.arange(600.0) % 80.0) - 40.0) / 20.0
+    assert not beyond_op(cycle, 2.0)
+    cycle[300:320] = 0.0  # too long for a spike, as a line that is down
+    assert not beyond_op(cycle, 2.0)
+    said = beyond_op(cycle, 46.0)
+    assert said.startswith("a band of 46 % fits best, yet OP usually moves over 1.8")
+    assert "were they sent?" in said
+    assert "no valve travels so far" in beyond_op(100.0 * cycle, 120.0)
 
 
 def test_no_verdict_names_a_band_that_no_valve_has() -> None:

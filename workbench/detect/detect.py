@@ -11,7 +11,7 @@ import numpy as np
 from workbench.detect.action import control_error, feedback, gain_sign
 from workbench.detect.answer import answer_of
 from workbench.detect.bicoherence import bicoherence_of, ellipse_of
-from workbench.detect.causes import constant, dead_signal, other_causes, steady_stretches
+from workbench.detect.causes import beyond_op, constant, dead_signal, other_causes, steady_stretches
 from workbench.detect.correlation import cross_correlation, histogram_fit
 from workbench.detect.direct import stem_evidence
 from workbench.detect.evidence import statistics_of
@@ -94,6 +94,8 @@ def _detected(record: Record, bicoherence: bool, fitted: Fitted | None) -> Detec
     test = stem_test(record.pv, record.op, record.sp, record.sample_time, period, gain_sign(record), fitted)
     stem = None if record.valve_position is None else stem_evidence(record.op, record.valve_position)
     verdict, reasons = ("undecided", [dead]) if dead else decide(whole, test, stem)
+    if verdict == "stiction" and stem is None and (wide := beyond_op(record.op, test.band)):
+        verdict, reasons = "undecided", [wide, *reasons]
     if verdict == "no_stiction" and follows(test) < Thresholds().seen and feedback(record)[0] < ACTS:
         verdict = "undecided"
         reasons = ["neither does PV follow OP nor OP the error: the record does not show a loop at work"]

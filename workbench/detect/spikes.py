@@ -15,10 +15,9 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from workbench.detect.verdict import TRAVEL
 from workbench.model.record import FloatArray, Record
 
-__all__ = ["op_spikes_of", "spikes_of", "without_op_spikes", "without_spikes", "words_of_spikes"]
+__all__ = ["TRAVEL", "op_spikes_of", "spikes_of", "without_op_spikes", "without_spikes", "words_of_spikes"]
 
 LONGEST = 3  # samples of one spike
 # Normal noise stands out by so many of its standard deviations once in some 1e8 samples.
@@ -34,6 +33,7 @@ QUANTILE, QUANTILE_AROUND, OF_NOISE, OF_NOISE_AROUND = 90.0, 80.0, 1.645 * 1.5**
 # recorded some samples late.
 BEFORE, AFTER = 2, 10
 EXPLAINED = 0.05  # of a jump: a coarse PV tells roughly how the controller answers; by chance less of a large jump
+TRAVEL = 100.0  # %, all of a valve's: no controller sends a larger jump
 RARELY = 99.0  # percentile of SP's moves: a larger one is a step
 
 _OF_PV = (
@@ -153,6 +153,10 @@ def words_of_spikes(record: Record) -> tuple[str, ...]:
     ):
         count = int(np.count_nonzero(spikes))
         if count:
-            many = f"1 sample of {name} stands" if count == 1 else f"{count} samples of {name} stand"
-            said.append(f"{many} out from its neighbours{told}")
+            many = (
+                f"1 sample of {name} stands out from its"
+                if count == 1
+                else f"{count} samples of {name} stand out from their"
+            )
+            said.append(f"{many} neighbours{told}")
     return tuple(said)

@@ -83,8 +83,6 @@ from workbench.detect.oscillation import no_period
 from workbench.model.detection import Oscillation, StemEvidence, StemTest
 
 __all__ = [
-    "NO_VALVE",
-    "TRAVEL",
     "Thresholds",
     "accuses",
     "beyond_chance",
@@ -97,10 +95,6 @@ __all__ = [
 ]
 
 DUST = 1e-20  # share of PV's variance that is rounding, left or not
-TRAVEL = 100.0  # %, all of a valve's
-NO_VALVE = (
-    "no valve travels so far: give OP's range if it has another unit, or look for values of OP that were not sent"
-)
 
 
 @dataclass(frozen=True, slots=True)
@@ -178,8 +172,6 @@ def decide(
     )
     played = test.loaded < limits.chance
     waved = test.waved < limits.chance
-    if accuses(test, limits) and test.band > TRAVEL:
-        return "undecided", [f"{beats}; {NO_VALVE}", f"{both}; {linear}"]
     if accuses(test, limits):
         kind = "the stem slips as it sets off" if test.jump > 0.1 * test.band else "a dead band without visible slip"
         return "stiction", [f"{beats}: {kind}", f"{both}; {linear}"]

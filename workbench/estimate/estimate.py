@@ -8,6 +8,7 @@ from dataclasses import replace
 from functools import reduce
 from typing import NamedTuple
 
+from workbench.detect.causes import beyond_op
 from workbench.detect.late import as_seen, earlier, words_of_late
 from workbench.detect.spikes import words_of_spikes
 from workbench.errors import InvalidValue
@@ -112,6 +113,8 @@ def estimate(
         found = _searched(seen, plant, asked, lambda share: tell(share / shares))
     answer = _told(seen, found, asked, lambda share: tell(1.0 - (1.0 - share) / shares))
     said += words_of_late(record, late) + words_of_spikes(record)
+    if answer.verdict == "stiction" and (wide := beyond_op(seen.op, answer.valve.stick_band)):
+        answer = replace(answer, verdict="undecided", identifiable=False, reasons=(wide, *answer.reasons))
     tell(1.0)
     return replace(
         answer,

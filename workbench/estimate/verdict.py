@@ -10,7 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from workbench.detect.causes import RESOLVED
-from workbench.detect.verdict import NO_VALVE, TRAVEL, Thresholds, excluded
+from workbench.detect.verdict import Thresholds, excluded
 from workbench.model.detection import Detection
 
 __all__ = ["ENOUGH_SLIPS", "WIDE_D", "Evidence", "agree", "judge"]
@@ -193,10 +193,8 @@ def agree(e: Evidence, verdict: str, reasons: tuple[str, ...], found: Detection)
         final = "undecided"
     else:
         final = found.verdict
-    # However well a model fits: of moves so small no valve makes anything, and none is so wide.
+    # However well a model fits: of moves so small no valve makes anything.
     if final == "stiction" and e.op_range < RESOLVED:
         final = "undecided"
-    if final == "stiction" and e.d > TRAVEL:
-        final, reasons = "undecided", (*reasons, NO_VALVE)
     model = tuple(f"by the fitted models alone: {reason}" for reason in reasons)
     return final, found.reasons + model
