@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import gc
 import sys
-from collections.abc import Generator
+from collections.abc import Generator, Iterator
 from pathlib import Path
 
 import pytest
@@ -32,6 +32,14 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
         part.sort(key=lambda item: names.index(item.path.parent.name))
     before = max(len(items) // 2 - len(first), 0)
     items[:] = first + others[:before] + second + others[before:]
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _no_word_on_compiling() -> Iterator[None]:
+    """Which test compiles a kernel first is chance, and what it says on standard error then is no test's."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("workbench.cli.tell_compiling", lambda: None)
+        yield
 
 
 @pytest.hookimpl(wrapper=True)

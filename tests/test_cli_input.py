@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import json
+from collections import defaultdict
 from pathlib import Path
 
+import numpy as np
 import pytest
 from typer.testing import CliRunner
 
 import workbench as wb
 from workbench.cli import app
+from workbench.cli_compiling import SAID, tell_compiling
 
 
 def call(*arguments: object) -> tuple[int, str, str]:
@@ -63,7 +66,9 @@ def test_a_historian_export_is_estimated_with_tags_and_ranges(folder: Path) -> N
         (["--tag", "PV"], "--tag: PV given; must be SIGNAL=NAME"),
         (["--tag", "FLOW=FIC7.MEAS"], "tags: 'FLOW' given; must be one of"),
         (["--op-range", "20:4"], "--op-range: 20:4 given; must be LOW:HIGH with LOW < HIGH"),
-        (["--op-range", "4-20"], "--op-range: 4-20 given"),
+        (["--op-range", "4-20"], "--op-range: 4-20 given; must be LOW:HIGH with LOW < HIGH, such as 4:20"),
+        (["--sample-time", "0"], "--sample-time: 0.0 given; must be a finite number > 0 s"),
+        (["--sample-time", "2,5 s"], "decimals are written with a point, such as 2.5"),
         (["--max-gap", "5"], "--max-gap: 5 given; must be a time with its unit"),
         (["--tag", "PV=FIC7.MEAS", "--pv-range", "500:600"], "PV runs from 19"),
     ],
@@ -83,6 +88,42 @@ def test_a_file_without_a_known_tag_asks_for_the_option(folder: Path) -> None:
     assert code == 2
     assert "no tag for PV; the file has 'FLOW', 'FIC7.OUT', 'FIC7.MODE', 'FIC8'" in err
     assert '--tag "PV=name in the file"' in err
+
+
+def test_names_of_the_file_stay_what_they_are(folder: Path) -> None:
+    (folder / "sample_time.csv").write_text("sample_time,sample_time_s,sp\n1,2,3\n", encoding="utf-8")
+    _, _, err = call("estimate", "sample_time.csv")
+    assert err.startswith(
+        "workbench: sample_time.csv: no column for PV and OP; the file has 'sample_time', 'sample_time_s'"
+    )
+    (folder / "even.csv").write_text("PV,OP\n1,2\n2,3\n", encoding="utf-8")
+    assert "no time column; give --sample-time" in call("estimate", "even.csv")[2]
+
+
+def test_what_the_hint_on_swapped_columns_says_mends_them(folder: Path) -> None:
+    from workbench.record.reader import read_record
+
+    rng = np.random.default_rng(0)
+    sp = np.repeat([250.0, 251.0], 100)
+    rows = zip(sp, sp + rng.normal(0.0, 0.1, 200), 40.0 + rng.normal(0.0, 1.0, 200), strict=True)
+    text = "".join(f"{k},{a},{b},{c}\n" for k, (a, b, c) in enumerate(rows))
+    (folder / "swap.csv").write_text("t,SP,OP,PV\n" + text, encoding="utf-8")
+    _, _, err = call("estimate", "swap.csv")
+    assert """If so, give --column "PV=OP" --column "OP=PV"; if they are right""" in err
+    assert read_record(folder / "swap.csv", columns={"PV": "OP", "OP": "PV"}).pv.mean() == pytest.approx(250.5, abs=0.1)
+
+
+def test_too_few_samples_say_what_became_of_the_others(folder: Path) -> None:
+    rows = "".join(f"{k},{'Bad Input' if k % 7 == 0 else k % 5},{k % 3}\n" for k in range(700))
+    (folder / "bad.csv").write_text("t,PV,OP\n" + rows, encoding="utf-8")
+    _, _, err = call("estimate", "bad.csv")
+    assert "6 samples given; at least 30 are needed to estimate a loop; 100 rows rejected: text ('Bad Input')" in err
+    assert err.strip().endswith("kept the longest clean stretch: 6 of 700 rows, lines 3 to 8")
+
+
+def test_an_option_that_does_not_fit_is_named(folder: Path) -> None:
+    _, _, err = call("estimate", "tall.csv", "--tag", "PV=FIC7.MEAS", "--start", "5")
+    assert err.startswith("workbench: --start: 5.0 given; only method 'two_step' starts")
 
 
 def test_two_loops_in_a_file_ask_for_the_option(folder: Path) -> None:
@@ -163,3 +204,17 @@ def test_a_manifest_in_csv_is_checked_too(folder: Path) -> None:
     (folder / "a.csv").write_text("PV,OP\n1,2\n", encoding="utf-8")
     (folder / "site.csv").write_text("name,file\nA,a.csv\n", encoding="utf-8")
     assert call("check", "site.csv")[:2] == (0, "site.csv: ok (1 loop)\n")
+
+
+def test_that_kernels_compile_is_said_once_on_standard_error(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    from numba.core import event
+
+    monkeypatch.setattr(event, "_registered", defaultdict(list))
+    tell_compiling.__wrapped__()
+    assert capsys.readouterr() == ("", "")
+    for _ in range(2):
+        with event.trigger_event("numba:compile"):
+            pass
+    assert capsys.readouterr() == ("", f"{SAID}\n")

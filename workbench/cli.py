@@ -17,7 +17,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from workbench import __version__, cli_compare, cli_fleet, cli_ui
-from workbench.cli_input import Reading, quantity, read_data, scenario_of, span
+from workbench.cli_compiling import tell_compiling
+from workbench.cli_input import Reading, in_options, quantity, read_data, scenario_of, span
 from workbench.errors import InvalidValue, OutputError, ScenarioError, WorkbenchError
 
 if TYPE_CHECKING:
@@ -379,14 +380,15 @@ def _found(data: Path, reading: Reading, how: How, progress: Progress) -> Estima
     """Return the estimate of a data file."""
     from workbench.estimate.estimate import estimate as estimate_record
 
-    return estimate_record(
-        read_data(data, reading),
-        method=how.method,
-        valve=how.valve,
-        plant=how.plant,
-        start=how.start,
-        progress=functools.partial(progress, "estimate"),
-    )
+    with in_options():
+        return estimate_record(
+            read_data(data, reading),
+            method=how.method,
+            valve=how.valve,
+            plant=how.plant,
+            start=how.start,
+            progress=functools.partial(progress, "estimate"),
+        )
 
 
 def _weights(text: str) -> Objective:
@@ -431,7 +433,8 @@ def _silent(words: str, share: float) -> None:
 
 @contextmanager
 def _progress() -> Iterator[Progress]:
-    """Show a progress bar on stderr while it is a terminal; else say nothing."""
+    """Show a progress bar on stderr while it is a terminal; else say nothing but that kernels compile."""
+    tell_compiling()
     if not sys.stderr.isatty():
         yield _silent
         return

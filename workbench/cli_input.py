@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -14,7 +15,7 @@ if TYPE_CHECKING:
     from workbench.model.record import Record
     from workbench.scenario.plan import Scenario
 
-__all__ = ["Reading", "quantity", "read_data", "scenario_of", "span"]
+__all__ = ["Reading", "in_options", "quantity", "read_data", "scenario_of", "span"]
 
 
 @dataclass(frozen=True)
@@ -61,25 +62,35 @@ def read_data(data: Path, reading: Reading) -> Record:
 
     ranges: dict[str, tuple[float, float] | None] = {}
     for option, text in (("--pv-range", reading.pv_range), ("--op-range", reading.op_range)):
-        ranges[option] = None if text is None else span(option, text, units.bare)
-        pair = ranges[option]
-        if pair is not None and not pair[0] < pair[1]:
-            raise InvalidValue(option, str(text), "must be LOW:HIGH with LOW < HIGH, such as 0:100")
+        ranges[option] = None if text is None else _range(option, text)
     times: dict[str, float | None] = {}
     for option, text in (("--sample-time", reading.sample_time), ("--max-gap", reading.max_gap)):
         times[option] = None if text is None else quantity(option, text, units.time)
     try:
-        return read_record(
-            data,
-            columns=_mapping("--column", reading.column) or None,
-            tags=_mapping("--tag", reading.tag) or None,
-            sample_time=times["--sample-time"],
-            pv_range=ranges["--pv-range"],
-            op_range=ranges["--op-range"],
-            max_gap=times["--max-gap"],
-        )
+        with in_options():
+            return read_record(
+                data,
+                columns=_mapping("--column", reading.column) or None,
+                tags=_mapping("--tag", reading.tag) or None,
+                sample_time=times["--sample-time"],
+                pv_range=ranges["--pv-range"],
+                op_range=ranges["--op-range"],
+                max_gap=times["--max-gap"],
+            )
     except RecordError as error:
-        raise RecordError(_as_options(str(error))) from None
+        raise RecordError(_as_options(str(error), str(data))) from None
+
+
+def _range(option: str, text: str) -> tuple[float, float]:
+    from workbench.scenario import units
+
+    try:
+        low, high = span(option, text, units.bare)
+    except InvalidValue:
+        low = high = 0.0
+    if not low < high:
+        raise InvalidValue(option, text, "must be LOW:HIGH with LOW < HIGH, such as 4:20")
+    return low, high
 
 
 def _mapping(option: str, given: Sequence[str] | None) -> dict[str, str]:
@@ -92,13 +103,32 @@ def _mapping(option: str, given: Sequence[str] | None) -> dict[str, str]:
     return out
 
 
-def _as_options(message: str) -> str:
-    """Return a reader's message with the command's options in place of the arguments of Python."""
+# What the reader's messages call its arguments, outside of quotes: there stand names of the file.
+_ARGUMENTS = {"sample_time": "--sample-time", "max_gap": "--max-gap"}
+_WORDS = re.compile(r"'[^']*'|\"[^\"]*\"|\b(?:" + "|".join(_ARGUMENTS) + r")\b")
+# What a value is called in Python, whose option is named otherwise.
+_FIELDS = {**_ARGUMENTS, "estimate.start": "--start"}
+
+
+@contextmanager
+def in_options() -> Iterator[None]:
+    """Name the option of the command in place of the field or argument that an `InvalidValue` names."""
+    try:
+        yield
+    except InvalidValue as error:
+        if error.where not in _FIELDS:
+            raise
+        raise InvalidValue(_FIELDS[error.where], error.given, error.allowed) from None
+
+
+def _as_options(message: str, source: str) -> str:
+    """Return a reader's message with the command's options in place of the arguments of Python; source: the file."""
 
     def options(found: re.Match[str]) -> str:
-        pairs = re.findall(r"'(\w+)': '([^']*)'", found[2])
-        return " ".join(f'--{found[1]} "{signal}={name}"' for signal, name in pairs)
+        pairs = re.findall(r"'([\w ]+)': (?:'([^']*)'|\"([^\"]*)\")", found[2])
+        return " ".join(f'--{found[1]} "{signal}={plain or quoted}"' for signal, plain, quoted in pairs)
 
-    message = re.sub(r"\b(column|tag)s=\{([^}]*)\}", options, message)
+    head, message = (source, message.removeprefix(source)) if message.startswith(source) else ("", message)
     message = message.replace("give sample_time in seconds", 'give --sample-time, such as "5 s"')
-    return message.replace("sample_time", "--sample-time").replace("max_gap", "--max-gap")
+    message = _WORDS.sub(lambda word: _ARGUMENTS.get(word[0], word[0]), message)
+    return head + re.sub(r"\b(column|tag)s=\{([^}]*)\}", options, message)

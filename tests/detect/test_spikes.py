@@ -1,6 +1,8 @@
-"""Single wrong values of PV, the sensor's or the historian's: found, told, and left out of verdict and model."""
+"""Single wrong values of PV and OP, the sensor's or the historian's: found, told, and left out of verdict and model."""
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -8,7 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import workbench as wb
-from workbench.detect.spikes import MOST, spikes_of
+from workbench.detect.causes import beyond_op
+from workbench.detect.spikes import MOST, op_spikes_of, spikes_of
 from workbench.model.record import FloatArray
 
 N = 1000
@@ -100,3 +103,81 @@ def test_a_few_zeros_hide_no_valve_that_sticks() -> None:
     assert found.record is hidden
     assert any("3 samples of PV stand out from" in reason for reason in found.reasons)
     assert not any("stand out" in reason for reason in clean.reasons)
+
+
+@pytest.mark.parametrize("wrong", [0.0, 100.0, -9999.0])
+@pytest.mark.parametrize("both", [False, True])
+def test_a_wrong_value_of_op_makes_no_wide_band(wrong: float, both: bool) -> None:
+    record = sticky(0)
+    op, pv = record.op.copy(), record.pv.copy()
+    op[400] = wrong
+    pv[400] = wrong if both else pv[400]
+    hidden = wb.Record(pv, op, 1.0, sp=record.sp)
+    assert np.flatnonzero(op_spikes_of(hidden)).tolist() == [400]
+    clean, found = wb.detect(record), wb.detect(hidden)
+    assert clean.verdict == found.verdict == "stiction"
+    assert clean.test is not None
+    assert found.test is not None
+    assert found.test.band == pytest.approx(clean.test.band, rel=0.05)
+    assert found.record is hidden
+    assert sum("1 sample of OP stands out from its neighbours, and neither" in one for one in found.reasons) == 1
+    assert sum("1 sample of PV stands out" in one for one in found.reasons) == both
+
+
+def test_what_a_setpoint_step_sends_through_derivative_action_stays() -> None:
+    loop = wb.Loop(
+        wb.FOPDT(1.0, 12.0, 3.0),
+        wb.Stenman(1.0),
+        wb.PID(Kc=1.0, Ti=12.0, Td=5.0, derivative_filter=float("inf")),
+        1.0,
+    )
+    load = wb.Series(slow_load(np.random.default_rng(0)).tolist())
+    steps = wb.Experiment(float(N), setpoint=wb.Step(4.0, at=400.0), load=load, noise=wb.Noise(0.1, seed=0))
+    run = wb.simulate(loop, steps)
+    record = wb.Record(run.pv, run.op + 50.0, 1.0, sp=run.sp)
+    assert np.flatnonzero(spikes_of(record.op)).tolist() == [400]
+    assert not op_spikes_of(record).any()
+    # Elsewhere the same value is nobody's.
+    op = record.op.copy()
+    op[700] += 20.0
+    assert np.flatnonzero(op_spikes_of(replace(record, op=op))).tolist() == [700]
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("size", [3.0, -20.0])
+def test_what_the_controller_answers_a_sensors_spike_stays(seed: int, size: float) -> None:
+    spikes = np.zeros(N)
+    spikes[[150, 420, 421, 700]] = size
+    record = healthy(seed, spikes)
+    assert spikes_of(record.op).any()
+    late = np.concatenate([np.full(3, record.pv[0]), record.pv[:-3]])
+    for pv in (record.pv, late, np.round(2.0 * record.pv) / 2.0):
+        assert not op_spikes_of(replace(record, pv=pv)).any()
+    # A positioner's measured stem that goes with OP says that it was sent.
+    op = record.op.copy()
+    op[550] += 20.0
+    assert np.flatnonzero(op_spikes_of(replace(record, op=op))).tolist() == [550]
+    assert not op_spikes_of(replace(record, op=op, valve_position=op)).any()
+
+
+def test_a_band_rests_on_more_than_a_few_values_of_op() -> None:
+    cycle = 45.0 + np.abs((np.arange(600.0) % 80.0) - 40.0) / 20.0
+    assert not beyond_op(cycle, 2.0)
+    cycle[300:320] = 0.0  # too long for a spike, as a line that is down
+    assert not beyond_op(cycle, 2.0)
+    said = beyond_op(cycle, 46.0)
+    assert said.startswith("a band of 46 % fits best, yet OP usually moves over 1.8")
+    assert "were they sent?" in said
+    assert "no valve travels so far" in beyond_op(100.0 * cycle, 120.0)
+
+
+def test_no_verdict_names_a_band_that_no_valve_has() -> None:
+    whole = sticky(0)
+    record = wb.Record(whole.pv[:300], whole.op[:300], 1.0)
+    counts = replace(record, op=60.0 * (record.op - 40.0))
+    for found in (wb.detect(counts), wb.estimate(counts)):
+        assert found.verdict == "undecided"
+        assert "no valve travels so far: give OP's range" in " ".join(found.reasons)
+    fraction = wb.estimate(replace(record, op=record.op * 1e-3))
+    assert fraction.verdict == "undecided"
+    assert "give its range if it is in another unit, such as a fraction of 1" in fraction.reasons[0]

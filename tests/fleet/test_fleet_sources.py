@@ -128,7 +128,8 @@ def test_a_manifest_in_yaml(site: Path) -> None:
     refusals = {name: loop.refusal for name, loop in loops.items() if loop.refusal}
     assert set(refusals) == {"gone", "LIC9", "missing", "twice"}
     assert refusals["gone"] == f"{site / 'm.yaml'}: line 15: file gone.csv is not there"
-    assert "tag 'FIC1.CO' of OP is not in the data" in refusals["missing"]
+    missing = "tag 'FIC1.CO' of OP is not in the data; nearest in its order: 'FIC1.OP', 'FIC1.PV', 'LIC2.OP', 'LIC2.PV'"
+    assert refusals["missing"] == f"{site / 'm.yaml'}: line 17: {missing}"
     assert "line 18, line 19" in refusals["twice"]
     assert look_at(loops["twice"], Settings()).row.reason == refusals["twice"]
 

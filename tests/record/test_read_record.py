@@ -111,7 +111,7 @@ def test_a_wrong_mapping_is_refused(tmp_path: Path, columns: dict[str, str], wor
         ("t,OP\n0,1\n1,2\n", ["no column for PV"]),
         ("a,b,c\n0,1,2\n1,2,3\n", ["no column for PV and OP"]),
         ("t,FIC1.PV,FIC2.PV,OP\n0,1,2,3\n1,1,2,3\n", ["'FIC1.PV'", "'FIC2.PV'", "could each be PV"]),
-        ("t,PV,PV,OP\n0,1,2,3\n1,1,2,3\n", ["could each be PV"]),
+        ("t,PV,PV,OP\n0,1,2,3\n1,1,2,3\n", ["could each be PV; all have this name: rename all but one of them in"]),
         ("0,1,2\n1,2,3\n2,3,4\n", ["line 1", "header"]),
         ("PV,OP\n1,2\n2,3\n", ["no time column", "sample_time"]),
         (

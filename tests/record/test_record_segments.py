@@ -153,6 +153,53 @@ def test_values_beyond_a_range_are_rejected_at_namur_limits(tmp_path: Path) -> N
     assert any("1 row rejected: out of range, first in line 12, column 'PV'" in note for note in record.notes)
 
 
+@pytest.mark.parametrize("code", ["-9999", "9999", "-999.25", "-32768", "3.4028235e+38"])
+def test_codes_for_no_value_are_rejected_as_other_bad_values_are(tmp_path: Path, code: str) -> None:
+    pv, op = noise(100).astype(object), noise(100, 1).astype(object)
+    pv[40] = op[40] = op[41] = code
+    record = read_record(write(tmp_path, {"PV": pv, "OP": op}))
+    assert [len(part) for part in record.segments] == [40, 58]
+    assert record.counts["rejected"] == record.counts["rejected, a code for no value"] == 2
+    assert any("2 rows rejected: a code for no value (" in note for note in record.notes)
+    assert float(record.op.max()) < 100.0
+    # A signal that comes near it has it as a value.
+    near = 100.0 * noise(100) + 4000.0
+    near[40] = 9999.0
+    assert len(read_record(write(tmp_path, {"PV": near, "OP": noise(100, 1)}))) == 100
+
+
+def test_values_of_op_far_beyond_its_range_are_rejected_where_it_is_in_percent(tmp_path: Path) -> None:
+    op = noise(100)
+    op[[30, 60]] = 4500.0, -321.0
+    record = read_record(write(tmp_path, {"PV": noise(100, 1), "OP": op}))
+    assert record.counts["rejected, out of range"] == 2
+    assert any("2 rows rejected: out of range, first in line 32, column 'OP'" in note for note in record.notes)
+    assert not any("beyond 0 to 100 %" in note for note in record.notes)
+    # In counts of a converter nothing of the kind can be told, and a little beyond may be a controller's limit.
+    counts = 40.0 * noise(100)
+    counts[30] = 4095.0
+    assert len(read_record(write(tmp_path, {"PV": noise(100, 1), "OP": counts}))) == 100
+    op[[30, 60]] = 106.9, -6.9
+    assert len(read_record(write(tmp_path, {"PV": noise(100, 1), "OP": op}))) == 100
+
+
+def test_one_huge_value_makes_no_straight_lines(tmp_path: Path) -> None:
+    pv = noise(200)
+    pv[90] = 1e9
+    record = read_record(write(tmp_path, {"PV": pv, "OP": noise(200, 1)}))
+    assert record.notes == ()
+
+
+def test_blanks_in_a_block_are_a_gap_and_no_export_of_changes(tmp_path: Path) -> None:
+    op = noise(1200, 1).astype(object)
+    op[500:801] = ""
+    record = read_record(write(tmp_path, {"PV": noise(1200), "OP": op}))
+    assert [(part.start, len(part)) for part in record.segments] == [(0.0, 500), (801.0, 399)]
+    assert record.counts["rejected, blank"] == 301
+    assert any("301 rows rejected: blank, first in line 502, column 'OP'" in note for note in record.notes)
+    assert not any("resampled" in note for note in record.notes)
+
+
 def test_op_is_scaled_from_its_range(tmp_path: Path) -> None:
     ma = 4.0 + 16.0 * np.arange(50) / 49
     record = read_record(write(tmp_path, {"PV": noise(50), "OP": ma.round(6)}), op_range=(4, 20))
@@ -171,8 +218,11 @@ def test_a_pv_in_another_unit_than_its_range_is_refused(tmp_path: Path) -> None:
 def test_swapped_columns_are_refused_unless_insisted_on(tmp_path: Path) -> None:
     sp = np.repeat([250.0, 251.0], 100)
     path = write(tmp_path, {"SP": sp, "PV": noise(200) - 10.0, "OP": sp + noise(200, 1) - 50.0})
-    with pytest.raises(RecordError, match=r"goes with 'OP', read as OP, and not with 'PV'.*swapped\?.*tags=\{'PV'"):
+    with pytest.raises(RecordError, match=r"goes with 'OP', read as OP, and not with 'PV'.*swapped\?") as refused:
         read_record(path)
+    assert "If so, give columns={'PV': 'OP', 'OP': 'PV'}; if they are right as they are, columns={'PV': 'PV'" in str(
+        refused.value
+    )
     assert len(read_record(path, columns={"PV": "OP", "OP": "PV"})) == 200
     assert len(read_record(path, columns={"PV": "PV", "OP": "OP"})) == 200
 

@@ -42,6 +42,20 @@ def test_a_clock_without_zone_runs_on_through_daylight_saving(tmp_path: Path, st
     assert len(record) == 600
     assert record.sample_time == 10.0
     assert sum(words in note for note in record.notes) == 1
+    assert record.start == 0.0
+    first = local(start, 1, 10)[0]
+    assert f"first timestamp {first}" in record.notes
+    assert record.epoch == dt.datetime.fromisoformat(f"{first}+00:00").timestamp()
+
+
+def test_a_tall_file_begins_with_the_first_sample_before_the_clock_goes_back(tmp_path: Path) -> None:
+    stamps = local(dt.datetime(2024, 10, 27, 0, 30, tzinfo=dt.UTC), 600, 10)
+    path = tmp_path / "tall.csv"
+    rows = [f"FIC1.{tag},{t},{k % by}\n" for tag, by in (("PV", 7), ("OP", 5)) for k, t in enumerate(stamps)]
+    path.write_text("tag,time,value\n" + "".join(rows))
+    record = read_record(path)
+    assert (record.start, len(record), record.sample_time) == (0.0, 600, 10.0)
+    assert "first timestamp 2024-10-27 02:30:00" in record.notes
 
 
 def test_stamps_with_a_zone_need_no_mending(tmp_path: Path) -> None:

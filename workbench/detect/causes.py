@@ -7,13 +7,23 @@ from itertools import pairwise
 import numpy as np
 
 from workbench.detect.oscillation import oscillation_of
+from workbench.detect.spikes import TRAVEL
 from workbench.detect.verdict import Thresholds, times
 from workbench.errors import RecordError
 from workbench.model.detection import Oscillation
 from workbench.model.record import FloatArray, Record
 from workbench.record.modes import manual_share
 
-__all__ = ["FEWEST_SAMPLES", "constant", "dead_signal", "other_causes", "refuse_unusable", "steady_stretches"]
+__all__ = [
+    "FEWEST_SAMPLES",
+    "RESOLVED",
+    "beyond_op",
+    "constant",
+    "dead_signal",
+    "other_causes",
+    "refuse_unusable",
+    "steady_stretches",
+]
 
 FEWEST_SAMPLES = 30
 STILL = 1e-9  # of a signal's size, which counts as this much at least (EU, %): a signal that moves by less is constant
@@ -22,6 +32,7 @@ MUCH = 0.2  # of the record, worth a word
 HALF = 0.5  # of the record and of OP's range: PV no longer tells about the valve
 RESOLVED = 0.1  # % of travel: positioners hardly follow less
 ALIKE = 0.2  # relative difference of two periods that are one
+USUAL, WIDER = (5.0, 95.0), 2.0  # percentiles of OP; a band so many times wider than they are apart rests on the rest
 STEADY = 1.0 / 3.0  # of the record, the least stretch at constant SP that may stand for its cycle
 CYCLES = 0.5  # oscillation index of a setpoint that cycles
 
@@ -33,7 +44,9 @@ def refuse_unusable(record: Record, purpose: str) -> None:
     """
     where, n = record.source or "record", len(record)
     if n < FEWEST_SAMPLES:
-        msg = f"{where}: {n} samples given; at least {FEWEST_SAMPLES} are needed to {purpose}"
+        lost = record.notes if n < record.counts.get("rows", n) else ()
+        why = "".join(f"; {note}" for note in lost if not note.startswith("first timestamp"))
+        msg = f"{where}: {n} samples given; at least {FEWEST_SAMPLES} are needed to {purpose}{why}"
         raise RecordError(msg)
     for name, signal in (("SP", record.sp), ("PV", record.pv), ("OP", record.op)):
         largest = 0.0 if signal is None else float(np.abs(signal).max())
@@ -80,8 +93,9 @@ def dead_signal(record: Record) -> str:
     width = float(np.ptp(record.op))
     if width < RESOLVED:
         return (
-            f"OP moved over {width:.2g} % of travel only, less than a valve resolves ({RESOLVED:g} %): a longer record "
-            "or a setpoint move would tell about the valve"
+            f"OP moved over {width:.2g} % of travel only, less than a valve resolves ({RESOLVED:g} %): give its range "
+            "if it is in another unit, such as a fraction of 1; else a longer record or a setpoint move would tell "
+            "about the valve"
         )
     moves = int(np.count_nonzero(np.diff(record.op)))
     if moves <= Thresholds().few:
@@ -95,6 +109,22 @@ def dead_signal(record: Record) -> str:
             f"{moved:.3g} %: a valve that no longer moves, no flow, or a sensor at its end or frozen"
         )
     return ""
+
+
+def beyond_op(op: FloatArray, band: float) -> str:
+    """Say that a stick band, %, is wider than any valve's travel, or than OP (%, shape (N,)) usually moves; or nothing.
+
+    A cycle that a sticking valve makes takes OP over all of its band. A few values that nobody sent, or another unit,
+    make a band of any width.
+    """
+    usual = float(np.ptp(np.percentile(op, USUAL)))
+    if band > TRAVEL:
+        said = "no valve travels so far: give OP's range if it has another unit, or look for values that were not sent"
+    elif band > WIDER * usual:
+        said = f"OP usually moves over {usual:.3g} % only, and the band rests on the few values beyond: were they sent?"
+    else:
+        return ""
+    return f"a band of {band:.4g} % fits best, yet {said}"
 
 
 def other_causes(record: Record, oscillation: Oscillation) -> list[str]:

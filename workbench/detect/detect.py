@@ -11,7 +11,7 @@ import numpy as np
 from workbench.detect.action import control_error, feedback, gain_sign
 from workbench.detect.answer import answer_of
 from workbench.detect.bicoherence import bicoherence_of, ellipse_of
-from workbench.detect.causes import constant, dead_signal, other_causes, steady_stretches
+from workbench.detect.causes import beyond_op, constant, dead_signal, other_causes, steady_stretches
 from workbench.detect.correlation import cross_correlation, histogram_fit
 from workbench.detect.direct import stem_evidence
 from workbench.detect.evidence import statistics_of
@@ -47,9 +47,10 @@ def detect(record: Record, *, bicoherence: bool = False, fitted: Fitted | None =
     bicoherence: also the bicoherence of SP - PV with its indices and the ellipse of PV against OP, which want long
     records. fitted: a valve (Stenman, Choudhury or Deadband) and its stem (%, shape (N,)) from a model of the loop,
     which the stem test tries too; where it leaves no doubt, no others are tried and `test.wide` is nan. A PV that is
-    recorded later than the controller saw it is looked at as that did (`pv_late`), and values of PV that stand out from
-    their neighbours alone are left out (`detect.spikes`). Raises `RecordError` for fewer than 30 samples or values that
-    no plant has, and `InvalidValue` for anything that is not a record, or for a valve or a stem that cannot be tried.
+    recorded later than the controller saw it is looked at as that did (`pv_late`), and values of PV or OP that stand
+    out from their neighbours alone are left out (`detect.spikes`). Raises `RecordError` for fewer than 30 samples or
+    values that no plant has, and `InvalidValue` for anything that is not a record, or for a valve or a stem that cannot
+    be tried.
     """
     if not isinstance(record, Record):
         raise InvalidValue("detect.record", type(record).__name__, "must be a Record (see read_record)")
@@ -62,7 +63,7 @@ def detect(record: Record, *, bicoherence: bool = False, fitted: Fitted | None =
     found = _detected(seen, bicoherence, fitted)
     if late.perhaps and found.verdict == "no_stiction" and found.stem is None:
         found = replace(found, verdict="undecided", reasons=(PERHAPS_LATE, *found.reasons))
-    said = words_of_late(record, late) + words_of_spikes(record, seen)
+    said = words_of_late(record, late) + words_of_spikes(record)
     return replace(found, record=record, reasons=found.reasons + said, pv_late=late.samples * record.sample_time)
 
 
@@ -93,6 +94,8 @@ def _detected(record: Record, bicoherence: bool, fitted: Fitted | None) -> Detec
     test = stem_test(record.pv, record.op, record.sp, record.sample_time, period, gain_sign(record), fitted)
     stem = None if record.valve_position is None else stem_evidence(record.op, record.valve_position)
     verdict, reasons = ("undecided", [dead]) if dead else decide(whole, test, stem)
+    if verdict == "stiction" and stem is None and (wide := beyond_op(record.op, test.band)):
+        verdict, reasons = "undecided", [wide, *reasons]
     if verdict == "no_stiction" and follows(test) < Thresholds().seen and feedback(record)[0] < ACTS:
         verdict = "undecided"
         reasons = ["neither does PV follow OP nor OP the error: the record does not show a loop at work"]

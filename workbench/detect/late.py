@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from workbench.detect.causes import constant, refuse_unusable
-from workbench.detect.spikes import without_spikes
+from workbench.detect.spikes import without_op_spikes, without_spikes
 from workbench.model.record import FloatArray, Record
 
 __all__ = ["Late", "as_seen", "earlier", "late", "later", "words_of_late"]
@@ -80,13 +80,14 @@ def late(record: Record) -> Late:
 
 
 def as_seen(record: Record, purpose: str) -> tuple[Record, Late]:
-    """Return a record with OP as much later as PV is late, as the controller saw them, and that; without PV's spikes.
+    """Return a record with OP as much later as PV is late, as the controller saw them, and that; without spikes.
 
     PV keeps its times; OP, and SP where it is not as late itself, begin with their first values. Raises `RecordError`
     for a record that cannot be used for its purpose, in words (see `refuse_unusable`).
     """
     refuse_unusable(record, purpose)
     # The controller answered the sensor's spikes too.
+    record = without_op_spikes(record)
     found, record = late(record), without_spikes(record)
     if found.samples == 0:
         return record, found

@@ -1,8 +1,11 @@
-"""Values of PV that the process did not take: they stand out from both neighbours, alone or a few together.
+"""Values that no process took and no controller sent: they stand out from both neighbours, alone or a few together.
 
 A transmitter's or a historian's single wrong values are no noise that sums of squares can weigh: a handful of them
 holds most of a record's squares, and what happens to go with these few samples, a stem that sticks among others, seems
-to explain much. The controller did see the sensor's, so that OP stays as it is.
+to explain much. A valve that sticks over more than such a value of OP would explain why PV does not care.
+
+OP is what the controller sent: a setpoint step and derivative action send one value that stands out, and so does a
+sensor's spike, which the controller did see. Such values stay (see `op_spikes_of`).
 """
 
 from __future__ import annotations
@@ -14,7 +17,7 @@ from numpy.typing import NDArray
 
 from workbench.model.record import FloatArray, Record
 
-__all__ = ["spikes_of", "without_spikes", "words_of_spikes"]
+__all__ = ["TRAVEL", "op_spikes_of", "spikes_of", "without_op_spikes", "without_spikes", "words_of_spikes"]
 
 LONGEST = 3  # samples of one spike
 # Normal noise stands out by so many of its standard deviations once in some 1e8 samples.
@@ -26,6 +29,19 @@ MOST, ROUNDS = 0.03, 3  # of a record: more are the noise that it has; looks at 
 # samples about each, 1.28, of a distance that is sqrt(3/2) of the noise's own.
 AROUND = 50
 QUANTILE, QUANTILE_AROUND, OF_NOISE, OF_NOISE_AROUND = 90.0, 80.0, 1.645 * 1.5**0.5, 1.28 * 1.5**0.5
+# Samples from before to after a jump of OP in which what it answers, or what answers it, is looked for: PV may be
+# recorded some samples late.
+BEFORE, AFTER = 2, 10
+EXPLAINED = 0.05  # of a jump: a coarse PV tells roughly how the controller answers; by chance less of a large jump
+TRAVEL = 100.0  # %, all of a valve's: no controller sends a larger jump
+RARELY = 99.0  # percentile of SP's moves: a larger one is a step
+
+_OF_PV = (
+    " as nothing else in the record does: taken for the sensor's or the historian's, not for the process, and left out"
+)
+_OF_OP = (
+    ", and neither SP nor PV moves with it: taken for the historian's, not for what the valve was sent, and left out"
+)
 
 
 def spikes_of(pv: FloatArray) -> NDArray[np.bool_]:
@@ -74,22 +90,73 @@ def _noise(aside: FloatArray, moves: FloatArray) -> FloatArray:
     return np.pad(noise, (1, aside.size + 1 - noise.size), mode="edge")
 
 
+def op_spikes_of(record: Record) -> NDArray[np.bool_]:
+    """Return which samples of OP, shape (N,), are spikes that neither a setpoint step nor PV nor the stem explains.
+
+    OP's moves are regressed on those of PV, and of a measured stem, about them, all without their spikes: this is how
+    the controller answers PV, and PV the valve. A jump stays if the same law makes some of it of what PV does
+    there, PV's spikes included, unless it is larger than all of a valve's travel.
+    """
+    op, n = record.op, len(record)
+    found = spikes_of(op)
+    if not found.any():
+        return found
+    first = np.flatnonzero(found & ~np.concatenate([[False], found[:-1]]))
+    stop = np.flatnonzero(found & ~np.concatenate([found[1:], [False]])) + 1
+    clean = _without(op, found)
+    others = [record.pv] if record.valve_position is None else [record.pv, record.valve_position]
+    law, *_ = np.linalg.lstsq(
+        np.hstack([_about(np.diff(_without(one, spikes_of(one)))) for one in others]), np.diff(clean), rcond=1e-10
+    )
+    answered = np.hstack([_about(np.diff(one)) for one in others]) @ law
+    jumps = np.diff(op)
+    steps = np.zeros(n - 1) if record.sp is None else np.abs(np.diff(record.sp))
+    stepped = _about(np.where(steps > np.percentile(steps, RARELY), 1.0, 0.0)).max(axis=1) > 0.0
+    for a, b in zip(first.tolist(), stop.tolist(), strict=True):
+        ends = [a - 1, b - 1]
+        own = bool((answered[ends] * jumps[ends] >= EXPLAINED * jumps[ends] ** 2).any())
+        sent = own and float(np.abs(op[a:b] - clean[a:b]).max()) <= TRAVEL
+        if sent or stepped[ends].any():
+            found[a:b] = False
+    return found
+
+
+def _about(moves: FloatArray) -> FloatArray:
+    """Return the moves of a signal, shape (N - 1,), from BEFORE to AFTER each of them, side by side."""
+    padded = np.pad(moves, (BEFORE, AFTER))
+    return np.lib.stride_tricks.sliding_window_view(padded, BEFORE + AFTER + 1)
+
+
+def without_op_spikes(record: Record) -> Record:
+    """Return a record with OP's spikes on straight lines between their neighbours, itself where it has none."""
+    spikes = op_spikes_of(record)
+    return replace(record, op=_without(record.op, spikes), rest=()) if spikes.any() else record
+
+
 def without_spikes(record: Record) -> Record:
     """Return a record with PV's spikes on straight lines between their neighbours, itself where it has none."""
     spikes = spikes_of(record.pv)
     return replace(record, pv=_without(record.pv, spikes), rest=()) if spikes.any() else record
 
 
-def _without(pv: FloatArray, spikes: NDArray[np.bool_]) -> FloatArray:
-    at, kept = np.arange(pv.size), ~spikes
-    return np.interp(at, at[kept], pv[kept])
+def _without(signal: FloatArray, spikes: NDArray[np.bool_]) -> FloatArray:
+    at, kept = np.arange(signal.size), ~spikes
+    return np.interp(at, at[kept], signal[kept])
 
 
-def words_of_spikes(record: Record, seen: Record) -> tuple[str, ...]:
-    """Return in words how many samples of PV are spikes, where any are; seen: the record without them."""
-    count = int(np.count_nonzero(record.pv != seen.pv))
-    if count == 0:
-        return ()
-    many = "1 sample of PV stands" if count == 1 else f"{count} samples of PV stand"
-    what = "out from its neighbours as nothing else in the record does: taken for the sensor's or the historian's"
-    return (f"{many} {what}, not for the process, and left out",)
+def words_of_spikes(record: Record) -> tuple[str, ...]:
+    """Return in words how many samples of PV and of OP are spikes, where any are."""
+    said = []
+    for name, spikes, told in (
+        ("PV", spikes_of(record.pv), _OF_PV),
+        ("OP", op_spikes_of(record), _OF_OP),
+    ):
+        count = int(np.count_nonzero(spikes))
+        if count:
+            many = (
+                f"1 sample of {name} stands out from its"
+                if count == 1
+                else f"{count} samples of {name} stand out from their"
+            )
+            said.append(f"{many} neighbours{told}")
+    return tuple(said)

@@ -8,6 +8,7 @@ from dataclasses import replace
 from functools import reduce
 from typing import NamedTuple
 
+from workbench.detect.causes import beyond_op
 from workbench.detect.late import as_seen, earlier, words_of_late
 from workbench.detect.spikes import words_of_spikes
 from workbench.errors import InvalidValue
@@ -80,8 +81,8 @@ def estimate(
     less likely, the plant's ranges hold that one's too. A sticking valve by "two_step" has no ranges:
     it does not look for others that fit as well. An oscillation from outside the loop, a sinusoid that is a quarter or
     more of what the model leaves, is fitted beside the model (`load_swing`; 10,000 samples at most; not by "two_step").
-    A PV that is recorded later than the controller saw it is looked at as that did (`pv_late`), and values of PV that
-    stand out from their neighbours alone are left out (`detect.spikes`).
+    A PV that is recorded later than the controller saw it is looked at as that did (`pv_late`), and values of PV or OP
+    that stand out from their neighbours alone are left out (`detect.spikes`).
     identifiable is True where the verdict is "stiction", no range is open, that hull is at most a tenth of d wide and
     gain's at most a fifth of the gain. Raises `RecordError` for a record that holds no information (too short, PV or OP
     constant, values that no plant has) or is too long for the method, and `InvalidValue` for arguments that are not
@@ -112,7 +113,9 @@ def estimate(
     else:
         found = _searched(seen, plant, asked, lambda share: tell(share / shares))
     answer = _told(seen, found, asked, lambda share: tell(1.0 - (1.0 - share) / shares))
-    said += words_of_late(record, late) + words_of_spikes(record, seen)
+    said += words_of_late(record, late) + words_of_spikes(record)
+    if answer.verdict == "stiction" and (wide := beyond_op(seen.op, answer.valve.stick_band)):
+        answer = replace(answer, verdict="undecided", identifiable=False, reasons=(wide, *answer.reasons))
     tell(1.0)
     return replace(
         answer,

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from workbench.detect.causes import RESOLVED
 from workbench.detect.verdict import Thresholds, excluded
 from workbench.model.detection import Detection
 
@@ -192,5 +193,8 @@ def agree(e: Evidence, verdict: str, reasons: tuple[str, ...], found: Detection)
         final = "undecided"
     else:
         final = found.verdict
+    # However well a model fits: of moves so small no valve makes anything.
+    if final == "stiction" and e.op_range < RESOLVED:
+        final = "undecided"
     model = tuple(f"by the fitted models alone: {reason}" for reason in reasons)
     return final, found.reasons + model

@@ -10,7 +10,9 @@ Paths are looked for beside the manifest.
 from __future__ import annotations
 
 import csv
+from bisect import bisect
 from collections import Counter
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -30,6 +32,7 @@ from workbench.scenario.wrong import given_words, refusal
 __all__ = ["Manifest", "is_manifest", "read_manifest"]
 
 MOST = 50  # mistakes told at once
+NEAR = 3  # tags named on either side of one that is not there
 LARGEST = 64 << 20  # bytes
 
 
@@ -169,6 +172,17 @@ def _data(content: Manifest, folder: Path, path: Path) -> tuple[dict[str, Pieces
     return tags, tagged(tags)
 
 
+def _not_there(given: Mapping[str, str], tags: Mapping[str, Pieces], place: str) -> str:
+    """Return in words which tags are not in the data, and what is there beside them; nothing where all are."""
+    there, wrong = sorted(tags), []
+    for signal, tag in given.items():
+        if tag not in tags:
+            at = max(bisect(there, tag) - NEAR, 0)
+            beside = ", ".join(map(repr, there[at : at + 2 * NEAR]))
+            wrong.append(f"tag {tag!r} of {signal} is not in the data; nearest in its order: {beside}")
+    return f"{place}: {'; '.join(wrong)}" if wrong else ""
+
+
 def _loop(entry: Entry, folder: Path, tags: dict[str, Pieces], known: dict[str, LoopSource], place: str) -> LoopSource:
     if entry.file is not None:
         file = folder / entry.file
@@ -184,7 +198,7 @@ def _loop(entry: Entry, folder: Path, tags: dict[str, Pieces], known: dict[str, 
             entry.name, refusal=f"{place}: tags are given, but neither a file nor a data set that has them"
         )
     elif entry.tags is not None:
-        loop = of_tags(entry.name, dict(entry.tags), tags)
+        loop = of_tags(entry.name, dict(entry.tags), tags, _not_there(entry.tags, tags, place))
     else:
         loop = known.get(
             entry.name, LoopSource(entry.name, refusal=f"{place}: no file, no tags, and no tag of this name")

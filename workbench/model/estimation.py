@@ -171,7 +171,7 @@ class Estimate(Shown):
     verdict: "stiction", "no_stiction" or "undecided", with `reasons` in words. identifiable: True for a
     "stiction" verdict whose d (or S) the data pin to a tenth, with ten stem moves or more, and not only its product
     with the gain. residual_variance (EU^2) and aic by the paper's eq. (1); noise_sd: of PV about the prediction, EU;
-    all three without PV's spikes (`detect.spikes`). slips: stem moves in the record. profile_d and profile_cost:
+    all three without spikes (`detect.spikes`). slips: stem moves in the record. profile_d and profile_cost:
     variance of the innovations (EU^2) against d. iterations: of two-step. candidates: the models compared, the lowest
     BIC first. noise_model: of "joint", or None. repeats: parts of the record by themselves; None with few moves.
     load_steps: lasting, and in the prediction.

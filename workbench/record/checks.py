@@ -9,9 +9,27 @@ from numpy.typing import NDArray
 
 from workbench.errors import RecordError
 from workbench.model.record import FloatArray
-from workbench.record.table import OK, RANGE, Cells
+from workbench.record.table import CODE, OK, RANGE, Cells
 
-__all__ = ["frozen_rows", "held_said", "op_said", "runs", "setpoint_said", "swapped", "within_range"]
+__all__ = [
+    "frozen_rows",
+    "held_said",
+    "no_codes",
+    "none_far",
+    "op_said",
+    "runs",
+    "setpoint_said",
+    "swapped",
+    "within_range",
+]
+
+# Numbers that stand for no value, of either sign: nines and 999.25 (LAS 2.0, Canadian Well Logging Society; -9999 in
+# ESRI grids), 7999 (Campbell Scientific's loggers), the ends of 16 bits, and all from 1e30 on (netCDF's 9.97e36, the
+# largest of 32 bits).
+CODES = (999.0, 9999.0, 99999.0, 999999.0, 9999999.0, 999.25, 7999.0, 32767.0, 32768.0, 65535.0)
+LEAST_FILL = 1e30
+AWAY = 0.5  # of a code's own size, by which it differs from the other values at least
+FAR = 1.0  # of OP's range, beyond its ends: no output of a controller in %
 
 # NAMUR NE 43: a transmitter below 3.6 mA or above 21 mA of its 4 to 20 mA reports a failure, not a measurement.
 BELOW, ABOVE = 0.4 / 16.0, 1.0 / 16.0
@@ -44,6 +62,33 @@ def within_range(cells: Cells, limits: tuple[float, float], name: str, source: s
         raise RecordError(msg)
     cells.marks[beyond] = RANGE
     cells.values[beyond] = np.nan
+
+
+def no_codes(cells: Cells) -> None:
+    """Mark numbers that stand for no value as `CODE`: well-known ones, away from all that the signal does else."""
+    sizes = np.abs(cells.values)
+    code = (cells.marks == OK) & (np.isin(sizes, CODES) | (sizes >= LEAST_FILL))
+    others = cells.values[(cells.marks == OK) & ~code]
+    if not code.any() or others.size == 0:
+        return
+    low, high = np.percentile(others, (1.0, 99.0)).tolist()
+    with np.errstate(invalid="ignore"):
+        off = np.maximum(low - cells.values, cells.values - high)
+        code &= (off > high - low) & (off > AWAY * sizes)
+    cells.codes.update(f"{value:.10g}" for value in cells.values[code].tolist())
+    cells.marks[code] = CODE
+    cells.values[code] = np.nan
+
+
+def none_far(cells: Cells) -> None:
+    """Mark values of OP as `RANGE` that are far beyond 0 to 100 %, where the others show that OP is in %."""
+    good = cells.marks == OK
+    with np.errstate(invalid="ignore"):
+        far = good & ((cells.values < -100.0 * FAR) | (cells.values > 100.0 * (1.0 + FAR)))
+    others = cells.values[good & ~far]
+    if others.size > np.count_nonzero(far) and others.max() <= 100.0 * (1.0 + ABOVE):
+        cells.marks[far] = RANGE
+        cells.values[far] = np.nan
 
 
 def runs(flags: NDArray[np.bool_]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
@@ -110,7 +155,9 @@ def held_said(pv: FloatArray, op: FloatArray, joined: NDArray[np.bool_]) -> list
             else "a coarse, compressed or held signal"
         )
         notes.append(f"PV repeats the value before it in {share:.0%} of the samples, {longest} on end at most; {why}")
-    straight = np.abs(np.diff(pv, 2)) <= 1e-9 * max(float(np.ptp(pv)), 1e-300)
+    # A single wrong value, however large, makes nothing of the others straight.
+    spread = float(np.ptp(np.percentile(pv, (1.0, 99.0))))
+    straight = np.abs(np.diff(pv, 2)) <= 1e-9 * max(spread, 1e-300)
     straight &= follows[1:] & follows[:-1] & ~repeats[1:]
     if float(np.count_nonzero(straight)) / many >= STRAIGHT:
         notes.append(
@@ -130,7 +177,7 @@ def op_said(op: FloatArray, scaled: bool) -> list[str]:
         )
     elif not scaled and low >= 0.0 and high <= 1.0 and high > low:
         notes.append(f"OP runs from {low:.4g} to {high:.4g} %: give its range, 0 to 1, if it is a fraction")
-    if high > low:
+    if high > low and op.size >= SHORTEST:
         for value, which in ((high, "highest"), (low, "lowest")):
             share = float(np.mean(op == value))
             if share >= LIMITED:

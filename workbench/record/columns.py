@@ -98,6 +98,8 @@ _TIME_UNITS = {
 }
 
 
+_ALIKE = "have this name: rename all but one of them in the file's header"
+
 # Unit words that stand after a name without brackets too, as in "valve position %" written out.
 _UNITS = ("pct", "percent", "eu", "ma")
 _ENDINGS = {*_AFTER, *_UNITS, *(word for words in _SUFFIXES.values() for word in words)}
@@ -291,8 +293,8 @@ def _match(
             raise RecordError(msg)
         fits = [i for i, n in enumerate(names) if n == str(given).strip()]
         if len(fits) != 1:
-            why = f"there is no such {what}" if not fits else f"{len(fits)} {argument} have this name"
-            msg = f"{source}: {what} {given!r} given for {signal}: {why}; the file has {there}"
+            why = f"there is no such {what}; the file has {there}" if not fits else f"{len(fits)} {argument} {_ALIKE}"
+            msg = f"{source}: {what} {given!r} given for {signal}: {why}"
             raise RecordError(msg)
         if fits[0] in found.values():
             msg = f"{source}: {what} {given!r} is given for more than one signal; each needs its own"
@@ -312,10 +314,9 @@ def _match(
         best = tiers[min(tiers)]
         if len(best) > 1 and signal not in ("quality", "unit"):
             which = ", ".join(repr(names[i]) for i in best[:NAMED])
-            msg = (
-                f"{source}: {argument} {which} could each be {signal}; say which one, "
-                f"for example {argument}={{{signal!r}: {names[best[0]]!r}}}"
-            )
+            single = next((names[i] for i in best if names.count(names[i]) == 1), None)
+            way = f"say which one, for example {argument}={{{signal!r}: {single!r}}}"
+            msg = f"{source}: {argument} {which} could each be {signal}; {f'all {_ALIKE}' if single is None else way}"
             raise RecordError(msg)
         found[signal] = best[0]
         taken.add(best[0])

@@ -22,7 +22,7 @@ from workbench.record.times import JITTER
 __all__ = ["Samples", "lay"]
 
 UNEVEN = 0.05  # share of intervals that may break the pattern before the file counts as unevenly sampled
-SPARSE = 0.20  # share of blank cells from which they mean "no new value", as where a row is written per change
+SPARSE = 0.20  # of the values come after a blank from which blanks mean "no new value", as in a row per change
 ASTRAY = 0.4  # of the sample time, by which a row's time may miss its place on the even grid
 MISSING = 1  # row at most that may be missing between two: its place is filled, as in a resampled record
 COMMON = 0.90  # share of times that PV and OP must have in common to count as sampled together
@@ -132,8 +132,10 @@ def _pattern(seconds: FloatArray, steps: FloatArray, usual: float) -> tuple[floa
 
 
 def _sparse(cells: Cells) -> bool:
-    blank = int(np.count_nonzero(cells.marks == BLANK))
-    return blank >= SPARSE * cells.marks.size and int(np.count_nonzero(cells.marks == OK)) > 1
+    """Whether blanks stand among the values throughout; blanks in a block are values that are missing."""
+    values, blank = int(np.count_nonzero(cells.marks == OK)), cells.marks == BLANK
+    begun = int(np.count_nonzero(blank & ~np.concatenate([[False], blank[:-1]])))
+    return begun >= SPARSE * values and values > 1
 
 
 def _agree(sample_time: float | None, usual: float, signals: Signals, source: str) -> None:

@@ -21,7 +21,7 @@ from workbench.errors import RecordError
 from workbench.model.record import Record
 from workbench.record.columns import NEEDED, TALL, match_columns
 from workbench.record.reader import record_from
-from workbench.record.signals import Signals, Tall, seconds_of
+from workbench.record.signals import Signals, Tall, clock_of
 from workbench.record.table import FIELDS, Cells, Table, arrow_cells
 
 __all__ = ["Piece", "Pieces", "read_tags", "tags_of"]
@@ -141,8 +141,8 @@ def read_tags(
     signals = Signals({}, "value", lines.size, time_name="time", what="tag")
     clock = _joined(clocks)
     table = Table({"time": clock}, lines, "value")
-    times, wall_clock, signals.epoch = seconds_of(clock, "time", table, source, signals.notes)
-    tall = Tall(signals, times, wall_clock, clock.marks == FIELDS, lines, {name: name for name in TALL}, source)
+    times = clock_of(clock, "time", table, source, signals.notes)
+    tall = Tall(signals, times, clock.marks == FIELDS, lines, {name: name for name in TALL}, source)
     first = 0
     for (kind, tag, _), cells, (qualities, units) in zip(order, values, said, strict=True):
         stop = first + cells.marks.size

@@ -1,9 +1,9 @@
 """`wb.read_record`: a CSV or Parquet file of one loop to a `Record`, with everything that was left out said.
 
-Policy. Values that are no finite numbers, of bad quality or beyond their range are rejected and counted; they, gaps in
-time, a frozen sensor and changes of mode part the file into stretches, of which the longest that is not in manual is
-the record and the others are its `rest`. Evenly spaced rows are taken as they are; anything else is resampled (see
-`grid`). Times that leave a doubt are refused.
+Policy. Values that are no finite numbers, codes for no value such as -9999, of bad quality or beyond their range are
+rejected and counted; they, gaps in time, a frozen sensor and changes of mode part the file into stretches, of which the
+longest that is not in manual is the record and the others are its `rest`. Evenly spaced rows are taken as they are;
+anything else is resampled (see `grid`). Times that leave a doubt are refused.
 """
 
 from __future__ import annotations
@@ -18,15 +18,17 @@ import numpy as np
 from workbench.errors import RecordError
 from workbench.model.checks import instance, number, ordered_pair
 from workbench.model.record import Record
-from workbench.record.checks import held_said, op_said, setpoint_said, swapped, within_range
+from workbench.record.checks import held_said, no_codes, none_far, op_said, setpoint_said, swapped, within_range
 from workbench.record.columns import NEEDED, in_milliamperes, is_tall, match_columns, qualities_unused
 from workbench.record.grid import Samples, lay
 from workbench.record.segments import Parts, part, record_of
 from workbench.record.signals import Signal, Signals, from_tall, from_wide
 from workbench.record.table import (
     BLANK,
+    CODE,
     FIELDS,
     NOT_FINITE,
+    NUMERIC,
     OK,
     QUALITY,
     RANGE,
@@ -49,6 +51,7 @@ _WHY = {
     FIELDS: "more fields than the header",
     QUALITY: "bad quality",
     RANGE: "out of range",
+    CODE: "a code for no value",
 }
 
 
@@ -74,8 +77,9 @@ def read_record(
 
     pv_range: (low, high) of the transmitter, EU; op_range: (low, high) of OP in the file's unit, which are 0 and 100 %,
     by default 4 and 20 where its name, a row of units or a tall file's column of units says mA. Values beyond a given
-    range are rejected (NAMUR NE 43). max_gap: s, the longest time without a good value of PV or OP that is interpolated
-    or held over; by default not even one missing row of an even file, and ten usual intervals of others.
+    range are rejected (NAMUR NE 43), and without one those of OP far beyond 0 to 100 %. max_gap: s, the longest time
+    without a good value of PV or OP that is interpolated or held over; by default not even one missing row of an even
+    file, and ten usual intervals of others.
 
     Returns a `Record` in PV's unit and OP in %: the longest clean stretch in one mode, the others as its `rest`; its
     `notes` and `counts` (rows, kept, rejected, gaps ...) say what was done and left out. Times become seconds: as
@@ -127,6 +131,9 @@ def record_from(
 
     named: whether the user said which signal is PV and which OP. Raises `RecordError`.
     """
+    for name in NUMERIC:
+        if name in signals.by:
+            no_codes(signals.by[name].cells)
     scaled = _scale(signals, pv_range, op_range, source)
     _some_usable(signals, source)
     if not signals.timed and sample_time is None:
@@ -198,6 +205,8 @@ def _scale(
             known[name] = CURRENT
             said += " (in mA)"
         if name not in known:
+            if name == "OP":
+                none_far(signal.cells)
             continue
         low, high = known[name]
         if name == "OP":
@@ -234,7 +243,8 @@ def _some_usable(signals: Signals, source: str) -> None:
 
 
 def _examples(signal: Signal, mark: int) -> str:
-    words = signal.cells.words if mark == TEXT else signal.cells.qualities if mark == QUALITY else None
+    cells = signal.cells
+    words = {TEXT: cells.words, QUALITY: cells.qualities, CODE: cells.codes}.get(mark)
     if not words:
         return ""
     common = words.most_common(SHOWN)
@@ -307,9 +317,10 @@ def _record(
         raise RecordError(msg)
     if not named and best.sp is not None and swapped(best.sp, best.pv, best.op):
         pv, op = signals.by["PV"].name, signals.by["OP"].name
+        way = f"{signals.what}s={{'PV': %r, 'OP': %r}}"
         msg = (
-            f"{source}: the setpoint goes with {op!r}, read as OP, and not with {pv!r}, read as PV: swapped? Say which "
-            f"is which, PV and OP both, for example tags={{'PV': {pv!r}, 'OP': {op!r}}}"
+            f"{source}: the setpoint goes with {op!r}, read as OP, and not with {pv!r}, read as PV: swapped? If so, "
+            f"give {way % (op, pv)}; if they are right as they are, {way % (pv, op)}"
         )
         raise RecordError(msg)
     notes += held_said(best.pv, best.op, np.ones(len(best), dtype=bool)) if samples.even else []

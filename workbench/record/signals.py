@@ -6,6 +6,7 @@ import re
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from datetime import UTC, datetime
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +18,7 @@ from workbench.record.quality import good_quality
 from workbench.record.table import BLANK, FIELDS, NOT_FINITE, NUMERIC, OK, QUALITY, Cells, Table, number_cells
 from workbench.record.times import FORMATS_SAID, Order, in_order, parse_timestamps
 
-__all__ = ["Signal", "Signals", "Tall", "from_tall", "from_wide", "seconds_of"]
+__all__ = ["Clock", "Signal", "Signals", "Tall", "clock_of", "from_tall", "from_wide"]
 
 # A time of day without its day.
 _CLOCK = re.compile(r"\d{1,2}:\d\d")
@@ -75,7 +76,8 @@ def from_wide(table: Table, names: Mapping[str, str], source: str) -> Signals:
         seconds, order_rows = np.arange(rows, dtype=np.float64), np.arange(rows)
         out.timed = False
     else:
-        times, wall_clock, zero = seconds_of(table.columns["time"], names["time"], table, source, out.notes)
+        clock = clock_of(table.columns["time"], names["time"], table, source, out.notes)
+        times = clock.seconds
         times[table.columns["time"].marks == FIELDS] = np.nan
         same = np.ones(rows, dtype=bool)
         for signal in NEEDED:
@@ -83,12 +85,15 @@ def from_wide(table: Table, names: Mapping[str, str], source: str) -> Signals:
             same[1:] &= np.where(cells.marks[1:] == OK, cells.values[1:], 0.0) == np.where(
                 cells.marks[:-1] == OK, cells.values[:-1], 0.0
             )
-        order = in_order(times, same, wall_clock)
+        order = in_order(times, same, clock.wall)
         _refuse(order, table.lines, table.unit, names["time"], "", source)
+        if clock.stamped and order.rows.size:
+            out.epoch = float(order.seconds[0])
+            out.notes.append(clock.first_said(int(order.rows[0])))
         out.notes += order.notes
         out.repeated = order.repeated
         _dropped(out, times, table.columns["time"].marks == FIELDS, table.lines)
-        seconds, order_rows, out.epoch = order.seconds - zero, order.rows, zero
+        seconds, order_rows = order.seconds - out.epoch, order.rows
     lines = table.lines[order_rows]
     whole = order_rows.size == rows and bool((np.diff(order_rows) == 1).all())
     for signal in kinds:
@@ -108,10 +113,11 @@ def from_tall(table: Table, names: Mapping[str, str], tags: Mapping[str, str] | 
     if others:
         more = f" and {len(others) - 5} more" if len(others) > 5 else ""
         out.notes.append(f"tags not used: {', '.join(others[:5])}{more}")
-    times, wall_clock, out.epoch = seconds_of(table.columns["time"], names["time"], table, source, out.notes)
-    times[table.columns["time"].marks == FIELDS] = np.nan
+    clock = clock_of(table.columns["time"], names["time"], table, source, out.notes)
+    wide = table.columns["time"].marks == FIELDS
+    clock.seconds[wide] = np.nan
     qualities, units = (table.columns[name].as_texts() if name in table.columns else None for name in TALL[3:])
-    tall = Tall(out, times, wall_clock, table.columns["time"].marks == FIELDS, table.lines, names, source)
+    tall = Tall(out, clock, wide, table.lines, names, source)
     for kind, i in found.items():
         rows = np.flatnonzero(of_row == codes[listed[i]])
         cells = _values(table, rows, kind, f"{source}: tag {listed[i]!r}")
@@ -124,18 +130,18 @@ def from_tall(table: Table, names: Mapping[str, str], tags: Mapping[str, str] | 
 class Tall:
     """A loop's signals as they are put together from the rows of a tall table.
 
-    times: s, nan for none, shape (N,), of a clock on a wall or not; wide: rows with fields too many; lines: of the
-    rows; names: of the columns.
+    clock: of the rows, shape (N,); wide: rows with fields too many; lines: of the rows; names: of the columns. first:
+    the time that comes first, s, and its row.
     """
 
     out: Signals
-    times: FloatArray
-    wall_clock: bool
+    clock: Clock
     wide: NDArray[np.bool_]
     lines: NDArray[np.int64]
     names: Mapping[str, str]
     source: str
     said: Counter[str] = field(default_factory=Counter)
+    first: tuple[float, int] | None = None
 
     def add(
         self,
@@ -147,7 +153,7 @@ class Tall:
         units: list[str] | None,
     ) -> None:
         """Add one tag as the signal `kind`; rows: its own, cells, qualities, units: theirs. Raises `RecordError`."""
-        out, times = self.out, self.times[rows]
+        out, times = self.out, self.clock.seconds[rows]
         if qualities is not None:
             _mark_quality(cells, qualities, self.names["quality"], out.notes)
         value = np.where(cells.marks == OK, cells.values, 0.0)
@@ -155,16 +161,24 @@ class Tall:
         if cells.texts is not None and kind == "MODE":
             texts = np.array(cells.texts, dtype=object)
             same[1:] &= (texts[1:] == texts[:-1]).astype(bool)
-        order = in_order(times, same, self.wall_clock)
+        order = in_order(times, same, self.clock.wall)
         _refuse(order, self.lines[rows], out.unit, self.names["time"], tag, self.source)
         self.said.update(order.notes)
         out.repeated += order.repeated
         _dropped(out, times, self.wide[rows], self.lines[rows])
         lines, unit = self.lines[rows[order.rows]], next(filter(None, units or ()), "")
-        out.by[kind] = Signal(tag, order.seconds - out.epoch, cells.take(order.rows), lines, unit)
+        out.by[kind] = Signal(tag, order.seconds, cells.take(order.rows), lines, unit)
+        if order.rows.size:
+            first = float(order.seconds[0]), int(rows[order.rows[0]])
+            self.first = first if self.first is None else min(self.first, first)
 
     def done(self) -> Signals:
-        """Return the signals, with what was said of several tags said once."""
+        """Return the signals, on one time from the first stamp on, with what was said of several tags said once."""
+        if self.clock.stamped and self.first is not None:
+            self.out.epoch, row = self.first
+            for signal in self.out.by.values():
+                signal.seconds = signal.seconds - self.out.epoch
+            self.out.notes.append(self.clock.first_said(row))
         self.out.notes += [note if many == 1 else f"{note} (in {many} tags)" for note, many in self.said.items()]
         return self.out
 
@@ -211,37 +225,51 @@ def _refuse(order: Order, lines: NDArray[np.int64], unit: str, name: str, tag: s
     raise RecordError(msg)
 
 
-def seconds_of(cells: Cells, name: str, table: Table, source: str, notes: list[str]) -> tuple[FloatArray, bool, float]:
-    """Return seconds, shape (N,), nan for none; whether they are a clock on a wall; and which of them becomes 0."""
+@dataclass
+class Clock:
+    """The times of rows: s, nan for none, shape (N,); wall: of a clock on a wall; texts: the timestamps as written.
+
+    stamped: whether they are timestamps, and the seconds count since 1970.
+    """
+
+    seconds: FloatArray
+    wall: bool = False
+    stamped: bool = False
+    texts: list[str] | None = None
+
+    def first_said(self, row: int) -> str:
+        """Return in words which timestamp comes first, that of a row."""
+        if self.texts is not None:
+            return f"first timestamp {self.texts[row]}"
+        at = datetime.fromtimestamp(float(self.seconds[row]), UTC)
+        return f"first timestamp {at.replace(tzinfo=None) if self.wall else at}"
+
+
+def clock_of(cells: Cells, name: str, table: Table, source: str, notes: list[str]) -> Clock:
+    """Return the times of a column of times, shape (N,). Raises `RecordError`."""
     # Rows with fields too many hold a time all the same, or the file would be told that it has none.
     numeric = int(np.count_nonzero(np.isfinite(cells.values)))
     if "date" in table.columns and _CLOCK.match(next(filter(None, cells.texts or ()), "")):
         days = table.columns["date"].as_texts()
         cells = replace(cells, texts=[f"{day} {clock}" for day, clock in zip(days, cells.as_texts(), strict=True)])
     if cells.stamped is not None:
-        first, zoned = cells.stamped
-        if numeric:
-            notes.append(f"first timestamp {first}")
-        return cells.values.copy(), not zoned, float(np.nanmin(cells.values)) if numeric else 0.0
+        return Clock(cells.values.copy(), wall=not cells.stamped, stamped=True)
     texts = cells.texts
     if texts is None or numeric * 2 > np.count_nonzero(cells.marks != BLANK):
-        return _counted(cells.values * time_unit(name), name, notes), False, 0.0
+        return Clock(_counted(cells.values * time_unit(name), name, notes))
     parsed = parse_timestamps(texts)
     if isinstance(parsed, str):
         msg = f"{source}: column {name!r}: {parsed}"
         raise RecordError(msg)
     seconds, note, zoned = parsed
-    usable = np.isfinite(seconds)
-    if not usable.any():
+    if not np.isfinite(seconds).any():
         msg = (
             f"{source}: {table.unit} {table.lines[0]}, column {name!r}: {texts[0]!r} is no time that can be read; "
             f"allowed: {FORMATS_SAID}"
         )
         raise RecordError(msg)
     notes += [note] if note else []
-    earliest = int(np.argmin(np.where(usable, seconds, np.inf)))
-    notes.append(f"first timestamp {texts[earliest]}")
-    return seconds, not zoned, float(seconds[earliest])
+    return Clock(seconds, wall=not zoned, stamped=True, texts=texts)
 
 
 def _counted(values: FloatArray, name: str, notes: list[str]) -> FloatArray:

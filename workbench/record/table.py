@@ -20,6 +20,7 @@ from workbench.model.record import FloatArray
 
 __all__ = [
     "BLANK",
+    "CODE",
     "FIELDS",
     "NOT_FINITE",
     "NUMERIC",
@@ -37,7 +38,7 @@ __all__ = [
 ]
 
 # What a cell is; all but OK and BLANK are a value that was recorded and cannot be used.
-OK, BLANK, TEXT, NOT_FINITE, FIELDS, QUALITY, RANGE = range(7)
+OK, BLANK, TEXT, NOT_FINITE, FIELDS, QUALITY, RANGE, CODE = range(8)
 # The signals that are numbers and nothing else; the other columns are kept as text too.
 NUMERIC = ("PV", "OP", "SP", "valve_position")
 
@@ -54,17 +55,18 @@ LIMIT = 1e100
 class Cells:
     """One column: values (nan where bad) and marks, shape (N,), with the texts that stood for numbers, counted.
 
-    texts: the cells as text, where they may be timestamps, modes, tags or qualities. stamped: (the first in words,
-    whether they carry a zone) of a Parquet file's timestamps; `values` are then seconds since 1970. qualities: that
-    were not good, counted.
+    texts: the cells as text, where they may be timestamps, modes, tags or qualities. stamped: whether a Parquet file's
+    timestamps carry a zone, None for anything else; `values` are then seconds since 1970. qualities: that were not
+    good, counted. codes: numbers that stood for no value, counted.
     """
 
     values: FloatArray
     marks: NDArray[np.int8]
     words: Counter[str] = field(default_factory=Counter)
     texts: list[str] | None = None
-    stamped: tuple[str, bool] | None = None
+    stamped: bool | None = None
     qualities: Counter[str] = field(default_factory=Counter)
+    codes: Counter[str] = field(default_factory=Counter)
 
     def take(self, rows: NDArray[np.int64]) -> Cells:
         """Return the cells of these rows, shape (M,), in this order."""
@@ -317,9 +319,8 @@ def arrow_cells(column: object, name: str, where: str) -> Cells:
     if pa.types.is_timestamp(kind):
         fine = pc.cast(chunk, pa.timestamp("us", kind.tz), safe=False)
         values = np.where(missing, np.nan, np.asarray(fine.cast(pa.int64()).fill_null(0)) / 1e6)
-        first = "" if missing.all() else str(fine[int(np.argmin(missing))].as_py())
         marks = np.where(missing, BLANK, OK).astype(np.int8)
-        return Cells(values, marks, stamped=(first, kind.tz is not None))
+        return Cells(values, marks, stamped=kind.tz is not None)
     if pa.types.is_boolean(kind):
         chunk, kind = pc.cast(chunk, pa.int8()), pa.int8()
     if pa.types.is_integer(kind) or pa.types.is_floating(kind) or pa.types.is_decimal(kind):

@@ -25,7 +25,7 @@ from workbench.scenario.document import Path
 from workbench.scenario.element_entries import DESCRIBED, NOT_FROM_DATA, elements_of
 from workbench.scenario.experiments import Experiments
 from workbench.scenario.map_entries import map_job
-from workbench.scenario.plan import MAX_SAMPLES, CaseJob, EnsembleJob, EstimateJob, Scenario
+from workbench.scenario.plan import CaseJob, EnsembleJob, EstimateJob, Scenario, wrong_length
 from workbench.scenario.refusals import Refusals, one_line
 from workbench.scenario.robust import RobustEntries, measured_in
 from workbench.scenario.rule_entries import DetunedIntegralRule, rule_of
@@ -218,8 +218,7 @@ class Builder:
         """Refuse an experiment that does not fit the loop's samples, or whose start the valve would not hold."""
         if sample_time is not None:
             samples = self.refusals.attempt(("experiment",), lambda: sample_count(experiment.duration, sample_time))
-            if samples is not None and samples > MAX_SAMPLES:
-                what = f"{samples:,} samples; must be at most {MAX_SAMPLES:,}"
+            if samples is not None and (what := wrong_length(samples)):
                 self.refusals.refuse(("experiment", "duration"), what)
             for name, parts in (("setpoint", experiment.setpoint_parts), ("load", experiment.load_parts)):
                 for i, part in enumerate(parts):

@@ -16,7 +16,7 @@ from workbench.scenario import schema
 from workbench.scenario.build import Builder
 from workbench.scenario.controllers import Controllers, wrong_way
 from workbench.scenario.document import Path
-from workbench.scenario.plan import MAX_SAMPLES, CascadeJob, CascadeTuneJob, Scenario
+from workbench.scenario.plan import CascadeJob, CascadeTuneJob, Scenario, wrong_length
 from workbench.scenario.refusals import Refusals
 from workbench.scenario.site_forms import cascade_site
 from workbench.scenario.valves import plant_of, valve_of
@@ -80,8 +80,7 @@ def cascade_scenario(builder: Builder, given: schema.ScenarioFile, entry: schema
 def _fits(builder: Builder, cascade: Cascade, experiment: CascadeExperiment) -> None:
     """Refuse an experiment that does not fit the cascade's samples, or is too long; note coarse sampling."""
     samples = experiment.duration / cascade.secondary.sample_time
-    if samples > MAX_SAMPLES:
-        what = f"{samples:,.0f} samples; must be at most {MAX_SAMPLES:,}"
+    if what := wrong_length(samples):
         builder.refusals.refuse(("experiment", "duration"), what)
         return
     builder.refusals.attempt(("experiment",), lambda: cascade_signals(cascade, experiment))

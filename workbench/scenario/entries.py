@@ -64,8 +64,8 @@ Size = Annotated[
 Band = Annotated[
     float,
     BeforeValidator(units.percent),
-    Field(ge=0),
-    WithJsonSchema(text_form(units.PERCENT_FORM, type="number", minimum=0)),
+    Field(ge=0, le=100),
+    WithJsonSchema(text_form(units.PERCENT_FORM, type="number", minimum=0, maximum=100)),
 ]
 Time = Annotated[float, BeforeValidator(units.time), Field(ge=0), WithJsonSchema(text_form(units.TIME_FORM, const=0))]
 PositiveTime = Annotated[float, BeforeValidator(units.time), Field(gt=0), WithJsonSchema(text_form(units.TIME_FORM))]

@@ -13,6 +13,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from workbench.errors import ScenarioError
+from workbench.scenario import units
 from workbench.scenario.build import Builder
 from workbench.scenario.cascade import cascade_scenario
 from workbench.scenario.document import Node, Path, Problem, locate, nearest, parse, plain, spell
@@ -131,6 +132,8 @@ def _problem(root: Node, data: object, allowed: dict[int, tuple[str, ...]], erro
         return _placed(root, path, "missing; it must be given")
     if kind == "extra_forbidden":
         keys = allowed.get(id(_inside(data, path[:-1])), ())
+        if units.is_quantity(path[-1]) and node.value is None:
+            return _placed(root, path, f"no key, but the rest of a number? {units.COMMA_RULE}", key=True)
         near = nearest(path[-1], keys)
         if not near and "tune" in keys and path[-1] in Tune.model_fields:
             near = " (write it inside tune)"

@@ -19,7 +19,6 @@ from workbench.model.site import CascadeSite, SiteForm
 from workbench.model.tuning import Bounds, Objective
 
 __all__ = [
-    "MAX_SAMPLES",
     "RULE_DIGITS",
     "CascadeJob",
     "CascadeTuneJob",
@@ -30,10 +29,20 @@ __all__ = [
     "RobustJob",
     "Scenario",
     "TuneJob",
+    "wrong_length",
 ]
 
 MAX_SAMPLES = 5_000_000  # of an experiment
+FEWEST_SAMPLES = 10  # of one: fewer show nothing of a loop
 RULE_DIGITS = 4  # significant digits of what a rule gives, to be typed in
+
+
+def wrong_length(samples: float) -> str:
+    """Return in words that an experiment has too many samples or too few, or nothing."""
+    if FEWEST_SAMPLES <= samples <= MAX_SAMPLES:
+        return ""
+    many = "1 sample" if samples == 1 else f"{samples:,.0f} samples"
+    return f"{many}; must be at most {MAX_SAMPLES:,}, and at least {FEWEST_SAMPLES}"
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from workbench.errors import InvalidValue
 
 __all__ = [
+    "COMMA_RULE",
     "FILTER_FORM",
     "GAIN_FORM",
     "INTEGRAL_FORM",
@@ -24,6 +25,7 @@ __all__ = [
     "filter_ratio",
     "gain",
     "integral_time",
+    "is_quantity",
     "lambda_time",
     "percent",
     "proportional_band",
@@ -41,6 +43,8 @@ PERCENT_FORM = rf"^\s*{NUMBER}\s*%\s*$"
 GAIN_FORM = rf"^\s*{NUMBER}\s*(%/EU|%/%)\s*$"
 LAMBDA_FORM = rf"^\s*{NUMBER}\s*(ms|s|min|h|d|tau)\s*$"
 FILTER_FORM = "^none$"
+
+COMMA_RULE = "decimals are written with a point, such as 2.5"
 
 _QUANTITY = re.compile(rf"\s*({NUMBER})\s*(\S*)\s*")
 _TIME_RULE = 'must be a time with its unit, such as "5 s" (ms, s, min, h, d)'
@@ -67,11 +71,17 @@ def _split(value: object, rule: str) -> tuple[float, str]:
     else:
         match = _QUANTITY.fullmatch(value)
         if match is None:
-            raise InvalidValue("", value, rule)
+            comma = _QUANTITY.fullmatch(value.replace(",", ".", 1))
+            raise InvalidValue("", value, rule if comma is None else f"{rule}; {COMMA_RULE}")
         x, unit = float(match[1]), match[2]
     if not math.isfinite(x):
         raise InvalidValue("", value, f"{rule} and finite")
     return x, unit
+
+
+def is_quantity(text: object) -> bool:
+    """Return whether a text begins with a number: no key of a scenario does."""
+    return _QUANTITY.fullmatch(str(text)) is not None
 
 
 def bare(value: object) -> float:
