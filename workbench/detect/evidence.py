@@ -113,10 +113,11 @@ def _stem_test(found: Detection) -> Iterator[Statistic]:
     )
     for name, measures, unit, value, least, route in rows:
         needed = f"stiction needs {least:g}{' %' if unit else ''} or more, {route}"
-        enough = value >= least
-        if route == alone and test is not None:
-            enough = enough and test.simulated >= better and test.turned >= 0.0
-        says = "enough for stiction" if enough else "too little for stiction"
+        says = "enough for stiction" if value >= least else "too little for stiction"
+        if value >= least and route == alone and test is not None:
+            missing = "simulated PV does not bear it out" if test.simulated < better else ""
+            missing = "PV's own turns tell more" if test.turned < 0.0 else missing
+            says = f"enough, yet {missing}: not for stiction" if missing else says
         says = _undefined(STILL) if math.isnan(value) else says
         yield Statistic(name, measures, "", value, unit, needed, says, decides=True)
     yield Statistic(
@@ -201,7 +202,7 @@ def _stem_test(found: Detection) -> Iterator[Statistic]:
         "",
         wide,
         "",
-        f"up to {-limits.excluded:g} such stems are excluded; up to {limits.chance:g} chance, up to 0 where PV is seen "
+        f"up to −{limits.excluded:g} such stems are excluded; up to {limits.chance:g} chance, up to 0 where PV is seen "
         "to follow OP",
         _undefined(STILL)
         if test is None
@@ -354,7 +355,7 @@ def _shape(found: Detection, why: str) -> Iterator[Statistic]:
 def _nonlinear(found: Detection, why: str, asked: bool) -> Iterator[Statistic]:
     n, bic = found.stretch[1] - found.stretch[0], found.bicoherence
     where = "" if n == len(found.record) else " at constant SP"
-    missing = "not asked for (bicoherence=True)"
+    missing = "not asked for"
     if asked:
         short = f"the record is too short: {n} samples{where}, at least {SHORTEST} needed"
         missing = "SP − PV never moves" if n >= SHORTEST else short

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 from workbench.detect.verdict import Thresholds, excluded
 from workbench.model.detection import Detection
+from workbench.model.numbers import counted
 
 __all__ = ["ENOUGH_SLIPS", "WIDE_D", "Evidence", "agree", "judge"]
 
@@ -72,7 +73,7 @@ def judge(e: Evidence) -> tuple[str, tuple[str, ...], bool]:
         return "undecided", tuple(reasons), False
     reasons.append(
         f"a stem that sticks within d = {e.d:.3g} % leaves {_share(stem)} of PV's variance unexplained, "
-        f"the linear model {_share(linear)} ({e.slips} stem moves)"
+        f"the linear model {_share(linear)} ({counted(e.slips, 'stem move')})"
     )
     if improvement >= GAIN and (linear >= UNEXPLAINED or improvement >= 0.5):
         verdict = _for_stiction(e, stem, reasons)
@@ -125,8 +126,8 @@ def _for_health(e: Evidence, reasons: list[str]) -> str:
 def _for_stiction(e: Evidence, stem: float, reasons: list[str]) -> str:
     if e.slips < ENOUGH_SLIPS:
         reasons.append(
-            f"only {e.slips} stem moves in the record, and at least {ENOUGH_SLIPS} are needed for a verdict: "
-            "a longer record, or one with a setpoint change, would decide"
+            f"only {counted(e.slips, 'stem move')} in the record, and at least {ENOUGH_SLIPS} are needed for a "
+            "verdict: a longer record, or one with a setpoint change, would decide"
         )
         return "undecided"
     if stem > EXPLAINS:
