@@ -12,7 +12,7 @@ from workbench.model.fleet import LoopSource
 from workbench.record.columns import NEEDED, is_tall, split_tag
 from workbench.record.historian import Pieces, tags_of
 
-__all__ = ["FILES", "Sources", "loops_in", "of_tags", "tagged"]
+__all__ = ["FILES", "OWN", "Sources", "loops_in", "of_tags", "tagged"]
 
 FILES = (".csv", ".txt", ".parquet", ".pq")
 LABELS = "labels.csv"  # what `workbench score` reads, and no loop
