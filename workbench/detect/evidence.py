@@ -12,6 +12,7 @@ from workbench.detect.oscillation import OSCILLATES, REGULAR, no_period
 from workbench.detect.shape import TRIANGLES, UNANSWERED
 from workbench.detect.verdict import Thresholds, beyond_chance, curved, excluded
 from workbench.model.detection import Detection, Statistic
+from workbench.model.numbers import given
 
 __all__ = ["statistics_of"]
 
@@ -208,7 +209,7 @@ def _stem_test(found: Detection) -> Iterator[Statistic]:
         if test is None
         else "not asked: the model's stem leaves no doubt"
         if math.isnan(wide)
-        else f"a band of {test.wide_from:.3g} % or more is excluded"
+        else f"a band of {given(test.wide_from, 3)} % or more is excluded"
         if excluded(test, limits)
         else "wide bands are not excluded"
         if beyond_chance(test, limits)
@@ -244,7 +245,7 @@ def _recorded_stem(found: Detection) -> Iterator[Statistic]:
     says = _undefined("OP never moves")
     if stem is not None:
         follows, sticks = stem.follows < limits.direct, stem.sticks <= 0.5 * stem.follows
-        says = "the stem follows OP" if follows else f"it sticks over {stem.band:.3g} %" if sticks else OPEN
+        says = "the stem follows OP" if follows else f"it sticks over {given(stem.band, 3)} %" if sticks else OPEN
     yield Statistic(
         "Recorded stem",
         "how far the measured valve position leaves a straight line through OP, as a share of its moves",
@@ -278,7 +279,7 @@ def _oscillation(found: Detection, why: str) -> Iterator[Statistic]:
         cycle.period,
         "s",
         "",
-        brief or f"{cycle.cycles:.3g} periods recorded",
+        brief or f"{given(cycle.cycles, 3)} periods recorded",
     )
     yield Statistic(
         "Regularity",
@@ -312,7 +313,7 @@ def _phase(found: Detection, why: str) -> Iterator[Statistic]:
             "Horch 1999",
             value,
             "",
-            f"from {some:.3g} on stiction, up to {none:.3g} none",
+            f"from {given(some, 3)} on stiction, up to {given(none, 3)} none",
             _says(value, none, some, crossing),
         )
     yield Statistic(

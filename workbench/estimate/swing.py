@@ -24,6 +24,7 @@ from workbench.estimate.fit import LEAST_TAU, LOUD, Limits, autoregression, grou
 from workbench.estimate.paths import Path
 from workbench.estimate.windows import WHOLE
 from workbench.model.loads import LoadSwing
+from workbench.model.numbers import given
 from workbench.model.plant import Integrating, Plant
 from workbench.model.record import FloatArray
 from workbench.model.results import Estimate, Intervals, LinearFit
@@ -101,8 +102,8 @@ def beside_swing(
 def words_of_swing(load: LoadSwing) -> str:
     """Return in words that an oscillation from outside was found."""
     return (
-        f"PV swings by {load.amplitude:.3g} EU to either side with a period of {load.period:.3g} s, which no stem "
-        "makes: an oscillation from outside the loop, beside which the model is fitted"
+        f"PV swings by {given(load.amplitude, 3)} EU to either side with a period of {given(load.period, 3)} s, which "
+        "no stem makes: an oscillation from outside the loop, beside which the model is fitted"
     )
 
 
