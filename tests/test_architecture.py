@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -86,3 +87,10 @@ def test_public_functions_survive_imports_of_their_folders():
         "assert callable(wb.simulate) and callable(wb.tune) and callable(wb.estimate)"
     )
     subprocess.run([sys.executable, "-c", code], check=True, timeout=60)
+
+
+@pytest.mark.parametrize("folder", ["detect", "estimate", "analyze", "tune"])
+def test_numbers_in_words_follow_the_one_law(folder):
+    # `:.3g` writes 1290 s as 1.29e+03; see `workbench.model.numbers`.
+    told = {path.name: re.findall(r"\{[^{}]*:\.\d+g\}", path.read_text()) for path in (PACKAGE / folder).glob("*.py")}
+    assert not {name: found for name, found in told.items() if found}

@@ -84,7 +84,9 @@ def parted(files: Sequence[Path]) -> tuple[dict[str, Sources], list[Path]]:
 def check_site(sources: Sources) -> int:
     """Say whether a manifest's loops are there to be read; return the exit code, 1 where some are not."""
     refused = [loop for loop in sources.loops if loop.refusal]
-    loops = f"{len(sources.loops)} loop{'' if len(sources.loops) == 1 else 's'}"
+    from workbench.model.numbers import counted
+
+    loops = counted(len(sources.loops), "loop")
     typer.echo(f"{sources.shown}: " + (f"{len(refused)} of {loops} cannot be read" if refused else f"ok ({loops})"))
     for loop in refused:
         typer.echo(f"{sources.shown}: {loop.name}: {loop.refusal}", err=True)
@@ -150,22 +152,25 @@ def _run(
 
 
 def _lines(outcome: Outcome, out: Path) -> Iterator[str]:
+    from workbench.model.numbers import counted, figure
+
     site = outcome.site
     if outcome.dropped:
         yield f"An unfinished run in {out} was begun anew (--resume would have gone on with it)"
     if outcome.resumed:
-        yield f"{outcome.resumed} loops had been looked at before"
+        yield f"{counted(outcome.resumed, 'loop')} had been looked at before"
     sticky = [row for row in site.rows if row.sticks]
     many = len(site.looked_at)
     rate = (many + len(site.failures) - outcome.resumed) / max(outcome.seconds, 1e-9)
     yield (
-        f"{many} loops looked at in {outcome.seconds:.1f} s ({rate:.1f} a second): "
-        f"{sum(row.oscillates for row in site.looked_at)} oscillate, {len(sticky)} show stiction, "
-        f"{len(site.groups)} groups oscillate together"
+        f"{counted(many, 'loop')} looked at in {outcome.seconds:.1f} s ({rate:.1f} a second): "
+        f"{counted(sum(row.oscillates for row in site.looked_at), 'oscillates', 'oscillate')}, "
+        f"{counted(len(sticky), 'shows', 'show')} stiction, "
+        f"{counted(len(site.groups), 'group oscillates', 'groups oscillate')} together"
     )
     for row in sticky[:5]:
-        cycle = f", period {row.period / 60.0:.3g} min" if row.oscillates else ""
-        yield f"  {row.name}: stiction {row.stiction:.3g} %{cycle}"
+        cycle = f", period {figure(row.period / 60.0, 3)} min" if row.oscillates else ""
+        yield f"  {row.name}: stiction {figure(row.stiction, 3)} %{' (a hint)' if row.vague else ''}{cycle}"
     for row in site.failures[:5]:
         yield f"  {row.name}: not looked at: {row.reason}"
     if len(site.failures) > 5:
@@ -181,12 +186,14 @@ def fleet_demo(
 ) -> int:
     """Write a synthetic site of known truth, to try `workbench fleet` on: tall Parquet, and _truth.csv beside it."""
     from workbench.fleet.demo import write_site
+    from workbench.model.numbers import counted
 
     with _progress() as show:
         truths = write_site(out, loops, hours, seed, lambda share: show(round(share * loops), loops, 0))
     sticky = sum(truth.kind == "sticky" for truth in truths)
     typer.echo(
-        f"Written: {out}, {loops} loops, {sticky} with a valve that sticks; now: workbench fleet {out} --out DIR"
+        f"Written: {out}, {counted(loops, 'loop')}, {sticky} with a valve that sticks; "
+        f"now: workbench fleet {out} --out DIR"
     )
     return 0
 

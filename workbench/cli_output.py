@@ -25,7 +25,7 @@ from workbench.report.known import unpinned
 from workbench.report.results import results_content, strict
 from workbench.report.shared import objective_words
 from workbench.report.style import svg_text
-from workbench.report.words import controller_words, figure, given, interval, nearby, plant_words, valve_words
+from workbench.report.words import controller_words, counted, figure, given, interval, nearby, plant_words, valve_words
 from workbench.scenario.retune import Retuned
 from workbench.score import Scored
 
@@ -53,7 +53,7 @@ def estimate_lines(found: Estimate) -> list[str]:
         lines += [f"Parts      {first}", *(f"           {line}" for line in others)]
     stem = found.valve_position
     lines.append(
-        f"Stem       {found.slips} moves, {figure(float(stem.min()))} to {figure(float(stem.max()))} %; "
+        f"Stem       {counted(found.slips, 'move')}, {figure(float(stem.min()))} to {figure(float(stem.max()))} %; "
         f"PV is met within {figure(found.noise_sd, 3)} EU (standard deviation)"
     )
     for i, load in enumerate(load_words(found)):
@@ -78,7 +78,7 @@ def _repeats_lines(found: Repeats) -> list[str]:
     """Return what parts of the record say by themselves, each way and over time."""
     lines = [
         f"{given(part.start, 6)} to {given(part.end, 6)} s by itself, with the same process: "
-        f"{figure(part.band, 3)} % (95 %: {interval(part.interval, '%', 3)}; {part.slips} stem moves)"
+        f"{figure(part.band, 3)} % (95 %: {interval(part.interval, '%', 3)}; {counted(part.slips, 'stem move')})"
         for part in found.parts
     ]
     for what, value, pair, unit in (

@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 
 import workbench as wb
 from workbench.detect import stem
+from workbench.detect.detect import _cycle_said
 from workbench.detect.stem import stem_test
 from workbench.detect.verdict import Thresholds, accuses, decide, follows
 from workbench.model.detection import Oscillation, StemEvidence, StemTest
@@ -234,6 +235,11 @@ def test_an_op_that_hardly_ever_moves_tells_nothing() -> None:
         found = wb.detect(wb.Record(pv, 40.0 + op, 1.0))
         assert found.verdict == "undecided"
         assert f"OP moved {often} only in 600 samples" in found.reasons[0]
+
+
+def test_a_slow_cycle_is_told_in_whole_seconds() -> None:
+    (said,) = _cycle_said(Oscillation(0.6, 1290.0, 5.0, 40.0), True, 0.0)
+    assert said == "PV oscillates with a period of 1,290 s (index 0.60)"
 
 
 CYCLING = Oscillation(0.6, 20.0, 5.0, 40.0)

@@ -67,7 +67,9 @@ def test_the_stem_test_is_judged_by_the_thresholds_of_the_verdict(sticky: Detect
     assert outdone["Stem test, in OP's place"].says == "too much to exclude stiction"
     # Both rivals speak for a stem, and simulated PV against all: the verdict does not find stiction by that.
     worse = table(replace(sticky, test=replace(at, simulated=-0.01)))
-    assert worse["Stem test, two rivals"].says == "too little for stiction"
+    assert worse["Stem test, two rivals"].says == "enough, yet simulated PV does not bear it out: not for stiction"
+    less = table(replace(sticky, test=replace(at, sure=LIMITS.surely(at) - 1e-9)))
+    assert less["Stem test, two rivals"].says == "too little for stiction"
     assert f"by prediction alone {LIMITS.sole:g}" in worse["Stem test, load steps"].limits
 
 
@@ -151,6 +153,7 @@ def test_what_is_not_defined_says_why() -> None:
     )
     plain = wb.detect(wb.Record(rng.normal(size=200), rng.normal(size=200), 1.0))
     assert "not asked for" in {row.name: row for row in plain.statistics}["Apparent stiction"].says
+    assert not any("bicoherence=True" in row.says for row in plain.statistics)
 
 
 @pytest.mark.parametrize("samples", [143, 144])

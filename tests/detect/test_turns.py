@@ -74,7 +74,7 @@ def test_a_healthy_loop_is_not_accused_of_another_loops_unsteady_cycle(
     row = next(row for row in found.statistics if row.name == "Stem test, PV's own turns")
     assert (row.value, row.says) == (found.test.turned, "they tell more: something turns PV before OP")
     rivals = next(row for row in found.statistics if row.name == "Stem test, two rivals")
-    assert rivals.says == "too little for stiction"
+    assert rivals.says == "enough, yet PV's own turns tell more: not for stiction"
 
 
 @pytest.mark.parametrize("valve", [wb.Stenman(3.0), wb.Choudhury(3.0, 1.0), wb.Deadband(6.0)])

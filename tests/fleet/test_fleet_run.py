@@ -139,7 +139,7 @@ def test_the_command_and_its_exit_codes(tmp_path: Path) -> None:
     runner, out = CliRunner(), tmp_path / "out"
     result = runner.invoke(app, ["fleet", str(loops), "--out", str(out), "--workers", "1"])
     assert result.exit_code == 0, result.output
-    assert "1 loops looked at" in result.output
+    assert "1 loop looked at" in result.output
     assert "sticky: stiction" in result.output
     (loops / "bad.csv").write_text("t,PV\n0,1\n")
     result = runner.invoke(app, ["fleet", str(loops), "--out", str(out), "--previous", str(out), "--last", "4 min"])
@@ -215,7 +215,7 @@ def test_a_full_disk_in_mid_run_leaves_what_was_found(tmp_path: Path, monkeypatc
     monkeypatch.setattr(pq, "write_table", original)
     again = CliRunner().invoke(app, ["fleet", str(loops), "--out", str(tmp_path / "out"), "--resume"])
     assert again.exit_code == 0
-    assert "1 loops had been looked at before" in again.output
+    assert "1 loop had been looked at before" in again.output
     assert len(read_rows(tmp_path / "out" / "fleet.parquet")[0]) == 3
 
 

@@ -10,9 +10,11 @@ import pytest
 from fleet_helpers import record, tall, write_csv, write_tall
 
 from workbench.errors import InvalidValue, RecordError, ScenarioError
+from workbench.fleet.loops import OWN
 from workbench.fleet.source import only, sources_of
+from workbench.fleet.store import Store, fleet_csv
 from workbench.fleet.task import look_at, read
-from workbench.model.fleet import LoopSource, Settings, Tuning
+from workbench.model.fleet import FleetRow, LoopSource, Settings, Tuning
 
 
 @pytest.fixture(scope="module")
@@ -44,6 +46,27 @@ def test_a_folder_of_files_of_all_kinds(tmp_path: Path, one) -> None:
     assert len(loops["FIC1"].pieces) == 2
     assert len(read(loops["FIC1"], Settings())) == 200
     assert len(read(loops["unit 2/b"], Settings())) == 200
+
+
+def test_what_the_workbench_wrote_itself_is_no_loop(tmp_path: Path, one) -> None:
+    write_csv(tmp_path / "FIC1.csv", one)
+    for own, beside in OWN.items():  # as `workbench estimate`, `run` and `compare` leave them
+        if own == "fleet.csv":
+            continue
+        folder = tmp_path / "reports" / own
+        folder.mkdir(parents=True)
+        write_csv(folder / own, one)
+        (folder / beside).write_text("{}")
+    row = FleetRow("FIC1")
+    Store(tmp_path / "monday", "x", Settings(), resume=False).finish([row], {"fleet.csv": fleet_csv([row])}, ())
+    half = Store(tmp_path / "tuesday", "x", Settings(), resume=False)
+    half.add(row)
+    half.flush()
+    assert len(list(tmp_path.rglob("part-*.parquet"))) == 1
+    assert names(tmp_path) == ["FIC1"]
+    # A loop's own record of such a name stays one.
+    write_csv(tmp_path / "estimate.csv", one)
+    assert names(tmp_path) == ["FIC1", "estimate"]
 
 
 def test_names_that_two_loops_share_are_refused_and_others_stay(tmp_path: Path, one) -> None:

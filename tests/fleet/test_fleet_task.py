@@ -74,18 +74,26 @@ def test_models_and_tunings_come_with_depth(folder: Path, monkeypatch: pytest.Mo
     row = result.row
     assert row.verdict == "stiction"
     assert row.stiction == pytest.approx(2.0, rel=0.1)
+    assert f"leaves {row.evidence:.1%} less of PV unpredicted" in row.reasons  # one figure, of one stretch
+    assert (row.present_Kc, row.present_Ti, row.present_Td, row.present_form) == (0.5, 20.0, 0.0, "series")
     assert row.stiction_low <= row.stiction <= row.stiction_high
     assert row.model_gain == pytest.approx(1.0, rel=0.2)
     assert row.form == "series"
     assert 0.0 < row.gain_of_tuning < 1.0  # better than the tuning that it has
     assert "Proposed tuning" in result.page
-    notes = task._tuned(row, loop, replace(asked[0], intervals=Intervals()))[0].notes
+    vague = task._tuned(row, loop, replace(asked[0], intervals=Intervals()))[0]
+    notes = vague.notes
+    assert vague.hint
+    assert notes.endswith(vague.hint)
+    assert row.hint == ""
     assert notes.endswith("the record gives no range for the gain K and dead time, so take this tuning as a hint")
     assert "as a hint" not in row.notes
     write_csv(folder / "calm.csv", record(sticky=False))
     found = task.look_at(LoopSource("FIC2", str(folder / "calm.csv")), Settings("tune")).row
     assert found.verdict == "no_stiction"
     assert math.isnan(found.Kc)
+    assert math.isnan(found.present_Kc)
+    assert found.evidence == found.predicts
     assert found.plant == "fopdt"
 
 

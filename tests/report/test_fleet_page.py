@@ -117,7 +117,7 @@ def test_what_the_page_says() -> None:
     )
     text = re.sub(r"\s+", " ", re.sub(r"<[^>]+>", " ", page))
     assert "4 valves show stiction" in text
-    assert "2 loops oscillate together in 1 groups; in 1 of them a sticking valve is the likely root" in text
+    assert "2 loops oscillate together in 1 group; there a sticking valve is the likely root, and 1 other loop" in text
     assert "broken: no column for OP" in text
     assert "1 other loop" in text  # that the root drives
     tuning = text[text.index("For tuning") :]
@@ -230,3 +230,54 @@ def test_evidence_is_told_in_whole_reasons_and_settings_at_their_digits() -> Non
     assert "Kc 1.170 %/EU, Ti 93.40 s (ideal)" in page
     long = replace(made, reasons=reasons.replace("; ", " "))
     assert "…" in render_site(Site("A site", "somewhere", Settings(), (long,)))
+
+
+def test_who_is_undecided_is_not_sent_to_tuning_as_healthy_and_a_hint_is_called_one() -> None:
+    hinted = FleetRow(
+        "FIC1", verdict="stiction", oscillates=True, period=60.0, stiction=0.4541, plant="fopdt", Kc=12.17, Ti=85.05,
+        Td=0.0, form="ideal", gain_of_tuning=0.00461, hint="the record gives no range, so take this tuning as a hint",
+        present_Kc=0.514, present_Ti=math.inf, present_Td=0.0, present_form="series", evidence=0.07, predicts=0.11,
+        notes="held; the record gives no range, so take this tuning as a hint",
+    )  # fmt: skip
+    pinned = replace(hinted, name="FIC2", identifiable=True, hint="", stiction=2.0, notes="")
+    unknown = FleetRow("FIC3", verdict="undecided", oscillates=True, period=60.0)
+    quiet = replace(unknown, name="FIC4", verdict="no_stiction", present_Kc=0.5, present_Ti=30.0, present_form="ideal")
+    assert hinted.vague
+    assert not pinned.vague
+    page = render_site(Site("A site", "x", Settings(), (hinted, pinned, unknown, quiet)))
+    text = re.sub(r"\s+", " ", re.sub(r"<[^>]+>", " ", page))
+    assert "2 loops have a proposed tuning, 1 of them no more than a hint." in text
+    assert "1 loop oscillates without a sticking valve, own or other." in text
+    assert "1 loop oscillates, and whether the valve sticks is undecided." in text
+    rows = {row.split("<", 1)[0]: row for row in page.split("For tuning")[1].split('<th scope="row">')}
+    assert "whether its own sticks is undecided" in rows["FIC3"]
+    assert "without stiction" not in rows["FIC3"]
+    assert "oscillates without stiction" in rows["FIC4"]
+    assert "Kc 0.5 %/EU, Ti 30 s (ideal)" in rows["FIC4"]
+    assert (
+        "<td>Kc 0.514 %/EU, no integral action (series)</td><td>Kc 12.17 %/EU, Ti 85.05 s (ideal)</td>" in rows["FIC1"]
+    )
+    assert "cost J 0.0046 times that of the present tuning" in rows["FIC1"]
+    assert "so take this tuning as a hint" in rows["FIC1"]
+    assert "hint" not in rows["FIC2"]
+    assert ">0.454 (hint)<" in page
+    assert ">2.00<" in page
+    assert "7%" in text  # the evidence that the verdict rests on, not the screening's
+    assert "11%" not in text
+
+
+def test_a_loops_page_says_a_hint_beside_the_tuning_and_no_unit_of_nothing() -> None:
+    record = wb.Record(np.sin(np.arange(400) / 9.0), np.cos(np.arange(400) / 9.0), 1.0)
+    row = FleetRow(
+        "FIC1", verdict="stiction", stiction=2.0, plant="fopdt", gain_of_tuning=0.0046, samples=400, sample_time=1.0,
+        hours=0.1, saturated=0.0, pv_sd=0.7, op_travel=9.0, hint="the gain is open, so take this tuning as a hint",
+        notes="held; the gain is open, so take this tuning as a hint",
+    )  # fmt: skip
+    page = render_loop(row, record, record, wb.detect(record).statistics, None, wb.PID(1.0, 20.0))
+    text = re.sub(r"\s+", " ", re.sub(r"<[^>]+>", " ", page))
+    assert "is 0.0046 times that of the present tuning on this model. The gain is open" in text
+    assert "Notes held " in text
+    assert "2.00 % of travel, of the model below; a hint: the record does not pin it" in text
+    assert "PV, EU" in text
+    assert "– %" not in text
+    assert "bicoherence=True" not in text

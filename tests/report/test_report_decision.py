@@ -343,7 +343,7 @@ def test_settings_stand_as_the_site_types_them(study: Study) -> None:
     rows = {row.label: [cell.text for cell in row.cells] for row in summary.settings.rows}
     assert rows["Form"][:2] == ["series", "series"]
     assert rows["Proportional band"][:2] == ["285.7 %", "60.76 %"]
-    assert rows["Integral Ti"][:2] == ["3 repeats/min", "6.316 repeats/min"]
+    assert rows["Integral rate 1/Ti"][:2] == ["3 repeats/min", "6.316 repeats/min"]
     assert rows["Valve travel"][:2] == ["12.18", "16.80"]
     assert rows["Action"][:2] == ["reverse", "reverse"]
     typed = told.site_cases[1]

@@ -24,7 +24,8 @@ from workbench.model.study import CaseResult, Study
 from workbench.model.valve import Choudhury, Directional, Ideal
 from workbench.report import draw, figures
 from workbench.report.plot import plot
-from workbench.report.style import CASES, svg_text
+from workbench.report.style import CASES, case_style, svg_text
+from workbench.report.thinned import settled
 from workbench.report.words import figure
 from workbench.simulate.signature import signature
 
@@ -50,16 +51,53 @@ def test_trends(study: Study) -> None:
 
 def test_overlay(study: Study) -> None:
     fig = figures.overlay_figure(study.cases)
-    above, below = fig.axes
+    above, near, below, near_below = fig.axes  # one of the cases comes to rest early: its first stretch from near
     assert [str(line.get_label()) for line in above.get_lines()] == ["Case 1", "Case 2", "Optimised PI", "SP"]
     assert np.array_equal(above.get_lines()[1].get_ydata(), study.cases[1].run.pv)
     assert np.array_equal(below.get_lines()[2].get_ydata(), study.cases[2].run.valve)
+    seen = near.get_lines()[2].get_xdata()
+    assert 4.0 <= seen[-1] <= 0.3 * study.cases[2].run.time[-1]
+    assert np.array_equal(near_below.get_lines()[2].get_ydata(), study.cases[2].run.valve[: len(seen)])
+    assert near.get_title("left") == f"the first {seen[-1]:g} s"
+    assert len(figures.overlay_figure(study.cases[:1]).axes) == 2
+
+
+def test_a_case_that_comes_to_rest_early_is_shown_from_near(study: Study) -> None:
+    run = study.cases[2].run
+    above, near, below, near_below = figures.trend_figure(run, "Optimised PI").axes
+    assert np.array_equal(lines(above)["PV"][1], run.pv)
+    assert np.array_equal(lines(near_below)["valve"][1], run.valve[: near_below.get_lines()[0].get_xdata().size])
+    assert below.get_xlabel() == near_below.get_xlabel() == "time (s)"
+    assert near.get_legend() is None
+    assert settled(run.time, run.pv) < 0.1 * run.time[-1] < settled(run.time, study.cases[0].run.pv)
+    assert settled(np.arange(4.0), np.array([0.0, 1.0, np.nan, 1.0])) == np.inf
+
+
+def test_a_case_that_swings_fast_is_a_band_under_the_others() -> None:
+    time = np.arange(1500.0)
+    slow, fast = 4.0 + np.sin(time / 40.0), 4.0 + 2.0 * np.sin(2.0 * np.pi * time / 3.7)
+    sp = np.full(1500, 4.0)
+    cases = [figures.Curves(n, (time, sp), (time, slow), (time, x)) for n, x in (("Slow", slow), ("Dither", fast))]
+    above, below = figures.overlaid(cases, "valve (%)").axes
+    assert len(above.get_lines()) == 3
+    assert [len(ax.collections) for ax in (above, below)] == [0, 1]
+    assert len(below.get_lines()) == 1
+    band = below.collections[0]
+    assert band.get_zorder() < below.get_lines()[0].get_zorder()
+    assert band.get_alpha() < 0.5
+    low, high = band.get_paths()[0].get_extents().intervaly
+    assert low == pytest.approx(2.0, abs=0.05)
+    assert high == pytest.approx(6.0, abs=0.05)
+    # Thinned signals, as other runs' files hold them, alike.
+    assert len(figures.overlaid([replace(cases[1], below=draw.thin(time, fast, 150))], "").axes[1].collections) == 1
 
 
 def test_cases_differ_in_colour_and_line_style() -> None:
     assert len({c["color"] for c in CASES}) == len(CASES)
     solid = [c for c in CASES if c["linestyle"] == "-"]
     assert len({str(c["linestyle"]) for c in CASES}) >= len(CASES) - len(solid) + 1
+    assert len({str(case_style(i)) for i in range(16)}) == 16
+    assert [case_style(i) for i in range(8)] == list(CASES)
 
 
 def test_an_unstable_case_does_not_hide_the_others(study: Study, case: Make) -> None:
@@ -102,6 +140,16 @@ def test_the_fit_that_ignores_stiction_stands_below_the_right_one_with_both_para
     assert above.get_ylim() == below.get_ylim()
     assert above.get_title("left").startswith("d 2.003 %, gain 1.990 EU/%, time constant 5.030 s, dead time 1.000 s")
     assert below.get_title("left").startswith("gain 1.250 EU/%, time constant 63.00 s, dead time 50.00 s")
+
+
+def test_no_legend_covers_the_parameters(estimated: Make) -> None:
+    found, _ = estimated()
+    fig = figures.linear_fit_figure(replace(found, valve=Choudhury(S=2.123, J=1.234), residual_variance=0.3136))
+    fig.canvas.draw()
+    for ax in fig.axes:
+        legend = ax.get_legend()
+        assert legend is not None
+        assert not legend.get_window_extent().overlaps(ax._left_title.get_window_extent())  # type: ignore[attr-defined]
 
 
 def test_the_stem_is_drawn_against_op_with_the_measured_one_where_there_is_one(estimated: Make) -> None:

@@ -294,6 +294,22 @@ def test_labels_never_overlap_and_stay_inside(robust: Study, points: list[NamedP
         assert frame.y0 * scale <= y0 <= y1 <= frame.y1 * scale
 
 
+def test_a_label_beside_another_point_has_a_line_to_its_own(robust: Study) -> None:
+    assert robust.front is not None
+    points = [NamedPoint("Lambda", 134.0, 0.43), NamedPoint("Robust PI, travel of Case 5", 140.0, 0.385, tuned=True)]
+    points += [NamedPoint("Robust PI", 232.0, 0.264, tuned=True), NamedPoint("Robust PID", 238.0, 0.255, tuned=True)]
+    pid = robust.front.sticky[0].controller
+    line = tuple(FrontPoint(pid, x, 0.385 * (140.0 / x) ** 0.7) for x in np.geomspace(4.0, 240.0, 50).tolist())
+    ax = trade_figure(replace(robust.front, sticky=line, repaired=()), points).axes[0]
+    scale = 72.0 / ax.figure.dpi  # type: ignore[union-attr]
+    at = [ax.transData.transform((p.valve_travel, p.mean_square_error)) * scale for p in points]
+    for text, (x0, y0, x1, y1) in zip(ax.texts, boxes(ax), strict=True):
+        assert isinstance(text, Annotation)
+        away = [math.hypot(max(x0 - x, x - x1, 0.0), max(y0 - y, y - y1, 0.0)) for x, y in at]
+        own = [p.name for p in points].index(text.get_text())
+        assert text.arrow_patch is not None or min(away[:own] + away[own + 1 :]) >= 2.0 * away[own]
+
+
 def test_what_log_axes_do_not_hold_is_left_out(robust: Study) -> None:
     assert robust.front is not None
     points = [NamedPoint("gone", math.inf, 1.0), NamedPoint("idle", 0.0, 1.0), NamedPoint("there", 30.0, 1.0)]

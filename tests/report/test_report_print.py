@@ -14,6 +14,9 @@ from typing import Any
 import pytest
 
 from workbench.model.study import Study
+from workbench.report.compare import comparison
+from workbench.report.compare_page import comparison_page
+from workbench.report.compared import read_all
 from workbench.report.page import write_report
 
 REQUIRED = os.environ.get("WORKBENCH_REQUIRE_BROWSER") == "1"
@@ -118,4 +121,20 @@ def test_shipped_reports_print_with_nothing_cut(name: str, browser: Any) -> None
     assert page.evaluate("getComputedStyle(document.querySelector('.summary')).backgroundColor") == "rgba(0, 0, 0, 0)"
     headings = page.eval_on_selector_all("h2, h3", "all => all.map(e => getComputedStyle(e).breakAfter)")
     assert set(headings) == {"avoid"}
+    page.close()
+
+
+def test_a_comparison_of_many_cases_stays_on_the_screen_and_on_the_paper(browser: Any, tmp_path: Path) -> None:
+    results, notes = read_all([SHIPPED / "which_tunings_cycle", SHIPPED / "table_2"])
+    found = comparison(results, notes=notes)
+    assert len(found.lines) == 13
+    (tmp_path / "compare.html").write_text(comparison_page(found), encoding="utf-8")
+    page = opened(browser, tmp_path / "compare.html")
+    clean(printed(page))
+    wide = "all => all.map(e => e.scrollWidth - e.clientWidth)"
+    page.emulate_media(media="print")
+    assert max(page.eval_on_selector_all(".scroll", wide)) <= 1
+    page.emulate_media(media="screen")
+    page.set_viewport_size({"width": 1300, "height": 900})
+    assert max(page.eval_on_selector_all(".scroll", wide)) <= 1
     page.close()

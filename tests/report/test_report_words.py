@@ -120,6 +120,14 @@ def test_intervals_take_digits_until_their_ends_differ() -> None:
     assert words.interval(None, "%") == "not given"
 
 
+def test_one_of_a_thing_is_singular_and_nothing_has_no_unit() -> None:
+    assert [words.counted(n, "loop") for n in (0, 1, 1220)] == ["0 loops", "1 loop", "1,220 loops"]
+    assert words.counted(1, "group oscillates", "groups oscillate") == "1 group oscillates"
+    assert words.quantity(12.18, "%") == "12.18 %"
+    assert words.quantity(3.0, "") == "3.000"
+    assert words.quantity(math.nan, "%") == "–"
+
+
 def test_open_intervals_have_no_end() -> None:
     assert words.interval((12.0, math.inf), "s", 3) == "12.0 s or more"
     assert words.interval((-math.inf, -0.5), "EU/%", 3) == "−0.500 EU/% or less"

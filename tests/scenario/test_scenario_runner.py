@@ -195,7 +195,7 @@ def test_an_estimated_negative_gain_makes_the_action_direct_where_none_is_given(
     plant = wb.FOPDT(-2.0, 5.0, 1.0)
     fitted, notes = for_plant(jobs, plant)
     assert [job.controller.action for job in fitted] == ["direct", "direct"]
-    assert notes == ["The controller acts direct, as the estimated gain (-2) needs; no action is given."]
+    assert notes == ["The controller acts direct, as the estimated gain (−2) needs; no action is given."]
     given = plan(LOOP.replace("none}", "none, action: reverse}") + CASES).cases
     kept, said = for_plant(given, plant)
     assert [job.controller.action for job in kept] == ["reverse", "reverse"]

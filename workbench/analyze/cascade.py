@@ -15,6 +15,7 @@ from workbench.analyze.half_cycles import Block, fresh_carry
 from workbench.model.cascade import Appearance, Cascade, CascadeCycle, CascadeExperiment, CascadeRun
 from workbench.model.checks import instance
 from workbench.model.experiment import Experiment
+from workbench.model.numbers import given as plain
 from workbench.model.record import FloatArray
 from workbench.simulate import events, kernel
 from workbench.simulate.cascade import CascadeSignals, CascadeState, cascade_run, cascade_signals
@@ -84,7 +85,7 @@ def cascade_cycle(
             first, size, before = first + size, min(2 * size, LAST_BLOCK), block
         begin = end
     hours = (given.samples - start) * Ts / 3600.0
-    return CascadeCycle(cascade, "undecided", f"the stem makes no even cycle within {hours:.3g} h", late=late)
+    return CascadeCycle(cascade, "undecided", f"the stem makes no even cycle within {plain(hours, 3)} h", late=late)
 
 
 def _part(given: CascadeSignals, begin: int, end: int) -> CascadeSignals:
@@ -120,7 +121,7 @@ def _seen(cascade: Cascade, block: Block, late: CascadeRun) -> CascadeCycle:
     Ts, x = cascade.secondary.sample_time, late.secondary.valve
     turns = _upward_turns(x, DUST * _band(cascade))[-CYCLES - 1 :]
     if turns.size < 2:
-        reason = f"a cycle of {block.period:.4g} s, longer than what is kept of the run"
+        reason = f"a cycle of {plain(block.period, 4)} s, longer than what is kept of the run"
         return CascadeCycle(cascade, "cycles", reason, block.period, block.travel_per_hour, late=late)
     cycles = slice(int(turns[0]), int(turns[-1]))
     period = (cycles.stop - cycles.start) * Ts / (turns.size - 1)

@@ -13,6 +13,7 @@ from workbench.errors import InvalidValue
 from workbench.model.analyses import ComplexArray, Crossing, DescribingFunction
 from workbench.model.checks import instance
 from workbench.model.loop import Loop
+from workbench.model.numbers import given
 from workbench.model.plant import FOPDT
 from workbench.model.record import FloatArray
 
@@ -162,8 +163,8 @@ def _verdict(
     if predicted is not None:
         limits = loop.controller.output_limits
         out = limits is not None and predicted.amplitude > max(-limits[0], limits[1])
-        op, pv = _plain(2.0 * predicted.amplitude), _plain(2.0 * predicted.pv_amplitude)
-        period = _plain(predicted.period)
+        op, pv = given(2.0 * predicted.amplitude, 3), given(2.0 * predicted.pv_amplitude, 3)
+        period = given(predicted.period, 3)
         return (
             f"The loci cross: a cycle with a period of {period} s is predicted, OP swinging by {op} % "
             f"and PV by {pv} EU peak to peak{linear}"
@@ -172,27 +173,22 @@ def _verdict(
     if crossings:
         least = crossings[0]
         return (
-            f"The loci cross only where a cycle would not last (OP amplitude {_plain(least.amplitude)} %, period "
-            f"{_plain(least.period)} s): smaller swings are predicted to die out and larger ones to grow{linear}."
+            f"The loci cross only where a cycle would not last (OP amplitude {given(least.amplitude, 3)} %, period "
+            f"{given(least.period, 3)} s): smaller swings are predicted to die out and larger ones to grow{linear}."
         )
-    period = _plain(2.0 * math.pi / approach.frequency)
+    period = given(2.0 * math.pi / approach.frequency, 3)
     return (
-        f"The loci do not cross, so no cycle is predicted; they come as close as {_plain(approach.distance)} at an OP "
-        f"amplitude of {_plain(approach.amplitude)} % and a period of {period} s{linear}."
+        f"The loci do not cross, so no cycle is predicted; they come as close as {given(approach.distance, 3)} at an "
+        f"OP amplitude of {given(approach.amplitude, 3)} % and a period of {period} s{linear}."
     )
 
 
 def _left_out(loop: Loop) -> str:
     """A sentence on what else in this loop the loci do not show."""
     resolution = loop.controller.output_resolution
-    words = f" OP's resolution of {_plain(resolution)} % is left out here." if resolution > 0.0 else ""
+    words = f" OP's resolution of {given(resolution, 3)} % is left out here." if resolution > 0.0 else ""
     if loop.characteristic is not None:
         words += " It holds for the gain at the operating point: the curve of the characteristic is left out."
     if loop.scan > 1 and not loop.valve.sticks_at_once and loop.valve.stick_band > 0.0:
         words += " That OP stands between the controller's executions, where this stem sticks, is left out."
     return words
-
-
-def _plain(value: float) -> str:
-    """Three digits, without an exponent below a million."""
-    return f"{float(f'{value:.3g}'):g}"

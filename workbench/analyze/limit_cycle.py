@@ -13,6 +13,7 @@ from workbench.analyze.relaxation import relaxation_cycle
 from workbench.model.checks import instance
 from workbench.model.experiment import Experiment
 from workbench.model.loop import Loop
+from workbench.model.numbers import given as plain
 from workbench.model.plant import FOPDT
 from workbench.model.results import LimitCycle, LimitCycleStart
 from workbench.simulate.signals import Signals, signals
@@ -135,15 +136,15 @@ def _verdict(cycle: LimitCycle, given: bool) -> str:
     counts = {name: sum(start.outcome == name for start in starts) for name in ("cycles", "settles", "undecided")}
     others = starts[1:] if given else starts
     figures = (
-        f"with a period of {cycle.period:.4g} s, PV swinging by {cycle.pv_peak_to_peak:.3g} EU and OP by "
-        f"{cycle.op_peak_to_peak:.3g} % peak to peak"
+        f"with a period of {plain(cycle.period, 4)} s, PV swinging by {plain(cycle.pv_peak_to_peak, 3)} EU and OP by "
+        f"{plain(cycle.op_peak_to_peak, 3)} % peak to peak"
     )
     if cycle.outcome == "cycles":
         if given:
             first = starts[0].first_period
             text = f"The loop cycles {figures}"
             if abs(first - cycle.period) > 0.05 * cycle.period:
-                text += f" (the first cycle takes {first:.4g} s)"
+                text += f" (the first cycle takes {plain(first, 4)} s)"
         else:
             text = f"The loop cycles {figures}"
     elif cycle.outcome == "depends":
@@ -167,7 +168,7 @@ def _elsewhere(cycle: LimitCycle, others: tuple[LimitCycleStart, ...], given: bo
     if cycle.outcome in ("cycles", "depends") and high > 1.05 * low:
         drifts = any(start.period_range[1] > 1.05 * start.period_range[0] for start in cycle.starts)
         lasts = " and on how long the loop has been cycling" if drifts else ""
-        parts.append(f"periods run from {low:.4g} to {high:.4g} s, depending on the start{lasts}")
+        parts.append(f"periods run from {plain(low, 4)} to {plain(high, 4)} s, depending on the start{lasts}")
     if given:
         for name, words in (("cycles", "it cycles"), ("settles", "it settles")):
             count = sum(start.outcome == name for start in others)

@@ -16,6 +16,7 @@ from workbench.analyze.frequency import linear_stable
 from workbench.analyze.half_cycles import Block, fresh_carry
 from workbench.model.analyses import Waveform
 from workbench.model.loop import Loop
+from workbench.model.numbers import given
 from workbench.model.plant import FOPDT
 from workbench.model.record import FloatArray
 from workbench.model.results import LimitCycleStart
@@ -170,7 +171,7 @@ class _Follower:
         if abs(error) <= 10.0 * STILL * self.scale.pv:
             return "settles", self._on_setpoint()
         time = NEVER * self.loop.sample_time
-        return "undecided", f"the integral action needs more than {time:.3g} s to move the stem on"
+        return "undecided", f"the integral action needs more than {given(time, 3)} s to move the stem on"
 
     def settled(self) -> str:
         """Return how the loop has come to rest in the chunk looked at, or an empty string."""
@@ -325,7 +326,7 @@ def _spent(run: _Follower, start: Start) -> LimitCycleStart:
         return _no_cycle(run, start, "settles", reason)
     Ts, end = run.loop.sample_time, run.halves.shape[0]
     half = (end - 1) // 4 * 2
-    simulated = f"{run.samples * Ts:.4g} s"
+    simulated = f"{given(run.samples * Ts, 4)} s"
     if 2 * half < FEWEST:
         return _no_cycle(run, start, "undecided", f"fewer than {FEWEST} reversals of the stem within {simulated}")
     before, block = Block(run.halves[end - 2 * half : end - half], Ts), Block(run.halves[end - half :], Ts)

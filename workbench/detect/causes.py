@@ -11,6 +11,7 @@ from workbench.detect.spikes import TRAVEL
 from workbench.detect.verdict import Thresholds, times
 from workbench.errors import RecordError
 from workbench.model.detection import Oscillation
+from workbench.model.numbers import given
 from workbench.model.record import FloatArray, Record
 from workbench.record.modes import manual_share
 
@@ -93,9 +94,9 @@ def dead_signal(record: Record) -> str:
     width = float(np.ptp(record.op))
     if width < RESOLVED:
         return (
-            f"OP moved over {width:.2g} % of travel only, less than a valve resolves ({RESOLVED:g} %): give its range "
-            "if it is in another unit, such as a fraction of 1; else a longer record or a setpoint move would tell "
-            "about the valve"
+            f"OP moved over {given(width, 2)} % of travel only, less than a valve resolves ({RESOLVED:g} %): give its "
+            "range if it is in another unit, such as a fraction of 1; else a longer record or a setpoint move would "
+            "tell about the valve"
         )
     moves = int(np.count_nonzero(np.diff(record.op)))
     if moves <= Thresholds().few:
@@ -105,8 +106,8 @@ def dead_signal(record: Record) -> str:
     moved = float(np.ptp(record.op[first:stop]))
     if stop - first >= HALF * n and moved >= HALF * float(np.ptp(record.op)):
         return (
-            f"PV kept the value {record.pv[first]:.4g} over {(stop - first) / n:.0%} of the record while OP moved by "
-            f"{moved:.3g} %: a valve that no longer moves, no flow, or a sensor at its end or frozen"
+            f"PV kept the value {given(record.pv[first], 4)} over {(stop - first) / n:.0%} of the record while OP "
+            f"moved by {given(moved, 3)} %: a valve that no longer moves, no flow, or a sensor at its end or frozen"
         )
     return ""
 
@@ -134,17 +135,20 @@ def other_causes(record: Record, oscillation: Oscillation) -> list[str]:
     for end, name in ((float(record.op.min()), "lowest"), (float(record.op.max()), "highest")):
         share = float((record.op == end).mean())
         if share >= MUCH:
-            said.append(f"OP stays at its {name} value, {end:.4g} %, in {share:.0%} of the record: it may be saturated")
+            said.append(
+                f"OP stays at its {name} value, {given(end, 4)} %, in {share:.0%} of the record: it may be saturated"
+            )
     if record.mode is not None and manual_share(record.mode) >= MUCH:
         said.append(f"the controller was in manual in {manual_share(record.mode):.0%} of the record")
     first, stop = _longest_stay(record.pv)
     if stop - first >= MUCH * n:
-        said.append(f"PV keeps the value {record.pv[first]:.4g} over {(stop - first) / n:.0%} of the record")
+        said.append(f"PV keeps the value {given(record.pv[first], 4)} over {(stop - first) / n:.0%} of the record")
     if record.sp is not None and np.count_nonzero(np.diff(record.sp)) >= MUCH * n:
         outer = oscillation_of(record.sp, record.sample_time)
         if outer.index >= CYCLES and abs(outer.period / oscillation.period - 1.0) <= ALIKE:
             said.append(
-                f"SP cycles with PV's period ({outer.period:.3g} s): in a cascade the outer loop may drive the cycle"
+                f"SP cycles with PV's period ({given(outer.period, 3)} s): in a cascade the outer loop may drive the "
+                "cycle"
             )
         else:
             said.append("SP moves all the time, as in a cascade")

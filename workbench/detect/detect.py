@@ -25,6 +25,7 @@ from workbench.detect.verdict import Thresholds, decide, follows
 from workbench.errors import InvalidValue
 from workbench.model.checks import instance
 from workbench.model.detection import Detection, Oscillation
+from workbench.model.numbers import given
 from workbench.model.record import Record, signal_of
 from workbench.simulate.one_thread import one_thread
 
@@ -107,8 +108,8 @@ def _detected(record: Record, bicoherence: bool, fitted: Fitted | None) -> Detec
         if answer is not None and answer.missing:
             larger = "a" if record.sp is None or np.ptp(record.sp) == 0.0 else "a larger"
             unanswered = (
-                f"PV is not seen to answer the OP moves of {answer.moved:.3g} %: a slow disturbance may hide that it "
-                "does, and a stuck valve, a closed block valve or a valve in manual look the same; "
+                f"PV is not seen to answer the OP moves of {given(answer.moved, 3)} %: a slow disturbance may hide "
+                "that it does, and a stuck valve, a closed block valve or a valve in manual look the same; "
                 f"{larger} setpoint move would tell"
             )
             reasons = [unanswered, *reasons[verdict == "no_stiction" :]]
@@ -164,8 +165,8 @@ def _between_moves(record: Record) -> str:
         return ""
     Ts = record.sample_time
     return (
-        f"between setpoint moves, from {first * Ts:.6g} to {stop * Ts:.6g} s, {reasons[0]}; over the whole record "
-        "large moves hide a band that is narrow beside them: a longer stretch without them would tell"
+        f"between setpoint moves, from {given(first * Ts, 6)} to {given(stop * Ts, 6)} s, {reasons[0]}; over the whole "
+        "record large moves hide a band that is narrow beside them: a longer stretch without them would tell"
     )
 
 
@@ -182,4 +183,4 @@ def _cycle_said(cycle: Oscillation, oscillates: bool, load: float) -> list[str]:
     if not oscillates:
         return []
     often = ", load disturbances come often enough to count as an oscillation" if load >= DETECTIONS else ""
-    return [f"PV oscillates with a period of {cycle.period:.3g} s (index {cycle.index:.2f}{often})"]
+    return [f"PV oscillates with a period of {given(cycle.period, 3)} s (index {cycle.index:.2f}{often})"]

@@ -12,6 +12,7 @@ from workbench.detect.oscillation import OSCILLATES, REGULAR, no_period
 from workbench.detect.shape import TRIANGLES, UNANSWERED
 from workbench.detect.verdict import Thresholds, beyond_chance, curved, excluded
 from workbench.model.detection import Detection, Statistic
+from workbench.model.numbers import given
 
 __all__ = ["statistics_of"]
 
@@ -113,10 +114,11 @@ def _stem_test(found: Detection) -> Iterator[Statistic]:
     )
     for name, measures, unit, value, least, route in rows:
         needed = f"stiction needs {least:g}{' %' if unit else ''} or more, {route}"
-        enough = value >= least
-        if route == alone and test is not None:
-            enough = enough and test.simulated >= better and test.turned >= 0.0
-        says = "enough for stiction" if enough else "too little for stiction"
+        says = "enough for stiction" if value >= least else "too little for stiction"
+        if value >= least and route == alone and test is not None:
+            missing = "simulated PV does not bear it out" if test.simulated < better else ""
+            missing = "PV's own turns tell more" if test.turned < 0.0 else missing
+            says = f"enough, yet {missing}: not for stiction" if missing else says
         says = _undefined(STILL) if math.isnan(value) else says
         yield Statistic(name, measures, "", value, unit, needed, says, decides=True)
     yield Statistic(
@@ -201,13 +203,13 @@ def _stem_test(found: Detection) -> Iterator[Statistic]:
         "",
         wide,
         "",
-        f"up to {-limits.excluded:g} such stems are excluded; up to {limits.chance:g} chance, up to 0 where PV is seen "
+        f"up to −{limits.excluded:g} such stems are excluded; up to {limits.chance:g} chance, up to 0 where PV is seen "
         "to follow OP",
         _undefined(STILL)
         if test is None
         else "not asked: the model's stem leaves no doubt"
         if math.isnan(wide)
-        else f"a band of {test.wide_from:.3g} % or more is excluded"
+        else f"a band of {given(test.wide_from, 3)} % or more is excluded"
         if excluded(test, limits)
         else "wide bands are not excluded"
         if beyond_chance(test, limits)
@@ -243,7 +245,7 @@ def _recorded_stem(found: Detection) -> Iterator[Statistic]:
     says = _undefined("OP never moves")
     if stem is not None:
         follows, sticks = stem.follows < limits.direct, stem.sticks <= 0.5 * stem.follows
-        says = "the stem follows OP" if follows else f"it sticks over {stem.band:.3g} %" if sticks else OPEN
+        says = "the stem follows OP" if follows else f"it sticks over {given(stem.band, 3)} %" if sticks else OPEN
     yield Statistic(
         "Recorded stem",
         "how far the measured valve position leaves a straight line through OP, as a share of its moves",
@@ -277,7 +279,7 @@ def _oscillation(found: Detection, why: str) -> Iterator[Statistic]:
         cycle.period,
         "s",
         "",
-        brief or f"{cycle.cycles:.3g} periods recorded",
+        brief or f"{given(cycle.cycles, 3)} periods recorded",
     )
     yield Statistic(
         "Regularity",
@@ -311,7 +313,7 @@ def _phase(found: Detection, why: str) -> Iterator[Statistic]:
             "Horch 1999",
             value,
             "",
-            f"from {some:.3g} on stiction, up to {none:.3g} none",
+            f"from {given(some, 3)} on stiction, up to {given(none, 3)} none",
             _says(value, none, some, crossing),
         )
     yield Statistic(
@@ -354,7 +356,7 @@ def _shape(found: Detection, why: str) -> Iterator[Statistic]:
 def _nonlinear(found: Detection, why: str, asked: bool) -> Iterator[Statistic]:
     n, bic = found.stretch[1] - found.stretch[0], found.bicoherence
     where = "" if n == len(found.record) else " at constant SP"
-    missing = "not asked for (bicoherence=True)"
+    missing = "not asked for"
     if asked:
         short = f"the record is too short: {n} samples{where}, at least {SHORTEST} needed"
         missing = "SP − PV never moves" if n >= SHORTEST else short

@@ -16,6 +16,7 @@ import numpy as np
 
 from workbench.detect.causes import constant, refuse_unusable
 from workbench.detect.spikes import without_op_spikes, without_spikes
+from workbench.model.numbers import given
 from workbench.model.record import FloatArray, Record
 
 __all__ = ["Late", "as_seen", "earlier", "late", "later", "words_of_late"]
@@ -111,7 +112,7 @@ def words_of_late(record: Record, found: Late) -> tuple[str, ...]:
     if found.samples == 0:
         return ()
     both = "PV and SP are" if found.with_sp else "PV is"
-    by = f"{found.samples * record.sample_time:.3g} s ({found.samples} sample{'s' if found.samples > 1 else ''})"
+    by = f"{given(found.samples * record.sample_time, 3)} s ({found.samples} sample{'s' if found.samples > 1 else ''})"
     seen = "OP answers PV before the record shows it; the loop is looked at as the controller saw it"
     return (f"{both} recorded {by} later than the controller saw it: {seen}",)
 

@@ -81,6 +81,7 @@ from dataclasses import dataclass, replace
 
 from workbench.detect.oscillation import no_period
 from workbench.model.detection import Oscillation, StemEvidence, StemTest
+from workbench.model.numbers import given
 
 __all__ = [
     "Thresholds",
@@ -164,8 +165,8 @@ def decide(
     alone = 1.0 - math.exp(-test.predicting / test.samples)
     linear = f"the linear loop leaves {test.unexplained:.1%} of PV's variance"
     beats = (
-        f"{_outside(test)}a stem that sticks over {test.band:.3g} % leaves {_less(alone)} of PV unpredicted than OP "
-        f"itself does (log likelihood ratio {test.predicting:.0f})"
+        f"{_outside(test)}a stem that sticks over {given(test.band, 3)} % leaves {_less(alone)} of PV unpredicted than "
+        f"OP itself does (log likelihood ratio {test.predicting:.0f})"
     )
     both = (
         f"the stem that fits best throughout leaves {_less(test.improvement)} unpredicted (log likelihood ratio "
@@ -213,17 +214,18 @@ def decide(
     if doubt:
         return "undecided", [doubt, f"{both}; {linear}"]
     own = test.time_constant + test.dead_time
-    loop = f"a linear loop with time constant {test.time_constant:.3g} s and dead time {test.dead_time:.3g} s"
+    loop = (
+        f"a linear loop with time constant {given(test.time_constant, 3)} s and dead time {given(test.dead_time, 3)} s"
+    )
     if excluded(test, limits):
-        earned = (
-            f"a stem that sticks over {test.wide_from:.3g} % or more is excluded (log likelihood ratio {test.wide:.0f})"
-        )
+        ratio = f"(log likelihood ratio {test.wide:.0f})"
+        earned = f"a stem that sticks over {given(test.wide_from, 3)} % or more is excluded {ratio}"
     elif test.unexplained < limits.left:
         earned = f"a sticking stem has nothing to explain: {linear}"
     else:
         earned = "a sticking stem explains PV no better than chance has it, and PV does not cycle as it would make it"
     if oscillation.index >= limits.cycles and oscillation.regularity > 1.0:
-        cycle = f"PV cycles with a period of {oscillation.period:.3g} s"
+        cycle = f"PV cycles with a period of {given(oscillation.period, 3)} s"
         if oscillation.period > limits.slow * own:
             return "undecided", [f"{cycle}, too slow for {loop} to make by itself, and smooth: external, or a valve"]
         return "no_stiction", [
@@ -261,14 +263,14 @@ def _not_excluded(oscillation: Oscillation, test: StemTest, limits: Thresholds) 
         return "the stem that fits best never moved: the record is too short, or too quiet, to tell it from OP itself"
     if test.moves <= limits.few and (follows(test) < limits.chance or test.wide > limits.chance):
         stem = f"a stem that moved {times(test.moves)} fits as well"
-        hardly = f"OP hardly leaves a band of {test.band:.3g} %, within which {stem}"
+        hardly = f"OP hardly leaves a band of {given(test.band, 3)} %, within which {stem}"
         return f"{hardly}: the record is too short, or too quiet, to exclude it"
     both = test.simulated >= limits.explains or test.likelihood > limits.chance
     if test.unexplained < limits.left and not (test.wide > limits.chance and both):
         return ""
     if excluded(test, limits):
         return ""
-    wide = f"a stem that sticks over {test.wide_from:.3g} % or more, a quarter of OP's range, cannot be excluded"
+    wide = f"a stem that sticks over {given(test.wide_from, 3)} % or more, a quarter of OP's range, cannot be excluded"
     would = "a setpoint move, a longer record or the measured stem would tell"
     if test.wide > limits.chance:
         return f"{wide}: it predicts PV rather better than OP itself (log likelihood ratio {test.wide:.0f}); {would}"
@@ -349,5 +351,5 @@ def _direct(stem: StemEvidence, limits: Thresholds) -> tuple[str, list[str]] | N
     if stem.follows < limits.direct:
         return "no_stiction", [f"{left}: it follows"]
     if stem.sticks <= 0.5 * stem.follows:
-        return "stiction", [f"{left}, and one that sticks over {stem.band:.3g} % explains most of that"]
+        return "stiction", [f"{left}, and one that sticks over {given(stem.band, 3)} % explains most of that"]
     return None

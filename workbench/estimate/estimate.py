@@ -30,6 +30,7 @@ from workbench.estimate.swing import Answered, Swing, beside_swing, besides, wor
 from workbench.estimate.two_step import two_step
 from workbench.estimate.verdict import SHARP
 from workbench.model.checks import choice, number
+from workbench.model.numbers import given
 from workbench.model.record import Record
 from workbench.model.results import Estimate, Intervals, Iteration, LinearFit
 from workbench.model.valve import Ideal
@@ -248,7 +249,7 @@ def _better_plant(
     plant = min(bics, key=lambda name: bics[name])
     words = {"fopdt": "a first-order process", "integrating": "an integrating process"}
     by = max(bics.values()) - bics[plant]
-    said = f"{words[plant]} has the lower BIC, by {by:.3g}"
+    said = f"{words[plant]} has the lower BIC, by {given(by, 3)}"
     if by < CLEAR_BIC:
         said += ": the record hardly tells it from " + next(w for name, w in words.items() if name != plant)
     return found[plant], (said,)

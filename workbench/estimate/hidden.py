@@ -20,6 +20,7 @@ from workbench.estimate.profile import CHI_SQUARE
 from workbench.estimate.stems import path_of
 from workbench.estimate.sureness import effective_samples
 from workbench.estimate.two_parameter import Band, band_stem
+from workbench.model.numbers import given
 from workbench.model.record import FloatArray
 
 __all__ = ["hidden", "words_of_hidden"]
@@ -69,7 +70,7 @@ def _stem(u: FloatArray, best: Candidate | Band, band: float) -> FloatArray:
 def words_of_hidden(doubt: float) -> str:
     """Return in words why no range is given; doubt: what is not known of OP, % (standard deviation)."""
     return (
-        f"OP was recorded in steps, which leave it open by about {doubt:.2g} %, and within that the stem goes another "
-        "way: the record does not say how wide the band is, nor with which gain and dead time PV answers; no ranges "
-        "are given, and a record of OP with more digits would tell"
+        f"OP was recorded in steps, which leave it open by about {given(doubt, 2)} %, and within that the stem goes "
+        "another way: the record does not say how wide the band is, nor with which gain and dead time PV answers; no "
+        "ranges are given, and a record of OP with more digits would tell"
     )

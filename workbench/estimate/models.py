@@ -14,7 +14,7 @@ from workbench.estimate.sought import Sought
 from workbench.estimate.stems import path_of
 from workbench.estimate.two_parameter import Band, band_stem
 from workbench.estimate.verdict import SHARP
-from workbench.model.numbers import interval
+from workbench.model.numbers import given, interval
 from workbench.model.record import FloatArray
 from workbench.model.results import FittedModel, Intervals
 from workbench.model.valve import Choudhury, Deadband, Ideal, Stenman, Valve
@@ -135,22 +135,23 @@ def reasons_of(models: dict[str, FittedModel], chosen: str, valve: str, found: B
     said = []
     model = models[chosen]
     if valve == "auto" and "stenman" in models:
+        alone = models["stenman"]
         said.append(
             f"of the sticking valves compared, {_words(model.valve)} has the lowest BIC: it leaves "
-            f"{model.residual_variance:.3g} EU² of PV's variance, d = {models['stenman'].valve.stick_band:.3g} % alone "
-            f"{models['stenman'].residual_variance:.3g}"
+            f"{given(model.residual_variance, 3)} EU² of PV's variance, d = {given(alone.valve.stick_band, 3)} % alone "
+            f"{given(alone.residual_variance, 3)}"
         )
     low, high = found.S
     if high - low > SHARP * found.best.S:
         said.append(
-            f"the stick band S is not identified: from {low:.3g} to {high:.3g} % it fits as well, or parts of the "
-            "record differ by as much"
+            f"the stick band S is not identified: from {given(low, 3)} to {given(high, 3)} % it fits as well, or parts "
+            "of the record differ by as much"
         )
     low, high = found.J
     if chosen == "choudhury" and high - low > UNKNOWN_JUMP * found.best.S:
         said.append(
-            f"the slip jump J is not identified: from {low:.3g} to {high:.3g} % it fits as well, or parts of the "
-            "record differ by as much; more slips, or a measured stem, would tell"
+            f"the slip jump J is not identified: from {given(low, 3)} to {given(high, 3)} % it fits as well, or parts "
+            "of the record differ by as much; more slips, or a measured stem, would tell"
         )
     return tuple(said)
 
@@ -164,8 +165,8 @@ def words_of_closer(models: Mapping[str, FittedModel], chosen: str) -> tuple[str
     closer = min((models[name] for name in STICKING if name in models), key=lambda model: model.residual_variance)
     if closer.residual_variance >= CLOSER * models[chosen].residual_variance:
         return ()
-    own = f"the one with the lowest BIC {models[chosen].residual_variance:.3g}: which of them it is, is not known"
-    return (f"{_words(closer.valve)} leaves {closer.residual_variance:.3g} EU² of PV's variance, {own}",)
+    own = f"the one with the lowest BIC {given(models[chosen].residual_variance, 3)}: which of them it is, is not known"
+    return (f"{_words(closer.valve)} leaves {given(closer.residual_variance, 3)} EU² of PV's variance, {own}",)
 
 
 def words_of_rival(name: str, ranges: Intervals, integrating: bool) -> str:
@@ -213,7 +214,7 @@ def words_of_open(ranges: Intervals, integrating: bool) -> tuple[str, ...]:
 
 def _words(valve: Valve) -> str:
     if isinstance(valve, Deadband):
-        return f"a dead band of {valve.b:.3g} %"
+        return f"a dead band of {given(valve.b, 3)} %"
     if isinstance(valve, Stenman):
-        return f"one that sticks within d = {valve.d:.3g} %"
-    return f"one with stick band S = {valve.stick_band:.3g} % and slip jump J = {valve.slip_jump:.3g} %"
+        return f"one that sticks within d = {given(valve.d, 3)} %"
+    return f"one with stick band S = {given(valve.stick_band, 3)} % and slip jump J = {given(valve.slip_jump, 3)} %"

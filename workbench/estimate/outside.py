@@ -20,6 +20,7 @@ from workbench.estimate.fit import Fit
 from workbench.estimate.straight import Straight, linear_beside
 from workbench.estimate.swing import Answered, Swing
 from workbench.estimate.verdict import ENOUGH_SLIPS, MOST
+from workbench.model.numbers import given
 from workbench.model.results import FittedModel, LinearFit
 
 __all__ = ["CHANCE", "Rival", "rival_of", "weighed"]
@@ -93,8 +94,10 @@ def weighed(
     if accused and ((ahead <= 0.0 and share >= 1.0) or (alone and ahead < CHANCE)):
         beside = "with load steps of its own" if answered.settled.load.any() else "by itself"
         if swing is not None:
-            beside = f"beside an oscillation from outside of {2.0 * math.pi / swing.angle * data.sample_time:.3g} s"
-        than = f"than a stem that sticks over {model.valve.stick_band:.3g} %"
+            beside = (
+                f"beside an oscillation from outside of {given(2.0 * math.pi / swing.angle * data.sample_time, 3)} s"
+            )
+        than = f"than a stem that sticks over {given(model.valve.stick_band, 3)} %"
         better = (
             f"explains PV better {than}" if ahead <= 0.0 else f"is hardly less likely {than}, which nothing else shows"
         )
@@ -103,8 +106,8 @@ def weighed(
         )
     if not accused and ahead >= LIKELIER and share <= MOST:
         return "stiction", (
-            f"a stem that sticks over {model.valve.stick_band:.3g} %, with {model.slips} slips, explains all of PV but "
-            f"noise: it leaves {share:.1%} of what a linear loop with its own load steps and oscillation leaves (log "
-            f"likelihood ratio {ahead:.0f})"
+            f"a stem that sticks over {given(model.valve.stick_band, 3)} %, with {model.slips} slips, explains all of "
+            f"PV but noise: it leaves {share:.1%} of what a linear loop with its own load steps and oscillation leaves "
+            f"(log likelihood ratio {ahead:.0f})"
         )
     return verdict, ""

@@ -17,6 +17,7 @@ from workbench.estimate.scale import bias_of, ranges_of, unsure, wider
 from workbench.estimate.sureness import NORMAL, standard_errors
 from workbench.estimate.two_step import akaike
 from workbench.model.estimation import MOST_IN_PROGRAM, Complementarity, Estimate, Intervals, NoiseModel
+from workbench.model.numbers import given
 from workbench.model.record import FloatArray, Record
 from workbench.model.valve import Ideal
 
@@ -136,12 +137,13 @@ def _said(program: Complementarity) -> str:
     ended = f"the complementarity program ended as {program.status.value}"
     if not program.status.success:
         return f"{ended}: the profile's own fit is shown"
-    claim = f"{ended} at d = {program.d:.4g} % and claims to leave {program.cost:.4g} EU²"
+    claim = f"{ended} at d = {given(program.d, 4)} % and claims to leave {given(program.cost, 4)} EU²"
     if program.partial:
         claim += f", its stem moving part of the way in {program.partial} samples, which no such valve does"
     if program.exact_cost is None:
         return f"{claim}; by the valve's own law the stem would not move at all: the profile's own fit is shown"
-    verified = f"by the valve's own law that d leaves {program.exact_cost:.4g}, the profile {program.profile_cost:.4g}"
+    exact, profile = given(program.exact_cost, 4), given(program.profile_cost, 4)
+    verified = f"by the valve's own law that d leaves {exact}, the profile {profile}"
     shown = "its better fit is shown" if program.taken else "the profile's own fit is shown"
     return f"{claim}; {verified}: {shown}"
 

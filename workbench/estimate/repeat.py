@@ -20,6 +20,7 @@ from workbench.estimate.profile import CHI_SQUARE
 from workbench.estimate.repeat_kernel import HELD, scan_held
 from workbench.estimate.sureness import NORMAL, inflation
 from workbench.estimate.windows import EXACT
+from workbench.model.numbers import given
 from workbench.model.record import FloatArray
 from workbench.model.results import Estimate, Part, Repeats
 from workbench.model.valve import Choudhury, Deadband, Stenman
@@ -284,19 +285,20 @@ def words_of(found: Repeats) -> tuple[str, ...]:
     if ways and found.difference is not None:
         more, less = ("upward", "downward") if found.difference > 0.0 else ("downward", "upward")
         said.append(
-            f"the stem sticks more {more} than {less}: OP moves {abs(found.difference):.2g} % further before it follows"
+            f"the stem sticks more {more} than {less}: OP moves {given(abs(found.difference), 2)} % further before it "
+            "follows"
         )
     drifts = _sure(found.drift, found.drift_interval, MATTERS * band / max(_hours(parts), 1e-12))
     if drifts and found.drift is not None:
         way = "grows" if found.drift > 0.0 else "falls"
         first, last = (band + found.drift * side * _hours(parts) for side in (-0.5, 0.5))
-        said.append(f"the stiction {way} over the record, from about {first:.3g} to {last:.3g} %")
+        said.append(f"the stiction {way} over the record, from about {given(first, 3)} to {given(last, 3)} %")
     elif not ways and found.spread > MATTERS and _apart(parts):
         # A band alike both ways is no measure of a stem that is not.
         low, high = min(p.band for p in parts), max(p.band for p in parts)
         said.append(
-            f"the estimate does not repeat: parts of the record by themselves give {low:.3g} to {high:.3g} % with the "
-            "same process"
+            f"the estimate does not repeat: parts of the record by themselves give {given(low, 3)} to {given(high, 3)} "
+            "% with the same process"
         )
     return tuple(said)
 

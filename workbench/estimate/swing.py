@@ -24,6 +24,7 @@ from workbench.estimate.fit import LEAST_TAU, LOUD, Limits, autoregression, grou
 from workbench.estimate.paths import Path
 from workbench.estimate.windows import WHOLE
 from workbench.model.loads import LoadSwing
+from workbench.model.numbers import given
 from workbench.model.plant import Integrating, Plant
 from workbench.model.record import FloatArray
 from workbench.model.results import Estimate, Intervals, LinearFit
@@ -100,11 +101,14 @@ def beside_swing(
 
 def words_of_swing(load: LoadSwing, *, blind: bool) -> str:
     """Return in words that an oscillation beside the stem was found; blind: whether the plant is not identified."""
-    swings = f"PV swings by {load.amplitude:.3g} EU to either side with a period of {load.period:.3g} s, which no stem"
+    period = given(load.period, 3)
+    swings = (
+        f"PV swings by {given(load.amplitude, 3)} EU to either side with a period of {period} s, which no stem makes"
+    )
     if blind:
         # What a tight controller makes of an unknown plant looks the same.
-        return f"{swings} makes: the model is fitted beside it, be it from outside or of the loop's own tuning"
-    return f"{swings} makes: an oscillation from outside the loop, beside which the model is fitted"
+        return f"{swings}: the model is fitted beside it, be it from outside or of the loop's own tuning"
+    return f"{swings}: an oscillation from outside the loop, beside which the model is fitted"
 
 
 def besides(data: Centred, swing: Swing | None) -> Centred:

@@ -24,7 +24,7 @@ from workbench.estimate.scale import ranges_of
 from workbench.estimate.sureness import effective_samples, standard_errors
 from workbench.estimate.two_parameter import NARROWEST, WIDEST, Band, band_stem, best_of, best_start, fit_band
 from workbench.estimate.windows import WHOLE
-from workbench.model.numbers import interval
+from workbench.model.numbers import given, interval
 from workbench.model.results import Intervals
 
 __all__ = ["Unseen", "unseen", "words_of_unseen"]
@@ -120,4 +120,6 @@ def words_of_unseen(found: Unseen, own: Intervals, integrating: bool) -> tuple[s
     if not both[1] - both[0] > gains[1][1] - gains[1][0] + MATTERS * min(abs(end) for end in gains[1]):
         return ()
     gain = interval(both, "EU/(% s)" if integrating else "EU/%", 3)
-    return (f"dead bands of up to {found.band:.3g} % fit as well: the ranges hold their plants too, a gain of {gain}",)
+    return (
+        f"dead bands of up to {given(found.band, 3)} % fit as well: the ranges hold their plants too, a gain of {gain}",
+    )

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from workbench.detect.causes import RESOLVED
 from workbench.detect.verdict import Thresholds, excluded
 from workbench.model.detection import Detection
+from workbench.model.numbers import counted, given
 
 __all__ = ["ENOUGH_SLIPS", "WIDE_D", "Evidence", "agree", "judge"]
 
@@ -72,8 +73,8 @@ def judge(e: Evidence) -> tuple[str, tuple[str, ...], bool]:
         _search_said(e, reasons)
         return "undecided", tuple(reasons), False
     reasons.append(
-        f"a stem that sticks within d = {e.d:.3g} % leaves {_share(stem)} of PV's variance unexplained, "
-        f"the linear model {_share(linear)} ({e.slips} stem moves)"
+        f"a stem that sticks within d = {given(e.d, 3)} % leaves {_share(stem)} of PV's variance unexplained, "
+        f"the linear model {_share(linear)} ({counted(e.slips, 'stem move')})"
     )
     if improvement >= GAIN and (linear >= UNEXPLAINED or improvement >= 0.5):
         verdict = _for_stiction(e, stem, reasons)
@@ -115,8 +116,8 @@ def _for_health(e: Evidence, reasons: list[str]) -> str:
     gain = 1.0 - e.two_parameter / e.linear if e.linear > 0.0 else 0.0
     if gain >= GAIN and (e.linear >= UNEXPLAINED * e.variance or gain >= 0.5):
         reasons.append(
-            f"no staircase of a sticking stem is seen, but a valve with dead band (S = {e.bands[0]:.2g} %, J = "
-            f"{e.bands[1]:.2g} %) would leave only {e.two_parameter / e.variance:.1%}"
+            f"no staircase of a sticking stem is seen, but a valve with dead band (S = {given(e.bands[0], 2)} %, J = "
+            f"{given(e.bands[1], 2)} %) would leave only {e.two_parameter / e.variance:.1%}"
         )
         return "undecided"
     reasons.append("the linear model leaves little of PV too: this comparison makes no case for stiction")
@@ -126,8 +127,8 @@ def _for_health(e: Evidence, reasons: list[str]) -> str:
 def _for_stiction(e: Evidence, stem: float, reasons: list[str]) -> str:
     if e.slips < ENOUGH_SLIPS:
         reasons.append(
-            f"only {e.slips} stem moves in the record, and at least {ENOUGH_SLIPS} are needed for a verdict: "
-            "a longer record, or one with a setpoint change, would decide"
+            f"only {counted(e.slips, 'stem move')} in the record, and at least {ENOUGH_SLIPS} are needed for a "
+            "verdict: a longer record, or one with a setpoint change, would decide"
         )
         return "undecided"
     if stem > EXPLAINS:
@@ -139,7 +140,9 @@ def _for_stiction(e: Evidence, stem: float, reasons: list[str]) -> str:
         )
         return "undecided"
     if e.d_range is not None and e.d_range[0] < NEAR_NOTHING * e.d:
-        reasons.append(f"bands down to {e.d_range[0]:.3g} % fit as well: the record does not need a valve that sticks")
+        reasons.append(
+            f"bands down to {given(e.d_range[0], 3)} % fit as well: the record does not need a valve that sticks"
+        )
         return "undecided"
     return "stiction"
 
@@ -149,17 +152,17 @@ def _identified(e: Evidence, verdict: str, reasons: list[str]) -> bool:
         return False
     low, high = e.d_range
     if high - low > SHARP * e.d:
-        which = f"every d from {low:.3g} to {high:.3g} % fits equally well"
+        which = f"every d from {given(low, 3)} to {given(high, 3)} % fits equally well"
         if len(e.islands) > 1:
-            named = ", ".join(f"{a:.4g} to {b:.4g} %" for a, b in e.islands[:NAMED])
+            named = ", ".join(f"{given(a, 4)} to {given(b, 4)} %" for a, b in e.islands[:NAMED])
             more = f" and {len(e.islands) - NAMED} more" if len(e.islands) > NAMED else ""
             which = (
-                f"the range of d, {low:.3g} to {high:.3g} %, spans {len(e.islands)} separate ranges that fit equally "
-                f"well ({named}{more}) and worse ones between them"
+                f"the range of d, {given(low, 3)} to {given(high, 3)} %, spans {len(e.islands)} separate ranges that "
+                f"fit equally well ({named}{more}) and worse ones between them"
             )
         reasons.append(
-            f"{which}, the gain and dead time making up for it (about {abs(e.gain) * e.d:.3g} EU per slip is what is "
-            "known); a setpoint change in the record, or a longer record, would tell them apart"
+            f"{which}, the gain and dead time making up for it (about {given(abs(e.gain) * e.d, 3)} EU per slip is "
+            "what is known); a setpoint change in the record, or a longer record, would tell them apart"
         )
         return False
     return e.slips >= ENOUGH_SLIPS

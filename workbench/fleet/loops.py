@@ -4,16 +4,25 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from workbench.errors import RecordError
+from workbench.fleet.store import MARK
 from workbench.model.fleet import LoopSource
 from workbench.record.columns import NEEDED, is_tall, split_tag
 from workbench.record.historian import Pieces, tags_of
 
-__all__ = ["FILES", "Sources", "loops_in", "of_tags", "tagged"]
+__all__ = ["FILES", "OWN", "Sources", "loops_in", "of_tags", "tagged"]
 
 FILES = (".csv", ".txt", ".parquet", ".pq")
 LABELS = "labels.csv"  # what `workbench score` reads, and no loop
+# What the workbench itself writes, each with the file that it always writes beside it, and no loop either.
+OWN = {
+    "cases.csv": "results.json",
+    "estimate.csv": "estimate.json",
+    "compare.csv": "compare.html",
+    "fleet.csv": "fleet.parquet",
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,7 +50,10 @@ def loops_in(path: Path) -> list[LoopSource]:
             loops.append(LoopSource(name, str(file)))
             continue
         try:
-            if not _tall(file):
+            schema = _schema(file)
+            if MARK in (schema.metadata or {}):
+                continue  # rows of a fleet run, and no loop
+            if not is_tall([str(name) for name in schema.names], None):
                 loops.append(LoopSource(name, str(file)))
                 continue
             for tag, pieces in tags_of(file).items():
@@ -54,15 +66,17 @@ def loops_in(path: Path) -> list[LoopSource]:
 def _record_file(path: Path, root: Path) -> bool:
     parts = path.relative_to(root).parts
     hidden = any(part.startswith((".", "_")) for part in parts)
-    return not hidden and path.suffix.lower() in FILES and path.name.lower() != LABELS and path.is_file()
+    named = path.suffix.lower() in FILES and path.name.lower() != LABELS and path.is_file()
+    own = path.name in OWN and (path.parent / OWN[path.name]).is_file()
+    return named and not hidden and not own
 
 
-def _tall(file: Path) -> bool:
+def _schema(file: Path) -> Any:
     import pyarrow as pa
     import pyarrow.parquet as pq
 
     try:
-        return is_tall([str(name) for name in pq.read_schema(file).names], None)
+        return pq.read_schema(file)
     except (pa.ArrowException, OSError, ValueError) as error:
         said = str(error).splitlines()[0] if str(error) else type(error).__name__
         raise RecordError(f"{file}: no readable Parquet file: {said}") from None

@@ -19,6 +19,7 @@ from workbench.fleet.pool import Limits, Pool
 from workbench.fleet.store import ROWS, Store, fleet_csv, read_rows
 from workbench.fleet.task import Result
 from workbench.model.fleet import Change, FleetRow, LoopSource, Settings, Site
+from workbench.model.numbers import given
 from workbench.report.fleet_page import page_name, render_site
 
 __all__ = ["Engine", "Outcome", "changes_since", "ranked", "run_fleet"]
@@ -186,7 +187,7 @@ def _changed(old: FleetRow, new: FleetRow) -> list[Change]:
         return said("worse", "now oscillates") if new.oscillates else said("better", "no longer oscillates")
     if new.sticks and old.stiction > 0.0 and not 1.0 / HALF <= new.stiction / old.stiction <= HALF:
         kind = "worse" if new.stiction > old.stiction else "better"
-        return said(kind, f"stiction {old.stiction:.3g} % before, {new.stiction:.3g} % now")
+        return said(kind, f"stiction {given(old.stiction, 3)} % before, {given(new.stiction, 3)} % now")
     if new.oscillates and abs(new.oscillation_index - old.oscillation_index) >= MUCH:
         kind = "worse" if new.oscillation_index > old.oscillation_index else "better"
         return said(kind, f"oscillation index {old.oscillation_index:.2f} before, {new.oscillation_index:.2f} now")

@@ -24,12 +24,12 @@ from workbench.model.fleet import FleetRow, Settings
 from workbench.report.cells import harmless
 from workbench.report.files import write_files
 
-__all__ = ["ROWS", "Store", "fleet_csv", "read_rows"]
+__all__ = ["MARK", "ROWS", "Store", "fleet_csv", "read_rows"]
 
 ROWS = "fleet.parquet"
 PARTS = "parts"
 BATCH, PATIENCE = 64, 5.0  # rows, and s, after which a part is written
-_MARK = b"workbench.fleet"
+MARK = b"workbench.fleet"  # of a Parquet file of rows: its metadata say what was asked
 # Not for people: phases and trends.
 _HIDDEN = ("phase_step", "phase_first", "phases", "trend", "trend_hours")
 
@@ -38,7 +38,7 @@ def _schema(asked: str) -> Any:
     import pyarrow as pa
 
     kinds = {"str": pa.string(), "bool": pa.bool_(), "float": pa.float64(), "int": pa.int64(), "bytes": pa.binary()}
-    return pa.schema([(one.name, kinds[str(one.type)]) for one in fields(FleetRow)], metadata={_MARK: asked.encode()})
+    return pa.schema([(one.name, kinds[str(one.type)]) for one in fields(FleetRow)], metadata={MARK: asked.encode()})
 
 
 def _asked(source: str, settings: Settings) -> str:
@@ -66,7 +66,7 @@ def read_rows(path: Path) -> tuple[list[FleetRow], str]:
     except (pa.ArrowException, OSError, ValueError) as error:
         said = str(error).splitlines()[0] if str(error) else type(error).__name__
         raise OutputError(f"{path}: cannot be read as the rows of a fleet run ({said})") from None
-    asked = (table.schema.metadata or {}).get(_MARK, b"").decode()
+    asked = (table.schema.metadata or {}).get(MARK, b"").decode()
     if not asked or "name" not in table.column_names:
         raise OutputError(f"{path}: holds no rows of a fleet run")
     known = {one.name: one for one in fields(FleetRow)}

@@ -10,10 +10,11 @@ import numpy as np
 
 from workbench.detect.detect import detect
 from workbench.detect.oscillation import OSCILLATES, REGULAR
+from workbench.detect.stem import FITTED
 from workbench.errors import RecordError, WorkbenchError
 from workbench.fleet.sampling import Seen, means, oscillation_at_any_rate, stretch
 from workbench.kpi.kpis import travel
-from workbench.model.fleet import FleetRow, LoopSource, Settings
+from workbench.model.fleet import FleetRow, LoopSource, Settings, Tuning
 from workbench.model.plant import FOPDT, Plant
 from workbench.model.record import Record
 from workbench.model.results import Estimate
@@ -26,7 +27,7 @@ from workbench.report.loop_page import render_loop
 
 if TYPE_CHECKING:
     from workbench.model.controller import PID
-    from workbench.model.detection import Detection
+    from workbench.model.detection import Detection, StemTest
     from workbench.model.results import LinearFit, Tuned
 
 __all__ = ["Result", "look_at", "read"]
@@ -144,6 +145,9 @@ def _looked_at(loop: LoopSource, settings: Settings) -> Result:
     tuned: Tuned | None = None
     if settings.depth != "screen" and found.test is not None:
         row, estimated = _estimated(row, loop, record, seen)
+    if isinstance(estimated, Estimate):
+        judged, found = estimated.record, _evidence(estimated)
+        row = replace(row, evidence=math.nan if found.test is None else _share(found.test))
     if settings.depth == "tune" and isinstance(estimated, Estimate) and row.sticks:
         row, tuned = _tuned(row, loop, estimated)
     page = ""
@@ -154,6 +158,17 @@ def _looked_at(loop: LoopSource, settings: Settings) -> Result:
     return Result(row, page)
 
 
+def _evidence(estimated: Estimate) -> Detection:
+    """Return the evidence where a model's verdict rests on it: in its stretch, its own stem among those tried."""
+    valve = estimated.valve
+    return detect(estimated.record, fitted=(valve, estimated.valve_position) if isinstance(valve, FITTED) else None)
+
+
+def _share(test: StemTest) -> float:
+    """Return the share of what a linear loop leaves of PV unpredicted that the stem explains which predicts best."""
+    return 1.0 - math.exp(-test.predicting / test.samples)
+
+
 def _measured(loop: LoopSource, record: Record, seen: Seen, judged: Record, found: Detection) -> FleetRow:
     cycle, test = seen.oscillation, found.test
     oscillates = cycle.index >= OSCILLATES and cycle.regularity > REGULAR and math.isfinite(cycle.period)
@@ -162,6 +177,8 @@ def _measured(loop: LoopSource, record: Record, seen: Seen, judged: Record, foun
     shown, trend = _trend(record, cycle.period if oscillates else math.nan)
     ends = [float(np.mean(record.op == end)) for end in (record.op.min(), record.op.max())]
     nan = math.nan
+    share = nan if test is None else _share(test)
+    present = loop.tuning or Tuning(nan, nan, nan, "")
     return FleetRow(
         loop.name,
         area=loop.area,
@@ -173,7 +190,8 @@ def _measured(loop: LoopSource, record: Record, seen: Seen, judged: Record, foun
         regularity=min(cycle.regularity, 1e6),
         stiction=test.band if test is not None and found.verdict == "stiction" else nan,
         likelihood=nan if test is None else test.predicting,
-        predicts=nan if test is None else 1.0 - math.exp(-test.predicting / test.samples),
+        predicts=share,
+        evidence=share,
         swing=nan if test is None else test.band / float(np.ptp(judged.op)),
         samples=len(record),
         sample_time=record.sample_time,
@@ -183,6 +201,10 @@ def _measured(loop: LoopSource, record: Record, seen: Seen, judged: Record, foun
         pv_sd=float(record.pv.std()),
         error_sd=nan if record.sp is None else float((record.sp - record.pv).std()),
         op_travel=travel(record.op) / hours,
+        present_Kc=present.Kc,
+        present_Ti=present.Ti,
+        present_Td=present.Td,
+        present_form=present.form,
         reasons=_line("; ".join(found.reasons)),
         notes=_line("; ".join(note for note in record.notes if not note.startswith("first timestamp"))),
         trend_hours=shown,
@@ -310,6 +332,7 @@ def _tuned(row: FleetRow, loop: LoopSource, found: Estimate) -> tuple[FleetRow, 
         Td=controller.Td,
         form=controller.form,
         gain_of_tuning=ratio,
+        hint=doubt,
         notes=note,
     )
     return row, tuned

@@ -82,10 +82,12 @@ class FleetRow:
     oscillation_index 0 to 1, period (s) and regularity of PV's strongest oscillation; oscillates: whether that is one.
     verdict: "stiction", "no_stiction", "undecided"; likelihood: log likelihood ratio of the stem that predicts PV best
     to the linear loop; predicts: share of the unpredicted that it explains; swing: its stick band over the range of OP,
-    near 1 where the stick makes the swing. stiction: stick band (d or S), % of travel, as the stem test or the model
-    found it, with its 95 % range from a model; jump: slip jump, %. model_* and plant: of the model; identifiable:
-    whether the record pins its stiction; Kc, Ti, Td, form: proposed tuning; gain_of_tuning: objective J with it over
-    that of the present one.
+    near 1 where the stick makes the swing; all three of the stretch of the screening, which is alike for every loop.
+    evidence: the share of `predicts` in the stretch that the verdict rests on, a model's where it went before.
+    stiction: stick band (d or S), % of travel, as the stem test or the model found it, with its 95 % range from a
+    model; jump: slip jump, %. model_* and plant: of the model; identifiable: whether the record pins its stiction; Kc,
+    Ti, Td, form: proposed tuning, present_*: the present one, as the manifest gives it; gain_of_tuning: objective J
+    with the former over that with the latter; hint: why the proposal is no more than one, "" where it is.
 
     phase_step (s), phase_first and phases (a byte each, 256 to a turn): the phase of PV's oscillation at the instants
     `phase_step (phase_first + i)` of the data's clock. trend: PV of the latest cycles, a byte each.
@@ -108,6 +110,7 @@ class FleetRow:
     likelihood: float = math.nan
     predicts: float = math.nan
     swing: float = math.nan
+    evidence: float = math.nan
     samples: int = 0
     sample_time: float = math.nan
     hours: float = math.nan
@@ -126,6 +129,11 @@ class FleetRow:
     Td: float = math.nan
     form: str = ""
     gain_of_tuning: float = math.nan
+    hint: str = ""
+    present_Kc: float = math.nan
+    present_Ti: float = math.nan
+    present_Td: float = math.nan
+    present_form: str = ""
     reasons: str = ""
     notes: str = ""
     trend_hours: float = math.nan
@@ -143,6 +151,11 @@ class FleetRow:
     def sticks(self) -> bool:
         """Whether the verdict is stiction."""
         return self.verdict == "stiction"
+
+    @property
+    def vague(self) -> bool:
+        """Whether its stiction is a hint alone: of a model that the record does not pin."""
+        return self.sticks and bool(self.plant) and not self.identifiable
 
     @classmethod
     def failure(cls, loop: LoopSource, reason: str) -> FleetRow:

@@ -11,6 +11,7 @@ from workbench.model.characteristic import EqualPercentage
 from workbench.model.checks import instance, number, ordered_pair, whole
 from workbench.model.controller import PID
 from workbench.model.karnopp import Karnopp
+from workbench.model.numbers import given
 from workbench.model.plant import FOPDT, Plant
 from workbench.model.valve import Valve
 
@@ -118,10 +119,10 @@ class Loop:
         """Return a sentence where the controller is slow for the plant (its time constant or its dead time)."""
         slow, Ts = [], self.scan * self.sample_time
         if isinstance(self.plant, FOPDT) and Ts > self.plant.time_constant:
-            slow.append(f"the time constant ({self.plant.time_constant:g} s)")
+            slow.append(f"the time constant ({given(self.plant.time_constant)} s)")
         if 0.0 < self.plant.dead_time < Ts:
-            slow.append(f"the dead time ({self.plant.dead_time:g} s)")
+            slow.append(f"the dead time ({given(self.plant.dead_time)} s)")
         if not slow:
             return None
         what = "sample time" if self.scan == 1 else "time between the controller's executions"
-        return f"the {what} ({Ts:g} s) is longer than " + " and ".join(slow)
+        return f"the {what} ({given(Ts)} s) is longer than " + " and ".join(slow)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 
-__all__ = ["ROUNDING", "duration", "figure", "given", "interval", "setting"]
+__all__ = ["ROUNDING", "counted", "duration", "figure", "given", "interval", "quantity", "setting"]
 
 ROUNDING = 1e-12
 
@@ -36,6 +36,16 @@ def given(value: float, digits: int = 4) -> str:
     """Return a given (not measured) number at up to `digits` significant digits, without trailing zeros: "1", "0.5"."""
     mantissa, e, exponent = figure(value, digits).partition("e")
     return (mantissa.rstrip("0").rstrip(".") if "." in mantissa else mantissa) + e + exponent
+
+
+def counted(many: int, one: str, several: str = "") -> str:
+    """Return a number with what it counts: "1 loop", "1,220 loops"; several: of more, `one` with an s by default."""
+    return f"{many:,} {one if many == 1 else several or f'{one}s'}"
+
+
+def quantity(value: float, unit: str, digits: int = 4) -> str:
+    """Return a number with its unit, "12.18 %", and nothing but "–" for nan."""
+    return figure(value, digits) if math.isnan(value) else f"{figure(value, digits)} {unit}".rstrip()
 
 
 def setting(value: float, digits: int | None = None) -> str:

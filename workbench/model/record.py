@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from workbench.errors import InvalidValue
 from workbench.model.checks import number, ordered_pair
+from workbench.model.numbers import given
 from workbench.model.show import Shown
 
 __all__ = ["FloatArray", "Record", "signal_of"]
@@ -118,7 +119,7 @@ class Record(Shown):
     def summary(self) -> tuple[str, ...]:
         """Return what the record is, what was kept and why, in lines of words."""
         hours = len(self) * self.sample_time / 3600.0
-        lines = [f"{len(self)} samples of {self.sample_time:.6g} s ({hours:.3g} h)"]
+        lines = [f"{len(self)} samples of {given(self.sample_time, 6)} s ({given(hours, 3)} h)"]
         if self.rest:
             many = sum(len(r) for r in self.rest)
             lines[0] += f"; {len(self.rest)} other stretch{'es' if len(self.rest) > 1 else ''} of {many} samples"

@@ -14,7 +14,10 @@ __all__ = ["detection_table", "detection_words", "first_with"]
 
 def detection_words(named: NamedEstimate, found: Detection) -> str:
     """Return the verdict of detection beside that of the estimate, and of which stretch the statistics are."""
-    said = f"Without the fitted model, detection says {found.verdict.replace('_', ' ')}"
+    own = ""
+    if "stiction" in (found.verdict, named.found.verdict):
+        own = ", whose stem is among those tried above, so that the width told there may be another,"
+    said = f"Without the fitted model{own or ','} detection says {found.verdict.replace('_', ' ')}"
     if found.verdict == named.found.verdict:
         said += ", as the estimate does."
     else:

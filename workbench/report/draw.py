@@ -13,7 +13,7 @@ from workbench.model.record import FloatArray, Record
 from workbench.model.results import DescribingFunction, Estimate, LimitCycle, Run, Tuned
 from workbench.model.valve import Ideal, Stenman
 from workbench.report.style import LINEAR, OP, PREDICTION, PV, SP, VALVE, Style, case_style
-from workbench.report.thinned import BEYOND, but_for_kicks, phase, seen, thin, time_axis
+from workbench.report.thinned import BEYOND, but_for_kicks, envelope, fills, phase, seen, thin, time_axis
 from workbench.report.words import ROUNDING, duration, figure, given, label
 
 if TYPE_CHECKING:
@@ -21,7 +21,9 @@ if TYPE_CHECKING:
 
 __all__ = [
     "BEYOND",
+    "beside",
     "convergence",
+    "curve",
     "finish",
     "frequency",
     "frequency_window",
@@ -56,6 +58,30 @@ def line(ax: Axes, time: FloatArray, signal: FloatArray, text: str, style: Style
     ax.plot(x, y, label=text, drawstyle="steps-post" if steps else "default", **style)
 
 
+def curve(
+    ax: Axes, time: FloatArray, signal: FloatArray, span: float, text: str, style: Style, *, steps: bool = False
+) -> None:
+    """Draw one of many signals over each other; span: the plot's range.
+
+    One that swings so fast that its line would hide the others lies under them, as the band that it sweeps.
+    """
+    if fills(signal, span):
+        x, low, high = envelope(time, signal)
+        ax.fill_between(x, low, high, color=style["color"], alpha=0.3, linewidth=0.0, zorder=1.0, label=text)
+        return
+    x, y = thin(time, signal)
+    ax.plot(x, y, label=text, drawstyle="steps-post" if steps else "default", **style)
+
+
+def beside(above: Axes, below: Axes) -> None:
+    """Take from the plots of a second column what the first says for both: names of the axes and legends."""
+    for ax in (above, below):
+        own = ax.get_legend()
+        if own is not None:
+            own.remove()
+        ax.set_ylabel("")
+
+
 def finish(ax: Axes, ylabel: str, *, columns: int = 4) -> None:
     """Name the axis and put the legend above the plot, where it hides nothing."""
     ax.set_ylabel(ylabel)
@@ -63,17 +89,17 @@ def finish(ax: Axes, ylabel: str, *, columns: int = 4) -> None:
     ax.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=columns, borderaxespad=0.1, columnspacing=1.2)
 
 
-def run_pv(ax: Axes, run: Run, unit: float = 1.0) -> None:
+def run_pv(ax: Axes, run: Run, unit: float = 1.0, part: slice = slice(None)) -> None:
     """Draw PV and SP against time (s / unit)."""
-    line(ax, run.time / unit, run.pv, "PV", PV)
-    line(ax, run.time / unit, run.sp, "SP", SP, steps=True)
+    line(ax, run.time[part] / unit, run.pv[part], "PV", PV)
+    line(ax, run.time[part] / unit, run.sp[part], "SP", SP, steps=True)
     finish(ax, "PV, SP (EU)")
 
 
-def run_op(ax: Axes, run: Run, unit: float = 1.0) -> None:
+def run_op(ax: Axes, run: Run, unit: float = 1.0, part: slice = slice(None)) -> None:
     """Draw OP and the valve's position against time (s / unit)."""
-    line(ax, run.time / unit, run.valve, "valve", VALVE, steps=True)
-    line(ax, run.time / unit, run.op, "OP", OP, steps=True)
+    line(ax, run.time[part] / unit, run.valve[part], "valve", VALVE, steps=True)
+    line(ax, run.time[part] / unit, run.op[part], "OP", OP, steps=True)
     finish(ax, "OP, valve (%)")
 
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from workbench.model.detection import Detection
@@ -19,7 +20,8 @@ from workbench.report import draw
 from workbench.report.draw_evidence import apparent_stiction, bicoherence_map, pv_autocorrelation
 from workbench.report.files import write_files
 from workbench.report.style import SP, case_style, new_figure, styled, svg_text
-from workbench.report.words import join, label, parameter_words
+from workbench.report.thinned import settled
+from workbench.report.words import given, join, label, parameter_words
 
 __all__ = [
     "Curves",
@@ -41,19 +43,57 @@ __all__ = [
 
 DIVERGES = 10.0  # times the calm cases' range: a PV beyond it would flatten them
 WIDTH = 7.1  # inch: the text width of an A4 page
+# Share of a run within which a loop at rest came to it early, and how many times that long is shown from near.
+EARLY, SHOWN = 0.1, 3.0
+ABOVE = 13.0  # points: what a legend of one line above a plot takes
 
 
 def trend_figure(run: Run, title: str = "") -> Figure:
-    """Return PV and SP above, OP and valve position below, on one time axis."""
+    """Return PV and SP above, OP and valve position below, on one time axis.
+
+    Where the loop comes to rest early, its first stretch stands beside them, from near.
+    """
     with styled():
         fig = new_figure(4.6, 2.75)
-        above, below = fig.subplots(2, 1, sharex=True)
         unit, name = draw.time_axis(float(run.time[-1]))
-        draw.run_pv(above, run, unit)
-        draw.run_op(below, run, unit)
-        below.set_xlabel(f"time ({name})")
-        above.set_title(label(title, 45), loc="left")
+        until = _first_stretch([((run.time, run.pv), (run.time, run.valve))])
+        above, below = _columns_of(fig, until, unit, name)
+        parts = [slice(None)] if until is None else [slice(None), slice(int(np.searchsorted(run.time, until)) + 1)]
+        for i, part in enumerate(parts):
+            draw.run_pv(above[i], run, unit, part)
+            draw.run_op(below[i], run, unit, part)
+            if i:
+                draw.beside(above[i], below[i])
+        above[0].set_title(label(title, 45 if until is None else 20), loc="left")
     return fig
+
+
+Signals = tuple[tuple[FloatArray, FloatArray], tuple[FloatArray, FloatArray]]
+
+
+def _first_stretch(cases: Sequence[Signals]) -> float | None:
+    """Return until when (s) to show from near what the cases that come to rest early do, or None where none does.
+
+    cases: PV and valve of each as (time, s; values).
+    """
+    ends = []
+    for both in cases:
+        first, last = float(both[0][0][0]), float(both[0][0][-1])
+        rest = max(settled(*signal) for signal in both)
+        if first < rest <= first + EARLY * (last - first):
+            ends.append(first + SHOWN * (rest - first))
+    return max(ends, default=None)
+
+
+def _columns_of(fig: Figure, until: float | None, unit: float, name: str) -> tuple[Sequence[Axes], Sequence[Axes]]:
+    """Return the plots above and those below: of the whole run, and where asked for until a time (s) from near."""
+    ratios = (1,) if until is None else (3, 2)
+    above, below = fig.subplots(2, len(ratios), sharex="col", squeeze=False, width_ratios=ratios)
+    for ax in below:
+        ax.set_xlabel(f"time ({name})")
+    if until is not None:
+        above[1].set_title(f"the first {given(until / unit, 2)} {name}", loc="left", fontsize=7, fontweight="normal")
+    return above, below
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,6 +105,12 @@ class Curves:
     pv: tuple[FloatArray, FloatArray]
     below: tuple[FloatArray, FloatArray]
 
+    def before(self, until: float) -> Curves:
+        """Return the part until a time in s."""
+        ends = [int(np.searchsorted(time, until)) + 1 for time, _ in (self.sp, self.pv, self.below)]
+        parts = zip((self.sp, self.pv, self.below), ends, strict=True)
+        return Curves(self.name, *((time[:end], values[:end]) for (time, values), end in parts))
+
 
 def overlay_figure(cases: Sequence[CaseResult]) -> Figure:
     """Return PV of all cases above and their valve positions below, on one time axis, with the first case's SP."""
@@ -74,35 +120,54 @@ def overlay_figure(cases: Sequence[CaseResult]) -> Figure:
 
 
 def overlaid(cases: Sequence[Curves], below_label: str) -> Figure:
-    """Return PV of all cases above and what they have below, on one time axis, with the first case's SP."""
+    """Return PV of all cases above and what they have below, on one time axis, with the first case's SP.
+
+    Where cases come to rest early, their first stretch stands beside them, from near.
+    """
     with styled():
         fig = new_figure(WIDTH, 4.4)
-        above, below = fig.subplots(2, 1, sharex=True)
         unit, name = draw.time_axis(max((float(c.pv[0][-1]) for c in cases), default=0.0))
-        pvs, lower = _comparable([c.pv[1] for c in cases]), _comparable([c.below[1] for c in cases])
-        wild = _diverging(cases)
-        calm = [i for i in range(len(cases)) if i not in wild]
-        for index, case in enumerate(cases):
-            style = {**case_style(index), "linewidth": 1.0}
-            x, y = draw.thin(case.pv[0] / unit, pvs[index])
-            above.plot(x, y, label=label(case.name, 30), **style)
-            x, y = draw.thin(case.below[0] / unit, lower[index])
-            below.plot(x, y, drawstyle="steps-post", **style)
-        if cases:
-            x, y = draw.thin(cases[0].sp[0] / unit, cases[0].sp[1])
-            above.plot(x, y, label="SP", drawstyle="steps-post", **SP)
-        above.set_ylabel("PV (EU)")
-        below.set_ylabel(below_label)
-        if wild:
-            draw.limit_to(above, [*(pvs[i] for i in calm), *(c.sp[1] for c in cases[:1])])
-            draw.limit_to(below, [lower[i] for i in calm])
-            draw.remark(above, f"{join([label(cases[i].name, 30) for i in wild])}: beyond this axis")
-        draw.without_kicks(below, [lower[i] for i in calm])
-        below.set_xlabel(f"time ({name})")
-        above.margins(x=0.01)
+        until = _first_stretch([(c.pv, c.below) for c in cases])
+        above, below = _columns_of(fig, until, unit, name)
+        _over_each_other(above[0], below[0], cases, unit)
+        if until is not None:
+            _over_each_other(above[1], below[1], [case.before(until) for case in cases], unit, near=True)
+            draw.beside(above[1], below[1])
+        above[0].set_ylabel("PV (EU)")
+        below[0].set_ylabel(below_label)
         names = [label(case.name, 30) for case in cases] + ["SP"]
-        fig.legend(loc="outside upper center", ncols=_columns(names), handlelength=3.2)
+        fig.legend(
+            *above[0].get_legend_handles_labels(), loc="outside upper center", ncols=_columns(names), handlelength=3.2
+        )
     return fig
+
+
+def _over_each_other(above: Axes, below: Axes, cases: Sequence[Curves], unit: float, *, near: bool = False) -> None:
+    pvs, lower = _comparable([c.pv[1] for c in cases]), _comparable([c.below[1] for c in cases])
+    wild = _diverging(cases)
+    calm = [i for i in range(len(cases)) if i not in wild]
+    for index, case in enumerate(cases):
+        style = {**case_style(index), "linewidth": 1.0}
+        draw.curve(above, case.pv[0] / unit, pvs[index], _span(pvs, calm), label(case.name, 30), style)
+        draw.curve(below, case.below[0] / unit, lower[index], _span(lower, calm), "", style, steps=True)
+    if cases:
+        x, y = draw.thin(cases[0].sp[0] / unit, cases[0].sp[1])
+        above.plot(x, y, label="SP", drawstyle="steps-post", **SP)
+    if wild:
+        draw.limit_to(above, [*(pvs[i] for i in calm), *(c.sp[1] for c in cases[:1])])
+        draw.limit_to(below, [lower[i] for i in calm])
+        if not near:
+            draw.remark(above, f"{join([label(cases[i].name, 30) for i in wild])}: beyond this axis")
+    if not near:
+        draw.without_kicks(below, [lower[i] for i in calm])
+    above.margins(x=0.01)
+
+
+def _span(signals: Sequence[FloatArray], calm: Sequence[int]) -> float:
+    """Return the range of those signals that a figure shows whole."""
+    kept = [signals[i][np.isfinite(signals[i])] for i in calm]
+    kept = [signal for signal in kept if signal.size]
+    return max((float(s.max()) for s in kept), default=0.0) - min((float(s.min()) for s in kept), default=0.0)
 
 
 def _columns(names: Sequence[str]) -> int:
@@ -200,7 +265,8 @@ def linear_fit_figure(found: Estimate, title: str = "", window: tuple[float, flo
         with_stiction = parameter_words(found.valve, found.plant, found.residual_variance)
         without = parameter_words(Ideal(), plain.plant, plain.residual_variance)
         for ax, text in ((above, with_stiction), (below, without)):
-            ax.set_title(text, loc="left", fontsize=7, fontweight="normal")
+            # Above the legend, which would cover its end.
+            ax.set_title(text, loc="left", fontsize=7, fontweight="normal", pad=ABOVE)
         if title:
             fig.suptitle(label(title, 55), x=0.01, ha="left", fontsize=8.5, fontweight="bold")
     return fig

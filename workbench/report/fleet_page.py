@@ -11,15 +11,20 @@ from markupsafe import Markup
 
 from workbench.model.fleet import FleetRow, Group, Site
 from workbench.report.lines import spark
-from workbench.report.loop_page import DIGITS, page_name, verdict_words
+from workbench.report.loop_page import DIGITS, PINS_NOT, page_name, verdict_words
 from workbench.report.templating import environment, style_sheet
-from workbench.report.words import duration, figure, setting
+from workbench.report.words import counted, duration, figure, setting
 
 __all__ = ["page_name", "render_site"]
 
 # What the page shows at most of each; the files hold all.
 RANKED, DRAWN, GROUPS, MEMBERS, LISTED = 500, 300, 60, 12, 200
 WORDS = 260  # characters of the evidence; a loop's page has all
+UNEXPLAINED = "oscillates without stiction and follows no sticking valve: tight tuning, or a source outside"
+OPEN = (
+    "oscillates and follows no sticking valve, but whether its own sticks is undecided: a test of the valve comes "
+    "before another tuning"
+)
 SATURATED = 0.2  # share of the time at an end of OP
 
 
@@ -34,6 +39,16 @@ class Line:
     trend: Markup
     verdict: str
     cells: tuple[tuple[str, str], ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Advised:
+    """A loop of the list for tuning: its present settings, those proposed ("" without a proposal), and why."""
+
+    row: FleetRow
+    present: str
+    proposed: str
+    why: str
 
 
 def render_site(site: Site) -> str:
@@ -97,36 +112,55 @@ def _tiles(site: Site) -> list[tuple[str, str]]:
     ]
 
 
-def _summary(site: Site, tuning: Sequence[object]) -> list[str]:
+def _summary(site: Site, tuning: Sequence[Advised]) -> list[str]:
     seen = site.looked_at
     sticky = [row for row in seen if row.sticks]
     lines = []
     if sticky:
         worst = ", ".join(row.name for row in sticky[:3])
-        lines.append(f"{len(sticky)} valves show stiction; the most urgent: {worst}.")
+        lines.append(f"{counted(len(sticky), 'valve shows', 'valves show')} stiction; the most urgent: {worst}.")
     else:
         lines.append("No valve shows stiction.")
     rooted = [group for group in site.groups if group.sticky]
     if site.groups:
         loops = sum(len(group.members) for group in site.groups)
-        words = f"{loops} loops oscillate together in {len(site.groups)} groups"
+        words = f"{counted(loops, 'loop')} oscillate together in {counted(len(site.groups), 'group')}"
         if rooted:
             spared = sum(len(group.members) - 1 for group in rooted)
-            words += (
-                f"; in {len(rooted)} of them a sticking valve is the likely root, and {spared} other loops follow it"
-            )
+            where = f"in {len(rooted)} of them" if len(site.groups) > 1 else "there"
+            others = counted(spared, "other loop follows", "other loops follow")
+            words += f"; {where} a sticking valve is the likely root, and {others} it"
         lines.append(f"{words}.")
-    if tuning:
-        lines.append(f"{len(tuning)} loops may gain from another tuning.")
+    lines += _tuning_said(tuning)
     ends = sum(row.saturated >= SATURATED for row in seen)
     if ends:
-        lines.append(f"{ends} loops have OP at its highest or lowest value for a fifth of the time or more.")
+        have = counted(ends, "loop has", "loops have")
+        lines.append(f"{have} OP at its highest or lowest value for a fifth of the time or more.")
     if site.failures:
-        lines.append(f"{len(site.failures)} loops could not be looked at; the reasons are below.")
+        lines.append(f"{counted(len(site.failures), 'loop')} could not be looked at; the reasons are below.")
     if site.changes is not None:
         worse = sum(change.kind == "worse" for change in site.changes)
         better = sum(change.kind == "better" for change in site.changes)
-        lines.append(f"Since the run before, {worse} loops are worse and {better} better.")
+        lines.append(f"Since the run before, {counted(worse, 'loop is', 'loops are')} worse and {better:,} better.")
+    return lines
+
+
+def _tuning_said(tuning: Sequence[Advised]) -> list[str]:
+    """Return how many loops have a proposal, and how many are listed without one and why, in sentences."""
+    lines = []
+    proposed = [one.row for one in tuning if one.proposed]
+    if proposed:
+        hints = sum(bool(row.hint) for row in proposed)
+        words = f"{counted(len(proposed), 'loop has', 'loops have')} a proposed tuning"
+        lines.append(f"{words}, {hints:,} of them no more than a hint." if hints else f"{words}.")
+    open_ = sum(one.why == OPEN for one in tuning)
+    others = len(tuning) - len(proposed) - open_
+    if others:
+        lines.append(f"{counted(others, 'loop oscillates', 'loops oscillate')} without a sticking valve, own or other.")
+    if open_:
+        lines.append(
+            f"{counted(open_, 'loop oscillates', 'loops oscillate')}, and whether the valve sticks is undecided."
+        )
     return lines
 
 
@@ -143,8 +177,8 @@ def _line(i: int, row: FleetRow, site: Site, drawn: bool) -> Line:
             _value(row.oscillation_index),
         ),
         (period, _value(row.period if row.oscillates else math.nan)),
-        (figure(row.stiction, 3) if math.isfinite(row.stiction) else "–", _value(row.stiction)),
-        (f"{max(row.predicts, 0.0):.0%}" if math.isfinite(row.predicts) else "–", _value(row.predicts)),
+        (figure(row.stiction, 3) + (" (hint)" if row.vague else ""), _value(row.stiction)),
+        (f"{max(row.evidence, 0.0):.0%}" if math.isfinite(row.evidence) else "–", _value(row.evidence)),
         (f"{row.automatic:.0%}" if math.isfinite(row.automatic) else "–", _value(row.automatic)),
         (f"{row.saturated:.0%}" if math.isfinite(row.saturated) else "–", _value(row.saturated)),
         (figure(row.op_travel, 3), _value(row.op_travel)),
@@ -179,29 +213,38 @@ def _stiction(row: FleetRow) -> str:
     words = f"{figure(row.stiction, 3)} %"
     if math.isfinite(row.stiction_low):
         words += f" ({figure(row.stiction_low, 3)} to {figure(row.stiction_high, 3)} %)"
-    if row.plant and not row.identifiable:
-        words += ", a hint: the record does not pin it"
-    return words
+    return f"{words}, {PINS_NOT}" if row.vague else words
 
 
-def _to_tune(rows: Sequence[FleetRow], driven: dict[str, str]) -> list[tuple[FleetRow, str, str]]:
-    """Return (row, settings to type in or "", why) of the loops that another tuning may help."""
+def _settings(Kc: float, Ti: float, Td: float, form: str, digits: int | None) -> str:
+    """Return settings as they are typed in, "–" for those that are not known."""
+    if not math.isfinite(Kc):
+        return "–"
+    integral = f", Ti {setting(Ti, digits)} s" if math.isfinite(Ti) else ", no integral action"
+    return f"Kc {setting(Kc, digits)} %/EU{integral}{f', Td {setting(Td, digits)} s' if Td > 0.0 else ''} ({form})"
+
+
+def _to_tune(rows: Sequence[FleetRow], driven: dict[str, str]) -> list[Advised]:
+    """Return the loops that another tuning may help, and those that oscillate and nobody knows why."""
     found = []
     for row in rows:
-        if math.isfinite(row.Kc):
-            settings = f"Kc {setting(row.Kc, DIGITS)} %/EU, Ti {setting(row.Ti, DIGITS)} s" + (
-                f", Td {setting(row.Td, DIGITS)} s" if row.Td else ""
-            )
+        proposed = math.isfinite(row.Kc)
+        if not proposed and (row.sticks or not row.oscillates or row.name in driven):
+            continue
+        why = OPEN if row.verdict == "undecided" else UNEXPLAINED
+        if proposed:
             why = "until the valve is repaired"
             if math.isfinite(row.gain_of_tuning):
-                why += f"; cost J {row.gain_of_tuning:.2f} times that of the present tuning, on the loop's model"
-            found.append((row, f"{settings} ({row.form})", why))
-        elif row.oscillates and not row.sticks and row.name not in driven:
-            found.append(
-                (
-                    row,
-                    "",
-                    "oscillates without stiction and follows no sticking valve: tight tuning, or a source outside",
-                )
+                times = figure(row.gain_of_tuning, 2)
+                why += f"; cost J {times} times that of the present tuning, on the loop's model"
+            if row.hint:
+                why += f"; {row.hint}"
+        found.append(
+            Advised(
+                row,
+                _settings(row.present_Kc, row.present_Ti, row.present_Td, row.present_form, None),
+                _settings(row.Kc, row.Ti, row.Td, row.form, DIGITS) if proposed else "",
+                why,
             )
+        )
     return found

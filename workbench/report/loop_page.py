@@ -16,12 +16,22 @@ from workbench.model.valve import Ideal
 from workbench.report.known import unpinned
 from workbench.report.lines import panel
 from workbench.report.templating import environment, style_sheet
-from workbench.report.words import controller_words, duration, figure, interval, plant_words, slug, valve_words
+from workbench.report.words import (
+    controller_words,
+    duration,
+    figure,
+    interval,
+    plant_words,
+    quantity,
+    slug,
+    valve_words,
+)
 
-__all__ = ["DIGITS", "page_name", "render_loop", "verdict_words"]
+__all__ = ["DIGITS", "PINS_NOT", "page_name", "render_loop", "verdict_words"]
 
 DIGITS = 4  # of a proposed tuning, as `wb.tune` gives it
 
+PINS_NOT = "a hint: the record does not pin it"
 VERDICTS = {"stiction": "stiction", "no_stiction": "no stiction", "undecided": "undecided", "": "–"}
 NEAR = 20.0  # cycles drawn once more where they are two thirds of the stretch at most
 
@@ -46,12 +56,12 @@ def render_loop(
     found: Estimate | LinearFit | None,
     tuned: PID | None,
 ) -> str:
-    """Return a loop's page as HTML. judged: the stretch that the verdict rests on; found, tuned: None without one."""
+    """Return a loop's page as HTML. judged: the stretch that the verdict rests on, and statistics are of.
+
+    found, tuned: None without one.
+    """
     near = judged if math.isnan(row.period) else _latest(judged, NEAR * row.period)
-    evidence = [
-        (one.name, one.measures, figure(one.value) + (f" {one.unit}" if one.unit else ""), one.limits, one.says)
-        for one in statistics
-    ]
+    evidence = [(one.name, one.measures, quantity(one.value, one.unit), one.limits, one.says) for one in statistics]
     return (
         environment()
         .get_template("loop.html.j2")
@@ -62,7 +72,7 @@ def render_loop(
             facts=_facts(row, record, judged),
             model=_model(row, found),
             tuning=None if tuned is None else controller_words(tuned, DIGITS),
-            gain=row.gain_of_tuning if math.isfinite(row.gain_of_tuning) else None,
+            gain=figure(row.gain_of_tuning, 2) if math.isfinite(row.gain_of_tuning) else None,
             pictures=[*_pictures(judged), *(_pictures(near) if 3 * len(near) <= 2 * len(judged) else [])],
             evidence=evidence,
         )
@@ -86,16 +96,19 @@ def _pictures(record: Record) -> list[object]:
     pv = [("pv", record.pv)]
     if record.sp is not None:
         pv.insert(0, ("sp", record.sp))
-    return [panel(hours, pv, "PV"), panel(hours, [("op", record.op)], "OP, %")]
+    return [panel(hours, pv, "PV, EU"), panel(hours, [("op", record.op)], "OP, %")]
 
 
 def _facts(row: FleetRow, record: Record, judged: Record) -> list[tuple[str, str]]:
     cycle = "none"
     if row.oscillates:
-        cycle = f"index {row.oscillation_index:.2f}, period {duration(row.period)}"
+        cycle = f"index {row.oscillation_index:.2f}, period {duration(row.period)}, over the whole record"
     facts = [
         ("Record", f"{row.samples:,} samples of {figure(row.sample_time)} s, {figure(row.hours, 3)} h"),
-        ("Judged by", f"{len(judged):,} samples of {figure(judged.sample_time)} s, drawn below"),
+        (
+            "Judged by",
+            f"{len(judged):,} samples of {figure(judged.sample_time)} s, which verdict, evidence and figures are of",
+        ),
         ("Oscillation", cycle),
         ("Stiction", _stiction(row)),
         ("PV", f"standard deviation {figure(row.pv_sd)} EU"),
@@ -110,8 +123,9 @@ def _facts(row: FleetRow, record: Record, judged: Record) -> list[tuple[str, str
         facts.append(("In automatic", f"{row.automatic:.1%} of the time"))
     if record.rest:
         facts.append(("Other stretches", f"{len(record.rest)} of the same loop, not looked at"))
-    if row.notes:
-        facts.append(("Notes", row.notes))
+    notes = row.notes.replace(row.hint, "").strip("; ")  # the hint stands beside the tuning
+    if notes:
+        facts.append(("Notes", notes))
     return facts
 
 
@@ -123,7 +137,9 @@ def _stiction(row: FleetRow) -> str:
         words += f" (95 %: {interval((row.stiction_low, row.stiction_high), '%', 3)})"
     if math.isfinite(row.jump):
         words += f", slip jump {figure(row.jump, 3)} %"
-    return words
+    if row.plant:
+        words += ", of the model below"
+    return f"{words}; {PINS_NOT}" if row.vague else words
 
 
 def _model(row: FleetRow, found: Estimate | LinearFit | None) -> list[tuple[str, str]]:

@@ -46,6 +46,19 @@ CASES: tuple[Style, ...] = (
     {"color": GREY, "linestyle": (0, (1, 1))},
 )
 
+# The lines of the next eight cases, which take up the colours: of each colour another line than before, and of black
+# none that is taken for SP.
+AGAIN: tuple[Any, ...] = (
+    (0, (6, 1.5, 1.5, 1.5)),
+    "-",
+    (0, (4, 1.2)),
+    "-",
+    (0, (1, 1)),
+    (0, (6, 2)),
+    "-",
+    (0, (4, 1.2)),
+)
+
 # Eight steps of viridis (S. van der Walt, N. Smith, matplotlib 1.5): even in lightness, so that print without colour
 # keeps their order, and told apart by the colour-blind. The lightest is the least.
 SHADES = ("#fde725", "#a0da39", "#4ac16d", "#1fa187", "#277f8e", "#365c8d", "#46327e", "#440154")
@@ -53,5 +66,6 @@ GROWS = "#d9d9d9"  # of a map: where the loop would be unstable with an ideal va
 
 
 def case_style(index: int) -> Style:
-    """Return colour and line style of the case in that place; after eight they begin again."""
-    return CASES[index % len(CASES)]
+    """Return colour and line style of the case in that place; after eight the colours, after 16 both begin again."""
+    style = CASES[index % len(CASES)]
+    return {**style, "linestyle": AGAIN[index % len(CASES)]} if index // len(CASES) % 2 else style

@@ -74,7 +74,8 @@ def setting_names(site: SiteForm) -> tuple[str, str, str]:
     """Return what the site calls gain, integral and derivative."""
     if site.form == "parallel":
         return "Gain Kp", "Integral gain Ki", "Derivative gain Kd"
-    return "Proportional band" if site.gain == "PB %" else "Gain Kc", "Integral Ti", "Derivative Td"
+    integral = "Integral rate 1/Ti" if "repeats" in site.integral else "Integral Ti"
+    return "Proportional band" if site.gain == "PB %" else "Gain Kc", integral, "Derivative Td"
 
 
 def _number(value: float, digits: int | None) -> str:

@@ -10,11 +10,16 @@ from numpy.typing import NDArray
 
 from workbench.model.record import FloatArray
 
-__all__ = ["BEYOND", "COLUMNS", "but_for_kicks", "phase", "seen", "thin", "time_axis"]
+__all__ = ["BEYOND", "COLUMNS", "but_for_kicks", "envelope", "fills", "phase", "seen", "settled", "thin", "time_axis"]
 
 COLUMNS = 500  # pixel columns of a figure's plot area: half a point of a page-wide trend
 BEYOND = 1e9  # EU or %: a signal that grows past this has left every plant, and its figure
 GRIDS = (400, 200, 100, 50, 25)  # cells along each side of a phase plot, within which points are one
+FILLS, SWING = 200, 0.05  # swings across a figure, and their share of its range, from which lines are a block
+SETTLED, LATE = (
+    0.05,
+    0.1,
+)  # of a signal's range, about what it is at the end; share of its samples that say what that is
 STRETCHES = 2500  # of a phase plot, above which the next coarser grid is taken
 
 
@@ -42,6 +47,33 @@ def seen(signal: FloatArray, limit: float = BEYOND) -> FloatArray:
     """Return a signal with nan where it is not finite or exceeds `limit` in size: the stretch that is not drawn."""
     with np.errstate(invalid="ignore"):
         return np.where(np.abs(signal) <= limit, signal, math.nan)
+
+
+def fills(signal: FloatArray, span: float) -> bool:
+    """Return whether a signal swings so often that its line, in a figure of range `span`, hides all behind it."""
+    y = signal[np.isfinite(signal)]
+    y = y[np.concatenate(([True], np.diff(y) != 0.0))]
+    turns = y[np.concatenate(([True], np.diff(np.sign(np.diff(y))) != 0.0, [True]))] if y.size > 2 else y
+    return int(np.count_nonzero(np.abs(np.diff(turns)) > SWING * span)) > FILLS
+
+
+def envelope(x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return (times, least, largest value) of a signal that swings fast, stretch by stretch, each of shape (M,)."""
+    # A thinned signal holds little more than its extremes: a stretch has some of both.
+    stretches = np.array_split(np.arange(x.size), min(FILLS, max(1, x.size // 6)))
+    parts = [part for part in stretches if np.isfinite(y[part]).any()]
+    low, high = ([pick(y[part]) for part in parts] for pick in (np.nanmin, np.nanmax))
+    return np.array([x[part].mean() for part in parts]), np.array(low), np.array(high)
+
+
+def settled(time: FloatArray, signal: FloatArray) -> float:
+    """Return from when on a signal, shape (N,), stays about its late mean; infinite where it never does."""
+    if not np.isfinite(signal).all():
+        return math.inf
+    late = float(signal[-max(1, int(LATE * signal.size)) :].mean())
+    away = np.flatnonzero(np.abs(signal - late) > SETTLED * float(np.ptp(signal)))
+    rest = int(away[-1]) + 1 if away.size else 0
+    return float(time[rest]) if rest < time.size else math.inf
 
 
 def phase(x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:

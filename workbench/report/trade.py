@@ -25,6 +25,7 @@ WIDTH, HEIGHT = 7.1, 4.6
 FONT = 7.0  # points
 LETTER = 0.56  # mean width of a letter, in font sizes
 RINGS = (6.0, 13.0, 22.0, 34.0, 48.0)  # points from a named point to its label
+LEADER = {"arrowstyle": "-", "linewidth": 0.5, "color": "#767676", "shrinkA": 0.0, "shrinkB": 2.0}
 NEEDED = 1.3  # factor by which an axis reaches beyond what it shows
 
 
@@ -122,7 +123,7 @@ def _name(ax: Axes, named: Sequence[NamedPoint], lines: FloatArray) -> None:
             textcoords="offset points",
             fontsize=FONT,
             zorder=6,
-            arrowprops=None if ring == RINGS[0] else {"arrowstyle": "-", "linewidth": 0.5, "color": "#767676"},
+            arrowprops=None if ring == RINGS[0] else LEADER,
         )
 
 
@@ -178,9 +179,10 @@ def _cost(
         np.maximum(np.maximum(x0 - points[:, 0], points[:, 0] - x1), 0.0),
         np.maximum(np.maximum(y0 - points[:, 1], points[:, 1] - y1), 0.0),
     )
-    strays = int(np.count_nonzero(beside < beside[own] + 2.0)) - 1
+    # Beside another point nearly as near, only a line tells whose the label is; the nearest ring has none.
+    strays = int(np.count_nonzero(beside < 2.0 * beside[own] + 2.0)) - 1
     cost: float = (
-        50.0 * strays
+        (200.0 if ring == RINGS[0] else 30.0) * strays
         + 1000.0 * outside
         + 300.0 * over
         + 60.0 * within(points, 2.5)

@@ -17,7 +17,7 @@ from workbench.model.compensator import (
 from workbench.model.controller import PID
 from workbench.model.karnopp import Karnopp
 from workbench.model.loop import Loop
-from workbench.model.numbers import ROUNDING, duration, figure, given, interval, setting
+from workbench.model.numbers import ROUNDING, counted, duration, figure, given, interval, quantity, setting
 from workbench.model.plant import FOPDT, Plant
 from workbench.model.rule import Amigo, DetunedIntegral, Lambda, Rule, Simc, ZieglerNichols
 from workbench.model.valve import Choudhury, Deadband, Directional, He, Ideal, Kano, Positional, Stenman, Valve
@@ -28,6 +28,7 @@ __all__ = [
     "change",
     "compensator_words",
     "controller_words",
+    "counted",
     "decimals_of",
     "difference",
     "duration",
@@ -42,6 +43,7 @@ __all__ = [
     "parameter_words",
     "plant_words",
     "published",
+    "quantity",
     "rule_words",
     "sentences",
     "setting",

@@ -24,6 +24,7 @@ from workbench.model.detection import Detection
 from workbench.model.experiment import Experiment
 from workbench.model.front import RobustRepair
 from workbench.model.loop import Loop
+from workbench.model.numbers import given
 from workbench.model.plant import Plant
 from workbench.model.record import Record
 from workbench.model.results import Intervals, Repair, SolveStatus, Tuned
@@ -305,7 +306,8 @@ def for_plant(jobs: Sequence[CaseJob], plant: Plant) -> tuple[tuple[CaseJob, ...
     for job in jobs:
         if not job.action_given and job.controller.action != action:
             job = replace(job, controller=replace(job.controller, action=action))
-            note = f"The controller acts {action}, as the estimated gain ({plant.gain:.3g}) needs; no action is given."
+            gain = given(plant.gain, 3)
+            note = f"The controller acts {action}, as the estimated gain ({gain}) needs; no action is given."
             notes += [] if note in notes else [note]
         wrong = wrong_way(plant, job.controller)
         if wrong is not None:

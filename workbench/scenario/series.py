@@ -9,6 +9,7 @@ import numpy as np
 
 from workbench.errors import RecordError
 from workbench.model.experiment import Experiment, Series
+from workbench.model.numbers import given
 from workbench.model.record import FloatArray, Record
 from workbench.record.columns import match_columns, time_unit
 from workbench.record.reader import read_record
@@ -33,8 +34,8 @@ def in_samples(experiment: Experiment, sample_time: float, notes: list[str]) -> 
     if not 1e-9 * samples < abs(ratio - samples) <= CLOCK * samples:
         return experiment
     notes.append(
-        f"The experiment takes {samples * sample_time:.6g} s for the {experiment.duration:g} s given: {samples:,} "
-        f"samples of the record's {sample_time:.6g} s."
+        f"The experiment takes {given(samples * sample_time, 6)} s for the {experiment.duration:g} s given: "
+        f"{samples:,} samples of the record's {given(sample_time, 6)} s."
     )
     return replace(experiment, duration=samples * sample_time)
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from workbench.model.ensemble import Constraints
+from workbench.model.numbers import given
 from workbench.model.record import FloatArray
 
 __all__ = ["NARROW", "UNSTABLE", "WORN", "missed", "more_than_sensitivity", "narrowness", "worn"]
@@ -48,11 +49,11 @@ def missed(asked: Constraints, margins: tuple[float, float, float], travel: floa
     Ms, gain, phase = margins
     words = []
     if asked.max_sensitivity is not None and Ms > asked.max_sensitivity:
-        words.append(f"a maximum sensitivity of {Ms:.3g} (at most {asked.max_sensitivity:g})")
+        words.append(f"a maximum sensitivity of {given(Ms, 3)} (at most {asked.max_sensitivity:g})")
     if asked.gain_margin is not None and gain < asked.gain_margin:
-        words.append(f"a gain margin of {gain:.3g} (at least {asked.gain_margin:g})")
+        words.append(f"a gain margin of {given(gain, 3)} (at least {asked.gain_margin:g})")
     if asked.phase_margin is not None and phase < asked.phase_margin:
-        words.append(f"a phase margin of {phase:.3g} degrees (at least {asked.phase_margin:g})")
+        words.append(f"a phase margin of {given(phase, 3)} degrees (at least {asked.phase_margin:g})")
     if asked.valve_travel is not None and travel > asked.valve_travel:
-        words.append(f"a {travel_words} of {travel:.3g} % (at most {asked.valve_travel:g} %)")
+        words.append(f"a {travel_words} of {given(travel, 3)} % (at most {asked.valve_travel:g} %)")
     return words

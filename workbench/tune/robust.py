@@ -17,6 +17,7 @@ from types import MappingProxyType
 import numpy as np
 
 from workbench.model.ensemble import Constraints, Ensemble
+from workbench.model.numbers import given
 from workbench.model.record import FloatArray
 from workbench.model.results import Restart, Robustness, SolveStatus, Tuned
 from workbench.simulate.signals import sample_count
@@ -306,9 +307,8 @@ def _verdict(
     # A mean over the draws that were searched; over others it is another.
     limit = asked.valve_travel
     if limit is not None and fresh.travel_mean > limit:
-        kept = (
-            f"on fresh draws the mean valve travel is {fresh.travel_mean:.3g} %, above the {limit:g} % kept on its own"
-        )
+        mean = given(fresh.travel_mean, 3)
+        kept = f"on fresh draws the mean valve travel is {mean} %, above the {limit:g} % kept on its own"
         return status, kept
     return status, ""
 
@@ -322,6 +322,6 @@ def _summary(ensemble: Ensemble, fresh: Robustness) -> str:
     what = {"mean": "mean", "percentile": f"{ensemble.level:g} quantile", "cvar": f"CVaR {ensemble.level:g}"}
     return (
         f"{what[ensemble.statistic]} of J over {ensemble.draws} draws; on {fresh.ensemble.draws} fresh ones mean "
-        f"square error {fresh.mse_median:.3g} (median), {fresh.mse_p90:.3g} (90th percentile), valve travel "
-        f"{fresh.travel_median:.3g} % (median), worst corner's Ms {fresh.max_sensitivity:.3g}"
+        f"square error {given(fresh.mse_median, 3)} (median), {given(fresh.mse_p90, 3)} (90th percentile), "
+        f"valve travel {given(fresh.travel_median, 3)} % (median), worst corner's Ms {given(fresh.max_sensitivity, 3)}"
     )

@@ -21,6 +21,7 @@ from workbench.model.checks import instance, number, whole
 from workbench.model.ensemble import Constraints, Ensemble
 from workbench.model.experiment import Experiment
 from workbench.model.loop import Loop
+from workbench.model.numbers import given
 from workbench.model.record import FloatArray
 from workbench.model.results import SolveStatus, Tuned
 from workbench.model.tuning import Bounds, Objective
@@ -257,9 +258,9 @@ def _message(problem: Problem, found: Found, note: str, tuned: Tuned) -> str:
     parts = [note] if note else []
     around = f"within the larger of {100.0 * tuned.margin:g} % and half a last digit"
     if tuned.nominal_only:
-        parts.append(f"the least J itself, not to be typed in: {around} J rises to {tuned.worst:.5g}")
+        parts.append(f"the least J itself, not to be typed in: {around} J rises to {given(tuned.worst, 5)}")
     elif tuned.knife_edge:
-        parts.append(f"a knife-edge: {around} J rises from {tuned.objective:.5g} to {tuned.worst:.5g}")
+        parts.append(f"a knife-edge: {around} J rises from {given(tuned.objective, 5)} to {given(tuned.worst, 5)}")
     for k in problem.free:
         low, high, value = float(problem.low[k]), float(problem.high[k]), float(getattr(tuned.controller, NAMES[k]))
         # Td = 0 is a choice, a PI controller, and no end of a range to be widened.

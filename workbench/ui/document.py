@@ -13,6 +13,7 @@ from workbench.ui.figures import LEGENDS, MAP_FIGURES
 from workbench.ui.given import dashes
 from workbench.ui.load import Loaded
 from workbench.ui.page import LARGEST_UPLOAD, VIEWS, Page
+from workbench.ui.state import MOST_CASES
 
 __all__ = ["open_page"]
 
@@ -38,7 +39,7 @@ def open_page(document: Document, loaded: Loaded | None, data: Path | None = Non
         },
         "views": VIEWS,
         "map_figures": MAP_FIGURES,
-        "cases": [{"color": s["color"], "dash": dashes(s)} for s in palette.CASES],
+        "cases": [{"color": s["color"], "dash": dashes(s)} for s in map(palette.case_style, range(MOST_CASES))],
         "legends": {
             name: [(text, look["color"], dashes(look)) for text, look in lines] for name, lines in LEGENDS.items()
         },
