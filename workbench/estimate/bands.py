@@ -47,8 +47,9 @@ __all__ = [
 OUTWARDS = (0.004, 6.0, 1.5)  # of S: the least and the largest step away from the best, each to the one before
 APART = 0.01  # of S: where a part's own stem is as far from the whole's, the search goes on from it
 BEFORE = 4  # samples before a slip over which OP's rate is taken
-# Samples by which stems beside the best slip later; where slips are many the first so many of these.
+# Samples by which stems beside the best slip later, of which those with many slips need the first few.
 LATER, LATER_MANY = (-2, -1, 1, 2, -3, 3, -5, 5, -8, 8, -12, 12, -18, 18, -27, 27), 4
+MANY_SLIPS = 2 * ENOUGH_SLIPS
 SIDEWAYS = (0.01, 0.0)  # of S: how far S follows a step of J
 SLACK = 6.0  # in N log V: what another measure of the same record may make of a stem
 LIKELIEST = 24  # stems fitted again in it, beside the outermost
@@ -247,10 +248,11 @@ def _polished(
 
 
 def _beside(data: Centred, best: Band, only: float | None, limits: Limits) -> list[Band]:
-    """The stems that slip a whole sample or two before or after the best, with dead times that make up for that.
+    """The stems that slip some whole samples before or after the best, with dead times that make up for that.
 
     Between them some slips have moved and others not, which fits worse: a search by small steps ends in any of them.
-    Where OP goes on less than `APART` of S in a sample they are no further apart than that.
+    Where slips are few, and OP ramps between them, that may be many samples from the truth. No stem is closer to the
+    best than `APART` of S.
     """
     x, _ = band_stem(data.u, best.S, best.J, best.first, best.sense)
     moves = np.diff(x, prepend=x[0]) != 0.0
@@ -260,7 +262,7 @@ def _beside(data: Centred, best: Band, only: float | None, limits: Limits) -> li
         return []
     rate = float(np.median(np.abs(data.u[slips] - data.u[slips - BEFORE]))) / BEFORE
     start, found = (best.first, best.sense), []
-    for later in LATER[: LATER_MANY if best.slips >= 2 * ENOUGH_SLIPS else None]:
+    for later in LATER[: LATER_MANY if best.slips >= MANY_SLIPS else None]:
         S, theta = best.S + later * rate, best.fit.theta - later
         if S > 0.0 and abs(S - best.S) >= APART * best.S and 0.0 <= theta <= limits.theta[1]:
             J = best.J if only is None else only * S
