@@ -50,6 +50,7 @@ BEFORE = 4  # samples before a slip over which OP's rate is taken
 # Samples by which stems beside the best slip later, of which those with many slips need the first few.
 LATER, LATER_MANY = (-2, -1, 1, 2, -3, 3, -5, 5, -8, 8, -12, 12, -18, 18, -27, 27), 4
 MANY_SLIPS = 2 * ENOUGH_SLIPS
+JUMPS = (0.5, 0.7, 1.4, 2.0)  # times the best stem's: where slips are few, gain makes up for them
 SIDEWAYS = (0.01, 0.0)  # of S: how far S follows a step of J
 SLACK = 6.0  # in N log V: what another measure of the same record may make of a stem
 LIKELIEST = 24  # stems fitted again in it, beside the outermost
@@ -119,7 +120,7 @@ def search_bands(
         bands += beside
     else:
         bands, rows = _search_long(data, within, limits, only, rival, before)
-    bands = [b for b in bands if b.fit.gain != 0.0]
+    bands = [b for b in bands if b.fit.gain != 0.0 and _travels(data, b)]
     if not bands:
         return None
     best = best_of(started_beside(data, best_of(bands), limits))
@@ -127,6 +128,12 @@ def search_bands(
     best = best_of([best, fit_band(data, best.S, best.J, start, limits, (best.fit.tau, best.fit.theta), 300)])
     best = best if only is not None or within.known else jumped(data, best, limits)
     return Found(best, data, (best, *bands), rows, data, only)
+
+
+def _travels(data: Centred, b: Band) -> bool:
+    """Whether a stem moves by as much as the widest band that is searched leaves of OP's range."""
+    x, _ = band_stem(data.u, b.S, b.J, b.first, b.sense)
+    return bool(np.ptp(x[max(b.first, 0) :]) >= (1.0 - WIDEST) * data.op_range)
 
 
 def _search_long(
@@ -252,7 +259,7 @@ def _beside(data: Centred, best: Band, only: float | None, limits: Limits) -> li
 
     Between them some slips have moved and others not, which fits worse: a search by small steps ends in any of them.
     Where slips are few, and OP ramps between them, that may be many samples from the truth. No stem is closer to the
-    best than `APART` of S.
+    best than `APART` of S. With few slips a stem of another jump, and gain, may be one slip from the truth as well.
     """
     x, _ = band_stem(data.u, best.S, best.J, best.first, best.sense)
     moves = np.diff(x, prepend=x[0]) != 0.0
@@ -267,6 +274,9 @@ def _beside(data: Centred, best: Band, only: float | None, limits: Limits) -> li
         if S > 0.0 and abs(S - best.S) >= APART * best.S and 0.0 <= theta <= limits.theta[1]:
             J = best.J if only is None else only * S
             found.append(fit_band(data, S, J, start, limits, (best.fit.tau, theta), 40))
+    if only is None and best.slips < MANY_SLIPS:
+        plant = (best.fit.tau, best.fit.theta)
+        found += [fit_band(data, best.S, share * best.J, start, limits, plant, 40) for share in JUMPS]
     return found
 
 
