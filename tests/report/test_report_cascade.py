@@ -87,7 +87,7 @@ def test_both_controllers_stand_as_found_and_as_left_in_the_sites_form(study: St
     rows = {row.label: [cell.text for cell in row.cells] for row in summary.settings.rows}
     assert rows["Primary: proportional band"][:2] == ["8.333 %", "9.259 %"]
     assert rows["Secondary: proportional band"][:2] == ["400 %", "257.1 %"]
-    assert rows["Secondary: integral Ti"][:2] == ["12 repeats/min", "18.18 repeats/min"]
+    assert rows["Secondary: integral rate 1/Ti"][:2] == ["12 repeats/min", "18.18 repeats/min"]
     assert rows["Primary: form"][:2] == ["series", "series"]
     assert rows["J"][1] == figure(typed.objective or 0.0)
     assert rows["Secondary: valve travel"][1] == figure(typed.kpis[1].valve_travel)

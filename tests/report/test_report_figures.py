@@ -25,7 +25,7 @@ from workbench.model.valve import Choudhury, Directional, Ideal
 from workbench.report import draw, figures
 from workbench.report.plot import plot
 from workbench.report.style import CASES, case_style, svg_text
-from workbench.report.thinned import settled
+from workbench.report.thinned import fills, settled
 from workbench.report.words import figure
 from workbench.simulate.signature import signature
 
@@ -88,6 +88,7 @@ def test_a_case_that_swings_fast_is_a_band_under_the_others() -> None:
     low, high = band.get_paths()[0].get_extents().intervaly
     assert low == pytest.approx(2.0, abs=0.05)
     assert high == pytest.approx(6.0, abs=0.05)
+    assert not fills(np.full(300, np.nan), 1.0)
     # Thinned signals, as other runs' files hold them, alike.
     assert len(figures.overlaid([replace(cases[1], below=draw.thin(time, fast, 150))], "").axes[1].collections) == 1
 

@@ -171,7 +171,8 @@ def test_an_unstable_case_is_never_bold_and_does_not_stretch_the_figure(study: S
     told = of(study, wild, *study.cases)
     for one in case_tables(told)[0].rows:
         assert not one.cells[0].best, one.label
-    above, below = figures.overlay_figure(told.cases).axes
+    above, near, below, _ = figures.overlay_figure(told.cases).axes
+    assert near.get_ylim()[1] < 20.0
     assert above.get_ylim()[1] < 20.0
     assert below.get_ylim()[1] < 40.0
     assert any("Wild: beyond this axis" in text.get_text() for text in above.texts)

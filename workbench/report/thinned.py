@@ -52,8 +52,10 @@ def seen(signal: FloatArray, limit: float = BEYOND) -> FloatArray:
 def fills(signal: FloatArray, span: float) -> bool:
     """Return whether a signal swings so often that its line, in a figure of range `span`, hides all behind it."""
     y = signal[np.isfinite(signal)]
-    y = y[np.concatenate(([True], np.diff(y) != 0.0))]
-    turns = y[np.concatenate(([True], np.diff(np.sign(np.diff(y))) != 0.0, [True]))] if y.size > 2 else y
+    y = y[1:][np.diff(y) != 0.0]
+    if y.size < FILLS:
+        return False
+    turns = y[np.concatenate(([True], np.diff(np.sign(np.diff(y))) != 0.0, [True]))]
     return int(np.count_nonzero(np.abs(np.diff(turns)) > SWING * span)) > FILLS
 
 
