@@ -35,6 +35,10 @@ BEFORE, AFTER = 2, 10
 EXPLAINED = 0.05  # of a jump: a coarse PV tells roughly how the controller answers; by chance less of a large jump
 TRAVEL = 100.0  # %, all of a valve's: no controller sends a larger jump
 RARELY = 99.0  # percentile of SP's moves: a larger one is a step
+# Without SP: a setpoint step moves OP for good besides, by one part in eleven of a derivative filtered at N = 10, in 61
+# of one unfiltered over 60 samples. What comes back to a hundredth, or to what it moves by anyway, is no step's.
+BACK, ANYWAY = 0.01, 4.0
+WIDER = 2.0  # times all that OP does else: a smaller value may be the controller's, and harms little
 
 _OF_PV = (
     " as nothing else in the record does: taken for the sensor's or the historian's, not for the process, and left out"
@@ -109,13 +113,16 @@ def op_spikes_of(record: Record) -> NDArray[np.bool_]:
         np.hstack([_about(np.diff(_without(one, spikes_of(one)))) for one in others]), np.diff(clean), rcond=1e-10
     )
     answered = np.hstack([_about(np.diff(one)) for one in others]) @ law
-    jumps = np.diff(op)
+    jumps, width = np.diff(op), float(np.ptp(clean))
     steps = np.zeros(n - 1) if record.sp is None else np.abs(np.diff(record.sp))
     stepped = _about(np.where(steps > np.percentile(steps, RARELY), 1.0, 0.0)).max(axis=1) > 0.0
     for a, b in zip(first.tolist(), stop.tolist(), strict=True):
         ends = [a - 1, b - 1]
         own = bool((answered[ends] * jumps[ends] >= EXPLAINED * jumps[ends] ** 2).any())
-        sent = own and float(np.abs(op[a:b] - clean[a:b]).max()) <= TRAVEL
+        height = float(np.abs(op[a:b] - clean[a:b]).max())
+        away = abs(float(op[b] - op[a - 1])) if record.sp is None else 0.0
+        stays = away > max(BACK * height, ANYWAY * float(np.abs(np.diff(clean)).mean()))
+        sent = (own or stays or height < WIDER * width) and height <= TRAVEL
         if sent or stepped[ends].any():
             found[a:b] = False
     return found
