@@ -382,8 +382,10 @@ def test_words_of_an_undecided_record_claim_neither_a_product_nor_certainty() ->
     told = " ".join(estimate_sentences(NamedEstimate("E", few)))
     assert "product" not in told
     assert "95 %" not in told
-    # Where the record does pin the product only, it is still said.
-    assert "product of gain and stiction" in "\n".join(estimate_lines(found_in_a_cycle()))
+    # Where the record does pin the product only, it is still said; another valve that fits as well has another one.
+    alone = wb.estimate(found_in_a_cycle().record, valve="stenman")
+    assert "product of gain and stiction" in "\n".join(estimate_lines(alone))
+    assert "the gain hardly" in "\n".join(estimate_lines(found_in_a_cycle()))
 
 
 def test_the_estimate_does_not_depend_on_units_and_offsets() -> None:

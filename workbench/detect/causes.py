@@ -122,10 +122,11 @@ def beyond_op(op: FloatArray, band: float) -> str:
     if band > TRAVEL:
         said = "no valve travels so far: give OP's range if it has another unit, or look for values that were not sent"
     elif band > WIDER * usual:
-        said = f"OP usually moves over {usual:.3g} % only, and the band rests on the few values beyond: were they sent?"
+        only = f"OP usually moves over {given(usual, 3)} % only"
+        said = f"{only}, and the band rests on the few values beyond: were they sent?"
     else:
         return ""
-    return f"a band of {band:.4g} % fits best, yet {said}"
+    return f"a band of {given(band, 4)} % fits best, yet {said}"
 
 
 def other_causes(record: Record, oscillation: Oscillation) -> list[str]:

@@ -49,7 +49,6 @@ APART = 0.01  # of S: where a part's own stem is as far from the whole's, the se
 BEFORE = 4  # samples before a slip over which OP's rate is taken
 # Samples by which stems beside the best slip later, of which those with many slips need the first few.
 LATER, LATER_MANY = (-2, -1, 1, 2, -3, 3, -5, 5, -8, 8, -12, 12, -18, 18, -27, 27), 4
-MANY_SLIPS = 2 * ENOUGH_SLIPS
 JUMPS = (0.5, 0.7, 1.4, 2.0)  # times the best stem's: where slips are few, gain makes up for them
 SIDEWAYS = (0.01, 0.0)  # of S: how far S follows a step of J
 SLACK = 6.0  # in N log V: what another measure of the same record may make of a stem
@@ -269,12 +268,15 @@ def _beside(data: Centred, best: Band, only: float | None, limits: Limits) -> li
         return []
     rate = float(np.median(np.abs(data.u[slips] - data.u[slips - BEFORE]))) / BEFORE
     start, found = (best.first, best.sense), []
-    for later in LATER[: LATER_MANY if best.slips >= MANY_SLIPS else None]:
+    few = best.slips < ENOUGH_SLIPS
+    if not few and rate < APART * best.S:
+        return []
+    for later in LATER if few else LATER[:LATER_MANY]:
         S, theta = best.S + later * rate, best.fit.theta - later
         if S > 0.0 and abs(S - best.S) >= APART * best.S and 0.0 <= theta <= limits.theta[1]:
             J = best.J if only is None else only * S
             found.append(fit_band(data, S, J, start, limits, (best.fit.tau, theta), 40))
-    if only is None and best.slips < MANY_SLIPS:
+    if only is None and few:
         plant = (best.fit.tau, best.fit.theta)
         found += [fit_band(data, best.S, share * best.J, start, limits, plant, 40) for share in JUMPS]
     return found
