@@ -45,6 +45,7 @@ __all__ = [
 ]
 
 OUTWARDS = (0.004, 6.0, 1.5)  # of S: the least and the largest step away from the best, each to the one before
+CLOSELY, MOST_STEPS = 0.15, 25  # of such a step: how closely it is known where the record tells; and how many at most
 APART = 0.01  # of S: where a part's own stem is as far from the whole's, the search goes on from it
 BEFORE = 4  # samples before a slip over which OP's rate is taken
 # Samples by which stems beside the best slip later, of which those with many slips need the first few.
@@ -374,19 +375,25 @@ def _held(data: Centred, b: Band, only: float | None) -> tuple[float, float, flo
 def _outwards(data: Centred, best: Band, most: float, only: float | None, limits: Limits) -> list[Band]:
     """The stems met in steps of S, and of J, away from the best, each way until the record tells them apart.
 
-    Each begins with the plant of the one before it, as gain, jump and plant make up for each other.
+    Each begins with the plant of the one before it, as gain, jump and plant make up for each other. Steps grow; between
+    the last that the record does not tell apart and the first that it does it is asked again.
     """
     met: list[Band] = []
     for along in (0, 1) if only is None else (0,):
         for way in (-1.0, 1.0):
-            step, last = OUTWARDS[0], best
-            while step <= OUTWARDS[1]:
+            step, reach, beyond, last = OUTWARDS[0], 0.0, math.inf, best
+            for _ in range(MOST_STEPS):
                 there = _beyond(data, best, last, (along, way * step * best.S), only, limits)
-                if there is None or max(there.fit.sse, data.samples * data.floor) > most:
+                if there is not None and max(there.fit.sse, data.samples * data.floor) <= most:
+                    met.append(there)
+                    last, reach = there, step
+                else:
+                    beyond = step
+                if reach == 0.0 or beyond - reach < CLOSELY * reach:
                     break
-                met.append(there)
-                last = there
-                step *= OUTWARDS[2]
+                step = 0.5 * (reach + beyond) if math.isfinite(beyond) else OUTWARDS[2] * reach
+                if step > OUTWARDS[1]:
+                    break
     return met
 
 
