@@ -92,17 +92,20 @@ def test_stems_that_slip_a_sample_earlier_or_later_are_met() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("Ti", "seeds", "least"), [(25.0, (0, 1, 5), 1), (15.0, (0, 5), 2)])
+@pytest.mark.parametrize(("Ti", "seeds", "least"), [(25.0, (0, 1, 5), 0), (15.0, (0, 4, 5), 3)])
 def test_what_is_called_identified_holds_the_truth(Ti: float, seeds: tuple[int, ...], least: int) -> None:
     loop = wb.Loop(wb.FOPDT(1.0, 8.0, 4.0), wb.Choudhury(4.0, 2.2), wb.PID(0.5, Ti), 1.0)
-    told = []
+    told = 0
     for seed in seeds:
         run = wb.simulate(loop, wb.Experiment(2000.0, setpoint=wb.Step(3.0), noise=wb.Noise(0.1, seed)))
         found = wb.estimate(wb.Record(run.pv[500:], run.op[500:], 1.0, sp=run.sp[500:]))
-        if found.identifiable:
-            told.append(holds(found.intervals.gain, 1.0) and holds(found.intervals.S, 4.0))
-    assert len(told) >= least
-    assert all(told)
+        # Ten slips and fewer leave the gain to a tenth either way, or somewhat less.
+        assert found.verdict == "stiction"
+        assert found.identifiable or found.slips < 13
+        assert found.intervals.S is None or holds(found.intervals.S, 4.0)
+        assert holds(found.intervals.gain, 1.0)
+        told += found.identifiable
+    assert told >= least
 
 
 def test_joined_ranges_are_hulls_of_what_the_first_has() -> None:
