@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -54,6 +55,21 @@ def test_a_step_is_found_at_its_time_with_its_size_beside_the_true_stem(plant: w
     after = np.maximum(k - 703.0, 0.0)
     true = 1.2 * (0.02 * after if kind == "integrating" else 1.5 * (1.0 - np.exp(-after / 12.0)))
     assert np.abs(found.pv - true).max() < 0.12 * np.abs(true).max()
+
+
+@pytest.mark.parametrize("late", [0.3, 2.6], ids=str)
+@pytest.mark.parametrize("plant", PLANTS, ids=["fopdt", "integrating"])
+def test_a_step_that_pv_answers_between_samples_is_found_there(plant: wb.FOPDT | wb.Integrating, late: float) -> None:
+    plant = replace(plant, dead_time=late)
+    loop = loop_of(plant, wb.Choudhury(3.0, 1.0))
+    experiment = wb.Experiment(1000.0, setpoint=[wb.Step(5.0), MOVE], load=wb.Step(1.2, 700.0), noise=wb.Noise(0.01, 1))
+    found = wb.estimate(
+        record_of(wb.simulate(loop, experiment)), plant="integrating" if isinstance(plant, wb.Integrating) else "fopdt"
+    )
+    # One step, though two at the samples about it would add up to one between them.
+    assert [step.at for step in found.load_steps] == [pytest.approx(700.0 + late, abs=0.1)]
+    assert found.load_steps[0].size == pytest.approx(1.2, rel=1e-3)
+    assert found.plant.gain == pytest.approx(plant.gain, rel=1e-3)
 
 
 @pytest.mark.parametrize(

@@ -49,7 +49,7 @@ def swung(seed: int) -> wb.Record:
         (flow(2), "fopdt", wb.Deadband(4.5), 19.3, "stiction", "beside 4 load steps, taken out of PV, a stem"),
         (level(1), "integrating", wb.Choudhury(5.4, 1.7), 4.1e-4, "stiction", "beside 1 load step, taken out of PV, a"),
         (
-            level(2),
+            level(17),
             "integrating",
             wb.Choudhury(5.4, 1.7),
             4.1e-4,
@@ -96,24 +96,32 @@ def test_load_steps_alone_accuse_no_valve(seed: int) -> None:
     assert wb.estimate(wb.Record(run.pv + 50.0, run.op + 40.0, 1.0)).verdict != "stiction"
 
 
-@pytest.mark.parametrize(
-    ("plant", "controller", "Ts", "load", "noise", "seed"),
-    [
-        (wb.FOPDT(0.0747, 361.8), wb.PID(44.08, 186.5), 20.0, [(-6.186, 4240.0), (7.628, 4640.0)], 0.00102, 2),
-        (wb.FOPDT(0.0887, 14.55), wb.PID(10.0, 41.45), 5.0, [(-6.213, 520.0), (2.722, 2555.0)], 0.00442, 3),
-    ],
-    ids=["two soon after each other", "two apart"],
-)
-def test_the_linear_loop_is_given_the_steps_that_a_stem_was_found_beside(
+def healthy(
     plant: wb.FOPDT, controller: wb.PID, Ts: float, load: list[tuple[float, float]], noise: float, seed: int
-) -> None:
-    # Beside the right steps a stem that hardly sticks leaves noise alone; so does the linear loop, once it has them.
-    loop = wb.Loop(plant, wb.Ideal(), controller, Ts)
+) -> wb.Record:
+    """A loop whose valve does not stick, under load steps, each (size, time)."""
     steps = [wb.Step(size, at) for size, at in load]
+    loop = wb.Loop(plant, wb.Ideal(), controller, Ts)
     run = wb.simulate(loop, wb.Experiment(1000.0 * Ts, load=steps, noise=wb.Noise(noise, seed)))
-    found = wb.estimate(wb.Record(run.pv + 50.0, run.op + 50.0, Ts, sp=run.sp + 50.0))
+    return wb.Record(run.pv + 50.0, run.op + 50.0, Ts, sp=run.sp + 50.0)
+
+
+def test_the_linear_loop_is_given_the_steps_that_a_stem_was_found_beside() -> None:
+    # Beside the right steps a stem that hardly sticks leaves noise alone; so does the linear loop, once it has them.
+    load = [(-6.186, 4240.0), (7.628, 4640.0)]
+    found = wb.estimate(healthy(wb.FOPDT(0.0747, 361.8), wb.PID(44.08, 186.5), 20.0, load, 0.00102, 2))
     assert found.verdict == "undecided"
     assert "a linear loop with load steps of its own explains PV better" in found.reasons[0]
+
+
+@pytest.mark.parametrize("seed", [3, 8, 10, 12])
+def test_steps_of_a_healthy_loop_are_found_to_a_part_of_a_sample_and_accuse_nobody(seed: int) -> None:
+    # At whole samples the first came out 4 to 17 % too large: what was left of it was made up for by a stem.
+    load = [(-6.213, 520.0), (2.722, 2555.0)]
+    found = wb.estimate(healthy(wb.FOPDT(0.0887, 14.55), wb.PID(10.0, 41.45), 5.0, load, 0.00442, seed))
+    assert found.verdict == "undecided"
+    assert [step.at for step in found.load_steps] == [pytest.approx(at, abs=1.0) for _, at in load]
+    assert [step.size for step in found.load_steps] == [pytest.approx(size, rel=0.01) for size, _ in load]
 
 
 def test_models_accuse_alone_only_where_the_linear_loop_is_clearly_less_likely() -> None:

@@ -37,6 +37,7 @@ DEGREES, CLEAR = 3, 10.0
 # hundredth), of 15 drifts two came to .3 and .4 and the others to .6 and more.
 WHITER, WHITE_ENOUGH, NOISE = 0.4, 5.0, 1.2
 SPREADS, EVALUATIONS = (0.03, 0.01, -0.01, 0.003), 120  # of a valve's and plant's parameters, in turn
+PLACINGS, WITHIN = 4, 1.5  # of a step's time, each by what the one before says; samples, by which it may be off then
 SHIFT = 0.05  # a move of a dead time by one sample counts as that of a parameter by this share
 
 Valve = tuple[float, float, int, float]  # S, J, %, and the stem's start, first and sense
@@ -110,14 +111,16 @@ def loads_of(
         return nothing
     gain, errors = float(model.terms[1]), _errors(model, skip)
     steps = []
-    for at, term, error in zip(model.times, model.terms[4:].tolist(), errors[4:].tolist(), strict=True):
-        size, half = term / gain, NORMAL * error / abs(gain)
-        steps.append(LoadStep(at * data.sample_time, size, (size - half, size + half)))
-    answers = np.vstack([model.columns[4:], np.diff(model.columns[4:], prepend=0.0)])
+    for i, (at, later) in enumerate(zip(model.times, model.later, strict=True)):
+        size, half = float(model.terms[4 + i]) / gain, NORMAL * float(errors[4 + i]) / abs(gain)
+        answered = (at + min(max(later, -1.0), 1.0)) * data.sample_time
+        steps.append(LoadStep(answered, size, (size - half, size + half)))
     valve = stem.valve
     beside = None
     if valve is not None:
         beside = (valve[0] * model.wider, valve[1] * model.further, valve[2], valve[3]), model.fit
+    sized = model.columns[4 : 4 + len(steps)]
+    answers = np.vstack([sized, np.diff(sized, prepend=0.0)])
     return Loads(model.load, answers, model.left, tuple(sorted(steps, key=lambda step: step.at)), beside)
 
 
@@ -137,7 +140,10 @@ def _explained(
             [[*stem.times]] if stem.times and not model.times else []
         )
         trials = [_beside(data, x, first, model.fit, limits, skip, those) for those in times]
-        trial = replace(min(trials, key=lambda t: t.bic), wider=model.wider, further=model.further)
+        trial = min(trials, key=lambda t: t.bic)
+        if trial.bic < model.bic - CLEAR:
+            trial = _placed(data, trial, limits, skip, span)
+        trial = replace(trial, wider=model.wider, further=model.further)
         if not trial.bic < model.bic - CLEAR or trial.terms[1] * fit.gain <= 0.0:
             break
         model = _refined(data, stem, trial, limits, skip)
@@ -152,10 +158,13 @@ def _explained(
 class _Model:
     """A model beside steps: its stem and plant, columns and terms, what it leaves, its disturbance, BIC and times.
 
+    columns: of the stem and plant, what PV makes of each step, and, where it may answer between samples (`between`),
+    what that would change by were each a sample earlier.
     wider, further: the factors by which S (or d) and J are others than they were given.
     """
 
     x: FloatArray
+    first: int
     fit: Fit
     columns: FloatArray
     terms: FloatArray
@@ -165,6 +174,18 @@ class _Model:
     times: tuple[int, ...]
     wider: float = 1.0
     further: float = 1.0
+
+    @property
+    def later(self) -> list[float]:
+        """By how many samples PV answers each step later than at its time, about so where that is little."""
+        many = len(self.times)
+        sizes, moves = self.terms[4 : 4 + many].tolist(), self.terms[4 + many :].tolist() or [0.0] * many
+        return [-move / size if size != 0.0 else 0.0 for size, move in zip(sizes, moves, strict=True)]
+
+    @property
+    def between(self) -> bool:
+        """Whether PV may answer the steps between samples."""
+        return len(self.columns) > 4 + len(self.times)
 
     def power(self, skip: int) -> float:
         """Mean square of what is left, EU^2."""
@@ -177,10 +198,24 @@ class _Model:
         return added
 
 
-def _beside(data: Centred, x: FloatArray, first: int, fit: Fit, limits: Limits, skip: int, times: list[int]) -> _Model:
-    """The model with load steps at some samples: their sizes by least squares, the plant by output error, in turn."""
+def _beside(
+    data: Centred,
+    x: FloatArray,
+    first: int,
+    fit: Fit,
+    limits: Limits,
+    skip: int,
+    times: list[int],
+    between: bool = True,
+) -> _Model:
+    """The model with load steps at some samples: their sizes by least squares, the plant by output error, in turn.
+
+    between: PV may answer them between samples.
+    """
     for turn in range(TURNS if times else 1):
-        columns = np.array([*predict(data, x, first, fit)[1], *steps_of(data, fit, times)])
+        answers = np.array(steps_of(data, fit, times)).reshape(len(times), data.samples)
+        moves = np.diff(answers, prepend=0.0)[: len(times) if between else 0]
+        columns = np.vstack([predict(data, x, first, fit)[1], answers, moves])
         solved, *_ = np.linalg.lstsq(columns[:, skip:].T, data.y[skip:], rcond=1e-10)
         terms: FloatArray = solved.astype(np.float64)
         if times and turn < TURNS - 1:
@@ -190,7 +225,26 @@ def _beside(data: Centred, x: FloatArray, first: int, fit: Fit, limits: Limits, 
             fit = fit if again.gain == 0.0 else again
     left = data.y - terms @ columns
     a, bic = autoregression(left[skip:], data.floor)
-    return _Model(x, fit, columns, terms, left, a, bic + DEGREES * len(times) * math.log(data.samples), tuple(times))
+    bic += DEGREES * len(times) * math.log(data.samples)
+    return _Model(x, first, fit, columns, terms, left, a, bic, tuple(times))
+
+
+def _placed(data: Centred, model: _Model, limits: Limits, skip: int, span: tuple[int, int]) -> _Model:
+    """The model with each step at the last sample before PV answers it, by what its answer gains from coming later."""
+    tried = {model.times: model}
+    for _ in range(PLACINGS):
+        moved = zip(model.times, model.later, strict=True)
+        times = [min(max(at + math.floor(later), span[0]), span[1]) for at, later in moved]
+        if tuple(times) in tried or len(set(times)) < len(times):
+            break
+        model = _beside(data, model.x, model.first, model.fit, limits, skip, times)
+        tried[model.times] = model
+    steady = [one for one in tried.values() if all(abs(later) <= WITHIN for later in one.later)]
+    if steady:
+        return min(steady, key=lambda one: one.bic)
+    # An answer that begins with a leap is no step's.
+    first, *_ = tried.values()
+    return _beside(data, first.x, first.first, first.fit, limits, skip, list(first.times), between=False)
 
 
 def _refined(data: Centred, stem: Stem, model: _Model, limits: Limits, skip: int) -> _Model:
@@ -207,7 +261,8 @@ def _refined(data: Centred, stem: Stem, model: _Model, limits: Limits, skip: int
         theta = min(max(model.fit.theta + point[3] / SHIFT, limits.theta[0]), limits.theta[1])
         return near(math.exp(point[0]), math.exp(point[1])), replace(model.fit, tau=tau, theta=theta)
 
-    times = np.array(model.times)
+    # A step between samples is one at either, in part.
+    times = np.array(sorted({at + i for at in model.times for i in ((0, 1) if model.between else (0,))}))
     moves = np.eye(4)[[*range(stem.free), *([] if data.integrating else [2]), 3]]
 
     def left(step: FloatArray) -> float:
@@ -231,7 +286,9 @@ def _refined(data: Centred, stem: Stem, model: _Model, limits: Limits, skip: int
     point = step @ moves
     x, fit = valve(point)
     wider, further = np.exp(point[:2]).tolist()
-    moved = replace(_beside(data, x, stem.first, fit, limits, skip, list(model.times)), wider=wider, further=further)
+    moved = replace(
+        _beside(data, x, stem.first, fit, limits, skip, list(model.times), model.between), wider=wider, further=further
+    )
     return moved if moved.power(skip) < model.power(skip) and moved.terms[1] * model.fit.gain > 0.0 else model
 
 

@@ -11,8 +11,9 @@ __all__ = ["LoadStep", "LoadSwing"]
 class LoadStep:
     """A lasting change of load that PV shows and OP does not explain.
 
-    at: s, the time at which PV begins to answer; size: % of OP at the plant's input, positive where it raises the input
-    (an integrating plant answers with a ramp); interval: of the size, 95 %, time and plant as they are.
+    at: s, the time at which PV begins to answer, between samples too; size: % of OP at the plant's input, positive
+    where it raises the input (an integrating plant answers with a ramp); interval: of the size, 95 %, the plant as it
+    is.
     """
 
     at: float
