@@ -1,8 +1,8 @@
 """Stems that fit as well as the best where the load steps beside them may have sizes and times of their own.
 
 Steps of the load are found beside the best stem and taken out of PV as large as suits it. A wider stem has another
-gain, and would have had others: against PV less these it looks worse than it is. From the best stem outwards S is
-followed here in the record with its load, the sizes free, and the times by a sample.
+gain, and would have had others: against PV less these it looks worse than it is; so does one of another jump. From the
+best stem outwards S, and J, are followed here in the record with its load, the sizes free, and the times by a sample.
 """
 
 from __future__ import annotations
@@ -28,9 +28,10 @@ from workbench.model.record import FloatArray
 
 __all__ = ["Loaded", "freed"]
 
-# Of S: steps outwards, fine at first, and how many in a row may fit worse before the rest is taken to do so too.
+# Of S: steps outwards, fine at first, and how many in a row may fit worse before the rest is taken to do so too; along
+# J, which moves no slips by itself, fewer.
 AWAY = np.concatenate([np.arange(0.001, 0.02, 0.001), np.arange(0.02, 0.1, 0.004), np.arange(0.1, 0.31, 0.02)])
-WORSE = 8
+WAYS = ((AWAY, 8), (0.001 * 1.35 ** np.arange(20), 4))
 SPREAD, EVALUATIONS = 0.03, 60  # of a plant's parameters, as one search for them begins
 
 
@@ -107,15 +108,16 @@ def freed(
     begun = loaded.band(best.S, best.J, (best.first, best.sense), best.fit)
     floor = data.floor * data.samples
     least, met = max(begun.fit.sse, floor), [begun]
-    for way in (1.0, -1.0):
+    for along, way in [(along, way) for along in ((0, 1) if only is None else (0,)) for way in (1.0, -1.0)]:
         last, worse = begun, 0
-        for away in (way * AWAY).tolist():
-            last, worse = _stepped(loaded, best, away, only, last.fit), worse + 1
+        steps_away, most_worse = WAYS[along]
+        for away in (way * steps_away).tolist():
+            last, worse = _stepped(loaded, best, (along, away), only, last.fit), worse + 1
             if last.slips > 0 and last.fit.gain * best.fit.gain > 0.0 and last.fit.sse <= least * math.exp(room):
                 least = min(least, max(last.fit.sse, floor))
                 met.append(last)
                 worse = 0
-            if worse == WORSE:
+            if worse == most_worse:
                 break
     alike = [b for b in met if b.fit.sse <= least * math.exp(room)]
     S, J = [b.S for b in alike], [b.J for b in alike]
@@ -129,17 +131,25 @@ def freed(
     )
 
 
-def _stepped(loaded: Loaded, best: Band, away: float, only: float | None, near: Fit) -> Band:
-    """The best stem with an S that is wider by a share, its plant sought from another."""
-    u, S = loaded.data.u, best.S * (1.0 + away)
-    apart = S - best.S
-    # As a share of S, or as slips stay where they are: on the way back, or on the way on.
-    jumps = {only * S} if only is not None else {best.J * S / best.S, *(max(best.J + f * apart, 0.0) for f in (-1, 1))}
-    starts = {(best.first, best.sense), *((int(first), float(sense)) for first, sense in AT_ONCE)}
+def _stepped(loaded: Loaded, best: Band, away: tuple[int, float], only: float | None, near: Fit) -> Band:
+    """The best stem with an S (0), or J (1), that is wider by a share of S, its plant sought from another."""
+    u, (along, share) = loaded.data.u, away
+    apart = share * best.S
+    if along == 1:
+        # By itself, or with S so that slips stay where they are.
+        pairs = {(best.S, max(best.J + apart, 0.0)), (max(best.S + apart, 0.5 * best.S), max(best.J + apart, 0.0))}
+    elif only is not None:
+        pairs = {(best.S + apart, only * (best.S + apart))}
+    else:
+        # As a share of S, or as slips stay where they are: on the way back, or on the way on.
+        jumps = {best.J * (1.0 + share), *(max(best.J + f * apart, 0.0) for f in (-1, 1))}
+        pairs = {(best.S + apart, J) for J in jumps}
+    beside = {(best.first + i, best.sense) for i in (-1, 0, 1)} if best.first > 0 else {(best.first, best.sense)}
+    starts = {*beside, *((int(first), float(sense)) for first, sense in AT_ONCE)}
     tried = [
-        (loaded.left((near.tau, near.theta), band_stem(u, S, J, *start)[0], max(start[0], 0)), J, start)
+        (loaded.left((near.tau, near.theta), band_stem(u, S, J, *start)[0], max(start[0], 0)), S, J, start)
         for start in starts
-        for J in jumps
+        for S, J in pairs
     ]
-    _, J, start = min(tried)
+    _, S, J, start = min(tried)
     return loaded.band(S, J, start, near)
