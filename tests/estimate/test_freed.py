@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import importlib
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 import workbench as wb
-from workbench.estimate.bands import Bands
+from workbench.estimate.bands import Bands, Found
 from workbench.estimate.data import Centred, centre
 from workbench.estimate.fit import Limits
 from workbench.estimate.freed import Loaded, freed
-from workbench.estimate.two_parameter import Band, band_stem, fit_band
+from workbench.estimate.settled import led_to
+from workbench.estimate.two_parameter import Band, band_stem, best_start, fit_band
 from workbench.model.loads import LoadStep
 
 BAND, GAIN, LATE, NOISE = 5.0, 0.009, 7.0, 0.022
@@ -145,3 +147,30 @@ def test_a_slip_jump_that_is_hardly_likelier_than_none_leaves_the_dead_band_in_t
     assert low <= 4.81975 <= high
     assert found.intervals.J[0] == 0.0
     assert any("does not tell this valve from a dead band of" in reason for reason in found.reasons)
+
+
+def test_a_stem_found_beside_steps_stays_where_it_needs_none() -> None:
+    """Steps were made of a search's wrong stem; the right one, found beside them, went with them."""
+    loop = wb.Loop(wb.FOPDT(1.5, 12.0, 3.0), wb.Choudhury(3.0, 1.0), wb.PID(Kc=0.6, Ti=15.0), 1.0)
+    run = wb.simulate(
+        loop, wb.Experiment(800.0, setpoint=[wb.Step(5.0), wb.Step(-6.0, 400.0)], noise=wb.Noise(0.05, 1))
+    )
+    data = centre(wb.Record(run.pv, run.op, 1.0), "fopdt")
+    limits = Limits((0.05, 800.0), (0.0, 30.0))
+    right, wrong = (
+        fit_band(data, *band, best_start(data, band, (12.0, 3.0))[1:], limits, (12.0, 3.0))
+        for band in ((3.0, 1.0), (1.4, 1.9))
+    )
+    assert right.fit.sse < 0.1 * wrong.fit.sse
+    first, now = (Found(one, data, (one,), np.empty((0, 4)), data, None) for one in (wrong, right))
+    step = 0.1 * np.maximum(np.arange(800.0) - 300.0, 0.0)
+    bare = data.less(step, step[None, :])
+    there = fit_band(bare, 3.0, 1.0, (right.first, right.sense), limits, (12.0, 3.0))
+    led = led_to(data, {"choudhury": first, "deadband": first}, {"choudhury": replace(now, best=there)}, limits)
+    assert (led["choudhury"].best.S, led["choudhury"].best.J) == (3.0, 1.0)
+    # In the record as it is, not in that without the steps that it was found beside.
+    assert led["choudhury"].best.fit.sse == pytest.approx(right.fit.sse, rel=1e-3)
+    assert led["choudhury"].met[1:] == first.met
+    assert led["deadband"] is first
+    # One that leaves more does not.
+    assert led_to(data, {"choudhury": now}, {"choudhury": first}, limits)["choudhury"] is now

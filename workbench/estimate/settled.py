@@ -28,7 +28,7 @@ from workbench.estimate.windows import WHOLE
 from workbench.model.loads import LoadStep
 from workbench.model.record import FloatArray
 
-__all__ = ["STEPS_MOST", "coloured_linear", "needs_steps", "settled"]
+__all__ = ["STEPS_MOST", "coloured_linear", "led_to", "needs_steps", "settled"]
 
 STARTING = 20  # of the record at most is left out at its start
 STEPS_MOST = 2  # load steps
@@ -129,7 +129,9 @@ def settled(
         bare, loads = _relieved(whole, data, lead, limits, skip, most, further)
         steps = loads.steps
         if before and not steps:
-            return settled(whole, *first, delays, within, 0)
+            # Beside them a stem may have been found that needs none.
+            found, was, linear = first
+            return settled(whole, found, led_to(whole, was, bands, limits), linear, delays, within, 0)
         same_steps = _same(before, steps, whole.sample_time)
         a = disturbance(loads.left[skip:], data.floor)
         if a.size > 1 and data.samples <= WHOLE:
@@ -182,6 +184,20 @@ def settled(
             coarse = [one.best for one in bands.values()]
             bands = bands_of(data, coarse, there, limits, there.rival(other), before=bands)
     return data, found, bands, linear, steps
+
+
+def led_to(data: Centred, was: dict[str, Found], bands: dict[str, Found], limits: Limits) -> dict[str, Found]:
+    """Return the searches in data as they were, each with the stem that it has come to since where that leaves less.
+
+    bands: the searches as they are now, in data without load steps.
+    """
+    led = dict(was)
+    for name in was.keys() & bands.keys():
+        b, found = bands[name].best, was[name]
+        there = fit_band(data, b.S, b.J, (b.first, b.sense), limits, (b.fit.tau, b.fit.theta))
+        if there.fit.sse < found.best.fit.sse and there.fit.gain != 0.0:
+            led[name] = replace(found, best=there, met=(there, *found.met))
+    return led
 
 
 def _exact(data: Centred, found: Profile | None, bands: dict[str, Found], linear: Fit) -> bool:
