@@ -192,7 +192,7 @@ def schema() -> int:
 
 METHOD = typer.Option("--method", help="profile (global), joint (that, refined), two_step, complementarity.")
 VALVE = typer.Option("--valve", help="Valve model: auto, linear, stenman, choudhury or deadband.")
-PLANT = typer.Option("--plant", help="Plant model: fopdt, integrating or auto (the lower BIC).")
+PLANT = typer.Option("--plant", help="Plant model: fopdt, integrating, or auto: the one that PV shows.")
 COLUMN = typer.Option("--column", metavar="SIGNAL=NAME", help="Which column is SP, PV, OP, MODE, time, valve_position.")
 TAG = typer.Option("--tag", metavar="SIGNAL=NAME", help="The same for the tags of a historian's tall export.")
 SAMPLE_TIME = typer.Option("--sample-time", metavar="TIME", help='Where the data has no even times, such as "5 s".')
@@ -208,7 +208,7 @@ def estimate(
     as_json: Annotated[bool, typer.Option("--json", help="Print the result as JSON; files only with --out.")] = False,
     method: Annotated[str, METHOD] = "profile",
     valve: Annotated[str, VALVE] = "auto",
-    plant: Annotated[str, PLANT] = "fopdt",
+    plant: Annotated[str, PLANT] = "auto",
     start: Annotated[str | None, typer.Option("--start", help="Initial stiction of two_step, %.")] = None,
     column: Annotated[list[str] | None, COLUMN] = None,
     tag: Annotated[list[str] | None, TAG] = None,
@@ -262,7 +262,7 @@ def tune(
     ] = None,
     method: Annotated[str, METHOD] = "profile",
     valve: Annotated[str, VALVE] = "auto",
-    plant: Annotated[str, PLANT] = "fopdt",
+    plant: Annotated[str, PLANT] = "auto",
     column: Annotated[list[str] | None, COLUMN] = None,
     tag: Annotated[list[str] | None, TAG] = None,
     sample_time: Annotated[str | None, SAMPLE_TIME] = None,

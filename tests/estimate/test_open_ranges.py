@@ -90,7 +90,7 @@ def test_a_level_taken_for_a_lag_says_what_it_does_not_tell() -> None:
     loop = wb.Loop(wb.Integrating(0.01, 3.0), wb.Stenman(2.0), wb.PID(Kc=8.0, Ti=60.0), 1.0)
     experiment = wb.Experiment(300.0, [wb.Step(2.0), wb.Step(-2.0, at=150.0)], noise=wb.Noise(0.02, 1))
     run = wb.simulate(loop, experiment)
-    found = wb.estimate(wb.Record(run.pv, run.op, 1.0, sp=run.sp), valve="stenman")
+    found = wb.estimate(wb.Record(run.pv, run.op, 1.0, sp=run.sp), valve="stenman", plant="fopdt")
     assert found.intervals.time_constant is not None
     assert found.intervals.time_constant[1] == math.inf
     assert found.intervals.gain is not None

@@ -1,4 +1,4 @@
-"""plant="auto": first order or integrating, on loops of known truth, and the random runs of the search beside it."""
+"""First order or integrating, where the plant is not named: on loops of known truth."""
 
 from __future__ import annotations
 
@@ -8,8 +8,10 @@ from typer.testing import CliRunner
 
 import workbench as wb
 from workbench.cli import app
-from workbench.estimate.data import centre
-from workbench.estimate.estimate import linear_loop
+from workbench.estimate import estimate as search
+from workbench.estimate.answer import answer_of
+from workbench.estimate.data import Centred, centre
+from workbench.estimate.estimate import WORDS_OF_ENDLESS, linear_loop
 from workbench.estimate.plants import foretelling_bic
 
 SAMPLES = 500
@@ -43,11 +45,52 @@ PLANTS = (wb.FOPDT(2.0, 8.0, 1.5), wb.Integrating(0.06, 2.5))
     ],
 )
 def test_the_plant_of_the_record_is_chosen_and_said(plant: wb.FOPDT | wb.Integrating, valve: object) -> None:
-    found = wb.estimate(record_of(plant, valve, 1), plant="auto")
+    found = wb.estimate(record_of(plant, valve, 1))
     assert type(found.plant) is type(plant)
     assert found.plant.gain == pytest.approx(plant.gain, rel=0.1)
-    words = "a first-order process" if isinstance(plant, wb.FOPDT) else "an integrating process"
-    assert any(reason.startswith(f"{words} has the lower BIC, by ") for reason in found.reasons)
+    first_order = any(reason.startswith("a first-order process has the lower BIC, by ") for reason in found.reasons)
+    integrating = any(
+        reason == WORDS_OF_ENDLESS or reason.startswith("an integrating process has the lower BIC, by ")
+        for reason in found.reasons
+    )
+    assert integrating == isinstance(plant, wb.Integrating)
+    assert not (first_order and integrating)
+
+
+def test_the_other_kind_is_searched_only_where_the_first_leaves_something(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[bool] = []
+
+    def answered(record: wb.Record, data: Centred, *more: object) -> object:
+        asked.append(data.integrating)
+        return answer_of(record, data, *more)
+
+    monkeypatch.setattr(search, "answer_of", answered)
+    loops = ((PLANTS[0], wb.PID(Kc=0.5, Ti=15.0), 2.0), (PLANTS[1], wb.PID(Kc=0.8, Ti=60.0), 1.0))
+    for plant, controller, scale in loops:
+        steps = [wb.Step(3.0 * scale, 40.0), wb.Step(-4.0 * scale, 275.0)]
+        experiment = wb.Experiment(500.0, steps, noise=wb.Noise(0.03 * scale, 2))
+        run = wb.simulate(wb.Loop(plant, wb.Stenman(2.0), controller, 1.0), experiment)
+        record = wb.Record(run.pv + 50.0, run.op + 40.0, 1.0, sp=run.sp + 50.0)
+        asked.clear()
+        found = wb.estimate(record)
+        level = isinstance(plant, wb.Integrating)
+        # A level that is seen not to level off is never searched as a lag.
+        assert asked == [level]
+        by_name = wb.estimate(record, plant="integrating" if level else "fopdt")
+        assert found.plant == by_name.plant
+        assert found.valve == by_name.valve
+        assert found.intervals == by_name.intervals
+
+
+def test_a_load_step_does_not_make_a_level_of_a_lag() -> None:
+    # Beside the stem stands a step of the load: both kinds of plant are compared without it.
+    loop = wb.Loop(wb.FOPDT(2.0, 8.0, 1.5), wb.Stenman(2.0), wb.PID(Kc=0.5, Ti=15.0), 1.0)
+    steps = [wb.Step(6.0, 40.0), wb.Step(-8.0, 275.0)]
+    experiment = wb.Experiment(600.0, steps, load=wb.Step(1.5, 400.0), noise=wb.Noise(0.06, 5))
+    run = wb.simulate(loop, experiment)
+    found = wb.estimate(wb.Record(run.pv, run.op, 1.0))
+    assert isinstance(found.plant, wb.FOPDT)
+    assert found.plant.gain == pytest.approx(2.0, rel=0.05)
 
 
 def test_the_other_plant_foretells_worse_under_a_load() -> None:
@@ -64,7 +107,7 @@ def test_the_other_plant_foretells_worse_under_a_load() -> None:
 
 def test_the_joint_refinement_follows_the_choice() -> None:
     shares: list[float] = []
-    found = wb.estimate(record_of(PLANTS[1], wb.Stenman(2.0), 2), method="joint", plant="auto", progress=shares.append)
+    found = wb.estimate(record_of(PLANTS[1], wb.Stenman(2.0), 2), method="joint", progress=shares.append)
     assert found.method == "joint"
     assert isinstance(found.plant, wb.Integrating)
     assert found.noise_model is not None

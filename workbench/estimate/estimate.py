@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import reduce
 from typing import NamedTuple
@@ -16,7 +16,7 @@ from workbench.estimate.answer import answer_of
 from workbench.estimate.data import WHITE, Centred, centre
 from workbench.estimate.fit import LEAST_TAU, Limits, fit_linear
 from workbench.estimate.models import WORDS_OF_BLIND, words_of_open
-from workbench.estimate.plants import foretelling_bic
+from workbench.estimate.plants import ENDLESS, foretelling_of, with_other_plant
 from workbench.estimate.profile import Profile
 from workbench.estimate.reach import searched
 from workbench.estimate.record_fits import DELAYS, LINEAR_DELAYS, longest_delay
@@ -26,11 +26,12 @@ from workbench.estimate.scale import joined
 from workbench.estimate.sent import left_by_line, left_by_stem, likelier_op
 from workbench.estimate.stems import silent
 from workbench.estimate.straight import Straight, linear_beside
-from workbench.estimate.swing import Answered, Swing, beside_swing, besides, words_of_swing
+from workbench.estimate.swing import Answered, Swing, beside_swing, words_of_swing
 from workbench.estimate.two_step import two_step
 from workbench.estimate.verdict import SHARP
 from workbench.model.checks import choice, number
 from workbench.model.numbers import given
+from workbench.model.plant import FOPDT, Plant
 from workbench.model.record import Record
 from workbench.model.results import Estimate, Intervals, Iteration, LinearFit
 from workbench.model.valve import Ideal
@@ -42,9 +43,14 @@ METHODS = ("profile", "joint", "two_step", "complementarity")
 PROGRAMS = ("joint", "complementarity")  # go on from the profile with nonlinear programs
 VALVES = ("auto", "linear", "stenman", "choudhury", "deadband")
 PLANTS = ("fopdt", "integrating", "auto")
+FIRST = 0.8  # of the progress told: the first kind of plant, as the other is seldom asked
 
 WIDEST_GAIN = 0.2  # of the gain itself: a 95 % range wider than this does not identify a valve and what it does to PV
 CLEAR_BIC = 10.0  # R. Kass, A. Raftery, J. Am. Stat. Assoc. 90 (1995) 773-795: "very strong" evidence above it
+WORDS_OF_ENDLESS = (
+    "PV does not level off within the record, as an integrating process does not: a first-order one would need a time "
+    "constant of half the record or more"
+)
 
 
 @one_thread
@@ -53,7 +59,7 @@ def estimate(
     *,
     method: str = "profile",
     valve: str = "auto",
-    plant: str = "fopdt",
+    plant: str = "auto",
     start: float | None = None,
     max_dead_time: float | None = None,
     progress: Callable[[float], None] | None = None,
@@ -66,8 +72,9 @@ def estimate(
     the stiction `start` (%), whose valve is "stenman"; or "complementarity", for comparison: the profile, and from its
     best Stenman path one program in plant, d and stem together (see `estimate.complementarity`; the result's field of
     that name holds what it found; 1,500 samples at most). valve: "stenman", "choudhury" (S, J), "deadband" (J = 0),
-    "linear" (none), or "auto", the one that sticks with the lowest BIC. plant: "fopdt", "integrating", or "auto", the
-    one with the lower BIC among the same valves (twice the time).
+    "linear" (none), or "auto", the one that sticks with the lowest BIC. plant: "fopdt", "integrating", or "auto",
+    the one that PV shows: the likelier is searched first, and the other too where that one leaves more than noise, or
+    would need a time constant of half the record and more, as a level does; then the lower BIC decides.
     max_dead_time: s, the longest dead time searched (default: 30 samples, and up to a quarter of the record where PV
     clearly shows a longer one).
     progress: called with the share done, 0 to 1.
@@ -106,13 +113,13 @@ def estimate(
     tell = silent if progress is None else _rising(progress)
     seen, late = as_seen(record, "estimate a loop")
     asked = _Asked(method, valve, start, max_dead_time)
-    # A search for each plant, and where programs go on from one as much again.
-    shares = (1 if plant != "auto" else 2) + (method in PROGRAMS)
+    # Where programs go on from the search, that is as much again.
+    shares = 1 + (method in PROGRAMS)
     said: tuple[str, ...] = ()
     if plant == "auto":
-        found, said = _better_plant(seen, asked, tell, shares)
+        found, said = _likelier_plant(seen, asked, lambda share: tell(share / shares))
     else:
-        found = _searched(seen, plant, asked, lambda share: tell(share / shares))
+        found = _searched(seen, _begun(seen, plant, asked, lambda share: tell(share / shares)), asked)
     answer = _told(seen, found, asked, lambda share: tell(1.0 - (1.0 - share) / shares))
     said += words_of_late(record, late) + words_of_spikes(record)
     if answer.verdict == "stiction" and (wide := beyond_op(seen.op, answer.valve.stick_band)):
@@ -136,6 +143,18 @@ class _Asked(NamedTuple):
     max_dead_time: float | None
 
 
+class _Begun(NamedTuple):
+    """A record as it is taken with one kind of plant, its linear fit, and the first search, for Stenman's stem.
+
+    history: of "two_step".
+    """
+
+    data: Centred
+    line: Straight
+    found: Profile | None
+    history: tuple[Iteration, ...] = ()
+
+
 class _Searched(NamedTuple):
     """What a search came to with one kind of plant, and the oscillation that it stands beside."""
 
@@ -143,35 +162,37 @@ class _Searched(NamedTuple):
     swing: Swing | None
 
 
-def _searched(record: Record, plant: str, asked: _Asked, tell: Callable[[float], None]) -> _Searched:
-    """The search with one kind of plant."""
-    method, valve, start, max_dead_time = asked
-    data = centre(record, plant)
+def _begun(record: Record, plant: str, asked: _Asked, tell: Callable[[float], None]) -> _Begun:
+    """The beginning of the search with one kind of plant."""
+    data, longest = centre(record, plant), asked.max_dead_time
     tell(0.0)
-    line = _straight(record, data, max_dead_time)
-    delays = longest_delay(data, max_dead_time, DELAYS)
-    history: tuple[Iteration, ...] = ()
-    found: Profile | None
-    if method == "two_step":
-        found, history = two_step(data, start, delays)
-    else:
-        data, found = likelier_op(
-            record,
-            data,
-            lambda one, told: _profile(one, max_dead_time, told),
-            lambda one, model: left_by_stem(one, model, delays),
-            tell,
-        )
-    answered = answer_of(record, data, (method, valve), found, line, history)
-    swing: Swing | None = None
-    if method != "two_step":
+    line = _straight(record, data, longest)
+    delays = longest_delay(data, longest, DELAYS)
+    if asked.method == "two_step":
+        return _Begun(data, line, *two_step(data, asked.start, delays))
+    data, found = likelier_op(
+        record,
+        data,
+        lambda one, told: _profile(one, longest, told),
+        lambda one, model: left_by_stem(one, model, delays),
+        tell,
+    )
+    return _Begun(data, line, found)
 
-        def again(calm: Centred) -> Answered[Estimate]:
-            still = Straight(calm, fit_linear(calm, line.longest), line.longest)
-            return answer_of(record, calm, (method, valve), _profile(calm, max_dead_time, silent), still, history)
 
-        answered, swing = beside_swing(data, answered, again, line.longest)
-    return _Searched(answered, swing)
+def _searched(record: Record, begun: _Begun, asked: _Asked) -> _Searched:
+    """The search with one kind of plant, gone on with to its answer."""
+    data, line, found, history = begun
+    how = (asked.method, asked.valve)
+    answered = answer_of(record, data, how, found, line, history)
+    if asked.method == "two_step":
+        return _Searched(answered, None)
+
+    def again(calm: Centred) -> Answered[Estimate]:
+        still = Straight(calm, fit_linear(calm, line.longest), line.longest)
+        return answer_of(record, calm, how, _profile(calm, asked.max_dead_time, silent), still, history)
+
+    return _Searched(*beside_swing(data, answered, again, line.longest))
 
 
 def _told(record: Record, found: _Searched, asked: _Asked, tell: Callable[[float], None]) -> Estimate:
@@ -203,7 +224,7 @@ def _told(record: Record, found: _Searched, asked: _Asked, tell: Callable[[float
 
 
 @one_thread
-def linear_loop(record: Record, plant: str = "fopdt") -> LinearFit:
+def linear_loop(record: Record, plant: str = "auto") -> LinearFit:
     """Return a loop's linear model alone, for a valve that is known not to stick; plant: as in `estimate`.
 
     It is the model that `estimate` gives such a loop, without the search for stiction. Raises as that does.
@@ -212,18 +233,13 @@ def linear_loop(record: Record, plant: str = "fopdt") -> LinearFit:
     record = as_seen(record, "estimate a loop")[0]
     if plant == "auto":
         found = {one: _line_with_plant(record, one) for one in ("fopdt", "integrating")}
-        bics = {
-            one: foretelling_bic(besides(centre(record, one), swing), fit.plant, Ideal(), record.op, fit.prediction)
-            for one, (fit, swing) in found.items()
-        }
-        return found[min(bics, key=lambda one: bics[one])][0]
-    return _line_with_plant(record, plant)[0]
+        return min(found.items(), key=lambda one: foretelling_of(record, *one))[1].model
+    return _line_with_plant(record, plant).model
 
 
-def _line_with_plant(record: Record, plant: str) -> tuple[LinearFit, Swing | None]:
-    """The linear model with one kind of plant, and the oscillation that it stands beside."""
-    answered, swing = linear_beside(_straight(record, centre(record, plant), None))
-    return answered.model, swing
+def _line_with_plant(record: Record, plant: str, max_dead_time: float | None = None) -> Answered[LinearFit]:
+    """The linear model with one kind of plant, beside what disturbs the loop from outside."""
+    return linear_beside(_straight(record, centre(record, plant), max_dead_time))[0]
 
 
 def _straight(record: Record, data: Centred, max_dead_time: float | None) -> Straight:
@@ -231,28 +247,69 @@ def _straight(record: Record, data: Centred, max_dead_time: float | None) -> Str
     return Straight(*likelier_op(record, data, lambda one, _: fit_linear(one, longest), left_by_line), longest)
 
 
-def _better_plant(
-    record: Record, asked: _Asked, tell: Callable[[float], None], shares: int
-) -> tuple[_Searched, tuple[str, ...]]:
-    """The search with the plant of the lower BIC, and in words by how much."""
+def _likelier_plant(record: Record, asked: _Asked, tell: Callable[[float], None]) -> tuple[_Searched, tuple[str, ...]]:
+    """The search with the kind of plant that PV shows, and in words how the kinds compare.
 
-    def part(i: int) -> Callable[[float], None]:
-        return lambda share: tell((i + share) / shares)
+    The likelier kind is searched first; the other one only where what that leaves asks for it.
+    """
 
-    found = {
-        plant: _searched(record, plant, asked, _rising(part(i))) for i, plant in enumerate(("fopdt", "integrating"))
-    }
-    bics = {}
-    for plant, ((one, *_), swing) in found.items():
-        data = besides(centre(record, plant), swing)
-        bics[plant] = foretelling_bic(data, one.plant, one.valve, one.valve_position, one.prediction)
-    plant = min(bics, key=lambda name: bics[name])
-    words = {"fopdt": "a first-order process", "integrating": "an integrating process"}
-    by = max(bics.values()) - bics[plant]
-    said = f"{words[plant]} has the lower BIC, by {given(by, 3)}"
-    if by < CLEAR_BIC:
-        said += ": the record hardly tells it from " + next(w for name, w in words.items() if name != plant)
-    return found[plant], (said,)
+    def again() -> _Begun:
+        return _begun(record, "integrating", asked, lambda share: tell(FIRST + (1.0 - FIRST) * share))
+
+    first = _begun(record, "fopdt", asked, lambda share: tell(FIRST * share))
+    if endless := _endless(first):
+        found = {"integrating": _searched(record, again(), asked)}
+    else:
+        found = {"fopdt": _searched(record, first, asked)}
+    if _decided(record, found, asked):
+        return next(iter(found.values())), (WORDS_OF_ENDLESS,) if endless else ()
+    if endless:
+        found["fopdt"] = _searched(record, first, asked)
+    else:
+        found["integrating"] = _searched(record, again(), asked)
+    bics = {plant: foretelling_of(record, plant, one.answered) for plant, one in found.items()}
+    verdicts = {one.answered.model.verdict: plant for plant, one in found.items()}
+    if set(verdicts) == {"no_stiction", "undecided"}:
+        # With one kind of plant no valve that sticks is needed; what the other would need says nothing against that.
+        return found[verdicts["no_stiction"]], ()
+    level = _levels_off(record, found["fopdt"].answered.model.plant)
+    by = bics["integrating"] - bics["fopdt"]
+    # Of two that are hardly told apart, the one that the time constant speaks for.
+    plant = "fopdt" if by > (-CLEAR_BIC if level else CLEAR_BIC) else "integrating"
+    if not level and plant == "integrating":
+        return found[plant], (WORDS_OF_ENDLESS,)
+    names = {"fopdt": "a first-order process", "integrating": "an integrating process"}
+    other = next(name for name in names if name != plant)
+    if abs(by) < CLEAR_BIC:
+        return found[plant], (f"the record hardly tells {names[plant]} from {names[other]}",)
+    return found[plant], (f"{names[plant]} has the lower BIC, by {given(abs(by), 3)}",)
+
+
+def _endless(begun: _Begun) -> bool:
+    """Whether the likelier of a first-order loop's first fits never levels off within the record."""
+    fits = [begun.line.fit] if begun.found is None else [begun.line.fit, begun.found.best.fit]
+    return min(fits, key=lambda fit: fit.sse).tau >= ENDLESS * begun.data.samples
+
+
+def _decided(record: Record, found: Mapping[str, _Searched], asked: _Asked) -> bool:
+    """Whether the one kind of plant that was searched leaves nothing to ask of the other."""
+    ((kind, (answered, _)),) = found.items()
+    other = "integrating" if kind == "fopdt" else "fopdt"
+    if not _levels_off(record, answered.model.plant):
+        return False
+    bic = foretelling_of(record, kind, answered)
+    if answered.settled.a.size == 1:
+        # Who leaves noise alone leaves nothing for another, unless that does the same with less.
+        return bic <= with_other_plant(record, other, answered)
+    if answered.model.verdict != "no_stiction":
+        return False
+    rival = _line_with_plant(record, other, asked.max_dead_time)
+    return bic - CLEAR_BIC <= foretelling_of(record, other, rival)
+
+
+def _levels_off(record: Record, plant: Plant) -> bool:
+    """Whether a plant shows its gain in steady state within the record; an integrating one has none to show."""
+    return not (isinstance(plant, FOPDT) and plant.time_constant >= ENDLESS * len(record) * record.sample_time)
 
 
 def _rising(progress: Callable[[float], None]) -> Callable[[float], None]:

@@ -9,16 +9,21 @@ from __future__ import annotations
 
 import math
 
-from workbench.estimate.data import Centred
+from workbench.estimate.data import Centred, centre
 from workbench.estimate.fit import LEAST_TAU, Fit, Limits, disturbance, fit_path, predict
 from workbench.estimate.models import PLANT_PARAMETERS, VALVE_PARAMETERS
+from workbench.estimate.swing import Answered, Model
 from workbench.model.plant import FOPDT, Plant
-from workbench.model.record import FloatArray
-from workbench.model.valve import Valve
+from workbench.model.record import FloatArray, Record
+from workbench.model.results import LinearFit
+from workbench.model.valve import Ideal, Valve
 
-__all__ = ["foretelling_bic"]
+__all__ = ["ENDLESS", "foretelling_bic", "foretelling_of", "with_other_plant"]
 
 ROUNDS = 4
+# Of the record: a time constant from there on is none that PV shows, whose gain in steady state it never comes near.
+ENDLESS = 0.5
+TAUS = (0.02, 0.1, 0.5)  # of the record: time constants from which a first-order plant along a stem is sought
 
 
 def foretelling_bic(
@@ -27,7 +32,8 @@ def foretelling_bic(
     """Return `N log V + p log N` with V the mean square of the one-step prediction errors, along the stem found.
 
     data: the record as it was estimated, to the plant and valve with this stem (%, shape (N,)) and prediction (PV, EU,
-    shape (N,)), less an oscillation from outside. p counts plant, valve, oscillation and disturbance.
+    shape (N,)), less the load steps and the oscillation from outside that were found beside it. p counts plant, valve,
+    loads, oscillation and disturbance.
     """
     n = data.samples
     x = valve_position - data.op_middle
@@ -45,3 +51,33 @@ def foretelling_bic(
         least = min(least, n * math.log(max(variance, data.floor)) + p * math.log(n))
         left = data.y - predict(data, x, 0, fit)[0]
     return least
+
+
+def foretelling_of(record: Record, kind: str, answered: Answered[Model]) -> float:
+    """Return the BIC (`foretelling_bic`) of a record's model with one kind of plant, "fopdt" or "integrating"."""
+    model = answered.model
+    return foretelling_bic(_less_loads(record, kind, answered), model.plant, *_stem(record, model), model.prediction)
+
+
+def with_other_plant(record: Record, kind: str, answered: Answered[Model]) -> float:
+    """Return the same for a plant of the other kind, `kind`, along the stem and beside the loads of that model."""
+    model, data = answered.model, _less_loads(record, kind, answered)
+    plants: list[Plant] = [model.plant]
+    if not data.integrating:
+        duration = data.samples * data.sample_time
+        plants = [FOPDT(model.plant.gain, share * duration, model.plant.dead_time) for share in TAUS]
+    stem = _stem(record, model)
+    return min(foretelling_bic(data, plant, *stem, model.prediction) for plant in plants)
+
+
+def _less_loads(record: Record, kind: str, answered: Answered[Model]) -> Centred:
+    """The record without the load steps and the oscillation that were found beside a model."""
+    settled, data = answered.settled, centre(record, kind)
+    return data.less(settled.load, settled.answers) if settled.load.any() else data
+
+
+def _stem(record: Record, model: Model) -> tuple[Valve, FloatArray]:
+    """A model's valve and stem; the linear one's stem is OP."""
+    if isinstance(model, LinearFit):
+        return Ideal(), record.op
+    return model.valve, model.valve_position

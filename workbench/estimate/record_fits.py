@@ -170,9 +170,11 @@ def with_ranges(fits: Fits, chosen: str) -> tuple[Fits, Bands]:
     found = _ranged(fits, chosen)
     if fits.steps and fits.bare is not None and found.best.slips < UNSURE_SLIPS:
         still = fits.bare()
-        other = _ranged(still, chosen)
-        if not needs_steps((fits.data, found.best), fits.steps, (still.data, other.best)):
-            return still, other
+        # Without the steps a search over any jump may have ended without one: that valve is the dead band then.
+        if chosen in still.bands:
+            other = _ranged(still, chosen)
+            if not needs_steps((fits.data, found.best), fits.steps, (still.data, other.best)):
+                return still, other
     return fits, found
 
 

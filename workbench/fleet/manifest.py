@@ -74,7 +74,7 @@ class Entry(_Strict):
     op_range: Annotated[Span | None, Field(strict=False)] = None
     sample_time: Time | None = None
     max_gap: Time | None = None
-    plant: Literal["fopdt", "integrating", "auto"] = "fopdt"
+    plant: Literal["fopdt", "integrating", "auto"] = "auto"
     Kc: Annotated[float, BeforeValidator(_gain), Field(gt=0.0)] | None = None
     Ti: Annotated[float, BeforeValidator(_integral), Field(gt=0.0)] | None = None
     Td: Annotated[float, BeforeValidator(_time), Field(ge=0.0)] = 0.0

@@ -43,7 +43,7 @@ class LoopSource:
     pv_range: tuple[float, float] | None = None
     op_range: tuple[float, float] | None = None
     max_gap: float | None = None
-    plant: str = "fopdt"
+    plant: str = "auto"
     tuning: Tuning | None = None
     area: str = ""
     criticality: int = 0

@@ -76,7 +76,7 @@ class Estimate(Closed):
     noise: Annotated[Noise | None, Field(description="of the simulated record, instead of the experiment's")] = None
     method: Literal["profile", "joint", "two_step", "complementarity"] = "profile"
     valve: Literal["auto", "linear", "stenman", "choudhury", "deadband"] = "auto"
-    plant: Literal["fopdt", "integrating", "auto"] = "fopdt"
+    plant: Literal["fopdt", "integrating", "auto"] = "auto"
     start: Annotated[Band | None, Field(description="initial stiction of the two-step method, %")] = None
     reference: EstimateReference | None = None
     note: Words = ""

@@ -171,8 +171,8 @@ _ESTIMATE = Group(
         Field(
             "estimate.plant",
             "Plant model",
-            "fopdt",
-            choices=(("fopdt", "first order"), ("integrating", "integrating"), ("auto", "the lower BIC")),
+            "auto",
+            choices=(("auto", "the one that PV shows"), ("fopdt", "first order"), ("integrating", "integrating")),
         ),
         Field("estimate.sample_time", "Sample time", "", SECONDS, hint="where the data has no even times"),
         *(
