@@ -153,7 +153,7 @@ def test_what_nobody_recorded_is_no_turn_of_pv() -> None:
 
 def test_of_a_long_record_the_turns_are_those_of_the_stretch_that_counts(monkeypatch: pytest.MonkeyPatch) -> None:
     record = driven(BRISK, ROUGH, 2.0, 0.1, 1)
-    one = stem._stretch(record.pv, record.op, record.sp, 1.0, 100.0, 1.0, None)
+    one = stem._stretch(record.pv, record.op, record.sp, 1.0, 100.0, 1.0, None, 0.0)
     told = [(60.0, 40.0), (22.0, -10.0), (21.0, 30.0)]
     stretches = iter([replace(one, sure=sure, turned=turned) for sure, turned in told])
     monkeypatch.setattr(stem, "_stretch", lambda *_: next(stretches))

@@ -11,9 +11,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import workbench as wb
+from workbench.detect.resolution import resolved, step_of
 from workbench.estimate.data import centre
 from workbench.estimate.estimate import linear_loop
-from workbench.estimate.resolution import resolved, step_of
 from workbench.model.results import Estimate, Intervals
 
 STEP = 0.1

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 import workbench as wb
+from workbench.detect.resolution import step_of
 from workbench.estimate.candidates import Candidate
 from workbench.estimate.data import Centred, centre
 from workbench.estimate.fit import LEAST_TAU, Limits, fit_path, start_range
 from workbench.estimate.hidden import hidden
-from workbench.estimate.resolution import step_of
 from workbench.estimate.stems import path_of
 from workbench.model.results import Intervals
 

@@ -7,6 +7,7 @@ from itertools import pairwise
 import numpy as np
 
 from workbench.detect.oscillation import oscillation_of
+from workbench.detect.resolution import exception_of, step_of
 from workbench.detect.spikes import TRAVEL
 from workbench.detect.verdict import Thresholds, times
 from workbench.errors import RecordError
@@ -18,9 +19,12 @@ from workbench.record.modes import manual_share
 __all__ = [
     "FEWEST_SAMPLES",
     "RESOLVED",
+    "below_step",
+    "between_values",
     "beyond_op",
     "constant",
     "dead_signal",
+    "kept_by_exception",
     "other_causes",
     "refuse_unusable",
     "steady_stretches",
@@ -34,6 +38,10 @@ HALF = 0.5  # of the record and of OP's range: PV no longer tells about the valv
 RESOLVED = 0.1  # % of travel: positioners hardly follow less
 ALIKE = 0.2  # relative difference of two periods that are one
 USUAL, WIDER = (5.0, 95.0), 2.0  # percentiles of OP; a band so many times wider than they are apart rests on the rest
+OFTEN, BETWEEN = (
+    0.5,
+    0.9,
+)  # of the samples of PV that were not recorded: ranges hold no more; and the rest shows no shape
 STEADY = 1.0 / 3.0  # of the record, the least stretch at constant SP that may stand for its cycle
 CYCLES = 0.5  # oscillation index of a setpoint that cycles
 
@@ -127,6 +135,41 @@ def beyond_op(op: FloatArray, band: float) -> str:
     else:
         return ""
     return f"a band of {given(band, 4)} % fits best, yet {said}"
+
+
+def below_step(op: FloatArray, band: float) -> str:
+    """Say that a stick band, %, is narrower than the steps in which OP (%, shape (N,)) is recorded; or nothing."""
+    step = step_of(op)
+    if not 0.0 < band < step:
+        return ""
+    return f"OP is recorded in steps of {given(step, 3)} %: a band of {given(band, 3)} % is none that it can show"
+
+
+def _between(record: Record) -> float:
+    """The share of PV's samples that lie between recorded values."""
+    return record.counts.get("between", 0) / (len(record) + sum(len(one) for one in record.rest))
+
+
+def kept_by_exception(record: Record) -> str:
+    """Say that a historian kept PV only now and then, so that no range holds what it left out; or nothing."""
+    if deviation := exception_of(record.pv):
+        how = f"PV was kept only where it had moved by {given(deviation, 2)} EU"
+    elif (share := _between(record)) >= OFTEN:
+        how = f"{share:.0%} of PV's samples lie between the values that were recorded"
+    else:
+        return ""
+    return f"{how}: what it did meanwhile is not known, and no range allows for it"
+
+
+def between_values(record: Record) -> str:
+    """Say that hardly a sample of PV is a recorded value; or nothing."""
+    share = _between(record)
+    if share < BETWEEN:
+        return ""
+    return (
+        f"{share:.0%} of PV's samples lie between the values that were recorded: how PV moved there is not known, and "
+        "a valve that sticks looks the same as a historian that keeps changes alone; a record of all samples would tell"
+    )
 
 
 def other_causes(record: Record, oscillation: Oscillation) -> list[str]:

@@ -11,20 +11,29 @@ import numpy as np
 from workbench.detect.action import control_error, feedback, gain_sign
 from workbench.detect.answer import answer_of
 from workbench.detect.bicoherence import bicoherence_of, ellipse_of
-from workbench.detect.causes import beyond_op, constant, dead_signal, other_causes, steady_stretches
+from workbench.detect.causes import (
+    below_step,
+    between_values,
+    beyond_op,
+    constant,
+    dead_signal,
+    other_causes,
+    steady_stretches,
+)
 from workbench.detect.correlation import cross_correlation, histogram_fit
 from workbench.detect.direct import stem_evidence
 from workbench.detect.evidence import statistics_of
 from workbench.detect.late import as_seen, later, words_of_late
 from workbench.detect.load import DETECTIONS, load_index
 from workbench.detect.oscillation import no_period, oscillation_of
+from workbench.detect.resolution import resolved, step_of
 from workbench.detect.shape import movement_index, triangle_index
 from workbench.detect.spikes import words_of_spikes
 from workbench.detect.stem import FITTED, Fitted, stem_test
 from workbench.detect.verdict import Thresholds, decide, follows
 from workbench.errors import InvalidValue
 from workbench.model.checks import instance
-from workbench.model.detection import Detection, Oscillation
+from workbench.model.detection import Detection, Oscillation, StemTest
 from workbench.model.numbers import given
 from workbench.model.record import Record, signal_of
 from workbench.simulate.one_thread import one_thread
@@ -95,8 +104,8 @@ def _detected(record: Record, bicoherence: bool, fitted: Fitted | None) -> Detec
     test = stem_test(record.pv, record.op, record.sp, record.sample_time, period, gain_sign(record), fitted)
     stem = None if record.valve_position is None else stem_evidence(record.op, record.valve_position)
     verdict, reasons = ("undecided", [dead]) if dead else decide(whole, test, stem)
-    if verdict == "stiction" and stem is None and (wide := beyond_op(record.op, test.band)):
-        verdict, reasons = "undecided", [wide, *reasons]
+    if verdict == "stiction" and stem is None and (why := _doubtful(record, whole, test, period)):
+        verdict, reasons = "undecided", [why, *reasons]
     if verdict == "no_stiction" and follows(test) < Thresholds().seen and feedback(record)[0] < ACTS:
         verdict = "undecided"
         reasons = ["neither does PV follow OP nor OP the error: the record does not show a loop at work"]
@@ -138,6 +147,21 @@ def _detected(record: Record, bicoherence: bool, fitted: Fitted | None) -> Detec
         ellipse=ellipse_of(pv, op, samples) if bicoherence else None,
     )
     return replace(found, statistics=statistics_of(found, bicoherence))
+
+
+def _doubtful(record: Record, whole: Oscillation, test: StemTest, period: float) -> str:
+    """Say why a stem that was found may be none, by how the record was kept; or nothing."""
+    why = beyond_op(record.op, test.band) or below_step(record.op, test.band) or between_values(record)
+    op, doubt = resolved(record)
+    if why or doubt == 0.0 or op is record.op:
+        return why
+    within = stem_test(record.pv, op, record.sp, record.sample_time, period, gain_sign(record))
+    if decide(whole, within, None)[0] == "stiction":
+        return ""
+    return (
+        f"OP is recorded in steps of {given(step_of(record.op), 3)} %: where the controller's law has it within them "
+        "no stem is needed; a record of OP in more digits would tell"
+    )
 
 
 def _between_moves(record: Record) -> str:

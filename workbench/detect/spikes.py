@@ -38,7 +38,7 @@ RARELY = 99.0  # percentile of SP's moves: a larger one is a step
 # Without SP: a setpoint step moves OP for good besides, by one part in eleven of a derivative filtered at N = 10, in 61
 # of one unfiltered over 60 samples. What comes back to a hundredth, or to what it moves by anyway, is no step's.
 BACK, ANYWAY = 0.01, 4.0
-WIDER = 2.0  # times all that OP does else: a smaller value may be the controller's, and harms little
+WIDER = 2.0  # times all that OP does else: without SP a smaller value may be the controller's, and harms little
 
 _OF_PV = (
     " as nothing else in the record does: taken for the sensor's or the historian's, not for the process, and left out"
@@ -97,7 +97,7 @@ def _noise(aside: FloatArray, moves: FloatArray) -> FloatArray:
 def op_spikes_of(record: Record) -> NDArray[np.bool_]:
     """Return which samples of OP, shape (N,), are spikes that neither a setpoint step nor PV nor the stem explains.
 
-    OP's moves are regressed on those of PV, and of a measured stem, about them, all without their spikes: this is how
+    OP's moves are regressed on those of PV, SP and a measured stem, about them, all without their spikes: this is how
     the controller answers PV, and PV the valve. A jump stays if the same law makes some of it of what PV does
     there, PV's spikes included, unless it is larger than all of a valve's travel.
     """
@@ -108,7 +108,7 @@ def op_spikes_of(record: Record) -> NDArray[np.bool_]:
     first = np.flatnonzero(found & ~np.concatenate([[False], found[:-1]]))
     stop = np.flatnonzero(found & ~np.concatenate([found[1:], [False]])) + 1
     clean = _without(op, found)
-    others = [record.pv] if record.valve_position is None else [record.pv, record.valve_position]
+    others = [one for one in (record.pv, record.sp, record.valve_position) if one is not None]
     law, *_ = np.linalg.lstsq(
         np.hstack([_about(np.diff(_without(one, spikes_of(one)))) for one in others]), np.diff(clean), rcond=1e-10
     )
@@ -122,7 +122,9 @@ def op_spikes_of(record: Record) -> NDArray[np.bool_]:
         height = float(np.abs(op[a:b] - clean[a:b]).max())
         away = abs(float(op[b] - op[a - 1])) if record.sp is None else 0.0
         stays = away > max(BACK * height, ANYWAY * float(np.abs(np.diff(clean)).mean()))
-        sent = (own or stays or height < WIDER * width) and height <= TRAVEL
+        # Where SP is recorded, what it sends is known.
+        small = record.sp is None and height < WIDER * width
+        sent = (own or stays or small) and height <= TRAVEL
         if sent or stepped[ends].any():
             found[a:b] = False
     return found

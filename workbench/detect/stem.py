@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 from workbench.detect.laws import BAND, CLASSES, Law, laws_of
 from workbench.detect.load_steps import unforced
 from workbench.detect.predictor import FreePredictor
+from workbench.detect.resolution import unseen
 from workbench.detect.rivals import (
     FINE_TAUS,
     FURTHER,
@@ -108,8 +109,9 @@ def _best(costs: FloatArray, most: int) -> list[int]:
 class _Search:
     """The search for the stem that beats the linear rival of one stretch."""
 
-    def __init__(self, rivals: Rivals, u: FloatArray, held: NDArray[np.bool_], power: float) -> None:
+    def __init__(self, rivals: Rivals, u: FloatArray, held: NDArray[np.bool_], power: float, blur: float) -> None:
         self.rivals, self.u, self.power = rivals, u, power
+        self.floor = FLOOR**2 * power + blur
         self.fine = np.geomspace(SHORTEST, LONGEST * rivals.n, FINE_TAUS)
         self.white = np.concatenate([[1.0], np.zeros(rivals.order)])
         alone = np.empty(rivals.order + 1)
@@ -118,7 +120,7 @@ class _Search:
         # A sinusoid from outside is no valve's work; an autoregression under noise does not see all of it.
         self.rival = min(self.linear, rivals.beside_sinusoid(u, self.linear, self.fine), key=lambda f: f.variance)
         self.straight = rivals.plant(u, self.white, self.fine)
-        past = rivals.y, u, held, FLOOR**2 * power, rivals.longest
+        past = rivals.y, u, held, self.floor, rivals.longest
         self.free = FreePredictor(*past, delay=self.linear.delay)
         # What moves most of PV shows what curve the plant has.
         self.little = self.straight.variance < Thresholds().little * power
@@ -129,8 +131,7 @@ class _Search:
             self.known += [curved] if curved.past == self.free.past else []
 
     def _gain(self, rival: float, variance: float) -> float:
-        floor = FLOOR**2 * self.power
-        return self.rivals.count * math.log((rival + floor) / (variance + floor))
+        return self.rivals.count * math.log((rival + self.floor) / (variance + self.floor))
 
     def judged(self, law: Law, path: FloatArray, a: FloatArray, taus: FloatArray | None = None) -> _Candidate:
         """Return a valve with its likelihoods, its plant and noise fitted in turn from the whitening filter a.
@@ -272,6 +273,7 @@ def _stretch(
     period: float,
     sign: float,
     fitted: Fitted | None,
+    blur: float,
 ) -> StemTest:
     held = held_of(y, u)
     if not live_of(held)[order_of(y.size) :].mean() > LEAST_LIVE:
@@ -281,7 +283,7 @@ def _stretch(
     u = u - u.mean()
 
     def among(delays: list[int]) -> StemTest:
-        return _among(delays, y, u, held, unforced(sp, y, delays[-1]), sample_time, period, sign, fitted)
+        return _among(delays, y, u, held, unforced(sp, y, delays[-1]), sample_time, period, sign, fitted, blur)
 
     usual, further = (dead_times(y.size, period / sample_time, share) for share in (USUAL, FURTHER))
     test = among(usual)
@@ -292,7 +294,7 @@ def _stretch(
     if long.delay <= usual[-1]:
         return test
     short = _linear(level, u, usual, sign, held)
-    floor = FLOOR**2 * float(y[~held].var())
+    floor = FLOOR**2 * float(y[~held].var()) + blur
     ahead = test.samples * math.log((short.variance + floor) / (long.variance + floor))
     # Stems that are clearly worse than a linear loop with a longer dead time were given too short ones.
     if ahead < max(test.predicting, Thresholds().likelihood):
@@ -318,12 +320,16 @@ def _among(
     period: float,
     sign: float,
     fitted: Fitted | None,
+    blur: float,
 ) -> StemTest:
-    """The stem test of one stretch with some dead times; held: the samples that nobody recorded, free: see `_test`."""
+    """The stem test of one stretch with some dead times; held: the samples that nobody recorded, free: see `_test`.
+
+    blur: variance of what is not seen of PV, EU^2.
+    """
 
     def look(pv: FloatArray, steps: int) -> tuple[StemTest, _Search]:
         pv = pv - pv[~held].mean()
-        search = _Search(Rivals(pv, delays, sign, held), u, held, float(pv[~held].var()))
+        search = _Search(Rivals(pv, delays, sign, held), u, held, float(pv[~held].var()), blur)
         told = [] if fitted is None else search.told(fitted)
         if told and explains_most(*_explained(told)):
             test = _test(search, [], told, free, sample_time, period, steps)
@@ -437,6 +443,7 @@ def stem_test(
     looked at, evenly spaced, whose likelihoods add up, but for those of two rivals, and of squares: the clearest but
     one's count (see `verdict`); the rest is told for the clearest of them.
     """
+    blur = unseen(pv)
     thin = int(period / sample_time / PER_CYCLE) if math.isfinite(period) else 1
     thin = max(min(thin, -(-pv.size // WINDOW)), 1)
     pv, op, step = pv[::thin], op[::thin], thin * sample_time
@@ -444,8 +451,8 @@ def stem_test(
     n = pv.size
 
     def stretch(first: int, stop: int) -> StemTest:
-        there = slice(first, stop)
-        return _stretch(pv[there], op[there], None if sp is None else sp[there], step, period, sign, part(first, stop))
+        there, of_sp = slice(first, stop), None if sp is None else sp[first:stop]
+        return _stretch(pv[there], op[there], of_sp, step, period, sign, part(first, stop), blur)
 
     def part(first: int, stop: int) -> Fitted | None:
         # Gaps in memory, or what may only be read, would have the kernels compiled once more.

@@ -227,6 +227,9 @@ def _detected(record: Record, fits: Fits, stem: InScale | None, pair: Band | Non
         fitted = (Stenman(fits.found.best.d), stem.valve_position)
     if pair is not None:
         fitted = (Choudhury(pair.S, pair.J), band_position(fits.data, pair))
+    if fits.data.doubt > 0.0:
+        # The linear loop has the same OP as the stem: within its steps, where the record's are coarser.
+        record = replace(record, op=fits.data.u + fits.data.op_middle, rest=())
     return detect(record, fitted=fitted)
 
 

@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 
 from workbench.detect.action import gain_sign
 from workbench.detect.causes import constant
+from workbench.detect.resolution import coarseness, resolved, unseen
 from workbench.detect.whitening import whitened
 from workbench.errors import RecordError
 from workbench.estimate.output_error import NO_DELAY
-from workbench.estimate.resolution import coarseness, resolved
 from workbench.model.plant import FOPDT, Integrating, Plant
 from workbench.model.record import FloatArray, Record
 
@@ -171,8 +171,8 @@ def centre(record: Record, plant: str, sent: bool = False) -> Centred:
     mean, middle = float(record.pv.mean()), float(0.5 * (op.max() + op.min()))
     y, u = record.pv - mean, op - middle
     variance = float(np.var(y))
-    # A quantised PV cannot be followed closer than its own steps allow.
-    floor = RESOLUTION**2 * variance + coarseness(record.pv) ** 2 / 12.0
+    # A quantised PV cannot be followed closer than its own steps allow, nor one that is reported by exception.
+    floor = RESOLUTION**2 * variance + max(coarseness(record.pv) ** 2 / 12.0, unseen(record.pv))
     return Centred(
         y=y,
         u=u,

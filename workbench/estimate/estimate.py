@@ -8,7 +8,7 @@ from dataclasses import replace
 from functools import reduce
 from typing import NamedTuple
 
-from workbench.detect.causes import beyond_op
+from workbench.detect.causes import below_step, between_values, beyond_op, kept_by_exception
 from workbench.detect.late import as_seen, earlier, words_of_late
 from workbench.detect.spikes import words_of_spikes
 from workbench.errors import InvalidValue
@@ -122,8 +122,10 @@ def estimate(
         found = _searched(seen, _begun(seen, plant, asked, lambda share: tell(share / shares)), asked)
     answer = _told(seen, found, asked, lambda share: tell(1.0 - (1.0 - share) / shares))
     said += words_of_late(record, late) + words_of_spikes(record)
-    if answer.verdict == "stiction" and (wide := beyond_op(seen.op, answer.valve.stick_band)):
-        answer = replace(answer, verdict="undecided", identifiable=False, reasons=(wide, *answer.reasons))
+    if answer.verdict == "stiction" and (why := _doubtful(seen, answer.valve.stick_band)):
+        answer = replace(answer, verdict="undecided", identifiable=False, reasons=(why, *answer.reasons))
+    if kept := kept_by_exception(record):
+        answer, said = replace(answer, identifiable=False), (kept, *said)
     tell(1.0)
     return replace(
         answer,
@@ -132,6 +134,11 @@ def estimate(
         reasons=answer.reasons + said,
         pv_late=late.samples * record.sample_time,
     )
+
+
+def _doubtful(record: Record, band: float) -> str:
+    """Say why a stick band, %, may be none, by how the record was kept; or nothing."""
+    return beyond_op(record.op, band) or below_step(record.op, band) or between_values(record)
 
 
 class _Asked(NamedTuple):
@@ -268,10 +275,10 @@ def _likelier_plant(record: Record, asked: _Asked, tell: Callable[[float], None]
     else:
         found["integrating"] = _searched(record, again(), asked)
     bics = {plant: foretelling_of(record, plant, one.answered) for plant, one in found.items()}
-    verdicts = {one.answered.model.verdict: plant for plant, one in found.items()}
-    if set(verdicts) == {"no_stiction", "undecided"}:
-        # With one kind of plant no valve that sticks is needed; what the other would need says nothing against that.
-        return found[verdicts["no_stiction"]], ()
+    likelier, other = found.values()
+    if (likelier.answered.model.verdict, other.answered.model.verdict) == ("no_stiction", "undecided"):
+        # With a plant that may be it no valve that sticks is needed; what another would need says nothing against that.
+        return likelier, ()
     level = _levels_off(record, found["fopdt"].answered.model.plant)
     by = bics["integrating"] - bics["fopdt"]
     # Of two that are hardly told apart, the one that the time constant speaks for.
@@ -279,9 +286,8 @@ def _likelier_plant(record: Record, asked: _Asked, tell: Callable[[float], None]
     if not level and plant == "integrating":
         return found[plant], (WORDS_OF_ENDLESS,)
     names = {"fopdt": "a first-order process", "integrating": "an integrating process"}
-    other = next(name for name in names if name != plant)
     if abs(by) < CLEAR_BIC:
-        return found[plant], (f"the record hardly tells {names[plant]} from {names[other]}",)
+        return found[plant], (f"the record hardly tells {names['fopdt']} from {names['integrating']}",)
     return found[plant], (f"{names[plant]} has the lower BIC, by {given(abs(by), 3)}",)
 
 

@@ -265,8 +265,14 @@ def _refined(data: Centred, stem: Stem, model: _Model, limits: Limits, skip: int
     times = np.array(sorted({at + i for at in model.times for i in ((0, 1) if model.between else (0,))}))
     moves = np.eye(4)[[*range(stem.free), *([] if data.integrating else [2]), 3]]
 
+    unexplained = 4.0 * float(np.mean(data.y**2))
+
     def left(step: FloatArray) -> float:
-        x, fit = valve(step @ moves)
+        point = step @ moves
+        if stem.valve is not None and np.exp(point[:2]) @ stem.valve[:2] >= 2.0 * data.op_range:
+            # Such a jump is never made: beyond it the stem's size is a gain of its own.
+            return unexplained
+        x, fit = valve(point)
         return left_beside(data.y, x, stem.first, data.integrating, fit.tau, fit.theta, times, skip)
 
     step = np.zeros(len(moves))

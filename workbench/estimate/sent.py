@@ -11,10 +11,10 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import TypeVar
 
+from workbench.detect.resolution import step_of
 from workbench.estimate.data import Centred, centre
 from workbench.estimate.fit import Fit, disturbance, predict
 from workbench.estimate.profile import Profile
-from workbench.estimate.resolution import step_of
 from workbench.estimate.stems import path_of, silent
 from workbench.estimate.two_parameter import band_stem, look
 from workbench.model.record import FloatArray, Record

@@ -1,9 +1,12 @@
-"""OP within the steps that it is recorded in, by the law of the controller that made it.
+"""What a record resolves: OP within the steps that it is kept in, by its controller's law; a PV kept by exception.
 
 A historian keeps OP to a tenth of a per cent, the valve got it in full: a stem that slips where OP has gone a hundredth
 of a step too far does so samples earlier or later in the record, and goes another way from there. PV and SP of the same
 samples say where within its step OP was: a PI or PID controller's output is a sum of theirs, of those before, and of
 the error's sum, beside a level that wanders by what the law leaves out.
+
+A PV that is reported by exception keeps its value until the process is so far from it: it rests and jumps as a loop
+does whose valve sticks, and only what moves by more can be told from that.
 """
 
 from __future__ import annotations
@@ -16,7 +19,7 @@ from workbench.detect.action import control_error
 from workbench.model.record import FloatArray, Record
 from workbench.simulate.filter import first_order
 
-__all__ = ["coarseness", "resolved", "step_of"]
+__all__ = ["coarseness", "exception_of", "resolved", "step_of", "unseen"]
 
 ROUNDED = 1e-9  # of a signal's range: values that lie closer are one
 OFF_STEP = 0.2  # of a step: values further from a multiple were not rounded to it
@@ -25,6 +28,9 @@ STEADY = (0.0, 0.5, 0.8, 0.9, 0.95, 0.98, 0.99, 0.995, 0.998, 1.0)
 AS_WELL = 1.05  # times the least variance: the steadiest level that leaves no more is taken
 EXPLAINS = 0.5  # of what the level leaves without the law: a law that leaves more did not make this OP
 LEVELS = 8  # values of OP: fewer are moves that were made so, by an operator or a test
+# A PV that keeps its value in half the samples, and then moves by hardly less than by half of what it usually moves by:
+# noise, a lag's answer and a converter's steps begin at nothing, or at one step.
+KEPT, LEAST, CUT, STEPS, FEWEST = 0.5, 0.05, 0.5, 1.5, 8
 LEAST_DOUBT = 0.1  # of a step: laws that fit to rounding were off by .04 to .1 of it in simulated loops
 
 
@@ -48,6 +54,24 @@ def coarseness(signal: FloatArray) -> float:
     steps = np.diff(np.unique(signal))
     steps = steps[steps > ROUNDED * float(np.ptp(signal))]
     return float(steps.min()) if 0 < steps.size < signal.size / 4 else step_of(signal)
+
+
+def exception_of(pv: FloatArray) -> float:
+    """Return how far PV goes, EU, before it is kept anew where it is reported by exception, else 0."""
+    moves = np.abs(np.diff(pv))
+    moved = moves[moves > 0.0]
+    if not FEWEST <= moved.size <= (1.0 - KEPT) * moves.size:
+        return 0.0
+    least, usual = np.quantile(moved, (LEAST, 0.5)).tolist()
+    return float(least) if least >= CUT * usual and least >= STEPS * step_of(pv) else 0.0
+
+
+def unseen(pv: FloatArray) -> float:
+    """Return the variance, EU^2, of what is not seen of PV, shape (N,), that is reported by exception; else 0.
+
+    The process is anywhere within the deviation, to either side, as likely here as there.
+    """
+    return exception_of(pv) ** 2 / 3.0
 
 
 def resolved(record: Record) -> tuple[FloatArray, float]:

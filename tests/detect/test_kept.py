@@ -1,0 +1,133 @@
+"""How a record was kept: a PV by exception, an OP in steps, values of OP that nobody sent. No valve sticks for that."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import workbench as wb
+from workbench.detect.causes import below_step, between_values, kept_by_exception
+from workbench.detect.resolution import exception_of, unseen
+from workbench.detect.spikes import op_spikes_of
+
+PLANT = wb.FOPDT(1.2, 20.0, 7.0)
+TS = 5.0
+
+
+def run_of(valve: object, seed: int, noise: float = 0.05, duration: float = 7500.0) -> wb.Run:
+    loop = wb.Loop(PLANT, valve, wb.PID(Kc=0.5, Ti=25.0), TS)
+    moves = [wb.Step(2.0, 100.0), wb.Step(-3.0, 0.5 * duration)]
+    return wb.simulate(loop, wb.Experiment(duration, setpoint=moves, noise=wb.Noise(noise, seed)))
+
+
+def record_of(run: wb.Run, **more: object) -> wb.Record:
+    signals = {"pv": run.pv + 52.0, "op": run.op + 43.0, "sp": run.sp + 52.0, "sample_time": TS}
+    return wb.Record(**(signals | more))
+
+
+def by_exception(signal: np.ndarray, deviation: float) -> np.ndarray:
+    kept = signal.copy()
+    for k in range(1, kept.size):
+        kept[k] = signal[k] if abs(signal[k] - kept[k - 1]) > deviation else kept[k - 1]
+    return kept
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_a_healthy_valve_is_not_accused_for_a_pv_that_is_kept_by_exception(seed: int) -> None:
+    run = run_of(wb.Ideal(), seed)
+    record = record_of(run, pv=by_exception(run.pv + 52.0, 0.3))
+    assert exception_of(record.pv) == pytest.approx(0.3, rel=0.1)
+    assert wb.detect(record).verdict != "stiction"
+    found = wb.estimate(record)
+    assert found.verdict != "stiction"
+    assert not found.identifiable
+    assert any(reason.startswith("PV was kept only where it had moved by 0.3") for reason in found.reasons)
+
+
+def test_a_valve_that_sticks_is_found_in_a_pv_that_is_kept_by_exception() -> None:
+    run = run_of(wb.Stenman(1.5), 1)
+    found = wb.estimate(record_of(run, pv=by_exception(run.pv + 52.0, 0.3)))
+    assert found.verdict == "stiction"
+    assert found.valve.stick_band == pytest.approx(1.5, rel=0.02)
+    # The ranges allow for a noise that is one, and not for what the historian left out.
+    assert not found.identifiable
+
+
+def test_what_moves_from_nothing_on_or_by_a_converters_steps_was_not_kept_by_exception() -> None:
+    run = run_of(wb.Stenman(1.5), 1, noise=0.0)
+    # Without noise a stem at rest leaves PV on one value for long; it comes there by less and less.
+    assert np.count_nonzero(np.diff(run.pv) == 0.0) > 50
+    assert exception_of(run.pv) == 0.0
+    noisy = run_of(wb.Stenman(1.5), 1).pv
+    assert exception_of(noisy) == 0.0
+    coarse = np.round(noisy / 0.5) * 0.5
+    assert np.mean(np.diff(coarse) == 0.0) > 0.5
+    assert exception_of(coarse) == 0.0
+    assert unseen(by_exception(noisy, 0.3)) == pytest.approx(0.03, rel=0.2)
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_a_healthy_valve_is_not_accused_for_an_op_in_steps(seed: int) -> None:
+    """The model's stem is made of OP within its steps: against the rounded one it explained PV better, sticking or not."""
+    run = run_of(wb.Ideal(), seed)
+    found = wb.estimate(record_of(run, op=np.round((run.op + 43.0) / 0.2) * 0.2))
+    assert found.verdict != "stiction"
+    low, high = found.intervals.gain
+    assert low <= 1.25
+    assert high >= 1.15
+
+
+def test_a_valve_that_sticks_is_found_behind_an_op_in_steps() -> None:
+    run = run_of(wb.Stenman(1.5), 2)
+    found = wb.estimate(record_of(run, op=np.round((run.op + 43.0) / 0.2) * 0.2))
+    assert found.verdict == "stiction"
+    assert found.valve.stick_band == pytest.approx(1.5, rel=0.05)
+
+
+def test_a_band_below_ops_step_is_none() -> None:
+    op = np.round(np.sin(np.arange(400.0) / 9.0) / 0.2) * 0.2
+    assert "OP is recorded in steps of 0.2 %" in below_step(op, 0.05)
+    assert below_step(op, 0.3) == ""
+    assert below_step(np.sin(np.arange(400.0) / 9.0), 0.05) == ""
+
+
+def test_hardly_a_sample_that_was_recorded_accuses_nobody() -> None:
+    run = run_of(wb.Stenman(1.5), 1)
+    counts = {"rows": 40, "resampled": len(run.pv), "between": int(0.95 * len(run.pv))}
+    thin = record_of(run, counts=counts)
+    assert "95% of PV's samples lie between the values that were recorded" in between_values(thin)
+    assert wb.detect(record_of(run)).verdict == "stiction"
+    for found in (wb.detect(thin), wb.estimate(thin)):
+        assert found.verdict == "undecided"
+        assert found.reasons[0] == between_values(thin)
+    half = record_of(run, counts=counts | {"between": int(0.6 * len(run.pv))})
+    assert between_values(half) == ""
+    assert "no range allows for it" in kept_by_exception(half)
+    assert kept_by_exception(record_of(run)) == ""
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_wrong_values_of_op_that_sp_and_pv_know_nothing_of_are_left_out(seed: int) -> None:
+    run = run_of(wb.Stenman(1.5), seed)
+    op = run.op + 43.0
+    bad = [300, 805, 1200]
+    # Less than twice what OP moves over: without SP this might be what a setpoint step sends.
+    op[bad] += 8.0
+    assert np.ptp(run.op) < 8.0 < 2.0 * np.ptp(run.op)
+    record = record_of(run, op=op)
+    assert np.flatnonzero(op_spikes_of(record)).tolist() == bad
+    assert not op_spikes_of(wb.Record(record.pv, op, TS)).any()
+    found = wb.estimate(record)
+    assert found.identifiable
+    assert found.intervals.d[0] <= 1.5 <= found.intervals.d[1]
+    assert found.intervals.gain[0] <= 1.2 <= found.intervals.gain[1]
+    assert any(reason.startswith("3 samples of OP stand out") for reason in found.reasons)
+
+
+@pytest.mark.parametrize("derivative_on", ["error", "pv"])
+def test_what_a_controller_sends_for_a_setpoint_step_stays(derivative_on: str) -> None:
+    loop = wb.Loop(PLANT, wb.Stenman(1.0), wb.PID(Kc=0.8, Ti=25.0, Td=6.0, derivative_on=derivative_on), TS)
+    moves = [wb.Step(2.0 * (-1) ** i, 400.0 * (i + 1)) for i in range(12)]
+    for seed in range(4):
+        run = wb.simulate(loop, wb.Experiment(6000.0, setpoint=moves, noise=wb.Noise(0.03, seed)))
+        assert not op_spikes_of(record_of(run)).any()
