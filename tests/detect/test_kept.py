@@ -44,6 +44,18 @@ def test_a_healthy_valve_is_not_accused_for_a_pv_that_is_kept_by_exception(seed:
     assert any(reason.startswith("PV was kept only where it had moved by 0.3") for reason in found.reasons)
 
 
+def test_a_pv_of_a_few_values_accuses_nobody() -> None:
+    loop = wb.Loop(wb.FOPDT(1.0, 6.0, 3.0), wb.Ideal(), wb.PID(Kc=0.8, Ti=8.0), 1.0)
+    moves = [wb.Step(3.0, 300.0), wb.Step(-5.0, 800.0)]
+    run = wb.simulate(loop, wb.Experiment(1500.0, setpoint=moves, noise=wb.Noise(0.05, 1)))
+    record = wb.Record(by_exception(run.pv + 50.0, 1.2), run.op + 40.0, 1.0, sp=run.sp + 50.0)
+    changes = int(np.count_nonzero(np.diff(record.pv)))
+    assert changes < 8
+    for found in (wb.detect(record), wb.estimate(record)):
+        assert found.verdict == "undecided"
+        assert any(reason.startswith(f"PV took another value {changes} times only") for reason in found.reasons)
+
+
 def test_a_valve_that_sticks_is_found_in_a_pv_that_is_kept_by_exception() -> None:
     run = run_of(wb.Stenman(1.5), 1)
     found = wb.estimate(record_of(run, pv=by_exception(run.pv + 52.0, 0.3)))
@@ -68,7 +80,7 @@ def test_what_moves_from_nothing_on_or_by_a_converters_steps_was_not_kept_by_exc
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_a_healthy_valve_is_not_accused_for_an_op_in_steps(seed: int) -> None:
-    """The model's stem is made of OP within its steps: against the rounded one it explained PV better, sticking or not."""
+    """A model's stem is made of OP within its steps: it explained PV better than the rounded one, sticking or not."""
     run = run_of(wb.Ideal(), seed)
     found = wb.estimate(record_of(run, op=np.round((run.op + 43.0) / 0.2) * 0.2))
     assert found.verdict != "stiction"

@@ -10,9 +10,12 @@ import pytest
 
 import workbench as wb
 from workbench.cli_output import estimate_lines
+from workbench.estimate import profile, record_fits
 from workbench.estimate.data import centre
-from workbench.estimate.fit import Limits, autoregression, fit_path
-from workbench.estimate.loads import Stem, loads_of
+from workbench.estimate.fit import Limits, autoregression, fit_linear, fit_path
+from workbench.estimate.loads import Stem, _beside, _refined, loads_of
+from workbench.estimate.two_parameter import band_stem
+from workbench.model.loads import LoadStep
 
 PLANTS = [wb.FOPDT(1.5, 12.0, 3.0), wb.Integrating(0.02, 3.0)]
 
@@ -159,3 +162,36 @@ def test_the_past_tells_no_more_than_the_record_resolves() -> None:
     assert bic >= 1000.0 * math.log(floor)
     # Below the floor by itself it is as likely as what is there already.
     assert autoregression(0.1 * smooth, floor) == (pytest.approx([1.0]), pytest.approx(1000.0 * math.log(floor)))
+
+
+def test_where_the_search_without_steps_ends_as_a_dead_band_the_steps_stay(monkeypatch: pytest.MonkeyPatch) -> None:
+    """There the valve that was chosen beside them is no more among the models."""
+    record = record_of(run_of(loop_of(PLANTS[0], wb.Choudhury(3.0, 1.0)), None))
+    data = centre(record, "fopdt")
+    found = profile.search(data, 30.0)
+    fits = record_fits.closely(record_fits.first_fits(data, "auto", found, fit_linear(data, 30.0)), "auto")
+    assert "choudhury" in fits.bands
+    dead = {name: bands for name, bands in fits.bands.items() if name == "deadband"}
+    few = replace(fits.bands["choudhury"].best, slips=6)
+    ranged = record_fits.with_ranges(fits, "choudhury")[1]
+    monkeypatch.setattr(record_fits, "_ranged", lambda *_: replace(ranged, best=few))
+    stepped = replace(fits, steps=(LoadStep(500.0, 1.0, (0.9, 1.1)),), bare=lambda: replace(fits, bands=dead))
+    assert record_fits.with_ranges(stepped, "choudhury")[0] is stepped
+
+
+def test_beside_steps_no_stem_comes_to_a_jump_that_op_never_makes() -> None:
+    """Beyond it the size of the jump is a gain of its own: a search for both went to thousands of per cent."""
+    rng = np.random.default_rng(3)
+    n = 400
+    op = np.cumsum(rng.normal(0.0, 0.05, n))
+    pv = np.cumsum(rng.normal(0.0, 0.2, n)) + 3.0 * (np.arange(n) > 250)
+    data = centre(wb.Record(pv, op, 1.0), "integrating")
+    S, J = 0.3 * data.op_range, 1.2 * data.op_range
+    stem = band_stem(data.u, S, J)[0]
+    limits, free = Limits((0.05, float(n)), (0.0, 30.0)), (-math.inf, math.inf)
+    fit = fit_path(data, stem, 0, free, limits, 3.0, tau=12.0)
+    lead = Stem(stem, 0, fit, lambda w, f: band_stem(data.u, S * w, J * f)[0], free=2, valve=(S, J, -1, 0.0))
+    alone = _beside(data, stem, 0, fit, limits, 0, [250])
+    moved = _refined(data, lead, alone, limits, 0)
+    assert S * moved.wider + J * moved.further < 2.0 * data.op_range
+    assert moved.power(0) <= alone.power(0)

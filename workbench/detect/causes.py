@@ -31,6 +31,7 @@ __all__ = [
 ]
 
 FEWEST_SAMPLES = 30
+FEWEST_CHANGES = 8  # of PV's value: fewer have no shape, and any stem has a move for each
 STILL = 1e-9  # of a signal's size, which counts as this much at least (EU, %): a signal that moves by less is constant
 HUGEST = 1e40  # EU, %: the sixth powers of larger values, of which the bicoherence is made, may overflow
 MUCH = 0.2  # of the record, worth a word
@@ -110,6 +111,12 @@ def dead_signal(record: Record) -> str:
     if moves <= Thresholds().few:
         only = f"OP moved {times(moves)} only in {n} samples"
         return f"{only}: a longer record or a setpoint move would tell about the valve"
+    changes = int(np.count_nonzero(np.diff(record.pv)))
+    if changes < FEWEST_CHANGES:
+        return (
+            f"PV took another value {times(changes)} only in {n} samples: it was kept too coarsely to show its moves; "
+            "a record of every value would tell about the valve"
+        )
     first, stop = _longest_stay(record.pv)
     moved = float(np.ptp(record.op[first:stop]))
     if stop - first >= HALF * n and moved >= HALF * float(np.ptp(record.op)):
