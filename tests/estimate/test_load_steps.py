@@ -181,17 +181,17 @@ def test_where_the_search_without_steps_ends_as_a_dead_band_the_steps_stay(monke
 
 def test_beside_steps_no_stem_comes_to_a_jump_that_op_never_makes() -> None:
     """Beyond it the size of the jump is a gain of its own: a search for both went to thousands of per cent."""
-    rng = np.random.default_rng(3)
-    n = 400
-    op = np.cumsum(rng.normal(0.0, 0.05, n))
-    pv = np.cumsum(rng.normal(0.0, 0.2, n)) + 3.0 * (np.arange(n) > 250)
-    data = centre(wb.Record(pv, op, 1.0), "integrating")
-    S, J = 0.3 * data.op_range, 1.2 * data.op_range
-    stem = band_stem(data.u, S, J)[0]
-    limits, free = Limits((0.05, float(n)), (0.0, 30.0)), (-math.inf, math.inf)
+    run = run_of(loop_of(PLANTS[0], wb.Choudhury(3.0, 1.0)), wb.Step(1.2, 700.0))
+    data = centre(record_of(run), "fopdt")
+    stem, better = band_stem(data.u, 0.4 * data.op_range, data.op_range)[0], run.valve - run.valve.mean()
+    limits, free = Limits((0.05, 1000.0), (0.0, 30.0)), (-math.inf, math.inf)
     fit = fit_path(data, stem, 0, free, limits, 3.0, tau=12.0)
-    lead = Stem(stem, 0, fit, lambda w, f: band_stem(data.u, S * w, J * f)[0], free=2, valve=(S, J, -1, 0.0))
-    alone = _beside(data, stem, 0, fit, limits, 0, [250])
+    S, J = 0.4 * data.op_range, data.op_range
+    # The further the jump, the nearer is this stem to the true one.
+    lead = Stem(stem, 0, fit, lambda _, f: better + (stem - better) / f**4, free=2, valve=(S, J, -1, 0.0))
+    alone = _beside(data, stem, 0, fit, limits, 0, [703])
     moved = _refined(data, lead, alone, limits, 0)
-    assert S * moved.wider + J * moved.further < 2.0 * data.op_range
-    assert moved.power(0) <= alone.power(0)
+    assert moved.power(0) < alone.power(0)
+    assert 1.0 < S * moved.wider / data.op_range + J * moved.further / data.op_range < 2.0
+    unbound = _refined(replace(data, op_range=1e9), lead, alone, limits, 0)
+    assert S * unbound.wider + J * unbound.further > 2.0 * data.op_range
