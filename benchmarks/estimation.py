@@ -9,6 +9,7 @@ Printed for each class: shares of S (d), K, both, tau and theta within their lim
 the share said to be identified; beside it the paper's two-step algorithm and the linear fit that ignores stiction.
 
 Run: python benchmarks/estimation.py [LOOPS [SEED]]     or     python benchmarks/estimation.py speed
+or, of the kind of plant where it is not named: python benchmarks/estimation.py plants [LOOPS [SEED]]
 """
 
 from __future__ import annotations
@@ -208,6 +209,20 @@ def table(rows: list[tuple[Case, wb.Estimate, wb.Estimate]]) -> None:
     print(f"    the true kind of valve {share(kinds)}; verdict stiction {share(verdicts)}")
 
 
+def plants(loops: int, seed: int) -> None:
+    """Print how often the kind of plant is right where it is not named, and what finding it costs."""
+    for kind, plant, cases in random_cases(loops, seed):
+        right, took = [], {"auto": 0.0, plant: 0.0}
+        for c in cases:
+            for asked in took:
+                began = time.process_time()
+                found = wb.estimate(c.record, plant=asked)
+                took[asked] += time.process_time() - began
+                right += [isinstance(found.plant, type(c.loop.plant))] if asked == "auto" else []
+        free, named = (total / len(cases) for total in took.values())
+        print(f"{kind}, {plant}: right in {share(right)}; {free:.2f} s a record, {named:.2f} s where named", flush=True)
+
+
 def long_record(samples: int, seed: int = 1) -> wb.Record:
     """A Stenman loop under noise with six setpoint moves."""
     every = max(samples // 6, 500)
@@ -261,5 +276,7 @@ def speed() -> None:
 if __name__ == "__main__":
     if sys.argv[1:2] == ["speed"]:
         speed()
+    elif sys.argv[1:2] == ["plants"]:
+        plants(int(sys.argv[2]) if len(sys.argv) > 2 else 20, int(sys.argv[3]) if len(sys.argv) > 3 else 0)
     else:
         accuracy(int(sys.argv[1]) if len(sys.argv) > 1 else 60, int(sys.argv[2]) if len(sys.argv) > 2 else 0)
