@@ -12,7 +12,7 @@ import pytest
 import workbench as wb
 from workbench.estimate.bands import Bands, Found
 from workbench.estimate.data import Centred, centre
-from workbench.estimate.fit import Limits
+from workbench.estimate.fit import Limits, grown
 from workbench.estimate.freed import Loaded, freed
 from workbench.estimate.settled import led_to
 from workbench.estimate.two_parameter import Band, band_stem, best_start, fit_band
@@ -174,3 +174,11 @@ def test_a_stem_found_beside_steps_stays_where_it_needs_none() -> None:
     assert led["deadband"] is first
     # One that leaves more does not.
     assert led_to(data, {"choudhury": now}, {"choudhury": first}, limits)["choudhury"] is now
+
+
+def test_an_exponent_is_held_to_what_a_number_holds() -> None:
+    """A simplex whose time constant nothing held back ended an estimate with an overflow."""
+    assert math.isfinite(grown(1e6))
+    assert grown(1e6) > 1e300
+    assert grown(0.5) == math.exp(0.5)
+    assert grown(-1e6) == 0.0

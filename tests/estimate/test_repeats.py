@@ -144,7 +144,7 @@ def test_a_stem_that_sticks_one_way_more_is_seen(up: float, down: float, gap: fl
 
 @pytest.mark.slow
 def test_what_matters_is_among_the_reasons() -> None:
-    found = wb.estimate(record_of(2.6, 3.4, gap=1.8, samples=1400, sd=0.03, Ti=10.0), valve="choudhury")
+    found = wb.estimate(record_of(2.6, 3.4, gap=1.8, samples=1400, sd=0.03, Ti=10.0), valve="choudhury", plant="fopdt")
     assert found.verdict == "stiction"
     assert found.repeats is not None
     assert words_of(found.repeats)
@@ -233,12 +233,12 @@ def test_a_stem_alike_both_ways_is_the_known_one(
 ) -> None:
     op = walk(seed, n)
     ours, theirs = np.empty(n), np.empty(n)
-    slips = each_way_path(op, math.nan, S, S, first, sense, ours)
+    slips = each_way_path(op, math.nan, S, S, first, sense, ours, np.empty(4))
     assert slips == stem_path(op, S, first, theirs)
     np.testing.assert_array_equal(ours, theirs)
     J = share * S
     gap = S - J
-    slips = each_way_path(op, gap, J, J, first, sense, ours)
+    slips = each_way_path(op, gap, J, J, first, sense, ours, np.empty(4))
     # gap + J may differ from S by one rounding.
     assert slips == band_path(op, gap + J, J, first, sense, theirs, np.empty(4))
     np.testing.assert_allclose(ours, theirs, atol=1e-12)
@@ -270,7 +270,7 @@ def test_held_costs_are_least_squares_and_the_kernel_is_its_plain_self(
     np.testing.assert_array_equal(found, beside)
     for band, cost, row in zip(bands, costs, found, strict=True):
         x = np.empty(n)
-        each_way_path(data.u, *band, 0, 1.0, x)
+        each_way_path(data.u, *band, 0, 1.0, x, np.empty(4))
         fit = Fit(math.nan, tau, theta, gain, row[3], row[4], row[5])
         prediction, columns = predict(data, x, 0, fit)
         rest = columns[[0, 2, 3]].T
@@ -280,3 +280,30 @@ def test_held_costs_are_least_squares_and_the_kernel_is_its_plain_self(
         assert float(((data.y - prediction) ** 2).sum()) == pytest.approx(
             cost, rel=1e-4, abs=1e-6 * float(data.y @ data.y)
         )
+
+
+@given(
+    seed=st.integers(0, 999),
+    gap=st.one_of(st.just(math.nan), st.floats(-1.0, 2.0)),
+    up=st.floats(0.5, 3.0),
+    down=st.floats(0.5, 3.0),
+    at=st.tuples(st.floats(0.01, 0.99), st.floats(0.01, 0.99)),
+)
+def test_within_its_box_a_stem_goes_the_same_way(
+    seed: int, gap: float, up: float, down: float, at: tuple[float, float]
+) -> None:
+    if gap + min(up, down) < 0.0:
+        return
+    op, box = walk(seed, 70), np.empty(4)
+    ours, theirs = np.empty(70), np.empty(70)
+    slips = each_way_path(op, gap, up, down, 0, 1.0, ours, box)
+    ends = np.clip(box, 0.0, 10.0)
+    assert box[0] <= up < box[1]
+    assert box[2] <= down < box[3]
+    other = [low + share * (high - low) for low, high, share in zip(ends[::2], ends[1::2], at, strict=True)]
+    assert each_way_path(op, gap, *other, 0, 1.0, theirs, np.empty(4)) == slips
+    np.testing.assert_array_equal(ours, theirs)
+    # Beyond it, it slips elsewhere.
+    if math.isfinite(box[1]):
+        each_way_path(op, gap, float(box[1]) * (1.0 + 1e-9) + 1e-12, down, 0, 1.0, theirs, np.empty(4))
+        assert not np.array_equal(ours, theirs)

@@ -16,7 +16,7 @@ from scipy.optimize import minimize
 
 from workbench.estimate.coloured_kernel import HELD, colour_left, products_of, scan_colours
 from workbench.estimate.data import Centred
-from workbench.estimate.fit import Fit, Limits
+from workbench.estimate.fit import Fit, Limits, grown
 from workbench.model.record import FloatArray
 
 __all__ = ["MOST_LAGS", "TAUS", "colour_beside", "delays_about"]
@@ -49,9 +49,9 @@ def colour_beside(data: Centred, x: FloatArray, first: int, fit: Fit, limits: Li
     (tau, theta), gain = plants[i].tolist(), float(gains[j])
 
     def placed(point: FloatArray) -> _Beside:
-        own = min(max(tau * math.exp(point[-1]), limits.tau[0]), limits.tau[1]) if not data.integrating else tau
+        own = min(max(tau * grown(point[-1]), limits.tau[0]), limits.tau[1]) if not data.integrating else tau
         later = min(max(theta + point[1] / SHIFT, 0.0), limits.theta[1])
-        return _Beside(data, x, first, (gain * math.exp(point[0]), own, later), skip)
+        return _Beside(data, x, first, (gain * grown(point[0]), own, later), skip)
 
     def level(point: FloatArray, lags: int) -> float:
         return placed(point).level(lags)

@@ -27,6 +27,7 @@ __all__ = [
     "fit_path",
     "fit_stems",
     "grounded",
+    "grown",
     "halves_left",
     "predict",
     "start_range",
@@ -39,6 +40,7 @@ START_SLACK = 0.02
 ORDERS = 8  # most of a disturbance's autoregression
 NEAR = 0.02  # of a time constant: how far apart the points of a quadratic about a plant are at first
 FOLLOWED = 2  # linear fits of a stretch of a long record, on all of it
+MOST = 700.0  # of an exponent: e^709 is the largest number there is
 LOUD = 4.0  # times what the record resolves: quieter residuals tell nothing of a disturbance
 
 
@@ -65,6 +67,11 @@ class Fit:
 
 def _fit(out: FloatArray) -> Fit:
     return Fit(*out.tolist())
+
+
+def grown(by: float) -> float:
+    """Return e^by, at most what a number holds: a simplex goes as far as it likes where nothing holds it back."""
+    return math.exp(min(by, MOST))
 
 
 def start_range(u: FloatArray, first: int, d_low: float, d_high: float) -> tuple[float, float]:

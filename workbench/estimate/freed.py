@@ -18,7 +18,7 @@ from scipy.optimize import minimize
 from workbench.estimate.bands import Bands
 from workbench.estimate.beside_kernel import left_beside
 from workbench.estimate.data import Centred
-from workbench.estimate.fit import Fit, Limits, predict
+from workbench.estimate.fit import Fit, Limits, grown, predict
 from workbench.estimate.loads import SHIFT, steps_of
 from workbench.estimate.profile import CHI_SQUARE
 from workbench.estimate.sureness import effective_samples
@@ -66,7 +66,7 @@ class Loaded:
         data, skip, limits = self.data, self.skip, self.limits
 
         def plant(point: FloatArray) -> tuple[float, float]:
-            return float(np.clip(math.exp(point[0]), *limits.tau)), float(np.clip(point[1] / SHIFT, *limits.theta))
+            return float(np.clip(grown(point[0]), *limits.tau)), float(np.clip(point[1] / SHIFT, *limits.theta))
 
         def left(point: FloatArray) -> float:
             return self.left(plant(point), x, first)

@@ -18,7 +18,7 @@ from scipy.optimize import minimize
 from workbench.detect.whitening import whitened
 from workbench.estimate.beside_kernel import left_beside
 from workbench.estimate.data import WHITE, Centred
-from workbench.estimate.fit import LOUD, Fit, Limits, autoregression, fit_path, predict
+from workbench.estimate.fit import LOUD, Fit, Limits, autoregression, fit_path, grown, predict
 from workbench.estimate.sureness import NORMAL, inflation
 from workbench.estimate.windows import WHOLE
 from workbench.model.loads import LoadStep
@@ -257,9 +257,9 @@ def _refined(data: Centred, stem: Stem, model: _Model, limits: Limits, skip: int
     near = stem.near
 
     def valve(point: FloatArray) -> tuple[FloatArray, Fit]:
-        tau = min(max(model.fit.tau * math.exp(point[2]), limits.tau[0]), limits.tau[1])
+        tau = min(max(model.fit.tau * grown(point[2]), limits.tau[0]), limits.tau[1])
         theta = min(max(model.fit.theta + point[3] / SHIFT, limits.theta[0]), limits.theta[1])
-        return near(math.exp(point[0]), math.exp(point[1])), replace(model.fit, tau=tau, theta=theta)
+        return near(grown(point[0]), grown(point[1])), replace(model.fit, tau=tau, theta=theta)
 
     # A step between samples is one at either, in part.
     times = np.array(sorted({at + i for at in model.times for i in ((0, 1) if model.between else (0,))}))
@@ -269,7 +269,10 @@ def _refined(data: Centred, stem: Stem, model: _Model, limits: Limits, skip: int
 
     def left(step: FloatArray) -> float:
         point = step @ moves
-        if stem.valve is not None and np.exp(point[:2]) @ stem.valve[:2] >= 2.0 * data.op_range:
+        if (
+            stem.valve is not None
+            and sum(size * grown(by) for size, by in zip(stem.valve, point[:2], strict=False)) >= 2.0 * data.op_range
+        ):
             # Such a jump is never made: beyond it the stem's size is a gain of its own.
             return unexplained
         x, fit = valve(point)

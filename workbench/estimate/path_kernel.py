@@ -13,13 +13,28 @@ from numpy.typing import NDArray
 
 from workbench.simulate.compiled import compiled
 
-__all__ = ["J_HIGH", "J_LOW", "S_HIGH", "S_LOW", "band_path", "each_way_path", "rest_range", "stem_path", "stem_slips"]
+__all__ = [
+    "DOWN_HIGH",
+    "DOWN_LOW",
+    "J_HIGH",
+    "J_LOW",
+    "S_HIGH",
+    "S_LOW",
+    "UP_HIGH",
+    "UP_LOW",
+    "band_path",
+    "each_way_path",
+    "rest_range",
+    "stem_path",
+    "stem_slips",
+]
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
-# Entries that `band_path` writes.
+# Entries that `band_path` writes, and `each_way_path`.
 S_LOW, S_HIGH, J_LOW, J_HIGH = range(4)
+UP_LOW, UP_HIGH, DOWN_LOW, DOWN_HIGH = range(4)
 
 
 @compiled
@@ -132,23 +147,36 @@ def band_path(op: Floats, S: float, J: float, first: int, sense: float, x: Float
 
 
 @compiled
-def each_way_path(op: Floats, gap: float, up: float, down: float, first: int, sense: float, x: Floats) -> int:
+def each_way_path(
+    op: Floats, gap: float, up: float, down: float, first: int, sense: float, x: Floats, box: Floats
+) -> int:
     """Write the path of a stem that sticks differently upward and downward, 0 before its first slip; return its slips.
 
     gap nan: a Stenman stem, which slips to OP where OP leads by more than `up` above or `down` below. Else the stem of
     `band_path`, gap = S - J apart in its two directions, with the slip jumps J = up and down: having been led to w in
-    sense s it moves on beyond J of s and turns beyond gap + J of the other sense.
+    sense s it moves on beyond J of s and turns beyond gap + J of the other sense. Written into box: (UP_LOW, UP_HIGH,
+    DOWN_LOW, DOWN_HIGH), the rectangle in which the path is the same, UP_LOW <= up < UP_HIGH and so on.
     """
     x[:first] = 0.0
     slips = 1
+    # The furthest that was held, and the least beyond which the stem slipped, upward and downward.
+    up_held, up_slip, down_held, down_slip = -math.inf, math.inf, -math.inf, math.inf
     if math.isnan(gap):
         held = op[first]
         for k in range(first, op.size):
             lead = op[k] - held
             if lead > up or -lead > down:
+                if lead > up:
+                    up_slip = min(up_slip, lead)
+                else:
+                    down_slip = min(down_slip, -lead)
                 held = op[k]
                 slips += 1
+            else:
+                up_held = max(up_held, lead)
+                down_held = max(down_held, -lead)
             x[k] = held
+        box[UP_LOW], box[UP_HIGH], box[DOWN_LOW], box[DOWN_HIGH] = up_held, up_slip, down_held, down_slip
         return slips
     led = op[first]
     x[first] = led - sense * 0.5 * gap
@@ -158,14 +186,21 @@ def each_way_path(op: Floats, gap: float, up: float, down: float, first: int, se
             led = op[k]
         else:
             moving = False
-            on = (op[k] - led) * sense
-            if on > (up if sense > 0.0 else down):
-                moving = True
-            elif -on > gap + (down if sense > 0.0 else up):
-                sense = -sense
-                moving = True
+            # Upward it moves on, or turns, as its sense says, and downward.
+            lead = op[k] - led
+            rising, falling = (0.0, gap) if sense > 0.0 else (gap, 0.0)
+            if lead > rising + up:
+                up_slip = min(up_slip, lead - rising)
+                sense, moving = 1.0, True
+            elif -lead > falling + down:
+                down_slip = min(down_slip, -lead - falling)
+                sense, moving = -1.0, True
+            else:
+                up_held = max(up_held, lead - rising)
+                down_held = max(down_held, -lead - falling)
             if moving:
                 led = op[k]
                 slips += 1
         x[k] = led - sense * 0.5 * gap
+    box[UP_LOW], box[UP_HIGH], box[DOWN_LOW], box[DOWN_HIGH] = up_held, up_slip, down_held, down_slip
     return slips

@@ -78,7 +78,7 @@ class _Held:
         data = self.data
         x = np.empty(data.samples)
         first = int(found[0])
-        each_way_path(data.u, band[0], band[1], band[2], first, found[1], x)
+        each_way_path(data.u, band[0], band[1], band[2], first, found[1], x, np.empty(4))
         fit = Fit(math.nan, self.tau, self.theta, self.gain, found[3], found[4], found[5])
         return data.samples / inflation(data.y - predict(data, x, first, fit)[0])
 

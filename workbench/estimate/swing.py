@@ -20,7 +20,7 @@ from workbench.detect.whitening import whitened
 from workbench.estimate.beside_kernel import left_swinging
 from workbench.estimate.coloured import TAUS, delays_about
 from workbench.estimate.data import Centred
-from workbench.estimate.fit import LEAST_TAU, LOUD, Limits, autoregression, grounded, predict
+from workbench.estimate.fit import LEAST_TAU, LOUD, Limits, autoregression, grounded, grown, predict
 from workbench.estimate.paths import Path
 from workbench.estimate.windows import WHOLE
 from workbench.model.loads import LoadSwing
@@ -153,7 +153,7 @@ def _fitted(data: Centred, y: FloatArray, lead: Path, limits: Limits, angle: flo
     n, fit, size = data.samples, lead.fit, 2 if data.integrating else 3
 
     def placed(point: FloatArray) -> tuple[float, float, float]:
-        tau = fit.tau if data.integrating else min(max(fit.tau * math.exp(point[2]), limits.tau[0]), limits.tau[1])
+        tau = fit.tau if data.integrating else min(max(fit.tau * grown(point[2]), limits.tau[0]), limits.tau[1])
         at = max(angle + 2.0 * math.pi * float(point[1]) / n, slowest(n))
         return tau, min(max(fit.theta + float(point[0]), 0.0), limits.theta[1]), at
 
