@@ -86,7 +86,7 @@ def summarise(study: Study) -> Summary:
         return Summary(
             *told,
             settings=cascade_table(study, first or case, case),
-            typed=tuple(cascade_rounding(study, case)) if case is not first else (),
+            typed=tuple(cascade_rounding(case)),
             sure=cascade_confidence(study, case),
             watch=tuple(cascade_watch(study, first, case)),
         )
@@ -94,7 +94,7 @@ def summarise(study: Study) -> Summary:
     return Summary(
         *told,
         settings=as_found_as_left(study, base, case),
-        typed=(*(rounding_sentences(study, case) if case is not base else ()), *refused_sentences(study, case)),
+        typed=(*rounding_sentences(case), *refused_sentences(study, case)),
         sure=confidence(study, case),
         watch=tuple(watch(study, base, case)),
     )
