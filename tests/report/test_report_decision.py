@@ -152,6 +152,30 @@ def test_what_the_record_pins_of_the_loop_counts(study: Study, estimated: Make) 
     assert "the valve: d = 2.003 % (95 % range 1.990 to 2.010 %); gain 1.970 to 2.010 EU/% (95 % range)" in told()[1]
 
 
+def test_what_may_not_even_stick_gives_no_order(study: Study, estimated: Make) -> None:
+    found, _ = estimated(verdict="undecided", identifiable=False)
+    loop = replace(study.cases[0].loop, plant=found.plant, valve=found.valve)
+    base, best = (replace(case, loop=replace(loop, controller=case.loop.controller)) for case in study.cases[::2])
+    summary = summarise(replace(study, cases=(base, best), estimates=(NamedEstimate("FIC1", found),)))
+    assert summary.decision.startswith("Set nothing yet: whether the valve sticks is undecided")
+    words = "so take this tuning as a hint. The best for the loop as it was estimated is Kc 2.351 %/EU, Ti 9.500 s (Opt"
+    assert words in summary.decision
+    assert summary.decision.count("undecided") == 1
+    assert "FIC1: before acting, take a longer record, with a setpoint change of several per cent of OP in it." in (
+        summary.do
+    )
+    # A record with setpoint changes in it is not asked for one.
+    sp = np.where(np.arange(len(found.record)) < 200, 0.0, 6.0)
+    moved = replace(found, record=replace(found.record, sp=sp))
+    said = summarise(replace(study, cases=(base, best), estimates=(NamedEstimate("FIC1", moved),))).do
+    assert any(
+        "take a longer record, with more or larger setpoint changes, each of several per cent" in t for t in said
+    )
+    # What is kept is no order to take back.
+    kept = replace(study, cases=(replace(base, objective=1.0), best), estimates=(NamedEstimate("FIC1", found),))
+    assert summarise(kept).decision.startswith("Keep Case 1")
+
+
 OPEN = Intervals(d=(1.99, 2.01), gain=(1.2, math.inf), time_constant=(4.0, math.inf), dead_time=(0.9, 1.1))
 NO_DELAY = Intervals(d=(1.99, 2.01), gain=(1.97, 2.01), time_constant=(4.9, 5.1), dead_time=(0.5, math.inf))
 
