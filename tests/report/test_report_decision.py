@@ -448,8 +448,18 @@ def test_a_lucky_rounding_at_the_site_is_no_promise(study: Study) -> None:
     assert "J as much" not in alone
 
 
-def test_the_searchs_own_figures_name_the_settings_they_are_of(study: Study) -> None:
+def test_the_searchs_own_figures_name_the_settings_they_are_of(study: Study, undrawn: None, tmp_path: Path) -> None:
     told = of(study, study.cases[0], study.cases[2], site=SITE)
+    said = summarise(told).sure
+    assert said is not None
+    assert study.cases[2].tuned is not None
+    least = f"{study.cases[2].tuned.nominal:.2f}"
+    assert f"end within 0.1 % of the best J of unrounded settings, {least}, the worst" in " ".join(said.reasons)
+    write_report(told, tmp_path)
+    page = (tmp_path / "report.html").read_text()
+    assert "<strong>Optimised PI.</strong> Before the site&#39;s rounding: Made for a test." in page.replace(
+        "'", "&#39;"
+    )
     rows = {row.label: [cell.text for cell in row.cells] for row in how_tables(told)[0].rows}
     assert rows["Settings found, before the site's rounding"] == ["Kc 2.351 %/EU, Ti 9.500 s"]
     plain = {row.label for row in how_tables(of(study, *study.cases))[0].rows}

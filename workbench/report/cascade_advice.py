@@ -187,7 +187,7 @@ def cascade_confidence(study: Study, case: CascadeResult) -> Confidence:
             searches(case.tuned.secondary, judged, "Search of the secondary")
         if typed is None:
             digits(case.tuned.primary, judged, "Digits of the primary", "the primary's optimum")
-        searches(case.tuned.primary, judged, "Search of the primary")
+        searches(case.tuned.primary, judged, "Search of the primary", rounded=case.unrounded is not None)
     elif all(one.tuned is None for one in study.cascade):
         judged.say("No tuning was searched for: this is the best of the given ones, and a search may find a better one")
     judged.say(

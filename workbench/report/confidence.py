@@ -79,7 +79,7 @@ def confidence(study: Study, case: CaseResult) -> Confidence:
     elif typed is not None:
         typed_digits(typed, measure(case), "the mean square error" if case.objective is None else "J", judged)
     if case.tuned is not None:
-        searches(case.tuned, judged)
+        searches(case.tuned, judged, rounded=case.unrounded is not None)
     elif case.nearest_to:
         judged.say(
             f"These settings are what comes nearest to {case.nearest_to} in the site's form; none was searched for "
@@ -189,8 +189,8 @@ def typed_digits(typed: SiteCase | CascadeSiteCase, own: float, by: str, judged:
     )
 
 
-def searches(tuned: Tuned, judged: Judged, lead: str = "Search") -> None:
-    """Say whether the searches agree."""
+def searches(tuned: Tuned, judged: Judged, lead: str = "Search", *, rounded: bool = False) -> None:
+    """Say whether the searches agree. rounded: whether J is told of other settings, those that the site types in."""
     many, best, worst = len(tuned.restarts), *tuned.spread
     if many < 2:
         judged.say(
@@ -200,8 +200,9 @@ def searches(tuned: Tuned, judged: Judged, lead: str = "Search") -> None:
         return
     agree = tuned.agreeing
     alike = 2 * agree > many or (math.isfinite(worst) and worst <= NEARLY * best)
-    text = f"{lead}: {agree} of {many} independent searches end within 0.1 % of the best J"
     least = min(best, tuned.nominal)
+    whose = f" of unrounded settings, {figure(least)}" if rounded and tuned.ensemble is None else ""
+    text = f"{lead}: {agree} of {many} independent searches end within 0.1 % of the best J{whose}"
     if math.isfinite(worst) and agree < many and least > 0.0:
         text += f", the worst {figure(100.0 * (worst / least - 1.0), 2)} % above it"
     elif math.isinf(best) and tuned.status.success:
