@@ -71,7 +71,10 @@ def test_what_is_typed_in_at_the_site_is_simulated(study: Study) -> None:
     assert typed.kpis == (run.primary.kpis, run.secondary.kpis)
     weighed = run.primary.kpis.mean_square_error + 0.001 * run.secondary.kpis.valve_travel
     assert typed.objective == pytest.approx(weighed)
-    assert typed.kpis[1].valve_travel != study.cascade[2].run.secondary.kpis.valve_travel, "other digits"
+    case = study.cascade[2]
+    assert typed.kpis[1].valve_travel == case.run.secondary.kpis.valve_travel, "the page is of what is typed in"
+    assert case.unrounded is not None
+    assert typed.kpis[1].valve_travel != case.unrounded.run.secondary.kpis.valve_travel, "other digits"
 
 
 def test_both_controllers_stand_as_found_and_as_left_in_the_sites_form(study: Study) -> None:
@@ -112,7 +115,8 @@ def test_what_the_sites_form_cannot_take_is_not_advised(study: Study) -> None:
 
 
 def test_without_a_site_the_controllers_own_form_is_shown(study: Study) -> None:
-    bare = replace(study, cascade=study.cascade[:3], cascade_site=None, cascade_site_cases=())
+    plain = "\n".join(line for line in TEXT.splitlines() if not line.startswith(("site:", "  - {name: Steep")))
+    bare = wb.run_scenario(read_scenario(f"{plain}\n", Path("cascade.yaml")))
     summary = summarise(bare)
     assert "then the primary to Kc 2.7 EU/EU, Ti 70 s" in summary.decision
     assert summary.settings is not None
@@ -149,15 +153,52 @@ def test_how_sure_it_is_counts_digits_searches_and_the_long_run(study: Study) ->
     assert sure.level == "moderate"
     assert "Search of the primary: 2 of 2 independent searches" in " ".join(sure.reasons)
     sharp = replace(made, primary=search(tighter, restarts=1, worst=2.0))
-    low = told(study, found, replace(tighter, tuned=sharp)).sure
+    plain = replace(tighter, tuned=sharp, unrounded=None)
+    low = summarise(replace(study, cascade=(found, plain), cascade_site=None, cascade_site_cases=())).sure
     assert low is not None
     assert (low.level, low.why) == ("low", "The primary's optimum is a knife-edge.")
+    # What the site types in is other settings than the search's.
+    typed = told(study, found, replace(tighter, tuned=sharp)).sure
+    assert typed is not None
+    assert typed.level == "moderate"
+    assert "Digits: the settings as typed in have 4; within the larger of ±0.1 % and " in " ".join(typed.reasons)
     assert tighter.cycle is not None
     slow = replace(tighter, cycle=replace(tighter.cycle, period=400.0))
     short = told(study, found, slow).sure
     assert short is not None
     assert short.level == "low"
     assert "too short for the cycle" in short.why
+
+
+def test_a_lucky_rounding_of_a_cascade_is_no_promise(study: Study) -> None:
+    found, _, tighter, _ = study.cascade
+    typed = study.cascade_site_cases[2]
+    assert typed.beside is not None
+    assert typed.beside.secondary is not None
+    assert typed.objective is not None
+    assert found.objective is not None
+    assert typed.beside.worst >= typed.objective
+    there = found.run.primary.kpis
+    edge = replace(typed.beside, worst=1.2 * typed.objective, kpis=there, secondary=found.run.secondary.kpis)
+    sharp = replace(typed, beside=edge)
+    cases = replace(study, cascade=(found, tighter), cascade_site_cases=(study.cascade_site_cases[0], sharp))
+    kept = summarise(cases)
+    words = f"A knife-edge, so count on no more than what settings beside these give: J as much as {figure(edge.worst)}"
+    assert f"{words} (mean square error of the primary unchanged, valve travel unchanged)." in kept.decision
+    assert kept.decision.startswith("Keep As found"), "what is not to be counted on is no reason for a change"
+    easy = replace(cases, cascade=(replace(found, objective=5.0), tighter))
+    summary = summarise(easy)
+    assert summary.decision.startswith("Set the secondary to ")
+    assert words in summary.decision
+    assert summary.sure is not None
+    assert (summary.sure.level, summary.sure.why) == ("low", "The settings as typed in are a knife-edge.")
+
+
+def test_controllers_that_are_there_already_are_not_rounded_anew() -> None:
+    text = TEXT.replace("{Kc: 0.5, Ti: 5 s}", "{Kc: 0.51234, Ti: 5 s}")
+    cases = wb.run_scenario(read_scenario(text, Path("cascade.yaml"))).cascade
+    assert [case.run.cascade.secondary.controller.Kc for case in cases[:2]] == [0.51234, 0.51234]
+    assert cases[1].run.cascade.primary.controller.Kc == pytest.approx(0.8)
 
 
 def test_what_to_watch_and_what_is_left_have_their_figures(study: Study) -> None:

@@ -19,20 +19,35 @@ from workbench.model.experiment import Experiment, Noise, Step
 from workbench.model.results import Intervals, Kpis, Outcome, Repair, Restart, Robustness, Tuned
 from workbench.model.site import SiteForm
 from workbench.model.study import CaseResult, NamedEstimate, Study
+from workbench.model.tuning import Objective
 from workbench.model.valve import Ideal
+from workbench.report.how import how_tables
 from workbench.report.known import hint
 from workbench.report.page import write_report
 from workbench.report.results import results_json
 from workbench.report.settings import as_found_as_left, site_table
 from workbench.report.summary import summarise
-from workbench.scenario.site_cases import nearest_controllers, site_cases
+from workbench.scenario.site_cases import nearest_controllers, site_cases, typed_controller
 from workbench.simulate.run import evaluate, simulate
 
 Make = Callable[..., Any]
 SITE = SiteForm("series", "PB %", "repeats/min", "min", (0.0, 70.0))
 
 
+def as_typed_in(site: SiteForm, case: CaseResult) -> CaseResult:
+    """The case as a run makes it: of what the site types in."""
+    digits = None if case.tuned is None else case.tuned.digits
+    loop = case.loop.with_controller(typed_controller(site, case.loop.controller, digits))
+    if loop == case.loop:
+        return case
+    was = Outcome(case.loop.controller, case.objective or math.nan, case.run.kpis)
+    cost = None if case.objective is None else float(evaluate(loop, case.run.experiment, Objective())[0])
+    return replace(case, loop=loop, run=simulate(loop, case.run.experiment), objective=cost, unrounded=was)
+
+
 def of(study: Study, *cases: CaseResult, site: SiteForm | None = None, **more: Any) -> Study:
+    if site is not None:
+        cases = (cases[0], *(as_typed_in(site, case) for case in cases[1:]))
     typed = () if site is None else site_cases(site, cases, study.objective)
     return replace(study, cases=cases, estimates=(), site=site, site_cases=typed, **more)
 
@@ -135,6 +150,30 @@ def test_what_the_record_pins_of_the_loop_counts(study: Study, estimated: Make) 
     assert "pins only the product of gain and stiction" in told(identifiable=False, intervals=product)[1]
     assert "dead time 0.9000 to 1.100 s (95 % range)" in told(intervals=product)[1]
     assert "the valve: d = 2.003 % (95 % range 1.990 to 2.010 %); gain 1.970 to 2.010 EU/% (95 % range)" in told()[1]
+
+
+def test_what_may_not_even_stick_gives_no_order(study: Study, estimated: Make) -> None:
+    found, _ = estimated(verdict="undecided", identifiable=False)
+    loop = replace(study.cases[0].loop, plant=found.plant, valve=found.valve)
+    base, best = (replace(case, loop=replace(loop, controller=case.loop.controller)) for case in study.cases[::2])
+    summary = summarise(replace(study, cases=(base, best), estimates=(NamedEstimate("FIC1", found),)))
+    assert summary.decision.startswith("Set nothing yet: whether the valve sticks is undecided")
+    words = "so take this tuning as a hint. The best for the loop as it was estimated is Kc 2.351 %/EU, Ti 9.500 s (Opt"
+    assert words in summary.decision
+    assert summary.decision.count("undecided") == 1
+    assert "FIC1: before acting, take a longer record, with a setpoint change of several per cent of OP in it." in (
+        summary.do
+    )
+    # A record with setpoint changes in it is not asked for one.
+    sp = np.where(np.arange(len(found.record)) < 200, 0.0, 6.0)
+    moved = replace(found, record=replace(found.record, sp=sp))
+    said = summarise(replace(study, cases=(base, best), estimates=(NamedEstimate("FIC1", moved),))).do
+    assert any(
+        "take a longer record, with more or larger setpoint changes, each of several per cent" in t for t in said
+    )
+    # What is kept is no order to take back.
+    kept = replace(study, cases=(replace(base, objective=1.0), best), estimates=(NamedEstimate("FIC1", found),))
+    assert summarise(kept).decision.startswith("Keep Case 1")
 
 
 OPEN = Intervals(d=(1.99, 2.01), gain=(1.2, math.inf), time_constant=(4.0, math.inf), dead_time=(0.9, 1.1))
@@ -347,14 +386,10 @@ def test_settings_stand_as_the_site_types_them(study: Study) -> None:
     assert rows["Valve travel"][:2] == ["12.18", "16.80"]
     assert rows["Action"][:2] == ["reverse", "reverse"]
     typed = told.site_cases[1]
-    assert typed.objective != told.cases[1].objective, "the rounded digits are other settings"
+    assert typed.objective == told.cases[1].objective, "the page is of what is typed in"
+    assert typed.objective != study.cases[2].objective, "the rounded digits are other settings"
     assert "Optimised PI is Kc 2.351 %/EU, Ti 9.500 s in the scenario's form; rounded" in summary.typed[0]
     assert any(text.startswith("Valve travel: 16.80 % in this run") for text in summary.watch)
-    sharp = replace(study.cases[2].tuned, worst=3.0 * (study.cases[2].objective or 0.0))  # type: ignore[type-var]
-    edge = of(study, study.cases[0], replace(study.cases[2], tuned=sharp), site=SITE)
-    edge = replace(edge, site_cases=(edge.site_cases[0], replace(edge.site_cases[1], objective=11.25)))
-    (text,) = (text for text in summarise(edge).do if text.startswith("Type in exactly these digits"))
-    assert text.endswith("; with the site's digits above it is 11.25.")
     table = site_table(told)
     assert table is not None
     assert [row.label for row in table.rows] == ["Case 1", "Optimised PI"]
@@ -362,6 +397,73 @@ def test_settings_stand_as_the_site_types_them(study: Study) -> None:
     assert content["units"] == {"gain": "%", "integral": "repeats/min", "derivative": "min"}
     assert content["cases"][1]["objective"] == pytest.approx(typed.objective)
     assert "site" not in json.loads(results_json(study))
+
+
+def beside(told: Study, worst: float, **kpis: float) -> Study:
+    """The study with that J in a run beside the settings typed in of its last case."""
+    *others, last = told.site_cases
+    assert last.beside is not None
+    there = replace(last.beside, worst=worst, kpis=replace(last.beside.kpis, **kpis))
+    return replace(told, site_cases=(*others, replace(last, beside=there)))
+
+
+def test_a_lucky_rounding_at_the_site_is_no_promise(study: Study) -> None:
+    best = study.cases[2]
+    assert best.tuned is not None
+    told = of(study, study.cases[0], best, site=SITE)
+    own, was = told.cases[1], told.cases[0]
+    assert own.objective is not None
+    assert was.objective is not None
+    calm = summarise(beside(told, 1.04 * own.objective))
+    assert "knife-edge" not in " ".join((calm.decision, *calm.do))
+    assert calm.sure is not None
+    assert calm.sure.level == "moderate"
+    edge = beside(told, 40.0, mean_square_error=0.5 * was.run.kpis.mean_square_error, valve_travel=24.36)
+    summary = summarise(edge)
+    assert f"J {own.objective:.2f} instead of {was.objective:.1f}, " in summary.decision
+    edge_words = "A knife-edge, so count on no more than what settings beside these give: J as much as 40.00 "
+    assert f"{edge_words}(mean square error −50 %, valve travel +100 %)." in summary.decision
+    rises = f"±0.1 % and half the last digit of each setting J rises from {own.objective:.2f} to as much as 40.00."
+    assert [text for text in summary.do if text.startswith("Type in exactly")] == [
+        f"Type in exactly these digits: they are a knife-edge, within the larger of {rises}"
+    ]
+    assert summary.sure is not None
+    assert (summary.sure.level, summary.sure.why) == ("low", "The settings as typed in are a knife-edge.")
+    (digits,) = (text for text in summary.sure.reasons if text.startswith("Digits"))
+    assert digits.startswith("Digits: the settings as typed in have 4; within the larger of ±0.1 % and half the last ")
+    assert f"J is at most 40.00 instead of {own.objective:.2f}, one unit in a last digit gives at most " in digits
+    # What is not to be counted on is no reason for a change.
+    kept = summarise(beside(told, 0.97 * was.objective, valve_travel=0.97 * was.run.kpis.valve_travel)).decision
+    assert kept.startswith(
+        "Keep Case 1 (proportional band 285.7 %, 3 repeats/min (series form)): nothing here is worth"
+    )
+    # The digits of the search are others, and no matter of what is typed in.
+    sharp = replace(own, tuned=replace(best.tuned, worst=3.0 * best.tuned.objective))
+    other = replace(told, cases=(was, sharp))
+    assert "knife-edge" not in " ".join(summarise(other).advice)
+    # Without an objective it is the error that counts.
+    bare = of(replace(study, objective=None), *(replace(c, objective=None) for c in (study.cases[0], best)), site=SITE)
+    alone = summarise(beside(replace(bare, cases=bare.cases[1:], site_cases=bare.site_cases[1:]), 0.9)).decision
+    assert "what settings beside these give: mean square error " in alone
+    assert "J as much" not in alone
+
+
+def test_the_searchs_own_figures_name_the_settings_they_are_of(study: Study, undrawn: None, tmp_path: Path) -> None:
+    told = of(study, study.cases[0], study.cases[2], site=SITE)
+    said = summarise(told).sure
+    assert said is not None
+    assert study.cases[2].tuned is not None
+    least = f"{study.cases[2].tuned.nominal:.2f}"
+    assert f"end within 0.1 % of the best J of unrounded settings, {least}, the worst" in " ".join(said.reasons)
+    write_report(told, tmp_path)
+    page = (tmp_path / "report.html").read_text()
+    assert "<strong>Optimised PI.</strong> Before the site&#39;s rounding: Made for a test." in page.replace(
+        "'", "&#39;"
+    )
+    rows = {row.label: [cell.text for cell in row.cells] for row in how_tables(told)[0].rows}
+    assert rows["Settings found, before the site's rounding"] == ["Kc 2.351 %/EU, Ti 9.500 s"]
+    plain = {row.label for row in how_tables(of(study, *study.cases))[0].rows}
+    assert "Settings found, before the site's rounding" not in plain
 
 
 def test_what_the_sites_form_cannot_take_is_not_advised_but_what_comes_nearest_is(study: Study, case: Make) -> None:

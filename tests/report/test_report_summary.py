@@ -7,6 +7,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
 import pytest
 
 from workbench.model.estimation import LoadSwing
@@ -175,6 +176,13 @@ def test_what_is_not_identified_is_said(estimated: Make) -> None:
     )
     assert "pins the stiction hardly (1.50 to 3.00 %) and the gain closely" in said((1.5, 3.0), (1.95, 2.0))
     assert "for this model alone" in said((1.99, 2.01), (1.97, 2.01))
+    # A record that has setpoint changes in it is not asked for one.
+    assert said((1.0, 3.0), (1.3, 4.0)).endswith("; a record with a setpoint change in it would tell more.")
+    sp = np.where(np.arange(len(found.record)) < 200, 0.0, 6.0)
+    found = replace(found, record=replace(found.record, sp=sp))
+    more = "; a record with more or larger setpoint changes in it would tell more."
+    assert said((1.0, 3.0), (1.3, 4.0)).endswith(more)
+    assert said((1.9, 2.2), (0.8, 5.0)).endswith(more)
     bare = replace(found, intervals=Intervals())
     assert "gives no range" in estimate_sentences(NamedEstimate("E", bare))[1]
 

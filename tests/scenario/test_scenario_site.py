@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+import math
 import re
 from pathlib import Path
 
@@ -10,6 +12,7 @@ import pytest
 import workbench as wb
 from workbench.model.site import SiteForm
 from workbench.scenario.loader import load_scenario
+from workbench.scenario.site_cases import alike
 
 BASE = """\
 title: A site
@@ -74,6 +77,80 @@ def test_given_settings_in_these_very_units_keep_their_digits(tmp_path):
     assert study.site_cases[1].kpis is study.cases[1].run.kpis
     in_minutes = wb.run_scenario(written(tmp_path, "{integral: minutes}")).site_cases[1]
     assert (in_minutes.settings.gain, in_minutes.settings.integral) == (2.384, 0.1515)
+
+
+def test_a_case_is_of_what_is_typed_in_and_the_one_as_found_is_there_already(tmp_path):
+    more = "  - {name: As found's, Kc: 0.5, Ti: 20 s, compensator: {type: constant_reinforcement, amplitude: 1 %}}\n"
+    more += "  - {name: Curved, Kc: 0.5123456, Ti: 20.123 s, Td: 0.31234 s, setpoint_weight: 0.7}\n"
+    text = BASE.replace("analyze:", f"{more}analyze:").replace("filter: none", "filter: 8")
+    study = wb.run_scenario(written(tmp_path, "{form: series, gain: proportional_band, derivative: minutes}", text))
+    cases = {case.name: case for case in study.cases}
+    typed = {one.name: one for one in study.site_cases}
+    found, sharp = cases["As found"], cases["Sharp"]
+    assert (found.loop.controller.Kc, found.unrounded) == (0.5, None)
+    assert typed["As found"].settings.controller.Kc != 0.5, "a proportional band of 285.7 %"
+    assert (cases["As found's"].loop.controller.Kc, cases["As found's"].unrounded) == (0.5, None)
+    # One and the same run for what is typed in and for the rest of the page, in the controller's own form.
+    assert typed["Sharp"].kpis is sharp.run.kpis
+    assert typed["Sharp"].objective == sharp.objective
+    assert sharp.loop.controller.form == "ideal"
+    assert sharp.loop.controller.Kc == pytest.approx(2.3844, rel=1e-3)
+    assert sharp.loop.controller.Kc != 2.3844
+    assert sharp.unrounded.controller.Kc == 2.3844
+    own = found.loop.with_controller(sharp.unrounded.controller)
+    assert sharp.unrounded.kpis.valve_travel == wb.simulate(own, study.experiment).kpis.valve_travel
+    assert sharp.unrounded.objective == wb.evaluate(own, study.experiment, study.objective)[0]
+    curved, terms = cases["Curved"].loop.controller, typed["Curved"].settings.controller.ideal_terms()
+    assert alike(curved, typed["Curved"].settings.controller)
+    assert (curved.Kc, curved.Ti, curved.Td) == pytest.approx((terms.Kc, terms.Ti, terms.Td))
+    # What the form cannot take stays as it is.
+    assert cases["All derivative"].loop.controller.Kc == 0.5
+    assert cases["All derivative"].unrounded is None
+
+
+def test_settings_beside_those_typed_in_are_looked_at(tmp_path):
+    entry = "{gain: proportional_band, integral: repeats_per_minute}"
+    study = wb.run_scenario(written(tmp_path, entry))
+    one = study.site_cases[1]
+    loop, near = study.cases[1].loop, one.beside
+    assert (near.margin, near.digits) == (0.001, 4)
+    assert near.worst >= one.objective
+    # Within 0.1 % of band, rate and derivative lies what was found to be the worst, and the centre is no better.
+    band, rate, Td = one.settings.gain, one.settings.integral, one.settings.derivative
+    corners = [
+        (1e4 / (70.0 * band * (1.0 + a)), 60.0 / (rate * (1.0 + b)), Td * (1.0 + c))
+        for a, b, c in itertools.product((-1e-3, 1e-3), repeat=3)
+    ]
+    assert near.worst >= wb.evaluate(loop, study.experiment, study.objective, corners).max() * (1.0 - 1e-9)
+    units = [(0.01, 0.0, 0.0), (0.0, 0.001, 0.0), (0.0, 0.0, 0.0001)]
+    assert f"{band:.4g} {rate:.4g} {Td:.4g}" == "59.91 6.599 0.5"
+    steps = [
+        (1e4 / (70.0 * (band + s * a)), 60.0 / (rate + s * b), Td + s * c) for a, b, c in units for s in (-1.0, 1.0)
+    ]
+    assert near.step == pytest.approx(wb.evaluate(loop, study.experiment, study.objective, steps).max())
+    assert one.knife_edge == (near.worst > 1.05 * one.objective)
+    # Without an objective it is the error, and what was given in these very units has no last digit.
+    plain = BASE.replace("objective: {w1: 0.5, w3: 0.5}\n", "")
+    bare = wb.run_scenario(written(tmp_path, "{form: ideal}", plain)).site_cases[1]
+    assert bare.beside.digits is None
+    assert math.isnan(bare.beside.step)
+    assert bare.objective is None
+    assert bare.beside.worst == pytest.approx(bare.beside.kpis.mean_square_error)
+    assert bare.beside.worst >= bare.kpis.mean_square_error
+
+
+def test_the_value_of_repair_is_of_what_is_typed_in(tmp_path):
+    text = BASE.replace("limit_cycle: false", "limit_cycle: false, repair: true")
+    found = "  - {name: Found, tune: {bounds: {Kc: [0.4, 0.6], Ti: [15 s, 25 s]}, Td: 0 s, restarts: 1, digits: 3}}\n"
+    study = wb.run_scenario(
+        written(tmp_path, "{gain: proportional_band}", text.replace("analyze:", f"{found}analyze:"))
+    )
+    case = next(case for case in study.cases if case.name == "Found")
+    assert case.loop.controller != case.tuned.controller
+    assert study.repair.best.controller == case.loop.controller
+    assert study.repair.best.kpis.valve_travel == case.run.kpis.valve_travel
+    assert study.repair.best.objective == case.objective
+    assert study.repair.tuned is case.tuned
 
 
 @pytest.mark.parametrize(

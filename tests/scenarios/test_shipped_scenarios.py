@@ -78,6 +78,9 @@ def what_was_searched_for_is_as_good_as_committed(name: str, study: Any) -> None
         # The least worst case within the digits is searched for: a tuning that betters it may have a higher J.
         assert case.tuned.worst <= 1.02 * found[case.name]["worst"]
         better = case.tuned.worst < found[case.name]["worst"]
+        if case.unrounded is not None:  # what a site's digits make of it is a draw: the search's own J is compared
+            assert better or case.tuned.objective <= 1.02 * found[case.name]["objective"]
+            continue
         assert better or case.objective <= 1.02 * objectives[case.name]
 
 
@@ -176,7 +179,9 @@ def the_cascades_cycle_is_in_both_loops_and_comes_out_as_committed(study: Any) -
         if case["tuning"] is None:
             same(mine, case, case["name"])
         else:
-            assert mine["objective"] <= 1.02 * case["objective"]
+            # What the site's digits make of it is a draw: the search's own J is compared.
+            ours_J, theirs_J = (one["tuning"]["primary"]["objective"] for one in (mine, case))
+            assert ours_J <= 1.02 * theirs_J
     cases = {case.name: case for case in study.cascade}
     found, detuned, tuned = cases["As found"], cases["Primary detuned"], cases["Tuned in turn"]
     for case in (found, detuned):

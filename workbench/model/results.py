@@ -330,7 +330,7 @@ class Repair(Shown):
 
     loop: with its sticky valve and present controller. present and repaired: at the present tuning, with the sticky and
     the ideal valve; best and best_repaired: each at the best tuning found for it (tuned and tuned_repaired: the
-    searches). The figures are of measured PV: noise is in all four.
+    searches; best as typed in where a scenario's site rounds it). The figures are of measured PV: noise is in all four.
     """
 
     loop: Loop

@@ -11,10 +11,10 @@ from dataclasses import dataclass, replace
 from workbench.errors import InvalidValue
 from workbench.model.checks import choice, number, ordered_pair
 from workbench.model.controller import FORMS, PID
-from workbench.model.results import Kpis
+from workbench.model.results import KNIFE_EDGE, Kpis
 from workbench.model.units import GAIN_UNITS, INTEGRAL_UNITS, gain_from, gain_to, integral_time_from, integral_time_to
 
-__all__ = ["CascadeSite", "CascadeSiteCase", "SiteCase", "SiteForm", "SiteSettings"]
+__all__ = ["Beside", "CascadeSite", "CascadeSiteCase", "SiteCase", "SiteForm", "SiteSettings"]
 
 DERIVATIVE_UNITS = ("s", "min")
 
@@ -108,9 +108,9 @@ class SiteForm:
         typed = [_rounded(value, digits) for value in numbers]
         if pid is not controller:  # the ratio that converts a filter has no last digit either
             pid = replace(pid, derivative_filter=_rounded(pid.derivative_filter, digits))
-        return SiteSettings(typed[0], typed[1], typed[2], self._made(pid, *typed))
+        return SiteSettings(typed[0], typed[1], typed[2], self.made(pid, *typed))
 
-    def _made(self, pid: PID, gain: float, integral: float, derivative: float) -> PID:
+    def made(self, pid: PID, gain: float, integral: float, derivative: float) -> PID:
         """Return a controller of this form with the numbers given in these units."""
         Kc = 0.0 if math.isinf(gain) else gain_from(gain, self.gain, self._range)
         minute = 60.0 if self.derivative == "min" else 1.0
@@ -123,11 +123,37 @@ class SiteForm:
 
 
 @dataclass(frozen=True, slots=True)
+class Beside:
+    """What the same experiment gives with settings beside those that are typed in.
+
+    Each number typed in moves by up to the larger of the relative `margin` and half a unit of the last of its `digits`
+    (None: typed in as given, they have no last one). worst: the largest J met there, of a scenario without an objective
+    the largest mean square error (EU^2), inf where a run overflows. kpis: of the run that has it, of a cascade the
+    primary's, and secondary. step: the largest of them at one unit in one last digit, nan without digits.
+    """
+
+    margin: float
+    digits: int | None
+    worst: float
+    kpis: Kpis
+    step: float = math.nan
+    secondary: Kpis | None = None
+
+    def knife_edge(self, kpis: Kpis, objective: float | None) -> bool:
+        """Whether settings beside give a J (a mean square error without one) larger by more than a twentieth.
+
+        kpis and objective: of the settings that are typed in.
+        """
+        return self.worst > KNIFE_EDGE * (kpis.mean_square_error if objective is None else objective)
+
+
+@dataclass(frozen=True, slots=True)
 class SiteCase:
     """A case as typed in at the site: its settings, and what the same experiment gives with exactly them.
 
     settings: None where the site's form has no equivalent, and `refused` then says why. kpis and objective: of the
-    controller with the rounded numbers, by exact simulation; the objective None where the scenario has none.
+    controller with the rounded numbers, by exact simulation; the objective None where the scenario has none. beside:
+    what settings beside them give.
     """
 
     name: str
@@ -135,6 +161,14 @@ class SiteCase:
     kpis: Kpis | None = None
     objective: float | None = None
     refused: str = ""
+    beside: Beside | None = None
+
+    @property
+    def knife_edge(self) -> bool:
+        """Whether settings beside these give a J (a mean square error without one) larger by more than a twentieth."""
+        if self.beside is None or self.kpis is None:
+            return False
+        return self.beside.knife_edge(self.kpis, self.objective)
 
 
 @dataclass(frozen=True, slots=True)
@@ -150,7 +184,7 @@ class CascadeSiteCase:
     """A cascade's case as typed in at the site, as `SiteCase`: settings and figures of both loops.
 
     primary, secondary: None where the site's form has no equivalent of one of them; `refused` then says of which and
-    why. kpis: of primary and secondary; objective: J of the cascade.
+    why. kpis: of primary and secondary; objective: J of the cascade. beside: what settings of both beside them give.
     """
 
     name: str
@@ -159,6 +193,14 @@ class CascadeSiteCase:
     kpis: tuple[Kpis, Kpis] | None = None
     objective: float | None = None
     refused: str = ""
+    beside: Beside | None = None
+
+    @property
+    def knife_edge(self) -> bool:
+        """Whether settings beside these do worse, as `SiteCase.knife_edge`: by the primary's error without J."""
+        if self.beside is None or self.kpis is None:
+            return False
+        return self.beside.knife_edge(self.kpis[0], self.objective)
 
 
 def _rounded(value: float, digits: int) -> float:

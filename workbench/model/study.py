@@ -42,7 +42,8 @@ class CaseResult:
     `robustness`: how it fares over the study's ensemble, on draws that no search has seen, and `robustness_repaired`
     with an ideal valve; None where the scenario has no ensemble, or the valve does not stick. `nearest_to`: the name of
     the case that the site's form cannot take, where this is what comes nearest to it there. `standing`: whether the
-    tuning holds the loop without the valve's stiction, None where nothing is fed back.
+    tuning holds the loop without the valve's stiction, None where nothing is fed back. `unrounded`: what the scenario's
+    own digits give, where the site rounds them and the case is of what is typed in there.
     """
 
     name: str
@@ -61,6 +62,7 @@ class CaseResult:
     robustness_repaired: Robustness | None = None
     nearest_to: str = ""
     standing: Standing | None = None
+    unrounded: Outcome | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,7 +87,8 @@ class CascadeResult:
     """One case of a cascade: its run, J (None without an objective), its long run, and what each loop shows alone.
 
     detections: of the primary's and of the secondary's late record without noise, None where it does not cycle.
-    `tuned` where its controllers were found.
+    `tuned` where its controllers were found. `unrounded`: the case at the scenario's own digits, its run and J alone,
+    where the site rounds them and the case is of what is typed in there.
     """
 
     name: str
@@ -95,6 +98,7 @@ class CascadeResult:
     detections: tuple[Detection, Detection] | None = None
     tuned: CascadeTuned | None = None
     note: str = ""
+    unrounded: CascadeResult | None = None
 
 
 @dataclass(frozen=True, eq=False)

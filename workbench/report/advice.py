@@ -14,11 +14,12 @@ from workbench.report.judge import (
     quiet,
     refused,
     run_travel,
+    typed_case,
     unstable,
 )
 from workbench.report.plain_truth import lasting
 from workbench.report.repair import repair_sentence
-from workbench.report.settings import as_typed_in, settings_words, spread
+from workbench.report.settings import around, beside_words, settings_words, spread
 from workbench.report.standing import held_by_stiction, trap_words
 from workbench.report.words import change, figure, nearby
 
@@ -68,11 +69,7 @@ def case_advice(study: Study) -> Advice:
         decision = " ".join(text for text in (decision, trap_words(case, back)) if text)
         # What follows is of the case that is to be set, or kept.
         best = case
-        if best.tuned is not None and best.tuned.knife_edge:
-            do.append(
-                f"Type in exactly these digits: the optimum is a knife-edge, {nearby(best.tuned.margin)} J rises from "
-                f"{figure(best.tuned.objective)} to as much as {figure(best.tuned.worst)}{_at_site(study, best)}."
-            )
+        do += _exactly(study, base, best)
         left += _remaining(study, base, best)
         do += _less_wear(study, best)
     left += lasting(study, best)
@@ -81,18 +78,36 @@ def case_advice(study: Study) -> Advice:
     return Advice(decision, case, (*failed, *do), tuple(left))
 
 
-def _at_site(study: Study, best: CaseResult) -> str:
-    """Return what J is with the digits that are typed in, where these are others than those that were searched for."""
-    cost = as_typed_in(study, best)[1]
-    if cost is None or best.objective is None or figure(cost) == figure(best.objective):
+def _exactly(study: Study, base: CaseResult | None, best: CaseResult) -> list[str]:
+    """Say that no digit may be another where settings are a knife-edge: those that the site types in, if it does."""
+    typed = typed_case(study, best)
+    if typed is not None and best is not base:
+        if typed.beside is None or not typed.knife_edge:
+            return []
+        own, worst, where = measure(best), typed.beside.worst, around(typed.beside)
+        what, by = "they are a knife-edge", "J" if best.objective is not None else "the mean square error"
+    elif best.tuned is not None and best.tuned.knife_edge:
+        own, worst, where = best.tuned.objective, best.tuned.worst, nearby(best.tuned.margin)
+        what, by = "the optimum is a knife-edge", "J"
+    else:
+        return []
+    rises = f"{where} {by} rises from {figure(own)} to as much as {figure(worst)}"
+    return [f"Type in exactly these digits: {what}, {rises}."]
+
+
+def _beside(study: Study, base: CaseResult | None, best: CaseResult) -> str:
+    """Say what settings beside those typed in give where these are a knife-edge, "" where they are not."""
+    typed = typed_case(study, best)
+    if typed is None or typed.beside is None or not typed.knife_edge:
         return ""
-    return f"; with the site's digits above it is {figure(cost)}"
+    was = None if base is None else (base.run.kpis.mean_square_error, base.run.kpis.valve_travel)
+    return beside_words(typed.beside, was, "mean square error" if best.objective is None else "J")
 
 
 def _recommendation(study: Study, base: CaseResult | None, best: CaseResult) -> tuple[str, CaseResult]:
     """Return the decision, and the case that it is about."""
     controller = settings_words(study, best)
-    kpis, objective = as_typed_in(study, best)
+    kpis, objective = best.run.kpis, best.objective
     by = "J" if best.objective is not None else "mean square error"
     if len(study.cases) == 1 and best is base:
         return f"Nothing to set: {best.name} ({controller}) is the only tuning here, and none was searched for.", best
@@ -108,9 +123,9 @@ def _recommendation(study: Study, base: CaseResult | None, best: CaseResult) -> 
         least = "the lowest " + by + " of the cases" if len(study.cases) > 1 else "the best that the search found"
         return (
             f"Set {controller} ({best.name}): {least}, mean square error {figure(kpis.mean_square_error)} EU², "
-            f"valve travel {figure(kpis.valve_travel)} %.{_by_repair(study, best)}"
+            f"valve travel {figure(kpis.valve_travel)} %.{_beside(study, None, best)}{_by_repair(study, best)}"
         ), best
-    was, before = as_typed_in(study, base)
+    was, before = base.run.kpis, base.objective
     parts = []
     if objective is not None and before is not None:
         parts.append(f"J {figure(objective)} instead of {figure(before)}")
@@ -118,8 +133,9 @@ def _recommendation(study: Study, base: CaseResult | None, best: CaseResult) -> 
     parts.append(f"{name} {change(ours, theirs)}")
     parts.append(f"mean square error {change(kpis.mean_square_error, was.mean_square_error)}")
     parts.append(f"valve travel {change(kpis.valve_travel, was.valve_travel)}")
-    told = f"in this run {', '.join(parts)} against {base.name}.{_in_the_long_run(study, base, best)}"
-    worth = worth_it((_cost(best), best.run.kpis.valve_travel), (_cost(base), base.run.kpis.valve_travel))
+    told = f"in this run {', '.join(parts)} against {base.name}.{_beside(study, base, best)}"
+    told += _in_the_long_run(study, base, best)
+    worth = worth_it(_gain(study, best), (_cost(base), base.run.kpis.valve_travel))
     if not worth and not held_by_stiction(base.standing):
         return (
             f"Keep {base.name} ({settings_words(study, base)}): nothing here is worth a change. The best other tuning, "
@@ -139,6 +155,14 @@ def _in_the_long_run(study: Study, base: CaseResult, best: CaseResult) -> str:
     return f" In the long run{f' {aside}' if aside else ''}: mean square error {error}, valve travel {travel}."
 
 
+def _gain(study: Study, best: CaseResult) -> tuple[float, float]:
+    """Return J (mean square error without one) and valve travel to count on: on a knife-edge those beside it."""
+    typed = typed_case(study, best)
+    if typed is None or typed.beside is None or not typed.knife_edge:
+        return _cost(best), best.run.kpis.valve_travel
+    return typed.beside.worst, typed.beside.kpis.valve_travel
+
+
 def _cost(case: CaseResult) -> float:
     return _error(case) if case.objective is None else case.objective
 
@@ -156,7 +180,7 @@ def _by_repair(study: Study, best: CaseResult) -> str:
     if study.repair is None:
         return ""
     repaired = study.repair.best_repaired.kpis
-    kpis, _ = as_typed_in(study, best)
+    kpis = best.run.kpis
     (name, left), (_, after) = spread(best, kpis), spread(best, repaired)
     wear = change(repaired.valve_travel, kpis.valve_travel)
     if not after < WORTH * left:

@@ -16,8 +16,8 @@ from workbench.report.words import (
     figure,
     given,
     join,
+    parameter,
     plant_words,
-    setting,
     valve_words,
 )
 
@@ -58,7 +58,12 @@ def _settings(study: Study, which: str) -> list[Row]:
     rows = [
         Row(f"{which.capitalize()}: {name}", unit if name == "Kc" else "s", cells, group=name == "Kc")
         for name in ("Kc", "Ti", "Td")
-        for cells in (tuple(Cell(setting(getattr(p, name), d)) for p, d in zip(pids, digits, strict=True)),)
+        for cells in (
+            tuple(
+                Cell(parameter(getattr(p, name), d, converted=case.unrounded is not None))
+                for case, p, d in zip(study.cascade, pids, digits, strict=True)
+            ),
+        )
     ]
     for text, describe in CONTROLLER_ROWS:
         if len({describe(pid) for pid in pids}) > 1:

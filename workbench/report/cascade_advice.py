@@ -7,8 +7,9 @@ import math
 from workbench.model.study import CascadeResult, Study
 from workbench.report.advice import Advice, worth_it
 from workbench.report.cascade_settings import cascade_base, cascade_error, cascade_kpis, cascade_typed, cascade_words
-from workbench.report.confidence import Confidence, Judged, digits, recovery, searches, settled
+from workbench.report.confidence import UNROUNDED, Confidence, Judged, digits, recovery, searches, settled, typed_digits
 from workbench.report.judge import at_odds, last_change, quiet, run_travel, unstable
+from workbench.report.settings import beside_words
 from workbench.report.words import change, duration, figure
 
 __all__ = ["cascade_advice", "cascade_confidence", "cascade_watch"]
@@ -58,12 +59,12 @@ def cascade_advice(study: Study) -> Advice:
 def _less_wear(study: Study, fit: list[CascadeResult], case: CascadeResult) -> list[str]:
     """Name the calmest other case where it moves the valve less than half as far."""
     # A valve that never moves controls nothing.
-    others = [(c, *cascade_kpis(study, c)[:2]) for c in fit if c is not case]
+    others = [(c, *cascade_kpis(c)[:2]) for c in fit if c is not case]
     moving = [one for one in others if one[2].valve_travel > 0.0]
     if not moving:
         return []
     calm, above, below = min(moving, key=lambda one: one[2].valve_travel)
-    one, two, _ = cascade_kpis(study, case)
+    one, two, _ = cascade_kpis(case)
     if not below.valve_travel < 0.5 * two.valve_travel:
         return []
     cycle = calm.cycle
@@ -91,20 +92,28 @@ def _decision(study: Study, base: CascadeResult | None, best: CascadeResult) -> 
     if best is base:
         typed = "" if study.cascade_site is None else " that can be typed in"
         return f"Keep {best.name} ({both}): no other tuning{typed} has a lower {by} in this experiment.", best
-    one, two, cost = cascade_kpis(study, best)
+    one, two, cost = cascade_kpis(best)
+    there, error = cascade_typed(study, best), "mean square error of the primary"
+    beside = None if there is None or not there.knife_edge else there.beside
     # The secondary first: the primary's tuning takes it for a part of its plant.
     lead = f"Set the secondary to {words['secondary']}, then the primary to {words['primary']} ({best.name})"
     if base is None or unstable(base):
-        figures = f"mean square error of the primary {figure(one.mean_square_error)} EU²"
-        return f"{lead}: the lowest {by}, {figures}, valve travel {figure(two.valve_travel)} %.", best
-    was, wore, before = cascade_kpis(study, base)
+        figures = f"{error} {figure(one.mean_square_error)} EU²"
+        edge = "" if beside is None else beside_words(beside, None, by, error)
+        return f"{lead}: the lowest {by}, {figures}, valve travel {figure(two.valve_travel)} %.{edge}", best
+    was, wore, before = cascade_kpis(base)
     parts = [] if math.isnan(cost) or math.isnan(before) else [f"J {figure(cost)} instead of {figure(before)}"]
     (name, ours), (_, theirs) = cascade_error(best, one), cascade_error(base, was)
     parts.append(f"{name} {change(ours, theirs)}")
     parts.append(f"its mean square error {change(one.mean_square_error, was.mean_square_error)}")
     parts.append(f"valve travel {change(two.valve_travel, wore.valve_travel)}")
-    told = f"in this run {', '.join(parts)} against {base.name}.{_in_the_long_run(study, base, best)}"
-    if not worth_it((_measure(best), two.valve_travel), (_measure(base), wore.valve_travel)):
+    told = f"in this run {', '.join(parts)} against {base.name}."
+    gain = _measure(best), two.valve_travel
+    if beside is not None:  # what is lost by a digit beside is no gain to count on
+        told += beside_words(beside, (was.mean_square_error, wore.valve_travel), by, error)
+        gain = beside.worst, gain[1] if beside.secondary is None else beside.secondary.valve_travel
+    told += _in_the_long_run(study, base, best)
+    if not worth_it(gain, (_measure(base), wore.valve_travel)):
         own = "; ".join(f"{which} {cascade_words(study, base, which)}" for which in ("primary", "secondary"))
         text = f"Keep {base.name} ({own}): nothing here is worth a change. The best other tuning, {best.name} ({both}),"
         return f"{text} has {told}", base
@@ -166,12 +175,19 @@ def cascade_confidence(study: Study, case: CascadeResult) -> Confidence:
     judged.say(
         "Both loops are as the scenario gives them: nothing here holds plants and valve against the plant's records"
     )
+    typed = None if case is cascade_base(study) else cascade_typed(study, case)
+    if typed is not None:
+        by = "J" if case.objective is not None else "the mean square error of the primary"
+        typed_digits(typed, _measure(case), by, judged)
     if case.tuned is not None:
         if case.tuned.secondary is not None:
-            digits(case.tuned.secondary, judged, "Digits of the secondary, tuned by itself", "the secondary's optimum")
+            before = "" if case.unrounded is None else f", {UNROUNDED}"
+            lead = f"Digits of the secondary, tuned by itself{before}"
+            digits(case.tuned.secondary, judged, lead, "the secondary's optimum")
             searches(case.tuned.secondary, judged, "Search of the secondary")
-        digits(case.tuned.primary, judged, "Digits of the primary", "the primary's optimum")
-        searches(case.tuned.primary, judged, "Search of the primary")
+        if typed is None:
+            digits(case.tuned.primary, judged, "Digits of the primary", "the primary's optimum")
+        searches(case.tuned.primary, judged, "Search of the primary", rounded=case.unrounded is not None)
     elif all(one.tuned is None for one in study.cascade):
         judged.say("No tuning was searched for: this is the best of the given ones, and a search may find a better one")
     judged.say(
@@ -214,7 +230,7 @@ def cascade_watch(study: Study, base: CascadeResult | None, best: CascadeResult)
     if best is base:
         return []
     out = []
-    cycle, two = best.cycle, cascade_kpis(study, best)[1]
+    cycle, two = best.cycle, cascade_kpis(best)[1]
     if cycle is not None and cycle.primary is not None and _swing(best):
         out.append(
             f"The cycle that remains: {_swing(best)}, without noise. A swing of the primary well above "

@@ -14,6 +14,7 @@ from workbench.model.titles import kpi_title, within
 from workbench.report.judge import settling_doubt
 from workbench.report.settings import (
     ALWAYS,
+    beside_content,
     form_content,
     rounded,
     setting_names,
@@ -54,17 +55,9 @@ def cascade_typed(study: Study, case: CascadeResult) -> CascadeSiteCase | None:
     return next((o for o, own in zip(study.cascade_site_cases, study.cascade, strict=False) if own is case), None)
 
 
-def cascade_kpis(study: Study, case: CascadeResult) -> tuple[Kpis, Kpis, float]:
-    """Return the figures of both loops, and J (nan without one), with the digits that are typed in.
-
-    Those of the case as found are of the scenario's own digits: it is what is there now.
-    """
-    typed = cascade_typed(study, case)
-    if typed is None or typed.kpis is None or case is cascade_base(study):
-        kpis, cost = (case.run.primary.kpis, case.run.secondary.kpis), case.objective
-    else:
-        kpis, cost = typed.kpis, typed.objective
-    return *kpis, math.nan if cost is None else cost
+def cascade_kpis(case: CascadeResult) -> tuple[Kpis, Kpis, float]:
+    """Return the figures of both loops, and J (nan without one)."""
+    return case.run.primary.kpis, case.run.secondary.kpis, math.nan if case.objective is None else case.objective
 
 
 def cascade_error(case: CascadeResult, kpis: Kpis) -> tuple[str, float]:
@@ -162,7 +155,7 @@ def _settings(study: Study, cases: list[CascadeResult], which: str) -> list[Row]
 
 def _effect(study: Study, cases: list[CascadeResult]) -> list[Row]:
     """Return what the run gives with the settings of the columns, then what the long run does."""
-    kpis = [cascade_kpis(study, case) for case in cases]
+    kpis = [cascade_kpis(case) for case in cases]
     rows: list[Row] = []
 
     def add(title: str, unit: str, name: str, values: list[float], doubts: list[str] | None = None) -> None:
@@ -181,9 +174,7 @@ def _effect(study: Study, cases: list[CascadeResult]) -> list[Row]:
         for name in names:
             title, unit = kpi_title(name)
             values = [float(getattr(one[PARTS.index(which)], name)) for one in kpis]
-            doubts = None
-            if name == "settling_time":
-                doubts = [settling_doubt(case, study.experiment, one[0]) for case, one in zip(cases, kpis, strict=True)]
+            doubts = [settling_doubt(case, study.experiment) for case in cases] if name == "settling_time" else None
             add(f"{which.capitalize()}: {within(title)}", unit, name, values, doubts)
             if name == "pv_sd" and cascade_error(cases[0], kpis[0][0])[0].endswith("SP − PV"):
                 about = [cascade_error(case, one[0])[1] for case, one in zip(cases, kpis, strict=True)]
@@ -198,22 +189,18 @@ def _effect(study: Study, cases: list[CascadeResult]) -> list[Row]:
     return rows
 
 
-def cascade_rounding(study: Study, case: CascadeResult) -> list[str]:
-    """Return what the site's form and digits make of a case, where that is not what was simulated before."""
-    typed = cascade_typed(study, case)
-    if typed is None or typed.kpis is None or typed.primary is None or typed.secondary is None:
+def cascade_rounding(case: CascadeResult) -> list[str]:
+    """Return what the site's form and digits have made of a case, where they round it, and that the page tells that."""
+    if case.unrounded is None:
         return []
-    if (typed.primary.controller, typed.secondary.controller) == tuple(_pid(case, which) for which in PARTS):
-        return []
-    own = " over ".join(_own_words(case, which) for which in PARTS)
-    one, two, cost = cascade_kpis(study, case)
-    was = case.run
+    own = " over ".join(_own_words(case.unrounded, which) for which in PARTS)
+    (one, two, cost), was = cascade_kpis(case), cascade_kpis(case.unrounded)
     pairs = [
-        ("mean square error of the primary", one.mean_square_error, was.primary.kpis.mean_square_error, " EU²"),
-        ("valve travel", two.valve_travel, was.secondary.kpis.valve_travel, " %"),
+        ("mean square error of the primary", one.mean_square_error, was[0].mean_square_error, " EU²"),
+        ("valve travel", two.valve_travel, was[1].valve_travel, " %"),
     ]
     if case.objective is not None:
-        pairs.insert(0, ("J", cost, case.objective, ""))
+        pairs.insert(0, ("J", cost, was[2], ""))
     return [rounded(case.name, own, pairs)]
 
 
@@ -250,5 +237,7 @@ def cascade_site_content(study: Study) -> dict[str, object]:
             for which, settings, kpis in zip(PARTS, (one.primary, one.secondary), one.kpis, strict=True):
                 case[which] = typed_content(settings, kpis)
             case["objective"] = one.objective
+        if one.beside is not None:
+            case["beside"] = beside_content(one.beside)
         cases.append(case)
     return content | {"cases": cases}

@@ -15,19 +15,31 @@ from workbench.model.controller import PID
 from workbench.model.experiment import Noise
 from workbench.model.plant import FOPDT
 from workbench.model.results import LimitCycle, Robustness, Standing, Tuned
+from workbench.model.site import CascadeSiteCase, SiteCase
 from workbench.model.study import CaseResult, Study
 from workbench.model.titles import kpi_title, within
 from workbench.report.estimates import stiction_words
-from workbench.report.judge import at_odds, last_change, quiet, run_travel, source_of, unstable
+from workbench.report.judge import (
+    at_odds,
+    base_case,
+    last_change,
+    measure,
+    quiet,
+    run_travel,
+    source_of,
+    typed_case,
+    unstable,
+)
 from workbench.report.known import known_groups, tuning_doubts, unpinned
-from workbench.report.settings import as_typed_in, settings_words
+from workbench.report.settings import around, settings_words
 from workbench.report.standing import standing_doubt
 from workbench.report.words import capital, duration, figure, given, interval, join, nearby
 
-__all__ = ["Confidence", "Judged", "confidence", "digits", "recovery", "searches", "settled", "watch"]
+__all__ = ["Confidence", "Judged", "confidence", "digits", "recovery", "searches", "settled", "typed_digits", "watch"]
 
 NEARLY = 1.01  # ratio of the worst search's J to the best's up to which it does not matter which of them was lucky
 SLOWER = 0.5  # ratio of integral gains below which the controller is said to recover more slowly
+UNROUNDED = "before the site's rounding"
 STRONGER = 1.5  # ratio of gains above which it is said to pass more noise to the valve
 
 
@@ -60,9 +72,14 @@ def confidence(study: Study, case: CaseResult) -> Confidence:
     judged = Judged()
     _model(study, case, judged)
     _by_itself(case.standing, judged)
+    typed = None if case is base_case(study) else typed_case(study, case)
+    if case.tuned is not None and (typed is None or case.tuned.ensemble is not None):
+        lead = "Digits" if case.unrounded is None else f"Digits of the search, {UNROUNDED}"
+        digits(case.tuned, judged, lead)
+    elif typed is not None:
+        typed_digits(typed, measure(case), "the mean square error" if case.objective is None else "J", judged)
     if case.tuned is not None:
-        digits(case.tuned, judged)
-        searches(case.tuned, judged)
+        searches(case.tuned, judged, rounded=case.unrounded is not None)
     elif case.nearest_to:
         judged.say(
             f"These settings are what comes nearest to {case.nearest_to} in the site's form; none was searched for "
@@ -152,8 +169,28 @@ def digits(tuned: Tuned, judged: Judged, lead: str = "Digits", whose: str = "the
     )
 
 
-def searches(tuned: Tuned, judged: Judged, lead: str = "Search") -> None:
-    """Say whether the searches agree."""
+def typed_digits(typed: SiteCase | CascadeSiteCase, own: float, by: str, judged: Judged) -> None:
+    """Say what the last digits matter that the site types in, which are not those of a search.
+
+    own: J of what is typed in, or without one the error that `by` names.
+    """
+    beside = typed.beside
+    if beside is None:
+        return
+    have = "are typed in as given" if beside.digits is None else f"as typed in have {beside.digits}"
+    text = (
+        f"Digits: the settings {have}; {around(beside)} {by} is at most {figure(beside.worst)} instead of {figure(own)}"
+    )
+    if not math.isnan(beside.step):
+        text += f", one unit in a last digit gives at most {figure(beside.step)}"
+    judged.say(
+        f"{text}, a knife-edge" if typed.knife_edge else text,
+        doubt="the settings as typed in are a knife-edge" if typed.knife_edge else "",
+    )
+
+
+def searches(tuned: Tuned, judged: Judged, lead: str = "Search", *, rounded: bool = False) -> None:
+    """Say whether the searches agree. rounded: whether J is told of other settings, those that the site types in."""
     many, best, worst = len(tuned.restarts), *tuned.spread
     if many < 2:
         judged.say(
@@ -163,8 +200,9 @@ def searches(tuned: Tuned, judged: Judged, lead: str = "Search") -> None:
         return
     agree = tuned.agreeing
     alike = 2 * agree > many or (math.isfinite(worst) and worst <= NEARLY * best)
-    text = f"{lead}: {agree} of {many} independent searches end within 0.1 % of the best J"
     least = min(best, tuned.nominal)
+    whose = f" of unrounded settings, {figure(least)}" if rounded and tuned.ensemble is None else ""
+    text = f"{lead}: {agree} of {many} independent searches end within 0.1 % of the best J{whose}"
     if math.isfinite(worst) and agree < many and least > 0.0:
         text += f", the worst {figure(100.0 * (worst / least - 1.0), 2)} % above it"
     elif math.isinf(best) and tuned.status.success:
@@ -254,7 +292,7 @@ def watch(study: Study, base: CaseResult | None, best: CaseResult) -> list[str]:
         out.append(
             f"Here the loop comes to rest ({when}): a lasting cycle means that the loop is not the one modelled."
         )
-    travel = f"Valve travel: {figure(as_typed_in(study, best)[0].valve_travel)} % in this run of {_run(study)}"
+    travel = f"Valve travel: {figure(best.run.kpis.valve_travel)} % in this run of {_run(study)}"
     if cycle is not None and cycle.outcome == "cycles":
         travel += f", {figure(cycle.travel_per_hour, 3)} % an hour in the long run without noise"
     out.append(f"{travel}. More than that is wear which this model does not see.")

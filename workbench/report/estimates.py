@@ -17,6 +17,7 @@ from workbench.report.known import (
     least_step,
     plant_parameters,
     range_of,
+    sp_moves,
     unpinned,
     useless,
     valve_parameters,
@@ -181,9 +182,11 @@ def estimate_advice(named: NamedEstimate) -> list[str]:
         if swings:
             return swings
         return [f"{named.name}: if the loop oscillates, look for another cause: tight tuning, or a disturbance."]
+    # Of a record that has setpoint changes it is their size, or their number, that leaves this open.
+    change = "more or larger setpoint changes, each" if sp_moves(found) else "a setpoint change"
     return [
         *swings,
-        f"{named.name}: before acting, take a longer record, with a setpoint change of several per cent of OP in it.",
+        f"{named.name}: before acting, take a longer record, with {change} of several per cent of OP in it.",
     ]
 
 

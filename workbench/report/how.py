@@ -10,7 +10,7 @@ from workbench.model.study import Study
 from workbench.report.judge import on_bounds
 from workbench.report.shared import objective_words
 from workbench.report.tables import Cell, Row, Table
-from workbench.report.words import figure, nearby, setting
+from workbench.report.words import controller_words, figure, nearby, setting
 
 __all__ = ["how_tables"]
 
@@ -21,6 +21,11 @@ def how_tables(study: Study) -> list[Table]:
     if not tuned:
         return []
     rows = [Row(title, unit, tuple(Cell(text(t)) for _, t in tuned)) for title, unit, text in _HOW_ROWS]
+    rounded = [case for case in study.cases if case.tuned is not None]
+    if any(case.unrounded is not None for case in rounded):
+        # The cases are of what the site types in: these figures are of other settings.
+        own = (controller_words(case.tuned.controller, case.tuned.digits) for case in rounded if case.tuned is not None)
+        rows.insert(1, Row("Settings found, before the site's rounding", "", tuple(Cell(text) for text in own)))
     if any(t.weights != study.objective for _, t in tuned):
         # J of the cases is by the study's weights: a search under its own weights has another J.
         weights = tuple(Cell(objective_words(t.weights)) for _, t in tuned)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from workbench.model.plant import FOPDT, Plant
 from workbench.model.results import Estimate, Intervals, Standing
 from workbench.model.titles import kpi_title, within
@@ -21,6 +23,7 @@ __all__ = [
     "plant_doubt",
     "plant_parameters",
     "range_of",
+    "sp_moves",
     "tuning_doubts",
     "unpinned",
     "useless",
@@ -141,7 +144,8 @@ def unpinned(found: Estimate) -> str:
     gains = found.intervals.gain
     if gains is None:
         return f"the record gives no range for the gain, and the stiction lies in {interval(bands, '%', 3)}"
-    remedy = "a record with a setpoint change in it would tell more"
+    more = "more or larger setpoint changes" if sp_moves(found) else "a setpoint change"
+    remedy = f"a record with {more} in it would tell more"
     # Where one makes up for the other, the least band goes with the largest gain, and their product is one.
     products = gains[0] * bands[1], gains[1] * bands[0]
     if _width(products) <= KNOWN and min(_width(gains), _width(bands)) > KNOWN:
@@ -158,6 +162,12 @@ def unpinned(found: Estimate) -> str:
     if all("closely" in text for text in told):
         return f"the record pins {join(told)} for this model alone, which may be another (the reasons say why)"
     return f"the record pins {join(told)}; {remedy}"
+
+
+def sp_moves(found: Estimate) -> bool:
+    """Return whether the record has setpoint changes in it."""
+    sp = found.record.sp
+    return sp is not None and bool(np.any(sp != sp[0]))
 
 
 def range_of(ranges: Intervals, name: str) -> tuple[float, float] | None:

@@ -9,7 +9,7 @@ from workbench.model.front import Front, FrontPoint
 from workbench.model.plant import FOPDT
 from workbench.model.results import Robustness, Tuned
 from workbench.model.study import CaseResult, Study
-from workbench.report.settings import as_typed_in, settings_words
+from workbench.report.settings import settings_words
 from workbench.report.tables import Cell, Row, Table
 from workbench.report.trade import NamedPoint
 from workbench.report.words import change, controller_words, duration, figure, given, join
@@ -309,17 +309,16 @@ def _beside(case: CaseResult, its: Robustness, r: Robustness, asked: Constraints
     )
 
 
-def _only_here(study: Study, other: CaseResult, case: CaseResult) -> str:
+def _only_here(other: CaseResult, case: CaseResult) -> str:
     """Name a given case that does better than the recommended one in the experiment, and not over the ensemble."""
     a, b = other.robustness, case.robustness
     if a is None or b is None or other.objective is None or case.objective is None:
         return ""
-    costs = [as_typed_in(study, one)[1] or 0.0 for one in (other, case)]
-    if not costs[0] < costs[1] or not b.mse_mean < a.mse_mean:
+    if not other.objective < case.objective or not b.mse_mean < a.mse_mean:
         return ""
     return (
-        f"{other.name} does better in this one experiment (J {figure(costs[0])} against "
-        f"{figure(costs[1])}), and worse over the ensemble: mean square error {figure(a.mse_mean, 3)} EU² at "
+        f"{other.name} does better in this one experiment (J {figure(other.objective)} against "
+        f"{figure(case.objective)}), and worse over the ensemble: mean square error {figure(a.mse_mean, 3)} EU² at "
         f"valve travel {figure(a.travel_mean, 3)} %."
     )
 
@@ -429,7 +428,7 @@ def robust_advice(study: Study) -> list[str]:
         if theirs is None:
             continue
         if other.tuned is None:
-            out += [text for text in (_beside(other, theirs, r, asked), _only_here(study, other, case)) if text]
+            out += [text for text in (_beside(other, theirs, r, asked), _only_here(other, case)) if text]
         elif other.tuned.ensemble is None:
             out.append(_nominal(other, theirs, r, asked))
     out += [

@@ -8,17 +8,19 @@ from collections.abc import Sequence
 import numpy as np
 
 from workbench.model.results import Kpis
-from workbench.model.site import SiteCase, SiteForm, SiteSettings
+from workbench.model.site import Beside, SiteForm, SiteSettings
 from workbench.model.study import CaseResult, Study
 from workbench.model.titles import kpi_title
-from workbench.report.judge import base_case, late_words, measure, refused, settling_band, settling_doubt, typed_case
+from workbench.report.judge import late_words, measure, refused, settling_band, settling_doubt, typed_case
 from workbench.report.shared import CONTROLLER_ROWS
 from workbench.report.tables import Cell, Row, Table, shown
-from workbench.report.words import change, controller_words, figure, join, setting
+from workbench.report.words import change, controller_words, figure, given, join, nearby, setting
 
 __all__ = [
+    "around",
     "as_found_as_left",
-    "as_typed_in",
+    "beside_content",
+    "beside_words",
     "form_content",
     "refused_sentences",
     "rounded",
@@ -44,30 +46,40 @@ def spread(case: CaseResult, kpis: Kpis) -> tuple[str, float]:
     return "standard deviation of SP − PV" if moves else "PV standard deviation", math.sqrt(kpis.error_variance)
 
 
-def as_typed_in(study: Study, case: CaseResult) -> tuple[Kpis, float | None]:
-    """Return a case's figures and J with the digits that are named: the site's own, where it has its own form.
+def around(beside: Beside) -> str:
+    """Return where settings beside those typed in were looked at, in words."""
+    if beside.digits is None:
+        return f"within ±{given(100.0 * beside.margin)} % of each setting"
+    return nearby(beside.margin)
 
-    Those of the case as found are of the scenario's own digits: it is what is there now.
+
+def beside_words(beside: Beside, was: tuple[float, float] | None, by: str, error: str = "mean square error") -> str:
+    """Return what to count on where settings are a knife-edge: their own figures are one draw of many, and no promise.
+
+    was: error (EU^2) and valve travel (%) as found, None where there is nothing to compare with. by: "J", or the error.
     """
-    typed = typed_case(study, case)
-    if typed is None or typed.kpis is None or case is base_case(study):
-        return case.run.kpis, case.objective
-    return typed.kpis, typed.objective
+    stem = beside.kpis if beside.secondary is None else beside.secondary
+    now = beside.kpis.mean_square_error, stem.valve_travel
+    if was is None:
+        texts = [f"{figure(now[0])} EU²", f"{figure(now[1])} %"]
+    else:
+        texts = [change(ours, theirs) for ours, theirs in zip(now, was, strict=True)]
+    told = f"{error} {texts[0]}, valve travel {texts[1]}"
+    told = f"J as much as {figure(beside.worst)} ({told})" if by == "J" else told
+    return f" A knife-edge, so count on no more than what settings beside these give: {told}."
 
 
 def _digits(case: CaseResult) -> int | None:
     return None if case.tuned is None else case.tuned.digits
 
 
-def _written(study: Study, case: CaseResult) -> tuple[SiteForm, SiteSettings, Kpis] | None:
-    """Return form, settings and figures of a case as it is typed in, None where the site's form has no equivalent."""
+def _written(study: Study, case: CaseResult) -> tuple[SiteForm, SiteSettings] | None:
+    """Return form and settings of a case as it is typed in, None where the site's form has no equivalent."""
     typed = typed_case(study, case)
     if study.site is None or typed is None:
         own = SiteForm(case.loop.controller.form)
-        return own, own.settings(case.loop.controller), case.run.kpis
-    if typed.settings is None or typed.kpis is None:
-        return None
-    return study.site, typed.settings, typed.kpis
+        return own, own.settings(case.loop.controller)
+    return None if typed.settings is None else (study.site, typed.settings)
 
 
 def setting_names(site: SiteForm) -> tuple[str, str, str]:
@@ -117,8 +129,7 @@ def typed_words(site: SiteForm, settings: SiteSettings, digits: int | None) -> s
 def as_found_as_left(study: Study, base: CaseResult | None, best: CaseResult) -> Table:
     """Return the settings as found and as left in the site's form and units, and what the same run gives with each.
 
-    base: None where no tuning as found is given, or it is itself the one to keep; the table has one column then. The
-    figures as found are of the case as the scenario gives it, those as left of the digits that are typed in.
+    base: None where no tuning as found is given, or it is itself the one to keep; the table has one column then.
     """
     cases = [best] if base is None or base is best else [base, best]
     heads = [_headed("as found", cases[0]), _headed("as left", best), "change"] if len(cases) > 1 else [best.name]
@@ -140,19 +151,17 @@ def as_found_as_left(study: Study, base: CaseResult | None, best: CaseResult) ->
         both = [describe(pid) for pid in pids]
         if name in ALWAYS or len(set(both)) > 1 or (name == "Derivative filter" and set(both) != {"–"}):
             rows.append(Row(name, "", (*(Cell(text) for text in both), *blank)))
-    changes = base is not best
-    left = written[-1] if changes else None
-    kpis = [*(case.run.kpis for case in cases[:-1]), best.run.kpis if left is None else left[2]]
-    costs = [*(_given_cost(case) for case in cases[:-1]), _cost(study, best) if changes else _given_cost(best)]
-    return Table(tuple(heads), (*rows, *_effect(study, cases, kpis, costs)))
+    return Table(tuple(heads), (*rows, *_effect(study, cases)))
 
 
 def _headed(what: str, case: CaseResult) -> str:
     return what if case.name.lower() == what else f"{what}: {case.name}"
 
 
-def _effect(study: Study, cases: list[CaseResult], kpis: list[Kpis], costs: list[float]) -> list[Row]:
+def _effect(study: Study, cases: list[CaseResult]) -> list[Row]:
     """Return what the run gives with the settings of the columns, and the change from the first to the last."""
+    kpis = [case.run.kpis for case in cases]
+    costs = [math.nan if case.objective is None else case.objective for case in cases]
     measured: list[tuple[str, str, str, list[float]]] = []
     if not any(math.isnan(cost) for cost in costs):
         measured.append(("objective", "J", "", costs))
@@ -169,7 +178,7 @@ def _effect(study: Study, cases: list[CaseResult], kpis: list[Kpis], costs: list
         doubts = [""] * len(cases)
         if name == "settling_time":
             unit = settling_band(cases[-1], study.experiment)
-            doubts = [settling_doubt(case, study.experiment, one) for case, one in zip(cases, kpis, strict=True)]
+            doubts = [settling_doubt(case, study.experiment) for case in cases]
         cells = [Cell(shown(name, value), doubt) for value, doubt in zip(values, doubts, strict=True)]
         if len(cases) > 1:
             known = not any(doubts) and all(math.isfinite(value) for value in values)
@@ -198,24 +207,16 @@ def _later(cases: list[CaseResult]) -> list[Row]:
     return rows
 
 
-def _given_cost(case: CaseResult) -> float:
-    return math.nan if case.objective is None else case.objective
-
-
-def _cost(study: Study, case: CaseResult) -> float:
-    typed = typed_case(study, case)
-    cost = case.objective if typed is None or typed.settings is None else typed.objective
-    return math.nan if cost is None else cost
-
-
-def rounding_sentences(study: Study, case: CaseResult) -> list[str]:
-    """Return what the site's form and digits make of a case, where that is not what was simulated before."""
-    typed = typed_case(study, case)
-    if typed is None or typed.settings is None or typed.kpis is None:
+def rounding_sentences(case: CaseResult) -> list[str]:
+    """Return what the site's form and digits have made of a case, where they round it, and that the page tells that."""
+    was, kpis = case.unrounded, case.run.kpis
+    if was is None:
         return []
-    if typed.settings.controller == case.loop.controller:
-        return []
-    return [_rounding(case, typed, typed.kpis, controller_words(case.loop.controller, _digits(case)))]
+    pairs = [("mean square error", kpis.mean_square_error, was.kpis.mean_square_error, " EU²")]
+    pairs.append(("valve travel", kpis.valve_travel, was.kpis.valve_travel, " %"))
+    if case.objective is not None:
+        pairs.insert(0, ("J", case.objective, was.objective, ""))
+    return [rounded(case.name, controller_words(was.controller, _digits(case)), pairs)]
 
 
 def refused_sentences(study: Study, chosen: CaseResult) -> list[str]:
@@ -240,22 +241,14 @@ def refused_sentences(study: Study, chosen: CaseResult) -> list[str]:
     return out
 
 
-def _rounding(case: CaseResult, typed: SiteCase, kpis: Kpis, own: str) -> str:
-    """Say how the figures with the site's rounded digits differ from those of the case."""
-    pairs = [("mean square error", kpis.mean_square_error, case.run.kpis.mean_square_error, " EU²")]
-    pairs.append(("valve travel", kpis.valve_travel, case.run.kpis.valve_travel, " %"))
-    if typed.objective is not None and case.objective is not None:
-        pairs.insert(0, ("J", typed.objective, case.objective, ""))
-    return rounded(case.name, own, pairs)
-
-
 def rounded(name: str, own: str, pairs: Sequence[tuple[str, float, float, str]]) -> str:
     """Say how figures with the site's rounded digits differ from a case's: (title, as typed in, before, unit) each."""
     off = [p for p in pairs if not math.isclose(p[1], p[2], rel_tol=SAME, abs_tol=1e-12)]
     begin = f"{name} is {own} in the scenario's form; rounded in the site's units it gives by exact simulation"
     if not off:
         return f"{begin} the same {join([p[0] for p in pairs])} (to 0.1 %)."
-    return f"{begin} {join([f'{what} {figure(a)}{unit} instead of {figure(b)}{unit}' for what, a, b, unit in off])}."
+    told = join([f"{what} {figure(a)}{unit} instead of {figure(b)}{unit}" for what, a, b, unit in off])
+    return f"{begin} {told}. This page tells of it as rounded."
 
 
 def site_table(study: Study) -> Table | None:
@@ -281,8 +274,17 @@ def site_content(study: Study) -> dict[str, object]:
         content: dict[str, object] = {"name": one.name, "refused": one.refused or None}
         if one.settings is not None and one.kpis is not None:
             content |= typed_content(one.settings, one.kpis) | {"objective": one.objective}
+            content |= {"beside": beside_content(one.beside)} if one.beside is not None else {}
         cases.append(content)
     return {**form_content(study.site), "cases": cases}
+
+
+def beside_content(beside: Beside) -> dict[str, object]:
+    """Return what results.json holds of settings beside those typed in: of a cascade the error is the primary's."""
+    stem = beside.kpis if beside.secondary is None else beside.secondary
+    worst = {"mean_square_error": beside.kpis.mean_square_error, "valve_travel": stem.valve_travel}
+    own = {"margin": beside.margin, "digits": beside.digits, "worst": beside.worst, "last_digit": beside.step}
+    return own | {"worst_run": worst}
 
 
 def form_content(site: SiteForm) -> dict[str, object]:

@@ -24,6 +24,8 @@ from workbench.report.words import capital, join
 
 __all__ = ["Summary", "summarise"]
 
+ORDER = "Set "  # how a decision for a change begins
+
 
 @dataclass(frozen=True, slots=True)
 class Summary:
@@ -69,7 +71,7 @@ def summarise(study: Study) -> Summary:
         else:
             advice = Advice(robust[0], choice, tuple(robust[1:]), tuple(lasting(study, choice)))
         if not refusal and (doubt := _hint(study, advice)):
-            advice = replace(advice, decision=f"{advice.decision} {capital(doubt)}.")
+            advice = replace(advice, decision=_hinted(study, advice, doubt))
     if study.cascade:
         found += cascade_sentences(study)
         advice = cascade_advice(study)
@@ -86,7 +88,7 @@ def summarise(study: Study) -> Summary:
         return Summary(
             *told,
             settings=cascade_table(study, first or case, case),
-            typed=tuple(cascade_rounding(study, case)) if case is not first else (),
+            typed=tuple(cascade_rounding(case)),
             sure=cascade_confidence(study, case),
             watch=tuple(cascade_watch(study, first, case)),
         )
@@ -94,7 +96,7 @@ def summarise(study: Study) -> Summary:
     return Summary(
         *told,
         settings=as_found_as_left(study, base, case),
-        typed=(*(rounding_sentences(study, case) if case is not base else ()), *refused_sentences(study, case)),
+        typed=(*rounding_sentences(case), *refused_sentences(study, case)),
         sure=confidence(study, case),
         watch=tuple(watch(study, base, case)),
     )
@@ -119,6 +121,15 @@ def _hint(study: Study, advice: Advice) -> str:
     # A decision for what only stiction holds says so itself.
     standing = None if held_by_stiction(case.standing) else case.standing
     return hint(named.found, "these tunings" if advice.case is None else "this tuning", standing)
+
+
+def _hinted(study: Study, advice: Advice, doubt: str) -> str:
+    """Return a decision with its doubt; where not even stiction is sure, the doubt first, so that none is an order."""
+    named = source_of(study, advice.case) if isinstance(advice.case, CaseResult) else None
+    if named is None or named.found.verdict != "undecided" or not advice.decision.startswith(ORDER):
+        return f"{advice.decision} {capital(doubt)}."
+    best = advice.decision.removeprefix(ORDER)
+    return f"Set nothing yet: {doubt}. The best for the loop as it was estimated is {best}"
 
 
 def _bound_sentences(study: Study) -> list[str]:

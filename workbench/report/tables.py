@@ -11,7 +11,7 @@ from workbench.model.titles import KPI_ROWS, kpi_title
 from workbench.report.judge import settling_band, settling_doubt, unstable
 from workbench.report.reference import reference_names
 from workbench.report.shared import CONTROLLER_ROWS
-from workbench.report.words import decimals_of, difference, duration, figure, published, setting
+from workbench.report.words import decimals_of, difference, duration, figure, parameter, published
 
 __all__ = ["Cell", "Row", "Table", "blocks", "case_tables", "difference_table", "printed", "shown"]
 
@@ -96,7 +96,10 @@ def _case_rows(study: Study, block: Sequence[CaseResult], decimals: dict[str, in
     digits = [c.tuned.digits if c.tuned is not None else None for c in block]
 
     def settings(name: str) -> tuple[Cell, ...]:
-        return tuple(Cell(setting(getattr(p, name), d)) for p, d in zip(pids, digits, strict=True))
+        return tuple(
+            Cell(parameter(getattr(case.loop.controller, name), d, converted=case.unrounded is not None))
+            for case, d in zip(block, digits, strict=True)
+        )
 
     rows = [
         Row("Kc", "%/EU", settings("Kc"), group=True),

@@ -40,6 +40,7 @@ __all__ = [
     "legible",
     "lower_first",
     "nearby",
+    "parameter",
     "parameter_words",
     "plant_words",
     "published",
@@ -147,6 +148,11 @@ def controller_words(controller: PID, digits: int | None = None) -> str:
     if controller.compensator is not None:
         parts.append(compensator_words(controller.compensator))
     return ", ".join(parts)
+
+
+def parameter(value: float, digits: int | None, *, converted: bool) -> str:
+    """Return a controller's parameter; converted: what a site's digits make of it, which has no last digit itself."""
+    return setting(float(f"{value:.6g}") if converted else value, digits)
 
 
 def compensator_words(what: Compensator | None) -> str:

@@ -27,7 +27,7 @@ from workbench.model.loop import Loop
 from workbench.model.numbers import given
 from workbench.model.plant import Plant
 from workbench.model.record import Record
-from workbench.model.results import Intervals, Repair, SolveStatus, Tuned
+from workbench.model.results import Intervals, Outcome, Repair, SolveStatus, Tuned
 from workbench.model.study import CaseResult, NamedEstimate, Study
 from workbench.model.tuning import Objective
 from workbench.scenario.controllers import fitting_action, ruled, wrong_way
@@ -35,9 +35,9 @@ from workbench.scenario.loader import load_scenario
 from workbench.scenario.over_ensemble import best_robust, front_of, with_robustness
 from workbench.scenario.plan import CaseJob, EstimateJob, MapJob, Scenario, TuneJob
 from workbench.scenario.robust import constraints_of
-from workbench.scenario.site_cases import nearest_controllers, site_cases
+from workbench.scenario.site_cases import nearest_controllers, same_numbers, site_cases, typed_controller
 from workbench.simulate.run import evaluate, simulate
-from workbench.tune.repair import repair_over, repaired_outcome, value_of_repair
+from workbench.tune.repair import outcome, repair_over, repaired_outcome, value_of_repair
 from workbench.tune.tune import tune
 
 __all__ = ["Progress", "for_plant", "run_scenario", "simulated_record", "tune_case"]
@@ -185,7 +185,7 @@ class _Runner:
         self.detections.append(found)
         return found
 
-    def _case(self, job: CaseJob, base: Loop, above: Sequence[CaseResult]) -> CaseResult:
+    def _case(self, job: CaseJob, base: Loop, above: Sequence[CaseResult], nearest_to: str = "") -> CaseResult:
         plan, experiment = self.plan, self.plan.experiment
         if experiment is None:
             raise ScenarioError(f"{plan.path}: experiment: missing; needed to simulate")
@@ -201,6 +201,9 @@ class _Runner:
             if tuned.status is SolveStatus.INTERRUPTED:
                 raise KeyboardInterrupt
             loop = loop.with_controller(tuned.controller)
+        unrounded = None
+        if not nearest_to:  # which is what is typed in
+            loop, unrounded = self._as_typed_in(job, loop, tuned, above)
         with self._stage(job.name, job.where, _SHARE["case"]) as progress:
             # A diverging loop overflows; its figures say so.
             with np.errstate(over="ignore", invalid="ignore"):
@@ -229,8 +232,30 @@ class _Runner:
             note=job.note,
             rule=job.rule,
             repaired=repaired,
+            nearest_to=nearest_to,
             standing=standing(loop, self.ranges),
+            unrounded=unrounded,
         )
+
+    def _as_typed_in(
+        self, job: CaseJob, loop: Loop, tuned: Tuned | None, above: Sequence[CaseResult]
+    ) -> tuple[Loop, Outcome | None]:
+        """Return a case's loop as the site types it in, and what it gave before, None where that rounds nothing.
+
+        The case as found, the first that is given, is there already, and so are its settings where another case has
+        them too: whatever the site's digits.
+        """
+        site, experiment = self.plan.site, self.plan.experiment
+        first = next((case for case in above if case.tuned is None), None)
+        if first is None and job.tune is None and job.rule is None:
+            return loop, None
+        there = first is not None and first.rule is None and same_numbers(first.loop.controller, loop.controller)
+        if site is None or experiment is None or there:
+            return loop, None
+        typed = typed_controller(site, loop.controller, None if tuned is None else tuned.digits)
+        if typed == loop.controller:
+            return loop, None
+        return loop.with_controller(typed), outcome(loop, experiment, self.plan.objective or Objective())
 
     def _nearest(self, cases: Sequence[CaseResult]) -> list[CaseResult]:
         """Return a case more for each that the site's form cannot take: what comes nearest to it there."""
@@ -242,7 +267,7 @@ class _Runner:
                 name += "'"
             names.add(name)
             job = CaseJob(name, f"case {name}", controller, note=f"What comes nearest to {case.name} at the site.")
-            found.append(replace(self._case(job, case.loop, cases), nearest_to=case.name))
+            found.append(self._case(job, case.loop, cases, case.name))
         return found
 
     def _repair(self, cases: Sequence[CaseResult]) -> Repair:
@@ -259,7 +284,9 @@ class _Runner:
             repair = value_of_repair(present.loop, experiment, plan.objective, tuned=best, progress=progress)
         if SolveStatus.INTERRUPTED in (repair.tuned.status, repair.tuned_repaired.status):
             raise KeyboardInterrupt
-        return repair
+        # What the site types in is what the best tuning is elsewhere on the page.
+        typed = next((case.loop for case in cases if case.tuned is repair.tuned and case.unrounded is not None), None)
+        return repair if typed is None else replace(repair, best=outcome(typed, experiment, repair.weights))
 
     def _robust_repair(self, cases: Sequence[CaseResult]) -> RobustRepair | None:
         """Return what repair is worth over the ensemble of the best robust tuning, if there is one."""

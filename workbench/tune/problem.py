@@ -28,7 +28,7 @@ from workbench.simulate.signals import signals
 from workbench.simulate.sums import TRAVEL
 from workbench.tune.limits import NARROW, UNSTABLE, WORN, more_than_sensitivity, narrowness, worn
 
-__all__ = ["Problem", "round_to"]
+__all__ = ["Problem", "last_offsets", "round_to", "unit_of"]
 
 # Random inner points of a neighbourhood: when searching, when it is looked at closely, and for the last word.
 SPARSE, DENSE, LAST, LAST_SAMPLES = 6, 100, 2000, 2_000_000
@@ -88,7 +88,7 @@ class Problem:
         # Worst cases by tuning, without and with many inner points; and which points of a neighbourhood tell the worst.
         self._known: tuple[dict[bytes, float], dict[bytes, float]] = ({}, {})
         self._lost: dict[int, NDArray[np.int64]] = {}
-        self._last = _offsets(np.random.default_rng(2), max(DENSE, min(LAST, LAST_SAMPLES // self.samples)))
+        self._last = last_offsets(self.samples)
 
     def without_derivative(self) -> Problem:
         """Return the same problem with Td held at 0; its work counts as this one's."""
@@ -320,6 +320,11 @@ def _written(value: float, digits: int, low: float, high: float) -> float:
         unit = float(unit_of(np.array([value]), digits)[0])
         near = float(f"{near + (unit if near < low else -unit):.{digits - 1}e}")
     return near if low <= near <= high else (low if value - low <= high - value else high)
+
+
+def last_offsets(samples: int) -> FloatArray:
+    """Return the points of [-1, 1]^3 by which a neighbourhood gets the last word; samples: of a run."""
+    return _offsets(np.random.default_rng(2), max(DENSE, min(LAST, LAST_SAMPLES // samples)))
 
 
 def _offsets(rng: np.random.Generator, inner: int) -> FloatArray:
