@@ -89,12 +89,17 @@ _TIME_UNITS = {
     "second": 1.0,
     "seconds": 1.0,
     "ms": 1e-3,
+    "us": 1e-6,
+    "ns": 1e-9,
     "min": 60.0,
     "minute": 60.0,
     "minutes": 60.0,
     "h": 3600.0,
     "hour": 3600.0,
     "hours": 3600.0,
+    "d": 86_400.0,
+    "day": 86_400.0,
+    "days": 86_400.0,
 }
 
 
@@ -151,10 +156,10 @@ def in_milliamperes(text: str) -> bool:
     return re.search(r"(?<![A-Za-z])mA(?![A-Za-z])|[(\[]\s*(?i:ma)\s*[)\]]|(?i:milliamp)", text) is not None
 
 
-def time_unit(name: str) -> float:
-    """Return the seconds in one unit of a numeric time column, read from its name; 1 where it says nothing."""
-    tokens = _tokens(name)
-    return _TIME_UNITS.get(tokens[-1], 1.0) if tokens else 1.0
+def time_unit(name: str) -> float | None:
+    """Return the seconds in one unit of a numeric time column, read from its name; None where it says nothing."""
+    tokens = _tokens(name.replace("µ", "u").replace("μ", "u"))
+    return _TIME_UNITS.get(tokens[-1]) if tokens else None
 
 
 def split_tag(tag: str) -> tuple[str, str] | None:

@@ -324,7 +324,9 @@ def arrow_cells(column: object, name: str, where: str) -> Cells:
     if pa.types.is_boolean(kind):
         chunk, kind = pc.cast(chunk, pa.int8()), pa.int8()
     if pa.types.is_integer(kind) or pa.types.is_floating(kind) or pa.types.is_decimal(kind):
-        cells = _marked(np.array(pc.cast(chunk, pa.float64()).to_numpy(zero_copy_only=False), dtype=np.float64))
+        # A float holds nanoseconds since 1970 to the quarter of a microsecond: near enough, but not exact.
+        plain = pc.cast(chunk, pa.float64(), safe=False)
+        cells = _marked(np.array(plain.to_numpy(zero_copy_only=False), dtype=np.float64))
         cells.marks[missing] = BLANK
         return cells
     listed = ["" if v is None else str(v).strip() for v in chunk.to_pylist()]

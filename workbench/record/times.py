@@ -32,7 +32,6 @@ _MONTH_FIRST = sorted(_DAYS, key=lambda day: day != "%m/%d/%Y")
 _FORMATS = (
     *(f"{day} {clock}" for day in _DAYS for clock in _CLOCKS),
     *(f"{day} {clock}" for day in _MONTH_FIRST for clock in _TWELVE),
-    "%Y%m%d%H%M%S",
 )
 FORMATS_SAID = (
     "seconds, ISO 8601 (2024-10-17 21:55:00, with or without a zone) or spellings such as 17.10.2024 21:55:00"
