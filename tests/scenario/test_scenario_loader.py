@@ -262,6 +262,28 @@ def test_data_that_cannot_be_read_is_refused_at_its_entry(tmp_path: Path) -> Non
     assert "no column for OP" in refusal(DATA, tmp_path)
 
 
+@pytest.mark.parametrize(
+    ("rows", "said"),
+    [
+        ([f"{k},{k % 7},{k % 5}" for k in range(10)], "loop.csv: 10 samples given; at least 30 are needed to estimate"),
+        ([f"{k},50,{k % 5}" for k in range(60)], "loop.csv: PV is constant (50) over all 60 samples"),
+        ([f"{k},{k % 7},40" for k in range(60)], "loop.csv: OP is constant (40) over all 60 samples"),
+    ],
+)
+def test_data_that_no_estimate_can_begin_with_is_refused_at_its_entry(
+    tmp_path: Path, rows: list[str], said: str
+) -> None:
+    (tmp_path / "loop.csv").write_text("\n".join(["time,PV,OP", *rows]) + "\n")
+    (line,) = refusal(DATA, tmp_path).splitlines()
+    assert line.startswith(f"loop.yaml:4:18: estimate.data: {said}")
+
+
+def test_a_simulated_record_of_too_few_samples_is_refused() -> None:
+    text = GOOD.replace("title: A loop", "title: A\nestimate: {simulate: true}").replace("100 s", "29 s")
+    assert "estimate.simulate: 29 samples are simulated; at least 30 are needed to estimate a loop" in refusal(text)
+    assert read(text.replace("29 s", "30 s")).estimates
+
+
 def test_a_recorded_profile_is_taken_as_deviations(tmp_path: Path) -> None:
     record(tmp_path)
     text = GOOD.replace("{step: 4, at: 0 s}", "{file: loop.csv, column: SP}")
