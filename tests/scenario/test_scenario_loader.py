@@ -16,6 +16,7 @@ from workbench.model.tuning import Bounds, Objective
 from workbench.model.valve import Choudhury, Directional, He, Kano, Stenman, Valve
 from workbench.scenario.loader import load_scenario, read_scenario
 from workbench.scenario.plan import Scenario
+from workbench.scenario.refusals import in_entries
 
 SCENARIOS = Path(__file__).parents[2] / "scenarios"
 
@@ -276,6 +277,26 @@ def test_data_that_no_estimate_can_begin_with_is_refused_at_its_entry(
     (tmp_path / "loop.csv").write_text("\n".join(["time,PV,OP", *rows]) + "\n")
     (line,) = refusal(DATA, tmp_path).splitlines()
     assert line.startswith(f"loop.yaml:4:18: estimate.data: {said}")
+
+
+def test_what_a_record_asks_for_is_said_as_a_scenario_says_it(tmp_path: Path) -> None:
+    (tmp_path / "loop.csv").write_text("time,FLOW,OUT 1\n0,1,2\n1,2,3\n")
+    assert "for example columns: {PV: name in the file}" in refusal(DATA, tmp_path)
+    (tmp_path / "loop.csv").write_text("time,A.PV,B:PV,OP\n0,1,2,3\n1,2,3,4\n")
+    assert "say which one, for example columns: {PV: A.PV}" in refusal(DATA, tmp_path)
+    (tmp_path / "loop.csv").write_text("PV,OP\n" + "".join(f"{k % 7},{k % 5}\n" for k in range(60)))
+    assert "give sample_time, such as 5 s, or the column, columns: {time: name}" in refusal(DATA, tmp_path)
+    assert in_entries("x tags={'PV': 'F: 1', 'OP': \"a'b\", 'SP': 'no'}") == (
+        """x tags: {PV: "F: 1", OP: "a'b", SP: "no"}"""
+    )
+
+
+@pytest.mark.parametrize("name", ["op_range", "pv_range"])
+def test_a_range_the_wrong_way_round_is_refused_at_its_own_entry(tmp_path: Path, name: str) -> None:
+    record(tmp_path)
+    text = DATA.replace("loop.csv,", f"loop.csv, {name}: [100, 0],")
+    (line,) = refusal(text, tmp_path).splitlines()
+    assert line.startswith(f"loop.yaml:4:38: estimate.{name}: (100.0, 0.0) given; must be"), line
 
 
 def test_a_simulated_record_of_too_few_samples_is_refused() -> None:

@@ -28,7 +28,7 @@ from workbench.scenario.element_entries import DESCRIBED, NOT_FROM_DATA, element
 from workbench.scenario.experiments import Experiments
 from workbench.scenario.map_entries import map_job
 from workbench.scenario.plan import CaseJob, EnsembleJob, EstimateJob, Scenario, wrong_length
-from workbench.scenario.refusals import Refusals, one_line
+from workbench.scenario.refusals import Refusals, in_entries, one_line
 from workbench.scenario.robust import RobustEntries, measured_in
 from workbench.scenario.rule_entries import DetunedIntegralRule, rule_of
 from workbench.scenario.series import in_samples, read_data
@@ -399,8 +399,14 @@ class Builder:
         try:
             record = replace(read_data(self._beside(name), e, self.controllers.pv_range), source=name)
             refuse_unfit(record)
-        except (RecordError, InvalidValue, OSError, ValueError) as error:
-            self.refusals.refuse((*path, "data"), one_line(error))
+        except InvalidValue as error:
+            # A range that the loop gives stands elsewhere, and was refused there.
+            own = error.where in e.model_fields_set
+            text = f"{error.given} given; {error.allowed}" if own else one_line(error)
+            self.refusals.refuse((*path, error.where if own else "data"), text)
+            return None
+        except (RecordError, OSError, ValueError) as error:
+            self.refusals.refuse((*path, "data"), in_entries(one_line(error)))
             return None
         self.notes += [f"{name}: {note}" for note in record.notes]
         return record
