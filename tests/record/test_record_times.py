@@ -86,6 +86,20 @@ def test_newest_first_is_turned_round(tmp_path: Path) -> None:
     assert any("turned round" in note for note in record.notes)
 
 
+@pytest.mark.parametrize(
+    "start", [dt.datetime(2024, 10, 26, 23, 30, tzinfo=dt.UTC), dt.datetime(2024, 3, 31, 0, 30, tzinfo=dt.UTC)]
+)
+def test_newest_first_is_turned_round_where_the_clock_was_changed_too(tmp_path: Path, start: dt.datetime) -> None:
+    record = read_record(write(tmp_path, local(start, 600, 10)[::-1]))
+    assert record.pv.tolist() == [599.0 - k for k in range(600)]
+    assert any("turned round" in note for note in record.notes)
+    assert any("the clock goes" in note for note in record.notes)
+    broken = local(start, 600, 10)[::-1]
+    broken[100], broken[101] = broken[101], broken[100]
+    with pytest.raises(RecordError, match="times must ascend"):
+        read_record(write(tmp_path, broken))
+
+
 def test_a_repeated_time_keeps_the_last_row(tmp_path: Path) -> None:
     path = tmp_path / "loop.csv"
     rows = [f"{k},{k},{k % 5}\n" for k in range(50)]
@@ -95,6 +109,11 @@ def test_a_repeated_time_keeps_the_last_row(tmp_path: Path) -> None:
     assert record.pv[20] == -1.0
     assert (len(record), record.counts["repeated"]) == (50, 1)
     assert any("1 row of a time that occurs again left out, 1 of them with other values" in n for n in record.notes)
+    assert any(note.endswith("with other values: the last row of a time is kept") for note in record.notes)
+    path.write_text("t,PV,OP\n" + "".join(reversed(rows)))
+    turned = read_record(path)
+    assert turned.pv[20] == -1.0
+    assert any(note.endswith("with other values: the first row of a time is kept") for note in turned.notes)
     rows[21] = rows[20]
     path.write_text("t,PV,OP\n" + "".join(rows))
     assert any(note.endswith("left out, with the same values") for note in read_record(path).notes)

@@ -57,7 +57,8 @@ class Cells:
 
     texts: the cells as text, where they may be timestamps, modes, tags or qualities. stamped: whether a Parquet file's
     timestamps carry a zone, None for anything else; `values` are then seconds since 1970. qualities: that were not
-    good, counted. codes: numbers that stood for no value, counted.
+    good, counted. codes: numbers that stood for no value, counted. beyond: the values marked `RANGE`, and
+    between which limits the others lie.
     """
 
     values: FloatArray
@@ -67,6 +68,7 @@ class Cells:
     stamped: bool | None = None
     qualities: Counter[str] = field(default_factory=Counter)
     codes: Counter[str] = field(default_factory=Counter)
+    beyond: tuple[FloatArray, float, float] | None = None
 
     def take(self, rows: NDArray[np.int64]) -> Cells:
         """Return the cells of these rows, shape (M,), in this order."""

@@ -142,7 +142,8 @@ def in_order(seconds: FloatArray, same: NDArray[np.bool_], wall_clock: bool) -> 
     rows = np.flatnonzero(np.isfinite(seconds))
     times, notes = seconds[rows], []
     steps = np.diff(times)
-    if steps.size and (steps <= 0.0).all() and (steps < 0.0).any():
+    turned = _backwards(times, wall_clock)
+    if turned:
         rows, times = rows[::-1], times[::-1]
         same = np.concatenate((same[1:], [False]))
         steps = np.diff(times)
@@ -172,8 +173,23 @@ def in_order(seconds: FloatArray, same: NDArray[np.bool_], wall_clock: bool) -> 
         keep = np.concatenate((steps > 0.0, [True]))
         rows, times = rows[keep], times[keep]
         which = f"{other.size} of them with other values" if other.size else "with the same values"
-        notes.append(f"{twice.size} row{'s' if twice.size > 1 else ''} of a time that occurs again left out, {which}")
+        kept = f": the {'first' if turned else 'last'} row of a time is kept" if other.size else ""
+        many = f"{twice.size} row{'s' if twice.size > 1 else ''}"
+        notes.append(f"{many} of a time that occurs again left out, {which}{kept}")
     return Order(rows, times, int(twice.size), tuple(notes))
+
+
+def _backwards(times: FloatArray, wall_clock: bool) -> bool:
+    """Whether times, shape (N,), go from the latest to the earliest, but for a clock that was changed."""
+    steps = np.diff(times)
+    if not (steps < 0.0).any():
+        return False
+    if wall_clock and (steps > 0.0).any():
+        # That must leave no doubt, or it is the file's own order that is refused.
+        return bool(np.count_nonzero(steps < 0.0) > np.count_nonzero(steps > 0.0)) and bool(
+            (np.diff(_clock_changes(times[::-1])[0]) >= 0.0).all()
+        )
+    return bool((steps <= 0.0).all())
 
 
 def _clock_changes(times: FloatArray) -> tuple[FloatArray, list[str]]:
