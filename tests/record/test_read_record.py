@@ -502,3 +502,28 @@ def test_a_comment_in_quotes_may_take_several_lines(tmp_path: Path) -> None:
     rows = [f'{5 * k},{k},{k % 7},"a note\nof two lines, with, more, commas"' for k in range(60)]
     record = read_record(write(tmp_path, "\n".join(["time,PV,OP,note", *rows])))
     assert record.pv.tolist() == list(range(60))
+
+
+@pytest.mark.parametrize(
+    "header",
+    [
+        'time,"PV, m3/h","OP, %","SP, m3/h"',
+        "time,Measured Value,Output,Set Point",
+        "time,FIC101 Measured Value,FIC101 Output,FIC101 Set Point",
+        '"time, s","FIC101.PV, bar","FIC101.OP, %",FIC101.SP',
+    ],
+)
+def test_names_of_two_words_and_with_a_unit_after_a_comma(tmp_path: Path, header: str) -> None:
+    rows = [f"{k},{k},{k % 7},5" for k in range(40)]
+    record = read_record(write(tmp_path, "\n".join([header, *rows])))
+    assert record.pv.tolist() == list(range(40))
+    assert record.op[:7].tolist() == list(range(7))
+    assert record.sp is not None
+
+
+def test_what_stands_after_a_comma_may_be_more_than_a_unit(tmp_path: Path) -> None:
+    rows = [f"{k},{k},{k % 7},{'Bad' if k == 20 else 'Good'}" for k in range(60)]
+    record = read_record(write(tmp_path, "\n".join(['time,PV,OP,"PV, quality"', *rows])))
+    assert record.counts["rejected, bad quality"] == 1
+    record = read_record(write(tmp_path, "\n".join(['time,PV,OP,"PV, raw"', *rows])))
+    assert len(record) == 60

@@ -66,7 +66,7 @@ _SPELLINGS: dict[str, tuple[str, ...]] = {
 _SUFFIXES: dict[str, tuple[str, ...]] = {
     "time": (),
     "SP": ("sp", "spt", "setpoint", "sv"),
-    "PV": ("pv", "measurement", "meas"),
+    "PV": ("pv", "measurement", "meas", "measured"),
     "OP": ("op", "co", "mv", "out", "output"),
     "MODE": ("mode", "mod"),
     "valve_position": ("zt", "zi", "pos", "position", "stem"),
@@ -122,6 +122,16 @@ def _tokens(name: str) -> list[str]:
 
 def _tier(name: str, signal: str) -> int | None:
     """Return how well a column's name fits a signal: 0 its own name, 1 a usual spelling, 2 a tag's suffix, 3 CV."""
+    tier = _fit(name, signal)
+    head, comma, unit = name.rpartition(",")
+    if tier is None and comma and not {*_ENDINGS, *_QUALITIES} & {*_tokens(unit)[-1:]}:
+        # A unit may stand after a comma: "PV, m3/h".
+        tier = _fit(head, signal)
+        return None if tier is None else max(tier, 1)
+    return tier
+
+
+def _fit(name: str, signal: str) -> int | None:
     plain, tokens = _plain(name), _tokens(name)
     if plain in _OWN[signal]:
         return 0
@@ -137,7 +147,9 @@ def _tier(name: str, signal: str) -> int | None:
     tokens = _tag(name)
     if "".join(tokens) in _OWN[signal] + _SPELLINGS[signal]:
         return 1
-    return 2 if len(tokens) > 1 and tokens[-1] in _SUFFIXES[signal] else None
+    # "FIC101 Set Point": a suffix may be two words.
+    ends = {tokens[-1], "".join(tokens[-2:]) if len(tokens) > 2 else ""}
+    return 2 if len(tokens) > 1 and ends & {*_SUFFIXES[signal]} else None
 
 
 def _tag(name: str) -> list[str]:
