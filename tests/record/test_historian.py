@@ -101,6 +101,18 @@ def test_a_window_of_time_reads_that_alone(tmp_path: Path, one: wb.Record) -> No
         found(tmp_path / "a.parquet", FIC1, window=(0.0, 1.0))
 
 
+@pytest.mark.parametrize("per_second", [1, 10**3, 10**6, 10**9])
+def test_a_window_of_time_is_told_of_counts_too(tmp_path: Path, one: wb.Record, per_second: int) -> None:
+    def counts(table: pa.Table) -> pa.Table:
+        at = table.column("time").cast(pa.int64()).to_numpy() // 1000
+        return table.set_column(1, "time", pa.array(at * per_second))
+
+    write_tall(tmp_path / "a.parquet", *(counts(tall("FIC1", one, *part)) for part in ((0, 200), (200, None))))
+    part = found(tmp_path / "a.parquet", FIC1, window=(START + 250.0, START + 300.0))
+    assert np.array_equal(part.pv, one.pv[250:300])
+    assert (part.sample_time, part.epoch + part.start) == (one.sample_time, START + 250.0)
+
+
 def test_qualities_modes_and_sparse_setpoints(tmp_path: Path, one: wb.Record) -> None:
     table = tall("FIC1", one)
     quality = table.column("quality").to_pylist()

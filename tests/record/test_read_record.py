@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 from contextlib import suppress
 from pathlib import Path
 
@@ -468,3 +469,61 @@ def test_a_given_sample_time_replaces_that_of_a_clock_which_is_slightly_off(tmp_
     record = read_record(path, sample_time=1.0)
     assert record.sample_time == 1.0
     assert any("as given" in note for note in record.notes)
+
+
+@pytest.mark.parametrize(
+    ("changes", "where"),
+    [
+        ({20: '100,"20,6'}, "line 22, column 'PV': a quote (\") is opened and not closed, and rows would be taken"),
+        ({20: '100,20,"6', 40: '"200,40,5'}, "line 22, column 'OP': a quote (\") is opened and not closed"),
+        ({58: '"290,58,2'}, "line 60, column 'time'"),
+    ],
+)
+@pytest.mark.parametrize("end", ["\n", "\r\n"])
+def test_a_quote_that_is_not_closed_loses_no_rows(
+    tmp_path: Path, changes: dict[int, str], where: str, end: str
+) -> None:
+    rows = [changes.get(k, f"{5 * k},{k},{k % 7}") for k in range(60)]
+    path = tmp_path / "loop.csv"
+    path.write_bytes((end.join(["time,PV,OP", *rows]) + end).encode())
+    with pytest.raises(RecordError, match=re.escape(where)):
+        read_record(path)
+
+
+def test_a_quote_that_is_not_closed_is_named_in_a_long_file_and_in_the_header(tmp_path: Path) -> None:
+    rows = [f"{5 * k},{k},{k % 7}" if k != 20 else '100,"20,6' for k in range(20_000)]
+    with pytest.raises(RecordError, match=r"line 22: no readable CSV.*is a quote opened there that is not closed\?"):
+        read_record(write(tmp_path, "\n".join(["time,PV,OP", *rows])))
+    with pytest.raises(RecordError, match=r"line 1: a quote \(\"\) is opened and not closed"):
+        read_record(write(tmp_path, "\n".join(['time,"PV,OP', *rows[:20]])))
+
+
+def test_a_comment_in_quotes_may_take_several_lines(tmp_path: Path) -> None:
+    rows = [f'{5 * k},{k},{k % 7},"a note\nof two lines, with, more, commas"' for k in range(60)]
+    record = read_record(write(tmp_path, "\n".join(["time,PV,OP,note", *rows])))
+    assert record.pv.tolist() == list(range(60))
+
+
+@pytest.mark.parametrize(
+    "header",
+    [
+        'time,"PV, m3/h","OP, %","SP, m3/h"',
+        "time,Measured Value,Output,Set Point",
+        "time,FIC101 Measured Value,FIC101 Output,FIC101 Set Point",
+        '"time, s","FIC101.PV, bar","FIC101.OP, %",FIC101.SP',
+    ],
+)
+def test_names_of_two_words_and_with_a_unit_after_a_comma(tmp_path: Path, header: str) -> None:
+    rows = [f"{k},{k},{k % 7},5" for k in range(40)]
+    record = read_record(write(tmp_path, "\n".join([header, *rows])))
+    assert record.pv.tolist() == list(range(40))
+    assert record.op[:7].tolist() == list(range(7))
+    assert record.sp is not None
+
+
+def test_what_stands_after_a_comma_may_be_more_than_a_unit(tmp_path: Path) -> None:
+    rows = [f"{k},{k},{k % 7},{'Bad' if k == 20 else 'Good'}" for k in range(60)]
+    record = read_record(write(tmp_path, "\n".join(['time,PV,OP,"PV, quality"', *rows])))
+    assert record.counts["rejected, bad quality"] == 1
+    record = read_record(write(tmp_path, "\n".join(['time,PV,OP,"PV, raw"', *rows])))
+    assert len(record) == 60

@@ -151,6 +151,7 @@ def test_values_beyond_a_range_are_rejected_at_namur_limits(tmp_path: Path) -> N
     assert (record.start, len(record), record.pv_range) == (11.0, 89, (0.0, 100.0))
     assert record.counts["rejected, out of range"] == 1
     assert any("1 row rejected: out of range, first in line 12, column 'PV'" in note for note in record.notes)
+    assert any(note.endswith("column 'PV': 200, allowed -2.5 to 106.25") for note in record.notes)
 
 
 @pytest.mark.parametrize("code", ["-9999", "9999", "-999.25", "-32768", "3.4028235e+38"])
@@ -174,6 +175,15 @@ def test_values_of_op_far_beyond_its_range_are_rejected_where_it_is_in_percent(t
     record = read_record(write(tmp_path, {"PV": noise(100, 1), "OP": op}))
     assert record.counts["rejected, out of range"] == 2
     assert any("2 rows rejected: out of range, first in line 32, column 'OP'" in note for note in record.notes)
+    assert any(note.endswith("column 'OP': 4500, allowed -100 to 200") for note in record.notes)
+    # What is told is the value of the line that is told, in the file's unit and in any order of the file.
+    pv, narrow = noise(100, 1), op / 100.0
+    pv[50], narrow[[30, 60]] = 500.0, (45.0, -3.21)
+    rows = [f"{99 - k},{pv[k]},{narrow[k]}" for k in range(100)]
+    path = tmp_path / "turned.csv"
+    path.write_text("\n".join(["t,PV,OP", *rows]), encoding="utf-8")
+    notes = read_record(path, op_range=(0.0, 1.0), pv_range=(0.0, 100.0)).notes
+    assert any(note.endswith("first in line 32, column 'OP': 45, allowed -0.025 to 1.0625") for note in notes)
     assert not any("beyond 0 to 100 %" in note for note in record.notes)
     # In counts of a converter nothing of the kind can be told, and a little beyond may be a controller's limit.
     counts = 40.0 * noise(100)

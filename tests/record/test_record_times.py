@@ -86,6 +86,20 @@ def test_newest_first_is_turned_round(tmp_path: Path) -> None:
     assert any("turned round" in note for note in record.notes)
 
 
+@pytest.mark.parametrize(
+    "start", [dt.datetime(2024, 10, 26, 23, 30, tzinfo=dt.UTC), dt.datetime(2024, 3, 31, 0, 30, tzinfo=dt.UTC)]
+)
+def test_newest_first_is_turned_round_where_the_clock_was_changed_too(tmp_path: Path, start: dt.datetime) -> None:
+    record = read_record(write(tmp_path, local(start, 600, 10)[::-1]))
+    assert record.pv.tolist() == [599.0 - k for k in range(600)]
+    assert any("turned round" in note for note in record.notes)
+    assert any("the clock goes" in note for note in record.notes)
+    broken = local(start, 600, 10)[::-1]
+    broken[100], broken[101] = broken[101], broken[100]
+    with pytest.raises(RecordError, match="times must ascend"):
+        read_record(write(tmp_path, broken))
+
+
 def test_a_repeated_time_keeps_the_last_row(tmp_path: Path) -> None:
     path = tmp_path / "loop.csv"
     rows = [f"{k},{k},{k % 5}\n" for k in range(50)]
@@ -95,6 +109,11 @@ def test_a_repeated_time_keeps_the_last_row(tmp_path: Path) -> None:
     assert record.pv[20] == -1.0
     assert (len(record), record.counts["repeated"]) == (50, 1)
     assert any("1 row of a time that occurs again left out, 1 of them with other values" in n for n in record.notes)
+    assert any(note.endswith("with other values: the last row of a time is kept") for note in record.notes)
+    path.write_text("t,PV,OP\n" + "".join(reversed(rows)))
+    turned = read_record(path)
+    assert turned.pv[20] == -1.0
+    assert any(note.endswith("with other values: the first row of a time is kept") for note in turned.notes)
     rows[21] = rows[20]
     path.write_text("t,PV,OP\n" + "".join(rows))
     assert any(note.endswith("left out, with the same values") for note in read_record(path).notes)
@@ -141,6 +160,45 @@ def test_of_day_and_month_the_reading_without_leaps_counts(
     said = next(note for note in record.notes if note.startswith("timestamps read as"))
     assert said.startswith(f"timestamps read as {form}")
     assert ("would run as evenly" in said) == (day == "either")
+
+
+@pytest.mark.parametrize(
+    ("form", "zone"),
+    [
+        ("%m/%d/%y %I:%M:%S %p", ""),
+        ("%m/%d/%y %H:%M:%S", ""),
+        ("%d/%m/%y %H:%M:%S", ""),
+        ("%d-%b-%Y %I:%M:%S.%f %p", ""),
+        ("%b %d %Y %I:%M:%S %p", ""),
+        ("%d.%m.%Y %H:%M:%S,%f", ""),
+        ("%m/%d/%Y %I:%M:%S p.m.", ""),
+        ("%d.%m.%Y %H:%M:%S,%f", " UTC"),
+        ("%Y-%m-%dT%H:%M:%S", " UTC"),
+        ("%Y-%m-%d %H:%M:%S", " CET"),
+        ("%d-%b-%Y %I:%M:%S.%f %p", " EST"),
+        ("%d.%m.%Y %H:%M:%S", "Z"),
+    ],
+)
+def test_spellings_as_plants_have_them(tmp_path: Path, form: str, zone: str) -> None:
+    start = dt.datetime(2026, 3, 9, 23, 50) if "p.m." not in form else dt.datetime(2026, 3, 13, 20)  # noqa: DTZ001
+    times = [(start + dt.timedelta(seconds=5 * k)).strftime(form) + zone for k in range(600)]
+    record = read_record(write(tmp_path, [f'"{time}"' for time in times]))
+    assert (len(record), record.sample_time) == (600, 5.0)
+    east = {" CET": 3600.0, " EST": -5 * 3600.0}.get(zone, 0.0)
+    assert record.epoch == start.replace(tzinfo=dt.UTC).timestamp() - east
+    assert f"first timestamp {times[0]}" in record.notes
+
+
+def test_a_zone_by_name_tells_the_two_hours_apart(tmp_path: Path) -> None:
+    start = dt.datetime(2024, 10, 26, 23, 30, tzinfo=dt.UTC)
+    record = read_record(write(tmp_path, local(start, 600, 10, "%Y-%m-%d %H:%M:%S %Z")))
+    assert (len(record), record.sample_time, record.epoch) == (600, 10.0, start.timestamp())
+    assert not any("clock" in note for note in record.notes)
+
+
+def test_a_name_that_is_no_known_zone_is_no_time(tmp_path: Path) -> None:
+    with pytest.raises(RecordError, match="line 2, column 'time': '2026-03-09 22:50:00 XYZ' is no time"):
+        read_record(write(tmp_path, [f"2026-03-09 22:50:{k:02d} XYZ" for k in range(60)]))
 
 
 def test_uneven_times_are_resampled_and_said(tmp_path: Path) -> None:

@@ -16,6 +16,7 @@ from workbench.model.tuning import Bounds, Objective
 from workbench.model.valve import Choudhury, Directional, He, Kano, Stenman, Valve
 from workbench.scenario.loader import load_scenario, read_scenario
 from workbench.scenario.plan import Scenario
+from workbench.scenario.refusals import in_entries
 
 SCENARIOS = Path(__file__).parents[2] / "scenarios"
 
@@ -260,6 +261,48 @@ def test_data_that_cannot_be_read_is_refused_at_its_entry(tmp_path: Path) -> Non
     assert "loop.yaml:4:18: estimate.data: " in refusal(DATA, tmp_path)
     (tmp_path / "loop.csv").write_text("time,PV\n0,1\n1,2\n")
     assert "no column for OP" in refusal(DATA, tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("rows", "said"),
+    [
+        ([f"{k},{k % 7},{k % 5}" for k in range(10)], "loop.csv: 10 samples given; at least 30 are needed to estimate"),
+        ([f"{k},50,{k % 5}" for k in range(60)], "loop.csv: PV is constant (50) over all 60 samples"),
+        ([f"{k},{k % 7},40" for k in range(60)], "loop.csv: OP is constant (40) over all 60 samples"),
+    ],
+)
+def test_data_that_no_estimate_can_begin_with_is_refused_at_its_entry(
+    tmp_path: Path, rows: list[str], said: str
+) -> None:
+    (tmp_path / "loop.csv").write_text("\n".join(["time,PV,OP", *rows]) + "\n")
+    (line,) = refusal(DATA, tmp_path).splitlines()
+    assert line.startswith(f"loop.yaml:4:18: estimate.data: {said}")
+
+
+def test_what_a_record_asks_for_is_said_as_a_scenario_says_it(tmp_path: Path) -> None:
+    (tmp_path / "loop.csv").write_text("time,FLOW,OUT 1\n0,1,2\n1,2,3\n")
+    assert "for example columns: {PV: name in the file}" in refusal(DATA, tmp_path)
+    (tmp_path / "loop.csv").write_text("time,A.PV,B:PV,OP\n0,1,2,3\n1,2,3,4\n")
+    assert "say which one, for example columns: {PV: A.PV}" in refusal(DATA, tmp_path)
+    (tmp_path / "loop.csv").write_text("PV,OP\n" + "".join(f"{k % 7},{k % 5}\n" for k in range(60)))
+    assert "give sample_time, such as 5 s, or the column, columns: {time: name}" in refusal(DATA, tmp_path)
+    assert in_entries("x tags={'PV': 'F: 1', 'OP': \"a'b\", 'SP': 'no'}") == (
+        """x tags: {PV: "F: 1", OP: "a'b", SP: "no"}"""
+    )
+
+
+@pytest.mark.parametrize("name", ["op_range", "pv_range"])
+def test_a_range_the_wrong_way_round_is_refused_at_its_own_entry(tmp_path: Path, name: str) -> None:
+    record(tmp_path)
+    text = DATA.replace("loop.csv,", f"loop.csv, {name}: [100, 0],")
+    (line,) = refusal(text, tmp_path).splitlines()
+    assert line.startswith(f"loop.yaml:4:38: estimate.{name}: (100.0, 0.0) given; must be"), line
+
+
+def test_a_simulated_record_of_too_few_samples_is_refused() -> None:
+    text = GOOD.replace("title: A loop", "title: A\nestimate: {simulate: true}").replace("100 s", "29 s")
+    assert "estimate.simulate: 29 samples are simulated; at least 30 are needed to estimate a loop" in refusal(text)
+    assert read(text.replace("29 s", "30 s")).estimates
 
 
 def test_a_recorded_profile_is_taken_as_deviations(tmp_path: Path) -> None:

@@ -133,10 +133,11 @@ analyze: {limit_cycle: false}
 
 
 def test_what_only_running_shows_is_refused_with_its_entry(tmp_path: Path) -> None:
-    rows = "\n".join(f"{k},50,40" for k in range(100))
-    (tmp_path / "flat.csv").write_text(f"time,PV,OP\n{rows}\n")
-    text = "title: Flat\nestimate:\n  - {data: flat.csv}\n"
-    with pytest.raises(ScenarioError, match=r"flat\.yaml:3:5: estimate\[0\]: "):
+    """A loop at rest, whose PV never moves."""
+    loop = "loop: {plant: {type: fopdt, gain: 1, time_constant: 5 s}, valve: {type: ideal}, sample_time: 1 s,"
+    text = f"title: Flat\nestimate:\n  - {{simulate: true}}\n{loop} controller: {{Kc: 1, Ti: 5 s}}}}\n"
+    text += "experiment: {duration: 100 s, setpoint: {step: 1, at: 100 s}}\n"
+    with pytest.raises(ScenarioError, match=r"flat\.yaml:3:5: estimate\[0\]: .*: PV is constant"):
         run_scenario(read_scenario(text, tmp_path / "flat.yaml"))
 
 

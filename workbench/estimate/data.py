@@ -10,17 +10,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workbench.detect.action import gain_sign
-from workbench.detect.causes import constant
+from workbench.detect.causes import constant, refuse_unusable
 from workbench.detect.resolution import coarseness, resolved, unseen
+from workbench.detect.spikes import without_op_spikes, without_spikes
 from workbench.detect.whitening import whitened
 from workbench.errors import RecordError
 from workbench.estimate.output_error import NO_DELAY
 from workbench.model.plant import FOPDT, Integrating, Plant
 from workbench.model.record import FloatArray, Record
 
-__all__ = ["WHITE", "Centred", "Starts", "centre", "integers", "plant_of"]
+__all__ = ["PURPOSE", "WHITE", "Centred", "Starts", "centre", "integers", "plant_of", "refuse_unfit"]
 
 WHITE = np.ones(1)
+PURPOSE = "estimate a loop"
 # What a record can resolve: fits whose rms residual is below this share of PV's standard deviation are equally good.
 RESOLUTION = 1e-3
 
@@ -154,6 +156,21 @@ def _centred(y: FloatArray, u: FloatArray, whole: Centred) -> Centred:
     )
 
 
+def refuse_unfit(record: Record) -> None:
+    """Raise `RecordError` where no estimate can begin: too few samples, or PV or OP never moves but for spikes."""
+    refuse_unusable(record, PURPOSE)
+    _refuse_still(without_spikes(without_op_spikes(record)))
+
+
+def _refuse_still(record: Record) -> None:
+    where, n = record.source or "record", len(record)
+    for name, signal in (("PV", record.pv), ("OP", record.op)):
+        if constant(signal):
+            why = "frozen or saturated" if name == "PV" else "in manual, saturated or frozen"
+            msg = f"{where}: {name} is constant ({signal[0]:g}) over all {n} samples ({why}?): nothing to estimate"
+            raise RecordError(msg)
+
+
 def centre(record: Record, plant: str, sent: bool = False) -> Centred:
     """Return a record as the kernels take it.
 
@@ -161,12 +178,7 @@ def centre(record: Record, plant: str, sent: bool = False) -> Centred:
 
     Raises `RecordError` where nothing can be estimated: PV or OP never moves.
     """
-    where, n = record.source or "record", len(record)
-    for name, signal in (("PV", record.pv), ("OP", record.op)):
-        if constant(signal):
-            why = "frozen or saturated" if name == "PV" else "in manual, saturated or frozen"
-            msg = f"{where}: {name} is constant ({signal[0]:g}) over all {n} samples ({why}?): nothing to estimate"
-            raise RecordError(msg)
+    _refuse_still(record)
     op, doubt = (record.op, 0.0) if sent else resolved(record)
     mean, middle = float(record.pv.mean()), float(0.5 * (op.max() + op.min()))
     y, u = record.pv - mean, op - middle

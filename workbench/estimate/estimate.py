@@ -13,7 +13,7 @@ from workbench.detect.late import as_seen, earlier, words_of_late
 from workbench.detect.spikes import words_of_spikes
 from workbench.errors import InvalidValue
 from workbench.estimate.answer import answer_of
-from workbench.estimate.data import WHITE, Centred, centre
+from workbench.estimate.data import PURPOSE, WHITE, Centred, centre
 from workbench.estimate.fit import LEAST_TAU, Limits, fit_linear
 from workbench.estimate.models import WORDS_OF_BLIND, words_of_open
 from workbench.estimate.plants import ENDLESS, foretelling_of, with_other_plant
@@ -111,7 +111,7 @@ def estimate(
         refuse_complementarity(record, valve)
         valve = "stenman"
     tell = silent if progress is None else _rising(progress)
-    seen, late = as_seen(record, "estimate a loop")
+    seen, late = as_seen(record, PURPOSE)
     asked = _Asked(method, valve, start, max_dead_time)
     # Where programs go on from the search, that is as much again.
     shares = 1 + (method in PROGRAMS)
@@ -237,7 +237,7 @@ def linear_loop(record: Record, plant: str = "auto") -> LinearFit:
     It is the model that `estimate` gives such a loop, without the search for stiction. Raises as that does.
     """
     choice(plant, "linear_loop.plant", PLANTS)
-    record = as_seen(record, "estimate a loop")[0]
+    record = as_seen(record, PURPOSE)[0]
     if plant == "auto":
         found = {one: _line_with_plant(record, one) for one in ("fopdt", "integrating")}
         return min(found.items(), key=lambda one: foretelling_of(record, *one))[1].model

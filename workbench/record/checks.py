@@ -51,8 +51,9 @@ def within_range(cells: Cells, limits: tuple[float, float], name: str, source: s
     low, high = limits
     span = high - low
     good = cells.marks == OK
+    least, most = low - BELOW * span, high + ABOVE * span
     with np.errstate(invalid="ignore"):
-        beyond = good & ((cells.values < low - BELOW * span) | (cells.values > high + ABOVE * span))
+        beyond = good & ((cells.values < least) | (cells.values > most))
     if np.count_nonzero(beyond) * 2 > np.count_nonzero(good):
         values = cells.values[good]
         msg = (
@@ -60,8 +61,7 @@ def within_range(cells: Cells, limits: tuple[float, float], name: str, source: s
             f"{low:g} to {high:g}: another unit, another range, or PV and OP swapped?"
         )
         raise RecordError(msg)
-    cells.marks[beyond] = RANGE
-    cells.values[beyond] = np.nan
+    _leave_out(cells, beyond, least, most)
 
 
 def no_codes(cells: Cells) -> None:
@@ -83,12 +83,18 @@ def no_codes(cells: Cells) -> None:
 def none_far(cells: Cells) -> None:
     """Mark values of OP as `RANGE` that are far beyond 0 to 100 %, where the others show that OP is in %."""
     good = cells.marks == OK
+    least, most = -100.0 * FAR, 100.0 * (1.0 + FAR)
     with np.errstate(invalid="ignore"):
-        far = good & ((cells.values < -100.0 * FAR) | (cells.values > 100.0 * (1.0 + FAR)))
+        far = good & ((cells.values < least) | (cells.values > most))
     others = cells.values[good & ~far]
     if others.size > np.count_nonzero(far) and others.max() <= 100.0 * (1.0 + ABOVE):
-        cells.marks[far] = RANGE
-        cells.values[far] = np.nan
+        _leave_out(cells, far, least, most)
+
+
+def _leave_out(cells: Cells, beyond: NDArray[np.bool_], least: float, most: float) -> None:
+    cells.beyond = cells.values[beyond], least, most
+    cells.marks[beyond] = RANGE
+    cells.values[beyond] = np.nan
 
 
 def runs(flags: NDArray[np.bool_]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:

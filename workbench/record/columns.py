@@ -66,7 +66,7 @@ _SPELLINGS: dict[str, tuple[str, ...]] = {
 _SUFFIXES: dict[str, tuple[str, ...]] = {
     "time": (),
     "SP": ("sp", "spt", "setpoint", "sv"),
-    "PV": ("pv", "measurement", "meas"),
+    "PV": ("pv", "measurement", "meas", "measured"),
     "OP": ("op", "co", "mv", "out", "output"),
     "MODE": ("mode", "mod"),
     "valve_position": ("zt", "zi", "pos", "position", "stem"),
@@ -89,12 +89,17 @@ _TIME_UNITS = {
     "second": 1.0,
     "seconds": 1.0,
     "ms": 1e-3,
+    "us": 1e-6,
+    "ns": 1e-9,
     "min": 60.0,
     "minute": 60.0,
     "minutes": 60.0,
     "h": 3600.0,
     "hour": 3600.0,
     "hours": 3600.0,
+    "d": 86_400.0,
+    "day": 86_400.0,
+    "days": 86_400.0,
 }
 
 
@@ -117,6 +122,16 @@ def _tokens(name: str) -> list[str]:
 
 def _tier(name: str, signal: str) -> int | None:
     """Return how well a column's name fits a signal: 0 its own name, 1 a usual spelling, 2 a tag's suffix, 3 CV."""
+    tier = _fit(name, signal)
+    head, comma, unit = name.rpartition(",")
+    if tier is None and comma and not {*_ENDINGS, *_QUALITIES} & {*_tokens(unit)[-1:]}:
+        # A unit may stand after a comma: "PV, m3/h".
+        tier = _fit(head, signal)
+        return None if tier is None else max(tier, 1)
+    return tier
+
+
+def _fit(name: str, signal: str) -> int | None:
     plain, tokens = _plain(name), _tokens(name)
     if plain in _OWN[signal]:
         return 0
@@ -132,7 +147,9 @@ def _tier(name: str, signal: str) -> int | None:
     tokens = _tag(name)
     if "".join(tokens) in _OWN[signal] + _SPELLINGS[signal]:
         return 1
-    return 2 if len(tokens) > 1 and tokens[-1] in _SUFFIXES[signal] else None
+    # "FIC101 Set Point": a suffix may be two words.
+    ends = {tokens[-1], "".join(tokens[-2:]) if len(tokens) > 2 else ""}
+    return 2 if len(tokens) > 1 and ends & {*_SUFFIXES[signal]} else None
 
 
 def _tag(name: str) -> list[str]:
@@ -151,10 +168,10 @@ def in_milliamperes(text: str) -> bool:
     return re.search(r"(?<![A-Za-z])mA(?![A-Za-z])|[(\[]\s*(?i:ma)\s*[)\]]|(?i:milliamp)", text) is not None
 
 
-def time_unit(name: str) -> float:
-    """Return the seconds in one unit of a numeric time column, read from its name; 1 where it says nothing."""
-    tokens = _tokens(name)
-    return _TIME_UNITS.get(tokens[-1], 1.0) if tokens else 1.0
+def time_unit(name: str) -> float | None:
+    """Return the seconds in one unit of a numeric time column, read from its name; None where it says nothing."""
+    tokens = _tokens(name.replace("µ", "u").replace("μ", "u"))
+    return _TIME_UNITS.get(tokens[-1]) if tokens else None
 
 
 def split_tag(tag: str) -> tuple[str, str] | None:

@@ -15,16 +15,14 @@ from numpy.typing import NDArray
 
 from workbench.errors import RecordError
 from workbench.model.record import FloatArray
+from workbench.record.even import places
 from workbench.record.signals import Signal, Signals
 from workbench.record.table import BLANK, OK, Cells
 from workbench.record.times import JITTER
 
 __all__ = ["Samples", "lay"]
 
-UNEVEN = 0.05  # share of intervals that may break the pattern before the file counts as unevenly sampled
 SPARSE = 0.20  # of the values come after a blank from which blanks mean "no new value", as in a row per change
-ASTRAY = 0.4  # of the sample time, by which a row's time may miss its place on the even grid
-MISSING = 1  # row at most that may be missing between two: its place is filled, as in a resampled record
 COMMON = 0.90  # share of times that PV and OP must have in common to count as sampled together
 GAP = 10.0  # usual intervals without a value that are a gap in irregular records,
 # unless a compressed archive is often silent for longer: then this many times the longest silence but for the rarest.
@@ -65,14 +63,12 @@ def lay(signals: Signals, sample_time: float | None, max_gap: float | None, sour
         if not signals.timed:
             one_by_one = np.ones(max(pv.seconds.size - 1, 0), dtype=np.int64)
             return _as_recorded(signals, pv, op, 1.0 if sample_time is None else sample_time, one_by_one)
-        steps = np.diff(pv.seconds)
-        if steps.size == 0:
+        if pv.seconds.size < 2:
             many = f"{pv.seconds.size} row{'s' if pv.seconds.size != 1 else ''}"
             msg = f"{source}: {many} with a time; at least two are needed"
             raise RecordError(msg)
-        usual = float(np.median(steps))
+        usual, moved = places(pv.seconds)
         bridging = max_gap is not None and max_gap > (1.0 + JITTER) * usual
-        usual, moved = _pattern(pv.seconds, steps, usual)
         if not bridging and moved is not None and not any(_sparse(s.cells) for s in (pv, op)):
             _agree(sample_time, usual, signals, source)
             return _as_recorded(signals, pv, op, usual, moved)
@@ -102,33 +98,6 @@ def _together(pv: Signal, op: Signal) -> tuple[Signal, Signal]:
         cells = Cells(values, marks, signal.cells.words, qualities=signal.cells.qualities)
         spread.append(Signal(signal.name, union, cells, lines))
     return spread[1], spread[0]
-
-
-def _pattern(seconds: FloatArray, steps: FloatArray, usual: float) -> tuple[float, NDArray[np.int64] | None]:
-    """Return the sample time, s, and by how many places each row follows the last, shape (N - 1,); 0 after a gap.
-
-    usual: the median interval, s. No places are returned where the rows lie on no even grid.
-    """
-    many = np.rint(np.clip(steps / usual, 0.0, MISSING + 2.0)).astype(np.int64)
-    fits = (np.abs(steps - many * usual) <= JITTER * usual) & (many >= 1) & (many <= MISSING + 1)
-    most = max(UNEVEN * steps.size, 1 if steps.size < 40 else 0)
-    if int(np.count_nonzero(~fits | (many != 1))) <= most:
-        return usual, np.where(fits, many, 0)
-    # No interval need be the usual one where a clock stamps rows early and late: look at the times themselves.
-    near = steps[np.abs(steps - usual) < 0.5 * usual]
-    if near.size == 0:
-        return usual, None
-    usual = float(near.mean())
-    many = np.rint(np.clip(steps / usual, 0.0, MISSING + 2.0)).astype(np.int64)
-    many[many > MISSING + 1] = 0
-    if int(np.count_nonzero(many != 1)) > most:
-        return usual, None
-    usual = float(steps[many > 0].sum() / many[many > 0].sum())
-    stretch = np.concatenate([[0], np.cumsum(many == 0)])
-    place = np.concatenate([[0], np.cumsum(many)])
-    off = seconds - usual * place
-    off -= (np.bincount(stretch, off) / np.bincount(stretch))[stretch]
-    return usual, many if float(np.abs(off).max()) <= ASTRAY * usual else None
 
 
 def _sparse(cells: Cells) -> bool:

@@ -18,8 +18,9 @@ from typing import Any
 import numpy as np
 
 from workbench.errors import RecordError
-from workbench.model.record import Record
+from workbench.model.record import FloatArray, Record
 from workbench.record.columns import NEEDED, TALL, match_columns
+from workbench.record.counted import counted
 from workbench.record.reader import record_from
 from workbench.record.signals import Signals, Tall, clock_of
 from workbench.record.table import FIELDS, Cells, Table, arrow_cells
@@ -167,9 +168,16 @@ def _rows(piece: Piece, tags: list[str], window: tuple[float, float] | None, sou
     table = read.select(list(names.values())).rename_columns(list(names))
     keep = pc.is_in(table.column("tag"), pa.array(tags))
     if window is not None:
-        seconds = arrow_cells(table.column("time"), "time", source).values
+        cells = arrow_cells(table.column("time"), "time", source)
+        seconds = cells.values if cells.stamped is not None else _since_1970(cells.values)
         keep = pc.and_(keep, pa.array((seconds >= window[0]) & (seconds < window[1])))
     return table.filter(keep)
+
+
+def _since_1970(values: FloatArray) -> FloatArray:
+    """Return numbers as seconds, as the record's times will be, or as they are where they are none."""
+    found = counted(values, "time").seconds
+    return values if found is None else found
 
 
 def _meets(group: Any, column: str, window: tuple[float, float]) -> bool:
@@ -185,6 +193,8 @@ def _meets(group: Any, column: str, window: tuple[float, float]) -> bool:
     ]
     if not all(isinstance(end, float | int) for end in ends):
         return True
+    if not isinstance(stats.min, datetime):
+        ends = _since_1970(np.array(ends, dtype=np.float64)).tolist()
     return bool(ends[0] < window[1] and ends[1] >= window[0])
 
 

@@ -255,6 +255,15 @@ def _examples(signal: Signal, mark: int) -> str:
     return f" ({', '.join(f'{text!r} {many}' for text, many in common)}{' ...' if len(words) > SHOWN else ''})"
 
 
+def _beyond(signal: Signal, line: int) -> str:
+    """Return the value of a line that is out of range, and what is allowed, to end a note with; "" for others."""
+    if signal.cells.beyond is None:
+        return ""
+    values, least, most = signal.cells.beyond
+    value = values[np.flatnonzero(signal.lines[signal.cells.marks == RANGE] == line)[0]]
+    return f": {value:.6g}, allowed {least:.6g} to {most:.6g}"
+
+
 def _rejections(signals: Signals, samples: Samples) -> tuple[dict[str, int], list[str]]:
     """Return how many rows (of a tall file: values) were rejected for each cause, and that in words."""
     counts: dict[str, int] = {}
@@ -268,16 +277,18 @@ def _rejections(signals: Signals, samples: Samples) -> tuple[dict[str, int], lis
     for mark, why in _WHY.items():
         if mark == BLANK and not samples.even:
             continue
-        signal = next((s for s, marks in hits if (marks == mark).any()), None)
-        if signal is None:
+        found = [(int(s.lines[marks == mark].min()), s) for s, marks in hits if (marks == mark).any()]
+        if not found:
             continue
+        first, signal = min(found, key=lambda one: one[0])
         lines = np.concatenate([s.lines[marks == mark] for s, marks in hits])
         counts[f"rejected, {why}"] = int(lines.size)
         # Fields too many are the row's fault, and no column's.
         where = "" if mark == FIELDS else f", {signals.what} {signal.name!r}"
+        where += _beyond(signal, first) if mark == RANGE else ""
         notes.append(
             f"{lines.size} row{'s' if lines.size > 1 else ''} rejected: {why}{_examples(signal, mark)}, first in "
-            f"{signals.unit} {lines.min()}{where}"
+            f"{signals.unit} {first}{where}"
         )
     for cause, dropped in signals.dropped.items():
         counts[f"rejected, {cause}"] = len(dropped)

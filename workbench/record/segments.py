@@ -9,12 +9,14 @@ from numpy.typing import NDArray
 
 from workbench.model.record import FloatArray, Record
 from workbench.record.checks import frozen_rows
+from workbench.record.even import best_grid
 from workbench.record.grid import Samples
 from workbench.record.modes import MANUAL, mode_kinds, mode_words
 
 __all__ = ["Parts", "part", "record_of"]
 
 USABLE = 30  # samples of a stretch that is worth keeping beside the best one
+SAID = 5e-4  # of the sample time, by which times differ from the even grid at least where that is said
 NAMED = 4  # frozen stretches named one by one
 
 
@@ -115,9 +117,9 @@ def _sampling(samples: Samples, first: int, stop: int) -> tuple[float, float, fl
     usual = samples.sample_time
     off = float(np.abs(times - times[0] - usual * np.arange(times.size)).max()) / usual
     if off > 1e-6:
-        # A rounded or drifting clock: the mean interval is the better sample time.
-        usual = float(times[-1] - times[0]) / (times.size - 1)
-        off = float(np.abs(times - times[0] - usual * np.arange(times.size)).max()) / usual
+        # A rounded or drifting clock: the first row and the last are no better than the others.
+        usual, away = best_grid(times, np.ones(times.size - 1, dtype=np.int64))
+        off = float(np.abs(away).max()) / usual
     return usual, float(times[0]), off
 
 
@@ -125,7 +127,7 @@ def record_of(samples: Samples, first: int, stop: int, sample_time: float | None
     """Return one stretch as a record, and add to `notes` what had to be left out or held in it."""
     where = slice(first, stop)
     Ts, start, jitter = _sampling(samples, first, stop)
-    if jitter > 1e-6 and samples.even:
+    if jitter >= SAID and samples.even:
         notes.append(f"times differ from the even grid by up to {jitter:.1%} of the sample time; taken as even")
     if sample_time is not None and sample_time != Ts:
         notes.append(f"the sample time is taken as {sample_time:g} s, as given; the times show {Ts:.9g} s")

@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 
 from workbench.errors import RecordError
 from workbench.model.record import FloatArray
-from workbench.record.columns import NEEDED, QUALITIES, TALL, match_tags, time_unit
+from workbench.record.columns import NEEDED, QUALITIES, TALL, match_tags
+from workbench.record.counted import counted
 from workbench.record.quality import good_quality
 from workbench.record.table import BLANK, FIELDS, NOT_FINITE, NUMERIC, OK, QUALITY, Cells, Table, number_cells
 from workbench.record.times import FORMATS_SAID, Order, in_order, parse_timestamps
@@ -22,8 +23,6 @@ __all__ = ["Clock", "Signal", "Signals", "Tall", "clock_of", "from_tall", "from_
 
 # A time of day without its day.
 _CLOCK = re.compile(r"\d{1,2}:\d\d")
-# A day number as spreadsheets write times; between them lie steps of less than ten minutes, in days.
-_SERIAL = (20_000.0, 80_000.0, 600.0 / 86_400.0)
 
 
 @dataclass
@@ -256,7 +255,14 @@ def clock_of(cells: Cells, name: str, table: Table, source: str, notes: list[str
         return Clock(cells.values.copy(), wall=not cells.stamped, stamped=True)
     texts = cells.texts
     if texts is None or numeric * 2 > np.count_nonzero(cells.marks != BLANK):
-        return Clock(_counted(cells.values * time_unit(name), name, notes))
+        found = counted(cells.values, name)
+        if found.refusal:
+            msg = f"{source}: {table.unit} {table.lines[0]}, column {name!r}: {found.refusal}"
+            raise RecordError(msg)
+        notes += [f"column {name!r} {found.note}"] if found.note else []
+        if found.seconds is not None:
+            return Clock(found.seconds)
+        return _dated(found.texts or [], cells, name, table, source)
     parsed = parse_timestamps(texts)
     if isinstance(parsed, str):
         msg = f"{source}: column {name!r}: {parsed}"
@@ -272,20 +278,16 @@ def clock_of(cells: Cells, name: str, table: Table, source: str, notes: list[str
     return Clock(seconds, wall=not zoned, stamped=True, texts=texts)
 
 
-def _counted(values: FloatArray, name: str, notes: list[str]) -> FloatArray:
-    """Return numeric times in seconds."""
-    unit = time_unit(name)
-    fine = values[np.isfinite(values)]
-    if unit != 1.0:
-        notes.append(f"column {name!r} read in units of {unit:g} s")
-        return values
-    # Milliseconds since 1970 are far beyond any count of seconds in use.
-    if fine.size and float(np.median(np.abs(fine))) > 1e11:
-        notes.append(f"column {name!r} read as milliseconds since 1970")
-        return values / 1000.0
-    low, high, step = _SERIAL
-    if fine.size > 1 and low < fine.min() and fine.max() < high and 0.0 < np.median(np.abs(np.diff(fine))) < step:
-        notes.append(f"column {name!r} read as days, as spreadsheets count them")
-        # They are rounded to about a millisecond's hundredth.
-        return np.round(values * 86_400.0, 3)
-    return values
+def _dated(texts: list[str], cells: Cells, name: str, table: Table, source: str) -> Clock:
+    """Return the times of dates in digits alone, of which each must be one: else they are some other number."""
+    parsed = parse_timestamps(texts)
+    seconds = np.full(len(texts), np.nan) if isinstance(parsed, str) else parsed[0]
+    none = np.flatnonzero(np.isnan(seconds) & np.isfinite(cells.values))
+    if none.size:
+        at = int(none[0])
+        msg = (
+            f"{source}: {table.unit} {table.lines[at]}, column {name!r}: {cells.values[at]:.0f} is no date in digits "
+            f"(YYYYMMDDhhmm or YYYYMMDDhhmmss), as the column seems to hold; allowed: {FORMATS_SAID}"
+        )
+        raise RecordError(msg)
+    return Clock(seconds, wall=True, stamped=True, texts=texts)

@@ -57,7 +57,8 @@ class Cells:
 
     texts: the cells as text, where they may be timestamps, modes, tags or qualities. stamped: whether a Parquet file's
     timestamps carry a zone, None for anything else; `values` are then seconds since 1970. qualities: that were not
-    good, counted. codes: numbers that stood for no value, counted.
+    good, counted. codes: numbers that stood for no value, counted. beyond: the values marked `RANGE`, and
+    between which limits the others lie.
     """
 
     values: FloatArray
@@ -67,6 +68,7 @@ class Cells:
     stamped: bool | None = None
     qualities: Counter[str] = field(default_factory=Counter)
     codes: Counter[str] = field(default_factory=Counter)
+    beyond: tuple[FloatArray, float, float] | None = None
 
     def take(self, rows: NDArray[np.int64]) -> Cells:
         """Return the cells of these rows, shape (M,), in this order."""
@@ -239,7 +241,9 @@ def _header(
             return skipped, mark, match(cells)
         except RecordError as error:
             # If no line is a header, what is wrong with the first one is told.
-            refusal = refusal or error
+            parts = max(line.count(mark), 1)
+            said = _swallowed(cells, skipped + 1, (), lambda text, m=mark, n=parts: text.count(m) >= n)  # type: ignore[misc]
+            refusal = refusal or (RecordError(f"{source}: {said}; close it, or take it out") if said else error)
     nothing = "empty: no header and no row" if len(lines) < _HEAD_LINES else f"no header in {_HEAD_LINES} lines"
     raise refusal or RecordError(f"{source}: {nothing}")
 
@@ -253,11 +257,31 @@ def _rows(
     notes: list[str],
     source: str,
 ) -> Table:
-    lines, rows = array("q"), []
-    for row in reader:
+    lines, rows, last = array("q"), [], reader.line_num + skipped  # type: ignore[attr-defined]
+    width, needed = len(header), tuple(found.values())
+
+    def is_row(text: str) -> bool:
+        cells = text.split(mark)
+        return len(cells) >= width and any(_number(cells[i], mark != ",")[1] == OK for i in needed)
+
+    while True:
+        first = last + 1
+        try:
+            row = next(reader, None)
+        except csv.Error as error:
+            msg = f"{source}: line {first}: no readable CSV: {error}; is a quote opened there that is not closed?"
+            raise RecordError(msg) from None
+        if row is None:
+            break
+        last = reader.line_num + skipped  # type: ignore[attr-defined]
+        if last > first:
+            said = _swallowed(row, first, header, is_row)
+            if said:
+                msg = f"{source}: {said}, up to line {last}; close it, or take it out"
+                raise RecordError(msg)
         if not row or (len(row) == 1 and not row[0].strip()):
             continue
-        lines.append(reader.line_num + skipped)  # type: ignore[attr-defined]
+        lines.append(last)
         rows.append(row)
     columns: dict[str, Cells] = {}
     for name, i in found.items():
@@ -273,6 +297,20 @@ def _rows(
     for cells in columns.values():
         cells.marks[wide] = FIELDS
     return Table(columns, np.array(lines, dtype=np.int64), "line", notes, mark != ",")
+
+
+def _swallowed(cells: list[str], begin: int, names: Sequence[str], is_row: Callable[[str], bool]) -> str:
+    """Return a refusal of cells, from line `begin` on, of which a quoted one holds whole rows; "" where none does.
+
+    A cell may go on over several lines, as comments do; rows within it are those after a quote that was not closed.
+    """
+    line = begin
+    for i, cell in enumerate(cells):
+        if any(is_row(part) for part in cell.split("\n")[1:]):
+            name = f", column {names[i].strip()!r}" if i < len(names) else ""
+            return f'line {line}{name}: a quote (") is opened and not closed, and rows would be taken for its text'
+        line += cell.count("\n")
+    return ""
 
 
 def read_parquet(path: Path, match: Callable[[list[str]], dict[str, int]], source: str) -> tuple[Table, list[str]]:
@@ -324,7 +362,9 @@ def arrow_cells(column: object, name: str, where: str) -> Cells:
     if pa.types.is_boolean(kind):
         chunk, kind = pc.cast(chunk, pa.int8()), pa.int8()
     if pa.types.is_integer(kind) or pa.types.is_floating(kind) or pa.types.is_decimal(kind):
-        cells = _marked(np.array(pc.cast(chunk, pa.float64()).to_numpy(zero_copy_only=False), dtype=np.float64))
+        # A float holds nanoseconds since 1970 to the quarter of a microsecond: near enough, but not exact.
+        plain = pc.cast(chunk, pa.float64(), safe=False)
+        cells = _marked(np.array(plain.to_numpy(zero_copy_only=False), dtype=np.float64))
         cells.marks[missing] = BLANK
         return cells
     listed = ["" if v is None else str(v).strip() for v in chunk.to_pylist()]

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta, timezone
 from functools import lru_cache
 from itertools import pairwise
 
@@ -24,16 +25,47 @@ LEAP = 10.0  # usual steps, from which a step tells that a day and a month may h
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 _SUNDAY, _NIGHT = 3, 4.0  # 1 January 1970 was a Thursday; clocks change before four in the morning
 
-_DAYS = ("%Y/%m/%d", "%d.%m.%Y", "%d.%m.%y", "%d-%b-%Y", "%d-%b-%y", "%d %b %Y", "%d/%m/%Y", "%m/%d/%Y", "%d-%m-%Y")
+_DAYS = (
+    "%Y/%m/%d",
+    "%d.%m.%Y",
+    "%d.%m.%y",
+    "%d-%b-%Y",
+    "%d-%b-%y",
+    "%d %b %Y",
+    "%b %d %Y",
+    "%d/%m/%Y",
+    "%m/%d/%Y",
+    "%d-%m-%Y",
+    "%d/%m/%y",
+    "%m/%d/%y",
+    "%y/%m/%d",
+)
 _CLOCKS = ("%H:%M:%S", "%H:%M:%S.%f", "%H:%M")
 # Where the clock has twelve hours, the month is written before the day.
-_TWELVE = ("%I:%M:%S %p", "%I:%M %p")
-_MONTH_FIRST = sorted(_DAYS, key=lambda day: day != "%m/%d/%Y")
+_TWELVE = ("%I:%M:%S %p", "%I:%M:%S.%f %p", "%I:%M %p")
+_MONTH_FIRST = sorted(_DAYS, key=lambda day: not day.startswith("%m/"))
 _FORMATS = (
     *(f"{day} {clock}" for day in _DAYS for clock in _CLOCKS),
     *(f"{day} {clock}" for day in _MONTH_FIRST for clock in _TWELVE),
-    "%Y%m%d%H%M%S",
 )
+# Hours east of Greenwich of zones that are written by name: Europe's, and North America's as RFC 5322 has them.
+_ZONES = {
+    **dict.fromkeys(("Z", "UT", "UTC", "GMT", "WET"), 0),
+    **dict.fromkeys(("CET", "MEZ", "WEST"), 1),
+    **dict.fromkeys(("CEST", "MESZ", "EET"), 2),
+    "EEST": 3,
+    "EST": -5,
+    "EDT": -4,
+    "CST": -6,
+    "CDT": -5,
+    "MST": -7,
+    "MDT": -6,
+    "PST": -8,
+    "PDT": -7,
+}
+_ZONE = re.compile(rf"(.*[\dMm.])\s?({'|'.join(_ZONES)})")
+_HALF = re.compile(r"([AP])\.\s?M\.$", re.IGNORECASE)
+_COMMA = re.compile(r"(:\d\d),(\d{1,6})\b")
 FORMATS_SAID = (
     "seconds, ISO 8601 (2024-10-17 21:55:00, with or without a zone) or spellings such as 17.10.2024 21:55:00"
 )
@@ -67,6 +99,18 @@ def _formatted(text: str, form: str) -> datetime | None:
     return day.replace(hour=hour, minute=minute, second=second) if hour < 24 and minute < 60 and second < 60 else None
 
 
+def _spelled(text: str) -> tuple[str, timezone | None]:
+    """Return a timestamp without the name of its zone, with AM and PM and a decimal point as Python knows them."""
+    found = _ZONE.fullmatch(text)
+    zone = None if found is None else timezone(timedelta(hours=_ZONES[found[2]]))
+    bare = text if found is None else found[1]
+    return _COMMA.sub(r"\1.\2", _HALF.sub(r"\1M", bare)), zone
+
+
+def _zoned(stamp: datetime | None, zone: timezone | None) -> datetime | None:
+    return stamp if stamp is None or zone is None else stamp.replace(tzinfo=zone)
+
+
 def _seconds(stamps: Sequence[datetime | None]) -> tuple[FloatArray, bool] | None:
     """Seconds since 1970 (nan where None) and whether with a zone, or None where only some have a zone."""
     known = [s for s in stamps if s is not None]
@@ -92,18 +136,25 @@ def parse_timestamps(cells: Sequence[str]) -> tuple[FloatArray, str, bool] | str
     read = sum(s is not None for s in stamps)
     note = ""
     if read < len(cells):
-        sample = [c for c, s in zip(cells, stamps, strict=True) if s is None and c][:50]
+        texts, zones = zip(*(_spelled(c) for c in cells), strict=True)
+        if any(zones):
+            stamps = [s or _zoned(_iso(t), z) for s, t, z in zip(stamps, texts, zones, strict=True)]
+            read = sum(s is not None for s in stamps)
+        sample = [t for t, s in zip(texts, stamps, strict=True) if s is None and t][:50]
         fitting = [f for f in _FORMATS if any(_formatted(c, f) is not None for c in sample)]
         best: tuple[int, bool, int] = (read, False, 0)
+        chosen: list[datetime | None] = []
         for form in fitting:
-            other = [_formatted(c, form) for c in cells]
+            other = [_formatted(t, form) for t in texts]
             plain = [s for s in other if s is not None]
             one_way = all(b > a for a, b in pairwise(plain)) or all(b < a for a, b in pairwise(plain))
             rank = (len(plain), one_way, -_leaps(plain))
             if rank > best:
-                best, stamps, note = rank, other, f"timestamps read as {form}"
-            elif rank == best and plain and other != stamps:
+                best, chosen, note = rank, other, f"timestamps read as {form}"
+            elif rank == best and plain and other != chosen:
                 note += f" (as {form} they would run as evenly)"
+        if chosen:
+            stamps = [_zoned(s, z) for s, z in zip(chosen, zones, strict=True)]
     parsed = _seconds(stamps)
     if parsed is None:
         return "some timestamps carry a time zone and some do not; all or none must"
@@ -143,7 +194,8 @@ def in_order(seconds: FloatArray, same: NDArray[np.bool_], wall_clock: bool) -> 
     rows = np.flatnonzero(np.isfinite(seconds))
     times, notes = seconds[rows], []
     steps = np.diff(times)
-    if steps.size and (steps <= 0.0).all() and (steps < 0.0).any():
+    turned = _backwards(times, wall_clock)
+    if turned:
         rows, times = rows[::-1], times[::-1]
         same = np.concatenate((same[1:], [False]))
         steps = np.diff(times)
@@ -173,8 +225,23 @@ def in_order(seconds: FloatArray, same: NDArray[np.bool_], wall_clock: bool) -> 
         keep = np.concatenate((steps > 0.0, [True]))
         rows, times = rows[keep], times[keep]
         which = f"{other.size} of them with other values" if other.size else "with the same values"
-        notes.append(f"{twice.size} row{'s' if twice.size > 1 else ''} of a time that occurs again left out, {which}")
+        kept = f": the {'first' if turned else 'last'} row of a time is kept" if other.size else ""
+        many = f"{twice.size} row{'s' if twice.size > 1 else ''}"
+        notes.append(f"{many} of a time that occurs again left out, {which}{kept}")
     return Order(rows, times, int(twice.size), tuple(notes))
+
+
+def _backwards(times: FloatArray, wall_clock: bool) -> bool:
+    """Whether times, shape (N,), go from the latest to the earliest, but for a clock that was changed."""
+    steps = np.diff(times)
+    if not (steps < 0.0).any():
+        return False
+    if wall_clock and (steps > 0.0).any():
+        # That must leave no doubt, or it is the file's own order that is refused.
+        return bool(np.count_nonzero(steps < 0.0) > np.count_nonzero(steps > 0.0)) and bool(
+            (np.diff(_clock_changes(times[::-1])[0]) >= 0.0).all()
+        )
+    return bool((steps <= 0.0).all())
 
 
 def _clock_changes(times: FloatArray) -> tuple[FloatArray, list[str]]:

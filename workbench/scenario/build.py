@@ -8,7 +8,9 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path as FilePath
 
+from workbench.detect.causes import FEWEST_SAMPLES
 from workbench.errors import InvalidValue, RecordError
+from workbench.estimate.data import PURPOSE, refuse_unfit
 from workbench.model.controller import PID
 from workbench.model.estimation import MOST_IN_PROGRAM
 from workbench.model.experiment import Experiment, Series
@@ -26,7 +28,7 @@ from workbench.scenario.element_entries import DESCRIBED, NOT_FROM_DATA, element
 from workbench.scenario.experiments import Experiments
 from workbench.scenario.map_entries import map_job
 from workbench.scenario.plan import CaseJob, EnsembleJob, EstimateJob, Scenario, wrong_length
-from workbench.scenario.refusals import Refusals, one_line
+from workbench.scenario.refusals import Refusals, in_entries, one_line
 from workbench.scenario.robust import RobustEntries, measured_in
 from workbench.scenario.rule_entries import DetunedIntegralRule, rule_of
 from workbench.scenario.series import in_samples, read_data
@@ -385,17 +387,29 @@ class Builder:
                     self.refusals.refuse(
                         (*path, "noise"), "given with data; only a simulated record can be given noise"
                     )
-                try:
-                    record = read_data(self._beside(e.data), e, self.controllers.pv_range)
-                except (RecordError, InvalidValue, OSError, ValueError) as error:
-                    self.refusals.refuse((*path, "data"), one_line(error))
-                else:
-                    record = replace(record, source=e.data)
-                    self.notes += [f"{e.data}: {note}" for note in record.notes]
+                record = self._read(e, path)
             if e.start is not None and e.method != "two_step":
                 self.refusals.refuse((*path, "start"), "given; only the two_step method takes a start")
             found.append(record)
         return found
+
+    def _read(self, e: schema.Estimate, path: Path) -> Record | None:
+        """Return the record that an estimate is made from; None after a refusal of what a run would refuse."""
+        name = e.data or ""
+        try:
+            record = replace(read_data(self._beside(name), e, self.controllers.pv_range), source=name)
+            refuse_unfit(record)
+        except InvalidValue as error:
+            # A range that the loop gives stands elsewhere, and was refused there.
+            own = error.where in e.model_fields_set
+            text = f"{error.given} given; {error.allowed}" if own else one_line(error)
+            self.refusals.refuse((*path, error.where if own else "data"), text)
+            return None
+        except (RecordError, OSError, ValueError) as error:
+            self.refusals.refuse((*path, "data"), in_entries(one_line(error)))
+            return None
+        self.notes += [f"{name}: {note}" for note in record.notes]
+        return record
 
     def _estimates(
         self,
@@ -415,6 +429,10 @@ class Builder:
             names.setdefault(name, i)
             noise = self.experiments.noise(e.noise, (*path, "noise"))
             mine = experiment if noise is None or experiment is None else replace(experiment, noise=noise)
+            simulated = _simulated(loop, mine) if e.simulate else 0
+            if 0 < simulated < FEWEST_SAMPLES:
+                what = f"{simulated} samples are simulated; at least {FEWEST_SAMPLES} are needed to {PURPOSE}"
+                self.refusals.refuse((*path, "simulate"), what)
             if e.method == "complementarity":
                 self._fits_program(e, path, record, loop, mine)
             reference = {} if e.reference is None else e.reference.model_dump(exclude_none=True)
@@ -441,12 +459,20 @@ class Builder:
         """Refuse a valve or a record that the complementarity program does not take."""
         if e.valve not in ("auto", "stenman"):
             self.refusals.refuse((*path, "valve"), f"{e.valve} given; method complementarity knows stenman alone")
-        samples = 0 if record is None else len(record)
-        if record is None and loop is not None and mine is not None:
-            samples = sample_count(mine.duration, loop.sample_time)
+        samples = _simulated(loop, mine) if record is None else len(record)
         if samples > MOST_IN_PROGRAM:
             what = f"complementarity given for {samples:,} samples; at most {MOST_IN_PROGRAM:,}"
             self.refusals.refuse((*path, "method"), what)
+
+
+def _simulated(loop: Loop | None, experiment: Experiment | None) -> int:
+    """Return how many samples a simulated record has, 0 where that was refused."""
+    if loop is None or experiment is None:
+        return 0
+    try:
+        return sample_count(experiment.duration, loop.sample_time)
+    except InvalidValue:
+        return 0
 
 
 def _common(objectives: list[Objective]) -> Objective | None:

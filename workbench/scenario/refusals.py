@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -10,9 +11,16 @@ from typing import TypeVar
 from workbench.errors import InvalidValue
 from workbench.scenario.document import Path
 
-__all__ = ["Refusals", "one_line"]
+__all__ = ["Refusals", "in_entries", "one_line"]
 
 T = TypeVar("T")
+
+# A mapping in the words of Python, in a reader's message, and its pairs.
+_MAPPING = re.compile(r"\b(columns|tags)=\{([^}]*)\}")
+_PAIR = re.compile(r"'([\w ]+)': (?:'([^']*)'|\"([^\"]*)\")")
+# What YAML reads as text without quotes, and as nothing else.
+_BARE = re.compile(r"[A-Za-z](?:[\w./ -]*[\w.])?")
+_MEANT = re.compile(r"(?i:true|false|yes|no|on|off|null|y|n)")
 
 # Entries that the file calls otherwise than the model does.
 _NAMES = {"values": "series", "positions": "places", "valves": "places"}
@@ -46,3 +54,19 @@ class Refusals:
 def one_line(error: Exception) -> str:
     """Return an error's text on one line."""
     return " ".join(str(error).split())
+
+
+def in_entries(message: str) -> str:
+    """Return a reader's message with a scenario's entries in place of the arguments of Python."""
+
+    def entries(found: re.Match[str]) -> str:
+        pairs = [f"{signal}: {_scalar(plain or quoted)}" for signal, plain, quoted in _PAIR.findall(found[2])]
+        return f"{found[1]}: {{{', '.join(pairs)}}}"
+
+    return _MAPPING.sub(entries, message.replace("give sample_time in seconds", "give sample_time, such as 5 s"))
+
+
+def _scalar(text: str) -> str:
+    """Return a name as YAML takes it for text."""
+    bare = _BARE.fullmatch(text) and not _MEANT.fullmatch(text)
+    return text if bare else json.dumps(text, ensure_ascii=False)

@@ -10,11 +10,11 @@ import numpy as np
 from workbench.errors import RecordError
 from workbench.model.experiment import Experiment, Series
 from workbench.model.numbers import given
-from workbench.model.record import FloatArray, Record
-from workbench.record.columns import match_columns, time_unit
+from workbench.model.record import Record
+from workbench.record.columns import match_columns
 from workbench.record.reader import read_record
-from workbench.record.table import BLANK, OK, Cells, read_csv, read_parquet
-from workbench.record.times import parse_timestamps
+from workbench.record.signals import clock_of
+from workbench.record.table import BLANK, OK, read_csv, read_parquet
 from workbench.scenario import schema
 
 __all__ = ["LARGEST", "in_samples", "read_data", "read_series"]
@@ -86,7 +86,7 @@ def read_series(path: Path, source: str, column: str, time: str | None, resting_
     table, header = (read_parquet if is_parquet else read_csv)(path, match, source)
     if table.lines.size == 0:
         raise RecordError(f"{source}: a header and no row of data")
-    seconds = _seconds(table.columns["time"], header[match(header)["time"]], source)
+    seconds = clock_of(table.columns["time"], header[match(header)["time"]].strip(), table, source, []).seconds
     values = table.columns["PV"].values.copy()
     marks = table.columns["PV"].marks
     bad = ((marks != OK) & (marks != BLANK)) | ~np.isfinite(seconds)
@@ -106,12 +106,3 @@ def read_series(path: Path, source: str, column: str, time: str | None, resting_
 def _is_time(name: str) -> bool:
     others = ["PV", "OP"]
     return name not in others and "time" in match_columns([name, *others], dict(zip(others, others, strict=True)), "")
-
-
-def _seconds(cells: Cells, name: str, source: str) -> FloatArray:
-    if cells.texts is None or (cells.marks == OK).sum() * 2 > cells.marks.size:
-        return cells.values * time_unit(name)
-    parsed = parse_timestamps(cells.texts)
-    if isinstance(parsed, str):
-        raise RecordError(f"{source}: column {name!r}: {parsed}")
-    return parsed[0]
