@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import workbench as wb
-from workbench.detect.causes import below_step, between_values, kept_by_exception
+from workbench.detect.causes import below_step, between_values, kept_by_exception, no_percent
 from workbench.detect.resolution import exception_of, unseen
 from workbench.detect.spikes import op_spikes_of
 
@@ -143,3 +143,15 @@ def test_what_a_controller_sends_for_a_setpoint_step_stays(derivative_on: str) -
     for seed in range(4):
         run = wb.simulate(loop, wb.Experiment(6000.0, setpoint=moves, noise=wb.Noise(0.03, seed)))
         assert not op_spikes_of(record_of(run)).any()
+
+
+def test_an_op_in_another_unit_identifies_nothing_in_per_cent() -> None:
+    run = run_of(wb.Stenman(1.5), 1)
+    record = record_of(run, op=(run.op + 43.0) * 40.95)
+    assert "which is no output in %" in no_percent(record.op)
+    found = wb.estimate(record)
+    assert found.verdict == "stiction"
+    assert not found.identifiable
+    assert no_percent(record.op) in found.reasons
+    # In deviation from the resting output, and a little beyond its ends, OP is in %.
+    assert no_percent(run.op) == no_percent(run.op + 103.0) == no_percent(run.op - 4.0) == ""

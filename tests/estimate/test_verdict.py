@@ -66,6 +66,10 @@ def test_a_stem_that_leaves_hardly_anything_prevails(healthy: wb.Detection) -> N
     assert healthy.test is not None
     for d in (0.5 * healthy.test.wide_from, 2.0 * healthy.test.wide_from):
         assert agree(evidence(d, 0.05), "stiction", ("why",), healthy)[0] == "stiction"
+        # A dozen moves of a stem are as many steps of a load that drifts: these prevail over nothing.
+        few = replace(evidence(d, 0.05), slips=12)
+        assert agree(few, "stiction", ("why",), healthy)[0] == "undecided"
+        assert agree(few, "stiction", ("why",), replace(healthy, verdict="undecided"))[0] == "stiction"
 
 
 def test_no_slip_at_all_acquits_no_valve(healthy: wb.Detection) -> None:

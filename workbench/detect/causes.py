@@ -25,6 +25,7 @@ __all__ = [
     "constant",
     "dead_signal",
     "kept_by_exception",
+    "no_percent",
     "other_causes",
     "refuse_unusable",
     "steady_stretches",
@@ -142,6 +143,17 @@ def beyond_op(op: FloatArray, band: float) -> str:
     else:
         return ""
     return f"a band of {given(band, 4)} % fits best, yet {said}"
+
+
+def no_percent(op: FloatArray) -> str:
+    """Say that OP (%, shape (N,)) has another unit: it stays where no valve in % is; or nothing."""
+    low, high = np.percentile(op, USUAL).tolist()
+    if low <= 2.0 * TRAVEL and high >= -TRAVEL:
+        return ""
+    return (
+        f"OP usually lies between {given(low, 4)} and {given(high, 4)}, which is no output in %: stiction and gain are "
+        "in its own unit; give the range that it calls 0 and 100 %"
+    )
 
 
 def below_step(op: FloatArray, band: float) -> str:

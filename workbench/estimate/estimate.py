@@ -8,7 +8,7 @@ from dataclasses import replace
 from functools import reduce
 from typing import NamedTuple
 
-from workbench.detect.causes import below_step, between_values, beyond_op, kept_by_exception
+from workbench.detect.causes import below_step, between_values, beyond_op, kept_by_exception, no_percent
 from workbench.detect.late import as_seen, earlier, words_of_late
 from workbench.detect.spikes import words_of_spikes
 from workbench.errors import InvalidValue
@@ -124,8 +124,8 @@ def estimate(
     said += words_of_late(record, late) + words_of_spikes(record)
     if answer.verdict == "stiction" and (why := _doubtful(seen, answer.valve.stick_band)):
         answer = replace(answer, verdict="undecided", identifiable=False, reasons=(why, *answer.reasons))
-    if kept := kept_by_exception(record):
-        answer, said = replace(answer, identifiable=False), (kept, *said)
+    if unpinned := tuple(one for one in (no_percent(record.op), kept_by_exception(record)) if one):
+        answer, said = replace(answer, identifiable=False), (*unpinned, *said)
     tell(1.0)
     return replace(
         answer,

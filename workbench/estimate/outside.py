@@ -19,7 +19,7 @@ from workbench.estimate.data import Centred
 from workbench.estimate.fit import Fit
 from workbench.estimate.straight import Straight, linear_beside
 from workbench.estimate.swing import Answered, Swing
-from workbench.estimate.verdict import ENOUGH_SLIPS, MOST
+from workbench.estimate.verdict import MOST, SURE_SLIPS
 from workbench.model.numbers import given
 from workbench.model.results import FittedModel, LinearFit
 
@@ -31,7 +31,6 @@ CHANCE = Thresholds().likelihood  # a search over stems gains less than this of 
 # left and more. Healthy ones under load steps and waves reach more, by a few slips or leaving colour.
 LIKELIER = 2.0 * Thresholds().likelihood
 ORDER = 1  # of the disturbance's autoregression: what is left is as good as noise
-SLIPS = 2 * ENOUGH_SLIPS  # a few may fall in with as many steps of the load
 
 
 class Rival(NamedTuple):
@@ -87,7 +86,7 @@ def weighed(
     # A stem that hardly sticks leaves what the linear loop leaves once it is given the same steps.
     closer = _ahead(data, sticking[0], data, linear[0]) >= LIKELIER
     closer = closer and model.residual_variance <= MOST * linear[1].residual_variance
-    if not accused and not (closer and model.slips >= SLIPS and data.a.size <= 1 + ORDER):
+    if not accused and not (closer and model.slips >= SURE_SLIPS and data.a.size <= 1 + ORDER):
         return verdict, ""
     answered, swing, ahead = rival()
     share = model.residual_variance / max(answered.model.residual_variance, data.floor)

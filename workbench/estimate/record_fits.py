@@ -19,7 +19,7 @@ from workbench.estimate.profile import Profile, profile_of
 from workbench.estimate.settled import STEPS_MOST, needs_steps, settled
 from workbench.estimate.sought import Seek, Sought, coarse_of, like_stenman, sought
 from workbench.estimate.two_parameter import Band, look
-from workbench.estimate.verdict import ENOUGH_SLIPS, SHARP, WIDE_D
+from workbench.estimate.verdict import ENOUGH_SLIPS, SHARP, SURE_SLIPS, WIDE_D
 from workbench.estimate.windows import WHOLE
 from workbench.model.loads import LoadStep
 from workbench.model.results import FittedModel
@@ -41,7 +41,6 @@ __all__ = [
 DELAYS = 30
 LINEAR_DELAYS = 240
 HALF = 0.5  # of what the linear fit leaves: a stem that leaves no more explains PV by itself
-UNSURE_SLIPS = 2 * ENOUGH_SLIPS  # fewer may come at other times than found, and a load step make up for that
 
 
 @dataclass(frozen=True, eq=False)
@@ -168,7 +167,7 @@ def with_ranges(fits: Fits, chosen: str) -> tuple[Fits, Bands]:
     ranges leads to a stem that explains PV as well without any, the fits are those.
     """
     found = _ranged(fits, chosen)
-    if fits.steps and fits.bare is not None and found.best.slips < UNSURE_SLIPS:
+    if fits.steps and fits.bare is not None and found.best.slips < SURE_SLIPS:
         still = fits.bare()
         # Without the steps a search over any jump may have ended without one: that valve is the dead band then.
         if chosen in still.bands:

@@ -14,9 +14,10 @@ from workbench.detect.verdict import Thresholds, excluded
 from workbench.model.detection import Detection
 from workbench.model.numbers import counted, given
 
-__all__ = ["ENOUGH_SLIPS", "WIDE_D", "Evidence", "agree", "judge"]
+__all__ = ["ENOUGH_SLIPS", "SURE_SLIPS", "WIDE_D", "Evidence", "agree", "judge"]
 
 ENOUGH_SLIPS = 10  # fewer do not pin the unknown start of the stem
+SURE_SLIPS = 2 * ENOUGH_SLIPS  # fewer may fall in with as many steps of the load, or come at other times than found
 GAIN = 0.10  # least improvement over the linear model that counts
 UNEXPLAINED = 0.05  # least share of PV's variance that the linear model must leave for that to matter
 EXPLAINS = 0.60  # largest share that the sticking stem may leave to count as an explanation
@@ -190,9 +191,10 @@ def agree(e: Evidence, verdict: str, reasons: tuple[str, ...], found: Detection)
     explains = e.linear >= UNEXPLAINED * e.variance and min(e.stem, e.two_parameter) <= (1.0 - MOST) * e.linear
     # Detection has tried all stems as wide as this one, and acquits the valve of them.
     refuted = found.test is not None and e.d >= found.test.wide_from and excluded(found.test, Thresholds())
-    if sticks and improvement >= (CERTAIN if found.verdict == "no_stiction" else MOST):
+    acquitted = found.verdict == "no_stiction"
+    if sticks and improvement >= (CERTAIN if acquitted else MOST) and (e.slips >= SURE_SLIPS or not acquitted):
         final = "stiction"
-    elif found.verdict == "no_stiction" and ((sticks and not refuted) or explains or e.slips == 0):
+    elif acquitted and ((sticks and not refuted) or explains or e.slips == 0):
         final = "undecided"
     else:
         final = found.verdict
