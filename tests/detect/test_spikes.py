@@ -95,7 +95,7 @@ def test_a_few_zeros_hide_no_valve_that_sticks() -> None:
     pv = record.pv.copy()
     pv[[150, 400, 700]] = 0.0
     hidden = wb.Record(pv, record.op, 1.0, sp=record.sp)
-    clean, found = wb.estimate(record), wb.estimate(hidden)
+    clean, found = wb.estimate(record, plant="fopdt"), wb.estimate(hidden, plant="fopdt")
     assert clean.verdict == found.verdict == wb.detect(hidden).verdict == "stiction"
     assert found.valve.stick_band == pytest.approx(clean.valve.stick_band, rel=0.01)
     assert found.plant.gain == pytest.approx(clean.plant.gain, rel=0.01)
@@ -176,7 +176,7 @@ def test_no_verdict_names_a_band_that_no_valve_has() -> None:
     whole = sticky(0)
     record = wb.Record(whole.pv[:300], whole.op[:300], 1.0)
     counts = replace(record, op=60.0 * (record.op - 40.0))
-    for found in (wb.detect(counts), wb.estimate(counts)):
+    for found in (wb.detect(counts), wb.estimate(counts, plant="fopdt")):
         assert found.verdict == "undecided"
         assert "no valve travels so far: give OP's range" in " ".join(found.reasons)
     fraction = wb.estimate(replace(record, op=record.op * 1e-3))

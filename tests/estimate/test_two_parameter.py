@@ -131,7 +131,7 @@ def test_the_valve_asked_for_is_the_valve_given() -> None:
     record = record_of(wb.Choudhury(3.0, 1.0), 1000)
     kinds = {"stenman": wb.Stenman, "deadband": wb.Deadband, "choudhury": wb.Choudhury, "linear": wb.Ideal}
     for name, kind in kinds.items():
-        found = wb.estimate(record, valve=name)
+        found = wb.estimate(record, valve=name, plant="fopdt")
         assert isinstance(found.valve, kind)
         assert not (name == "linear" and found.identifiable)
     with pytest.raises(wb.InvalidValue, match=r"estimate\.valve"):

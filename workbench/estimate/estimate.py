@@ -47,6 +47,7 @@ FIRST = 0.8  # of the progress told: the first kind of plant, as the other is se
 
 WIDEST_GAIN = 0.2  # of the gain itself: a 95 % range wider than this does not identify a valve and what it does to PV
 CLEAR_BIC = 10.0  # R. Kass, A. Raftery, J. Am. Stat. Assoc. 90 (1995) 773-795: "very strong" evidence above it
+BRIEF, FAR_BIC = 0.05, 10.0 * CLEAR_BIC  # of the record: a time constant that PV shows twenty times; of BIC
 WORDS_OF_ENDLESS = (
     "PV does not level off within the record, as an integrating process does not: a first-order one would need a time "
     "constant of half the record or more"
@@ -281,8 +282,9 @@ def _likelier_plant(record: Record, asked: _Asked, tell: Callable[[float], None]
         return likelier, ()
     level = _levels_off(record, found["fopdt"].answered.model.plant)
     by = bics["integrating"] - bics["fopdt"]
-    # Of two that are hardly told apart, the one that the time constant speaks for.
-    plant = "fopdt" if by > (-CLEAR_BIC if level else CLEAR_BIC) else "integrating"
+    # Of two that are hardly told apart, the one that the time constant speaks for; and where that is as long as the
+    # record the two differ by the stems that were found, not by the plant.
+    plant = "fopdt" if by > (-CLEAR_BIC if level else FAR_BIC) else "integrating"
     if not level and plant == "integrating":
         return found[plant], (WORDS_OF_ENDLESS,)
     names = {"fopdt": "a first-order process", "integrating": "an integrating process"}
@@ -303,14 +305,17 @@ def _decided(record: Record, found: Mapping[str, _Searched], asked: _Asked) -> b
     other = "integrating" if kind == "fopdt" else "fopdt"
     if not _levels_off(record, answered.model.plant):
         return False
-    bic = foretelling_of(record, kind, answered)
+    bic, along = foretelling_of(record, kind, answered), with_other_plant(record, other, answered)
     if answered.settled.a.size == 1:
         # Who leaves noise alone leaves nothing for another, unless that does the same with less.
-        return bic <= with_other_plant(record, other, answered)
-    if answered.model.verdict != "no_stiction":
-        return False
-    rival = _line_with_plant(record, other, asked.max_dead_time)
-    return bic - CLEAR_BIC <= foretelling_of(record, other, rival)
+        return bic <= along
+    rival = foretelling_of(record, other, _line_with_plant(record, other, asked.max_dead_time))
+    if answered.model.verdict == "no_stiction":
+        return bic - CLEAR_BIC <= rival
+    # The other's own stem may be a better one, but not by so much where PV is seen to level off again and again.
+    plant = answered.model.plant
+    brief = isinstance(plant, FOPDT) and plant.time_constant <= BRIEF * len(record) * record.sample_time
+    return brief and bic + FAR_BIC <= min(along, rival)
 
 
 def _levels_off(record: Record, plant: Plant) -> bool:
