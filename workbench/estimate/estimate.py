@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import replace
 from functools import reduce
 from typing import NamedTuple
@@ -261,22 +261,21 @@ def _likelier_plant(record: Record, asked: _Asked, tell: Callable[[float], None]
     The likelier kind is searched first; the other one only where what that leaves asks for it.
     """
 
-    def again() -> _Begun:
-        return _begun(record, "integrating", asked, lambda share: tell(FIRST + (1.0 - FIRST) * share))
+    begun = _begun(record, "fopdt", asked, lambda share: tell(FIRST * share))
 
-    first = _begun(record, "fopdt", asked, lambda share: tell(FIRST * share))
-    if endless := _endless(first):
-        found = {"integrating": _searched(record, again(), asked)}
-    else:
-        found = {"fopdt": _searched(record, first, asked)}
-    if _decided(record, found, asked):
-        return next(iter(found.values())), (WORDS_OF_ENDLESS,) if endless else ()
-    if endless:
-        found["fopdt"] = _searched(record, first, asked)
-    else:
-        found["integrating"] = _searched(record, again(), asked)
+    def search(plant: str) -> _Searched:
+        if plant == "fopdt":
+            return _searched(record, begun, asked)
+        there = _begun(record, plant, asked, lambda share: tell(FIRST + (1.0 - FIRST) * share))
+        return _searched(record, there, asked)
+
+    first, second = ("integrating", "fopdt") if _endless(begun) else ("fopdt", "integrating")
+    likelier = search(first)
+    if _decided(record, first, likelier.answered, asked):
+        return likelier, (WORDS_OF_ENDLESS,) if first == "integrating" else ()
+    other = search(second)
+    found = {first: likelier, second: other}
     bics = {plant: foretelling_of(record, plant, one.answered) for plant, one in found.items()}
-    likelier, other = found.values()
     if (likelier.answered.model.verdict, other.answered.model.verdict) == ("no_stiction", "undecided"):
         # With a plant that may be it no valve that sticks is needed; what another would need says nothing against that.
         return likelier, ()
@@ -299,9 +298,8 @@ def _endless(begun: _Begun) -> bool:
     return min(fits, key=lambda fit: fit.sse).tau >= ENDLESS * begun.data.samples
 
 
-def _decided(record: Record, found: Mapping[str, _Searched], asked: _Asked) -> bool:
-    """Whether the one kind of plant that was searched leaves nothing to ask of the other."""
-    ((kind, (answered, _)),) = found.items()
+def _decided(record: Record, kind: str, answered: Answered[Estimate], asked: _Asked) -> bool:
+    """Whether what one kind of plant leaves is nothing to ask the other about."""
     other = "integrating" if kind == "fopdt" else "fopdt"
     if not _levels_off(record, answered.model.plant):
         return False
