@@ -207,7 +207,7 @@ def main() -> None:
     parser.add_argument("--records", type=Path, action="append", default=[])
     given = parser.parse_args()
     groups: dict[str, list[wb.Detection]] = {}
-    rows: list[tuple[str, wb.Record]] = []
+    simulated: list[tuple[str, wb.Record]] = []
     for kind in HEALTHY + STICKY + APART:
         for level in (False, True):
             name = f"{'level' if level else 'flow'}, {kind}"
@@ -217,7 +217,7 @@ def main() -> None:
                 still = kind in STICKY + HIDDEN and moves < ENOUGH
                 (seldom if still else groups[name]).append(wb.detect(record))
                 if seed < given.first + KEPT and kind in HEALTHY + STICKY and not still:
-                    rows.append(("simulated, healthy" if kind in HEALTHY else "simulated, sticky", record))
+                    simulated.append(("simulated, healthy" if kind in HEALTHY else "simulated, sticky", record))
             print(name, dict(Counter(found.verdict for found in groups[name])), end="")
             told = f", hardly moving {dict(Counter(found.verdict for found in seldom))}" if seldom else ""
             print(told, flush=True)
@@ -229,7 +229,7 @@ def main() -> None:
         records = [wb.read_record(folder / row["file"]) for row in rows]
         groups[str(folder)] = [wb.detect(record) for record in records]
         read += zip(labels[str(folder)], records, strict=True)
-    tell_changed(rows, kept)
+    tell_changed(simulated, kept)
     tell_changed(read)
     plain = Thresholds()
     trials = [("as they are", plain)]
