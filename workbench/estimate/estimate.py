@@ -310,10 +310,12 @@ def _decided(record: Record, kind: str, answered: Answered[Estimate], asked: _As
     rival = foretelling_of(record, other, _line_with_plant(record, other, asked.max_dead_time))
     if answered.model.verdict == "no_stiction":
         return bic - CLEAR_BIC <= rival
-    # The other's own stem may be a better one, but not by so much where PV is seen to level off again and again.
     plant = answered.model.plant
-    brief = isinstance(plant, FOPDT) and plant.time_constant <= BRIEF * len(record) * record.sample_time
-    return brief and bic + FAR_BIC <= min(along, rival)
+    if not isinstance(plant, FOPDT):
+        # A lag as long as the record does as well along any stem: one that levels off would do better along this one.
+        return bic - CLEAR_BIC <= along and bic + FAR_BIC <= rival
+    # The other's own stem may be a better one, but not by so much where PV is seen to level off again and again.
+    return plant.time_constant <= BRIEF * len(record) * record.sample_time and bic + FAR_BIC <= min(along, rival)
 
 
 def _levels_off(record: Record, plant: Plant) -> bool:
