@@ -40,10 +40,8 @@ HALF = 0.5  # of the record and of OP's range: PV no longer tells about the valv
 RESOLVED = 0.1  # % of travel: positioners hardly follow less
 ALIKE = 0.2  # relative difference of two periods that are one
 USUAL, WIDER = (5.0, 95.0), 2.0  # percentiles of OP; a band so many times wider than they are apart rests on the rest
-OFTEN, BETWEEN = (
-    0.5,
-    0.9,
-)  # of the samples of PV that were not recorded: ranges hold no more; and the rest shows no shape
+# Share of PV's samples that lie between recorded values: from the one on no range holds, from the other on no shape.
+OFTEN, BETWEEN = 0.5, 0.9
 STEADY = 1.0 / 3.0  # of the record, the least stretch at constant SP that may stand for its cycle
 CYCLES = 0.5  # oscillation index of a setpoint that cycles
 

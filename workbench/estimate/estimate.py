@@ -93,9 +93,10 @@ def estimate(
     A PV that is recorded later than the controller saw it is looked at as that did (`pv_late`), and values of PV or OP
     that stand out from their neighbours alone are left out (`detect.spikes`).
     identifiable is True where the verdict is "stiction", no range is open, that hull is at most a tenth of d wide and
-    gain's at most a fifth of the gain. Raises `RecordError` for a record that holds no information (too short, PV or OP
-    constant, values that no plant has) or is too long for the method, and `InvalidValue` for arguments that are not
-    allowed.
+    gain's at most a fifth of the gain; not where PV was kept by exception or mostly lies between recorded values, whose
+    error no range holds, nor for an OP that is no per cent (see `detect.causes`). Raises `RecordError` for a record
+    that holds no information (too short, PV or OP constant, values that no plant has) or is too long for the method,
+    and `InvalidValue` for arguments that are not allowed.
     """
     if not isinstance(record, Record):
         raise InvalidValue("estimate.record", type(record).__name__, "must be a Record (see read_record)")
