@@ -232,6 +232,33 @@ def long_record(samples: int, seed: int = 1) -> wb.Record:
     return wb.Record(run.pv, run.op, 1.0)
 
 
+def day_of(valve: wb.Valve, plant: wb.FOPDT | wb.Integrating, controller: wb.PID, samples: int = 86_400) -> wb.Record:
+    """A loop under noise with two setpoint moves."""
+    moves = [wb.Step(8.0), wb.Step(-6.0, at=0.6 * samples)]
+    experiment = wb.Experiment(float(samples), setpoint=moves, noise=wb.Noise(0.1, 1))
+    run = wb.simulate(wb.Loop(plant, valve, controller, 1.0), experiment)
+    return wb.Record(run.pv, run.op, 1.0)
+
+
+def days() -> None:
+    """Print processor time of 24 h at 1 s of other loops, and what was found."""
+    loops = {
+        "flow, 5 s": (wb.FOPDT(2.0, 5.0, 1.0), wb.PID(Kc=0.5, Ti=20.0)),
+        "temperature, 60 s": (wb.FOPDT(1.2, 60.0, 20.0), wb.PID(Kc=0.7, Ti=60.0)),
+        "level": (wb.Integrating(0.01, 10.0), wb.PID(Kc=2.0, Ti=200.0)),
+    }
+    valves = (wb.Stenman(2.0), wb.Choudhury(3.0, 1.0), wb.Choudhury(3.0, 3.5), wb.Deadband(3.0))
+    wb.estimate(day_of(valves[1], *loops["level"], samples=30_000))
+    print("24 h of a loop      valve                     estimate, s  found")
+    for name, loop in loops.items():
+        for valve in valves:
+            record = day_of(valve, *loop)
+            began = time.process_time()
+            found = wb.estimate(record)
+            took = time.process_time() - began
+            print(f"{name:19} {valve!s:25} {took:11.2f}  {found.verdict}, {found.valve}, {found.plant}", flush=True)
+
+
 def speed() -> None:
     """Print processor time against N: the estimate, and every path from one start enumerated at 31 dead times."""
     wb.estimate(long_record(300))
@@ -276,6 +303,7 @@ def speed() -> None:
 if __name__ == "__main__":
     if sys.argv[1:2] == ["speed"]:
         speed()
+        days()
     elif sys.argv[1:2] == ["plants"]:
         plants(int(sys.argv[2]) if len(sys.argv) > 2 else 20, int(sys.argv[3]) if len(sys.argv) > 3 else 0)
     else:

@@ -15,6 +15,7 @@ squares of PV and OP, and their product, as well (second-order Volterra terms, o
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -100,16 +101,24 @@ class FreePredictor:
         path chosen beforehand (chi^2 with three degrees of freedom), more for the best of many. 0 where the record is
         too short to say.
         """
+        return self.adds_at(path, [delay])[0]
+
+    def adds_at(self, path: FloatArray, delays: Sequence[int]) -> list[float]:
+        """Return the same for each of some delays, samples."""
         if not self.enough or not np.ptp(path) > 0.0:
-            return 0.0
+            return [0.0] * len(delays)
         x = path - path.mean()
-        columns = self._known([_back(x, delay + 1 + i, self.first) for i in range(ANSWERS)])
-        beside_past = self.beside(columns)
-        powers, axes = np.linalg.eigh(beside_past.T @ beside_past)
+        at = np.array(delays)[:, None] + np.arange(1, ANSWERS + 1)
+        lags, place = np.unique(at, return_inverse=True)
+        columns = self._known([_back(x, lag, self.first) for lag in lags.tolist()])
+        beside_past, place = self.beside(columns), place.reshape(at.shape)
+        products = beside_past.T @ beside_past
+        powers, axes = np.linalg.eigh(products[place[:, :, None], place[:, None, :]])
         # A stem that follows OP is known already: what is left of it is rounding.
-        kept = powers > RANK**2 * float((columns**2).sum())
-        left = beside_past @ (axes[:, kept] / np.sqrt(powers[kept]))
-        return self.gain(float(((left.T @ self.left) ** 2).sum()))
+        kept = powers > RANK**2 * (columns**2).sum(axis=0)[place].sum(axis=1)[:, None]
+        along = np.einsum("dji,dj->di", axes, (beside_past.T @ self.left)[place])
+        explained = np.where(kept, along**2 / np.where(kept, powers, 1.0), 0.0).sum(axis=1)
+        return [self.gain(one) for one in explained.tolist()]
 
     def gain(self, explained: float) -> float:
         """Return the log likelihood ratio of a prediction that leaves so much less of PV's squares, EU^2."""

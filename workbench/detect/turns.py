@@ -8,7 +8,7 @@ OP's place knows that as well or better. What the loop's own valve does follows 
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -34,9 +34,9 @@ def turns_of_pv(free: FreePredictor, delays: list[int]) -> float:
     y = np.interp(at, at[~held], y[~held])
     width = float(np.ptp(y))
 
-    def best(share: float, delays: Iterable[int]) -> tuple[float, float, int]:
+    def best(share: float, delays: Sequence[int]) -> tuple[float, float, int]:
         path = Law(Deadband(share * width), 0.0).path(y)
-        return max((free.adds(path, delay), share, delay) for delay in delays)
+        return max((gain, share, delay) for gain, delay in zip(free.adds_at(path, delays), delays, strict=True))
 
     _, share, delay = max(best(share, delays) for share in BANDS)
     k = delays.index(delay)

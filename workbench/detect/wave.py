@@ -71,9 +71,10 @@ def _gain(free: FreePredictor, frequency: float, sort: Sort, part: float = 0.0) 
     """Return the best gain over all phases, a sample apart."""
     at = np.flatnonzero(free.live)
     # Later by a sample is the next phase: half a period of phases, the other half is the same turned over.
-    later = np.arange(math.ceil(0.5 / frequency) + ANSWERS - 1) + part
-    waves = free.beside(sort((at[:, None] - later) * frequency))
-    many = later.size - ANSWERS + 1
+    many = math.ceil(0.5 / frequency)
+    latest = many + ANSWERS - 2
+    wave = sort((np.arange(-latest, free.live.size) - part) * frequency)
+    waves = free.beside(np.lib.stride_tricks.sliding_window_view(wave, latest + 1)[at, ::-1])
     products = np.empty((many, ANSWERS, ANSWERS))
     for i in range(ANSWERS):
         for j in range(i + 1):

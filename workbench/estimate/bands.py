@@ -9,12 +9,13 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from workbench.estimate.data import Centred
-from workbench.estimate.fit import LEAST_TAU, Fit, Limits, predict
+from workbench.estimate.fit import LEAST_TAU, Fit, Limits, disturbance, predict
 from workbench.estimate.nearer import CROSSINGS, REACHES, REFITS, SPREADS, closer, nearer, search_short
 from workbench.estimate.path_kernel import J_HIGH, J_LOW, S_HIGH, S_LOW, band_path
 from workbench.estimate.profile import CHI_SQUARE, HALF_SLIPS
@@ -29,6 +30,7 @@ from workbench.estimate.two_parameter import (
     best_start,
     fit_band,
     jumped,
+    look,
     started,
     started_beside,
 )
@@ -190,7 +192,7 @@ def repeated(data: Centred, found: Found, limits: Limits, within: Sought) -> Ban
     a search that ended away from the truth seldom ends there twice: a short record is searched on from where its halves
     ended, and from the stems that slip some samples earlier and later, and the best may then be another.
     """
-    own = _of_parts(data, found.only, limits, within)
+    own = _of_parts(data, found, limits, within)
     if within.whole:
         apart = [b for *_, b in own if abs(b.S / found.best.S - 1.0) > APART]
         found = _further(data, found, [_here(data, b, limits) for b in apart], limits)
@@ -208,21 +210,38 @@ def repeated(data: Centred, found: Found, limits: Limits, within: Sought) -> Ban
     return replace(bands, S=(min(S), max(S)), J=(min(J), max(J)), parts=tuple(b.fit for b in against))
 
 
-def _of_parts(data: Centred, only: float | None, limits: Limits, within: Sought) -> list[tuple[Centred, Limits, Band]]:
-    """The parts of a record, each with the best stem of a search of its own, where one is found."""
-    n = data.samples
+def _of_parts(data: Centred, whole: Found, limits: Limits, within: Sought) -> list[tuple[Centred, Limits, Band]]:
+    """The parts of a record, each with the best stem of a search of its own, where one is found.
+
+    whole: the search in all of it. Where that leaves noise alone, the halves' stems are sought from its best.
+    """
+    n, best = data.samples, whole.best
     windows: Sequence[Window] = within.windows[:2]
     if within.whole:
         halves = [data.part(0, n // 2), data.part(n // 2, n)]
         moved = [part for part in halves if part.op_range > 0.0 and float(np.ptp(part.y)) > 0.0]
-        windows = [window_of(part, min(limits.theta[1], part.samples / 4.0)) for part in moved]
+        seek = partial(_known, best) if best.slips >= ENOUGH_SLIPS and _leaves_noise(data, best) else look
+        windows = [window_of(part, min(limits.theta[1], part.samples / 4.0), seek) for part in moved]
     found = []
     for window in windows:
-        part, met = window.data, window.met(only)
+        part, met = window.data, window.met(whole.only)
         if met and best_of(met).slips > 0:
             own = Limits((LEAST_TAU, float(part.samples)), (0.0, min(limits.theta[1], part.samples / 4.0)))
             found.append((part, own, best_of(met)))
     return found
+
+
+def _known(best: Band, part: Centred, longest: float) -> list[Band]:
+    """A record's best stem in a part of it, with dead times up to `longest` samples; none where it does not move."""
+    there = _here(part, best, Limits((LEAST_TAU, float(part.samples)), (0.0, longest)))
+    return [there] if there.slips > 0 and there.fit.gain != 0.0 else []
+
+
+def _leaves_noise(data: Centred, b: Band) -> bool:
+    """Whether a stem leaves no more of PV than white noise."""
+    x, _ = band_stem(data.u, b.S, b.J, b.first, b.sense)
+    left = data.y - predict(data, x, max(b.first, 0), b.fit)[0]
+    return disturbance(left[data.skip :], data.floor).size == 1
 
 
 def _further(data: Centred, found: Found, seeds: list[Band], limits: Limits) -> Found:

@@ -47,6 +47,7 @@ FIRST = 0.8  # of the progress told: the first kind of plant, as the other is se
 
 WIDEST_GAIN = 0.2  # of the gain itself: a 95 % range wider than this does not identify a valve and what it does to PV
 CLEAR_BIC = 10.0  # R. Kass, A. Raftery, J. Am. Stat. Assoc. 90 (1995) 773-795: "very strong" evidence above it
+ALIKE = 1.25  # times what a lag leaves along OP: a level that leaves more is none
 BRIEF, FAR_BIC = 0.05, 10.0 * CLEAR_BIC  # of the record: a time constant that PV shows twenty times; of BIC
 WORDS_OF_ENDLESS = (
     "PV does not level off within the record, as an integrating process does not: a first-order one would need a time "
@@ -121,7 +122,8 @@ def estimate(
     if plant == "auto":
         found, said = _likelier_plant(seen, asked, lambda share: tell(share / shares))
     else:
-        found = _searched(seen, _begun(seen, plant, asked, lambda share: tell(share / shares)), asked)
+        line = _straight(seen, centre(seen, plant), max_dead_time)
+        found = _searched(seen, _begun(seen, plant, line, asked, lambda share: tell(share / shares)), asked)
     answer = _told(seen, found, asked, lambda share: tell(1.0 - (1.0 - share) / shares))
     said += words_of_late(record, late) + words_of_spikes(record)
     if answer.verdict == "stiction" and (why := _doubtful(seen, answer.valve.stick_band)):
@@ -171,11 +173,10 @@ class _Searched(NamedTuple):
     swing: Swing | None
 
 
-def _begun(record: Record, plant: str, asked: _Asked, tell: Callable[[float], None]) -> _Begun:
-    """The beginning of the search with one kind of plant."""
+def _begun(record: Record, plant: str, line: Straight, asked: _Asked, tell: Callable[[float], None]) -> _Begun:
+    """The beginning of the search with one kind of plant, from its linear fit."""
     data, longest = centre(record, plant), asked.max_dead_time
     tell(0.0)
-    line = _straight(record, data, longest)
     delays = longest_delay(data, longest, DELAYS)
     if asked.method == "two_step":
         return _Begun(data, line, *two_step(data, asked.start, delays))
@@ -261,19 +262,29 @@ def _likelier_plant(record: Record, asked: _Asked, tell: Callable[[float], None]
 
     The likelier kind is searched first; the other one only where what that leaves asks for it.
     """
+    lines = {one: _straight(record, centre(record, one), asked.max_dead_time) for one in ("fopdt", "integrating")}
+    lag, ramp = lines["fopdt"].fit, lines["integrating"].fit
+    begun: dict[str, _Begun] = {}
 
-    begun = _begun(record, "fopdt", asked, lambda share: tell(FIRST * share))
+    def begin(plant: str) -> _Begun:
+        if plant not in begun:
+            done, share = (FIRST, 1.0 - FIRST) if begun else (0.0, FIRST)
+            begun[plant] = _begun(record, plant, lines[plant], asked, lambda told: tell(done + share * told))
+        return begun[plant]
 
     def search(plant: str) -> _Searched:
-        if plant == "fopdt":
-            return _searched(record, begun, asked)
-        there = _begun(record, plant, asked, lambda share: tell(FIRST + (1.0 - FIRST) * share))
-        return _searched(record, there, asked)
+        return _searched(record, begin(plant), asked)
 
-    first, second = ("integrating", "fopdt") if _endless(begun) else ("fopdt", "integrating")
+    # Without a stem, which costs the most: a lag that never levels off, and a level that leaves hardly more.
+    endless = lag.tau >= ENDLESS * len(record) and ramp.sse <= ALIKE * lag.sse
+    first, second = ("integrating", "fopdt") if endless or _endless(begin("fopdt")) else ("fopdt", "integrating")
     likelier = search(first)
     if _decided(record, first, likelier.answered, asked):
-        return likelier, (WORDS_OF_ENDLESS,) if first == "integrating" else ()
+        # Where more than noise is left, a stem may be what shows a lag that levels off.
+        if first == "fopdt":
+            return likelier, ()
+        if likelier.answered.settled.a.size == 1 or _endless(begin("fopdt")):
+            return likelier, (WORDS_OF_ENDLESS,)
     other = search(second)
     found = {first: likelier, second: other}
     bics = {plant: foretelling_of(record, plant, one.answered) for plant, one in found.items()}

@@ -18,7 +18,8 @@ from workbench.estimate.band_kernel import screen_bands
 from workbench.estimate.candidates import leaves_noise
 from workbench.estimate.data import Centred, integers
 from workbench.estimate.profile import Profile, search
-from workbench.estimate.stems import silent
+from workbench.estimate.stems import WIDE_D, silent
+from workbench.estimate.verdict import ENOUGH_SLIPS
 from workbench.estimate.windows import EXACT, active_windows
 
 __all__ = ["searched"]
@@ -51,11 +52,14 @@ def searched(data: Centred, longest: float, most: float, progress: Callable[[flo
     if data.samples <= EXACT:
         return _searched(data, longest, most, _seen, progress)
     usual, every = longest, math.ceil(data.samples / EXACT)
-    views = [(data.thinned(every), every), *((part, 1) for part in active_windows(data)[:1])] if longest < most else []
-    for view, times in views:
+    # A window of so many wide slips is that of a fast loop, of which the record thinned shows nothing.
+    for thin in (False, True) if longest < most else ():
+        view, times = (data.thinned(every), every) if thin else (active_windows(data)[0], 1)
         reach = longest / times, min(most / times, view.samples / 4.0)
         if reach[0] < reach[1] and (found := _searched(view, *reach, _seen, silent)) is not None:
             longest = max(longest, times * found.limits.theta[1])
+            if found.best.slips >= ENOUGH_SLIPS and found.best.d >= WIDE_D * view.op_range:
+                break
     found = _searched(data, longest, most, _unseen, progress)
     if longest > usual and found is not None and not leaves_noise(data, found.best):
         # Of fewer dead times each is looked at closer, and a stem may be met that was passed over among more; what else

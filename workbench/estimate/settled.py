@@ -20,7 +20,7 @@ from workbench.estimate.fit import LEAST_TAU, Fit, Limits, again_linear, disturb
 from workbench.estimate.loads import CLEAR, DEGREES, Loads, Stem, loads_of
 from workbench.estimate.models import bands_of, refitted
 from workbench.estimate.profile import Profile, profile_again, profile_of, search
-from workbench.estimate.sought import Sought, coarse_of, like_stenman, sought
+from workbench.estimate.sought import HOPELESS, Sought, coarse_of, like_stenman, sought
 from workbench.estimate.stems import path_of
 from workbench.estimate.stepped import stepped_stems
 from workbench.estimate.two_parameter import Band, band_stem, fit_band
@@ -150,7 +150,7 @@ def settled(
             found = search(bare, delays) or found
         if found is not None:
             likely = [*found.likely, found.best.d_low]
-            if anew:
+            if anew and not _outdone(data, found, bands):
                 found = profile_of(data, found.rows, likely, found.limits, (found.best,))
             else:
                 found = profile_again(data, found)
@@ -198,6 +198,12 @@ def led_to(data: Centred, was: dict[str, Found], bands: dict[str, Found], limits
         if there.fit.sse < found.best.fit.sse and there.fit.gain != 0.0:
             led[name] = replace(found, best=there, met=(there, *found.met))
     return led
+
+
+def _outdone(data: Centred, found: Profile, bands: dict[str, Found]) -> bool:
+    """Whether a two-parameter stem leaves so much less of a long record that no other one-parameter stem would do."""
+    least = min((one.best.fit.sse for one in bands.values()), default=math.inf)
+    return data.samples > WHOLE and found.best.fit.sse > HOPELESS * least
 
 
 def _exact(data: Centred, found: Profile | None, bands: dict[str, Found], linear: Fit) -> bool:
