@@ -186,7 +186,7 @@ def test_windows_are_the_liveliest_and_apart_and_a_stretch_is_lively() -> None:
     begin, stop = stretch_of(data)
     assert (begin, stop - begin) == (pytest.approx(20_000, abs=5000), 5000)
     quiet = centre(wb.Record(np.where(np.arange(40_000) < 9000, y, 0.0), u, 1.0), "fopdt")
-    assert [float(part.y[0]) for part in active_windows(quiet)] == [quiet.y[windows_of(quiet)[0][0]]]
+    assert [float(part.y[0]) for _, part in active_windows(quiet)] == [quiet.y[windows_of(quiet)[0][0]]]
 
 
 def test_a_linear_plant_of_a_long_record_is_as_good_as_its_own_searched_on_all_of_it() -> None:

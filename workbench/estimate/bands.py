@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from workbench.estimate.data import Centred
 from workbench.estimate.fit import LEAST_TAU, Fit, Limits, disturbance, predict
 from workbench.estimate.nearer import CROSSINGS, REACHES, REFITS, SPREADS, closer, nearer, search_short
+from workbench.estimate.outwards import outwards
 from workbench.estimate.path_kernel import J_HIGH, J_LOW, S_HIGH, S_LOW, band_path
 from workbench.estimate.profile import CHI_SQUARE, HALF_SLIPS
 from workbench.estimate.sought import HOPELESS, Sought, Window, on_all, window_of
@@ -153,6 +154,12 @@ def _search_long(
     for window in within.windows:
         if met := window.met(only):
             b = best_of(met)
+            if before is None and not within.known and _leads(window, b, only):
+                span = window.begin, window.begin + window.data.samples
+                followed, right = outwards(data, span, b, only, limits)
+                bands += followed
+                if right:
+                    break
             bands.append(on_all(data, (b.S, b.J, b.fit.tau, b.fit.theta), limits))
             b = replace(b, first=bands[-1].first, sense=bands[-1].sense)
             # A window's plant is nearer the truth than what all of the record makes of a stem that is a little off. In
@@ -174,6 +181,14 @@ def _search_long(
         found, rows = closer(data, best_of(bands), reach, step * reach[0], only, limits)
         bands += found
     return bands, rows
+
+
+def _leads(window: Window, b: Band, only: float | None) -> bool:
+    """Whether a window's best stem is worth following: not one whose jump is given where any jump leaves far less."""
+    if b.slips == 0 or b.fit.gain == 0.0:
+        return False
+    least = math.inf if only is None else min((one.fit.sse for one in window.met(None)), default=math.inf)
+    return b.fit.sse <= HOPELESS * max(least, window.data.samples * window.data.floor)
 
 
 def refit(data: Centred, found: Found, limits: Limits) -> Found:

@@ -53,8 +53,8 @@ def searched(data: Centred, longest: float, most: float, progress: Callable[[flo
         return _searched(data, longest, most, _seen, progress)
     usual, every = longest, math.ceil(data.samples / EXACT)
     # A window of so many wide slips is that of a fast loop, of which the record thinned shows nothing.
-    for thin in (False, True) if longest < most else ():
-        view, times = (data.thinned(every), every) if thin else (active_windows(data)[0], 1)
+    views = [(part, 1) for _, part in active_windows(data)[:1]] + [(data.thinned(every), every)]
+    for view, times in views if longest < most else ():
         reach = longest / times, min(most / times, view.samples / 4.0)
         if reach[0] < reach[1] and (found := _searched(view, *reach, _seen, silent)) is not None:
             longest = max(longest, times * found.limits.theta[1])

@@ -29,9 +29,10 @@ Seek = Callable[[Centred, float], list[Band]]
 class Window:
     """A long record's window, the best of a grid there (`look`), and all stems that a search from them meets.
 
-    met: of J as a share of S, None for any; searched when first asked for.
+    begin: the sample of the record. met: of J as a share of S, None for any; searched when first asked for.
     """
 
+    begin: int
     data: Centred
     coarse: list[Band]
     met: Callable[[float | None], list[Band]]
@@ -71,8 +72,8 @@ def sought(data: Centred, longest: float, other: Fit | None, contested: bool, se
     none = Sought(data.y, data.samples <= (EXACT if known else WHOLE), (), contested, known)
     windows: list[Window] = []
     settled = none.whole
-    for part in () if none.whole else active_windows(data):
-        window = window_of(part, min(longest, part.samples / 4.0), seek)
+    for begin, part in () if none.whole else active_windows(data):
+        window = window_of(part, min(longest, part.samples / 4.0), seek, begin)
         settled = _hopeless(window, none.rival(other) / data.samples) or any(_agree(window, one) for one in windows)
         windows.append(window)
         if settled:
@@ -95,12 +96,15 @@ def _agree(one: Window, other: Window) -> bool:
     return not few and abs(math.log(a.S / b.S)) <= AGREED[0] and abs(a.J - b.J) <= AGREED[1] * a.S
 
 
-def window_of(part: Centred, longest: float, seek: Seek = look) -> Window:
-    """Return a part of a record as a window of it, with dead times up to `longest` samples."""
+def window_of(part: Centred, longest: float, seek: Seek = look, begin: int = 0) -> Window:
+    """Return a part of a record, which begins at a sample of it, as a window, with dead times up to `longest` samples.
+
+    seek: as in `sought`.
+    """
     limits, coarse = Limits((LEAST_TAU, float(part.samples)), (0.0, longest)), seek(part, longest)
     known = seek is not look
     return Window(
-        part, coarse, cache(lambda only: search_short(part, coarse, only, limits, (), known and only is None)[0])
+        begin, part, coarse, cache(lambda only: search_short(part, coarse, only, limits, (), known and only is None)[0])
     )
 
 

@@ -45,10 +45,13 @@ def windows_of(data: Centred) -> list[tuple[int, int]]:
     return [(b, b + size) for b in chosen]
 
 
-def active_windows(data: Centred) -> list[Centred]:
-    """Return the most active windows of a long record in which both signals move, the liveliest first."""
-    parts = [data.part(*window) for window in windows_of(data)]
-    return [part for part in parts if part.op_range > 0.0 and float(np.ptp(part.y)) > 0.0]
+def active_windows(data: Centred) -> list[tuple[int, Centred]]:
+    """Return the most active windows of a long record in which both signals move, the liveliest first.
+
+    Each with the sample at which it begins.
+    """
+    parts = [(begin, data.part(begin, stop)) for begin, stop in windows_of(data)]
+    return [(begin, part) for begin, part in parts if part.op_range > 0.0 and float(np.ptp(part.y)) > 0.0]
 
 
 def stretch_of(data: Centred) -> tuple[int, int]:
