@@ -211,3 +211,10 @@ def test_a_transient_that_has_died_out_before_the_first_sample_that_counts_expla
     np.testing.assert_allclose(part[455:], np.full(145, part[-1]), atol=0.1)
     assert part[-1] == pytest.approx(3.0, abs=0.5)
     assert not part[:449].any()
+
+
+def test_a_pv_that_a_load_step_explains_altogether_leaves_nothing_to_look_at() -> None:
+    # One sample of each signal stands out; a step of the load and what fades make up for PV to the last bit.
+    pv, op = np.full(35, 334.0), np.ones(35)
+    pv[9], op[2] = 409.0, 0.0
+    assert wb.detect(wb.Record(pv, op, 1.0)).verdict == "undecided"

@@ -84,6 +84,7 @@ from workbench.model.detection import Oscillation, StemEvidence, StemTest
 from workbench.model.numbers import given
 
 __all__ = [
+    "DUST",
     "Thresholds",
     "accuses",
     "beyond_chance",
