@@ -200,7 +200,7 @@ class _Search:
 
     def load(self, free: NDArray[np.bool_]) -> Loaded:
         """Return the load steps under which the linear rival does best, none where they add no more than chance."""
-        best = self.rivals.under_load(self.u, self.linear.a, self.fine, free, FEW // 2)
+        best = self.rivals.under_load(self.u, self.linear.a, self.fine, free, FEW // 2, ramps=False)
         more = best.steps and self._gain(self.rival.variance, best.variance) > Thresholds().chance
         return best if more else Loaded(self.rival.variance, np.zeros(self.rivals.n), 0)
 
