@@ -217,7 +217,7 @@ def test_stiction_is_found_by_any_of_three_routes(changed: dict[str, float], ver
 
 def test_load_steps_that_are_not_clearly_worse_are_told() -> None:
     _, reasons = decide(QUIET, replace(FOUND, sure=0.0, adds=0.0, simulated=-1.0, moves=2, loaded=39.0), None)
-    assert "moved 2 times only, and a linear loop under as few load steps is not clearly worse" in reasons[0]
+    assert "moved 2 times only, and a linear loop under as few load steps or ramps is not clearly worse" in reasons[0]
 
 
 def test_what_a_stem_makes_worse_is_more_and_not_less() -> None:

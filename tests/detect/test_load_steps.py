@@ -9,6 +9,7 @@ import workbench as wb
 from workbench.detect.load_steps import load_steps, unforced
 from workbench.detect.verdict import decide
 from workbench.model.detection import Oscillation, StemTest
+from workbench.model.record import FloatArray
 
 FLOW = wb.Loop(wb.FOPDT(0.6, 2.4, 0.8), wb.Ideal(), wb.PID(Kc=1.18, Ti=2.6), 1.0)
 LEVEL = wb.Loop(wb.Integrating(0.0111, 3.7), wb.Ideal(), wb.PID(Kc=4.15, Ti=147.0), 1.0)
@@ -199,7 +200,9 @@ FOUND = StemTest(
 def test_the_stem_must_beat_load_steps_by_more_than_chance(loaded: float, verdict: str) -> None:
     said, reasons = decide(Oscillation(0.0, np.nan, 0.0, 0.0), replace(FOUND, loaded=loaded), None)
     assert said == verdict
-    assert ("moved 2 times only, and a linear loop under as few load steps" in reasons[0]) == (verdict == "undecided")
+    assert ("moved 2 times only, and a linear loop under as few load steps or ramps" in reasons[0]) == (
+        verdict == "undecided"
+    )
 
 
 def test_a_transient_that_has_died_out_before_the_first_sample_that_counts_explains_nothing() -> None:
@@ -211,3 +214,49 @@ def test_a_transient_that_has_died_out_before_the_first_sample_that_counts_expla
     np.testing.assert_allclose(part[455:], np.full(145, part[-1]), atol=0.1)
     assert part[-1] == pytest.approx(3.0, abs=0.5)
     assert not part[:449].any()
+
+
+def test_a_pv_that_a_load_step_explains_altogether_leaves_nothing_to_look_at() -> None:
+    # One sample of each signal stands out; a step of the load and what fades make up for PV to the last bit.
+    pv, op = np.full(35, 334.0), np.ones(35)
+    pv[9], op[2] = 409.0, 0.0
+    assert wb.detect(wb.Record(pv, op, 1.0)).verdict == "undecided"
+
+
+# Healthy flows under two ramps of the load: when each begins and ends, and by how much it moves, %.
+RAMPED = [
+    (wb.FOPDT(1.5, 4.0, 0.8), wb.PID(Kc=1.23, Ti=5.3), ((45, 139, 7.2), (208, 464, -8.2))),
+    (wb.FOPDT(1.5, 5.4, 0.8), wb.PID(Kc=1.55, Ti=5.9), ((197, 357, -3.0), (431, 556, -5.9))),
+]
+
+
+def ramps_of(ends: tuple[tuple[int, int, float], ...], n: int) -> FloatArray:
+    load = np.zeros(n)
+    for begin, end, size in ends:
+        load += size * np.clip((np.arange(n) - begin) / (end - begin), 0.0, 1.0)
+    return load
+
+
+@pytest.mark.parametrize(("plant", "controller", "ends"), RAMPED)
+def test_a_healthy_loop_is_not_accused_of_ramps_of_its_load(
+    plant: wb.FOPDT, controller: wb.PID, ends: tuple[tuple[int, int, float], ...]
+) -> None:
+    # A stem that rests while OP ramps leaves PV as a load that ramps the other way.
+    load = wb.Series(ramps_of(ends, 600))
+    experiment = wb.Experiment(600.0, load=load, noise=wb.Noise(0.005, 1))
+    found = wb.detect(record_of(wb.Loop(plant, wb.Ideal(), controller, 1.0), experiment))
+    assert found.test.predicting > 50.0, "a stem predicts PV far better than the loop without its ramps"
+    assert found.test.loaded < 0.0, "and load steps do not as well"
+    assert found.verdict == "undecided"
+    assert any("load steps or ramps" in reason for reason in found.reasons)
+
+
+def test_a_ramp_is_found_where_it_begins() -> None:
+    every, lag, load = np.ones(500, dtype=bool), np.zeros(500), ramps_of(((200, 500, 5.0),), 500)
+    for k in range(499):
+        lag[k + 1] = 0.8 * lag[k] + 0.2 * load[k]
+    u = np.sin(0.3 * np.arange(500.0))
+    asked = np.ones(1), every, every, np.array([-1.0 / np.log(0.8)]), np.array([1]), 0.0, 1
+    (step,), (ramp,) = (list(load_steps(lag, u, *asked, kind)) for kind in (False, True))
+    np.testing.assert_allclose(ramp - ramp[0], lag, atol=1e-6)
+    assert float((lag - step).var()) > 0.1 * float(lag.var())

@@ -83,3 +83,15 @@ def test_a_valve_that_explains_most_is_not_acquitted_for_few_slips(healthy: wb.D
     assert agree(replace(few, stem=0.4, two_parameter=0.1), "undecided", ("why",), healthy)[0] == "undecided"
     assert agree(replace(few, stem=0.3), "undecided", ("why",), healthy)[0] == "no_stiction"
     assert agree(replace(few, linear=0.04, stem=0.002), "undecided", ("why",), healthy)[0] == "no_stiction"
+
+
+def test_the_model_alone_does_not_accuse_where_a_wave_of_steady_period_is_clearly_likelier(
+    healthy: wb.Detection,
+) -> None:
+    assert healthy.test is not None
+    for waved, verdict in ((-31.0, "undecided"), (-29.0, "stiction")):
+        open_one = replace(healthy, verdict="undecided", test=replace(healthy.test, predicting=50.0, waved=waved))
+        assert agree(evidence(4.0, 0.05), "stiction", ("why",), open_one)[0] == verdict
+    # Where no wave was asked for, it is as far ahead as the stem itself.
+    unasked = replace(healthy, verdict="undecided", test=replace(healthy.test, predicting=-60.0, waved=-60.0))
+    assert agree(evidence(4.0, 0.05), "stiction", ("why",), unasked)[0] == "stiction"

@@ -123,8 +123,8 @@ def _stem_test(found: Detection) -> Iterator[Statistic]:
         yield Statistic(name, measures, "", value, unit, needed, says, decides=True)
     yield Statistic(
         "Stem test, load steps",
-        "log likelihood ratio of the best stem to the linear loop under a few load steps; a stem that moved often may "
-        "have them too",
+        "log likelihood ratio of the best stem to the linear loop under a few load steps, or ramps; a stem that moved "
+        "often may have them too",
         "",
         nan if test is None else test.loaded,
         "",

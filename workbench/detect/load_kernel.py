@@ -1,4 +1,4 @@
-"""Orthogonal least squares of one load step after the other, for a row of signals each: its own basis, its own step."""
+"""Orthogonal least squares of one load step, or ramp, after the other, for a row of signals each: its own basis."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ ALONE = 1e-6  # of a step's squares: where less is left that the plant and the s
 
 
 @compiled
-def _step_products(row: Floats, a: Floats, pole: float, out: Floats) -> None:
-    """Write the products of a signal with a whitened lag's answer to a step at each sample, shape (N,).
+def _products(row: Floats, a: Floats, pole: float, ramps: bool, out: Floats) -> None:
+    """Write the products of a signal with a whitened lag's answer to a step (ramp) that begins at each sample, (N,).
 
     An answer filtered by a is as good as the signal filtered by a backwards, and what 1 - pole^(i+1) gives from each
-    sample on are two sums that run back.
+    sample on are two sums that run back. A ramp that rises by 1 a sample is a step at each sample from there on.
     """
     n, p = row.size, a.size - 1
     beyond, faded = 0.0, 0.0
@@ -40,15 +40,20 @@ def _step_products(row: Floats, a: Floats, pole: float, out: Floats) -> None:
         beyond += filtered[k]
         faded = pole * (filtered[k] + faded)
         out[k] = beyond - faded
+    if ramps:
+        for k in range(n - 2, -1, -1):
+            out[k] += out[k + 1]
 
 
 @compiled
-def take(columns: Floats, a: Floats, pole: float, basis: Floats, taken: int, rest: Floats, left: Floats) -> None:
+def take(
+    columns: Floats, a: Floats, pole: float, ramps: bool, basis: Floats, taken: int, rest: Floats, left: Floats
+) -> None:
     """Let each row's column explain what it can of what is left of it.
 
     columns, (D, N): written over by their parts apart from the basis, of length 1, which become its next; basis, (most,
     D, N), of which `taken` are there. rest, (D, N): what is left of PV; left, (D, N): of the squares of a step at each
-    sample (`_step_products`).
+    sample, or of a ramp (`_products`).
     """
     n = columns.shape[1]
     products = np.empty(n)
@@ -65,7 +70,7 @@ def take(columns: Floats, a: Floats, pole: float, basis: Floats, taken: int, res
             column[k] = column[k] / length if length > NOUGHT else 0.0
             basis[taken, i, k] = column[k]
         part = np.dot(column, rest[i])
-        _step_products(column, a, pole, products)
+        _products(column, a, pole, ramps, products)
         for k in range(n):
             rest[i, k] -= part * column[k]
             left[i, k] -= products[k] * products[k]
@@ -73,17 +78,26 @@ def take(columns: Floats, a: Floats, pole: float, basis: Floats, taken: int, res
 
 @compiled
 def add_step(
-    step: Floats, live: Bools, places: Bools, a: Floats, pole: float, rest: Floats, left: Floats, whole: float, at: Ints
+    step: Floats,
+    live: Bools,
+    places: Bools,
+    a: Floats,
+    pole: float,
+    ramps: bool,
+    rest: Floats,
+    left: Floats,
+    whole: float,
+    at: Ints,
 ) -> Floats:
-    """Return each row's step that explains most of what is left of it, (D, N), and write its sample into `at`, (D,).
+    """Return each row's step, or ramp, that explains most of what is left of it, (D, N), and write its sample into at.
 
-    step: the whitened answer to one at sample 0, (N,); live: the samples that count; places: those at which one may be.
-    rest, left: as in `take`; whole: the largest square of a step.
+    at: (D,); step: the whitened answer to one at sample 0, (N,); live: the samples that count; places: those at which
+    one may be. rest, left: as in `take`; whole: the largest square of a step.
     """
     rows, n = rest.shape
     columns, products = np.zeros((rows, n)), np.empty(n)
     for i in range(rows):
-        _step_products(rest[i], a, pole, products)
+        _products(rest[i], a, pole, ramps, products)
         best, where = -math.inf, 0
         for k in range(n):
             gain = products[k] * products[k] / left[i, k] if places[k] and left[i, k] > ALONE * whole else -1.0

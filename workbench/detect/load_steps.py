@@ -4,6 +4,9 @@ Under feedback an unseen load step spoils the plant that is fitted without it, s
 that plant leaves: plants and steps are searched together. For each plant of a grid, with all in the measure of the
 filter that whitens the noise, the step that lowers the sum of squares most is added to those before it (orthogonal
 least squares; S. Chen, S. Billings, W. Luo, Int. J. Control 50 (1989) 1873-1896). A load enters where the valve does.
+
+A stem that rests while OP ramps leaves PV as a load that ramps the other way does. Ramps are rivals as steps are: each
+begins at a sample and lasts until another bends it, and one may have begun before the record.
 """
 
 from __future__ import annotations
@@ -21,6 +24,7 @@ from workbench.simulate.filter import first_order
 
 __all__ = ["load_steps", "unforced"]
 
+STANDING = 2  # what PV shows beside OP and a load: its level, and what fades of how it started
 FIRST, LAST = 2, 3  # samples at the record's ends in which no step is told from the start or from noise
 
 
@@ -51,8 +55,11 @@ def load_steps(
     delays: NDArray[np.int64],
     sign: float,
     most: int,
+    ramps: bool = False,
 ) -> Iterator[FloatArray]:
     """Yield the part of PV, shape (N,), that one load step explains best beside OP, that two do, .., up to `most`.
+
+    ramps: ramps in place of steps.
 
     y, u: PV (EU) and OP (%), shape (N,); a: the filter that whitens the noise; live: the innovations that count, free:
     the samples at which a load may step; taus, delays: the grid of plants, samples; sign: that the plant's gain must
@@ -60,7 +67,7 @@ def load_steps(
     """
     if not free[FIRST : y.size - LAST].any():
         return
-    plants = [_Plants(y, u, a, live, free, tau, delays, most) for tau in taus.tolist()]
+    plants = [_Plants(y, u, a, live, free, tau, delays, most, ramps) for tau in taus.tolist()]
     for _ in range(most):
         for one in plants:
             one.add()
@@ -84,18 +91,24 @@ class _Plants:
         tau: float,
         delays: NDArray[np.int64],
         most: int,
+        ramps: bool,
     ) -> None:
         n = y.size
+        self.ramps = ramps
         self.a, self.pole, at = a, float(np.exp(-1.0 / tau)), np.arange(n)
         self.n, self.live, self.count = n, live, delays.size
         self.answer: FloatArray = np.asarray(1.0 - self.pole ** (at + 1.0), dtype=np.float64)  # to a step of 1 at 0
+        if ramps:
+            self.answer = np.cumsum(self.answer)
         self.step = whitened(a, self.answer)
         self.places = free & (at >= FIRST) & (at < n - LAST)
         lag = first_order(u - u[0], 0.0, 1.0 - self.pole, self.pole)
         rows = [np.ones(n), self.pole**at] + [np.concatenate([np.zeros(d), lag[: n - d]]) for d in delays.tolist()]
+        if ramps:
+            rows.insert(STANDING, self.answer)
         shown = np.where(live, whitened(a, np.array(rows)), 0.0)
         self.target = np.where(live, whitened(a, y), 0.0)
-        self.shared, self.drives = shown[:2], shown[2:]
+        self.shared, self.drives = shown[: STANDING + ramps], shown[STANDING + ramps :]
         self.rest = np.repeat(self.target[None, :], self.count, axis=0)
         fast = next_fast_len(2 * n, real=True)
         both = np.fft.rfft(live.astype(float), fast) * np.fft.rfft(self.step**2, fast).conj()
@@ -111,13 +124,13 @@ class _Plants:
 
     def _take(self, columns: FloatArray) -> None:
         """Let columns, (D, N), explain what they can of what is left."""
-        take(columns, self.a, self.pole, self.basis, self.taken, self.rest, self.left)
+        take(columns, self.a, self.pole, self.ramps, self.basis, self.taken, self.rest, self.left)
         self.taken += 1
 
     def add(self) -> None:
         """Let every plant find its next step."""
         times = np.empty(self.count, dtype=np.int64)
-        given = self.step, self.live, self.places, self.a, self.pole
+        given = self.step, self.live, self.places, self.a, self.pole, self.ramps
         self._take(add_step(*given, self.rest, self.left, self.whole, times))
         self.times = np.column_stack([self.times, times])
 
@@ -132,9 +145,10 @@ class _Plants:
         steps = [self._moved(self.step, t) * self.live for t in times]
         columns = np.column_stack([*self.shared, self.drives[i], *steps])
         terms, *_ = np.linalg.lstsq(columns, self.target, rcond=None)
-        if terms[2] * sign < 0.0:
+        before, (gain, *sizes) = terms[: len(self.shared)].tolist(), terms[len(self.shared) :].tolist()
+        if gain * sign < 0.0:
             return None
-        pairs = zip(terms[3:].tolist(), times, strict=True)
+        pairs = [*((size, 0) for size in before[STANDING:]), *zip(sizes, times, strict=True)]
         return sum((size * self._moved(self.answer, t) for size, t in pairs), np.zeros(self.n))
 
     def _moved(self, row: FloatArray, by: int) -> FloatArray:

@@ -45,6 +45,7 @@ USUAL, FURTHER = 1.0 / 20.0, 1.0 / 4.0  # of the record: the longest dead time, 
 SHORT, LONG, PER_ORDER = 8, 30, 100
 ROUNDS = 3  # of plant and autoregression in turn
 HOLD = 5  # samples in which both signals stand still: a running controller with an error moves OP in every one
+MOST_RAMPS = 4  # two that come and end: what a stem at rest leaves bends as often as OP does
 FURTHEST = 1e6  # times PV's largest value, that a residual may be
 
 
@@ -166,20 +167,24 @@ class Rivals:
             fits.append(fit)
         return min(fits, key=lambda f: f.variance)
 
-    def under_load(self, x: FloatArray, a: FloatArray, fine: FloatArray, free: NDArray[np.bool_], most: int) -> Loaded:
+    def under_load(
+        self, x: FloatArray, a: FloatArray, fine: FloatArray, free: NDArray[np.bool_], most: int, *, ramps: bool = True
+    ) -> Loaded:
         """Return the least innovation variance beside up to `most` load steps, time and size of each paid for by ln N.
 
-        inf, and no steps, where there is no place for one.
+        ramps: ramps in their place too, up to MOST_RAMPS after one that began before. inf, and no steps, where there is
+        no place for one.
         """
         taus = np.geomspace(SHORTEST, LONGEST * self.n, STEP_TAUS)
         live = self.live.copy()
         live[: self.order] = False
         delays = np.union1d(self.delays[::2], self.delays[-1:])
-        waves = load_steps(self.y, x, a, live, free, taus, delays, self.sign, most)
         price = self.count ** (2.0 / self.count)
+        asked = self.y, x, a, live, free, taus, delays, self.sign
         left = (
             Loaded(self.less(wave).settle(x, a, fine, 2).variance * price**k, wave, k)
-            for k, wave in enumerate(waves, 1)
+            for kind in (False, True)[: 1 + ramps]
+            for k, wave in enumerate(load_steps(*asked, MOST_RAMPS if kind else most, kind), 1 + kind)
         )
         return min(left, key=lambda one: one.variance, default=Loaded(math.inf, np.zeros(self.n), 0))
 

@@ -41,7 +41,7 @@ from workbench.detect.rivals import (
     order_of,
 )
 from workbench.detect.turns import turns_of_pv
-from workbench.detect.verdict import Thresholds, accuses, beyond_doubt, explains_most
+from workbench.detect.verdict import DUST, Thresholds, accuses, beyond_doubt, explains_most
 from workbench.detect.wave import steady_wave
 from workbench.detect.whitening import noise
 from workbench.model.detection import StemTest
@@ -200,7 +200,7 @@ class _Search:
 
     def load(self, free: NDArray[np.bool_]) -> Loaded:
         """Return the load steps under which the linear rival does best, none where they add no more than chance."""
-        best = self.rivals.under_load(self.u, self.linear.a, self.fine, free, FEW // 2)
+        best = self.rivals.under_load(self.u, self.linear.a, self.fine, free, FEW // 2, ramps=False)
         more = best.steps and self._gain(self.rival.variance, best.variance) > Thresholds().chance
         return best if more else Loaded(self.rival.variance, np.zeros(self.rivals.n), 0)
 
@@ -343,13 +343,14 @@ def _among(
             test = beside if accuses(beside) else replace(test, wide=float(np.fmax(test.wide, beside.wide)))
         return test, search
 
-    # What disturbs the loop from outside is taken out as the linear loop shows it, and much of what the valve did may
-    # go with it: to look so may accuse a valve, but acquits none.
+    # What disturbs the loop from outside is taken out as the linear loop shows it, where anything is left then. Much of
+    # what the valve did may go with it: to look so may accuse a valve, but acquits none.
     test, search = look(y, 0)
     if accuses(test):
         return test
     load = search.load(free)
-    relieved = look(y - load.wave, load.steps)[0] if load.steps else test
+    more = load.steps and (y - load.wave)[~held].var() > DUST * y[~held].var()
+    relieved = look(y - load.wave, load.steps)[0] if more else test
     return relieved if accuses(relieved) else test
 
 

@@ -52,12 +52,13 @@ lag makes up for it.
 CHANCE: where PV is noise alone the best of the search gained less in 47 of 50 simulated loops.
 EXCLUDED: chi^2 with one degree of freedom, the width, at 95 %: a wide stem whose likelihood is not that far below the
 linear loop's may be at work. So may one that never moved where PV is not seen to follow OP (CHANCE).
-PLAYED: a stem that moves once or twice leaves PV as a load step does, if it is given the time. It accuses only where it
-beats the linear loop under as many load steps as it moves, four at most, each paid for by BIC, by more than chance
-(CHANCE). A stem that moves more often must beat that loop by what it must beat the one without steps, but may have as
-many beside it. A step that comes with a setpoint move is the controller's work and the valve's, no load's. Nor does any
-stem accuse that is not ahead by more than chance of a square or triangular load of steady period, as another loop's
-valve makes it, ln N paid for each of its period, phase and form: its corners are a clock's, not OP's.
+PLAYED: a stem that moves once or twice leaves PV as a load step does, if it is given the time, and one that rests while
+OP ramps as a load does that ramps the other way. It accuses only where it beats the linear loop under as many load
+steps, or ramps, as it moves, four at most, each paid for by BIC, by more than chance (CHANCE). A stem that moves more
+often must beat that loop by what it must beat the one without steps, but may have as many beside it. A step that comes
+with a setpoint move is the controller's work and the valve's, no load's. Nor does any stem accuse that is not ahead by
+more than chance of a square or triangular load of steady period, as another loop's valve makes it, ln N paid for each
+of its period, phase and form: its corners are a clock's, not OP's.
 OUTSIDE: what disturbs the loop may hide a stem. Where none accuses, all are looked at once more beside a sinusoid of
 their own (ln N paid for each of its size, phase and frequency), and in PV without the load steps under which the linear
 loop does best. Much of what the valve did may have gone with these: such a look acquits nobody, and accuses only by
@@ -84,6 +85,7 @@ from workbench.model.detection import Oscillation, StemEvidence, StemTest
 from workbench.model.numbers import given
 
 __all__ = [
+    "DUST",
     "Thresholds",
     "accuses",
     "beyond_chance",
@@ -186,8 +188,8 @@ def decide(
         enough = "nearly enough to find stiction, too much to exclude it"
         if played or (test.loaded < test.predicting and not waved):
             well = "does as well" if played else "is not clearly worse"
-            seldom = f"the stem moved {times(test.moves)} only, and a linear loop under as few load steps"
-            often = "a linear loop under a few load steps, which the stem was given too,"
+            seldom = f"the stem moved {times(test.moves)} only, and a linear loop under as few load steps or ramps"
+            often = "a linear loop under a few load steps or ramps, which the stem was given too,"
             enough = (
                 f"yet {seldom if limits.seldom(test) else often} {well} (log likelihood ratio "
                 f"{test.loaded:.0f}); a setpoint move, recorded with its setpoint, or a longer record would tell"

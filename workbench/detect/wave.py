@@ -22,7 +22,7 @@ Sort = Callable[[FloatArray], FloatArray]
 FINER = 8  # the first frequency against the record's own
 ABOUT = 1.25  # PV's period is known to within this factor
 PAID = 3  # for period, phase and form, ln N each
-PARTS = (0.33, 0.67)  # of a sample, between which corners may lie
+CLOSEST = 0.1  # of a sample, over the whole record, to which the period is sought, and corners
 
 
 def steady_wave(free: FreePredictor, y: FloatArray, period: float) -> float:
@@ -33,19 +33,24 @@ def steady_wave(free: FreePredictor, y: FloatArray, period: float) -> float:
     """
     if not period >= 4.0:
         return 0.0
-    frequency, step = _frequency(y, period), 0.5 / y.size
+    frequency, step, part = _frequency(y, period), 0.5 / y.size, 0.0
     near = [frequency - step, frequency, frequency + step]
     best, frequency, sort = max(
         ((_gain(free, f, sort), f, sort) for f in near for sort in (_square, _triangle)), key=lambda found: found[0]
     )
-    # Closer and closer, until no corner is a sample off.
-    while step * y.size > 0.5 * frequency:
+    # Closer and closer: noise aside, what makes one corner a part of a sample late is not what made it.
+    apart = 0.5
+    while step * y.size > CLOSEST * frequency:
         step /= 2.0
-        for tried in (frequency - step, frequency + step):
-            gain = _gain(free, tried, sort)
+        tried = [(frequency - step, part), (frequency + step, part)]
+        if step * y.size <= frequency:
+            apart /= 2.0
+            tried += [(frequency, part - apart), (frequency, part + apart)]
+            tried += [(frequency, 0.5)] if apart == 0.25 else []
+        for f, later in tried:
+            gain = _gain(free, f, sort, later)
             if gain > best:
-                best, frequency = gain, tried
-    best = max([best, *(_gain(free, frequency, sort, part) for part in PARTS)])
+                best, frequency, part = gain, f, later
     return best - PAID * math.log(y.size)
 
 
@@ -54,7 +59,13 @@ def _frequency(y: FloatArray, period: float) -> float:
     n = FINER * y.size
     power = np.abs(np.fft.rfft((y - y.mean()) * np.hanning(y.size), n))
     lowest, highest = int(n / (ABOUT * period)), int(ABOUT * n / period) + 1
-    return (lowest + int(np.argmax(power[lowest:highest]))) / n
+    at = lowest + int(np.argmax(power[lowest:highest]))
+    # A window's peak is nearly a parabola in decibels: between its own frequencies it lies a hundred times closer.
+    if not 0 < at < power.size - 1 or not min(before := power[at - 1], peak := power[at], after := power[at + 1]) > 0.0:
+        return at / n
+    before, peak, after = (math.log(one) for one in (before, peak, after))
+    bend = before - 2.0 * peak + after
+    return (at + (0.5 * (before - after) / bend if bend < 0.0 else 0.0)) / n
 
 
 def _square(phase: FloatArray) -> FloatArray:

@@ -40,6 +40,7 @@ from workbench.estimate.scale import (
     linear_intervals,
     linear_result,
     rivals_of,
+    short_of,
     stem_of,
     unknown,
     without_jump,
@@ -302,6 +303,8 @@ def _told_stem(
         dead = fits.bands.get("deadband") if chosen == "choudhury" else None
         if dead is not None and fits.models["deadband"].bic <= fits.models[chosen].bic + BARE_MENTION:
             rivals["deadband"] = without_jump(data, fits.whole, dead, fits.limits, fits.steps)
+        if chosen == "stenman" and isinstance(best, Candidate):
+            rivals |= short_of(data, fits.whole, best, fits.limits, fits.steps)
         others += tuple(rivals.values())
         reasons += tuple(words_of_rival(name, ranges, data.integrating) for name, ranges in rivals.items())
     plant = plant_of(data, best.fit.gain, best.fit.tau, best.fit.theta)

@@ -175,6 +175,7 @@ def words_of_rival(name: str, ranges: Intervals, integrating: bool) -> str:
         "stenman": "one that sticks again after every slip",
         "deadband": "a dead band",
         "choudhury": "one with stick band and slip jump",
+        "he": "one that rests short of OP after every slip, held by friction in motion",
     }
     unit = "EU/(% s)" if integrating else "EU/%"
     told = [

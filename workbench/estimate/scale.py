@@ -14,10 +14,11 @@ from workbench.estimate.candidates import Candidate
 from workbench.estimate.data import Centred, plant_of
 from workbench.estimate.few import widened
 from workbench.estimate.fit import LEAST_TAU, Fit, Limits, grounded, predict, start_range
-from workbench.estimate.freed import freed
+from workbench.estimate.freed import Loaded, freed
 from workbench.estimate.models import PLANT_PARAMETERS
 from workbench.estimate.output_error import NO_DELAY
 from workbench.estimate.profile import CHI_SQUARE, Profile
+from workbench.estimate.resting import resting_short
 from workbench.estimate.stems import path_of
 from workbench.estimate.sureness import NORMAL, effective_samples, standard_errors
 from workbench.estimate.two_parameter import Band, band_stem, held_range
@@ -38,6 +39,7 @@ __all__ = [
     "linear_result",
     "ranges_of",
     "rivals_of",
+    "short_of",
     "stem_of",
     "unknown",
     "unsure",
@@ -219,6 +221,23 @@ def rivals_of(
             near_it = widened(data, alike(data, one, limits, fit.sse), one.only, limits, fit.sse)
             ranges[name] = band_of(data, near_it, name, limits).intervals
     return ranges
+
+
+def short_of(
+    data: Centred, whole: Centred, best: Candidate, limits: Limits, steps: Sequence[LoadStep]
+) -> dict[str, Intervals]:
+    """Return the plant's ranges with stems that rest short of OP, where the record cannot tell them from the best.
+
+    whole: the record with its load steps.
+    """
+    # As in `freed`: the steps stand beside no filter.
+    loaded = Loaded.of(whole, data, steps, limits) if steps and data.a.size == 1 else None
+    fits = resting_short(data, best, limits, loaded)
+    if not fits:
+        return {}
+    x, _ = path_of(data.u, best.d_low, best.first)
+    errors = standard_errors(data, x, best.first, best.fit, clamped=False)
+    return {"he": ranges_of(data, fits, errors, None, limits.theta[1])}
 
 
 def without_jump(data: Centred, whole: Centred, dead: Found, limits: Limits, steps: Sequence[LoadStep]) -> Intervals:

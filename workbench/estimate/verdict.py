@@ -186,11 +186,14 @@ def agree(e: Evidence, verdict: str, reasons: tuple[str, ...], found: Detection)
     if found.verdict == verdict:
         return verdict, found.reasons + reasons
     improvement = 1.0 - e.stem / e.linear if e.linear > 0.0 else 0.0
-    sticks = verdict == "stiction" and found.test is not None
+    test = found.test
+    # The model knows no wave of steady period: where one is clearly likelier than every stem, it decides nothing alone.
+    waved = test is not None and test.waved < min(test.predicting, -Thresholds().likelihood)
+    sticks = verdict == "stiction" and test is not None and not waved
     # However few its slips: a valve that explains most of what the linear model leaves is not acquitted.
     explains = e.linear >= UNEXPLAINED * e.variance and min(e.stem, e.two_parameter) <= (1.0 - MOST) * e.linear
     # Detection has tried all stems as wide as this one, and acquits the valve of them.
-    refuted = found.test is not None and e.d >= found.test.wide_from and excluded(found.test, Thresholds())
+    refuted = test is not None and e.d >= test.wide_from and excluded(test, Thresholds())
     acquitted = found.verdict == "no_stiction"
     if sticks and improvement >= (CERTAIN if acquitted else MOST) and (e.slips >= SURE_SLIPS or not acquitted):
         final = "stiction"
