@@ -47,6 +47,18 @@ def _no_word_on_compiling() -> Iterator[None]:
         yield
 
 
+@pytest.fixture
+def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Make a report's figures and draw none, which takes most of its time: for what is told and kept around them."""
+    from matplotlib.figure import Figure
+
+    from workbench.report import page
+    from workbench.report.style import svg_text
+
+    empty = svg_text(Figure())
+    monkeypatch.setattr(page, "svg_text", lambda *_: empty)
+
+
 @pytest.hookimpl(wrapper=True)
 def pytest_collection() -> Generator[None, object, object]:
     """Collect no garbage while the modules are imported nor, later, among what they hold, and seldom: little is any."""
