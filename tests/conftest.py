@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 import gc
+import os
 import sys
 from collections.abc import Generator, Iterator
 from pathlib import Path
 
 import pytest
 from hypothesis import HealthCheck, settings
+
+# Linear algebra in one thread, for the parts of the library that tests call by themselves and for what tests start: the
+# threads of two workers would wait for each other by spinning (simulate.one_thread). Said before any of it is loaded.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 sys.path.insert(0, str(Path(__file__).parent))
 
@@ -42,12 +47,25 @@ def _no_word_on_compiling() -> Iterator[None]:
         yield
 
 
+@pytest.fixture
+def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Make a report's figures and draw none, which takes most of its time: for what is told and kept around them."""
+    from matplotlib.figure import Figure
+
+    from workbench.report import page
+    from workbench.report.style import svg_text
+
+    empty = svg_text(Figure())
+    monkeypatch.setattr(page, "svg_text", lambda *_: empty)
+
+
 @pytest.hookimpl(wrapper=True)
 def pytest_collection() -> Generator[None, object, object]:
-    """Collect garbage neither while the modules are imported nor, later, among what they hold: little of it is any."""
+    """Collect no garbage while the modules are imported nor, later, among what they hold, and seldom: little is any."""
     gc.disable()
     try:
         return (yield)
     finally:
         gc.freeze()
+        gc.set_threshold(20_000, 10, 10)
         gc.enable()

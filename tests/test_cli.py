@@ -181,6 +181,7 @@ def test_check_reads_scenarios_and_runs_nothing(folder: Path) -> None:
     assert sorted(p.name for p in folder.iterdir()) == ["bad.yaml", "good.yaml"]
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_tuning_that_failed_gives_exit_code_1_and_a_report(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from dataclasses import replace
 
@@ -195,6 +196,7 @@ def test_a_tuning_that_failed_gives_exit_code_1_and_a_report(folder: Path, monke
     assert (folder / "reports" / "good" / "report.html").exists()
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_an_interrupt_ends_with_130_and_keeps_the_last_report(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert call("run", "good.yaml")[0] == 0
     before = {p: p.read_bytes() for p in (folder / "reports" / "good").iterdir()}

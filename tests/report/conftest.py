@@ -9,7 +9,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from matplotlib.figure import Figure
 
 from workbench.model.controller import PID
 from workbench.model.experiment import Experiment, Noise, Step
@@ -32,9 +31,7 @@ from workbench.model.results import (
 from workbench.model.study import CaseResult, NamedEstimate, Study
 from workbench.model.tuning import Bounds, Objective
 from workbench.model.valve import Stenman
-from workbench.report import page
 from workbench.report.page import write_report
-from workbench.report.style import svg_text
 from workbench.simulate.run import evaluate, simulate
 
 EXPERIMENT = Experiment(duration=1000.0, setpoint=Step(4.0))
@@ -207,13 +204,6 @@ def written(study: Study, tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("reports") / "deep" / "made"
     write_report(study, folder)
     return folder
-
-
-@pytest.fixture
-def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Make a report's figures and draw none, which takes most of its time: for what is told and kept around them."""
-    empty = svg_text(Figure())
-    monkeypatch.setattr(page, "svg_text", lambda *_: empty)
 
 
 @pytest.fixture(scope="session")

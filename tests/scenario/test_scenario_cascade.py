@@ -216,6 +216,7 @@ def test_results_and_report_tell_both_loops(tmp_path):
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("undrawn")
 def test_a_failed_search_is_told_and_sets_the_exit_code(tmp_path, monkeypatch):
     from typer.testing import CliRunner
 

@@ -102,6 +102,7 @@ def test_a_compensator_of_the_shared_controller_is_refused_there():
     )
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_results_and_report_tell_the_compensators(tmp_path):
     study = wb.run_scenario(read(HEAD + CASES))
     content = results_content(study)

@@ -99,6 +99,15 @@ class Opened:
         """Wait until everything asked for is answered."""
         self.page.wait_for_selector("html[data-idle=true]")
 
+    def drawn(self) -> None:
+        """Wait until the figures have taken the sizes of their places, and are painted: some frames, not some time."""
+        self.settled()
+        self.page.evaluate(
+            """async () => {
+              for (let frame = 0; frame < 4; frame++) await new Promise(requestAnimationFrame);
+            }"""
+        )
+
     def view(self, name: str) -> None:
         self.page.click(f"#tab-{name}")
         self.page.wait_for_selector(f"#view-{name}:not([hidden])")
@@ -415,7 +424,7 @@ def test_a_click_on_the_map_sets_the_tuning(paper):
     paper.entry("analyze.map.points").select_option("15")
     page.click("#map")
     expect(page.locator("#map-lines li").nth(0)).to_contain_text("15 × 15 tunings", timeout=60_000)
-    page.wait_for_timeout(300)
+    paper.drawn()
     paper.picture("map")
     # What is zoomed to can be mapped in turn.
     plane = "Bokeh.documents[0].get_model_by_name('f_map')"
@@ -446,7 +455,7 @@ def test_the_front_of_error_and_travel_is_searched_and_drawn(paper):
     expect(page.locator("#front-lines li").nth(1)).to_contain_text("2,000 random steps", timeout=120_000)
     expect(page.locator("#front-lines li").nth(0)).to_contain_text("as they stood when it was made")
     expect(page.locator("#front-box")).to_be_visible()
-    page.wait_for_timeout(300)
+    paper.drawn()
     page.locator("#front-box").scroll_into_view_if_needed()
     paper.picture("front")
     drawn = """name => {
@@ -469,7 +478,7 @@ def test_the_layout_holds_at_every_width(opened):
         page.set_viewport_size({"width": width, "height": 900 if width < 1900 else 1200})
         for view in VIEWS:
             paper.view(view)
-            page.wait_for_timeout(150)
+            paper.drawn()
             if width == WIDTHS[0] or view == "loop":
                 paper.picture(f"{view}_{width}")
             wide = page.evaluate("document.documentElement.scrollWidth - document.documentElement.clientWidth")
@@ -485,10 +494,15 @@ def test_the_layout_holds_at_every_width(opened):
 
 def test_a_server_that_has_ended_is_said(opened):
     lost = opened("--address", "localhost")
+    lost.page.clock.install()
+    lost.page.reload()
+    lost.page.wait_for_selector("html[data-drawn]")
     lost.served.process.kill()
     lost.served.process.wait()
     lost.type("loop.controller.Kc", "0.7")
+    lost.page.clock.run_for(8000)  # "some seconds", at once
     expect(lost.page.locator("#message")).to_contain_text("No answer for some seconds")
+    lost.page.close()
     lost.wrong.clear()  # the browser's own words on the lost connection
 
 
@@ -517,7 +531,7 @@ def test_accessibility_has_no_serious_findings(opened):
             expect(start.entry("cascade.primary.plant.gain")).to_be_visible()
         for view in views:
             start.view(view)
-            page.wait_for_timeout(200)
+            start.drawn()
             assert serious_findings(page) == [], (scenario, view)
     for view, text in (("loop", "figures"), ("export", "scenario")):
         start.view(view)

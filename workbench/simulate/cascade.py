@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +12,7 @@ from workbench.kpi.kpis import cascade_event, measure
 from workbench.model.cascade import Cascade, CascadeExperiment, CascadeRun
 from workbench.model.checks import instance
 from workbench.model.experiment import Experiment
-from workbench.model.plant import FOPDT
+from workbench.model.plant import FOPDT, Plant
 from workbench.model.record import FloatArray
 from workbench.model.results import Run
 from workbench.simulate import cascade_kernel as kernel
@@ -72,7 +73,16 @@ class CascadeState:
 
 
 def chain(cascade: Cascade) -> FloatArray:
-    """Return the exact step of (w, y1) under a held valve, `kernel.CHAIN` numbers.
+    """Return the exact step of (w, y1) under a held valve, `kernel.CHAIN` numbers (see `_step`)."""
+    primary, secondary, Ts = cascade.primary.plant, cascade.secondary.plant, cascade.secondary.sample_time
+    numbers = np.array(_step(primary, secondary, Ts))
+    numbers[kernel.SCALE], numbers[kernel.HELD_BACK] = cascade.scale, float(cascade.anti_windup == "clamp")
+    return numbers
+
+
+@lru_cache(64)
+def _step(primary: Plant, secondary: Plant, Ts: float) -> tuple[float, ...]:
+    """A chain's numbers that are the plants'; kept, as a matrix exponential takes longer than a cascade's run.
 
     w is the secondary's PV delayed by the primary's dead time, so that y1 follows w without delay and both follow v
     after theta1 + theta2 = (m + f) Ts: `z' = F z + g v`, `z_{k+1} = e^(F Ts) z_k + G((1-f) Ts) v_{k-m} + e^(F (1-f) Ts)
@@ -81,7 +91,6 @@ def chain(cascade: Cascade) -> FloatArray:
     """
     from scipy.linalg import expm
 
-    primary, secondary, Ts = cascade.primary.plant, cascade.secondary.plant, cascade.secondary.sample_time
     ratio = (primary.dead_time + secondary.dead_time) / Ts
     m = int(np.floor(ratio + 1e-9))
     f = ratio - m
@@ -97,9 +106,8 @@ def chain(cascade: Cascade) -> FloatArray:
     numbers[[kernel.A00, kernel.A10, kernel.A11]] = whole[0, 0], whole[1, 0], whole[1, 1]
     numbers[[kernel.NEAR_W, kernel.NEAR_Y]] = late[:2, 2]
     numbers[[kernel.FAR_W, kernel.FAR_Y]] = far
-    numbers[kernel.CHAIN_DELAY], numbers[kernel.SCALE] = m, cascade.scale
-    numbers[kernel.HELD_BACK] = float(cascade.anti_windup == "clamp")
-    return numbers
+    numbers[kernel.CHAIN_DELAY] = m
+    return tuple(numbers.tolist())
 
 
 def cascade_signals(cascade: Cascade, experiment: Experiment) -> CascadeSignals:

@@ -19,7 +19,9 @@ from workbench.simulate.kernel import (
     VALVE,
     Y,
     run_loop,
+    run_samples,
     sign,
+    usual,
 )
 from workbench.simulate.sums import SUMS, add_sums, weigh
 
@@ -72,6 +74,7 @@ def run_cascade(
     m = int(chain[CHAIN_DELAY])
     row = c1.copy()
     row[VALVE], row[POLE], row[GAIN], row[DELAY] = IDEAL, 1.0, 0.0, 0.0
+    plain1, plain2 = usual(row), usual(c2)
     pushes = chain[SCALE] * sign(c2[KC])
     past1, still, py, one, px, pv = np.zeros(1), np.zeros(1), np.empty(2), np.empty(1), np.empty(1), np.empty(1)
     code = np.empty(1, np.int8)
@@ -79,26 +82,25 @@ def run_cascade(
     y1[0] = y + added[0]
     for first in range(0, n, every):
         end = first + every
+        now = slice(first, end)
         e = r[first] - (y1[first] + noise1[first])
         outward = chain[HELD_BACK] != 0.0 and limit * pushes * c1[KI] * e > 0.0
         row[KI] = 0.0 if outward else c1[KI]
         state1[Y] = y1[first]
-        run_loop(row, r[first:end], still, noise1[first:end], state1, past1, py, one, px, pv, code)
-        u1[first:end] = one[0]
-        r2[first:end] = chain[SCALE] * one[0]
-        run_loop(
-            c2,
-            r2[first:end],
-            load[first:end],
-            noise2[first:end],
-            state2,
-            past2,
-            y2[first : end + 1],
-            u2[first:end],
-            x[first:end],
-            v[first:end],
-            branch[first:end],
-        )
+        # Written out where it can be: of stretches so short, the views that a call is given would cost most.
+        if plain1:
+            run_samples(row, r[now], still, noise1[now], state1, past1, py, one, px, pv, code, True)
+        else:
+            run_loop(row, r[now], still, noise1[now], state1, past1, py, one, px, pv, code)
+        u1[now] = one[0]
+        r2[now] = chain[SCALE] * one[0]
+        seen = y2[first : end + 1]
+        if plain2:
+            run_samples(
+                c2, r2[now], load[now], noise2[now], state2, past2, seen, u2[now], x[now], v[now], branch[now], True
+            )
+        else:
+            run_loop(c2, r2[now], load[now], noise2[now], state2, past2, seen, u2[now], x[now], v[now], branch[now])
         limit = branch[end - 1] % 9 // 3 - 1.0
         for k in range(first, end):
             near = v[k - m] if k >= m else tail[m - k - 1]

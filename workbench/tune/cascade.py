@@ -31,7 +31,7 @@ __all__ = ["CascadeProblem", "evaluate_cascade", "tune_cascade"]
 
 Progress = Callable[[str, float], None]
 
-# What a sample of a cascade costs, in samples of one loop: the searches' budgets are of these.
+# As how many samples of one loop a cascade's count in the searches' budgets: how long they go on, not what they cost.
 COST = 8
 
 
