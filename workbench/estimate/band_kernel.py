@@ -292,7 +292,7 @@ def screen_bands(
                 for j in range(1, min(p, k) + 1):
                     total += a[j] * (x[k - j] - x[0])
                 w[k] = total
-            best[:] = math.inf, 0.0, 0.0
+            best[0], best[1], best[2] = math.inf, 0.0, 0.0
             within = (low, high, soonest, latest)
             screen_drive(w, y, poles, delays, within, sign, skip, known, False, own, z, sums, best)
             copy(best, found[i, start])

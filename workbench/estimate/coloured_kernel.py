@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workbench.estimate.output_error import oe_columns, plant_terms, solve
-from workbench.simulate.compiled import compiled
+from workbench.simulate.compiled import compiled, copy
 
 __all__ = ["HELD", "colour_left", "products_of", "scan_colours"]
 
@@ -44,21 +44,23 @@ def products_of(
     response, pair = columns[1], np.empty((size, size))
     for row, col in ((0, 0), (0, 1), (1, 1)):
         _lagged(response if row else y, response if col else y, begin, size, pair)
-        out[row * size : (row + 1) * size, col * size : (col + 1) * size] = pair
-        out[col * size : (col + 1) * size, row * size : (row + 1) * size] = pair.T
+        for i in range(size):
+            for j in range(size):
+                out[row * size + i, col * size + j] = out[col * size + j, row * size + i] = pair[i, j]
     rows = 2 * size
     kept = np.empty((HELD, n - begin))
     for column in (0, 2, 3):
         held = columns[column, begin:]
         if not np.dot(held, held) > 0.0:
             continue
-        kept[rows - 2 * size] = held
+        copy(held, kept[rows - 2 * size])
         for i in range(size):
             out[i, rows] = np.dot(y[begin - i : n - i], held)
             out[size + i, rows] = np.dot(response[begin - i : n - i], held)
         for i in range(rows - 2 * size + 1):
             out[2 * size + i, rows] = np.dot(kept[i], held)
-        out[rows, : rows + 1] = out[: rows + 1, rows]
+        for i in range(rows):
+            out[rows, i] = out[i, rows]
         rows += 1
     return rows
 
