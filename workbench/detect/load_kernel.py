@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from workbench.simulate.compiled import compiled
+from workbench.simulate.compiled import compiled, copy
 
 __all__ = ["add_step", "take"]
 
@@ -29,7 +29,7 @@ def _products(row: Floats, a: Floats, pole: float, ramps: bool, out: Floats) -> 
     n, p = row.size, a.size - 1
     beyond, faded = 0.0, 0.0
     copied = np.zeros(n + p)
-    copied[:n] = row
+    copy(row, copied[:n])
     filtered = np.zeros(n)
     for j in range(p + 1):
         tap = a[j]
