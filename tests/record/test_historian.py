@@ -116,7 +116,7 @@ def test_a_window_of_time_is_told_of_counts_too(tmp_path: Path, one: wb.Record, 
 def test_qualities_modes_and_sparse_setpoints(tmp_path: Path, one: wb.Record) -> None:
     table = tall("FIC1", one)
     quality = table.column("quality").to_pylist()
-    quality[400 + 100] = "Bad"  # of PV, behind the 400 rows of OP
+    quality[400 + 100] = quality[400 + 101] = "Bad"  # of PV, behind the 400 rows of OP
     table = table.set_column(3, "quality", pa.array(quality))
     at = pa.array([START * 1000]).cast(pa.timestamp("ms"))
     more = [
@@ -125,8 +125,8 @@ def test_qualities_modes_and_sparse_setpoints(tmp_path: Path, one: wb.Record) ->
     ]
     write_tall(tmp_path / "a.parquet", pa.concat_tables([table, *more]))
     read = found(tmp_path / "a.parquet", {**FIC1, "SP": "FIC1.SP", "MODE": "FIC1.MODE"})
-    assert read.counts["rejected, bad quality"] == 1
-    assert len(read) == 299  # behind the bad value
+    assert read.counts["rejected, bad quality"] == 2
+    assert len(read) == 298  # behind the bad values
     assert read.sp is not None
     assert set(read.sp.tolist()) == {51.5}
     assert set(read.mode or ()) == {"1"}
@@ -136,13 +136,13 @@ def test_times_as_text_and_values_as_text(tmp_path: Path, one: wb.Record) -> Non
     lines = ["tag,time,value"]
     for k in range(60):
         stamp = f"2024-10-17 00:{k // 60:02d}:{k % 60:02d}"
-        lines += [f"FIC1.PV,{stamp},{one.pv[k]:.4f}", f"FIC1.OP,{stamp},{'No Data' if k == 3 else one.op[k]}"]
+        lines += [f"FIC1.PV,{stamp},{one.pv[k]:.4f}", f"FIC1.OP,{stamp},{'No Data' if k in (3, 4) else one.op[k]}"]
     types = pa.csv.ConvertOptions(column_types={"time": pa.string(), "value": pa.string()})
     table = pa.csv.read_csv(io.BytesIO("\n".join(lines).encode()), convert_options=types)
     write_tall(tmp_path / "a.parquet", table)
     read = found(tmp_path / "a.parquet", FIC1)
-    assert len(read) == 56
-    assert read.counts["rejected, text"] == 1
+    assert len(read) == 55
+    assert read.counts["rejected, text"] == 2
     assert read.epoch == START
 
 

@@ -248,17 +248,18 @@ def test_rejected_rows_are_counted_and_the_longest_stretch_is_kept(tmp_path: Pat
     rows[11] = "11,,22"
     rows[40] = "40,40,nan"
     record = read_record(write(tmp_path, "t,PV,OP\n" + "\n".join(rows) + "\n"))
-    assert (record.start, len(record)) == (12.0, 28)
-    assert record.pv.tolist() == list(range(12, 40))
+    assert (record.start, len(record)) == (12.0, 48)
+    assert record.pv.tolist() == list(range(12, 60))
+    assert record.op.tolist()[27:30] == [78.0, 78.0, 82.0]
     assert record.counts["rows"] == 60
     assert record.counts["rejected"] == 3
     assert (record.counts["rejected, text"], record.counts["rejected, blank"]) == (1, 1)
     assert record.counts["rejected, not finite"] == 1
-    assert record.counts["kept"] + record.counts["left out"] + record.counts["rejected"] == 60
+    assert record.counts["kept"] + record.counts["left out"] + record.counts["rejected"] == 60 + record.counts["filled"]
     said = " ".join(record.notes)
     assert "'Bad Input'" in said
     assert "line 12, column 'PV'" in said
-    assert "28 of 60 rows, lines 14 to 41" in said
+    assert "48 of 60 rows, lines 14 to 61" in said
 
 
 def test_a_half_text_file_is_named_once_and_the_reason_is_true(tmp_path: Path) -> None:
@@ -385,12 +386,12 @@ def test_parquet_equals_csv(tmp_path: Path) -> None:
 
 def test_parquet_timestamps_and_missing_values(tmp_path: Path) -> None:
     stamps = pa.array(np.datetime64("2024-10-17T21:55:00", "ms") + 10_000 * np.arange(30).astype("timedelta64[ms]"))
-    pv = pa.array([None if i == 3 else float(i) for i in range(30)], pa.float64())
+    pv = pa.array([None if i in (3, 4) else float(i) for i in range(30)], pa.float64())
     tags = {"time": stamps, "FIC1.PV": pv, "FIC1.OP": pa.array(range(5, 35), pa.int32())}
     pq.write_table(pa.table(tags), tmp_path / "loop.pq")
     record = read_record(tmp_path / "loop.pq")
-    assert (len(record), record.sample_time, record.start) == (26, 10.0, 40.0)
-    assert record.counts["rejected, blank"] == 1
+    assert (len(record), record.sample_time, record.start) == (25, 10.0, 50.0)
+    assert record.counts["rejected, blank"] == 2
     assert any("row 4" in note for note in record.notes)
 
 

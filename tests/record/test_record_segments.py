@@ -145,12 +145,12 @@ def test_what_is_no_frozen_sensor_stays() -> None:
 
 def test_values_beyond_a_range_are_rejected_at_namur_limits(tmp_path: Path) -> None:
     pv = noise(100)
-    pv[10], pv[40], pv[41] = 200.0, -2.4, 106.2  # beyond; within 2.5 % below and 6.25 % above
+    pv[10:12], pv[40], pv[41] = 200.0, -2.4, 106.2  # beyond; within 2.5 % below and 6.25 % above
     path = write(tmp_path, {"PV": pv, "OP": noise(100, 1)})
     record = read_record(path, pv_range=(0.0, 100.0))
-    assert (record.start, len(record), record.pv_range) == (11.0, 89, (0.0, 100.0))
-    assert record.counts["rejected, out of range"] == 1
-    assert any("1 row rejected: out of range, first in line 12, column 'PV'" in note for note in record.notes)
+    assert (record.start, len(record), record.pv_range) == (12.0, 88, (0.0, 100.0))
+    assert record.counts["rejected, out of range"] == 2
+    assert any("2 rows rejected: out of range, first in line 12, column 'PV'" in note for note in record.notes)
     assert any(note.endswith("column 'PV': 200, allowed -2.5 to 106.25") for note in record.notes)
 
 
@@ -281,3 +281,28 @@ def test_held_and_interpolated_values_are_said(tmp_path: Path) -> None:
     straight = np.interp(np.arange(200), np.arange(0, 200, 8), noise(25)).round(12)
     lines = read_record(write(tmp_path, {"PV": straight, "OP": noise(200)}))
     assert any("PV lies on straight lines in 8" in note for note in lines.notes)
+
+
+def test_single_unusable_rows_are_filled_where_they_are_few(tmp_path: Path) -> None:
+    pv, op = noise(100), noise(100, 1)
+    cells = {"PV": pv.astype(object), "OP": op.astype(object)}
+    cells["PV"][[20, 50]] = "Bad Input"
+    cells["OP"][[50, 70]] = ""
+    record = read_record(write(tmp_path, cells))
+    assert len(record) == 100
+    assert (record.counts["filled"], record.counts["between"], record.counts["rejected"]) == (3, 2, 3)
+    assert "3 single unusable rows are filled: there PV is linear between its neighbours, or OP held" in record.notes
+    for k in (20, 50):
+        assert record.pv[k] == pytest.approx(0.5 * (pv[k - 1] + pv[k + 1]), abs=1e-3)
+    assert record.pv[70] == pytest.approx(pv[70], abs=1e-3)
+    assert record.op[[50, 70]] == pytest.approx(op[[49, 69]], abs=1e-3)
+
+
+@pytest.mark.parametrize("bad", [(0,), (99,), (40, 41), tuple(range(5, 95, 10))])
+def test_unusable_rows_at_an_end_two_on_end_or_many_are_not_filled(tmp_path: Path, bad: tuple[int, ...]) -> None:
+    pv = noise(100).astype(object)
+    pv[list(bad)] = "Bad Input"
+    record = read_record(write(tmp_path, {"PV": pv, "OP": noise(100, 1)}))
+    assert "filled" not in record.counts
+    assert record.counts["rejected"] == len(bad)
+    assert len(record) < 100

@@ -50,11 +50,11 @@ def bad_at(*rows: int, good: str = "Good", bad: str = "Bad") -> list[str]:
 )
 @pytest.mark.parametrize(("good", "bad"), [("Good", "Bad"), ("192", "0"), ("1", "0"), ("Good", "Uncertain")])
 def test_a_quality_beside_a_signal_is_that_signals(tmp_path: Path, header: str, good: str, bad: str) -> None:
-    of_pv, of_op = bad_at(4, 5, good=good, bad=bad), bad_at(9, good=good, bad=bad)
+    of_pv, of_op = bad_at(4, 5, good=good, bad=bad), bad_at(9, 10, good=good, bad=bad)
     record = read(tmp_path, header, [PV, of_pv, OP, of_op])
-    assert record.pv.tolist() == PV[10:]
-    assert record.counts["rejected, bad quality"] == 3
-    assert any("3 rows rejected: bad quality" in line for line in record.summary())
+    assert record.pv.tolist() == PV[11:]
+    assert record.counts["rejected, bad quality"] == 4
+    assert any("4 rows rejected: bad quality" in line for line in record.summary())
     assert not any("whose quality" in note for note in record.notes)
 
 
@@ -71,8 +71,8 @@ def test_a_quality_of_no_signal_is_said(tmp_path: Path, name: str) -> None:
     record = read(tmp_path, f"t,PV,OP,{name}", [PV, OP, bad_at(3)])
     assert len(record) == N
     assert sum(note.startswith(f"not used, for whose quality is it? {name!r}; columns") for note in record.notes) == 1
-    told = read(tmp_path, f"t,PV,OP,{name}", [PV, OP, bad_at(3)], columns={"OP quality": name})
-    assert told.op.tolist() == OP[4:]
+    told = read(tmp_path, f"t,PV,OP,{name}", [PV, OP, bad_at(3, 4)], columns={"OP quality": name})
+    assert told.op.tolist() == OP[5:]
     assert not any("whose quality" in note for note in told.notes)
 
 

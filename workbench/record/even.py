@@ -13,9 +13,10 @@ from numpy.typing import NDArray
 from workbench.model.record import FloatArray
 from workbench.record.times import JITTER
 
-__all__ = ["best_grid", "places"]
+__all__ = ["best_grid", "most_uneven", "places"]
 
 UNEVEN = 0.05  # share of intervals that may break the pattern before the file counts as unevenly sampled
+FEW = 40  # intervals, of which one may at least
 ASTRAY = 0.4  # of the sample time, by which a row's time may miss its place on the even grid
 MISSING = 1  # row at most that may be missing between two: its place is filled, as in a resampled record
 TOGETHER = 8  # intervals on end that show the sample time; few of them hold a missing row where few are missing
@@ -32,7 +33,7 @@ def places(seconds: FloatArray) -> tuple[float, NDArray[np.int64] | None]:
     """
     steps = np.diff(seconds)
     median = float(np.median(steps))
-    most = max(UNEVEN * steps.size, 1 if steps.size < 40 else 0)
+    most = most_uneven(steps.size)
     # Nearly even intervals need no grid: a clock may drift away from every one.
     many = np.rint(np.clip(steps / median, 0.0, MISSING + 2.0)).astype(np.int64)
     fits = (np.abs(steps - many * median) <= JITTER * median) & (many >= 1) & (many <= MISSING + 1)
@@ -46,6 +47,11 @@ def places(seconds: FloatArray) -> tuple[float, NDArray[np.int64] | None]:
         return median, None
     moved = np.where(fits, many, 0)
     return _plain(float(steps[fits].sum() / moved.sum()), median), moved
+
+
+def most_uneven(intervals: int) -> float:
+    """Return how many of a file's intervals may break its pattern; of a short file one."""
+    return max(UNEVEN * intervals, 1.0 if intervals < FEW else 0.0)
 
 
 def best_grid(seconds: FloatArray, moved: NDArray[np.int64]) -> tuple[float, FloatArray]:

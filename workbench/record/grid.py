@@ -1,8 +1,9 @@
 """A loop's signals on one even grid of time: as recorded where they are even, else resampled by a stated method.
 
 Method: PV and a measured stem are interpolated linearly; OP, SP and MODE hold their last value, as the controller's
-output and settings do. Nothing is interpolated over a gap, or over a value that was recorded as bad. Rows are even
-where each lies near its place on an even grid: a clock that stamps them early or late did not move the samples.
+output and settings do. Nothing is interpolated over a gap, or over values that were recorded as bad, but for a single
+row of an even file that is missing or unusable. Rows are even where each lies near its place on an even grid: a clock
+that stamps them early or late did not move the samples.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from numpy.typing import NDArray
 
 from workbench.errors import RecordError
 from workbench.model.record import FloatArray
-from workbench.record.even import places
+from workbench.record.even import most_uneven, places
 from workbench.record.signals import Signal, Signals
 from workbench.record.table import BLANK, OK, Cells
 from workbench.record.times import JITTER
@@ -36,7 +37,8 @@ class Samples:
     """A loop on one grid, shape (N,): usable where PV and OP are both known, joined where a sample follows the last.
 
     sample_time: s. even: whether the samples are the recorded rows themselves. gaps: in time. between: samples whose
-    PV lies between recorded values. lines: of the file. sp and stem are nan where unknown.
+    PV lies between recorded values. filled: single rows that were unusable. lines: of the file. sp and stem are nan
+    where unknown.
     """
 
     seconds: FloatArray
@@ -52,6 +54,7 @@ class Samples:
     stem: FloatArray | None = None
     mode: list[str] | None = None
     between: int = 0
+    filled: int = 0
     notes: list[str] = field(default_factory=list)
 
 
@@ -124,7 +127,37 @@ def _as_recorded(signals: Signals, pv: Signal, op: Signal, usual: float, moved: 
     gaps = int(np.count_nonzero((moved == 0) & (np.diff(seconds) > (1.0 + JITTER) * usual)))
     out = Samples(seconds, pv.cells.values, op.cells.values, usable, joined, usual, pv.lines, True, gaps)
     _others(out, signals, np.inf)
+    out = _mended(out, moved, pv.cells.marks == OK, op.cells.marks == OK)
     return _filled(out, moved) if (moved > 1).any() else out
+
+
+def _mended(rows: Samples, moved: NDArray[np.int64], good_pv: NDArray[np.bool_], good_op: NDArray[np.bool_]) -> Samples:
+    """Return the rows with single ones among usable ones made usable, as a single missing row's place is filled.
+
+    Not where these are many: who loses every few values says little between them.
+    """
+    good = rows.usable
+    single = np.zeros(good.size, dtype=bool)
+    single[1:-1] = ~good[1:-1] & good[:-2] & good[2:] & (moved[:-1] == 1) & (moved[1:] == 1)
+    many = int(np.count_nonzero(single))
+    if not 0 < many <= most_uneven(moved.size):
+        return rows
+    at = np.arange(rows.pv.size)
+    pv, op = rows.pv.copy(), rows.op.copy()
+    no_pv, no_op = single & ~good_pv, np.flatnonzero(single & ~good_op)
+    pv[no_pv] = np.interp(at[no_pv], at[good], rows.pv[good])
+    op[no_op] = rows.op[no_op - 1]
+    value = "1 single unusable row is" if many == 1 else f"{many} single unusable rows are"
+    note = f"{value} filled: there PV is linear between its neighbours, or OP held"
+    return replace(
+        rows,
+        pv=pv,
+        op=op,
+        usable=good | single,
+        between=int(np.count_nonzero(no_pv)),
+        filled=many,
+        notes=[*rows.notes, note],
+    )
 
 
 def _filled(rows: Samples, moved: NDArray[np.int64]) -> Samples:
@@ -153,7 +186,7 @@ def _filled(rows: Samples, moved: NDArray[np.int64]) -> Samples:
         sp=None if rows.sp is None else rows.sp[last],
         stem=None if rows.stem is None else linear(rows.stem),
         mode=None if rows.mode is None else [rows.mode[i] for i in last.tolist()],
-        between=missing,
+        between=rows.between + missing,
         notes=[*rows.notes, note],
     )
 

@@ -78,8 +78,8 @@ def read_record(
     pv_range: (low, high) of the transmitter, EU; op_range: (low, high) of OP in the file's unit, which are 0 and 100 %,
     by default 4 and 20 where its name, a row of units or a tall file's column of units says mA. Values beyond a given
     range are rejected (NAMUR NE 43), and without one those of OP far beyond 0 to 100 %. max_gap: s, the longest time
-    without a good value of PV or OP that is interpolated or held over; by default not even one missing row of an even
-    file, and ten usual intervals of others.
+    without a good value of PV or OP that is interpolated or held over; by default one row of an even file where few are
+    missing or unusable, and ten usual intervals of others.
 
     Returns a `Record` in PV's unit and OP in %: the longest clean stretch in one mode, the others as its `rest`; its
     `notes` and `counts` (rows, kept, rejected, gaps ...) say what was done and left out. Times become seconds: as
@@ -314,6 +314,7 @@ def _record(
     counts |= rejected
     counts |= {name: many for name, many in (("repeated", signals.repeated), ("frozen", parts.frozen)) if many}
     counts |= {name: many for name, many in (("manual", parts.manual), ("between", samples.between)) if many}
+    counts |= {"filled": samples.filled} if samples.filled else {}
     if not samples.even:
         counts["resampled"] = total
     notes = [*signals.notes, *samples.notes, *said, *parts.notes]
