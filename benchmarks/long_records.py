@@ -7,7 +7,7 @@ setpoint move; ten slips or more, and so few that a window of the record holds o
 Printed for each valve: S (d) and K within 3 %, coverage of the 95 % intervals, how many are called identified and how
 many of them wrongly (S or K more than 5 % off), the verdicts, and the mean of the processor time.
 
-Run: python benchmarks/long_records.py [LOOPS [SEED]]
+Run: python benchmarks/long_records.py [LOOPS [SEED [SAMPLES ...]]]
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from __future__ import annotations
 import sys
 import time
 from collections import Counter
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -26,10 +27,10 @@ CLOSE, WRONG = 0.03, 0.05
 FEWEST = 10  # slips
 
 
-def drawn(rng: np.random.Generator, kind: str) -> tuple[wb.Loop, wb.Experiment, float]:
+def drawn(rng: np.random.Generator, kind: str, lengths: Sequence[int]) -> tuple[wb.Loop, wb.Experiment, float]:
     """A random loop, how it is recorded, without noise, and its first setpoint move (EU)."""
     S, tau = float(rng.uniform(0.5, 4.0)), float(np.exp(rng.uniform(np.log(10.0), np.log(100.0))))
-    theta, samples = float(np.exp(rng.uniform(np.log(4.0), np.log(80.0)))), int(rng.choice(SAMPLES))
+    theta, samples = float(np.exp(rng.uniform(np.log(4.0), np.log(80.0)))), int(rng.choice(lengths))
     valve: wb.Stenman | wb.Choudhury | wb.Deadband = {
         "stenman": wb.Stenman(S),
         "choudhury": wb.Choudhury(S, S * rng.uniform(0.1, 1.2)),
@@ -52,13 +53,13 @@ def slips(stem: np.ndarray, kind: str) -> int:
     return int(moving.sum() if kind == "stenman" else (moving[1:] & ~moving[:-1]).sum())
 
 
-def measured(kind: str, loops: int, seed: int) -> None:
+def measured(kind: str, loops: int, seed: int, lengths: Sequence[int]) -> None:
     """Print the figures of one valve."""
     rng, verdicts, spent = np.random.default_rng([seed, len(kind)]), Counter[str](), 0.0
     close, said, wrong, held = 0, 0, 0, {"S": [0, 0], "K": [0, 0]}
     done = 0
     while done < loops:
-        loop, plain, size = drawn(rng, kind)
+        loop, plain, size = drawn(rng, kind, lengths)
         noise, number = float(rng.choice(NOISE)), int(rng.integers(2**31))
         quiet = wb.simulate(loop, plain)
         swing = float(np.ptp(quiet.pv))
@@ -91,4 +92,5 @@ def measured(kind: str, loops: int, seed: int) -> None:
 
 if __name__ == "__main__":
     for name in ("stenman", "choudhury", "deadband"):
-        measured(name, int(sys.argv[1]) if len(sys.argv) > 1 else 20, int(sys.argv[2]) if len(sys.argv) > 2 else 0)
+        loops, seed, *lengths = [int(one) for one in sys.argv[1:]] + [20, 0][len(sys.argv) - 1 :]
+        measured(name, loops, seed, lengths or SAMPLES)
