@@ -13,13 +13,17 @@ import workbench as wb
 START = 1_729_123_200  # s since 1970, 17 October 2024
 
 
-def record(sticky: bool, n: int = 1200, seed: int = 0) -> wb.Record:
-    """A flow loop at 1 s that cycles since its valve sticks, or one at rest under noise and a slow load."""
+def record(sticky: bool, n: int = 1200, seed: int = 0, moved: float = 0.0) -> wb.Record:
+    """A flow loop at 1 s that cycles since its valve sticks, or one at rest under noise and a slow load.
+
+    moved: EU, by which the setpoint moves halfway: slips that follow each other one way show the gain.
+    """
     rng = np.random.default_rng(seed)
     valve: object = wb.Stenman(2.0) if sticky else wb.Ideal()
     loop = wb.Loop(wb.FOPDT(1.0, 5.0, 1.0), valve, wb.PID(0.5, 20.0), 1.0)
     load = wb.Series(np.cumsum(rng.normal(0.0, 0.01 if sticky else 0.05, n)).tolist())
-    run = wb.simulate(loop, wb.Experiment(float(n), wb.Step(1.5), load, wb.Noise(0.05, seed)))
+    steps = [wb.Step(1.5), *([wb.Step(moved, at=0.5 * n)] if moved else [])]
+    run = wb.simulate(loop, wb.Experiment(float(n), steps, load, wb.Noise(0.05, seed)))
     return wb.Record(run.pv + 50.0, run.op + 45.0, 1.0, sp=run.sp + 50.0)
 
 

@@ -68,7 +68,7 @@ def test_models_and_tunings_come_with_depth(folder: Path, monkeypatch: pytest.Mo
         return search(asked[0], wishes)
 
     monkeypatch.setattr(retune, "tune_found", searched_once)
-    write_csv(folder / "short.csv", record(sticky=True, n=700))
+    write_csv(folder / "short.csv", record(sticky=True, n=700, moved=8.0))
     loop = LoopSource("FIC1", str(folder / "short.csv"), tuning=Tuning(0.5, 20.0, 0.0, "series"))
     result = task.look_at(loop, Settings("tune"))
     row = result.row
