@@ -9,7 +9,7 @@ import pytest
 
 import workbench as wb
 from workbench.estimate.coloured import DELAYS, delays_about
-from workbench.estimate.data import centre
+from workbench.estimate.data import Centred, centre
 from workbench.estimate.profile import EACH, _delays
 from workbench.estimate.reach import searched
 from workbench.estimate.stems import silent
@@ -64,6 +64,35 @@ def test_a_usual_dead_time_is_searched_once(monkeypatch: pytest.MonkeyPatch) -> 
     monkeypatch.setattr(module, "search", noted)
     wb.estimate(record_of(wb.FOPDT(1.5, 30.0, 8.0), wb.Stenman(2.0), 6.0, 1000, 0.05))
     assert longest == [30.0]
+
+
+@pytest.mark.parametrize(("tau", "theta", "thinned"), [(5.0, 1.0, 0), (120.0, 40.0, 1)])
+def test_a_long_record_is_looked_at_thinned_where_its_window_holds_few_slips(
+    tau: float, theta: float, thinned: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[int] = []
+    thin = Centred.thinned
+
+    def noted(data: Centred, every: int) -> Centred:
+        asked.append(every)
+        return thin(data, every)
+
+    module = importlib.import_module("workbench.estimate.reach")
+    search = module._searched
+    seen: list[int] = []
+
+    def searched_in(data: Centred, *rest: object) -> object:
+        seen.append(data.samples)
+        return search(data, *rest)
+
+    monkeypatch.setattr(Centred, "thinned", noted)
+    monkeypatch.setattr(module, "_searched", searched_in)
+    data = centre(record_of(wb.FOPDT(1.5, tau, theta), wb.Stenman(2.0), 6.0, 6000, 0.05), "fopdt")
+    found = searched(data, 30.0, 1500.0, silent)
+    assert asked == [4]
+    assert seen == [1500, *[1500] * thinned, 6000]
+    assert found is not None
+    assert found.best.fit.theta == pytest.approx(theta, abs=1.0)
 
 
 def test_the_dead_times_scanned_are_each_up_to_some_and_then_by_a_share() -> None:

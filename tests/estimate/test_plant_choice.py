@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import importlib
+
 import numpy as np
 import pytest
 from typer.testing import CliRunner
@@ -143,3 +145,41 @@ def test_a_linear_loop_by_itself_is_the_model_that_the_estimate_gives_it(plant: 
     assert np.array_equal(alone.prediction, found.prediction)
     with pytest.raises(wb.InvalidValue, match=r"linear_loop\.plant"):
         linear_loop(record, "second order")
+
+
+@pytest.mark.parametrize(
+    ("plant", "controller", "first"),
+    [
+        (wb.FOPDT(2.0, 5.0, 1.0), wb.PID(Kc=0.5, Ti=20.0), "fopdt"),
+        (wb.Integrating(0.01, 10.0), wb.PID(Kc=2.0, Ti=200.0), "integrating"),
+    ],
+)
+def test_the_plant_that_the_linear_fits_show_is_searched_alone_where_it_leaves_noise(
+    plant: wb.FOPDT | wb.Integrating, controller: wb.PID, first: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    module = importlib.import_module("workbench.estimate.estimate")
+    begun: list[str] = []
+    begin = module._begun
+
+    def noted(record: wb.Record, kind: str, *rest: object) -> object:
+        begun.append(kind)
+        return begin(record, kind, *rest)
+
+    monkeypatch.setattr(module, "_begun", noted)
+    moves = [wb.Step(8.0), wb.Step(-6.0, at=480.0)]
+    run = wb.simulate(
+        wb.Loop(plant, wb.Stenman(2.0), controller, 1.0), wb.Experiment(800.0, moves, noise=wb.Noise(0.1, 1))
+    )
+    assert type(wb.estimate(wb.Record(run.pv, run.op, 1.0)).plant) is type(plant)
+    assert begun == [first]
+
+
+def test_a_lag_whose_linear_fit_never_levels_off_is_told_by_its_stem() -> None:
+    # A level leaves hardly more than the lag where nobody reckons with the stem, and more than noise where one does.
+    loop = wb.Loop(wb.FOPDT(1.0, 8.0, 4.0), wb.Choudhury(4.0, 2.2), wb.PID(0.5, 25.0), 1.0)
+    run = wb.simulate(loop, wb.Experiment(2000.0, setpoint=wb.Step(3.0), noise=wb.Noise(0.1, 1)))
+    record = wb.Record(run.pv[500:], run.op[500:], 1.0, sp=run.sp[500:])
+    assert linear_loop(record, "fopdt").plant.time_constant >= 0.5 * 1500.0
+    found = wb.estimate(record)
+    assert isinstance(found.plant, wb.FOPDT)
+    assert found.plant.time_constant == pytest.approx(8.0, rel=0.1)

@@ -59,11 +59,9 @@ def load_steps(
 ) -> Iterator[FloatArray]:
     """Yield the part of PV, shape (N,), that one load step explains best beside OP, that two do, .., up to `most`.
 
-    ramps: ramps in place of steps.
-
     y, u: PV (EU) and OP (%), shape (N,); a: the filter that whitens the noise; live: the innovations that count, free:
     the samples at which a load may step; taus, delays: the grid of plants, samples; sign: that the plant's gain must
-    have, or 0. Ends early where no plant of that sign is left, or no place.
+    have, or 0. ramps: ramps in place of steps. Ends early where no plant of that sign is left, or no place.
     """
     if not free[FIRST : y.size - LAST].any():
         return

@@ -46,8 +46,8 @@ class _Seen(NamedTuple):
 def searched(data: Centred, longest: float, most: float, progress: Callable[[float], None]) -> Profile | None:
     """Return what `profile.search` finds with dead times up to `longest`, or with longer ones where these fit better.
 
-    most: the longest at all; samples both. Of a long record it is first asked of all of it thinned, and of its
-    liveliest window.
+    most: the longest at all; samples both. Of a long record it is first asked of its liveliest window and,
+    unless that shows a fast loop, of all of it thinned.
     """
     if data.samples <= EXACT:
         return _searched(data, longest, most, _seen, progress)
