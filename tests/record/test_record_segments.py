@@ -306,3 +306,20 @@ def test_unusable_rows_at_an_end_two_on_end_or_many_are_not_filled(tmp_path: Pat
     assert "filled" not in record.counts
     assert record.counts["rejected"] == len(bad)
     assert len(record) < 100
+
+
+def test_a_row_that_is_bad_in_every_column_is_filled_in_every_column(tmp_path: Path) -> None:
+    pv, stem = noise(100), noise(100, 2)
+    cells = {"PV": pv, "OP": noise(100, 1), "SP": np.full(100, 50.0), "MODE": np.full(100, "AUTO"), "VALVE": stem}
+    cells = {name: values.astype(object) for name, values in cells.items()}
+    for values in cells.values():
+        values[40] = "I/O Timeout"
+    record = read_record(write(tmp_path, cells), columns={"valve_position": "VALVE"})
+    assert len(record) == 100
+    assert record.counts["filled"] == 1
+    assert set(record.mode or ()) == {"AUTO"}
+    assert record.sp is not None
+    assert set(record.sp.tolist()) == {50.0}
+    assert record.valve_position is not None
+    assert record.valve_position[40] == pytest.approx(0.5 * (stem[39] + stem[41]), abs=1e-3)
+    assert record.pv[40] == pytest.approx(0.5 * (pv[39] + pv[41]), abs=1e-3)

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workbench.estimate.data import Centred
-from workbench.estimate.fit import LEAST_TAU, Fit, Limits, disturbance, predict
+from workbench.estimate.fit import LEAST_TAU, Fit, Limits, noise_alone, predict
 from workbench.estimate.nearer import CROSSINGS, REACHES, REFITS, SPREADS, closer, nearer, search_short
 from workbench.estimate.outwards import outwards
 from workbench.estimate.path_kernel import J_HIGH, J_LOW, S_HIGH, S_LOW, band_path
@@ -254,9 +254,7 @@ def _known(best: Band, part: Centred, longest: float) -> list[Band]:
 
 def _leaves_noise(data: Centred, b: Band) -> bool:
     """Whether a stem leaves no more of PV than white noise."""
-    x, _ = band_stem(data.u, b.S, b.J, b.first, b.sense)
-    left = data.y - predict(data, x, max(b.first, 0), b.fit)[0]
-    return disturbance(left[data.skip :], data.floor).size == 1
+    return noise_alone(data, band_stem(data.u, b.S, b.J, b.first, b.sense)[0], max(b.first, 0), b.fit)
 
 
 def _further(data: Centred, found: Found, seeds: list[Band], limits: Limits) -> Found:

@@ -13,12 +13,11 @@ from workbench.estimate.data import Centred
 from workbench.estimate.fit import (
     Fit,
     Limits,
-    disturbance,
     fit_in_stretch,
     fit_near,
     fit_path,
     fit_stems,
-    predict,
+    noise_alone,
     start_range,
 )
 from workbench.estimate.stems import DELAY, FIRST, HIGH, LOW, path_of, range_of
@@ -105,8 +104,7 @@ def best_per_bin(by_cost: NDArray[np.float64], bins: int) -> NDArray[np.float64]
 
 def leaves_noise(data: Centred, best: Candidate) -> bool:
     """Return whether a stem leaves no more of PV than white noise."""
-    left = data.y - predict(data, path_of(data.u, best.d_low, best.first)[0], best.first, best.fit)[0]
-    return disturbance(left, data.floor).size == 1
+    return noise_alone(data, path_of(data.u, best.d_low, best.first)[0], best.first, best.fit)
 
 
 def distinct(fits: list[Candidate], most: int) -> list[Candidate]:

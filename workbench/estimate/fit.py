@@ -29,6 +29,7 @@ __all__ = [
     "grounded",
     "grown",
     "halves_left",
+    "noise_alone",
     "predict",
     "start_range",
 ]
@@ -367,6 +368,12 @@ def grounded(
 def disturbance(residuals: FloatArray, floor: float) -> FloatArray:
     """Return the filter (1, -a_1, .., -a_p) that leaves a residual white (see `autoregression`)."""
     return autoregression(residuals, floor)[0]
+
+
+def noise_alone(data: Centred, x: FloatArray, first: int, fit: Fit) -> bool:
+    """Return whether a stem path x, shape (N,), from its first slip on leaves no more of PV than white noise."""
+    left = data.y - predict(data, x, first, fit)[0]
+    return disturbance(left[data.skip :], data.floor).size == 1
 
 
 def autoregression(residuals: FloatArray, floor: float) -> tuple[FloatArray, float]:

@@ -142,19 +142,28 @@ def _mended(rows: Samples, moved: NDArray[np.int64], good_pv: NDArray[np.bool_],
     many = int(np.count_nonzero(single))
     if not 0 < many <= most_uneven(moved.size):
         return rows
-    at = np.arange(rows.pv.size)
-    pv, op = rows.pv.copy(), rows.op.copy()
-    no_pv, no_op = single & ~good_pv, np.flatnonzero(single & ~good_op)
-    pv[no_pv] = np.interp(at[no_pv], at[good], rows.pv[good])
-    op[no_op] = rows.op[no_op - 1]
+
+    def linear(values: FloatArray, missing: NDArray[np.bool_]) -> FloatArray:
+        at, mended = np.flatnonzero(single & missing), values.copy()
+        mended[at] = 0.5 * (values[at - 1] + values[at + 1])
+        return mended
+
+    op, no_op = rows.op.copy(), np.flatnonzero(single & ~good_op)
+    op[no_op] = op[no_op - 1]
+    mode = rows.mode
+    if mode is not None:
+        # What stands in place of a value may stand in place of the mode too.
+        mode = [mode[i - 1] if bad else mode[i] for i, bad in enumerate(single.tolist())]
     value = "1 single unusable row is" if many == 1 else f"{many} single unusable rows are"
     note = f"{value} filled: there PV is linear between its neighbours, or OP held"
     return replace(
         rows,
-        pv=pv,
+        pv=linear(rows.pv, ~good_pv),
         op=op,
         usable=good | single,
-        between=int(np.count_nonzero(no_pv)),
+        stem=None if rows.stem is None else linear(rows.stem, np.isnan(rows.stem)),
+        mode=mode,
+        between=int(np.count_nonzero(single & ~good_pv)),
         filled=many,
         notes=[*rows.notes, note],
     )
