@@ -358,9 +358,12 @@ def test_a_model_given_to_the_stem_test_is_tried_beside_its_own() -> None:
             wb.detect(record, fitted=wrong)
 
 
-def test_where_a_models_stem_leaves_no_doubt_no_other_is_tried(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(("noise", "most"), [(0.1, True), (0.3, False)], ids=["little noise", "much noise"])
+def test_where_a_models_stem_leaves_no_doubt_no_other_is_tried(
+    noise: float, most: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
     loop = wb.Loop(wb.FOPDT(2.0, 5.0, 1.0), wb.Stenman(2.0), wb.PID(Kc=0.5, Ti=15.0), 1.0)
-    run = wb.simulate(loop, wb.Experiment(600.0, setpoint=wb.Step(4.0), noise=wb.Noise(0.1, 1)))
+    run = wb.simulate(loop, wb.Experiment(600.0, setpoint=wb.Step(4.0), noise=wb.Noise(noise, 1)))
     record = wb.Record(run.pv, run.op, 1.0, sp=run.sp)
     searched = []
     module = importlib.import_module("workbench.detect.stem")
@@ -369,6 +372,7 @@ def test_where_a_models_stem_leaves_no_doubt_no_other_is_tried(monkeypatch: pyte
     told = wb.detect(record, fitted=(wb.Stenman(2.0), run.valve))
     assert told.verdict == "stiction"
     assert not searched
+    assert (told.test.improvement >= 0.5) == most
     assert math.isnan(told.test.wide)
     (wide,) = (one for one in told.statistics if one.name == "Stem test, wide bands")
     assert wide.says == "not asked: the model's stem leaves no doubt"

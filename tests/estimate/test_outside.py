@@ -12,7 +12,7 @@ import workbench as wb
 from workbench.estimate.data import centre
 from workbench.estimate.fit import fit_linear
 from workbench.estimate.models import words_of_closer
-from workbench.estimate.outside import rival_of, weighed
+from workbench.estimate.outside import Rival, rival_of, weighed
 from workbench.estimate.straight import Straight, linear_beside
 from workbench.model.results import FittedModel
 from workbench.model.valve import Valve
@@ -141,6 +141,30 @@ def test_models_accuse_alone_only_where_the_linear_loop_is_clearly_less_likely()
     assert "is hardly less likely than a stem that sticks over 4.5 %" in said(29.0, True)[1]
     assert said(31.0, True) == ("stiction", "")
     assert said(29.0, False) == ("stiction", "")
+
+
+@pytest.mark.parametrize(
+    ("slips", "left", "alone", "asked"),
+    [(10, 0.5, False, 0), (9, 0.5, False, 1), (10, 0.51, False, 1), (10, 0.5, True, 1)],
+)
+def test_no_linear_loop_is_asked_where_a_stem_seen_by_detection_leaves_noise_alone(
+    slips: int, left: float, alone: bool, asked: int
+) -> None:
+    data = centre(flow(2), "fopdt")
+    line = Straight(data, fit_linear(data, 30.0), 30.0)
+    models = [
+        FittedModel(valve, wb.FOPDT(19.3, 0.76), share, 0.0, 0.0, slips)
+        for valve, share in ((wb.Deadband(4.5), left), (wb.Ideal(), 1.0))
+    ]
+    pairs = (replace(line.fit, sse=left * line.fit.sse), models[0]), (line.fit, models[1])
+    times: list[int] = []
+
+    def rival() -> Rival:
+        times.append(1)
+        return rival_of(data, pairs[0][0], line, ())
+
+    weighed(data, *pairs, rival, "stiction", alone)
+    assert len(times) == asked
 
 
 def test_a_stem_in_the_likeness_of_a_load_step_accuses_no_valve() -> None:

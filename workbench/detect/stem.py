@@ -41,7 +41,7 @@ from workbench.detect.rivals import (
     order_of,
 )
 from workbench.detect.turns import turns_of_pv
-from workbench.detect.verdict import DUST, Thresholds, accuses, beyond_doubt, explains_most
+from workbench.detect.verdict import DUST, Thresholds, accuses, convinces
 from workbench.detect.wave import steady_wave
 from workbench.detect.whitening import noise
 from workbench.model.detection import StemTest
@@ -331,9 +331,9 @@ def _among(
         pv = pv - pv[~held].mean()
         search = _Search(Rivals(pv, delays, sign, held), u, held, float(pv[~held].var()), blur)
         told = [] if fitted is None else search.told(fitted)
-        if told and explains_most(*_explained(told)):
+        if told and max(c.sure for c in told) >= FAR:
             test = _test(search, [], told, free, sample_time, period, steps)
-            if beyond_doubt(test):
+            if convinces(test):
                 return test, search
         own = search.met()
         test = _test(search, own, told, free, sample_time, period, steps)

@@ -90,10 +90,10 @@ __all__ = [
     "accuses",
     "beyond_chance",
     "beyond_doubt",
+    "convinces",
     "curved",
     "decide",
     "excluded",
-    "explains_most",
     "follows",
     "times",
 ]
@@ -316,17 +316,16 @@ def _simulated_too(test: StemTest, limits: Thresholds) -> bool:
     return test.simulated >= limits.explains and test.turned >= 0.0
 
 
-def beyond_doubt(test: StemTest) -> bool:
-    """Return whether a sticking stem reaches twice what finding stiction takes, and explains most of both errors."""
+def convinces(test: StemTest) -> bool:
+    """Return whether a sticking stem reaches twice what finding stiction takes."""
     limits = Thresholds()
-    most = explains_most(test.improvement, test.simulated)
     rivalled = min(test.loaded, test.waved) < 2.0 * limits.chance or curved(test, limits)
-    return most and not rivalled and _sticks(test, limits, 2.0)
+    return not rivalled and _sticks(test, limits, 2.0)
 
 
-def explains_most(improvement: float, simulated: float) -> bool:
-    """Return whether a stem explains most of what the linear loop leaves of PV, unpredicted and simulated (shares)."""
-    return min(improvement, simulated) >= Thresholds().most
+def beyond_doubt(test: StemTest) -> bool:
+    """Return whether it does, and explains most of what the linear loop leaves of PV, unpredicted and simulated."""
+    return min(test.improvement, test.simulated) >= Thresholds().most and convinces(test)
 
 
 def _sticks(test: StemTest, limits: Thresholds, share: float) -> bool:

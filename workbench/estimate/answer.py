@@ -12,6 +12,7 @@ import numpy as np
 from workbench.detect.action import only_answers
 from workbench.detect.detect import detect
 from workbench.detect.stem import WIDE, Fitted
+from workbench.detect.verdict import beyond_doubt
 from workbench.estimate.bands import Bands
 from workbench.estimate.candidates import Candidate
 from workbench.estimate.data import Centred, plant_of
@@ -168,7 +169,7 @@ def _weighed(
     times = tuple(round(step.at / fits.data.sample_time) for step in fits.steps)
     rival = cache(partial(rival_of, fits.data, known.fit, loop.line, times))
     # Without steps of its own a stem that nothing else accuses may be no more than the likeness of one.
-    if not _beyond_doubt(seen) if said.verdict == "stiction" else bool(fits.steps):
+    if not (seen.test is not None and beyond_doubt(seen.test)) if said.verdict == "stiction" else bool(fits.steps):
         pairs = (known.fit, fits.models[chosen]), (fits.linear, fits.models["linear"])
         verdict, reason = weighed(fits.data, *pairs, rival, said.verdict, seen.verdict != "stiction")
         if reason:
@@ -232,11 +233,6 @@ def _detected(record: Record, fits: Fits, stem: InScale | None, pair: Band | Non
         # The linear loop has the same OP as the stem: within its steps, where the record's are coarser.
         record = replace(record, op=fits.data.u + fits.data.op_middle, rest=())
     return detect(record, fitted=fitted)
-
-
-def _beyond_doubt(detection: Detection) -> bool:
-    """Whether the model's stem left detection no doubt, so that it tried no others."""
-    return detection.test is not None and math.isnan(detection.test.wide)
 
 
 def _judged(fits: Fits, chosen: str, evidence: Evidence, detection: Detection) -> _Said:

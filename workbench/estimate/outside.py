@@ -19,7 +19,7 @@ from workbench.estimate.data import Centred
 from workbench.estimate.fit import Fit
 from workbench.estimate.straight import Straight, linear_beside
 from workbench.estimate.swing import Answered, Swing
-from workbench.estimate.verdict import MOST, SURE_SLIPS
+from workbench.estimate.verdict import ENOUGH_SLIPS, MOST, SURE_SLIPS
 from workbench.model.numbers import given
 from workbench.model.results import FittedModel, LinearFit
 
@@ -86,7 +86,12 @@ def weighed(
     # A stem that hardly sticks leaves what the linear loop leaves once it is given the same steps.
     closer = _ahead(data, sticking[0], data, linear[0]) >= LIKELIER
     closer = closer and model.residual_variance <= MOST * linear[1].residual_variance
-    if not accused and not (closer and model.slips >= SURE_SLIPS and data.a.size <= 1 + ORDER):
+    if accused:
+        # Nothing is left for a linear loop to explain better, and its own slips are too many for steps of the load.
+        asked = alone or not (closer and model.slips >= ENOUGH_SLIPS and data.a.size == 1)
+    else:
+        asked = closer and model.slips >= SURE_SLIPS and data.a.size <= 1 + ORDER
+    if not asked:
         return verdict, ""
     answered, swing, ahead = rival()
     share = model.residual_variance / max(answered.model.residual_variance, data.floor)
