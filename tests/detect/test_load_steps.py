@@ -147,9 +147,10 @@ def test_one_step_is_found_where_it_was_with_its_size() -> None:
     taus, delays = np.array([1.0, 4.0, tau, 20.0]), np.arange(6)
     everywhere = np.ones(n, dtype=bool)
     given = pv + 0.05 * rng.normal(size=n), op, np.ones(1), everywhere
-    part, *more = load_steps(*given, everywhere, taus, delays, 1.0, 2)
+    (part, times), *more = load_steps(*given, everywhere, taus, delays, 1.0, 2)
     np.testing.assert_allclose(part[at:], moved, atol=0.1)
     assert np.ptp(part[:at]) == 0.0
+    assert times == [at]
     assert len(more) == 1
     # No plant has a gain of the other sign; where no place is free there is no step.
     assert not list(load_steps(*given, everywhere, taus, delays, -1.0, 1))
@@ -210,7 +211,7 @@ def test_a_transient_that_has_died_out_before_the_first_sample_that_counts_expla
     op, live = np.cumsum(rng.normal(size=600)), np.arange(600) >= 300
     pv = np.concatenate([[0.0], op[:-1]]) + 3.0 * (np.arange(600) >= 450) + 0.05 * rng.normal(size=600)
     free = np.ones(600, dtype=bool)
-    (part,) = load_steps(pv, op, np.ones(1), live, free, np.array([0.7]), np.arange(3), 1.0, 1)
+    ((part, _),) = load_steps(pv, op, np.ones(1), live, free, np.array([0.7]), np.arange(3), 1.0, 1)
     np.testing.assert_allclose(part[455:], np.full(145, part[-1]), atol=0.1)
     assert part[-1] == pytest.approx(3.0, abs=0.5)
     assert not part[:449].any()
@@ -257,6 +258,6 @@ def test_a_ramp_is_found_where_it_begins() -> None:
         lag[k + 1] = 0.8 * lag[k] + 0.2 * load[k]
     u = np.sin(0.3 * np.arange(500.0))
     asked = np.ones(1), every, every, np.array([-1.0 / np.log(0.8)]), np.array([1]), 0.0, 1
-    (step,), (ramp,) = (list(load_steps(lag, u, *asked, kind)) for kind in (False, True))
+    ((step, _),), ((ramp, _),) = (list(load_steps(lag, u, *asked, kind)) for kind in (False, True))
     np.testing.assert_allclose(ramp - ramp[0], lag, atol=1e-6)
     assert float((lag - step).var()) > 0.1 * float(lag.var())

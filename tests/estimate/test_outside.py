@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import math
 from dataclasses import replace
 
@@ -11,11 +12,14 @@ import pytest
 import workbench as wb
 from workbench.estimate.data import centre
 from workbench.estimate.fit import fit_linear
+from workbench.estimate.loads import DEGREES
 from workbench.estimate.models import words_of_closer
 from workbench.estimate.outside import Rival, rival_of, weighed
-from workbench.estimate.straight import Straight, linear_beside
+from workbench.estimate.straight import Straight, linear_beside, sought_beside_steps
 from workbench.model.results import FittedModel
 from workbench.model.valve import Valve
+
+NOWHERE = np.zeros(700, dtype=bool)
 
 
 def flow(seed: int) -> wb.Record:
@@ -135,7 +139,7 @@ def test_models_accuse_alone_only_where_the_linear_loop_is_clearly_less_likely()
     def said(ahead: float, alone: bool) -> tuple[str, str]:
         fit = replace(linear, sse=linear.sse / n * data.samples * math.exp(-2.0 * ahead / data.samples))
         pairs = (fit, models[0]), (linear, models[1])
-        return weighed(data, *pairs, lambda: rival_of(data, fit, line, ()), "stiction", alone)
+        return weighed(data, *pairs, lambda: rival_of(data, fit, line, (), NOWHERE), "stiction", alone)
 
     assert said(29.0, True)[0] == "undecided"
     assert "is hardly less likely than a stem that sticks over 4.5 %" in said(29.0, True)[1]
@@ -161,7 +165,7 @@ def test_no_linear_loop_is_asked_where_a_stem_seen_by_detection_leaves_noise_alo
 
     def rival() -> Rival:
         times.append(1)
-        return rival_of(data, pairs[0][0], line, ())
+        return rival_of(data, pairs[0][0], line, (), NOWHERE)
 
     weighed(data, *pairs, rival, "stiction", alone)
     assert len(times) == asked
@@ -187,3 +191,86 @@ def test_a_valve_that_leaves_far_more_of_pv_than_another_is_not_known() -> None:
     models = {"deadband": model(wb.Deadband(2.0), 2.0), "linear": model(wb.Ideal(), 0.1)}
     assert words_of_closer(models, "deadband") == ()
     assert words_of_closer(models | {"stenman": model(wb.Stenman(1.0), 1.0)}, "deadband") == ()
+
+
+@pytest.mark.parametrize(
+    ("plant", "controller", "load", "noise", "n", "seed"),
+    [
+        (
+            wb.FOPDT(0.541, 11.02, 9.076),
+            wb.PID(0.4224, 12.42),
+            [(-18.1, 208.0), (-5.34, 272.0), (9.36, 472.0)],
+            0.62,
+            750,
+            1,
+        ),
+        (
+            wb.Integrating(-0.00509, 5.97),
+            wb.PID(5.42, 194.1, action="direct"),
+            [(-2.65, 330.0), (17.2, 427.0), (8.53, 933.0)],
+            0.2015,
+            1500,
+            7011,
+        ),
+    ],
+    ids=["flow", "level"],
+)
+def test_more_steps_than_a_stem_is_fitted_beside_accuse_nobody(
+    plant: wb.FOPDT | wb.Integrating,
+    controller: wb.PID,
+    load: list[tuple[float, float]],
+    noise: float,
+    n: int,
+    seed: int,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    kind = "fopdt" if isinstance(plant, wb.FOPDT) else "integrating"
+    loop = wb.Loop(plant, wb.Ideal(), controller, 1.0)
+    steps = [wb.Step(size, at=at) for size, at in load]
+    run = wb.simulate(loop, wb.Experiment(float(n), load=steps, noise=wb.Noise(noise, seed)))
+    record = wb.Record(run.pv + 50.0, run.op + 50.0, 1.0)
+    assert wb.estimate(record, plant=kind).verdict == "undecided"
+    # The plant that is fitted without the steps does not show them, and a stem that slips at each of them does better.
+    monkeypatch.setattr(
+        importlib.import_module("workbench.estimate.outside"), "sought_beside_steps", lambda line, _: (line, ())
+    )
+    assert wb.estimate(record, plant=kind).verdict == "stiction"
+
+
+def test_steps_are_sought_together_with_the_plant_where_the_load_may_step() -> None:
+    loop = wb.Loop(wb.FOPDT(0.541, 11.02, 9.076), wb.Ideal(), wb.PID(0.4224, 12.42), 1.0)
+    load = [wb.Step(-18.1, at=208.0), wb.Step(-5.34, at=272.0), wb.Step(9.36, at=472.0)]
+    run = wb.simulate(loop, wb.Experiment(750.0, load=load, noise=wb.Noise(0.3, 1)))
+    data = centre(wb.Record(run.pv + 50.0, run.op + 50.0, 1.0), "fopdt")
+    line = Straight(data, fit_linear(data, 30.0), 30.0)
+    assert line.fit.tau > 100.0
+    found, times = sought_beside_steps(line, np.ones(750, dtype=bool))
+    # PV answers each after the dead time.
+    assert sorted(times)[:1] + sorted(times)[-1:] == [pytest.approx(217, abs=2), pytest.approx(481, abs=2)]
+    assert any(abs(at - 281) <= 3 for at in times)
+    # Gain and dead time make up for each other where the load alone moves the loop.
+    assert found.fit.tau == pytest.approx(11.02, rel=0.1)
+    assert sought_beside_steps(line, np.zeros(750, dtype=bool)) == (line, ())
+
+
+@pytest.mark.parametrize(
+    ("ahead", "steps", "verdict"), [(-9.0, 1, "stiction"), (-11.0, 1, "undecided"), (-1.0, 0, "undecided")]
+)
+def test_a_loop_with_more_steps_than_the_stem_pays_for_them(ahead: float, steps: int, verdict: str) -> None:
+    data = centre(flow(2), "fopdt")
+    line = Straight(data, fit_linear(data, 30.0), 30.0)
+    answered = linear_beside(line)[0]
+    paid = ahead + 0.5 * DEGREES * steps * math.log(data.samples)
+    models = [
+        FittedModel(valve, wb.FOPDT(19.3, 0.76), 2.0 * answered.model.residual_variance, 0.0, 0.0, 40)
+        for valve in (wb.Deadband(4.5), wb.Ideal())
+    ]
+    said, _ = weighed(
+        data,
+        (line.fit, models[0]),
+        (line.fit, models[1]),
+        lambda: Rival(answered, None, ahead, paid),
+        "stiction",
+        False,
+    )
+    assert said == verdict

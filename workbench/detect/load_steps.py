@@ -56,8 +56,10 @@ def load_steps(
     sign: float,
     most: int,
     ramps: bool = False,
-) -> Iterator[FloatArray]:
+) -> Iterator[tuple[FloatArray, list[int]]]:
     """Yield the part of PV, shape (N,), that one load step explains best beside OP, that two do, .., up to `most`.
+
+    With it come the samples at which PV first answers each step, or is first bent by each ramp.
 
     y, u: PV (EU) and OP (%), shape (N,); a: the filter that whitens the noise; live: the innovations that count, free:
     the samples at which a load may step; taus, delays: the grid of plants, samples; sign: that the plant's gain must
@@ -70,7 +72,8 @@ def load_steps(
         for one in plants:
             one.add()
         costs = sorted((cost, i, j) for i, one in enumerate(plants) for j, cost in enumerate(one.costs()))
-        found = next((wave for _, i, j in costs if (wave := plants[i].wave(j, sign)) is not None), None)
+        seen = ((plants[i].wave(j, sign), plants[i].times[j].tolist()) for _, i, j in costs)
+        found = next(((wave, times) for wave, times in seen if wave is not None), None)
         if found is None:
             return
         yield found

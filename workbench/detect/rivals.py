@@ -62,11 +62,16 @@ class Fit:
 
 @dataclass(frozen=True, slots=True)
 class Loaded:
-    """A rival under load steps: innovation variance with each step paid for, their part of PV (EU, (N,)), how many."""
+    """A rival under load steps: innovation variance with each step paid for, their part of PV (EU, (N,)), how many.
+
+    times: samples at which PV first answers each; fit: the rival's plant; None without any step.
+    """
 
     variance: float
     wave: FloatArray
     steps: int
+    times: tuple[int, ...] = ()
+    fit: Fit | None = None
 
 
 def dead_times(n: int, period: float, share: float = USUAL) -> list[int]:
@@ -182,9 +187,9 @@ class Rivals:
         price = self.count ** (2.0 / self.count)
         asked = self.y, x, a, live, free, taus, delays, self.sign
         left = (
-            Loaded(self.less(wave).settle(x, a, fine, 2).variance * price**k, wave, k)
+            Loaded((fit := self.less(wave).settle(x, a, fine, 2)).variance * price**k, wave, k, tuple(times), fit)
             for kind in (False, True)[: 1 + ramps]
-            for k, wave in enumerate(load_steps(*asked, MOST_RAMPS if kind else most, kind), 1 + kind)
+            for k, (wave, times) in enumerate(load_steps(*asked, MOST_RAMPS if kind else most, kind), 1 + kind)
         )
         return min(left, key=lambda one: one.variance, default=Loaded(math.inf, np.zeros(self.n), 0))
 

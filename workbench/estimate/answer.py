@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from functools import cache, cached_property, partial
+from functools import cache, cached_property
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from workbench.detect.action import only_answers
 from workbench.detect.detect import detect
+from workbench.detect.load_steps import unforced
+from workbench.detect.rivals import dead_times
 from workbench.detect.stem import WIDE, Fitted
 from workbench.detect.verdict import beyond_doubt
 from workbench.estimate.bands import Bands
@@ -106,6 +109,11 @@ class _Asked:
         return Loaded.of(self.line.data, bare, steps, limits) if steps and bare.a.size == 1 else None
 
     @cached_property
+    def free(self) -> NDArray[np.bool_]:
+        """The samples in which a load may step: those that no setpoint move accounts for, shape (N,)."""
+        return unforced(self.record.sp, self.record.pv, dead_times(len(self.record), math.nan)[-1])
+
+    @cached_property
     def blind(self) -> bool:
         """Whether nobody moves the loop: a stem that slips moves PV by itself, a linear loop only answers."""
         return only_answers(self.record)
@@ -167,7 +175,7 @@ def _weighed(
     if known is None:
         return said, None
     times = tuple(round(step.at / fits.data.sample_time) for step in fits.steps)
-    rival = cache(partial(rival_of, fits.data, known.fit, loop.line, times))
+    rival = cache(lambda: rival_of(fits.data, known.fit, loop.line, times, loop.free))
     # Without steps of its own a stem that nothing else accuses may be no more than the likeness of one.
     if not (seen.test is not None and beyond_doubt(seen.test)) if said.verdict == "stiction" else bool(fits.steps):
         pairs = (known.fit, fits.models[chosen]), (fits.linear, fits.models["linear"])

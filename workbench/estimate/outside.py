@@ -14,12 +14,17 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import NamedTuple
 
+import numpy as np
+from numpy.typing import NDArray
+
 from workbench.detect.verdict import Thresholds
 from workbench.estimate.data import Centred
 from workbench.estimate.fit import Fit
-from workbench.estimate.straight import Straight, linear_beside
+from workbench.estimate.loads import DEGREES
+from workbench.estimate.straight import Straight, linear_beside, sought_beside_steps
 from workbench.estimate.swing import Answered, Swing
 from workbench.estimate.verdict import ENOUGH_SLIPS, MOST, SURE_SLIPS
+from workbench.estimate.windows import WHOLE
 from workbench.model.numbers import given
 from workbench.model.results import FittedModel, LinearFit
 
@@ -36,30 +41,39 @@ ORDER = 1  # of the disturbance's autoregression: what is left is as good as noi
 class Rival(NamedTuple):
     """The likeliest linear loop, the oscillation beside it if there is one, and how far a stem's model is ahead of it.
 
-    ahead: log likelihood ratio.
+    ahead: log likelihood ratio; paid: the same, every load step that it has more than the model paid for as the search
+    for steps does.
     """
 
     answered: Answered[LinearFit]
     swing: Swing | None
     ahead: float
+    paid: float
 
 
-def rival_of(data: Centred, fit: Fit, line: Straight, times: tuple[int, ...]) -> Rival:
+def rival_of(data: Centred, fit: Fit, line: Straight, times: tuple[int, ...], free: NDArray[np.bool_]) -> Rival:
     """Return the likeliest linear loop beside what may disturb it, as the rival of a sticking model.
 
     data, fit: the record in the measure, and without the load steps, that the model was fitted in, and its fit there;
-    line: the linear fit to the record as it is; times: samples at which the model's load steps begin.
+    line: the linear fit to the record as it is; times: samples at which the model's load steps begin; free: shape (N,),
+    the samples in which the load may step by itself (`detect.load_steps.unforced`).
     """
     lines: list[tuple[Straight, tuple[int, ...]]] = [(line, ())]
     if times:
         # The linear loop may have the steps that the stem was found beside, and its plant.
         lines.append((line._replace(fit=replace(line.fit, tau=fit.tau, theta=fit.theta, gain=fit.gain)), times))
+    if data.samples <= WHOLE:
+        lines.append(sought_beside_steps(line, free))
 
     def ahead(answered: Answered[LinearFit]) -> float:
         return _ahead(data, fit, answered.settled, answered.paths[0].fit)
 
     answered, swing = min((linear_beside(*one) for one in lines), key=lambda one: ahead(one[0]))
-    return Rival(answered, swing, ahead(answered))
+    # A step answers with its size and its time, an oscillation with two sizes and its frequency.
+    steps = (len(answered.settled.answers) - (0 if swing is None else len(swing.answers))) // 2 - len(times)
+    return Rival(
+        answered, swing, ahead(answered), ahead(answered) + 0.5 * DEGREES * max(steps, 0) * math.log(data.samples)
+    )
 
 
 def _ahead(data: Centred, fit: Fit, where: Centred, rival: Fit) -> float:
@@ -93,9 +107,9 @@ def weighed(
         asked = closer and model.slips >= SURE_SLIPS and data.a.size <= 1 + ORDER
     if not asked:
         return verdict, ""
-    answered, swing, ahead = rival()
+    answered, swing, ahead, paid = rival()
     share = model.residual_variance / max(answered.model.residual_variance, data.floor)
-    if accused and ((ahead <= 0.0 and share >= 1.0) or (alone and ahead < CHANCE)):
+    if accused and ((paid <= 0.0 and share >= 1.0) or (alone and ahead < CHANCE)):
         beside = "with load steps of its own" if answered.settled.load.any() else "by itself"
         if swing is not None:
             beside = (

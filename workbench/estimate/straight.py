@@ -2,17 +2,26 @@
 
 from __future__ import annotations
 
+import math
+from dataclasses import replace
 from typing import NamedTuple
 
+import numpy as np
+from numpy.typing import NDArray
+
+from workbench.detect.rivals import FINE_TAUS, LONGEST, SHORTEST, Rivals, dead_times
+from workbench.detect.whitening import noise
 from workbench.estimate.data import Centred
-from workbench.estimate.fit import Fit, fit_linear
+from workbench.estimate.fit import Fit, again_linear, fit_linear
 from workbench.estimate.paths import linear_path
 from workbench.estimate.scale import linear_result
 from workbench.estimate.settled import coloured_linear
 from workbench.estimate.swing import Answered, Swing, beside_swing
 from workbench.model.results import LinearFit
 
-__all__ = ["Straight", "linear_beside"]
+__all__ = ["Straight", "linear_beside", "sought_beside_steps"]
+
+MOST = 4  # load steps that are sought together with the plant: as many as detection gives the linear loop
 
 
 class Straight(NamedTuple):
@@ -37,3 +46,25 @@ def linear_beside(line: Straight, times: tuple[int, ...] = ()) -> tuple[Answered
         return settled(Straight(calm, fit_linear(calm, line.longest), line.longest))
 
     return beside_swing(line.data, settled(line), again, line.longest)
+
+
+def sought_beside_steps(line: Straight, free: NDArray[np.bool_]) -> tuple[Straight, tuple[int, ...]]:
+    """Return the line with the plant beside which load steps leave least, and the samples at which PV answers these.
+
+    An unseen step spoils the plant that is fitted without it, so that what this leaves does not show the step (see
+    `detect.load_steps`). free: shape (N,), the samples in which the load may step; there may be no steps.
+    """
+    data, n = line.data, line.data.samples
+    rivals = Rivals(data.y - data.y.mean(), dead_times(n, math.nan), data.sign, np.zeros(n, dtype=bool))
+    fine, alone = np.geomspace(SHORTEST, LONGEST * n, FINE_TAUS), np.empty(rivals.order + 1)
+    noise(rivals.y, rivals.live, rivals.order, 0.5, alone)
+    white = np.concatenate([[1.0], np.zeros(rivals.order)])
+    filters = rivals.linear(data.u, alone, fine).a, white
+    found = [rivals.under_load(data.u, a, fine, free, MOST, ramps=False) for a in filters]
+    best = min(found, key=lambda one: one.variance)
+    if best.fit is None:
+        return line, ()
+    near = replace(line.fit, tau=best.fit.tau, theta=min(float(best.fit.delay), line.longest))
+    fit = again_linear(data.less(best.wave, np.empty((0, n))), near, line.longest)
+    # PV has nothing of a step yet where it begins to answer it.
+    return line._replace(fit=fit), tuple(t - 1 for t in best.times)
