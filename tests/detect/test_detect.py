@@ -382,6 +382,22 @@ def test_where_a_models_stem_leaves_no_doubt_no_other_is_tried(
     assert wrong.test == wb.detect(record).test
 
 
+def test_others_are_tried_beside_a_models_stem_that_leaves_more_than_noise(monkeypatch: pytest.MonkeyPatch) -> None:
+    loop = wb.Loop(wb.FOPDT(2.0, 5.0, 1.0), wb.Stenman(2.0), wb.PID(Kc=0.5, Ti=15.0), 1.0)
+    drift = 0.05 * np.cumsum(np.random.default_rng(1).normal(size=600))
+    searched = []
+    module = importlib.import_module("workbench.detect.stem")
+    met = module._Search.met
+    monkeypatch.setattr(module._Search, "met", lambda search: searched.append(search) or met(search))
+    for load, looked in ((np.zeros(600), 0), (drift - drift.mean(), 1)):
+        searched.clear()
+        noise = wb.Noise(0.3, 1)
+        run = wb.simulate(loop, wb.Experiment(600.0, wb.Step(4.0), wb.Series(load.tolist()), noise))
+        found = wb.detect(wb.Record(run.pv, run.op, 1.0, sp=run.sp), fitted=(wb.Stenman(2.0), run.valve))
+        assert found.verdict == "stiction"
+        assert len(searched) == looked
+
+
 def test_an_op_that_hardly_moves_tells_nothing_about_the_valve() -> None:
     record = run_of(wb.Ideal())
     mean = float(record.op.mean())

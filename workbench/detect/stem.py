@@ -64,6 +64,7 @@ FLOOR = 0.005  # of PV's standard deviation: no record is good for less
 FEW = 8  # moves of a stem, two each of four load steps, that may look the same
 SINUSOID = 3  # parameters
 FAR = 100.0  # a stem that is so far ahead of a linear loop under load steps needs none of its own
+NOISY = 0.1  # share by which noise alone may be more than its innovations, to which many terms are fitted
 HARM = 0.5  # a stem that simulates PV worse than OP itself does by more than this share is not this loop's
 
 
@@ -98,12 +99,6 @@ class _Candidate:
     def sure(self) -> float:
         """The less of that and of what the stem adds to the free predictor."""
         return min(self.harmless, self.adds)
-
-
-def _best(costs: FloatArray, most: int) -> list[int]:
-    """Return where the lowest costs are, the lowest first."""
-    first: list[int] = np.argsort(costs, kind="stable")[:most].tolist()
-    return first
 
 
 class _Search:
@@ -153,8 +148,7 @@ class _Search:
         limits = np.array(CLASSES) * width
         classes = [np.digitize(laws.rows[:, BAND], limits) for laws in grid]
         coarse = np.geomspace(SHORTEST, LONGEST * self.rivals.n, COARSE_TAUS)
-        # Where OP makes most of PV, what is amiss with the grid's plants hides any stem: it is looked at with plants
-        # like the linear loops' own too.
+        # Where OP makes most of PV, what is amiss with the grid's plants hides any stem: so the linear loops' too.
         own = np.array([f.tau * share for f in (self.linear, self.straight) for share in OWN_TAUS])
         found: list[_Candidate] = []
 
@@ -168,7 +162,7 @@ class _Search:
                 there = [np.where(c == part, cost, math.inf) for c, cost in zip(classes, costs, strict=True)]
                 # Of both kinds of valve in the end: which of them is nearer to a better one is not known yet.
                 for kind in sorted((0, 1), key=lambda k: there[k].min())[: 1 if start is not None else 2]:
-                    law = grid[kind].law(_best(there[kind], 1)[0])
+                    law = grid[kind].law(int(np.argmin(there[kind])))
                     found.append(self.judged(law, law.path(self.u), a))
         # The best of each class is looked at closer, and beside the best of all the other kind of valve too.
         found.sort(key=lambda c: -c.innovations)
@@ -257,7 +251,7 @@ class _Search:
             laws = best.law.about(spread)
             taus = best.fit.tau * np.array([0.85, 1.0, 1.18])
             costs = self.rivals.least(self.u, laws, best.fit.a, taus)
-            first, *others = _best(costs, 2)
+            first, *others = np.argsort(costs, kind="stable")[:2].tolist()
             # Wide stems that differ little make the same moves: where the costs are equal it is the same stem.
             near = [laws.law(i) for i in (first, *others) if i == first or costs[i] > costs[first]]
             judged = [self.judged(law, law.path(self.u), best.fit.a, taus) for law in near]
@@ -331,7 +325,7 @@ def _among(
         pv = pv - pv[~held].mean()
         search = _Search(Rivals(pv, delays, sign, held), u, held, float(pv[~held].var()), blur)
         told = [] if fitted is None else search.told(fitted)
-        if told and max(c.sure for c in told) >= FAR:
+        if told and _leaves_little(search, told):
             test = _test(search, [], told, free, sample_time, period, steps)
             if convinces(test):
                 return test, search
@@ -363,6 +357,12 @@ def _explained(met: list[_Candidate]) -> tuple[float, float]:
     """Of what the linear loop leaves, unpredicted and simulated, the shares that this stem explains."""
     both = _throughout(met)
     return 1.0 - math.exp(-both.innovations / both.samples), 1.0 - math.exp(-both.simulated / both.samples)
+
+
+def _leaves_little(search: _Search, met: list[_Candidate]) -> bool:
+    """Whether the best stem explains most of both errors, or leaves of simulated PV but noise: nothing to predict."""
+    left = (1.0 - _explained(met)[1]) * search.straight.variance
+    return min(_explained(met)) >= Thresholds().most or left <= (1.0 + NOISY) * _throughout(met).fit.variance
 
 
 def _test(
