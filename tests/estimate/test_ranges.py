@@ -98,7 +98,7 @@ def test_what_is_called_identified_holds_the_truth(Ti: float, seeds: tuple[int, 
     told = 0
     for seed in seeds:
         run = wb.simulate(loop, wb.Experiment(2000.0, setpoint=wb.Step(3.0), noise=wb.Noise(0.1, seed)))
-        found = wb.estimate(wb.Record(run.pv[500:], run.op[500:], 1.0, sp=run.sp[500:]), plant="fopdt")
+        found = wb.estimate(wb.Record(run.pv[500:], run.op[500:], 1.0, sp=run.sp[500:]))
         # Ten slips and fewer leave the gain to a tenth either way, or somewhat less.
         assert found.verdict == "stiction"
         assert found.identifiable or found.slips < 13

@@ -17,12 +17,11 @@ from workbench.detect.laws import Laws
 from workbench.detect.load_steps import load_steps
 from workbench.detect.sinusoid import strongest
 from workbench.detect.stem_kernel import plant, screen, settle
-from workbench.detect.whitening import whitened
+from workbench.detect.whitening import noise, whitened
 from workbench.model.record import FloatArray
 from workbench.simulate import kernel as simulate
 
 __all__ = [
-    "FINE_TAUS",
     "FURTHER",
     "LONGEST",
     "SHORTEST",
@@ -31,6 +30,7 @@ __all__ = [
     "Loaded",
     "Rivals",
     "dead_times",
+    "fine_taus",
     "held_of",
     "live_of",
     "order_of",
@@ -58,6 +58,12 @@ class Fit:
     delay: int
     a: FloatArray
     residual: FloatArray
+
+
+def fine_taus(n: int) -> FloatArray:
+    """Return the time constants from which a plant is refined, samples, of a record of n."""
+    taus: FloatArray = np.geomspace(SHORTEST, LONGEST * n, FINE_TAUS)
+    return taus
 
 
 @dataclass(frozen=True, slots=True)
@@ -145,13 +151,23 @@ class Rivals:
         )
         return Fit(variance, tau, delay, filters[best], residuals[best])
 
-    def linear(self, u: FloatArray, alone: FloatArray, taus: FloatArray) -> Fit:
-        """Return the linear rival, driven by OP; alone: the filter that makes white noise of PV by itself.
+    @property
+    def white(self) -> FloatArray:
+        """The filter that leaves white noise as it is."""
+        return np.concatenate([[1.0], np.zeros(self.order)])
+
+    def alone(self) -> tuple[FloatArray, float]:
+        """Return the filter that makes white noise of PV by itself, and the variance of that."""
+        a = np.empty(self.order + 1)
+        variance = noise(self.y, self.live, self.order, 0.5, a)
+        return a, variance
+
+    def linear(self, u: FloatArray, taus: FloatArray) -> Fit:
+        """Return the linear rival, driven by OP.
 
         The two ends of what noise may be, none but white, and all of PV: each may lead to a better plant.
         """
-        white = np.concatenate([[1.0], np.zeros(self.order)])
-        return min((self.settle(u, a, taus, ROUNDS) for a in (white, alone)), key=lambda f: f.variance)
+        return min((self.settle(u, a, taus, ROUNDS) for a in (self.white, self.alone()[0])), key=lambda f: f.variance)
 
     def beside_sinusoid(self, x: FloatArray, fit: Fit, taus: FloatArray) -> Fit:
         """Return the rival driven by x beside a sinusoidal disturbance, the strongest of what `fit` leaves."""

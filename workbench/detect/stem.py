@@ -27,7 +27,6 @@ from workbench.detect.load_steps import unforced
 from workbench.detect.predictor import FreePredictor
 from workbench.detect.resolution import unseen
 from workbench.detect.rivals import (
-    FINE_TAUS,
     FURTHER,
     LONGEST,
     SHORTEST,
@@ -36,6 +35,7 @@ from workbench.detect.rivals import (
     Loaded,
     Rivals,
     dead_times,
+    fine_taus,
     held_of,
     live_of,
     order_of,
@@ -43,7 +43,6 @@ from workbench.detect.rivals import (
 from workbench.detect.turns import turns_of_pv
 from workbench.detect.verdict import DUST, Thresholds, accuses, convinces
 from workbench.detect.wave import steady_wave
-from workbench.detect.whitening import noise
 from workbench.model.detection import StemTest
 from workbench.model.record import FloatArray
 from workbench.model.valve import Choudhury, Deadband, Stenman
@@ -107,11 +106,8 @@ class _Search:
     def __init__(self, rivals: Rivals, u: FloatArray, held: NDArray[np.bool_], power: float, blur: float) -> None:
         self.rivals, self.u, self.power = rivals, u, power
         self.floor = FLOOR**2 * power + blur
-        self.fine = np.geomspace(SHORTEST, LONGEST * rivals.n, FINE_TAUS)
-        self.white = np.concatenate([[1.0], np.zeros(rivals.order)])
-        alone = np.empty(rivals.order + 1)
-        self.unfollowed = noise(rivals.y, rivals.live, rivals.order, 0.5, alone)
-        self.linear = rivals.linear(u, alone, self.fine)
+        self.fine, self.white = fine_taus(rivals.n), rivals.white
+        self.linear = rivals.linear(u, self.fine)
         # A sinusoid from outside is no valve's work; an autoregression under noise does not see all of it.
         self.rival = min(self.linear, rivals.beside_sinusoid(u, self.linear, self.fine), key=lambda f: f.variance)
         self.straight = rivals.plant(u, self.white, self.fine)
@@ -148,7 +144,8 @@ class _Search:
         limits = np.array(CLASSES) * width
         classes = [np.digitize(laws.rows[:, BAND], limits) for laws in grid]
         coarse = np.geomspace(SHORTEST, LONGEST * self.rivals.n, COARSE_TAUS)
-        # Where OP makes most of PV, what is amiss with the grid's plants hides any stem: so the linear loops' too.
+        # Where OP makes most of PV, what is amiss with the grid's plants hides any stem: it is looked at with plants
+        # like the linear loops' own too.
         own = np.array([f.tau * share for f in (self.linear, self.straight) for share in OWN_TAUS])
         found: list[_Candidate] = []
 
@@ -298,10 +295,7 @@ def _stretch(
 
 def _linear(y: FloatArray, u: FloatArray, delays: list[int], sign: float, held: NDArray[np.bool_]) -> Fit:
     """The linear loop by itself."""
-    rivals = Rivals(y, delays, sign, held)
-    taus, alone = np.geomspace(SHORTEST, LONGEST * y.size, FINE_TAUS), np.empty(rivals.order + 1)
-    noise(y, rivals.live, rivals.order, 0.5, alone)
-    return rivals.linear(u, alone, taus)
+    return Rivals(y, delays, sign, held).linear(u, fine_taus(y.size))
 
 
 def _among(
@@ -361,8 +355,9 @@ def _explained(met: list[_Candidate]) -> tuple[float, float]:
 
 def _leaves_little(search: _Search, met: list[_Candidate]) -> bool:
     """Whether the best stem explains most of both errors, or leaves of simulated PV but noise: nothing to predict."""
-    left = (1.0 - _explained(met)[1]) * search.straight.variance
-    return min(_explained(met)) >= Thresholds().most or left <= (1.0 + NOISY) * _throughout(met).fit.variance
+    explained, floor = _explained(met), search.floor
+    left = (1.0 - explained[1]) * (search.straight.variance + floor)
+    return min(explained) >= Thresholds().most or left <= (1.0 + NOISY) * (_throughout(met).fit.variance + floor)
 
 
 def _test(
@@ -403,7 +398,7 @@ def _test(
         wide_from=WIDE * width,
         left=search.linear.variance / power,
         unexplained=search.straight.variance / power,
-        unfollowed=search.unfollowed / power,
+        unfollowed=rivals.alone()[1] / power,
         band=best.law.band,
         jump=best.law.valve.slip_jump,
         moves=moves,

@@ -324,7 +324,7 @@ def convinces(test: StemTest) -> bool:
 
 
 def beyond_doubt(test: StemTest) -> bool:
-    """Return whether it does, and explains most of what the linear loop leaves of PV, unpredicted and simulated."""
+    """Return whether a sticking stem convinces, and explains most of what the linear loop leaves, by both errors."""
     return min(test.improvement, test.simulated) >= Thresholds().most and convinces(test)
 
 

@@ -62,18 +62,18 @@ def rival_of(data: Centred, fit: Fit, line: Straight, times: tuple[int, ...], fr
     if times:
         # The linear loop may have the steps that the stem was found beside, and its plant.
         lines.append((line._replace(fit=replace(line.fit, tau=fit.tau, theta=fit.theta, gain=fit.gain)), times))
-    if data.samples <= WHOLE:
-        lines.append(sought_beside_steps(line, free))
+    if data.samples <= WHOLE and (sought := sought_beside_steps(line, free))[1]:
+        lines.append(sought)
 
     def ahead(answered: Answered[LinearFit]) -> float:
         return _ahead(data, fit, answered.settled, answered.paths[0].fit)
 
     answered, swing = min((linear_beside(*one) for one in lines), key=lambda one: ahead(one[0]))
-    # A step answers with its size and its time, an oscillation with two sizes and its frequency.
-    steps = (len(answered.settled.answers) - (0 if swing is None else len(swing.answers))) // 2 - len(times)
-    return Rival(
-        answered, swing, ahead(answered), ahead(answered) + 0.5 * DEGREES * max(steps, 0) * math.log(data.samples)
-    )
+    # A step answers with its size and its time, an oscillation with two sizes and its frequency; the record may already
+    # stand beside one.
+    rows = len(answered.settled.answers) - len(line.data.answers) - (0 if swing is None else len(swing.answers))
+    more, lead = max(rows // 2 - len(times), 0), ahead(answered)
+    return Rival(answered, swing, lead, lead + 0.5 * DEGREES * more * math.log(data.samples))
 
 
 def _ahead(data: Centred, fit: Fit, where: Centred, rival: Fit) -> float:
@@ -101,7 +101,7 @@ def weighed(
     closer = _ahead(data, sticking[0], data, linear[0]) >= LIKELIER
     closer = closer and model.residual_variance <= MOST * linear[1].residual_variance
     if accused:
-        # Nothing is left for a linear loop to explain better, and its own slips are too many for steps of the load.
+        # The stem leaves nothing for a linear loop to explain better, and slips too often for steps of the load.
         asked = alone or not (closer and model.slips >= ENOUGH_SLIPS and data.a.size == 1)
     else:
         asked = closer and model.slips >= SURE_SLIPS and data.a.size <= 1 + ORDER

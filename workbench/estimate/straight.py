@@ -9,8 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from workbench.detect.rivals import FINE_TAUS, LONGEST, SHORTEST, Rivals, dead_times
-from workbench.detect.whitening import noise
+from workbench.detect.rivals import Rivals, dead_times, fine_taus
 from workbench.estimate.data import Centred
 from workbench.estimate.fit import Fit, again_linear, fit_linear
 from workbench.estimate.paths import linear_path
@@ -55,12 +54,12 @@ def sought_beside_steps(line: Straight, free: NDArray[np.bool_]) -> tuple[Straig
     `detect.load_steps`). free: shape (N,), the samples in which the load may step; there may be no steps.
     """
     data, n = line.data, line.data.samples
-    rivals = Rivals(data.y - data.y.mean(), dead_times(n, math.nan), data.sign, np.zeros(n, dtype=bool))
-    fine, alone = np.geomspace(SHORTEST, LONGEST * n, FINE_TAUS), np.empty(rivals.order + 1)
-    noise(rivals.y, rivals.live, rivals.order, 0.5, alone)
-    white = np.concatenate([[1.0], np.zeros(rivals.order)])
-    filters = rivals.linear(data.u, alone, fine).a, white
-    found = [rivals.under_load(data.u, a, fine, free, MOST, ramps=False) for a in filters]
+    rivals, taus = (
+        Rivals(data.y - data.y.mean(), dead_times(n, math.nan), data.sign, np.zeros(n, dtype=bool)),
+        fine_taus(n),
+    )
+    filters = rivals.linear(data.u, taus).a, rivals.white
+    found = [rivals.under_load(data.u, a, taus, free, MOST, ramps=False) for a in filters]
     best = min(found, key=lambda one: one.variance)
     if best.fit is None:
         return line, ()
