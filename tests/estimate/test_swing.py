@@ -9,7 +9,7 @@ import pytest
 import workbench as wb
 from workbench.cli_output import estimate_lines
 from workbench.estimate.estimate import linear_loop
-from workbench.estimate.swing import words_of_swing
+from workbench.estimate.swing import Swing, _same, words_of_swing
 from workbench.model.estimation import LoadSwing
 from workbench.model.results import Estimate
 from workbench.model.study import NamedEstimate
@@ -29,6 +29,20 @@ def record_of(loop: wb.Loop, amplitude: float, period: float, noise: float = 0.0
 
 def swing_said(found: Estimate) -> list[str]:
     return [reason for reason in found.reasons if "an oscillation from outside the loop" in reason]
+
+
+@pytest.mark.parametrize(("away", "same"), [(0.9, True), (1.1, False)])
+def test_no_model_is_fitted_beside_an_oscillation_that_would_change_nothing(away: float, same: bool) -> None:
+    # What is left beside it changes by less than 2 %, of which a model would have to leave less to be taken.
+    left, wave = np.random.default_rng(0).normal(size=N), np.sin(0.1 * np.arange(N))
+    wave /= np.sqrt(np.mean(wave**2))
+    power = float(np.mean(left**2))
+    one = Swing(0.1, 1.0, wave, np.zeros((3, N)))
+    other = replace(one, pv=wave * (1.0 + 0.01 * away * np.sqrt(power)))
+    assert _same(one, other, power) == same
+    # The worst that it may do to what is left.
+    most = float(np.mean((left + left / np.sqrt(power) * 0.01 * away * np.sqrt(power)) ** 2))
+    assert (most / power < 1.0202) == same
 
 
 @pytest.mark.parametrize("period", [47.0, 130.0])

@@ -90,13 +90,21 @@ def beside_swing(
             break
         likelier = data.samples * math.log(max(least, data.floor) / max(left, data.floor))
         # Both fitted on together, and hardly likelier: the model has been found beside the same sinusoid.
-        if swing is not None and likelier < CLEAR:
+        if swing is not None and (likelier < CLEAR or _same(swing, beside, least)):
             break
         other = again(besides(data, beside))
         if not other.model.residual_variance < (1.0 if swing is None else SETTLED) * least:
             break
         found, swing = other, beside
     return found, swing
+
+
+def _same(one: Swing, other: Swing, left: float) -> bool:
+    """Whether a model fitted beside the other leaves, but for `SETTLED`, what it leaves beside the one, EU^2.
+
+    To what is left, in the root of its mean square, a swing adds no more than its own.
+    """
+    return float(np.sqrt(np.mean((one.pv - other.pv) ** 2))) <= 0.5 * (1.0 - SETTLED) * math.sqrt(left)
 
 
 def words_of_swing(load: LoadSwing, *, blind: bool) -> str:
