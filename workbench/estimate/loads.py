@@ -99,7 +99,7 @@ def loads_of(
         return nothing
     bare = _beside(data, lead.x, lead.first, lead.fit, limits, skip, [])
     # Where it is hardly coloured (see WHITER) the lead is not far from right.
-    coloured = bare.a.size > 1 and WHITER * inflation(bare.left[skip:]) > 1.0
+    coloured = bare.a.size > 1
     stems = [(bare, lead)]
     if further is not None and coloured:
         stems += [(_beside(data, s.x, s.first, s.fit, limits, skip, []), s) for s in further(span)]
@@ -142,7 +142,7 @@ def _explained(
         trials = [_beside(data, x, first, model.fit, limits, skip, those) for those in times]
         trial = min(trials, key=lambda t: t.bic)
         if trial.bic < model.bic - CLEAR:
-            trial = _placed(data, trial, limits, skip, span)
+            trial = _needed(data, _placed(data, trial, limits, skip, span), limits, skip)
         trial = replace(trial, wider=model.wider, further=model.further)
         if not trial.bic < model.bic - CLEAR or trial.terms[1] * fit.gain <= 0.0:
             break
@@ -245,6 +245,18 @@ def _placed(data: Centred, model: _Model, limits: Limits, skip: int, span: tuple
     # An answer that begins with a leap is no step's.
     first, *_ = tried.values()
     return _beside(data, first.x, first.first, first.fit, limits, skip, list(first.times), between=False)
+
+
+def _needed(data: Centred, model: _Model, limits: Limits, skip: int) -> _Model:
+    """The model without those of several load steps that do not explain what they cost."""
+    while len(model.times) > 1:
+        kept = [[t for t in model.times if t != at] for at in model.times]
+        fewer = (_beside(data, model.x, model.first, model.fit, limits, skip, times, model.between) for times in kept)
+        least = min(fewer, key=lambda one: one.bic)
+        if least.bic >= model.bic + CLEAR:
+            break
+        model = least
+    return model
 
 
 def _refined(data: Centred, stem: Stem, model: _Model, limits: Limits, skip: int) -> _Model:

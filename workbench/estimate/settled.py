@@ -13,6 +13,7 @@ from functools import partial
 
 import numpy as np
 
+from workbench.detect.whitening import whitened
 from workbench.estimate.bands import Found
 from workbench.estimate.coloured import colour_beside
 from workbench.estimate.data import WHITE, Centred
@@ -143,6 +144,8 @@ def settled(
         turn += 1
         if same and (turn > 1 or skip == 0 or data.samples > WHOLE):
             break
+        if turns and not (before or steps) and _as_white(loads.left[skip:], data.a, a, data.floor):
+            break
         data = bare.whitened(a, skip)
         anew = a.size > 1 or bool(steps)
         linear = again_linear(data, linear, delays)
@@ -157,7 +160,7 @@ def settled(
         if bands:
             # While steps are sought a stem is needed, not the dead band beside it.
             only_any = bool(steps) and not same_steps and turn < ROUNDS
-            if stands or not anew:
+            if stands or not anew or data.samples <= WHOLE:
                 bands = refitted(data, bands, limits)
             if anew:
                 # A stem that stood fast while its measure changed has no rivals that have not been looked at.
@@ -263,6 +266,13 @@ def _same(before: Sequence[LoadStep], steps: Sequence[LoadStep], Ts: float) -> b
     )
 
 
+def _as_white(left: FloatArray, known: FloatArray, a: FloatArray, floor: float) -> bool:
+    """Whether a known filter leaves a residual as white as the one that is made for it, by AIC."""
+    first = max(known.size, a.size) - 1
+    one, other = (float(np.mean(whitened(each, left)[first:] ** 2)) for each in (known, a))
+    return (left.size - first) * math.log(max(one, floor) / max(other, floor)) <= 2.0 * (a.size - 1)
+
+
 def _same_stem(one: FloatArray, other: FloatArray) -> bool:
     """Whether two stem paths are hardly apart."""
     return bool(np.std(one - other) <= SAME_STEM * np.std(other))
@@ -273,15 +283,15 @@ def coloured_linear(
 ) -> tuple[Centred, Fit, tuple[LoadStep, ...]]:
     """The record without load steps and its linear fit, in the measure of the disturbance that this leaves.
 
-    times: samples at which load steps are tried first.
+    times: samples at which load steps are tried first; beside them more are sought.
     """
-    whole = data
+    whole, most = data, 2 * STEPS_MOST if times else STEPS_MOST
     steps: tuple[LoadStep, ...] = ()
     for _ in range(COLOURINGS):
         limits = Limits((LEAST_TAU, float(data.samples)), (0.0, delays))
         # OP's path is no valve's to move, but beside steps of free sizes its plant moves on as a stem's does.
         lead = Stem(data.u, 0, linear, lambda *_: whole.u, times=times)
-        bare, loads = _relieved(whole, data, lead, limits, 0, STEPS_MOST)
+        bare, loads = _relieved(whole, data, lead, limits, 0, most)
         steps = loads.steps
         a = disturbance(loads.left, data.floor)
         if a.size > 1 and data.samples <= WHOLE and linear.gain != 0.0:
