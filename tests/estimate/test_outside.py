@@ -15,7 +15,7 @@ from workbench.estimate.fit import fit_linear
 from workbench.estimate.loads import DEGREES
 from workbench.estimate.models import words_of_closer
 from workbench.estimate.outside import Rival, rival_of, weighed
-from workbench.estimate.straight import Straight, linear_beside, sought_beside_steps
+from workbench.estimate.straight import SPARE, Straight, linear_beside, sought_beside_steps
 from workbench.model.results import FittedModel
 from workbench.model.valve import Valve
 
@@ -110,7 +110,15 @@ def healthy(
     return wb.Record(run.pv + 50.0, run.op + 50.0, Ts, sp=run.sp + 50.0)
 
 
-def test_the_linear_loop_is_given_the_steps_that_a_stem_was_found_beside() -> None:
+def unsought(monkeypatch: pytest.MonkeyPatch, *modules: str) -> None:
+    """Let the linear loop have no load steps that are sought together with its plant."""
+    for name in modules:
+        module = importlib.import_module(f"workbench.estimate.{name}")
+        monkeypatch.setattr(module, "sought_beside_steps", lambda *_: iter(()))
+
+
+def test_the_linear_loop_is_given_the_steps_that_a_stem_was_found_beside(monkeypatch: pytest.MonkeyPatch) -> None:
+    unsought(monkeypatch, "straight")
     # Beside the right steps a stem that hardly sticks leaves noise alone; so does the linear loop, once it has them.
     load = [(-6.186, 4240.0), (7.628, 4640.0)]
     found = wb.estimate(healthy(wb.FOPDT(0.0747, 361.8), wb.PID(44.08, 186.5), 20.0, load, 0.00102, 2))
@@ -123,7 +131,7 @@ def test_steps_of_a_healthy_loop_are_found_to_a_part_of_a_sample_and_accuse_nobo
     # At whole samples the first came out 4 to 17 % too large: what was left of it was made up for by a stem.
     load = [(-6.213, 520.0), (2.722, 2555.0)]
     found = wb.estimate(healthy(wb.FOPDT(0.0887, 14.55), wb.PID(10.0, 41.45), 5.0, load, 0.00442, seed))
-    assert found.verdict == "undecided"
+    assert found.verdict == "no_stiction"
     assert [step.at for step in found.load_steps] == [pytest.approx(at, abs=1.0) for _, at in load]
     assert [step.size for step in found.load_steps] == [pytest.approx(size, rel=0.01) for size, _ in load]
 
@@ -216,10 +224,11 @@ def test_an_oscillation_already_taken_out_is_no_step_that_the_loop_has() -> None
 
 def test_more_steps_than_a_stem_is_fitted_beside_accuse_nobody(monkeypatch: pytest.MonkeyPatch) -> None:
     record = three_steps(0.62)
+    assert wb.estimate(record, plant="fopdt").verdict == "no_stiction"
+    unsought(monkeypatch, "straight")
     assert wb.estimate(record, plant="fopdt").verdict == "undecided"
     # The plant that is fitted without the steps does not show them, and a stem that slips at each of them does better.
-    module = importlib.import_module("workbench.estimate.outside")
-    monkeypatch.setattr(module, "sought_beside_steps", lambda line, _: (line, ()))
+    unsought(monkeypatch, "outside")
     assert wb.estimate(record, plant="fopdt").verdict == "stiction"
 
 
@@ -227,13 +236,17 @@ def test_steps_are_sought_together_with_the_plant_where_the_load_may_step() -> N
     data = centre(three_steps(0.3), "fopdt")
     line = Straight(data, fit_linear(data, 30.0), 30.0)
     assert line.fit.tau > 100.0
-    found, times = sought_beside_steps(line, np.ones(750, dtype=bool))
+    found, times = next(sought_beside_steps(line, np.ones(750, dtype=bool)))
     # PV answers each after the dead time.
     assert sorted(times)[:1] + sorted(times)[-1:] == [pytest.approx(217, abs=2), pytest.approx(481, abs=2)]
     assert any(abs(at - 281) <= 3 for at in times)
     # Gain and dead time make up for each other where the load alone moves the loop.
     assert found.fit.tau == pytest.approx(11.02, rel=0.1)
-    assert sought_beside_steps(line, np.zeros(750, dtype=bool)) == (line, ())
+    # Where it may not step nothing pays for itself; what has more steps than it needs has them anywhere.
+    others = list(sought_beside_steps(line, np.zeros(750, dtype=bool)))
+    assert [len(times) for _, times in others] == [SPARE, SPARE]
+    anywhere = list(sought_beside_steps(line, np.ones(750, dtype=bool)))[1:]
+    assert [times for _, times in anywhere] == [times for _, times in others]
 
 
 @pytest.mark.parametrize(

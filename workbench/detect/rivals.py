@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import copy
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -196,18 +197,26 @@ class Rivals:
         ramps: ramps in their place too, up to MOST_RAMPS after one that began before. inf, and no steps, where there is
         no place for one.
         """
+        kinds = (False, True)[: 1 + ramps]
+        left = (one for kind in kinds for one in self.loads(x, a, fine, free, MOST_RAMPS if kind else most, ramps=kind))
+        return min(left, key=lambda one: one.variance, default=Loaded(math.inf, np.zeros(self.n), 0))
+
+    def loads(
+        self, x: FloatArray, a: FloatArray, fine: FloatArray, free: NDArray[np.bool_], most: int, *, ramps: bool
+    ) -> Iterator[Loaded]:
+        """Yield the rival beside one load step, beside two, .., up to `most`, each paid for (see `under_load`).
+
+        ramps: beside ramps, of which one began before.
+        """
         taus = np.geomspace(SHORTEST, LONGEST * self.n, STEP_TAUS)
         live = self.live.copy()
         live[: self.order] = False
         delays = np.union1d(self.delays[::2], self.delays[-1:])
         price = self.count ** (2.0 / self.count)
         asked = self.y, x, a, live, free, taus, delays, self.sign
-        left = (
-            Loaded((fit := self.less(wave).settle(x, a, fine, 2)).variance * price**k, wave, k, tuple(times), fit)
-            for kind in (False, True)[: 1 + ramps]
-            for k, (wave, times) in enumerate(load_steps(*asked, MOST_RAMPS if kind else most, kind), 1 + kind)
-        )
-        return min(left, key=lambda one: one.variance, default=Loaded(math.inf, np.zeros(self.n), 0))
+        for k, (wave, times) in enumerate(load_steps(*asked, most, ramps), 1 + ramps):
+            fit = self.less(wave).settle(x, a, fine, 2)
+            yield Loaded(fit.variance * price**k, wave, k, tuple(times), fit)
 
     def less(self, wave: FloatArray) -> Rivals:
         """Return the same without a part of PV."""

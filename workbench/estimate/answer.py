@@ -12,8 +12,6 @@ from numpy.typing import NDArray
 
 from workbench.detect.action import only_answers
 from workbench.detect.detect import detect
-from workbench.detect.load_steps import unforced
-from workbench.detect.rivals import dead_times
 from workbench.detect.stem import WIDE, Fitted
 from workbench.detect.verdict import beyond_doubt
 from workbench.estimate.bands import Bands
@@ -22,6 +20,7 @@ from workbench.estimate.data import Centred, plant_of
 from workbench.estimate.fit import LEAST_TAU, Fit, Limits, fit_linear, fit_nothing
 from workbench.estimate.freed import Loaded
 from workbench.estimate.hidden import hidden, words_of_hidden
+from workbench.estimate.loads import CLEAR, DEGREES
 from workbench.estimate.models import (
     PLANT_PARAMETERS,
     STICKING,
@@ -30,12 +29,13 @@ from workbench.estimate.models import (
     WORDS_OF_STRAIGHT,
     choose,
     reasons_of,
+    words_of_calm,
     words_of_closer,
     words_of_rival,
 )
 from workbench.estimate.outside import CHANCE, Rival, rival_of, weighed
 from workbench.estimate.paths import band_paths, linear_path, stem_paths
-from workbench.estimate.profile import Profile, islands
+from workbench.estimate.profile import Profile, islands, search
 from workbench.estimate.record_fits import Fits, closely, first_fits, likelier_pair, sound, with_ranges
 from workbench.estimate.scale import (
     InScale,
@@ -50,7 +50,7 @@ from workbench.estimate.scale import (
     without_jump,
 )
 from workbench.estimate.settled import coloured_linear
-from workbench.estimate.straight import Straight
+from workbench.estimate.straight import MOST, Straight, free_of, level, likeliest_linear
 from workbench.estimate.swing import Answered
 from workbench.estimate.two_parameter import Band
 from workbench.estimate.two_step import akaike
@@ -99,7 +99,19 @@ class _Asked:
     @cached_property
     def coloured(self) -> tuple[Centred, Fit, tuple[LoadStep, ...]]:
         """The linear loop in the measure of what disturbs it, with its load steps."""
-        return coloured_linear(*self.line)
+        return likeliest_linear(self.line, None if self.two_step else self.free)
+
+    @property
+    def calm(self) -> bool:
+        """Whether the linear loop leaves noise alone beside load steps."""
+        data, _, steps = self.coloured
+        return bool(steps) and data.a.size == 1
+
+    @property
+    def seldom(self) -> bool:
+        """Whether the load steps are few, and none may be the valve's work as the setpoint moves."""
+        at = [round(step.at / self.record.sample_time) for step in self.coloured[2]]
+        return len(at) <= MOST and all(self.free[t] for t in at)
 
     @cached_property
     def loaded(self) -> Loaded | None:
@@ -111,7 +123,7 @@ class _Asked:
     @cached_property
     def free(self) -> NDArray[np.bool_]:
         """The samples in which a load may step: those that no setpoint move accounts for, shape (N,)."""
-        return unforced(self.record.sp, self.record.pv, dead_times(len(self.record), math.nan)[-1])
+        return free_of(self.record)
 
     @cached_property
     def blind(self) -> bool:
@@ -139,6 +151,10 @@ def answer_of(
         own = loop.coloured if fits.data is line.data else coloured_linear(fits.data, fits.linear, line.longest)
         fits = sound(fits, loop.valve, *own[:2])
         return _told_straight(loop, fits, _reasoned(loop, fits, "linear", early[0], None))
+    # Stems that accuse the valve seldom leave anything for load steps to explain.
+    first, open_yet = fits, early is not None and early[0].verdict == "undecided"
+    if open_yet and (calm := _told_calm(loop, first)) is not None:
+        return calm
     fits = fits if loop.two_step else closely(fits, loop.valve)
     stem = None if fits.found is None else stem_of(fits.data, fits.found)
     if stem is not None and loop.two_step:
@@ -147,6 +163,11 @@ def answer_of(
     chosen = choose(fits.models, "stenman" if loop.two_step else loop.valve)
     said, rival = _weighed(loop, fits, chosen, stem, None if early is None else early[1])
     maybe = said.verdict != "no_stiction"
+    if not loop.two_step and _doubted(loop, fits, chosen, said.verdict, open_yet) and not _likelier(loop, fits, chosen):
+        if not open_yet and (calm := _told_calm(loop, first)) is not None:
+            return calm
+        said = said._replace(verdict="undecided", reasons=(words_of_calm(loop.coloured[2]), *said.reasons))
+        return _told_straight(loop, fits, _reasoned(loop, fits, "linear", said, None))
     ranged: Bands | None = None
     if maybe and chosen in fits.bands:
         fits, ranged = with_ranges(fits, chosen)
@@ -158,6 +179,48 @@ def answer_of(
     if best is None or stem is None or best.fit.gain == 0.0:
         return _told_straight(loop, fits, _reasoned(loop, fits, chosen, said, ranged))
     return _told_stem(loop, fits, chosen, best, said, stem, ranged, rival)
+
+
+def _told_calm(loop: _Asked, fits: Fits) -> Answered[Estimate] | None:
+    """The answer of a loop whose valve is acquitted once its load steps are taken out of PV; None where it is not.
+
+    Steps spoil every plant that is fitted without them, and stems are then seen in what the plant leaves. The linear
+    loop beside them must leave noise alone, and far less than any of the first stems, the steps paid for.
+    """
+    data, linear, steps = loop.coloured
+    if not loop.calm or not loop.seldom:
+        return None
+    first = [*([] if fits.found is None else [fits.found.best.fit]), *(b.fit for b in fits.coarse[:1])]
+    least = min((max(fit.sse / data.samples, data.floor) for fit in first), default=math.inf)
+    price = DEGREES * len(steps) * math.log(data.samples) + CLEAR
+    if data.samples * math.log(least / max(linear.sse / data.samples, data.floor)) < price:
+        return None
+    still = first_fits(data, loop.valve, search(data, fits.limits.theta[1]), linear)
+    seen = replace(loop.record, pv=loop.record.pv - (data.load - loop.line.data.load))
+    calm = _atfirst_fits(loop.record, still, loop.method, seen)
+    if calm is None or calm[0].verdict != "no_stiction":
+        return None
+    said = calm[0]._replace(reasons=(words_of_calm(steps), *calm[0].reasons))
+    still = sound(still, loop.valve, data, linear)
+    return _told_straight(loop, still, _reasoned(loop, still, "linear", said, None))
+
+
+def _doubted(loop: _Asked, fits: Fits, chosen: str, verdict: str, open_yet: bool) -> bool:
+    """Whether load steps may be what the chosen valve was seen in; open_yet: whether the first stems accused nobody."""
+    best = fits.best(chosen) if chosen in STICKING else None
+    few = best is not None and best.slips < ENOUGH_SLIPS
+    if verdict == "stiction" and not few and not open_yet:
+        return False
+    return verdict != "no_stiction" and loop.calm and (verdict == "undecided" or few or loop.seldom)
+
+
+def _likelier(loop: _Asked, fits: Fits, chosen: str) -> bool:
+    """Whether the chosen valve has a lower BIC than the linear loop beside load steps."""
+    best = fits.best(chosen) if chosen in STICKING else None
+    if best is None or best.fit.gain == 0.0:
+        return False
+    free = VALVE_PARAMETERS[chosen] * math.log(fits.data.samples)
+    return level(fits.data, best.fit, fits.steps) + free < level(*loop.coloured)
 
 
 def _weighed(
@@ -185,9 +248,12 @@ def _weighed(
     return said, rival() if said.verdict == "undecided" and rival().ahead < CHANCE else None
 
 
-def _atfirst_fits(record: Record, fits: Fits, method: str) -> tuple[_Said, Detection] | None:
+def _atfirst_fits(
+    record: Record, fits: Fits, method: str, seen: Record | None = None
+) -> tuple[_Said, Detection] | None:
     """The verdict of the first stems and of detection, which tries the likeliest of them; None where stems say enough.
 
+    seen: the record that detection sees, if another one: without load steps.
     Where it acquits the valve nothing is gained by a close search for a stem that the loop does not have.
     """
     stem = None if fits.found is None else stem_of(fits.data, fits.found)
@@ -197,7 +263,7 @@ def _atfirst_fits(record: Record, fits: Fits, method: str) -> tuple[_Said, Detec
     pair = min(fits.coarse, key=lambda one: one.fit.sse, default=None)
     if pair is not None and fits.found is not None and fits.found.best.fit.sse <= pair.fit.sse:
         pair = None
-    found = _detected(record, fits, stem, pair)
+    found = _detected(record if seen is None else seen, fits, stem, pair)
     return _judged(fits, "linear", evidence, found), found
 
 

@@ -25,7 +25,7 @@ from workbench.estimate.repeat import repeats_of, words_of
 from workbench.estimate.scale import joined
 from workbench.estimate.sent import left_by_line, left_by_stem, likelier_op
 from workbench.estimate.stems import silent
-from workbench.estimate.straight import Straight, linear_beside
+from workbench.estimate.straight import Straight, free_of, linear_beside
 from workbench.estimate.swing import Answered, Swing, beside_swing, words_of_swing
 from workbench.estimate.two_step import two_step
 from workbench.estimate.verdict import SHARP
@@ -250,7 +250,7 @@ def linear_loop(record: Record, plant: str = "auto") -> LinearFit:
 
 def _line_with_plant(record: Record, plant: str, max_dead_time: float | None = None) -> Answered[LinearFit]:
     """The linear model with one kind of plant, beside what disturbs the loop from outside."""
-    return linear_beside(_straight(record, centre(record, plant), max_dead_time))[0]
+    return linear_beside(_straight(record, centre(record, plant), max_dead_time), free=free_of(record))[0]
 
 
 def _straight(record: Record, data: Centred, max_dead_time: float | None) -> Straight:

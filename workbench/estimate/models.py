@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 from workbench.estimate.bands import Bands, Found, refit, search_bands
@@ -14,7 +14,8 @@ from workbench.estimate.sought import Sought
 from workbench.estimate.stems import path_of
 from workbench.estimate.two_parameter import Band, band_stem
 from workbench.estimate.verdict import SHARP
-from workbench.model.numbers import given, interval
+from workbench.model.loads import LoadStep
+from workbench.model.numbers import counted, given, interval
 from workbench.model.record import FloatArray
 from workbench.model.results import FittedModel, Intervals
 from workbench.model.valve import Choudhury, Deadband, Ideal, Stenman, Valve
@@ -28,6 +29,7 @@ __all__ = [
     "compared",
     "reasons_of",
     "refitted",
+    "words_of_calm",
     "words_of_closer",
     "words_of_open",
     "words_of_rival",
@@ -154,6 +156,12 @@ def reasons_of(models: dict[str, FittedModel], chosen: str, valve: str, found: B
             "of the record differ by as much; more slips, or a measured stem, would tell"
         )
     return tuple(said)
+
+
+def words_of_calm(steps: Sequence[LoadStep]) -> str:
+    """Return in words that load steps leave nothing but noise for a stem to explain."""
+    at = ", ".join(f"{given(step.at, 4)} s" for step in steps)
+    return f"beside {counted(len(steps), 'load step')} ({at}) a linear loop explains all of PV but noise"
 
 
 def words_of_closer(models: Mapping[str, FittedModel], chosen: str) -> tuple[str, ...]:

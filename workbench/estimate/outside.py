@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import replace
+from itertools import islice
 from typing import NamedTuple
 
 import numpy as np
@@ -62,8 +63,8 @@ def rival_of(data: Centred, fit: Fit, line: Straight, times: tuple[int, ...], fr
     if times:
         # The linear loop may have the steps that the stem was found beside, and its plant.
         lines.append((line._replace(fit=replace(line.fit, tau=fit.tau, theta=fit.theta, gain=fit.gain)), times))
-    if data.samples <= WHOLE and (sought := sought_beside_steps(line, free))[1]:
-        lines.append(sought)
+    if data.samples <= WHOLE:
+        lines += islice(sought_beside_steps(line, free), 1)
 
     def ahead(answered: Answered[LinearFit]) -> float:
         return _ahead(data, fit, answered.settled, answered.paths[0].fit)

@@ -3,24 +3,32 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from workbench.detect.rivals import Rivals, dead_times, fine_taus
+from workbench.detect.load_steps import unforced
+from workbench.detect.rivals import Loaded, Rivals, dead_times, fine_taus
 from workbench.estimate.data import Centred
 from workbench.estimate.fit import Fit, again_linear, fit_linear
+from workbench.estimate.loads import DEGREES
 from workbench.estimate.paths import linear_path
 from workbench.estimate.scale import linear_result
 from workbench.estimate.settled import coloured_linear
 from workbench.estimate.swing import Answered, Swing, beside_swing
+from workbench.estimate.windows import WHOLE
+from workbench.model.loads import LoadStep
+from workbench.model.record import Record
 from workbench.model.results import LinearFit
 
-__all__ = ["Straight", "linear_beside", "sought_beside_steps"]
+__all__ = ["MOST", "Straight", "free_of", "level", "likeliest_linear", "linear_beside", "sought_beside_steps"]
 
 MOST = 4  # load steps that are sought together with the plant: as many as detection gives the linear loop
+SPARE = 6  # and more than are needed
+LARGEST = 2.0  # times OP's range: a load that moves further is none; OP may not yet have answered one that goes again
 
 
 class Straight(NamedTuple):
@@ -31,14 +39,28 @@ class Straight(NamedTuple):
     longest: float
 
 
-def linear_beside(line: Straight, times: tuple[int, ...] = ()) -> tuple[Answered[LinearFit], Swing | None]:
+# A line, and samples at which PV answers load steps beside it.
+Beside = tuple[Straight, tuple[int, ...]]
+# A record without load steps in some measure, its linear fit there, and the steps.
+Coloured = tuple[Centred, Fit, tuple[LoadStep, ...]]
+
+
+def free_of(record: Record) -> NDArray[np.bool_]:
+    """Return the samples in which a load may step: those that no setpoint move accounts for, shape (N,)."""
+    return unforced(record.sp, record.pv, dead_times(len(record), math.nan)[-1])
+
+
+def linear_beside(
+    line: Straight, times: tuple[int, ...] = (), free: NDArray[np.bool_] | None = None
+) -> tuple[Answered[LinearFit], Swing | None]:
     """Return the linear model beside what disturbs the loop from outside, and the oscillation if there is one.
 
-    times: samples at which load steps are tried first.
+    times: samples at which load steps are tried first; free: as in `likeliest_linear`, in place of these.
     """
 
     def settled(line: Straight) -> Answered[LinearFit]:
-        data, linear, _ = coloured_linear(*line, times)
+        found = coloured_linear(*line, times) if free is None else likeliest_linear(line, free)
+        data, linear, _ = found
         return Answered(linear_result(data, linear), linear_path(data, linear), data, ())
 
     def again(calm: Centred) -> Answered[LinearFit]:
@@ -47,11 +69,42 @@ def linear_beside(line: Straight, times: tuple[int, ...] = ()) -> tuple[Answered
     return beside_swing(line.data, settled(line), again, line.longest)
 
 
-def sought_beside_steps(line: Straight, free: NDArray[np.bool_]) -> tuple[Straight, tuple[int, ...]]:
-    """Return the line with the plant beside which load steps leave least, and the samples at which PV answers these.
+def likeliest_linear(line: Straight, free: NDArray[np.bool_] | None) -> Coloured:
+    """Return the record without load steps and its linear fit, in the measure of what this leaves, and the steps.
+
+    Where the steps that are found in what the line leaves do not leave noise alone, they are sought together with the
+    plant, and taken where they do: free, shape (N,), as in `sought_beside_steps`; None for none of that.
+    """
+    own = coloured_linear(*line)
+    data = own[0]
+    if free is not None and data.a.size > 1 and data.samples <= WHOLE:
+        least = level(*own)
+        for beside, times in sought_beside_steps(line, free):
+            found = coloured_linear(*beside, times)
+            if found[0].a.size == 1 and level(*found) < least and _answered(found[2], data.op_range):
+                return found
+    return own
+
+
+def level(data: Centred, fit: Fit, steps: Sequence[LoadStep]) -> float:
+    """Return the BIC of a plant beside load steps in the measure of what disturbs the loop, but for its parameters."""
+    n = data.samples
+    terms = data.a.size + DEGREES * len(steps)
+    return n * math.log(max(fit.sse / (n - data.skip), data.floor)) + terms * math.log(n)
+
+
+def _answered(steps: Sequence[LoadStep], op_range: float) -> bool:
+    """Whether a loop whose OP moved no further may have answered load steps, %, as integral action does in the end."""
+    load = np.cumsum([0.0, *(step.size for step in steps)])
+    return float(np.ptp(load)) <= LARGEST * op_range
+
+
+def sought_beside_steps(line: Straight, free: NDArray[np.bool_]) -> Iterator[Beside]:
+    """Yield lines with the plant beside which load steps leave least, and the samples at which PV answers these.
 
     An unseen step spoils the plant that is fitted without it, so that what this leaves does not show the step (see
-    `detect.load_steps`). free: shape (N,), the samples in which the load may step; there may be no steps.
+    `detect.load_steps`). The first has as many steps as explain what they cost, in the samples in which the load may
+    step: free, shape (N,). An autoregression explains steps away; the others have more than are needed, anywhere.
     """
     data, n = line.data, line.data.samples
     rivals, taus = (
@@ -60,10 +113,16 @@ def sought_beside_steps(line: Straight, free: NDArray[np.bool_]) -> tuple[Straig
     )
     filters = rivals.linear(data.u, taus).a, rivals.white
     found = [rivals.under_load(data.u, a, taus, free, MOST, ramps=False) for a in filters]
-    best = min(found, key=lambda one: one.variance)
-    if best.fit is None:
-        return line, ()
-    near = replace(line.fit, tau=best.fit.tau, theta=min(float(best.fit.delay), line.longest))
-    fit = again_linear(data.less(best.wave, np.empty((0, n))), near, line.longest)
-    # PV has nothing of a step yet where it begins to answer it.
-    return line._replace(fit=fit), tuple(t - 1 for t in best.times)
+    yield from _with_plant(line, min(found, key=lambda one: one.variance))
+    for a in filters:
+        full = list(rivals.loads(data.u, a, taus, np.ones(n, dtype=bool), SPARE, ramps=False))[-1:]
+        yield from (pair for one in full for pair in _with_plant(line, one))
+
+
+def _with_plant(line: Straight, found: Loaded) -> Iterator[Beside]:
+    """The line with the plant found beside load steps, if there are any, and the last samples without an answer."""
+    if found.fit is None:
+        return
+    near = replace(line.fit, tau=found.fit.tau, theta=min(float(found.fit.delay), line.longest))
+    fit = again_linear(line.data.less(found.wave, np.empty((0, line.data.samples))), near, line.longest)
+    yield line._replace(fit=fit), tuple(t - 1 for t in found.times)

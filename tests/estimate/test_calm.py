@@ -1,0 +1,121 @@
+"""Loops whose valve does not stick, under load steps that nobody recorded: steps and plant found, valve acquitted."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import workbench as wb
+from workbench.estimate.data import centre
+from workbench.estimate.fit import LEAST_TAU, Limits, fit_linear
+from workbench.estimate.loads import CLEAR, _beside, _needed
+from workbench.estimate.settled import _as_white, coloured_linear
+from workbench.model.loads import LoadStep
+
+
+def stepped(
+    plant: wb.FOPDT | wb.Integrating,
+    controller: wb.PID,
+    load: list[tuple[float, float]],
+    noise: float,
+    moves: tuple[wb.Step, ...] = (),
+    valve: wb.Ideal | wb.Deadband | None = None,
+) -> wb.Record:
+    """1,000 s of a loop under load steps, each (size, time), from rest."""
+    loop = wb.Loop(plant, valve or wb.Ideal(), controller, 1.0)
+    steps = [wb.Step(size, at) for size, at in load]
+    run = wb.simulate(loop, wb.Experiment(1000.0, list(moves), steps, wb.Noise(noise, 2)))
+    return wb.Record(run.pv + 50.0, run.op + 40.0, 1.0, sp=run.sp + 50.0)
+
+
+LAG, LAG_PI = wb.FOPDT(1.4, 18.0, 4.0), wb.PID(0.5, 20.0)
+LEVEL, LEVEL_PI = wb.Integrating(0.012, 5.0), wb.PID(4.0, 90.0)
+UP_DOWN = (wb.Step(4.0), wb.Step(-6.0, at=500.0))
+
+
+def same(found: tuple[LoadStep, ...], load: list[tuple[float, float]], delay: float) -> bool:
+    """Whether the steps that were found are the loop's: PV answers each after the dead time."""
+    return len(found) == len(load) and all(
+        abs(one.at - at - delay) <= 4.0 and abs(one.size / size - 1.0) <= 0.1
+        for one, (size, at) in zip(found, load, strict=True)
+    )
+
+
+@pytest.mark.parametrize(
+    ("plant", "controller", "load"),
+    [
+        (LAG, LAG_PI, [(-4.0, 150.0), (3.0, 720.0)]),
+        (LAG, LAG_PI, [(2.0, 250.0), (-3.0, 330.0), (2.5, 850.0)]),
+        (LEVEL, LEVEL_PI, [(1.5, 260.0), (-2.5, 300.0), (1.0, 780.0), (2.0, 830.0)]),
+    ],
+)
+def test_a_healthy_loop_under_load_steps_is_acquitted_and_its_plant_known(
+    plant: wb.FOPDT | wb.Integrating, controller: wb.PID, load: list[tuple[float, float]]
+) -> None:
+    record = stepped(plant, controller, load, 0.05, UP_DOWN)
+    found = wb.estimate(record, plant="fopdt" if isinstance(plant, wb.FOPDT) else "integrating")
+    assert found.verdict == "no_stiction"
+    assert same(found.load_steps, load, plant.dead_time)
+    assert f"beside {len(load)} load step" in found.reasons[0]
+    assert found.plant.gain == pytest.approx(plant.gain, rel=0.02)
+    assert found.plant.dead_time == pytest.approx(plant.dead_time, abs=0.5)
+    assert found.intervals.gain is not None
+    assert found.intervals.gain[0] <= plant.gain <= found.intervals.gain[1]
+    assert np.mean((record.pv - found.prediction) ** 2) == pytest.approx(0.05**2, rel=0.1)
+
+
+def test_steps_as_the_setpoint_moves_may_be_the_valves_and_acquit_nobody() -> None:
+    # What happens while PV is on its way to a new setpoint may be a stem's work: the loop is told, the verdict is open.
+    load = [(3.0, 12.0), (-3.0, 520.0)]
+    found = wb.estimate(stepped(LEVEL, LEVEL_PI, load, 0.02, UP_DOWN), plant="integrating")
+    assert found.verdict == "undecided"
+    assert isinstance(found.valve, wb.Ideal)
+    assert "a linear loop explains all of PV but noise" in found.reasons[0]
+    assert found.plant.gain == pytest.approx(LEVEL.gain, rel=0.02)
+
+
+def test_a_stem_of_few_slips_that_load_steps_explain_better_accuses_nobody() -> None:
+    plant, moves = wb.FOPDT(0.596, 15.52, 0.3), (wb.Step(1.683), wb.Step(-2.525, at=360.0))
+    record = stepped(plant, wb.PID(0.651, 25.1), [(-2.17, 429.0), (1.134, 614.0), (0.582, 787.0)], 0.05, moves)
+    # By itself either accuses: a stem of two slips stands for the first step.
+    assert wb.detect(record).verdict == "stiction"
+    found = wb.estimate(record, plant="fopdt")
+    assert found.verdict == "undecided"
+    assert "a linear loop explains all of PV but noise" in found.reasons[0]
+    assert isinstance(found.valve, wb.Ideal)
+    assert found.plant.gain == pytest.approx(plant.gain, rel=0.05)
+
+
+def test_a_dead_band_under_a_load_step_is_not_acquitted() -> None:
+    record = stepped(LAG, wb.PID(1.5, 20.0), [(2.0, 400.0)], 0.02, UP_DOWN, wb.Deadband(2.0))
+    found = wb.estimate(record, plant="fopdt")
+    assert found.verdict != "no_stiction"
+    assert found.valve.stick_band == pytest.approx(2.0, rel=0.05)
+    assert found.plant.gain == pytest.approx(LAG.gain, rel=0.05)
+
+
+def test_steps_that_explain_less_than_they_cost_are_left_out() -> None:
+    data = centre(stepped(LAG, LAG_PI, [(3.0, 300.0), (-2.0, 700.0)], 0.05), "fopdt")
+    # Beside no steps its fit is far off.
+    line = replace(fit_linear(data, 60.0), tau=18.0, theta=4.0, gain=1.4)
+    limits = Limits((LEAST_TAU, float(data.samples)), (0.0, 60.0))
+    many = _beside(data, data.u, 0, line, limits, 0, [150, 303, 500, 703])
+    kept = _needed(data, many, limits, 0)
+    assert kept.times == (303, 703)
+    assert kept.bic < many.bic - CLEAR
+    assert _needed(data, kept, limits, 0) is kept
+    assert [round(step.at) for step in coloured_linear(data, line, 60.0, (150, 303, 500, 703))[2]] == [303, 703]
+
+
+def test_a_filter_that_whitens_as_well_as_another_is_no_other_measure() -> None:
+    rng = np.random.default_rng(0)
+    left = np.zeros(1000)
+    for k, e in enumerate(rng.normal(size=1000)):
+        left[k] = 0.7 * left[k - 1] + e
+    near, far, white = np.array([1.0, -0.69]), np.array([1.0, -0.5]), np.ones(1)
+    assert _as_white(left, near, np.array([1.0, -0.7]), 0.0)
+    assert not _as_white(left, far, near, 0.0)
+    assert not _as_white(left, white, near, 0.0)
+    assert _as_white(left, near, white, 0.0)
