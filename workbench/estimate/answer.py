@@ -208,7 +208,8 @@ def _told_calm(loop: _Asked, fits: Fits) -> Answered[Estimate] | None:
 def _doubted(loop: _Asked, fits: Fits, chosen: str, verdict: str, open_yet: bool) -> bool:
     """Whether load steps may be what the chosen valve was seen in; open_yet: whether the first stems accused nobody."""
     best = fits.best(chosen) if chosen in STICKING else None
-    few = best is not None and best.slips < ENOUGH_SLIPS
+    # A stem that leaves noise alone leaves nothing for load steps.
+    few = best is not None and best.slips < ENOUGH_SLIPS and fits.data.a.size > 1
     if verdict == "stiction" and not few and not open_yet:
         return False
     return verdict != "no_stiction" and loop.calm and (verdict == "undecided" or few or loop.seldom)
