@@ -59,8 +59,7 @@ def linear_beside(
     """
 
     def settled(line: Straight) -> Answered[LinearFit]:
-        found = coloured_linear(*line, times) if free is None else likeliest_linear(line, free)
-        data, linear, _ = found
+        data, linear, _ = coloured_linear(*line, times) if free is None else likeliest_linear(line, free)
         return Answered(linear_result(data, linear), linear_path(data, linear), data, ())
 
     def again(calm: Centred) -> Answered[LinearFit]:
