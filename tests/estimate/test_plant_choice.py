@@ -107,6 +107,20 @@ def test_the_other_plant_foretells_worse_under_a_load() -> None:
         assert bic[own] < bic[other] - 10.0
 
 
+def test_where_the_stem_rested_before_its_first_move_is_fitted_and_decides_nothing() -> None:
+    # Of a record that begins within the cycle nobody knows it, and the place that is told is one that the valve holds.
+    loop = wb.Loop(PLANTS[0], wb.Stenman(2.0), wb.PID(Kc=0.5, Ti=15.0), 1.0)
+    run = wb.simulate(loop, wb.Experiment(1000.0, wb.Step(6.0), noise=wb.Noise(0.06, 5)))
+    record = wb.Record(run.pv[500:], run.op[500:], 1.0)
+    stem, data, bics = run.valve[500:], centre(record, "fopdt"), []
+    first = int(np.argmax(stem != stem[0]))
+    assert first > 5
+    for aside in (0.0, 1.0):
+        moved = stem + aside * (np.arange(500) < first)
+        bics.append(foretelling_bic(data, PLANTS[0], wb.Stenman(2.0), moved, run.pv[500:]))
+    assert bics[1] == pytest.approx(bics[0], abs=0.01)
+
+
 def test_the_joint_refinement_follows_the_choice() -> None:
     shares: list[float] = []
     found = wb.estimate(record_of(PLANTS[1], wb.Stenman(2.0), 2), method="joint", progress=shares.append)

@@ -9,6 +9,8 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from workbench.estimate.data import Centred, centre
 from workbench.estimate.fit import LEAST_TAU, Fit, Limits, disturbance, fit_path, predict
 from workbench.estimate.models import PLANT_PARAMETERS, VALVE_PARAMETERS
@@ -37,6 +39,8 @@ def foretelling_bic(
     """
     n = data.samples
     x = valve_position - data.op_middle
+    # Where the stem rests until it first moves is fitted, as it was when the stem was found.
+    first = 0 if isinstance(valve, Ideal) else int(np.argmax(x != x[0]))
     tau = plant.time_constant / data.sample_time if isinstance(plant, FOPDT) else 1.0
     fit = Fit(math.nan, tau, plant.dead_time / data.sample_time, 0.0, 0.0, 0.0, 0.0)
     limits = Limits((LEAST_TAU, float(n)), (0.0, max(2.0 * fit.theta, 30.0)))
@@ -45,11 +49,11 @@ def foretelling_bic(
     least = math.inf
     for _ in range(ROUNDS):
         coloured = data.whitened(disturbance(left, data.floor), 0)
-        fit = fit_path(coloured, x, 0, (-math.inf, math.inf), limits, fit.theta, tau=fit.tau)
+        fit = fit_path(coloured, x, first, (-math.inf, math.inf), limits, fit.theta, tau=fit.tau)
         variance = fit.sse / (n - coloured.skip)
         p = PLANT_PARAMETERS - data.integrating + free + coloured.a.size - 1
         least = min(least, n * math.log(max(variance, data.floor)) + p * math.log(n))
-        left = data.y - predict(data, x, 0, fit)[0]
+        left = data.y - predict(data, x, first, fit)[0]
     return least
 
 
