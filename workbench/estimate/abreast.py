@@ -50,7 +50,7 @@ ROW = 5
 NEVER = 1e300  # % of OP
 RAMP = 1e-9  # of OP, a sample: OP before a stem's first slip, so that it moves when the slip comes
 GONE = 1e-13  # of a start or transient: it counts no more
-WORTH = 3.0  # steps left of a line for which an idle lane takes the further half of them
+WORTH = 1.5  # steps left of a line for which an idle lane takes the further half of them
 
 
 @written_out
@@ -211,6 +211,27 @@ def _room(y: Floats, a: Floats, skip: int) -> _Room:
     )
 
 
+@compiled
+def _ramp(op: Floats, first: int, sense: float) -> float:
+    """By how much OP creeps up to a first slip, a sample, so that the stem is led there when the slip comes."""
+    size: float = RAMP * (1.0 + abs(op[first])) * sense
+    return size
+
+
+@compiled
+def _lead_in(room: _Room, low: int, high: int, op: Floats, start: tuple[int, float, int]) -> None:
+    """Write OP of the lanes from `low` up to `high`; start: first slip, how OP creeps up to it, and dead time."""
+    first, ramp, delay = start
+    lead = room.y.size - op.size
+    begin = lead + delay + first
+    for j in range(low, high):
+        room.kept[j, 0], room.kept[j, 1], room.kept[j, 2] = first, ramp, delay
+    for t in range(room.y.size):
+        value = op[t - lead - delay] if t >= begin else op[first] - ramp * (begin - t)
+        for j in range(t * LANES + low, t * LANES + high):
+            room.op[j] = value
+
+
 @written_out
 def _enter(
     room: _Room,
@@ -239,15 +260,9 @@ def _enter(
         base = op[0]
     lanes, lead = room.lanes, room.y.size - op.size
     begin = lead + delay + first
-    # Before its first slip OP creeps up to it, so that the stem is led there when the slip comes.
-    ramp = RAMP * (1.0 + abs(op[first])) * sense
+    ramp = _ramp(op, first, sense)
     if not (room.kept[j, 0] == first and room.kept[j, 1] == ramp and room.kept[j, 2] == delay):
-        room.kept[j, 0], room.kept[j, 1], room.kept[j, 2] = first, ramp, delay
-        column = room.op[j:]
-        for t in range(min(begin, room.y.size)):
-            column[t * LANES] = op[first] - ramp * (begin - t)
-        for t in range(begin, room.y.size):
-            column[t * LANES] = op[t - lead - delay]
+        _lead_in(room, j, j + 1, op, (first, ramp, delay))
     room.held[j], room.bases[j] = begin, base
     lanes[_BACK + j], lanes[_ON + j], lanes[_ALONG_J + j] = S, J, along
     lanes[_LED + j], lanes[_LAST + j] = op[first] - ramp * begin, op[first] - ramp * (begin + 1.0)
@@ -286,6 +301,17 @@ def _drive(
     room.starts[j, 0] += pole * g
     start_products(y, total, first, integrating, plant, a, rest, skip, np.empty((2, p + 3)), room.products[j])
     return m
+
+
+@compiled
+def _drive_alike(room: _Room, j: int, other: int) -> None:
+    """Give lane j the plant of another, for stems that start where that one's do."""
+    for at in (_POLE, _C0, _C1, _GROWS):
+        room.lanes[at + j] = room.lanes[at + other]
+    room.after[j], room.begins[j] = room.after[other], room.begins[other]
+    copy(room.starts[other], room.starts[j])
+    for i in range(room.products.shape[1]):
+        copy(room.products[other, i], room.products[j, i])
 
 
 @compiled
@@ -353,20 +379,23 @@ def _complete(room: _Room, j: int, whole: float, out: Floats) -> None:
 
 
 @compiled
-def _take(j: int, lines: Floats, begun: int, of: Ints, at: Floats, end: Floats) -> int:
-    """Give idle lane j the next line, or the further half of that of which the most is left; return those begun."""
+def _take(j: int, lines: Floats, begun: int, of: Ints, at: Floats, end: Floats, pace: Floats) -> int:
+    """Give idle lane j the next line, or the further half of that of which the most is left; return those begun.
+
+    pace: each lane's last step, at which it is taken to go on.
+    """
     while begun < lines.shape[0]:
         line, begun = lines[begun], begun + 1
         begin = line[BEGIN_J] if line[ALONG] == 1.0 else line[BEGIN_S]
         if begin < line[END]:
-            of[j], at[j], end[j] = begun - 1, begin, line[END]
+            of[j], at[j], end[j], pace[j] = begun - 1, begin, line[END], line[MOST]
             return begun
     most, other = WORTH, -1
     for o in range(LANES):
-        if of[o] >= 0 and (end[o] - at[o]) / lines[of[o], MOST] > most:
-            most, other = (end[o] - at[o]) / lines[of[o], MOST], o
+        if of[o] >= 0 and (end[o] - at[o]) / pace[o] > most:
+            most, other = (end[o] - at[o]) / pace[o], o
     if other >= 0:
-        of[j], at[j], end[j] = of[other], 0.5 * (at[other] + end[other]), end[other]
+        of[j], at[j], end[j], pace[j] = of[other], 0.5 * (at[other] + end[other]), end[other], pace[other]
         end[other] = at[j]
     return begun
 
@@ -389,22 +418,33 @@ def _walk(
     skip: int,
     rows: Floats,
 ) -> int:
-    of, at, end = np.full(LANES, -1), np.zeros(LANES), np.zeros(LANES)
+    of, at, end, pace = np.full(LANES, -1), np.zeros(LANES), np.zeros(LANES), np.zeros(LANES)
     delays = np.zeros(LANES, np.int64)
     work, out, whole = np.empty((2, 5, 4)), np.empty(FIT), start_rests(a)[0]
     total, power = own_sums(y, skip)
     begun, count, busy = 0, 0, 1
+    driven, asked = -1, (0, 0.0, 0.0)  # the lane that was given a plant last, and what for
+    if lines.shape[0] > 0 and lines[0, FIRST] >= 0.0:
+        # Most lines of a walk start alike: what they share is written at once.
+        first, sense = int(lines[0, FIRST]), lines[0, SENSE]
+        delay = plant_terms(integrating, lines[0, TAU], lines[0, THETA])[3]
+        _lead_in(room, 0, LANES, op, (first, _ramp(op, first, sense), delay))
     while busy > 0 and count < rows.shape[0]:
         busy = 0
         for j in range(LANES):
             while True:
                 if of[j] < 0:
-                    begun = _take(j, lines, begun, of, at, end)
+                    begun = _take(j, lines, begun, of, at, end, pace)
                     if of[j] < 0:
                         break
                     line = lines[of[j]]
-                    first = max(int(line[FIRST]), 0)
-                    delays[j] = _drive(room, j, y, total, first, integrating, line[TAU], line[THETA], a, skip)
+                    first, tau, theta = max(int(line[FIRST]), 0), line[TAU], line[THETA]
+                    if driven >= 0 and asked == (first, tau, theta):
+                        _drive_alike(room, j, driven)
+                        delays[j] = delays[driven]
+                    else:
+                        delays[j] = _drive(room, j, y, total, first, integrating, tau, theta, a, skip)
+                    driven, asked = j, (first, tau, theta)
                 line = lines[of[j]]
                 start = (int(line[FIRST]), line[SENSE])
                 if _enter(room, j, op, _band(line, at[j]), int(line[ALONG]), start, delays[j]):
@@ -423,7 +463,8 @@ def _walk(
             rows[count, 0], rows[count, 1] = _band(line, at[j])
             rows[count, 2], rows[count, 3], rows[count, 4] = out[SSE], room.lanes[_SLIPS + j], of[j]
             count += 1
-            at[j] = max(min(room.lanes[_EDGE + j], at[j] + line[MOST]), at[j] + line[LEAST])
+            before, at[j] = at[j], max(min(room.lanes[_EDGE + j], at[j] + line[MOST]), at[j] + line[LEAST])
+            pace[j] = at[j] - before
             if at[j] >= end[j]:
                 of[j] = -1
     return count
