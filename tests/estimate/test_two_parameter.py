@@ -12,6 +12,7 @@ from hypothesis.extra.numpy import arrays
 
 import workbench as wb
 from workbench.cli_output import estimate_lines
+from workbench.estimate import record_fits
 from workbench.estimate.data import centre
 from workbench.estimate.dense import densely
 from workbench.estimate.fit import LEAST_TAU, Limits, fit_linear
@@ -19,7 +20,7 @@ from workbench.estimate.models import bands_of
 from workbench.estimate.nearer import search_short
 from workbench.estimate.path_kernel import band_path
 from workbench.estimate.profile import search
-from workbench.estimate.record_fits import leaves_noise_alone
+from workbench.estimate.record_fits import Fits, closely, first_fits, leaves_noise_alone
 from workbench.estimate.sought import like_stenman, sought
 from workbench.estimate.two_parameter import band_stem, best_of, look
 from workbench.model.valve import Choudhury
@@ -93,6 +94,50 @@ def test_where_a_stenman_valve_leaves_noise_alone_no_other_valve_is_looked_for_f
             bands = bands_of(data, coarse, within, Limits((LEAST_TAU, 1000.0), (0.0, 30.0)))
             assert min(one.best.fit.sse for one in bands.values()) > 1.5 * found.best.fit.sse
             assert [b.S for b in like_stenman(found, data, 30.0)] == [found.best.d]
+
+
+def fits_of(record: wb.Record) -> Fits:
+    data = centre(record, "fopdt")
+    return first_fits(data, "auto", search(data, 30.0, lambda _: None), fit_linear(data, 30.0))
+
+
+def test_where_the_first_stems_lead_to_one_that_leaves_noise_alone_it_is_the_whole_searchs(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    walked: list[int] = []
+    monkeypatch.setattr(record_fits, "densely", lambda data, *_: walked.append(data.samples) or ())
+    # Of the last the stem moves too seldom, or another valve explains it.
+    for valve, samples, clear in (
+        (wb.Choudhury(3.0, 1.0), 1000, True),
+        (wb.Deadband(2.0), 1400, True),
+        (wb.Choudhury(9.0, 3.0), 300, False),
+        (wb.Ideal(), 1000, False),
+    ):
+        fits = fits_of(record_of(valve, samples))
+        walked.clear()
+        found = closely(fits, "auto")
+        assert (walked == []) is clear
+        if clear:
+            whole = bands_of(fits.data, fits.coarse, fits.within, fits.limits)
+            least = min(one.best.fit.sse for one in whole.values())
+            assert min(one.best.fit.sse for one in found.bands.values()) < 1.002 * least
+
+
+def test_a_stem_whose_first_slip_was_taken_wrong_gets_the_right_one_and_its_jump() -> None:
+    # Sixteen moves, the noise a twentieth of PV's swing: close about the first stems J is a tenth off, and what is left
+    # is white.
+    valve = wb.Choudhury(S=3.2677040043672565, J=2.442817063287025)
+    plant = wb.FOPDT(1.8739763457775191, 4.833984615989547, 2.0986470782482747)
+    loop = wb.Loop(plant, valve, wb.PID(0.16407472040984897, 7.711074491182484), 1.0)
+    moves = [wb.Step(6.478373769302014), wb.Step(-9.71756065395302, at=671.0)]
+    noise = wb.Noise(0.6633683622628652, 2106641045)
+    run = wb.simulate(loop, wb.Experiment(1000.0, setpoint=moves, noise=noise))
+    fits = fits_of(wb.Record(run.pv + 50.0, run.op + 40.0, 1.0, sp=run.sp + 50.0))
+    about = search_short(fits.data, fits.coarse, None, fits.limits, near=True)[0]
+    assert abs(best_of(about).J - valve.J) > 0.1 * valve.J
+    found = closely(fits, "auto").bands["choudhury"].best
+    assert pytest.approx(valve.S, rel=0.005) == found.S
+    assert pytest.approx(valve.J, rel=0.02) == found.J
 
 
 def test_a_dead_band_is_found_and_told_from_stiction() -> None:

@@ -42,6 +42,8 @@ __all__ = [
     "Found",
     "alike",
     "alike_about",
+    "further",
+    "noise_beside",
     "refit",
     "repeated",
     "search_bands",
@@ -108,17 +110,18 @@ def search_bands(
     beside: tuple[Band, ...] = (),
     rival: float = math.inf,
     before: Found | None = None,
+    near: bool = False,
 ) -> Found | None:
     """Return the best stem, or None where none moves.
 
     coarse: the answer of `coarse_of`. only: J as a share of S (0: a dead band). beside: stems found otherwise, from
     which a short record is searched on too. rival: what another valve leaves, EU^2. before: what the search found in
-    another measure.
+    another measure. near: whether the first of coarse is close to the best.
     """
     if within.whole:
         most = HOPELESS * max(rival, data.samples * data.floor)
         likely = tuple(b for b in beside if b.fit.sse <= most)
-        bands, rows = search_short(data, coarse, only, limits, likely, only is None and within.known, most)
+        bands, rows = search_short(data, coarse, only, limits, likely, only is None and within.known, most, near)
         # No jump at all is one of any.
         bands += beside
     else:
@@ -210,9 +213,9 @@ def repeated(data: Centred, found: Found, limits: Limits, within: Sought) -> Ban
     own = _of_parts(data, found, limits, within)
     if within.whole:
         apart = [b for *_, b in own if abs(b.S / found.best.S - 1.0) > APART]
-        found = _further(data, found, [_here(data, b, limits) for b in apart], limits)
+        found = further(data, found, [_here(data, b, limits) for b in apart], limits)
         for _ in range(CROSSINGS):
-            known, found = found.best, _further(data, found, _beside(data, found.best, found.only, limits), limits)
+            known, found = found.best, further(data, found, _beside(data, found.best, found.only, limits), limits)
             # A best that moved by no whole sample has the same stems beside it.
             if abs(found.best.S / known.S - 1.0) <= APART:
                 break
@@ -235,7 +238,7 @@ def _of_parts(data: Centred, whole: Found, limits: Limits, within: Sought) -> li
     if within.whole:
         halves = [data.part(0, n // 2), data.part(n // 2, n)]
         moved = [part for part in halves if part.op_range > 0.0 and float(np.ptp(part.y)) > 0.0]
-        seek = partial(_known, best) if best.slips >= ENOUGH_SLIPS and _leaves_noise(data, best) else look
+        seek = partial(_known, best) if best.slips >= ENOUGH_SLIPS and noise_beside(data, best) else look
         windows = [window_of(part, min(limits.theta[1], part.samples / 4.0), seek) for part in moved]
     found = []
     for window in windows:
@@ -252,13 +255,13 @@ def _known(best: Band, part: Centred, longest: float) -> list[Band]:
     return [there] if there.slips > 0 and there.fit.gain != 0.0 else []
 
 
-def _leaves_noise(data: Centred, b: Band) -> bool:
-    """Whether a stem leaves no more of PV than white noise."""
+def noise_beside(data: Centred, b: Band) -> bool:
+    """Return whether a stem leaves no more of PV than white noise."""
     return noise_alone(data, band_stem(data.u, b.S, b.J, b.first, b.sense)[0], max(b.first, 0), b.fit)
 
 
-def _further(data: Centred, found: Found, seeds: list[Band], limits: Limits) -> Found:
-    """The same search, gone on with from further stems, and the best of both."""
+def further(data: Centred, found: Found, seeds: Sequence[Band], limits: Limits) -> Found:
+    """Return the same search, gone on with from further stems, and the best of both."""
     met: list[Band] = []
     ends: list[Band] = []
     for seed in seeds:

@@ -28,8 +28,9 @@ from workbench.estimate.two_parameter import (
     walked,
 )
 from workbench.estimate.windows import EXACT
+from workbench.model.record import FloatArray
 
-__all__ = ["densely"]
+__all__ = ["densely", "densely_about"]
 
 NARROWEST = 0.05  # of OP's range: the least S
 STEPS = (0.02, 0.025)  # of S: how far apart the values of S are, up to `WIDE` of OP's range and from there on
@@ -39,6 +40,7 @@ FURTHER = 1.6  # times the longest of these, and so on, where longer ones than u
 LAGGED, LEAST_LAG = 0.9, 0.2  # of time constant and dead time together: the longest dead time, the least time constant
 RANGED = (0.05, 0.8)  # of OP's range: how far OP has ranged before a start that is tried,
 WITHIN = (0.3, 1.8)  # and of S
+ABOUT = 0.1  # of S: how far a grid goes about a stem
 SEEDS = 8  # stems that get their own plant
 
 
@@ -50,7 +52,17 @@ def densely(data: Centred, coarse: list[Band], longest: float) -> tuple[Band, ..
     """
     if not coarse or data.samples > EXACT:
         return ()
-    lines = _lines(data, _plants(data, coarse[0], longest))
+    return _best(data, _lines(data, _plants(data, coarse[0], longest), _widths(data)), longest)
+
+
+def densely_about(data: Centred, b: Band, longest: float) -> tuple[Band, ...]:
+    """Return the same of a grid about a stem that is right but for its jump or start, at its own plant."""
+    widths = b.S * np.exp(np.arange(-ABOUT, 1.001 * ABOUT, STEPS[0]))
+    return _best(data, _lines(data, [(b.fit.tau, b.fit.theta)], widths), longest)
+
+
+def _best(data: Centred, lines: list[Line], longest: float) -> tuple[Band, ...]:
+    """The best stems of some lines that differ, each with its own plant and the start that suits it."""
     chosen: list[Seed] = []
     for _, seed in sorted(bests(lines, walked(data, lines))):
         if len(chosen) < SEEDS and differs(seed, chosen):
@@ -75,15 +87,20 @@ def _plants(data: Centred, best: Band, longest: float) -> list[tuple[float, floa
     return [(max(lag - d, LEAST_LAG * lag, LEAST_TAU), d) for d in delays or [0.0]]
 
 
-def _lines(data: Centred, plants: list[tuple[float, float]]) -> list[Line]:
-    """The lines along J at each S, for each plant and start: at rest in the middle of the band, or at a slip known."""
+def _widths(data: Centred) -> FloatArray:
+    """The values of S of the grid, %."""
     narrow, wide = (
         np.exp(np.arange(math.log(low), math.log(high), step))
         for low, high, step in ((NARROWEST, WIDE, STEPS[0]), (WIDE, WIDEST, STEPS[1]))
     )
+    return data.op_range * np.concatenate([narrow, wide])
+
+
+def _lines(data: Centred, plants: list[tuple[float, float]], widths: FloatArray) -> list[Line]:
+    """The lines along J at each S, for each plant and start: at rest in the middle of the band, or at a slip known."""
     starts = _starts(data)
     lines = []
-    for S in (data.op_range * np.concatenate([narrow, wide])).tolist():
+    for S in widths.tolist():
         end = min(JUMPS * S, 2.0 * data.op_range - S)
         slipped = [(first, sense) for first, sense, ranged in starts if WITHIN[0] * S <= ranged <= WITHIN[1] * S]
         for start in [(-1, 0.0), *slipped]:

@@ -59,6 +59,7 @@ def bands_of(
     only_any: bool = False,
     before: Mapping[str, Found] | None = None,
     beside: tuple[Band, ...] = (),
+    near: bool = False,
 ) -> dict[str, Found]:
     """Return the searches over two-parameter valves that found a stem: "deadband" (J = 0) and "choudhury" (any J).
 
@@ -67,9 +68,9 @@ def bands_of(
     was = {} if before is None else before
     dead = None
     if not only_any:
-        dead = search_bands(data, coarse, within, limits, 0.0, (), rival, was.get("deadband"))
+        dead = search_bands(data, coarse, within, limits, 0.0, (), rival, was.get("deadband"), near)
     beside = beside if dead is None else (dead.best, *beside)
-    any_jump = search_bands(data, coarse, within, limits, None, beside, rival, was.get("choudhury"))
+    any_jump = search_bands(data, coarse, within, limits, None, beside, rival, was.get("choudhury"), near)
     found = {"deadband": dead, "choudhury": any_jump}
     searched = {name: bands for name, bands in found.items() if bands is not None}
     return searched if only_any else _without_jump(searched)

@@ -113,9 +113,19 @@ def _lengthways(data: Centred, seed: Band, spread: float, only: float | None, li
         lines.append(Line(begin, along, end, steps, start, plant))
     found = []
     for rows in walked(data, lines):
-        found += [tuple(row) for row in rows[np.argsort(rows[:, 2], kind="stable")[:WALKS], :2].tolist()]
+        found += [tuple(row) for row in rows[_lows(rows[:, 2])[:WALKS], :2].tolist()]
     fits = fitted(data, found, start, limits, plant, QUICK, 1e-5)
     return [b for b in fits if b.fit.gain != 0.0 and b.slips > 0]
+
+
+def _lows(costs: NDArray[np.float64]) -> NDArray[np.int64]:
+    """Where the costs along a line are no higher than on either side, the lowest first, then all others likewise.
+
+    Beside the lowest lie others of the same sequence of slips, which lead nowhere else.
+    """
+    beside = np.concatenate([[math.inf], costs, [math.inf]])
+    high = (costs > beside[:-2]) | (costs > beside[2:])
+    return np.lexsort((costs, high))
 
 
 def _across(data: Centred, b: Band, only: float | None, limits: Limits) -> list[Band]:
@@ -191,10 +201,12 @@ def search_short(
     beside: tuple[Band, ...] = (),
     known: bool = False,
     most: float = math.inf,
+    near: bool = False,
 ) -> tuple[list[Band], NDArray[np.float64]]:
     """Search a short record: the close grid, then closer about its best few; all stems met and the last rows.
 
-    known: whether the best is known to be close by. most: EU^2, of a stem that is looked at closer.
+    known: whether the best is known to be close by; near: whether it is likely to be. most: EU^2, of a stem that is
+    looked at closer.
     """
     met = [b for b in coarse if b.fit.gain != 0.0]
     if only is not None:
@@ -204,7 +216,7 @@ def search_short(
     leaders = [b for kind in (met, beside) for b in _apart(sorted(kind, key=lambda b: b.fit.sse))]
     if not leaders:
         return [], np.empty((0, 4))
-    for spread, behind in list(zip(SPREADS, BEHIND, strict=True))[CLOSE if known else 0 :]:
+    for spread, behind in list(zip(SPREADS, BEHIND, strict=True))[CLOSE if known or near else 0 :]:
         ends: list[Band] = []
         for seed in leaders:
             met = nearer(data, seed, (spread,), only, limits)

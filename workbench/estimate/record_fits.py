@@ -7,10 +7,10 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 
-from workbench.estimate.bands import Bands, Found, repeated
+from workbench.estimate.bands import Bands, Found, further, noise_beside, repeated
 from workbench.estimate.candidates import Candidate, leaves_noise
 from workbench.estimate.data import Centred
-from workbench.estimate.dense import densely
+from workbench.estimate.dense import densely, densely_about
 from workbench.estimate.few import widened
 from workbench.estimate.fit import LEAST_TAU, Fit, Limits, fit_linear
 from workbench.estimate.freed import freed
@@ -20,7 +20,7 @@ from workbench.estimate.settled import STEPS_MOST, needs_steps, settled
 from workbench.estimate.sought import Seek, Sought, coarse_of, like_stenman, sought
 from workbench.estimate.two_parameter import Band, look
 from workbench.estimate.verdict import ENOUGH_SLIPS, SHARP, SURE_SLIPS, WIDE_D
-from workbench.estimate.windows import WHOLE
+from workbench.estimate.windows import EXACT, WHOLE
 from workbench.model.loads import LoadStep
 from workbench.model.results import FittedModel
 
@@ -40,6 +40,8 @@ __all__ = [
 # Dead times searched by default, in samples, and longer ones where they are asked for (`reach`).
 DELAYS = 30
 LINEAR_DELAYS = 240
+NEARLY = 1.25  # times what a stem may leave to be far ahead: the first of a grid is not yet the best close about it
+BEHIND = 40.0  # in N log V: who is further behind the best stem comes to nothing better
 HALF = 0.5  # of what the linear fit leaves: a stem that leaves no more explains PV by itself
 
 
@@ -123,12 +125,7 @@ def closely(fits: Fits, valve: str) -> Fits:
     """Return every model fitted; then load steps and the colour of the disturbance together with them."""
     data, delays, bands = fits.data, fits.limits.theta[1], {}
     if valve not in ("stenman", "linear"):
-        other = None if fits.found is None else fits.found.best.fit
-        seeds = fits.coarse
-        if not (fits.alone or data.samples > WHOLE):
-            seeds = [*seeds, *like_stenman(fits.found, data, delays)]
-        dense = () if fits.alone else densely(data, fits.coarse, delays)
-        bands = bands_of(data, seeds, fits.within, fits.limits, fits.within.rival(other), beside=dense)
+        bands = _clearly(fits) or _bands_about(fits)
 
     # The verdict weighs what each model leaves of PV; the model itself is fitted in the measure that its disturbance
     # asks for.
@@ -137,6 +134,43 @@ def closely(fits: Fits, valve: str) -> Fits:
         return replace(fits, data=there, found=found, bands=own, linear=linear, steps=steps)
 
     return replace(with_steps(STEPS_MOST), bare=partial(with_steps, 0))
+
+
+def _bands_about(fits: Fits) -> dict[str, Found]:
+    """The searches over two-parameter valves from all that is known of where their stems are."""
+    data, delays = fits.data, fits.limits.theta[1]
+    other = None if fits.found is None else fits.found.best.fit
+    seeds = fits.coarse
+    if not (fits.alone or data.samples > WHOLE):
+        seeds = [*seeds, *like_stenman(fits.found, data, delays)]
+    dense = () if fits.alone else densely(data, fits.coarse, delays)
+    return bands_of(data, seeds, fits.within, fits.limits, fits.within.rival(other), beside=dense)
+
+
+def _clearly(fits: Fits) -> dict[str, Found]:
+    """The same from close about the first stems alone; empty unless that leads to one that leaves noise alone.
+
+    Such a stem, of slips enough and far ahead of the linear loop, has no better ones but those that slip a sample or
+    two beside it, which the search for the ranges looks at.
+    """
+    data = fits.data
+    most = min(HALF * fits.rival.sse, math.inf if fits.found is None else fits.found.best.fit.sse)
+    if fits.alone or data.samples > EXACT or not fits.coarse:
+        return {}
+    lead = fits.coarse[0]
+    if lead.slips < ENOUGH_SLIPS or lead.fit.sse > NEARLY * most:
+        return {}
+    bands = bands_of(data, fits.coarse, fits.within, fits.limits, lead.fit.sse, near=True)
+    name = min(bands, key=lambda one: bands[one].best.fit.sse, default="")
+    best = bands[name].best if name else lead
+    if best.fit.sse >= most or best.slips < ENOUGH_SLIPS or not noise_beside(data, best):
+        return {}
+    if "choudhury" not in bands:
+        return bands
+    # One that slips at the right samples but for the first has another jump, which small steps do not lead to.
+    about, least = densely_about(data, best, fits.limits.theta[1]), max(best.fit.sse, data.samples * data.floor)
+    likely = [b for b in about if b.fit.sse <= least * math.exp(BEHIND / data.samples)]
+    return bands | {"choudhury": further(data, bands["choudhury"], likely, fits.limits)}
 
 
 def sound(fits: Fits, valve: str, data: Centred, linear: Fit) -> Fits:
