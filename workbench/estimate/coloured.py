@@ -64,7 +64,7 @@ def colour_beside(data: Centred, x: FloatArray, first: int, fit: Fit, limits: Li
             point,
             (lags,),
             method="Nelder-Mead",
-            options={"initial_simplex": simplex, "maxfev": EVALUATIONS, "xatol": 1e-4, "fatol": 1e-3},
+            options={"initial_simplex": simplex, "maxfev": EVALUATIONS, "xatol": 1e-3, "fatol": 1e-2},
         ).x
         beside = placed(point)
         order = min(range(1, MOST_LAGS + 1), key=lambda p: beside.level(p) + 2.0 * p)

@@ -26,7 +26,8 @@ from workbench.model.record import FloatArray
 
 __all__ = ["CLEAR", "DEGREES", "SHIFT", "Loads", "Stem", "loads_of", "steps_of"]
 
-TURNS = 6  # of least squares and output error in turn
+TURNS = 6  # of least squares and output error in turn, at most
+STILL = 1e-4, 1e-3  # of the time constant, and samples of dead time: a plant that moved less in a turn stays
 LEAST_BEFORE, LEAST_AFTER = 0.02, 0.02  # of the record, that a step must have on either side
 # A step has a size and a time, and the time is found by a search: three degrees (N. Zhang, D. Siegmund, "A modified
 # Bayes information criterion", Biometrics 63 (2007) 22-32). Beyond these "very strong" evidence (Kass, Raftery 1995).
@@ -222,11 +223,18 @@ def _beside(
             bare = data.less(terms[4:] @ columns[4:], columns[4:]).whitened(WHITE, skip)
             free = (-math.inf, math.inf)
             again = fit_path(bare, x, first, free, limits, fit.theta, tau=fit.tau, evaluations=30, tolerance=1e-8)
-            fit = fit if again.gain == 0.0 else again
+            if again.gain == 0.0 or _as_it_was(fit, again):
+                break
+            fit = again
     left = data.y - terms @ columns
     a, bic = autoregression(left[skip:], data.floor)
     bic += DEGREES * len(times) * math.log(data.samples)
     return _Model(x, first, fit, columns, terms, left, a, bic, tuple(times))
+
+
+def _as_it_was(fit: Fit, again: Fit) -> bool:
+    """Whether a plant that was fitted again has not moved."""
+    return abs(again.tau - fit.tau) <= STILL[0] * fit.tau and abs(again.theta - fit.theta) <= STILL[1]
 
 
 def _placed(data: Centred, model: _Model, limits: Limits, skip: int, span: tuple[int, int]) -> _Model:
