@@ -14,6 +14,7 @@ from workbench.estimate import profile, record_fits
 from workbench.estimate.data import centre
 from workbench.estimate.fit import Limits, autoregression, fit_linear, fit_path
 from workbench.estimate.loads import Stem, _beside, _refined, loads_of
+from workbench.estimate.settled import _of_band
 from workbench.estimate.two_parameter import band_stem
 from workbench.model.loads import LoadStep
 
@@ -195,3 +196,18 @@ def test_beside_steps_no_stem_comes_to_a_jump_that_op_never_makes() -> None:
     assert 1.0 < S * moved.wider / data.op_range + J * moved.further / data.op_range < 2.0
     unbound = _refined(replace(data, op_range=1e9), lead, alone, limits, 0)
     assert S * unbound.wider + J * unbound.further > 2.0 * data.op_range
+
+
+def test_a_step_that_the_leading_stem_made_up_for_is_found_beside_one_that_leaves_hardly_more() -> None:
+    loop = wb.Loop(wb.FOPDT(0.674881, 21.3368, 4.55789), wb.Deadband(4.81975), wb.PID(Kc=0.642898, Ti=12.4367), 1.0)
+    setpoint, load = [wb.Step(6.81583), wb.Step(-10.2238, 376.0)], wb.Step(0.54121, 449.0)
+    run = wb.simulate(loop, wb.Experiment(1000.0, setpoint=setpoint, load=load, noise=wb.Noise(0.2194, 2018511134)))
+    data = centre(wb.Record(run.pv, run.op, 1.0), "fopdt")
+    fits = record_fits.first_fits(data, "auto", profile.search(data, 30.0), fit_linear(data, 30.0))
+    bands, limits = record_fits._clearly(fits), fits.limits
+    lead, dead = (_of_band(data, bands[name].best) for name in ("choudhury", "deadband"))
+    assert lead.fit.sse < dead.fit.sse
+    assert loads_of(data, lead, limits, 0, 2, strict=False).steps == ()
+    (step,) = loads_of(data, lead, limits, 0, 2, strict=False, others=[dead]).steps
+    assert step.at == pytest.approx(449.0 + 4.6, abs=8.0)
+    assert step.size == pytest.approx(0.54, rel=0.25)

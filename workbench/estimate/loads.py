@@ -85,13 +85,14 @@ def loads_of(
     most: int,
     further: Callable[[tuple[int, int]], Sequence[Stem]] | None = None,
     strict: bool = True,
+    others: Sequence[Stem] = (),
 ) -> Loads:
     """Return the load steps in a record that no stem explains, `most` at most; data: with no load removed.
 
     lead: the stem that explains most without steps. skip: the first samples that do not count. further: stems found
     beside steps in a span of samples, asked for where what the lead leaves is coloured. strict: what is left beside the
-    steps must be nearly white; a stem that is not yet quite known leaves errors that are not. The model is fitted anew
-    beside the steps.
+    steps must be nearly white; a stem that is not yet quite known leaves errors that are not. others: stems that
+    explain nearly as much as the lead, which may have made up for a step. The model is fitted anew beside the steps.
     """
     n = data.samples
     nothing = Loads(np.zeros(n), np.empty((0, n)), np.zeros(n), ())
@@ -101,9 +102,8 @@ def loads_of(
     bare = _beside(data, lead.x, lead.first, lead.fit, limits, skip, [])
     # Where it is hardly coloured (see WHITER) the lead is not far from right.
     coloured = bare.a.size > 1
-    stems = [(bare, lead)]
-    if further is not None and coloured:
-        stems += [(_beside(data, s.x, s.first, s.fit, limits, skip, []), s) for s in further(span)]
+    rivals = [*others, *(further(span) if further is not None and coloured else ())]
+    stems = [(bare, lead), *((_beside(data, s.x, s.first, s.fit, limits, skip, []), s) for s in rivals)]
     found = [(_explained(data, stem, alone, limits, skip, span, most, strict), stem) for alone, stem in stems]
     explained = [(model, stem) for model, stem in found if model is not None]
     model, stem = min(explained, key=lambda one: one[0].bic, default=(None, lead))

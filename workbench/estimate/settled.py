@@ -37,6 +37,7 @@ COLOURINGS = 2  # rounds of model and disturbance in turn
 ROUNDS = 4  # where there are load steps
 SAME_TIME, SAME_SIZE = 5, 0.1  # samples, share: steps that moved less have settled
 SAME_STEM = 0.05  # of its standard deviation: a stem's path that moved less has
+HARDLY = 20.0  # of N log V: a stem that leaves so much more than the leading one may be the right one beside a step
 WORSE = 2.0  # of AIC: a turn that ends so far above an earlier one is taken back
 
 # A record without load steps in some measure, its models there, and the steps.
@@ -60,6 +61,13 @@ def _leading(data: Centred, found: Profile | None, bands: dict[str, Found], line
     )
 
 
+def _nearly(data: Centred, bands: dict[str, Found], lead: Stem) -> list[Stem]:
+    """The best stems of other valves that leave hardly more than the leading one."""
+    most = max(lead.fit.sse, data.samples * data.floor) * math.exp(HARDLY / data.samples)
+    bests = [one.best for one in bands.values()]
+    return [_of_band(data, b) for b in bests if b.fit is not lead.fit and b.fit.sse <= most]
+
+
 def _of_band(data: Centred, b: Band) -> Stem:
     """A two-parameter stem over the whole of a record."""
     return Stem(
@@ -80,13 +88,14 @@ def _relieved(
     skip: int,
     most: int,
     further: Callable[[tuple[int, int]], Sequence[Stem]] | None = None,
+    others: Sequence[Stem] = (),
 ) -> tuple[Centred, Loads]:
     """The record without the load steps that a stem does not explain, and the steps.
 
-    whole: the record with its load; data: as the lead was fitted to it; most, further: as in `loads_of`.
+    whole: the record with its load; data: as the lead was fitted to it; most, further, others: as in `loads_of`.
     """
     x, first, fit = lead.x, lead.first, lead.fit
-    loads = loads_of(whole, lead, limits, skip, most, further, strict=further is None)
+    loads = loads_of(whole, lead, limits, skip, most, further, strict=further is None, others=others)
     if loads.steps:
         return whole.less(loads.pv, loads.answers), loads
     if data.load.any():
@@ -127,7 +136,8 @@ def settled(
         earlier, lead = lead, replace(_leading(data, found, bands, linear), times=at)
         stands = turn > 0 and _same_stem(earlier.x, lead.x)
         further = partial(stepped_stems, whole, limits, skip) if turn == 0 else None
-        bare, loads = _relieved(whole, data, lead, limits, skip, most, further)
+        others = [] if turn > 0 else _nearly(data, bands, lead)
+        bare, loads = _relieved(whole, data, lead, limits, skip, most, further, others)
         steps = loads.steps
         if before and not steps:
             # Beside them a stem may have been found that needs none.
