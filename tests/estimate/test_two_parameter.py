@@ -13,6 +13,7 @@ from hypothesis.extra.numpy import arrays
 import workbench as wb
 from workbench.cli_output import estimate_lines
 from workbench.estimate import record_fits
+from workbench.estimate.bands import noise_beside
 from workbench.estimate.data import centre
 from workbench.estimate.dense import densely
 from workbench.estimate.fit import LEAST_TAU, Limits, fit_linear
@@ -135,6 +136,7 @@ def test_a_stem_whose_first_slip_was_taken_wrong_gets_the_right_one_and_its_jump
     fits = fits_of(wb.Record(run.pv + 50.0, run.op + 40.0, 1.0, sp=run.sp + 50.0))
     about = search_short(fits.data, fits.coarse, None, fits.limits, near=True)[0]
     assert abs(best_of(about).J - valve.J) > 0.1 * valve.J
+    assert noise_beside(fits.data, best_of(about))
     found = closely(fits, "auto").bands["choudhury"].best
     assert pytest.approx(valve.S, rel=0.005) == found.S
     assert pytest.approx(valve.J, rel=0.02) == found.J

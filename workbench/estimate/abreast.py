@@ -50,7 +50,7 @@ ROW = 5
 NEVER = 1e300  # % of OP
 RAMP = 1e-9  # of OP, a sample: OP before a stem's first slip, so that it moves when the slip comes
 GONE = 1e-13  # of a start or transient: it counts no more
-WORTH = 1.5  # steps left of a line for which an idle lane takes the further half of them
+WORTH = 1.5  # steps left of a line, as long as its last, for which an idle lane takes the further half of them
 
 
 @written_out

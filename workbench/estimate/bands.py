@@ -116,7 +116,7 @@ def search_bands(
 
     coarse: the answer of `coarse_of`. only: J as a share of S (0: a dead band). beside: stems found otherwise, from
     which a short record is searched on too. rival: what another valve leaves, EU^2. before: what the search found in
-    another measure. near: whether the first of coarse is close to the best.
+    another measure. near: as in `search_short`.
     """
     if within.whole:
         most = HOPELESS * max(rival, data.samples * data.floor)
