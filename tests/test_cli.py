@@ -273,9 +273,14 @@ def test_an_interrupt_in_a_librarys_error_is_an_interrupt(folder: Path, monkeypa
             msg = "initialization failed"
             raise ImportError(msg) from cause
 
-    monkeypatch.setattr(scenario_runner, "simulate", broken)
-    code, _, err = call("run", "good.yaml")
-    assert (code, err.count("\n")) == (130, 1)
+    def told(*_: object, **__: object) -> object:
+        msg = 'Error building "model" validator:\n  KeyboardInterrupt: '
+        raise ValueError(msg)
+
+    for error in (broken, told):
+        monkeypatch.setattr(scenario_runner, "simulate", error)
+        code, _, err = call("run", "good.yaml")
+        assert (code, err.count("\n")) == (130, 1)
 
 
 def test_a_controller_that_acts_the_wrong_way_is_said(folder: Path) -> None:

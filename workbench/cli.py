@@ -96,8 +96,10 @@ def guarded(command: Callable[..., int]) -> Callable[..., None]:
 
 
 def _interrupted(error: BaseException | None) -> bool:
-    """Whether Ctrl-C is what led to an error."""
+    """Whether Ctrl-C is what led to an error, as its cause or in its words."""
     while error is not None and not isinstance(error, KeyboardInterrupt):
+        if KeyboardInterrupt.__name__ in str(error):
+            return True
         error = error.__cause__ or error.__context__
     return error is not None
 
