@@ -138,8 +138,8 @@ def test_steps_of_a_healthy_loop_are_found_to_a_part_of_a_sample_and_accuse_nobo
 
 def test_models_accuse_alone_only_where_the_linear_loop_is_clearly_less_likely() -> None:
     data = centre(flow(2), "fopdt")
-    line = Straight(data, fit_linear(data, 30.0), 30.0)
-    answered = linear_beside(line)[0]
+    line = Straight(data, fit_linear(data, 30.0), 30.0, NOWHERE)
+    answered = linear_beside(line, lambda one: one.coloured)[0]
     linear = answered.paths[0].fit
     n = answered.settled.samples - answered.settled.skip
     models = [FittedModel(valve, wb.FOPDT(19.3, 0.76), 1.0, 0.0, 0.0, 40) for valve in (wb.Deadband(4.5), wb.Ideal())]
@@ -147,7 +147,7 @@ def test_models_accuse_alone_only_where_the_linear_loop_is_clearly_less_likely()
     def said(ahead: float, alone: bool) -> tuple[str, str]:
         fit = replace(linear, sse=linear.sse / n * data.samples * math.exp(-2.0 * ahead / data.samples))
         pairs = (fit, models[0]), (linear, models[1])
-        return weighed(data, *pairs, lambda: rival_of(data, fit, line, (), NOWHERE), "stiction", alone)
+        return weighed(data, *pairs, lambda: rival_of(data, fit, line, ()), "stiction", alone)
 
     assert said(29.0, True)[0] == "undecided"
     assert "is hardly less likely than a stem that sticks over 4.5 %" in said(29.0, True)[1]
@@ -163,7 +163,7 @@ def test_no_linear_loop_is_asked_where_a_stem_seen_by_detection_leaves_noise_alo
     slips: int, left: float, alone: bool, asked: int
 ) -> None:
     data = centre(flow(2), "fopdt")
-    line = Straight(data, fit_linear(data, 30.0), 30.0)
+    line = Straight(data, fit_linear(data, 30.0), 30.0, NOWHERE)
     models = [
         FittedModel(valve, wb.FOPDT(19.3, 0.76), share, 0.0, 0.0, slips)
         for valve, share in ((wb.Deadband(4.5), left), (wb.Ideal(), 1.0))
@@ -173,7 +173,7 @@ def test_no_linear_loop_is_asked_where_a_stem_seen_by_detection_leaves_noise_alo
 
     def rival() -> Rival:
         times.append(1)
-        return rival_of(data, pairs[0][0], line, (), NOWHERE)
+        return rival_of(data, pairs[0][0], line, ())
 
     weighed(data, *pairs, rival, "stiction", alone)
     assert len(times) == asked
@@ -211,14 +211,13 @@ def three_steps(noise: float) -> wb.Record:
 
 def test_an_oscillation_already_taken_out_is_no_step_that_the_loop_has() -> None:
     data = centre(three_steps(0.3), "fopdt")
-    line = Straight(data, fit_linear(data, 30.0), 30.0)
-    everywhere = np.ones(data.samples, dtype=bool)
-    bare = rival_of(data, line.fit, line, (), everywhere)
+    line = Straight(data, fit_linear(data, 30.0), 30.0, np.ones(data.samples, dtype=bool))
+    bare = rival_of(data, line.fit, line, ())
     steps = len(bare.answered.settled.answers) // 2
     assert steps > 0
     assert bare.paid - bare.ahead == pytest.approx(0.5 * DEGREES * steps * math.log(data.samples))
-    calm = line._replace(data=data.less(np.zeros(data.samples), np.zeros((3, data.samples))))
-    beside = rival_of(data, line.fit, calm, (), everywhere)
+    calm = replace(line, data=data.less(np.zeros(data.samples), np.zeros((3, data.samples))))
+    beside = rival_of(data, line.fit, calm, ())
     assert beside.paid - beside.ahead == pytest.approx(bare.paid - bare.ahead)
 
 
@@ -255,7 +254,7 @@ def test_steps_are_sought_together_with_the_plant_where_the_load_may_step() -> N
 def test_a_loop_with_more_steps_than_the_stem_pays_for_them(ahead: float, steps: int, verdict: str) -> None:
     data = centre(flow(2), "fopdt")
     line = Straight(data, fit_linear(data, 30.0), 30.0)
-    answered = linear_beside(line)[0]
+    answered = linear_beside(line, lambda one: one.coloured)[0]
     paid = ahead + 0.5 * DEGREES * steps * math.log(data.samples)
     models = [
         FittedModel(valve, wb.FOPDT(19.3, 0.76), 2.0 * answered.model.residual_variance, 0.0, 0.0, 40)

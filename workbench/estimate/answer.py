@@ -8,7 +8,6 @@ from functools import cache, cached_property
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from workbench.detect.action import only_answers
 from workbench.detect.detect import detect
@@ -17,7 +16,7 @@ from workbench.detect.verdict import beyond_doubt
 from workbench.estimate.bands import Bands
 from workbench.estimate.candidates import Candidate
 from workbench.estimate.data import Centred, plant_of
-from workbench.estimate.fit import LEAST_TAU, Fit, Limits, fit_linear, fit_nothing
+from workbench.estimate.fit import LEAST_TAU, Limits, fit_linear, fit_nothing
 from workbench.estimate.freed import Loaded
 from workbench.estimate.hidden import hidden, words_of_hidden
 from workbench.estimate.loads import CLEAR, DEGREES
@@ -50,14 +49,13 @@ from workbench.estimate.scale import (
     without_jump,
 )
 from workbench.estimate.settled import coloured_linear
-from workbench.estimate.straight import MOST, Straight, free_of, level, likeliest_linear
+from workbench.estimate.straight import MOST, Coloured, Straight, level
 from workbench.estimate.swing import Answered
 from workbench.estimate.two_parameter import Band
 from workbench.estimate.two_step import akaike
 from workbench.estimate.unseen import unseen, words_of_unseen
 from workbench.estimate.verdict import ENOUGH_SLIPS, Evidence, agree, judge
 from workbench.model.detection import Detection
-from workbench.model.loads import LoadStep
 from workbench.model.record import Record
 from workbench.model.results import Estimate, Intervals, Iteration, LinearFit
 from workbench.model.valve import Choudhury, Ideal, Stenman
@@ -96,10 +94,10 @@ class _Asked:
     def two_step(self) -> bool:
         return self.method == "two_step"
 
-    @cached_property
-    def coloured(self) -> tuple[Centred, Fit, tuple[LoadStep, ...]]:
+    @property
+    def coloured(self) -> Coloured:
         """The linear loop in the measure of what disturbs it, with its load steps."""
-        return likeliest_linear(self.line, None if self.two_step else self.free)
+        return self.line.coloured if self.two_step else self.line.likeliest
 
     @property
     def calm(self) -> bool:
@@ -111,7 +109,7 @@ class _Asked:
     def seldom(self) -> bool:
         """Whether the load steps are few, and none may be the valve's work as the setpoint moves."""
         at = [round(step.at / self.record.sample_time) for step in self.coloured[2]]
-        return len(at) <= MOST and all(self.free[t] for t in at)
+        return len(at) <= MOST and self.line.free is not None and bool(self.line.free[at].all())
 
     @cached_property
     def loaded(self) -> Loaded | None:
@@ -119,11 +117,6 @@ class _Asked:
         bare, _, steps = self.coloured
         limits = Limits((LEAST_TAU, float(bare.samples)), (0.0, self.line.longest))
         return Loaded.of(self.line.data, bare, steps, limits) if steps and bare.a.size == 1 else None
-
-    @cached_property
-    def free(self) -> NDArray[np.bool_]:
-        """The samples in which a load may step: those that no setpoint move accounts for, shape (N,)."""
-        return free_of(self.record)
 
     @cached_property
     def blind(self) -> bool:
@@ -239,7 +232,7 @@ def _weighed(
     if known is None:
         return said, None
     times = tuple(round(step.at / fits.data.sample_time) for step in fits.steps)
-    rival = cache(lambda: rival_of(fits.data, known.fit, loop.line, times, loop.free))
+    rival = cache(lambda: rival_of(fits.data, known.fit, loop.line, times))
     # Without steps of its own a stem that nothing else accuses may be no more than the likeness of one.
     if not (seen.test is not None and beyond_doubt(seen.test)) if said.verdict == "stiction" else bool(fits.steps):
         pairs = (known.fit, fits.models[chosen]), (fits.linear, fits.models["linear"])

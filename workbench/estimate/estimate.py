@@ -202,8 +202,7 @@ def _searched(record: Record, begun: _Begun, asked: _Asked) -> _Searched:
         return _Searched(answered, None)
 
     def again(calm: Centred) -> Answered[Estimate]:
-        still = Straight(calm, fit_linear(calm, line.longest), line.longest)
-        return answer_of(record, calm, how, _profile(calm, asked.max_dead_time, silent), still, history)
+        return answer_of(record, calm, how, _profile(calm, asked.max_dead_time, silent), line.calm(calm), history)
 
     return _Searched(*beside_swing(data, answered, again, line.longest))
 
@@ -245,19 +244,20 @@ def linear_loop(record: Record, plant: str = "auto") -> LinearFit:
     choice(plant, "linear_loop.plant", PLANTS)
     record = as_seen(record, PURPOSE)[0]
     if plant == "auto":
-        found = {one: _line_with_plant(record, one) for one in ("fopdt", "integrating")}
+        found = {one: _likeliest(_straight(record, centre(record, one), None)) for one in ("fopdt", "integrating")}
         return min(found.items(), key=lambda one: foretelling_of(record, *one))[1].model
-    return _line_with_plant(record, plant).model
+    return _likeliest(_straight(record, centre(record, plant), None)).model
 
 
-def _line_with_plant(record: Record, plant: str, max_dead_time: float | None = None) -> Answered[LinearFit]:
-    """The linear model with one kind of plant, beside what disturbs the loop from outside."""
-    return linear_beside(_straight(record, centre(record, plant), max_dead_time), free=free_of(record))[0]
+def _likeliest(line: Straight) -> Answered[LinearFit]:
+    """The linear model beside what disturbs the loop from outside."""
+    return linear_beside(line, lambda one: one.likeliest)[0]
 
 
 def _straight(record: Record, data: Centred, max_dead_time: float | None) -> Straight:
     longest = longest_delay(data, max_dead_time, LINEAR_DELAYS)
-    return Straight(*likelier_op(record, data, lambda one, _: fit_linear(one, longest), left_by_line), longest)
+    data, fit = likelier_op(record, data, lambda one, _: fit_linear(one, longest), left_by_line)
+    return Straight(data, fit, longest, free_of(record))
 
 
 def _likelier_plant(record: Record, asked: _Asked, tell: Callable[[float], None]) -> tuple[_Searched, tuple[str, ...]]:
@@ -282,7 +282,7 @@ def _likelier_plant(record: Record, asked: _Asked, tell: Callable[[float], None]
     endless = lag.tau >= ENDLESS * len(record) and ramp.sse <= ALIKE * lag.sse
     first, second = ("integrating", "fopdt") if endless or _endless(begin("fopdt")) else ("fopdt", "integrating")
     likelier = search(first)
-    if _decided(record, first, likelier.answered, asked):
+    if _decided(record, first, likelier.answered, lines[second]):
         # Where more than noise is left, a stem may be what shows a lag that levels off.
         if first == "fopdt":
             return likelier, ()
@@ -313,8 +313,8 @@ def _endless(begun: _Begun) -> bool:
     return min(fits, key=lambda fit: fit.sse).tau >= ENDLESS * begun.data.samples
 
 
-def _decided(record: Record, kind: str, answered: Answered[Estimate], asked: _Asked) -> bool:
-    """Whether what one kind of plant leaves is nothing to ask the other about."""
+def _decided(record: Record, kind: str, answered: Answered[Estimate], line: Straight) -> bool:
+    """Whether what one kind of plant leaves is nothing to ask the other about, whose linear fit is given."""
     other = "integrating" if kind == "fopdt" else "fopdt"
     if not _levels_off(record, answered.model.plant):
         return False
@@ -322,7 +322,7 @@ def _decided(record: Record, kind: str, answered: Answered[Estimate], asked: _As
     if answered.settled.a.size == 1:
         # Who leaves noise alone leaves nothing for another, unless that does the same with less.
         return bic <= along
-    rival = foretelling_of(record, other, _line_with_plant(record, other, asked.max_dead_time))
+    rival = foretelling_of(record, other, _likeliest(line))
     if answered.model.verdict == "no_stiction":
         return bic - CLEAR_BIC <= rival
     plant = answered.model.plant

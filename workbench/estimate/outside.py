@@ -12,17 +12,16 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from itertools import islice
 from typing import NamedTuple
-
-import numpy as np
-from numpy.typing import NDArray
 
 from workbench.detect.verdict import Thresholds
 from workbench.estimate.data import Centred
 from workbench.estimate.fit import Fit
 from workbench.estimate.loads import DEGREES
-from workbench.estimate.straight import Straight, linear_beside, sought_beside_steps
+from workbench.estimate.settled import coloured_linear
+from workbench.estimate.straight import Coloured, Straight, linear_beside, sought_beside_steps
 from workbench.estimate.swing import Answered, Swing
 from workbench.estimate.verdict import ENOUGH_SLIPS, MOST, SURE_SLIPS
 from workbench.estimate.windows import WHOLE
@@ -52,29 +51,35 @@ class Rival(NamedTuple):
     paid: float
 
 
-def rival_of(data: Centred, fit: Fit, line: Straight, times: tuple[int, ...], free: NDArray[np.bool_]) -> Rival:
+def rival_of(data: Centred, fit: Fit, line: Straight, times: tuple[int, ...]) -> Rival:
     """Return the likeliest linear loop beside what may disturb it, as the rival of a sticking model.
 
     data, fit: the record in the measure, and without the load steps, that the model was fitted in, and its fit there;
-    line: the linear fit to the record as it is; times: samples at which the model's load steps begin; free: shape (N,),
-    the samples in which the load may step by itself (`detect.load_steps.unforced`).
+    line: the linear fit to the record as it is; times: samples at which the model's load steps begin.
     """
     lines: list[tuple[Straight, tuple[int, ...]]] = [(line, ())]
     if times:
         # The linear loop may have the steps that the stem was found beside, and its plant.
-        lines.append((line._replace(fit=replace(line.fit, tau=fit.tau, theta=fit.theta, gain=fit.gain)), times))
-    if data.samples <= WHOLE:
-        lines += islice(sought_beside_steps(line, free), 1)
+        own = replace(line.fit, tau=fit.tau, theta=fit.theta, gain=fit.gain)
+        lines.append((replace(line, fit=own), times))
+    if data.samples <= WHOLE and line.free is not None:
+        lines += islice(sought_beside_steps(line, line.free), 1)
 
     def ahead(answered: Answered[LinearFit]) -> float:
         return _ahead(data, fit, answered.settled, answered.paths[0].fit)
 
-    answered, swing = min((linear_beside(*one) for one in lines), key=lambda one: ahead(one[0]))
+    found = (linear_beside(one, partial(_settled, times)) for one, times in lines)
+    answered, swing = min(found, key=lambda one: ahead(one[0]))
     # A step answers with its size and its time, an oscillation with two sizes and its frequency; the record may already
     # stand beside one.
     rows = len(answered.settled.answers) - len(line.data.answers) - (0 if swing is None else len(swing.answers))
     more, lead = max(rows // 2 - len(times), 0), ahead(answered)
     return Rival(answered, swing, lead, lead + 0.5 * DEGREES * more * math.log(data.samples))
+
+
+def _settled(times: tuple[int, ...], line: Straight) -> Coloured:
+    """A line's fit without load steps, of which some are tried first at these samples."""
+    return coloured_linear(line.data, line.fit, line.longest, times) if times else line.coloured
 
 
 def _ahead(data: Centred, fit: Fit, where: Centred, rival: Fit) -> float:

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
-from dataclasses import replace
-from typing import NamedTuple
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,25 +24,55 @@ from workbench.model.loads import LoadStep
 from workbench.model.record import Record
 from workbench.model.results import LinearFit
 
-__all__ = ["MOST", "Straight", "free_of", "level", "likeliest_linear", "linear_beside", "sought_beside_steps"]
+__all__ = ["MOST", "Straight", "free_of", "level", "linear_beside", "sought_beside_steps"]
 
 MOST = 4  # load steps that are sought together with the plant: as many as detection gives the linear loop
 SPARE = 6  # and more than are needed
 LARGEST = 2.0  # times OP's range: a load that moves further is none; OP may not yet have answered one that goes again
 
 
-class Straight(NamedTuple):
-    """The linear fit to a record whose OP is as it explains more of PV; longest: the longest delay, samples."""
+# A record without load steps in some measure, its linear fit there, and the steps.
+Coloured = tuple[Centred, Fit, tuple[LoadStep, ...]]
+
+
+@dataclass(frozen=True, eq=False)
+class Straight:
+    """The linear fit to a record whose OP is as it explains more of PV; longest: the longest delay, samples.
+
+    free: the samples in which a load may step (see `free_of`), shape (N,); None where no steps are sought with the
+    plant.
+    """
 
     data: Centred
     fit: Fit
     longest: float
+    free: NDArray[np.bool_] | None = None
+
+    def calm(self, data: Centred) -> Straight:
+        """Return the same of a record without an oscillation from outside."""
+        return replace(self, data=data, fit=fit_linear(data, self.longest))
+
+    @cached_property
+    def coloured(self) -> Coloured:
+        """The record without load steps and its linear fit, in the measure of what this leaves, and the steps."""
+        return coloured_linear(self.data, self.fit, self.longest)
+
+    @cached_property
+    def likeliest(self) -> Coloured:
+        """The same, with steps sought together with the plant where they leave noise alone and those found do not."""
+        own = self.coloured
+        data = own[0]
+        if self.free is not None and data.a.size > 1 and data.samples <= WHOLE:
+            least = level(*own)
+            for beside, times in sought_beside_steps(self, self.free):
+                found = coloured_linear(beside.data, beside.fit, beside.longest, times)
+                if found[0].a.size == 1 and level(*found) < least and _answered(found[2], data.op_range):
+                    return found
+        return own
 
 
 # A line, and samples at which PV answers load steps beside it.
 Beside = tuple[Straight, tuple[int, ...]]
-# A record without load steps in some measure, its linear fit there, and the steps.
-Coloured = tuple[Centred, Fit, tuple[LoadStep, ...]]
 
 
 def free_of(record: Record) -> NDArray[np.bool_]:
@@ -50,39 +80,17 @@ def free_of(record: Record) -> NDArray[np.bool_]:
     return unforced(record.sp, record.pv, dead_times(len(record), math.nan)[-1])
 
 
-def linear_beside(
-    line: Straight, times: tuple[int, ...] = (), free: NDArray[np.bool_] | None = None
-) -> tuple[Answered[LinearFit], Swing | None]:
+def linear_beside(line: Straight, settled: Callable[[Straight], Coloured]) -> tuple[Answered[LinearFit], Swing | None]:
     """Return the linear model beside what disturbs the loop from outside, and the oscillation if there is one.
 
-    times: samples at which load steps are tried first; free: as in `likeliest_linear`, in place of these.
+    settled: gives a line's fit without load steps, beside an oscillation that has been taken out of it.
     """
 
-    def settled(line: Straight) -> Answered[LinearFit]:
-        data, linear, _ = coloured_linear(*line, times) if free is None else likeliest_linear(line, free)
+    def answered(line: Straight) -> Answered[LinearFit]:
+        data, linear, _ = settled(line)
         return Answered(linear_result(data, linear), linear_path(data, linear), data, ())
 
-    def again(calm: Centred) -> Answered[LinearFit]:
-        return settled(Straight(calm, fit_linear(calm, line.longest), line.longest))
-
-    return beside_swing(line.data, settled(line), again, line.longest)
-
-
-def likeliest_linear(line: Straight, free: NDArray[np.bool_] | None) -> Coloured:
-    """Return the record without load steps and its linear fit, in the measure of what this leaves, and the steps.
-
-    Where the steps that are found in what the line leaves do not leave noise alone, they are sought together with the
-    plant, and taken where they do: free, shape (N,), as in `sought_beside_steps`; None for none of that.
-    """
-    own = coloured_linear(*line)
-    data = own[0]
-    if free is not None and data.a.size > 1 and data.samples <= WHOLE:
-        least = level(*own)
-        for beside, times in sought_beside_steps(line, free):
-            found = coloured_linear(*beside, times)
-            if found[0].a.size == 1 and level(*found) < least and _answered(found[2], data.op_range):
-                return found
-    return own
+    return beside_swing(line.data, answered(line), lambda calm: answered(line.calm(calm)), line.longest)
 
 
 def level(data: Centred, fit: Fit, steps: Sequence[LoadStep]) -> float:
@@ -124,4 +132,4 @@ def _with_plant(line: Straight, found: Loaded) -> Iterator[Beside]:
         return
     near = replace(line.fit, tau=found.fit.tau, theta=min(float(found.fit.delay), line.longest))
     fit = again_linear(line.data.less(found.wave, np.empty((0, line.data.samples))), near, line.longest)
-    yield line._replace(fit=fit), tuple(t - 1 for t in found.times)
+    yield replace(line, fit=fit), tuple(t - 1 for t in found.times)
