@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -64,6 +64,7 @@ FEW = 8  # moves of a stem, two each of four load steps, that may look the same
 SINUSOID = 3  # parameters
 FAR = 100.0  # a stem that is so far ahead of a linear loop under load steps needs none of its own
 NOISY = 0.1  # share by which noise alone may be more than its innovations, to which many terms are fitted
+KEPT = 8  # searches: one estimate asks of a record with several stems, and of what its load steps leave
 HARM = 0.5  # a stem that simulates PV worse than OP itself does by more than this share is not this loop's
 
 
@@ -137,8 +138,9 @@ class _Search:
         innovations = self._gain(self.rival.variance, fit.variance)
         return _Candidate(law, path, fit, innovations, simulated, adds[0], min(adds), self.rivals.count)
 
-    def met(self) -> list[_Candidate]:
-        """Return the valves judged: the best of the grid, and those found closer and closer about them."""
+    @cached_property
+    def own(self) -> list[_Candidate]:
+        """The valves judged: the best of the grid, and those found closer and closer about them."""
         width = float(np.ptp(self.u))
         grid = laws_of(width)
         limits = np.array(CLASSES) * width
@@ -169,6 +171,11 @@ class _Search:
         kinds = (c for c, part in zip(found, parts, strict=True) if part == parts[0])
         leaders.append(next(c for c in kinds if type(c.law.valve) is not type(lead.law.valve)))
         return found + [self.closer(c) for c in leaders]
+
+    @cached_property
+    def own_swung(self) -> list[_Candidate]:
+        """The same beside what swings the loop from outside."""
+        return [self.swung(c) for c in self.own]
 
     def over_load_steps(self, best: _Candidate, moves: int, free: NDArray[np.bool_]) -> float:
         """Return a stem's log likelihood ratio over the linear rival under at most half as many load steps as FEW.
@@ -316,18 +323,16 @@ def _among(
     """
 
     def look(pv: FloatArray, steps: int) -> tuple[StemTest, _Search]:
-        pv = pv - pv[~held].mean()
-        search = _Search(Rivals(pv, delays, sign, held), u, held, float(pv[~held].var()), blur)
+        search = _search_of((pv - pv[~held].mean()).tobytes(), u.tobytes(), held.tobytes(), tuple(delays), sign, blur)
         told = [] if fitted is None else search.told(fitted)
         if told and _leaves_little(search, told):
             test = _test(search, [], told, free, sample_time, period, steps)
             if convinces(test):
                 return test, search
-        own = search.met()
-        test = _test(search, own, told, free, sample_time, period, steps)
+        test = _test(search, search.own, told, free, sample_time, period, steps)
         if search.rival is not search.linear and not accuses(test):
-            own, told = ([search.swung(c) for c in found] for found in (own, told))
-            beside = _test(search, own, told, free, sample_time, period, steps, swings=True)
+            told = [search.swung(c) for c in told]
+            beside = _test(search, search.own_swung, told, free, sample_time, period, steps, swings=True)
             test = beside if accuses(beside) else replace(test, wide=float(np.fmax(test.wide, beside.wide)))
         return test, search
 
@@ -340,6 +345,13 @@ def _among(
     more = load.steps and (y - load.wave)[~held].var() > DUST * y[~held].var()
     relieved = look(y - load.wave, load.steps)[0] if more else test
     return relieved if accuses(relieved) else test
+
+
+@lru_cache(maxsize=KEPT)
+def _search_of(y: bytes, u: bytes, held: bytes, delays: tuple[int, ...], sign: float, blur: float) -> _Search:
+    """The search in a stretch of PV, about its mean, and OP, as their numbers stand in memory; held: see `_among`."""
+    pv, op, still = np.frombuffer(y).copy(), np.frombuffer(u).copy(), np.frombuffer(held, dtype=np.bool_).copy()
+    return _Search(Rivals(pv, list(delays), sign, still), op, still, float(pv[~still].var()), blur)
 
 
 def _throughout(met: list[_Candidate]) -> _Candidate:

@@ -102,11 +102,21 @@ def loads_of(
     bare = _beside(data, lead.x, lead.first, lead.fit, limits, skip, [])
     # Where it is hardly coloured (see WHITER) the lead is not far from right.
     coloured = bare.a.size > 1
-    rivals = [*others, *(further(span) if further is not None and coloured else ())]
-    stems = [(bare, lead), *((_beside(data, s.x, s.first, s.fit, limits, skip, []), s) for s in rivals)]
-    found = [(_explained(data, stem, alone, limits, skip, span, most, strict), stem) for alone, stem in stems]
-    explained = [(model, stem) for model, stem in found if model is not None]
-    model, stem = min(explained, key=lambda one: one[0].bic, default=(None, lead))
+
+    def explained(stem: Stem, alone: _Model) -> list[tuple[_Model, Stem]]:
+        model = _explained(data, stem, alone, limits, skip, span, most, strict)
+        return [] if model is None else [(model, stem)]
+
+    def also(stems: Sequence[Stem]) -> list[tuple[_Model, Stem]]:
+        alone = (_beside(data, s.x, s.first, s.fit, limits, skip, []) for s in stems)
+        return [one for s, model in zip(stems, alone, strict=True) for one in explained(s, model)]
+
+    found = [*explained(lead, bare), *also(others)]
+    # Slips that leave noise alone beside steps are the right ones; what a wrong dead band leaves, its plant takes.
+    slipped = any(model.a.size == 1 and (s.valve is None or s.valve[1] > 0.0) for model, s in found)
+    if further is not None and coloured and not slipped:
+        found += also(further(span))
+    model, stem = min(found, key=lambda one: one[0].bic, default=(None, lead))
     # Steps beside a worse stem explain nothing that the first one does not by itself.
     if model is None or model.bic > bare.bic - CLEAR:
         return nothing
