@@ -121,6 +121,8 @@ class _Search:
             curved = FreePredictor(*past, True, self.linear.delay)
             # In a short record the one may have to do with less of the past than the other.
             self.known += [curved] if curved.past == self.free.past else []
+        self._in_place: dict[bytes, float] = {}
+        self._wave: dict[float, float] = {}
 
     def _gain(self, rival: float, variance: float) -> float:
         return self.rivals.count * math.log((rival + self.floor) / (variance + self.floor))
@@ -218,8 +220,15 @@ class _Search:
             least = min(c.innovations, c.adds)
             if least <= max(best, 0.0):
                 return max(best, least)
-            best = max(best, min(least, self.free.instead(c.path)))
+            best = max(best, min(least, self._instead(c.path)))
         return best
+
+    def _instead(self, path: FloatArray) -> float:
+        """What a stem is ahead of OP in the free predictor, in its place: a regression of its own, done once."""
+        key = path.tobytes()
+        if key not in self._in_place:
+            self._in_place[key] = self.free.instead(path)
+        return self._in_place[key]
 
     def over_wave(self, met: list[_Candidate], period: float) -> float:
         """Return what the best stem is ahead of a wave of PV's period in the free predictor, beside OP or in its place.
@@ -229,10 +238,12 @@ class _Search:
         best = max(c.innovations for c in met)
         if not (best > Thresholds().chance and math.isfinite(period) and self.free.enough):
             return best
-        wave = steady_wave(self.free, self.rivals.y, period)
+        if period not in self._wave:
+            self._wave[period] = steady_wave(self.free, self.rivals.y, period)
+        wave = self._wave[period]
         ahead = max(c.linearly for c in met) - wave
-        # In OP's place each stem is a regression of its own: not asked where it changes nothing.
-        return ahead if wave <= 0.0 else max([ahead, *(self.free.instead(c.path) - wave for c in met)])
+        # Not asked where it changes nothing.
+        return ahead if wave <= 0.0 else max([ahead, *(self._instead(c.path) - wave for c in met)])
 
     @property
     def squares(self) -> float:
