@@ -380,6 +380,11 @@ def test_where_a_models_stem_leaves_no_doubt_no_other_is_tried(
     wrong = wb.detect(record, fitted=(wb.Stenman(0.01), run.op.copy()))
     assert len(searched) == 1
     assert wrong.test == wb.detect(record).test
+    # That is kept for the next stem, and the same as anew.
+    assert len(searched) == 1
+    module._search_of.cache_clear()
+    assert wrong.test == wb.detect(record).test
+    assert len(searched) == 2
 
 
 def test_others_are_tried_beside_a_models_stem_that_leaves_more_than_noise(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -15,7 +15,7 @@ from workbench.estimate.data import centre
 from workbench.estimate.fit import Limits, autoregression, fit_linear, fit_path
 from workbench.estimate.loads import Stem, _beside, _refined, loads_of
 from workbench.estimate.settled import _of_band
-from workbench.estimate.two_parameter import band_stem
+from workbench.estimate.two_parameter import band_stem, best_start, fit_band
 from workbench.model.loads import LoadStep
 
 PLANTS = [wb.FOPDT(1.5, 12.0, 3.0), wb.Integrating(0.02, 3.0)]
@@ -59,6 +59,24 @@ def test_a_step_is_found_at_its_time_with_its_size_beside_the_true_stem(plant: w
     after = np.maximum(k - 703.0, 0.0)
     true = 1.2 * (0.02 * after if kind == "integrating" else 1.5 * (1.0 - np.exp(-after / 12.0)))
     assert np.abs(found.pv - true).max() < 0.12 * np.abs(true).max()
+
+
+@pytest.mark.parametrize(("J", "asked"), [(1.0, 0), (0.0, 1)], ids=["slips", "dead band"])
+def test_no_stem_is_sought_beside_steps_where_the_leads_slips_leave_noise_alone(J: float, asked: int) -> None:
+    run = run_of(loop_of(PLANTS[1], wb.Choudhury(3.0, J)), wb.Step(1.2, 700.0))
+    data, limits = centre(record_of(run), "integrating"), Limits((0.05, 1000.0), (0.0, 30.0))
+    start = best_start(data, (3.0, J), (12.0, 3.0))[1:]
+    lead = _of_band(data, fit_band(data, 3.0, J, start, limits, (12.0, 3.0)))
+    spans: list[tuple[int, int]] = []
+
+    def further(span: tuple[int, int]) -> list[Stem]:
+        spans.append(span)
+        return []
+
+    found = loads_of(data, lead, limits, 0, 2, further)
+    assert len(found.steps) == 1
+    assert np.std(found.left) == pytest.approx(0.05, rel=0.1)
+    assert len(spans) == asked
 
 
 @pytest.mark.parametrize("late", [0.3, 2.6], ids=str)

@@ -142,7 +142,11 @@ class _Search:
 
     @cached_property
     def own(self) -> list[_Candidate]:
-        """The valves judged: the best of the grid, and those found closer and closer about them."""
+        """The valves met."""
+        return self.met()
+
+    def met(self) -> list[_Candidate]:
+        """Return the valves judged: the best of the grid, and those found closer and closer about them."""
         width = float(np.ptp(self.u))
         grid = laws_of(width)
         limits = np.array(CLASSES) * width
