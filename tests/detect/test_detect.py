@@ -366,9 +366,9 @@ def test_where_a_models_stem_leaves_no_doubt_no_other_is_tried(
     run = wb.simulate(loop, wb.Experiment(600.0, setpoint=wb.Step(4.0), noise=wb.Noise(noise, 1)))
     record = wb.Record(run.pv, run.op, 1.0, sp=run.sp)
     searched = []
-    module = importlib.import_module("workbench.detect.stem")
-    met = module._Search.met
-    monkeypatch.setattr(module._Search, "met", lambda search: searched.append(search) or met(search))
+    module = importlib.import_module("workbench.detect.stem_search")
+    met = module.Search.met
+    monkeypatch.setattr(module.Search, "met", lambda search: searched.append(search) or met(search))
     told = wb.detect(record, fitted=(wb.Stenman(2.0), run.valve))
     assert told.verdict == "stiction"
     assert not searched
@@ -382,7 +382,7 @@ def test_where_a_models_stem_leaves_no_doubt_no_other_is_tried(
     assert wrong.test == wb.detect(record).test
     # That is kept for the next stem, and the same as anew.
     assert len(searched) == 1
-    module._search_of.cache_clear()
+    module.search_of.cache_clear()
     assert wrong.test == wb.detect(record).test
     assert len(searched) == 2
 
@@ -391,9 +391,9 @@ def test_others_are_tried_beside_a_models_stem_that_leaves_more_than_noise(monke
     loop = wb.Loop(wb.FOPDT(2.0, 5.0, 1.0), wb.Stenman(2.0), wb.PID(Kc=0.5, Ti=15.0), 1.0)
     drift = 0.05 * np.cumsum(np.random.default_rng(1).normal(size=600))
     searched = []
-    module = importlib.import_module("workbench.detect.stem")
-    met = module._Search.met
-    monkeypatch.setattr(module._Search, "met", lambda search: searched.append(search) or met(search))
+    module = importlib.import_module("workbench.detect.stem_search")
+    met = module.Search.met
+    monkeypatch.setattr(module.Search, "met", lambda search: searched.append(search) or met(search))
     for load, looked in ((np.zeros(600), 0), (drift - drift.mean(), 1)):
         searched.clear()
         noise = wb.Noise(0.3, 1)

@@ -29,7 +29,8 @@ from workbench.detect.oscillation import no_period, oscillation_of
 from workbench.detect.resolution import resolved, step_of
 from workbench.detect.shape import movement_index, triangle_index
 from workbench.detect.spikes import words_of_spikes
-from workbench.detect.stem import FITTED, Fitted, stem_test
+from workbench.detect.stem import stem_test
+from workbench.detect.stem_search import FITTED, Fitted
 from workbench.detect.verdict import Thresholds, decide, follows
 from workbench.errors import InvalidValue
 from workbench.model.checks import instance

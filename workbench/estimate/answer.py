@@ -11,7 +11,8 @@ import numpy as np
 
 from workbench.detect.action import only_answers
 from workbench.detect.detect import detect
-from workbench.detect.stem import WIDE, Fitted
+from workbench.detect.stem import WIDE
+from workbench.detect.stem_search import Fitted
 from workbench.detect.verdict import beyond_doubt
 from workbench.estimate.bands import Bands
 from workbench.estimate.candidates import Candidate

@@ -24,7 +24,7 @@ from workbench.model.loads import LoadStep
 from workbench.model.record import Record
 from workbench.model.results import LinearFit
 
-__all__ = ["MOST", "Straight", "free_of", "level", "linear_beside", "sought_beside_steps"]
+__all__ = ["MOST", "Coloured", "Straight", "free_of", "level", "linear_beside", "sought_beside_steps"]
 
 MOST = 4  # load steps that are sought together with the plant: as many as detection gives the linear loop
 SPARE = 6  # and more than are needed

@@ -10,7 +10,7 @@ import numpy as np
 
 from workbench.detect.detect import detect
 from workbench.detect.oscillation import OSCILLATES, REGULAR
-from workbench.detect.stem import FITTED
+from workbench.detect.stem_search import FITTED
 from workbench.errors import RecordError, WorkbenchError
 from workbench.fleet.sampling import Seen, means, oscillation_at_any_rate, stretch
 from workbench.kpi.kpis import travel
