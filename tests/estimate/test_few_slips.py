@@ -22,7 +22,7 @@ def holds(pair: tuple[float, float] | None, value: float) -> bool:
     return pair is not None and pair[0] <= value <= pair[1]
 
 
-# Noise, and how closely the gain is met.
+# Seeds of the noise, and how closely the gain is met.
 CASES = [
     (FLOW, 14, 0.01),
     (FLOW, 2, 0.01),

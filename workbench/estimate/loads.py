@@ -113,8 +113,8 @@ def loads_of(
 
     found = [*explained(lead, bare), *also(others)]
     # Slips that leave noise alone beside steps are the right ones; what a wrong dead band leaves, its plant takes.
-    slipped = any(model.a.size == 1 and (s.valve is None or s.valve[1] > 0.0) for model, s in found)
-    if further is not None and coloured and not slipped:
+    slips = (model.a.size == 1 and s.near is not None and (s.valve is None or s.valve[1] > 0.0) for model, s in found)
+    if further is not None and coloured and not any(slips):
         found += also(further(span))
     model, stem = min(found, key=lambda one: one[0].bic, default=(None, lead))
     # Steps beside a worse stem explain nothing that the first one does not by itself.
