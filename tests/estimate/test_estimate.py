@@ -328,6 +328,7 @@ def evidence(**changed: object) -> Evidence:
     plain = Evidence(
         samples=1000,
         variance=1.0,
+        floor=1e-6,
         linear=0.5,
         stem=0.01,
         slips=30,

@@ -29,6 +29,7 @@ def evidence(d: float, left: float) -> Evidence:
     return Evidence(
         samples=1000,
         variance=1.0,
+        floor=1e-6,
         linear=0.4,
         stem=0.4 * left,
         slips=20,
@@ -83,6 +84,10 @@ def test_a_valve_that_explains_most_is_not_acquitted_for_few_slips(healthy: wb.D
     assert agree(replace(few, stem=0.4, two_parameter=0.1), "undecided", ("why",), healthy)[0] == "undecided"
     assert agree(replace(few, stem=0.3), "undecided", ("why",), healthy)[0] == "no_stiction"
     assert agree(replace(few, linear=0.04, stem=0.002), "undecided", ("why",), healthy)[0] == "no_stiction"
+    # All but nothing of that little is not chance either, as long as the record resolves it.
+    for little in (replace(few, linear=0.04, stem=0.0007), replace(few, linear=0.04, stem=0.04, two_parameter=0.0)):
+        assert agree(little, "undecided", ("why",), healthy)[0] == "undecided"
+        assert agree(replace(little, floor=0.001), "undecided", ("why",), healthy)[0] == "no_stiction"
 
 
 def test_the_model_alone_does_not_accuse_where_a_wave_of_steady_period_is_clearly_likelier(
@@ -95,3 +100,16 @@ def test_the_model_alone_does_not_accuse_where_a_wave_of_steady_period_is_clearl
     # Where no wave was asked for, it is as far ahead as the stem itself.
     unasked = replace(healthy, verdict="undecided", test=replace(healthy.test, predicting=-60.0, waved=-60.0))
     assert agree(evidence(4.0, 0.05), "stiction", ("why",), unasked)[0] == "stiction"
+
+
+def test_a_cycle_that_a_dead_band_explains_to_the_last_digit_is_not_the_linear_loops_own() -> None:
+    # Of PV's 1 % that the linear loop leaves the band leaves a thousandth, in nine slips and no noise.
+    loop = wb.Loop(wb.Integrating(0.0277, 0.306), wb.Deadband(0.759), wb.PID(Kc=4.0, Ti=36.1), 1.0)
+    run = wb.simulate(loop, wb.Experiment(2000.0, setpoint=[wb.Step(0.129)]))
+    record = wb.Record(run.pv[1000:] + 50.0, run.op[1000:] + 40.0, 1.0, sp=run.sp[1000:] + 50.0)
+    assert wb.detect(record).verdict == "no_stiction"
+    found = wb.estimate(record, plant="integrating")
+    assert found.verdict == "undecided"
+    assert isinstance(found.valve, wb.Deadband)
+    assert found.valve.b == pytest.approx(0.759, rel=0.005)
+    assert found.plant.gain == pytest.approx(0.0277, rel=0.005)

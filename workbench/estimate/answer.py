@@ -269,6 +269,7 @@ def _evidence(record: Record, fits: Fits, stem: InScale | None, method: str, ite
     return Evidence(
         samples=n,
         variance=data.variance,
+        floor=data.floor,
         # A load step is no stiction: where there is one, both have it.
         linear=min(linear, linear_result(data, fits.linear).residual_variance) if fits.steps else linear,
         stem=math.inf if stem is None else float(np.mean((record.pv - stem.prediction) ** 2)),

@@ -28,6 +28,7 @@ WIDE_D = 0.20  # of OP's range: a stem that sticks as wide as this and fits as w
 SLOWEST = 0.25  # of the record, the longest time constant that the record can show
 NEAR_NOTHING = 0.25  # of d: where bands as narrow as this fit as well, stiction is not needed
 MOST, CERTAIN = 0.5, 0.9  # improvement by which the model alone decides: where detection does not, and against it
+ALL_BUT = 0.98  # and that leaves it suspect, however little the linear model leaves: of 166 acquitted none came to 0.9
 NAMED = 4  # separate ranges of d named one by one
 SHARP = 0.10  # widest range of d, relative, that counts as identified
 
@@ -38,12 +39,13 @@ class Evidence:
 
     linear: within the same dead times as the stem's; nothing: without any input; wide: the best stem with d above
     `WIDE_D` of OP's range; two_parameter: the best of a coarse grid over valves with (S, J), `bands`; islands: the
-    separate ranges of d within d_range; linear_delay: the linear model's dead time, and tau: the stem model's time
+    separate ranges of d within d_range; floor: what the record does not resolve; linear_delay: the linear model's dead time, and tau: the stem model's time
     constant (0 for an integrating plant), as shares of the record.
     """
 
     samples: int
     variance: float
+    floor: float
     linear: float
     stem: float
     slips: int
@@ -190,8 +192,10 @@ def agree(e: Evidence, verdict: str, reasons: tuple[str, ...], found: Detection)
     # The model knows no wave of steady period: where one is clearly likelier than every stem, it decides nothing alone.
     waved = test is not None and test.waved < min(test.predicting, -Thresholds().likelihood)
     sticks = verdict == "stiction" and test is not None and not waved
-    # However few its slips: a valve that explains most of what the linear model leaves is not acquitted.
-    explains = e.linear >= UNEXPLAINED * e.variance and min(e.stem, e.two_parameter) <= (1.0 - MOST) * e.linear
+    # However few its slips: a valve that explains most of what the linear model leaves is not acquitted, nor one that
+    # explains nearly all of the little that it leaves.
+    explained = MOST if e.linear >= UNEXPLAINED * e.variance else ALL_BUT
+    explains = max(min(e.stem, e.two_parameter), e.floor) <= (1.0 - explained) * e.linear
     # Detection has tried all stems as wide as this one, and acquits the valve of them.
     refuted = test is not None and e.d >= test.wide_from and excluded(test, Thresholds())
     acquitted = found.verdict == "no_stiction"
