@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 
 import workbench as wb
-from workbench.estimate.data import centre
+from workbench.estimate import loads
+from workbench.estimate.data import Centred, centre
+from workbench.estimate.estimate import linear_loop
 from workbench.estimate.fit import LEAST_TAU, Limits, fit_linear
 from workbench.estimate.loads import CLEAR, _beside, _needed
 from workbench.estimate.settled import _as_white, coloured_linear
@@ -119,3 +121,24 @@ def test_a_filter_that_whitens_as_well_as_another_is_no_other_measure() -> None:
     assert not _as_white(left, far, near, 0.0)
     assert not _as_white(left, white, near, 0.0)
     assert _as_white(left, near, white, 0.0)
+
+
+def test_a_step_that_is_taken_for_another_does_not_come_and_go_for_ever(monkeypatch: pytest.MonkeyPatch) -> None:
+    # Two steps explain more than one; less what they leave of it one is enough, which is then the first again.
+    loop = wb.Loop(wb.FOPDT(1.31582595, 19.2161064, 0.98934292), wb.Ideal(), wb.PID(0.86129384, 33.1811409), 1.0)
+    load = [wb.Step(-0.97113378, at=42.0), wb.Step(1.03958492, at=320.0), wb.Step(1.63022948, at=760.0)]
+    noise = wb.Noise(0.02584106, 362971259)
+    experiment = wb.Experiment(1000.0, setpoint=[wb.Step(2.58410604)], load=load, noise=noise)
+    run = wb.simulate(loop, experiment)
+    times: list[tuple[int, ...]] = []
+    once = loads._refined
+
+    def refined(data: Centred, stem: loads.Stem, model: loads._Model, *rest: object) -> loads._Model:
+        times.append(model.times)
+        assert len(times) < 20
+        return once(data, stem, model, *rest)
+
+    monkeypatch.setattr(loads, "_refined", refined)
+    found = linear_loop(wb.Record(run.pv + 50.0, run.op + 40.0, 1.0, sp=run.sp + 50.0), "fopdt")
+    assert times.count((32,)) > 1
+    assert found.plant.gain == pytest.approx(1.316, rel=0.02)

@@ -144,6 +144,7 @@ def _explained(
     """
     x, first, fit = stem.x, stem.first, stem.fit
     coloured = inflation(model.left[skip:])
+    come_to = {model.times: model.bic}
     while len(model.times) < most:
         measures = [WHITE] if model.a.size == 1 else [model.a, WHITE]
         likely = {_likeliest(data, model, measure, span, skip) for measure in measures}
@@ -157,8 +158,12 @@ def _explained(
         trial = replace(trial, wider=model.wider, further=model.further)
         if not trial.bic < model.bic - CLEAR or trial.terms[1] * fit.gain <= 0.0:
             break
-        model = _refined(data, stem, trial, limits, skip)
-        x = model.x
+        moved = _refined(data, stem, trial, limits, skip)
+        # What leaves less of PV may be more coloured: a step that is taken for another then goes and comes again.
+        if moved.bic > come_to.get(moved.times, math.inf) - CLEAR:
+            break
+        model, x = moved, moved.x
+        come_to[model.times] = model.bic
     # What the record does not resolve has no colour.
     after = inflation(model.left[skip:]) if model.power(skip) > LOUD * data.floor else 0.0
     white = after <= max(min(WHITER * coloured, WHITE_ENOUGH), NOISE)
