@@ -39,8 +39,8 @@ class Evidence:
 
     linear: within the same dead times as the stem's; nothing: without any input; wide: the best stem with d above
     `WIDE_D` of OP's range; two_parameter: the best of a coarse grid over valves with (S, J), `bands`; islands: the
-    separate ranges of d within d_range; floor: what the record does not resolve; linear_delay: the linear model's dead time, and tau: the stem model's time
-    constant (0 for an integrating plant), as shares of the record.
+    separate ranges of d within d_range; floor: what the record does not resolve; linear_delay: the linear model's dead
+    time, and tau: the stem model's time constant (0 for an integrating plant), as shares of the record.
     """
 
     samples: int
