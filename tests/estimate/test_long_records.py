@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 import workbench as wb
-from workbench.estimate import long_kernel, long_record, sought
+from workbench.estimate import long_kernel, long_record, profile, sought
 from workbench.estimate.band_kernel import screen_bands
 from workbench.estimate.bands import search_bands
 from workbench.estimate.data import Centred, centre
@@ -31,7 +31,7 @@ from workbench.estimate.fit import (
 from workbench.estimate.output_error import FIT, TAU, drive_of, oe_cost
 from workbench.estimate.profile import search
 from workbench.estimate.stems import FIRST, HIGH, LOW, path_of, walk, walk_starts
-from workbench.estimate.walk_kernel import at_delays
+from workbench.estimate.walk_kernel import AtDelays, at_delays
 from workbench.estimate.windows import EXACT, active_windows, stretch_of, windows_of
 from workbench.model.valve import Valve
 
@@ -384,3 +384,25 @@ def test_a_band_with_a_lower_one_step_cost_leaves_the_best_one_its_paths() -> No
     assert found is not None
     assert found.best.d == pytest.approx(2.0, rel=0.002)
     assert found.best.fit.gain == pytest.approx(1.2, rel=0.01)
+
+
+@pytest.mark.parametrize(
+    ("theta", "looked_at"), [(406.0, [400, 412]), (412.0, [412]), (443.5, [437, 450]), (20.0, range(16, 25))]
+)
+def test_windows_narrow_dead_times_to_those_about_theirs_however_far_apart(
+    theta: float, looked_at: list[int], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    data, delays = loop_data(samples=2_000), profile._delays(450.0)
+    glimpse = long_record._Glimpse((1.5,), (theta,), clear=True)
+    shifted: list[list[int]] = []
+
+    def at(sums: np.ndarray, some: np.ndarray) -> AtDelays:
+        shifted.append(some.tolist())
+        return at_delays(sums, some)
+
+    monkeypatch.setattr(long_record, "_glimpses", lambda *_: [glimpse])
+    monkeypatch.setattr(long_record, "at_delays", at)
+    rows, likely = long_record.scan_long(data, delays, 450.0, lambda _: None)
+    assert shifted == [list(looked_at)]
+    assert len(rows) > 0
+    assert likely[0] == 1.5

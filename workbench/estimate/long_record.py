@@ -35,6 +35,7 @@ AGREED = 0.01  # of d: windows that differ by less agree
 GLIMPSED = 16  # first slips tried in a window
 NARROW = 40  # bands below WIDE_D on the whole of a long record, those above by 1 %
 LEAN = 16  # dead times on the whole of a long record
+NEAR = 4  # samples about what the windows say
 LIKELY = 8  # bands looked at closely there
 
 
@@ -120,8 +121,10 @@ def scan_long(
     clear = [g for g in glimpses if g.clear]
     searched = delays
     if clear:
-        low, high = min(g.delays[0] for g in clear) - 4, max(g.delays[0] for g in clear) + 4
-        searched = delays[(delays >= low) & (delays <= high)]
+        low, high = min(g.delays[0] for g in clear) - NEAR, max(g.delays[0] for g in clear) + NEAR
+        # Long dead times lie further apart than that: those on either side of it then.
+        within = delays[(delays >= low) & (delays <= high)]
+        searched = within if within.size else delays[max(int(np.searchsorted(delays, low)) - 1, 0) :][:2]
     lean = at_delays(data.sums, thin(searched, LEAN))
     likely = [d for g in clear for d in g.bands[:2]] + [g.bands[0] for g in glimpses if not g.clear]
     # Some paths over every d, for what no window is long enough to show; narrow bands slip often in each of them.
