@@ -11,7 +11,8 @@ import workbench as wb
 from workbench.estimate.data import centre
 from workbench.estimate.fit import Fit, fit_linear
 from workbench.estimate.scale import linear_intervals
-from workbench.estimate.unseen import Unseen, unseen, words_of_unseen
+from workbench.estimate.two_parameter import Band
+from workbench.estimate.unseen import Unseen, unseen, words_of_likelier, words_of_unseen
 from workbench.model.results import Intervals
 
 PLANT = wb.FOPDT(0.37, 24.0, 2.0)
@@ -93,11 +94,43 @@ def test_without_a_part_of_op_in_pv_there_is_nothing_to_say() -> None:
     [((1.0, 1.1), (0.9, 1.1), True), ((1.0, 1.1), (0.98, 1.12), False), ((-1.1, -1.0), (-math.inf, -1.0), True)],
 )
 def test_only_what_matters_is_said(own: tuple[float, float], other: tuple[float, float], told: bool) -> None:
-    found = Unseen(0.7, Intervals(gain=other))
+    best = Band(0.5, 0.0, 0, 1.0, 9, Fit(1.0, 5.0, 1.0, 1.0, 0.0, 0.0, 0.0))
+    found = Unseen(0.7, Intervals(gain=other), best, 3.0)
     said = words_of_unseen(found, Intervals(gain=own), integrating=False)
     assert bool(said) == told
     assert not told or said[0].startswith("dead bands of up to 0.7 % fit as well")
     assert words_of_unseen(found, Intervals(), integrating=False) == ()
+
+
+@pytest.mark.parametrize(("noise", "seed"), [(0.02, 1), (0.02, 2), (0.04, 2)])
+def test_a_dead_band_that_is_likelier_than_the_linear_loop_is_told_and_not_acquitted(noise: float, seed: int) -> None:
+    record = record_of(wb.Deadband(0.8), noise=noise, seed=seed)
+    # The linear loop leaves noise alone, and detection nothing to explain.
+    assert wb.detect(record).verdict == "no_stiction"
+    found, straight = wb.estimate(record, plant="fopdt"), wb.estimate(record, plant="fopdt", valve="linear")
+    assert found.verdict == "undecided"
+    assert found.reasons[0].startswith("a stem that sticks over ")
+    assert found.valve.stick_band == pytest.approx(0.8, rel=0.25)
+    assert found.plant.gain == pytest.approx(PLANT.gain, rel=0.05)
+    assert straight.plant.gain < 0.9 * PLANT.gain
+    assert_held(found, PLANT)
+    assert not found.identifiable
+    # Nor where a dead band is asked for, or the one that is there.
+    assert isinstance(wb.estimate(record, plant="fopdt", valve="deadband").valve, wb.Deadband)
+
+
+def test_how_far_a_dead_band_is_ahead_of_the_linear_loop_is_that_of_their_sums_of_squares() -> None:
+    ahead = []
+    for valve in (wb.Ideal(), wb.Deadband(0.8)):
+        data = centre(record_of(valve, noise=0.02, seed=1), "fopdt")
+        linear = fit_linear(data, 240.0)
+        found = unseen(data, linear, 240.0)
+        assert found is not None
+        assert found.ahead == pytest.approx(1000 * math.log(linear.sse / found.best.fit.sse), rel=1e-9)
+        ahead.append(found.ahead)
+    assert ahead[0] < 10.0
+    assert ahead[1] > 30.0
+    assert "log likelihood ratio 17" in words_of_likelier(wb.Deadband(0.8), 17.2)
 
 
 def assert_held(found: wb.Estimate, plant: wb.FOPDT) -> None:

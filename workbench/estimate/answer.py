@@ -36,7 +36,7 @@ from workbench.estimate.models import (
 from workbench.estimate.outside import CHANCE, Rival, rival_of, weighed
 from workbench.estimate.paths import band_paths, linear_path, stem_paths
 from workbench.estimate.profile import Profile, islands, search
-from workbench.estimate.record_fits import Fits, closely, first_fits, likelier_pair, sound, with_ranges
+from workbench.estimate.record_fits import Fits, about, closely, first_fits, likelier_pair, sound, with_ranges
 from workbench.estimate.scale import (
     InScale,
     band_of,
@@ -54,7 +54,7 @@ from workbench.estimate.straight import MOST, Coloured, Straight, level
 from workbench.estimate.swing import Answered
 from workbench.estimate.two_parameter import Band
 from workbench.estimate.two_step import akaike
-from workbench.estimate.unseen import unseen, words_of_unseen
+from workbench.estimate.unseen import Unseen, unseen, words_of_likelier, words_of_unseen
 from workbench.estimate.verdict import ENOUGH_SLIPS, Evidence, agree, judge
 from workbench.model.detection import Detection
 from workbench.model.record import Record
@@ -338,10 +338,39 @@ def _told_straight(loop: _Asked, fits: Fits, said: _Said) -> Answered[Estimate]:
         words, others = words_of_unseen(found, ranges, data.integrating), (found.plant,)
         # Who is acquitted hides no band over much of OP's range, unless the plant is the same.
         doubt = bool(words) and said.verdict == "no_stiction" and found.band >= WIDE * data.op_range
+        if (doubt or said.verdict == "undecided" or data.a.size == 1) and (
+            banded := _told_band(loop, fits, (*words, *said.reasons), found)
+        ) is not None:
+            return banded
         reasons = (*words, *said.reasons) if doubt else (*said.reasons, *words)
         said = said._replace(verdict="undecided" if doubt else said.verdict, reasons=reasons)
     told = _linear_estimate(loop, replace(fits, steps=steps), said, answer)
     return Answered(replace(told, intervals=ranges), linear_path(data, linear), data, others)
+
+
+def _told_band(loop: _Asked, fits: Fits, reasons: tuple[str, ...], found: Unseen) -> Answered[Estimate] | None:
+    """The answer whose model is the dead band that is likelier than the linear loop, or None where none clearly is.
+
+    Each has the load steps that it needs. Nothing else accuses the valve, which is not acquitted then. reasons: for the
+    linear loop.
+    """
+    bare, linear, _ = loop.coloured
+    if loop.valve not in ("auto", "deadband") or found.ahead < math.log(bare.samples) + CLEAR:
+        return None
+    fits = about(fits, loop.line.data, bare, found.best, linear)
+    chosen = choose(fits.models, loop.valve)
+    if chosen not in fits.bands:
+        return None
+    fits, ranged = with_ranges(fits, chosen)
+    b, free = ranged.best, VALVE_PARAMETERS[chosen] * math.log(bare.samples)
+    ahead = level(*loop.coloured) - level(fits.data, b.fit, fits.steps)
+    if b.fit.gain == 0.0 or ahead < free + CLEAR:
+        return None
+    fits = replace(fits, bands=fits.bands | {chosen: replace(fits.bands[chosen], best=b)})
+    stem = band_of(fits.data, ranged, chosen, fits.limits)
+    said = _Said("undecided", (words_of_likelier(fits.models[chosen].valve, 0.5 * ahead), *reasons), identifiable=False)
+    answered = _told_stem(loop, fits, chosen, b, said, stem, ranged, None)
+    return answered._replace(others=(*answered.others, found.plant))
 
 
 def _told_stem(

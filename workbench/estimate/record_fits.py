@@ -18,7 +18,7 @@ from workbench.estimate.models import bands_of, compared
 from workbench.estimate.profile import Profile, profile_of
 from workbench.estimate.settled import STEPS_MOST, needs_steps, settled
 from workbench.estimate.sought import Seek, Sought, coarse_of, like_stenman, sought
-from workbench.estimate.two_parameter import Band, look
+from workbench.estimate.two_parameter import Band, fit_band, look
 from workbench.estimate.verdict import ENOUGH_SLIPS, SHARP, SURE_SLIPS, WIDE_D
 from workbench.estimate.windows import EXACT, WHOLE
 from workbench.model.loads import LoadStep
@@ -28,6 +28,7 @@ __all__ = [
     "DELAYS",
     "LINEAR_DELAYS",
     "Fits",
+    "about",
     "closely",
     "first_fits",
     "leaves_noise_alone",
@@ -182,6 +183,23 @@ def sound(fits: Fits, valve: str, data: Centred, linear: Fit) -> Fits:
         other = None if found is None else found.best.fit
         bands = bands_of(data, fits.coarse, fits.seen_in(data), fits.limits, fits.within.rival(other))
     return replace(fits, data=data, found=found, bands=bands, linear=linear)
+
+
+def about(fits: Fits, whole: Centred, data: Centred, band: Band, linear: Fit) -> Fits:
+    """Return the models of a loop in which a dead band was found beside a linear loop, searched on from there.
+
+    whole: the record with its load steps; data, linear: without those that the linear loop was found beside, and its
+    fit there.
+    """
+    limits, delays = fits.limits, fits.limits.theta[1]
+    within = fits.seen_in(data)
+    seed = fit_band(data, band.S, 0.0, (band.first, band.sense), limits, (band.fit.tau, band.fit.theta))
+    bands = bands_of(data, [seed], within, limits, linear.sse)
+    there, _, own, linear, steps = settled(whole, None, bands, linear, delays, within)
+    found = fits.found
+    if found is not None:
+        found = profile_of(there, found.rows, [*found.likely, found.best.d_low], found.limits, (found.best,))
+    return replace(fits, data=there, whole=whole, found=found, bands=own, linear=linear, steps=steps, bare=None)
 
 
 def likelier_pair(fits: Fits) -> Band | None:

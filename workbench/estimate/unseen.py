@@ -26,8 +26,9 @@ from workbench.estimate.two_parameter import NARROWEST, WIDEST, Band, band_stem,
 from workbench.estimate.windows import WHOLE
 from workbench.model.numbers import given, interval
 from workbench.model.results import Intervals
+from workbench.model.valve import Valve
 
-__all__ = ["Unseen", "unseen", "words_of_unseen"]
+__all__ = ["Unseen", "unseen", "words_of_likelier", "words_of_unseen"]
 
 BANDS, BANDS_LONG = 32, 12  # looked at, as many to a tenth of the range as to a hundredth
 LEAST = 0.25 * NARROWEST  # of OP's range
@@ -41,10 +42,15 @@ Place = Callable[[float, float, tuple[int, float], Fit], Band]
 
 
 class Unseen(NamedTuple):
-    """The widest dead band that a record does not exclude, %, and the ranges of the plants of all such bands."""
+    """The widest dead band that a record does not exclude, %, and the ranges of the plants of all such bands.
+
+    best: the likeliest; ahead: by how much its `N log V` is below the linear loop's.
+    """
 
     band: float
     plant: Intervals
+    best: Band
+    ahead: float
 
 
 def unseen(data: Centred, linear: Fit, longest: float, loaded: Loaded | None = None) -> Unseen | None:
@@ -91,7 +97,9 @@ def unseen(data: Centred, linear: Fit, longest: float, loaded: Loaded | None = N
     errors = standard_errors(data, x, begin, fit, clamped=False)
     spare = [math.sqrt(1.0 - behind(b)) for b in alike]
     ranges = ranges_of(data, [b.fit for b in alike], errors, None, limits.theta[1], spare)
-    return Unseen(max(b.S for b in alike), ranges)
+    likeliest = best_of(alike)
+    left = [max(fit.sse / n, data.floor) for fit in (rival, likeliest.fit)]
+    return Unseen(max(b.S for b in alike), ranges, likeliest, n * math.log(left[0] / left[1]))
 
 
 def _followed(data: Centred, linear: Fit, start: tuple[int, float] | None, place: Place) -> list[Band]:
@@ -122,4 +130,12 @@ def words_of_unseen(found: Unseen, own: Intervals, integrating: bool) -> tuple[s
     gain = interval(both, "EU/(% s)" if integrating else "EU/%", 3)
     return (
         f"dead bands of up to {given(found.band, 3)} % fit as well: the ranges hold their plants too, a gain of {gain}",
+    )
+
+
+def words_of_likelier(valve: Valve, ratio: float) -> str:
+    """Return in words that a valve is likelier than none, by a log likelihood ratio."""
+    return (
+        f"a stem that sticks over {given(valve.stick_band, 3)} % explains PV better than OP itself does, by the fitted "
+        f"models alone (log likelihood ratio {ratio:.0f}): a record with more slips, or the measured stem, would tell"
     )
