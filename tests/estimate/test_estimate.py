@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import math
 import os
 from contextlib import suppress
 from dataclasses import replace
@@ -18,9 +19,10 @@ from hypothesis.extra.numpy import arrays
 import workbench as wb
 from workbench.cli_output import estimate_lines
 from workbench.detect.spikes import without_spikes
-from workbench.estimate.candidates import Candidate
+from workbench.estimate.candidates import Candidate, held
 from workbench.estimate.data import centre
 from workbench.estimate.fit import Fit, Limits, fit_linear
+from workbench.estimate.models import compared
 from workbench.estimate.profile import Profile, islands
 from workbench.estimate.scale import linear_result
 from workbench.estimate.verdict import Evidence, judge
@@ -322,6 +324,20 @@ def test_separate_ranges_of_d_are_told_apart() -> None:
     assert islands(Profile(good[0], tuple(good), tuple(good), np.empty((0, 6)), (), True, limits, False)) == (
         (1.0, 2.0),
     )
+
+
+def test_a_stem_that_slips_but_once_sticks_over_no_less_than_it_took_however_much_more() -> None:
+    # The path holds for every d from there on; its valve is one that can be told, simulated and tuned for.
+    op = np.concatenate([np.zeros(50), np.linspace(0.0, 3.0, 100), np.full(150, 3.0)])
+    data = centre(wb.Record(np.sin(np.arange(300.0)), op, 1.0), "fopdt")
+    limits, fit = Limits((0.05, 300.0), (0.0, 30.0)), Fit(1.0, 5.0, 1.0, 1.0, 0.0, 0.0, 0.0)
+    first = 100
+    once = held(data, Candidate(first, 2.0, math.inf, 1, fit))
+    assert math.isinf(once.d_high)
+    assert once.d == once.d_low
+    profile = Profile(once, (once,), (once,), np.empty((0, 6)), (), True, limits, False)
+    assert compared(data, fit, profile, {})["stenman"].valve == wb.Stenman(once.d_low)
+    assert replace(once, d_low=2.0, d_high=3.0).d == 2.5
 
 
 def evidence(**changed: object) -> Evidence:

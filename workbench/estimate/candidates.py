@@ -43,8 +43,8 @@ class Candidate:
 
     @property
     def d(self) -> float:
-        """The middle of the range, %."""
-        return 0.5 * (self.d_low + self.d_high)
+        """The middle of the range, %; its lower end where the stem slips but once, for d however large."""
+        return 0.5 * (self.d_low + self.d_high) if math.isfinite(self.d_high) else self.d_low
 
 
 def fitted(
