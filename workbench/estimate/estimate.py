@@ -91,10 +91,11 @@ def estimate(
     still, where OP only answers PV. Where the verdict is "undecided" and a linear loop is not clearly less likely, the
     plant's ranges hold that one's too. A sticking valve by "two_step" has no ranges: it does not look for others that
     fit as well. Steps of the load that nobody recorded are fitted beside the model (`load_steps`, see
-    `estimate.loads`); a linear loop that leaves noise alone beside some is told, with its plant. An oscillation from
-    outside the loop, a sinusoid that is a quarter or more of what the model leaves, is fitted beside the model
-    (`load_swing`; 10,000 samples at most; not by "two_step"). A PV that is recorded later than the controller saw it is
-    looked at as that did (`pv_late`), and values of PV or OP that stand out from their neighbours alone are left out
+    `estimate.loads`); a linear loop that leaves noise alone beside some is told, with its plant, or a dead band that is
+    clearly likelier than that loop ("undecided", as nothing else accuses the valve). An oscillation from outside the
+    loop, a sinusoid that is a quarter or more of what the model leaves, is fitted beside the model (`load_swing`;
+    10,000 samples at most; not by "two_step"). A PV that is recorded later than the controller saw it is looked at as
+    that did (`pv_late`), and values of PV or OP that stand out from their neighbours alone are left out
     (`detect.spikes`).
     identifiable is True where the verdict is "stiction", no range is open, that hull is at most a tenth of d wide and
     gain's at most a fifth of the gain; not where PV was kept by exception or mostly lies between recorded values, whose
