@@ -137,5 +137,6 @@ def words_of_likelier(valve: Valve, ratio: float) -> str:
     """Return in words that a valve is likelier than none, by a log likelihood ratio."""
     return (
         f"a stem that sticks over {given(valve.stick_band, 3)} % explains PV better than OP itself does, by the fitted "
-        f"models alone (log likelihood ratio {ratio:.0f}): a record with more slips, or the measured stem, would tell"
+        f"models alone (log likelihood ratio {ratio:.0f}): a setpoint move, a longer record or the measured stem would "
+        "tell"
     )
