@@ -164,3 +164,10 @@ def test_the_paper_loops_ensemble_gives_the_known_figures(tuning):
     loop = LOOP.with_controller(replace(LOOP.controller, Kc=Kc, Ti=Ti, Td=Td))
     found = wb.assess(loop, replace(READY, draws=2000, seed=7))
     assert (found.mse_median, found.mse_p90, found.travel_median) == pytest.approx(PUBLISHED[tuning], rel=0.06)
+
+
+def test_what_is_no_ensemble_or_objective_is_said() -> None:
+    with pytest.raises(InvalidValue, match=r"ensemble: .*must be an Ensemble or None"):
+        wb.assess(LOOP, wb.Experiment(100.0))
+    with pytest.raises(InvalidValue, match=r"objective: .*must be an Objective or None"):
+        wb.assess(LOOP, None, wb.Bounds())

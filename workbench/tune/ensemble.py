@@ -267,7 +267,11 @@ def assess(loop: Loop, ensemble: Ensemble | None = None, objective: Objective | 
     had again by `wb.simulate` of a member of `tune.ensemble.draws`. Raises `InvalidValue`.
     """
     instance(loop, Loop, "loop", "a Loop")
-    return measured(Circumstances(loop, ensemble or Ensemble.plant_ready(loop)), objective or Objective())
+    ensemble = Ensemble.plant_ready(loop) if ensemble is None else ensemble
+    objective = Objective() if objective is None else objective
+    instance(ensemble, Ensemble, "ensemble", "an Ensemble or None")
+    instance(objective, Objective, "objective", "an Objective or None")
+    return measured(Circumstances(loop, ensemble), objective)
 
 
 def measured(given: Circumstances, objective: Objective) -> Robustness:
