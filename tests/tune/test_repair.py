@@ -87,3 +87,8 @@ def test_what_cannot_be_compared_is_refused(repair: Repair) -> None:
         wb.value_of_repair(replace(loop, valve=wb.Stenman(1.0)), EXPERIMENT, tuned=repair.tuned)
     with pytest.raises(wb.InvalidValue, match="another experiment"):
         wb.value_of_repair(loop, replace(EXPERIMENT, noise=None), tuned=repair.tuned)
+
+
+def test_what_is_no_tuning_is_said() -> None:
+    with pytest.raises(wb.InvalidValue, match=r"tuned: .*must be what `tune` returns, or None"):
+        wb.value_of_repair(paper_loop(0.5, 20.0), EXPERIMENT, tuned=EXPERIMENT)  # type: ignore[arg-type]

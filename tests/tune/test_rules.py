@@ -207,3 +207,9 @@ def test_the_rule_does_not_stop_the_cycle_that_the_describing_function_cannot_se
     tuned = loop.with_controller(wb.apply_rule(loop, wb.NoCrossing(), digits=4))
     assert not wb.describing_function(tuned).predicts_cycle
     assert wb.limit_cycle(tuned, wb.Experiment(600.0, wb.Step(4.0))).outcome == "cycles"
+
+
+@pytest.mark.parametrize("rule", [None, "simc", wb.Simc, LAG])
+def test_what_is_no_rule_is_said(rule: object) -> None:
+    with pytest.raises(wb.InvalidValue, match=r"rule: .*must be one of Simc, Lambda, Amigo, .*NoCrossing"):
+        wb.apply_rule(loop_of(LAG), rule)  # type: ignore[arg-type]

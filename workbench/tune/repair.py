@@ -56,6 +56,7 @@ def value_of_repair(
     if loop.valve.stick_band == 0.0 and loop.valve.slip_jump == 0.0:
         raise InvalidValue("Loop.valve", loop.valve, "must be a valve that sticks: there is nothing to repair")
     if tuned is not None:
+        instance(tuned, Tuned, "tuned", "what `tune` returns, or None")
         if replace(tuned.loop, controller=loop.controller) != loop:
             raise InvalidValue("tuned", "the tuning of another loop", "must be a tuning of this plant and valve")
         if tuned.experiment != experiment:

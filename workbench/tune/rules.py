@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import get_args
 
 import numpy as np
 from scipy import optimize
@@ -36,6 +37,7 @@ def apply_rule(loop: Loop, rule: Rule, *, digits: int | None = None) -> PID:
     where the form has no equivalent.
     """
     instance(loop, Loop, "loop", "a Loop")
+    instance(rule, get_args(Rule), "rule", "one of " + ", ".join(kind.__name__ for kind in get_args(Rule)))
     if digits is not None:
         number(whole(digits, "apply_rule.digits"), "apply_rule.digits", least=1, most=12)
     if isinstance(rule, DetunedIntegral):
