@@ -338,9 +338,10 @@ def _told_straight(loop: _Asked, fits: Fits, said: _Said) -> Answered[Estimate]:
         words, others = words_of_unseen(found, ranges, data.integrating), (found.plant,)
         # Who is acquitted hides no band over much of OP's range, unless the plant is the same.
         doubt = bool(words) and said.verdict == "no_stiction" and found.band >= WIDE * data.op_range
-        if (doubt or said.verdict == "undecided" or data.a.size == 1) and (
-            banded := _told_band(loop, fits, (*words, *said.reasons), found)
-        ) is not None:
+        # Of what real healthy loops leave, coloured as it is, a narrow band may take as much by chance.
+        asked = doubt or said.verdict == "undecided" or data.a.size == 1
+        banded = _told_band(loop, fits, (*words, *said.reasons), found) if asked else None
+        if banded is not None:
             return banded
         reasons = (*words, *said.reasons) if doubt else (*said.reasons, *words)
         said = said._replace(verdict="undecided" if doubt else said.verdict, reasons=reasons)
