@@ -1,8 +1,8 @@
 """Estimation and detection of whatever a loop may record: does any record end in a traceback, or never end?
 
 Random loops of `detection.py`, `load_steps.py` and `estimation.py`, as they are, cut to a stretch, or changed as
-`detection.py` changes records; with DIR, real records (`DIR/*/*.csv`) changed likewise. Each is estimated with a random
-valve, plant, longest dead time and method, in the time given here; an error of our own is an answer.
+`detection.py` changes records; with DIR, real records (`DIR/*/*.csv`) changed likewise. Each is looked at by
+`detect`, then estimated with a random valve, plant, longest dead time and method; an error of our own is an answer.
 
 Printed: each record that ends otherwise, or takes longer than LONG, and in the end how many there were of each answer
 and the longest times. A record is repeated by its number: `--only NUMBER`.

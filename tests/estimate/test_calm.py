@@ -140,5 +140,6 @@ def test_a_step_that_is_taken_for_another_does_not_come_and_go_for_ever(monkeypa
 
     monkeypatch.setattr(loads, "_refined", refined)
     found = linear_loop(wb.Record(run.pv + 50.0, run.op + 40.0, 1.0, sp=run.sp + 50.0), "fopdt")
-    assert times.count((32,)) > 1
+    # It is come to again, whichever sample that is.
+    assert len(times) > len(set(times))
     assert found.plant.gain == pytest.approx(1.316, rel=0.02)
