@@ -24,9 +24,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 import workbench as wb
-from workbench.estimate.data import centre
-from workbench.estimate.stems import LEAST_D
-from workbench.estimate.walk_kernel import COST, ROW, at_delays, walk
+from workbench.estimate.fits.data import centre
+from workbench.estimate.kernels.walk import COST, ROW, at_delays, walk
+from workbench.estimate.search.stems import LEAST_D
 
 SAMPLES = 1000
 NOISE = (0.0, 0.01, 0.02, 0.05, 0.1, 0.2)  # of PV's swing

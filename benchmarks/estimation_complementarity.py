@@ -28,11 +28,11 @@ import numpy as np
 from estimation_joint import stenman_loop
 
 import workbench as wb
-from workbench.estimate.complementarity import COLD, WARM, Found, cold, solved, warm
-from workbench.estimate.data import Centred, centre
-from workbench.estimate.fit import Fit, Limits, fit_linear, fit_path, start_range
-from workbench.estimate.paths import Path
-from workbench.estimate.stems import path_of
+from workbench.estimate.fits.data import Centred, centre
+from workbench.estimate.fits.fit import Fit, Limits, fit_linear, fit_path, start_range
+from workbench.estimate.methods.complementarity import COLD, WARM, Found, cold, solved, warm
+from workbench.estimate.search.paths import Path
+from workbench.estimate.search.stems import path_of
 from workbench.model.results import Estimate
 
 SAMPLES = 600

@@ -15,7 +15,7 @@ import numpy as np
 from estimation import SAMPLES, drawn, measured
 
 import workbench as wb
-from workbench.estimate.swing import SWINGS
+from workbench.estimate.loads.swing import SWINGS
 
 
 def random_record(rng: np.random.Generator, kind: str, plant: str) -> tuple[wb.Loop, wb.Record]:

@@ -30,17 +30,24 @@ ALLOWED = {
     "scenario": {"model", "kpi", "record", "simulate", "detect", "estimate", "analyze", "tune", "report"},
     "fleet": {"model", "kpi", "record", "simulate", "detect", "estimate", "analyze", "tune", "scenario", "report"},
     "ui": {"model", "kpi", "record", "simulate", "detect", "estimate", "analyze", "tune", "report", "scenario"},
+    "cli": {"model", "record", "estimate", "report", "scenario", "fleet", "ui", "score"},
 }
 
 
-def imports(path: Path) -> set[str]:
-    found = set()
+# And within the folder that estimates: each knows those before it, and none what lies beside them.
+ESTIMATE = ("kernels", "fits", "search", "loads", "ranges", "methods")
+
+
+def imports(path: Path, within: str = "workbench") -> set[str]:
+    """What a module imports of a package: folders and modules right below it."""
+    names = set()
     for node in ast.walk(ast.parse(path.read_text())):
-        if isinstance(node, ast.ImportFrom) and node.module and node.module.startswith("workbench."):
-            found.add(node.module.split(".")[1])
+        if isinstance(node, ast.ImportFrom):
+            names |= {f"{node.module}.{alias.name}" for alias in node.names}
         elif isinstance(node, ast.Import):
-            found |= {alias.name.split(".")[1] for alias in node.names if alias.name.startswith("workbench.")}
-    return found
+            names |= {alias.name for alias in node.names}
+    start = f"{within}."
+    return {name.removeprefix(start).split(".")[0] for name in names if name.startswith(start)} - {"__version__"}
 
 
 def test_every_folder_has_its_place():
@@ -52,6 +59,14 @@ def test_every_folder_has_its_place():
 def test_data_flows_one_way(folder):
     for path in (PACKAGE / folder).rglob("*.py"):
         extra = imports(path) - ALLOWED[folder] - {folder, "errors"}
+        assert not extra, f"{path.relative_to(PACKAGE)} imports {sorted(extra)}"
+
+
+@pytest.mark.parametrize("folder", ESTIMATE)
+def test_what_estimates_stands_on_what_comes_before(folder):
+    assert {p.name for p in (PACKAGE / "estimate").iterdir() if p.is_dir() and any(p.glob("*.py"))} == set(ESTIMATE)
+    for path in (PACKAGE / "estimate" / folder).glob("*.py"):
+        extra = imports(path, "workbench.estimate") - set(ESTIMATE[: ESTIMATE.index(folder) + 1])
         assert not extra, f"{path.relative_to(PACKAGE)} imports {sorted(extra)}"
 
 
@@ -92,5 +107,5 @@ def test_public_functions_survive_imports_of_their_folders():
 @pytest.mark.parametrize("folder", ["detect", "estimate", "analyze", "tune"])
 def test_numbers_in_words_follow_the_one_law(folder):
     # `:.3g` writes 1290 s as 1.29e+03; see `workbench.model.numbers`.
-    told = {path.name: re.findall(r"\{[^{}]*:\.\d+g\}", path.read_text()) for path in (PACKAGE / folder).glob("*.py")}
+    told = {path.name: re.findall(r"\{[^{}]*:\.\d+g\}", path.read_text()) for path in (PACKAGE / folder).rglob("*.py")}
     assert not {name: found for name, found in told.items() if found}

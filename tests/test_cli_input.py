@@ -11,8 +11,8 @@ import pytest
 from typer.testing import CliRunner
 
 import workbench as wb
-from workbench.cli import app
-from workbench.cli_compiling import SAID, tell_compiling
+from workbench.cli.app import app
+from workbench.cli.compiling import SAID, tell_compiling
 
 
 def call(*arguments: object) -> tuple[int, str, str]:

@@ -10,10 +10,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from workbench.estimate import abreast
-from workbench.estimate.output_error import FIT, drive_of, oe_cost
-from workbench.estimate.path_kernel import band_path
-from workbench.estimate.two_parameter import band_stem
+from workbench.estimate.kernels import abreast
+from workbench.estimate.kernels.output_error import FIT, drive_of, oe_cost
+from workbench.estimate.kernels.path import band_path
+from workbench.estimate.search.two_parameter import band_stem
 
 WHITE = np.ones(1)
 outputs = arrays(np.float64, st.integers(3, 60), elements=st.integers(-40, 40).map(lambda i: i / 8.0))

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from lags import DELAYS, POLES, N, left, signals
 
-from workbench.estimate.band_kernel import screen_drive, sums_of
+from workbench.estimate.kernels.bands import screen_drive, sums_of
 
 
 @pytest.mark.parametrize(("skip", "known"), [(0, 0), (9, 0), (0, 30), (9, 30), (60, 30)])

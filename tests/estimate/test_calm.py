@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 import workbench as wb
-from workbench.estimate import loads
-from workbench.estimate.data import Centred, centre
 from workbench.estimate.estimate import linear_loop
-from workbench.estimate.fit import LEAST_TAU, Limits, fit_linear
-from workbench.estimate.loads import CLEAR, _beside, _needed
-from workbench.estimate.settled import _as_white, coloured_linear
+from workbench.estimate.fits.data import Centred, centre
+from workbench.estimate.fits.fit import LEAST_TAU, Limits, fit_linear
+from workbench.estimate.loads import steps as loads
+from workbench.estimate.loads.settled import _as_white, coloured_linear
+from workbench.estimate.loads.steps import CLEAR, _beside, _needed
 from workbench.model.loads import LoadStep
 
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from workbench.estimate.coloured import MOST_LAGS, colour_beside
-from workbench.estimate.coloured_kernel import HELD, colour_left, products_of
-from workbench.estimate.data import centre
-from workbench.estimate.fit import LEAST_TAU, Fit, Limits, predict
+from workbench.estimate.fits.data import centre
+from workbench.estimate.fits.fit import LEAST_TAU, Fit, Limits, predict
+from workbench.estimate.kernels.coloured import HELD, colour_left, products_of
+from workbench.estimate.loads.coloured import MOST_LAGS, colour_beside
 from workbench.model.record import Record
 
 

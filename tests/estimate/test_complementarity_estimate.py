@@ -15,16 +15,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import workbench as wb
-from workbench.cli_output import estimate_json, estimate_lines
-from workbench.estimate import refined
-from workbench.estimate.data import Centred, centre
-from workbench.estimate.fit import Limits, fit_linear, fit_path, start_range
-from workbench.estimate.paths import Path
-from workbench.estimate.stems import path_of
+from workbench.cli.output import estimate_json, estimate_lines
+from workbench.estimate.fits.data import Centred, centre
+from workbench.estimate.fits.fit import Limits, fit_linear, fit_path, start_range
+from workbench.estimate.methods import refined
+from workbench.estimate.search.paths import Path
+from workbench.estimate.search.stems import path_of
 from workbench.model.results import Intervals
 from workbench.model.status import SolveStatus
 
-complementarity = importlib.import_module("workbench.estimate.complementarity")
+complementarity = importlib.import_module("workbench.estimate.methods.complementarity")
 
 PLANT = wb.FOPDT(2.0, 6.0, 1.6)
 LEVEL = wb.Integrating(0.05, 2.4)

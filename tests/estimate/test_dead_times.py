@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 import workbench as wb
-from workbench.estimate.coloured import DELAYS, delays_about
-from workbench.estimate.data import Centred, centre
-from workbench.estimate.profile import EACH, _delays
-from workbench.estimate.reach import searched
-from workbench.estimate.stems import silent
+from workbench.estimate.fits.data import Centred, centre
+from workbench.estimate.loads.coloured import DELAYS, delays_about
+from workbench.estimate.search.profile import EACH, _delays
+from workbench.estimate.search.reach import searched
+from workbench.estimate.search.stems import silent
 from workbench.model.valve import Valve
 
 
@@ -53,7 +53,7 @@ def test_a_dead_time_just_beyond_the_usual_ones_is_found_and_no_other_is_searche
 
 
 def test_a_usual_dead_time_is_searched_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    module = importlib.import_module("workbench.estimate.reach")
+    module = importlib.import_module("workbench.estimate.search.reach")
     longest: list[float] = []
     search = module.search
 
@@ -77,7 +77,7 @@ def test_a_long_record_is_looked_at_thinned_where_its_window_holds_few_slips(
         asked.append(every)
         return thin(data, every)
 
-    module = importlib.import_module("workbench.estimate.reach")
+    module = importlib.import_module("workbench.estimate.search.reach")
     search = module._searched
     seen: list[int] = []
 

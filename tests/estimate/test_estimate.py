@@ -17,14 +17,14 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 import workbench as wb
-from workbench.cli_output import estimate_lines
+from workbench.cli.output import estimate_lines
 from workbench.detect.spikes import without_spikes
-from workbench.estimate.candidates import Candidate, held
-from workbench.estimate.data import centre
-from workbench.estimate.fit import Fit, Limits, fit_linear
-from workbench.estimate.models import compared
-from workbench.estimate.profile import Profile, islands
-from workbench.estimate.scale import linear_result
+from workbench.estimate.fits.data import centre
+from workbench.estimate.fits.fit import Fit, Limits, fit_linear
+from workbench.estimate.ranges.scale import linear_result
+from workbench.estimate.search.candidates import Candidate, held
+from workbench.estimate.search.models import compared
+from workbench.estimate.search.profile import Profile, islands
 from workbench.estimate.verdict import Evidence, judge
 from workbench.model.results import Estimate, Intervals
 from workbench.model.study import NamedEstimate

@@ -12,14 +12,14 @@ from hypothesis.extra.numpy import arrays
 from scipy.signal import lfilter
 
 import workbench as wb
-from workbench.estimate import walk_kernel
-from workbench.estimate.data import centre
-from workbench.estimate.fit import Fit, predict
-from workbench.estimate.fit_kernel import oe_fit
-from workbench.estimate.output_error import FIT, GAIN, START, TAU, THETA, drive_of, oe_columns, oe_cost
-from workbench.estimate.path_kernel import stem_slips
-from workbench.estimate.stems import path_of
-from workbench.estimate.walk_kernel import COST, D_HIGH, D_LOW, DELAY, ROW, SLIPS, at_delays, walk
+from workbench.estimate.fits.data import centre
+from workbench.estimate.fits.fit import Fit, predict
+from workbench.estimate.kernels import walk as walk_kernel
+from workbench.estimate.kernels.fit import oe_fit
+from workbench.estimate.kernels.output_error import FIT, GAIN, START, TAU, THETA, drive_of, oe_columns, oe_cost
+from workbench.estimate.kernels.path import stem_slips
+from workbench.estimate.kernels.walk import COST, D_HIGH, D_LOW, DELAY, ROW, SLIPS, at_delays, walk
+from workbench.estimate.search.stems import path_of
 from workbench.model.plant import FOPDT, Integrating
 from workbench.model.record import Record
 from workbench.model.valve import Stenman

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 import workbench as wb
-from workbench.estimate.bands import Found, alike
-from workbench.estimate.data import Centred, centre
-from workbench.estimate.few import widened
-from workbench.estimate.fit import LEAST_TAU, Limits
-from workbench.estimate.scale import band_of
-from workbench.estimate.two_parameter import band_stem, best_start, fit_band
+from workbench.estimate.fits.data import Centred, centre
+from workbench.estimate.fits.fit import LEAST_TAU, Limits
+from workbench.estimate.ranges.few import widened
+from workbench.estimate.ranges.scale import band_of
+from workbench.estimate.search.bands import Found, alike
+from workbench.estimate.search.two_parameter import band_stem, best_start, fit_band
 
 # Cycles of a valve with S and J, late, without a setpoint move: six slips in 1,000 samples.
 FLOW = wb.Loop(wb.FOPDT(1.93, 43.6, 17.1), wb.Choudhury(19.9, 6.61), wb.PID(Kc=0.531, Ti=28.0), 1.0)

@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 
 import workbench as wb
-from workbench.estimate.bands import Bands, Found
-from workbench.estimate.data import Centred, centre
-from workbench.estimate.fit import Limits, grown
-from workbench.estimate.freed import Loaded, freed
-from workbench.estimate.settled import led_to
-from workbench.estimate.two_parameter import Band, band_stem, best_start, fit_band
+from workbench.estimate.fits.data import Centred, centre
+from workbench.estimate.fits.fit import Limits, grown
+from workbench.estimate.loads.settled import led_to
+from workbench.estimate.ranges.freed import Loaded, freed
+from workbench.estimate.search.bands import Bands, Found
+from workbench.estimate.search.two_parameter import Band, band_stem, best_start, fit_band
 from workbench.model.loads import LoadStep
 
 BAND, GAIN, LATE, NOISE = 5.0, 0.009, 7.0, 0.022
@@ -129,7 +129,7 @@ def test_a_step_that_leaves_white_noise_is_white_enough(monkeypatch) -> None:
     assert found.plant.gain == pytest.approx(1.66386, rel=0.02)
     low, high = found.intervals.gain
     assert low <= 1.66386 <= high
-    loads = importlib.import_module("workbench.estimate.loads")
+    loads = importlib.import_module("workbench.estimate.loads.steps")
     monkeypatch.setattr(loads, "NOISE", 0.0)
     assert not wb.estimate(record).load_steps
 

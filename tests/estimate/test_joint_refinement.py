@@ -15,16 +15,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import workbench as wb
-from workbench.cli_output import estimate_lines
-from workbench.estimate.data import centre
-from workbench.estimate.fit import Fit, Limits
-from workbench.estimate.paths import Path
+from workbench.cli.output import estimate_lines
+from workbench.estimate.fits.data import centre
+from workbench.estimate.fits.fit import Fit, Limits
+from workbench.estimate.search.paths import Path
 from workbench.model.results import Estimate
 from workbench.model.study import NamedEstimate, Study
 from workbench.report.results import results_content
 
 # `wb.estimate`, the function, hides the folder of its name from a plain import.
-joint = importlib.import_module("workbench.estimate.joint")
+joint = importlib.import_module("workbench.estimate.methods.joint")
 
 
 def coloured(a: float, sd: float, n: int, seed: int) -> np.ndarray:

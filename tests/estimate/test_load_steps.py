@@ -9,13 +9,14 @@ import numpy as np
 import pytest
 
 import workbench as wb
-from workbench.cli_output import estimate_lines
-from workbench.estimate import profile, record_fits
-from workbench.estimate.data import centre
-from workbench.estimate.fit import Limits, autoregression, fit_linear, fit_path
-from workbench.estimate.loads import Stem, _beside, _refined, loads_of
-from workbench.estimate.settled import _of_band
-from workbench.estimate.two_parameter import band_stem, best_start, fit_band
+from workbench.cli.output import estimate_lines
+from workbench.estimate import record_fits
+from workbench.estimate.fits.data import centre
+from workbench.estimate.fits.fit import Limits, autoregression, fit_linear, fit_path
+from workbench.estimate.loads.settled import _of_band
+from workbench.estimate.loads.steps import Stem, _beside, _refined, loads_of
+from workbench.estimate.search import profile
+from workbench.estimate.search.two_parameter import band_stem, best_start, fit_band
 from workbench.model.loads import LoadStep
 
 PLANTS = [wb.FOPDT(1.5, 12.0, 3.0), wb.Integrating(0.02, 3.0)]

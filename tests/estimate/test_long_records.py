@@ -12,11 +12,8 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 import workbench as wb
-from workbench.estimate import long_kernel, long_record, profile, sought
-from workbench.estimate.band_kernel import screen_bands
-from workbench.estimate.bands import search_bands
-from workbench.estimate.data import Centred, centre
-from workbench.estimate.fit import (
+from workbench.estimate.fits.data import Centred, centre
+from workbench.estimate.fits.fit import (
     Fit,
     Limits,
     fit_in_stretch,
@@ -28,11 +25,15 @@ from workbench.estimate.fit import (
     predict,
     start_range,
 )
-from workbench.estimate.output_error import FIT, TAU, drive_of, oe_cost
-from workbench.estimate.profile import search
-from workbench.estimate.stems import FIRST, HIGH, LOW, path_of, walk, walk_starts
-from workbench.estimate.walk_kernel import AtDelays, at_delays
-from workbench.estimate.windows import EXACT, active_windows, stretch_of, windows_of
+from workbench.estimate.fits.windows import EXACT, active_windows, stretch_of, windows_of
+from workbench.estimate.kernels import long as long_kernel
+from workbench.estimate.kernels.bands import screen_bands
+from workbench.estimate.kernels.output_error import FIT, TAU, drive_of, oe_cost
+from workbench.estimate.kernels.walk import AtDelays, at_delays
+from workbench.estimate.search import long_record, profile, sought
+from workbench.estimate.search.bands import search_bands
+from workbench.estimate.search.profile import search
+from workbench.estimate.search.stems import FIRST, HIGH, LOW, path_of, walk, walk_starts
 from workbench.model.valve import Valve
 
 outputs = arrays(np.float64, st.integers(30, 90), elements=st.integers(-40, 40).map(lambda i: i / 8.0))

@@ -11,10 +11,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import workbench as wb
-from workbench.cli_output import estimate_json, estimate_lines
-from workbench.estimate.data import centre
-from workbench.estimate.fit import LEAST_TAU, Fit
-from workbench.estimate.scale import ranges_of
+from workbench.cli.output import estimate_json, estimate_lines
+from workbench.estimate.fits.data import centre
+from workbench.estimate.fits.fit import LEAST_TAU, Fit
+from workbench.estimate.ranges.scale import ranges_of
 from workbench.model.results import Intervals
 
 LONGEST = 30.0  # samples, of dead times searched

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 import workbench as wb
-from workbench.estimate.data import centre
-from workbench.estimate.fit import fit_linear
-from workbench.estimate.loads import DEGREES
-from workbench.estimate.models import words_of_closer
+from workbench.estimate.fits.data import centre
+from workbench.estimate.fits.fit import fit_linear
+from workbench.estimate.loads.steps import DEGREES
 from workbench.estimate.outside import Rival, rival_of, weighed
+from workbench.estimate.search.models import words_of_closer
 from workbench.estimate.straight import SPARE, Straight, linear_beside, sought_beside_steps
 from workbench.model.results import FittedModel
 from workbench.model.valve import Valve

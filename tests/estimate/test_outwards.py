@@ -7,11 +7,11 @@ from dataclasses import replace
 import pytest
 
 import workbench as wb
-from workbench.estimate.data import Centred, centre
-from workbench.estimate.fit import LEAST_TAU, Limits
-from workbench.estimate.outwards import LOST, outwards
-from workbench.estimate.two_parameter import Band, best_start, fit_band
-from workbench.estimate.windows import EXACT
+from workbench.estimate.fits.data import Centred, centre
+from workbench.estimate.fits.fit import LEAST_TAU, Limits
+from workbench.estimate.fits.windows import EXACT
+from workbench.estimate.search.outwards import LOST, outwards
+from workbench.estimate.search.two_parameter import Band, best_start, fit_band
 
 WINDOW = 6000, 6000 + EXACT
 

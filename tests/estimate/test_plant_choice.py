@@ -9,11 +9,11 @@ import pytest
 from typer.testing import CliRunner
 
 import workbench as wb
-from workbench.cli import app
+from workbench.cli.app import app
 from workbench.estimate import estimate as search
 from workbench.estimate.answer import answer_of
-from workbench.estimate.data import Centred, centre
 from workbench.estimate.estimate import WORDS_OF_ENDLESS, linear_loop
+from workbench.estimate.fits.data import Centred, centre
 from workbench.estimate.plants import foretelling_bic
 
 SAMPLES = 500

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import workbench as wb
-from workbench.estimate.scale import joined
+from workbench.estimate.ranges.scale import joined
 from workbench.model.results import Intervals
 
 # `wb.estimate`, the function, hides the folder of its name from a plain import.

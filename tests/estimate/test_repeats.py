@@ -13,12 +13,12 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 import workbench as wb
-from workbench.cli_output import estimate_lines
-from workbench.estimate.data import centre
-from workbench.estimate.fit import Fit, predict
-from workbench.estimate.path_kernel import band_path, each_way_path, stem_path
+from workbench.cli.output import estimate_lines
+from workbench.estimate.fits.data import centre
+from workbench.estimate.fits.fit import Fit, predict
+from workbench.estimate.kernels.path import band_path, each_way_path, stem_path
+from workbench.estimate.kernels.repeat import HELD, scan_held
 from workbench.estimate.repeat import repeats_of, words_of
-from workbench.estimate.repeat_kernel import HELD, scan_held
 from workbench.model.results import Estimate, Part, Repeats
 from workbench.model.study import NamedEstimate, Study
 from workbench.report.results import results_content, strict

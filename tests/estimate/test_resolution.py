@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 
 import workbench as wb
 from workbench.detect.resolution import resolved, step_of
-from workbench.estimate.data import centre
 from workbench.estimate.estimate import linear_loop
+from workbench.estimate.fits.data import centre
 from workbench.model.results import Estimate, Intervals
 
 STEP = 0.1

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 import workbench as wb
-from workbench.estimate.band_kernel import scan_starts
-from workbench.estimate.data import centre
-from workbench.estimate.fit import LEAST_TAU, Limits
-from workbench.estimate.models import bands_of
-from workbench.estimate.sought import sought
-from workbench.estimate.two_parameter import AT_ONCE, STARTS, best_start, look
+from workbench.estimate.fits.data import centre
+from workbench.estimate.fits.fit import LEAST_TAU, Limits
+from workbench.estimate.kernels.bands import scan_starts
+from workbench.estimate.search.models import bands_of
+from workbench.estimate.search.sought import sought
+from workbench.estimate.search.two_parameter import AT_ONCE, STARTS, best_start, look
 
 
 def holds(pair: tuple[float, float] | None, value: float) -> bool:

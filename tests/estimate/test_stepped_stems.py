@@ -8,16 +8,16 @@ import numpy as np
 import pytest
 
 import workbench as wb
-from workbench.estimate.beside_kernel import left_beside
-from workbench.estimate.coloured import colour_beside
-from workbench.estimate.data import centre
-from workbench.estimate.fit import Limits, disturbance, fit_path, grounded, predict
-from workbench.estimate.output_error import oe_columns, plant_terms
-from workbench.estimate.stems import path_of
-from workbench.estimate.stepped import stepped_stems
-from workbench.estimate.stepped_kernel import LANES, STRIDE, screen_stepped
-from workbench.estimate.sureness import standard_errors
-from workbench.estimate.two_parameter import band_stem
+from workbench.estimate.fits.data import centre
+from workbench.estimate.fits.fit import Limits, disturbance, fit_path, grounded, predict
+from workbench.estimate.fits.sureness import standard_errors
+from workbench.estimate.kernels.beside import left_beside
+from workbench.estimate.kernels.output_error import oe_columns, plant_terms
+from workbench.estimate.kernels.stepped import LANES, STRIDE, screen_stepped
+from workbench.estimate.loads.coloured import colour_beside
+from workbench.estimate.loads.stepped import stepped_stems
+from workbench.estimate.search.stems import path_of
+from workbench.estimate.search.two_parameter import band_stem
 from workbench.model.record import FloatArray
 
 LIMITS, FREE = Limits((0.05, 1000.0), (0.0, 30.0)), (-math.inf, math.inf)

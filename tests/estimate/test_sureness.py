@@ -6,11 +6,11 @@ import numpy as np
 from scipy.signal import lfilter
 
 import workbench as wb
-from workbench.estimate.coloured import MOST_LAGS
-from workbench.estimate.data import Centred, centre
-from workbench.estimate.fit import Fit, disturbance, fit_linear, predict
-from workbench.estimate.settled import coloured_linear
-from workbench.estimate.sureness import NORMAL, standard_errors
+from workbench.estimate.fits.data import Centred, centre
+from workbench.estimate.fits.fit import Fit, disturbance, fit_linear, predict
+from workbench.estimate.fits.sureness import NORMAL, standard_errors
+from workbench.estimate.loads.coloured import MOST_LAGS
+from workbench.estimate.loads.settled import coloured_linear
 
 PLANT = wb.FOPDT(1.5, 8.0, 2.0)
 LONGEST = 30.0

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 import workbench as wb
-from workbench.cli_output import estimate_lines
+from workbench.cli.output import estimate_lines
 from workbench.estimate.estimate import linear_loop
-from workbench.estimate.swing import Swing, _same, words_of_swing
+from workbench.estimate.loads.swing import Swing, _same, words_of_swing
 from workbench.model.estimation import LoadSwing
 from workbench.model.results import Estimate
 from workbench.model.study import NamedEstimate
@@ -64,7 +64,7 @@ def test_the_gain_is_found_beside_an_oscillation_from_outside(period: float) -> 
 
 
 def test_the_search_is_made_anew_once_where_the_oscillation_stays_what_it_was(monkeypatch: pytest.MonkeyPatch) -> None:
-    module = importlib.import_module("workbench.estimate.reach")
+    module = importlib.import_module("workbench.estimate.search.reach")
     searched: list[float] = []
     search = module.search
 

@@ -11,19 +11,19 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 import workbench as wb
-from workbench.cli_output import estimate_lines
+from workbench.cli.output import estimate_lines
 from workbench.estimate import record_fits
-from workbench.estimate.bands import noise_beside
-from workbench.estimate.data import centre
-from workbench.estimate.dense import densely
-from workbench.estimate.fit import LEAST_TAU, Limits, fit_linear
-from workbench.estimate.models import bands_of
-from workbench.estimate.nearer import search_short
-from workbench.estimate.path_kernel import band_path
-from workbench.estimate.profile import search
+from workbench.estimate.fits.data import centre
+from workbench.estimate.fits.fit import LEAST_TAU, Limits, fit_linear
+from workbench.estimate.kernels.path import band_path
 from workbench.estimate.record_fits import Fits, closely, first_fits, leaves_noise_alone
-from workbench.estimate.sought import like_stenman, sought
-from workbench.estimate.two_parameter import band_stem, best_of, look
+from workbench.estimate.search.bands import noise_beside
+from workbench.estimate.search.dense import densely
+from workbench.estimate.search.models import bands_of
+from workbench.estimate.search.nearer import search_short
+from workbench.estimate.search.profile import search
+from workbench.estimate.search.sought import like_stenman, sought
+from workbench.estimate.search.two_parameter import band_stem, best_of, look
 from workbench.model.valve import Choudhury
 from workbench.simulate.run import valve_response
 

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 import workbench as wb
-from workbench.estimate.data import centre
-from workbench.estimate.fit import Fit, fit_linear
-from workbench.estimate.scale import linear_intervals
-from workbench.estimate.two_parameter import Band
-from workbench.estimate.unseen import Unseen, unseen, words_of_likelier, words_of_unseen
+from workbench.estimate.fits.data import centre
+from workbench.estimate.fits.fit import Fit, fit_linear
+from workbench.estimate.ranges.scale import linear_intervals
+from workbench.estimate.ranges.unseen import Unseen, unseen, words_of_likelier, words_of_unseen
+from workbench.estimate.search.two_parameter import Band
 from workbench.model.results import Intervals
 
 PLANT = wb.FOPDT(0.37, 24.0, 2.0)

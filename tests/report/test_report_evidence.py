@@ -16,7 +16,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 import workbench as wb
-from workbench.cli_output import estimate_lines
+from workbench.cli.output import estimate_lines
 from workbench.errors import InvalidValue
 from workbench.kpi.oscillation import autocorrelation
 from workbench.model.detection import Detection

@@ -14,30 +14,16 @@ from workbench.detect.detect import detect
 from workbench.detect.stem import WIDE
 from workbench.detect.stem_search import Fitted
 from workbench.detect.verdict import beyond_doubt
-from workbench.estimate.bands import Bands
-from workbench.estimate.candidates import Candidate
-from workbench.estimate.data import Centred, plant_of
-from workbench.estimate.fit import LEAST_TAU, Limits, fit_linear, fit_nothing
-from workbench.estimate.freed import Loaded
-from workbench.estimate.hidden import hidden, words_of_hidden
-from workbench.estimate.loads import CLEAR, DEGREES
-from workbench.estimate.models import (
-    PLANT_PARAMETERS,
-    STICKING,
-    VALVE_PARAMETERS,
-    WORDS_OF_BLIND,
-    WORDS_OF_STRAIGHT,
-    choose,
-    reasons_of,
-    words_of_calm,
-    words_of_closer,
-    words_of_rival,
-)
+from workbench.estimate.fits.data import Centred, plant_of
+from workbench.estimate.fits.fit import LEAST_TAU, Limits, fit_linear, fit_nothing
+from workbench.estimate.fits.sureness import ENOUGH_SLIPS
+from workbench.estimate.loads.settled import coloured_linear
+from workbench.estimate.loads.steps import CLEAR, DEGREES
+from workbench.estimate.loads.swing import Answered
 from workbench.estimate.outside import CHANCE, Rival, rival_of, weighed
-from workbench.estimate.paths import band_paths, linear_path, stem_paths
-from workbench.estimate.profile import Profile, islands, search
-from workbench.estimate.record_fits import Fits, about, closely, first_fits, likelier_pair, sound, with_ranges
-from workbench.estimate.scale import (
+from workbench.estimate.ranges.freed import Loaded
+from workbench.estimate.ranges.hidden import hidden, words_of_hidden
+from workbench.estimate.ranges.scale import (
     InScale,
     band_of,
     band_position,
@@ -49,13 +35,28 @@ from workbench.estimate.scale import (
     unknown,
     without_jump,
 )
-from workbench.estimate.settled import coloured_linear
+from workbench.estimate.ranges.unseen import Unseen, unseen, words_of_likelier, words_of_unseen
+from workbench.estimate.record_fits import Fits, about, closely, first_fits, likelier_pair, sound, with_ranges
+from workbench.estimate.search.bands import Bands
+from workbench.estimate.search.candidates import Candidate
+from workbench.estimate.search.models import (
+    PLANT_PARAMETERS,
+    STICKING,
+    VALVE_PARAMETERS,
+    WORDS_OF_BLIND,
+    WORDS_OF_STRAIGHT,
+    akaike,
+    choose,
+    reasons_of,
+    words_of_calm,
+    words_of_closer,
+    words_of_rival,
+)
+from workbench.estimate.search.paths import band_paths, linear_path, stem_paths
+from workbench.estimate.search.profile import Profile, islands, search
+from workbench.estimate.search.two_parameter import Band
 from workbench.estimate.straight import MOST, Coloured, Straight, level
-from workbench.estimate.swing import Answered
-from workbench.estimate.two_parameter import Band
-from workbench.estimate.two_step import akaike
-from workbench.estimate.unseen import Unseen, unseen, words_of_likelier, words_of_unseen
-from workbench.estimate.verdict import ENOUGH_SLIPS, Evidence, agree, judge
+from workbench.estimate.verdict import Evidence, agree, judge
 from workbench.model.detection import Detection
 from workbench.model.record import Record
 from workbench.model.results import Estimate, Intervals, Iteration, LinearFit

@@ -13,22 +13,22 @@ from workbench.detect.late import as_seen, earlier, words_of_late
 from workbench.detect.spikes import words_of_spikes
 from workbench.errors import InvalidValue
 from workbench.estimate.answer import answer_of
-from workbench.estimate.data import PURPOSE, WHITE, Centred, centre
-from workbench.estimate.fit import LEAST_TAU, Limits, fit_linear
-from workbench.estimate.models import WORDS_OF_BLIND, words_of_open
+from workbench.estimate.fits.data import PURPOSE, WHITE, Centred, centre
+from workbench.estimate.fits.fit import LEAST_TAU, Limits, fit_linear
+from workbench.estimate.fits.sureness import SHARP
+from workbench.estimate.loads.swing import Answered, Swing, beside_swing, words_of_swing
+from workbench.estimate.methods.refined import by_complementarity, jointly, refuse_complementarity
+from workbench.estimate.methods.two_step import two_step
 from workbench.estimate.plants import ENDLESS, foretelling_of, with_other_plant
-from workbench.estimate.profile import Profile
-from workbench.estimate.reach import searched
+from workbench.estimate.ranges.scale import joined
 from workbench.estimate.record_fits import DELAYS, LINEAR_DELAYS, longest_delay
-from workbench.estimate.refined import by_complementarity, jointly, refuse_complementarity
 from workbench.estimate.repeat import repeats_of, words_of
-from workbench.estimate.scale import joined
+from workbench.estimate.search.models import WORDS_OF_BLIND, words_of_open
+from workbench.estimate.search.profile import Profile
+from workbench.estimate.search.reach import searched
+from workbench.estimate.search.stems import silent
 from workbench.estimate.sent import left_by_line, left_by_stem, likelier_op
-from workbench.estimate.stems import silent
 from workbench.estimate.straight import Straight, free_of, linear_beside
-from workbench.estimate.swing import Answered, Swing, beside_swing, words_of_swing
-from workbench.estimate.two_step import two_step
-from workbench.estimate.verdict import SHARP
 from workbench.model.checks import choice, number
 from workbench.model.numbers import given
 from workbench.model.plant import FOPDT, Plant
@@ -70,9 +70,9 @@ def estimate(
 
     method: "profile", the global profile over (d, first slip, dead time) with output-error refinement; "joint", the
     same and then the plant of its best few stem paths refined by nonlinear programs, with a drift and a coloured
-    disturbance (see `estimate.joint`; `noise_model` holds them); "two_step", the paper's alternating algorithm from
+    disturbance (see `methods.joint`; `noise_model` holds them); "two_step", the paper's alternating algorithm from
     the stiction `start` (%), whose valve is "stenman"; or "complementarity", for comparison: the profile, and from its
-    best Stenman path one program in plant, d and stem together (see `estimate.complementarity`; the result's field of
+    best Stenman path one program in plant, d and stem together (see `methods.complementarity`; the result's field of
     that name holds what it found; 1,500 samples at most). valve: "stenman", "choudhury" (S, J), "deadband" (J = 0),
     "linear" (none), or "auto", the one that sticks with the lowest BIC. plant: "fopdt", "integrating", or "auto",
     the one that PV shows: the likelier is searched first, and the other too where that one leaves more than noise, or
@@ -84,14 +84,14 @@ def estimate(
     Returns an `Estimate`; beside the model stands the linear fit that ignores stiction. Where stiction does not help
     ("no_stiction") the model is that linear fit with an ideal valve. intervals.d is the hull of all d whose fit the
     record cannot tell from the best, and None below ten stem moves, which do not pin the stem's unknown start (the
-    plant's ranges then hold stems with S and J that slip some samples earlier or later too, see `estimate.few`); with
+    plant's ranges then hold stems with S and J that slip some samples earlier or later too, see `ranges.few`); with
     valve "auto" every range holds those of the other sticking valves that fit as well too, and beside Stenman's the
-    plant's of stems that rest short of OP (He's law, see `estimate.resting`). Where a search ended at its limit, or the
+    plant's of stems that rest short of OP (He's law, see `ranges.resting`). Where a search ended at its limit, or the
     record tells nothing, a range is open (see `Intervals`); so are the plant's of a linear loop whose setpoint stands
     still, where OP only answers PV. Where the verdict is "undecided" and a linear loop is not clearly less likely, the
     plant's ranges hold that one's too. A sticking valve by "two_step" has no ranges: it does not look for others that
     fit as well. Steps of the load that nobody recorded are fitted beside the model (`load_steps`, see
-    `estimate.loads`); a linear loop that leaves noise alone beside some is told, with its plant, or a dead band that is
+    `loads.steps`); a linear loop that leaves noise alone beside some is told, with its plant, or a dead band that is
     clearly likelier than that loop ("undecided", as nothing else accuses the valve). An oscillation from outside the
     loop, a sinusoid that is a quarter or more of what the model leaves, is fitted beside the model (`load_swing`;
     10,000 samples at most; not by "two_step"). A PV that is recorded later than the controller saw it is looked at as

@@ -17,14 +17,15 @@ from itertools import islice
 from typing import NamedTuple
 
 from workbench.detect.verdict import Thresholds
-from workbench.estimate.data import Centred
-from workbench.estimate.fit import Fit
-from workbench.estimate.loads import DEGREES
-from workbench.estimate.settled import coloured_linear
+from workbench.estimate.fits.data import Centred
+from workbench.estimate.fits.fit import Fit
+from workbench.estimate.fits.sureness import ENOUGH_SLIPS, SURE_SLIPS
+from workbench.estimate.fits.windows import WHOLE
+from workbench.estimate.loads.settled import coloured_linear
+from workbench.estimate.loads.steps import DEGREES
+from workbench.estimate.loads.swing import Answered, Swing
 from workbench.estimate.straight import Coloured, Straight, linear_beside, sought_beside_steps
-from workbench.estimate.swing import Answered, Swing
-from workbench.estimate.verdict import ENOUGH_SLIPS, MOST, SURE_SLIPS
-from workbench.estimate.windows import WHOLE
+from workbench.estimate.verdict import MOST
 from workbench.model.numbers import given
 from workbench.model.results import FittedModel, LinearFit
 

@@ -11,10 +11,10 @@ import math
 
 import numpy as np
 
-from workbench.estimate.data import Centred, centre
-from workbench.estimate.fit import LEAST_TAU, Fit, Limits, disturbance, fit_path, predict
-from workbench.estimate.models import PLANT_PARAMETERS, VALVE_PARAMETERS
-from workbench.estimate.swing import Answered, Model
+from workbench.estimate.fits.data import Centred, centre
+from workbench.estimate.fits.fit import LEAST_TAU, Fit, Limits, disturbance, fit_path, predict
+from workbench.estimate.loads.swing import Answered, Model
+from workbench.estimate.search.models import PLANT_PARAMETERS, VALVE_PARAMETERS
 from workbench.model.plant import FOPDT, Plant
 from workbench.model.record import FloatArray, Record
 from workbench.model.results import LinearFit

@@ -7,20 +7,21 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 
-from workbench.estimate.bands import Bands, Found, further, noise_beside, repeated
-from workbench.estimate.candidates import Candidate, leaves_noise
-from workbench.estimate.data import Centred
-from workbench.estimate.dense import densely, densely_about
-from workbench.estimate.few import widened
-from workbench.estimate.fit import LEAST_TAU, Fit, Limits, fit_linear
-from workbench.estimate.freed import freed
-from workbench.estimate.models import bands_of, compared
-from workbench.estimate.profile import Profile, profile_of
-from workbench.estimate.settled import STEPS_MOST, needs_steps, settled
-from workbench.estimate.sought import Seek, Sought, coarse_of, like_stenman, sought
-from workbench.estimate.two_parameter import Band, fit_band, look
-from workbench.estimate.verdict import ENOUGH_SLIPS, SHARP, SURE_SLIPS, WIDE_D
-from workbench.estimate.windows import EXACT, WHOLE
+from workbench.estimate.fits.data import Centred
+from workbench.estimate.fits.fit import LEAST_TAU, Fit, Limits, fit_linear
+from workbench.estimate.fits.sureness import ENOUGH_SLIPS, SHARP, SURE_SLIPS
+from workbench.estimate.fits.windows import EXACT, WHOLE
+from workbench.estimate.loads.settled import STEPS_MOST, needs_steps, settled
+from workbench.estimate.ranges.few import widened
+from workbench.estimate.ranges.freed import freed
+from workbench.estimate.search.bands import Bands, Found, further, noise_beside, repeated
+from workbench.estimate.search.candidates import Candidate, leaves_noise
+from workbench.estimate.search.dense import densely, densely_about
+from workbench.estimate.search.models import bands_of, compared
+from workbench.estimate.search.profile import Profile, profile_of
+from workbench.estimate.search.sought import Seek, Sought, coarse_of, like_stenman, sought
+from workbench.estimate.search.two_parameter import Band, fit_band, look
+from workbench.estimate.verdict import WIDE_D
 from workbench.model.loads import LoadStep
 from workbench.model.results import FittedModel
 

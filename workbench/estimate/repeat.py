@@ -13,13 +13,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from workbench.estimate.data import Centred
-from workbench.estimate.fit import START_SLACK, Fit, predict
-from workbench.estimate.path_kernel import each_way_path
-from workbench.estimate.profile import CHI_SQUARE
-from workbench.estimate.repeat_kernel import HELD, scan_held
-from workbench.estimate.sureness import NORMAL, inflation
-from workbench.estimate.windows import EXACT
+from workbench.estimate.fits.data import Centred
+from workbench.estimate.fits.fit import START_SLACK, Fit, predict
+from workbench.estimate.fits.sureness import NORMAL, inflation
+from workbench.estimate.fits.windows import EXACT
+from workbench.estimate.kernels.path import each_way_path
+from workbench.estimate.kernels.repeat import HELD, scan_held
+from workbench.estimate.search.profile import CHI_SQUARE
 from workbench.model.numbers import given
 from workbench.model.record import FloatArray
 from workbench.model.results import Estimate, Part, Repeats

@@ -12,11 +12,11 @@ from dataclasses import replace
 from typing import TypeVar
 
 from workbench.detect.resolution import step_of
-from workbench.estimate.data import Centred, centre
-from workbench.estimate.fit import Fit, disturbance, predict
-from workbench.estimate.profile import Profile
-from workbench.estimate.stems import path_of, silent
-from workbench.estimate.two_parameter import band_stem, look
+from workbench.estimate.fits.data import Centred, centre
+from workbench.estimate.fits.fit import Fit, disturbance, predict
+from workbench.estimate.search.profile import Profile
+from workbench.estimate.search.stems import path_of, silent
+from workbench.estimate.search.two_parameter import band_stem, look
 from workbench.model.record import FloatArray, Record
 
 __all__ = ["left_by_line", "left_by_stem", "likelier_op"]

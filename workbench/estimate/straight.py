@@ -12,14 +12,14 @@ from numpy.typing import NDArray
 
 from workbench.detect.load_steps import unforced
 from workbench.detect.rivals import Loaded, Rivals, dead_times, fine_taus
-from workbench.estimate.data import Centred
-from workbench.estimate.fit import Fit, again_linear, fit_linear
-from workbench.estimate.loads import DEGREES
-from workbench.estimate.paths import linear_path
-from workbench.estimate.scale import linear_result
-from workbench.estimate.settled import coloured_linear
-from workbench.estimate.swing import Answered, Swing, beside_swing
-from workbench.estimate.windows import WHOLE
+from workbench.estimate.fits.data import Centred
+from workbench.estimate.fits.fit import Fit, again_linear, fit_linear
+from workbench.estimate.fits.windows import WHOLE
+from workbench.estimate.loads.settled import coloured_linear
+from workbench.estimate.loads.steps import DEGREES
+from workbench.estimate.loads.swing import Answered, Swing, beside_swing
+from workbench.estimate.ranges.scale import linear_result
+from workbench.estimate.search.paths import linear_path
 from workbench.model.loads import LoadStep
 from workbench.model.record import Record
 from workbench.model.results import LinearFit

@@ -11,13 +11,12 @@ from dataclasses import dataclass
 
 from workbench.detect.causes import RESOLVED
 from workbench.detect.verdict import Thresholds, excluded
+from workbench.estimate.fits.sureness import ENOUGH_SLIPS, SHARP, SURE_SLIPS
 from workbench.model.detection import Detection
 from workbench.model.numbers import counted, given
 
-__all__ = ["ENOUGH_SLIPS", "SURE_SLIPS", "WIDE_D", "Evidence", "agree", "judge"]
+__all__ = ["MOST", "WIDE_D", "Evidence", "agree", "judge"]
 
-ENOUGH_SLIPS = 10  # fewer do not pin the unknown start of the stem
-SURE_SLIPS = 2 * ENOUGH_SLIPS  # fewer may fall in with as many steps of the load, or come at other times than found
 GAIN = 0.10  # least improvement over the linear model that counts
 UNEXPLAINED = 0.05  # least share of PV's variance that the linear model must leave for that to matter
 EXPLAINS = 0.60  # largest share that the sticking stem may leave to count as an explanation
@@ -30,7 +29,6 @@ NEAR_NOTHING = 0.25  # of d: where bands as narrow as this fit as well, stiction
 MOST, CERTAIN = 0.5, 0.9  # improvement by which the model alone decides: where detection does not, and against it
 ALL_BUT = 0.98  # and that leaves it suspect, however little the linear model leaves: of 166 acquitted none came to 0.9
 NAMED = 4  # separate ranges of d named one by one
-SHARP = 0.10  # widest range of d, relative, that counts as identified
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,7 +10,7 @@ from pathlib import Path as FilePath
 
 from workbench.detect.causes import FEWEST_SAMPLES
 from workbench.errors import InvalidValue, RecordError
-from workbench.estimate.data import PURPOSE, refuse_unfit
+from workbench.estimate.fits.data import PURPOSE, refuse_unfit
 from workbench.model.controller import PID
 from workbench.model.estimation import MOST_IN_PROGRAM
 from workbench.model.experiment import Experiment, Series

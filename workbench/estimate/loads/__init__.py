@@ -1,0 +1,1 @@
+"""What moves PV beside the valve: load steps, a coloured disturbance, a sinusoid; the models beside them."""

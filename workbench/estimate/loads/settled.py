@@ -1,0 +1,312 @@
+"""A record's models in the measure of what disturbs it: load steps found and taken out, what is left made white.
+
+The stem that explains PV, the load steps beside it and the colour of what remains depend on each other, so that they
+are found in turn.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+
+from workbench.detect.whitening import whitened
+from workbench.estimate.fits.data import WHITE, Centred
+from workbench.estimate.fits.fit import LEAST_TAU, Fit, Limits, again_linear, disturbance, fit_path, grounded, predict
+from workbench.estimate.fits.windows import WHOLE
+from workbench.estimate.loads.coloured import colour_beside
+from workbench.estimate.loads.stepped import stepped_stems
+from workbench.estimate.loads.steps import CLEAR, DEGREES, Loads, Stem, loads_of
+from workbench.estimate.search.bands import Found
+from workbench.estimate.search.models import bands_of, refitted
+from workbench.estimate.search.profile import Profile, profile_again, profile_of, search
+from workbench.estimate.search.sought import HOPELESS, Sought, coarse_of, like_stenman, sought
+from workbench.estimate.search.stems import path_of
+from workbench.estimate.search.two_parameter import Band, band_stem, fit_band
+from workbench.model.loads import LoadStep
+from workbench.model.record import FloatArray
+
+__all__ = ["STEPS_MOST", "coloured_linear", "led_to", "needs_steps", "settled"]
+
+STARTING = 20  # of the record at most is left out at its start
+STEPS_MOST = 2  # load steps
+COLOURINGS = 2  # rounds of model and disturbance in turn
+ROUNDS = 4  # where there are load steps
+SAME_TIME, SAME_SIZE = 5, 0.1  # samples, share: steps that moved less have settled
+SAME_STEM = 0.05  # of its standard deviation: a stem's path that moved less has
+HARDLY = 20.0  # of N log V: a stem that leaves so much more than the leading one may be the right one beside a step
+WORSE = 2.0  # of AIC: a turn that ends so far above an earlier one is taken back
+
+# A record without load steps in some measure, its models there, and the steps.
+_Settled = tuple[Centred, Profile | None, dict[str, Found], Fit, tuple[LoadStep, ...]]
+
+
+def _leading(data: Centred, found: Profile | None, bands: dict[str, Found], linear: Fit) -> Stem:
+    """The best stem, with its fit."""
+    band = min((b.best for b in bands.values()), key=lambda b: b.fit.sse, default=None)
+    if band is not None and (found is None or band.fit.sse < found.best.fit.sse):
+        return _of_band(data, band)
+    if found is None:
+        return Stem(data.u, 0, linear)
+    best = found.best
+    return Stem(
+        path_of(data.u, best.d_low, best.first)[0],
+        best.first,
+        best.fit,
+        lambda wider, _: path_of(data.u, best.d_low * wider, best.first)[0],
+        free=1,
+    )
+
+
+def _nearly(data: Centred, bands: dict[str, Found], lead: Stem) -> list[Stem]:
+    """The best stems of other valves that leave hardly more than the leading one."""
+    most = max(lead.fit.sse, data.samples * data.floor) * math.exp(HARDLY / data.samples)
+    bests = [one.best for one in bands.values()]
+    return [_of_band(data, b) for b in bests if b.fit is not lead.fit and b.fit.sse <= most]
+
+
+def _of_band(data: Centred, b: Band) -> Stem:
+    """A two-parameter stem over the whole of a record."""
+    return Stem(
+        band_stem(data.u, b.S, b.J, b.first, b.sense)[0],
+        max(b.first, 0),
+        b.fit,
+        lambda wider, further: band_stem(data.u, b.S * wider, b.J * further, b.first, b.sense)[0],
+        free=2 if b.J > 0.0 else 1,
+        valve=(b.S, b.J, b.first, b.sense),
+    )
+
+
+def _relieved(
+    whole: Centred,
+    data: Centred,
+    lead: Stem,
+    limits: Limits,
+    skip: int,
+    most: int,
+    further: Callable[[tuple[int, int]], Sequence[Stem]] | None = None,
+    others: Sequence[Stem] = (),
+) -> tuple[Centred, Loads]:
+    """The record without the load steps that a stem does not explain, and the steps.
+
+    whole: the record with its load; data: as the lead was fitted to it; most, further, others: as in `loads_of`.
+    """
+    x, first, fit = lead.x, lead.first, lead.fit
+    loads = loads_of(whole, lead, limits, skip, most, further, strict=further is None, others=others)
+    if loads.steps:
+        return whole.less(loads.pv, loads.answers), loads
+    if data.load.any():
+        left = whole.y - predict(whole, x, first, grounded(whole.whitened(data.a, max(skip, 1)), x, first, fit))[0]
+    else:
+        left = data.y - predict(data, x, first, grounded(data, x, first, fit))[0]
+    return whole, replace(loads, left=left)
+
+
+def settled(
+    data: Centred,
+    found: Profile | None,
+    bands: dict[str, Found],
+    linear: Fit,
+    delays: float,
+    within: Sought,
+    most: int = STEPS_MOST,
+) -> _Settled:
+    """The record and its models without load steps, in the measure of the disturbance that the best stem leaves.
+
+    Where the record starts within a cycle, its first samples, up to the dead time, answer to slips before it: they no
+    longer count. A PV that starts where it does not come again starts from rest, with a setpoint move. within: where
+    two-parameter stems are searched (`bands.sought`). most: load steps; where those that are seen do not last there are
+    none.
+    """
+    whole, first = data, (found, bands, linear)
+    steps: tuple[LoadStep, ...] = ()
+    theta = max(0.0 if found is None else found.best.fit.theta, min(linear.theta, delays))
+    later = data.y[data.samples // 4 :]
+    amid = bool(later.min() <= data.y[0] <= later.max())
+    skip = min(math.ceil(theta) + 2, data.samples // STARTING) if amid else 0
+    limits = Limits((LEAST_TAU, float(data.samples)), (0.0, delays))
+    turn, lead = 0, Stem(data.u, 0, linear)
+    turns: list[tuple[float, _Settled]] = []
+    while turn < COLOURINGS or ((steps or _exact(data, found, bands, linear)) and turn < ROUNDS):
+        before = steps
+        at = tuple(round(step.at / whole.sample_time) for step in steps)
+        earlier, lead = lead, replace(_leading(data, found, bands, linear), times=at)
+        stands = turn > 0 and _same_stem(earlier.x, lead.x)
+        further = partial(stepped_stems, whole, limits, skip) if turn == 0 else None
+        others = [] if turn > 0 else _nearly(data, bands, lead)
+        bare, loads = _relieved(whole, data, lead, limits, skip, most, further, others)
+        steps = loads.steps
+        if before and not steps:
+            # Beside them a stem may have been found that needs none.
+            found, was, linear = first
+            return settled(whole, found, led_to(whole, was, bands, limits), linear, delays, within, 0)
+        same_steps = _same(before, steps, whole.sample_time)
+        a = disturbance(loads.left[skip:], data.floor)
+        if a.size > 1 and data.samples <= WHOLE:
+            beside = colour_beside(bare, lead.x, lead.first, lead.fit, limits, skip)
+            a = min(a, beside, key=lambda one: _akaike_in(bare.whitened(one, skip), lead, limits))
+        same = a.size == data.a.size == 1 and not steps
+        stands = stands and (same_steps or not (before or steps))
+        # Of a long record the first few samples are nothing.
+        turn += 1
+        if same and (turn > 1 or skip == 0 or data.samples > WHOLE):
+            break
+        if turns and not (before or steps) and _as_white(loads.left[skip:], data.a, a, data.floor):
+            break
+        data = bare.whitened(a, skip)
+        anew = a.size > 1 or bool(steps)
+        linear = again_linear(data, linear, delays)
+        if found is not None and steps and not same_steps:
+            found = search(bare, delays) or found
+        if found is not None:
+            likely = [*found.likely, found.best.d_low]
+            if anew and not _outdone(data, found, bands):
+                found = profile_of(data, found.rows, likely, found.limits, (found.best,))
+            else:
+                found = profile_again(data, found)
+        if bands:
+            # While steps are sought a stem is needed, not the dead band beside it.
+            only_any = bool(steps) and not same_steps and turn < ROUNDS
+            if stands or not anew or data.samples <= WHOLE:
+                bands = refitted(data, bands, limits)
+            if anew:
+                # A stem that stood fast while its measure changed has no rivals that have not been looked at.
+                other = None if found is None else found.best.fit
+                there = within if data.y is within.pv else sought(data, delays, other, within.contested)
+                known = stands or data.samples > WHOLE
+                coarse = [one.best for one in bands.values()]
+                if not known:
+                    coarse = [*coarse_of(data, there, delays), *like_stenman(found, data, delays)]
+                if loads.beside is not None:
+                    (S, J, first_slip, sense), fit = loads.beside
+                    coarse.append(fit_band(data, S, J, (first_slip, sense), limits, (fit.tau, fit.theta)))
+                bands = bands_of(data, coarse, there, limits, there.rival(other), only_any, bands)
+        turns.append((_akaike_of(data, found, bands, linear, steps), (data, found, bands, linear, steps)))
+        if same_steps:
+            break
+    least, best = min(turns, key=lambda one: one[0], default=(math.inf, None))
+    if best is not None and steps and least < turns[-1][0] - WORSE:
+        # Stem, steps and colour may lead each other away from what explained PV best.
+        data, found, bands, linear, steps = best
+        if bands:
+            other = None if found is None else found.best.fit
+            there = sought(data, delays, other, within.contested)
+            coarse = [one.best for one in bands.values()]
+            bands = bands_of(data, coarse, there, limits, there.rival(other), before=bands)
+    return data, found, bands, linear, steps
+
+
+def led_to(data: Centred, was: dict[str, Found], bands: dict[str, Found], limits: Limits) -> dict[str, Found]:
+    """Return the searches in data as they were, each with the stem that it has come to since where that leaves less.
+
+    bands: the searches as they are now, in data without load steps.
+    """
+    led = dict(was)
+    for name in was.keys() & bands.keys():
+        b, found = bands[name].best, was[name]
+        there = fit_band(data, b.S, b.J, (b.first, b.sense), limits, (b.fit.tau, b.fit.theta))
+        if there.fit.sse < found.best.fit.sse and there.fit.gain != 0.0:
+            led[name] = replace(found, best=there, met=(there, *found.met))
+    return led
+
+
+def _outdone(data: Centred, found: Profile, bands: dict[str, Found]) -> bool:
+    """Whether a two-parameter stem leaves so much less of a long record that no other one-parameter stem would do."""
+    least = min((one.best.fit.sse for one in bands.values()), default=math.inf)
+    return data.samples > WHOLE and found.best.fit.sse > HOPELESS * least
+
+
+def _exact(data: Centred, found: Profile | None, bands: dict[str, Found], linear: Fit) -> bool:
+    """Whether the best stem leaves less than the record resolves in the measure of what another one left.
+
+    In that measure others may leave as little.
+    """
+    return data.a.size > 1 and _leading(data, found, bands, linear).fit.sse <= data.samples * data.floor
+
+
+def _akaike_of(
+    data: Centred, found: Profile | None, bands: dict[str, Found], linear: Fit, steps: Sequence[LoadStep]
+) -> float:
+    """AIC of the best stem in the measure of its disturbance, as far as it depends on that and on load steps."""
+    return _akaike(data, _leading(data, found, bands, linear).fit) + 4.0 * len(steps)
+
+
+def _akaike(data: Centred, fit: Fit) -> float:
+    return data.samples * math.log(max(fit.sse / data.samples, data.floor)) + 2.0 * data.a.size
+
+
+def needs_steps(beside: tuple[Centred, Band], steps: Sequence[LoadStep], without: tuple[Centred, Band]) -> bool:
+    """Return whether a stem beside load steps is as much likelier than one without as steps are asked to be (`loads`).
+
+    beside, without: the measure of the disturbance that each leaves, and the stem in it. Both of it and of PV itself:
+    an autoregression may hold what a step left.
+    """
+    price = DEGREES * len(steps) * math.log(beside[0].samples) + CLEAR
+    levels = [
+        (_akaike(data, b.fit), _akaike(data.whitened(WHITE, data.skip), _itself(data, b)))
+        for data, b in (beside, without)
+    ]
+    return any(one + price < other for one, other in zip(*levels, strict=True))
+
+
+def _itself(data: Centred, b: Band) -> Fit:
+    """The fit of a stem as it is to PV itself."""
+    return grounded(data, band_stem(data.u, b.S, b.J, b.first, b.sense)[0], max(b.first, 0), b.fit)
+
+
+def _akaike_in(data: Centred, lead: Stem, limits: Limits) -> float:
+    """AIC of a stem with a plant fitted to it in data's measure, as far as it depends on that."""
+    n, fit = data.samples, lead.fit
+    sse = fit_path(data, lead.x, lead.first, (-math.inf, math.inf), limits, fit.theta, tau=fit.tau).sse
+    return n * math.log(max(sse / n, data.floor)) + 2.0 * data.a.size
+
+
+def _same(before: Sequence[LoadStep], steps: Sequence[LoadStep], Ts: float) -> bool:
+    """Whether there are steps, at the times and of the sizes that they had before."""
+    return (
+        bool(steps)
+        and len(before) == len(steps)
+        and all(
+            abs(one.at - other.at) <= SAME_TIME * Ts and abs(one.size - other.size) <= SAME_SIZE * abs(other.size)
+            for one, other in zip(steps, before, strict=True)
+        )
+    )
+
+
+def _as_white(left: FloatArray, known: FloatArray, a: FloatArray, floor: float) -> bool:
+    """Whether a known filter leaves a residual as white as the one that is made for it, by AIC."""
+    first = max(known.size, a.size) - 1
+    one, other = (float(np.mean(whitened(each, left)[first:] ** 2)) for each in (known, a))
+    return (left.size - first) * math.log(max(one, floor) / max(other, floor)) <= 2.0 * (a.size - 1)
+
+
+def _same_stem(one: FloatArray, other: FloatArray) -> bool:
+    """Whether two stem paths are hardly apart."""
+    return bool(np.std(one - other) <= SAME_STEM * np.std(other))
+
+
+def coloured_linear(
+    data: Centred, linear: Fit, delays: float, times: tuple[int, ...] = ()
+) -> tuple[Centred, Fit, tuple[LoadStep, ...]]:
+    """The record without load steps and its linear fit, in the measure of the disturbance that this leaves.
+
+    times: samples at which load steps are tried first; beside them more are sought.
+    """
+    whole, most = data, 2 * STEPS_MOST if times else STEPS_MOST
+    steps: tuple[LoadStep, ...] = ()
+    for _ in range(COLOURINGS):
+        limits = Limits((LEAST_TAU, float(data.samples)), (0.0, delays))
+        # OP's path is no valve's to move, but beside steps of free sizes its plant moves on as a stem's does.
+        lead = Stem(data.u, 0, linear, lambda *_: whole.u, times=times)
+        bare, loads = _relieved(whole, data, lead, limits, 0, most)
+        steps = loads.steps
+        a = disturbance(loads.left, data.floor)
+        if a.size > 1 and data.samples <= WHOLE and linear.gain != 0.0:
+            beside = colour_beside(bare, data.u, 0, linear, limits, 0)
+            a = min(a, beside, key=lambda one: _akaike_in(bare.whitened(one, 0), lead, limits))
+        data = bare.whitened(a, 0)
+        linear = again_linear(data, linear, delays)
+    return data, linear, steps

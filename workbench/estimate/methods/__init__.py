@@ -1,0 +1,1 @@
+"""Methods beside the profile: the paper's two steps, the joint program, the complementarity form."""

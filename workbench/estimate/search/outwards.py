@@ -1,0 +1,56 @@
+"""A two-parameter stem followed from a window of a long record outwards to all of it, as slips are added.
+
+A window of a slow loop holds a few slips, which a band some hundredths off explains as well. In all of the record that
+band slips at other times, and a search there by small steps ends in one of many stems that are wrong in as many slips.
+In twice the window half of the slips are right, and the others say which way to go: so it is doubled, and the stem
+placed anew, until the record is all there is.
+"""
+
+from __future__ import annotations
+
+from workbench.estimate.fits.data import Centred
+from workbench.estimate.fits.fit import LEAST_TAU, Limits
+from workbench.estimate.search.nearer import REACHES, SPREADS, closer, nearer
+from workbench.estimate.search.two_parameter import Band, best_of, best_start, fit_band
+
+__all__ = ["outwards"]
+
+STAYS = 1.02  # times what it left before: a stem that leaves no more needs no search in the whole
+# Times what it left in the window: a stem that leaves more has lost its way, unless PV drifts, and one that leaves no
+# more in all of the record is right.
+LOST, RIGHT = 1.5, 1.2
+NARROW = 2  # the spread that is the first from the second doubling on
+SLIPS = 20  # from which close walks tell more than steps
+
+
+def outwards(
+    data: Centred, window: tuple[int, int], seed: Band, only: float | None, limits: Limits
+) -> tuple[list[Band], bool]:
+    """Return the stems met in all of the record, and whether the best leaves hardly more there than in the window.
+
+    window: samples [begin, stop) in which seed was found; only: J as a share of S, None for any. No stems where what
+    they leave grows too fast.
+    """
+    n, (begin, stop), b, wide = data.samples, window, seed, 0
+    first = level = max(seed.fit.sse / (stop - begin), data.floor)
+    met: list[Band] = []
+    while stop - begin < n:
+        size = 2 * (stop - begin)
+        size = size if 3 * size < 2 * n else n
+        begin = max(min((begin + stop - size) // 2, n - size), 0)
+        stop = begin + size
+        whole = size == n
+        part = data if whole else data.part(begin, stop).whitened(data.a, max(data.skip - begin, 0))
+        within = limits if whole else Limits((LEAST_TAU, float(size)), (0.0, limits.theta[1]))
+        theta = min(b.fit.theta, limits.theta[1])
+        plant = b.fit.tau, theta
+        met = [fit_band(part, b.S, b.J, best_start(part, (b.S, b.J), plant)[1:], within, plant, 40)]
+        if not whole or met[0].fit.sse / size > STAYS * level:
+            met += nearer(part, met[0], SPREADS[wide:], only, within)
+            for reach in REACHES if best_of(met).slips >= SLIPS and not whole else ():
+                met += closer(part, best_of(met), reach, 0.05 * reach[0], only, within)[0]
+        b, wide = best_of(met), min(wide + 1, NARROW)
+        level = max(b.fit.sse / size, data.floor)
+        if level > LOST * first:
+            return [], False
+    return met, level <= RIGHT * first
