@@ -43,7 +43,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 def _no_word_on_compiling() -> Iterator[None]:
     """Which test compiles a kernel first is chance, and what it says on standard error then is no test's."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("workbench.cli.app.tell_compiling", lambda: None)
+        patch.setattr("workbench.cli.command.tell_compiling", lambda: None)
         yield
 
 

@@ -16,7 +16,7 @@ import typer.core
 from typer.testing import CliRunner
 
 import workbench as wb
-from workbench.cli.app import app, main
+from workbench.cli import app, main
 from workbench.cli.compiling import SAID
 from workbench.model.results import SolveStatus
 from workbench.scenario import runner as scenario_runner
@@ -245,7 +245,7 @@ from workbench.__main__ import main
 
 class Told:
     def find_spec(self, name, *_):
-        if name == "workbench.cli.app":
+        if name == "workbench.cli":
             print("started", flush=True)
 
 sys.meta_path.insert(0, Told())

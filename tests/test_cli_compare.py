@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from workbench.cli.app import app
+from workbench.cli import app
 
 SCENARIO = """\
 title: A short run

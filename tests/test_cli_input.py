@@ -11,7 +11,7 @@ import pytest
 from typer.testing import CliRunner
 
 import workbench as wb
-from workbench.cli.app import app
+from workbench.cli import app
 from workbench.cli.compiling import SAID, tell_compiling
 
 

@@ -6,9 +6,9 @@ import sys
 
 
 def main() -> None:
-    """Run the command (workbench/cli/app.py); interrupted while that still loads, it ends with exit code 130."""
+    """Run the command (workbench/cli); interrupted while that still loads, it ends with exit code 130."""
     try:
-        from workbench.cli.app import main as command
+        from workbench.cli import main as command
     except KeyboardInterrupt:
         sys.stderr.write("workbench: interrupted\n")
         sys.exit(130)

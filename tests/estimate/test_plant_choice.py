@@ -9,7 +9,7 @@ import pytest
 from typer.testing import CliRunner
 
 import workbench as wb
-from workbench.cli.app import app
+from workbench.cli import app
 from workbench.estimate import estimate as search
 from workbench.estimate.answer import answer_of
 from workbench.estimate.estimate import WORDS_OF_ENDLESS, linear_loop

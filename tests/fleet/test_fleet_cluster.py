@@ -16,7 +16,7 @@ from fleet_helpers import record, write_csv
 from typer.testing import CliRunner
 
 import workbench
-from workbench.cli.app import app
+from workbench.cli import app
 from workbench.fleet.pool import Limits, WorkersFailed
 from workbench.fleet.run import run_fleet
 from workbench.fleet.source import sources_of

@@ -15,7 +15,7 @@ from fleet_helpers import record, tall, write_csv, write_tall
 from typer.testing import CliRunner
 
 import workbench
-from workbench.cli.app import app
+from workbench.cli import app
 from workbench.fleet.demo import write_site
 from workbench.fleet.loops import Sources
 from workbench.fleet.run import run_fleet

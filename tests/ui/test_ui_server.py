@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from workbench.cli.app import app
+from workbench.cli import app
 from workbench.errors import InvalidValue
 from workbench.ui.server import start
 
