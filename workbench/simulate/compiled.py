@@ -14,7 +14,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["compiled", "copy", "specialised", "written_out"]
+__all__ = ["compiled", "copy", "fused", "specialised", "written_out"]
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -29,15 +29,15 @@ def compiled(function: Callable[P, R]) -> Callable[P, R]:
     A constant that compiled code calls it with is a value there like any other. numba would take each for a type of its
     own, and compile the function and all that it calls once more: `specialised` and `written_out` are where that pays.
     """
-    made = _made(function)
-    if not numba.config.DISABLE_JIT:
-        called_with, value = made.get_call_template, numba.types.unliteral
+    return cast("Callable[P, R]", _plain(_made(function)))
 
-        def called_with_values(args: Any, kws: Any) -> Any:
-            return called_with(tuple(map(value, args)), {name: value(kind) for name, kind in kws.items()})
 
-        made.get_call_template = called_with_values
-    return cast("Callable[P, R]", made)
+def fused(function: Callable[P, R]) -> Callable[P, R]:
+    """The same, but that a product may be added unrounded (fused multiply-add): sums of products, as of least squares.
+
+    Not for what is compared exactly, such as a stem's path: the last digits are then the processor's.
+    """
+    return cast("Callable[P, R]", _plain(_made(function, fastmath={"contract"})))
 
 
 def specialised(function: Callable[P, R]) -> Callable[P, R]:
@@ -50,10 +50,22 @@ def written_out(function: Callable[P, R]) -> Callable[P, R]:
     return cast("Callable[P, R]", _made(function, inline="always"))
 
 
-def _made(function: Callable[..., Any], **more: str) -> Any:
-    options = {"cache": True, "nogil": True, "fastmath": False, "error_model": "numpy"}
+def _plain(made: Any) -> Any:
+    """A compiled function for which constants are values like any other."""
+    if not numba.config.DISABLE_JIT:
+        called_with, value = made.get_call_template, numba.types.unliteral
+
+        def called_with_values(args: Any, kws: Any) -> Any:
+            return called_with(tuple(map(value, args)), {name: value(kind) for name, kind in kws.items()})
+
+        made.get_call_template = called_with_values
+    return made
+
+
+def _made(function: Callable[..., Any], **more: Any) -> Any:
+    options = {"cache": True, "nogil": True, "fastmath": False, "error_model": "numpy", **more}
     # Nobody calls these functions as C: numba would write, and compile, one more entry for each.
-    made = numba.njit(no_cfunc_wrapper=True, **options, **more)(function)
+    made = numba.njit(no_cfunc_wrapper=True, **options)(function)
     if not numba.config.DISABLE_JIT:
         # numba's cache holds for a file as it was, but what is compiled holds functions and constants of others too.
         file = made._cache._cache_file

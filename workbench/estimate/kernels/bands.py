@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from workbench.estimate.kernels.output_error import FIT, GAIN, drive_of, oe_cost
 from workbench.estimate.kernels.path import band_path
-from workbench.simulate.compiled import compiled, copy
+from workbench.simulate.compiled import compiled, copy, fused
 
 __all__ = ["scan_bands", "scan_starts", "screen_bands", "screen_drive", "sums_of"]
 
@@ -82,7 +82,7 @@ def scan_starts(
         costs[i] = cost if out[GAIN] != 0.0 else math.inf
 
 
-@compiled
+@fused
 def sums_of(y: Floats, poles: Floats, delays: Ints, skip: int) -> tuple[Floats, Floats, Floats, Floats]:
     """Return what `screen_drive` takes of PV, four arrays of sums.
 
@@ -112,39 +112,44 @@ def sums_of(y: Floats, poles: Floats, delays: Ints, skip: int) -> tuple[Floats, 
     return sum_y, sum_yy, fading, faded
 
 
-@compiled
-def _lags(drive: Floats, poles: tuple[float, float, float, float], z: Floats) -> None:
-    """Write the answers of four lags of gain 1 to a drive, shape (4, N), side by side: none waits for another."""
-    a, b, c, d = poles
-    ga, gb, gc, gd = 1.0 - a, 1.0 - b, 1.0 - c, 1.0 - d
-    za, zb, zc, zd = 0.0, 0.0, 0.0, 0.0
-    for k in range(drive.size):
-        z[0, k], z[1, k], z[2, k], z[3, k] = za, zb, zc, zd
-        w = drive[k]
-        za, zb, zc, zd = a * za + ga * w, b * zb + gb * w, c * zc + gc * w, d * zd + gd * w
-
-
-@compiled
-def _sums_from(
-    z: Floats, poles: tuple[float, float, float, float], begin: int, end: int, kept: bool, sums: Floats
+@fused
+def _onwards(
+    drive: Floats, poles: tuple[float, float, float, float], begin: int, end: int, kept: bool, z: Floats, power: Floats
 ) -> None:
-    """Go on from `end` back to `begin` with the sums over all later samples: of z, z^2, and z weighted by pole^(i - k).
+    """Go on from `begin` to `end` with the answers of four lags to a drive, and the sums of their squares before.
 
-    z: (4, N); sums: (3, 4, N + 1), read at `end` and written at `begin`, and at all samples between where kept.
+    The lags have gain 1 / (1 - pole), and none waits for another. z, (4, N + 1): written at each sample; power,
+    (4, N + 1): at `end`, and at all samples between where kept.
     """
     a, b, c, d = poles
-    sa, sb, sc, sd = sums[0, 0, end], sums[0, 1, end], sums[0, 2, end], sums[0, 3, end]
-    qa, qb, qc, qd = sums[1, 0, end], sums[1, 1, end], sums[1, 2, end], sums[1, 3, end]
-    fa, fb, fc, fd = sums[2, 0, end], sums[2, 1, end], sums[2, 2, end], sums[2, 3, end]
-    for k in range(end - 1, begin - 1, -1):
-        za, zb, zc, zd = z[0, k], z[1, k], z[2, k], z[3, k]
-        sa, sb, sc, sd = sa + za, sb + zb, sc + zc, sd + zd
+    za, zb, zc, zd = z[0, begin], z[1, begin], z[2, begin], z[3, begin]
+    qa, qb, qc, qd = power[0, begin], power[1, begin], power[2, begin], power[3, begin]
+    for k in range(begin, end):
+        w = drive[k]
         qa, qb, qc, qd = qa + za * za, qb + zb * zb, qc + zc * zc, qd + zd * zd
-        fa, fb, fc, fd = za + a * fa, zb + b * fb, zc + c * fc, zd + d * fd
-        if kept or k == begin:
-            sums[0, 0, k], sums[0, 1, k], sums[0, 2, k], sums[0, 3, k] = sa, sb, sc, sd
-            sums[1, 0, k], sums[1, 1, k], sums[1, 2, k], sums[1, 3, k] = qa, qb, qc, qd
-            sums[2, 0, k], sums[2, 1, k], sums[2, 2, k], sums[2, 3, k] = fa, fb, fc, fd
+        za, zb, zc, zd = a * za + w, b * zb + w, c * zc + w, d * zd + w
+        z[0, k + 1], z[1, k + 1], z[2, k + 1], z[3, k + 1] = za, zb, zc, zd
+        if kept:
+            power[0, k + 1], power[1, k + 1], power[2, k + 1], power[3, k + 1] = qa, qb, qc, qd
+    power[0, end], power[1, end], power[2, end], power[3, end] = qa, qb, qc, qd
+
+
+@fused
+def _backwards(
+    drive: Floats, poles: tuple[float, float, float, float], begin: int, end: int, kept: bool, later: Floats
+) -> None:
+    """Go on from `end` back to `begin` with the sums of a drive over all later samples k, weighted by pole^(i - k).
+
+    later, (5, N + 1): those of four poles, and the plain sum, written as `power` is by `_onwards`.
+    """
+    a, b, c, d = poles
+    fa, fb, fc, fd, total = later[0, end], later[1, end], later[2, end], later[3, end], later[4, end]
+    for k in range(end - 1, begin - 1, -1):
+        w = drive[k]
+        fa, fb, fc, fd, total = w + a * fa, w + b * fb, w + c * fc, w + d * fd, total + w
+        if kept:
+            later[0, k], later[1, k], later[2, k], later[3, k], later[4, k] = fa, fb, fc, fd, total
+    later[0, begin], later[1, begin], later[2, begin], later[3, begin], later[4, begin] = fa, fb, fc, fd, total
 
 
 @compiled
@@ -159,8 +164,7 @@ def screen_drive(
     known: int,
     alone: bool,
     own: tuple[Floats, Floats, Floats, Floats],
-    z: Floats,
-    sums: Floats,
+    room: Floats,
     best: Floats,
 ) -> None:
     """Try a drive's lag at a grid of poles and dead times beside a constant and a transient with the same pole.
@@ -168,25 +172,33 @@ def screen_drive(
     drive and y, shape (N,): the input, 0 before the record, and PV, both whitened. within: the first pole and the one
     after the last, the first dead time and the one after the last. sign: that the gain must have, or 0. The first
     `skip` samples do not count, nor those that answer to the first `known` samples of the drive. alone: whether a plant
-    counts in which the drive has no part. own: of `sums_of`; z, (4, N), and sums, (3, 4, N + 1): room to work in. best:
-    (cost, pole, dead time) of the best so far, which is bettered; the cost is n times the mean square that is left.
+    counts in which the drive has no part. own: of `sums_of`; room, (13, N + 1), 0 at first: to work in. best: (cost,
+    pole, dead time) of the best so far, which is bettered; the cost is n times the mean square that is left.
+
+    The answer z follows z' = a z + w: its sum, and that weighted by a^i, are those of w and what z is at both ends.
     """
     n = y.size
     sum_y, sum_yy, fading_y, faded = own
     low, high, soonest, latest = within
+    z, power, later = room[:4], room[4:8], room[8:]
     # Sums are asked for from the first sample that counts on, and up to n less the dead time.
     tail = n - delays[-1]
     head = min(max(skip, known + 1), tail)
+    first = min(known + 1, head) if known > 0 else 0
     for block in range(low, high, 4):
         end = high - 1
         four = (poles[block], poles[min(block + 1, end)], poles[min(block + 2, end)], poles[min(block + 3, end)])
-        _lags(drive, four, z)
-        _sums_from(z, four, tail, n, True, sums)
-        _sums_from(z, four, head, tail, False, sums)
-        _sums_from(z, four, min(known + 1, head) if known > 0 else 0, head, True, sums)
+        _onwards(drive, four, 0, first, False, z, power)
+        _onwards(drive, four, first, head, True, z, power)
+        _onwards(drive, four, head, tail, False, z, power)
+        _onwards(drive, four, tail, n, True, z, power)
+        _backwards(drive, four, tail, n, True, later)
+        _backwards(drive, four, head, tail, False, later)
+        _backwards(drive, four, first, head, True, later)
         for j in range(block, min(block + 4, high)):
             pole, row = poles[j], j - block
-            last, left = -1, 0.0
+            short, shorter = 1.0 - pole, 1.0 - pole * pole
+            last, left, se, see = -1, 0.0, 0.0, 0.0
             for d in range(soonest, latest):
                 delay = delays[d]
                 b = max(skip, known + delay + 1 if known > 0 else 0)
@@ -196,11 +208,14 @@ def screen_drive(
                     continue
                 if b != last:
                     last, left = b, pole**count
-                se, see = (1.0 - left) / (1.0 - pole), (1.0 - left * left) / (1.0 - pole * pole)
+                    se, see = (1.0 - left) / short, (1.0 - left * left) / shorter
                 sy, sye = sum_y[b], fading_y[j, b]
-                sz, szz = sums[0, row, from_z] - sums[0, row, to_z], sums[1, row, from_z] - sums[1, row, to_z]
+                begun, ended = z[row, from_z], z[row, to_z]
+                sz = (later[4, from_z] - later[4, to_z] - (ended - begun)) / short
+                szz = power[row, to_z] - power[row, from_z]
                 weight = faded[j, d] if known == 0 else 1.0
-                sze = weight * sums[2, row, from_z] - left * sums[2, row, to_z]
+                sze = weight * (begun + pole * later[row, from_z]) - left * (ended + pole * later[row, to_z])
+                sze /= shorter
                 szy = np.dot(z[row, from_z:to_z], y[from_z + delay :])
                 yy = sum_yy[b] - sy * sy / count
                 zz, zy = szz - sz * sz / count, szy - sz * sy / count
@@ -254,10 +269,10 @@ def screen_bands(
     """
     n, p = y.size, a.size - 1
     many = op.size // n
-    stems, paths, w, z = np.empty((3, op.size)), np.empty((4, n)), np.empty(n), np.empty((4, n))
+    stems, paths, w, room = np.empty((3, op.size)), np.empty((4, n)), np.empty(n), np.zeros((13, n + 1))
     box = np.empty(4)
     own = sums_of(y, poles, delays, skip)
-    sums, best = np.zeros((3, 4, n + 1)), np.empty(3)
+    best = np.empty(3)
     found[:, :, 0] = math.inf
     found[:, :, 1:] = 0.0
     for i in range(bands.shape[0]):
@@ -294,5 +309,5 @@ def screen_bands(
                 w[k] = total
             best[0], best[1], best[2] = math.inf, 0.0, 0.0
             within = (low, high, soonest, latest)
-            screen_drive(w, y, poles, delays, within, sign, skip, known, False, own, z, sums, best)
+            screen_drive(w, y, poles, delays, within, sign, skip, known, False, own, room, best)
             copy(best, found[i, start])

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from workbench.estimate.kernels.output_error import plant_terms
 from workbench.estimate.kernels.path import band_path, stem_path
-from workbench.simulate.compiled import compiled, copy, written_out
+from workbench.simulate.compiled import compiled, copy, fused, written_out
 
 __all__ = ["LANES", "STRIDE", "screen_stepped"]
 
@@ -55,12 +55,12 @@ def _respond(x: Floats, w: Floats, held: Floats, lanes: Floats, terms: tuple[flo
         lanes[_P0 + j], lanes[_P1 + j], lanes[_P2 + j] = p0, p1, p2
 
 
-@compiled
+@fused
 def _respond_stride(x: Floats, w: Floats, held: Floats, lanes: Floats, terms: tuple[float, float, float]) -> None:
     _respond(x, w, held, lanes, terms, STRIDE)
 
 
-@compiled
+@fused
 def _respond_one(x: Floats, w: Floats, held: Floats, lanes: Floats, terms: tuple[float, float, float]) -> None:
     _respond(x, w, held, lanes, terms, 1)
 
@@ -95,7 +95,7 @@ def _answered(w: Floats, lanes: Floats, fades: float, step: Floats, at: float, i
         lanes[_GAIN + j] = product - s * r / own if better else lanes[_GAIN + j]
 
 
-@compiled
+@fused
 def _answered_stride(w: Floats, lanes: Floats, fades: float, step: Floats, at: float, integrating: bool) -> None:
     if integrating:
         _answered(w, lanes, fades, step, at, True, STRIDE)
@@ -103,7 +103,7 @@ def _answered_stride(w: Floats, lanes: Floats, fades: float, step: Floats, at: f
         _answered(w, lanes, fades, step, at, False, STRIDE)
 
 
-@compiled
+@fused
 def _answered_one(w: Floats, lanes: Floats, fades: float, step: Floats, at: float, integrating: bool) -> None:
     if integrating:
         _answered(w, lanes, fades, step, at, True, 1)
@@ -111,7 +111,7 @@ def _answered_one(w: Floats, lanes: Floats, fades: float, step: Floats, at: floa
         _answered(w, lanes, fades, step, at, False, 1)
 
 
-@compiled
+@fused
 def _back(w: Floats, lanes: Floats, fades: float, integrating: bool, begin: int, end: int) -> None:
     """Go back over the lanes' responses from `end` to `begin`, before the steps that are tried."""
     for k in range(end - 1, begin - 1, -1):
@@ -306,7 +306,7 @@ def screen_stepped(
                     found[i, j, 1] = lanes[_AT + lane]
 
 
-@compiled
+@fused
 def _apart_from(column: Floats, basis: Floats, size: int, skip: int) -> float:
     """Take out of a column its parts along an orthonormal basis, from `skip` on; return its length then, 0 for none."""
     whole = 0.0
@@ -326,7 +326,7 @@ def _apart_from(column: Floats, basis: Floats, size: int, skip: int) -> float:
     return math.sqrt(left)
 
 
-@compiled
+@fused
 def _step_products(signal: Floats, a: float, integrating: bool, out: Floats) -> None:
     """Write the products of a signal with a step's answer that begins at each sample."""
     beyond, faded, total = 0.0, 0.0, 0.0
