@@ -220,6 +220,31 @@ def test_the_longest_dead_time_is_kept_to(longest: float) -> None:
         assert found.linear.plant.dead_time <= longest
 
 
+def test_a_dead_time_beyond_a_quarter_of_the_record_is_not_searched_and_that_is_said() -> None:
+    record = record_of(samples=200)
+    within, beyond = (wb.estimate(record, valve="linear", max_dead_time=longest) for longest in (50.0, 51.0))
+    assert within.plant == beyond.plant
+    words = "no dead time beyond a quarter of the record, 50 s, is searched: max_dead_time is longer"
+    assert words in beyond.reasons
+    assert words not in within.reasons
+
+
+def test_a_linear_model_of_a_valve_that_sticks_has_no_ranges() -> None:
+    found = wb.estimate(record_of(), valve="linear")
+    assert found.verdict == "stiction"
+    assert isinstance(found.valve, wb.Ideal)
+    assert found.intervals == Intervals()
+    assert not found.identifiable
+    assert any("no ranges are given" in reason for reason in found.reasons)
+
+
+def test_no_reason_stands_twice() -> None:
+    # The band that no valve has is said of the search and of the record.
+    run = run_of(steps=((8.0, 0.0), (-6.0, 500.0)))
+    found = wb.estimate(wb.Record(run.pv + 50.0, 1e4 * run.op, 1.0))
+    assert len(found.reasons) == len(set(found.reasons))
+
+
 def test_a_valve_that_never_slips_is_said_and_not_guessed() -> None:
     run = run_of(Ti=200.0, steps=((1.0, 0.0),), sd=0.05, samples=200, Kc=0.2)
     assert not np.diff(run.valve).any()
@@ -462,8 +487,8 @@ def test_two_step_locks_in_where_it_starts_far_away(start: float) -> None:
     found = wb.estimate(record_of(), method="two_step", start=start)
     assert abs(found.iterations[-1].d - 2.0) > 0.5
     assert found.intervals.d is None
-    # The linear model that answers where no stem fits is no end of its search, and keeps its ranges.
-    assert (found.intervals == Intervals()) == isinstance(found.valve, wb.Stenman)
+    # Nor are the ranges of the linear model known, which answers where no stem fits: the valve sticks.
+    assert found.intervals == Intervals()
     assert not found.identifiable
     assert any("minimum near its start" in reason for reason in found.reasons)
     assert found_of().aic < found.aic - 1000.0
@@ -480,7 +505,10 @@ def test_arguments_are_checked() -> None:
         {"plant": "second_order"},
         {"start": 1.0},
         {"method": "two_step", "start": -1.0},
+        {"method": "two_step", "valve": "choudhury"},
+        {"method": "two_step", "valve": "linear"},
         {"max_dead_time": float("nan")},
+        {"progress": 5},
     ):
         with pytest.raises(wb.InvalidValue):
             wb.estimate(record, **wrong)

@@ -10,6 +10,7 @@ import pytest
 
 import workbench as wb
 from workbench.estimate.verdict import Evidence, agree
+from workbench.model.detection import StemEvidence
 
 
 @pytest.fixture(scope="module")
@@ -113,3 +114,24 @@ def test_a_cycle_that_a_dead_band_explains_to_the_last_digit_is_not_the_linear_l
     assert isinstance(found.valve, wb.Deadband)
     assert found.valve.b == pytest.approx(0.759, rel=0.005)
     assert found.plant.gain == pytest.approx(0.0277, rel=0.005)
+
+
+def test_a_recorded_stem_that_follows_op_is_doubted_where_pv_shows_one_that_sticks(healthy: wb.Detection) -> None:
+    followed = replace(healthy, stem=StemEvidence(band=2.0, jump=0.0, follows=0.001, sticks=0.001))
+    # Short of certainty the recorded stem stands; against certainty it may be no stem's.
+    assert agree(evidence(4.0, 0.2), "stiction", ("why",), followed)[0] == "no_stiction"
+    verdict, reasons = agree(evidence(4.0, 0.05), "stiction", ("why",), followed)
+    assert verdict == "undecided"
+    assert any("what the positioner was asked for" in reason for reason in reasons)
+
+
+def test_an_op_that_is_recorded_as_the_stem_is_no_verdict_against_pv() -> None:
+    loop = wb.Loop(wb.FOPDT(1.5, 10.0, 3.0), wb.Stenman(3.0), wb.PID(Kc=0.6, Ti=12.0), 1.0)
+    run = wb.simulate(loop, wb.Experiment(1000.0, [wb.Step(4.0, 50.0)], noise=wb.Noise(0.05, 1)))
+    record = wb.Record(run.pv + 50.0, run.op + 40.0, 1.0, sp=run.sp + 50.0)
+    assert wb.estimate(record).verdict == "stiction"
+    asked = wb.estimate(replace(record, valve_position=record.op))
+    assert asked.verdict == "undecided"
+    assert not asked.identifiable
+    measured = wb.estimate(replace(record, valve_position=run.valve + 40.0))
+    assert measured.verdict == "stiction"

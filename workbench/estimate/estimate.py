@@ -49,6 +49,9 @@ WIDEST_GAIN = 0.2  # of the gain itself: a 95 % range wider than this does not i
 CLEAR_BIC = 10.0  # R. Kass, A. Raftery, J. Am. Stat. Assoc. 90 (1995) 773-795: "very strong" evidence above it
 ALIKE = 1.25  # times what a lag leaves along OP: a level that leaves more is none
 BRIEF, FAR_BIC = 0.05, 10.0 * CLEAR_BIC  # of the record: a time constant that PV shows twenty times; of BIC
+WORDS_OF_IDEAL = (
+    "the model told has no friction, which the valve has: its plant makes up for that, so that no ranges are given"
+)
 WORDS_OF_ENDLESS = (
     "PV does not level off within the record, as an integrating process does not: a first-order one would need a time "
     "constant of half the record or more"
@@ -70,15 +73,15 @@ def estimate(
 
     method: "profile", the global profile over (d, first slip, dead time) with output-error refinement; "joint", the
     same and then the plant of its best few stem paths refined by nonlinear programs, with a drift and a coloured
-    disturbance (see `methods.joint`; `noise_model` holds them); "two_step", the paper's alternating algorithm from
-    the stiction `start` (%), whose valve is "stenman"; or "complementarity", for comparison: the profile, and from its
-    best Stenman path one program in plant, d and stem together (see `methods.complementarity`; the result's field of
-    that name holds what it found; 1,500 samples at most). valve: "stenman", "choudhury" (S, J), "deadband" (J = 0),
-    "linear" (none), or "auto", the one that sticks with the lowest BIC. plant: "fopdt", "integrating", or "auto",
-    the one that PV shows: the likelier is searched first, and the other too where that one leaves more than noise, or
-    would need a time constant of half the record and more, as a level does; then the lower BIC decides.
-    max_dead_time: s, the longest dead time searched (default: 30 samples, and up to a quarter of the record where PV
-    clearly shows a longer one).
+    disturbance (see `methods.joint`; `noise_model` holds them); "two_step", the paper's alternating algorithm from the
+    stiction `start` (%), whose valve is "stenman" alone; or "complementarity", for comparison: the profile, and from
+    its best Stenman path one program in plant, d and stem together (see `methods.complementarity`; the result's field
+    of that name holds what it found; 1,500 samples at most). valve: "stenman", "choudhury" (S, J), "deadband" (J = 0),
+    "linear" (none), or "auto", the one that sticks with the lowest BIC. plant: "fopdt", "integrating", or "auto", the
+    one that PV shows: the likelier is searched first, and the other too where that one leaves more than noise, or would
+    need a time constant of half the record and more, as a level does; then the lower BIC decides.
+    max_dead_time: s, the longest dead time searched, of up to a quarter of the record (default: 30 samples, and more
+    where PV clearly shows a longer one).
     progress: called with the share done, 0 to 1.
 
     Returns an `Estimate`; beside the model stands the linear fit that ignores stiction. Where stiction does not help
@@ -90,18 +93,17 @@ def estimate(
     record tells nothing, a range is open (see `Intervals`); so are the plant's of a linear loop whose setpoint stands
     still, where OP only answers PV. Where the verdict is "undecided" and a linear loop is not clearly less likely, the
     plant's ranges hold that one's too. A sticking valve by "two_step" has no ranges: it does not look for others that
-    fit as well. Steps of the load that nobody recorded are fitted beside the model (`load_steps`, see
-    `loads.steps`); a linear loop that leaves noise alone beside some is told, with its plant, or a dead band that is
-    clearly likelier than that loop ("undecided", as nothing else accuses the valve). An oscillation from outside the
-    loop, a sinusoid that is a quarter or more of what the model leaves, is fitted beside the model (`load_swing`;
-    10,000 samples at most; not by "two_step"). A PV that is recorded later than the controller saw it is looked at as
-    that did (`pv_late`), and values of PV or OP that stand out from their neighbours alone are left out
-    (`detect.spikes`).
-    identifiable is True where the verdict is "stiction", no range is open, that hull is at most a tenth of d wide and
-    gain's at most a fifth of the gain; not where PV was kept by exception or mostly lies between recorded values, whose
-    error no range holds, nor for an OP that is no per cent (see `detect.causes`). Raises `RecordError` for a record
-    that holds no information (too short, PV or OP constant, values that no plant has) or is too long for the method,
-    and `InvalidValue` for arguments that are not allowed.
+    fit as well; nor has the linear model of a valve that sticks. Steps of the load that nobody recorded are fitted
+    beside the model (`load_steps`, see `loads.steps`); a linear loop that leaves noise alone beside some is told, with
+    its plant, or a dead band that is clearly likelier than that loop ("undecided", as nothing else accuses the valve).
+    An oscillation from outside the loop, a sinusoid that is a quarter or more of what the model leaves, is fitted
+    beside the model (`load_swing`; 10,000 samples at most; not by "two_step"). A PV that is recorded later than the
+    controller saw it is looked at as that did (`pv_late`), and values of PV or OP that stand out from their neighbours
+    alone are left out (`detect.spikes`). identifiable is True where the verdict is "stiction", no range is open, that
+    hull is at most a tenth of d wide and gain's at most a fifth of the gain; not where PV was kept by exception or
+    mostly lies between recorded values, whose error no range holds, nor for an OP that is no per cent (see
+    `detect.causes`). Raises `RecordError` for a record that holds no information (too short, PV or OP constant, values
+    that no plant has) or is too long for the method, and `InvalidValue` for arguments that are not allowed.
     """
     if not isinstance(record, Record):
         raise InvalidValue("estimate.record", type(record).__name__, "must be a Record (see read_record)")
@@ -114,9 +116,13 @@ def estimate(
         start = number(start, "estimate.start", above=0.0, unit="%")
     if max_dead_time is not None:
         max_dead_time = number(max_dead_time, "estimate.max_dead_time", least=0.0, unit="s")
+    if progress is not None and not callable(progress):
+        raise InvalidValue("estimate.progress", type(progress).__name__, "must be a function of the share done, 0 to 1")
     if method == "complementarity":
         refuse_complementarity(record, valve)
         valve = "stenman"
+    if method == "two_step" and valve not in ("auto", "stenman"):
+        raise InvalidValue("estimate.valve", valve, "method 'two_step' knows the Stenman valve alone: stenman, or auto")
     tell = silent if progress is None else _rising(progress)
     seen, late = as_seen(record, PURPOSE)
     asked = _Asked(method, valve, start, max_dead_time)
@@ -129,9 +135,11 @@ def estimate(
         line = _straight(seen, centre(seen, plant), max_dead_time)
         found = _searched(seen, _begun(seen, plant, line, asked, lambda share: tell(share / shares)), asked)
     answer = _told(seen, found, asked, lambda share: tell(1.0 - (1.0 - share) / shares))
-    said += words_of_late(record, late) + words_of_spikes(record)
+    said += words_of_late(record, late) + words_of_spikes(record) + _cut(record, max_dead_time)
     if answer.verdict == "stiction" and (why := _doubtful(seen, answer.valve.stick_band)):
         answer = replace(answer, verdict="undecided", identifiable=False, reasons=(why, *answer.reasons))
+    if answer.verdict == "stiction" and isinstance(answer.valve, Ideal):
+        answer = replace(answer, intervals=Intervals(), identifiable=False, reasons=(*answer.reasons, WORDS_OF_IDEAL))
     if unpinned := tuple(one for one in (no_percent(record.op), kept_by_exception(record)) if one):
         answer, said = replace(answer, identifiable=False), (*unpinned, *said)
     tell(1.0)
@@ -139,9 +147,17 @@ def estimate(
         answer,
         record=record,
         valve_position=earlier(answer.valve_position, late.samples),
-        reasons=answer.reasons + said,
+        reasons=tuple(dict.fromkeys(answer.reasons + said)),
         pv_late=late.samples * record.sample_time,
     )
+
+
+def _cut(record: Record, max_dead_time: float | None) -> tuple[str, ...]:
+    """Say where dead times as long as were asked for are not searched."""
+    most = max(len(record) // 4, 1) * record.sample_time
+    if max_dead_time is None or max_dead_time <= most:
+        return ()
+    return (f"no dead time beyond a quarter of the record, {given(most, 4)} s, is searched: max_dead_time is longer",)
 
 
 def _doubtful(record: Record, band: float) -> str:

@@ -29,6 +29,10 @@ NEAR_NOTHING = 0.25  # of d: where bands as narrow as this fit as well, stiction
 MOST, CERTAIN = 0.5, 0.9  # improvement by which the model alone decides: where detection does not, and against it
 ALL_BUT = 0.98  # and that leaves it suspect, however little the linear model leaves: of 166 acquitted none came to 0.9
 NAMED = 4  # separate ranges of d named one by one
+WORDS_OF_FOLLOWED = (
+    "PV moves as behind a stem that sticks, yet the recorded one follows OP: look whether the stem's travel is "
+    "recorded, or what the positioner was asked for"
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -176,7 +180,7 @@ def _search_said(e: Evidence, reasons: list[str]) -> None:
             "and gives no interval"
         )
     if e.at_limit:
-        reasons.append("the dead time lies at the end of the range searched; a larger max_dead_time may fit better")
+        reasons.append("the dead time lies at the end of the range searched: a longer one may fit better")
     if e.method != "two_step" and not e.exact:
         reasons.append("the record is long: d was searched closely only about its likeliest values")
 
@@ -197,7 +201,13 @@ def agree(e: Evidence, verdict: str, reasons: tuple[str, ...], found: Detection)
     # Detection has tried all stems as wide as this one, and acquits the valve of them.
     refuted = test is not None and e.d >= test.wide_from and excluded(test, Thresholds())
     acquitted = found.verdict == "no_stiction"
-    if sticks and improvement >= (CERTAIN if acquitted else MOST) and (e.slips >= SURE_SLIPS or not acquitted):
+    # A recorded stem that follows OP is evidence of its own, if it is the stem that was recorded.
+    followed = acquitted and found.stem is not None and found.stem.follows < Thresholds().direct
+    if followed:
+        doubted = sticks and improvement >= CERTAIN and e.slips >= SURE_SLIPS
+        final = "undecided" if doubted else "no_stiction"
+        reasons = (WORDS_OF_FOLLOWED, *reasons) if doubted else reasons
+    elif sticks and improvement >= (CERTAIN if acquitted else MOST) and (e.slips >= SURE_SLIPS or not acquitted):
         final = "stiction"
     elif acquitted and ((sticks and not refuted) or explains or e.slips == 0):
         final = "undecided"
