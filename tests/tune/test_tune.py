@@ -352,3 +352,10 @@ def test_the_door_names_what_is_no_objective() -> None:
         wb.tune(loop, wb.Experiment(60.0, wb.Step(4.0)), objective={"w1": 1.0})  # type: ignore[arg-type]
     with pytest.raises(wb.InvalidValue, match="must be a Bounds"):
         wb.tune(loop, wb.Experiment(60.0, wb.Step(4.0)), bounds={"Kc": (0, 1)})  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(("gain", "action", "wrong"), [(-1.0, "reverse", True), (-1.0, "direct", False)])
+def test_a_controller_that_acts_the_wrong_way_is_said(gain: float, action: str, wrong: bool) -> None:
+    loop = wb.Loop(wb.FOPDT(gain, 5.0, 1.0), wb.Stenman(2.0), wb.PID(0.5, 20.0, action=action), 1.0)
+    found = wb.tune(loop, wb.Experiment(100.0, setpoint=wb.Step(4.0)), restarts=1, max_evaluations=2000)
+    assert ("acts the wrong way" in found.message) == wrong

@@ -256,6 +256,11 @@ def quick(problem: Problem, found: Found) -> Choice:
 
 def _message(problem: Problem, found: Found, note: str, tuned: Tuned) -> str:
     parts = [note] if note else []
+    if problem.loop.controller.signed_gain * problem.loop.gain < 0.0:
+        action = problem.loop.controller.action
+        parts.append(
+            f"the controller acts the wrong way for this plant ({action} action): the least gain does the least"
+        )
     around = f"within the larger of {100.0 * tuned.margin:g} % and half a last digit"
     if tuned.nominal_only:
         parts.append(f"the least J itself, not to be typed in: {around} J rises to {given(tuned.worst, 5)}")
