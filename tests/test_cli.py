@@ -212,6 +212,7 @@ def test_an_interrupt_ends_with_130_and_keeps_the_last_report(folder: Path, monk
     assert {p: p.read_bytes() for p in (folder / "reports" / "good").iterdir()} == before
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(os.name == "nt", reason="sends SIGINT")
 def test_ctrl_c_says_one_line(folder: Path) -> None:
     (folder / "long.yaml").write_text(

@@ -124,6 +124,7 @@ def test_a_recorded_stem_that_follows_outweighs_it() -> None:
     assert wb.detect(seen).verdict == "no_stiction"
 
 
+@pytest.mark.slow
 def test_a_stuck_valve_is_left_undecided_by_the_estimate_too() -> None:
     record = recorded(STUCK, 4, samples=500)
     found = wb.estimate(record, valve="stenman")

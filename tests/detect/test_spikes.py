@@ -90,6 +90,7 @@ def test_a_sensors_spikes_accuse_no_valve(seed: int) -> None:
     assert any(f"{count} samples of PV stand out from" in reason for reason in found.reasons)
 
 
+@pytest.mark.slow
 def test_a_few_zeros_hide_no_valve_that_sticks() -> None:
     record = sticky(0)
     pv = record.pv.copy()
@@ -172,6 +173,7 @@ def test_a_band_rests_on_more_than_a_few_values_of_op() -> None:
     assert "no valve travels so far" in beyond_op(100.0 * cycle, 120.0)
 
 
+@pytest.mark.slow
 def test_no_verdict_names_a_band_that_no_valve_has() -> None:
     whole = sticky(0)
     record = wb.Record(whole.pv[:300], whole.op[:300], 1.0)

@@ -23,6 +23,7 @@ def moves(op: np.ndarray, S: float, J: float) -> tuple[int, ...]:
     return tuple(np.flatnonzero(np.diff(band_stem(op, S, J, 0, 1.0)[0])).tolist())
 
 
+@pytest.mark.slow
 @settings(deadline=None, max_examples=60)
 @given(op=outputs, S=st.floats(0.3, 4.0), J=st.floats(0.0, 4.0), along=st.sampled_from([0, 1]))
 def test_a_walk_meets_every_sequence_of_slips_between_its_ends(op: np.ndarray, S: float, J: float, along: int) -> None:

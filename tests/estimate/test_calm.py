@@ -45,6 +45,7 @@ def same(found: tuple[LoadStep, ...], load: list[tuple[float, float]], delay: fl
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("plant", "controller", "load"),
     [

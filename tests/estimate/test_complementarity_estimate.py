@@ -239,6 +239,7 @@ def test_what_it_does_not_take_is_refused_before_any_work() -> None:
     assert shares == []
 
 
+@pytest.mark.slow
 @settings(max_examples=8)
 @given(kinds=st.tuples(*[st.sampled_from(["noise", "walk", "spike", "steps", "sine"])] * 2), seed=st.integers(0, 50))
 def test_adversarial_records_are_answered(kinds: tuple[str, str], seed: int) -> None:

@@ -98,6 +98,7 @@ def check(found: Estimate, record: wb.Record) -> None:
     assert not (found.identifiable and found.verdict != "stiction")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "kind",
     [
@@ -199,6 +200,7 @@ def test_a_cycle_without_noise_or_excitation_gives_the_set_and_not_a_point() -> 
     assert wb.estimate(moved).identifiable
 
 
+@pytest.mark.slow
 def test_few_slips_give_no_number_to_rely_on() -> None:
     record = record_of(Ti=200.0)
     found = found_of(Ti=200.0)
@@ -604,6 +606,7 @@ def real(name: str) -> wb.Record:
     return wb.read_record(RECORDS / name)
 
 
+@pytest.mark.slow
 def test_chem23_ends_with_a_model_an_interval_and_a_stem() -> None:
     record = real("isdb/CHEM23.csv")
     found = wb.estimate(record)

@@ -39,6 +39,7 @@ def cycles(loop: wb.Loop, seed: int) -> wb.Record:
     return wb.Record(run.pv[1000:], run.op[1000:], 1.0, sp=run.sp[1000:])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("loop", "seed", "close"), CASES)
 def test_ranges_of_few_slips_hold_stems_that_slip_earlier_and_later(loop: wb.Loop, seed: int, close: float) -> None:
     found = wb.estimate(cycles(loop, seed), plant="fopdt" if loop is FLOW else "integrating")

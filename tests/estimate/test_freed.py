@@ -88,6 +88,7 @@ def test_without_steps_nothing_is_freed(held) -> None:
     assert freed(data, data, alone, 0.0, limits, ()) is alone
 
 
+@pytest.mark.slow
 def test_ranges_hold_the_truth_beside_a_load_step() -> None:
     """Without this neither range of S, nor of the gain or the dead time, held it."""
     found = [wb.estimate(record_of(seed), plant="integrating") for seed in (1, 3)]

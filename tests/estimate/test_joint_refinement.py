@@ -214,6 +214,7 @@ def test_every_disturbance_is_stationary(partial: list[float]) -> None:
         assert a[-1] == partial[-1]
 
 
+@pytest.mark.slow
 @settings(max_examples=8)
 @given(kinds=st.tuples(*[st.sampled_from(["noise", "walk", "spike", "steps", "sine"])] * 2), seed=st.integers(0, 50))
 def test_adversarial_records_are_refined_or_left(kinds: tuple[str, str], seed: int) -> None:

@@ -180,6 +180,7 @@ def test_an_op_that_is_moved_by_hand_shows_its_plant() -> None:
     assert found.intervals.gain == pytest.approx((2.0, 2.0), rel=0.05)
 
 
+@pytest.mark.slow
 def test_where_nothing_decides_the_ranges_hold_the_linear_loops_plant_too() -> None:
     run = disturbed(wb.FOPDT(2.0, 8.0, 2.0), setpoint=[wb.Step(3.0, 200.0), wb.Step(-3.0, 600.0)], n=1200)
     found = wb.estimate(wb.Record(run.pv + 50.0, run.op + 50.0, 1.0, sp=run.sp + 50.0))

@@ -91,6 +91,7 @@ def test_a_stem_that_follows_a_sinusoid_accuses_no_valve(seed: int, why: str) ->
     assert why in found.reasons[0]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(3))
 def test_load_steps_alone_accuse_no_valve(seed: int) -> None:
     rng = np.random.default_rng(seed)
@@ -221,6 +222,7 @@ def test_an_oscillation_already_taken_out_is_no_step_that_the_loop_has() -> None
     assert beside.paid - beside.ahead == pytest.approx(bare.paid - bare.ahead)
 
 
+@pytest.mark.slow
 def test_more_steps_than_a_stem_is_fitted_beside_accuse_nobody(monkeypatch: pytest.MonkeyPatch) -> None:
     record = three_steps(0.62)
     assert wb.estimate(record, plant="fopdt").verdict == "no_stiction"

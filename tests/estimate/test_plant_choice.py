@@ -95,6 +95,7 @@ def test_a_load_step_does_not_make_a_level_of_a_lag() -> None:
     assert found.plant.gain == pytest.approx(2.0, rel=0.05)
 
 
+@pytest.mark.slow
 def test_the_other_plant_foretells_worse_under_a_load() -> None:
     # Along the stem of its own fit each plant is judged by what it foretells one sample ahead.
     for plant in PLANTS:
@@ -188,6 +189,7 @@ def test_the_plant_that_the_linear_fits_show_is_searched_alone_where_it_leaves_n
     assert begun == [first]
 
 
+@pytest.mark.slow
 def test_a_lag_whose_linear_fit_never_levels_off_is_told_by_its_stem() -> None:
     # A level leaves hardly more than the lag where nobody reckons with the stem, and more than noise where one does.
     loop = wb.Loop(wb.FOPDT(1.0, 8.0, 4.0), wb.Choudhury(4.0, 2.2), wb.PID(0.5, 25.0), 1.0)

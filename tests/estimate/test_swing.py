@@ -78,6 +78,7 @@ def test_the_search_is_made_anew_once_where_the_oscillation_stays_what_it_was(mo
     assert len(searched) == 2
 
 
+@pytest.mark.slow
 def test_a_healthy_loops_plant_is_found_beside_it_and_by_itself_too() -> None:
     record = record_of(replace(LOOP, valve=wb.Ideal()), 3.0, 130.0)
     found = wb.estimate(record)
@@ -100,6 +101,7 @@ def test_none_is_found_where_there_is_none() -> None:
     assert not swing_said(wb.estimate(record_of(LOOP, 0.0, 130.0, noise=0.3)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("period", [450.0, 600.0])
 def test_what_turns_slower_than_a_third_of_the_record_is_a_drift(period: float) -> None:
     assert not swing_said(wb.estimate(record_of(LOOP, 1.0, period), plant="fopdt"))

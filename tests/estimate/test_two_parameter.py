@@ -174,6 +174,7 @@ def test_the_lowest_bic_is_chosen_and_the_table_is_whole() -> None:
     assert "dead band" in printed
 
 
+@pytest.mark.slow
 def test_the_valve_asked_for_is_the_valve_given() -> None:
     record = record_of(wb.Choudhury(3.0, 1.0), 1000)
     kinds = {"stenman": wb.Stenman, "deadband": wb.Deadband, "choudhury": wb.Choudhury, "linear": wb.Ideal}

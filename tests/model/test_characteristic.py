@@ -125,6 +125,7 @@ def test_linear_analysis_takes_the_sign_of_the_valve():
         wb.apply_rule(replace(loop, fail_open=True), wb.Simc())
 
 
+@pytest.mark.slow
 def test_tuning_knows_both():
     task = wb.Experiment(100.0, setpoint=wb.Step(4.0), load=wb.Step(1.0, at=50.0))
     loop = wb.Loop(wb.FOPDT(1.0, 5.0, 1.0), wb.Stenman(2.0), wb.PID(0.5, 20.0), 1.0)

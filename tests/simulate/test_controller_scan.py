@@ -84,6 +84,7 @@ def test_at_its_executions_it_is_the_slower_loop(valve, dead_time):
     assert wb.margins(loop) == replace(wb.margins(loop.executed), loop=loop)
 
 
+@pytest.mark.slow
 def test_a_stem_that_goes_on_with_op_sticks_between_executions():
     loop = wb.Loop(wb.FOPDT(1.0, 25.0), wb.Choudhury(3.0, 1.0), wb.PID(0.4, 30.0), 1.0)
     task = wb.Experiment(400.0, setpoint=wb.Ramp(20.0, 0.0, 400.0))
@@ -111,6 +112,7 @@ def test_a_loop_that_saturates_between_executions_comes_to_rest_at_its_limit():
     assert "OP is at its limit" in start.reason
 
 
+@pytest.mark.slow
 def test_tuning_searches_directly_and_keeps_the_margins_of_the_executions():
     loop = replace(paper_loop(0.5, 20.0), scan=2)
     asked = {"bounds": wb.Bounds(Td=(0, 0)), "restarts": 1, "constraints": wb.Constraints(max_sensitivity=1.6)}

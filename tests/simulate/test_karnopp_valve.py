@@ -141,6 +141,7 @@ def test_methods_that_do_not_know_it_say_so():
     assert tuned.objective == wb.evaluate(loop.with_controller(tuned.controller), paper_step(100.0), wb.Objective())[0]
 
 
+@pytest.mark.slow
 def test_an_estimate_finds_the_band_of_a_valve_that_is_not_its_own_model():
     loop = loop_with(GRAPHITE, controller=wb.PID(1.0, 15.0))
     steps = [wb.Step(20.0), wb.Step(-27.0, at=900.0), wb.Step(18.0, at=1500.0)]

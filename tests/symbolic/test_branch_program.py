@@ -54,6 +54,7 @@ CASES = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", CASES)
 def test_the_claim_is_the_exact_cost_and_not_worse_than_the_start(name: str) -> None:
     loop = CASES[name]

@@ -266,6 +266,7 @@ def test_a_parameter_on_its_bound_is_said(pi) -> None:
     assert "bound" not in pi.message
 
 
+@pytest.mark.slow
 def test_a_pid_search_is_no_worse_than_the_pi_within_its_bounds() -> None:
     # A level loop where derivative does not help: the best tuning lies on the face Td = 0.
     pid = wb.PID(4.0, 600.0, form="series", derivative_on="pv", action="direct")
