@@ -3,7 +3,7 @@
 Method: PV and a measured stem are interpolated linearly; OP, SP and MODE hold their last value, as the controller's
 output and settings do. Nothing is interpolated over a gap, or over values that were recorded as bad, but for a single
 row of an even file that is missing or unusable. Rows are even where each lies near its place on an even grid: a clock
-that stamps them early or late did not move the samples.
+that stamps them early or late did not move the samples, nor one that stamps tags one after the other (see `stamps`).
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from workbench.errors import RecordError
 from workbench.model.record import FloatArray
 from workbench.record.even import most_uneven, places
 from workbench.record.signals import Signal, Signals
+from workbench.record.stamps import on_stamps_of_pv
 from workbench.record.table import BLANK, OK, Cells
 from workbench.record.times import JITTER
 
@@ -60,6 +61,13 @@ class Samples:
 
 def lay(signals: Signals, sample_time: float | None, max_gap: float | None, source: str) -> Samples:
     """Return the loop on one grid. sample_time, max_gap: s, or None for the record's own. Raises `RecordError`."""
+    signals, apart = on_stamps_of_pv(signals)
+    out = _laid(signals, sample_time, max_gap, source)
+    out.notes[:0] = apart
+    return out
+
+
+def _laid(signals: Signals, sample_time: float | None, max_gap: float | None, source: str) -> Samples:
     pv, op = _together(signals.by["PV"], signals.by["OP"])
     why = "PV and OP have times of their own"
     if pv.seconds is op.seconds or np.array_equal(pv.seconds, op.seconds):
