@@ -48,6 +48,75 @@ def test_a_clock_without_zone_runs_on_through_daylight_saving(tmp_path: Path, st
     assert record.epoch == dt.datetime.fromisoformat(f"{first}+00:00").timestamp()
 
 
+FALL, SPRING = dt.datetime(2024, 10, 26, 18, 0, tzinfo=dt.UTC), dt.datetime(2024, 3, 30, 18, 0, tzinfo=dt.UTC)
+
+
+@pytest.mark.parametrize("minutes", [6, 10, 15, 20])
+@pytest.mark.parametrize(("start", "words"), [(FALL, "back"), (SPRING, "forward")])
+@pytest.mark.parametrize("turned", [False, True])
+def test_coarse_sampling_runs_on_through_daylight_saving(
+    tmp_path: Path, minutes: int, start: dt.datetime, words: str, turned: bool
+) -> None:
+    times = local(start, 120, 60 * minutes)
+    record = read_record(write(tmp_path, times[::-1] if turned else times))
+    assert record.pv.tolist() == list(range(120))[:: -1 if turned else 1]
+    assert (record.sample_time, record.rest) == (60.0 * minutes, ())
+    assert any(f"the clock goes {words} an hour" in note for note in record.notes)
+
+
+@pytest.mark.parametrize(
+    ("day", "missing"),
+    [
+        ("2024-03-30", range(8, 12)),  # not the night of a Sunday
+        ("2024-06-02", range(8, 12)),  # no season for it
+        ("2024-03-31", range(7, 11)),  # from 01:45 on, at which no clock is changed
+        ("2024-03-31", range(8, 13)),  # an hour and a quarter
+    ],
+)
+def test_rows_missing_of_a_coarse_record_are_a_gap(tmp_path: Path, day: str, missing: range) -> None:
+    start = dt.datetime.fromisoformat(day)
+    times: list[object] = [start + dt.timedelta(minutes=15 * k) for k in range(80) if k not in missing]
+    record = read_record(write(tmp_path, times))
+    assert record.counts["gaps"] == 1
+    assert not any("clock" in note for note in record.notes)
+
+
+def test_an_hour_missing_on_every_sunday_is_a_gap(tmp_path: Path) -> None:
+    start = dt.datetime(2024, 3, 23)  # noqa: DTZ001 - a clock on a wall
+    times: list[object] = [start + dt.timedelta(minutes=5 * k) for k in range(3000) if k % 2016 not in range(312, 324)]
+    record = read_record(write(tmp_path, times))
+    assert record.counts["gaps"] == 2
+    assert not any("clock" in note for note in record.notes)
+
+
+@pytest.mark.parametrize("every", [1, 60])
+def test_rows_missing_as_the_clock_goes_back_are_a_gap(tmp_path: Path, every: int) -> None:
+    """The times tell how many: the silence holds 3 o'clock, when the clock showed 2."""
+    times = local(dt.datetime(2024, 10, 26, 23, 30, tzinfo=dt.UTC), 9000 // every, every)
+    at = 5400 // every
+    times[at - 6 : at + 900 // every] = []
+    record = read_record(write(tmp_path, times))
+    assert record.counts["gaps"] == 1
+    assert record.segments[0].start == 0.0
+    assert record.segments[-1].start == 5400.0 + 900.0
+    assert any("the clock goes back an hour" in note for note in record.notes)
+
+
+@pytest.mark.parametrize(
+    ("day", "begin", "silent"),
+    [
+        (26, 1800, 900),  # a Saturday
+        (27, 1000, 700),  # from 00:46:40 to 00:58:20
+        (27, 1800, 1900),  # too long to be sure
+    ],
+)
+def test_a_clock_set_back_at_no_change_of_clocks_is_refused(tmp_path: Path, day: int, begin: int, silent: int) -> None:
+    start = dt.datetime(2024, 10, day, 0, 30)  # noqa: DTZ001 - a clock on a wall
+    times: list[object] = [start + dt.timedelta(seconds=k + (silent - 3600 if k >= begin else 0)) for k in range(6000)]
+    with pytest.raises(RecordError, match="times must ascend"):
+        read_record(write(tmp_path, times))
+
+
 def test_a_tall_file_begins_with_the_first_sample_before_the_clock_goes_back(tmp_path: Path) -> None:
     stamps = local(dt.datetime(2024, 10, 27, 0, 30, tzinfo=dt.UTC), 600, 10)
     path = tmp_path / "tall.csv"

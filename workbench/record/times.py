@@ -21,8 +21,12 @@ HOUR = 3600.0
 DUPLICATES = 0.2  # share of times that may repeat with other values before they say nothing
 # Of an hour that goes by twice, only this many sample times may be missing: anything longer is no changed clock.
 SLACK = 10.0
+# More may be on the night of a Sunday, where the silence holds a full hour, at which clocks are changed.
+SILENT = HOUR / 3.0
 LEAP = 10.0  # usual steps, from which a step tells that a day and a month may have been mistaken
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
+_SPRING = (3, 4, 9, 10)  # months in which clocks go forward, north and south
+SEASON = 100.0 * 24.0 * HOUR  # s, that are between two springs and more
 _SUNDAY, _NIGHT = 3, 4.0  # 1 January 1970 was a Thursday; clocks change before four in the morning
 
 _DAYS = (
@@ -248,14 +252,27 @@ def _clock_changes(times: FloatArray) -> tuple[FloatArray, list[str]]:
     """Return times of a wall clock with the hour of daylight saving taken out, and what was done."""
     steps = np.diff(times)
     usual = float(np.median(steps[steps > 0.0])) if (steps > 0.0).any() else 0.0
-    if not 0.0 < usual < HOUR / SLACK:
+    if not 0.0 < usual <= SILENT * (1.0 + JITTER):
         return times, []
     notes = []
-    back = np.flatnonzero((steps > -HOUR) & (steps <= SLACK * usual - HOUR))
-    even = np.abs(steps - usual - HOUR) <= JITTER * usual
-    hours = (times[:-1] % (24.0 * HOUR)) / HOUR
-    sunday = np.floor(times[:-1] / (24.0 * HOUR)) % 7 == _SUNDAY
-    forward = np.flatnonzero(even & sunday & (hours < _NIGHT))
+    before, silent = times[:-1], steps + HOUR
+    night = (np.floor(before / (24.0 * HOUR)) % 7 == _SUNDAY) & (before % (24.0 * HOUR) < _NIGHT * HOUR)
+
+    def changing(silence: FloatArray) -> NDArray[np.bool_]:
+        hours = np.floor((before + silence) / HOUR + 1e-9) - np.floor(before / HOUR)
+        return np.asarray(night & (hours > 0.0))
+
+    fine = usual < HOUR / SLACK
+    few = fine & (silent <= SLACK * usual)
+    sure = changing(silent) & ((1.0 - JITTER) * usual <= silent) & (silent <= SILENT * (1.0 + JITTER))
+    back = np.flatnonzero((steps < 0.0) & (silent > 0.0) & (few | sure))
+    forward = np.flatnonzero(night & (np.abs(steps - usual - HOUR) <= JITTER * usual))
+    if not fine:
+        # A few missing rows are an hour too.
+        forward = forward[(changing(steps - HOUR) & np.isin(_months(before), _SPRING))[forward]]
+    if (np.diff(times[forward]) < SEASON).any():
+        # Every Sunday's silence is no changed clock.
+        forward = forward[:0]
     shift = np.zeros(times.size)
     for many, at, sign, words in (
         (back.size, back, 1.0, "back an hour (daylight saving ends)"),
@@ -265,3 +282,8 @@ def _clock_changes(times: FloatArray) -> tuple[FloatArray, list[str]]:
             shift[at + 1] += sign * HOUR
             notes.append(f"the clock goes {words}{f' {many} times' if many > 1 else ''}; the times run on through it")
     return times + np.cumsum(shift), notes
+
+
+def _months(times: FloatArray) -> NDArray[np.int64]:
+    """Return the months, 1 to 12, of seconds since 1970, shape (N,)."""
+    return times.astype("datetime64[s]").astype("datetime64[M]").astype(np.int64) % 12 + 1
