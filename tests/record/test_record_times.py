@@ -188,6 +188,54 @@ def test_a_repeated_time_keeps_the_last_row(tmp_path: Path) -> None:
     assert any(note.endswith("left out, with the same values") for note in read_record(path).notes)
 
 
+def overlapping(folder: Path, rows: list[str], change: tuple[str, str] = ("", "")) -> Path:
+    """Two exports in one file, header and all, of which the second begins 40 rows before the first ends."""
+    path, (old, new) = folder / "loop.csv", change
+    again = [row.replace(old, new) if old else row for row in rows[160:200]]
+    header = "time,SP,PV,OP,MODE"
+    path.write_text("\n".join([header, *rows[:200], header, *again, *rows[200:]]) + "\n", encoding="utf-8")
+    return path
+
+
+@pytest.mark.parametrize("stamped", [False, True])
+def test_rows_of_two_exports_that_overlap_count_once(tmp_path: Path, stamped: bool) -> None:
+    """On a clock on a wall too, where the second begins an hour before the first ends."""
+    start = dt.datetime(2024, 3, 12)  # noqa: DTZ001 - a clock on a wall
+    times = [start + dt.timedelta(seconds=90 * k) if stamped else 90 * k for k in range(300)]
+    rows = [f"{t},5,{'Bad' if k == 180 else k % 11},{k % 7},AUTO" for k, t in enumerate(times)]
+    record = read_record(overlapping(tmp_path, rows))
+    assert record.pv.tolist() == [k % 11 for k in range(300)]
+    assert (record.sample_time, record.counts["repeated"], record.counts["gaps"]) == (90.0, 40, 0)
+    assert "40 rows that were exported before are left out, with the same times and values" in record.notes
+    assert not any("clock" in note for note in record.notes)
+
+
+def test_rows_of_two_exports_that_overlap_in_every_tag_count_once(tmp_path: Path) -> None:
+    rows = [f"F1.{tag},{k},{k % by}" for k in range(300) for tag, by in (("PV", 11), ("OP", 7))]
+    path = tmp_path / "tall.csv"
+    path.write_text("\n".join(["tag,time,value", *rows[:400], *rows[320:]]))
+    record = read_record(path)
+    assert record.pv.tolist() == [k % 11 for k in range(300)]
+    assert record.counts["repeated"] == 80
+    assert any(note.endswith("same times and values (in 2 tags)") for note in record.notes)
+
+
+@pytest.mark.parametrize("change", [(",5,3,", ",5,4,"), (",5,3,", ",6,3,"), (",AUTO", ",MAN")])
+def test_exports_that_overlap_with_other_values_are_refused(tmp_path: Path, change: tuple[str, str]) -> None:
+    rows = [f"{k},5,{k % 11},{k % 7},AUTO" for k in range(300)]
+    with pytest.raises(RecordError, match=r"line 203, column 'time': 39 s before line 201; times must ascend"):
+        read_record(overlapping(tmp_path, rows, change))
+
+
+def test_an_hour_at_rest_that_a_clock_shows_twice_is_no_second_export(tmp_path: Path) -> None:
+    times = local(dt.datetime(2024, 10, 26, 23, 30, tzinfo=dt.UTC), 1500, 10)
+    path = tmp_path / "loop.csv"
+    path.write_text("time,PV,OP\n" + "".join(f"{t},{max(k - 1400, 0)},5\n" for k, t in enumerate(times)))
+    record = read_record(path)
+    assert len(record) == 1500
+    assert "repeated" not in record.counts
+
+
 def test_times_cut_to_whole_minutes_are_refused(tmp_path: Path) -> None:
     times: list[object] = [f"2024-10-17 21:{k // 6:02d}" for k in range(120)]
     with pytest.raises(
@@ -337,7 +385,8 @@ quiet = settings(max_examples=100, deadline=None, suppress_health_check=CALM)
 )
 def test_times_come_out_ascending_or_are_refused(times: list[float], wall: bool) -> None:
     seconds = np.array([t if abs(t) < 1e100 else np.nan for t in times], dtype=np.float64)
-    order = in_order(seconds, np.zeros(seconds.size, dtype=bool), wall)
+    values = np.arange(seconds.size) % 2
+    order = in_order(seconds, np.zeros(seconds.size, dtype=bool), wall, lambda a, b: values[a] == values[b])
     if not order.refusal:
         assert (np.diff(order.seconds) > 0.0).all()
         assert order.rows.size + order.repeated == np.count_nonzero(np.isfinite(seconds))

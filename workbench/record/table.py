@@ -75,6 +75,15 @@ class Cells:
         texts = None if self.texts is None else [self.texts[i] for i in rows.tolist()]
         return replace(self, values=self.values[rows], marks=self.marks[rows], texts=texts)
 
+    def alike(self, rows: NDArray[np.int64], others: NDArray[np.int64]) -> NDArray[np.bool_]:
+        """Return whether each of these rows, shape (M,), holds the same as its one of the others."""
+        a, b = self.values[rows], self.values[others]
+        out: NDArray[np.bool_] = (self.marks[rows] == self.marks[others]) & ((a == b) | (np.isnan(a) & np.isnan(b)))
+        if self.texts is not None:
+            pairs = zip(rows.tolist(), others.tolist(), strict=True)
+            out &= np.array([self.texts[i] == self.texts[j] for i, j in pairs], dtype=bool)
+        return out
+
     def as_texts(self) -> list[str]:
         """Return the cells as text."""
         if self.texts is not None:

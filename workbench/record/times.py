@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta, timezone
 from functools import lru_cache
@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workbench.model.record import FloatArray
+from workbench.record.checks import runs
 
 __all__ = ["FORMATS_SAID", "JITTER", "Order", "in_order", "parse_timestamps"]
 
@@ -171,11 +172,15 @@ def _leaps(stamps: Sequence[datetime]) -> int:
     return int(np.count_nonzero(steps > LEAP * np.median(steps[steps > 0]))) if steps.any() else 0
 
 
+# Whether the rows of one array hold the same as those of another, shape (M,) each.
+Alike = Callable[[NDArray[np.int64], NDArray[np.int64]], NDArray[np.bool_]]
+
+
 @dataclass(frozen=True)
 class Order:
     """Times in ascending order: `rows` (M,) picks them from the file, `seconds` (M,) are theirs, strictly ascending.
 
-    repeated: rows left out since a later one has the same time. notes: what was done, in words. refusal: why the times
+    repeated: rows left out since another one has the same time. notes: what was done, in words. refusal: why the times
     make no order, with {row} and {before} for the lines of the two rows in `between`; else "".
     """
 
@@ -187,16 +192,23 @@ class Order:
     between: tuple[int, int] = (0, 0)
 
 
-def in_order(seconds: FloatArray, same: NDArray[np.bool_], wall_clock: bool) -> Order:
+def in_order(seconds: FloatArray, same: NDArray[np.bool_], wall_clock: bool, alike: Alike) -> Order:
     """Bring times into ascending order as far as that leaves no doubt.
 
     seconds: as in the file, shape (N,), nan for none (those rows are left out). same: where a row holds the same
-    values as the row before. wall_clock: timestamps without a zone. A file from the latest time to the earliest is
-    turned round; of rows with one time the last counts; a wall clock that was put back or forward by an hour at the
+    values as the row before. wall_clock: timestamps without a zone. alike: whether rows hold the same in all their
+    cells as other rows do. Rows that a second export repeats are left out; a file from the latest time to the earliest
+    is turned round; of rows with one time the last counts; a wall clock that was put back or forward by an hour at the
     change of daylight saving runs on. Anything else is refused.
     """
-    rows = np.flatnonzero(np.isfinite(seconds))
-    times, notes = seconds[rows], []
+    rows, notes = np.flatnonzero(np.isfinite(seconds)), []
+    again = _exported_again(seconds[rows], wall_clock, lambda a, b: alike(rows[a], rows[b]))
+    doubled = int(np.count_nonzero(again))
+    if doubled:
+        rows = rows[~again]
+        many = f"{doubled} rows that were exported before are" if doubled > 1 else "1 row that was exported before is"
+        notes.append(f"{many} left out, with the same times and values")
+    times = seconds[rows]
     steps = np.diff(times)
     turned = _backwards(times, wall_clock)
     if turned:
@@ -215,7 +227,7 @@ def in_order(seconds: FloatArray, same: NDArray[np.bool_], wall_clock: bool) -> 
             f"{-steps[at]:g} s before {{before}}; times must ascend (a changed clock, daylight saving or two exports "
             "in one file do this)"
         )
-        return Order(rows, times, 0, tuple(notes), refusal, (int(rows[at + 1]), int(rows[at])))
+        return Order(rows, times, doubled, tuple(notes), refusal, (int(rows[at + 1]), int(rows[at])))
     twice = np.flatnonzero(steps == 0.0)
     if twice.size:
         other = twice[~same[rows[twice + 1]]]
@@ -225,14 +237,32 @@ def in_order(seconds: FloatArray, same: NDArray[np.bool_], wall_clock: bool) -> 
                 f"the same time as {{before}} with other values, and {other.size - 1} times more; times must ascend "
                 "(times cut to whole seconds or minutes, or several loops in one file, do this)"
             )
-            return Order(rows, times, 0, tuple(notes), refusal, (int(rows[at + 1]), int(rows[at])))
+            return Order(rows, times, doubled, tuple(notes), refusal, (int(rows[at + 1]), int(rows[at])))
         keep = np.concatenate((steps > 0.0, [True]))
         rows, times = rows[keep], times[keep]
         which = f"{other.size} of them with other values" if other.size else "with the same values"
         kept = f": the {'first' if turned else 'last'} row of a time is kept" if other.size else ""
         many = f"{twice.size} row{'s' if twice.size > 1 else ''}"
         notes.append(f"{many} of a time that occurs again left out, {which}{kept}")
-    return Order(rows, times, int(twice.size), tuple(notes))
+    return Order(rows, times, doubled + int(twice.size), tuple(notes))
+
+
+def _exported_again(times: FloatArray, wall_clock: bool, alike: Alike) -> NDArray[np.bool_]:
+    """Return which rows, in blocks that go back in time, all repeat rows before: overlapping exports in one file."""
+    out = np.zeros(times.size, dtype=bool)
+    if not (np.diff(times) < 0.0).any():
+        return out
+    late = np.concatenate([[False], times[1:] <= np.maximum.accumulate(times)[:-1]])
+    kept = np.flatnonzero(~late)
+    at = kept[np.minimum(np.searchsorted(times[kept], times), kept.size - 1)]
+    for first, many in zip(*(found.tolist() for found in runs(late)), strict=True):
+        block = np.arange(first, first + many)
+        back = float(np.diff(times[first - 1 : first + many]).min())
+        if back >= 0.0 or not (times[at[block]] == times[block]).all() or not alike(at[block], block).all():
+            continue
+        # A loop at rest is the same in both hours that a clock shows in autumn.
+        out[block] = back < -HOUR or not wall_clock or not alike(block[1:], block[:-1]).all()
+    return out
 
 
 def _backwards(times: FloatArray, wall_clock: bool) -> bool:
