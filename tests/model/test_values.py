@@ -88,6 +88,23 @@ NAN = math.nan
         (lambda: wb.Record(pv=[1.0], op=np.array(["1"], dtype=object), sample_time=1.0), "Record.op", "real numbers"),
         (lambda: wb.Record(pv=[1.0, None], op=[1.0, 1.0], sample_time=1.0), r"Record.pv\[1\]", "finite"),
         (lambda: wb.Record(pv=[1.0], op=[1.0], sample_time=1.0, mode=("AUTO", "MAN")), "Record.mode", "samples of PV"),
+        (lambda: wb.Record(pv=[1.0], op=[1.0], sample_time=1.0, mode=5), "Record.mode", "a sequence of texts"),
+        (
+            lambda: wb.Record(pv=[1.0], op=[1.0], sample_time=1.0, rest=5),
+            "Record.rest",
+            "a sequence, each a Record",
+        ),
+        (lambda: wb.Record(pv=[1.0], op=[1.0], sample_time=1.0, rest="abc"), "Record.rest", "a Record"),
+        (lambda: wb.Record(pv=[1.0], op=[1.0], sample_time=1.0, rest=(5,)), r"Record.rest\[0\]", "a Record"),
+        (lambda: wb.Record(pv=[1.0], op=[1.0], sample_time=1.0, notes="abc"), "Record.notes", "a text"),
+        (lambda: wb.Record(pv=[1.0], op=[1.0], sample_time=1.0, counts=5), "Record.counts", "a mapping"),
+        (lambda: wb.read_record(None), "path", "must be the path of a CSV or Parquet file"),
+        (lambda: wb.read_record(5), "path", "must be the path of a CSV or Parquet file"),
+        (lambda: wb.read_record(b"x"), "path", "must be the path of a CSV or Parquet file"),
+        (lambda: wb.read_record(""), "path", "must be the path of a CSV or Parquet file"),
+        (lambda: wb.load_scenario(5), "path", "must be the path of a scenario file"),
+        (lambda: wb.load_scenario(""), "path", "must be the path of a scenario file"),
+        (lambda: wb.run_scenario(5), "scenario", "must be a Scenario or the path of a scenario file"),
     ],
 )
 def test_what_is_not_allowed_is_refused_with_where_given_and_allowed(build, where, allowed):

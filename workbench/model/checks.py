@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+import os
+from collections.abc import Iterable, Sequence
 from numbers import Integral, Real
+from typing import Any
 
 from workbench.errors import InvalidValue
 
-__all__ = ["choice", "instance", "number", "ordered_pair", "reads_as_number", "whole"]
+__all__ = ["all_of", "choice", "file_name", "instance", "number", "ordered_pair", "reads_as_number", "whole"]
 
 
 def number(
@@ -55,6 +57,24 @@ def instance(value: object, kind: type | tuple[type, ...], where: str, allowed: 
     """Raise `InvalidValue` unless `value` is of that kind; `allowed` says in words what is."""
     if not isinstance(value, kind):
         raise InvalidValue(where, value, f"must be {allowed}")
+
+
+def all_of(values: object, kind: type, where: str, each: str) -> tuple[Any, ...]:
+    """Return `values` as a tuple, or raise `InvalidValue` unless each is of that kind; `each` says which, in words."""
+    if isinstance(values, str) or not isinstance(values, Iterable):
+        raise InvalidValue(where, repr(values), f"must be a sequence, each {each}")
+    listed = tuple(values)
+    for i, value in enumerate(listed):
+        instance(value, kind, f"{where}[{i}]", each)
+    return listed
+
+
+def file_name(path: object, what: str) -> str:
+    """Return a file's path as text, or raise `InvalidValue` unless it is one; `what` says which file is needed."""
+    name = os.fspath(path) if isinstance(path, str | os.PathLike) else path
+    if not isinstance(name, str) or not name:
+        raise InvalidValue("path", repr(path), f"must be the path of {what}, as text or a pathlib.Path")
+    return name
 
 
 def choice(value: object, where: str, allowed: Sequence[str]) -> str:

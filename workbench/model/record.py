@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from numbers import Complex, Number, Real
 from types import MappingProxyType
@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workbench.errors import InvalidValue
-from workbench.model.checks import number, ordered_pair
+from workbench.model.checks import all_of, instance, number, ordered_pair
 from workbench.model.numbers import given
 from workbench.model.show import Shown
 
@@ -91,6 +91,7 @@ class Record(Shown):
             if getattr(self, name) is not None:
                 object.__setattr__(self, name, signal_of(getattr(self, name), f"Record.{name}", pv.size))
         if self.mode is not None:
+            instance(self.mode, Iterable, "Record.mode", "a sequence of texts, one for each sample")
             mode = tuple(str(m) for m in self.mode)
             if len(mode) != pv.size:
                 raise InvalidValue("Record.mode", f"{len(mode)} samples", f"must have the {pv.size} samples of PV")
@@ -99,8 +100,9 @@ class Record(Shown):
         object.__setattr__(self, "epoch", number(self.epoch, "Record.epoch", unit="s"))
         if self.pv_range is not None:
             object.__setattr__(self, "pv_range", ordered_pair(self.pv_range, "Record.pv_range"))
-        object.__setattr__(self, "rest", tuple(self.rest))
-        object.__setattr__(self, "notes", tuple(self.notes))
+        object.__setattr__(self, "rest", all_of(self.rest, Record, "Record.rest", "a Record"))
+        object.__setattr__(self, "notes", all_of(self.notes, str, "Record.notes", "a text"))
+        instance(self.counts, Mapping, "Record.counts", "a mapping such as {'rows': 100}")
         object.__setattr__(self, "counts", MappingProxyType(dict(self.counts)))
 
     def __len__(self) -> int:

@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from workbench.errors import RecordError
-from workbench.model.checks import instance, number, ordered_pair
+from workbench.model.checks import file_name, instance, number, ordered_pair
 from workbench.model.record import Record
 from workbench.record.checks import held_said, no_codes, none_far, op_said, setpoint_said, swapped, within_range
 from workbench.record.columns import NEEDED, in_milliamperes, is_tall, match_columns, qualities_unused
@@ -85,7 +85,7 @@ def read_record(
     `notes` and `counts` (rows, kept, rejected, gaps ...) say what was done and left out. Times become seconds: as
     given, or from the first timestamp on. Raises `RecordError` naming file, line and column, and `InvalidValue`.
     """
-    file = Path(path)
+    file = Path(file_name(path, "a CSV or Parquet file"))
     source = str(path)
     _check_file(file, source)
     if sample_time is not None:

@@ -13,6 +13,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from workbench.errors import ScenarioError
+from workbench.model.checks import file_name
 from workbench.scenario import units
 from workbench.scenario.build import Builder
 from workbench.scenario.cascade import cascade_scenario
@@ -33,9 +34,9 @@ def load_scenario(path: str | os.PathLike[str]) -> Scenario:
     """Return the scenario of a YAML file, checked in full, with the records that it names read.
 
     Data files are looked for beside the scenario. Raises `ScenarioError`: one line for each problem, up to 50, as
-    `file:line:column: where: what is wrong, what is allowed`.
+    `file:line:column: where: what is wrong, what is allowed`; and `InvalidValue` for what is no path.
     """
-    shown = os.fspath(path)
+    shown = file_name(path, "a scenario file (YAML)")
     return read_scenario(_read(FilePath(path), shown), FilePath(path), shown)
 
 

@@ -18,6 +18,7 @@ from workbench.analyze.limit_cycle import limit_cycle
 from workbench.analyze.standing import standing
 from workbench.analyze.valve_loci import no_locus
 from workbench.errors import ScenarioError, WorkbenchError
+from workbench.model.checks import instance
 from workbench.model.controller import PID
 from workbench.model.cycle_map import CycleMap
 from workbench.model.detection import Detection
@@ -59,6 +60,7 @@ def run_scenario(scenario: Scenario | str | os.PathLike[str], *, progress: Progr
     refused, and with the entry named where running shows that it cannot be carried out; `KeyboardInterrupt` where a
     tuning was interrupted.
     """
+    instance(scenario, (Scenario, str, os.PathLike), "scenario", "a Scenario or the path of a scenario file (YAML)")
     plan = scenario if isinstance(scenario, Scenario) else load_scenario(scenario)
     if plan.cascade:
         from workbench.scenario.cascade_runner import cascade_study
