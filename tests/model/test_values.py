@@ -115,6 +115,20 @@ def test_what_is_not_allowed_is_refused_with_where_given_and_allowed(build, wher
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.parametrize("kind", [np.float64, np.float32, np.int64, np.uint8, object])
+def test_masked_values_of_a_record_are_missing(kind):
+    values = np.arange(4).astype(kind)
+    with pytest.raises(wb.InvalidValue, match=r"^Record\.pv\[2\]: nan given; must be a finite number$"):
+        wb.Record(pv=np.ma.masked_array(values, values == 2), op=values, sample_time=1.0)
+    assert wb.Record(pv=np.ma.masked_array(values), op=values, sample_time=1.0).pv.tolist() == [0.0, 1.0, 2.0, 3.0]
+
+
+def test_a_masked_array_of_truth_values_is_none_of_numbers():
+    masked = np.ma.masked_array([True, False], [True, False])
+    with pytest.raises(wb.InvalidValue, match=r"^Record\.pv: MaskedArray of bool given; must be an array of real"):
+        wb.Record(pv=masked, op=[1.0, 2.0], sample_time=1.0)
+
+
 def test_values_are_frozen_comparable_and_hashable():
     loop = wb.Loop(wb.FOPDT(1, 5, 1), wb.Stenman(2), wb.PID(1, 20), 1)
     assert loop == wb.Loop(wb.FOPDT(1.0, 5.0, 1.0), wb.Stenman(2.0), wb.PID(1.0, 20.0), 1.0)

@@ -29,12 +29,14 @@ def _number(value: object) -> bool:
 def signal_of(value: object, where: str, length: int | None) -> FloatArray:
     """Return a signal as a read-only copy, shape (N,), of `length` samples where that is given.
 
-    Raises `InvalidValue` for anything but an array of one dimension of finite real numbers (truth values, text, times
-    and complex numbers are none).
+    Masked values are missing ones, nan. Raises `InvalidValue` for anything but an array of one dimension of finite real
+    numbers (truth values, text, times and complex numbers are none).
     """
     what, rule = type(value).__name__, "must be an array of real numbers"
     try:
         given = np.asarray(value)
+        if isinstance(value, np.ma.MaskedArray) and given.dtype.kind in "fiuO":
+            given = np.where(np.ma.getmaskarray(value), np.nan, given)
         array = np.array(given, dtype=np.float64) if given.dtype.kind in "fiuO" else np.empty(0)
     except (TypeError, ValueError, OverflowError):
         raise InvalidValue(where, what, rule) from None
