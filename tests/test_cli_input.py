@@ -13,6 +13,7 @@ from typer.testing import CliRunner
 import workbench as wb
 from workbench.cli import app
 from workbench.cli.compiling import SAID, tell_compiling
+from workbench.cli.input import Reading, read_data
 
 
 def call(*arguments: object) -> tuple[int, str, str]:
@@ -64,6 +65,7 @@ def test_a_historian_export_is_estimated_with_tags_and_ranges(folder: Path) -> N
     ("arguments", "words"),
     [
         (["--tag", "PV"], "--tag: PV given; must be SIGNAL=NAME"),
+        (["--tag", "PV="], "--tag: PV= given; must be SIGNAL=NAME"),
         (["--tag", "FLOW=FIC7.MEAS"], "tags: 'FLOW' given; must be one of"),
         (["--op-range", "20:4"], "--op-range: 20:4 given; must be LOW:HIGH with LOW < HIGH"),
         (["--op-range", "4-20"], "--op-range: 4-20 given; must be LOW:HIGH with LOW < HIGH, such as 4:20"),
@@ -98,6 +100,14 @@ def test_names_of_the_file_stay_what_they_are(folder: Path) -> None:
     )
     (folder / "even.csv").write_text("PV,OP\n1,2\n2,3\n", encoding="utf-8")
     assert "no time column; give --sample-time" in call("estimate", "even.csv")[2]
+
+
+def test_a_column_without_a_name_can_be_given(folder: Path) -> None:
+    rows = "".join(f"{2 * k},{k % 7},{k % 5}\n" for k in range(40))
+    (folder / "even.csv").write_text(f",PV,OP\n{rows}", encoding="utf-8")
+    assert 'or the column, --column "time=" if it is the one without a name' in call("estimate", "even.csv")[2]
+    record = read_data(folder / "even.csv", Reading(["time="], None, None, None, None, None))
+    assert (len(record), record.sample_time) == (40, 2.0)
 
 
 def test_what_the_hint_on_swapped_columns_says_mends_them(folder: Path) -> None:

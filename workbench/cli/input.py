@@ -97,7 +97,8 @@ def _mapping(option: str, given: Sequence[str] | None) -> dict[str, str]:
     out = {}
     for text in given or ():
         signal, sign, name = text.partition("=")
-        if not sign or not name.strip():
+        # A column may have no name, as a table's index has none where it is written; a tag has one.
+        if not sign or not (name.strip() or option == "--column"):
             raise InvalidValue(option, text, "must be SIGNAL=NAME, such as PV=FIC101.PV")
         out[signal.strip()] = name.strip()
     return out

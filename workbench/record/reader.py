@@ -114,6 +114,7 @@ def read_record(
     signals = from_tall(table, names, tags, source) if tall else from_wide(table, names, source)
     if not tall:
         signals.notes += qualities_unused(header, found)
+        signals.unnamed = [name.strip() for name in header].count("") == 1
     given = {str(key).upper() for key in {**(columns or {}), **(tags or {})}}
     return record_from(signals, sample_time, max_gap, scale_pv, scale_op, set(NEEDED) <= given, source)
 
@@ -137,7 +138,8 @@ def record_from(
     scaled = _scale(signals, pv_range, op_range, source)
     _some_usable(signals, source)
     if not signals.timed and sample_time is None:
-        msg = f"{source}: no time column; give sample_time in seconds, or the column, columns={{'time': 'name'}}"
+        way = "columns={'time': ''} if it is the one without a name" if signals.unnamed else "columns={'time': 'name'}"
+        msg = f"{source}: no time column; give sample_time in seconds, or the column, {way}"
         raise RecordError(msg)
     samples = lay(signals, sample_time, max_gap, source)
     if samples.seconds.size == 0:

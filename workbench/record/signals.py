@@ -46,7 +46,7 @@ class Signals:
     rows: of the file. dropped: rows without a readable time or with fields too many, as lines by cause. repeated: rows
     left out since their time occurs again. timed: False where the file has no times; `seconds` then counts samples.
     epoch: what second 0 is on the clock of the file's timestamps, s since 1970, 0 where it has none. what: a signal's
-    name is, a column or a tag.
+    name is, a column or a tag. unnamed: whether one column of the file has no name.
     """
 
     by: dict[str, Signal]
@@ -58,6 +58,7 @@ class Signals:
     time_name: str = ""
     epoch: float = 0.0
     what: str = "column"
+    unnamed: bool = False
     notes: list[str] = field(default_factory=list)
 
 
