@@ -242,6 +242,21 @@ def test_without_times_the_sample_time_is_needed_and_with_them_it_must_agree(tmp
         read_record(timed, sample_time=5.0)
 
 
+@pytest.mark.parametrize("name", ["loop.csv", "loop.parquet"])
+def test_numbers_too_large_are_not_called_infinite(tmp_path: Path, name: str) -> None:
+    pv = [1.0 * k for k in range(60)]
+    pv[10], pv[20], pv[30] = 1e200, -1.1e100, float("inf")
+    path = tmp_path / name
+    if name.endswith("csv"):
+        path.write_text("t,PV,OP\n" + "".join(f"{k},{v!r},{k % 7}\n" for k, v in enumerate(pv)))
+    else:
+        pq.write_table(pa.table({"t": list(range(60)), "PV": pv, "OP": [k % 7 for k in range(60)]}), path)
+    record = read_record(path, max_gap=5.0)
+    assert record.counts["rejected, beyond 1e+100 in size"] == 2
+    assert record.counts["rejected, not finite"] == 1
+    assert any(note.startswith("2 rows rejected: beyond 1e+100 in size, first in") for note in record.notes)
+
+
 def test_rejected_rows_are_counted_and_the_longest_stretch_is_kept(tmp_path: Path) -> None:
     rows = [f"{k},{k},{2 * k}" for k in range(60)]
     rows[10] = "10,Bad Input,20"

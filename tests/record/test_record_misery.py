@@ -59,18 +59,18 @@ CASES: dict[str, tuple[Callable[[Column, Column], tuple[Column, Column]], str]] 
     "OP never moves": (lambda pv, op: (pv, ["100"] * len(op)), "OP is constant (100)"),
     "all text": (
         lambda pv, op: (["No Data"] * len(pv), op),
-        "line 2, column 'PV': no row holds a number, the first is text ('No Data')",
+        "line 2, column 'PV': no row holds a usable number, the first is text ('No Data')",
     ),
     "cells with units": (lambda pv, op: ([f"{v} m3/h" for v in pv], op), "first is text ('"),
     "all infinite": (
         lambda pv, op: (pv, ["inf"] * len(op)),
-        "column 'OP': no row holds a number, the first is not finite",
+        "column 'OP': no row holds a usable number, the first is not finite",
     ),
     "all nan": (
         lambda pv, op: (["NaN"] * len(pv), ["NaN"] * len(op)),
-        "no row holds a number, the first is not finite",
+        "no row holds a usable number, the first is not finite",
     ),
-    "fill values": (lambda pv, op: (["1e300"] * len(pv), op), "the first is not finite"),
+    "fill values": (lambda pv, op: (["1e300"] * len(pv), op), "the first is beyond 1e+100 in size"),
     "every other row bad": (
         lambda pv, op: ([v if k % 2 else "Bad" for k, v in enumerate(pv)], op),
         "no two clean rows follow each other",

@@ -121,7 +121,7 @@ def test_tags_of_different_hours_are_refused(tmp_path: Path) -> None:
 
 def test_a_tag_without_one_number_is_refused(tmp_path: Path) -> None:
     rows = [(tag, time, "No Data", "Bad") for tag, time, *_ in rows_of("F1.PV", PV)] + rows_of("F1.OP", OP)
-    with pytest.raises(RecordError, match=r"line 2, tag 'F1\.PV': no row holds a number, the first is text"):
+    with pytest.raises(RecordError, match=r"line 2, tag 'F1\.PV': no row holds a usable number, the first is text"):
         read_record(write(tmp_path, rows))
 
 

@@ -27,6 +27,8 @@ from workbench.record.table import (
     BLANK,
     CODE,
     FIELDS,
+    LARGE,
+    LIMIT,
     NOT_FINITE,
     NUMERIC,
     OK,
@@ -48,6 +50,7 @@ _WHY = {
     BLANK: "blank",
     TEXT: "text",
     NOT_FINITE: "not finite",
+    LARGE: f"beyond {LIMIT:g} in size",
     FIELDS: "more fields than the header",
     QUALITY: "bad quality",
     RANGE: "out of range",
@@ -238,8 +241,8 @@ def _some_usable(signals: Signals, source: str) -> None:
             )
             raise RecordError(msg)
         msg = (
-            f"{source}: {signals.unit} {line}, {signals.what} {signal.name!r}: no row holds a number, the first is "
-            f"{_WHY[mark]}{_examples(signal, mark)}"
+            f"{source}: {signals.unit} {line}, {signals.what} {signal.name!r}: no row holds a usable number, the first "
+            f"is {_WHY[mark]}{_examples(signal, mark)}"
         )
         raise RecordError(msg)
 

@@ -16,7 +16,7 @@ from workbench.model.record import FloatArray
 from workbench.record.columns import NEEDED, QUALITIES, TALL, match_tags
 from workbench.record.counted import counted
 from workbench.record.quality import good_quality
-from workbench.record.table import BLANK, FIELDS, NOT_FINITE, NUMERIC, OK, QUALITY, Cells, Table, number_cells
+from workbench.record.table import BLANK, FIELDS, LARGE, NOT_FINITE, NUMERIC, OK, QUALITY, Cells, Table, number_cells
 from workbench.record.times import FORMATS_SAID, Order, in_order, parse_timestamps
 
 __all__ = ["Clock", "Signal", "Signals", "Tall", "clock_of", "from_tall", "from_wide"]
@@ -211,7 +211,7 @@ def _values(table: Table, rows: NDArray[np.int64], signal: str, where: str) -> C
 
 def _mark_quality(cells: Cells, texts: list[str], name: str, notes: list[str]) -> None:
     good, bad, note = good_quality(texts, name)
-    hit = ~good & np.isin(cells.marks, (OK, NOT_FINITE))
+    hit = ~good & np.isin(cells.marks, (OK, NOT_FINITE, LARGE))
     cells.marks[hit] = QUALITY
     cells.values[hit] = np.nan
     cells.qualities.update(bad)

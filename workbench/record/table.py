@@ -22,6 +22,8 @@ __all__ = [
     "BLANK",
     "CODE",
     "FIELDS",
+    "LARGE",
+    "LIMIT",
     "NOT_FINITE",
     "NUMERIC",
     "OK",
@@ -38,7 +40,7 @@ __all__ = [
 ]
 
 # What a cell is; all but OK and BLANK are a value that was recorded and cannot be used.
-OK, BLANK, TEXT, NOT_FINITE, FIELDS, QUALITY, RANGE, CODE = range(8)
+OK, BLANK, TEXT, NOT_FINITE, FIELDS, QUALITY, RANGE, CODE, LARGE = range(9)
 # The signals that are numbers and nothing else; the other columns are kept as text too.
 NUMERIC = ("PV", "OP", "SP", "valve_position")
 
@@ -116,13 +118,16 @@ def _number(cell: str, decimal_comma: bool) -> tuple[float, int]:
         value = None
     if value is None:
         return math.nan, TEXT
-    return (value, OK) if abs(value) <= LIMIT else (math.nan, NOT_FINITE)
+    if abs(value) <= LIMIT:
+        return value, OK
+    return math.nan, LARGE if math.isfinite(value) else NOT_FINITE
 
 
 def _marked(values: FloatArray) -> Cells:
-    """Return cells of numbers that may not be finite."""
+    """Return cells of numbers that may not be finite, or too large."""
     fine = np.abs(values) <= LIMIT
-    return Cells(np.where(fine, values, np.nan), np.where(fine, OK, NOT_FINITE).astype(np.int8))
+    marks = np.where(fine, OK, np.where(np.isfinite(values), LARGE, NOT_FINITE))
+    return Cells(np.where(fine, values, np.nan), marks.astype(np.int8))
 
 
 def number_cells(listed: Sequence[str], decimal_comma: bool, where: str) -> Cells:
