@@ -114,6 +114,10 @@ def test_a_wrong_mapping_is_refused(tmp_path: Path, columns: dict[str, str], wor
         ("t,FIC1.PV,FIC2.PV,OP\n0,1,2,3\n1,1,2,3\n", ["'FIC1.PV'", "'FIC2.PV'", "could each be PV"]),
         ("t,PV,PV,OP\n0,1,2,3\n1,1,2,3\n", ["could each be PV; all have this name: rename all but one of them in"]),
         ("0,1,2\n1,2,3\n2,3,4\n", ["line 1", "header"]),
+        ("2024-03-12 06:00:00,54.0,50.1\n2024-03-12 06:00:01,54.1,50.2\n", ["'54.0'", "a header line is needed"]),
+        ("12.03.2024 06:00:00;54,0;\n12.03.2024 06:00:01;54,1;\n", ["'54,0'", "a header line is needed"]),
+        ("2024-03-12 06:00:00,,Good\nt,A,B\n", ["no column for PV and OP"]),
+        ("2024-03-12 06:00:00,,\nt,A,B\n", ["no column for PV and OP"]),
         ("PV,OP\n1,2\n2,3\n", ["no time column", "sample_time"]),
         (
             "t,PV,OP\n0,1,2\n1,1,2\n1,2,3\n2,1,2\n2,3,2\n3,1,2\n",
@@ -141,6 +145,11 @@ def test_bad_files_are_refused_in_words(tmp_path: Path, text: str, words: list[s
     said = str(refusal.value)
     assert str(path) in said
     assert all(word in said for word in words), said
+
+
+def test_a_title_of_a_time_and_a_number_is_passed_over(tmp_path: Path) -> None:
+    rows = "".join(f"{k},{k},{k % 7}\n" for k in range(40))
+    assert len(read_record(write(tmp_path, f"2024-03-12 06:00:00,1500\nt,PV,OP\n{rows}"))) == 40
 
 
 def test_a_missing_file_and_a_directory_are_refused(tmp_path: Path) -> None:

@@ -6,6 +6,8 @@ import re
 from collections.abc import Mapping, Sequence
 
 from workbench.errors import RecordError
+from workbench.model.checks import reads_as_number
+from workbench.record.times import is_timestamp
 
 __all__ = [
     "SIGNALS",
@@ -262,6 +264,13 @@ def _stems(plain: str) -> set[str]:
     return {plain, *(plain.removesuffix(word) for word in _AFTER)} - {""}
 
 
+def _is_data(names: Sequence[str]) -> bool:
+    """Whether what stands for names are numbers beside timestamps, as in a file without a header."""
+    numbers = [not name or reads_as_number(name.replace(",", ".")) for name in names]
+    stamps = [name for name, number in zip(names, numbers, strict=True) if not number]
+    return len(stamps) < sum(map(bool, names)) and any(stamps) and all(is_timestamp(stamp) for stamp in stamps)
+
+
 def qualities_unused(header: Sequence[str], found: Mapping[str, int]) -> list[str]:
     """Return a note on the columns of a wide file that look like qualities and belong to no column of it, or none.
 
@@ -345,6 +354,9 @@ def _match(
             found["PV"] = alone[0]
     missing = [s for s in needed if s not in found]
     if missing:
+        if what == "column" and _is_data(names):
+            msg = f"{source}: times and numbers ({there}) where the column names should be; a header line is needed"
+            raise RecordError(msg)
         msg = (
             f"{source}: no {what} for {' and '.join(missing)}; the file has {there or f'no named {what}'}; "
             f"give the mapping, for example {argument}={{{missing[0]!r}: 'name in the file'}}"

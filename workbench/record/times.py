@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from workbench.model.record import FloatArray
 from workbench.record.checks import runs
 
-__all__ = ["FORMATS_SAID", "JITTER", "Order", "in_order", "parse_timestamps"]
+__all__ = ["FORMATS_SAID", "JITTER", "Order", "in_order", "is_timestamp", "parse_timestamps"]
 
 JITTER = 0.2  # of the sample time, by which an interval may differ from it
 HOUR = 3600.0
@@ -164,6 +164,12 @@ def parse_timestamps(cells: Sequence[str]) -> tuple[FloatArray, str, bool] | str
     if parsed is None:
         return "some timestamps carry a time zone and some do not; all or none must"
     return parsed[0], note, parsed[1]
+
+
+def is_timestamp(text: str) -> bool:
+    """Whether a text is a timestamp that can be read."""
+    parsed = parse_timestamps([text])
+    return not isinstance(parsed, str) and bool(np.isfinite(parsed[0]).all())
 
 
 def _leaps(stamps: Sequence[datetime]) -> int:
