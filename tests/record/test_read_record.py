@@ -147,6 +147,47 @@ def test_bad_files_are_refused_in_words(tmp_path: Path, text: str, words: list[s
     assert all(word in said for word in words), said
 
 
+def quoted(folder: Path, cells: list[str]) -> Path:
+    """A comma-separated file with PV in quotes."""
+    rows = "".join(f'{k},"{cell}",{k % 7}\n' for k, cell in enumerate(cells))
+    return write(folder, f"t,PV,OP\n{rows}")
+
+
+@pytest.mark.parametrize(
+    ("cells", "first"),
+    [
+        ([f"{54 + k % 9},{k % 10}167" for k in range(40)], 54.0167),
+        ([f"{54 + k % 9},{k % 9 + 1}" for k in range(40)], 54.1),
+        ([f"{1 + k % 9},500" for k in range(39)] + ["0,5"], 1.5),  # the last leaves no doubt
+        ([f"{1 + k % 9},500.25" for k in range(40)], 1500.25),
+        ([f"{1 + k % 9},500" for k in range(39)] + ["999.75"], 1500.0),
+        ([f"{1 + k % 9},500,000" for k in range(40)], 1500000.0),
+        ([f"-{1 + k % 9},500.5 %" for k in range(40)], -1500.5),
+    ],
+)
+def test_commas_in_quotes_are_read_where_they_leave_no_doubt(tmp_path: Path, cells: list[str], first: float) -> None:
+    record = read_record(quoted(tmp_path, cells))
+    assert (len(record), record.pv[0]) == (40, first)
+
+
+def test_values_are_parted_from_a_thousand_on(tmp_path: Path) -> None:
+    record = read_record(quoted(tmp_path, [f"{990 + k * 5 % 23:,}.5" for k in range(40)]))
+    assert record.pv.tolist() == [990.5 + k * 5 % 23 for k in range(40)]
+
+
+@pytest.mark.parametrize(
+    "cells",
+    [
+        [f"{1 + k % 9},500" for k in range(40)],  # thousands, or decimals?
+        [f"{1 + k % 9},5" if k % 2 else f"{k % 9 + 1},500.25" for k in range(40)],  # both
+        [f"{1 + k % 9},5" if k % 2 else f"{k % 9 + 1}.5" for k in range(40)],
+    ],
+)
+def test_commas_in_quotes_that_leave_a_doubt_are_not_guessed(tmp_path: Path, cells: list[str]) -> None:
+    with pytest.raises(RecordError, match=r"usable number, the first is text|no two clean rows"):
+        read_record(quoted(tmp_path, cells))
+
+
 def test_a_title_of_a_time_and_a_number_is_passed_over(tmp_path: Path) -> None:
     rows = "".join(f"{k},{k},{k % 7}\n" for k in range(40))
     assert len(read_record(write(tmp_path, f"2024-03-12 06:00:00,1500\nt,PV,OP\n{rows}"))) == 40

@@ -177,6 +177,13 @@ def test_decimal_commas_in_a_tall_export(tmp_path: Path) -> None:
         read_record(path)
 
 
+def test_decimal_commas_in_quotes_in_a_tall_export(tmp_path: Path) -> None:
+    rows = [(*row[:2], f'"{row[2].replace(".", ",")}"', "Good") for row in rows_of("F.PV", PV) + rows_of("F.OP", OP)]
+    record = read_record(write(tmp_path, rows))
+    assert record.pv.tolist() == PV
+    assert record.op.tolist() == OP
+
+
 def test_a_tall_parquet_export(tmp_path: Path) -> None:
     stamps = [START + dt.timedelta(seconds=10 * k) for k in range(60)]
     table = pa.table(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import math
+import re
 from array import array
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
@@ -51,6 +52,12 @@ _HEAD_LINES = 50  # in which a header is looked for
 
 # Larger values are fill values of a historian, and their squares would overflow.
 LIMIT = 1e100
+
+
+# Numbers with commas: that part thousands, or are decimal marks. 5,461 may be either.
+_THOUSANDS = re.compile(r"[+-]?[1-9]\d{0,2}(,\d{3})+(\.\d*)?")
+_DECIMAL = re.compile(r"[+-]?\d*,\d+([eE][+-]?\d+)?")
+_POINT = re.compile(r"[+-]?[\d,]*\.\d+([eE][+-]?\d+)?")
 
 
 @dataclass
@@ -130,12 +137,28 @@ def _marked(values: FloatArray) -> Cells:
     return Cells(np.where(fine, values, np.nan), marks.astype(np.int8))
 
 
+def _quoted(listed: Sequence[str]) -> tuple[Sequence[str], bool]:
+    """Return cells that hold commas without those that part thousands, and whether the commas are decimal ones."""
+    plain = [cell.strip().removesuffix("%").strip() for cell in listed]
+    parted = [_THOUSANDS.fullmatch(cell) is not None for cell in plain]
+    decimal = any(_DECIMAL.fullmatch(cell) and not one for cell, one in zip(plain, parted, strict=True))
+    pointed = any(one and cell.count(",") > 1 for cell, one in zip(plain, parted, strict=True)) or any(
+        _POINT.fullmatch(cell) for cell in plain
+    )
+    if any(parted) and pointed and not decimal:
+        return [cell.replace(",", "") if one else cell for cell, one in zip(listed, parted, strict=True)], False
+    return listed, decimal and not pointed
+
+
 def number_cells(listed: Sequence[str], decimal_comma: bool, where: str) -> Cells:
     """Return the numbers of a column's cells.
 
-    decimal_comma: whether a comma may be the decimal mark. Raises `RecordError`, beginning with `where`, for a column
-    in which some cells have a decimal comma and others a decimal point: one of them parts thousands, but which?
+    decimal_comma: whether a comma may be the decimal mark; where it parts cells, one within a quoted cell is that mark,
+    or parts thousands, only if the column leaves no doubt which. Raises `RecordError`, beginning with `where`, for a
+    column in which some cells have a decimal comma and others a decimal point: one of them parts thousands, but which?
     """
+    if not decimal_comma and any("," in cell for cell in listed):
+        listed, decimal_comma = _quoted(listed)
     together = "\n".join(listed)
     if decimal_comma and "," in together and "." in together:
         comma = next((c for c in listed if "," in c and "." not in c and _number(c, True)[1] == OK), None)
