@@ -255,16 +255,22 @@ def in_order(seconds: FloatArray, same: NDArray[np.bool_], wall_clock: bool, ali
 
 def _exported_again(times: FloatArray, wall_clock: bool, alike: Alike) -> NDArray[np.bool_]:
     """Return which rows, in blocks that go back in time, all repeat rows before: overlapping exports in one file."""
-    out = np.zeros(times.size, dtype=bool)
-    if not (np.diff(times) < 0.0).any():
+    out, steps = np.zeros(times.size, dtype=bool), np.diff(times)
+    if not (steps < 0.0).any():
         return out
     late = np.concatenate([[False], times[1:] <= np.maximum.accumulate(times)[:-1]])
     kept = np.flatnonzero(~late)
     at = kept[np.minimum(np.searchsorted(times[kept], times), kept.size - 1)]
-    for first, many in zip(*(found.tolist() for found in runs(late)), strict=True):
-        block = np.arange(first, first + many)
-        back = float(np.diff(times[first - 1 : first + many]).min())
-        if back >= 0.0 or not (times[at[block]] == times[block]).all() or not alike(at[block], block).all():
+    # How many rows up to each go back in time, and are at no time of a row before.
+    backwards = np.concatenate([[0], np.cumsum(steps < 0.0)])
+    unknown = np.cumsum(times[at] != times)
+    first, many = runs(late)
+    last = first + many - 1
+    some = (backwards[last] > backwards[first - 1]) & (unknown[last] == unknown[first - 1])
+    for begin, end in zip(first[some].tolist(), (last[some] + 1).tolist(), strict=True):
+        block = np.arange(begin, end)
+        back = float(steps[begin - 1 : end - 1].min())
+        if not alike(at[block], block).all():
             continue
         # A loop at rest is the same in both hours that a clock shows in autumn.
         out[block] = back < -HOUR or not wall_clock or not alike(block[1:], block[:-1]).all()
