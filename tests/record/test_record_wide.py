@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
+import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
@@ -181,3 +182,16 @@ def test_names_that_leave_a_doubt_are_refused(tmp_path: Path, header: str) -> No
 def test_a_setpoint_named_by_a_sign_tells_no_pv(tmp_path: Path) -> None:
     with pytest.raises(RecordError, match="no column for PV; the file has"):
         read(tmp_path, "t,%,OP", [PV, OP], columns={"SP": "%"})
+
+
+@pytest.mark.parametrize("exchanged", [False, True])
+def test_a_setpoint_in_the_middle_of_op_asks_whether_pv_is_exchanged_with_it(tmp_path, exchanged):
+    # OP is so near to SP that either might be controlled; integral action leaves no lasting error.
+    k = np.arange(400)
+    pv, op = 50.0 + np.sin(k / 7.0), 52.5 + 1.2 * np.cos(k / 7.0)
+    first, second = (op, pv) if exchanged else (pv, op)
+    rows = [f"{i},50.0,{a:.4f},{b:.4f}" for i, a, b in zip(k.tolist(), first, second, strict=True)]
+    path = tmp_path / "loop.csv"
+    path.write_text("\n".join(["time,SP,PV,OP", *rows]))
+    said = "SP lies in the middle of OP, and PV lies off it: are PV and OP exchanged?"
+    assert (said in read_record(path).notes) == exchanged

@@ -40,6 +40,7 @@ ABRUPT = 0.1  # of a usual move: a signal that dies away to nothing is no frozen
 BEFORE = 10  # moves before the stretch that show how it began
 HELD = 0.10  # share of repeated values that is worth a word
 STRAIGHT = 0.30  # share of values on a straight line between their neighbours that is
+ABOUT = 0.1  # of OP's spread, by which SP may be off its middle where the two are exchanged
 LIMITED = 0.10  # share of samples at OP's own highest or lowest value that is
 
 
@@ -193,10 +194,14 @@ def op_said(op: FloatArray, scaled: bool) -> list[str]:
     return notes
 
 
-def setpoint_said(sp: FloatArray, pv: FloatArray) -> list[str]:
-    """Return what an SP (shape (N,)) says that never comes near to PV: no loop that controls has one."""
+def setpoint_said(sp: FloatArray, pv: FloatArray, op: FloatArray) -> list[str]:
+    """Return what an SP (shape (N,)) says that never comes near to PV, or in whose place OP is and PV is not."""
     low, high = float(pv.min()), float(pv.max())
     if low == high or float(np.maximum(low - sp, sp - high).min()) <= high - low:
+        # Integral action leaves no lasting error: of the loop's two signals the controlled one lies about SP.
+        about_op = abs(float(np.mean(sp - op))) < ABOUT * float(np.std(op))
+        if about_op and abs(float(np.mean(sp - pv))) > float(np.std(pv)) > 0.0:
+            return ["SP lies in the middle of OP, and PV lies off it: are PV and OP exchanged?"]
         return []
     where = " to ".join(f"{value:.4g}" for value in sorted({float(sp.min()), float(sp.max())}))
     said = f"SP ({where}) stays far from PV ({low:.4g} to {high:.4g}) all along"

@@ -342,7 +342,7 @@ def _record(
         raise RecordError(msg)
     notes += held_said(best.pv, best.op, np.ones(len(best), dtype=bool)) if samples.even else []
     notes += op_said(best.op, scaled)
-    notes += setpoint_said(best.sp, best.pv) if best.sp is not None else []
+    notes += setpoint_said(best.sp, best.pv, best.op) if best.sp is not None else []
     rest = [record_of(samples, b, e, sample_time, []) for b, e in parts.others]
     return replace(
         best,
