@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
+import json
 import math
 import os
+from collections.abc import Iterator
+from itertools import islice, product
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -14,6 +19,7 @@ from workbench.model.experiment import Noise, Ramp, Series, Step
 from workbench.model.plant import FOPDT, Integrating
 from workbench.model.tuning import Bounds, Objective
 from workbench.model.valve import Choudhury, Directional, He, Kano, Stenman, Valve
+from workbench.scenario.document import parse, plain
 from workbench.scenario.loader import load_scenario, read_scenario
 from workbench.scenario.plan import Scenario
 from workbench.scenario.refusals import in_entries
@@ -598,3 +604,72 @@ def test_the_shipped_scenarios_load(file: Path) -> None:
     plan = load_scenario(file)
     assert plan.text.startswith("# yaml-language-server: $schema=../workbench/scenario/schema.json\n")
     assert plan.description
+
+
+# all at once -------------------------------------------------------------------------------------------------------
+
+MANY = """\
+title: Many
+loop:
+  plant: {type: fopdt, gain: x, time_constant: 5 s, dead_time: 1 s}
+  valve: {type: stenman, d: 2 %}
+  controller: {form: ideal}
+  sample_time: 1 s
+experiment: {duration: 1000 s, setpoint: {step: 4, at: 5000 s}}
+cases:
+  - {name: A, Kc: 0.5, Ti: 20 s}
+  - {name: A, Kc: 0.5, Ti: 20 s}
+  - {name: B, rule: {name: detuned_integral, base: Z, factor: 10}}
+analyze: {map: {Kc: [5, 0.1]}, repair: maybe}
+site: {gain: proportional_band}
+"""
+
+
+def test_what_the_schema_refuses_hides_no_other_mistake() -> None:
+    lines = [line.split(" given")[0] for line in refusal(MANY).splitlines()]
+    assert lines == [
+        "loop.yaml:3:30: loop.plant.gain: x",
+        "loop.yaml:7:56: experiment.setpoint.at: 5000 s",
+        "loop.yaml:10:12: cases[1].name: 'A'",
+        "loop.yaml:11:52: cases[2].rule.base: 'Z'",
+        "loop.yaml:12:21: analyze.map.Kc: (5.0, 0.1)",
+        "loop.yaml:12:40: analyze.repair: maybe",
+        "loop.yaml:13:14: site.gain: proportional_band",
+    ]
+
+
+def _places(data: object, path: tuple[str | int, ...] = ()) -> Iterator[tuple[str | int, ...]]:
+    pairs = data.items() if isinstance(data, dict) else enumerate(data) if isinstance(data, list) else ()
+    for name, value in pairs:
+        yield (*path, name)
+        yield from _places(value, (*path, name))
+
+
+@pytest.mark.parametrize("name", ["table_2", "cascade"])
+def test_one_mistake_is_not_told_as_several(name: str) -> None:
+    path = SCENARIOS / f"{name}.yaml"
+    root, _ = parse(path.read_text(encoding="utf-8"))
+    assert root is not None
+    changes = product(_places(plain(root)), ("odd", "text", "renamed"))
+    for place, change in islice(changes, None, None, 7):
+        data: Any = plain(root)
+        holder = data
+        for element in place[:-1]:
+            holder = holder[element]
+        if change != "renamed":
+            holder[place[-1]] = {"what": 1} if change == "odd" else "@@"
+        elif isinstance(holder, dict):
+            holder[f"x{place[-1]}"] = holder.pop(place[-1])
+        with contextlib.suppress(ScenarioError):
+            read_scenario(json.dumps(data), path)
+            continue
+        with pytest.MonkeyPatch.context() as without:
+            told = _lines(data, path)
+            without.setattr("workbench.scenario.loader.independent", lambda *_: [])
+            assert told == _lines(data, path), place
+
+
+def _lines(data: object, path: Path) -> list[str]:
+    with pytest.raises(ScenarioError) as caught:
+        read_scenario(json.dumps(data), path)
+    return str(caught.value).splitlines()

@@ -27,7 +27,19 @@ from ruamel.yaml.events import (
 )
 from ruamel.yaml.reader import ReaderError
 
-__all__ = ["MAX_DEPTH", "MAX_VALUES", "Node", "Path", "Problem", "locate", "nearest", "parse", "plain", "spell"]
+__all__ = [
+    "MAX_DEPTH",
+    "MAX_VALUES",
+    "Node",
+    "Path",
+    "Problem",
+    "closest",
+    "locate",
+    "nearest",
+    "parse",
+    "plain",
+    "spell",
+]
 
 MAX_DEPTH = 24
 MAX_VALUES = 200_000
@@ -288,11 +300,17 @@ def spell(path: Path) -> str:
 
 def nearest(name: object, allowed: tuple[str, ...]) -> str:
     """Return ` (did you mean x?)` for the allowed name that looks most like the given one, else nothing."""
+    close = closest(name, allowed)
+    return f" (did you mean {close}?)" if close else ""
+
+
+def closest(name: object, allowed: tuple[str, ...]) -> str:
+    """Return the allowed name that looks most like the given one, "" where none does."""
     if not isinstance(name, str):
         return ""
     by_folded = {candidate.casefold(): candidate for candidate in allowed}
     close = get_close_matches(name.casefold()[:80], list(by_folded), n=1, cutoff=0.6)
-    return f" (did you mean {by_folded[close[0]]}?)" if close else ""
+    return by_folded[close[0]] if close else ""
 
 
 def _clip(text: str) -> str:

@@ -18,6 +18,7 @@ from workbench.scenario import units
 from workbench.scenario.build import Builder
 from workbench.scenario.cascade import cascade_scenario
 from workbench.scenario.document import Node, Path, Problem, locate, nearest, parse, plain, spell
+from workbench.scenario.mend import independent
 from workbench.scenario.plan import Scenario
 from workbench.scenario.schema import ScenarioFile, Tune, Tuning
 from workbench.scenario.wrong import given_words, refusal
@@ -51,20 +52,26 @@ def read_scenario(text: str, path: FilePath, shown: str | None = None) -> Scenar
         raise _error(shown, problems)
     data = plain(root)
     allowed: dict[int, tuple[str, ...]] = {}
-    try:
-        given = ScenarioFile.model_validate(data, context=allowed)
-    except ValidationError as error:
-        problems += [_problem(root, data, allowed, one) for one in error.errors(include_url=False, include_input=True)]
-        raise _error(shown, problems) from None
 
     def place(entry: Path) -> str:
         node, taken = locate(root, entry)
         return f"{node.line}:{node.column}: {spell(taken)}"
 
-    builder = Builder(path, text, place)
-    cascade = given.cascade
-    scenario = builder.scenario(given) if cascade is None else cascade_scenario(builder, given, cascade)
-    problems += [_placed(root, where, what) for where, what in builder.refusals.issues]
+    def build(given: ScenarioFile) -> tuple[Scenario | None, list[tuple[Path, str]]]:
+        builder = Builder(path, text, place)
+        cascade = given.cascade
+        made = builder.scenario(given) if cascade is None else cascade_scenario(builder, given, cascade)
+        return made, builder.refusals.issues
+
+    try:
+        given = ScenarioFile.model_validate(data, context=allowed)
+    except ValidationError as error:
+        problems += [_problem(root, data, allowed, one) for one in error.errors(include_url=False, include_input=True)]
+        if len(problems) < MOST_PROBLEMS:
+            problems += [_placed(root, where, what) for where, what in independent(root, lambda file: build(file)[1])]
+        raise _error(shown, problems) from None
+    scenario, refused = build(given)
+    problems += [_placed(root, where, what) for where, what in refused]
     if scenario is None or problems:
         raise _error(shown, problems)
     return scenario

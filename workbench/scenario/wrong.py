@@ -7,7 +7,7 @@ from typing import Any
 from workbench.errors import InvalidValue
 from workbench.scenario.document import Node, nearest
 
-__all__ = ["given_words", "refusal"]
+__all__ = ["given_words", "literals", "refusal"]
 
 _KINDS = {
     "float_type": "must be a number",
@@ -31,7 +31,7 @@ def refusal(node: Node, error: Any) -> str:
     """
     kind, context, given = str(error["type"]), error.get("ctx") or {}, given_words(node)
     if kind == "literal_error":
-        words = _literals(str(context.get("expected", "")))
+        words = literals(str(context.get("expected", "")))
         return f"{given} given{nearest(error['input'], words)}; must be one of {', '.join(words)}"
     if kind == "value_error":
         cause = context.get("error")
@@ -75,6 +75,6 @@ def _plain_number(value: object) -> str:
     return f"{value:g}" if isinstance(value, int | float) else str(value)
 
 
-def _literals(expected: str) -> tuple[str, ...]:
+def literals(expected: str) -> tuple[str, ...]:
     """Return the choices that pydantic lists as `'a', 'b' or 'c'`."""
     return tuple(expected.replace("' or '", "', '").strip("'").split("', '"))
