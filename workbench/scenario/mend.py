@@ -137,6 +137,9 @@ class _Mend:
             return path
         stand_ins = _AMPLE if self.ample else _SPARSE
         while path:
+            if not isinstance(self._at(path[:-1]), dict | list):
+                path = path[:-1]  # a name that stands for a mapping
+                continue
             number = self.tries[path] = self.tries.get(path, -1) + 1
             if number < len(stand_ins):
                 self.touched.add(path)
