@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from workbench.analyze.half_cycles import Block, fresh_carry
 from workbench.model.cascade import Appearance, Cascade, CascadeCycle, CascadeExperiment, CascadeRun
-from workbench.model.checks import instance
+from workbench.model.checks import callback, instance
 from workbench.model.experiment import Experiment
 from workbench.model.numbers import given as plain
 from workbench.model.record import FloatArray
@@ -46,6 +46,7 @@ def cascade_cycle(
     """
     instance(cascade, Cascade, "cascade", "a Cascade")
     instance(experiment, Experiment, "experiment", "an Experiment")
+    callback(progress, "cascade_cycle.progress")
     quiet = replace(experiment, noise=None)
     if isinstance(quiet, CascadeExperiment):
         quiet = replace(quiet, secondary_noise=None)

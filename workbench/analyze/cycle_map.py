@@ -17,7 +17,7 @@ from workbench.analyze.long_run import follow
 from workbench.analyze.margins import margins
 from workbench.analyze.valve_loci import no_locus
 from workbench.errors import InvalidValue
-from workbench.model.checks import instance, ordered_pair, whole
+from workbench.model.checks import callback, instance, ordered_pair, whole
 from workbench.model.controller import PID
 from workbench.model.cycle_map import MOST, OUTCOMES, POINTS, CycleMap
 from workbench.model.loop import Loop
@@ -74,6 +74,7 @@ def cycle_map(
     the loop's controller refuses or that have no ideal equivalent.
     """
     instance(loop, Loop, "loop", "a Loop")
+    callback(progress, "cycle_map.progress")
     if Ti is not None and Td is not None:
         raise InvalidValue("cycle_map.Td", (Ti, Td), "must not be given beside a range of Ti: a map has two axes")
     axis = "Td" if Td is not None else "Ti"

@@ -10,7 +10,7 @@ import numpy as np
 
 from workbench.analyze.long_run import Start, follow
 from workbench.analyze.relaxation import relaxation_cycle
-from workbench.model.checks import instance
+from workbench.model.checks import callback, instance
 from workbench.model.experiment import Experiment
 from workbench.model.loop import Loop
 from workbench.model.numbers import given as plain
@@ -40,6 +40,7 @@ def limit_cycle(
     or a controller that has no ideal equivalent.
     """
     instance(loop, Loop, "loop", "a Loop")
+    callback(progress, "limit_cycle.progress")
     starts = list(standard_starts(loop))
     if experiment is not None:
         instance(experiment, Experiment, "experiment", "an Experiment")

@@ -10,7 +10,17 @@ from typing import Any
 
 from workbench.errors import InvalidValue
 
-__all__ = ["all_of", "choice", "file_name", "instance", "number", "ordered_pair", "reads_as_number", "whole"]
+__all__ = [
+    "all_of",
+    "callback",
+    "choice",
+    "file_name",
+    "instance",
+    "number",
+    "ordered_pair",
+    "reads_as_number",
+    "whole",
+]
 
 
 def number(
@@ -75,6 +85,12 @@ def file_name(path: object, what: str) -> str:
     if not isinstance(name, str) or not name:
         raise InvalidValue("path", repr(path), f"must be the path of {what}, as text or a pathlib.Path")
     return name
+
+
+def callback(value: object, where: str) -> None:
+    """Raise `InvalidValue` unless `value` can be called or is None."""
+    if value is not None and not callable(value):
+        raise InvalidValue(where, value, "must be a function or None")
 
 
 def choice(value: object, where: str, allowed: Sequence[str]) -> str:

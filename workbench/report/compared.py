@@ -303,7 +303,7 @@ def _whole(path: Path, kind: type[Kind], content: bytes) -> Kind:
         raise InvalidValue(str(path), what, f"{ALLOWED}; run its scenario again if it is half-written")
     place = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in first["loc"]).removeprefix(".")
     said = first["msg"][:1].lower() + first["msg"][1:]
-    raise InvalidValue(str(path), f"JSON of another kind ({place + ': ' if place else ''}{said})", ALLOWED)
+    raise InvalidValue(str(path), "JSON of another kind", f"{place + ': ' if place else ''}{said}; {ALLOWED}")
 
 
 def _results(path: Path, label: str, file: _File) -> Results:

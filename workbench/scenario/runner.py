@@ -18,7 +18,7 @@ from workbench.analyze.limit_cycle import limit_cycle
 from workbench.analyze.standing import standing
 from workbench.analyze.valve_loci import no_locus
 from workbench.errors import ScenarioError, WorkbenchError
-from workbench.model.checks import instance
+from workbench.model.checks import callback, instance
 from workbench.model.controller import PID
 from workbench.model.cycle_map import CycleMap
 from workbench.model.detection import Detection
@@ -61,6 +61,7 @@ def run_scenario(scenario: Scenario | str | os.PathLike[str], *, progress: Progr
     tuning was interrupted.
     """
     instance(scenario, (Scenario, str, os.PathLike), "scenario", "a Scenario or the path of a scenario file (YAML)")
+    callback(progress, "run_scenario.progress")
     plan = scenario if isinstance(scenario, Scenario) else load_scenario(scenario)
     if plan.cascade:
         from workbench.scenario.cascade_runner import cascade_study

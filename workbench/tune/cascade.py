@@ -11,7 +11,7 @@ import numpy as np
 
 from workbench.errors import InvalidValue
 from workbench.model.cascade import Cascade, CascadeTuned
-from workbench.model.checks import instance, number, whole
+from workbench.model.checks import callback, instance, number, whole
 from workbench.model.experiment import Experiment
 from workbench.model.record import FloatArray
 from workbench.model.results import SolveStatus, Tuned
@@ -119,11 +119,13 @@ def tune_cascade(
     anew afterwards would change that plant. progress: called with a phase in words and the share done (0..1). Raises
     `InvalidValue`.
     """
-    objective, bounds = objective or Objective(), bounds or Bounds()
+    objective = Objective() if objective is None else objective
+    bounds = Bounds() if bounds is None else bounds
     instance(cascade, Cascade, "cascade", "a Cascade")
     instance(experiment, Experiment, "experiment", "an Experiment")
     instance(objective, Objective, "objective", "an Objective or None")
     instance(bounds, Bounds, "bounds", "a Bounds or None")
+    callback(progress, "tune_cascade.progress")
     if secondary_experiment is None and (secondary_objective is not None or secondary_bounds is not None):
         where = "tune_cascade.secondary_experiment"
         raise InvalidValue(where, None, "must be given where the secondary has an objective or bounds")

@@ -9,7 +9,7 @@ from functools import partial
 import numpy as np
 
 from workbench.errors import InvalidValue
-from workbench.model.checks import instance
+from workbench.model.checks import callback, instance
 from workbench.model.controller import PID
 from workbench.model.experiment import Experiment
 from workbench.model.front import RobustRepair
@@ -53,6 +53,7 @@ def value_of_repair(
     KeyboardInterrupt where the first search was interrupted.
     """
     instance(loop, Loop, "loop", "a Loop")
+    callback(progress, "value_of_repair.progress")
     if loop.valve.stick_band == 0.0 and loop.valve.slip_jump == 0.0:
         raise InvalidValue("Loop.valve", loop.valve, "must be a valve that sticks: there is nothing to repair")
     if tuned is not None:
@@ -63,8 +64,8 @@ def value_of_repair(
             raise InvalidValue("tuned", "a tuning in another experiment", "must be a tuning in the given experiment")
         objective, bounds, seed, digits = tuned.weights, tuned.bounds, tuned.seed, tuned.digits
         restarts = len(tuned.restarts) or restarts
-    objective = objective or Objective()
-    bounds = bounds or usual_bounds(loop.controller)
+    objective = Objective() if objective is None else objective
+    bounds = usual_bounds(loop.controller) if bounds is None else bounds
 
     def part(begin: float, size: float, words: str, share: float) -> None:
         if progress is not None:

@@ -17,7 +17,7 @@ from types import MappingProxyType
 import numpy as np
 
 from workbench.errors import InvalidValue
-from workbench.model.checks import instance, number, whole
+from workbench.model.checks import callback, instance, number, whole
 from workbench.model.ensemble import Constraints, Ensemble
 from workbench.model.experiment import Experiment
 from workbench.model.loop import Loop
@@ -93,11 +93,13 @@ def tune(
     Returns a `Tuned` whose objective is the exact J of the rounded controller. Equal arguments give equal results
     (but for times, and unless stopped by time). Raises `InvalidValue`.
     """
-    objective, bounds = objective or Objective(), bounds or Bounds()
+    objective = Objective() if objective is None else objective
+    bounds = Bounds() if bounds is None else bounds
     instance(loop, Loop, "loop", "a Loop")
     instance(experiment, Experiment, "experiment", "an Experiment")
     instance(objective, Objective, "objective", "an Objective or None")
     instance(bounds, Bounds, "bounds", "a Bounds or None")
+    callback(progress, "tune.progress")
     instance(nominal, bool, "tune.nominal", "True or False")
     number(whole(complementarity, "tune.complementarity"), "tune.complementarity", most=100)
     digits = (NOMINAL_DIGITS if nominal else DIGITS) if digits is None else digits
