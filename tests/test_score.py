@@ -44,17 +44,57 @@ def test_the_figures() -> None:
         ("file,label\na.csv,sticky\n", "labels.csv:2: label 'sticky' given; must be stiction or no_stiction"),
         ("file,label\nb.csv,stiction\n", "file 'b.csv' is not in"),
         ("file,label\na.csv,stiction\na.csv,stiction\n", "labelled twice"),
+        (
+            "file,label\na.csv,stiction\n./a.csv,stiction\n",
+            "'./a.csv' is labelled twice; it stands already in line 2",
+        ),
+        ("file,label\n../beside.csv,stiction\n", "file '../beside.csv' is not in"),
         ("file,label\n", "names no record"),
         ("", "no column 'file'"),
     ],
 )
 def test_labels_that_are_refused(tmp_path: Path, text: str, message: str) -> None:
-    (tmp_path / "a.csv").write_text("PV,OP\n1,2\n", encoding="utf-8")
-    (tmp_path / "labels.csv").write_text(text, encoding="utf-8")
-    result = CliRunner().invoke(app, ["score", str(tmp_path)])
+    folder = tmp_path / "records"
+    folder.mkdir()
+    for path in (folder / "a.csv", tmp_path / "beside.csv"):
+        path.write_text("PV,OP\n1,2\n", encoding="utf-8")
+    (folder / "labels.csv").write_text(text, encoding="utf-8")
+    result = CliRunner().invoke(app, ["score", str(folder)])
     assert result.exit_code == 2
     assert message in result.output
-    assert not (tmp_path / "score.json").exists()
+    assert not (folder / "score.json").exists()
+
+
+def test_a_record_is_listed_once_however_it_is_written(tmp_path: Path) -> None:
+    (tmp_path / "a.csv").touch()
+    (tmp_path / "labels.csv").write_text(f"file,label\na.csv,stiction\n{tmp_path / 'a.csv'},stiction\n", "utf-8")
+    with pytest.raises(wb.RecordError, match="labelled twice"):
+        labelled(tmp_path)
+
+
+def test_files_of_one_name_are_told_apart(tmp_path: Path) -> None:
+    names = ["wide.csv", "wide.parquet", "sub/wide.csv"]
+    (tmp_path / "sub").mkdir()
+    for name in names:
+        (tmp_path / name).write_text("PV,OP\n1,2\n", encoding="utf-8")
+    (tmp_path / "labels.csv").write_text("file,label\n" + "".join(f"{name},stiction\n" for name in names), "utf-8")
+    lines = labelled(tmp_path)
+    assert [(line.file, line.tag) for line in lines] == [(name, name) for name in names]
+    content = score_content(score(lines))
+    assert [loop["file"] for loop in content["loops"]] == names
+    assert content["tags"] == 3
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["PV,OP\n1,2\n2,3\n", "time,A,OP\n0,1,2\n1,1,3\n", "time,F1.PV,F2.PV,OP\n0,1,2,3\n1,2,2,4\n"],
+)
+def test_what_cannot_be_used_is_told_in_words_of_the_folder(tmp_path: Path, text: str) -> None:
+    (tmp_path / "a.csv").write_text(text, encoding="utf-8")
+    (tmp_path / "labels.csv").write_text("file,label\na.csv,stiction\n", "utf-8")
+    (found,) = score(labelled(tmp_path))
+    assert found.error.endswith("in the file, one column or tag each must be called time, PV and OP")
+    assert "={" not in found.error
 
 
 @pytest.mark.parametrize("mark", [",", ";", "\t"])

@@ -5,6 +5,8 @@ from __future__ import annotations
 import csv
 import json
 import math
+import os
+import re
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -21,14 +23,22 @@ __all__ = ["Labelled", "Scored", "labelled", "score", "score_content", "write_sc
 LABELS = ("stiction", "no_stiction")
 VERDICTS = (*LABELS, "undecided")
 
+# What a reader's message advises to give it, which a folder's files cannot be given.
+_ADVICE = re.compile(r"; (?:say which one|give (?:the mapping|sample_time)\b).*", re.DOTALL)
+_RENAME = "; score takes names as they are: in the file, one column or tag each must be called time, PV and OP"
+
 
 @dataclass(frozen=True, slots=True)
 class Labelled:
-    """One line of labels.csv: the record's path, its label, and the tag of its loop (the file's name without one)."""
+    """One line of labels.csv: the record's path, its label, and the tag of its loop (the file where it names none).
+
+    file: the path as it is written there.
+    """
 
     path: Path
     label: str
     tag: str
+    file: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,8 +65,8 @@ class Scored:
 def labelled(folder: Path) -> list[Labelled]:
     """Return the lines of folder/labels.csv, whose columns are file, label and optionally tag, parted as records are.
 
-    Raises `RecordError` where the file is missing, has other columns or labels, names a file twice, or one that is not
-    in the folder.
+    Raises `RecordError` where the file is missing, has other columns or labels, names a file twice (however it is
+    written), or one that is not in the folder or below it.
     """
     from workbench.record.table import delimiter
 
@@ -75,6 +85,9 @@ def labelled(folder: Path) -> list[Labelled]:
             given = ", ".join(columns) or "nothing"
             raise RecordError(f"{path}: no column {needed!r}; it has {given}; file and label are needed, tag may be")
     lines: list[Labelled] = []
+    known: dict[Path, int] = {}
+    # Without following links: records may lie elsewhere and be linked here.
+    inside = os.path.normpath(folder.absolute())
     for number, row in rows:
         cells = {(name or "").strip(): (cell or "").strip() for name, cell in row.items() if isinstance(cell, str)}
         name, label = cells.get("file", ""), cells.get("label", "")
@@ -84,11 +97,12 @@ def labelled(folder: Path) -> list[Labelled]:
         if label not in LABELS:
             raise RecordError(f"{where}: label {label!r} given; must be stiction or no_stiction")
         record = folder / name
-        if not name or not record.is_file():
+        if not name or not record.is_file() or not Path(os.path.normpath(record.absolute())).is_relative_to(inside):
             raise RecordError(f"{where}: file {name!r} is not in {folder}")
-        if any(line.path == record for line in lines):
-            raise RecordError(f"{where}: file {name!r} is labelled twice")
-        lines.append(Labelled(record, label, cells.get("tag", "") or record.stem))
+        other = known.setdefault(record.resolve(), number)
+        if other != number:
+            raise RecordError(f"{where}: file {name!r} is labelled twice; it stands already in line {other}")
+        lines.append(Labelled(record, label, cells.get("tag", "") or name, name))
     if not lines:
         raise RecordError(f"{path}: names no record; each line must hold a file and its label")
     return lines
@@ -99,7 +113,7 @@ def score(lines: list[Labelled], progress: Callable[[str, float], None] | None =
     done = []
     for i, line in enumerate(lines):
         if progress is not None:
-            progress(line.path.name, i / len(lines))
+            progress(line.file, i / len(lines))
         done.append(_one(line))
     return done
 
@@ -115,11 +129,11 @@ def _one(line: Labelled) -> Scored:
         found: Estimate | None = estimate(read_record(line.path))
         error = ""
     except RecordError as refusal:
-        found, error = None, str(refusal)
+        found, error = None, _ADVICE.sub(_RENAME, str(refusal))
     seconds = perf_counter() - start
     plant = None if found is None else found.plant
     return Scored(
-        file=line.path.name,
+        file=line.file,
         tag=line.tag,
         label=line.label,
         verdict="undecided" if found is None else found.verdict,
