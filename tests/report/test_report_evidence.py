@@ -111,8 +111,16 @@ def test_plot_of_a_detection(found: Detection) -> None:
     with pytest.raises(InvalidValue, match="1 or 3"):
         wb.plot(found, Figure().subplots(1, 2))
     plain = wb.plot(replace(found, bicoherence=None, ellipse=None))
-    assert [t.get_text() for t in plain[1].texts] == ["not given: see the table"]
     assert len(plain[2].get_lines()) == 1
+
+
+def test_a_bicoherence_that_is_not_there_says_why(found: Detection) -> None:
+    record = found.record
+    without = wb.plot(wb.detect(record))[1]
+    assert [t.get_text() for t in without.texts] == ["not asked for: detect(record, bicoherence=True)"]
+    short = wb.Record(record.pv[:100], record.op[:100], record.sample_time, sp=np.zeros(100))
+    (said,) = wb.plot(wb.detect(short, bicoherence=True))[1].texts
+    assert "the record is too short: 100 samples" in said.get_text()
 
 
 def test_figures_are_of_the_stretch_that_the_statistics_are_of(found: Detection) -> None:

@@ -11,7 +11,7 @@ from workbench.detect.load import DETECTIONS
 from workbench.detect.oscillation import OSCILLATES, REGULAR, no_period
 from workbench.detect.shape import TRIANGLES, UNANSWERED
 from workbench.detect.verdict import Thresholds, beyond_chance, curved, excluded
-from workbench.model.detection import Detection, Statistic
+from workbench.model.detection import NONLINEARITY, NOT_ASKED, Detection, Statistic
 from workbench.model.numbers import given
 
 __all__ = ["statistics_of"]
@@ -356,7 +356,7 @@ def _shape(found: Detection, why: str) -> Iterator[Statistic]:
 def _nonlinear(found: Detection, why: str, asked: bool) -> Iterator[Statistic]:
     n, bic = found.stretch[1] - found.stretch[0], found.bicoherence
     where = "" if n == len(found.record) else " at constant SP"
-    missing = "not asked for"
+    missing = NOT_ASKED
     if asked:
         short = f"the record is too short: {n} samples{where}, at least {SHORTEST} needed"
         missing = "SP − PV never moves" if n >= SHORTEST else short
@@ -377,7 +377,7 @@ def _nonlinear(found: Detection, why: str, asked: bool) -> Iterator[Statistic]:
     )
     nonlinear = ngi > 0.0 and nli > NONLINEAR
     yield Statistic(
-        "Nonlinearity NLI",
+        NONLINEARITY,
         "how far the largest bicoherence of SP − PV exceeds the others' mean and two standard deviations",
         "Choudhury, Shah and Thornhill 2004",
         nli,

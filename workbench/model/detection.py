@@ -7,7 +7,20 @@ from dataclasses import dataclass
 from workbench.model.record import FloatArray, Record
 from workbench.model.show import Shown
 
-__all__ = ["Bicoherence", "Detection", "Ellipse", "Oscillation", "Statistic", "StemEvidence", "StemTest"]
+__all__ = [
+    "NONLINEARITY",
+    "NOT_ASKED",
+    "Bicoherence",
+    "Detection",
+    "Ellipse",
+    "Oscillation",
+    "Statistic",
+    "StemEvidence",
+    "StemTest",
+]
+
+NONLINEARITY = "Nonlinearity NLI"  # the statistic that says why there is no bicoherence
+NOT_ASKED = "not asked for"
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,7 +11,7 @@ from matplotlib.patches import Patch, PathPatch
 from matplotlib.path import Path
 
 from workbench.kpi.oscillation import autocorrelation, zero_crossings
-from workbench.model.detection import Detection
+from workbench.model.detection import NONLINEARITY, NOT_ASKED, Detection
 from workbench.model.record import FloatArray
 from workbench.report.draw import phase, remark, thin, time_axis
 from workbench.report.style import OP, PV, VALVE, Style
@@ -67,7 +67,8 @@ def bicoherence_map(ax: Axes, found: Detection) -> None:
     if bic is None:
         ax.set_xticks([])
         ax.set_yticks([])
-        remark(ax, "not given: see the table")
+        why = next((one.says for one in found.statistics if one.name == NONLINEARITY), NOT_ASKED)
+        remark(ax, "not asked for: detect(record, bicoherence=True)" if NOT_ASKED in why else why)
         return
     x, y = bic.frequency_1 * per_hour, bic.frequency_2 * per_hour
     step = float(x.min())  # the frequencies are multiples of the lowest
