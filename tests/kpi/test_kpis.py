@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import fields
 
 import numpy as np
 import pytest
@@ -139,3 +140,18 @@ def test_oscillation_never_fails_and_stays_in_range(values):
 def test_autocorrelation_of_a_constant_is_zero():
     assert not autocorrelation(np.full(10, 0.1 + 0.2)).any()
     assert autocorrelation(np.array([1.0, -1.0]))[0] == 1.0
+
+
+@pytest.mark.parametrize("duration", [600.0, 2000.0])  # squares overflow; the signals themselves
+def test_a_run_that_diverged_has_infinite_figures(duration):
+    run = wb.simulate(paper_loop(30.0, 20.0), paper_step(duration))
+    k = run.kpis
+    sizes = {f.name: getattr(k, f.name) for f in fields(k)}
+    assert (sizes.pop("oscillation_index"), math.isnan(sizes.pop("oscillation_period"))) == (0.0, True)
+    assert sizes.pop("reversals") > 0
+    assert set(sizes.values()) == {math.inf}
+    # What is not there stays nan.
+    alone = measure(run.pv, 1.0, op=run.op)
+    assert (alone.pv_sd, alone.controller_travel) == (math.inf, math.inf)
+    assert math.isnan(alone.mean_square_error)
+    assert math.isnan(alone.valve_travel)

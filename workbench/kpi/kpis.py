@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -87,7 +88,7 @@ def reversals(valve: FloatArray, before: float = math.nan) -> int:
     return int(np.count_nonzero(signs[1:] != signs[:-1]))
 
 
-@np.errstate(over="ignore", invalid="ignore")  # an unstable run may overflow: inf and nan are then its figures
+@np.errstate(over="ignore", invalid="ignore")  # an unstable run may overflow
 def measure(
     pv: FloatArray,
     sample_time: float,
@@ -103,7 +104,8 @@ def measure(
     """Return the figures of signals of shape (N,) (pv, sp in EU; op, valve in %) over `window` (s, [start, end)).
 
     The whole run by default. `op_before` and `valve_before` are the values of the sample before the first (nan:
-    unknown, that move is not counted). Raises `InvalidValue` for a window that holds no sample.
+    unknown, that move is not counted). A run whose squares overflow has diverged: each figure of its size is inf, from
+    whichever signal, and it holds no oscillation. Raises `InvalidValue` for a window that holds no sample.
     """
     first, stop = 0, pv.size
     if window is not None:
@@ -113,29 +115,38 @@ def measure(
             raise InvalidValue("window", window, f"must hold at least one sample and lie within 0..{whole:g} s")
     part = slice(first, stop)
 
-    def before(signal: FloatArray, given: float) -> float:
-        return float(signal[first - 1]) if first > 0 else given
+    def before(signal: FloatArray | None, given: float) -> float:
+        return given if signal is None or first == 0 else float(signal[first - 1])
 
     error = None if sp is None else sp[part] - pv[part]
-    nan = math.nan
-    index, period = oscillation(pv[part] if error is None else error, sample_time)
-    overshoot, settling = nan, nan
+    own = None if op is None else op[part]
+    stem = None if valve is None else valve[part]
+    signals = [signal for signal in (pv[part], error, own, stem) if signal is not None]
+    diverged = not all(math.isfinite(float(np.square(signal).sum())) for signal in signals)
+
+    def figure(signal: FloatArray | None, of: Callable[[FloatArray], np.floating | float]) -> float:
+        return math.nan if signal is None else math.inf if diverged else float(of(signal))
+
+    index, period = (0.0, math.nan) if diverged else oscillation(pv[part] if error is None else error, sample_time)
+    overshoot, settling = math.nan, math.nan
     if event is not None and sp is not None:
         overshoot, settling = _step_response(sp[:stop] - pv[:stop], sample_time, event)
+        if diverged:
+            overshoot, settling = math.inf if event.setpoint_step != 0.0 else math.nan, math.inf
     return Kpis(
-        error_variance=nan if error is None else float(np.var(error)),
-        mean_square_error=nan if error is None else float(np.mean(error**2)),
-        op_variance=nan if op is None else float(np.var(op[part])),
-        valve_variance=nan if valve is None else float(np.var(valve[part])),
-        valve_travel=nan if valve is None else travel(valve[part], before(valve, valve_before)),
-        controller_travel=nan if op is None else travel(op[part], before(op, op_before)),
-        reversals=0 if valve is None else reversals(valve[part], before(valve, valve_before)),
-        iae=nan if error is None else sample_time * float(np.abs(error).sum()),
-        ise=nan if error is None else sample_time * float((error**2).sum()),
-        pv_sd=float(np.std(pv[part])),
+        error_variance=figure(error, np.var),
+        mean_square_error=figure(error, lambda e: np.mean(e**2)),
+        op_variance=figure(own, np.var),
+        valve_variance=figure(stem, np.var),
+        valve_travel=figure(stem, lambda x: travel(x, before(valve, valve_before))),
+        controller_travel=figure(own, lambda u: travel(u, before(op, op_before))),
+        reversals=0 if stem is None else reversals(stem, before(valve, valve_before)),
+        iae=figure(error, lambda e: sample_time * np.abs(e).sum()),
+        ise=figure(error, lambda e: sample_time * (e**2).sum()),
+        pv_sd=figure(pv[part], np.std),
         overshoot=overshoot,
         settling_time=settling,
-        final_error=nan if error is None else float(error[-1]),
+        final_error=figure(error, lambda e: e[-1]),
         oscillation_index=index,
         oscillation_period=period,
     )
@@ -150,13 +161,12 @@ def _step_response(error: FloatArray, sample_time: float, event: Event) -> tuple
     after = error[sample(event.at) :]
     if after.size == 0:
         return math.nan, math.nan
-    # A run that overflowed holds nan from there on: its overshoot is nan, and it never settles.
     step, answer = event.setpoint_step, error[sample(event.setpoint_at) : sample(event.setpoint_stop)]
     overshoot = math.nan
     if step != 0.0 and answer.size > 0:
         overshoot = 100.0 * float(np.maximum((-answer * np.sign(step)).max(), 0.0)) / abs(step)
     band = 0.02 * float(np.abs(after).max()) if math.isnan(event.band) else event.band
-    outside = np.flatnonzero(~(np.abs(after) <= band))
+    outside = np.flatnonzero(np.abs(after) > band)
     entry = 0 if outside.size == 0 else int(outside[-1]) + 1
     settling = math.inf if 0 < entry == after.size else entry * sample_time
     return overshoot, settling

@@ -72,6 +72,8 @@ __all__ = [
 class Kpis(Shown):
     """The figures of one run or record over its window; `nan` where the signal they need is missing.
 
+    All are `inf` of a run that diverged so far that its squares overflow, but for reversals and the oscillation's.
+
     Variances are population variances. error_variance, mean_square_error, ise, iae are of SP - PV (EU; iae EU s, ise
     EU^2 s); pv_sd is PV's standard deviation (EU); op_variance and valve_variance in %^2; valve_travel and
     controller_travel are sums of absolute moves (%), the first move counted from the sample before the window;
