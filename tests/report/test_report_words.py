@@ -69,6 +69,9 @@ def test_durations(seconds: float, text: str) -> None:
         (1.0, 1.0, "unchanged"),
         (3.0, 0.0, "from 0 to 3"),
         (0.0004, 1.0, "−100.0 %"),
+        (0.0, 1.0, "−100 %"),
+        (12.0, 1e149, "from 1e149 to 12"),
+        (12.0, math.inf, "from ∞ to 12"),
         (math.nan, 1.0, "not known"),
     ],
 )

@@ -64,6 +64,8 @@ def change(new: float, old: float) -> str:
     if old == 0.0 or math.isinf(old) or math.isinf(new) or new * old < 0.0:
         return f"from {given(old)} to {given(new)}"
     ratio = new / old
+    if 0.0 < ratio < 1e-6:
+        return f"from {given(old)} to {given(new)}"  # one of them diverged
     if ratio >= 3.0:
         return f"{figure(ratio, 2)} times"
     percent = 100.0 * (ratio - 1.0)
