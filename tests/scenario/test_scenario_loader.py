@@ -468,6 +468,12 @@ BAD: list[tuple[str, str, str, str]] = [
     ("title: A loop", "title: A\nestimate: {simulate: true, start: §2}", "estimate.start", "only the two_step method"),
     (
         "title: A loop",
+        "title: A\nestimate: {simulate: true, method: two_step, valve: §linear}",
+        "estimate.valve",
+        "method two_step knows stenman alone",
+    ),
+    (
+        "title: A loop",
         "title: A\nestimate: {simulate: true, method: complementarity, valve: §deadband}",
         "estimate.valve",
         "deadband given; method complementarity knows stenman alone",

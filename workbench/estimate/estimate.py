@@ -29,7 +29,7 @@ from workbench.estimate.search.reach import searched
 from workbench.estimate.search.stems import silent
 from workbench.estimate.sent import left_by_line, left_by_stem, likelier_op
 from workbench.estimate.straight import Straight, free_of, linear_beside
-from workbench.model.checks import choice, number
+from workbench.model.checks import callback, choice, number
 from workbench.model.numbers import given
 from workbench.model.plant import FOPDT, Plant
 from workbench.model.record import Record
@@ -116,8 +116,7 @@ def estimate(
         start = number(start, "estimate.start", above=0.0, unit="%")
     if max_dead_time is not None:
         max_dead_time = number(max_dead_time, "estimate.max_dead_time", least=0.0, unit="s")
-    if progress is not None and not callable(progress):
-        raise InvalidValue("estimate.progress", type(progress).__name__, "must be a function of the share done, 0 to 1")
+    callback(progress, "estimate.progress")
     if method == "complementarity":
         refuse_complementarity(record, valve)
         valve = "stenman"

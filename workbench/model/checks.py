@@ -72,7 +72,7 @@ def instance(value: object, kind: type | tuple[type, ...], where: str, allowed: 
 def all_of(values: object, kind: type, where: str, each: str) -> tuple[Any, ...]:
     """Return `values` as a tuple, or raise `InvalidValue` unless each is of that kind; `each` says which, in words."""
     if isinstance(values, str) or not isinstance(values, Iterable):
-        raise InvalidValue(where, repr(values), f"must be a sequence, each {each}")
+        raise InvalidValue(where, values, f"must be a sequence, each {each}")
     listed = tuple(values)
     for i, value in enumerate(listed):
         instance(value, kind, f"{where}[{i}]", each)

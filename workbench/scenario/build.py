@@ -390,6 +390,8 @@ class Builder:
                 record = self._read(e, path)
             if e.start is not None and e.method != "two_step":
                 self.refusals.refuse((*path, "start"), "given; only the two_step method takes a start")
+            if e.method == "two_step" and e.valve not in ("auto", "stenman"):
+                self.refusals.refuse((*path, "valve"), f"{e.valve} given; method two_step knows stenman alone")
             found.append(record)
         return found
 
