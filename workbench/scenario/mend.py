@@ -19,9 +19,10 @@ __all__ = ["independent"]
 
 ROUNDS = 200  # an entry takes one for each stand-in, and so does each that holds it
 
-# What stands in for a refused entry: the first that the schema takes. The first of the two leaves out what can be.
+# What stands in for a refused entry: the first that the schema takes. The entry is there in both, as it is in the file;
+# a mapping holds what it must in the one, and all that it may in the other.
 _ABSENT = object()
-_SPARSE: tuple[Any, ...] = (_ABSENT, 1, "1 s", "a", True, [1, 2], ["1 s", "2 s"], [], {})
+_SPARSE: tuple[Any, ...] = (1, "1 s", "a", False, [1, 2], ["1 s", "2 s"], [], {}, _ABSENT)
 _AMPLE: tuple[Any, ...] = (2, "20 s", "b", True, [2, 3], ["20 s", "30 s"], {}, [], _ABSENT)
 
 
@@ -44,16 +45,19 @@ def independent(root: Node, refused: Callable[[ScenarioFile], list[tuple[Path, s
         real = locate(root, path)[1]
         for other in touched:
             least = min(len(real), len(other))
-            if (real and real[:least] == other[:least]) or path[: len(other)] == other:
+            if real[:least] == other[:least] or path[: len(other)] == other:
                 return False
-        # What is missing may be what an unknown key was meant for.
+        # What is missing may be what an unknown key was meant for, or what stood in a mapping that was refused.
         return not holders or (real not in holders and real[-1:] == path[-1:])
 
     return [(path, text) for path, text in found[0] if (path, text) in found[1] and own(path)]
 
 
 class _Mend:
-    """One way of replacing what the schema refuses. touched: the paths replaced; holders: of unknown keys."""
+    """One way of replacing what the schema refuses. touched: the paths replaced.
+
+    holders: mappings that had unknown keys, or stand in for what was refused.
+    """
 
     def __init__(self, root: Node, *, ample: bool) -> None:
         self.data: Any = plain(root)
@@ -133,6 +137,7 @@ class _Mend:
         if kind == "literal_error" and path not in self.tries:
             words = literals(str(context.get("expected", "")))
             self.tries[path] = -1
+            self.touched.add(path[:-1])  # what stands beside a choice may suit the one that was meant alone
             self._put(path, words[-1 if self.ample else 0])
             return path
         stand_ins = _AMPLE if self.ample else _SPARSE
@@ -151,7 +156,7 @@ class _Mend:
     def _vary(self, path: Path, said: list[str]) -> None:
         """Make a mapping of one variant of what is none."""
         key, *variants = said
-        name = variants[-1 if self.ample else 0]
+        name = variants[min(int(self.ample), len(variants) - 1)]
         given = self._at(path)
         kept = dict(given) if isinstance(given, dict) else {}
         if key:
@@ -164,6 +169,7 @@ class _Mend:
         fresh = list(value) if isinstance(value, list) else dict(value) if isinstance(value, dict) else value
         if isinstance(fresh, dict):
             self.made.append((path, fresh))
+            self.holders.add(path)
         if not path:
             self.data = fresh
             return
