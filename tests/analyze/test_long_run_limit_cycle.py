@@ -333,3 +333,18 @@ def test_a_cycle_far_beyond_the_budget_of_samples_is_followed() -> None:
     assert cycle.outcome == "cycles"
     assert cycle.period_range[0] == pytest.approx(cycle.closed_form_period, rel=0.01)
     assert cycle.period > 7e6
+
+
+def test_rounding_moves_no_level_that_has_come_to_rest() -> None:
+    # A stem that slides onto the load's place is off it by a rounding, which moves PV in thousand million s.
+    plant, pid = wb.Integrating(0.01, 4.0), wb.PID(5.68182, 242.915, derivative_on="pv")
+    loop = wb.Loop(plant, wb.Deadband(3.0), pid, 2.0)
+    slid = [start for start in wb.limit_cycle(loop).starts if start.outcome == "settles"]
+    assert len(slid) == 3
+    assert all(start.reason == "the stem slides onto the setpoint without turning" for start in slid)
+    for load, setpoint in ((-8.1, 1.43), (18.6, -3.27)):
+        run = wb.simulate(loop, wb.Experiment(100_000.0, wb.Step(setpoint), wb.Step(load)))
+        assert np.count_nonzero(np.diff(run.valve[5000:])) == 0
+        assert abs(run.sp[-1] - run.pv[-1]) < 1e-12
+    for start in wb.limit_cycle(loop).starts:
+        assert start.outcome == "settles" or start.first_period < 2000.0

@@ -390,14 +390,15 @@ def run_events(
     done, worked, count, chunk = 0, 0, 0, least
     gone = 1
     for j in range(table.shape[0]):
-        if table[j, POWER] > 1e-16:
+        if (table[j, POWER] if c[POLE] < 1.0 else table[j, FILTER]) > 1e-16:
             gone = 2 * int(table[j, SAMPLES])
     while done < most and worked < work and count + longest <= rows.shape[0]:
         if _rests(c, load, state, past):
             a, left = c[POLE], most - done
             slope = c[GAIN] * (c[C0] + c[C1]) * past[0] - (1.0 - a) * state[Y]
             rest = r - state[Y] - (slope / (1.0 - a) if a < 1.0 else 0.0)
-            lands = abs(rest) <= still and (a < 1.0 or slope == 0.0)
+            # A stem that slid onto a level's load stops short of it by rounding: what is left integrates to nothing.
+            lands = abs(rest) <= still and (a < 1.0 or abs(past[0]) <= dust)
             if lands:
                 left = min(left, gone)
             n = jump(c, r, load, state, left, table, carry, scratch)
