@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 import workbench as wb
 from workbench.detect.oscillation import oscillation_of
-from workbench.fleet.sampling import PER_CYCLE, WINDOW, means, oscillation_at_any_rate, stretch, thinned
+from workbench.fleet.sampling import PER_CYCLE, WINDOW, cycle_of, means, oscillation_at_any_rate, stretch, thinned
 
 
 def wave(n: int, period: float, noise: float, seed: int = 0) -> np.ndarray:
@@ -79,3 +79,15 @@ def test_means_and_times() -> None:
     assert part.mode == ("a", "c")
     assert means(record.pv, 4).tolist() == [1.5, 5.5]
     assert thinned(record, 1) is record
+
+
+def test_setpoint_steps_hide_no_cycle() -> None:
+    sp = np.repeat([50.0, 56.0, 53.0, 58.0], 1500)
+    record = of(sp + wave(sp.size, 400.0, 0.1), sp=sp)
+    assert oscillation_at_any_rate(record.pv, 1.0).oscillation.index < 0.3
+    seen = cycle_of(record)
+    assert seen.oscillation.period == pytest.approx(400.0, rel=0.05)
+    assert seen.oscillation.index > 0.9
+    # A loop that follows a setpoint that cycles goes with it.
+    cycling = of(wave(6000, 400.0, 0.1), sp=wave(6000, 400.0, 0.0))
+    assert cycle_of(cycling).oscillation.period == pytest.approx(400.0, rel=0.05)

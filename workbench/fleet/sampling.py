@@ -1,7 +1,7 @@
 """From a day of a loop to the stretch that tells about its valve: one rate and one window, chosen from the cycle.
 
 The tests of `wb.detect` want up to a hundred samples in a cycle and ten cycles or more; a day at 1 s holds far too many
-of the one or of the other. PV's oscillation is looked for at every rate by halves, for at the full rate noise
+of the one or of the other. A cycle is looked for at every rate by halves, for at the full rate noise
 hides a slow cycle; the record is then thinned by means to `PER_CYCLE` samples in a cycle and cut to the window of
 `WINDOW` samples in which the cycle is strongest. A loop without a cycle is thinned by how long PV remembers.
 """
@@ -19,7 +19,7 @@ from workbench.kpi.oscillation import autocorrelation
 from workbench.model.detection import Oscillation
 from workbench.model.record import FloatArray, Record
 
-__all__ = ["Seen", "oscillation_at_any_rate", "stretch", "thinned"]
+__all__ = ["Seen", "cycle_of", "oscillation_at_any_rate", "stretch", "thinned"]
 
 PER_CYCLE = 100  # samples of a cycle, as `wb.detect` thins to
 WINDOW = 1500  # samples
@@ -62,6 +62,21 @@ def oscillation_at_any_rate(signal: FloatArray, sample_time: float) -> Seen:
         if _score(found) > score:
             best, score = Seen(found, factor), _score(found)
     return best
+
+
+def cycle_of(record: Record) -> Seen:
+    """Return the strongest oscillation of a record's PV, or of SP - PV: a few setpoint steps hide a cycle in PV."""
+    return max((oscillation_at_any_rate(one, record.sample_time) for one in _signals(record)), key=_strength)
+
+
+def _signals(record: Record) -> list[FloatArray]:
+    """PV, and the control error where SP moves."""
+    moved = record.sp is not None and float(np.ptp(record.sp)) > 0.0
+    return [record.pv, control_error(record)] if moved else [record.pv]
+
+
+def _strength(seen: Seen) -> float:
+    return _score(seen.oscillation)
 
 
 def _score(found: Oscillation) -> float:
@@ -116,8 +131,9 @@ def stretch(record: Record, seen: Seen, window: int = WINDOW, per_cycle: int = P
         return thinned(record, factor)
     span = window * factor
     starts = np.linspace(0, len(record) - span, min(TRIED, -(-len(record) // span))).astype(int).tolist()
+    signals, every = _signals(record), factor * record.sample_time
     strengths = [
-        _score(oscillation_of(means(record.pv[s : s + span], factor), factor * record.sample_time)) for s in starts
+        max(_score(oscillation_of(means(one[s : s + span], factor), every)) for one in signals) for s in starts
     ]
     # The last of equals: what a loop does now counts.
     best = max(range(len(starts)), key=lambda i: (strengths[i], i))

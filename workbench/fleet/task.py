@@ -12,7 +12,7 @@ from workbench.detect.detect import detect
 from workbench.detect.oscillation import OSCILLATES, REGULAR
 from workbench.detect.stem_search import FITTED
 from workbench.errors import RecordError, WorkbenchError
-from workbench.fleet.sampling import Seen, means, oscillation_at_any_rate, stretch
+from workbench.fleet.sampling import Seen, cycle_of, means, stretch
 from workbench.kpi.kpis import travel
 from workbench.model.fleet import FleetRow, LoopSource, Settings, Tuning
 from workbench.model.plant import FOPDT, Plant
@@ -137,7 +137,7 @@ def _line(text: str) -> str:
 
 def _looked_at(loop: LoopSource, settings: Settings) -> Result:
     record = read(loop, settings)
-    seen = oscillation_at_any_rate(record.pv, record.sample_time)
+    seen = cycle_of(record)
     judged = stretch(record, seen)
     found = detect(judged)
     row = _measured(loop, record, seen, judged, found)
