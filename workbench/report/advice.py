@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from workbench.model.study import CascadeResult, CaseResult, Study
-from workbench.report.cycles import better_late, by_start, late_errors, late_figures, swing
+from workbench.report.cycles import better_late, by_start, late_errors, late_figures, off_setpoint, rest_cause, swing
 from workbench.report.judge import (
     at_odds,
     base_case,
@@ -23,7 +23,7 @@ from workbench.report.settings import around, beside_words, settings_words, spre
 from workbench.report.standing import held_by_stiction, trap_words
 from workbench.report.words import change, figure, nearby
 
-__all__ = ["Advice", "case_advice", "worth_it"]
+__all__ = ["Advice", "case_advice", "stays_off", "worth_it"]
 
 ALIKE = 1.1  # ratio of mean square errors up to which one is hardly more than the other
 WORTH = 0.95  # ratio of J (or mean square error) above which a change of settings is not worth it,
@@ -66,7 +66,7 @@ def case_advice(study: Study) -> Advice:
     else:
         decision, case = _recommendation(study, base, best)
         back = "" if base is None or base is case or held_by_stiction(base.standing) else settings_words(study, base)
-        decision = " ".join(text for text in (decision, trap_words(case, back)) if text)
+        decision = " ".join(text for text in (decision, stays_off(study, case), trap_words(case, back)) if text)
         # What follows is of the case that is to be set, or kept.
         best = case
         do += _exactly(study, base, best)
@@ -76,6 +76,15 @@ def case_advice(study: Study) -> Advice:
     if study.repair is not None:
         left.append(repair_sentence(study))
     return Advice(decision, case, (*failed, *do), tuple(left))
+
+
+def stays_off(study: Study, case: CaseResult) -> str:
+    """Say which error stays for good with a tuning, and why, "" where none is known to."""
+    cycle = case.limit_cycle
+    if cycle is None or not (where := off_setpoint(cycle)):
+        return ""
+    aside = quiet(study.experiment)
+    return f"In the long run{f' {aside}' if aside else ''} {case.name} leaves {where}, as {rest_cause(cycle)}."
 
 
 def _exactly(study: Study, base: CaseResult | None, best: CaseResult) -> list[str]:
@@ -290,6 +299,8 @@ def _remaining(study: Study, base: CaseResult | None, best: CaseResult) -> list[
         text = f"With {best.name} the loop comes to rest in this experiment"
         if aside:
             text = f"With {best.name} the loop comes to rest {aside}"
+        if where := off_setpoint(cycle):
+            text += f", {where}, as {rest_cause(cycle)}"
         if at_odds(best, study.experiment):
             text += f"; in the run itself the valve travels {figure(run_travel(best, study.experiment), 3)} % an hour"
         out.append(f"{text}; from another start it may still cycle." if loop.valve.slip_jump > 0.0 else f"{text}.")

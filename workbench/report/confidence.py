@@ -18,6 +18,7 @@ from workbench.model.results import LimitCycle, Robustness, Standing, Tuned
 from workbench.model.site import CascadeSiteCase, SiteCase
 from workbench.model.study import CaseResult, Study
 from workbench.model.titles import kpi_title, within
+from workbench.report.cycles import off_setpoint, rest_cause
 from workbench.report.estimates import stiction_words
 from workbench.report.judge import (
     at_odds,
@@ -243,11 +244,15 @@ def _long_run(study: Study, case: CaseResult, judged: Judged) -> None:
         return
     lead = f"Long run ({aside}), by exact simulation: " if aside else "Long run, by exact simulation: "
     if cycle.outcome != "cycles":
+        where = off_setpoint(cycle)
+        rests = f", {where}, as {rest_cause(cycle)}" if where else ""
         told = {
-            "settles": "the loop comes to rest from the start of this experiment",
+            "settles": f"the loop comes to rest from the start of this experiment{rests}",
             "depends": "the loop cycles or comes to rest, depending on where it starts",
         }.get(cycle.outcome, "whether the loop cycles could not be decided")
-        judged.say(lead + told, open_point="" if cycle.outcome == "settles" else "the long run is not one and the same")
+        open_points = ["PV comes to rest off its setpoint"] if where else []
+        open_points += [] if cycle.outcome == "settles" else ["the long run is not one and the same"]
+        judged.say(lead + told, open_point=join(open_points))
         return
     text, doubt, open_point = f"{lead}the loop cycles, {_swing(cycle)}", "", ""
     if study.experiment is not None and cycle.window > study.experiment.duration - last_change(case.run):

@@ -28,7 +28,9 @@ __all__ = [
     "cycle_tables",
     "late_errors",
     "late_figures",
+    "off_setpoint",
     "period_words",
+    "rest_cause",
     "swing",
 ]
 
@@ -44,6 +46,19 @@ def _names(cases: list[CaseResult]) -> str:
 def swing(cycle: LimitCycle) -> str:
     """Return a cycle in words: "PV swings 2.01 EU every 102 s"."""
     return f"PV swings {figure(cycle.pv_peak_to_peak, 3)} EU every {duration(cycle.period)}"
+
+
+def off_setpoint(cycle: LimitCycle) -> str:
+    """Return where PV stays in a loop that comes to rest off its setpoint: "PV 0.800 EU below its setpoint", or ""."""
+    if not rest_cause(cycle):
+        return ""
+    error = cycle.starts[0].rest_error
+    return f"PV {figure(abs(error), 3)} EU {'below' if error > 0.0 else 'above'} its setpoint"
+
+
+def rest_cause(cycle: LimitCycle) -> str:
+    """Return why a loop rests off its setpoint: "OP is at its limit", "" where it rests on it, or not at all."""
+    return cycle.starts[0].reason.partition(", as ")[2] if cycle.outcome == "settles" else ""
 
 
 def cycle_sentences(study: Study) -> list[str]:
@@ -67,12 +82,13 @@ def cycle_sentences(study: Study) -> list[str]:
         else:
             least, most = (f"{swing(cycle)} ({c.name})" for c, cycle in (ranked[0], ranked[-1]))
             out.append(f"{lead}; at the least {least}, at the most {most}.")
-    told: dict[str, list[CaseResult]] = {}
+    told: dict[str, list[str]] = {}
     for outcome in ("settles", "depends", "undecided"):
         for case, cycle in seen:
             if cycle.outcome == outcome and case not in wild:
-                told.setdefault(_without_cycle(cycle), []).append(case)
-    out += [f"{_names(some)}: {f'{aside} ' if aside else ''}{text}." for text, some in told.items()]
+                where = off_setpoint(cycle)
+                told.setdefault(_without_cycle(cycle), []).append(f"{case.name} ({where})" if where else case.name)
+    out += [f"{join(some)}: {f'{aside} ' if aside else ''}{text}." for text, some in told.items()]
     out += _noisy_sentences(study)
     out += _tuning_alone(cycling)
     out += _late_sentences(study, cycling)
@@ -83,7 +99,8 @@ def cycle_sentences(study: Study) -> list[str]:
 def _without_cycle(cycle: LimitCycle) -> str:
     """Return what a loop does that does not simply cycle, and why that stays open where it does."""
     if cycle.outcome == "settles":
-        return "the loop comes to rest"
+        cause = rest_cause(cycle)
+        return f"the loop comes to rest there, as {cause}" if cause else "the loop comes to rest"
     if cycle.outcome == "depends":
         return "the loop cycles or comes to rest depending on where it starts"
     reason = next((s.reason for s in cycle.starts if s.outcome == "undecided" and s.reason), "")
@@ -226,6 +243,10 @@ def _of_df(text: Callable[[DescribingFunction], str]) -> Callable[[CaseResult], 
     return lambda case: "–" if case.describing_function is None else text(case.describing_function)
 
 
+def _rest_error(cycle: LimitCycle) -> str:
+    return figure(cycle.starts[0].rest_error, 3) if rest_cause(cycle) else "–"
+
+
 def _first_period(cycle: LimitCycle) -> str:
     start = _deciding_start(cycle)
     return "–" if start is None else duration(start.first_period)
@@ -258,6 +279,8 @@ def _all_starts(name: str) -> Callable[[CaseResult], str]:
 
 _CYCLE_ROWS: tuple[tuple[str, str, Callable[[CaseResult], str]], ...] = (
     ("Exact simulation", "", _of_cycle(lambda c: _OUTCOMES.get(c.outcome, c.outcome))),
+    ("Rests with SP − PV at", "EU", _of_cycle(_rest_error)),
+    ("Rests there, as", "", _of_cycle(lambda c: rest_cause(c) or "–")),
     ("First period", "", _of_cycle(_first_period)),
     ("Late period", "", _of_cycle(lambda c: duration(c.period))),
     ("Late period, all starts", "", _of_cycle(lambda c: _held(period_words(c)))),

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 from workbench.model.study import CascadeResult, CaseResult, Study
-from workbench.report.advice import Advice, case_advice
+from workbench.report.advice import Advice, case_advice, stays_off
 from workbench.report.cascade import cascade_sentences
 from workbench.report.cascade_advice import cascade_advice, cascade_confidence, cascade_watch
 from workbench.report.cascade_settings import cascade_base, cascade_rounding, cascade_table
@@ -69,7 +69,8 @@ def summarise(study: Study) -> Summary:
         elif choice is None:
             advice = case_advice(study)
         else:
-            advice = Advice(robust[0], choice, tuple(robust[1:]), tuple(lasting(study, choice)))
+            order = " ".join(text for text in (robust[0], stays_off(study, choice)) if text)
+            advice = Advice(order, choice, tuple(robust[1:]), tuple(lasting(study, choice)))
         if not refusal and (doubt := _hint(study, advice)):
             advice = replace(advice, decision=_hinted(study, advice, doubt))
     if study.cascade:
