@@ -62,3 +62,29 @@ def test_a_loop_that_rests_on_its_setpoint_leaves_nothing(study: Study, cycle: M
     assert summary.sure is not None
     assert "off its setpoint" not in summary.sure.why
     assert not any(row.label.startswith("Rests") for row in cycle_tables(of(study, best))[0].rows)
+
+
+def test_a_cycle_from_other_starts_is_the_loops_own_and_no_sign_of_another_loop(study: Study, cycle: Make) -> None:
+    base, calm = study.cases[0], resting(study.cases[2], cycle, LIMIT, 0.8)
+    rest, cycling = calm.limit_cycle, cycle(calm.loop, period=7200.0)
+    assert rest is not None
+    other = replace(cycling.starts[1], pv_peak_to_peak=0.73)
+    starts = (rest.starts[0], rest.starts[1], other, replace(other, pv_peak_to_peak=0.7))
+    best = replace(calm, limit_cycle=replace(rest, starts=starts, period_range=(7200.0, 7210.0)))
+    summary = summarise(of(study, base, best))
+    watch = summary.watch[0]
+    assert "comes to rest (from this start), but from 2 of 3 other starts it cycles (PV up to 0.730 EU every" in watch
+    assert "every 2.0 h), so that a cycle may be this loop's own" in watch
+    assert "A swing well above 0.730 EU" in watch
+    assert "a lasting cycle means" not in watch
+    assert any(text.endswith("as OP is at its limit; from 2 of 3 other starts it cycles.") for text in summary.left)
+    assert summary.sure is not None
+    assert any("from 2 of 3 other starts it cycles" in reason for reason in summary.sure.reasons)
+    assert "the long run is not one and the same" in summary.sure.why
+
+
+def test_where_no_start_cycles_a_lasting_cycle_is_a_sign_of_another_loop(study: Study, cycle: Make) -> None:
+    summary = summarise(of(study, study.cases[0], resting(study.cases[2], cycle, LIMIT, 0.8)))
+    assert "a lasting cycle means that the loop is not the one modelled." in summary.watch[0]
+    assert summary.sure is not None
+    assert not any("other starts" in text for text in (*summary.left, *summary.sure.reasons))

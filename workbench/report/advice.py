@@ -5,7 +5,16 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from workbench.model.study import CascadeResult, CaseResult, Study
-from workbench.report.cycles import better_late, by_start, late_errors, late_figures, off_setpoint, rest_cause, swing
+from workbench.report.cycles import (
+    better_late,
+    by_start,
+    from_others,
+    late_errors,
+    late_figures,
+    off_setpoint,
+    rest_cause,
+    swing,
+)
 from workbench.report.judge import (
     at_odds,
     base_case,
@@ -303,5 +312,6 @@ def _remaining(study: Study, base: CaseResult | None, best: CaseResult) -> list[
             text += f", {where}, as {rest_cause(cycle)}"
         if at_odds(best, study.experiment):
             text += f"; in the run itself the valve travels {figure(run_travel(best, study.experiment), 3)} % an hour"
-        out.append(f"{text}; from another start it may still cycle." if loop.valve.slip_jump > 0.0 else f"{text}.")
+        may = "from another start it may still cycle" if loop.valve.slip_jump > 0.0 else ""
+        out.append("; ".join(part for part in (text, from_others(cycle) or may) if part) + ".")
     return out

@@ -18,13 +18,14 @@ from workbench.model.results import LimitCycle, Robustness, Standing, Tuned
 from workbench.model.site import CascadeSiteCase, SiteCase
 from workbench.model.study import CaseResult, Study
 from workbench.model.titles import kpi_title, within
-from workbench.report.cycles import off_setpoint, rest_cause
+from workbench.report.cycles import from_others, off_setpoint, period_words, rest_cause
 from workbench.report.estimates import stiction_words
 from workbench.report.judge import (
     at_odds,
     base_case,
     last_change,
     measure,
+    over_starts,
     quiet,
     run_travel,
     source_of,
@@ -245,13 +246,15 @@ def _long_run(study: Study, case: CaseResult, judged: Judged) -> None:
     lead = f"Long run ({aside}), by exact simulation: " if aside else "Long run, by exact simulation: "
     if cycle.outcome != "cycles":
         where = off_setpoint(cycle)
+        others = from_others(cycle)
         rests = f", {where}, as {rest_cause(cycle)}" if where else ""
+        rests += f"; {others}" if others else ""
         told = {
             "settles": f"the loop comes to rest from the start of this experiment{rests}",
             "depends": "the loop cycles or comes to rest, depending on where it starts",
         }.get(cycle.outcome, "whether the loop cycles could not be decided")
         open_points = ["PV comes to rest off its setpoint"] if where else []
-        open_points += [] if cycle.outcome == "settles" else ["the long run is not one and the same"]
+        open_points += [] if cycle.outcome == "settles" and not others else ["the long run is not one and the same"]
         judged.say(lead + told, open_point=join(open_points))
         return
     text, doubt, open_point = f"{lead}the loop cycles, {_swing(cycle)}", "", ""
@@ -293,10 +296,7 @@ def watch(study: Study, base: CaseResult | None, best: CaseResult) -> list[str]:
         )
         out.append(text)
     elif cycle is not None and cycle.outcome == "settles":
-        when = quiet(study.experiment) or "from this start"
-        out.append(
-            f"Here the loop comes to rest ({when}): a lasting cycle means that the loop is not the one modelled."
-        )
+        out.append(_watch_rest(study, cycle))
     travel = f"Valve travel: {figure(best.run.kpis.valve_travel)} % in this run of {_run(study)}"
     if cycle is not None and cycle.outcome == "cycles":
         travel += f", {figure(cycle.travel_per_hour, 3)} % an hour in the long run without noise"
@@ -307,6 +307,19 @@ def watch(study: Study, base: CaseResult | None, best: CaseResult) -> list[str]:
         before = settings_words(study, base)
         out.append(f"If PV or valve do worse than before, put back {before} ({base.name}) and look at the model again.")
     return out
+
+
+def _watch_rest(study: Study, cycle: LimitCycle) -> str:
+    """Say which lasting cycle speaks against the model of a loop that comes to rest here: not one of its own."""
+    text = f"Here the loop comes to rest ({quiet(study.experiment) or 'from this start'})"
+    if others := from_others(cycle):
+        swing = figure(over_starts(cycle, "pv_peak_to_peak")[1], 3)
+        return (
+            f"{text}, but {others} (PV up to {swing} EU every {period_words(cycle)}), so that a cycle may be this "
+            f"loop's own, from another start. A swing well above {swing} EU that does not come from a disturbance "
+            "means that the loop is not the one modelled here."
+        )
+    return f"{text}: a lasting cycle means that the loop is not the one modelled."
 
 
 def _run(study: Study) -> str:

@@ -26,6 +26,7 @@ __all__ = [
     "by_start",
     "cycle_sentences",
     "cycle_tables",
+    "from_others",
     "late_errors",
     "late_figures",
     "off_setpoint",
@@ -59,6 +60,14 @@ def off_setpoint(cycle: LimitCycle) -> str:
 def rest_cause(cycle: LimitCycle) -> str:
     """Return why a loop rests off its setpoint: "OP is at its limit", "" where it rests on it, or not at all."""
     return cycle.starts[0].reason.partition(", as ")[2] if cycle.outcome == "settles" else ""
+
+
+def from_others(cycle: LimitCycle) -> str:
+    """Return how many other starts cycle where this one rests: "from 7 of 8 other starts it cycles", else ""."""
+    many = sum(start.outcome == "cycles" for start in cycle.starts)
+    return (
+        f"from {many} of {len(cycle.starts) - 1} other starts it cycles" if cycle.outcome == "settles" and many else ""
+    )
 
 
 def cycle_sentences(study: Study) -> list[str]:
