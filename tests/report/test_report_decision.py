@@ -16,6 +16,7 @@ from workbench.analyze.standing import standing
 from workbench.model.controller import PID
 from workbench.model.ensemble import Ensemble
 from workbench.model.experiment import Experiment, Noise, Step
+from workbench.model.numbers import figure
 from workbench.model.results import Intervals, Kpis, Outcome, Repair, Restart, Robustness, Tuned
 from workbench.model.site import SiteForm
 from workbench.model.study import CaseResult, NamedEstimate, Study
@@ -344,6 +345,35 @@ def test_repair_is_told_only_where_it_was_asked_and_brings_something(study: Stud
     told = summarise(of(study, *cases, repair=_repair(study, left))).decision
     assert "would bring no less PV standard deviation than this" in told
     assert "epair" not in summarise(of(study, *cases)).decision
+
+
+def test_repair_that_brings_a_little_is_not_said_to_bring_nothing(study: Study) -> None:
+    left = study.cases[2].run.kpis
+    little = replace(left, error_variance=0.96**2 * left.error_variance)
+    alone = replace(left, error_variance=0.87**2 * left.error_variance)
+    best = replace(study.cases[2], repaired=Outcome(study.cases[2].loop.controller, 1.0, alone))
+    told = summarise(of(study, study.cases[0], best, repair=_repair(study, little))).decision
+    assert "would bring hardly less PV standard deviation in this run (−4 %, valve travel unchanged)" in told
+    assert "; without tuning anew −13 %" in told
+    assert "no less" not in told
+
+
+def test_repair_that_gains_error_and_not_j_says_so_and_the_other_way_round(study: Study) -> None:
+    best = study.cases[2]
+    left, J = best.run.kpis, best.objective
+    assert J is not None
+
+    def told(share: float, objective: float) -> str:
+        repair = _repair(study, replace(left, error_variance=share**2 * left.error_variance))
+        repair = replace(repair, best_repaired=replace(repair.best_repaired, objective=objective))
+        return summarise(of(study, study.cases[0], best, repair=repair)).decision
+
+    against = f"instead of {figure(J)}."
+    assert told(0.6, 1.2 * J).endswith(f"; J, which was asked for, does not gain: {figure(1.2 * J)} {against}")
+    assert told(0.6, 0.99 * J).endswith(f"; J, which was asked for, hardly gains: {figure(0.99 * J)} {against}")
+    assert told(1.0, 0.5 * J).endswith(f"; J, which was asked for, gains: {figure(0.5 * J)} {against}")
+    assert "which was asked for" not in told(0.6, 0.5 * J)
+    assert "which was asked for" not in told(1.0, J)
 
 
 def test_a_moving_setpoint_is_not_told_as_scatter_of_pv(study: Study) -> None:

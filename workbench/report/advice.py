@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
+from workbench.model.results import Repair
 from workbench.model.study import CascadeResult, CaseResult, Study
 from workbench.report.cycles import (
     better_late,
@@ -194,18 +196,43 @@ def worth_it(best: tuple[float, float], base: tuple[float, float]) -> bool:
 
 
 def _by_repair(study: Study, best: CaseResult) -> str:
-    """Say what repairing the valve would add to the recommended tuning in the same run, "" where that was not asked."""
+    """Say what repairing the valve would add to the recommended tuning in the same run, "" where that was not asked.
+
+    J too, where it gains and the error does not, or the other way round.
+    """
     if study.repair is None:
         return ""
     repaired = study.repair.best_repaired.kpis
     kpis = best.run.kpis
     (name, left), (_, after) = spread(best, kpis), spread(best, repaired)
     wear = change(repaired.valve_travel, kpis.valve_travel)
-    if not after < WORTH * left:
-        return f" Repairing the valve would bring no less {name} than this in this run (valve travel {wear})."
-    return (
-        f" Repairing the valve, and tuning anew, would bring a further {change(after, left)} in {name}, travel {wear}."
-    )
+    if not after < left:
+        text = f" Repairing the valve would bring no less {name} than this in this run (valve travel {wear})"
+    elif not after < WORTH * left:
+        less = change(after, left)
+        text = f" Repairing the valve, and tuning anew, would bring hardly less {name} in this run ({less}, valve "
+        text += f"travel {wear})"
+    else:
+        text = f" Repairing the valve, and tuning anew, would bring a further {change(after, left)} in {name}, travel "
+        text += wear
+    return f"{text}{_same_tuning(best, after)}{_asked(study.repair, best, gains=after < WORTH * left)}."
+
+
+def _same_tuning(best: CaseResult, after: float) -> str:
+    """Say what repair alone would bring where it leaves clearly less error than with the tuning of least J."""
+    if best.repaired is None or held_by_stiction(best.standing):
+        return ""
+    (_, left), (_, alone) = spread(best, best.run.kpis), spread(best, best.repaired.kpis)
+    return f"; without tuning anew {change(alone, left)}" if alone < WORTH * min(after, left) else ""
+
+
+def _asked(repair: Repair, best: CaseResult, *, gains: bool) -> str:
+    """Tell what becomes of J, which the tunings were searched for, where that is not what becomes of the error."""
+    was, now = best.objective, repair.best_repaired.objective
+    if was is None or not math.isfinite(was) or (now < WORTH * was) == gains:
+        return ""
+    verb = "gains" if now < WORTH * was else "hardly gains" if now < was else "does not gain"
+    return f"; J, which was asked for, {verb}: {figure(now)} instead of {figure(was)}"
 
 
 def _can_be_set(study: Study, case: CaseResult) -> bool:
