@@ -34,7 +34,7 @@ from workbench.report.over_ensemble import (
 from workbench.report.page import write_report
 from workbench.report.summary import summarise
 from workbench.report.trade import FONT, LETTER, NamedPoint, trade_figure
-from workbench.report.words import duration
+from workbench.report.words import duration, figure
 
 
 def made(study: Study) -> Study:
@@ -100,6 +100,25 @@ def robust(study: Study) -> Study:
 def over(case: CaseResult) -> Any:
     assert case.robustness is not None
     return case.robustness
+
+
+def test_a_cap_on_travel_that_the_fresh_draws_exceed_is_said_where_it_stands(robust: Study) -> None:
+    best = robust.cases[2]
+    assert best.tuned is not None
+    mean = over(best).travel_mean
+
+    def asked(cap: float, status: SolveStatus = SolveStatus.SOLVED) -> str:
+        assert best.tuned is not None
+        tuned = replace(best.tuned, status=status, constraints=wb.Constraints(max_sensitivity=9.0, valve_travel=cap))
+        return ensemble_text(replace(robust, cases=(replace(best, tuned=tuned),)))[-1]
+
+    assert asked(0.7 * mean).endswith(
+        f"mean valve travel at most {figure(0.7 * mean, 3)} %. That holds for the 20 draws of its search alone: over "
+        f"the draws shown here the mean is {figure(mean, 3)} %."
+    )
+    failed = asked(0.7 * mean, SolveStatus.INFEASIBLE)
+    assert failed.endswith(f"%. Over the draws shown here the mean is {figure(mean, 3)} %.")
+    assert "draws shown" not in asked(mean), "a cap that is kept needs no word"
 
 
 def test_the_ensemble_and_what_was_asked_in_words(robust: Study) -> None:

@@ -28,6 +28,7 @@ __all__ = [
     "late_words",
     "measure",
     "on_bounds",
+    "over_budget",
     "over_starts",
     "quiet",
     "refused",
@@ -208,6 +209,26 @@ def on_bounds(tuned: Tuned) -> list[str]:
             if end > 0.0 and abs(value - end) <= NEAR * end:
                 out.append(f"{name} on its {which} bound of {setting(end)} {unit}")
     return out
+
+
+def over_budget(case: CaseResult) -> str:
+    """Say that the fresh draws exceed the cap on mean travel that a robust search kept on its own, "" if they do not.
+
+    The sentence begins with a space.
+    """
+    r, tuned = case.robustness, case.tuned
+    asked = None if tuned is None else tuned.constraints
+    if r is None or tuned is None or tuned.ensemble is None or asked is None or asked.valve_travel is None:
+        return ""
+    if not r.travel_mean > asked.valve_travel:
+        return ""
+    # A search that found nothing within the constraints kept the cap nowhere.
+    own = (
+        f"That holds for the {tuned.ensemble.draws:,} draws of its search alone: over"
+        if tuned.status.success
+        else "Over"
+    )
+    return f" {own} the draws shown here the mean is {figure(r.travel_mean, 3)} %."
 
 
 def last_change(run: Run | CascadeRun) -> float:

@@ -9,6 +9,7 @@ from workbench.model.front import Front, FrontPoint
 from workbench.model.plant import FOPDT
 from workbench.model.results import Robustness, Tuned
 from workbench.model.study import CaseResult, Study
+from workbench.report.judge import over_budget
 from workbench.report.settings import settings_words
 from workbench.report.tables import Cell, Row, Table
 from workbench.report.trade import NamedPoint
@@ -52,7 +53,7 @@ def ensemble_text(study: Study) -> list[str]:
         kept = constraint_words(tuned.constraints)
         text.append(
             f"{case.name}: the least {least} of J over {tuned.ensemble.draws:,} draws{other}, with every corner of the "
-            f"plant's uncertainty stable{f', {kept}' if kept else ''}."
+            f"plant's uncertainty stable{f', {kept}' if kept else ''}.{over_budget(case)}"
         )
     return text
 
