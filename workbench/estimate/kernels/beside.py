@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workbench.estimate.kernels.output_error import oe_columns, plant_terms, solve
-from workbench.simulate.compiled import compiled, fused
+from workbench.simulate.compiled import compiled
 
 __all__ = ["left_beside", "left_swinging"]
 
@@ -51,7 +51,7 @@ def left_swinging(y: Floats, x: Floats, first: int, integrating: bool, tau: floa
     return _left(y, columns, 0)
 
 
-@fused
+@compiled
 def _left(y: Floats, columns: Floats, skip: int) -> float:
     """Sum of squares that columns, shape (m, N), leave of y from `skip` on, by least squares."""
     size = columns.shape[0]

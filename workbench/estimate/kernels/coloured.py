@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workbench.estimate.kernels.output_error import oe_columns, plant_terms, solve
-from workbench.simulate.compiled import compiled, copy, fused
+from workbench.simulate.compiled import compiled, copy
 
 __all__ = ["HELD", "colour_left", "products_of", "scan_colours"]
 
@@ -14,7 +14,7 @@ Floats = NDArray[np.float64]
 HELD = 3  # signals that no stem changes, at most: the constant, the start and the transient
 
 
-@fused
+@compiled
 def _lagged(f: Floats, g: Floats, begin: int, size: int, out: Floats) -> None:
     """Write the sums over k from `begin` on of f[k - i] g[k - j], i and j below size."""
     n = f.size
@@ -27,7 +27,7 @@ def _lagged(f: Floats, g: Floats, begin: int, size: int, out: Floats) -> None:
             out[i, j] = out[i - 1, j - 1] + f[begin - i] * g[begin - j] - f[n - i] * g[n - j]
 
 
-@fused
+@compiled
 def products_of(
     y: Floats, x: Floats, first: int, integrating: bool, tau: float, theta: float, begin: int, size: int, out: Floats
 ) -> int:

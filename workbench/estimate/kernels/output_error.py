@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from workbench.simulate.compiled import compiled, copy, fused
+from workbench.simulate.compiled import compiled, copy
 
 __all__ = [
     "BIAS",
@@ -81,7 +81,7 @@ def plant_terms(integrating: bool, tau: float, theta: float) -> tuple[float, flo
     return pole, 1.0 - part, part - pole, m
 
 
-@fused
+@compiled
 def oe_columns(
     x: Floats, first: int, pole: float, m: int, c0: float, c1: float, integrating: bool, columns: Floats
 ) -> None:
@@ -160,7 +160,7 @@ def fading(pole: float) -> int:
     return int(1.0 + (DIED / -math.log(pole) if pole > 0.0 else 0.0))
 
 
-@fused
+@compiled
 def start_products(
     y: Floats,
     total: float,
@@ -261,7 +261,7 @@ def start_products(
     return passed
 
 
-@fused
+@compiled
 def stem_products(
     y: Floats,
     drive: Floats,
