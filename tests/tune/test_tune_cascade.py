@@ -117,5 +117,5 @@ def test_what_cannot_be_tuned_is_refused(options, where):
 def test_what_is_asked_of_one_loop_is_refused_of_a_cascade(ask):
     inner = wb.Loop(wb.FOPDT(1.0, 5.0, 1.0), wb.Stenman(1.0), wb.PID(Kc=0.5, Ti=5.0), 1.0)
     outer = wb.Loop(wb.FOPDT(1.0, 60.0, 10.0), wb.Ideal(), wb.PID(Kc=0.5, Ti=50.0), 1.0)
-    with pytest.raises(wb.InvalidValue, match="^loop: Cascade given; must be a Loop"):
+    with pytest.raises(wb.InvalidValue, match=r"^loop: Cascade given; must be a Loop"):
         ask(wb.Cascade(outer, inner))
