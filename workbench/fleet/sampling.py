@@ -66,17 +66,14 @@ def oscillation_at_any_rate(signal: FloatArray, sample_time: float) -> Seen:
 
 def cycle_of(record: Record) -> Seen:
     """Return the strongest oscillation of a record's PV, or of SP - PV: a few setpoint steps hide a cycle in PV."""
-    return max((oscillation_at_any_rate(one, record.sample_time) for one in _signals(record)), key=_strength)
+    seen = [oscillation_at_any_rate(one, record.sample_time) for one in _signals(record)]
+    return max(seen, key=lambda one: _score(one.oscillation))
 
 
 def _signals(record: Record) -> list[FloatArray]:
     """PV, and the control error where SP moves."""
     moved = record.sp is not None and float(np.ptp(record.sp)) > 0.0
     return [record.pv, control_error(record)] if moved else [record.pv]
-
-
-def _strength(seen: Seen) -> float:
-    return _score(seen.oscillation)
 
 
 def _score(found: Oscillation) -> float:
