@@ -256,7 +256,8 @@ class Tuned(Shown):
     start_objective: J of the loop's own controller. guard_margin: the least distance (%) of the trajectory to a
     stick/slip decision; slips: how many samples the stem moves in, the length of its sequence of decisions. steps: J at
     one unit of the last digit more and less of each free parameter. nominal_only: J itself was minimised, not its worst
-    case.
+    case. worst_bound: what no worst J within the bounds is below, as a run in every neighbourhood of their plane shows
+    (of Kc and Td from 0 on those above a thousandth of the upper bound); None where not all were asked.
 
     A robust tuning minimises `ensemble.statistic` of J over the ensemble's draws: objective, nominal, worst,
     start_objective and the restarts are that statistic then, while guard_margin and slips are of the experiment's run.
@@ -292,6 +293,7 @@ class Tuned(Shown):
     start_robustness: Robustness | None = None
     steps: tuple[DigitStep, ...] = ()
     nominal_only: bool = False
+    worst_bound: float | None = None
 
     @property
     def agreeing(self) -> int:

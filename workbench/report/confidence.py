@@ -209,6 +209,12 @@ def searches(tuned: Tuned, judged: Judged, lead: str = "Search", *, rounded: boo
         text += f", the worst {figure(100.0 * (worst / least - 1.0), 2)} % above it"
     elif math.isinf(best) and tuned.status.success:
         text += ": none of them keeps the constraints by itself; the search that goes on from all of them does"
+    if tuned.worst_bound is not None:
+        text += (
+            "; a run in every neighbourhood of the bounds shows that no settings have a worst J below "
+            f"{figure(tuned.worst_bound)} (these: {figure(tuned.worst)})"
+        )
+        alike = alike or tuned.worst <= NEARLY * tuned.worst_bound
     judged.say(text, open_point="" if alike else "the searches do not agree")
 
 

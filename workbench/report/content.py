@@ -83,6 +83,7 @@ def tuned_content(name: str, tuned: Tuned) -> dict[str, Any]:
         "objective": tuned.objective,
         "nominal": tuned.nominal,
         "worst": tuned.worst,
+        "worst_bound": tuned.worst_bound,
         "margin": tuned.margin,
         "start_objective": tuned.start_objective,
         "guard_margin": tuned.guard_margin,

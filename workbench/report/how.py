@@ -65,6 +65,11 @@ _HOW_ROWS: tuple[tuple[str, str, Callable[[Tuned], str]], ...] = (
     ("Digits typed in", "", lambda t: str(t.digits)),
     ("Least J met, unrounded and however near a cliff", "", lambda t: figure(t.nominal)),
     ("Worst J near the settings", "", lambda t: f"{figure(t.worst)} {nearby(t.margin)}"),
+    (
+        "No worst J within the bounds is below",
+        "",
+        lambda t: "not known" if t.worst_bound is None else figure(t.worst_bound),
+    ),
     ("J of the start", "", lambda t: figure(t.start_objective)),
     ("Guard margin", "%", lambda t: figure(t.guard_margin, 3)),
     ("Slips of the valve, the sequence's length", "", lambda t: f"{t.slips:,}"),

@@ -21,10 +21,15 @@ from workbench.simulate import batch_kernel, kernel
 from workbench.simulate.signals import Signals
 from workbench.simulate.sums import FEW_SUMS, SUMS, weigh_all
 
-__all__ = ["cores", "kernel_weights", "shared_out", "sums", "weigh", "worst"]
+__all__ = ["FIRST_LOOK", "cores", "kernel_weights", "price", "shared_out", "sums", "weigh", "worst"]
 
 # Fewer samples than this, some milliseconds, are not worth a second thread.
 WORTH_SHARING = 1_000_000
+# After so many samples `worst` first looks whether a run has passed its ceiling.
+FIRST_LOOK = batch_kernel.CHUNK
+# What a sample costs of a loop that runs alone, of one with what few loops have, and of a stem with mass, where one of
+# a loop that runs side by side costs 1: orders of magnitude, for the budgets of searches.
+ALONE, RARE, MASS = 4.0, 16.0, 256.0
 
 
 def kernel_weights(objective: Objective, samples: int, sample_time: float) -> FloatArray:
@@ -60,6 +65,16 @@ def sums(
 
     shared_out(rows.shape[0], r.shape[1] - 1, work)
     return result
+
+
+def price(rows: FloatArray, weights: FloatArray) -> float:
+    """Return about what a sample costs of a loop with these coefficient rows, weighed so, in samples of a plain one."""
+    row = rows[0]
+    if row[kernel.VALVE] >= kernel.KARNOPP:
+        return MASS
+    if not kernel.usual(row):
+        return RARE
+    return 1.0 if batch_kernel.fits_abreast(row) and not batch_kernel.weighs_every(weights) else ALONE
 
 
 def weigh(terms: FloatArray, weights: FloatArray, samples: int) -> FloatArray:

@@ -56,7 +56,7 @@ from workbench.simulate.sums import (
     weigh,
 )
 
-__all__ = ["run_costs", "run_worst"]
+__all__ = ["CHUNK", "fits_abreast", "run_costs", "run_worst", "weighs_every"]
 
 Floats = NDArray[np.float64]
 
@@ -155,9 +155,15 @@ def _step_abreast(c: Floats, r: Floats, load: Floats, noise: Floats, lanes: Floa
 
 
 @compiled
-def _fits_abreast(c: Floats) -> bool:
+def fits_abreast(c: Floats) -> bool:
     """Whether `_abreast` knows what a loop has."""
     return usual(c) and c[VALVE] <= TWO_PARAMETER and c[WINDUP] == 0.0
+
+
+@compiled
+def weighs_every(weights: Floats) -> bool:
+    """Whether an objective needs sums that `_abreast` does not keep."""
+    return bool(weights[6:].max() > 0.0)
 
 
 @compiled
@@ -192,7 +198,7 @@ def _leave(c: Floats, lanes: Floats, v: Floats, j: int, r: float, noise: float, 
 def _run_abreast(rows: Floats, which: NDArray[np.int64], r: Floats, load: Floats, noise: Floats, sums: Floats) -> int:
     """Write the sums of as many of the first rows as fill the lanes, and return how many; 0 where they are too few."""
     used = 0
-    if _fits_abreast(rows[0]):
+    if fits_abreast(rows[0]):
         while used < min(LANES, rows.shape[0]) and which[used] == which[0] and _alike(rows[used], rows[0]):
             used += 1
     if used < WORTH_LANES:
@@ -334,9 +340,9 @@ def run_worst(
     past = np.empty(longest + 1)
     last = np.empty(3)
     sums = np.empty(SUMS)
-    every = weights[6:].max() > 0.0
+    every = weighs_every(weights)
     samples = 0
-    if not every and worst.size * group >= WORTH_LANES and _fits_abreast(rows[0]):
+    if not every and worst.size * group >= WORTH_LANES and fits_abreast(rows[0]):
         return _worst_abreast(rows, group, r, load, noise, weights, ceilings, worst, order, lost)
     for i in range(worst.size):
         worst[i] = 0.0

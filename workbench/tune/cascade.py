@@ -21,9 +21,9 @@ from workbench.simulate.batch import kernel_weights, shared_out
 from workbench.simulate.cascade import cascade_signals, chain
 from workbench.simulate.coefficients import coefficients
 from workbench.symbolic.solve import versions
-from workbench.tune.problem import Problem
+from workbench.tune.problem import Problem, stopper
 from workbench.tune.scan import OutOfBudget
-from workbench.tune.search import Found, search, stopper
+from workbench.tune.search import Found, search
 from workbench.tune.tune import CHOICE_SAMPLES, DIGITS, candidates, check_bounds, quick, tune
 from workbench.tune.verify import choose, digit_steps
 

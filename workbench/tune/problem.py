@@ -22,13 +22,13 @@ from workbench.model.loop import Loop
 from workbench.model.plant import FOPDT
 from workbench.model.record import FloatArray
 from workbench.model.tuning import Bounds, Objective
-from workbench.simulate.batch import kernel_weights, sums, weigh, worst
+from workbench.simulate.batch import kernel_weights, price, sums, weigh, worst
 from workbench.simulate.coefficients import coefficients
 from workbench.simulate.signals import signals
 from workbench.simulate.sums import TRAVEL
 from workbench.tune.limits import NARROW, UNSTABLE, WORN, more_than_sensitivity, narrowness, worn
 
-__all__ = ["Problem", "last_offsets", "round_to", "unit_of"]
+__all__ = ["Problem", "last_offsets", "round_to", "stopper", "unit_of"]
 
 # Random inner points of a neighbourhood: when searching, when it is looked at closely, and for the last word.
 SPARSE, DENSE, LAST, LAST_SAMPLES = 6, 100, 2000, 2_000_000
@@ -53,7 +53,8 @@ class Problem:
     within which its true value is taken to lie: the larger of the margin and half a unit of the last digit. nominal:
     searches look at the tuning alone, not at the worst case of its neighbourhood. constraints: of the loop's own plant
     and this experiment's run; a tuning that breaks one has a value as `limits` ranks it, in place of J.
-    `one_loop`: whether its runs are those of `loop` alone, which branch programs can state.
+    `one_loop`: whether its runs are those of `loop` alone, which branch programs can state. `price`: of a sample of its
+    runs, in those of the plainest loop.
     """
 
     one_loop = True
@@ -83,6 +84,7 @@ class Problem:
         self.free = np.flatnonzero(self.high > self.low)
         self.work = Work()
         self.weights = kernel_weights(objective, self.samples, loop.sample_time)
+        self.price = price(coefficients(loop), self.weights)
         self._offsets = _offsets(np.random.default_rng(0), SPARSE)
         self._dense = _offsets(np.random.default_rng(1), DENSE)
         # Worst cases by tuning, without and with many inner points; and which points of a neighbourhood tell the worst.
@@ -279,6 +281,16 @@ class Problem:
     def controller(self, tuning: FloatArray) -> PID:
         """Return the loop's controller with this tuning."""
         return replace(self.loop.controller, Kc=float(tuning[0]), Ti=float(tuning[1]), Td=float(tuning[2]))
+
+
+def stopper(problem: Problem, most: int, check: Callable[[], None]) -> Callable[[], bool]:
+    """Return the question whether more than `most` samples have been simulated; it also looks at the time."""
+
+    def stop() -> bool:
+        check()
+        return problem.work.simulated > most
+
+    return stop
 
 
 def unit_of(values: FloatArray, digits: int) -> FloatArray:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from workbench.model.record import FloatArray
 from workbench.model.results import SolveStatus
 
-__all__ = ["OutOfBudget", "Population", "evolve", "spread"]
+__all__ = ["OutOfBudget", "Population", "evolve", "sized", "spread"]
 
 # (points, ceilings) -> values, inf where a value exceeds its ceiling.
 Evaluate = Callable[[FloatArray, FloatArray], FloatArray]
@@ -131,3 +131,8 @@ def spread(points: FloatArray, values: FloatArray, count: int, gap: float) -> ND
         chosen.append(int(left[0]))
         left = left[(np.abs(points[left] - points[left[0]]) > gap).any(axis=1)]
     return np.array(chosen, dtype=np.int64)
+
+
+def sized(count: int, scale: float) -> int:
+    """Return a size of a search for longer runs, which get less: scale in (0, 1]."""
+    return max(40, round(count * scale))

@@ -1,8 +1,10 @@
 """`wb.tune`: global scan on the exact simulator, refinement by branch programs, choice at the digits to type in.
 
 1. Several seeded searches for the least J of eq. (2); 2. branch programs on the best distinct sequences of decisions
-and their neighbours; 3. a joint search, from all of these, for the least *worst* J within the parameters' digits,
-because the best nominal tunings sit on cliffs, and the same without derivative where the bounds allow both;
+and their neighbours; 3. a search, from all of these, for the least *worst* J within the parameters' digits,
+because the best nominal tunings sit on cliffs, and the same without derivative where the bounds allow both. Where that
+is affordable a run in every neighbourhood of a plane of tunings leaves no valley out, and proves how far the best is
+from the least possible; in three dimensions a coarser grid tells where to search;
 4. rounding, and the same search on the rounded numbers themselves.
 Every J that is reported is an exact simulation of the numbers that are reported.
 """
@@ -29,11 +31,11 @@ from workbench.symbolic.loop import unwritten
 from workbench.symbolic.solve import versions
 from workbench.tune.complementarity import applicable
 from workbench.tune.limits import missed
-from workbench.tune.problem import NAMES, Problem
+from workbench.tune.problem import NAMES, Problem, stopper
 from workbench.tune.refine import Path, eq_2_alone, path, usable
 from workbench.tune.robust import tune_robust
 from workbench.tune.scan import OutOfBudget
-from workbench.tune.search import Found, Progress, search, stopper
+from workbench.tune.search import Found, Progress, search
 from workbench.tune.verify import Choice, choose, digit_steps, stem_guard
 
 __all__ = ["candidates", "check_bounds", "quick", "tune"]
@@ -67,7 +69,8 @@ def tune(
 
     The controller keeps its form, structure, filter and limits; bounds are in its own form, and equal ends fix a
     parameter. Its present tuning must lie within the bounds of the parameters that are free. digits: significant
-    digits (1..12) of the numbers to type in, 4 by default. restarts: independent global searches (1..100). guard: least
+    digits (1..12) of the numbers to type in, 4 by default. restarts: independent global searches (1..100), with whose
+    third power the effort grows that is spent on leaving no valley out (`Tuned.worst_bound`). guard: least
     distance (0..0.5) to keep from a stick/slip decision in the refinement, relative to the valve's (S + J)/2. margin:
     relative change (0..0.2) of each parameter against which the worst J is minimised; half a last digit is always
     covered. progress: called with a phase in words and the share done (0..1).
@@ -179,6 +182,9 @@ def tune(
         constraints=constraints,
         steps=digit_steps(problem, chosen.tuning, problem.exact),
         nominal_only=nominal,
+        worst_bound=min(found.bound, chosen.worst)
+        if status is SolveStatus.SOLVED and math.isfinite(found.bound)
+        else None,
     )
     return replace(tuned, message=_message(problem, found, note, tuned))
 
@@ -286,5 +292,7 @@ def _message(problem: Problem, found: Found, note: str, tuned: Tuned) -> str:
         parts.append(f"{found.accepted} of {tuned.solves} branch programs verified by exact simulation")
     if len(tuned.restarts) > 1:
         parts.append(f"{tuned.agreeing} of {len(tuned.restarts)} searches agree on the least J within 0.1 %")
+    if tuned.worst_bound is not None:
+        parts.append(f"no tuning within the bounds has a worst J below {given(tuned.worst_bound, 5)}")
     parts.append(f"objective by exact simulation at {problem.digits} significant digits")
     return "; ".join(parts)

@@ -6,6 +6,7 @@ import itertools
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -24,7 +25,7 @@ STEPS = (64, 16, 4, 1)
 # less than NO_LOSS without it.
 NEGLIGIBLE, NO_LOSS = 0.02, 1e-3
 # Samples of runs, one for each candidate, that may be looked at densely; candidates that get the last word.
-CANDIDATE_SAMPLES, FINALISTS = 200_000, 8
+CANDIDATE_SAMPLES, FINALISTS = 200_000, 64
 # At most this many rounds for each step: each round improves the worst case, so this is only a guard.
 ROUNDS = 50
 
@@ -57,9 +58,18 @@ def choose(problem: Problem, candidates: FloatArray, *, stop: Callable[[], bool]
     order = np.argsort(worst, kind="stable")
     plain = order[tried[order, 2] == 0.0][:1]
     starts = dict.fromkeys([*order[:3].tolist(), *plain.tolist()])
-    walked = [_improved(problem, tried[index], float(worst[index]), stop)[0] for index in starts]
+    dense = partial(_dense, problem)
+    walked = [_improved(problem, tried[index], float(worst[index]), dense, stop)[0] for index in starts]
     ends = np.unique(np.concatenate([np.array(walked), tried[order[:FINALISTS]]]), axis=0)
-    results = [(problem.last_word(end), float(problem.exact(end[None, :])[0]), end) for end in ends]
+    results: list[tuple[float, float, FloatArray]] = []
+    for end in ends:
+        ceiling = (1.0 + NO_LOSS) * min((item[0] for item in results), default=math.inf)
+        results.append((problem.last_word(end, ceiling), float(problem.exact(end[None, :])[0]), end))
+    last = min(results, key=lambda item: item[0])
+    if last[0] > (1.0 + NO_LOSS) * _dense(problem, last[2], math.inf):
+        # Where a closer look finds more, there are thin cliffs everywhere: the closer look itself leads out of them.
+        end, value = _improved(problem, last[2], last[0], problem.last_word, stop)
+        results.append((value, float(problem.exact(end[None, :])[0]), end))
     least = min(item[0] for item in results)
     # Worst cases that are as good as equal leave the choice to J itself.
     near = [item for item in results if item[0] <= (1.0 + NO_LOSS) * least] or results
@@ -71,8 +81,19 @@ def choose(problem: Problem, candidates: FloatArray, *, stop: Callable[[], bool]
     return Choice(tuning, cost, value)
 
 
-def _improved(problem: Problem, tuning: FloatArray, value: float, stop: Callable[[], bool]) -> tuple[FloatArray, float]:
-    """Walk on the lattice of digits as long as the dense worst case falls."""
+def _dense(problem: Problem, tuning: FloatArray, ceiling: float) -> float:
+    """The densely sampled worst case of one tuning, shape (3,), inf above the ceiling."""
+    return float(problem.worst_below(tuning[None, :], np.array([ceiling]), dense=True)[0])
+
+
+def _improved(
+    problem: Problem,
+    tuning: FloatArray,
+    value: float,
+    judged: Callable[[FloatArray, float], float],
+    stop: Callable[[], bool],
+) -> tuple[FloatArray, float]:
+    """Walk on the lattice of digits as long as the worst case falls, as it is judged: (tuning, ceiling) -> value."""
     moves = np.array([m for m in itertools.product((-1.0, 0.0, 1.0), repeat=problem.free.size) if any(m)])
     if not moves.size:
         return tuning, value
@@ -83,15 +104,15 @@ def _improved(problem: Problem, tuning: FloatArray, value: float, stop: Callable
             near = np.tile(tuning, (moves.shape[0], 1))
             near[:, problem.free] += step * moves * unit_of(tuning, problem.digits)[problem.free]
             near = problem.rounded(np.clip(near, problem.low, problem.high))
-            # The sparse sample sorts out most of them; its worst case is never above the dense one's.
+            # The sparse sample sorts out most of them; its worst case is never above that of a closer look.
             likely = problem.worst_below(near, np.full(near.shape[0], value))
             better = False
             for index in np.argsort(likely, kind="stable"):
                 if not likely[index] < value:
                     break
-                dense = float(problem.worst_below(near[index][None, :], np.array([value]), dense=True)[0])
-                if dense < value:
-                    tuning, value, better = near[index], dense, True
+                closer = judged(near[index], value)
+                if closer < value:
+                    tuning, value, better = near[index], closer, True
                     break
             if not better:
                 break

@@ -1,0 +1,162 @@
+"""The search for the least worst case within the digits, from the best tunings that the searches for J have passed.
+
+The landscape of worst cases has many valleys, and more so the longer the run and the more noise is in it. A plane of
+one or two free parameters is searched without a gap where that is affordable (`sieve`), and otherwise, as three
+dimensions are, from many starts.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from workbench.model.record import FloatArray
+from workbench.tune.problem import Problem, stopper
+from workbench.tune.scan import Population, evolve, sized, spread
+from workbench.tune.sieve import Sieved, sieve
+
+__all__ = ["Worst", "least_worst"]
+
+ISLAND_FRESH, ISLAND_GENERATIONS = 20, 60
+# Members and generations in three dimensions, and in one or two, where there is time for more.
+JOINT, JOINT_FLAT = (80, 200), (200, 400)
+DENSE_MEMBERS, DENSE_GENERATIONS, DENSE_GAP = 60, 100, 2e-4
+ROUNDS, ROUNDS_FLAT, VALLEYS, GAP = 2, 4, 24, 3e-3
+# Tunings of an unfinished sieve that make a pool of their own.
+SIEVED = 60
+# Samples that each population may simulate at most: some seconds.
+SAMPLES = 150_000_000
+# Samples that a sieve may take, times the cube of the number of restarts: 4 ask for that much certainty, 2 hardly do.
+SIEVE_SAMPLES = 75_000_000
+# Members and generations between the passes of a sieve, the most of its tunings that they start from, and how many
+# they hand back.
+QUICK_MEMBERS, QUICK_GENERATIONS, QUICK_OF, QUICK_ENDS = 60, 40, 2_000, 4
+
+
+@dataclass(frozen=True, eq=False)
+class Worst:
+    """Tunings among which the one of least worst case is, shape (M, 3), and what no worst J of the plane is below.
+
+    bound: -inf where the search was not of every neighbourhood.
+    """
+
+    tunings: FloatArray
+    bound: float = -math.inf
+
+
+@dataclass(eq=False)
+class _Search:
+    """Populations on one problem, and every improvement that they have passed."""
+
+    problem: Problem
+    scale: float
+    check: Callable[[], None]
+    points: list[FloatArray] = field(default_factory=list)
+    values: list[FloatArray] = field(default_factory=list)
+
+    def keep(self, points: FloatArray, values: FloatArray) -> None:
+        self.points.append(points)
+        self.values.append(values)
+
+    def evolve(
+        self, start: FloatArray, generations: int, rng: np.random.Generator, *, dense: bool = False
+    ) -> Population:
+        """A population of points of the unit cube, shape (M, D), for the sparsely or densely sampled worst case."""
+        problem = self.problem
+        return evolve(
+            lambda x, ceilings: problem.worst_below(problem.rounded(problem.tunings(x)), ceilings, dense=dense),
+            start,
+            sized(generations, self.scale),
+            rng,
+            stop=stopper(problem, problem.work.simulated + SAMPLES, self.check),
+            keep=self.keep if not dense else None,
+        )
+
+    def best(self, count: int, gap: float, first: int = 0) -> FloatArray:
+        """The best points passed since the `first` call of `keep`, apart from each other, shape (M, D)."""
+        points, values = np.concatenate(self.points[first:]), np.concatenate(self.values[first:])
+        return points[spread(points, values, count, gap)]
+
+    def quick(self, tunings: FloatArray, rng: np.random.Generator) -> FloatArray:
+        """Better tunings than the best of some, shape (M, 3) -> (QUICK_ENDS, 3), at the digits to type in."""
+        some = self.problem.rounded(tunings[:QUICK_OF])
+        start = self.problem.cube(some)
+        least = self.problem.worst_below(some, np.full(some.shape[0], np.inf))
+        start = start[spread(start, least, QUICK_MEMBERS, DENSE_GAP)]
+        if not start.shape[0]:
+            return some[:1]
+        end = self.evolve(start, QUICK_GENERATIONS, rng).points[:QUICK_ENDS]
+        return self.problem.rounded(self.problem.tunings(end))
+
+
+def least_worst(
+    problem: Problem,
+    pools: list[FloatArray],
+    seed: list[int],
+    scale: float,
+    restarts: int,
+    check: Callable[[], None],
+    ceiling: float = math.inf,
+) -> Worst:
+    """Search for the least worst case, from the pools of all restarts, at the digits to type in.
+
+    Each pool is searched by itself, then the best of all together, and all of that some times, each from other members
+    of the pools; a sieved plane needs none of that. So far with few points of each neighbourhood; from the best at last
+    with many. ceiling: a worst J known from elsewhere, above which a tuning of the plane is of no interest.
+    """
+    search = _Search(problem, scale, check)
+    bound = -math.inf
+    # A tuning may keep a margin that another in its neighbourhood misses: a run there says nothing of it.
+    plain = not problem.nominal and problem.constraints is None
+    left = _sieved(search, pools, seed, SIEVE_SAMPLES * restarts**3, ceiling) if plain else None
+    if left is not None and left.whole:
+        bound = left.least
+        start = problem.rounded(left.tunings)
+        search.keep(problem.cube(start), problem.worst_below(start, np.full(start.shape[0], np.inf)))
+        _together(search, np.random.default_rng([*seed, 0]), 0)
+    else:
+        if left is not None:
+            some = spread(problem.cube(left.tunings), left.bounds, SIEVED, GAP)
+            pools = [*pools, left.tunings[some]]
+        _islands(search, pools, seed)
+    rng = np.random.default_rng([*seed, ROUNDS_FLAT])
+    best = search.best(sized(DENSE_MEMBERS, scale), DENSE_GAP)
+    if not best.size:
+        return Worst(problem.rounded(np.concatenate(pools)))
+    population = search.evolve(best, DENSE_GENERATIONS, rng, dense=True)
+    tunings = problem.tunings(np.concatenate([population.points, search.best(VALLEYS, GAP)]))
+    return Worst(tunings, bound)
+
+
+def _islands(search: _Search, pools: list[FloatArray], seed: list[int]) -> None:
+    """Search each pool by itself, then the best of all together; each round from other members of the pools."""
+    problem = search.problem
+    rounds = ROUNDS_FLAT if problem.free.size <= 2 else ROUNDS
+    for k in range(rounds):
+        rng = np.random.default_rng([*seed, k])
+        first = len(search.points)
+        for pool in [problem.guesses(), *pools]:
+            fresh = rng.random((ISLAND_FRESH, problem.free.size))
+            search.evolve(np.concatenate([problem.cube(pool[k::rounds]), fresh]), ISLAND_GENERATIONS, rng)
+        _together(search, rng, first)
+
+
+def _together(search: _Search, rng: np.random.Generator, first: int) -> None:
+    """Search from the best of what has been passed since the `first` call of `_Search.keep`."""
+    members, generations = JOINT_FLAT if search.problem.free.size <= 2 else JOINT
+    best = search.best(sized(members, search.scale), GAP, first)
+    if best.size:
+        search.evolve(best, generations, rng)
+
+
+def _sieved(search: _Search, pools: list[FloatArray], seed: list[int], most: float, ceiling: float) -> Sieved:
+    """The plane, or the space, sieved under the best that one quick population makes of the pools."""
+    problem, rng = search.problem, np.random.default_rng([*seed, ROUNDS_FLAT + 1])
+    start = search.quick(np.concatenate([problem.guesses(), *pools]), rng)
+    worst = problem.spread(start, np.full(start.shape[0], np.inf))
+    best = start[int(np.argmin(worst))]
+    stop = stopper(problem, 2**62, search.check)
+    return sieve(problem, best, min(float(worst.min()), ceiling), lambda some: search.quick(some, rng), most, stop)
