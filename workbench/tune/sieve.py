@@ -28,7 +28,7 @@ __all__ = ["Sieved", "sieve"]
 # and what the first passes cost tells early whether the whole plane is within the budget.
 STRIDES, STRIDES_3 = (16, 8, 4, 2, 1), (64, 32, 16)
 # Early passes cost more per point, as less is known: so many times the budget may they predict.
-DEAR = {64: 3.0, 32: 1.5}, {16: 3.0, 8: 1.5}
+DEAR = {64: 2.0}, {16: 2.0, 8: 1.2}
 # Kc and Td may start at 0, where a relative neighbourhood has no width: from this share of the upper bound, or of the
 # best tuning known.
 LEAST, LEAST_KNOWN = 1e-3, 0.1
@@ -108,8 +108,8 @@ def sieve(
                 if stop():
                     return left
                 left.add(problem, *(_windows(problem, points, left.ceiling) if flat else (points, costs)))
-        left.reach(problem, improved(left.tunings))
         price = (problem.work.simulated - first) / (_count(axes, stride) - done)
+        left.reach(problem, improved(left.tunings))
         done = _count(axes, stride)
     left.whole = flat
     return left

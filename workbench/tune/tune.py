@@ -69,8 +69,8 @@ def tune(
 
     The controller keeps its form, structure, filter and limits; bounds are in its own form, and equal ends fix a
     parameter. Its present tuning must lie within the bounds of the parameters that are free. digits: significant
-    digits (1..12) of the numbers to type in, 4 by default. restarts: independent global searches (1..100), with whose
-    third power the effort grows that is spent on leaving no valley out (`Tuned.worst_bound`). guard: least
+    digits (1..12) of the numbers to type in, 4 by default. restarts: independent global searches (1..100); with 3 or
+    more, some seconds for each are also spent on leaving no valley out (`Tuned.worst_bound`). guard: least
     distance (0..0.5) to keep from a stick/slip decision in the refinement, relative to the valve's (S + J)/2. margin:
     relative change (0..0.2) of each parameter against which the worst J is minimised; half a last digit is always
     covered. progress: called with a phase in words and the share done (0..1).

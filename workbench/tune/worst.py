@@ -29,11 +29,13 @@ ROUNDS, ROUNDS_FLAT, VALLEYS, GAP = 2, 4, 24, 3e-3
 SIEVED = 60
 # Samples that each population may simulate at most: some seconds.
 SAMPLES = 150_000_000
-# Samples that a sieve may take, times the cube of the number of restarts: 4 ask for that much certainty, 2 hardly do.
-SIEVE_SAMPLES = 75_000_000
+# Samples that a sieve may take for each restart, some seconds; fewer than so many restarts ask for a quick answer.
+SIEVE_SAMPLES, SIEVE_RESTARTS = 1_900_000_000, 3
 # Members and generations between the passes of a sieve, the most of its tunings that they start from, and how many
 # they hand back.
 QUICK_MEMBERS, QUICK_GENERATIONS, QUICK_OF, QUICK_ENDS = 60, 40, 2_000, 4
+# Powers of ten of how far a start's surroundings reach, in the unit cube.
+AROUND = (-4.0, -1.5)
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,6 +90,10 @@ class _Search:
         start = start[spread(start, least, QUICK_MEMBERS, DENSE_GAP)]
         if not start.shape[0]:
             return some[:1]
+        # Few starts are surrounded, nearer and further, so that a population can move at all.
+        fill = rng.integers(start.shape[0], size=QUICK_MEMBERS - start.shape[0])
+        around = rng.normal(size=(fill.size, start.shape[1])) * 10.0 ** rng.uniform(*AROUND, (fill.size, 1))
+        start = np.concatenate([start, np.clip(start[fill] + around, 0.0, 1.0)])
         end = self.evolve(start, QUICK_GENERATIONS, rng).points[:QUICK_ENDS]
         return self.problem.rounded(self.problem.tunings(end))
 
@@ -110,8 +116,8 @@ def least_worst(
     search = _Search(problem, scale, check)
     bound = -math.inf
     # A tuning may keep a margin that another in its neighbourhood misses: a run there says nothing of it.
-    plain = not problem.nominal and problem.constraints is None
-    left = _sieved(search, pools, seed, SIEVE_SAMPLES * restarts**3, ceiling) if plain else None
+    sure = restarts >= SIEVE_RESTARTS and not problem.nominal and problem.constraints is None
+    left = _sieved(search, pools, seed, SIEVE_SAMPLES * restarts, ceiling) if sure else None
     if left is not None and left.whole:
         bound = left.least
         start = problem.rounded(left.tunings)
