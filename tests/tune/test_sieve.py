@@ -82,7 +82,8 @@ def test_every_neighbourhood_of_an_axis_holds_a_point_of_the_grid(digits: int, m
 
 def test_the_passes_have_every_point_of_the_grid_once() -> None:
     axes = [np.arange(37.0), np.arange(53.0)]
-    passed = [part for before, stride in pairwise((0, 16, 8, 4, 2, 1)) for part in _parts(axes, stride, before)]
+    strides = pairwise((0, 16, 8, 4, 2, 1))
+    passed = [part for before, stride in strides for part in _parts(axes, stride, before, 100)]
     points = np.concatenate(passed)
     assert points.shape == (37 * 53, 2)
     assert np.unique(points, axis=0).shape == points.shape

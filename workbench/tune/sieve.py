@@ -34,8 +34,9 @@ DEAR = {64: 2.0}, {16: 2.0, 8: 1.2}
 LEAST, LEAST_KNOWN = 1e-3, 0.1
 # Neighbourhoods along one axis at most: a plane of more is beyond any budget.
 FINEST = 20_000
-# Points of one call, and those of them whose finer grids are asked in one.
-POINTS, LOOK = 100_000, 200
+# Points of one call, and samples of plain runs that they may take, after which one that is to stop is asked; and points
+# whose finer grids are asked in one call.
+POINTS, PART_SAMPLES, LOOK = 100_000, 100_000_000, 200
 # The finer grid's steps in a half-width, and so the points of it that every neighbourhood holds in each direction.
 FINE, HELD = 2, 4
 # Tunings whose own worst case is looked at after each call: what they reach is the next ceiling.
@@ -103,7 +104,7 @@ def sieve(
         if spent() + problem.price * price * (whole - done) > most * DEAR[flat].get(stride, 1.0):
             return left
         first = problem.work.simulated
-        for part in _parts(axes, stride, before):
+        for part in _parts(axes, stride, before, min(POINTS, PART_SAMPLES / problem.samples / problem.price)):
             for points, costs in _survivors(problem, part, left.ceiling):
                 if stop():
                     return left
@@ -132,9 +133,12 @@ def _count(axes: list[FloatArray], stride: int) -> int:
     return math.prod(-(-axis.size // stride) for axis in axes)
 
 
-def _parts(axes: list[FloatArray], stride: int, before: int) -> Iterator[FloatArray]:
-    """The points of one stride that those of the one before (0: none) have not, shape (M, parameters), in parts."""
-    rows = max(1, POINTS // math.prod(-(-axis.size // stride) for axis in axes[1:]))
+def _parts(axes: list[FloatArray], stride: int, before: int, count: float) -> Iterator[FloatArray]:
+    """The points of one stride that those of the one before (0: none) have not, shape (M, parameters), in parts.
+
+    count: about how many points a part has, new ones or not.
+    """
+    rows = max(1, int(count) // math.prod(-(-axis.size // stride) for axis in axes[1:]))
     first = np.arange(0, axes[0].size, stride)
     for begin in range(0, first.size, rows):
         along = (first[begin : begin + rows], *(np.arange(0, axis.size, stride) for axis in axes[1:]))
