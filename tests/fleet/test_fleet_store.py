@@ -6,15 +6,21 @@ import csv
 import errno
 import io
 import math
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 import pyarrow.parquet as pq
 import pytest
 
 from workbench.errors import OutputError
+from workbench.fleet import run as runs
 from workbench.fleet import store as stores
+from workbench.fleet.loops import Sources
 from workbench.fleet.store import Store, fleet_csv, read_rows
-from workbench.model.fleet import FleetRow, Settings
+from workbench.fleet.task import Result
+from workbench.model.fleet import FleetRow, LoopSource, Settings, Tuning
 
 SITE = "a folder of records"
 ROWS = [
@@ -38,7 +44,7 @@ def test_rows_come_back_as_they_were(tmp_path: Path) -> None:
     for row in ROWS:
         store.add(row)
     store.flush()
-    (part,) = (tmp_path / "parts").iterdir()
+    (part,) = (tmp_path / "parts").glob("part-*")
     rows, _ = read_rows(part)
     assert all(same(a, b) for a, b in zip(rows, ROWS, strict=True))
 
@@ -54,7 +60,7 @@ def test_an_interrupted_run_goes_on_and_no_row_is_there_twice(tmp_path: Path) ->
     for row in (ROWS[0], ROWS[1]):
         again.add(row)
     again.flush()
-    assert sorted(path.name for path in (tmp_path / "parts").iterdir()) == [
+    assert sorted(path.name for path in (tmp_path / "parts").glob("part-*")) == [
         "part-000001.parquet",
         "part-000002.parquet",
     ]
@@ -87,7 +93,49 @@ def test_without_resume_a_run_begins_anew(tmp_path: Path) -> None:
     fresh = Store(tmp_path, SITE, Settings(), resume=False)
     assert not fresh.done
     assert fresh.dropped == 1
-    assert not list((tmp_path / "parts").iterdir())
+    assert not list((tmp_path / "parts").glob("part-*"))
+
+
+def test_rows_of_a_former_whole_run_are_not_those_of_an_interrupted_new_one(tmp_path: Path) -> None:
+    # Every morning into one folder: what --resume goes on with is this morning's run, not yesterday's.
+    Store(tmp_path, SITE, Settings(), resume=False).finish(ROWS, {}, ())
+    assert set(Store(tmp_path, SITE, Settings(), resume=True).done) == {"a", "b", "c"}
+    Store(tmp_path, SITE, Settings(), resume=False)  # killed before its first row
+    assert not Store(tmp_path, SITE, Settings(), resume=True).done
+    today = Store(tmp_path, SITE, Settings(), resume=True)
+    today.add(replace(ROWS[0], stiction=3.0))
+    today.flush()
+    again = Store(tmp_path, SITE, Settings(), resume=True)
+    assert [row.stiction for row in again.done.values()] == [3.0]
+    again.finish(ROWS, {}, ())
+    assert not (tmp_path / "parts").exists()
+
+
+def test_a_run_goes_on_with_the_rows_that_still_hold(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    looked: list[str] = []
+
+    class Engine:
+        def run(self, loops: Iterable[LoopSource]) -> Iterator[Result]:
+            for loop in loops:
+                looked.append(loop.name)
+                yield Result(FleetRow.failure(loop, loop.refusal) if loop.refusal else FleetRow(loop.name))
+
+    @contextmanager
+    def engine(*_: object) -> Iterator[Engine]:
+        yield Engine()
+
+    monkeypatch.setattr(runs, "_engine", engine)
+
+    def run(*loops: LoopSource) -> int:
+        looked.clear()
+        return runs.run_fleet(Sources("x", SITE, loops), tmp_path, Settings(), resume=True).resumed
+
+    good, wrong, tuned = LoopSource("a", "a.csv"), LoopSource("b", refusal="not there"), LoopSource("c", "c.csv")
+    assert run(good, wrong, tuned) == 0
+    # What failed, perhaps because of an entry that is mended since, and what has another entry: its tuning was added.
+    assert run(good, replace(wrong, path="b.csv", refusal=""), replace(tuned, tuning=Tuning(0.5, 20.0))) == 1
+    assert looked == ["b", "c"]
+    assert not any(row.failed for row in read_rows(tmp_path / "fleet.parquet")[0])
 
 
 def test_other_settings_are_not_resumed(tmp_path: Path) -> None:
@@ -121,7 +169,7 @@ def test_a_row_of_another_version_keeps_what_is_known(tmp_path: Path) -> None:
     store = Store(tmp_path, SITE, Settings(), resume=False)
     store.add(ROWS[0])
     store.flush()
-    (part,) = (tmp_path / "parts").iterdir()
+    (part,) = (tmp_path / "parts").glob("part-*")
     table = pq.read_table(part)
     import pyarrow as pa
 

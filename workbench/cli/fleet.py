@@ -161,9 +161,10 @@ def _lines(outcome: Outcome, out: Path) -> Iterator[str]:
         yield f"{counted(outcome.resumed, 'loop')} had been looked at before"
     sticky = [row for row in site.rows if row.sticks]
     many = len(site.looked_at)
-    rate = (many + len(site.failures) - outcome.resumed) / max(outcome.seconds, 1e-9)
+    fresh = many + len(site.failures) - outcome.resumed
+    took = f" in {outcome.seconds:.1f} s ({fresh / max(outcome.seconds, 1e-9):.1f} a second)" if fresh else ""
     yield (
-        f"{counted(many, 'loop')} looked at in {outcome.seconds:.1f} s ({rate:.1f} a second): "
+        f"{counted(many, 'loop')} looked at{took}: "
         f"{counted(sum(row.oscillates for row in site.looked_at), 'oscillates', 'oscillate')}, "
         f"{counted(len(sticky), 'shows', 'show')} stiction, "
         f"{counted(len(site.groups), 'group oscillates', 'groups oscillate')} together"

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import platform
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Protocol
 
@@ -75,7 +76,8 @@ def run_fleet(
     """Look at every loop of `sources` and write the report, fleet.parquet, fleet.csv and loops/ into `folder`.
 
     workers: processes of the embedded engine; scheduler: address of a Dask scheduler to use in its place. resume: keep
-    the rows that an interrupted run with the same settings left. previous: an earlier run's folder, or its
+    the rows that an interrupted run with the same settings left, but for loops that could not be looked at and those of
+    which the source now says something else. previous: an earlier run's folder, or its
     fleet.parquet, to compare with. progress: called with (loops done, loops, loops failed). Rows come in parts as they
     are found; the rest is written once all are there. Raises `OutputError`, and what the engines raise when nothing can
     start.
@@ -85,12 +87,11 @@ def run_fleet(
     former = None if previous is None else _former(previous)
     store = Store(folder, sources.shown, settings, resume)
     loops = sources.loops
-    names = {loop.name for loop in loops}
-    store.done = {name: row for name, row in store.done.items() if name in names}
+    marks = {loop.name: _mark(loop) for loop in loops}
+    store.done = {name: row for name, row in store.done.items() if not row.failed and row.entry == marks.get(name)}
     resumed = len(store.done)
     todo = [loop for loop in loops if loop.name not in store.done]
-    failed = sum(row.failed for row in store.done.values())
-    count = resumed
+    count, failed = resumed, 0
     tell(count, len(loops), failed)
     if todo:
         with _engine(min(workers, len(todo)), settings, limits or Limits(), scheduler) as engine:
@@ -98,7 +99,7 @@ def run_fleet(
                 for result in engine.run(todo):
                     if result.page:
                         store.page(page_name(result.row.name), result.page)
-                    store.add(result.row)
+                    store.add(replace(result.row, entry=marks[result.row.name]))
                     count, failed = count + 1, failed + result.row.failed
                     tell(count, len(loops), failed)
             finally:
@@ -131,6 +132,11 @@ def run_fleet(
     }
     store.finish(rows, texts, {page_name(name) for name in pages})
     return Outcome(site, resumed, store.dropped, seconds)
+
+
+def _mark(loop: LoopSource) -> str:
+    """Return a mark of all that the source says of a loop."""
+    return hashlib.sha256(repr(loop).encode()).hexdigest()[:16]
 
 
 def _silent(done: int, total: int, failed: int) -> None:

@@ -29,9 +29,10 @@ __all__ = ["MARK", "ROWS", "Store", "fleet_csv", "read_rows"]
 ROWS = "fleet.parquet"
 PARTS = "parts"
 BATCH, PATIENCE = 64, 5.0  # rows, and s, after which a part is written
+ANEW = "anew"  # beside the parts of a run that goes on from no whole one
 MARK = b"workbench.fleet"  # of a Parquet file of rows: its metadata say what was asked
-# Not for people: phases and trends.
-_HIDDEN = ("phase_step", "phase_first", "phases", "trend", "trend_hours")
+# Not for people: the mark of the entry, phases and trends.
+_HIDDEN = ("entry", "phase_step", "phase_first", "phases", "trend", "trend_hours")
 
 
 def _schema(asked: str) -> Any:
@@ -85,8 +86,8 @@ class Store:
     """The folder of a run: done holds the rows that are safely there, by name.
 
     source: the site, as it was named; a loop of another site may have the same name. resume: go on with what the folder
-    holds of a run of that with the same settings, else begin anew. Raises `OutputError` for
-    a folder that cannot be written, or holds another run to resume.
+    holds of the latest run of that with the same settings, else begin anew. Raises `OutputError` for a folder that
+    cannot be written, or holds another run to resume.
     """
 
     def __init__(self, folder: Path, source: str, settings: Settings, resume: bool) -> None:
@@ -99,12 +100,16 @@ class Store:
             (folder / PARTS).mkdir(parents=True, exist_ok=True)
             for spare in (folder / PARTS).glob(".*.tmp"):
                 spare.unlink()
+            # A whole run's files stay until the next one is whole, which does not make its rows this one's.
+            anew = folder / PARTS / ANEW
+            if not resume:
+                anew.touch()
         except OSError as error:
             raise OutputError(f"{folder}: cannot be written ({error.strerror or error})") from None
         parts = sorted((folder / PARTS).glob("part-*.parquet"))
         if resume:
             whole = folder / ROWS
-            for path in [*([whole] if whole.is_file() else []), *parts]:
+            for path in [*([whole] if whole.is_file() and not anew.exists() else []), *parts]:
                 self._take(path)
         else:
             for path in parts:
@@ -120,7 +125,7 @@ class Store:
                 "those, or leave --resume out to begin anew"
             )
         for row in rows:
-            self.done.setdefault(row.name, row)
+            self.done[row.name] = row  # the latest, where a loop was looked at again
 
     def add(self, row: FleetRow) -> None:
         """Take a row, and write a part where it is time. Raises `OutputError` (such as a full disk)."""
@@ -165,15 +170,16 @@ class Store:
         self._write(rows, self.folder / ROWS)
         write_files(texts, self.folder)
         former = [path for path in (self.folder / "loops").glob("*.html") if path.name not in pages]
-        for path in [*(self.folder / PARTS).glob("part-*.parquet"), *former]:
+        parts = self.folder / PARTS
+        for path in [*parts.glob("part-*.parquet"), parts / ANEW, *former]:
             with suppress(OSError):
                 path.unlink()
         with suppress(OSError):
-            (self.folder / PARTS).rmdir()
+            parts.rmdir()
 
 
 def fleet_csv(rows: Iterable[FleetRow]) -> str:
-    """Return the rows as CSV, without phases and trends; a text that a spreadsheet takes for a formula is quoted."""
+    """Return the rows as CSV, without what is not for people; text that a spreadsheet takes for a formula is quoted."""
     names = [one.name for one in fields(FleetRow) if one.name not in _HIDDEN]
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")

@@ -90,7 +90,8 @@ class FleetRow:
     with the former over that with the latter; hint: why the proposal is no more than one, "" where it is.
 
     phase_step (s), phase_first and phases (a byte each, 256 to a turn): the phase of PV's oscillation at the instants
-    `phase_step (phase_first + i)` of the data's clock. trend: PV of the latest cycles, a byte each.
+    `phase_step (phase_first + i)` of the data's clock. trend: PV of the latest cycles, a byte each. entry: a mark of
+    what the source said of the loop, by which a run that goes on knows a row that still holds.
     """
 
     name: str
@@ -141,6 +142,7 @@ class FleetRow:
     phase_first: int = 0
     phases: bytes = b""
     trend: bytes = b""
+    entry: str = ""
 
     @property
     def failed(self) -> bool:
