@@ -213,6 +213,15 @@ def test_the_value_of_repair_stands_in_the_study() -> None:
 
 
 def test_without_a_search_among_the_cases_one_is_made(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked = quickened(monkeypatch)
+    study = run_scenario(read(REPAIR))
+    assert asked == [None]
+    assert study.repair is not None
+    assert study.repair.best.objective < study.repair.present.objective
+
+
+def quickened(monkeypatch: pytest.MonkeyPatch) -> list[object]:
+    """Make the value of repair in one search each; return what it was given as `tuned`, as it comes."""
     asked: list[object] = []
     true_value = runner.value_of_repair
 
@@ -221,10 +230,17 @@ def test_without_a_search_among_the_cases_one_is_made(monkeypatch: pytest.Monkey
         return true_value(*args, tuned=None, restarts=1, **kwargs)  # type: ignore[arg-type]
 
     monkeypatch.setattr(runner, "value_of_repair", quick)
-    study = run_scenario(read(REPAIR))
+    return asked
+
+
+def test_a_search_of_the_repair_stays_within_the_bounds_of_robust_tunings(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked = quickened(monkeypatch)
+    tune = "{robust: {draws: 4}, bounds: {Kc: [0.2, 1.2], Ti: [5 s, 30 s]}, Td: 0 s, restarts: 1}"
+    study = run_scenario(read(f"{REPAIR}  - {{name: R, tune: {tune}}}\n"))
     assert asked == [None]
     assert study.repair is not None
-    assert study.repair.best.objective < study.repair.present.objective
+    bounds = wb.Bounds((0.2, 1.2), (5.0, 30.0), (0.0, 0.0))
+    assert study.repair.tuned.bounds == study.repair.tuned_repaired.bounds == bounds
 
 
 def test_repair_is_not_asked_of_what_does_not_stick(tmp_path: Path) -> None:

@@ -10,6 +10,7 @@ from workbench.model.plant import FOPDT
 from workbench.model.results import Robustness, Tuned
 from workbench.model.study import CaseResult, Study
 from workbench.report.judge import over_budget
+from workbench.report.repair import robust_repair_text
 from workbench.report.settings import settings_words
 from workbench.report.tables import Cell, Row, Table
 from workbench.report.trade import NamedPoint
@@ -23,8 +24,6 @@ __all__ = [
     "named_points",
     "robust_advice",
     "robust_choice",
-    "robust_repair_table",
-    "robust_repair_text",
 ]
 
 NEAR = 1.1  # times the front's error, up to which a case lies on it
@@ -322,59 +321,6 @@ def _only_here(other: CaseResult, case: CaseResult) -> str:
         f"{figure(case.objective)}), and worse over the ensemble: mean square error {figure(a.mse_mean, 3)} EU² at "
         f"valve travel {figure(a.travel_mean, 3)} %."
     )
-
-
-# --- repair ----------------------------------------------------------------------------------------------------
-
-
-def robust_repair_text(study: Study) -> list[str]:
-    """Return what repair is worth over the ensemble, in words."""
-    repair = study.robust_repair
-    if repair is None:
-        return []
-    best, repaired = repair.best, repair.best_repaired
-    ours = controller_words(best.loop.controller, repair.tuned.digits)
-    theirs = controller_words(repaired.loop.controller, repair.tuned_repaired.digits)
-    text = [
-        (
-            f"Over {best.ensemble.draws:,} draws of the ensemble: with a repaired valve at the present tuning the mean "
-            f"square error is {figure(repair.repaired.mse_mean, 3)} EU² instead of "
-            f"{figure(repair.present.mse_mean, 3)} EU², valve travel {figure(repair.repaired.travel_mean, 3)} % "
-            f"instead of {figure(repair.present.travel_mean, 3)} % (means)."
-        ),
-        (
-            f"The best robust tuning of the sticky valve ({ours}) leaves {figure(best.mse_mean, 3)} EU², that of the "
-            f"repaired one ({theirs}) {figure(repaired.mse_mean, 3)} EU²: {figure(100.0 * repair.share, 2)} % of the "
-            "error goes only with the repair, whatever tuning keeps the constraints."
-        ),
-    ]
-    if not repair.tuned_repaired.status.success:
-        text.append(f"The search with the repaired valve ended as “{repair.tuned_repaired.status.value}”.")
-    return text
-
-
-def robust_repair_table(study: Study) -> Table | None:
-    """Return the four outcomes over the ensemble."""
-    repair = study.robust_repair
-    if repair is None:
-        return None
-    four = (repair.present, repair.repaired, repair.best, repair.best_repaired)
-    digits = (None, None, repair.tuned.digits, repair.tuned_repaired.digits)
-    heads = ("present tuning, sticky", "present tuning, repaired", "best robust, sticky", "best robust, repaired")
-    rows = (
-        Row(
-            "Settings",
-            "",
-            tuple(Cell(controller_words(r.loop.controller, d)) for r, d in zip(four, digits, strict=True)),
-        ),
-        Row("Mean square error, median", "EU²", tuple(Cell(figure(r.mse_median, 3)) for r in four), group=True),
-        Row("90th percentile", "EU²", tuple(Cell(figure(r.mse_p90, 3)) for r in four)),
-        Row("mean", "EU²", tuple(Cell(figure(r.mse_mean, 3)) for r in four)),
-        Row("Valve travel, median", "%", tuple(Cell(figure(r.travel_median, 3)) for r in four)),
-        Row("mean", "%", tuple(Cell(figure(r.travel_mean, 3)) for r in four)),
-        Row("Ms at the worst corner", "", tuple(Cell(figure(r.max_sensitivity, 3)) for r in four)),
-    )
-    return Table(heads, rows)
 
 
 # --- advice ----------------------------------------------------------------------------------------------------

@@ -31,11 +31,9 @@ from workbench.report.over_ensemble import (
     front_table,
     front_text,
     named_points,
-    robust_repair_table,
-    robust_repair_text,
 )
 from workbench.report.plain_truth import map_points, map_text
-from workbench.report.repair import repair_tables, repair_text
+from workbench.report.repair import repair_tables, repair_text, robust_repair_table, robust_repair_text
 from workbench.report.results import cases_csv, results_json, run_json
 from workbench.report.settings import site_table
 from workbench.report.shared import loop_lines

@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable
 from functools import partial
 
+from workbench.model.front import RobustRepair
 from workbench.model.results import Outcome, Repair
 from workbench.model.study import CaseResult, Study
 from workbench.model.titles import KPI_ROWS
@@ -14,7 +15,7 @@ from workbench.report.standing import held_by_stiction
 from workbench.report.tables import Cell, Row, Table, shown
 from workbench.report.words import change, controller_words, figure, setting
 
-__all__ = ["repair_sentence", "repair_tables", "repair_text"]
+__all__ = ["repair_sentence", "repair_tables", "repair_text", "robust_repair_table", "robust_repair_text"]
 
 FIGURES = ("error_variance", "mean_square_error", "valve_travel", "controller_travel", "reversals", "iae")
 WORTH_NAMING = 0.05  # share of the error below which repair is not said to remove anything
@@ -143,3 +144,65 @@ def repair_sentence(study: Study) -> str:
     text += f"{figure(now.mean_square_error)} EU² instead of {figure(was.mean_square_error)} EU², valve travel "
     text += f"{figure(now.valve_travel)} % instead of {figure(was.valve_travel)} %."
     return f"{text} {_limit(study, repair)}"
+
+
+def robust_repair_text(study: Study) -> list[str]:
+    """Return what repair is worth over the ensemble, in words."""
+    repair = study.robust_repair
+    if repair is None:
+        return []
+    best, repaired = repair.best, repair.best_repaired
+    ours = controller_words(best.loop.controller, repair.tuned.digits)
+    theirs = controller_words(repaired.loop.controller, repair.tuned_repaired.digits)
+    text = [
+        (
+            f"Over {best.ensemble.draws:,} draws of the ensemble: with a repaired valve at the present tuning the mean "
+            f"square error is {figure(repair.repaired.mse_mean, 3)} EU² instead of "
+            f"{figure(repair.present.mse_mean, 3)} EU², valve travel {figure(repair.repaired.travel_mean, 3)} % "
+            f"instead of {figure(repair.present.travel_mean, 3)} % (means)."
+        ),
+        (
+            f"The best robust tuning of the sticky valve ({ours}) leaves {figure(best.mse_mean, 3)} EU², that of the "
+            f"repaired one ({theirs}) {figure(repaired.mse_mean, 3)} EU²: {_that_goes(repair)}"
+        ),
+    ]
+    if not repair.tuned_repaired.status.success:
+        text.append(f"The search with the repaired valve ended as “{repair.tuned_repaired.status.value}”.")
+    return text
+
+
+def _that_goes(repair: RobustRepair) -> str:
+    """Say what share of the error goes only with the repair, and what a cap on travel makes of that."""
+    text = f"{figure(100.0 * repair.share, 2)} % of the error goes only with the repair, whatever tuning keeps the "
+    text = f"{text}constraints." if repair.share > 0.0 else "within the constraints a repair lessens no error."
+    asked = repair.tuned.constraints
+    if asked is None or asked.valve_travel is None:
+        return text
+    text += f" Of these both keep to a mean valve travel of {figure(asked.valve_travel, 3)} %"
+    if repair.best.ensemble.noise[1] == 0.0:
+        return f"{text}."
+    return f"{text}, which the repaired valve spends on the noise as well: it follows it, where a sticking stem rests."
+
+
+def robust_repair_table(study: Study) -> Table | None:
+    """Return the four outcomes over the ensemble."""
+    repair = study.robust_repair
+    if repair is None:
+        return None
+    four = (repair.present, repair.repaired, repair.best, repair.best_repaired)
+    digits = (None, None, repair.tuned.digits, repair.tuned_repaired.digits)
+    heads = ("present tuning, sticky", "present tuning, repaired", "best robust, sticky", "best robust, repaired")
+    rows = (
+        Row(
+            "Settings",
+            "",
+            tuple(Cell(controller_words(r.loop.controller, d)) for r, d in zip(four, digits, strict=True)),
+        ),
+        Row("Mean square error, median", "EU²", tuple(Cell(figure(r.mse_median, 3)) for r in four), group=True),
+        Row("90th percentile", "EU²", tuple(Cell(figure(r.mse_p90, 3)) for r in four)),
+        Row("mean", "EU²", tuple(Cell(figure(r.mse_mean, 3)) for r in four)),
+        Row("Valve travel, median", "%", tuple(Cell(figure(r.travel_median, 3)) for r in four)),
+        Row("mean", "%", tuple(Cell(figure(r.travel_mean, 3)) for r in four)),
+        Row("Ms at the worst corner", "", tuple(Cell(figure(r.max_sensitivity, 3)) for r in four)),
+    )
+    return Table(heads, rows)

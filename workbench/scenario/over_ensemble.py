@@ -17,7 +17,7 @@ from workbench.tune.ensemble import Circumstances, measured
 from workbench.tune.front import alike, pareto_front
 from workbench.tune.robust import fresh_draws
 
-__all__ = ["best_robust", "front_of", "with_robustness"]
+__all__ = ["best_robust", "front_of", "widest", "with_robustness"]
 
 Progress = Callable[[str, float], None]
 
@@ -65,7 +65,7 @@ def front_of(
         asked = first.tune.constraints
         # A budget is one place on the front, not its end.
         constraints = None if asked is None else replace(asked, valve_travel=None)
-        bounds = _widest([job.tune.bounds for job in robust if job.tune is not None and alike(job.controller, pid)])
+        bounds = widest([job.tune.bounds for job in robust if job.tune is not None and alike(job.controller, pid)])
     return pareto_front(
         present.with_controller(pid),
         ensemble,
@@ -78,12 +78,14 @@ def front_of(
     )
 
 
-def _widest(bounds: Sequence[Bounds]) -> Bounds:
+def widest(bounds: Sequence[Bounds]) -> Bounds | None:
+    """Return bounds that hold all of these, None without any."""
+
     def hull(name: str) -> tuple[float, float]:
         pairs = [getattr(one, name) for one in bounds]
         return min(low for low, _ in pairs), max(high for _, high in pairs)
 
-    return Bounds(hull("Kc"), hull("Ti"), hull("Td"))
+    return Bounds(hull("Kc"), hull("Ti"), hull("Td")) if bounds else None
 
 
 def best_robust(cases: Sequence[CaseResult]) -> Tuned | None:

@@ -33,12 +33,13 @@ from workbench.model.study import CaseResult, NamedEstimate, Study
 from workbench.model.tuning import Objective
 from workbench.scenario.controllers import fitting_action, ruled, wrong_way
 from workbench.scenario.loader import load_scenario
-from workbench.scenario.over_ensemble import best_robust, front_of, with_robustness
+from workbench.scenario.over_ensemble import best_robust, front_of, widest, with_robustness
 from workbench.scenario.plan import CaseJob, EstimateJob, MapJob, Scenario, TuneJob
 from workbench.scenario.robust import constraints_of
 from workbench.scenario.site_cases import nearest_controllers, same_numbers, site_cases, typed_controller
 from workbench.simulate.run import evaluate, simulate
-from workbench.tune.repair import outcome, repair_over, repaired_outcome, value_of_repair
+from workbench.tune.front import alike
+from workbench.tune.repair import outcome, repair_over, repaired_outcome, usual_bounds, value_of_repair
 from workbench.tune.tune import tune
 
 __all__ = ["Progress", "for_plant", "run_scenario", "simulated_record", "tune_case"]
@@ -283,8 +284,12 @@ class _Runner:
         if plan.objective is not None:
             searches = [one for one in searches if one.weights == plan.objective]
         best = min(searches, key=lambda one: one.objective, default=None)
+        # A search of its own stays within what the scenario's tunings, such as robust ones, may set.
+        pid = present.loop.controller
+        asked = widest([j.tune.bounds for j in plan.cases if j.tune is not None and alike(j.controller, pid)])
+        own = usual_bounds(pid, asked)
         with self._stage("value of repair", "analyze.repair", _SHARE["tune"] * (1.0 if searches else 2.0)) as progress:
-            repair = value_of_repair(present.loop, experiment, plan.objective, tuned=best, progress=progress)
+            repair = value_of_repair(present.loop, experiment, plan.objective, own, tuned=best, progress=progress)
         if SolveStatus.INTERRUPTED in (repair.tuned.status, repair.tuned_repaired.status):
             raise KeyboardInterrupt
         # What the site types in is what the best tuning is elsewhere on the page.

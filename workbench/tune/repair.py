@@ -169,13 +169,17 @@ def _ideal(loop: Loop) -> Loop:
     return replace(loop, valve=Ideal(), controller=replace(loop.controller, compensator=None))
 
 
-def usual_bounds(controller: PID) -> Bounds:
-    """Return the default bounds, wide enough for the present tuning; no derivative where that has none."""
-    usual = Bounds()
+def usual_bounds(controller: PID, given: Bounds | None = None) -> Bounds:
+    """Return bounds wide enough for the present tuning: those given, or the default ones.
+
+    The default ones have no derivative where the present tuning has none.
+    """
+    usual = Bounds() if given is None else given
 
     def with_present(name: str) -> tuple[float, float]:
         low, high = getattr(usual, name)
         value = getattr(controller, name)
         return min(low, value), max(high, value)
 
-    return Bounds(with_present("Kc"), with_present("Ti"), (0.0, 0.0) if controller.Td == 0.0 else with_present("Td"))
+    none = given is None and controller.Td == 0.0
+    return Bounds(with_present("Kc"), with_present("Ti"), (0.0, 0.0) if none else with_present("Td"))
