@@ -7,6 +7,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
+from workbench.model.ensemble import Constraints
 from workbench.model.experiment import Experiment, Ramp, Series, Step
 from workbench.model.results import LimitCycle
 from workbench.model.study import CaseResult, Study
@@ -14,6 +15,7 @@ from workbench.report.cycles import by_start, cycle_tables, late_figures
 from workbench.report.judge import last_change
 from workbench.report.plain_truth import lasting
 from workbench.report.summary import summarise
+from workbench.report.words import figure
 from workbench.simulate.run import simulate
 
 Make = Callable[..., Any]
@@ -126,6 +128,19 @@ def test_a_calm_choice_is_told_with_its_cycle_too(study: Study) -> None:
         "Where wear counts more than error: Case 2 (Kc 0.5 %/EU, Ti 200 s) has in this run valve travel 4.013 %" in told
     )
     assert "EU²; once its cycle has set in, 0.0300 to 0.900 EU² at 142 % an hour (where a range stands" in told
+
+
+def test_constraints_of_another_case_that_the_advised_one_breaks_are_named(study: Study) -> None:
+    _, found, best = study.cases
+    assert best.tuned is not None
+    asked = replace(best.tuned, constraints=Constraints(max_sensitivity=1.0001, valve_travel=5.0))
+    told = " ".join(summarise(of(study, study.cases[0], replace(found, tuned=asked), replace(best, tuned=None))).advice)
+    travel = best.run.kpis.valve_travel
+    assert f"Optimised PI does not keep what Case 2 was asked to: valve travel {figure(travel)} % (at most 5 %)" in told
+    assert "Where that must hold: Case 2 (Kc 0.5" in told
+    loose = replace(asked, constraints=Constraints(valve_travel=1000.0))
+    told = " ".join(summarise(of(study, study.cases[0], replace(found, tuned=loose), replace(best, tuned=None))).advice)
+    assert "was asked to" not in told
 
 
 def test_hardly_more_error_for_far_less_wear_is_named(study: Study) -> None:

@@ -260,8 +260,8 @@ def test_repair_over_the_ensemble(robust: Study) -> None:
     capped = replace(repair.tuned, constraints=wb.Constraints(valve_travel=50.0))
     worse = replace(repair.best_repaired, mean_square_error=2.0 * repair.best.mean_square_error)
     told = robust_repair_text(replace(robust, robust_repair=replace(repair, tuned=capped, best_repaired=worse)))[1]
-    assert "EU²: within the constraints a repair lessens no error. Of these both keep to a mean valve travel" in told
-    assert "of 50.0 %, which the repaired valve spends on the noise as well" in told
+    assert "EU²: within the constraints a repair lessens no error. Among them is a mean valve travel" in told
+    assert "of at most 50.0 %: a repaired valve follows the noise" in told
     table = robust_repair_table(robust)
     assert table is not None
     assert len(table.heads) == 4

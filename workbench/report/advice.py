@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from workbench.model.ensemble import Constraints
 from workbench.model.results import Repair
 from workbench.model.study import CascadeResult, CaseResult, Study
 from workbench.report.cycles import (
@@ -32,7 +33,7 @@ from workbench.report.plain_truth import lasting
 from workbench.report.repair import repair_sentence
 from workbench.report.settings import around, beside_words, settings_words, spread
 from workbench.report.standing import held_by_stiction, trap_words
-from workbench.report.words import change, figure, nearby
+from workbench.report.words import change, figure, given, join, nearby
 
 __all__ = ["Advice", "case_advice", "stays_off", "worth_it"]
 
@@ -82,7 +83,7 @@ def case_advice(study: Study) -> Advice:
         best = case
         do += _exactly(study, base, best)
         left += _remaining(study, base, best)
-        do += _less_wear(study, best)
+        do += _asked_elsewhere(study, best) or _less_wear(study, best)
     left += lasting(study, best)
     if study.repair is not None:
         left.append(repair_sentence(study))
@@ -300,6 +301,45 @@ def _less_wear(study: Study, best: CaseResult) -> list[str]:
             f"{figure(theirs.mean_square_error)} EU²{_later(calm)}."
         )
     ]
+
+
+def _asked_elsewhere(study: Study, best: CaseResult) -> list[str]:
+    """Name the constraints of another case's tuning that this one does not keep, and that case beside it."""
+    for case in study.cases:
+        tuned = case.tuned
+        # What a robust tuning keeps to holds over its ensemble, not in this run.
+        if case is best or tuned is None or tuned.ensemble is not None or tuned.constraints is None:
+            continue
+        missed = _missed(best, tuned.constraints)
+        if missed and tuned.status.success and _can_be_set(study, case):
+            ours, theirs = case.run.kpis, best.run.kpis
+            return [
+                (
+                    f"{best.name} does not keep what {case.name} was asked to: {join(missed)}. Where that must hold: "
+                    f"{case.name} ({settings_words(study, case)}), in this run mean square error "
+                    f"{figure(ours.mean_square_error)} EU² instead of {figure(theirs.mean_square_error)} EU², valve travel "
+                    f"{figure(ours.valve_travel)} % instead of {figure(theirs.valve_travel)} %{_later(case)}."
+                )
+            ]
+    return []
+
+
+def _missed(case: CaseResult, asked: Constraints) -> list[str]:
+    """Return which constraints a case does not keep in its run and with an ideal valve, in words."""
+    found = []
+    travel = case.run.kpis.valve_travel
+    if asked.valve_travel is not None and travel > asked.valve_travel:
+        found.append(f"valve travel {figure(travel)} % (at most {given(asked.valve_travel)} %)")
+    if case.standing is None:
+        return found
+    own = case.standing.own
+    if asked.max_sensitivity is not None and own.max_sensitivity > asked.max_sensitivity:
+        found.append(f"Ms {figure(own.max_sensitivity, 3)} (at most {given(asked.max_sensitivity)})")
+    if asked.gain_margin is not None and own.gain_margin < asked.gain_margin:
+        found.append(f"gain margin {figure(own.gain_margin, 3)} (at least {given(asked.gain_margin)})")
+    if asked.phase_margin is not None and own.phase_margin < asked.phase_margin:
+        found.append(f"phase margin {figure(own.phase_margin, 3)}° (at least {given(asked.phase_margin)}°)")
+    return found
 
 
 def _later(case: CaseResult) -> str:

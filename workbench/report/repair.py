@@ -178,10 +178,10 @@ def _that_goes(repair: RobustRepair) -> str:
     asked = repair.tuned.constraints
     if asked is None or asked.valve_travel is None:
         return text
-    text += f" Of these both keep to a mean valve travel of {figure(asked.valve_travel, 3)} %"
+    text += f" Among them is a mean valve travel of at most {figure(asked.valve_travel, 3)} %"
     if repair.best.ensemble.noise[1] == 0.0:
         return f"{text}."
-    return f"{text}, which the repaired valve spends on the noise as well: it follows it, where a sticking stem rests."
+    return f"{text}: a repaired valve follows the noise, which a sticking stem ignores, and uses it up sooner."
 
 
 def robust_repair_table(study: Study) -> Table | None:
