@@ -83,6 +83,12 @@ WRONG = [
     ),
     ("  anti_windup: none", "  scale: 0", "cascade.scale: 0.0 given; must not be 0", "0"),
     ("  anti_windup: none", "  windup: none", "cascade.windup: unknown key (did you mean anti_windup?)", "windup"),
+    (
+        "    valve: {type: stenman, d: 1 %}\n",
+        "    valve: {type: stenman, d: 1 %}\n    fail_open: true\n",
+        "at every sample, and a plant gain of the other sign says fail-open); allowed: plant, controller",
+        "fail_open",
+    ),
     ("    valve: {type: stenman, d: 1 %}\n", "", "cascade.secondary.valve: missing", "plant: {type: fopdt, gain: 1.0"),
     ("    valve: {type: stenman, d: 1 %}", "    valve: {type: kano, S: 1, J: 2}", "cascade.secondary.valve.J: 2", "2}"),
     ("Kc: 1.5, Ti: 80 s}", "Kc: 1.5}", "cascade.primary.controller.Ti: missing", "{Kc: 1.5}"),

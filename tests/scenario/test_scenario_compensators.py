@@ -76,6 +76,11 @@ WRONG = [
     ("{type: integral_deadband, band: -1}", "compensator.band: -1 given; must be above 0", "-1"),
     ("{type: integral_deadband, band: 1, ratio: 0.5}", "compensator.ratio: 0.5 given; must be a number >= 1", "0.5"),
     ("{type: two_move, amplitude: 4, at: 60 s}", "compensator.steady_output: missing", "{"),
+    (
+        "{type: two_move, amplitude: 4, at: 400 s, steady_output: 4}",
+        "compensator.at: 400 s given; must be within the experiment's duration (300 s)",
+        "400",
+    ),
     ("2 %", "compensator: 2 % given; must be a mapping with type", "2"),
 ]
 

@@ -317,8 +317,8 @@ def _asked_elsewhere(study: Study, best: CaseResult) -> list[str]:
                 (
                     f"{best.name} does not keep what {case.name} was asked to: {join(missed)}. Where that must hold: "
                     f"{case.name} ({settings_words(study, case)}), in this run mean square error "
-                    f"{figure(ours.mean_square_error)} EU² instead of {figure(theirs.mean_square_error)} EU², valve travel "
-                    f"{figure(ours.valve_travel)} % instead of {figure(theirs.valve_travel)} %{_later(case)}."
+                    f"{figure(ours.mean_square_error)} EU² instead of {figure(theirs.mean_square_error)} EU², valve "
+                    f"travel {figure(ours.valve_travel)} % instead of {figure(theirs.valve_travel)} %{_later(case)}."
                 )
             ]
     return []

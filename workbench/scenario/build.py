@@ -73,6 +73,8 @@ class Builder:
         plant, valve = self._plant(loop), self._valve(loop)
         self.notes += check_analyses(given, valve, self.refusals)
         experiment = self.experiments.plain(given.experiment)
+        if experiment is not None:
+            self.controllers.duration = experiment.duration
         objective = self.controllers.objective(given.objective, ("objective",))
         ruling: Loop | None = None
         if plant is not None and valve is not None and loop.sample_time is not None and not from_data:

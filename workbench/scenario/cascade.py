@@ -44,6 +44,8 @@ def cascade_scenario(builder: Builder, given: schema.ScenarioFile, entry: schema
         refusals.refuse(("experiment",), "missing; needed to simulate (at least duration and setpoint)")
     builder.controllers.without_range = "a cascade takes its gains per EU"
     experiment = None if given.experiment is None else builder.experiments.of_cascade(given.experiment)
+    if experiment is not None:
+        builder.controllers.duration = experiment.duration
     objective = builder.controllers.objective(given.objective, ("objective",))
     cascade = _Reader(refusals, builder.controllers).cascade(entry)
     jobs: list[CascadeJob] = []

@@ -8,6 +8,7 @@ from functools import partial
 from typing import Any
 
 from workbench.errors import InvalidValue
+from workbench.model.compensator import TwoMove
 from workbench.model.controller import PID, STRUCTURES
 from workbench.model.loop import Loop
 from workbench.model.plant import Plant
@@ -52,12 +53,14 @@ def ruled(loop: Loop, controller: PID, rule: Rule) -> PID:
 class Controllers:
     """Reads controllers and tunings; what is refused goes to `refusals`.
 
-    pv_range: EU, or None; without_range: what is then said of gains that need one.
+    pv_range: EU, or None; without_range: what is then said of gains that need one. duration: of the experiment, s, once
+    it is known.
     """
 
     refusals: Refusals
     pv_range: tuple[float, float] | None
     without_range: str = "needs loop.pv_range: [low, high] in EU"
+    duration: float = math.inf
     gain_refused: bool = field(default=False, init=False)  # one stands at 0 for now: nothing is to be said of that
 
     def keys(self, given: schema.ControllerKeys, path: Path) -> dict[str, Any]:
@@ -146,6 +149,11 @@ class Controllers:
         if controller.compensator is not None:
             under = (*(at if own else ("loop", "controller")), "compensator")
             self.refusals.attempt(under, partial(controller.compensator.check, sample_time))
+            begin = controller.compensator.at if isinstance(controller.compensator, TwoMove) else 0.0
+            if begin > self.duration:
+                # As a step of the experiment that would never come.
+                what = f"{begin:g} s given; must be within the experiment's duration ({self.duration:g} s)"
+                self.refusals.refuse((*under, "at"), what)
         return len(self.refusals.issues) == before
 
     def objective(self, given: schema.Objective | None, path: Path) -> Objective | None:

@@ -18,6 +18,7 @@ from workbench.scenario import units
 from workbench.scenario.build import Builder
 from workbench.scenario.cascade import cascade_scenario
 from workbench.scenario.document import Node, Path, Problem, locate, nearest, parse, plain, spell
+from workbench.scenario.element_entries import Elements
 from workbench.scenario.mend import independent
 from workbench.scenario.plan import Scenario
 from workbench.scenario.schema import ScenarioFile, Tune, Tuning
@@ -147,6 +148,9 @@ def _problem(root: Node, data: object, allowed: dict[int, tuple[str, ...]], erro
             near = " (write it inside tune)"
         elif not near and ("tune" in keys or "rule" in keys) and path[-1] in CASE_KINDS:
             near = " (a case holds Kc and Ti, or a rule, or tune)"
+        elif path[:1] == ("cascade",) and path[-1] in Elements.model_fields:
+            near = " (a single loop's; a cascade's are linear but for the valve and execute at every sample"
+            near += ", and a plant gain of the other sign says fail-open)" if path[-1] == "fail_open" else ")"
         return _placed(root, path, f"unknown key{near}; allowed: {', '.join(keys)}", key=True)
     if kind == "variant":
         key, *variants = str(error["msg"]).split("|")
