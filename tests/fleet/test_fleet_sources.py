@@ -103,6 +103,7 @@ def test_patterns_choose_loops(tmp_path: Path, one) -> None:
     write_tall(tmp_path / "x.parquet", tall("FIC1", one), tall("LIC2", one))
     sources = sources_of(tmp_path)
     assert [loop.name for loop in only(sources, ["L*", "X*"]).loops] == ["LIC2"]
+    assert only(sources, ["L*"]).left_out == {loop.name for loop in sources.loops} - {"LIC2"}
     assert only(sources, []) is sources
     with pytest.raises(InvalidValue, match="matches none of the 2 loops"):
         only(sources, ["fic*"])

@@ -111,7 +111,8 @@ def test_rows_of_a_former_whole_run_are_not_those_of_an_interrupted_new_one(tmp_
     assert not (tmp_path / "parts").exists()
 
 
-def test_a_run_goes_on_with_the_rows_that_still_hold(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def engine_of(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """Put an engine that looks at nothing in the place of the pool; return the names of the loops that it is given."""
     looked: list[str] = []
 
     class Engine:
@@ -125,6 +126,20 @@ def test_a_run_goes_on_with_the_rows_that_still_hold(tmp_path: Path, monkeypatch
         yield Engine()
 
     monkeypatch.setattr(runs, "_engine", engine)
+    return looked
+
+
+def test_loops_that_were_not_asked_for_are_not_gone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    Store(tmp_path / "before", SITE, Settings(), resume=False).finish(ROWS, {}, ())
+    engine_of(monkeypatch)
+    some = Sources("x", SITE, (LoopSource("a", "a.csv"),), left_out=frozenset({"b"}))
+    site = runs.run_fleet(some, tmp_path / "now", Settings(), previous=tmp_path / "before").site
+    assert site.changes is not None
+    assert [(change.name, change.kind) for change in site.changes] == [("a", "better"), ("c", "gone")]
+
+
+def test_a_run_goes_on_with_the_rows_that_still_hold(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    looked = engine_of(monkeypatch)
 
     def run(*loops: LoopSource) -> int:
         looked.clear()

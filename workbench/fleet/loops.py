@@ -27,12 +27,16 @@ OWN = {
 
 @dataclass(frozen=True, eq=False)
 class Sources:
-    """The loops of a site, by name; title: for the report; shown: where they come from; depth: that a manifest asks."""
+    """The loops of a site, by name; title: for the report; shown: where they come from; depth: that a manifest asks.
+
+    left_out: names of further loops that are there and were not asked for.
+    """
 
     title: str
     shown: str
     loops: tuple[LoopSource, ...]
     depth: str | None = None
+    left_out: frozenset[str] = frozenset()
 
 
 def loops_in(path: Path) -> list[LoopSource]:

@@ -84,7 +84,7 @@ def run_fleet(
     """
     begin = time.perf_counter()
     tell = progress if progress is not None else _silent
-    former = None if previous is None else _former(previous)
+    former = None if previous is None else [row for row in _former(previous) if row.name not in sources.left_out]
     store = Store(folder, sources.shown, settings, resume)
     loops = sources.loops
     marks = {loop.name: _mark(loop) for loop in loops}

@@ -47,7 +47,8 @@ def only(sources: Sources, patterns: Sequence[str]) -> Sources:
     kept = tuple(loop for loop in sources.loops if any(fnmatchcase(loop.name, pattern) for pattern in patterns))
     if not kept:
         raise InvalidValue("--include", ", ".join(patterns), f"matches none of the {len(sources.loops)} loops")
-    return replace(sources, loops=kept)
+    left_out = frozenset(loop.name for loop in sources.loops) - {loop.name for loop in kept}
+    return replace(sources, loops=kept, left_out=left_out)
 
 
 def _nothing(loops: tuple[LoopSource, ...], path: Path) -> tuple[LoopSource, ...]:
