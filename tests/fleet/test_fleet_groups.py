@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from workbench.fleet.groups import grouped
+from workbench.fleet.groups import grouped, untold
 from workbench.model.fleet import FleetRow
 
 
@@ -57,6 +57,19 @@ def test_few_cycles_must_be_locked_more_closely() -> None:
 
     assert len(pair(200)) == 1  # 171 cycles
     assert pair(24) == ()  # 20 cycles
+
+
+def test_too_few_cycles_to_tell_is_no_word_of_cycling_alone() -> None:
+    base = wandering(0)
+
+    def names(hours: float, **more: object) -> set[str]:
+        rows = [cycling("a", base, hours=hours), cycling("b", base, period=320.0, hours=9.0, **more)]
+        return set(untold(rows, grouped(rows) if hours > 2.0 else ()))
+
+    assert names(1.0) == {"a", "b"}  # 12 cycles of a
+    assert names(9.0) == set()
+    assert set(untold([cycling("a", base, hours=1.0), cycling("c", base, period=700.0, hours=1.0)], ())) == set()
+    assert set(untold([cycling("a", base, hours=1.0)], ())) == set()
 
 
 def test_the_same_period_alone_is_no_group() -> None:

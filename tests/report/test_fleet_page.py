@@ -232,6 +232,15 @@ def test_evidence_is_told_in_whole_reasons_and_settings_at_their_digits() -> Non
     assert "…" in render_site(Site("A site", "somewhere", Settings(), (long,)))
 
 
+def test_a_loop_of_too_few_cycles_is_not_said_to_follow_no_valve() -> None:
+    found = (FleetRow("FIC1", verdict="no_stiction", oscillates=True, period=600.0, hours=1.0),)
+    page = render_site(Site("x", "y", Settings(), found, untold=frozenset({"FIC1"})))
+    assert "follows no sticking valve" not in page
+    assert "1 loop oscillates over too few recorded cycles to tell whether it does so with another." in page
+    assert "recorded over too few cycles to tell whether together: FIC1." in page
+    assert "follows no sticking valve" in render_site(Site("x", "y", Settings(), found))
+
+
 def test_who_is_undecided_is_not_sent_to_tuning_as_healthy_and_a_hint_is_called_one() -> None:
     hinted = FleetRow(
         "FIC1", verdict="stiction", oscillates=True, period=60.0, stiction=0.4541, plant="fopdt", Kc=12.17, Ti=85.05,

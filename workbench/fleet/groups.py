@@ -8,6 +8,7 @@ K. Lehnertz, P. David, C.E. Elger, Physica D 144 (2000) 358-369), 1 for locked p
 from __future__ import annotations
 
 import math
+from bisect import bisect_left, bisect_right
 from collections.abc import Sequence
 
 import numpy as np
@@ -15,12 +16,13 @@ from numpy.typing import NDArray
 
 from workbench.model.fleet import FleetRow, Group
 
-__all__ = ["grouped"]
+__all__ = ["grouped", "untold"]
 
 LOCKED = 0.6  # coherence from which two loops cycle together,
 # and more where they share few cycles: stretches of so many count as independent, which meet by chance less often than
 # so. Of n independent phases the coherence exceeds R with a probability of exp(-n R^2) (Rayleigh).
 MEMORY, CHANCE = 5.0, 0.01
+TELLING = -math.log(CHANCE) * MEMORY  # cycles that two loops must share at the least: below, chance locks any phases
 ALIKE = 0.15  # relative difference of two periods that may be one
 FEWEST = 24  # instants that two loops must share
 WIDTH = 256  # of a block of loops that are compared at once
@@ -55,7 +57,7 @@ def grouped(rows: Sequence[FleetRow]) -> tuple[Group, ...]:
         locks = _coherence(signals[first:stop], known[first:stop], signals[first:last], known[first:last])
         ratio = periods[None, first:last] / periods[first:stop, None]
         cycles = (known[first:stop] @ known[first:last].T) * step / periods[None, first:last]
-        least = np.sqrt(-math.log(CHANCE) * MEMORY / np.maximum(cycles, 1e-9))
+        least = np.sqrt(TELLING / np.maximum(cycles, 1e-9))
         for a, b in np.argwhere(
             (locks >= np.maximum(least, LOCKED)) & (ratio <= 1.0 + ALIKE) & (ratio >= 1.0)
         ).tolist():
@@ -67,6 +69,22 @@ def grouped(rows: Sequence[FleetRow]) -> tuple[Group, ...]:
         members.setdefault(find(i), []).append(i)
     groups = [_group([cycling[i] for i in own], signals[own], known[own]) for own in members.values() if len(own) > 1]
     return tuple(sorted(groups, key=lambda group: (-len(group.members), group.members)))
+
+
+def untold(rows: Sequence[FleetRow], groups: Sequence[Group]) -> frozenset[str]:
+    """Return the loops outside every group of which that does not tell that they cycle alone.
+
+    Another loop's period is alike, and one of the two was recorded over too few cycles for any coherence to count.
+    """
+    cycling = sorted((row for row in rows if row.oscillates and row.period > 0.0), key=lambda row: row.period)
+    periods = [row.period for row in cycling]
+    open_ = np.zeros(len(cycling), dtype=bool)
+    for row in cycling:
+        low, high = bisect_left(periods, row.period / (1.0 + ALIKE)), bisect_right(periods, row.period * (1.0 + ALIKE))
+        if high - low > 1 and row.hours * 3600.0 < TELLING * row.period:
+            open_[low:high] = True
+    known = {name for group in groups for name in group.members}
+    return frozenset(cycling[i].name for i in np.flatnonzero(open_)) - known
 
 
 def _group(rows: list[FleetRow], signals: NDArray[np.complex64], known: NDArray[np.float32]) -> Group:

@@ -14,7 +14,7 @@ from typing import Protocol
 
 from workbench import __version__
 from workbench.errors import OutputError
-from workbench.fleet.groups import grouped
+from workbench.fleet.groups import grouped, untold
 from workbench.fleet.loops import Sources
 from workbench.fleet.pool import Limits, Pool
 from workbench.fleet.store import ROWS, Store, fleet_csv, read_rows
@@ -113,7 +113,7 @@ def run_fleet(
         if (row.sticks or row.oscillates) and (folder / "loops" / page_name(row.name)).is_file()
     )
     changes = None if former is None else changes_since(former, rows)
-    site = Site(sources.title, sources.shown, settings, rows, groups, changes, pages)
+    site = Site(sources.title, sources.shown, settings, rows, groups, changes, pages, untold(rows, groups))
     seconds = time.perf_counter() - begin
     machine = {
         "version": __version__,

@@ -191,7 +191,10 @@ class Change:
 
 @dataclass(frozen=True, eq=False)
 class Site:
-    """A whole run: rows by rank, groups, and the changes since the run before (None without one)."""
+    """A whole run: rows by rank, groups, and the changes since the run before (None without one).
+
+    untold: loops that oscillate over too few recorded cycles to tell whether they do so with another.
+    """
 
     title: str
     source: str
@@ -200,6 +203,7 @@ class Site:
     groups: tuple[Group, ...] = ()
     changes: tuple[Change, ...] | None = None
     pages: frozenset[str] = field(default_factory=frozenset)
+    untold: frozenset[str] = field(default_factory=frozenset)
 
     @property
     def looked_at(self) -> tuple[FleetRow, ...]:

@@ -25,6 +25,10 @@ OPEN = (
     "oscillates and follows no sticking valve, but whether its own sticks is undecided: a test of the valve comes "
     "before another tuning"
 )
+TOO_FEW = (
+    "oscillates like another loop here, over too few recorded cycles to tell whether with it: look at a longer record "
+    "before tuning"
+)
 SATURATED = 0.2  # share of the time at an end of OP
 
 
@@ -61,7 +65,7 @@ def render_site(site: Site) -> str:
     driven = {name: group.members[0] for group in site.groups if group.sticky for name in group.members[1:]}
     areas = sorted({row.area for row in rows[:RANKED] if row.area})
     ranking = [row for row in rows if not row.failed][:RANKED]
-    tuning = _to_tune(seen, driven)
+    tuning = _to_tune(seen, driven, site.untold)
     return (
         environment()
         .get_template("fleet.html.j2")
@@ -154,9 +158,15 @@ def _tuning_said(tuning: Sequence[Advised]) -> list[str]:
         words = f"{counted(len(proposed), 'loop has', 'loops have')} a proposed tuning"
         lines.append(f"{words}, {hints:,} of them no more than a hint." if hints else f"{words}.")
     open_ = sum(one.why == OPEN for one in tuning)
-    others = len(tuning) - len(proposed) - open_
+    few = sum(one.why == TOO_FEW for one in tuning)
+    others = len(tuning) - len(proposed) - open_ - few
     if others:
         lines.append(f"{counted(others, 'loop oscillates', 'loops oscillate')} without a sticking valve, own or other.")
+    if few:
+        lines.append(
+            f"{counted(few, 'loop oscillates', 'loops oscillate')} over too few recorded cycles to tell whether "
+            f"{'it does' if few == 1 else 'they do'} so with another."
+        )
     if open_:
         lines.append(
             f"{counted(open_, 'loop oscillates', 'loops oscillate')}, and whether the valve sticks is undecided."
@@ -224,14 +234,14 @@ def _settings(Kc: float, Ti: float, Td: float, form: str, digits: int | None) ->
     return f"Kc {setting(Kc, digits)} %/EU{integral}{f', Td {setting(Td, digits)} s' if Td > 0.0 else ''} ({form})"
 
 
-def _to_tune(rows: Sequence[FleetRow], driven: dict[str, str]) -> list[Advised]:
+def _to_tune(rows: Sequence[FleetRow], driven: dict[str, str], untold: frozenset[str]) -> list[Advised]:
     """Return the loops that another tuning may help, and those that oscillate and nobody knows why."""
     found = []
     for row in rows:
         proposed = math.isfinite(row.Kc)
         if not proposed and (row.sticks or not row.oscillates or row.name in driven):
             continue
-        why = OPEN if row.verdict == "undecided" else UNEXPLAINED
+        why = TOO_FEW if row.name in untold else OPEN if row.verdict == "undecided" else UNEXPLAINED
         if proposed:
             why = "until the valve is repaired"
             if math.isfinite(row.gain_of_tuning):
