@@ -71,6 +71,9 @@ def test_batches_equal_single_runs():
     again = wb.simulate(loop, wb.Experiment(300.0, setpoint=wb.Step(4.0), noise=wb.Noise(0.1, seed=4)))
     np.testing.assert_array_equal(seeds.pv[1], again.pv)
     assert (seeds.pv[0] != seeds.pv[1]).any()
+    for some in ([3, 4], [0]):
+        array = wb.simulate_batch(loop, noisy, seeds=np.array(some))
+        np.testing.assert_array_equal(array.pv, wb.simulate_batch(loop, noisy, seeds=some).pv)
 
 
 def test_batch_in_another_form_equals_single_runs():

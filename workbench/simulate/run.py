@@ -108,7 +108,9 @@ def simulate_batch(
             raise InvalidValue("Experiment.noise", "none", "seeds need an experiment with noise")
         sd = experiment.noise.sd
         instance(seeds, Iterable, "seeds", "a sequence of whole numbers")
-        experiments = [replace(experiment, noise=Noise(sd, whole(seed, "seeds"))) for seed in seeds or ()]
+        # An array of them has no truth value: only None is none.
+        wanted = () if seeds is None else seeds
+        experiments = [replace(experiment, noise=Noise(sd, whole(seed, "seeds"))) for seed in wanted]
         loops = [loop] * len(experiments)
     runs = [simulate(one, what) for one, what in zip(loops, experiments, strict=True)]
     if not runs:
