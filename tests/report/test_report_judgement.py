@@ -15,6 +15,7 @@ from workbench.model.study import CaseResult, NamedEstimate, Study
 from workbench.model.tuning import Bounds, Objective
 from workbench.model.valve import Deadband
 from workbench.report import figures, words
+from workbench.report.confidence import Judged, searches
 from workbench.report.cycles import cycle_tables
 from workbench.report.estimates import estimate_table
 from workbench.report.how import how_tables
@@ -222,6 +223,28 @@ def test_how_a_tuning_was_found_names_its_searches_its_weights_and_its_worst_cas
     assert rows["J of this search"] == (
         "0.5 Σ (SP − PV)² + 0.05 Σ (OP move)² + 0.5 (SP − PV)² at the end, sums over samples"
     )
+
+
+def test_what_no_settings_can_be_below_is_told_and_settles_whether_searches_agree(study: Study) -> None:
+    tuned = study.cases[2].tuned
+    assert tuned is not None
+    apart = tuple(replace(tuned.restarts[0], seed=k, refined=(1.0 + 0.2 * k) * tuned.nominal) for k in range(3))
+    tuned = replace(tuned, restarts=apart, bounds=Bounds(Kc=(0.0, 8.0), Ti=(1.0, 6000.0), Td=(0.0, 0.0)))
+
+    def judged(bound: float | None) -> Judged:
+        told = Judged()
+        searches(replace(tuned, worst_bound=bound), told)
+        return told
+
+    assert "no settings" not in judged(None).reasons[0]
+    assert judged(None).open_points == ["the searches do not agree"]
+    near, far = judged(0.995 * tuned.worst), judged(0.9 * tuned.worst)
+    assert (
+        "; a run in every neighbourhood of the bounds (Kc from 0.008 on) shows that no settings have a worst J below "
+        f"{words.figure(0.995 * tuned.worst)} (these: {words.figure(tuned.worst)})" in near.reasons[0]
+    )
+    assert near.open_points == []
+    assert far.open_points == ["the searches do not agree"]
 
 
 def test_where_the_worst_case_is_sought_without_a_margin() -> None:

@@ -7,15 +7,16 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
+from workbench.analyze.standing import standing
 from workbench.model.ensemble import Constraints
 from workbench.model.experiment import Experiment, Ramp, Series, Step
+from workbench.model.numbers import given
 from workbench.model.results import LimitCycle
 from workbench.model.study import CaseResult, Study
 from workbench.report.cycles import by_start, cycle_tables, late_figures
 from workbench.report.judge import last_change
 from workbench.report.plain_truth import lasting
 from workbench.report.summary import summarise
-from workbench.report.words import figure
 from workbench.simulate.run import simulate
 
 Make = Callable[..., Any]
@@ -136,11 +137,17 @@ def test_constraints_of_another_case_that_the_advised_one_breaks_are_named(study
     asked = replace(best.tuned, constraints=Constraints(max_sensitivity=1.0001, valve_travel=5.0))
     told = " ".join(summarise(of(study, study.cases[0], replace(found, tuned=asked), replace(best, tuned=None))).advice)
     travel = best.run.kpis.valve_travel
-    assert f"Optimised PI does not keep what Case 2 was asked to: valve travel {figure(travel)} % (at most 5 %)" in told
+    kept = "Optimised PI does not keep what Case 2 was asked to: it has"
+    assert f"{kept} a valve travel of {given(travel, 3)} % (at most 5 %). Where" in told
     assert "Where that must hold: Case 2 (Kc 0.5" in told
     loose = replace(asked, constraints=Constraints(valve_travel=1000.0))
     told = " ".join(summarise(of(study, study.cases[0], replace(found, tuned=loose), replace(best, tuned=None))).advice)
     assert "was asked to" not in told
+    stands = replace(best, tuned=None, standing=standing(best.loop))
+    told = " ".join(summarise(of(study, study.cases[0], replace(found, tuned=asked), stands)).advice)
+    assert stands.standing is not None
+    Ms = given(stands.standing.own.max_sensitivity, 3)
+    assert f"{kept} a maximum sensitivity of {Ms} (at most 1.0001) and a valve travel of " in told
 
 
 def test_hardly_more_error_for_far_less_wear_is_named(study: Study) -> None:

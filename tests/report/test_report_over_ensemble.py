@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from matplotlib.text import Annotation
 
@@ -303,7 +303,11 @@ names = st.text(st.characters(whitelist_categories=("Lu", "Ll", "Nd")), min_size
 near = st.builds(NamedPoint, names, st.floats(20.0, 300.0), st.floats(0.1, 3.0), st.booleans())
 
 
+CROWDED = [NamedPoint("0", x, y) for x, y in ((70.0, 2.0), (75.0, 2.0), (79.0, 2.5), (84.0, 2.5), (90.0, 2.25))]
+
+
 @given(st.lists(near, max_size=12))
+@example([*CROWDED, NamedPoint(14 * "0", 161.0, 2.5)])
 @settings(max_examples=15, deadline=None)
 def test_labels_never_overlap_and_stay_inside(robust: Study, points: list[NamedPoint]) -> None:
     assert robust.front is not None

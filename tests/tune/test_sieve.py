@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -80,6 +81,13 @@ def test_every_neighbourhood_of_an_axis_holds_a_point_of_the_grid(digits: int, m
             assert np.abs(axis - value).min() <= radius * (1.0 + 1e-9)
 
 
+@pytest.mark.parametrize(("low", "first"), [(0.0, 0.002), (1e-4, 1e-4), (0.5, 0.5)])
+def test_an_axis_begins_at_its_lower_bound_unless_that_is_0(low: float, first: float) -> None:
+    bounds = wb.Bounds(Kc=(low, 2.0), Ti=(0.01, 600.0), Td=(0.0, 0.0))
+    problem = Problem(LOOP, SHORT, wb.Objective(), bounds, 4, 0.01)
+    assert [_axis(problem, np.array([1.0, 20.0, 0.0]), k)[0] for k in (0, 1)] == [first, 0.01]
+
+
 def test_the_passes_have_every_point_of_the_grid_once() -> None:
     axes = [np.arange(37.0), np.arange(53.0)]
     strides = pairwise((0, 16, 8, 4, 2, 1))
@@ -110,6 +118,7 @@ def test_no_tuning_of_the_plane_is_below_what_the_sieve_proves() -> None:
     assert tuned.worst_bound is not None
     assert 0.8 * tuned.worst < tuned.worst_bound <= tuned.worst
     assert f"no tuning within the bounds has a worst J below {tuned.worst_bound:.5g}" in tuned.message
+    assert replace(tuned, bounds=PLANE).asked_from == " (Kc from 0.002 on)"
     problem = Problem(LOOP, experiment, wb.Objective(), bounds, 4, 0.01)
     rng = np.random.default_rng(5)
     best = problem.cube(np.array([[tuned.controller.Kc, tuned.controller.Ti, 0.0]]))

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from workbench.errors import InvalidValue
 from workbench.model.checks import choice, number, ordered_pair, whole
 from workbench.model.loop import Loop
+from workbench.model.numbers import given
 from workbench.model.plant import FOPDT
 
 __all__ = ["Constraints", "Ensemble"]
@@ -132,3 +133,17 @@ class Constraints:
             if value is not None:
                 checked = number(value, f"Constraints.{name}", above=above, most=most, unit=unit)
                 object.__setattr__(self, name, checked)
+
+    def missed(self, margins: tuple[float, float, float], travel: float, travel_words: str) -> list[str]:
+        """Say which of these margins (Ms, gain, phase in degrees) and a valve travel (%) break, and by how much."""
+        Ms, gain, phase = margins
+        words = []
+        if self.max_sensitivity is not None and Ms > self.max_sensitivity:
+            words.append(f"a maximum sensitivity of {given(Ms, 3)} (at most {self.max_sensitivity:g})")
+        if self.gain_margin is not None and gain < self.gain_margin:
+            words.append(f"a gain margin of {given(gain, 3)} (at least {self.gain_margin:g})")
+        if self.phase_margin is not None and phase < self.phase_margin:
+            words.append(f"a phase margin of {given(phase, 3)} degrees (at least {self.phase_margin:g})")
+        if self.valve_travel is not None and travel > self.valve_travel:
+            words.append(f"a {travel_words} of {given(travel, 3)} % (at most {self.valve_travel:g} %)")
+        return words

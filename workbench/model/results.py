@@ -40,6 +40,7 @@ from workbench.model.status import SolveStatus
 from workbench.model.tuning import Bounds, DigitStep, Objective
 
 __all__ = [
+    "ASKED_FROM",
     "Complementarity",
     "Crossing",
     "DescribingFunction",
@@ -124,6 +125,8 @@ class Run(Shown):
 
 # Worst J within the margin over J itself, above which a tuning is a knife-edge.
 KNIFE_EDGE = 1.05
+# A parameter whose bounds begin at 0 is asked from this share of the upper one, for `Tuned.worst_bound`.
+ASKED_FROM = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
@@ -257,7 +260,7 @@ class Tuned(Shown):
     stick/slip decision; slips: how many samples the stem moves in, the length of its sequence of decisions. steps: J at
     one unit of the last digit more and less of each free parameter. nominal_only: J itself was minimised, not its worst
     case. worst_bound: what no worst J within the bounds is below, as a run in every neighbourhood of their plane shows
-    (of Kc and Td from 0 on those above a thousandth of the upper bound); None where not all were asked.
+    (`asked_from`); None where not all were asked.
 
     A robust tuning minimises `ensemble.statistic` of J over the ensemble's draws: objective, nominal, worst,
     start_objective and the restarts are that statistic then, while guard_margin and slips are of the experiment's run.
@@ -294,6 +297,16 @@ class Tuned(Shown):
     steps: tuple[DigitStep, ...] = ()
     nominal_only: bool = False
     worst_bound: float | None = None
+
+    @property
+    def asked_from(self) -> str:
+        """The part of the bounds that `worst_bound` holds for, in words: "" where that is all of them.
+
+        A neighbourhood is relative, so that Kc or Td from 0 on has no first one.
+        """
+        bounds = ((name, *getattr(self.bounds, name)) for name in ("Kc", "Ti", "Td"))
+        first = [f"{name} from {ASKED_FROM * high:g} on" for name, low, high in bounds if low == 0.0 and high > 0.0]
+        return f" ({', '.join(first)})" if first else ""
 
     @property
     def agreeing(self) -> int:

@@ -33,7 +33,7 @@ from workbench.report.plain_truth import lasting
 from workbench.report.repair import repair_sentence
 from workbench.report.settings import around, beside_words, settings_words, spread
 from workbench.report.standing import held_by_stiction, trap_words
-from workbench.report.words import change, figure, given, join, nearby
+from workbench.report.words import change, figure, join, nearby
 
 __all__ = ["Advice", "case_advice", "stays_off", "worth_it"]
 
@@ -315,8 +315,8 @@ def _asked_elsewhere(study: Study, best: CaseResult) -> list[str]:
             ours, theirs = case.run.kpis, best.run.kpis
             return [
                 (
-                    f"{best.name} does not keep what {case.name} was asked to: {join(missed)}. Where that must hold: "
-                    f"{case.name} ({settings_words(study, case)}), in this run mean square error "
+                    f"{best.name} does not keep what {case.name} was asked to: it has {join(missed)}. Where that must "
+                    f"hold: {case.name} ({settings_words(study, case)}), in this run mean square error "
                     f"{figure(ours.mean_square_error)} EU² instead of {figure(theirs.mean_square_error)} EU², valve "
                     f"travel {figure(ours.valve_travel)} % instead of {figure(theirs.valve_travel)} %{_later(case)}."
                 )
@@ -326,20 +326,11 @@ def _asked_elsewhere(study: Study, best: CaseResult) -> list[str]:
 
 def _missed(case: CaseResult, asked: Constraints) -> list[str]:
     """Return which constraints a case does not keep in its run and with an ideal valve, in words."""
-    found = []
-    travel = case.run.kpis.valve_travel
-    if asked.valve_travel is not None and travel > asked.valve_travel:
-        found.append(f"valve travel {figure(travel)} % (at most {given(asked.valve_travel)} %)")
-    if case.standing is None:
-        return found
-    own = case.standing.own
-    if asked.max_sensitivity is not None and own.max_sensitivity > asked.max_sensitivity:
-        found.append(f"Ms {figure(own.max_sensitivity, 3)} (at most {given(asked.max_sensitivity)})")
-    if asked.gain_margin is not None and own.gain_margin < asked.gain_margin:
-        found.append(f"gain margin {figure(own.gain_margin, 3)} (at least {given(asked.gain_margin)})")
-    if asked.phase_margin is not None and own.phase_margin < asked.phase_margin:
-        found.append(f"phase margin {figure(own.phase_margin, 3)}° (at least {given(asked.phase_margin)}°)")
-    return found
+    margins = (0.0, math.inf, math.inf)
+    if case.standing is not None:
+        own = case.standing.own
+        margins = own.max_sensitivity, own.gain_margin, own.phase_margin
+    return asked.missed(margins, case.run.kpis.valve_travel, "valve travel")
 
 
 def _later(case: CaseResult) -> str:

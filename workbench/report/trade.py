@@ -24,7 +24,7 @@ __all__ = ["NamedPoint", "draw_front", "trade_figure"]
 WIDTH, HEIGHT = 7.1, 4.6
 FONT = 7.0  # points
 LETTER = 0.56  # mean width of a letter, in font sizes
-RINGS = (6.0, 13.0, 22.0, 34.0, 48.0)  # points from a named point to its label
+RINGS = (6.0, 13.0, 22.0, 34.0, 48.0, 66.0, 90.0, 120.0)  # points from a named point to its label
 LEADER = {"arrowstyle": "-", "linewidth": 0.5, "color": "#767676", "shrinkA": 0.0, "shrinkB": 2.0}
 NEEDED = 1.3  # factor by which an axis reaches beyond what it shows
 

@@ -22,7 +22,7 @@ from workbench.model.record import FloatArray
 from workbench.model.results import Restart, Robustness, SolveStatus, Tuned
 from workbench.simulate.signals import sample_count
 from workbench.tune.ensemble import SURE, Circumstances, measured, statistic
-from workbench.tune.limits import NARROW, UNSTABLE, WORN, missed, more_than_sensitivity, narrowness, worn
+from workbench.tune.limits import NARROW, UNSTABLE, WORN, more_than_sensitivity, narrowness, worn
 from workbench.tune.problem import Problem, unit_of
 from workbench.tune.refine import path
 from workbench.tune.scan import OutOfBudget, evolve, spread
@@ -315,7 +315,7 @@ def _verdict(
 
 def _missed(asked: Constraints, judge: Judge, chosen: FloatArray, reached: Robustness) -> list[str]:
     margins = reached.max_sensitivity, reached.gain_margin, reached.phase_margin
-    return missed(asked, margins, float(judge.statistic(chosen[None, :])[1][0]), "mean valve travel")
+    return asked.missed(margins, float(judge.statistic(chosen[None, :])[1][0]), "mean valve travel")
 
 
 def _summary(ensemble: Ensemble, fresh: Robustness) -> str:

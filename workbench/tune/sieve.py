@@ -18,8 +18,9 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from workbench.model.record import FloatArray
+from workbench.model.results import ASKED_FROM
 from workbench.simulate.batch import FIRST_LOOK
-from workbench.tune.problem import Problem
+from workbench.tune.problem import NAMES, Problem
 from workbench.tune.scan import spread
 
 __all__ = ["Sieved", "sieve"]
@@ -29,9 +30,9 @@ __all__ = ["Sieved", "sieve"]
 STRIDES, STRIDES_3 = (16, 8, 4, 2, 1), (64, 32, 16)
 # Early passes cost more per point, as less is known: so many times the budget may they predict.
 DEAR = {64: 2.0}, {16: 2.0, 8: 1.2}
-# Kc and Td may start at 0, where a relative neighbourhood has no width: from this share of the upper bound, or of the
-# best tuning known.
-LEAST, LEAST_KNOWN = 1e-3, 0.1
+# Kc and Td may start at 0, where a relative neighbourhood has no width: then from `ASKED_FROM` of the upper bound, or
+# this share of the best tuning known.
+LEAST_KNOWN = 0.1
 # Neighbourhoods along one axis at most: a plane of more is beyond any budget.
 FINEST = 20_000
 # Points of one call, and samples of plain runs that they may take, after which one that is to stop is asked; and points
@@ -118,9 +119,9 @@ def sieve(
 
 def _axis(problem: Problem, tuning: FloatArray, k: int) -> FloatArray:
     """The values of one parameter, each a neighbourhood's width above the last."""
-    high = float(problem.high[k])
-    share = min(LEAST * high, LEAST_KNOWN * float(tuning[k])) or LEAST * high
-    at = max(float(problem.low[k]), share)
+    low, high = getattr(problem.bounds, NAMES[k])
+    share = min(ASKED_FROM * high, LEAST_KNOWN * float(tuning[k])) or ASKED_FROM * high
+    at = low if low > 0.0 else share
     values: list[float] = []
     while at < high and len(values) <= FINEST:
         values.append(at)

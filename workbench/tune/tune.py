@@ -30,7 +30,6 @@ from workbench.model.tuning import Bounds, Objective
 from workbench.symbolic.loop import unwritten
 from workbench.symbolic.solve import versions
 from workbench.tune.complementarity import applicable
-from workbench.tune.limits import missed
 from workbench.tune.problem import NAMES, Problem, stopper
 from workbench.tune.refine import Path, eq_2_alone, path, usable
 from workbench.tune.robust import tune_robust
@@ -201,7 +200,7 @@ def _broken(problem: Problem, tuning: FloatArray) -> list[str]:
         return []
     margins, stable = problem.margins(tuning[None, :])
     Ms, gain, phase = (float(v) for v in margins[0]) if stable[0] else (math.inf, 0.0, 0.0)
-    return missed(asked, (Ms, gain, phase), problem.travel(tuning), "valve travel")
+    return asked.missed((Ms, gain, phase), problem.travel(tuning), "valve travel")
 
 
 def _runs_away(problem: Problem, run: Path, cost: float) -> bool:
@@ -293,6 +292,6 @@ def _message(problem: Problem, found: Found, note: str, tuned: Tuned) -> str:
     if len(tuned.restarts) > 1:
         parts.append(f"{tuned.agreeing} of {len(tuned.restarts)} searches agree on the least J within 0.1 %")
     if tuned.worst_bound is not None:
-        parts.append(f"no tuning within the bounds has a worst J below {given(tuned.worst_bound, 5)}")
+        parts.append(f"no tuning within the bounds{tuned.asked_from} has a worst J below {given(tuned.worst_bound, 5)}")
     parts.append(f"objective by exact simulation at {problem.digits} significant digits")
     return "; ".join(parts)
