@@ -276,6 +276,38 @@ def test_the_tuning_asked_for_is_the_scenarios():
     assert plain_job.bounds.Td == (0.0, 0.0)
 
 
+ASKED = """\
+title: x
+loop:
+  plant: {type: fopdt, gain: 1.0, time_constant: 5 s, dead_time: 1 s}
+  valve: {type: stenman, d: 2 %}
+  sample_time: 1 s
+experiment: {duration: 1000 s, setpoint: {step: 4, at: 0 s}}
+objective: {w1: 0.5, w3: 0.5}
+cases:
+  - {name: As found, Kc: 0.5, Ti: 20 s}
+  - {name: Best, tune: {bounds: {Kc: [0, 10], Ti: [5 s, 600 s]}, Td: 0 s, ASKED}}
+"""
+
+
+def test_the_tuning_of_a_scenario_is_asked_for_as_it_stands_there():
+    own = "digits: 3, restarts: 2, seed: 7, constraints: {max_sensitivity: 1.6, valve_travel: 50 %}"
+    plan = read_scenario(ASKED.replace("ASKED", own), FILE)
+    loaded = screen_of(plan)
+    assert read(loaded.screen, tune=True).cases[0].tune == plan.cases[1].tune
+    assert loaded.notes == ("Not shown, since still to be found: Best.",)
+
+
+def test_what_the_page_cannot_ask_of_a_tuning_is_said():
+    own = "nominal: true, objective: {iae: 1}"
+    notes = screen_of(read_scenario(ASKED.replace("ASKED", own), FILE)).notes
+    assert notes[0] == "Left out of the tuning that the scenario asks for: nominal. The page has no entry for it."
+    assert notes[1] == "A tuning's own objective is left out here: the page has one for all."
+    own = "robust: {draws: 50}, travel_budget: 80 %, constraints: {gain_margin: 2, phase_margin: 50}"
+    notes = screen_of(read_scenario(ASKED.replace("ASKED", own), FILE)).notes
+    assert "a gain margin, a phase margin, an ensemble of its own, a travel budget." in notes[0]
+
+
 def test_an_estimate_is_asked_for_in_the_scenarios_words(tmp_path):
     time = np.arange(200.0)
     rows = np.column_stack([time, np.sin(time / 9), np.sin(time / 9 + 1)])

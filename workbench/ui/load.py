@@ -9,13 +9,14 @@ from dataclasses import dataclass
 from workbench.model.cascade import Cascade, CascadeExperiment
 from workbench.model.checks import reads_as_number
 from workbench.model.controller import PID
+from workbench.model.ensemble import Constraints
 from workbench.model.experiment import Profile, Step
 from workbench.model.loop import Loop
 from workbench.model.plant import FOPDT, Plant
 from workbench.model.tuning import Bounds, Objective
 from workbench.model.valve import Choudhury, Deadband, Directional, He, Positional, Stenman, Valve
 from workbench.scenario.document import parse, plain
-from workbench.scenario.plan import CascadeTuneJob, Scenario
+from workbench.scenario.plan import CascadeTuneJob, EnsembleJob, RobustJob, Scenario, TuneJob
 from workbench.ui.fields import DEFAULTS, FIELDS, OWN_WEIGHT
 from workbench.ui.loop_fields import VALVES
 from workbench.ui.screen import ON_SCREEN, Pinned, Screen
@@ -23,6 +24,7 @@ from workbench.ui.trees import compensator_texts, number_text
 
 # Of a loop without cases of its own: what stands in the file stands on the page.
 _ROOTS = ("loop.", "cascade.", "experiment.")
+_OWN_OBJECTIVE = "A tuning's own objective is left out here: the page has one for all."
 _AS_WRITTEN = re.compile(r"(loop|cascade\.primary|cascade\.secondary)\.(plant|sample_time)")
 
 __all__ = ["Loaded", "bounds_entries", "controller_entries", "plant_entries", "screen_of", "valve_entries"]
@@ -93,8 +95,7 @@ def screen_of(plan: Scenario) -> Loaded:
             cases.append(Pinned(case.name, case.controller, case.note, dict(case.reference)))
     asked = next((case.tune for case in plan.cases if case.tune is not None), None)
     if asked is not None:
-        entries |= bounds_entries(asked.bounds)
-        entries["tune.robust"] = "true" if asked.robust is not None else "false"
+        entries |= _tune(asked, notes, plan.objective)
     for i, job in enumerate(plan.cascade):
         if job.tune is None and not (i == 0 and _is_own(plan)):
             outer, inner = job.cascade.primary.controller, job.cascade.secondary.controller
@@ -220,11 +221,33 @@ def bounds_entries(bounds: Bounds, path: str = "tune") -> dict[str, str]:
     return entries
 
 
+def _tune(asked: TuneJob, notes: list[str], common: Objective | None) -> dict[str, str]:
+    """Return the entries of a loop's tuning, and note what of it the page has no entry for."""
+    entries = bounds_entries(asked.bounds) | _search(asked)
+    entries["tune.robust"] = "true" if asked.robust is not None else "false"
+    kept = asked.constraints or Constraints()
+    for name in ("max_sensitivity", "valve_travel"):
+        value = getattr(kept, name)
+        entries[f"tune.constraints.{name}"] = "" if value is None else number_text(value)
+    robust = asked.robust or RobustJob(EnsembleJob())
+    left = {
+        "a gain margin": kept.gain_margin is not None,
+        "a phase margin": kept.phase_margin is not None,
+        "nominal": asked.nominal,
+        "an ensemble of its own": bool(robust.ensemble.given),
+        "a travel budget": robust.travel_budget is not None or bool(robust.as_case),
+    }
+    if any(left.values()):
+        names = ", ".join(name for name, given in left.items() if given)
+        notes.append(f"Left out of the tuning that the scenario asks for: {names}. The page has no entry for it.")
+    if asked.objective != (common or Objective()):
+        notes.append(_OWN_OBJECTIVE)
+    return entries
+
+
 def _tune_cascade(asked: CascadeTuneJob, notes: list[str], common: Objective | None) -> dict[str, str]:
     """Return the entries of a cascade's tuning in turn."""
-    entries = bounds_entries(asked.bounds, "tune_cascade.primary")
-    counts = {"digits": asked.digits, "restarts": asked.restarts, "seed": asked.seed}
-    entries |= {f"tune.{name}": str(count) for name, count in counts.items()}
+    entries = bounds_entries(asked.bounds, "tune_cascade.primary") | _search(asked)
     entries["tune_cascade.tuned"] = "primary" if asked.secondary is None else "both"
     weighed = [asked.objective]
     if asked.secondary is not None:
@@ -241,8 +264,14 @@ def _tune_cascade(asked: CascadeTuneJob, notes: list[str], common: Objective | N
         if noise is not None:
             entries[f"{path}.experiment.noise.seed"] = str(noise.seed)
     if any(objective != (common or Objective()) for objective in weighed):
-        notes.append("A tuning's own objective is left out here: the page has one for all.")
+        notes.append(_OWN_OBJECTIVE)
     return entries
+
+
+def _search(asked: TuneJob | CascadeTuneJob) -> dict[str, str]:
+    """Return the entries of how a tuning is searched for."""
+    digits = DEFAULTS["tune.digits"] if asked.digits is None else str(asked.digits)
+    return {"tune.digits": digits, "tune.restarts": str(asked.restarts), "tune.seed": str(asked.seed)}
 
 
 def time_entry(path: str, seconds: float) -> dict[str, str]:
