@@ -237,6 +237,19 @@ def test_a_scenario_from_data_names_its_record_and_how_it_is_read():
     assert (found["op_range.low"], found["op_range.high"]) == ("0", "100")
 
 
+def test_a_records_sample_time_keeps_its_size_in_a_unit_that_the_page_has_not():
+    text = "title: t\nestimate: {data: data/industrial_flow_loop.csv, sample_time: 5000 ms}\n"
+    entries = screen_of(read_scenario(text, SCENARIOS / "x.yaml")).screen.entries
+    assert (entries["estimate.sample_time"], entries["estimate.sample_time.unit"]) == ("5", "s")
+
+
+def test_what_the_page_cannot_say_of_a_record_is_told():
+    more = "max_gap: 1 min, columns: {PV: PV, MODE: MODE}"
+    text = f"title: t\nestimate: {{data: data/industrial_flow_loop.csv, {more}}}\n"
+    notes = screen_of(read_scenario(text, SCENARIOS / "x.yaml")).notes
+    assert any("reads and estimates its record: max_gap, columns.MODE." in note for note in notes)
+
+
 def test_profiles_that_the_fields_do_not_show_are_kept():
     ramp, series = wb.Ramp(2.0, 10.0, 20.0), wb.Series([1.0, 2.5], [5.0, 600.0])
     screen = replace(

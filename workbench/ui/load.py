@@ -15,6 +15,7 @@ from workbench.model.loop import Loop
 from workbench.model.plant import FOPDT, Plant
 from workbench.model.tuning import Bounds, Objective
 from workbench.model.valve import Choudhury, Deadband, Directional, He, Positional, Stenman, Valve
+from workbench.scenario import units
 from workbench.scenario.document import parse, plain
 from workbench.scenario.plan import CascadeTuneJob, EnsembleJob, RobustJob, Scenario, TuneJob
 from workbench.ui.fields import DEFAULTS, FIELDS, OWN_WEIGHT
@@ -57,6 +58,7 @@ def screen_of(plan: Scenario) -> Loaded:
             "The scenario's loop comes from its record: until that is estimated and its model used, the loop shown is "
             "this page's own example."
         )
+    notes += _left_of_estimate(_written(plan).get("estimate"))
     if first is not None:
         entries |= controller_entries(first)
     if plan.site is not None or plan.cascade_site is not None:
@@ -344,10 +346,26 @@ def _estimate(given: object) -> dict[str, str]:
         if value is None:
             continue
         number, _, unit = str(value).strip().partition(" ")
-        entries |= {path: number, f"{path}.unit": unit} if field.units else {path: str(value)}
-        if field.units and unit not in field.units:
-            entries[f"{path}.unit"] = field.units[0]
+        if not field.units:
+            entries[path] = str(value)
+        elif unit in field.units:
+            entries |= {path: number, f"{path}.unit": unit}
+        else:
+            entries |= time_entry(path, units.time(str(value)))
     return entries
+
+
+def _left_of_estimate(given: object) -> tuple[str, ...]:
+    """Return what a scenario's first estimate says of its record that the page has no field for, in words."""
+    first = given[0] if isinstance(given, list) and given else given
+    if not isinstance(first, Mapping) or "data" not in first:
+        return ()
+    told = [name for name in ("tags", "pv_range", "max_gap", "start") if name in first]
+    told += [f"columns.{name}" for name in _under(first, "columns") if f"estimate.columns.{name}" not in FIELDS]
+    if not told:
+        return ()
+    names = ", ".join(told)
+    return (f"Left out of how the scenario reads and estimates its record: {names}. The page has no field for it.",)
 
 
 def _written(plan: Scenario) -> Mapping[str, object]:
