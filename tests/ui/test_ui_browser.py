@@ -210,6 +210,32 @@ def test_the_keyboard_is_enough(paper):
     expect(page.locator("#view-export")).to_be_visible()
 
 
+def test_what_is_being_typed_is_not_lost(paper, tmp_path):
+    page = paper.page
+    paper.type("loop.controller.Kc", "0.7")
+    page.fill("#pin-name-loop", "Case 2")
+    page.press("#pin-name-loop", "Control+z")  # of the name, not of the gain
+    paper.settled()
+    expect(paper.entry("loop.controller.Kc")).to_have_value("0.7")
+    page.fill("#pin-name-loop", "Case 2")
+    page.press("#pin-name-loop", "Enter")
+    expect(page.locator("#message")).to_contain_text("has this name already")
+    expect(page.locator("#pin-name-loop")).to_have_value("Case 2")
+    page.fill("#pin-name-loop", "Another")
+    page.press("#pin-name-loop", "Enter")
+    expect(page.locator("#pin-name-loop")).to_have_value("")
+    record = tmp_path / "typing.csv"
+    record.write_text("time,PV,OP\n" + "".join(f"{k},{k % 7},{k % 5}\n" for k in range(40)))
+    constant = paper.entry("loop.plant.time_constant")
+    constant.fill("7.77")
+    page.set_input_files("#record", record)  # answers that nothing typed has asked for
+    expect(page.locator("#record-name")).to_have_text("typing.csv")
+    expect(constant).to_have_value("7.77")
+    constant.press("Enter")
+    run = wb.simulate(replace(paper_loop(0.7, 20.0), plant=wb.FOPDT(1.0, 7.77, 1.0)), paper_step())
+    expect(paper.figure("valve_travel")).to_have_text(f"{shown('valve_travel', run.kpis.valve_travel)} %")
+
+
 def test_a_cascade_and_what_few_loops_have_show_where_a_scenario_has_them(opened):
     start = opened(str(ROOT / "scenarios" / "cascade.yaml"))
     page = start.page

@@ -92,6 +92,7 @@ function show(answer, asked) {
   byId("undo").disabled = !answer.undo;
   byId("message").textContent = answer.message;
   byId("message").hidden = !answer.message;
+  if (asked?.do === "pin" && !answer.message) byId(asked.from).value = ""; // a name that is refused stays, to be mended
   byId("progress").hidden = !answer.busy;
   for (const id of ["tune", "map", "map-view", "front", "estimate", "read"]) byId(id).disabled = Boolean(answer.busy);
   if (answer.notes.join() !== notes) list(byId("notes"), answer.notes);
@@ -145,6 +146,8 @@ function suggest(cases) {
   byId("tuned-name").value = name;
 }
 
+const typable = (el) => el.type === "text" || el.type === "textarea";
+
 function showEntries(asked, before) {
   const sliding = asked && asked.do === "set" ? asked.entries : {};
   const queued = new Set(queue.flatMap((one) => (one.do === "set" ? Object.keys(one.entries) : [])));
@@ -154,8 +157,9 @@ function showEntries(asked, before) {
     const text = entries[path];
     if (text === undefined) continue; // of the other kind of scenario
     if (text === before[path] && el.value === text && el.type !== "checkbox") continue;
-    // What is being typed or dragged stays as it is until it is sent.
-    if (queued.has(path) || (asked?.do === "set" && el === document.activeElement && !(path in sliding))) continue;
+    // What is being typed or dragged stays as it is until it is sent, whoever's answer this is.
+    const typing = el === document.activeElement && typable(el) && path in before && el.value !== before[path];
+    if (queued.has(path) || (typing && !(path in sliding))) continue;
     if (el.type === "checkbox") el.checked = text === "true";
     else if (el.value !== text) el.value = text;
     kinds ||= el.type !== "text";
@@ -244,7 +248,7 @@ function showComparison(table, pinned) {
       cell.append(make("span", head.name));
     } else {
       const name = make("input", "", { type: "text", "aria-label": `Name of case ${i + 1}`, maxlength: "80", "data-keep": `name-${i}` });
-      name.value = name.title = head.name;
+      name.value = name.defaultValue = name.title = head.name;
       name.addEventListener("change", () => ask("rename", { index: i, name: name.value }));
       cell.append(name);
     }
@@ -406,7 +410,7 @@ function nudge(path, el, up) {
 
 for (const [path, el] of entryInputs) {
   el.addEventListener("change", () => typed(path, el));
-  if (el.type !== "text" && el.type !== "textarea") continue;
+  if (!typable(el)) continue;
   el.addEventListener("blur", () => (gesture += 1));
   if (el.type !== "text") continue;
   el.addEventListener("keydown", (event) => {
@@ -446,7 +450,9 @@ for (const [i, tab] of tabs.entries()) {
 }
 
 document.addEventListener("keydown", (event) => {
-  const typing = event.target.matches?.("input[type=text], textarea") && event.target.value !== (entries[event.target.dataset.entry] ?? event.target.value);
+  const el = event.target;
+  // While something is typed, Ctrl+Z is the browser's own; names, which are no entries, begin as they were shown.
+  const typing = typable(el) && el.value !== (entries[el.dataset.entry] ?? el.defaultValue);
   if ((event.ctrlKey || event.metaKey) && event.key.toLowerCase() === "z" && !event.shiftKey && !typing) {
     event.preventDefault();
     ask("undo");
@@ -458,10 +464,7 @@ byId("undo").addEventListener("click", () => ask("undo"));
 
 for (const button of document.querySelectorAll("[data-pin-button]")) {
   const name = byId(button.dataset.pinButton);
-  const pin = () => {
-    ask("pin", { name: name.value });
-    name.value = "";
-  };
+  const pin = () => ask("pin", { name: name.value, from: name.id });
   button.addEventListener("click", pin);
   name.addEventListener("keydown", (event) => {
     if (event.key === "Enter") pin();
