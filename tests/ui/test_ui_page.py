@@ -17,6 +17,7 @@ from workbench.model.front import FrontPoint
 from workbench.scenario.loader import load_scenario
 from workbench.ui import page as pages
 from workbench.ui.document import open_page
+from workbench.ui.given import safe_name
 from workbench.ui.jobs import Event
 from workbench.ui.load import screen_of
 from workbench.ui.page import Page
@@ -245,7 +246,38 @@ def test_an_upload_is_read_in_the_sessions_own_folder(ask, begun):
     assert [path.name for path in ask.page.folder.iterdir()] == ["pass_wd.csv"]
     answer = ended(ask, "failed", f"{ask.page.folder}/pass_wd.csv: a header and no row of data")
     assert answer["message"] == "pass_wd.csv: a header and no row of data"
-    assert answer["record"] == {"name": "", "summary": []}
+
+
+@pytest.mark.parametrize("kind", ["failed", "stopped"])
+def test_a_record_that_was_not_read_can_be_read_again_and_the_one_before_is_gone(ask, begun, kind):
+    uploaded(ask, "a.csv", b"x")
+    time = np.arange(300.0)
+    ended(ask, "done", result=ReadRecord("a.csv", ("300 samples",), time, np.sin(time), np.cos(time), None, 1.0))
+    uploaded(ask, "b.csv", b"x")
+    answer = ended(ask, kind, "screen.yaml:2:18: estimate.data: b.csv: no column for PV")
+    said = {"failed": "estimate.data: b.csv: no column for PV", "stopped": "Reading was stopped."}
+    assert answer["message"] == said[kind]
+    assert answer["record"] == {"name": "b.csv", "summary": []}
+    assert answer["found"] is None
+    assert ask.page.pictures.record.source.data["pv_y"].size == 0
+    ask("set", entries={"estimate.columns.PV": "level"})
+    assert ask("read")["busy"] == "read"
+    assert "data: b.csv, columns: {PV: level}" in begun[-1][1]
+
+
+@pytest.mark.parametrize(
+    ("name", "kept"),
+    [
+        ("C:\\data\\Füllstand 漢字.csv", "Füllstand_漢字.csv"),
+        ("../.hidden", "hidden"),
+        ("..", "record.csv"),
+        ("漢" * 300 + ".csv", "漢" * 56 + ".csv"),
+        ("a" * 20 + "." * 60, "record.csv"),
+        ("<b>\0\n$(x)`.csv", "_b_x_.csv"),
+    ],
+)
+def test_an_uploaded_files_name_is_its_own_and_leads_nowhere(name, kept):
+    assert safe_name(name) == kept
 
 
 def test_a_record_is_drawn_and_told(ask, begun):

@@ -275,7 +275,7 @@ class Pictures:
         profile = self._add(
             "e_profile",
             "stiction d (%)",
-            "variance left (EU²)",
+            "variance of the innovations (EU²)",
             y_axis_type="log",
             x_range=DataRange1d(),
             y_range=DataRange1d(),
@@ -297,6 +297,11 @@ class Pictures:
             self.profile.data = dict(EMPTY)
         else:
             self.profile.data = {"x": found.profile_d, "y": np.maximum(found.profile_cost, 1e-300)}
+
+    def show_no_record(self) -> None:
+        """Draw neither record nor estimate."""
+        self.record.fill(NO_SIGNAL, {})
+        self.profile.data = dict(EMPTY)
 
     # frequency -----------------------------------------------------------------------------------------------------
 

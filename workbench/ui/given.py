@@ -16,9 +16,10 @@ __all__ = ["dashes", "found_words", "record_words", "safe_name", "table_content"
 
 
 def safe_name(name: str) -> str:
-    """Return a file name without anything that could lead elsewhere."""
-    kept = re.sub(r"[^A-Za-z0-9._-]+", "_", Path(name.replace("\\", "/")).name).lstrip(".")
-    return kept[-80:] or "record.csv"
+    """Return a file name of letters, digits, `.`, `_` and `-`, which leads nowhere else."""
+    kept = re.sub(r"[^\w.-]+", "_", Path(name.replace("\\", "/")).name)
+    # No more bytes than any file system allows, four a character.
+    return kept[-60:].lstrip(".") or "record.csv"
 
 
 def table_content(table: Table) -> dict[str, Any]:

@@ -32,7 +32,7 @@ from workbench.ui.given import found_words, record_words, safe_name
 from workbench.ui.jobs import Event, Job
 from workbench.ui.load import Loaded, bounds_entries, controller_entries
 from workbench.ui.screen import estimate_text
-from workbench.ui.state import Session
+from workbench.ui.state import Session, unplaced
 from workbench.ui.work import Found, FrontFound, MapFound, ReadRecord, Report, TunedCase
 
 __all__ = ["LARGEST_UPLOAD", "VIEWS", "Page"]
@@ -161,7 +161,8 @@ class Page:
         self.bridge.down = json.dumps({"sent": self.sent, **answer})
 
     def _plain(self, text: str) -> str:
-        """Return a message without the name of the session's own folder."""
+        """Return a message without the session's own folder, and without places in a file that nobody has seen."""
+        text = "\n".join(map(unplaced, text.splitlines()))
         return text.replace(f"{self.folder}/", "").replace(str(self.folder), "")
 
     def _do_hello(self, _request: Mapping[str, Any]) -> dict[str, Any]:
@@ -224,9 +225,11 @@ class Page:
             self.message = f"{WORDS[task]} was stopped."
         if event.kind == "done":
             extra |= self._ended(event.result)
-        if event.kind == "failed" and task == "read":
-            self.data, self.record, self.found = "", None, None
-            extra["record"] = record_words(self.data, self.record)
+        if event.kind != "done" and task == "read":
+            # The file stays to be read again, by other columns perhaps; what is shown is not of it.
+            self.record, self.found = None, None
+            self.pictures.show_no_record()
+            extra |= {"record": record_words(self.data, None), "found": None}
         self.show(extra)
 
     def _ended(self, result: object) -> dict[str, Any]:

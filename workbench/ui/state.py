@@ -33,7 +33,7 @@ from workbench.ui.fields import field_of
 from workbench.ui.load import Loaded, controller_entries, plant_entries, screen_of, time_entry, valve_entries
 from workbench.ui.screen import MapView, Pinned, Screen, scenario_text
 
-__all__ = ["MOST_CASES", "ROWS", "Built", "CaseRun", "Problem", "Session", "problems_of", "value_of"]
+__all__ = ["MOST_CASES", "ROWS", "Built", "CaseRun", "Problem", "Session", "problems_of", "unplaced", "value_of"]
 
 MOST_CASES = 12
 MOST_UNDONE = 200
@@ -101,15 +101,16 @@ class CaseRun:
         return f"primary {controller_words(self.primary).replace('%/EU', 'EU/EU')}; secondary {own}"
 
 
-def problems_of(error: ScenarioError, entries: Mapping[str, str] | None = None) -> tuple[Problem, ...]:
-    """Return a refusal's lines without the place in a file that nobody has seen: `where: what is wrong`.
+def unplaced(line: str) -> str:
+    """Return a refusal's line without its place in the page's own scenario: `where: what is wrong`."""
+    place, _, text = line.partition(": ")
+    return text if text and place.startswith(str(FILE)) else line
 
-    entries: what stands on the page, which hides some fields.
-    """
+
+def problems_of(error: ScenarioError, entries: Mapping[str, str] | None = None) -> tuple[Problem, ...]:
+    """Return a refusal's lines, `unplaced`. entries: what stands on the page, which hides some fields."""
     found = []
-    for line in str(error).splitlines():
-        parts = line.split(": ", 1)
-        text = parts[1] if len(parts) == 2 and parts[0].startswith(str(FILE)) else line
+    for text in map(unplaced, str(error).splitlines()):
         where = text.split(": ", 1)[0]
         found.append(Problem(field_of(where, entries) or "", text))
     return tuple(found)

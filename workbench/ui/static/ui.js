@@ -94,7 +94,7 @@ function show(answer, asked) {
   byId("message").hidden = !answer.message;
   if (asked?.do === "pin" && !answer.message) byId(asked.from).value = ""; // a name that is refused stays, to be mended
   byId("progress").hidden = !answer.busy;
-  for (const id of ["tune", "map", "map-view", "front", "estimate", "read"]) byId(id).disabled = Boolean(answer.busy);
+  for (const id of ["tune", "map", "map-view", "front"]) byId(id).disabled = Boolean(answer.busy);
   if (answer.notes.join() !== notes) list(byId("notes"), answer.notes);
   notes = answer.notes.join();
   showFigures(answer.figures, answer.problems);
@@ -115,6 +115,9 @@ function show(answer, asked) {
   }
   if (answer.scenario !== undefined) byId("scenario").textContent = answer.scenario;
   if (answer.record) showRecord(answer.record);
+  for (const id of ["estimate", "read"]) byId(id).disabled = Boolean(answer.busy) || !byId("record-name").textContent;
+  // Where a record cannot be read its columns may have to be named.
+  if (answer.ended === "read" && answer.message) byId("view-estimate").querySelector("details.group").setAttribute("open", "");
   if (answer.found !== undefined) showFound(answer.found);
   byId("tuned").hidden = !answer.tuned;
   if (answer.tuned) byId("tuned").querySelector("ul").replaceChildren(...answer.tuned.lines.map((l) => make("li", l)));
@@ -307,7 +310,6 @@ function tableOf(table, first) {
 function showRecord(record) {
   byId("record-name").textContent = record.name;
   list(byId("record-summary"), record.summary);
-  byId("estimate").disabled = byId("read").disabled = !record.name;
 }
 
 function showFound(found) {
