@@ -304,6 +304,16 @@ def test_a_scenario_is_opened_and_a_bad_one_is_told_with_its_lines(ask):
     assert uploaded(ask, "stick_slip.yaml", text)["title"].startswith("A stick-slip cycle")
 
 
+def test_a_scenario_opened_after_its_record_reads_it(ask, begun):
+    rows = "\n".join(f"{k},{k % 7},{k % 5}" for k in range(40))
+    uploaded(ask, "loop 1.csv", f"time,PV,OP\n{rows}\n".encode())
+    ended(ask, "stopped")
+    scenario = b"title: Of a record\nestimate: {data: data/loop 1.csv}\n"
+    assert uploaded(ask, "x.yaml", scenario)["title"] == "Of a record"
+    assert "data: loop_1.csv" in begun[-1][1]
+    assert (ask.page.folder / "loop_1.csv").is_file()
+
+
 def test_a_map_is_drawn_and_a_click_sets_the_tuning(ask, begun):
     ask("view", view="frequency")
     ask("map")

@@ -272,6 +272,18 @@ def test_an_opened_scenario_looks_at_no_file_beside_those_that_were_opened(paper
     assert paper.read("title: x\nestimate: {data: a.csv}\n", folder / "x.yaml") == "a.csv"
 
 
+def test_a_scenario_finds_the_records_that_were_opened_by_whatever_path_it_names_them(paper, tmp_path):
+    scenario = tmp_path / "x.yaml"
+    text = "title: x\nestimate: {data: data/of today/loop 1.csv}\n"
+    with pytest.raises(ScenarioError, match=r"x.yaml: data/of today/loop 1.csv given; open that file here first, then"):
+        paper.read(text, scenario)
+    rows = "\n".join(f"{k},{k % 7},{k % 5}" for k in range(40))
+    (tmp_path / "loop_1.csv").write_text(f"time,PV,OP\n{rows}\n")  # as an upload is named
+    assert paper.read(text, scenario) == "data/of today/loop 1.csv"
+    with pytest.raises(ScenarioError, match="given; cannot be had here"):
+        paper.read(text.replace("data/of today", "loop_1.csv"), scenario)
+
+
 def test_a_table_too_long_for_a_browser_is_refused(paper, monkeypatch):
     monkeypatch.setattr(export, "MOST_ROWS", 999)
     with pytest.raises(InvalidValue, match="must be at most 999"):

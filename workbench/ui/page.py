@@ -325,7 +325,7 @@ class Page:
             raise RecordError(f"{name}: is no UTF-8 text; a scenario is UTF-8 text") from None
         data = self.session.read(text, self.folder / safe_name(name))
         if data and not self.task:
-            self.data = Path(data).name
+            self.data = safe_name(data)
             self._begin("read", estimate_text(self.session.screen, self.data))
 
     def _take(self, data: Path) -> None:

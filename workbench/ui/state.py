@@ -6,6 +6,7 @@ No widgets and no server here: what the page shows can be asked of this alone.
 from __future__ import annotations
 
 import math
+import shutil
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -30,6 +31,7 @@ from workbench.scenario.document import parse, plain
 from workbench.scenario.loader import read_scenario
 from workbench.simulate.run import evaluate, simulate
 from workbench.ui.fields import field_of
+from workbench.ui.given import safe_name
 from workbench.ui.load import Loaded, controller_entries, plant_entries, screen_of, time_entry, valve_entries
 from workbench.ui.screen import MapView, Pinned, Screen, scenario_text
 
@@ -353,13 +355,12 @@ class Session:
     def read(self, text: str, path: Path) -> str:
         """Show the scenario of a text, as if it stood in the file `path`; return the record that it names, or "".
 
-        Files that it names must lie in that file's folder: a scenario that comes from elsewhere looks at nothing else
-        here. Raises `ScenarioError`.
+        Files that it names must have been opened into that file's folder, by whatever path it names them below it: a
+        scenario that comes from elsewhere looks at nothing else here. Raises `ScenarioError`.
         """
         root, _ = parse(text)
         for named in _files(None if root is None else plain(root)):
-            if not (path.parent / named).resolve().is_relative_to(path.parent.resolve()):
-                raise ScenarioError(f"{path.name}: {named} given; open that file here first, and name it by itself")
+            _find(path, named)
         loaded = screen_of(read_scenario(text, path, path.name))
         self.load(loaded)
         return loaded.data
@@ -386,6 +387,22 @@ def value_of(one: CaseRun, name: str) -> float:
     if run is None:
         return math.nan
     return one.objective if name == "objective" else float(getattr(run.kpis, own))
+
+
+def _find(path: Path, named: str) -> None:
+    """Put a file that was opened beside the scenario `path` where that names it. Raises `ScenarioError`."""
+    folder = path.parent.resolve()
+    wanted, own = (folder / named).resolve(), folder / safe_name(named)
+    if not wanted.is_relative_to(folder):
+        raise ScenarioError(f"{path.name}: {named} given; open that file here first, and name it by itself")
+    try:
+        if not own.is_file():
+            raise ScenarioError(f"{path.name}: {named} given; open that file here first, then the scenario")
+        if own != wanted:  # a browser does not tell the folder of what it opens
+            wanted.parent.mkdir(parents=True, exist_ok=True)
+            shutil.copyfile(own, wanted)
+    except OSError as error:
+        raise ScenarioError(f"{path.name}: {named} given; cannot be had here ({error.strerror})") from None
 
 
 def _files(data: object) -> list[str]:
