@@ -36,9 +36,9 @@ class Served:
                 return
         raise AssertionError(f"the server ended: {said}")
 
-    def end(self) -> tuple[int, str]:
-        """End it as Ctrl-C does; return its exit code and what it said."""
-        self.process.send_signal(signal.SIGINT)
+    def end(self, by: signal.Signals = signal.SIGINT) -> tuple[int, str]:
+        """End it by a signal, Ctrl-C's; return its exit code and what it said."""
+        self.process.send_signal(by)
         out, _ = self.process.communicate(timeout=30)
         return self.process.returncode, out
 

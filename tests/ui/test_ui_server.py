@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 import re
+import signal
 import socket
 import urllib.error
 import urllib.request
@@ -110,13 +112,29 @@ def test_ctrl_c_ends_it(serve):
     assert "Traceback" not in said
 
 
+@pytest.mark.skipif(os.name != "posix", reason="ends a process by a signal")
+@pytest.mark.parametrize("name", ["SIGTERM", "SIGHUP"])
+def test_a_kill_or_a_closed_terminal_leaves_no_uploaded_records(serve, tmp_path, monkeypatch, name):
+    monkeypatch.setenv("TMPDIR", str(tmp_path))
+    served = serve("--address", "127.0.0.1")
+    get(served.url)  # a session
+    assert [path.name for path in tmp_path.glob("workbench-ui-*")]
+    code, said = served.end(getattr(signal, name))
+    assert code == 0
+    assert "Traceback" not in said
+    assert not list(tmp_path.glob("workbench-ui-*"))
+
+
 def test_an_address_or_port_that_cannot_be_had_is_refused_in_one_line():
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))
         taken.listen()
         port = taken.getsockname()[1]
-        with pytest.raises(InvalidValue, match="cannot be served here"):
+        with pytest.raises(InvalidValue, match=r"cannot be served here \(Address already in use\)$"):
             start(port=port)
+    for address in ("", " "):  # every address of this machine, for a socket
+        with pytest.raises(InvalidValue, match=r"--address: '.?' given; must be an address or a name of this machine"):
+            start(address=address, port=0)
     for address in ("203.0.113.7", "no such host", "::1"):
         with pytest.raises(InvalidValue, match="--address and --port"):
             start(address=address, port=0)

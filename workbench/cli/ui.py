@@ -41,7 +41,11 @@ def ui(
     from workbench.ui.server import start
 
     server = start(loaded, address, port, data)
-    signal.signal(signal.SIGTERM, signal.default_int_handler)  # ends as Ctrl-C does: workers too
+    # A kill, and a terminal that is closed, end it as Ctrl-C does: workers and uploaded records too.
+    for name in ("SIGTERM", "SIGHUP"):
+        ending = getattr(signal, name, None)  # not every system has both
+        if ending is not None and signal.getsignal(ending) is not signal.SIG_IGN:  # nohup's
+            signal.signal(ending, signal.default_int_handler)
     try:
         if address not in LOOPBACK:
             warning = "whoever can reach this address can use the page, and have this machine work"

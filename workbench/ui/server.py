@@ -105,13 +105,15 @@ def start(
 
 def _bound(address: str, port: int | None) -> socket.socket:
     """Return a listening socket, at a free port where none was asked for and the usual one is taken."""
+    if not address.strip():  # which a socket takes for every address that this machine has
+        raise InvalidValue("--address", repr(address), "must be an address or a name of this machine")
     for wanted in (PORT, 0) if port is None else (port,):
         try:
             made = socket.create_server((address, wanted), backlog=128)
         except (OSError, OverflowError, UnicodeError) as error:
             if port is None and wanted == PORT and getattr(error, "errno", None) == errno.EADDRINUSE:
                 continue
-            reason = getattr(error, "strerror", None) or str(error)
+            reason = (getattr(error, "strerror", None) or str(error)).partition(" (while attempting")[0]
             where = f"{address}:{wanted}"
             raise InvalidValue("--address and --port", where, f"cannot be served here ({reason})") from None
         made.setblocking(False)
