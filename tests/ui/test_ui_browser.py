@@ -532,6 +532,21 @@ def test_a_server_that_has_ended_is_said(opened):
     lost.wrong.clear()  # the browser's own words on the lost connection
 
 
+def test_a_page_that_another_session_answers_says_that_what_stood_there_is_gone(paper):
+    paper.type("loop.controller.Kc", "0.7")
+    paper.settled()
+    # As the first answer of a server that was started anew.
+    paper.page.evaluate(
+        """() => {
+          const bridge = Bokeh.documents[0].get_model_by_name("bridge");
+          bridge.down = JSON.stringify({ ...JSON.parse(bridge.down), sent: 1 });
+        }"""
+    )
+    expect(paper.page.locator("#message")).to_contain_text("The connection was lost, and what stood on this page")
+    paper.type("loop.controller.Kc", "0.8")
+    expect(paper.page.locator("#message")).to_be_hidden()
+
+
 def serious_findings(page: Any) -> list[tuple[str, str, list[Any]]]:
     found = page.evaluate("axe.run(document, { resultTypes: ['violations'] })")
     return [

@@ -165,8 +165,10 @@ class Page:
         text = "\n".join(map(unplaced, text.splitlines()))
         return text.replace(f"{self.folder}/", "").replace(str(self.folder), "")
 
-    def _do_hello(self, _request: Mapping[str, Any]) -> dict[str, Any]:
-        """The page is there: send everything."""
+    def _do_hello(self, request: Mapping[str, Any]) -> dict[str, Any]:
+        """The page is there: send everything. lost: it was there in another session, which is gone."""
+        if request.get("lost"):
+            self.message = "The connection was lost, and what stood on this page with it: here it is as it begins."
         return {"record": record_words(self.data, self.record), "found": found_words(self.found), "start": True}
 
     def _do_set(self, request: Mapping[str, Any]) -> None:

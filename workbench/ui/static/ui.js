@@ -12,6 +12,7 @@ let bridge = null;
 let waiting = null;
 let number = 0;
 let sent = 0; // ms, when the request under way was sent
+let heard = 0; // the number of the last answer, by the session's own count
 let gesture = 0; // counts drags and runs of key strokes, each of which is undone at once
 let view = "loop";
 let entries = {};
@@ -50,6 +51,9 @@ function taken() {
   const answer = JSON.parse(bridge.down);
   const asked = waiting && answer.ack === waiting.n ? waiting : null;
   show(answer, asked);
+  // Another session answers: the server was started anew, or has forgotten this page while it was out of reach.
+  if (answer.sent <= heard) ask("hello", { lost: true });
+  heard = answer.sent;
   if (asked) {
     waiting = null;
     // The figures of this answer are painted in this frame; the next request goes out after it.
