@@ -292,8 +292,15 @@ def test_what_the_loader_refuses_is_said_at_the_field(paper):
     expect(said).to_have_text("loop.valve.d: -1 % given; must be >= 0")
     assert paper.entry("loop.valve.d").get_attribute("aria-invalid") == "true"
     paper.picture("refused")
+    stale = paper.page.locator("main.stale")
+    expect(stale).to_have_count(1)
     paper.type("loop.valve.d", "1")
     expect(said).to_be_hidden()
+    expect(stale).to_have_count(0)
+    paper.entry("loop.controller.action").select_option("direct")  # a warning: the run is of what stands there
+    expect(paper.page.locator('[data-field="loop.controller.action"] .said')).to_contain_text("acts the wrong way")
+    expect(stale).to_have_count(0)
+    paper.entry("loop.controller.action").select_option("reverse")
     paper.entry("loop.valve.type").select_option("choudhury")
     expect(paper.entry("loop.valve.S")).to_be_visible()
     expect(paper.entry("loop.valve.d")).to_be_hidden()

@@ -78,18 +78,21 @@ def test_what_is_refused_stays_typed_and_says_why_in_the_loaders_words(paper):
     }
     assert paper.screen.entries["loop.plant.gain"] == "0"
     assert paper.own is before
+    assert paper.stale
     with pytest.raises(ScenarioError) as caught:
         paper.scenario()
     assert "loop.valve.d: -1 % given; must be >= 0" in str(caught.value)
     assert "screen.yaml" not in str(caught.value)
     paper.change({"loop.plant.gain": "2", "loop.valve.d": "1"})
     assert paper.problems == ()
+    assert not paper.stale
 
 
 def test_the_loaders_own_refusal_of_the_wrong_action_is_a_warning_beside_the_run(paper):
     paper.change({"loop.plant.gain": "-1"})
     assert [p.field for p in paper.problems] == ["loop.controller.action"]
     assert "acts the wrong way" in paper.problems[0].text
+    assert not paper.stale  # the run is of what stands there
     assert paper.own is not None
     assert paper.own.run is not None
 

@@ -134,6 +134,7 @@ class Page:
             "notes": list(session.notes),
             "message": self.message,
             "figures": session.figures(),
+            "stale": session.stale,
             "undo": bool(session.past),
             "cases": [{"name": case.name, "note": case.note} for case in session.screen.cases],
             "busy": self.task,

@@ -126,6 +126,7 @@ class Session:
         self.past: list[tuple[Screen, tuple[str, ...]]] = []
         self.gesture = ""
         self.problems: tuple[Problem, ...] = ()
+        self.stale = False  # whether what stands here was refused, and the last good run shows
         self.notes: tuple[str, ...] = ()
         self.built: Built | None = None
         self.own: CaseRun | None = None
@@ -240,8 +241,9 @@ class Session:
         try:
             plan = read_scenario(scenario_text(self.screen, cases=False), FILE)
         except ScenarioError as error:
-            self.problems = problems_of(error, self.screen.entries)
+            self.problems, self.stale = problems_of(error, self.screen.entries), True
             return
+        self.stale = False
         cascade = plan.cascade[0].cascade if plan.cascade else None
         loop = plan.loop if cascade is None else cascade.secondary
         if loop is None or plan.experiment is None or plan.objective is None:

@@ -98,10 +98,11 @@ function show(answer, asked) {
   byId("message").hidden = !answer.message;
   if (asked?.do === "pin" && !answer.message) byId(asked.from).value = ""; // a name that is refused stays, to be mended
   byId("progress").hidden = !answer.busy;
-  for (const id of ["tune", "map", "map-view", "front"]) byId(id).disabled = Boolean(answer.busy);
+  for (const el of document.querySelectorAll("#tune, #map, #map-view, #front, [data-export=report]")) el.disabled = Boolean(answer.busy);
   if (answer.notes.join() !== notes) list(byId("notes"), answer.notes);
   notes = answer.notes.join();
-  showFigures(answer.figures, answer.problems);
+  showFigures(answer.figures);
+  document.querySelector("main").classList.toggle("stale", answer.stale);
   if (answer.busy && asked && !["set", "view"].includes(asked.do)) {
     byId("progress-words").textContent = "Starting";
     byId("progress-share").removeAttribute("value");
@@ -218,9 +219,8 @@ function showProblems(problems) {
   }
 }
 
-function showFigures(figures, problems) {
+function showFigures(figures) {
   const box = byId("figures");
-  box.classList.toggle("stale", problems.length > 0);
   if (box.children.length !== figures.length) {
     box.replaceChildren(
       ...figures.map(() => make("div", "", {}, make("dt"), make("dd"))),
