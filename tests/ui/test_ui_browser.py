@@ -539,6 +539,18 @@ def test_a_server_that_has_ended_is_said(opened):
     lost.wrong.clear()  # the browser's own words on the lost connection
 
 
+def test_leaving_asks_first_where_something_would_be_lost(paper):
+    leaving = """() => {
+      const event = new Event("beforeunload", { cancelable: true });
+      window.dispatchEvent(event);
+      return event.defaultPrevented;
+    }"""
+    assert not paper.page.evaluate(leaving)
+    paper.type("loop.controller.Kc", "0.7")
+    paper.settled()
+    assert paper.page.evaluate(leaving)
+
+
 def test_a_page_that_another_session_answers_says_that_what_stood_there_is_gone(paper):
     paper.type("loop.controller.Kc", "0.7")
     paper.settled()

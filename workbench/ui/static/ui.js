@@ -526,6 +526,11 @@ document.addEventListener("drop", (event) => {
   upload(event.dataTransfer.files[0]);
 });
 
+// A page that is left or loaded anew begins from the start: the browser asks first where something would be lost.
+window.addEventListener("beforeunload", (event) => {
+  if (!byId("undo").disabled || !byId("use-model").disabled || !byId("progress").hidden) event.preventDefault();
+});
+
 // the connection ------------------------------------------------------------------------------------------------------
 
 function connect() {
