@@ -211,7 +211,8 @@ def searches(tuned: Tuned, judged: Judged, lead: str = "Search", *, rounded: boo
         text += ": none of them keeps the constraints by itself; the search that goes on from all of them does"
     if tuned.worst_bound is not None:
         text += (
-            f"; a run in every neighbourhood of the bounds{tuned.asked_from} shows that no settings have a worst J "
+            f"; a run in every neighbourhood of the bounds{tuned.asked_from} shows that no settings "
+            f"{'' if tuned.constraints is None else 'that keep the constraints '}have a worst J "
             f"below {figure(tuned.worst_bound)} (these: {figure(tuned.worst)})"
         )
         alike = alike or tuned.worst <= NEARLY * tuned.worst_bound

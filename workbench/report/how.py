@@ -66,7 +66,7 @@ _HOW_ROWS: tuple[tuple[str, str, Callable[[Tuned], str]], ...] = (
     ("Least J met, unrounded and however near a cliff", "", lambda t: figure(t.nominal)),
     ("Worst J near the settings", "", lambda t: f"{figure(t.worst)} {nearby(t.margin)}"),
     (
-        "No worst J within the bounds is below",
+        "No worst J within bounds and constraints is below",
         "",
         lambda t: "not known" if t.worst_bound is None else figure(t.worst_bound),
     ),

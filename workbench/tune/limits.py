@@ -11,7 +11,7 @@ import numpy as np
 from workbench.model.ensemble import Constraints
 from workbench.model.record import FloatArray
 
-__all__ = ["NARROW", "UNSTABLE", "WORN", "more_than_sensitivity", "narrowness", "worn"]
+__all__ = ["NARROW", "UNSTABLE", "WORN", "beyond", "more_than_sensitivity", "narrowness", "worn"]
 
 # Values of what breaks a constraint lie above every J that a run that does not overflow can have.
 UNSTABLE, NARROW, WORN = 1e280, 1e240, 1e200
@@ -19,13 +19,23 @@ UNSTABLE, NARROW, WORN = 1e280, 1e240, 1e200
 
 def narrowness(asked: Constraints, margins: FloatArray) -> FloatArray:
     """How far margins (Ms, gain, phase in degrees), shape (M, 3), miss what is asked: a sum of logarithms, (M,)."""
-    total = np.zeros(margins.shape[0])
-    if asked.max_sensitivity is not None:
-        total += np.maximum(np.log(margins[:, 0] / asked.max_sensitivity), 0.0)
+    total: FloatArray = np.maximum(_missed(asked, margins), 0.0).sum(axis=0)
+    return total
+
+
+def beyond(asked: Constraints, margins: FloatArray) -> FloatArray:
+    """By how much of a logarithm the worst of the margins misses what is asked, below 0 if all are kept, shape (M,)."""
+    most: FloatArray = _missed(asked, margins).max(axis=0, initial=-np.inf)
+    return most
+
+
+def _missed(asked: Constraints, margins: FloatArray) -> FloatArray:
+    """Logarithms of what is asked of margins over what they are, a row each; shape (asked, M)."""
+    rows = [np.log(margins[:, 0] / asked.max_sensitivity)] if asked.max_sensitivity is not None else []
     for column, least in ((1, asked.gain_margin), (2, asked.phase_margin)):
         if least is not None:
-            total += np.log(np.maximum(least / np.maximum(margins[:, column], 1e-9), 1.0))
-    return total
+            rows.append(np.log(np.maximum(least / np.maximum(margins[:, column], 1e-9), 1e-9)))
+    return np.array(rows).reshape(-1, margins.shape[0])
 
 
 def more_than_sensitivity(asked: Constraints) -> bool:

@@ -125,6 +125,22 @@ class Problem:
         """Return J of each tuning where it does not exceed its ceiling, else inf."""
         return self._worst(tunings, 1, ceilings)
 
+    def least_below(self, tunings: FloatArray, ceilings: FloatArray) -> FloatArray:
+        """Return J of each tuning's run where neither it nor the valve's travel is above its limit, else inf.
+
+        No tuning in whose neighbourhood that run lies has a worst J below it and keeps the travel; the margins that
+        constraints ask for are not looked at.
+        """
+        if self.constraints is None:
+            return self.below(tunings, ceilings)
+        rows = coefficients(self.loop, self.experiment.stem_offset, tunings)
+        values = self._runs(rows, 1, ceilings)
+        if self.constraints.valve_travel is not None:
+            left = np.flatnonzero(np.isfinite(values))
+            values[left[self._travel(rows[left]) > self.constraints.valve_travel]] = np.inf
+            self.work.simulated += left.size * self.samples
+        return values
+
     def worst_below(self, tunings: FloatArray, ceilings: FloatArray, *, dense: bool = False) -> FloatArray:
         """Return the worst J in the neighbourhood of each tuning where it does not exceed its ceiling, else inf.
 
@@ -162,10 +178,7 @@ class Problem:
 
     def _worst(self, tunings: FloatArray, group: int, ceilings: FloatArray) -> FloatArray:
         rows = coefficients(self.loop, self.experiment.stem_offset, tunings)
-        lost = self._lost.setdefault(group, np.zeros(group, np.int64))
-        values, samples = worst(rows, group, self.signals, self.weights, ceilings, lost)
-        self.work.simulated += samples
-        self.work.evaluations += rows.shape[0]
+        values = self._runs(rows, group, ceilings)
         if self.constraints is None:
             return values
         # Margins cost more than a run: what has lost already against a feasible parent is not asked for them.
@@ -174,6 +187,14 @@ class Problem:
             tunings[::group][alive], rows.reshape(-1, group, rows.shape[1])[alive], values[alive]
         )
         values[values > ceilings] = np.inf
+        return values
+
+    def _runs(self, rows: FloatArray, group: int, ceilings: FloatArray) -> FloatArray:
+        """The worst J of the runs of each group of rows where it does not exceed its ceiling, else inf."""
+        lost = self._lost.setdefault(group, np.zeros(group, np.int64))
+        values, samples = worst(rows, group, self.signals, self.weights, ceilings, lost)
+        self.work.simulated += samples
+        self.work.evaluations += rows.shape[0]
         return values
 
     # Constraints. The first point of a group is the tuning itself.

@@ -3,27 +3,32 @@
 The worst J of a tuning is at least J anywhere in its neighbourhood. On a grid as wide as neighbourhoods every one of
 them holds a point; where J there is above the least worst case known, no tuning around that point does better. Most
 runs are given up within some dozen samples, and of the points seldom one in a thousand is left: around those a finer
-grid is asked in the same way. Three dimensions have too many neighbourhoods: there a coarser grid of runs finds the
-valleys that populations miss.
+grid is asked in the same way. A run whose valve travels further than is allowed is as good as one above; points about
+which no tuning keeps the margins that are asked for are left out. Three dimensions have too many neighbourhoods: there
+a coarser grid of runs finds the valleys that populations miss.
 """
 
 from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
+from workbench.model.ensemble import Constraints
 from workbench.model.record import FloatArray
 from workbench.model.results import ASKED_FROM
 from workbench.simulate.batch import FIRST_LOOK
 from workbench.tune.problem import NAMES, Problem
+from workbench.tune.region import Region
 from workbench.tune.scan import spread
 
 __all__ = ["Sieved", "sieve"]
+
+Possible = Callable[[Sequence[NDArray[np.int64]]], NDArray[np.bool_]]
 
 # Each pass has the points between those of the one before: the first good tunings spare the others most of their runs,
 # and what the first passes cost tells early whether the whole plane is within the budget.
@@ -61,10 +66,16 @@ class Sieved:
         """What no worst J of the plane is below."""
         return min(self.ceiling, float(self.bounds.min(initial=math.inf)))
 
-    def add(self, problem: Problem, tunings: FloatArray, bounds: FloatArray) -> None:
+    def add(self, problem: Problem, tunings: FloatArray, bounds: FloatArray, region: Region | None) -> None:
         """Keep tunings that may be better, and lower the ceiling to what the best of them reach."""
+        likely = bounds
+        if region is not None:
+            near = region.near(tunings)
+            tunings, bounds = tunings[near], bounds[near]
+            likely = np.where(region.missed(tunings) <= 0.0, bounds, np.inf)
+        likely = np.concatenate([self.bounds, likely])
         self.tunings, self.bounds = np.concatenate([self.tunings, tunings]), np.concatenate([self.bounds, bounds])
-        self.reach(problem, self.tunings[spread(problem.cube(self.tunings), self.bounds, TRIED, APART)])
+        self.reach(problem, self.tunings[spread(problem.cube(self.tunings), likely, TRIED, APART)])
 
     def reach(self, problem: Problem, tunings: FloatArray) -> None:
         """Lower the ceiling to the worst J of any of these tunings, shape (K, 3), and drop what cannot be below it."""
@@ -86,7 +97,8 @@ def sieve(
     """Ask every neighbourhood of the plane of one or two free parameters whether its worst J is below a ceiling.
 
     Of three free parameters, every 16th value of each is asked for J alone, and nothing is proved.
-    tuning: shape (3,), the best known; ceiling: the worst J that is to be beaten. improved: makes better tunings, shape
+    tuning: shape (3,), the best known; ceiling: the worst J that is to be beaten, of one that keeps all constraints;
+    those that do not keep them are left out. improved: makes better tunings, shape
     (K, 3), of the best of some, between the passes. most: samples of plain runs (`Problem.price`) that all of it may
     cost; given up as soon as it is likely to cost more. `stop` is asked between parts of the grid.
     """
@@ -95,21 +107,25 @@ def sieve(
     if any(axis.size > FINEST for axis in axes) or not math.isfinite(left.ceiling):
         return left
     whole, done, price = _count(axes, 1 if len(axes) <= 2 else STRIDES_3[-1]), 0, float(FIRST_LOOK)
-    began = problem.work.simulated
+    began, flat = problem.work.simulated, len(axes) <= 2
+    asked = problem.constraints
+    region = None
+    if asked is not None and asked != Constraints(valve_travel=asked.valve_travel):
+        region = Region(problem, axes if flat else [axis[:: STRIDES_3[-1]] for axis in axes])
 
     def spent() -> float:
         return problem.price * (problem.work.simulated - began)
 
-    flat = len(axes) <= 2
     for before, stride in itertools.pairwise((0, *(STRIDES if flat else STRIDES_3))):
         if spent() + problem.price * price * (whole - done) > most * DEAR[flat].get(stride, 1.0):
             return left
         first = problem.work.simulated
-        for part in _parts(axes, stride, before, min(POINTS, PART_SAMPLES / problem.samples / problem.price)):
+        count = min(POINTS, PART_SAMPLES / problem.samples / problem.price)
+        for part in _parts(axes, stride, before, count, None if region is None else region.possible):
             for points, costs in _survivors(problem, part, left.ceiling):
                 if stop():
                     return left
-                left.add(problem, *(_windows(problem, points, left.ceiling) if flat else (points, costs)))
+                left.add(problem, *(_windows(problem, points, left.ceiling) if flat else (points, costs)), region)
         price = (problem.work.simulated - first) / (_count(axes, stride) - done)
         left.reach(problem, improved(left.tunings))
         done = _count(axes, stride)
@@ -134,17 +150,23 @@ def _count(axes: list[FloatArray], stride: int) -> int:
     return math.prod(-(-axis.size // stride) for axis in axes)
 
 
-def _parts(axes: list[FloatArray], stride: int, before: int, count: float) -> Iterator[FloatArray]:
+def _parts(
+    axes: list[FloatArray], stride: int, before: int, count: float, possible: Possible | None = None
+) -> Iterator[FloatArray]:
     """The points of one stride that those of the one before (0: none) have not, shape (M, parameters), in parts.
 
-    count: about how many points a part has, new ones or not.
+    count: about how many points a part has, new ones or not. possible: which of them are not left out, by their places
+    on the axes, in three dimensions by those of the last stride.
     """
+    every = 1 if len(axes) <= 2 else STRIDES_3[-1]
     rows = max(1, int(count) // math.prod(-(-axis.size // stride) for axis in axes[1:]))
     first = np.arange(0, axes[0].size, stride)
     for begin in range(0, first.size, rows):
         along = (first[begin : begin + rows], *(np.arange(0, axis.size, stride) for axis in axes[1:]))
         index = np.meshgrid(*along, indexing="ij")
         new: NDArray[np.bool_] = np.any([some % before if before else some >= 0 for some in index], axis=0)
+        if possible is not None:
+            new &= possible([some // every for some in index])
         yield np.stack([axis[some[new]] for axis, some in zip(axes, index, strict=True)], axis=1)
 
 
@@ -152,7 +174,7 @@ def _survivors(problem: Problem, part: FloatArray, ceiling: float) -> Iterator[t
     """The tunings, shape (L, 3), of a part of the grid whose J is below the ceiling; at least once, if of none."""
     grid = np.tile(problem.low, (part.shape[0], 1))
     grid[:, problem.free] = part
-    costs = problem.below(grid, np.full(grid.shape[0], ceiling))
+    costs = problem.least_below(grid, np.full(grid.shape[0], ceiling))
     left = np.flatnonzero(np.isfinite(costs))
     for begin in range(0, max(left.size, 1), LOOK):
         some = left[begin : begin + LOOK]
@@ -172,7 +194,7 @@ def _windows(problem: Problem, points: FloatArray, ceiling: float) -> tuple[Floa
     radius = problem.radius(points - 2.0 * problem.radius(points))[:, None, free]
     fine = np.repeat(points[:, None, :], offsets.shape[0], axis=1)
     fine[:, :, free] = np.clip(fine[:, :, free] + offsets * radius, problem.low[free], problem.high[free])
-    costs = problem.below(fine.reshape(-1, 3), np.full(fine.shape[0] * fine.shape[1], ceiling))
+    costs = problem.least_below(fine.reshape(-1, 3), np.full(fine.shape[0] * fine.shape[1], ceiling))
     over = sliding_window_view(
         costs.reshape(points.shape[0], *[steps.size] * free.size),
         [HELD] * free.size,

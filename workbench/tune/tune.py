@@ -292,6 +292,8 @@ def _message(problem: Problem, found: Found, note: str, tuned: Tuned) -> str:
     if len(tuned.restarts) > 1:
         parts.append(f"{tuned.agreeing} of {len(tuned.restarts)} searches agree on the least J within 0.1 %")
     if tuned.worst_bound is not None:
-        parts.append(f"no tuning within the bounds{tuned.asked_from} has a worst J below {given(tuned.worst_bound, 5)}")
+        kept = "" if tuned.constraints is None else " that keeps the constraints"
+        bound = given(tuned.worst_bound, 5)
+        parts.append(f"no tuning within the bounds{tuned.asked_from}{kept} has a worst J below {bound}")
     parts.append(f"objective by exact simulation at {problem.digits} significant digits")
     return "; ".join(parts)

@@ -16,6 +16,7 @@ from workbench.model.valve import Ideal, Kano, Positional
 from workbench.simulate.coefficients import valve_law
 from workbench.tune.problem import NAMES, Problem, unit_of
 from workbench.tune.refine import path
+from workbench.tune.scan import spread
 
 __all__ = ["Choice", "choose", "digit_steps", "stem_guard"]
 
@@ -25,7 +26,9 @@ STEPS = (64, 16, 4, 1)
 # less than NO_LOSS without it.
 NEGLIGIBLE, NO_LOSS = 0.02, 1e-3
 # Samples of runs, one for each candidate, that may be looked at densely; candidates that get the last word.
-CANDIDATE_SAMPLES, FINALISTS = 200_000, 64
+CANDIDATE_SAMPLES, FINALISTS = 1_000_000, 600
+# Those, so far apart in the unit cube, from which that leads a walk where it finds more than a dense look.
+LED, APART = 8, 3e-3
 # At most this many rounds for each step: each round improves the worst case, so this is only a guard.
 ROUNDS = 50
 
@@ -44,8 +47,8 @@ def choose(problem: Problem, candidates: FloatArray, *, stop: Callable[[], bool]
 
     Every candidate is rounded and judged by a dense sample of its neighbourhood; the best are then improved step by
     step on the lattice of their digits, and the last word is a still closer look at these and the next best, which
-    thin cliffs cannot hide from so easily. A candidate with a negligible derivative is also judged without it, and its
-    derivative is left out where that costs next to nothing.
+    thin cliffs cannot hide from so easily; where it finds them, it leads further walks itself. A candidate with a
+    negligible derivative is also judged without it, and its derivative is left out where that costs next to nothing.
     """
     tried = problem.rounded(candidates)
     if problem.low[2] == 0.0:
@@ -68,8 +71,10 @@ def choose(problem: Problem, candidates: FloatArray, *, stop: Callable[[], bool]
     last = min(results, key=lambda item: item[0])
     if last[0] > (1.0 + NO_LOSS) * _dense(problem, last[2], math.inf):
         # Where a closer look finds more, there are thin cliffs everywhere: the closer look itself leads out of them.
-        end, value = _improved(problem, last[2], last[0], problem.last_word, stop)
-        results.append((value, float(problem.exact(end[None, :])[0]), end))
+        values = np.array([item[0] for item in results])
+        for index in spread(problem.cube(ends), values, LED, APART):
+            end, value = _improved(problem, ends[index], float(values[index]), problem.last_word, stop)
+            results.append((value, float(problem.exact(end[None, :])[0]), end))
     least = min(item[0] for item in results)
     # Worst cases that are as good as equal leave the choice to J itself.
     near = [item for item in results if item[0] <= (1.0 + NO_LOSS) * least] or results

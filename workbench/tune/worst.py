@@ -14,6 +14,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from workbench.model.record import FloatArray
+from workbench.tune.limits import WORN
 from workbench.tune.problem import Problem, stopper
 from workbench.tune.scan import Population, evolve, sized, spread
 from workbench.tune.sieve import Sieved, sieve
@@ -25,12 +26,16 @@ ISLAND_FRESH, ISLAND_GENERATIONS = 20, 60
 JOINT, JOINT_FLAT = (80, 200), (200, 400)
 DENSE_MEMBERS, DENSE_GENERATIONS, DENSE_GAP = 60, 100, 2e-4
 ROUNDS, ROUNDS_FLAT, VALLEYS, GAP = 2, 4, 24, 3e-3
+# And so many of the best that are hardly apart: which of them thin cliffs spare is told by the last word alone.
+NEXT_BEST = 600
 # Tunings of an unfinished sieve that make a pool of their own.
 SIEVED = 60
 # Samples that each population may simulate at most: some seconds.
 SAMPLES = 150_000_000
 # Samples that a sieve may take for each restart, some seconds; fewer than so many restarts ask for a quick answer.
 SIEVE_SAMPLES, SIEVE_RESTARTS = 1_900_000_000, 3
+# A least worst case as near to what the sieve proves needs no other search.
+SETTLED = 0.98
 # Members and generations between the passes of a sieve, the most of its tunings that they start from, and how many
 # they hand back.
 QUICK_MEMBERS, QUICK_GENERATIONS, QUICK_OF, QUICK_ENDS = 60, 40, 2_000, 4
@@ -110,20 +115,21 @@ def least_worst(
     """Search for the least worst case, from the pools of all restarts, at the digits to type in.
 
     Each pool is searched by itself, then the best of all together, and all of that some times, each from other members
-    of the pools; a sieved plane needs none of that. So far with few points of each neighbourhood; from the best at last
-    with many. ceiling: a worst J known from elsewhere, above which a tuning of the plane is of no interest.
+    of the pools; a sieved plane that leaves little open needs none of that. So far with few points of each
+    neighbourhood; from the best at last with many. ceiling: a worst J known from elsewhere, above which a tuning of
+    the plane is of no interest.
     """
     search = _Search(problem, scale, check)
     bound = -math.inf
-    # A tuning may keep a margin that another in its neighbourhood misses: a run there says nothing of it.
-    sure = restarts >= SIEVE_RESTARTS and not problem.nominal and problem.constraints is None
+    sure = restarts >= SIEVE_RESTARTS and not problem.nominal
     left = _sieved(search, pools, seed, SIEVE_SAMPLES * restarts, ceiling) if sure else None
     if left is not None and left.whole:
         bound = left.least
         start = problem.rounded(left.tunings)
         search.keep(problem.cube(start), problem.worst_below(start, np.full(start.shape[0], np.inf)))
         _together(search, np.random.default_rng([*seed, 0]), 0)
-    else:
+    if bound < SETTLED * min((float(values.min()) for values in search.values), default=math.inf):
+        # Not sieved, or what the sieve leaves may still hold a better one.
         if left is not None:
             some = spread(problem.cube(left.tunings), left.bounds, SIEVED, GAP)
             pools = [*pools, left.tunings[some]]
@@ -133,7 +139,8 @@ def least_worst(
     if not best.size:
         return Worst(problem.rounded(np.concatenate(pools)))
     population = search.evolve(best, DENSE_GENERATIONS, rng, dense=True)
-    tunings = problem.tunings(np.concatenate([population.points, search.best(VALLEYS, GAP)]))
+    next_best = search.best(VALLEYS, GAP), search.best(NEXT_BEST, DENSE_GAP)
+    tunings = problem.tunings(np.concatenate([population.points, *next_best]))
     return Worst(tunings, bound)
 
 
@@ -158,11 +165,16 @@ def _together(search: _Search, rng: np.random.Generator, first: int) -> None:
         search.evolve(best, generations, rng)
 
 
-def _sieved(search: _Search, pools: list[FloatArray], seed: list[int], most: float, ceiling: float) -> Sieved:
-    """The plane, or the space, sieved under the best that one quick population makes of the pools."""
+def _sieved(search: _Search, pools: list[FloatArray], seed: list[int], most: float, ceiling: float) -> Sieved | None:
+    """The plane, or the space, sieved under the best that one quick population makes of the pools.
+
+    None where that keeps not all constraints.
+    """
     problem, rng = search.problem, np.random.default_rng([*seed, ROUNDS_FLAT + 1])
     start = search.quick(np.concatenate([problem.guesses(), *pools]), rng)
     worst = problem.spread(start, np.full(start.shape[0], np.inf))
     best = start[int(np.argmin(worst))]
+    if not float(worst.min()) < WORN:
+        return None
     stop = stopper(problem, 2**62, search.check)
     return sieve(problem, best, min(float(worst.min()), ceiling), lambda some: search.quick(some, rng), most, stop)

@@ -1,0 +1,89 @@
+"""Where on a grid of tunings the margins that constraints ask for are kept.
+
+Margins change smoothly, and cost more than a run that is given up early: the border between the tunings that keep them
+and those that do not is followed from a coarse grid to the finest, and nothing else is asked.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import map_coordinates, maximum_filter, minimum_filter
+
+from workbench.model.record import FloatArray
+from workbench.tune.limits import beyond, more_than_sensitivity
+from workbench.tune.problem import Problem
+
+__all__ = ["Region"]
+
+# The coarsest grid's step, a power of 2; the largest miss, a logarithm, and that of an unstable loop; and by how
+# much of one a tuning between grid points may seem to miss a sensitivity that it keeps.
+COARSEST, LOST, NEARLY = 16, 1.0, 0.01
+
+
+class Region:
+    """Which points of a grid have a tuning about them that keeps the margins, and by how much a tuning misses them.
+
+    axes: of the free parameters, each rising.
+    """
+
+    def __init__(self, problem: Problem, axes: Sequence[FloatArray]) -> None:
+        self._problem, self._axes = problem, axes
+        step = COARSEST
+        missed = self._asked(np.meshgrid(*(axis[::step] for axis in axes), indexing="ij"))
+        while step > 1:
+            missed, step = self._finer(missed, step), step // 2
+        self._missed = missed
+        # Between a point and its neighbours a tuning may be what none of them is only if they differ.
+        self._possible: NDArray[np.bool_] = maximum_filter(missed <= 0.0, 3)
+
+    def possible(self, index: Sequence[NDArray[np.int64]]) -> NDArray[np.bool_]:
+        """Return whether a tuning that keeps the margins may lie as near to a point as to its neighbours."""
+        which: NDArray[np.bool_] = self._possible[tuple(index)]
+        return which
+
+    def missed(self, tunings: FloatArray) -> FloatArray:
+        """Return by how much of a logarithm tunings, shape (M, 3), miss a margin, below 0 where they keep it, (M,)."""
+        between: FloatArray = map_coordinates(self._missed, self._at(tunings), order=1, mode="nearest")
+        return between
+
+    def near(self, tunings: FloatArray) -> NDArray[np.bool_]:
+        """Return whether tunings, shape (M, 3), may keep the margins for all that is known of the grid about them."""
+        asked = self._problem.constraints
+        if asked is not None and more_than_sensitivity(asked):
+            # Where another crossing becomes the nearest, a gain or phase margin jumps.
+            at = np.minimum(np.rint(self._at(tunings)).astype(np.int64), np.array([self._missed.shape]).T - 1)
+            return self.possible(list(at))
+        near: NDArray[np.bool_] = self.missed(tunings) <= NEARLY
+        return near
+
+    def _at(self, tunings: FloatArray) -> FloatArray:
+        """Where tunings lie between the points of the axes, shape (parameters, M)."""
+        free = self._problem.free
+        at = [np.interp(tunings[:, k], axis, np.arange(axis.size)) for k, axis in zip(free, self._axes, strict=True)]
+        return np.array(at)
+
+    def _finer(self, missed: FloatArray, step: int) -> FloatArray:
+        """The grid of half the step: the old points, points near the border, and elsewhere what is next to them."""
+        kept, half = missed <= 0.0, step // 2
+        border = maximum_filter(kept, 3) != minimum_filter(kept, 3)
+        index = [np.arange(0, axis.size, half) for axis in self._axes]
+        nearest = np.ix_(*(np.minimum((i + half) // step, n - 1) for i, n in zip(index, missed.shape, strict=True)))
+        finer = missed[nearest].copy()
+        grids = np.meshgrid(*index, indexing="ij")
+        new = border[nearest] & np.any([grid % step != 0 for grid in grids], axis=0)
+        finer[new] = self._asked([axis[grid[new]] for axis, grid in zip(self._axes, grids, strict=True)])
+        return finer
+
+    def _asked(self, values: Sequence[FloatArray]) -> FloatArray:
+        """By how much tunings of such values of the free parameters miss the margins; of the values' shape."""
+        problem, asked = self._problem, self._problem.constraints
+        if asked is None or not values[0].size:
+            return np.zeros(values[0].shape)
+        tunings = np.tile(problem.low, (values[0].size, 1))
+        tunings[:, problem.free] = np.stack([value.ravel() for value in values], axis=1)
+        margins, stable = problem.margins(tunings, all_three=more_than_sensitivity(asked))
+        missed: FloatArray = np.where(stable, np.clip(beyond(asked, margins), -LOST, LOST), LOST)
+        return missed.reshape(values[0].shape)
