@@ -185,3 +185,12 @@ def test_coarse_sampling_is_noted():
     assert wb.Loop(wb.FOPDT(1.0, 5.0), valve, pid, 1.0).sampling_note() is None
     assert "time constant (5 s)" in (wb.Loop(wb.FOPDT(1.0, 5.0), valve, pid, 10.0).sampling_note() or "")
     assert "dead time (1 s)" in (wb.Loop(wb.Integrating(1.0, 1.0), valve, pid, 2.0).sampling_note() or "")
+
+
+def test_a_profile_of_one_part_is_the_same_in_a_list_as_by_itself():
+    alone = wb.Experiment(10.0, setpoint=wb.Step(1.0), load=wb.Ramp(1.0, 2.0, 5.0))
+    listed = wb.Experiment(10.0, setpoint=[wb.Step(1.0)], load=(wb.Ramp(1.0, 2.0, 5.0),))
+    assert listed == alone
+    assert hash(listed) == hash(alone)
+    assert listed.setpoint_parts == alone.setpoint_parts == (wb.Step(1.0),)
+    assert wb.Experiment(10.0, setpoint=[]) == wb.Experiment(10.0)

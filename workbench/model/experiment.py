@@ -128,8 +128,8 @@ class Experiment:
         object.__setattr__(self, "duration", number(self.duration, "Experiment.duration", above=0.0, unit="s"))
         for name in ("setpoint", "load"):
             parts = profile_parts(getattr(self, name), f"Experiment.{name}", self.duration)
-            if not isinstance(getattr(self, name), Step | Ramp | Series):
-                object.__setattr__(self, name, parts or None)
+            # One part is the same run, and the same experiment, in a list as by itself.
+            object.__setattr__(self, name, parts[0] if len(parts) == 1 else parts or None)
         if self.noise is not None and not isinstance(self.noise, Noise):
             raise InvalidValue("Experiment.noise", self.noise, "must be a Noise(sd, seed) or None")
         object.__setattr__(self, "stem_offset", number(self.stem_offset, "Experiment.stem_offset", unit="%"))
