@@ -24,8 +24,11 @@ from workbench.model.plant import FOPDT, Plant
 from workbench.model.record import FloatArray
 from workbench.model.valve import Choudhury, Deadband, Directional, He, Kano, Positional, Stenman, Valve
 from workbench.simulate import kernel
+from workbench.simulate.compiled import compiled
 
 __all__ = ["Discrete", "ValveLaw", "coefficients", "discretise", "rest", "valve_law", "valve_row"]
+
+TERMS = 7  # of a row, that a tuning changes
 
 
 class Discrete(NamedTuple):
@@ -132,17 +135,33 @@ def coefficients(loop: Loop, stem_offset: float = 0.0, tunings: FloatArray | Non
     pid, Ts = loop.controller, loop.scan * loop.sample_time
     same = _untuned(loop, stem_offset)
     rows = np.empty((tunings.shape[0], same.size))
-    rows[:] = same
     Kc, Ti, Td, Tf, weight = _ideal_terms(pid, tunings)
     signed = pid.signed_gain * Kc
-    rows[:, kernel.KC] = signed
-    rows[:, kernel.KI] = signed * Ts / Ti
-    rows[:, kernel.KD] = signed * Td
-    rows[:, kernel.TF] = Tf
-    rows[:, kernel.TF_TS] = Tf + Ts
-    rows[:, kernel.WEIGHT] = weight
-    rows[:, kernel.TS_TT] = Ts / (Ti if pid.tracking_time is None else pid.tracking_time)
+    terms = np.empty((TERMS, tunings.shape[0]))
+    terms[0] = signed
+    terms[1] = signed * Ts / Ti
+    terms[2] = signed * Td
+    terms[3] = Tf
+    terms[4] = Tf + Ts
+    terms[5] = weight
+    terms[6] = Ts / (Ti if pid.tracking_time is None else pid.tracking_time)
+    _fill(rows, same, terms)
     return rows
+
+
+@compiled
+def _fill(rows: FloatArray, same: FloatArray, terms: FloatArray) -> None:
+    """Write what all rows share, then each one's own: in one pass, as searches ask for millions of rows."""
+    for i in range(rows.shape[0]):
+        for j in range(same.size):
+            rows[i, j] = same[j]
+        rows[i, kernel.KC] = terms[0, i]
+        rows[i, kernel.KI] = terms[1, i]
+        rows[i, kernel.KD] = terms[2, i]
+        rows[i, kernel.TF] = terms[3, i]
+        rows[i, kernel.TF_TS] = terms[4, i]
+        rows[i, kernel.WEIGHT] = terms[5, i]
+        rows[i, kernel.TS_TT] = terms[6, i]
 
 
 @lru_cache(maxsize=32)
