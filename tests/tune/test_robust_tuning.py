@@ -15,8 +15,8 @@ from workbench.tune.ensemble import draws
 START = paper_loop(0.5, 20.0, derivative_on="pv", derivative_filter=10.0)
 PI = wb.Bounds(Td=(0.0, 0.0))
 # A small ensemble keeps these tests quick; the paper's own is measured in the slow test.
-SMALL = replace(wb.Ensemble.plant_ready(START), duration=300.0, load_time=(100.0, 150.0), draws=30)
-STEP = paper_step(300.0)
+SMALL = replace(wb.Ensemble.plant_ready(START), duration=200.0, load_time=(80.0, 120.0), draws=20)
+STEP = paper_step(200.0)
 
 
 def tune(bounds=PI, robust=SMALL, **more):
@@ -157,13 +157,13 @@ def test_wrong_options_are_refused(wrong, where):
 
 @pytest.mark.slow
 def test_the_papers_loop_meets_its_figures():
-    robust = wb.tune(START, paper_step(), bounds=PI, robust=True, seed=0)
+    robust = wb.tune(START, paper_step(), bounds=PI, robust=True, seed=0, restarts=1)
     fresh = robust.robustness
     assert robust.status is wb.SolveStatus.SOLVED
     assert fresh.max_sensitivity <= 2.0
     assert fresh.mse_median <= 0.26
     assert fresh.travel_median <= 250.0
     assert fresh.diverged == 0
-    free = wb.tune(START, paper_step(), bounds=PI, robust=True, constraints=wb.Constraints(), seed=0)
+    free = wb.tune(START, paper_step(), bounds=PI, robust=True, constraints=wb.Constraints(), seed=0, restarts=1)
     assert free.robustness.mse_median <= 0.155
     assert free.robustness.diverged == 0

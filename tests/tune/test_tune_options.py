@@ -21,7 +21,7 @@ def exact(tuned):
 
 @pytest.fixture(scope="module")
 def plain():
-    return wb.tune(LOOP, STEP, bounds=PI)
+    return wb.tune(LOOP, STEP, bounds=PI, restarts=2)
 
 
 # Best known values of FINDINGS, section 2, and of the problem set in benchmarks/.
@@ -36,7 +36,7 @@ def plain():
 )
 def test_a_nominal_search_reaches_the_best_known_value(on, weights, best):
     pid = wb.PID(0.5, 20.0, derivative_on=on)
-    tuned = wb.tune(LOOP.with_controller(pid), STEP, wb.Objective(*weights), seed=3, nominal=True)
+    tuned = wb.tune(LOOP.with_controller(pid), STEP, wb.Objective(*weights), seed=3, nominal=True, restarts=2)
     assert tuned.require_success().objective <= 1.001 * best
     assert tuned.objective == exact(tuned)
     assert tuned.nominal_only
@@ -46,7 +46,7 @@ def test_a_nominal_search_reaches_the_best_known_value(on, weights, best):
 
 
 def test_a_nominal_optimum_is_below_the_typed_in_one_and_its_worst_case_above(plain):
-    nominal = wb.tune(LOOP, STEP, bounds=PI, nominal=True)
+    nominal = wb.tune(LOOP, STEP, bounds=PI, nominal=True, restarts=2)
     assert nominal.objective <= plain.objective
     assert nominal.worst >= plain.worst
     assert not plain.nominal_only
@@ -118,7 +118,7 @@ def test_a_small_budget_returns_the_best_so_far():
 
 
 def test_the_result_says_how_sure_it_is():
-    tuned = wb.tune(LOOP, STEP, bounds=wb.Bounds(Ti=(5.0, 60.0), Td=(0.0, 0.0)))
+    tuned = wb.tune(LOOP, STEP, bounds=wb.Bounds(Ti=(5.0, 60.0), Td=(0.0, 0.0)), restarts=2)
     assert [step.name for step in tuned.steps] == ["Kc", "Ti"]
     for step in tuned.steps:
         value = getattr(tuned.controller, step.name)
@@ -129,8 +129,8 @@ def test_the_result_says_how_sure_it_is():
             other = {"Kc": tuned.controller.Kc, "Ti": tuned.controller.Ti, step.name: round(near, 8)}
             J = wb.evaluate(LOOP, STEP, tuned.weights, [[other["Kc"], other["Ti"], 0.0]])[0]
             assert cost == pytest.approx(J, rel=1e-12)
-    assert 1 <= tuned.agreeing <= 4
-    assert f"{tuned.agreeing} of 4 searches agree" in tuned.message
+    assert 1 <= tuned.agreeing <= 2
+    assert f"{tuned.agreeing} of 2 searches agree" in tuned.message
     run = wb.simulate(LOOP.with_controller(tuned.controller), STEP)
     assert tuned.slips == np.count_nonzero(np.diff(run.valve, prepend=0.0))
 
