@@ -26,13 +26,13 @@ loop:
   controller: {derivative_on: pv}
   sample_time: 1 s
 experiment: {duration: 200 s, setpoint: {step: 4}}
-ensemble: {duration: 200 s, draws: 12, noise: [0.01, 0.05]}
+ensemble: {duration: 200 s, draws: 6, noise: [0.01, 0.05]}
 cases:
   - {name: Case 1, Kc: 0.5, Ti: 20 s}
 """
 ROBUST = "  - {name: Robust, tune: {robust: true, Td: 0 s, restarts: 1, digits: 3}}\n"
 CALM = (
-    "  - {name: Calm, tune: {robust: {draws: 8}, travel_budget: {case: Case 1}, Td: 0 s, restarts: 1, digits: 3,"
+    "  - {name: Calm, tune: {robust: {draws: 4}, travel_budget: {case: Case 1}, Td: 0 s, restarts: 1, digits: 3,"
     " constraints: {max_sensitivity: 1.8}}}\n"
 )
 ANALYSES = "analyze: {describing_function: false, limit_cycle: false, tradeoff: true, repair: true}\n"
@@ -65,12 +65,12 @@ def test_true_takes_the_shared_ensemble_and_what_is_left_out_is_the_default() ->
     plan = read(BASE + ROBUST + CALM)
     assert plan.loop is not None
     ready = wb.Ensemble.plant_ready(plan.loop)
-    shared = replace(ready, duration=200.0, load_time=(40.0, 100.0), draws=12, noise=(0.01, 0.05))
+    shared = replace(ready, duration=200.0, load_time=(40.0, 100.0), draws=6, noise=(0.01, 0.05))
     assert ensemble_of(plan.ensemble, plan) == shared
     first, second = robust_of(plan, 1), robust_of(plan, 2)
     assert ensemble_of(first.ensemble, plan) == shared
     assert (first.travel_budget, first.as_case) == (None, "")
-    assert ensemble_of(second.ensemble, plan) == replace(shared, draws=8)
+    assert ensemble_of(second.ensemble, plan) == replace(shared, draws=4)
     assert plan.cases[1].tune is not None
     assert plan.cases[1].tune.constraints is None
     assert plan.cases[2].tune is not None
@@ -80,10 +80,10 @@ def test_true_takes_the_shared_ensemble_and_what_is_left_out_is_the_default() ->
 
 
 def test_without_a_shared_one_the_first_robust_tuning_says_what_cases_are_measured_in() -> None:
-    alone = BASE.replace("ensemble: {duration: 200 s, draws: 12, noise: [0.01, 0.05]}\n", "")
+    alone = BASE.replace("ensemble: {duration: 200 s, draws: 6, noise: [0.01, 0.05]}\n", "")
     plan = read(alone + CALM)
     assert plan.loop is not None
-    assert ensemble_of(plan.ensemble, plan) == replace(wb.Ensemble.plant_ready(plan.loop), draws=8)
+    assert ensemble_of(plan.ensemble, plan) == replace(wb.Ensemble.plant_ready(plan.loop), draws=4)
     assert read(alone).ensemble is None
     assert ensemble_of(read(alone + ANALYSES).ensemble, plan) == wb.Ensemble.plant_ready(plan.loop)
     off = read(alone + "  - {name: Nominal, tune: {robust: false, Td: 0 s}}\n")
@@ -118,9 +118,9 @@ def test_every_field_of_the_ensemble_has_its_key() -> None:
         (CALM.replace("{case: Case 1}", "fast"), "cases[1].tune.travel_budget", 'such as 2 or "2 %"'),
         (CALM.replace("{case: Case 1}", "{cas: Case 1}"), "cases[1].tune.travel_budget.cas", "did you mean case?"),
         (CALM.replace("max_sensitivity: 1.8", "valve_travel: 20"), "cases[1].tune.travel_budget", "one of the two"),
-        (CALM.replace("robust: {draws: 8}, ", ""), "cases[1].tune.travel_budget", "given without robust"),
+        (CALM.replace("robust: {draws: 4}, ", ""), "cases[1].tune.travel_budget", "given without robust"),
         (CALM.replace("digits: 3", "nominal: true"), "cases[1].tune.nominal", "an ensemble has no nominal run"),
-        (CALM.replace("robust: {draws: 8}", "robust: false"), "cases[1].tune.travel_budget", "given without robust"),
+        (CALM.replace("robust: {draws: 4}", "robust: false"), "cases[1].tune.travel_budget", "given without robust"),
     ],
 )
 def test_refusals_say_where_and_what(case: str, where: str, words: str) -> None:
@@ -130,7 +130,7 @@ def test_refusals_say_where_and_what(case: str, where: str, words: str) -> None:
 
 
 def test_refusals_of_the_shared_ensemble_and_the_trade_off() -> None:
-    late = refusal(BASE.replace("draws: 12", "load_time: [10 s, 300 s]"))
+    late = refusal(BASE.replace("draws: 6", "load_time: [10 s, 300 s]"))
     assert "8:" in late
     assert "ensemble.load_time: (10.0, 300.0) given; must lie within the duration of 200 s" in late
     nothing = BASE.split("cases:")[0] + "estimate: {simulate: true}\nanalyze: {tradeoff: true}\n"
@@ -191,7 +191,7 @@ def test_the_front_and_the_value_of_repair_stand_in_the_results(study: Study) ->
 
 
 def test_a_scenario_without_an_ensemble_has_nothing_of_it() -> None:
-    plain = read(BASE.replace("ensemble: {duration: 200 s, draws: 12, noise: [0.01, 0.05]}\n", ""))
+    plain = read(BASE.replace("ensemble: {duration: 200 s, draws: 6, noise: [0.01, 0.05]}\n", ""))
     content = results_content(run_scenario(plain))
     assert "robustness" not in content["cases"][0]
     assert "tradeoff" not in content

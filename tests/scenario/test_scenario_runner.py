@@ -14,7 +14,7 @@ import pytest
 import workbench as wb
 from workbench.errors import ScenarioError
 from workbench.model.results import Estimate, SolveStatus
-from workbench.scenario import runner
+from workbench.scenario import retune, runner
 from workbench.scenario.loader import read_scenario
 from workbench.scenario.retune import Wishes, tune_found, tune_scenario
 from workbench.scenario.runner import for_plant, run_scenario, simulated_record
@@ -34,6 +34,15 @@ cases:
   - {name: Case 1, Kc: 0.5, Ti: 20 s, reference: {valve_travel: 12.18}, note: base}
   - {name: PI, tune: {bounds: {Kc: [0, 10], Ti: [5 s, 600 s]}, Td: 0 s, restarts: 1, digits: 3}}
 """
+
+
+@pytest.fixture
+def quick(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Tune for a found loop in one search: for what is asked of it and told of it."""
+    true_tune = retune.tune_case
+    monkeypatch.setattr(
+        retune, "tune_case", lambda loop, task, job, told: true_tune(loop, task, replace(job, restarts=1), told)
+    )
 
 
 @cache
@@ -207,9 +216,10 @@ def test_an_estimated_negative_gain_makes_the_action_direct_where_none_is_given(
 @pytest.mark.parametrize(
     ("plant", "Kc", "Ti"), [(wb.FOPDT(-2.0, 2.0, 60.0), 0.9, 2.0), (wb.FOPDT(0.5, 0.4, 0.0), 3.0, 1)]
 )
+@pytest.mark.usefixtures("quick")
 def test_the_bounds_for_a_found_loop_hold_what_dead_time_needs(plant: wb.FOPDT, Kc: float, Ti: float) -> None:
     found = replace(found_loop(), plant=plant)
-    result = tune_found(found, Wishes(duration=300.0, step=1.0, Kc=None, seed=0))
+    result = tune_found(found, Wishes(duration=100.0, step=1.0, Kc=None, seed=0))
     bounds = result.tuned.bounds
     assert bounds.Kc[1] >= Kc
     assert bounds.Ti[0] <= Ti
@@ -227,6 +237,7 @@ def test_a_scenario_is_retuned_under_other_wishes() -> None:
         tune_scenario(replace(plan(LOOP + CASES), cases=()), Wishes())
 
 
+@pytest.mark.usefixtures("quick")
 def test_a_found_loop_is_tuned_and_what_was_assumed_is_said() -> None:
     found = found_loop()
     result = tune_found(found, Wishes(duration=100.0, step=2.0))
