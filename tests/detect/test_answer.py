@@ -127,7 +127,7 @@ def test_a_recorded_stem_that_follows_outweighs_it() -> None:
 @pytest.mark.slow
 def test_a_stuck_valve_is_left_undecided_by_the_estimate_too() -> None:
     record = recorded(STUCK, 4, samples=500)
-    found = wb.estimate(record, valve="stenman")
+    found = wb.estimate(record, valve="stenman", plant="fopdt")
     assert found.verdict == "undecided"
     assert any("PV is not seen to answer the OP moves of" in reason for reason in found.reasons)
 

@@ -7,14 +7,14 @@ import pytest
 
 import workbench as wb
 
-SAMPLES = 600
+SAMPLES = 300
 
 
-def sticky() -> wb.Record:
+def sticky(samples: int = SAMPLES) -> wb.Record:
     """A loop whose valve sticks, from its setpoint move on."""
     loop = wb.Loop(wb.FOPDT(1.0, 5.0, 1.0), wb.Stenman(2.0), wb.PID(Kc=0.5, Ti=20.0), 1.0)
     run = wb.simulate(
-        loop, wb.Experiment(float(SAMPLES), setpoint=wb.Step(4.0, at=5.0), noise=wb.Noise(sd=0.05, seed=3))
+        loop, wb.Experiment(float(samples), setpoint=wb.Step(4.0, at=5.0), noise=wb.Noise(sd=0.05, seed=3))
     )
     return wb.Record(run.pv + 50.0, run.op + 40.0, 1.0, sp=run.sp + 50.0)
 
@@ -33,8 +33,8 @@ def beginning() -> wb.Record:
 
 AT = np.arange(SAMPLES)
 RECORDS = {
-    "one blip": lambda: with_op((AT == 300) * 1.0),
-    "one step": lambda: with_op((AT >= 300) * 1.0),
+    "one blip": lambda: with_op((AT == 150) * 1.0),
+    "one step": lambda: with_op((AT >= 150) * 1.0),
     "thirty samples": beginning,
 }
 
@@ -48,4 +48,4 @@ def test_next_to_nothing_does_not_acquit_a_valve(which: str, ask: object) -> Non
 
 
 def test_the_whole_record_of_that_loop_is_found() -> None:
-    assert wb.detect(sticky()).verdict == "stiction"
+    assert wb.detect(sticky(600)).verdict == "stiction"
