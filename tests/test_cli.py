@@ -218,11 +218,27 @@ def test_ctrl_c_says_one_line(folder: Path) -> None:
     (folder / "long.yaml").write_text(
         GOOD.replace("120 s", "400000 s").replace("analyze: {limit_cycle: false}", TUNE.split("analyze")[0])
     )
-    command = [sys.executable, "-m", "workbench", "run", "long.yaml"]
-    process = subprocess.Popen(command, stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+    code = """
+import sys
+from workbench.__main__ import main
+from workbench.scenario import runner
+
+search = runner.tune_case
+
+def told(*given):
+    print("started", flush=True)
+    return search(*given)
+
+runner.tune_case = told
+sys.argv = ["workbench", "run", "long.yaml"]
+main()
+"""
+    process = subprocess.Popen([sys.executable, "-c", code], stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
     try:
         # The folder is probed before the work starts; by then the loader is long done.
-        time.sleep(4.0)
+        assert process.stdout is not None
+        assert process.stdout.readline() == "started\n"
+        time.sleep(0.3)
         process.send_signal(signal.SIGINT)
         _, err = process.communicate(timeout=60)
     finally:
