@@ -127,7 +127,7 @@ def test_linear_analysis_takes_the_sign_of_the_valve():
 
 @pytest.mark.slow
 def test_tuning_knows_both():
-    task = wb.Experiment(100.0, setpoint=wb.Step(4.0), load=wb.Step(1.0, at=50.0))
+    task = wb.Experiment(60.0, setpoint=wb.Step(4.0), load=wb.Step(1.0, at=30.0))
     loop = wb.Loop(wb.FOPDT(1.0, 5.0, 1.0), wb.Stenman(2.0), wb.PID(0.5, 20.0), 1.0)
     turned = replace(loop, fail_open=True, controller=replace(loop.controller, action="direct"))
     asked = {"bounds": wb.Bounds(Td=(0, 0)), "restarts": 1}
