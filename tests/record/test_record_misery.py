@@ -276,7 +276,7 @@ def damaged(folder: Path, data: st.DataObject, n: int, modes: bool) -> Path:
 
 
 @pytest.mark.slow
-@settings(max_examples=15, deadline=None, suppress_health_check=CALM)
+@settings(max_examples=6, deadline=None, suppress_health_check=CALM)
 @given(data=st.data(), n=st.integers(60, 200), modes=st.booleans())
 def test_damaged_records_are_estimated_or_refused(tmp_path: Path, data: st.DataObject, n: int, modes: bool) -> None:
     said = outcome(damaged(tmp_path, data, n, modes))
