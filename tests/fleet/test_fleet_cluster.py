@@ -104,7 +104,7 @@ def test_the_cluster_gives_the_same_and_a_killed_worker_loses_nothing(
     sources = sources_of(loops)
     run_fleet(sources, tmp_path / "cluster", Settings(), scheduler=running.address, progress=tell)
     second.wait()
-    run_fleet(sources, tmp_path / "here", Settings(), workers=2)
+    run_fleet(sources, tmp_path / "here", Settings(), workers=1)
     assert done == list(range(10))
     for name in ("fleet.parquet", "fleet.csv", "report.html"):
         assert (tmp_path / "cluster" / name).read_bytes() == (tmp_path / "here" / name).read_bytes()
