@@ -184,6 +184,7 @@ cases:
     ]
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_results_and_report_tell_both_loops(tmp_path):
     study = wb.run_scenario(read(TEXT.replace("duration: 600 s", "duration: 400 s")))
     content = results_content(study)["cascade"]

@@ -149,6 +149,7 @@ STENMAN = "{type: stenman, d: 2.0}"
 PLACES = "{type: positional, places: [{position: -20 %, S: 6, J: 2}, {position: 10, S: 3 %, J: 1}]}"
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_friction_by_place_is_read_run_and_told(tmp_path: Path) -> None:
     study = run_scenario(read(GOOD.replace(STENMAN, PLACES)))
     case = study.cases[0]

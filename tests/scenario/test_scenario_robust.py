@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import fields, replace
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -12,6 +13,7 @@ import workbench as wb
 from workbench.errors import ScenarioError
 from workbench.model.study import Study
 from workbench.report.results import results_content, strict
+from workbench.scenario import runner
 from workbench.scenario.loader import read_scenario
 from workbench.scenario.plan import EnsembleJob, RobustJob, Scenario
 from workbench.scenario.retune import Wishes, tune_scenario
@@ -139,7 +141,10 @@ def test_refusals_of_the_shared_ensemble_and_the_trade_off() -> None:
 
 @pytest.fixture(scope="module")
 def study() -> Study:
-    return run_scenario(read(BASE + ROBUST + CALM + ANALYSES))
+    with pytest.MonkeyPatch.context() as patch:
+        # The repair's value without an ensemble is other tests' matter: one search each.
+        patch.setattr(runner, "value_of_repair", partial(runner.value_of_repair, restarts=1))
+        return run_scenario(read(BASE + ROBUST + CALM + ANALYSES))
 
 
 @pytest.mark.slow
