@@ -197,6 +197,7 @@ def test_a_case_and_an_estimate_of_one_name_keep_their_figures(study: Study, est
     assert len(set(every)) == len(every)
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_what_a_record_does_not_give_is_said_and_not_drawn(study: Study, estimated: Make, tmp_path: Path) -> None:
     estimate, _ = estimated()
     rng = np.random.default_rng(0)
@@ -301,13 +302,14 @@ def test_an_undecided_record_claims_nothing(estimated: Make) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("noise", [0.0, 50.0])
-def test_a_day_by_the_second_makes_a_page_of_bounded_size(
+def test_hours_by_the_second_make_a_page_of_bounded_size(
     study: Study, estimated: Make, noise: float, tmp_path: Path
 ) -> None:
-    estimate, _ = estimated(86400)
+    samples = 21_600  # many more than a figure has places for
+    estimate, _ = estimated(samples)
     rng = np.random.default_rng(2)
-    pv = estimate.record.pv + noise * rng.normal(size=86400)
-    op = estimate.record.op + noise * rng.normal(size=86400)
+    pv = estimate.record.pv + noise * rng.normal(size=samples)
+    op = estimate.record.op + noise * rng.normal(size=samples)
     record = replace(estimate.record, pv=pv, op=op, valve_position=estimate.valve_position + 0.1)
     estimate = replace(estimate, record=record)
     detection = wb.detect(record, bicoherence=True)

@@ -216,6 +216,7 @@ def test_results_hold_the_map_in_rows(study: Study) -> None:
     assert content["period"][0].split()[-1] == "-"
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_the_report_shows_the_map(study: Study, tmp_path) -> None:
     write_report(replace(study, estimates=(), cycle_map=made()), tmp_path)
     page = (tmp_path / "report.html").read_text()

@@ -57,6 +57,7 @@ def test_the_tables(repaired: Study) -> None:
     assert repair_tables(replace(repaired, repair=None)) == []
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_the_page_tells_it_and_escapes_nothing_away(repaired: Study, tmp_path: Path) -> None:
     write_report(repaired, tmp_path)
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
