@@ -308,7 +308,7 @@ def test_a_loop_that_no_tuning_holds_ends_without_success() -> None:
 
 
 def test_long_records_are_tuned_without_branch_programs() -> None:
-    tuned = wb.tune(START, wb.Experiment(12_000.0, wb.Step(4.0)), bounds=PI, restarts=1)
+    tuned = wb.tune(START, wb.Experiment(10_001.0, wb.Step(4.0)), bounds=PI, restarts=1)
     assert tuned.status is wb.SolveStatus.SOLVED
     assert tuned.solves == 0
     assert "without branch programs" in tuned.message
