@@ -60,13 +60,6 @@ def found_of(**kind: object) -> Estimate:
     return wb.estimate(record_of(**kind))
 
 
-@cache
-def found_in_a_cycle() -> Estimate:
-    """A cycle without noise, long after the setpoint move that began it."""
-    run = run_of(samples=3000)
-    return wb.estimate(wb.Record(run.pv[1500:2500], run.op[1500:2500], 1.0))
-
-
 def near(found: Estimate, share: float, theta: float = 1.0) -> bool:
     plant = found.plant
     return (
@@ -103,7 +96,7 @@ def check(found: Estimate, record: wb.Record) -> None:
     "kind",
     [
         {},
-        {"Kc": 0.3, "Ti": 10.0, "steps": ((8.0, 0.0),)},
+        {"Kc": 0.3, "Ti": 10.0, "steps": ((8.0, 0.0),), "samples": 500},
         {"Kc": 0.8, "Ti": 30.0, "steps": ((4.0, 0.0), (-6.0, 500.0))},
         {"Kc": 0.2, "Ti": 5.0, "steps": ((8.0, 0.0),), "theta": 1.6},
     ],
@@ -179,8 +172,10 @@ def test_noise_biases_one_step_least_squares_and_not_the_estimate() -> None:
 
 def test_a_cycle_without_noise_or_excitation_gives_the_set_and_not_a_point() -> None:
     # K d and the shape are fixed; d makes up for gain and dead time (and the record starts within the cycle).
-    found = found_in_a_cycle()
-    check(found, found.record)
+    run = run_of(samples=2100)
+    record = wb.Record(run.pv[1500:], run.op[1500:], 1.0)
+    found = wb.estimate(record)
+    check(found, record)
     assert found.verdict == "stiction"
     assert not found.identifiable
     assert found.intervals.gain is not None
@@ -196,21 +191,34 @@ def test_a_cycle_without_noise_or_excitation_gives_the_set_and_not_a_point() -> 
     # K d is what is known.
     assert isinstance(found.valve, wb.Stenman)
     assert found.plant.gain * found.valve.d == pytest.approx(4.0, rel=0.01)
-    moved = record_of(samples=1000, steps=((4.0, 0.0), (-6.0, 500.0)))
+    assert "the gain hardly" in "\n".join(estimate_lines(found))
+    # Another valve that fits as well has another product.
+    alone = wb.estimate(record, valve="stenman")
+    assert "product of gain and stiction" in "\n".join(estimate_lines(alone))
+    moved = record_of(samples=600, steps=((4.0, 0.0), (-6.0, 300.0)))
     assert wb.estimate(moved).identifiable
 
 
 @pytest.mark.slow
 def test_few_slips_give_no_number_to_rely_on() -> None:
-    record = record_of(Ti=200.0)
-    found = found_of(Ti=200.0)
+    record = record_of(Ti=200.0, steps=((8.0, 0.0),), samples=700)
+    found = wb.estimate(record)
     check(found, record)
-    assert found.slips < 10
+    assert 0 < found.slips < 10
     assert found.verdict != "no_stiction"
     assert not found.identifiable
     assert any("stem moves" in reason and "at least 10" in reason for reason in found.reasons)
     # The stem's unknown start is not pinned then, and no range of d is claimed.
     assert found.intervals.d is None
+    # Words of an undecided record claim neither a product nor certainty.
+    few = replace(found, verdict="undecided", identifiable=False)
+    printed = "\n".join(estimate_lines(few))
+    assert "product" not in printed
+    assert "(95 %)" not in printed
+    assert "a hint" in printed
+    told = " ".join(estimate_sentences(NamedEstimate("E", few)))
+    assert "product" not in told
+    assert "95 %" not in told
 
 
 @pytest.mark.parametrize("longest", [0.0, 1.5])
@@ -232,7 +240,7 @@ def test_a_dead_time_beyond_a_quarter_of_the_record_is_not_searched_and_that_is_
 
 
 def test_a_linear_model_of_a_valve_that_sticks_has_no_ranges() -> None:
-    found = wb.estimate(record_of(), valve="linear")
+    found = wb.estimate(record_of(sd=0.05, steps=((4.0, 0.0), (-6.0, 150.0)), samples=300), valve="linear")
     assert found.verdict == "stiction"
     assert isinstance(found.valve, wb.Ideal)
     assert found.intervals == Intervals()
@@ -417,21 +425,6 @@ def test_a_record_partly_in_manual_is_said_with_the_verdict() -> None:
     assert not any("manual" in reason for reason in wholly.reasons)
 
 
-def test_words_of_an_undecided_record_claim_neither_a_product_nor_certainty() -> None:
-    few = replace(found_of(Ti=200.0), verdict="undecided", identifiable=False)
-    printed = "\n".join(estimate_lines(few))
-    assert "product" not in printed
-    assert "(95 %)" not in printed
-    assert "a hint" in printed
-    told = " ".join(estimate_sentences(NamedEstimate("E", few)))
-    assert "product" not in told
-    assert "95 %" not in told
-    # Where the record does pin the product only, it is still said; another valve that fits as well has another one.
-    alone = wb.estimate(found_in_a_cycle().record, valve="stenman")
-    assert "product of gain and stiction" in "\n".join(estimate_lines(alone))
-    assert "the gain hardly" in "\n".join(estimate_lines(found_in_a_cycle()))
-
-
 def test_the_estimate_does_not_depend_on_units_and_offsets() -> None:
     record = record_of(sd=0.1, seed=4, steps=((8.0, 0.0),))
     plain = wb.estimate(record)
@@ -557,7 +550,7 @@ def signal(kind: str, seed: int, n: int) -> np.ndarray:
 KINDS = ("noise", "walk", "spike", "steps", "square", "ramp", "constant", "sine")
 
 
-@settings(deadline=None, max_examples=50)
+@settings(deadline=None, max_examples=25)
 @given(
     pv=st.sampled_from(KINDS),
     op=st.sampled_from(KINDS),
@@ -574,7 +567,7 @@ def test_adversarial_records_give_an_estimate_or_our_own_error(
         check(wb.estimate(record, method=method, plant=plant), record)
 
 
-@settings(deadline=None, max_examples=25)
+@settings(deadline=None, max_examples=12)
 @given(
     signals=st.integers(30, 45).flatmap(
         lambda n: st.tuples(
@@ -591,9 +584,9 @@ def test_random_records_give_an_estimate_or_our_own_error(signals: tuple[np.ndar
         check(wb.estimate(record), record)
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", range(2))
 def test_noise_alone_is_never_stiction(seed: int) -> None:
-    record = wb.Record(signal("noise", seed, 400), signal("walk", seed + 50, 400), 1.0)
+    record = wb.Record(signal("noise", seed, 200), signal("walk", seed + 50, 200), 1.0)
     assert wb.estimate(record).verdict == "undecided"
 
 
@@ -606,11 +599,8 @@ def real(name: str) -> wb.Record:
     return wb.read_record(RECORDS / name)
 
 
-@pytest.mark.slow
-def test_chem23_ends_with_a_model_an_interval_and_a_stem() -> None:
-    record = real("isdb/CHEM23.csv")
-    found = wb.estimate(record)
-    check(found, record)
+def check_chem23(found: Estimate) -> None:
+    """It ends with a model, an interval and a stem."""
     assert found.verdict == "stiction"
     # The two-parameter stem, which slips by a fifth of its band, has the lower BIC; both kinds stick over as much.
     pair = found.intervals.d or found.intervals.S
@@ -647,6 +637,8 @@ def test_no_real_loop_without_stiction_is_accused_and_none_ends_in_a_traceback(
         record = real(f"{kind}/{name}")
         found = wb.estimate(record)
         check(found, record)
+        if name == "CHEM23.csv":
+            check_chem23(found)
         right += found.verdict == label
         if found.verdict == "stiction" != label:
             wrong.append(name)
