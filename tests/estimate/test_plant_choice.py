@@ -193,7 +193,7 @@ def test_the_plant_that_the_linear_fits_show_is_searched_alone_where_it_leaves_n
 def test_a_lag_whose_linear_fit_never_levels_off_is_told_by_its_stem() -> None:
     # A level leaves hardly more than the lag where nobody reckons with the stem, and more than noise where one does.
     loop = wb.Loop(wb.FOPDT(1.0, 8.0, 4.0), wb.Choudhury(4.0, 2.2), wb.PID(0.5, 25.0), 1.0)
-    run = wb.simulate(loop, wb.Experiment(2000.0, setpoint=wb.Step(3.0), noise=wb.Noise(0.1, 1)))
+    run = wb.simulate(loop, wb.Experiment(2000.0, setpoint=wb.Step(3.0), noise=wb.Noise(0.1, 0)))
     record = wb.Record(run.pv[500:], run.op[500:], 1.0, sp=run.sp[500:])
     assert linear_loop(record, "fopdt").plant.time_constant >= 0.5 * 1500.0
     found = wb.estimate(record)
