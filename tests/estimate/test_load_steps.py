@@ -80,8 +80,7 @@ def test_no_stem_is_sought_beside_steps_where_the_leads_slips_leave_noise_alone(
     assert len(spans) == asked
 
 
-@pytest.mark.parametrize("late", [0.3, 2.6], ids=str)
-@pytest.mark.parametrize("plant", PLANTS, ids=["fopdt", "integrating"])
+@pytest.mark.parametrize(("plant", "late"), [(PLANTS[0], 0.3), (PLANTS[1], 2.6)], ids=["fopdt", "integrating"])
 def test_a_step_that_pv_answers_between_samples_is_found_there(plant: wb.FOPDT | wb.Integrating, late: float) -> None:
     plant = replace(plant, dead_time=late)
     loop = loop_of(plant, wb.Choudhury(3.0, 1.0))
