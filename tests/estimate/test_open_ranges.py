@@ -140,7 +140,7 @@ BLIND = "no setpoint move is recorded and OP only answers PV"
 @pytest.mark.parametrize("valve", ["auto", "linear"])
 def test_a_linear_loop_that_nobody_moves_shows_its_gains_sign_alone(plant: wb.Plant, valve: str) -> None:
     # What the controller makes of the load passes for the plant: a gain an eighth of the true one and less.
-    run = disturbed(plant)
+    run = disturbed(plant, n=500)
     kind = "fopdt" if isinstance(plant, wb.FOPDT) else "integrating"
     for sp in (run.sp + 50.0, None) if valve == "linear" else (None,):
         found = wb.estimate(wb.Record(run.pv + 50.0, run.op + 50.0, 1.0, sp=sp), plant=kind, valve=valve)
@@ -182,7 +182,7 @@ def test_an_op_that_is_moved_by_hand_shows_its_plant() -> None:
 
 @pytest.mark.slow
 def test_where_nothing_decides_the_ranges_hold_the_linear_loops_plant_too() -> None:
-    run = disturbed(wb.FOPDT(2.0, 8.0, 2.0), setpoint=[wb.Step(3.0, 200.0), wb.Step(-3.0, 600.0)], n=1200)
+    run = disturbed(wb.FOPDT(2.0, 8.0, 2.0), setpoint=[wb.Step(3.0, 120.0), wb.Step(-3.0, 350.0)], n=700)
     found = wb.estimate(wb.Record(run.pv + 50.0, run.op + 50.0, 1.0, sp=run.sp + 50.0))
     assert found.verdict == "undecided"
     assert "a linear loop without stiction is not clearly less likely: the plant's ranges hold that one's too" in (
