@@ -176,7 +176,7 @@ def test_the_lowest_bic_is_chosen_and_the_table_is_whole() -> None:
 
 @pytest.mark.slow
 def test_the_valve_asked_for_is_the_valve_given() -> None:
-    record = record_of(wb.Choudhury(3.0, 1.0), 1000)
+    record = record_of(wb.Choudhury(3.0, 1.0), 500)
     kinds = {"stenman": wb.Stenman, "deadband": wb.Deadband, "choudhury": wb.Choudhury, "linear": wb.Ideal}
     for name, kind in kinds.items():
         found = wb.estimate(record, valve=name, plant="fopdt")
