@@ -19,7 +19,7 @@ def estimate_of(valve: wb.Stenman | wb.He, controller: wb.PID) -> wb.Estimate:
 
 
 # Under the slow controller load steps are found beside the stem that lands on OP, which the other one does not need.
-@pytest.mark.parametrize(("controller", "fd"), [(BRISK, 0.2), (BRISK, 0.4), (BRISK, 0.7), (SLOW, 0.2), (SLOW, 0.4)])
+@pytest.mark.parametrize(("controller", "fd"), [(BRISK, 0.2), (BRISK, 0.7), (SLOW, 0.4)])
 def test_the_gain_of_a_stem_that_rests_short_of_op_is_not_called_identified(controller: wb.PID, fd: float) -> None:
     found = estimate_of(wb.He(fs=2.0 - fd, fd=fd), controller)
     assert found.verdict == "stiction"
