@@ -106,12 +106,11 @@ STICKY = {
     "flow": (FLOW, 0.02),
     "direct": (REVERSED, 0.02),
     "level": (wb.Loop(wb.Integrating(0.1, 5.0), wb.Stenman(1.0), wb.PID(Kc=0.9, Ti=60.0), 1.0), 0.01),
-    "two-parameter": (TWO_PARAMETER, 0.005),
-    "two-parameter, noise": (TWO_PARAMETER, 0.02),
+    "two-parameter": (TWO_PARAMETER, 0.02),
     "two-parameter, longer": (TWO_PARAMETER, 0.005),
 }
 # What is not known of OP, and the noise, leave the gain open by more than a tenth; in twice the samples, less.
-VAGUE = ("two-parameter", "two-parameter, noise")
+VAGUE = ("two-parameter",)
 LONGER = {"two-parameter, longer": 2000}
 
 
