@@ -16,19 +16,21 @@ from workbench.estimate.estimate import WORDS_OF_ENDLESS, linear_loop
 from workbench.estimate.fits.data import Centred, centre
 from workbench.estimate.plants import foretelling_bic
 
-SAMPLES = 500
+SAMPLES = 350
 
 
-def record_of(plant: wb.FOPDT | wb.Integrating, valve: object, seed: int, load: float = 0.0) -> wb.Record:
+def record_of(
+    plant: wb.FOPDT | wb.Integrating, valve: object, seed: int, load: float = 0.0, samples: int = SAMPLES
+) -> wb.Record:
     Kc, Ti, scale = (0.5, 15.0, 2.0) if isinstance(plant, wb.FOPDT) else (0.8, 60.0, 1.0)
     loop = wb.Loop(plant, valve, wb.PID(Kc=Kc, Ti=Ti), 1.0)
     rng = np.random.default_rng(seed)
-    disturbance = np.zeros(SAMPLES)
-    for k in range(1, SAMPLES):
+    disturbance = np.zeros(samples)
+    for k in range(1, samples):
         disturbance[k] = 0.8 * disturbance[k - 1] + rng.normal(0.0, 0.6 * load)
-    steps = [wb.Step(3.0 * scale, 40.0), wb.Step(-4.0 * scale, 0.55 * SAMPLES)]
+    steps = [wb.Step(3.0 * scale, 40.0), wb.Step(-4.0 * scale, 0.55 * samples)]
     experiment = wb.Experiment(
-        float(SAMPLES), setpoint=steps, load=wb.Series(tuple(disturbance.tolist())), noise=wb.Noise(0.03 * scale, seed)
+        float(samples), setpoint=steps, load=wb.Series(tuple(disturbance.tolist())), noise=wb.Noise(0.03 * scale, seed)
     )
     run = wb.simulate(loop, experiment)
     return wb.Record(run.pv + 50.0, run.op + 40.0, 1.0)
@@ -138,7 +140,7 @@ def test_a_record_without_information_is_refused_as_ever() -> None:
 
 
 def test_the_command_takes_joint_and_auto(tmp_path: object) -> None:
-    record = record_of(PLANTS[0], wb.Stenman(2.0), 1)
+    record = record_of(PLANTS[0], wb.Stenman(2.0), 1, samples=500)
     path = f"{tmp_path}/loop.csv"
     rows = [f"{k},{pv},{op}" for k, (pv, op) in enumerate(zip(record.pv, record.op, strict=True))]
     with open(path, "w", encoding="utf-8") as file:  # noqa: PTH123
