@@ -17,13 +17,13 @@ from workbench.report.estimates import estimate_advice, estimate_sentences
 from workbench.report.words import figure
 
 LOOP = wb.Loop(wb.FOPDT(1.5, 12.0, 3.0), wb.Stenman(2.0), wb.PID(Kc=0.8, Ti=14.0), 1.0)
-N = 1000
+N = 700
 
 
-def record_of(loop: wb.Loop, amplitude: float, period: float, noise: float = 0.05) -> wb.Record:
-    load = wb.Series((amplitude * np.sin(2.0 * np.pi * np.arange(N) / period + 1.0)).tolist())
-    steps = [wb.Step(4.0, 0.0), wb.Step(-5.0, 450.0)]
-    run = wb.simulate(loop, wb.Experiment(float(N), setpoint=steps, load=load, noise=wb.Noise(noise, 3)))
+def record_of(loop: wb.Loop, amplitude: float, period: float, noise: float = 0.05, samples: int = N) -> wb.Record:
+    load = wb.Series((amplitude * np.sin(2.0 * np.pi * np.arange(samples) / period + 1.0)).tolist())
+    steps = [wb.Step(4.0, 0.0), wb.Step(-5.0, 0.45 * samples)]
+    run = wb.simulate(loop, wb.Experiment(float(samples), setpoint=steps, load=load, noise=wb.Noise(noise, 3)))
     return wb.Record(run.pv + 50.0, run.op + 40.0, 1.0, sp=run.sp + 50.0)
 
 
@@ -79,7 +79,7 @@ def test_the_search_is_made_anew_once_where_the_oscillation_stays_what_it_was(mo
 
 @pytest.mark.slow
 def test_a_healthy_loops_plant_is_found_beside_it_and_by_itself_too() -> None:
-    record = record_of(replace(LOOP, valve=wb.Ideal()), 3.0, 130.0)
+    record = record_of(replace(LOOP, valve=wb.Ideal()), 3.0, 130.0, samples=1000)
     found = wb.estimate(record)
     assert found.verdict != "stiction"
     assert swing_said(found)
@@ -107,7 +107,7 @@ def test_none_is_found_where_there_is_none() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("valve", "amplitude", "period"), [(wb.Stenman(2.0), 1.0, 450.0), (wb.Ideal(), 3.0, 600.0)])
+@pytest.mark.parametrize(("valve", "amplitude", "period"), [(wb.Stenman(2.0), 1.0, 315.0), (wb.Ideal(), 3.0, 420.0)])
 def test_what_turns_slower_than_a_third_of_the_record_is_a_drift(
     valve: wb.Stenman | wb.Ideal, amplitude: float, period: float
 ) -> None:
