@@ -96,9 +96,9 @@ def test_a_record_without_noise_gives_the_plant_itself() -> None:
 
 
 def test_disturbance_and_drift_that_were_added_are_found() -> None:
-    run = run_of(wb.Stenman(2.0), PLANT, samples=1200)
-    n = coloured(0.8, 0.3, 1200, 5)
-    drift = 2.0 / 1200.0
+    run = run_of(wb.Stenman(2.0), PLANT, samples=800)
+    n = coloured(0.8, 0.3, 800, 5)
+    drift = 2.0 / 800.0
     record = wb.Record(run.pv + 50.0 + n + drift * run.time, run.op + 40.0, 1.0)
     found = wb.estimate(record, method="joint", valve="stenman")
     check(found, record)
@@ -219,7 +219,7 @@ def test_every_disturbance_is_stationary(partial: list[float]) -> None:
 @given(kinds=st.tuples(*[st.sampled_from(["noise", "walk", "spike", "steps", "sine"])] * 2), seed=st.integers(0, 50))
 def test_adversarial_records_are_refined_or_left(kinds: tuple[str, str], seed: int) -> None:
     rng = np.random.default_rng(seed)
-    n = 60
+    n = 40
     made = {
         "noise": rng.normal(0.0, 1.0, n),
         "walk": np.cumsum(rng.normal(0.0, 1.0, n)),
