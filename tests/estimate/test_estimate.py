@@ -174,7 +174,7 @@ def test_a_cycle_without_noise_or_excitation_gives_the_set_and_not_a_point() -> 
     # K d and the shape are fixed; d makes up for gain and dead time (and the record starts within the cycle).
     run = run_of(samples=2100)
     record = wb.Record(run.pv[1500:], run.op[1500:], 1.0)
-    found = wb.estimate(record)
+    found = wb.estimate(record, plant="fopdt")
     check(found, record)
     assert found.verdict == "stiction"
     assert not found.identifiable
@@ -193,7 +193,7 @@ def test_a_cycle_without_noise_or_excitation_gives_the_set_and_not_a_point() -> 
     assert found.plant.gain * found.valve.d == pytest.approx(4.0, rel=0.01)
     assert "the gain hardly" in "\n".join(estimate_lines(found))
     # Another valve that fits as well has another product.
-    alone = wb.estimate(record, valve="stenman")
+    alone = wb.estimate(record, plant="fopdt", valve="stenman")
     assert "product of gain and stiction" in "\n".join(estimate_lines(alone))
     moved = record_of(samples=600, steps=((4.0, 0.0), (-6.0, 300.0)))
     assert wb.estimate(moved).identifiable
@@ -225,14 +225,16 @@ def test_few_slips_give_no_number_to_rely_on() -> None:
 def test_the_longest_dead_time_is_kept_to(longest: float) -> None:
     record = record_of(theta=2.4, samples=300)
     for method in ("profile", "two_step"):
-        found = wb.estimate(record, method=method, max_dead_time=longest)
+        found = wb.estimate(record, plant="fopdt", method=method, max_dead_time=longest)
         assert found.plant.dead_time <= longest
         assert found.linear.plant.dead_time <= longest
 
 
 def test_a_dead_time_beyond_a_quarter_of_the_record_is_not_searched_and_that_is_said() -> None:
     record = record_of(samples=200)
-    within, beyond = (wb.estimate(record, valve="linear", max_dead_time=longest) for longest in (50.0, 51.0))
+    within, beyond = (
+        wb.estimate(record, plant="fopdt", valve="linear", max_dead_time=longest) for longest in (50.0, 51.0)
+    )
     assert within.plant == beyond.plant
     words = "no dead time beyond a quarter of the record, 50 s, is searched: max_dead_time is longer"
     assert words in beyond.reasons
@@ -340,7 +342,7 @@ def test_a_long_record_with_a_quiet_head_is_searched_where_it_moves(seed: int) -
 def test_dead_times_are_narrowed_only_where_the_stem_clearly_explains_a_window() -> None:
     # A dead time far from what a quiet, noisy head would choose by chance.
     record = record_of(sd=0.1, seed=1, samples=8000, theta=9.0, Kc=0.2, steps=((8.0, 5000.0), (-8.0, 6500.0)))
-    found = wb.estimate(record)
+    found = wb.estimate(record, plant="fopdt")
     assert found.plant.dead_time == pytest.approx(9.0, abs=0.3)
     assert isinstance(found.valve, wb.Stenman)
     assert found.valve.d == pytest.approx(2.0, rel=0.01)
