@@ -43,13 +43,14 @@ def test_gain_of_a_dead_band_is_as_open_as_its_width(seed: int) -> None:
 def test_ranges_hold_another_valve_that_fits_as_well(seed: int, method: str) -> None:
     # Ten moves in a quantised PV: a stem that sticks again after every slip does as well as the true one.
     loop = wb.Loop(wb.FOPDT(1.35, 4.4, 0.0), wb.Choudhury(0.63, 0.67), wb.PID(Kc=0.29, Ti=8.0), 1.0)
-    found = wb.estimate(cycle(loop, 1.2, 0.0046, seed, 300, 0.0046), method=method)
+    record = cycle(loop, 1.2, 0.0046, seed, 300, 0.0046)
+    found = wb.estimate(record, plant="fopdt", method=method)
     assert isinstance(found.valve, wb.Stenman)
     assert abs(found.plant.gain / 1.35 - 1.0) > 0.05
     assert holds(found.intervals.gain, 1.35)
     assert any("does not tell this valve from one with stick band" in reason for reason in found.reasons)
     # Who asks for the one valve is told of that alone.
-    alone = wb.estimate(cycle(loop, 1.2, 0.0046, seed, 300, 0.0046), valve="stenman", method=method)
+    alone = wb.estimate(record, plant="fopdt", valve="stenman", method=method)
     assert not any("does not tell" in reason for reason in alone.reasons)
     assert not holds(alone.intervals.gain, 1.35)
 
@@ -65,7 +66,7 @@ def test_ranges_hold_what_a_part_of_the_record_says(method: str, monkeypatch: py
     monkeypatch.setattr(module, "repeated", apart)
     loop = wb.Loop(wb.FOPDT(1.35, 4.4, 0.5), wb.Deadband(1.5), wb.PID(Kc=0.5, Ti=8.0), 1.0)
     run = wb.simulate(loop, wb.Experiment(400.0, [wb.Step(3.0), wb.Step(-4.0, 200.0)], noise=wb.Noise(0.02, 1)))
-    found = wb.estimate(wb.Record(run.pv, run.op, 1.0), valve="deadband", method=method)
+    found = wb.estimate(wb.Record(run.pv, run.op, 1.0), plant="fopdt", valve="deadband", method=method)
     assert found.plant.gain < 1.5
     assert found.intervals.gain is not None
     assert found.intervals.gain[1] > 1.9
@@ -84,7 +85,7 @@ def test_a_long_records_stem_begins_as_suits_the_whole() -> None:
 def test_stems_that_slip_a_sample_earlier_or_later_are_met() -> None:
     # OP goes on by 3.5 % of S in a sample: between the sequences that slip one sample apart lie only worse ones.
     loop = wb.Loop(wb.FOPDT(0.823, 5.36, 7.93), wb.Choudhury(3.48, 2.354), wb.PID(Kc=0.3336, Ti=3.72), 1.0)
-    found = wb.estimate(cycle(loop, 2.97, 0.029, 3, 600))
+    found = wb.estimate(cycle(loop, 2.97, 0.029, 3, 600), plant="fopdt")
     assert isinstance(found.valve, wb.Choudhury)
     assert found.valve.stick_band == pytest.approx(3.48, rel=0.005)
     assert found.plant.gain == pytest.approx(0.823, rel=0.08)
