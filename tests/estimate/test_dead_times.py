@@ -48,8 +48,9 @@ def test_a_sticking_valve_and_its_plant_are_found(
 
 def test_a_dead_time_just_beyond_the_usual_ones_is_found_and_no_other_is_searched_where_one_is_asked_for() -> None:
     record = record_of(wb.FOPDT(1.5, 40.0, 32.0), wb.Stenman(2.0), 6.0, 1000, 0.05)
-    assert wb.estimate(record, valve="stenman").plant.dead_time == pytest.approx(32.0, abs=0.5)
-    assert wb.estimate(record, valve="stenman", max_dead_time=20.0).plant.dead_time <= 20.0 + 1e-6
+    how = {"plant": "fopdt", "valve": "stenman"}
+    assert wb.estimate(record, **how).plant.dead_time == pytest.approx(32.0, abs=0.5)
+    assert wb.estimate(record, **how, max_dead_time=20.0).plant.dead_time <= 20.0 + 1e-6
 
 
 def test_a_usual_dead_time_is_searched_once(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -187,7 +187,7 @@ def test_a_stem_in_the_likeness_of_a_load_step_accuses_no_valve() -> None:
     # The linear loop's own search misses the step where PV is kept coarsely.
     loop = wb.Loop(wb.FOPDT(0.3768, 51.8, 104.0), wb.Ideal(), wb.PID(0.2328, 64.0), 10.0)
     run = wb.simulate(loop, wb.Experiment(3980.0, load=wb.Step(6.0, at=1500.0), noise=wb.Noise(0.04, 1)))
-    found = wb.estimate(wb.Record(np.round(run.pv / 0.17) * 0.17, run.op + 45.0, 10.0))
+    found = wb.estimate(wb.Record(np.round(run.pv / 0.17) * 0.17, run.op + 45.0, 10.0), plant="fopdt")
     assert found.verdict == "undecided"
 
 

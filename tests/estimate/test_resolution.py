@@ -238,7 +238,7 @@ def test_a_linear_loop_is_the_estimates_where_a_stem_would_take_op_otherwise() -
 
 @pytest.mark.parametrize("method", ["profile", "joint"])
 def test_where_the_stem_is_hidden_nothing_says_that_ranges_hold_it(method: str) -> None:
-    found = wb.estimate(kept(cycle(FLOW, 1), 0.1), method=method)
+    found = wb.estimate(kept(cycle(FLOW, 1), 0.1), plant="fopdt", method=method)
     assert found.intervals == Intervals()
     assert found.repeats is None
     assert any("no ranges are given" in reason for reason in found.reasons)

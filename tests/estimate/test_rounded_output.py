@@ -71,13 +71,13 @@ def test_a_wrong_stem_may_win_where_rounding_hides_the_right_one() -> None:
 
 
 def test_the_controllers_law_finds_the_stem_that_rounding_hid() -> None:
-    found = wb.estimate(cycle(1000, 2), valve="stenman")
+    found = wb.estimate(cycle(1000, 2), plant="fopdt", valve="stenman")
     assert found.valve.stick_band == pytest.approx(0.77, rel=0.005)
     assert found.identifiable
 
 
 def test_no_range_is_given_where_it_does_not() -> None:
-    found = wb.estimate(cycle(1000, 1), valve="stenman")
+    found = wb.estimate(cycle(600, 1), plant="fopdt", valve="stenman")
     assert found.verdict == "stiction"
     assert found.intervals == Intervals()
     assert not found.identifiable
