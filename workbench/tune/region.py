@@ -6,6 +6,7 @@ and those that do not is followed from a coarse grid to the finest, and nothing 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -18,9 +19,10 @@ from workbench.tune.problem import Problem
 
 __all__ = ["Region"]
 
-# The coarsest grid's step, a power of 2; the largest miss, a logarithm, and that of an unstable loop; and by how
-# much of one a tuning between grid points may seem to miss a sensitivity that it keeps.
-COARSEST, LOST, NEARLY = 16, 1.0, 0.01
+# The coarsest grid's step, a power of 2, and how many points it has along an axis at least; the largest miss, a
+# logarithm, and that of an unstable loop; and by how much of one a tuning between grid points may seem to miss a
+# sensitivity that it keeps.
+COARSEST, FEWEST, LOST, NEARLY = 16, 12, 1.0, 0.01
 
 
 class Region:
@@ -31,10 +33,12 @@ class Region:
 
     def __init__(self, problem: Problem, axes: Sequence[FloatArray]) -> None:
         self._problem, self._axes = problem, axes
-        step = COARSEST
-        missed = self._asked(np.meshgrid(*(axis[::step] for axis in axes), indexing="ij"))
-        while step > 1:
-            missed, step = self._finer(missed, step), step // 2
+        steps = [COARSEST >> max(math.ceil(math.log2(COARSEST * FEWEST / axis.size)), 0) or 1 for axis in axes]
+        missed = self._asked(
+            np.meshgrid(*(axis[::step] for axis, step in zip(axes, steps, strict=True)), indexing="ij")
+        )
+        while max(steps) > 1:
+            missed, steps = self._finer(missed, steps), [max(step // 2, 1) for step in steps]
         self._missed = missed
         # Between a point and its neighbours a tuning may be what none of them is only if they differ.
         self._possible: NDArray[np.bool_] = maximum_filter(missed <= 0.0, 3)
@@ -65,15 +69,16 @@ class Region:
         at = [np.interp(tunings[:, k], axis, np.arange(axis.size)) for k, axis in zip(free, self._axes, strict=True)]
         return np.array(at)
 
-    def _finer(self, missed: FloatArray, step: int) -> FloatArray:
-        """The grid of half the step: the old points, points near the border, and elsewhere what is next to them."""
-        kept, half = missed <= 0.0, step // 2
+    def _finer(self, missed: FloatArray, steps: Sequence[int]) -> FloatArray:
+        """The grid of half the steps: the old points, points near the border, and elsewhere what is next to them."""
+        kept = missed <= 0.0
         border = maximum_filter(kept, 3) != minimum_filter(kept, 3)
-        index = [np.arange(0, axis.size, half) for axis in self._axes]
-        nearest = np.ix_(*(np.minimum((i + half) // step, n - 1) for i, n in zip(index, missed.shape, strict=True)))
+        index = [np.arange(0, axis.size, max(step // 2, 1)) for axis, step in zip(self._axes, steps, strict=True)]
+        old = zip(index, steps, missed.shape, strict=True)
+        nearest = np.ix_(*(np.minimum((i + step // 2) // step, n - 1) for i, step, n in old))
         finer = missed[nearest].copy()
         grids = np.meshgrid(*index, indexing="ij")
-        new = border[nearest] & np.any([grid % step != 0 for grid in grids], axis=0)
+        new = border[nearest] & np.any([grid % step != 0 for grid, step in zip(grids, steps, strict=True)], axis=0)
         finer[new] = self._asked([axis[grid[new]] for axis, grid in zip(self._axes, grids, strict=True)])
         return finer
 
