@@ -38,7 +38,7 @@ def test_a_tuning_that_keeps_the_margins_has_possible_points_about_it(asked, bou
     monkeypatch.setattr(problem, "margins", lambda tunings, **how: (count.append(len(tunings)), own(tunings, **how))[1])
     region = Region(problem, axes)
     whole = int(np.prod([axis.size for axis in axes]))
-    assert sum(count) < max(0.6 * whole, 400)
+    assert sum(count) < max(0.6 * whole, 3000)  # a short axis is asked whole
     tunings = problem.tunings(np.random.default_rng(0).random((1500, problem.free.size)))
     margins, stable = own(tunings)
     missed = np.where(stable, beyond(asked, margins), np.inf)
