@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import workbench as wb
-from workbench.tune.limits import beyond
-from workbench.tune.problem import Problem, round_to
+from workbench.tune.limits import WORN, beyond
+from workbench.tune.problem import Problem, last_offsets, round_to
 from workbench.tune.region import Region
 from workbench.tune.sieve import _axis
 
@@ -79,3 +79,21 @@ def test_of_constraints_that_nothing_keeps_nothing_is_proved():
     found = wb.tune(loop, SHORT, bounds=bounds, constraints=wb.Constraints(valve_travel=0.5))
     assert found.status is wb.SolveStatus.INFEASIBLE
     assert found.worst_bound is None
+
+
+def test_the_last_word_on_j_is_none_on_travel_that_a_dense_look_found_kept():
+    loop = wb.Loop(wb.Integrating(0.47, 3.15), wb.Choudhury(1.98, 0.89), wb.PID(0.128, 18.6), 1.0)
+    experiment = wb.Experiment(1500.0, wb.Step(4.37, 1.0), wb.Step(0.91, 750.0), wb.Noise(0.306, seed=6))
+    bounds = wb.Bounds(Kc=(0.0, 2.0), Ti=(2.3, 468.0), Td=(0.0, 0.0))
+    tuning = np.array([0.4279, 131.1, 0.0])
+    free = Problem(loop, experiment, wb.Objective(), bounds, 4, 0.001)
+    limit = 1.0001 * free.travel(tuning)
+    points = tuning + last_offsets(free.samples) * free.radius(tuning[None, :])
+    runs = [wb.simulate(loop.with_controller(free.controller(point)), experiment) for point in points[:400]]
+    assert max(run.kpis.valve_travel for run in runs) > limit  # the closer look meets a run that travels further
+    asked = wb.Constraints(valve_travel=limit)
+    kept = Problem(loop, experiment, wb.Objective(), bounds, 4, 0.001, constraints=asked)
+    assert kept.last_word(tuning) == free.last_word(tuning)
+    broken = Problem(loop, experiment, wb.Objective(), bounds, 4, 0.001, constraints=wb.Constraints(valve_travel=1.0))
+    assert broken.last_word(tuning) >= WORN
+    assert broken.last_word(tuning, 1e6) == np.inf
