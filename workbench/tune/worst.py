@@ -35,7 +35,7 @@ SAMPLES = 150_000_000
 # Samples that a sieve may take for each restart, some seconds; fewer than so many restarts ask for a quick answer.
 SIEVE_SAMPLES, SIEVE_RESTARTS = 1_900_000_000, 3
 # A least worst case as near to what the sieve proves needs no other search.
-SETTLED = 0.98
+SETTLED = 0.85
 # Members and generations between the passes of a sieve, the most of its tunings that they start from, and how many
 # they hand back.
 QUICK_MEMBERS, QUICK_GENERATIONS, QUICK_OF, QUICK_ENDS = 60, 40, 2_000, 4
