@@ -23,7 +23,14 @@ def holds(pair: tuple[float, float] | None, value: float) -> bool:
 
 
 # Seeds of the noise, and how closely the gain is met.
-CASES = [(FLOW, 14, 0.01), (FLOW, 18, 0.01), (LEVEL, 2, 0.01)]
+CASES = [
+    (FLOW, 14, 0.01),
+    (FLOW, 2, 0.01),
+    (FLOW, 18, 0.01),
+    (LEVEL, 2, 0.01),
+    (FLOW, 0, 0.012),
+    (LEVEL, 3, 0.01),
+]
 
 
 def cycles(loop: wb.Loop, seed: int) -> wb.Record:
