@@ -13,8 +13,9 @@ from workbench.cli import app
 from workbench.estimate import estimate as search
 from workbench.estimate.answer import answer_of
 from workbench.estimate.estimate import WORDS_OF_ENDLESS, linear_loop
-from workbench.estimate.fits.data import Centred, centre
+from workbench.estimate.fits.data import centre
 from workbench.estimate.plants import foretelling_bic
+from workbench.estimate.record_fits import Fits
 
 SAMPLES = 350
 
@@ -64,9 +65,9 @@ def test_the_plant_of_the_record_is_chosen_and_said(plant: wb.FOPDT | wb.Integra
 def test_the_other_kind_is_searched_only_where_the_first_leaves_something(monkeypatch: pytest.MonkeyPatch) -> None:
     asked: list[bool] = []
 
-    def answered(record: wb.Record, data: Centred, *more: object) -> object:
-        asked.append(data.integrating)
-        return answer_of(record, data, *more)
+    def answered(record: wb.Record, how: tuple[str, str], fits: Fits, *more: object) -> object:
+        asked.append(fits.data.integrating)
+        return answer_of(record, how, fits, *more)
 
     monkeypatch.setattr(search, "answer_of", answered)
     loops = ((PLANTS[0], wb.PID(Kc=0.5, Ti=15.0), 2.0), (PLANTS[1], wb.PID(Kc=0.8, Ti=60.0), 1.0))

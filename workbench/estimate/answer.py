@@ -14,8 +14,8 @@ from workbench.detect.detect import detect
 from workbench.detect.stem import WIDE
 from workbench.detect.stem_search import Fitted
 from workbench.detect.verdict import beyond_doubt
-from workbench.estimate.fits.data import Centred, plant_of
-from workbench.estimate.fits.fit import LEAST_TAU, Limits, fit_linear, fit_nothing
+from workbench.estimate.fits.data import plant_of
+from workbench.estimate.fits.fit import LEAST_TAU, Limits, fit_nothing
 from workbench.estimate.fits.sureness import ENOUGH_SLIPS
 from workbench.estimate.loads.settled import coloured_linear
 from workbench.estimate.loads.steps import CLEAR, DEGREES
@@ -53,7 +53,7 @@ from workbench.estimate.search.models import (
     words_of_rival,
 )
 from workbench.estimate.search.paths import band_paths, linear_path, stem_paths
-from workbench.estimate.search.profile import Profile, islands, search
+from workbench.estimate.search.profile import islands, search
 from workbench.estimate.search.two_parameter import Band
 from workbench.estimate.straight import MOST, Coloured, Straight, level
 from workbench.estimate.verdict import Evidence, agree, judge
@@ -127,20 +127,13 @@ class _Asked:
 
 
 def answer_of(
-    record: Record,
-    data: Centred,
-    asked: tuple[str, str],
-    found: Profile | None,
-    line: Straight,
-    history: tuple[Iteration, ...],
+    record: Record, asked: tuple[str, str], fits: Fits, line: Straight, history: tuple[Iteration, ...]
 ) -> Answered[Estimate]:
-    """Return the answer that one search for Stenman's stem leads to.
+    """Return the answer that a record's first fits lead to.
 
-    asked: method and valve; found: that search, in `data`; line: the linear fit; history: of "two_step".
+    asked: method and valve; line: the linear fit; history: of "two_step".
     """
-    linear = line.fit if line.data is data else fit_linear(data, line.longest)
-    loop = _Asked(record, *asked, line, history, linear_result(data, linear))
-    fits = first_fits(data, loop.valve, found, linear)
+    loop = _Asked(record, *asked, line, history, linear_result(fits.data, fits.linear))
     early = None if loop.two_step else _atfirst_fits(record, fits, loop.method)
     if early is not None and early[0].verdict == "no_stiction":
         own = loop.coloured if fits.data is line.data else coloured_linear(fits.data, fits.linear, line.longest)

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import replace
-from functools import reduce
+from dataclasses import dataclass, replace
+from functools import cached_property, reduce
 from typing import NamedTuple
 
 from workbench.detect.causes import below_step, between_values, beyond_op, kept_by_exception, no_percent
@@ -14,14 +14,14 @@ from workbench.detect.spikes import words_of_spikes
 from workbench.errors import InvalidValue
 from workbench.estimate.answer import answer_of
 from workbench.estimate.fits.data import PURPOSE, WHITE, Centred, centre
-from workbench.estimate.fits.fit import LEAST_TAU, Limits, fit_linear
+from workbench.estimate.fits.fit import LEAST_TAU, Fit, Limits, fit_linear, fit_nothing
 from workbench.estimate.fits.sureness import SHARP
 from workbench.estimate.loads.swing import Answered, Swing, beside_swing, words_of_swing
 from workbench.estimate.methods.refined import by_complementarity, jointly, refuse_complementarity
 from workbench.estimate.methods.two_step import two_step
 from workbench.estimate.plants import ENDLESS, foretelling_of, with_other_plant
 from workbench.estimate.ranges.scale import joined
-from workbench.estimate.record_fits import DELAYS, LINEAR_DELAYS, longest_delay
+from workbench.estimate.record_fits import DELAYS, LINEAR_DELAYS, Fits, first_fits, longest_delay
 from workbench.estimate.repeat import repeats_of, words_of
 from workbench.estimate.search.models import WORDS_OF_BLIND, words_of_open
 from workbench.estimate.search.profile import Profile
@@ -47,7 +47,8 @@ FIRST = 0.8  # of the progress told: the first kind of plant, as the other is se
 
 WIDEST_GAIN = 0.2  # of the gain itself: a 95 % range wider than this does not identify a valve and what it does to PV
 CLEAR_BIC = 10.0  # R. Kass, A. Raftery, J. Am. Stat. Assoc. 90 (1995) 773-795: "very strong" evidence above it
-ALIKE = 1.25  # times what a lag leaves along OP: a level that leaves more is none
+ALIKE, HALF = 1.25, 0.5  # times what a lag leaves along OP, and of PV itself: a level that leaves more is none
+SLOW = 0.25  # of the record: a time constant that a lag seldom has, and the first fits of a level mostly have
 BRIEF, FAR_BIC = 0.05, 10.0 * CLEAR_BIC  # of the record: a time constant that PV shows twenty times; of BIC
 WORDS_OF_IDEAL = (
     "the model told has no friction, which the valve has: its plant makes up for that, so that no ranges are given"
@@ -173,16 +174,33 @@ class _Asked(NamedTuple):
     max_dead_time: float | None
 
 
-class _Begun(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class _Begun:
     """A record as it is taken with one kind of plant, its linear fit, and the first search, for Stenman's stem.
 
-    history: of "two_step".
+    valve: as asked for; history: of "two_step".
     """
 
     data: Centred
+    valve: str
     line: Straight
     found: Profile | None
     history: tuple[Iteration, ...] = ()
+
+    @cached_property
+    def fits(self) -> Fits:
+        """The first stems of any valve."""
+        return _first_fits(self.data, self.valve, self.found, self.line)
+
+    @property
+    def rough(self) -> Fit:
+        """The likeliest of the linear fit and Stenman's."""
+        return min([self.line.fit] + ([] if self.found is None else [self.found.best.fit]), key=lambda fit: fit.sse)
+
+    @property
+    def likeliest(self) -> Fit:
+        """The likeliest of the first fits of any valve."""
+        return min([self.rough, *(band.fit for band in self.fits.coarse[:1])], key=lambda fit: fit.sse)
 
 
 class _Searched(NamedTuple):
@@ -198,7 +216,7 @@ def _begun(record: Record, plant: str, line: Straight, asked: _Asked, tell: Call
     tell(0.0)
     delays = longest_delay(data, longest, DELAYS)
     if asked.method == "two_step":
-        return _Begun(data, line, *two_step(data, asked.start, delays))
+        return _Begun(data, asked.valve, line, *two_step(data, asked.start, delays))
     data, found = likelier_op(
         record,
         data,
@@ -206,21 +224,26 @@ def _begun(record: Record, plant: str, line: Straight, asked: _Asked, tell: Call
         lambda one, model: left_by_stem(one, model, delays),
         tell,
     )
-    return _Begun(data, line, found)
+    return _Begun(data, asked.valve, line, found)
+
+
+def _first_fits(data: Centred, valve: str, found: Profile | None, line: Straight) -> Fits:
+    """The first stems of any valve; line: the linear fit, perhaps of the record with OP otherwise within its steps."""
+    return first_fits(data, valve, found, line.fit if line.data is data else fit_linear(data, line.longest))
 
 
 def _searched(record: Record, begun: _Begun, asked: _Asked) -> _Searched:
     """The search with one kind of plant, gone on with to its answer."""
-    data, line, found, history = begun
-    how = (asked.method, asked.valve)
-    answered = answer_of(record, data, how, found, line, history)
+    line, how = begun.line, (asked.method, asked.valve)
+    answered = answer_of(record, how, begun.fits, line, begun.history)
     if asked.method == "two_step":
         return _Searched(answered, None)
 
     def again(calm: Centred) -> Answered[Estimate]:
-        return answer_of(record, calm, how, _profile(calm, asked.max_dead_time, silent), line.calm(calm), history)
+        found, still = _profile(calm, asked.max_dead_time, silent), line.calm(calm)
+        return answer_of(record, how, _first_fits(calm, asked.valve, found, still), still, begun.history)
 
-    return _Searched(*beside_swing(data, answered, again, line.longest))
+    return _Searched(*beside_swing(begun.data, answered, again, line.longest))
 
 
 def _told(record: Record, found: _Searched, asked: _Asked, tell: Callable[[float], None]) -> Estimate:
@@ -294,11 +317,13 @@ def _likelier_plant(record: Record, asked: _Asked, tell: Callable[[float], None]
     def search(plant: str) -> _Searched:
         return _searched(record, begin(plant), asked)
 
-    # Without a stem, which costs the most: a lag that never levels off, and a level that leaves hardly more.
-    endless = lag.tau >= ENDLESS * len(record) and ramp.sse <= ALIKE * lag.sse
-    first, second = ("integrating", "fopdt") if endless or _endless(begin("fopdt")) else ("fopdt", "integrating")
+    # Without a stem, which costs the most: a lag that never levels off, and a level that leaves hardly more, nor much.
+    least = min(ALIKE * lag.sse, HALF * fit_nothing(lines["integrating"].data))
+    endless = lag.tau >= ENDLESS * len(record) and ramp.sse <= least
+    first, second = ("integrating", "fopdt") if endless or _slow(begin("fopdt")) else ("fopdt", "integrating")
     likelier = search(first)
-    if _decided(record, first, likelier.answered, lines[second]):
+    decided = _decided(record, first, likelier.answered, lines[second])
+    if decided and not _needless(record, likelier.answered, lambda: begin(second)):
         # Where more than noise is left, a stem may be what shows a lag that levels off.
         if first == "fopdt":
             return likelier, ()
@@ -324,9 +349,27 @@ def _likelier_plant(record: Record, asked: _Asked, tell: Callable[[float], None]
 
 
 def _endless(begun: _Begun) -> bool:
-    """Whether the likelier of a first-order loop's first fits never levels off within the record."""
-    fits = [begun.line.fit] if begun.found is None else [begun.line.fit, begun.found.best.fit]
-    return min(fits, key=lambda fit: fit.sse).tau >= ENDLESS * begun.data.samples
+    """Whether the likelier of a first-order loop's linear fit and Stenman's never levels off within the record."""
+    return begun.rough.tau >= ENDLESS * begun.data.samples
+
+
+def _slow(begun: _Begun) -> bool:
+    """Whether a first-order loop's first fits are so slow that a level is the likelier.
+
+    Where Stenman's stem is not the valve's, only a likelier one may show what the plant is.
+    """
+    return _endless(begun) or begun.likeliest.tau >= SLOW * begun.data.samples
+
+
+def _needless(record: Record, answered: Answered[Estimate], begin: Callable[[], _Begun]) -> bool:
+    """Whether an answer stands beside load steps, and the first fits with the other kind of plant leave less without.
+
+    begin: the beginning of the other's search.
+    """
+    if not answered.model.load_steps:
+        return False
+    least, other = answered.model.residual_variance * len(record), begin()
+    return other.rough.sse < least or other.likeliest.sse < least
 
 
 def _decided(record: Record, kind: str, answered: Answered[Estimate], line: Straight) -> bool:
