@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from loops import PAPER_PLANT, controllers, numbers, paper_loop, plants
 
 import workbench as wb
+from workbench.analyze import margins_kernel
 from workbench.analyze.frequency import linear_stable
 from workbench.analyze.margins import loop_margins
 from workbench.simulate.coefficients import coefficients
@@ -143,6 +144,21 @@ def test_many_loops_at_once_equal_each_alone():
         if alone.stable:
             assert value == pytest.approx((alone.max_sensitivity, alone.gain_margin, alone.phase_margin), rel=5e-3)
             assert w == pytest.approx(alone.frequency, rel=2e-2)
+
+
+@LOOPS
+def test_the_response_that_is_read_is_python_controls_to_the_lowest_frequency(plant, pid):
+    w = np.geomspace(1e-6, math.pi, 50)[:-1]
+    turned, late, re, im = np.empty((2, w.size)), np.empty((2, w.size)), np.empty(w.size), np.empty(w.size)
+    row = coefficients(wb.Loop(plant, wb.Ideal(), pid, 1.0))[0]
+    margins_kernel._turned(w, turned)
+    margins_kernel._lag(w, math.floor(plant.dead_time) + 1.0, late)
+    margins_kernel._response(row, turned, late, re, im)
+    C, G = transfer_functions(plant, pid)
+    theirs = control.frequency_response(C, w).complex * control.frequency_response(G, w).complex
+    # At 1e-6 theirs loses digits to 1 - cos w.
+    np.testing.assert_allclose(re + 1j * im, theirs, rtol=2e-4)
+    np.testing.assert_allclose((re + 1j * im)[w > 1e-3], theirs[w > 1e-3], rtol=1e-8)
 
 
 def test_no_action_at_all_leaves_all_margins_open():
