@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property, reduce
+from statistics import median
 from typing import NamedTuple
 
 from workbench.detect.causes import below_step, between_values, beyond_op, kept_by_exception, no_percent
@@ -356,9 +357,13 @@ def _endless(begun: _Begun) -> bool:
 def _slow(begun: _Begun) -> bool:
     """Whether a first-order loop's first fits are so slow that a level is the likelier.
 
-    Where Stenman's stem is not the valve's, only a likelier one may show what the plant is.
+    Where Stenman's stem is not the valve's, only a likelier one may show what the plant is; and in all of a long record
+    none of the first does, in whose windows a few slips are soon right.
     """
-    return _endless(begun) or begun.likeliest.tau >= SLOW * begun.data.samples
+    if _endless(begun):
+        return True
+    windows = [one.coarse[0].fit.tau / one.data.samples for one in begun.fits.within.windows if one.coarse]
+    return (median(windows) if windows else begun.likeliest.tau / begun.data.samples) >= SLOW
 
 
 def _needless(record: Record, answered: Answered[Estimate], begin: Callable[[], _Begun]) -> bool:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
@@ -48,7 +49,7 @@ class Centred:
     count: they answer to what the stem did before the record. load: EU, shape (N,), what load steps add to PV; y is
     without it. answers: shape (2 steps, N), what it would change by with each step's size and time, up to
     factors: neither is known exactly. doubt: the standard deviation of what is not known of OP, %, where it is recorded
-    in steps (see `resolved`), else 0.
+    in steps (see `resolved`), else 0. latest: the last sample at which the stem is tried to slip first.
     """
 
     y: FloatArray
@@ -70,6 +71,7 @@ class Centred:
     load: FloatArray
     answers: FloatArray
     doubt: float
+    latest: float = math.inf
 
     @property
     def unsure(self) -> float:
@@ -89,6 +91,7 @@ class Centred:
         highs, lows = np.maximum.accumulate(self.u), np.minimum.accumulate(self.u)
         above = self.u[1:] > highs[:-1]
         new = np.flatnonzero(above | (self.u[1:] < lows[:-1]))
+        new = new[new < self.latest]
         return Starts(
             integers(np.append(0, new + 1)),
             np.append(0.0, (highs - lows)[new]),
@@ -115,6 +118,10 @@ class Centred:
         means = np.add.reduceat(self.y[: stop[-1]], begin) / (stop - begin)
         thin = _centred(means, self.u[at + every // 2], self)
         return replace(thin, skip=-(-self.skip // every))
+
+    def slipping_by(self, latest: float) -> Centred:
+        """Return the same record, in which no stem is tried that first slips after a sample."""
+        return replace(self, latest=latest)
 
     def innovations(self, prediction: FloatArray) -> FloatArray:
         """Return what a prediction of y leaves, filtered, without the samples that do not count: shape (N - skip,)."""

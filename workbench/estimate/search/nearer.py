@@ -16,8 +16,9 @@ from workbench.estimate.fits.fit import Limits
 from workbench.estimate.fits.windows import EXACT
 from workbench.estimate.kernels.bands import scan_bands
 from workbench.estimate.search.two_parameter import SEEDS, Band, Line, best_of, fit_band, fitted, started, walked
+from workbench.model.record import FloatArray
 
-__all__ = ["CROSSINGS", "REACHES", "REFITS", "SPREADS", "closer", "nearer", "search_short"]
+__all__ = ["CROSSINGS", "REACHES", "REFITS", "SPREADS", "closer", "nearer", "search_short", "within"]
 
 SPREADS = (0.1, 0.04, 0.015, 0.005)  # of S: how far stems with plants of their own are looked at about a seed,
 FURTHER = dict(zip(SPREADS, (*SPREADS[1:], 0.0), strict=True))  # and how far next, after each of them
@@ -30,7 +31,7 @@ WALKED, WALKS = 2.0, 2  # of the spread: how far sequences of slips are walked, 
 ACROSS, ACROSS_GRID = 0.07, 29  # of S: how far a close grid about the best goes, and how many values of S it has
 CROSSINGS = 3  # of it at most, with `SEEDS` of its stems, about which S and J are walked
 REACHES = ((0.006, 0.015), (0.002, 0.005))  # how far, of S: along S and along J
-LINES = 13  # of J in each
+LINES, FINEST = 13, 200  # of J in each, and steps of S at most where it is known closely
 REFITS = 6  # best lines of which each gets its own plant
 
 
@@ -45,10 +46,39 @@ def closer(
     low, high = seed.S * (1.0 - reach[0]), min(seed.S * (1.0 + reach[0]), data.op_range)
     # Breakpoints closer than a tenth of the step are passed over: a stem that hardly moves has thousands of them.
     steps = (0.1 * step * low if data.samples <= EXACT else step * low, step * low)
-    plant = (seed.fit.tau, seed.fit.theta)
-    start = (seed.first, seed.sense)
+    return _best_along(data, seed, (low, high), J, steps, limits)
+
+
+def within(
+    data: Centred, seed: Band, box: tuple[float, float, float, float], only: float | None, limits: Limits
+) -> list[Band]:
+    """Return the best stems in a rectangle (S from, to, J from, to) about a seed, within the first of `REACHES` of it.
+
+    only: J as a share of S, None for any.
+    """
+    reach_S, reach_J = (share * seed.S for share in REACHES[0])
+    low, high = max(box[0], seed.S - reach_S), min(box[1], seed.S + reach_S, data.op_range)
+    J = np.array([0.0 if only is None else only * seed.S])
+    if only is None:
+        J = np.unique(np.linspace(max(box[2], seed.J - reach_J, 0.0), min(box[3], seed.J + reach_J), LINES))
+    step = (high - low) / FINEST
+    return _best_along(data, seed, (low, high), J, (step, 10.0 * step), limits)[0]
+
+
+def _best_along(
+    data: Centred,
+    seed: Band,
+    span: tuple[float, float],
+    jumps: FloatArray,
+    steps: tuple[float, float],
+    limits: Limits,
+) -> tuple[list[Band], NDArray[np.float64]]:
+    """The best stems of walks of S over a span, %, at some J, %, with plants of their own, and all their rows."""
+    plant, start, (low, high) = (seed.fit.tau, seed.fit.theta), (seed.first, seed.sense), span
     lines = [
-        line for line in walked(data, [Line((low, j), 0, high, steps, start, plant) for j in J.tolist()]) if len(line)
+        line
+        for line in walked(data, [Line((low, j), 0, high, steps, start, plant) for j in jumps.tolist()])
+        if len(line)
     ]
     if not lines:
         return [], np.empty((0, 4))
