@@ -24,6 +24,7 @@ from workbench.estimate.plants import ENDLESS, foretelling_of, with_other_plant
 from workbench.estimate.ranges.scale import joined
 from workbench.estimate.record_fits import DELAYS, LINEAR_DELAYS, Fits, first_fits, longest_delay
 from workbench.estimate.repeat import repeats_of, words_of
+from workbench.estimate.search.candidates import leaves_noise
 from workbench.estimate.search.models import WORDS_OF_BLIND, words_of_open
 from workbench.estimate.search.profile import Profile
 from workbench.estimate.search.reach import searched
@@ -48,7 +49,7 @@ FIRST = 0.8  # of the progress told: the first kind of plant, as the other is se
 
 WIDEST_GAIN = 0.2  # of the gain itself: a 95 % range wider than this does not identify a valve and what it does to PV
 CLEAR_BIC = 10.0  # R. Kass, A. Raftery, J. Am. Stat. Assoc. 90 (1995) 773-795: "very strong" evidence above it
-ALIKE, HALF = 1.25, 0.5  # times what a lag leaves along OP, and of PV itself: a level that leaves more is none
+ALIKE, HALF = 1.25, 0.5  # times what a lag leaves along OP: a level that leaves more is none; and of PV itself
 SLOW = 0.25  # of the record: a time constant that a lag seldom has, and the first fits of a level mostly have
 BRIEF, FAR_BIC = 0.05, 10.0 * CLEAR_BIC  # of the record: a time constant that PV shows twenty times; of BIC
 WORDS_OF_IDEAL = (
@@ -199,6 +200,11 @@ class _Begun:
         return min([self.line.fit] + ([] if self.found is None else [self.found.best.fit]), key=lambda fit: fit.sse)
 
     @property
+    def noise_alone(self) -> bool:
+        """Whether Stenman's stem leaves nothing for another plant."""
+        return self.found is not None and leaves_noise(self.data, self.found.best)
+
+    @property
     def likeliest(self) -> Fit:
         """The likeliest of the first fits of any valve."""
         return min([self.rough, *(band.fit for band in self.fits.coarse[:1])], key=lambda fit: fit.sse)
@@ -318,9 +324,12 @@ def _likelier_plant(record: Record, asked: _Asked, tell: Callable[[float], None]
     def search(plant: str) -> _Searched:
         return _searched(record, begin(plant), asked)
 
-    # Without a stem, which costs the most: a lag that never levels off, and a level that leaves hardly more, nor much.
-    least = min(ALIKE * lag.sse, HALF * fit_nothing(lines["integrating"].data))
-    endless = lag.tau >= ENDLESS * len(record) and ramp.sse <= least
+    # Without a stem, which costs the most: a lag that never levels off, and a level that leaves hardly more. Where that
+    # is more than half of PV only a stem shows the plant.
+    endless = lag.tau >= ENDLESS * len(record) and ramp.sse <= ALIKE * lag.sse
+    endless = endless and (
+        ramp.sse <= HALF * fit_nothing(lines["integrating"].data) or begin("integrating").noise_alone
+    )
     first, second = ("integrating", "fopdt") if endless or _slow(begin("fopdt")) else ("fopdt", "integrating")
     likelier = search(first)
     decided = _decided(record, first, likelier.answered, lines[second])
