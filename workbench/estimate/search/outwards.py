@@ -24,6 +24,8 @@ STAYS = 1.02  # times what it left before: a stem that leaves no more needs no s
 # Times what it left in the window: a stem that leaves more has lost its way, unless PV drifts, and one that leaves no
 # more in all of the record is right.
 LOST, RIGHT = 1.5, 1.2
+# Of S: a stem with less of a jump turns wherever OP does, and noise leaves what its slips hold for no width.
+JUMPS = 0.1
 NARROW = 2  # the spread that is the first from the second doubling on
 SLIPS = 20  # from which close walks tell more than steps
 # Mean times between slips by which a stem has slipped. One that rests over half of what was added leaves less than one
@@ -39,6 +41,18 @@ def outwards(
     window: samples [begin, stop) in which seed was found; only: J as a share of S, None for any. No stems where what
     they leave grows too fast.
     """
+    met, right = _followed(data, window, seed, only, limits, closely=True)
+    if right:
+        return met, right
+    other, right = _followed(data, window, seed, only, limits, closely=False)
+    better = not met or (bool(other) and best_of(other).fit.sse < best_of(met).fit.sse)
+    return (other, right) if better else (met, False)
+
+
+def _followed(
+    data: Centred, window: tuple[int, int], seed: Band, only: float | None, limits: Limits, *, closely: bool
+) -> tuple[list[Band], bool]:
+    """`outwards`: in the rectangle that the slips so far leave, from an early start, or by steps of S and J alone."""
     n, (begin, stop), b, wide = data.samples, window, seed, 0
     first = level = max(seed.fit.sse / (stop - begin), data.floor)
     met, op = list[Band](), data.u[begin:stop]
@@ -49,14 +63,18 @@ def outwards(
         stop = begin + size
         whole = size == n
         part = data if whole else data.part(begin, stop).whitened(data.a, max(data.skip - begin, 0))
-        # As many slips as there were in half of it.
-        part = part.slipping_by(LATEST * 0.5 * size / max(b.slips, 1))
+        if closely:
+            # As many slips as there were in half of it.
+            part = part.slipping_by(LATEST * 0.5 * size / max(b.slips, 1))
         own = limits if whole else Limits((LEAST_TAU, float(size)), (0.0, limits.theta[1]))
         plant = b.fit.tau, min(b.fit.theta, limits.theta[1])
         met = [fit_band(part, b.S, b.J, best_start(part, (b.S, b.J), plant)[1:], own, plant, 40)]
-        if not whole or met[0].fit.sse / size > STAYS * level:
+        unsure = not whole or met[0].fit.sse / size > STAYS * level
+        if unsure and closely:
             met += within(part, met[0], _right(op, b), only, own)
-        if best_of(met).fit.sse / size > STAYS * level:
+            best = best_of(met)
+            unsure = best.J < JUMPS * best.S or best.fit.sse / size > STAYS * level
+        if unsure:
             met += nearer(part, best_of(met), SPREADS[wide:], only, own)
             for reach in REACHES if best_of(met).slips >= SLIPS and not whole else ():
                 met += closer(part, best_of(met), reach, 0.05 * reach[0], only, own)[0]
