@@ -81,8 +81,9 @@ def estimate(
     its best Stenman path one program in plant, d and stem together (see `methods.complementarity`; the result's field
     of that name holds what it found; 1,500 samples at most). valve: "stenman", "choudhury" (S, J), "deadband" (J = 0),
     "linear" (none), or "auto", the one that sticks with the lowest BIC. plant: "fopdt", "integrating", or "auto", the
-    one that PV shows: the likelier is searched first, and the other too where that one leaves more than noise, or would
-    need a time constant of half the record and more, as a level does; then the lower BIC decides.
+    one that PV shows: the likelier is searched first, and the other too where that one leaves more than noise, stands
+    beside load steps and leaves more than the other's first stems do without, or would need a time constant of half the
+    record and more, as a level does; then the lower BIC decides.
     max_dead_time: s, the longest dead time searched, of up to a quarter of the record (default: 30 samples, and more
     where PV clearly shows a longer one).
     progress: called with the share done, 0 to 1.

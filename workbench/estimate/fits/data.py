@@ -91,7 +91,7 @@ class Centred:
         highs, lows = np.maximum.accumulate(self.u), np.minimum.accumulate(self.u)
         above = self.u[1:] > highs[:-1]
         new = np.flatnonzero(above | (self.u[1:] < lows[:-1]))
-        new = new[new < self.latest]
+        new = new[new + 1 <= self.latest]
         return Starts(
             integers(np.append(0, new + 1)),
             np.append(0.0, (highs - lows)[new]),
@@ -120,7 +120,7 @@ class Centred:
         return replace(thin, skip=-(-self.skip // every))
 
     def slipping_by(self, latest: float) -> Centred:
-        """Return the same record, in which no stem is tried that first slips after a sample."""
+        """Return the same record, in which no stem is tried that first slips after a time, samples."""
         return replace(self, latest=latest)
 
     def innovations(self, prediction: FloatArray) -> FloatArray:
