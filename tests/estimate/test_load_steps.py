@@ -136,13 +136,17 @@ def test_a_level_under_a_large_load_is_not_taken_for_another(
     assert found.plant.gain == pytest.approx(plant.gain, rel=0.05)
 
 
-def test_a_gain_that_may_be_anything_is_not_identified() -> None:
-    """A load step that was not found: the stem's band came out right, the gain a twentieth."""
+def test_a_load_step_of_a_level_is_found_beside_its_slips() -> None:
+    # Once it was not: the stem's band came out right, the gain a twentieth.
     loop = wb.Loop(wb.Integrating(0.03, 4.0), wb.Choudhury(4.0, 1.5), wb.PID(Kc=3.0, Ti=60.0), 1.0)
     steps, load = wb.Step(3.0, at=20.0), wb.Step(1.5, at=500.0)
     run = wb.simulate(loop, wb.Experiment(1000.0, setpoint=steps, load=load, noise=wb.Noise(0.05, 1)))
     found = wb.estimate(wb.Record(run.pv, run.op, 1.0, sp=run.sp), plant="integrating")
-    assert found.plant.gain == pytest.approx(0.03, rel=0.1) or not found.identifiable
+    assert found.plant.gain == pytest.approx(0.03, rel=0.01)
+    assert pytest.approx((4.0, 1.5), rel=0.01) == (found.valve.S, found.valve.J)
+    assert [(step.at, step.size) for step in found.load_steps] == [
+        (pytest.approx(504.0, abs=1.0), pytest.approx(1.5, rel=0.01))
+    ]
 
 
 @pytest.mark.parametrize("seed", range(2))

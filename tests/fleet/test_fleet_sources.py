@@ -58,8 +58,11 @@ def test_what_the_workbench_wrote_itself_is_no_loop(tmp_path: Path, one) -> None
         write_csv(folder / own, one)
         (folder / beside).write_text("{}")
     row = FleetRow("FIC1")
-    Store(tmp_path / "monday", "x", Settings(), resume=False).finish([row], {"fleet.csv": fleet_csv([row])}, ())
+    whole = Store(tmp_path / "monday", "x", Settings(), resume=False)
+    whole.begin()
+    whole.finish([row], {"fleet.csv": fleet_csv([row])}, ())
     half = Store(tmp_path / "tuesday", "x", Settings(), resume=False)
+    half.begin()
     half.add(row)
     half.flush()
     assert len(list(tmp_path.rglob("part-*.parquet"))) == 1
@@ -195,10 +198,10 @@ def test_a_manifest_in_csv(site: Path) -> None:
         ("loops: [{name: a, Kc: 2}]", "m.yaml:1:9: loops[0]: Kc given without Ti; the present tuning needs both"),
         ("loops: [{name: a, Ti: 2 s}]", "loops[0]: Ti given without Kc"),
         ("loops: [{name: a, title: x}]", "unknown entry 'title' (did you mean file?); allowed: name, file,"),
-        ("loops: [{name: a\n", "not valid YAML"),
+        ("loops: [{name: a\n", "m.yaml:2:1: manifest: not valid YAML"),
         ("loops: [{name: a}]\ndata: none", "data: none given; no such file or folder"),
         ("loops: [{name: a}]\ndepth: deep", "depth"),
-        ("", "the file is empty"),
+        ("", "m.yaml:1:1: manifest: the file is empty; must hold a mapping with title, data, depth, loops"),
         ("- a", "m.yaml:1:1"),
     ],
 )

@@ -18,6 +18,7 @@ from workbench.errors import OutputError
 from workbench.fleet import run as runs
 from workbench.fleet import store as stores
 from workbench.fleet.loops import Sources
+from workbench.fleet.pool import WorkersFailed
 from workbench.fleet.store import Store, fleet_csv, read_rows
 from workbench.fleet.task import Result
 from workbench.model.fleet import FleetRow, LoopSource, Settings, Tuning
@@ -39,8 +40,14 @@ def same(a: FleetRow, b: FleetRow) -> bool:
     )
 
 
+def begun(folder: Path, *, resume: bool = False) -> Store:
+    store = Store(folder, SITE, Settings(), resume)
+    store.begin()
+    return store
+
+
 def test_rows_come_back_as_they_were(tmp_path: Path) -> None:
-    store = Store(tmp_path, SITE, Settings(), resume=False)
+    store = begun(tmp_path)
     for row in ROWS:
         store.add(row)
     store.flush()
@@ -50,12 +57,12 @@ def test_rows_come_back_as_they_were(tmp_path: Path) -> None:
 
 
 def test_an_interrupted_run_goes_on_and_no_row_is_there_twice(tmp_path: Path) -> None:
-    store = Store(tmp_path, SITE, Settings(), resume=False)
+    store = begun(tmp_path)
     store.add(ROWS[0])
     store.flush()
     store.add(ROWS[1])  # never written: the run is killed here
     (tmp_path / "parts" / ".part-000002.parquet.99.tmp").write_bytes(b"half")
-    again = Store(tmp_path, SITE, Settings(), resume=True)
+    again = begun(tmp_path, resume=True)
     assert set(again.done) == {"b"}
     for row in (ROWS[0], ROWS[1]):
         again.add(row)
@@ -64,7 +71,7 @@ def test_an_interrupted_run_goes_on_and_no_row_is_there_twice(tmp_path: Path) ->
         "part-000001.parquet",
         "part-000002.parquet",
     ]
-    once_more = Store(tmp_path, SITE, Settings(), resume=True)
+    once_more = begun(tmp_path, resume=True)
     assert set(once_more.done) == {"a", "b"}
     once_more.page("a.html", "kept")
     once_more.page("former.html", "of a loop that no longer has one")
@@ -76,7 +83,7 @@ def test_an_interrupted_run_goes_on_and_no_row_is_there_twice(tmp_path: Path) ->
 
 def test_parts_are_written_after_a_batch_or_some_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(stores, "BATCH", 2)
-    store = Store(tmp_path, SITE, Settings(), resume=False)
+    store = begun(tmp_path)
     store.add(ROWS[0])
     assert not store.done
     store.add(ROWS[1])
@@ -87,10 +94,10 @@ def test_parts_are_written_after_a_batch_or_some_time(tmp_path: Path, monkeypatc
 
 
 def test_without_resume_a_run_begins_anew(tmp_path: Path) -> None:
-    store = Store(tmp_path, SITE, Settings(), resume=False)
+    store = begun(tmp_path)
     store.add(ROWS[0])
     store.flush()
-    fresh = Store(tmp_path, SITE, Settings(), resume=False)
+    fresh = begun(tmp_path)
     assert not fresh.done
     assert fresh.dropped == 1
     assert not list((tmp_path / "parts").glob("part-*"))
@@ -98,14 +105,14 @@ def test_without_resume_a_run_begins_anew(tmp_path: Path) -> None:
 
 def test_rows_of_a_former_whole_run_are_not_those_of_an_interrupted_new_one(tmp_path: Path) -> None:
     # Every morning into one folder: what --resume goes on with is this morning's run, not yesterday's.
-    Store(tmp_path, SITE, Settings(), resume=False).finish(ROWS, {}, ())
+    begun(tmp_path).finish(ROWS, {}, ())
     assert set(Store(tmp_path, SITE, Settings(), resume=True).done) == {"a", "b", "c"}
-    Store(tmp_path, SITE, Settings(), resume=False)  # killed before its first row
+    begun(tmp_path)  # killed before its first row
     assert not Store(tmp_path, SITE, Settings(), resume=True).done
-    today = Store(tmp_path, SITE, Settings(), resume=True)
+    today = begun(tmp_path, resume=True)
     today.add(replace(ROWS[0], stiction=3.0))
     today.flush()
-    again = Store(tmp_path, SITE, Settings(), resume=True)
+    again = begun(tmp_path, resume=True)
     assert [row.stiction for row in again.done.values()] == [3.0]
     again.finish(ROWS, {}, ())
     assert not (tmp_path / "parts").exists()
@@ -130,7 +137,7 @@ def engine_of(monkeypatch: pytest.MonkeyPatch) -> list[str]:
 
 
 def test_loops_that_were_not_asked_for_are_not_gone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    Store(tmp_path / "before", SITE, Settings(), resume=False).finish(ROWS, {}, ())
+    begun(tmp_path / "before").finish(ROWS, {}, ())
     engine_of(monkeypatch)
     some = Sources("x", SITE, (LoopSource("a", "a.csv"),), left_out=frozenset({"b"}))
     site = runs.run_fleet(some, tmp_path / "now", Settings(), previous=tmp_path / "before").site
@@ -153,8 +160,30 @@ def test_a_run_goes_on_with_the_rows_that_still_hold(tmp_path: Path, monkeypatch
     assert not any(row.failed for row in read_rows(tmp_path / "fleet.parquet")[0])
 
 
+def test_a_run_that_nothing_can_start_leaves_the_folder_as_it_was(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # A scheduler that does not answer.
+    @contextmanager
+    def none(*_: object) -> Iterator[None]:
+        raise WorkersFailed("cannot be reached")
+        yield
+
+    monkeypatch.setattr(runs, "_engine", none)
+    sources = Sources("x", SITE, (LoopSource("a", "a.csv"),))
+    with pytest.raises(WorkersFailed):
+        runs.run_fleet(sources, tmp_path / "out", Settings())
+    assert not (tmp_path / "out").exists()
+    half = begun(tmp_path / "half")
+    half.add(ROWS[0])
+    half.flush()
+    with pytest.raises(WorkersFailed):
+        runs.run_fleet(sources, tmp_path / "half", Settings())
+    assert set(Store(tmp_path / "half", SITE, Settings(), resume=True).done) == {"b"}
+
+
 def test_other_settings_are_not_resumed(tmp_path: Path) -> None:
-    store = Store(tmp_path, SITE, Settings(), resume=False)
+    store = begun(tmp_path)
     store.add(ROWS[0])
     store.flush()
     with pytest.raises(OutputError, match=r"with other settings.*--resume"):
@@ -181,7 +210,7 @@ def _other(folder: Path) -> Path:
 
 
 def test_a_row_of_another_version_keeps_what_is_known(tmp_path: Path) -> None:
-    store = Store(tmp_path, SITE, Settings(), resume=False)
+    store = begun(tmp_path)
     store.add(ROWS[0])
     store.flush()
     (part,) = (tmp_path / "parts").glob("part-*")
@@ -195,7 +224,7 @@ def test_a_row_of_another_version_keeps_what_is_known(tmp_path: Path) -> None:
 
 
 def test_a_full_disk_is_said_and_what_is_there_stays(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    store = Store(tmp_path, SITE, Settings(), resume=False)
+    store = begun(tmp_path)
     store.add(ROWS[0])
     store.flush()
 
@@ -213,7 +242,7 @@ def test_a_full_disk_is_said_and_what_is_there_stays(tmp_path: Path, monkeypatch
 def test_a_folder_that_cannot_be_made(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("x")
     with pytest.raises(OutputError, match="cannot be written"):
-        Store(tmp_path / "file" / "out", SITE, Settings(), resume=False)
+        begun(tmp_path / "file" / "out")
 
 
 def test_the_csv_holds_no_formula_and_no_bytes() -> None:

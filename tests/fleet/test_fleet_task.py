@@ -104,7 +104,10 @@ def test_models_and_tunings_come_with_depth(folder: Path, monkeypatch: pytest.Mo
 @pytest.mark.parametrize(
     ("text", "reason"),
     [
-        ("t,PV\n0,1\n1,2\n", "no column for OP"),
+        (
+            "t,PV\n0,1\n1,2\n",
+            "no column for OP; the file has 't', 'PV'; give the mapping, for example columns: {OP: name in the file}",
+        ),
         ("", "empty"),
         ("t,PV,OP\n" + "\n".join(f"{k},{k},{k % 3}" for k in range(20)), "20 samples given; at least 30"),
         ("t,PV,OP\n" + "\n".join(f"{(k * 7) % 50},{k % 7},{k % 3}" for k in range(60)), "times must ascend"),

@@ -114,12 +114,14 @@ def is_manifest(path: Path) -> bool:
     if path.suffix.lower() == ".csv":
         return path.is_file()
     try:
-        # Anything else, and anything odd, is for the scenario loader to say.
+        # Anything else that is odd is for the scenario loader to say.
         text = path.read_text(encoding="utf-8-sig") if path.is_file() and path.stat().st_size <= LARGEST else ""
     except (OSError, ValueError):
         return False
-    root = parse(text)[0] if "\nloops:" in f"\n{text}" else None
-    return root is not None and root.entries is not None and "loops" in root.entries
+    if "\nloops:" not in f"\n{text}":
+        return False
+    root, _ = parse(text)
+    return root is None or (root.entries is not None and "loops" in root.entries)
 
 
 def read_manifest(path: Path) -> Sources:
@@ -232,7 +234,7 @@ def _text(path: Path) -> str:
 
 
 def _from_yaml(path: Path) -> _Given:
-    root, problems = parse(_text(path))
+    root, problems = parse(_text(path), "manifest", "title, data, depth, loops ...")
     if root is None:
         raise ScenarioError("\n".join(f"{path}:{p.line}:{p.column}: {p.where}: {p.text}" for p in problems))
     found = list(problems)

@@ -92,9 +92,10 @@ def run_fleet(
     resumed = len(store.done)
     todo = [loop for loop in loops if loop.name not in store.done]
     count, failed = resumed, 0
-    tell(count, len(loops), failed)
     if todo:
         with _engine(min(workers, len(todo)), settings, limits or Limits(), scheduler) as engine:
+            store.begin()
+            tell(count, len(loops), failed)
             try:
                 for result in engine.run(todo):
                     if result.page:

@@ -86,36 +86,39 @@ class Store:
     """The folder of a run: done holds the rows that are safely there, by name.
 
     source: the site, as it was named; a loop of another site may have the same name. resume: go on with what the folder
-    holds of the latest run of that with the same settings, else begin anew. Raises `OutputError` for a folder that
-    cannot be written, or holds another run to resume.
+    holds of the latest run of that with the same settings, else begin anew. Before `begin` all stays as it is.
+    Raises `OutputError` where the folder holds another run to resume.
     """
 
     def __init__(self, folder: Path, source: str, settings: Settings, resume: bool) -> None:
-        self.folder, self.asked = folder, _asked(source, settings)
+        self.folder, self.asked, self.resume = folder, _asked(source, settings), resume
         self.done: dict[str, FleetRow] = {}
         self.fresh: list[FleetRow] = []
         self.since = time.monotonic()
         self.dropped = 0
-        try:
-            (folder / PARTS).mkdir(parents=True, exist_ok=True)
-            for spare in (folder / PARTS).glob(".*.tmp"):
-                spare.unlink()
-            # A whole run's files stay until the next one is whole, which does not make its rows this one's.
-            anew = folder / PARTS / ANEW
-            if not resume:
-                anew.touch()
-        except OSError as error:
-            raise OutputError(f"{folder}: cannot be written ({error.strerror or error})") from None
         parts = sorted((folder / PARTS).glob("part-*.parquet"))
         if resume:
+            # A whole run's files stay until the next one is whole, which does not make its rows this one's.
             whole = folder / ROWS
-            for path in [*([whole] if whole.is_file() and not anew.exists() else []), *parts]:
+            for path in [*([whole] if whole.is_file() and not (folder / PARTS / ANEW).exists() else []), *parts]:
                 self._take(path)
-        else:
-            for path in parts:
-                path.unlink(missing_ok=True)
-                self.dropped += 1
-        self.number = 1 + max((int(path.stem.split("-")[1]) for path in parts if path.exists()), default=0)
+        self.spare = [] if resume else parts
+        self.number = 1 + max((int(path.stem.split("-")[1]) for path in parts if resume), default=0)
+
+    def begin(self) -> None:
+        """Make the folder ready for rows and drop an unfinished run that is not resumed. Raises `OutputError`."""
+        parts = self.folder / PARTS
+        try:
+            parts.mkdir(parents=True, exist_ok=True)
+            for path in parts.glob(".*.tmp"):
+                path.unlink()
+            if not self.resume:
+                (parts / ANEW).touch()
+        except OSError as error:
+            raise OutputError(f"{self.folder}: cannot be written ({error.strerror or error})") from None
+        for path in self.spare:
+            path.unlink(missing_ok=True)
+            self.dropped += 1
 
     def _take(self, path: Path) -> None:
         rows, asked = read_rows(path)

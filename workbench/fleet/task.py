@@ -24,6 +24,7 @@ from workbench.record.reader import read_record
 from workbench.record.segments import USABLE
 from workbench.report.known import hint
 from workbench.report.loop_page import render_loop
+from workbench.scenario.refusals import in_entries
 
 if TYPE_CHECKING:
     from workbench.model.controller import PID
@@ -124,7 +125,8 @@ def look_at(loop: LoopSource, settings: Settings) -> Result:
     try:
         return _looked_at(loop, settings)
     except WorkbenchError as error:
-        return Result(FleetRow.failure(loop, _line(str(error))))
+        # A manifest says what `columns` and `tags` are, as a scenario does.
+        return Result(FleetRow.failure(loop, _line(in_entries(str(error)))))
     except MemoryError:
         return Result(FleetRow.failure(loop, "the record does not fit into memory"))
     except Exception as error:  # noqa: BLE001 - one loop must never stop the others, whatever it meets

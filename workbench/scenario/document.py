@@ -96,40 +96,49 @@ class _Stop(Exception):
     """Reading cannot go on."""
 
     def __init__(self, line: int, column: int, text: str) -> None:
-        self.problem = Problem(line, column, "scenario", text)
+        self.line, self.column, self.text = line, column, text
 
 
-def parse(text: str) -> tuple[Node | None, list[Problem]]:
-    """Return the tree of one YAML document and what is wrong with it; None where nothing could be read."""
-    builder = _Builder()
+def parse(
+    text: str, kind: str = "scenario", holds: str = "title, loop, cases ..."
+) -> tuple[Node | None, list[Problem]]:
+    """Return the tree of one YAML document and what is wrong with it; None where nothing could be read.
+
+    kind: what the document is, for messages: `scenario` or `manifest`. holds: its entries.
+    """
+    builder = _Builder(kind)
+
+    def stopped(line: int, column: int, text: str) -> tuple[None, list[Problem]]:
+        return None, [*builder.problems, Problem(line, column, kind, text)]
+
     reader = YAML(typ="safe", pure=True)
     try:
         for event in reader.parse(text):
             builder.take(event)
     except _Stop as stop:
-        return None, [*builder.problems, stop.problem]
+        return stopped(stop.line, stop.column, stop.text)
     except ReaderError as error:
         line = text.count("\n", 0, error.position) + 1
         column = error.position - (text.rfind("\n", 0, error.position) + 1) + 1
-        what = f"the character {ascii(chr(error.character))[1:-1]} is not allowed in YAML"
-        return None, [Problem(line, column, "scenario", what)]
+        return stopped(line, column, f"the character {ascii(chr(error.character))[1:-1]} is not allowed in YAML")
     except MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
         what = " ".join(str(part) for part in (error.context, error.problem) if part) or "cannot be read"
         line, column = (mark.line + 1, mark.column + 1) if mark is not None else (1, 1)
-        return None, [Problem(line, column, "scenario", f"not valid YAML: {' '.join(what.split())}")]
+        return stopped(line, column, f"not valid YAML: {' '.join(what.split())}")
     except (YAMLError, ValueError, LookupError, TypeError, AttributeError, AssertionError, RecursionError) as error:
         # The parser meets some malformed input with errors of its own making, which carry no position.
-        return None, [Problem(1, 1, "scenario", f"not valid YAML: {' '.join(str(error).split())[:200]}")]
+        return stopped(1, 1, f"not valid YAML: {' '.join(str(error).split())[:200]}")
     if builder.root is None and not builder.problems:
-        return None, [Problem(1, 1, "scenario", "the file is empty; must hold a mapping with title, loop, cases ...")]
+        return stopped(1, 1, f"the file is empty; must hold a mapping with {holds}")
     return builder.root, builder.problems
 
 
 class _Builder:
     """Grows the tree from events, with an explicit stack."""
 
-    def __init__(self) -> None:
+    def __init__(self, kind: str) -> None:
+        self.kind = kind
         self.root: Node | None = None
         self.problems: list[Problem] = []
         self.stack: list[Node] = []
@@ -143,7 +152,7 @@ class _Builder:
         if isinstance(event, DocumentStartEvent):
             self.documents += 1
             if self.documents > 1:
-                raise _Stop(*_at(event), "a second document begins; a scenario is one document")
+                raise _Stop(*_at(event), f"a second document begins; a {self.kind} is one document")
         elif isinstance(event, MappingEndEvent | SequenceEndEvent):
             node = self.stack.pop()
             anchor = self.open_anchors.pop()
@@ -165,12 +174,10 @@ class _Builder:
         line, column = _at(event)
         tag = getattr(event, "tag", None)
         if tag is not None:
-            self.problems.append(
-                Problem(line, column, "scenario", f"the tag {_clip(str(tag))} given; tags are not allowed")
-            )
+            self._note(line, column, f"the tag {_clip(str(tag))} given; tags are not allowed")
         self.values += 1
         if self.values > MAX_VALUES:
-            raise _Stop(line, column, f"more than {MAX_VALUES:,} values; that is no scenario")
+            raise _Stop(line, column, f"more than {MAX_VALUES:,} values; that is no {self.kind}")
         if isinstance(event, ScalarEvent):
             implicit = event.style in (None, "")
             text = event.value
@@ -186,7 +193,7 @@ class _Builder:
             self._put(node)
             return
         if len(self.stack) >= MAX_DEPTH:
-            raise _Stop(line, column, f"nested more than {MAX_DEPTH} levels deep; that is no scenario")
+            raise _Stop(line, column, f"nested more than {MAX_DEPTH} levels deep; that is no {self.kind}")
         node = Node(line, column, None)
         if isinstance(event, MappingStartEvent):
             node.entries = {}
@@ -214,9 +221,12 @@ class _Builder:
             if key.text in entries:
                 first = entries[key.text][0]
                 what = f"the key {_clip(key.text)} is given twice; it stands already in line {first.line}"
-                self.problems.append(Problem(key.line, key.column, "scenario", what))
+                self._note(key.line, key.column, what)
                 return
             entries[key.text] = (key, node)
+
+    def _note(self, line: int, column: int, text: str) -> None:
+        self.problems.append(Problem(line, column, self.kind, text))
 
     def _merge(self, node: Node) -> None:
         """Take over the entries of `<<: *other` that the mapping does not hold itself."""
@@ -227,7 +237,7 @@ class _Builder:
         for other in source.items if source.items is not None else [source]:
             if other.entries is None:
                 what = "<< takes a mapping or a list of mappings"
-                self.problems.append(Problem(source.line, source.column, "scenario", what))
+                self._note(source.line, source.column, what)
                 return
             for name, entry in other.entries.items():
                 entries.setdefault(name, entry)
@@ -239,7 +249,7 @@ class _Builder:
         if node.size > MAX_VALUES:
             raise _Stop(node.line, node.column, f"more than {MAX_VALUES:,} values once its aliases are written out")
         if node.depth > MAX_DEPTH:
-            raise _Stop(node.line, node.column, f"nested more than {MAX_DEPTH} levels deep; that is no scenario")
+            raise _Stop(node.line, node.column, f"nested more than {MAX_DEPTH} levels deep; that is no {self.kind}")
 
 
 def _at(event: Event) -> tuple[int, int]:

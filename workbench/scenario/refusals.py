@@ -57,7 +57,7 @@ def one_line(error: Exception) -> str:
 
 
 def in_entries(message: str) -> str:
-    """Return a reader's message with a scenario's entries in place of the arguments of Python."""
+    """Return a reader's message with the entries of a scenario or manifest in place of the arguments of Python."""
 
     def entries(found: re.Match[str]) -> str:
         pairs = [f"{signal}: {_scalar(plain or quoted)}" for signal, plain, quoted in _PAIR.findall(found[2])]
