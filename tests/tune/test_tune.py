@@ -296,6 +296,14 @@ def test_progress_rises_to_one() -> None:
     assert all(phase for phase, _ in seen)
 
 
+def test_progress_goes_on_while_the_plane_is_sieved() -> None:
+    seen: list[tuple[str, float]] = []
+    wb.tune(START, SHORT, bounds=PI, restarts=3, progress=lambda phase, share: seen.append((phase, share)))
+    shares = [share for phase, share in seen if phase == "worst case within the digits"]
+    assert shares == sorted(shares)
+    assert sum(0.56 < share < 0.8 for share in shares) >= 5
+
+
 def test_a_loop_that_no_tuning_holds_ends_without_success() -> None:
     # The wrong action makes the loop unstable at every gain allowed.
     pid = wb.PID(5.0, 5.0, action="direct")

@@ -118,13 +118,25 @@ def search(
         found.accepted += refined.accepted
         found.solves += refined.solves
         pools.append(refined.tunings)
-    tell("the digits to type in" if problem.nominal else "worst case within the digits", 0.55)
-    worst = least_worst(problem, pools, [seed, restarts], scale, restarts, check)
+    phase = "the digits to type in" if problem.nominal else "worst case within the digits"
+    tell(phase, 0.55)
+    worst = least_worst(
+        problem, pools, [seed, restarts], scale, restarts, check, lambda share: tell(phase, 0.55 + 0.25 * share)
+    )
     found.joint, found.bound = worst.tunings, worst.bound
     if problem.low[2] == 0.0 and 2 in problem.free and problem.free.size > 1:
         # In three dimensions a search seldom ends with no derivative at all, where often the best tuning lies.
         tell("without derivative", 0.8)
-        _search_face(problem, found, pools, [seed, restarts + 1], scale, restarts, check)
+        _search_face(
+            problem,
+            found,
+            pools,
+            [seed, restarts + 1],
+            scale,
+            restarts,
+            check,
+            lambda share: tell("without derivative", 0.8 + 0.1 * share),
+        )
 
 
 def _search_face(
@@ -135,6 +147,7 @@ def _search_face(
     scale: float,
     restarts: int,
     check: Callable[[], None],
+    tell: Callable[[float], None],
 ) -> None:
     """Scan and search the worst case where Td = 0, the face of the bounds, as if that had been asked for."""
     face = problem.without_derivative()
@@ -143,7 +156,7 @@ def _search_face(
     flat = [some * np.array([1.0, 1.0, 0.0]) for some in pools]
     before = problem.rounded(found.joint)
     ceiling = math.inf if problem.nominal else float(problem.spread(before, np.full(before.shape[0], np.inf)).min())
-    worst = least_worst(face, [pool, *flat], [*seed, 1], scale, restarts, check, ceiling)
+    worst = least_worst(face, [pool, *flat], [*seed, 1], scale, restarts, check, tell, ceiling)
     found.joint = np.concatenate([found.joint, worst.tunings])
 
 

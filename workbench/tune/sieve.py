@@ -93,6 +93,7 @@ def sieve(
     improved: Callable[[FloatArray], FloatArray],
     most: float,
     stop: Callable[[], bool],
+    tell: Callable[[float], None] = lambda _: None,
 ) -> Sieved:
     """Ask every neighbourhood of the plane of one or two free parameters whether its worst J is below a ceiling.
 
@@ -100,13 +101,15 @@ def sieve(
     tuning: shape (3,), the best known; ceiling: the worst J that is to be beaten, of one that keeps all constraints;
     those that do not keep them are left out. improved: makes better tunings, shape
     (K, 3), of the best of some, between the passes. most: samples of plain runs (`Problem.price`) that all of it may
-    cost; given up as soon as it is likely to cost more. `stop` is asked between parts of the grid.
+    cost; given up as soon as it is likely to cost more. `stop` is asked between parts of the grid,
+    and `tell` told the share of its points that are done, whatever is left out.
     """
     left = Sieved(tuning, ceiling)
     axes = [_axis(problem, tuning, k) for k in problem.free.tolist()]
     if any(axis.size > FINEST for axis in axes) or not math.isfinite(left.ceiling):
         return left
     whole, done, price = _count(axes, 1 if len(axes) <= 2 else STRIDES_3[-1]), 0, float(FIRST_LOOK)
+    passed = 0
     began, flat = problem.work.simulated, len(axes) <= 2
     asked = problem.constraints
     region = None
@@ -126,9 +129,11 @@ def sieve(
                 if stop():
                     return left
                 left.add(problem, *(_windows(problem, points, left.ceiling) if flat else (points, costs)), region)
+            passed += part.shape[0]
+            tell(passed / whole)
         price = (problem.work.simulated - first) / (_count(axes, stride) - done)
         left.reach(problem, improved(left.tunings))
-        done = _count(axes, stride)
+        done = passed = _count(axes, stride)
     left.whole = flat
     return left
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
 
 import numpy as np
 
@@ -39,6 +40,8 @@ SETTLED = 0.85
 # Members and generations between the passes of a sieve, the most of its tunings that they start from, and how many
 # they hand back.
 QUICK_MEMBERS, QUICK_GENERATIONS, QUICK_OF, QUICK_ENDS = 60, 40, 2_000, 4
+# Of the progress told: where a sieve ends, and where the last word on the best begins.
+SIEVING, LAST_WORD = 0.5, 0.9
 # Powers of ten of how far a start's surroundings reach, in the unit cube.
 AROUND = (-4.0, -1.5)
 
@@ -110,19 +113,20 @@ def least_worst(
     scale: float,
     restarts: int,
     check: Callable[[], None],
+    tell: Callable[[float], None],
     ceiling: float = math.inf,
 ) -> Worst:
     """Search for the least worst case, from the pools of all restarts, at the digits to type in.
 
     Each pool is searched by itself, then the best of all together, and all of that some times, each from other members
     of the pools; a sieved plane that leaves little open needs none of that. So far with few points of each
-    neighbourhood; from the best at last with many. ceiling: a worst J known from elsewhere, above which a tuning of
-    the plane is of no interest.
+    neighbourhood; from the best at last with many. tell: called with the share done. ceiling: a worst J known from
+    elsewhere, above which a tuning of the plane is of no interest.
     """
     search = _Search(problem, scale, check)
     bound = -math.inf
     sure = restarts >= SIEVE_RESTARTS and not problem.nominal
-    left = _sieved(search, pools, seed, SIEVE_SAMPLES * restarts, ceiling) if sure else None
+    left = _sieved(search, pools, seed, SIEVE_SAMPLES * restarts, tell, ceiling) if sure else None
     if left is not None and left.whole:
         bound = left.least
         start = problem.rounded(left.tunings)
@@ -133,7 +137,8 @@ def least_worst(
         if left is not None:
             some = spread(problem.cube(left.tunings), left.bounds, SIEVED, GAP)
             pools = [*pools, left.tunings[some]]
-        _islands(search, pools, seed)
+        _islands(search, pools, seed, tell)
+    tell(LAST_WORD)
     rng = np.random.default_rng([*seed, ROUNDS_FLAT])
     best = search.best(sized(DENSE_MEMBERS, scale), DENSE_GAP)
     if not best.size:
@@ -144,11 +149,12 @@ def least_worst(
     return Worst(tunings, bound)
 
 
-def _islands(search: _Search, pools: list[FloatArray], seed: list[int]) -> None:
+def _islands(search: _Search, pools: list[FloatArray], seed: list[int], tell: Callable[[float], None]) -> None:
     """Search each pool by itself, then the best of all together; each round from other members of the pools."""
     problem = search.problem
     rounds = ROUNDS_FLAT if problem.free.size <= 2 else ROUNDS
     for k in range(rounds):
+        tell(SIEVING + (LAST_WORD - SIEVING) * k / rounds)
         rng = np.random.default_rng([*seed, k])
         first = len(search.points)
         for pool in [problem.guesses(), *pools]:
@@ -165,7 +171,14 @@ def _together(search: _Search, rng: np.random.Generator, first: int) -> None:
         search.evolve(best, generations, rng)
 
 
-def _sieved(search: _Search, pools: list[FloatArray], seed: list[int], most: float, ceiling: float) -> Sieved | None:
+def _sieved(
+    search: _Search,
+    pools: list[FloatArray],
+    seed: list[int],
+    most: float,
+    tell: Callable[[float], None],
+    ceiling: float,
+) -> Sieved | None:
     """The plane, or the space, sieved under the best that one quick population makes of the pools.
 
     None where that keeps not all constraints.
@@ -177,4 +190,5 @@ def _sieved(search: _Search, pools: list[FloatArray], seed: list[int], most: flo
     if not float(worst.min()) < WORN:
         return None
     stop = stopper(problem, 2**62, search.check)
-    return sieve(problem, best, min(float(worst.min()), ceiling), lambda some: search.quick(some, rng), most, stop)
+    improved, told = partial(search.quick, rng=rng), lambda share: tell(SIEVING * share)
+    return sieve(problem, best, min(float(worst.min()), ceiling), improved, most, stop, told)
