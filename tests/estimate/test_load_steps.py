@@ -149,6 +149,21 @@ def test_a_load_step_of_a_level_is_found_beside_its_slips() -> None:
     ]
 
 
+def test_a_step_is_kept_while_the_stem_beside_it_is_not_quite_known() -> None:
+    # Without noise the next stem's errors were taken for colour: the step was dropped, and a sinusoid found in its
+    # place beside a gain of a twentieth.
+    loop = wb.Loop(wb.Integrating(0.00443, 9.568), wb.Choudhury(0.7549, 0.8521), wb.PID(Kc=11.584, Ti=77.95), 1.0)
+    run = wb.simulate(loop, wb.Experiment(2000.0, setpoint=wb.Step(0.01133), load=wb.Step(-0.101, 1777.0)))
+    record = wb.Record(run.pv[1000:] + 50.0, run.op[1000:] + 40.0, 1.0, sp=run.sp[1000:] + 50.0)
+    found = wb.estimate(record, plant="integrating")
+    assert found.plant.gain == pytest.approx(0.00443, rel=0.01)
+    assert pytest.approx(0.7549, rel=0.01) == found.valve.S
+    assert found.load_swing is None
+    assert [(step.at, step.size) for step in found.load_steps] == [
+        (pytest.approx(786.6, abs=1.0), pytest.approx(-0.101, rel=0.01))
+    ]
+
+
 @pytest.mark.parametrize("seed", range(2))
 def test_no_step_is_made_of_noise_or_of_a_load_that_drifts(seed: int) -> None:
     rng = np.random.default_rng(seed)

@@ -202,3 +202,13 @@ def test_a_lag_whose_linear_fit_never_levels_off_is_told_by_its_stem() -> None:
     found = wb.estimate(record)
     assert isinstance(found.plant, wb.FOPDT)
     assert found.plant.time_constant == pytest.approx(8.0, rel=0.1)
+
+
+def test_a_lag_as_long_as_the_record_is_no_likelier_than_a_level_that_leaves_less_of_pv() -> None:
+    # Without noise, and beside a load step too small to be found, what each stem leaves foretells itself.
+    loop = wb.Loop(wb.Integrating(0.003283, 0.1332), wb.Choudhury(3.5755, 4.1444), wb.PID(Kc=25.741, Ti=47.33), 1.0)
+    setpoint, load = [wb.Step(0.15814), wb.Step(-0.2372, 556.0)], wb.Step(-0.009893, 747.0)
+    run = wb.simulate(loop, wb.Experiment(1000.0, setpoint=setpoint, load=load))
+    found = wb.estimate(wb.Record(run.pv + 50.0, run.op + 40.0, 1.0, sp=run.sp + 50.0))
+    assert isinstance(found.plant, wb.Integrating)
+    assert found.plant.gain == pytest.approx(0.003283, rel=0.01)

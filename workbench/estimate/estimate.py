@@ -349,8 +349,10 @@ def _likelier_plant(record: Record, asked: _Asked, tell: Callable[[float], None]
     level = _levels_off(record, found["fopdt"].answered.model.plant)
     by = bics["integrating"] - bics["fopdt"]
     # Of two that are hardly told apart, the one that the time constant speaks for; and where that is as long as the
-    # record the two differ by the stems that were found, not by the plant.
-    plant = "fopdt" if by > (-CLEAR_BIC if level else FAR_BIC) else "integrating"
+    # record the two differ by the stems that were found, not by the plant: unless what is left of PV says it too.
+    leave = {one: each.answered.model.residual_variance for one, each in found.items()}
+    levels_off = by > -CLEAR_BIC if level else by > FAR_BIC and leave["fopdt"] < leave["integrating"]
+    plant = "fopdt" if levels_off else "integrating"
     if not level and plant == "integrating":
         return found[plant], (WORDS_OF_ENDLESS,)
     names = {"fopdt": "a first-order process", "integrating": "an integrating process"}

@@ -89,13 +89,14 @@ def _relieved(
     most: int,
     further: Callable[[tuple[int, int]], Sequence[Stem]] | None = None,
     others: Sequence[Stem] = (),
+    strict: bool = True,
 ) -> tuple[Centred, Loads]:
     """The record without the load steps that a stem does not explain, and the steps.
 
-    whole: the record with its load; data: as the lead was fitted to it; most, further, others: as in `loads_of`.
+    whole: the record with its load; data: as the lead was fitted to it; the rest as in `loads_of`.
     """
     x, first, fit = lead.x, lead.first, lead.fit
-    loads = loads_of(whole, lead, limits, skip, most, further, strict=further is None, others=others)
+    loads = loads_of(whole, lead, limits, skip, most, further, strict=strict, others=others)
     if loads.steps:
         return whole.less(loads.pv, loads.answers), loads
     if data.load.any():
@@ -137,7 +138,11 @@ def settled(
         stands = turn > 0 and _same_stem(earlier.x, lead.x)
         further = partial(stepped_stems, whole, limits, skip) if turn == 0 else None
         others = [] if turn > 0 else _nearly(data, bands, lead)
-        bare, loads = _relieved(whole, data, lead, limits, skip, most, further, others)
+        bare, loads = _relieved(whole, data, lead, limits, skip, most, further, others, strict=turn > 0)
+        nearly = bool(before) and not loads.steps and turn == 1
+        if nearly:
+            # The stem that leads once the first steps are out may not quite be known yet.
+            bare, loads = _relieved(whole, data, lead, limits, skip, most, strict=False)
         steps = loads.steps
         if before and not steps:
             # Beside them a stem may have been found that needs none.
@@ -185,7 +190,7 @@ def settled(
                     coarse.append(fit_band(data, S, J, (first_slip, sense), limits, (fit.tau, fit.theta)))
                 bands = bands_of(data, coarse, there, limits, there.rival(other), only_any, bands)
         turns.append((_akaike_of(data, found, bands, linear, steps), (data, found, bands, linear, steps)))
-        if same_steps:
+        if same_steps and not nearly:
             break
     least, best = min(turns, key=lambda one: one[0], default=(math.inf, None))
     if best is not None and steps and least < turns[-1][0] - WORSE:
