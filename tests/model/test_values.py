@@ -33,6 +33,7 @@ NAN = math.nan
         (lambda: wb.Directional(wb.Choudhury(1.0, 1.0), wb.Stenman(1.0)), "Directional.down", "Choudhury"),
         (lambda: wb.Directional(wb.Choudhury(1.0, 0.0), wb.Choudhury(0.5, 2.0)), "Directional.down", "at most 1.5 %"),
         (lambda: wb.PID(-1.0, 5.0), "PID.Kc", "direct"),
+        (lambda: wb.PID(10**400, 5.0), "PID.Kc", "finite"),
         (lambda: wb.PID(1.0, 0.0), "PID.Ti", "> 0"),
         (lambda: wb.PID(1.0, 5.0, -1.0), "PID.Td", ">= 0"),
         (lambda: wb.PID(1.0, 5.0, form="isa"), "PID.form", "ideal, series, parallel"),

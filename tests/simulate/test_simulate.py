@@ -104,6 +104,8 @@ def test_sample_count_refuses_a_broken_last_sample():
         (lambda: wb.simulate(paper_loop(0.5, 20.0), wb.Experiment(1e13)), "at most 20,000,000 samples"),
         (lambda: wb.evaluate(paper_loop(0.5, 20.0), paper_step(), {"w1": 1.0}), "must be an Objective"),
         (lambda: wb.evaluate(paper_loop(0.5, 20.0), paper_step(), wb.Objective(), [["a", 1, 2]]), "numbers of shape"),
+        (lambda: wb.evaluate(paper_loop(0.5, 20.0), paper_step(), wb.Objective(), [["1", 20, 0]]), "numbers of shape"),
+        (lambda: wb.evaluate(paper_loop(0.5, 20.0), paper_step(), wb.Objective(), [[10**400, 2, 0]]), "of shape"),
         (lambda: wb.simulate_batch(paper_loop(0.5, 20.0), wb.Experiment(5.0, noise=wb.Noise(1.0)), seeds=3), "seeds"),
         (lambda: wb.limit_cycle(3), "must be a Loop"),
         (lambda: wb.describing_function(None), "must be a Loop"),

@@ -55,7 +55,7 @@ def test_a_valley_no_wider_than_a_neighbourhood_is_found_wherever_it_lies(digits
         problem.hidden = problem.rounded(problem.tunings(place[None, :]))[0]
         left = sieved(problem)
         assert left.whole
-        assert left.least == 1.0
+        assert left.least == pytest.approx(1.0, rel=1e-8)
         radius = problem.radius(problem.hidden[None, :])[0]
         assert (np.abs(left.tunings - problem.hidden) <= 1.01 * radius + 1e-12).all(axis=1).any()
 
@@ -65,7 +65,8 @@ def test_a_plane_without_a_better_valley_is_said_to_have_none() -> None:
     problem.hidden = np.array([50.0, 20.0, 0.0])
     left = sieved(problem)
     assert left.whole
-    assert left.least == left.ceiling == 5.0
+    assert left.ceiling == 5.0
+    assert left.least == left.asked == pytest.approx(5.0, rel=1e-8)
 
 
 @pytest.mark.parametrize("digits", [2, 3, 4])

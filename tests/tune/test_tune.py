@@ -368,3 +368,42 @@ def test_a_controller_that_acts_the_wrong_way_is_said(gain: float, action: str, 
     loop = wb.Loop(wb.FOPDT(gain, 5.0, 1.0), wb.Stenman(2.0), wb.PID(0.5, 20.0, action=action), 1.0)
     found = wb.tune(loop, wb.Experiment(100.0, setpoint=wb.Step(4.0)), restarts=1, max_evaluations=2000)
     assert ("acts the wrong way" in found.message) == wrong
+
+
+@pytest.mark.parametrize(
+    ("bounds", "asked"),
+    [
+        (wb.Bounds((0.995, 1.005), (19.9, 20.1), (0.0, 0.0)), {}),
+        (wb.Bounds((0.995, 1.005), (20.0, 20.0), (0.0, 0.0)), {}),
+        (wb.Bounds((1.0, 3.0), (20.0, 40.0), (1.0, 3.0)), {"digits": 2}),
+    ],
+    ids=["plane", "line", "space"],
+)
+def test_bounds_of_a_few_neighbourhoods_are_searched_too(bounds: wb.Bounds, asked: dict[str, int]) -> None:
+    # A sieve's finer strides add no points there.
+    start = paper_loop(1.0, 20.0).with_controller(wb.PID(1.0, 20.0, bounds.Td[0]))
+    tuned = wb.tune(start, SHORT, bounds=bounds, **asked)
+    assert tuned.status is wb.SolveStatus.SOLVED
+    assert bounds.Kc[0] <= tuned.controller.Kc <= bounds.Kc[1]
+    assert tuned.objective == exact(tuned)
+
+
+def test_a_tuning_that_the_simulation_refuses_is_none() -> None:
+    # Tt is Ti unless given: back-calculation is unstable from half the sample time down.
+    pid = wb.PID(0.1, 20.0, output_limits=(-5.0, 5.0), anti_windup="back_calculation")
+    loop, run = wb.Loop(wb.FOPDT(1.0, 2.0, 0.0), wb.Stenman(0.5), pid, 10.0), wb.Experiment(400.0, wb.Step(3.0))
+    values = wb.evaluate(loop, run, wb.Objective(), [[0.1, 4.0, 0.0], [0.1, 5.0, 0.0], [0.1, 5.01, 0.0]])
+    assert np.isfinite(values).tolist() == [False, False, True]
+    tuned = wb.tune(loop, run, bounds=wb.Bounds((0.0, 2.0), (1.0, 600.0), (0.0, 0.0)))
+    Ti = tuned.controller.Ti
+    assert Ti - 0.001 * Ti > 5.0
+    wb.simulate(loop.with_controller(tuned.controller), run)
+
+
+def test_where_every_tuning_does_alike_the_plane_is_sieved_and_none_is_better() -> None:
+    # The stem never moves: J is one value over the whole plane, of which no neighbourhood is better than another.
+    loop = wb.Loop(wb.FOPDT(1.0, 5.0, 1.0), wb.Choudhury(4.0, 1.0), wb.PID(0.5, 20.0), 1.0)
+    tuned = wb.tune(loop, wb.Experiment(100.0, noise=wb.Noise(0.1, 1)), bounds=wb.Bounds(Kc=(0.0, 1.0), Td=(0.0, 0.0)))
+    assert tuned.slips == 0
+    assert tuned.worst_bound == pytest.approx(tuned.worst, rel=1e-8)
+    assert "Kc ends on its lower bound" not in tuned.message

@@ -114,6 +114,8 @@ def _self_regulating(loop: Loop, plant: FOPDT, terms: IdealTerms, split: float) 
     Ts, tau = loop.sample_time, plant.time_constant
     step = discretise(plant, Ts)
     ki, m = terms.Kc * Ts / terms.Ti, step.delay
+    if step.pole == 1.0:
+        return None  # to rounding it integrates
     lag = m + (step.pole + step.c1) / (1.0 - step.pole)
     # OP's step beyond the band at a slip is half of ki K M/2 in the mean over both sides, whatever the split.
     sticks_at_once = loop.valve.sticks_at_once
@@ -134,7 +136,7 @@ def _self_regulating(loop: Loop, plant: FOPDT, terms: IdealTerms, split: float) 
         return None
     high, low = -math.expm1(-split * period / tau), -math.expm1(-(1.0 - split) * period / tau)
     error = split * (1.0 - split) - tau / period * high * low / -math.expm1(-period / tau)
-    return RelaxationCycle(split, period, K * M, (K * M) ** 2 * error, M)
+    return RelaxationCycle(split, period, K * M, K * M * K * M * error, M)
 
 
 def _echo(terms: IdealTerms, tau: float) -> float:

@@ -48,7 +48,10 @@ def number(
     allowed = " ".join(allowed.split())
     if isinstance(value, bool) or not isinstance(value, Real):
         raise InvalidValue(where, value, allowed)
-    x = float(value)
+    try:
+        x = float(value)
+    except OverflowError:
+        raise InvalidValue(where, "a number beyond 1e308", allowed) from None
     if math.isnan(x) or (math.isinf(x) and not (infinite and x > 0)):
         raise InvalidValue(where, x, allowed)
     if (above is not None and x <= above) or (least is not None and x < least) or (most is not None and x > most):

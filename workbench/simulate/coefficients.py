@@ -127,8 +127,9 @@ def _same_both_ways(kind: int, band: float, offset: float) -> ValveLaw:
 def coefficients(loop: Loop, stem_offset: float = 0.0, tunings: FloatArray | None = None) -> FloatArray:
     """Return coefficient rows, shape (M, COEFFICIENTS or more), of a loop with its own controller (M = 1).
 
-    With `tunings`, shape (M, 3) of (Kc, Ti, Td) in the controller's own form, one row for each. Raises `InvalidValue`
-    where a controller has no ideal equivalent.
+    With `tunings`, shape (M, 3) of (Kc, Ti, Td) in the controller's own form, one row for each; that of a tuning which
+    is refused for its back-calculation (see `PID.check_tracking`) makes every run nan. Raises `InvalidValue` where a
+    controller has no ideal equivalent.
     """
     if tunings is None:
         tunings = np.array([[loop.controller.Kc, loop.controller.Ti, loop.controller.Td]])
@@ -145,6 +146,8 @@ def coefficients(loop: Loop, stem_offset: float = 0.0, tunings: FloatArray | Non
     terms[4] = Tf + Ts
     terms[5] = weight
     terms[6] = Ts / (Ti if pid.tracking_time is None else pid.tracking_time)
+    if pid.output_limits is not None and pid.anti_windup == "back_calculation":
+        terms[5, terms[6] >= 2.0] = math.nan
     _fill(rows, same, terms)
     return rows
 

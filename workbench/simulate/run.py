@@ -156,9 +156,12 @@ def valve_response(
 
 def _tunings(given: object) -> FloatArray:
     try:
-        array = np.array(given, dtype=np.float64)
+        array = np.asarray(given)
     except (TypeError, ValueError):
-        raise InvalidValue("tunings", type(given).__name__, "must be numbers of shape (M, 3): Kc, Ti, Td") from None
+        array = np.array(None)
+    if array.dtype.kind not in "iuf":
+        raise InvalidValue("tunings", type(given).__name__, "must be numbers of shape (M, 3): Kc, Ti, Td")
+    array = array.astype(np.float64)
     if array.ndim != 2 or array.shape[1] != 3:
         raise InvalidValue("tunings", f"shape {array.shape}", "must have shape (M, 3): Kc, Ti, Td")
     ok = (

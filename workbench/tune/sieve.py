@@ -47,6 +47,7 @@ POINTS, PART_SAMPLES, LOOK = 100_000, 100_000_000, 200
 FINE, HELD = 2, 4
 # Tunings whose own worst case is looked at after each call: what they reach is the next ceiling.
 TRIED, APART = 4, 1e-4
+TIE = 1e-9  # of J: what is no further below the best is no better
 # So many of the best are kept; the others are no better, so that `Sieved.least` still holds.
 KEPT = 5_000
 
@@ -62,9 +63,14 @@ class Sieved:
         self.tunings, self.bounds = tuning[None, :], np.array([ceiling])
 
     @property
+    def asked(self) -> float:
+        """What a neighbourhood must have a J below to be kept: where all do alike, none is better than the best."""
+        return self.ceiling * (1.0 - TIE)
+
+    @property
     def least(self) -> float:
         """What no worst J of the plane is below."""
-        return min(self.ceiling, float(self.bounds.min(initial=math.inf)))
+        return min(self.asked, float(self.bounds.min(initial=math.inf)))
 
     def add(self, problem: Problem, tunings: FloatArray, bounds: FloatArray, region: Region | None) -> None:
         """Keep tunings that may be better, and lower the ceiling to what the best of them reach."""
@@ -99,10 +105,9 @@ def sieve(
 
     Of three free parameters, every 16th value of each is asked for J alone, and nothing is proved.
     tuning: shape (3,), the best known; ceiling: the worst J that is to be beaten, of one that keeps all constraints;
-    those that do not keep them are left out. improved: makes better tunings, shape
-    (K, 3), of the best of some, between the passes. most: samples of plain runs (`Problem.price`) that all of it may
-    cost; given up as soon as it is likely to cost more. `stop` is asked between parts of the grid,
-    and `tell` told the share of its points that are done, whatever is left out.
+    those that do not keep them are left out. improved: makes better tunings, shape (K, 3), of the best of some, between
+    the passes. most: samples of plain runs (`Problem.price`) that all of it may cost; given up as soon as it is likely
+    to cost more. `stop` is asked between parts of the grid, and `tell` told the share of its points that are done.
     """
     left = Sieved(tuning, ceiling)
     axes = [_axis(problem, tuning, k) for k in problem.free.tolist()]
@@ -125,13 +130,14 @@ def sieve(
         first = problem.work.simulated
         count = min(POINTS, PART_SAMPLES / problem.samples / problem.price)
         for part in _parts(axes, stride, before, count, None if region is None else region.possible):
-            for points, costs in _survivors(problem, part, left.ceiling):
+            for points, costs in _survivors(problem, part, left.asked):
                 if stop():
                     return left
-                left.add(problem, *(_windows(problem, points, left.ceiling) if flat else (points, costs)), region)
+                left.add(problem, *(_windows(problem, points, left.asked) if flat else (points, costs)), region)
             passed += part.shape[0]
             tell(passed / whole)
-        price = (problem.work.simulated - first) / (_count(axes, stride) - done)
+        # Of few values on each axis a finer stride adds none.
+        price = (problem.work.simulated - first) / max(_count(axes, stride) - done, 1)
         left.reach(problem, improved(left.tunings))
         done = passed = _count(axes, stride)
     left.whole = flat

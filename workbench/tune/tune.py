@@ -275,8 +275,8 @@ def _message(problem: Problem, found: Found, note: str, tuned: Tuned) -> str:
         parts.append(f"a knife-edge: {around} J rises from {given(tuned.objective, 5)} to {given(tuned.worst, 5)}")
     for k in problem.free:
         low, high, value = float(problem.low[k]), float(problem.high[k]), float(getattr(tuned.controller, NAMES[k]))
-        # Td = 0 is a choice, a PI controller, and no end of a range to be widened.
-        if value >= high * (1.0 - 1e-9) or (value <= low * (1.0 + 1e-9) and not (NAMES[k] == "Td" and low == 0.0)):
+        # No controller goes below 0: Td = 0 is a choice, a PI controller, and Kc = 0 leaves the loop alone.
+        if value >= high * (1.0 - 1e-9) or 0.0 < value <= low * (1.0 + 1e-9):
             which = "upper" if value >= high * (1.0 - 1e-9) else "lower"
             parts.append(f"{NAMES[k]} ends on its {which} bound ({value:g}): wider bounds may give a better tuning")
     if problem.free.size == 0:
