@@ -7,7 +7,7 @@ import pytest
 
 import workbench as wb
 from workbench.detect.causes import below_step, between_values, kept_by_exception, no_percent
-from workbench.detect.resolution import exception_of, unseen
+from workbench.detect.resolution import drawn_lines, exception_of, unseen
 from workbench.detect.spikes import op_spikes_of
 
 PLANT = wb.FOPDT(1.2, 20.0, 7.0)
@@ -42,6 +42,62 @@ def test_a_healthy_valve_is_not_accused_for_a_pv_that_is_kept_by_exception(seed:
     assert found.verdict != "stiction"
     assert not found.identifiable
     assert any(reason.startswith("PV was kept only where it had moved by 0.3") for reason in found.reasons)
+
+
+def drawn(signal: np.ndarray, deviation: float) -> np.ndarray:
+    """What a historian shows that kept values a deviation apart and draws straight lines between them."""
+    kept = [0]
+    for k in range(1, signal.size):
+        if abs(signal[k] - signal[kept[-1]]) > deviation:
+            kept.append(k)
+    kept = sorted({*kept, signal.size - 1})
+    return np.round(np.interp(np.arange(signal.size), kept, signal[kept]), 5)
+
+
+def under_load(valve: wb.Valve, seed: int) -> wb.Record:
+    """A loop at constant setpoint under a load that wanders, PV drawn in lines of a tenth of its range."""
+    rng, load = np.random.default_rng(seed), np.zeros(1000)
+    for k in range(1, 1000):
+        load[k] = 0.9 * load[k - 1] + rng.normal(0.0, 0.3)
+    loop = wb.Loop(wb.FOPDT(1.5, 12.0, 4.0), valve, wb.PID(Kc=0.8, Ti=15.0), 1.0)
+    given = wb.Experiment(1000.0, load=wb.Series(tuple(load.tolist())), noise=wb.Noise(0.1, seed))
+    run = wb.simulate(loop, given)
+    return wb.Record(drawn(run.pv + 50.0, 0.1 * np.ptp(run.pv)), np.round(run.op + 40.0, 4), 1.0, sp=run.sp + 50.0)
+
+
+@pytest.mark.parametrize("seed", [0, 2, 3, 8, 9, 11])
+def test_lines_that_a_historian_drew_accuse_nobody(seed: int) -> None:
+    # Along them PV foretells itself, and some stem or other is seen in where they bend.
+    record = under_load(wb.Ideal(), seed)
+    assert drawn_lines(record.pv) > 0.25
+    found = wb.detect(record)
+    assert found.verdict == "undecided"
+    assert "lie on straight lines between others" in found.reasons[0]
+
+
+def test_lines_that_a_historian_drew_accuse_nobody_in_an_estimate() -> None:
+    found = wb.estimate(under_load(wb.Ideal(), 3))
+    assert found.verdict == "undecided"
+    assert any("lie on straight lines between others" in reason for reason in found.reasons)
+
+
+@pytest.mark.parametrize("seed", [0, 2, 7])
+def test_a_valve_that_sticks_is_found_behind_lines_where_it_simulates_pv(seed: int) -> None:
+    assert wb.detect(under_load(wb.Stenman(3.0), seed)).verdict == "stiction"
+
+
+def test_what_bends_everywhere_was_not_drawn_in_lines_and_what_a_level_does_is_no_historians_work() -> None:
+    t = np.arange(1000.0)
+    assert drawn_lines(np.sin(0.05 * t)) == 0.0
+    assert drawn_lines(np.round(np.sin(0.05 * t), 3)) == 0.0
+    assert drawn_lines(np.random.default_rng(0).normal(size=1000)) == 0.0
+    assert drawn_lines(np.round(np.random.default_rng(0).normal(size=1000), 1)) < 0.25
+    # A stem at rest draws lines of PV itself where nothing else does, and it explains them.
+    loop = wb.Loop(wb.Integrating(0.02, 3.4), wb.Stenman(1.5), wb.PID(Kc=4.0, Ti=60.0), 1.0)
+    run = wb.simulate(loop, wb.Experiment(1500.0, setpoint=[wb.Step(1.0), wb.Step(-1.5, 700.0)]))
+    record = wb.Record(run.pv + 50.0, run.op + 40.0, 1.0, sp=run.sp + 50.0)
+    assert drawn_lines(record.pv) > 0.25
+    assert wb.detect(record).verdict == wb.estimate(record).verdict == "stiction"
 
 
 def test_a_pv_of_a_few_values_accuses_nobody() -> None:

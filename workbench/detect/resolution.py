@@ -6,7 +6,8 @@ samples say where within its step OP was: a PI or PID controller's output is a s
 the error's sum, beside a level that wanders by what the law leaves out.
 
 A PV that is reported by exception keeps its value until the process is so far from it: it rests and jumps as a loop
-does whose valve sticks, and only what moves by more can be told from that.
+does whose valve sticks, and only what moves by more can be told from that. One that was drawn in straight lines from
+value to value foretells itself along them: what it leaves there is the historian's work.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from workbench.detect.action import control_error
 from workbench.model.record import FloatArray, Record
 from workbench.simulate.filter import first_order
 
-__all__ = ["coarseness", "exception_of", "resolved", "step_of", "unseen"]
+__all__ = ["coarseness", "drawn_lines", "exception_of", "resolved", "step_of", "unseen"]
 
 ROUNDED = 1e-9  # of a signal's range: values that lie closer are one
 OFF_STEP = 0.2  # of a step: values further from a multiple were not rounded to it
@@ -31,6 +32,9 @@ LEVELS = 8  # values of OP: fewer are moves that were made so, by an operator or
 # A PV that keeps its value in half the samples, and then moves by hardly less than by half of what it usually moves by:
 # noise, a lag's answer and a converter's steps begin at nothing, or at one step.
 KEPT, LEAST, CUT, STEPS, FEWEST = 0.5, 0.05, 0.5, 1.5, 8
+# Of a line's samples the second difference is rounding, two steps at most; a kink is so many times that in the median.
+# A smooth or a rounded signal bends everywhere, by little more than rounding where it bends at all.
+LINE, KINK = 2.01, 10.0
 LEAST_DOUBT = 0.1  # of a step: laws that fit to rounding were off by .04 to .1 of it in simulated loops
 
 
@@ -64,6 +68,17 @@ def exception_of(pv: FloatArray) -> float:
         return 0.0
     least, usual = np.quantile(moved, (LEAST, 0.5)).tolist()
     return float(least) if least >= CUT * usual and least >= STEPS * step_of(pv) else 0.0
+
+
+def drawn_lines(pv: FloatArray) -> float:
+    """Return the share of PV's samples, shape (N,), that lie on straight lines between others while it moves, or 0."""
+    moves = np.diff(pv)
+    bend, slope = np.abs(np.diff(moves)), np.maximum(np.abs(moves[:-1]), np.abs(moves[1:]))
+    rounding = max(LINE * step_of(pv), ROUNDED * float(np.ptp(pv)))
+    kinks = bend[bend > rounding]
+    if not kinks.size or not float(np.median(kinks)) > KINK * rounding:
+        return 0.0
+    return float(np.mean((bend <= rounding) & (slope > 2.0 * rounding)))
 
 
 def unseen(pv: FloatArray) -> float:
