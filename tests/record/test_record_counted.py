@@ -87,6 +87,49 @@ def test_a_unit_in_the_name_goes_before_the_size(tmp_path: Path) -> None:
     assert read_record(write(tmp_path, [1e-3 * k for k in range(100)], "time [s]")).sample_time == pytest.approx(1e-3)
 
 
+@pytest.mark.parametrize(
+    ("name", "below", "seconds"),
+    [
+        ("time", "min", 60.0),
+        ("time", "[h]", 3600.0),
+        ("time", "(ms)", 1e-3),
+        ("time", "µs", 1e-6),
+        ("time", "Elapsed (min)", 60.0),
+        ("time", "s", 1.0),
+        ("time [s]", "min", 1.0),  # the header's own goes first
+        ("time", "", 1.0),
+        ("time", "fortnights", 1.0),  # no known unit
+        ("time", "h:min:s", 1.0),  # a format
+    ],
+)
+def test_a_row_of_units_says_that_of_time(tmp_path: Path, name: str, below: str, seconds: float) -> None:
+    path = write(tmp_path, [5 * k for k in range(100)], name)
+    head, _, rows = path.read_text(encoding="utf-8").partition("\n")
+    path.write_text(f"{head}\n{below},m3/h,%\n{rows}", encoding="utf-8")
+    record = read_record(path)
+    assert (len(record), record.sample_time) == (100, pytest.approx(5.0 * seconds, rel=1e-9))
+    assert (record.counts["rows"], record.counts["rejected"]) == (100, 0)
+    words = f"column 'time' read in units of {seconds:g} s, as the row of units says ({below})"
+    assert (words in record.notes) == (seconds != 1.0)
+    assert not any("rejected" in note for note in record.notes)
+    assert read_series(path, "loop.csv", "PV", None, None).times[1] == pytest.approx(5.0 * seconds, rel=1e-9)
+
+
+def test_a_row_of_units_may_stand_below_one_of_descriptions_and_no_row_of_data_is_one(tmp_path: Path) -> None:
+    path = write(tmp_path, [5 * k for k in range(100)])
+    head, _, rows = path.read_text(encoding="utf-8").partition("\n")
+    path.write_text(f"{head}\n,Feed,Valve\nmin,m3/h,%\n{rows}", encoding="utf-8")
+    record = read_record(path)
+    assert (record.sample_time, record.pv[0]) == (300.0, 0.0)
+    assert "1 row rejected: no readable time, first in line 2" in record.notes
+    path.write_text(f"{head}\n{rows}min,m3/h,%\n", encoding="utf-8")
+    record = read_record(path)
+    assert (record.sample_time, len(record)) == (5.0, 100)
+    assert "1 row rejected: no readable time, first in line 102" in record.notes
+    path.write_text(f"{head}\n-5,Bad,%\n{rows}", encoding="utf-8")
+    assert read_record(path).counts["rows"] == 101
+
+
 def test_days_as_matlab_counts_them(tmp_path: Path) -> None:
     day = 719_529 + SINCE_1970 / 86_400
     record = read_record(write(tmp_path, [f"{day + 5 * k / 86_400:.9f}" for k in range(100)]))

@@ -8,17 +8,16 @@ from collections.abc import Mapping, Sequence
 from workbench.errors import RecordError
 from workbench.model.checks import reads_as_number
 from workbench.record.times import is_timestamp
+from workbench.record.units import TIME_UNITS
 
 __all__ = [
     "SIGNALS",
     "TAGGED",
-    "in_milliamperes",
     "is_tall",
     "match_columns",
     "match_tags",
     "qualities_unused",
     "split_tag",
-    "time_unit",
 ]
 
 SIGNALS = ("time", "SP", "PV", "OP", "MODE", "valve_position")
@@ -83,27 +82,6 @@ _LAST = {"PV": ("cv", "controlledvariable"), "OP": ("cv", "controlvariable")}
 _AFTER = ("cv", "value", "val", "actual")
 # A quality beside a value bears the value's name and one of these: PV_Q, PV.Status, "FIC101.PV Quality", Quality_PV.
 _QUALITIES = (*_OWN["quality"], *_SPELLINGS["quality"], "good", "bad", "valid", "invalid", "st", "q")
-# Time columns may carry their unit, as in t_s, "time [min]" or time_ms.
-_TIME_UNITS = {
-    "s": 1.0,
-    "sec": 1.0,
-    "secs": 1.0,
-    "second": 1.0,
-    "seconds": 1.0,
-    "ms": 1e-3,
-    "us": 1e-6,
-    "ns": 1e-9,
-    "min": 60.0,
-    "minute": 60.0,
-    "minutes": 60.0,
-    "h": 3600.0,
-    "hour": 3600.0,
-    "hours": 3600.0,
-    "d": 86_400.0,
-    "day": 86_400.0,
-    "days": 86_400.0,
-}
-
 
 _ALIKE = "have this name: rename all but one of them in the file's header"
 
@@ -145,7 +123,7 @@ def _fit(name: str, signal: str) -> int | None:
         return None
     if signal == "time":
         head = "".join(tokens[:-1])
-        return 0 if tokens[-1] in _TIME_UNITS and head in _OWN["time"] + _SPELLINGS["time"] else None
+        return 0 if tokens[-1] in TIME_UNITS and head in _OWN["time"] + _SPELLINGS["time"] else None
     tokens = _tag(name)
     if "".join(tokens) in _OWN[signal] + _SPELLINGS[signal]:
         return 1
@@ -163,17 +141,6 @@ def _tag(name: str) -> list[str]:
         tokens = tokens[:-1]
     named = len(tokens) > 2 or tokens[:1] in (["pv"], ["op"], ["sp"])
     return tokens[:-1] if named and tokens[-1] in _AFTER else tokens
-
-
-def in_milliamperes(text: str) -> bool:
-    """Whether a name, a unit or the cell of a row of units says mA; _ma in small letters may be a moving average."""
-    return re.search(r"(?<![A-Za-z])mA(?![A-Za-z])|[(\[]\s*(?i:ma)\s*[)\]]|(?i:milliamp)", text) is not None
-
-
-def time_unit(name: str) -> float | None:
-    """Return the seconds in one unit of a numeric time column, read from its name; None where it says nothing."""
-    tokens = _tokens(name.replace("µ", "u").replace("μ", "u"))
-    return _TIME_UNITS.get(tokens[-1]) if tokens else None
 
 
 def split_tag(tag: str) -> tuple[str, str] | None:

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from workbench.model.record import FloatArray
-from workbench.record.columns import time_unit
+from workbench.record.units import time_unit, time_unit_below
 
 __all__ = ["Counted", "counted"]
 
@@ -48,11 +48,16 @@ class Counted(NamedTuple):
     refusal: str = ""
 
 
-def counted(values: FloatArray, name: str) -> Counted:
-    """Return the times of a column of numbers, shape (N,), nan for none; name: the column's, which may say its unit."""
-    unit = time_unit(name)
+def counted(values: FloatArray, name: str, below: str = "") -> Counted:
+    """Return the times of a column of numbers, shape (N,), nan for none.
+
+    name: the column's, which may say its unit; below: what a row of units says, which counts where the name does not.
+    """
+    unit, where = time_unit(name), ""
+    if unit is None:
+        unit, where = time_unit_below(below), f", as the row of units says ({below})"
     if unit not in (None, 1.0):
-        return Counted(values * unit, f"read in units of {unit:g} s")
+        return Counted(values * unit, f"read in units of {unit:g} s{where}")
     fine = values[np.isfinite(values)]
     if fine.size == 0:
         return Counted(values)

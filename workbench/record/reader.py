@@ -19,7 +19,7 @@ from workbench.errors import RecordError
 from workbench.model.checks import file_name, instance, number, ordered_pair
 from workbench.model.record import Record
 from workbench.record.checks import held_said, no_codes, none_far, op_said, setpoint_said, swapped, within_range
-from workbench.record.columns import NEEDED, in_milliamperes, is_tall, match_columns, qualities_unused
+from workbench.record.columns import NEEDED, is_tall, match_columns, qualities_unused
 from workbench.record.grid import Samples, lay
 from workbench.record.segments import Parts, part, record_of
 from workbench.record.signals import Signal, Signals, from_tall, from_wide
@@ -38,6 +38,7 @@ from workbench.record.table import (
     read_csv,
     read_parquet,
 )
+from workbench.record.units import in_milliamperes
 
 __all__ = ["LARGEST", "read_record", "record_from"]
 

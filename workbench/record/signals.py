@@ -29,7 +29,7 @@ _CLOCK = re.compile(r"\d{1,2}:\d\d")
 class Signal:
     """One signal as recorded: times, s, strictly ascending, shape (N,), its cells, the line of each, and its unit.
 
-    unit: as a tall file's column of units has it, or "".
+    unit: as a tall file's column of units or a wide one's row of units has it, or "".
     """
 
     name: str
@@ -102,7 +102,7 @@ def from_wide(table: Table, names: Mapping[str, str], source: str) -> Signals:
     whole = order_rows.size == rows and bool((np.diff(order_rows) == 1).all())
     for signal in kinds:
         cells = table.columns[signal] if whole else table.columns[signal].take(order_rows)
-        out.by[signal] = Signal(names[signal], seconds, cells, lines)
+        out.by[signal] = Signal(names[signal], seconds, cells, lines, table.units.get(signal, ""))
     return out
 
 
@@ -260,7 +260,7 @@ def clock_of(cells: Cells, name: str, table: Table, source: str, notes: list[str
         return Clock(cells.values.copy(), wall=not cells.stamped, stamped=True)
     texts = cells.texts
     if texts is None or numeric * 2 > np.count_nonzero(cells.marks != BLANK):
-        found = counted(cells.values, name)
+        found = counted(cells.values, name, table.units.get("time", ""))
         if found.refusal:
             msg = f"{source}: {table.unit} {table.lines[0]}, column {name!r}: {found.refusal}"
             raise RecordError(msg)

@@ -7,7 +7,7 @@ import math
 import re
 from array import array
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from itertools import chain, islice
@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from workbench.errors import RecordError
 from workbench.model.record import FloatArray
+from workbench.record.units import is_unit
 
 __all__ = [
     "BLANK",
@@ -48,6 +49,7 @@ NUMERIC = ("PV", "OP", "SP", "valve_position")
 # Enough to find the delimiter and to tell text from a binary file.
 _HEAD = 65536
 _HEAD_LINES = 50  # in which a header is looked for
+_UNIT_ROWS = 5  # below the header, in which one of units is looked for: descriptions may stand before it
 
 
 # Larger values are fill values of a historian, and their squares would overflow.
@@ -102,13 +104,17 @@ class Cells:
 
 @dataclass
 class Table:
-    """A file's needed columns; lines[i] is row i's line (CSV) or row number from 1 (Parquet), `unit` names which."""
+    """A file's needed columns; lines[i] is row i's line (CSV) or row number from 1 (Parquet), `unit` names which.
+
+    units: what a row of units below the header says of each column, as it is written; no row of data is such.
+    """
 
     columns: dict[str, Cells]
     lines: NDArray[np.int64]
     unit: str
     notes: list[str] = field(default_factory=list)
     decimal_comma: bool = False
+    units: dict[str, str] = field(default_factory=dict)
 
 
 def _number(cell: str, decimal_comma: bool) -> tuple[float, int]:
@@ -320,6 +326,7 @@ def _rows(
             continue
         lines.append(last)
         rows.append(row)
+    units = _taken_units(rows, lines, found, mark != ",")
     columns: dict[str, Cells] = {}
     for name, i in found.items():
         listed = [row[i] if i < len(row) else "" for row in rows]
@@ -333,7 +340,23 @@ def _rows(
     wide = [k for k, row in enumerate(rows) if len(row) > width and any(cell.strip() for cell in row[width:])]
     for cells in columns.values():
         cells.marks[wide] = FIELDS
-    return Table(columns, np.array(lines, dtype=np.int64), "line", notes, mark != ",")
+    return Table(columns, np.array(lines, dtype=np.int64), "line", notes, mark != ",", units)
+
+
+def _taken_units(
+    rows: list[list[str]], lines: array[int], found: Mapping[str, int], decimal_comma: bool
+) -> dict[str, str]:
+    """Take a wide file's row of units, above all data, out of its rows and lines; return what it says, {} for none."""
+    kinds = [name for name in ("time", *NUMERIC) if name in found and "PV" in found]
+    for k, row in enumerate(rows[:_UNIT_ROWS]):
+        cells = {name: row[found[name]].strip() if found[name] < len(row) else "" for name in kinds}
+        timed = any(mark.isdigit() for mark in cells.get("time", ""))
+        if timed or any(_number(cells[name], decimal_comma)[1] not in (TEXT, BLANK) for name in kinds):
+            break
+        if any(map(is_unit, cells.values())):
+            del rows[k], lines[k]
+            return cells
+    return {}
 
 
 def _swallowed(cells: list[str], begin: int, names: Sequence[str], is_row: Callable[[str], bool]) -> str:
