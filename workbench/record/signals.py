@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workbench.errors import RecordError
+from workbench.model.checks import reads_as_number
 from workbench.model.record import FloatArray
 from workbench.record.columns import NEEDED, QUALITIES, TALL, match_tags
 from workbench.record.counted import counted
@@ -21,6 +22,9 @@ from workbench.record.times import FORMATS_SAID, Order, in_order, parse_timestam
 
 __all__ = ["Clock", "Signal", "Signals", "Tall", "clock_of", "from_tall", "from_wide"]
 
+# Share of times in another format than the rest, beyond which they are not left out: without one time in nine, or more,
+# those that are left may pass for even ones with a longer sample time.
+OTHERS = 0.1
 # A time of day without its day.
 _CLOCK = re.compile(r"\d{1,2}:\d\d")
 
@@ -117,7 +121,8 @@ def from_tall(table: Table, names: Mapping[str, str], tags: Mapping[str, str] | 
     if others:
         more = f" and {len(others) - 5} more" if len(others) > 5 else ""
         out.notes.append(f"tags not used: {', '.join(others[:5])}{more}")
-    clock = clock_of(table.columns["time"], names["time"], table, source, out.notes)
+    used = np.isin(of_row, [codes[listed[i]] for i in found.values()])
+    clock = clock_of(table.columns["time"], names["time"], table, source, out.notes, used)
     wide = table.columns["time"].marks == FIELDS
     clock.seconds[wide] = np.nan
     qualities, units = (table.columns[name].as_texts() if name in table.columns else None for name in TALL[3:])
@@ -249,8 +254,13 @@ class Clock:
         return f"first timestamp {at.replace(tzinfo=None) if self.wall else at}"
 
 
-def clock_of(cells: Cells, name: str, table: Table, source: str, notes: list[str]) -> Clock:
-    """Return the times of a column of times, shape (N,). Raises `RecordError`."""
+def clock_of(
+    cells: Cells, name: str, table: Table, source: str, notes: list[str], used: NDArray[np.bool_] | None = None
+) -> Clock:
+    """Return the times of a column of times, shape (N,); used: which rows are needed, all where None.
+
+    Raises `RecordError`.
+    """
     # Rows with fields too many hold a time all the same, or the file would be told that it has none.
     numeric = int(np.count_nonzero(np.isfinite(cells.values)))
     if "date" in table.columns and _CLOCK.match(next(filter(None, cells.texts or ()), "")):
@@ -266,6 +276,7 @@ def clock_of(cells: Cells, name: str, table: Table, source: str, notes: list[str
             raise RecordError(msg)
         notes += [f"column {name!r} {found.note}"] if found.note else []
         if found.seconds is not None:
+            _one_format(found.seconds, cells, used, name, table, source)
             return Clock(found.seconds)
         return _dated(found.texts or [], cells, name, table, source)
     parsed = parse_timestamps(texts)
@@ -279,8 +290,43 @@ def clock_of(cells: Cells, name: str, table: Table, source: str, notes: list[str
             f"allowed: {FORMATS_SAID}"
         )
         raise RecordError(msg)
+    _one_format(seconds, cells, used, name, table, source)
     notes += [note] if note else []
     return Clock(seconds, wall=not zoned, stamped=True, texts=texts)
+
+
+def _one_format(
+    seconds: FloatArray, cells: Cells, used: NDArray[np.bool_] | None, name: str, table: Table, source: str
+) -> None:
+    """Raise `RecordError` where many of the times that were not read, nan in `seconds`, are such in another format.
+
+    Titles, remarks, footers and headers within a column of times are no times in any format.
+    """
+    if cells.texts is None:
+        return
+    needed = np.ones(seconds.size, dtype=bool) if used is None else used
+    read = np.flatnonzero(np.isfinite(seconds) & needed)
+    others = np.flatnonzero(np.isnan(seconds) & needed & ~np.isin(cells.marks, (BLANK, FIELDS)))
+
+    def few() -> bool:
+        return others.size <= OTHERS * (read.size + others.size)
+
+    if read.size == 0 or few():
+        return
+    texts = [cells.texts[i] for i in others.tolist()]
+    parsed = parse_timestamps(texts)
+    if not isinstance(parsed, str):
+        # Numbers among timestamps are days that a spreadsheet understood, and the timestamps those that it did not.
+        others = others[np.isfinite(parsed[0]) | np.array([reads_as_number(text.replace(",", ".")) for text in texts])]
+    if few():
+        return
+    first, other = int(read[0]), int(others[0])
+    msg = (
+        f"{source}: column {name!r}: times in more than one format: {cells.texts[first]!r} in {table.unit} "
+        f"{table.lines[first]}, but {cells.texts[other]!r} in {table.unit} {table.lines[other]}, as in {others.size} "
+        f"of {read.size + others.size} times; write all of them in one format"
+    )
+    raise RecordError(msg)
 
 
 def _dated(texts: list[str], cells: Cells, name: str, table: Table, source: str) -> Clock:
