@@ -81,3 +81,94 @@ def test_in_a_tall_file_only_the_times_of_the_tags_in_use_count(tmp_path: Path, 
         RecordError, match="'2024-03-05 06:00:00' in line 2, but '05/03/2024 06:00:00' in line 3, as in"
     ):
         read_record(path)
+
+
+def columns(folder: Path, pv: list[str], op: list[str], sep: str) -> Path:
+    path = folder / "loop.csv"
+    rows = [sep.join((f"2024-03-05 06:00:{k:02d}", pv[k % len(pv)], op[k % len(op)])) for k in range(60)]
+    path.write_text("\n".join([sep.join(("time", "PV", "OP")), *rows]), encoding="utf-8")
+    return path
+
+
+COMMA = ["42,43", "42,5", "41"]
+POINT = ["42.43", "42.5", "41"]
+
+
+@pytest.mark.parametrize(
+    ("pv", "op", "sep", "words"),
+    [
+        (
+            ["26.145", "25.951"],
+            COMMA,
+            ";",
+            "commas in column 'OP' ('42,43' in line 2) and points in column 'PV' ('26.145'",
+        ),
+        (
+            ["25", "26.145 %"],
+            COMMA,
+            "\t",
+            "points in column 'PV' ('26.145 %' in line 3): decimal marks, or thousands? ",
+        ),
+        (
+            ["26,145", "25,951"],
+            POINT,
+            ";",
+            "commas in column 'PV' ('26,145' in line 2) and points in column 'OP' ('42.43'",
+        ),
+        (["26,145", "25,951"], ["42.430", "42.508"], "|", "and points in column 'OP' ('42.430' in line 2)"),
+        (["1.026,15", "999,5"], ["42.430", "42.508"], ";", "commas in column 'PV' ('1.026,15' in line 2)"),
+        (["26.145", "25.951"], ['"42,43"', '"42,5"'], ",", "commas in column 'OP' ('42,43' in line 2) and points in"),
+        (["1.026,15", "1.027"], COMMA, ";", "column 'PV': decimal commas ('1.026,15') and decimal points ('1.027')"),
+        (["1,026.15", "1,027"], POINT, ";", "column 'PV': decimal commas ('1,027') and decimal points ('1,026.15')"),
+    ],
+)
+def test_a_mark_that_may_part_thousands_beside_another_is_refused(
+    tmp_path: Path, pv: list[str], op: list[str], sep: str, words: str
+) -> None:
+    with pytest.raises(RecordError, match=re.escape(words)):
+        read_record(columns(tmp_path, pv, op, sep))
+
+
+@pytest.mark.parametrize(
+    ("pv", "op", "sep", "first"),
+    [
+        (["26,145", "25,951"], COMMA, ";", 26.145),
+        (["26.145", "25.951"], POINT, ";", 26.145),
+        (["26.145", "25.951"], POINT, ",", 26.145),
+        (["26", "25"], COMMA, ";", 26.0),
+        (["16.1450", "15.9512"], COMMA, ";", 16.145),  # each leaves no doubt
+        (["0.125", "26.145"], COMMA, ";", 0.125),
+        (["26.145", "25.9"], COMMA, ";", 26.145),
+        (["1.026,15", "999,5"], COMMA, ";", 1026.15),
+        (["1,026.15", "999.5"], ["42.430", "42.508"], ";", 1026.15),
+        (['"1,026,150"', '"998"'], ["42.430", "42.508"], ",", 1026150.0),
+        (['"26,145"', '"25,9"'], ['"42,430"', '"42,5"'], ",", 26.145),
+    ],
+)
+def test_marks_that_leave_no_doubt_are_read(
+    tmp_path: Path, pv: list[str], op: list[str], sep: str, first: float
+) -> None:
+    record = read_record(columns(tmp_path, pv, op, sep))
+    assert (len(record), record.pv[0], record.counts["rejected"]) == (60, first, 0)
+
+
+def test_marks_in_columns_that_are_no_numbers_of_the_loop_say_nothing(tmp_path: Path) -> None:
+    path = tmp_path / "loop.csv"
+    rows = [f"{k}.125;26,{k:02d};42,5;Auto, v1.250;26.145" for k in range(60)]
+    path.write_text("\n".join(["time [s];PV;OP;MODE;Other", *rows]), encoding="utf-8")
+    record = read_record(path)
+    assert (len(record), record.sample_time, record.pv[1]) == (60, 1.0, 26.01)
+
+
+def test_marks_of_the_tags_of_a_tall_file_leave_no_doubt(tmp_path: Path) -> None:
+    path = tmp_path / "tall.csv"
+    tags = (("F.PV", "26.145", "25.951"), ("F.OP", "42,43", "42,5"), ("TIC9", "1.125", "26.145"))
+    rows = [f"{tag};2024-03-05 06:00:{k:02d};{(a, b)[k % 2]}" for k in range(60) for tag, a, b in tags]
+    path.write_text("tag;time;value\n" + "\n".join(rows), encoding="utf-8")
+    words = "commas in tag 'F.OP' ('42,43' in line 3) and points in tag 'F.PV' ('26.145' in line 2)"
+    with pytest.raises(RecordError, match=re.escape(words)):
+        read_record(path)
+    path.write_text(
+        path.read_text(encoding="utf-8").replace("V;2024-03-05 06:00:00;26.145", "V;2024-03-05 06:00:00;26.1")
+    )
+    assert read_record(path).pv[0] == 26.1

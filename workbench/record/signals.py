@@ -17,7 +17,19 @@ from workbench.model.record import FloatArray
 from workbench.record.columns import NEEDED, QUALITIES, TALL, match_tags
 from workbench.record.counted import counted
 from workbench.record.quality import good_quality
-from workbench.record.table import BLANK, FIELDS, LARGE, NOT_FINITE, NUMERIC, OK, QUALITY, Cells, Table, number_cells
+from workbench.record.table import (
+    BLANK,
+    FIELDS,
+    LARGE,
+    NOT_FINITE,
+    NUMERIC,
+    OK,
+    QUALITY,
+    Cells,
+    Table,
+    number_cells,
+    one_mark,
+)
 from workbench.record.times import FORMATS_SAID, Order, in_order, parse_timestamps
 
 __all__ = ["Clock", "Signal", "Signals", "Tall", "clock_of", "from_tall", "from_wide"]
@@ -127,12 +139,22 @@ def from_tall(table: Table, names: Mapping[str, str], tags: Mapping[str, str] | 
     clock.seconds[wide] = np.nan
     qualities, units = (table.columns[name].as_texts() if name in table.columns else None for name in TALL[3:])
     tall = Tall(out, clock, wide, table.lines, names, source)
+    rows_of = {kind: np.flatnonzero(of_row == codes[listed[i]]) for kind, i in found.items()}
+    _one_mark({listed[found[kind]]: rows for kind, rows in rows_of.items() if kind in NUMERIC}, table, source)
     for kind, i in found.items():
-        rows = np.flatnonzero(of_row == codes[listed[i]])
+        rows = rows_of[kind]
         cells = _values(table, rows, kind, f"{source}: tag {listed[i]!r}")
         said = [None if texts is None else [texts[k] for k in rows.tolist()] for texts in (qualities, units)]
         tall.add(kind, listed[i], rows, cells, *said)
     return tall.done()
+
+
+def _one_mark(rows: Mapping[str, NDArray[np.int64]], table: Table, source: str) -> None:
+    """Raise `RecordError` where the tags, by their rows, write numbers with marks that leave a doubt."""
+    texts = table.columns["value"].texts
+    if texts is not None:
+        numbers = {tag: ([texts[k] for k in own.tolist()], table.lines[own].tolist()) for tag, own in rows.items()}
+        one_mark(numbers, table.decimal_comma, "tag", table.unit, source)
 
 
 @dataclass

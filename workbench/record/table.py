@@ -10,7 +10,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
-from itertools import chain, islice
+from itertools import chain, islice, product
 from pathlib import Path
 
 import numpy as np
@@ -37,6 +37,7 @@ __all__ = [
     "arrow_cells",
     "delimiter",
     "number_cells",
+    "one_mark",
     "read_csv",
     "read_parquet",
 ]
@@ -60,6 +61,7 @@ LIMIT = 1e100
 _THOUSANDS = re.compile(r"[+-]?[1-9]\d{0,2}(,\d{3})+(\.\d*)?")
 _DECIMAL = re.compile(r"[+-]?\d*,\d+([eE][+-]?\d+)?")
 _POINT = re.compile(r"[+-]?[\d,]*\.\d+([eE][+-]?\d+)?")
+_EITHER = re.compile(r"[+-]?[1-9]\d{0,2}[.,]\d{3}")
 
 
 @dataclass
@@ -156,6 +158,55 @@ def _quoted(listed: Sequence[str]) -> tuple[Sequence[str], bool]:
     return listed, decimal and not pointed
 
 
+def _last(cell: str) -> str:
+    """Return which of comma and point stands last in a cell, where a decimal mark does; "" for neither."""
+    comma, point = cell.rfind(","), cell.rfind(".")
+    return "" if comma == point else "," if comma > point else "."
+
+
+def _mark(listed: Sequence[str], decimal_comma: bool) -> tuple[str, int, bool] | None:
+    """Return the mark that a column's numbers have, a row that shows it, and whether it is sure to be the decimal one.
+
+    Returns None where there is none, or commas alone that are not taken for decimal ones (see `number_cells`).
+    """
+    doubtful = None
+    for row, cell in enumerate(listed):
+        mark = _last(cell)
+        if not mark:
+            continue
+        text = cell.strip().removesuffix("%").strip()
+        if _EITHER.fullmatch(text):
+            doubtful = doubtful or ((mark, row, False) if decimal_comma or mark == "." else None)
+        elif text.count(mark) == 1 and _number(text, True)[1] == OK:
+            return mark, row, True
+    return doubtful
+
+
+def one_mark(
+    columns: Mapping[str, tuple[Sequence[str], Sequence[int]]], decimal_comma: bool, what: str, unit: str, source: str
+) -> None:
+    """Raise `RecordError` where one column's numbers have commas and another's points, and either may part thousands.
+
+    columns: cells and their lines by name; decimal_comma: as in `number_cells`; what: they are, columns or tags; unit:
+    what `lines` count. Where both are decimal marks beyond doubt, as in 42,43 and 16.1450, each column is read by its
+    own.
+    """
+    if not all(any(mark in cell for cells, _ in columns.values() for cell in cells) for mark in ",."):
+        return
+    marks = {name: found for name, (cells, _) in columns.items() if (found := _mark(cells, decimal_comma))}
+    for (one, (comma, i, sure)), (other, (point, k, surely)) in product(marks.items(), marks.items()):
+        if (comma, point) == (",", ".") and not (sure and surely):
+            first, second = (
+                f"{what} {name!r} ({columns[name][0][at].strip()!r} in {unit} {columns[name][1][at]})"
+                for name, at in ((one, i), (other, k))
+            )
+            msg = (
+                f"{source}: commas in {first} and points in {second}: decimal marks, or thousands? Export all numbers "
+                "with one decimal mark, and thousands without a mark"
+            )
+            raise RecordError(msg)
+
+
 def number_cells(listed: Sequence[str], decimal_comma: bool, where: str) -> Cells:
     """Return the numbers of a column's cells.
 
@@ -167,8 +218,8 @@ def number_cells(listed: Sequence[str], decimal_comma: bool, where: str) -> Cell
         listed, decimal_comma = _quoted(listed)
     together = "\n".join(listed)
     if decimal_comma and "," in together and "." in together:
-        comma = next((c for c in listed if "," in c and "." not in c and _number(c, True)[1] == OK), None)
-        point = next((c for c in listed if "." in c and "," not in c and _number(c, True)[1] == OK), None)
+        comma = next((c for c in listed if _last(c) == "," and _number(c, True)[1] == OK), None)
+        point = next((c for c in listed if _last(c) == "." and _number(c, True)[1] == OK), None)
         if comma is not None and point is not None:
             msg = (
                 f"{where}: decimal commas ({comma.strip()!r}) and decimal points ({point.strip()!r}) in one column; "
@@ -328,8 +379,11 @@ def _rows(
         rows.append(row)
     units = _taken_units(rows, lines, found, mark != ",")
     columns: dict[str, Cells] = {}
+    texts = {name: [row[i] if i < len(row) else "" for row in rows] for name, i in found.items()}
+    numbers = {header[found[name]].strip(): (texts[name], lines) for name in NUMERIC if name in found}
+    one_mark(numbers, mark != ",", "column", "line", source)
     for name, i in found.items():
-        listed = [row[i] if i < len(row) else "" for row in rows]
+        listed = texts[name]
         where = f"{source}: column {header[i].strip()!r}"
         if name in NUMERIC:
             columns[name] = number_cells(listed, mark != ",", where)
