@@ -100,6 +100,7 @@ def test_a_unit_in_the_name_goes_before_the_size(tmp_path: Path) -> None:
         ("time", "", 1.0),
         ("time", "fortnights", 1.0),  # no known unit
         ("time", "h:min:s", 1.0),  # a format
+        ("time", "Time of day", 1.0),
     ],
 )
 def test_a_row_of_units_says_that_of_time(tmp_path: Path, name: str, below: str, seconds: float) -> None:
@@ -126,6 +127,8 @@ def test_a_row_of_units_may_stand_below_one_of_descriptions_and_no_row_of_data_i
     record = read_record(path)
     assert (record.sample_time, len(record)) == (5.0, 100)
     assert "1 row rejected: no readable time, first in line 102" in record.notes
+    path.write_text(f"{head}\nElapsed (min),bar,V\n{rows}", encoding="utf-8")
+    assert read_record(path).sample_time == 300.0
     path.write_text(f"{head}\n-5,Bad,%\n{rows}", encoding="utf-8")
     assert read_record(path).counts["rows"] == 101
 

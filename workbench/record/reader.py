@@ -87,7 +87,8 @@ def read_record(
 
     Returns a `Record` in PV's unit and OP in %: the longest clean stretch in one mode, the others as its `rest`; its
     `notes` and `counts` (rows, kept, rejected, gaps ...) say what was done and left out. Times become seconds: as
-    given, or from the first timestamp on. Raises `RecordError` naming file, line and column, and `InvalidValue`.
+    given (in the unit that their name or a row of units says), or from the first timestamp on. Raises `RecordError`
+    naming file, line and column, and `InvalidValue`.
     """
     file = Path(file_name(path, "a CSV or Parquet file"))
     source = str(path)

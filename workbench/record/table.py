@@ -297,7 +297,8 @@ def read_csv(path: Path, match: Callable[[list[str]], dict[str, int]], source: s
     match: from the header to the column index of each needed signal. Delimiter comma, semicolon, tab or bar, with a
     decimal comma allowed for all but the first; UTF-8 (with or without a byte order mark), UTF-16 or Windows-1252.
     Lines before the header that are empty, start with # or hold a title are passed over. A row with more fields than
-    the header is marked FIELDS (a decimal comma in a comma-separated file shows in that way). Raises `RecordError`.
+    the header is marked FIELDS (a decimal comma in a comma-separated file shows in that way). A wide file's row of
+    units is no row of data. Raises `RecordError`.
     """
     notes: list[str] = []
     with _reading(source):

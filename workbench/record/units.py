@@ -38,23 +38,26 @@ def in_milliamperes(text: str) -> bool:
     return re.search(r"(?<![A-Za-z])mA(?![A-Za-z])|[(\[]\s*(?i:ma)\s*[)\]]|(?i:milliamp)", text) is not None
 
 
-def _words(text: str) -> list[str]:
-    return re.findall(r"[0-9a-z]+", text.replace("µ", "u").replace("μ", "u").lower())
+def _plain(text: str) -> str:
+    return text.replace("µ", "u").replace("μ", "u").lower()
 
 
 def time_unit(name: str) -> float | None:
     """Return the seconds in one unit of a numeric time column, read from its name; None where it says nothing."""
-    words = _words(name)
+    words = re.findall(r"[0-9a-z]+", _plain(name))
     return TIME_UNITS.get(words[-1]) if words else None
 
 
+def _unit(cell: str) -> str:
+    """Return the unit that a cell of a row of units is, or ends with in brackets, if it is one."""
+    return re.split(r"[(\[]", _plain(cell))[-1].strip(")] ")
+
+
 def time_unit_below(cell: str) -> float | None:
-    """Return the same, read from the column's cell in a row of units; h:min:s is a format and no unit."""
-    found = [TIME_UNITS[word] for word in _words(cell) if word in TIME_UNITS]
-    return found[0] if len(found) == 1 else None
+    """Return the same as `time_unit`, read from the column's cell in a row of units; h:min:s is a format, no unit."""
+    return TIME_UNITS.get(_unit(cell))
 
 
 def is_unit(cell: str) -> bool:
     """Whether a cell is a unit beyond doubt: %, mA, a unit of time, or anything per such a unit, as m3/h."""
-    bare = cell.strip("[]() ").lower()
-    return bare in _OTHERS or bare.rpartition("/")[2].strip() in TIME_UNITS
+    return _unit(cell) in _OTHERS or _unit(cell).rpartition("/")[2].strip() in TIME_UNITS
