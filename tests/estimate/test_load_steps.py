@@ -202,6 +202,13 @@ def test_the_past_tells_no_more_than_the_record_resolves() -> None:
     assert autoregression(0.1 * smooth, floor) == (pytest.approx([1.0]), pytest.approx(1000.0 * math.log(floor)))
 
 
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("factor", [1e160, math.inf, math.nan])
+def test_what_a_model_that_runs_away_leaves_is_no_colour(factor: float) -> None:
+    a, bic = autoregression(np.full(100, factor), 1e-12)
+    assert (a.tolist(), bic) == ([1.0], math.inf)
+
+
 def test_where_the_search_without_steps_ends_as_a_dead_band_the_steps_stay(monkeypatch: pytest.MonkeyPatch) -> None:
     """There the valve that was chosen beside them is no more among the models."""
     record = record_of(run_of(loop_of(PLANTS[0], wb.Choudhury(3.0, 1.0)), None))

@@ -45,6 +45,7 @@ ORDERS = 8  # most of a disturbance's autoregression
 NEAR = 0.02  # of a time constant: how far apart the points of a quadratic about a plant are at first
 FOLLOWED = 2  # linear fits of a stretch of a long record, on all of it
 MOST = 700.0  # of an exponent: e^709 is the largest number there is
+LARGEST = 1e150  # EU: the square of a larger residual may overflow
 LOUD = 4.0  # times what the record resolves: quieter residuals tell nothing of a disturbance
 
 
@@ -382,10 +383,13 @@ def noise_alone(data: Centred, x: FloatArray, first: int, fit: Fit) -> bool:
 def autoregression(residuals: FloatArray, floor: float) -> tuple[FloatArray, float]:
     """Return the filter (1, -a_1, .., -a_p) that leaves a residual white, and its BIC; (1,) below `floor` (EU^2).
 
+    A residual that runs away has none, and a BIC of inf.
     The autoregression of lowest BIC up to ORDERS (G. Schwarz, Ann. Statist. 6 (1978) 461-464), by Levinson's recursion
     on the autocorrelation (J. Durbin, Rev. Int. Stat. Inst. 28 (1960) 233-244).
     """
     n = residuals.size
+    if not float(np.abs(residuals).max(initial=0.0)) < LARGEST:
+        return WHITE, math.inf  # of a model that runs away; its squares would overflow
     left = residuals - residuals.mean()
     power = float(left @ left) / n
     if not power > LOUD * floor:
