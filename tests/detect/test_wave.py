@@ -128,8 +128,9 @@ def second_order_cycle(noise: float) -> wb.Record:
 def test_a_smooth_cycle_that_a_longer_lag_makes_up_for_is_not_acquitted() -> None:
     found = wb.detect(second_order_cycle(0.004))
     assert found.test is not None
-    assert decide(found.oscillation, replace(found.test, instead=0.0, wide=0.0, sure=0.0), None)[0] == "no_stiction"
-    assert decide(found.oscillation, replace(found.test, wide=0.0, sure=0.0), None)[0] == "undecided"
+    without = replace(found.test, wide=0.0, sure=0.0, adds=0.0)
+    assert decide(found.oscillation, replace(without, instead=0.0), None)[0] == "no_stiction"
+    assert decide(found.oscillation, without, None)[0] == "undecided"
     assert found.verdict == "undecided"
 
 
