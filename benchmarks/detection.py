@@ -173,7 +173,10 @@ def changed(record: wb.Record) -> Iterator[tuple[str, wb.Record]]:
 
 
 def kept(record: wb.Record) -> Iterator[tuple[str, wb.Record]]:
-    """A record as historians keep it: OP in steps, PV where it has moved by a share of what it usually moves over."""
+    """A record as historians keep it: OP in steps, PV where it has moved by a share of what it usually moves over.
+
+    PV between the values that were kept is the last of them, or on a straight line from it to the next.
+    """
     for step in (0.1, 0.25, 0.5):
         yield f"OP in steps of {step}", replace(record, op=np.round(record.op / step) * step)
     usual = float(np.ptp(np.percentile(record.pv, (2.5, 97.5))))
@@ -182,6 +185,9 @@ def kept(record: wb.Record) -> Iterator[tuple[str, wb.Record]]:
         for k in range(1, pv.size):
             pv[k] = pv[k] if abs(pv[k] - pv[k - 1]) > share * usual else pv[k - 1]
         yield f"PV kept where it has moved by {share:.0%} of its swing", replace(record, pv=pv)
+        at = np.flatnonzero(np.diff(pv, prepend=math.nan) != 0.0)
+        lines = np.round(np.interp(np.arange(pv.size), at, pv[at]), 5)
+        yield f"PV drawn between values {share:.0%} of its swing apart", replace(record, pv=lines)
 
 
 def tell_changed(

@@ -154,7 +154,7 @@ def _detected(record: Record, bicoherence: bool, fitted: Fitted | None) -> Detec
 def _doubtful(record: Record, whole: Oscillation, test: StemTest, period: float) -> str:
     """Say why a stem that was found may be none, by how the record was kept; or nothing."""
     why = beyond_op(record.op, test.band) or below_step(record.op, test.band) or between_values(record)
-    why = why or along_lines(record, test.simulated)
+    why = why or along_lines(record, test.unexplained, test.simulated)
     op, doubt = resolved(record)
     if why or doubt == 0.0 or op is record.op:
         return why
