@@ -39,6 +39,18 @@ def test_times_in_two_formats_are_refused_with_an_example_of_each(tmp_path: Path
         assert f"as in {360 // every} of 360 times; write all of them in one format" in str(refusal.value)
 
 
+@pytest.mark.parametrize("day", ["%d/%m/%Y", "%d.%m.%Y", "%d %b %Y"])
+@pytest.mark.parametrize("clocks", [("%H:%M:%S", "%H:%M"), ("%I:%M:%S %p", "%I:%M %p")])
+def test_a_clock_that_leaves_out_its_seconds_where_they_are_none_is_read(
+    tmp_path: Path, day: str, clocks: tuple[str, str]
+) -> None:
+    # As spreadsheets show the full minutes, here one time in six.
+    at = [dt.datetime(2024, 3, 15, 6) + dt.timedelta(seconds=10 * k) for k in range(360)]  # noqa: DTZ001
+    times: list[object] = [one.strftime(f"{day} {clocks[one.second == 0]}") for one in at]
+    record = read_record(write(tmp_path, times))
+    assert (len(record), record.sample_time, record.counts.get("rejected, time", 0)) == (360, 10.0, 0)
+
+
 def test_times_as_a_spreadsheet_writes_those_that_it_understands_are_refused(tmp_path: Path) -> None:
     stamps = mixed(ISO, ISO, 1)
     days: list[object] = [f"{45356.25 + 5 * k / 86_400:.8f}" for k in range(360)]

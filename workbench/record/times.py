@@ -104,6 +104,21 @@ def _formatted(text: str, form: str) -> datetime | None:
     return day.replace(hour=hour, minute=minute, second=second) if hour < 24 and minute < 60 and second < 60 else None
 
 
+@lru_cache(maxsize=16)
+def _alike(form: str) -> list[str]:
+    """The other spellings of the same day with a clock of the same hours."""
+    for day in sorted(_DAYS, key=len, reverse=True):
+        for clocks in (_CLOCKS, _TWELVE):
+            if form in (forms := [f"{day} {clock}" for clock in clocks]):
+                return [other for other in forms if other != form]
+    return []
+
+
+def _other_clock(text: str, form: str) -> datetime | None:
+    """Read a timestamp whose clock leaves out the seconds, or has their fraction, unlike the others of its column."""
+    return next((s for other in _alike(form) if text and (s := _formatted(text, other)) is not None), None)
+
+
 def _spelled(text: str) -> tuple[str, timezone | None]:
     """Return a timestamp without the name of its zone, with AM and PM and a decimal point as Python knows them."""
     found = _ZONE.fullmatch(text)
@@ -149,16 +164,18 @@ def parse_timestamps(cells: Sequence[str]) -> tuple[FloatArray, str, bool] | str
         fitting = [f for f in _FORMATS if any(_formatted(c, f) is not None for c in sample)]
         best: tuple[int, bool, int] = (read, False, 0)
         chosen: list[datetime | None] = []
+        spelling = ""
         for form in fitting:
             other = [_formatted(t, form) for t in texts]
             plain = [s for s in other if s is not None]
             one_way = all(b > a for a, b in pairwise(plain)) or all(b < a for a, b in pairwise(plain))
             rank = (len(plain), one_way, -_leaps(plain))
             if rank > best:
-                best, chosen, note = rank, other, f"timestamps read as {form}"
+                best, chosen, spelling, note = rank, other, form, f"timestamps read as {form}"
             elif rank == best and plain and other != chosen:
                 note += f" (as {form} they would run as evenly)"
         if chosen:
+            chosen = [s or _other_clock(t, spelling) for s, t in zip(chosen, texts, strict=True)]
             stamps = [_zoned(s, z) for s, z in zip(chosen, zones, strict=True)]
     parsed = _seconds(stamps)
     if parsed is None:
