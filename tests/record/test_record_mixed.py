@@ -184,3 +184,10 @@ def test_marks_of_the_tags_of_a_tall_file_leave_no_doubt(tmp_path: Path) -> None
         path.read_text(encoding="utf-8").replace("V;2024-03-05 06:00:00;26.145", "V;2024-03-05 06:00:00;26.1")
     )
     assert read_record(path).pv[0] == 26.1
+
+
+def test_points_that_stand_twice_part_thousands_throughout_their_column(tmp_path: Path) -> None:
+    pv = [f"{999_870 + 10 * k:,}".replace(",", ".") for k in range(60)]
+    record = read_record(columns(tmp_path, pv, [f"{40 + k % 7},5" for k in range(60)], ";"))
+    assert record.pv.tolist() == [999_870.0 + 10.0 * k for k in range(60)]
+    assert record.counts.get("rejected, text", 0) == 0

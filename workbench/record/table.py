@@ -61,6 +61,7 @@ LIMIT = 1e100
 _THOUSANDS = re.compile(r"[+-]?[1-9]\d{0,2}(,\d{3})+(\.\d*)?")
 _DECIMAL = re.compile(r"[+-]?\d*,\d+([eE][+-]?\d+)?")
 _POINT = re.compile(r"[+-]?[\d,]*\.\d+([eE][+-]?\d+)?")
+_POINTED = re.compile(r"[+-]?[1-9]\d{0,2}(\.\d{3})+(,\d+)?%?")
 _EITHER = re.compile(r"[+-]?[1-9]\d{0,2}[.,]\d{3}")
 
 
@@ -158,6 +159,12 @@ def _quoted(listed: Sequence[str]) -> tuple[Sequence[str], bool]:
     return listed, decimal and not pointed
 
 
+def _points_part(listed: Sequence[str]) -> bool:
+    """Whether a column's points part thousands: in 1.000.120 they do, and then they do so throughout."""
+    twice = any(cell.count(".") > 1 for cell in listed)
+    return twice and all("." not in cell or _POINTED.fullmatch(cell.strip()) for cell in listed)
+
+
 def _last(cell: str) -> str:
     """Return which of comma and point stands last in a cell, where a decimal mark does; "" for neither."""
     comma, point = cell.rfind(","), cell.rfind(".")
@@ -170,6 +177,8 @@ def _mark(listed: Sequence[str], decimal_comma: bool) -> tuple[str, int, bool] |
     Returns None where there is none, or commas alone that are not taken for decimal ones (see `number_cells`).
     """
     doubtful = None
+    if decimal_comma and _points_part(listed):
+        return None
     for row, cell in enumerate(listed):
         mark = _last(cell)
         if not mark:
@@ -216,6 +225,8 @@ def number_cells(listed: Sequence[str], decimal_comma: bool, where: str) -> Cell
     """
     if not decimal_comma and any("," in cell for cell in listed):
         listed, decimal_comma = _quoted(listed)
+    if decimal_comma and _points_part(listed):
+        listed = [cell.replace(".", "") for cell in listed]
     together = "\n".join(listed)
     if decimal_comma and "," in together and "." in together:
         comma = next((c for c in listed if _last(c) == "," and _number(c, True)[1] == OK), None)
