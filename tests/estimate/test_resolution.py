@@ -11,10 +11,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import workbench as wb
-from workbench.detect.resolution import resolved, step_of
+from workbench.detect.resolution import resolved
 from workbench.estimate.estimate import linear_loop
 from workbench.estimate.fits.data import centre
 from workbench.model.results import Estimate, Intervals
+from workbench.record.rounding import step_of
 
 STEP = 0.1
 FLOW = wb.Loop(wb.FOPDT(2.0, 6.0, 3.0), wb.Stenman(1.2), wb.PID(Kc=0.3, Ti=10.0), 1.0)

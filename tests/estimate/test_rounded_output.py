@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 
 import workbench as wb
-from workbench.detect.resolution import step_of
 from workbench.estimate.fits.data import Centred, centre
 from workbench.estimate.fits.fit import LEAST_TAU, Limits, fit_path, start_range
 from workbench.estimate.ranges.hidden import hidden
 from workbench.estimate.search.candidates import Candidate
 from workbench.estimate.search.stems import path_of
 from workbench.model.results import Intervals
+from workbench.record.rounding import step_of
 
 LIMITS = Limits((LEAST_TAU, 1000.0), (0.0, 30.0))
 

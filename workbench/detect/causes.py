@@ -7,7 +7,7 @@ from itertools import pairwise
 import numpy as np
 
 from workbench.detect.oscillation import oscillation_of
-from workbench.detect.resolution import drawn_lines, exception_of, step_of
+from workbench.detect.resolution import exception_of
 from workbench.detect.spikes import TRAVEL
 from workbench.detect.verdict import Thresholds, times
 from workbench.errors import RecordError
@@ -15,6 +15,7 @@ from workbench.model.detection import Oscillation
 from workbench.model.numbers import given
 from workbench.model.record import FloatArray, Record
 from workbench.record.modes import manual_share
+from workbench.record.rounding import on_lines, step_of
 
 __all__ = [
     "FEWEST_SAMPLES",
@@ -200,7 +201,7 @@ def along_lines(record: Record, unexplained: float, simulated: float) -> str:
     unexplained: share of PV's variance that the linear loop's simulated PV leaves; simulated: what of it the stem
     explains.
     """
-    share = max(drawn_lines(record.pv), _between(record))
+    share = max(float(np.mean(on_lines(record.pv))), _between(record))
     if share < DRAWN or simulated * unexplained >= EXPLAINS or simulated >= ALL_LEFT:
         return ""
     return (

@@ -27,7 +27,7 @@ from workbench.detect.evidence import statistics_of
 from workbench.detect.late import as_seen, later, words_of_late
 from workbench.detect.load import DETECTIONS, load_index
 from workbench.detect.oscillation import no_period, oscillation_of
-from workbench.detect.resolution import resolved, step_of
+from workbench.detect.resolution import resolved
 from workbench.detect.shape import movement_index, triangle_index
 from workbench.detect.spikes import words_of_spikes
 from workbench.detect.stem import stem_test
@@ -38,6 +38,7 @@ from workbench.model.checks import instance
 from workbench.model.detection import Detection, Oscillation, StemTest
 from workbench.model.numbers import given
 from workbench.model.record import Record, signal_of
+from workbench.record.rounding import step_of
 from workbench.simulate.one_thread import one_thread
 
 __all__ = ["detect"]

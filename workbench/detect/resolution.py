@@ -18,12 +18,11 @@ import numpy as np
 
 from workbench.detect.action import control_error
 from workbench.model.record import FloatArray, Record
+from workbench.record.rounding import ROUNDED, step_of
 from workbench.simulate.filter import first_order
 
-__all__ = ["coarseness", "drawn_lines", "exception_of", "resolved", "step_of", "unseen"]
+__all__ = ["coarseness", "exception_of", "resolved", "unseen"]
 
-ROUNDED = 1e-9  # of a signal's range: values that lie closer are one
-OFF_STEP = 0.2  # of a step: values further from a multiple were not rounded to it
 # Of the level's innovations, (1 - B)/(1 - l B): 0 where it goes where it likes, 1 where it stays.
 STEADY = (0.0, 0.5, 0.8, 0.9, 0.95, 0.98, 0.99, 0.995, 0.998, 1.0)
 AS_WELL = 1.05  # times the least variance: the steadiest level that leaves no more is taken
@@ -32,25 +31,7 @@ LEVELS = 8  # values of OP: fewer are moves that were made so, by an operator or
 # A PV that keeps its value in half the samples, and then moves by hardly less than by half of what it usually moves by:
 # noise, a lag's answer and a converter's steps begin at nothing, or at one step.
 KEPT, LEAST, CUT, STEPS, FEWEST = 0.5, 0.05, 0.5, 1.5, 8
-# Of a line's samples the second difference is rounding, two steps at most; a kink is so many times that in the median.
-# A smooth or a rounded signal bends everywhere, by little more than rounding where it bends at all.
-LINE, KINK = 2.01, 10.0
 LEAST_DOUBT = 0.1  # of a step: laws that fit to rounding were off by .04 to .1 of it in simulated loops
-
-
-def step_of(signal: FloatArray) -> float:
-    """Return the step that all values of a signal are multiples of it apart, in its unit; 0 where there is none."""
-    values = np.unique(signal)
-    steps = np.diff(values)
-    steps = steps[steps > ROUNDED * float(np.ptp(signal))]
-    if steps.size < 2:
-        return 0.0
-    # Neighbours are one step apart, but for the digits in which they are kept.
-    step = float(steps[steps < 1.5 * steps.min()].mean())
-    away = (values - values[0]) / step
-    if float(np.abs(away - np.round(away)).max()) > OFF_STEP:
-        return 0.0
-    return float(values[-1] - values[0]) / float(np.round(away[-1]))
 
 
 def coarseness(signal: FloatArray) -> float:
@@ -68,17 +49,6 @@ def exception_of(pv: FloatArray) -> float:
         return 0.0
     least, usual = np.quantile(moved, (LEAST, 0.5)).tolist()
     return float(least) if least >= CUT * usual and least >= STEPS * step_of(pv) else 0.0
-
-
-def drawn_lines(pv: FloatArray) -> float:
-    """Return the share of PV's samples, shape (N,), that lie on straight lines between others while it moves, or 0."""
-    moves = np.diff(pv)
-    bend, slope = np.abs(np.diff(moves)), np.maximum(np.abs(moves[:-1]), np.abs(moves[1:]))
-    rounding = max(LINE * step_of(pv), ROUNDED * float(np.ptp(pv)))
-    kinks = bend[bend > rounding]
-    if not kinks.size or not float(np.median(kinks)) > KINK * rounding:
-        return 0.0
-    return float(np.mean((bend <= rounding) & (slope > 2.0 * rounding)))
 
 
 def unseen(pv: FloatArray) -> float:

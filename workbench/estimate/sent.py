@@ -11,13 +11,13 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import TypeVar
 
-from workbench.detect.resolution import step_of
 from workbench.estimate.fits.data import Centred, centre
 from workbench.estimate.fits.fit import Fit, disturbance, predict
 from workbench.estimate.search.profile import Profile
 from workbench.estimate.search.stems import path_of, silent
 from workbench.estimate.search.two_parameter import band_stem, look
 from workbench.model.record import FloatArray, Record
+from workbench.record.rounding import step_of
 
 __all__ = ["left_by_line", "left_by_stem", "likelier_op"]
 

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from workbench.errors import RecordError
 from workbench.model.record import FloatArray
+from workbench.record.rounding import on_lines
 from workbench.record.table import CODE, OK, RANGE, Cells
 
 __all__ = [
@@ -162,10 +163,7 @@ def held_said(pv: FloatArray, op: FloatArray, joined: NDArray[np.bool_]) -> list
             else "a coarse, compressed or held signal"
         )
         notes.append(f"PV repeats the value before it in {share:.0%} of the samples, {longest} on end at most; {why}")
-    # A single wrong value, however large, makes nothing of the others straight.
-    spread = float(np.ptp(np.percentile(pv, (1.0, 99.0))))
-    straight = np.abs(np.diff(pv, 2)) <= 1e-9 * max(spread, 1e-300)
-    straight &= follows[1:] & follows[:-1] & ~repeats[1:]
+    straight = on_lines(pv) & follows[1:] & follows[:-1]
     if float(np.count_nonzero(straight)) / many >= STRAIGHT:
         notes.append(
             f"PV lies on straight lines in {np.count_nonzero(straight) / many:.0%} of the samples: interpolated from a "
