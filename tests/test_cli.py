@@ -284,6 +284,35 @@ main()
     assert "Second" not in out
 
 
+def test_ctrl_c_in_a_callback_that_cannot_raise_is_not_lost(folder: Path) -> None:
+    (folder / "long.yaml").write_text(
+        GOOD.replace("120 s", "2000 s").replace("analyze:", f"{TUNE.split('analyze')[0]}analyze:")
+    )
+    code = """
+import sys
+from workbench.__main__ import main
+
+class Taken:
+    def __del__(self):
+        raise KeyboardInterrupt
+
+class Told:
+    def find_spec(self, name, *_):
+        if name == LOADED:
+            Taken()
+
+sys.meta_path.insert(0, Told())
+sys.argv = ["workbench", "tune", "long.yaml"]
+main()
+"""
+    for loaded in ("workbench.cli", "workbench.tune.tune"):
+        given = [sys.executable, "-c", code.replace("LOADED", repr(loaded))]
+        done = subprocess.run(given, capture_output=True, text=True, timeout=120, check=False)
+        assert done.returncode == 130, done.stderr
+        assert done.stderr.removeprefix(f"{SAID}\n").startswith("workbench: interrupted")
+        assert len(done.stderr.removeprefix(f"{SAID}\n").splitlines()) == 1
+
+
 def test_an_interrupt_in_a_librarys_error_is_an_interrupt(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def broken(*_: object, **__: object) -> object:
         try:

@@ -3,16 +3,31 @@
 from __future__ import annotations
 
 import sys
+from _thread import interrupt_main
+from threading import Timer
+
+AGAIN = 0.01  # s: by then what took the interrupt has ended
 
 
 def main() -> None:
     """Run the command (workbench/cli); interrupted while that still loads, it ends with exit code 130."""
+    sys.unraisablehook = _unraisable
     try:
         from workbench.cli import main as command
     except KeyboardInterrupt:
         sys.stderr.write("workbench: interrupted\n")
         sys.exit(130)
     command()
+
+
+def _unraisable(what: sys.UnraisableHookArgs) -> None:
+    """Interrupt once more where Ctrl-C came in a destructor or a callback, which Python would tell of and forget."""
+    if issubclass(what.exc_type, KeyboardInterrupt):
+        again = Timer(AGAIN, interrupt_main)
+        again.daemon = True
+        again.start()
+    else:
+        sys.__unraisablehook__(what)
 
 
 if __name__ == "__main__":
