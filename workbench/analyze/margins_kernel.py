@@ -21,7 +21,12 @@ Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
 
 READ = 5  # columns of what is read: Ms, its frequency, gain margin, phase margin and delay margin
-FINE = 41  # points between the neighbours of the least of a grid
+FINE, CLOSER = 9, (0.5, 0.1)  # points between the neighbours of a grid's least, and of their gap about its best one
+BESIDE = 0.1  # L's step between points of the grid, about: a minimum of |1 + L| may lie by so much beside them
+SOLVING, EXACT = 40, 1e-10  # steps of a crossing's search, and how closely it is found
+# Of the limit: a factor on Kc and a lag, rad, below it by less count as at it, as a chord of the grid may read a loop
+# as stable that just is not.
+AT_LIMIT = 0.01
 
 
 @compiled
@@ -100,39 +105,118 @@ def _encloses_nothing(row: Floats, turned: Floats, re: Floats, im: Floats) -> bo
 
 
 @compiled
-def _gain_margin(re: Floats, im: Floats) -> float:
-    """The least 1/|L| above 1 where L crosses the negative real axis (at the Nyquist frequency L is real)."""
+def _at(row: Floats, w: float, point: Floats) -> tuple[float, float]:
+    """Return L at one frequency; point: room for what it is made of, shape (7, 1)."""
+    point[0, 0] = w
+    _turned(point[0], point[1:3])
+    _lag(point[0], row[DELAY] + 1.0, point[3:5])
+    _response(row, point[1:3], point[3:5], point[5], point[6])
+    return point[5, 0], point[6, 0]
+
+
+@compiled
+def _offset(re: float, im: float, axis: bool) -> float:
+    """How far a point is from the real axis, or else from the unit circle (of its logarithm)."""
+    return im if axis else 0.5 * math.log(re * re + im * im)
+
+
+@compiled
+def _crossing(
+    row: Floats, w: Floats, re: Floats, im: Floats, i: int, axis: bool, point: Floats
+) -> tuple[float, float, float]:
+    """Return the frequency after the i-th at which L crosses the real axis, or else the unit circle, and L there.
+
+    The false position by turns of Illinois (M. Dowell, P. Jarratt, BIT 11 (1971) 168-174).
+    """
+    low, high = w[i], w[i + 1]
+    before, after = _offset(re[i], im[i], axis), _offset(re[i + 1], im[i + 1], axis)
+    at, real, imaginary, kept = high, re[i + 1], im[i + 1], 0
+    for _ in range(SOLVING):
+        if after == before:
+            break
+        at = high - after * (high - low) / (after - before)
+        real, imaginary = _at(row, at, point)
+        here = _offset(real, imaginary, axis)
+        if abs(here) <= EXACT:
+            break
+        if (here < 0.0) == (after < 0.0):
+            high, after = at, here
+            before *= 0.5 if kept == 1 else 1.0
+            kept = 1
+        else:
+            low, before = at, here
+            after *= 0.5 if kept == -1 else 1.0
+            kept = -1
+    return at, real, imaginary
+
+
+@compiled
+def _gain_margin(row: Floats, w: Floats, re: Floats, im: Floats, point: Floats) -> float:
+    """The least 1/|L| from 1 on where L is real and negative: at its crossings, and at both ends of the frequencies."""
     least, last = math.inf, re.size - 1
     for i in range(last):
-        if re[i] < 0.0 and re[i + 1] < 0.0 and (im[i] < 0.0) != (im[i + 1] < 0.0):
-            # Log magnitude over phase: both run evenly in the logarithm of frequency.
-            here, there = math.atan2(-im[i], -re[i]), math.atan2(-im[i + 1], -re[i + 1])
-            size, next_size = math.log(math.hypot(re[i], im[i])), math.log(math.hypot(re[i + 1], im[i + 1]))
-            factor = math.exp(-(size + here / (here - there) * (next_size - size)))
-            if 1.0 < factor < least:
-                least = factor
+        if (re[i] < 0.0 or re[i + 1] < 0.0) and (im[i] < 0.0) != (im[i + 1] < 0.0):
+            _, real, _ = _crossing(row, w, re, im, i, True, point)
+            if real < 0.0 and -1.0 / real >= 1.0 - AT_LIMIT:
+                least = min(least, max(-1.0 / real, 1.0))
     if -1.0 < re[last] < 0.0:
         least = min(least, -1.0 / re[last])
+    if row[KI] == 0.0 and row[POLE] != 1.0 and -1.0 < row[KC] * row[GAIN] < 0.0:
+        least = min(least, -1.0 / (row[KC] * row[GAIN]))
     return least
 
 
 @compiled
-def _unit_crossings(w: Floats, re: Floats, im: Floats) -> tuple[float, float]:
+def _unit_crossings(row: Floats, w: Floats, re: Floats, im: Floats, point: Floats) -> tuple[float, float]:
     """Return the least lag, rad, that turns a point of |L| = 1 into -1, and the least over frequency; inf without."""
     phase, delay = math.inf, math.inf
     above = re[0] * re[0] + im[0] * im[0] >= 1.0
     for i in range(w.size - 1):
         here, above = above, re[i + 1] * re[i + 1] + im[i + 1] * im[i + 1] >= 1.0
         if here != above:
-            size, next_size = math.log(math.hypot(re[i], im[i])), math.log(math.hypot(re[i + 1], im[i + 1]))
-            share = min(max(size / (size - next_size), 0.0), 1.0)
-            across, along = re[i] * im[i + 1] - im[i] * re[i + 1], re[i] * re[i + 1] + im[i] * im[i + 1]
-            angle = math.atan2(-im[i], -re[i]) + share * math.atan2(across, along)
+            at, real, imaginary = _crossing(row, w, re, im, i, False, point)
             # Of lag alone: a point beyond -180 degrees needs nearly a whole turn.
-            lag = angle % (2.0 * math.pi)
+            lag = math.atan2(-imaginary, -real) % (2.0 * math.pi)
+            if lag > 2.0 * math.pi - AT_LIMIT:
+                lag = 0.0
             phase = min(phase, lag)
-            delay = min(delay, lag / (w[i] * (w[i + 1] / w[i]) ** share))
+            delay = min(delay, lag / at)
     return phase, delay
+
+
+@compiled
+def _apart(row: Floats, w: float, point: Floats) -> float:
+    """|1 + L|, squared, at one frequency."""
+    re, im = _at(row, w, point)
+    return (1.0 + re) * (1.0 + re) + im * im
+
+
+@compiled
+def _nearest_between(row: Floats, low: float, high: float, fine: Floats) -> tuple[float, float]:
+    """Return the least |1 + L| between two frequencies, and where; fine: room, shape (7, FINE).
+
+    On a fine grid, then where parabolas through three points about its best one have the least square.
+    """
+    gap = (high - low) / (FINE - 1)
+    for i in range(FINE):
+        fine[0, i] = low + gap * i
+    _turned(fine[0], fine[1:3])
+    _lag(fine[0], row[DELAY] + 1.0, fine[3:5])
+    _response(row, fine[1:3], fine[3:5], fine[5], fine[6])
+    k, least = _nearest(fine[5], fine[6])
+    at, point = fine[0, k], fine[:, :1]
+    for share in CLOSER:
+        step = share * gap
+        if at - step < low or at + step > high:
+            continue
+        before, after = _apart(row, at - step, point), _apart(row, at + step, point)
+        curve = before - 2.0 * least + after
+        if curve > 0.0:
+            w = at + step * min(max(0.5 * (before - after) / curve, -1.0), 1.0)
+            here = _apart(row, w, point)
+            if here < least:
+                at, least = w, here
+    return math.sqrt(least), at
 
 
 @compiled
@@ -148,33 +232,25 @@ def read_margins(
     _turned(w, turned)
     for j in range(delays.size):
         _lag(w, delays[j] + 1.0, late[j])
-    re, im = np.empty(w.size), np.empty(w.size)
-    near, near_turned, near_late = np.empty(FINE), np.empty((2, FINE)), np.empty((2, FINE))
-    near_re, near_im = np.empty(FINE), np.empty(FINE)
+    re, im, fine = np.empty(w.size), np.empty(w.size), np.empty((7, FINE))
+    apart, last, point = np.empty(w.size), w.size - 1, fine[:, :1]
     for m in range(rows.shape[0]):
         row = rows[m]
         _response(row, turned, late[which[m]], re, im)
-        k, _ = _nearest(re, im)
-        # The peak of |S| again on a grid as fine as the gap around it, then a parabola through its best three points.
-        low, high = w[max(k - 1, 0)], w[min(k + 1, w.size - 1)]
-        for i in range(FINE):
-            near[i] = low + (high - low) * (i / (FINE - 1))
-        _turned(near, near_turned)
-        _lag(near, row[DELAY] + 1.0, near_late)
-        _response(row, near_turned, near_late, near_re, near_im)
-        k, least = _nearest(near_re, near_im)
-        lowest, k = math.sqrt(least), min(max(k, 1), FINE - 2)
-        before, here = math.hypot(1.0 + near_re[k - 1], near_im[k - 1]), math.hypot(1.0 + near_re[k], near_im[k])
-        after = math.hypot(1.0 + near_re[k + 1], near_im[k + 1])
-        curve, shift = before - 2.0 * here + after, 0.0
-        if curve > 0.0:
-            shift = min(max(0.5 * (before - after) / curve, -1.0), 1.0)
-        lowest = min(lowest, here - 0.25 * (before - after) * shift)
+        lowest, least = math.inf, math.inf
+        for i in range(w.size):
+            apart[i] = (1.0 + re[i]) * (1.0 + re[i]) + im[i] * im[i]
+            least = min(least, apart[i])
+        for i in range(w.size):
+            low, high = max(i - 1, 0), min(i + 1, last)
+            if apart[i] <= least + BESIDE * BESIDE and apart[low] >= apart[i] <= apart[high]:
+                deepest, at = _nearest_between(row, w[low], w[high], fine)
+                if deepest < lowest:
+                    lowest, read[m, 1] = deepest, at
         read[m, 0] = 1.0 / lowest if lowest > 0.0 else math.inf
-        read[m, 1] = near[k] + shift * (high - low) / (FINE - 1)
         read[m, 2] = read[m, 3] = read[m, 4] = math.inf
         if all_three:
-            read[m, 2] = _gain_margin(re, im)
-            phase, read[m, 4] = _unit_crossings(w, re, im)
+            read[m, 2] = _gain_margin(row, w, re, im, point)
+            phase, read[m, 4] = _unit_crossings(row, w, re, im, point)
             read[m, 3] = math.degrees(phase)
         stable[m] = _encloses_nothing(row, turned, re, im)
