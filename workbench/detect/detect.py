@@ -26,7 +26,7 @@ from workbench.detect.direct import stem_evidence
 from workbench.detect.evidence import statistics_of
 from workbench.detect.late import as_seen, later, words_of_late
 from workbench.detect.load import DETECTIONS, load_index
-from workbench.detect.oscillation import no_period, oscillation_of
+from workbench.detect.oscillation import no_period, oscillation_of, period_of_wave
 from workbench.detect.resolution import resolved
 from workbench.detect.shape import movement_index, triangle_index
 from workbench.detect.spikes import words_of_spikes
@@ -103,7 +103,7 @@ def _detected(record: Record, bicoherence: bool, fitted: Fitted | None) -> Detec
             stem=None,
         )
         return replace(found, statistics=statistics_of(found, bicoherence))
-    period = math.nan if no_period(whole) else whole.period
+    period = period_of_wave(record.pv, whole)
     test = stem_test(record.pv, record.op, record.sp, record.sample_time, period, gain_sign(record), fitted)
     stem = None if record.valve_position is None else stem_evidence(record.op, record.valve_position)
     verdict, reasons = ("undecided", [dead]) if dead else decide(whole, test, stem)
@@ -185,7 +185,7 @@ def _between_moves(record: Record) -> str:
     if dead_signal(part):
         return ""
     cycle = oscillation_of(part.pv, part.sample_time)
-    period = math.nan if no_period(cycle) else cycle.period
+    period = period_of_wave(part.pv, cycle)
     test = stem_test(part.pv, part.op, part.sp, part.sample_time, period, gain_sign(record))
     # What load steps do as well is no finding, but reason enough not to acquit.
     verdict, reasons = decide(cycle, replace(test, loaded=test.predicting), None)

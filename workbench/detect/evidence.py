@@ -138,7 +138,7 @@ def _stem_test(found: Detection) -> Iterator[Statistic]:
     )
     yield Statistic(
         "Stem test, steady wave",
-        "how far the best stem predicts PV, beside OP or in its place, ahead of a square or triangular wave of load",
+        "how far the best stem predicts PV, beside OP or in its place, ahead of a rectangular or triangular load",
         "",
         nan if test is None else test.waved,
         "",

@@ -10,10 +10,11 @@ from workbench.kpi.oscillation import autocorrelation, zero_crossings
 from workbench.model.detection import Oscillation
 from workbench.model.record import FloatArray
 
-__all__ = ["OSCILLATES", "REGULAR", "no_period", "oscillation_of"]
+__all__ = ["OSCILLATES", "REGULAR", "no_period", "oscillation_of", "period_of_wave"]
 
 OSCILLATES = 0.3  # index from which a period is one
 REGULAR = 1.0  # regularity above which an oscillation is one, as published
+WHOLE = 6  # crossings at least that show whole periods
 
 
 def no_period(cycle: Oscillation) -> str:
@@ -23,6 +24,24 @@ def no_period(cycle: Oscillation) -> str:
     if cycle.index < OSCILLATES:
         return "PV's cycle is too weak"
     return "" if cycle.regularity > REGULAR else "PV's cycle is not regular"
+
+
+def period_of_wave(pv: FloatArray, cycle: Oscillation) -> float:
+    """Return the period of PV's oscillation, s, where it is regular by half or by whole periods, and nan elsewhere.
+
+    A cycle whose halves differ, of a heater that is on for a fifth of the time, crosses its mean in turns of unequal
+    length: the regularity of `oscillation_of` is that of halves, as published. pv: shape (N,), with its oscillation.
+    """
+    if not no_period(cycle):
+        return cycle.period
+    crossings, _ = zero_crossings(autocorrelation(pv))
+    if crossings.size < WHOLE or not cycle.index >= OSCILLATES:
+        return math.nan
+    periods = crossings[2:] - crossings[:-2]
+    mean, spread = float(periods.mean()), float(periods.std(ddof=1))
+    # Twice the mean interval between crossings, as of all of them, is off where there is an odd number of unequal ones.
+    each = cycle.period / (2.0 * float(np.diff(crossings).mean()))
+    return mean * each if mean > 3.0 * REGULAR * spread else math.nan
 
 
 def oscillation_of(pv: FloatArray, sample_time: float) -> Oscillation:

@@ -14,7 +14,7 @@ from workbench.detect.predictor import FreePredictor
 from workbench.detect.rivals import LONGEST, SHORTEST, Fit, Loaded, Rivals, fine_taus
 from workbench.detect.turns import turns_of_pv
 from workbench.detect.verdict import Thresholds
-from workbench.detect.wave import steady_wave
+from workbench.detect.wave import steady_wave, uneven_wave
 from workbench.model.record import FloatArray
 from workbench.model.valve import Choudhury, Deadband, Stenman
 
@@ -88,6 +88,7 @@ class Search:
             self.known += [curved] if curved.past == self.free.past else []
         self._in_place: dict[bytes, float] = {}
         self._wave: dict[float, float] = {}
+        self._uneven: dict[float, tuple[float, float]] = {}
 
     def _gain(self, rival: float, variance: float) -> float:
         return self.rivals.count * math.log((rival + self.floor) / (variance + self.floor))
@@ -210,9 +211,19 @@ class Search:
         if period not in self._wave:
             self._wave[period] = steady_wave(self.free, self.rivals.y, period)
         wave = self._wave[period]
-        ahead = max(c.linearly for c in met) - wave
+        ahead = self._ahead(met, wave, wave)
+        if ahead < Thresholds().chance:
+            return ahead
+        # Not asked where equal halves do as well.
+        if period not in self._uneven:
+            self._uneven[period] = uneven_wave(self.free, self.rivals.y, period)
+        return min(ahead, self._ahead(met, *self._uneven[period]))
+
+    def _ahead(self, met: list[Candidate], beside: float, instead: float) -> float:
+        """What the best stem is ahead of a wave that adds so much, beside OP or in its place."""
+        ahead = max(c.linearly for c in met) - beside
         # Not asked where it changes nothing.
-        return ahead if wave <= 0.0 else max([ahead, *(self._instead(c.path) - wave for c in met)])
+        return ahead if beside <= 0.0 else max([ahead, *(self._instead(c.path) - instead for c in met)])
 
     @property
     def squares(self) -> float:

@@ -60,8 +60,9 @@ OP ramps as a load does that ramps the other way. It accuses only where it beats
 steps, or ramps, as it moves, four at most, each paid for by BIC, by more than chance (CHANCE). A stem that moves more
 often must beat that loop by what it must beat the one without steps, but may have as many beside it. A step that comes
 with a setpoint move is the controller's work and the valve's, no load's. Nor does any stem accuse that is not ahead by
-more than chance of a square or triangular load of steady period, as another loop's valve makes it, ln N paid for each
-of its period, phase and form: its corners are a clock's, not OP's.
+more than chance of a rectangular or triangular load of steady period, as another loop's valve or a heater that is
+switched makes it, ln N paid for each of its period, phase, form and, where its halves differ, second corner: they are a
+clock's, not OP's.
 OUTSIDE: what disturbs the loop may hide a stem. Where none accuses, all are looked at once more beside a sinusoid of
 their own (ln N paid for each of its size, phase and frequency), and in PV without the load steps under which the linear
 loop does best. Much of what the valve did may have gone with these: such a look acquits nobody, and accuses only by
@@ -200,9 +201,9 @@ def decide(
             )
         elif waved:
             enough = (
-                "yet a linear loop under a square or triangular load of steady period, as another loop's valve makes "
-                f"it, is not clearly worse (log likelihood ratio {test.waved:.0f}); a stretch in manual, or the other "
-                "loop's record, would tell"
+                "yet a linear loop under a rectangular or triangular load of steady period, as another loop's valve "
+                f"or a heater that is switched makes it, is not clearly worse (log likelihood ratio {test.waved:.0f}); "
+                "a stretch in manual, or the other loop's record, would tell"
             )
         elif curved(test, limits):
             enough = (

@@ -84,15 +84,15 @@ class StemTest:
     off or turned. loaded: its ratio over the linear loop under a few load steps, or ramps, twice ln N less for each,
     where that is less; a stem that moved more than a few times may have them too, and one that explains most is not
     asked. waved: by how much the best stem in the free linear predictor, beside OP or in its place, is ahead there of a
-    square or triangular load of steady period, three ln N for that; `predicting` where that is chance, or PV has no
-    period. turned: by how much the stem that adds most to the free predictor is ahead of PV's own turns there, in the
-    stretch of `sure`; 0 where that is far from enough. squares: of the free predictor with the squares of PV and OP,
-    the ratio to that without, of a long record that of the clearest stretch but one; 0 where much is unexplained and
-    they are not asked. likelihood: `predicting` of the stem best by prediction and simulation together; improvement:
-    share of the linear rival's innovation variance that it explains; simulated: share of the error of the linear
-    rival's simulated PV that it explains; adds: its log likelihood ratio over the free linear predictor, which knows
-    the past of PV and OP and no valve, and where little is unexplained over one that knows the squares too, the less.
-    The linear rival of the innovations may have a sinusoidal disturbance.
+    rectangular or triangular load of steady period, three ln N for that, four where its halves differ; `predicting`
+    where that is chance, or PV has no period. turned: by how much the stem that adds most to the free predictor is
+    ahead of PV's own turns there, in the stretch of `sure`; 0 where that is far from enough. squares: of the free
+    predictor with the squares of PV and OP, the ratio to that without, of a long record that of the clearest stretch
+    but one; 0 where much is unexplained and they are not asked. likelihood: `predicting` of the stem best by prediction
+    and simulation together; improvement: share of the linear rival's innovation variance that it explains; simulated:
+    share of the error of the linear rival's simulated PV that it explains; adds: its log likelihood ratio over the free
+    linear predictor, which knows the past of PV and OP and no valve, and where little is unexplained over one that
+    knows the squares too, the less. The linear rival of the innovations may have a sinusoidal disturbance.
 
     sure: the best of all stems by the less of both ratios, over the linear rival and as in `adds`; of a long record
     that of the clearest stretch but one; wide: the ratio over the linear rival of the best stem with a
