@@ -21,6 +21,7 @@ from workbench.estimate.loads.swing import Answered, Swing, beside_swing, words_
 from workbench.estimate.methods.refined import by_complementarity, jointly, refuse_complementarity
 from workbench.estimate.methods.two_step import two_step
 from workbench.estimate.plants import ENDLESS, foretelling_of, with_other_plant
+from workbench.estimate.ranges.between import between_samples
 from workbench.estimate.ranges.scale import joined
 from workbench.estimate.record_fits import DELAYS, LINEAR_DELAYS, Fits, first_fits, longest_delay
 from workbench.estimate.repeat import repeats_of, words_of
@@ -265,6 +266,8 @@ def _told(record: Record, found: _Searched, asked: _Asked, tell: Callable[[float
         refine, used = (jointly, data) if method == "joint" else (by_complementarity, settled)
         answer = refine(used, answer, paths, limits, tell)
     answer = replace(answer, intervals=reduce(joined, others, answer.intervals))
+    ranges, faster = between_samples(record, answer)
+    answer = replace(answer, intervals=ranges)
     # Where OP's steps hide the stem, its parts tell no more than the whole.
     lost = data.doubt > 0.0 and answer.valve.stick_band > 0.0 and answer.intervals == Intervals()
     repeats = None if lost else repeats_of(data, answer)
@@ -277,7 +280,7 @@ def _told(record: Record, found: _Searched, asked: _Asked, tell: Callable[[float
         answer,
         repeats=repeats,
         load_swing=load,
-        reasons=answer.reasons + swung + opened + said,
+        reasons=answer.reasons + swung + opened + faster + said,
         identifiable=answer.identifiable and _sharp(answer) and not opened,
     )
 
