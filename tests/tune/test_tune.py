@@ -371,6 +371,27 @@ def test_a_controller_that_acts_the_wrong_way_is_said(gain: float, action: str, 
 
 
 @pytest.mark.parametrize(
+    "asked", [{"constraints": wb.Constraints(max_sensitivity=2.0)}, {"robust": wb.Ensemble(50.0, (1.0, 2.0), draws=3)}]
+)
+def test_and_left_alone_under_constraints_too(asked: dict[str, object]) -> None:
+    loop = wb.Loop(wb.FOPDT(1.0, 5.0, 1.0), wb.Stenman(1.0), wb.PID(0.5, 20.0, action="direct"), 1.0)
+    found = wb.tune(loop, wb.Experiment(50.0, wb.Step(1.0)), bounds=wb.Bounds(Td=(0, 0)), restarts=1, **asked)
+    assert found.status is wb.SolveStatus.SOLVED
+    assert found.controller.Kc == 0.0
+    assert "acts the wrong way" in found.message
+    assert "wider bounds" not in found.message
+
+
+def test_of_no_gain_it_is_said_that_nothing_else_plays_a_part() -> None:
+    loop = wb.Loop(wb.FOPDT(1.0, 5.0, 1.0), wb.Stenman(1.0), wb.PID(0.5, 20.0), 1.0)
+    asked = wb.Constraints(valve_travel=1e-3)
+    found = wb.tune(loop, wb.Experiment(50.0, wb.Step(1.0)), constraints=asked, restarts=1)
+    assert found.controller.Kc == 0.0
+    assert "Ti and Td play no part" in found.message
+    assert "wider bounds" not in found.message
+
+
+@pytest.mark.parametrize(
     ("bounds", "asked"),
     [
         (wb.Bounds((0.995, 1.005), (19.9, 20.1), (0.0, 0.0)), {}),

@@ -307,8 +307,24 @@ class Problem:
             for stretch, Td in itertools.product((1.0, 2.0), (0.0, theta / 2.0)):
                 parallel = pid.form == "parallel"
                 own.append((gain, stretch * Ti / gain if parallel else stretch * Ti, Td * gain if parallel else Td))
+        if self.wrong_way:
+            # Anything but the least gain is the worse for it, constraints or not.
+            own.append((0.0, pid.Ti, pid.Td))
         guesses: FloatArray = np.clip(np.array(own), self.low, self.high)
         return guesses
+
+    @property
+    def wrong_way(self) -> bool:
+        """Whether the controller acts the wrong way for the plant."""
+        return self.loop.controller.signed_gain * self.loop.gain < 0.0
+
+    def remark(self, Kc: float) -> str:
+        """Return in words why a gain is none to go on from, empty where it is one."""
+        if self.wrong_way:
+            action = self.loop.controller.action
+            return f"the controller acts the wrong way for this plant ({action} action): the least gain does the least"
+        alone = "Kc = 0: nothing within the bounds was found to be better than to leave the loop alone; Ti and Td play "
+        return f"{alone}no part" if Kc == 0.0 else ""
 
     def controller(self, tuning: FloatArray) -> PID:
         """Return the loop's controller with this tuning."""

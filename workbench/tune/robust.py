@@ -177,7 +177,7 @@ def tune_robust(
     if problem.free.size == 0:
         notes.append("all parameters are fixed")
     status, reason = _verdict(status, value, asked, judge, chosen, robustness)
-    notes += [reason] if reason else []
+    notes += [one for one in (problem.remark(float(chosen[0])), reason) if one]
     tell("done", 1.0)
     run = path(problem, chosen)
     return Tuned(

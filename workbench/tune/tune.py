@@ -263,17 +263,14 @@ def quick(problem: Problem, found: Found) -> Choice:
 
 def _message(problem: Problem, found: Found, note: str, tuned: Tuned) -> str:
     parts = [note] if note else []
-    if problem.loop.controller.signed_gain * problem.loop.gain < 0.0:
-        action = problem.loop.controller.action
-        parts.append(
-            f"the controller acts the wrong way for this plant ({action} action): the least gain does the least"
-        )
+    remark = problem.remark(tuned.controller.Kc)
+    parts += [remark] if remark else []
     around = f"within the larger of {100.0 * tuned.margin:g} % and half a last digit"
     if tuned.nominal_only:
         parts.append(f"the least J itself, not to be typed in: {around} J rises to {given(tuned.worst, 5)}")
     elif tuned.knife_edge:
         parts.append(f"a knife-edge: {around} J rises from {given(tuned.objective, 5)} to {given(tuned.worst, 5)}")
-    for k in problem.free:
+    for k in problem.free if not remark else ():
         low, high, value = float(problem.low[k]), float(problem.high[k]), float(getattr(tuned.controller, NAMES[k]))
         # No controller goes below 0: Td = 0 is a choice, a PI controller, and Kc = 0 leaves the loop alone.
         if value >= high * (1.0 - 1e-9) or 0.0 < value <= low * (1.0 + 1e-9):
