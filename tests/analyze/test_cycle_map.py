@@ -122,6 +122,13 @@ def test_the_papers_case_1_lies_where_its_cycle_is_known():
     assert cell.pv_peak_to_peak == pytest.approx(2.01, rel=0.01)
     assert found.crossing[0, 0] > 1.0, "the describing function is blind here"
     assert found.count("cycles") == 4
+    for ask, where in (
+        (lambda: found.least("foo"), "figure"),
+        (lambda: found.count("foo"), "outcome"),
+        (lambda: found.at("a", 1.0), "Kc"),
+    ):
+        with pytest.raises(wb.InvalidValue, match=where):
+            ask()
     calm = found.least("travel_per_hour")
     assert calm is not None
     assert (calm.Kc, calm.value) == (0.5, pytest.approx(200.0))

@@ -58,7 +58,7 @@ NAN = math.nan
         (lambda: wb.Noise(0.1, seed=-1), "Noise.seed", "whole number"),
         (lambda: wb.Noise(0.1, seed=1.5), "Noise.seed", "whole number"),
         (lambda: wb.Experiment(0.0), "Experiment.duration", "> 0"),
-        (lambda: wb.Experiment(10.0, setpoint=4.0), "Experiment.setpoint", "sequence"),
+        (lambda: wb.Experiment(10.0, setpoint=4.0), "Experiment.setpoint", "Step, Ramp or Series"),
         (lambda: wb.Experiment(10.0, setpoint=[4.0]), "Experiment.setpoint", "Step, Ramp or Series"),
         (lambda: wb.Experiment(10.0, load=wb.Step(1.0, at=11.0)), "Experiment.load", "within"),
         (lambda: wb.Experiment(10.0, noise=0.1), "Experiment.noise", "Noise"),

@@ -106,10 +106,10 @@ def test_draws_kept_from_one_controller_are_those_of_another():
     runs = [wb.simulate(draw.loop, draw.experiment).kpis for draw in draws(loop, ensemble)]
     assert found.valve_travel == pytest.approx([kpis.valve_travel for kpis in runs], rel=1e-12)
     np.testing.assert_array_equal(wb.assess(LOOP, ensemble).valve_travel, before.valve_travel)
-    # A stem that may rest where OP cannot stand is refused, whatever has been drawn for others.
+    # A stem rests where OP may stand, whatever has been drawn for others.
     narrow = LOOP.with_controller(replace(LOOP.controller, output_limits=(-0.1, 0.1)))
-    with pytest.raises(InvalidValue, match="output limits"):
-        wb.assess(narrow, ensemble)
+    runs = [wb.simulate(draw.loop, draw.experiment).kpis for draw in draws(narrow, ensemble)]
+    assert wb.assess(narrow, ensemble).valve_travel == pytest.approx([kpis.valve_travel for kpis in runs], rel=1e-12)
 
 
 def test_an_ensemble_too_large_to_be_kept_is_drawn_again(monkeypatch):
@@ -117,6 +117,25 @@ def test_an_ensemble_too_large_to_be_kept_is_drawn_again(monkeypatch):
     monkeypatch.setattr(ensemble_module, "KEPT_SAMPLES", 0)
     again = wb.assess(LOOP, replace(READY, draws=7))
     np.testing.assert_array_equal(small.mean_square_error, again.mean_square_error)
+
+
+@pytest.mark.parametrize("limits", [(-1.0, 50.0), (-50.0, 0.5)])
+def test_a_stem_rests_where_op_may_stand(limits):
+    loop = replace(paper_loop(0.2, 20.0), controller=wb.PID(0.2, 20.0, output_limits=limits))
+    offsets = [one.experiment.stem_offset for one in draws(loop, READY)]
+    assert min(offsets) >= limits[0]
+    assert max(offsets) <= limits[1]
+    assert {min(offsets), max(offsets)} & set(limits)
+    assert np.isfinite(wb.assess(loop, READY).mse_median)
+
+
+def test_a_valve_that_may_not_be_is_no_draw_and_that_is_said():
+    steep = wb.Positional((0.0, 10.0), (wb.Stenman(1.0), wb.Stenman(10.0)))
+    with pytest.raises(
+        InvalidValue, match=r"^Ensemble\.stiction: 0\.3 given; must leave .* of 1\.\d\d times the loop's"
+    ):
+        wb.assess(replace(LOOP, valve=steep), READY)
+    assert np.isfinite(wb.assess(replace(LOOP, valve=steep), replace(READY, stiction=0.05)).mse_median)
 
 
 def test_an_unstable_loop_is_counted_not_hidden():

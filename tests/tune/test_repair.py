@@ -47,6 +47,8 @@ def test_best_is_best_and_the_share_says_what_is_left(repair: Repair) -> None:
     expected = 1.0 - repair.best_repaired.kpis.mean_square_error / repair.best.kpis.mean_square_error
     assert 0.0 < repair.share("mean_square_error") < 1.0
     assert repair.share("mean_square_error") == pytest.approx(expected)
+    with pytest.raises(wb.InvalidValue, match=r"figure: foo given; must be one of objective, error_variance"):
+        repair.share("foo")
     assert repair.share("objective") == pytest.approx(1.0 - repair.best_repaired.objective / repair.best.objective)
     nothing = replace(repair, best=replace(repair.best, objective=0.0))
     assert math.isnan(nothing.share("objective"))

@@ -19,7 +19,9 @@ __all__ = [
     "number",
     "ordered_pair",
     "reads_as_number",
+    "sequence",
     "whole",
+    "yes_or_no",
 ]
 
 
@@ -66,6 +68,21 @@ def whole(value: object, where: str, *, least: int = 0) -> int:
     return int(value)
 
 
+def sequence(value: object, where: str, allowed: str) -> Iterable[Any]:
+    """Return `value` if it can be gone through and is no text, else raise `InvalidValue`; `allowed` says what is."""
+    # A numpy array without a dimension has __iter__, and nothing to go through.
+    if isinstance(value, str | bytes) or not isinstance(value, Iterable) or getattr(value, "ndim", 1) == 0:
+        raise InvalidValue(where, value, f"must be {allowed}")
+    return value
+
+
+def yes_or_no(value: object, where: str) -> bool:
+    """Return `value` if it is True or False, else raise `InvalidValue`."""
+    if not isinstance(value, bool):
+        raise InvalidValue(where, value, "must be True or False")
+    return value
+
+
 def instance(value: object, kind: type | tuple[type, ...], where: str, allowed: str) -> None:
     """Raise `InvalidValue` unless `value` is of that kind; `allowed` says in words what is."""
     if not isinstance(value, kind):
@@ -74,9 +91,7 @@ def instance(value: object, kind: type | tuple[type, ...], where: str, allowed: 
 
 def all_of(values: object, kind: type, where: str, each: str) -> tuple[Any, ...]:
     """Return `values` as a tuple, or raise `InvalidValue` unless each is of that kind; `each` says which, in words."""
-    if isinstance(values, str) or not isinstance(values, Iterable):
-        raise InvalidValue(where, values, f"must be a sequence, each {each}")
-    listed = tuple(values)
+    listed = tuple(sequence(values, where, f"a sequence, each {each}"))
     for i, value in enumerate(listed):
         instance(value, kind, f"{where}[{i}]", each)
     return listed

@@ -168,7 +168,9 @@ class PID:
         Form, structure, filter ratio n, action and limits stay. Ti must be finite. Raises `InvalidValue` where there
         are none: series needs `Ti >= 4 (1 + 1/n) Td`, parallel Kc > 0.
         """
-        number(Ti, "Ti", above=0.0, unit="s")
+        Kc = number(Kc, "PID.Kc", least=0.0, unit="%/EU")
+        Ti = number(Ti, "Ti", above=0.0, unit="s")
+        Td = number(Td, "PID.Td", least=0.0, unit="s")
         if self.form == "parallel":
             return replace(self, Kc=Kc, Ti=Ti / number(Kc, "PID.Kc", above=0.0, unit="%/EU"), Td=Kc * Td)
         if self.form == "ideal" or Td == 0.0:

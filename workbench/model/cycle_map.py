@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from workbench.model.checks import choice, number
 from workbench.model.loop import Loop
 from workbench.model.record import FloatArray
 from workbench.model.show import Shown
@@ -18,6 +19,7 @@ __all__ = ["MOST", "OUTCOMES", "POINTS", "CycleMap", "MapCell"]
 POINTS, MOST = 60, 400
 # A cell's outcome is the place in this tuple.
 OUTCOMES = ("settles", "cycles", "depends", "undecided")
+FIGURES = ("period", "pv_peak_to_peak", "mean_square_error", "travel_per_hour", "window")  # of a cell
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,10 +81,12 @@ class CycleMap(Shown):
 
     def count(self, outcome: str) -> int:
         """Return how many cells whose loop is stable with an ideal valve have that outcome."""
+        choice(outcome, "outcome", OUTCOMES)
         return int(np.count_nonzero((self.outcome == OUTCOMES.index(outcome)) & self.linear_stable))
 
     def least(self, figure: str) -> MapCell | None:
         """Return the cell of least `figure` ("pv_peak_to_peak" ...) among stable ones that cycle from every start."""
+        choice(figure, "figure", FIGURES)
         values = np.where(
             (self.outcome == OUTCOMES.index("cycles")) & self.linear_stable, getattr(self, figure), math.nan
         )
@@ -93,6 +97,7 @@ class CycleMap(Shown):
 
     def contains(self, Kc: float, value: float) -> bool:
         """Return whether a tuning lies within the map."""
+        Kc, value = number(Kc, "Kc", infinite=True), number(value, self.axis, infinite=True)
         inside = self.Kc[0] <= Kc <= self.Kc[-1] and self.values[0] <= value <= self.values[-1]
         return bool(inside)
 

@@ -5,13 +5,15 @@ All signals are deviations from the resting operating point. A profile's parts a
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from workbench.errors import InvalidValue
-from workbench.model.checks import number, whole
+from workbench.model.checks import number, sequence, whole
 
 __all__ = ["Experiment", "Noise", "Profile", "Ramp", "Series", "Step", "profile_parts"]
+
+PROFILES = "a Step, Ramp or Series, or a list of these: Step(4.0) for a step of 4"
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,13 +56,13 @@ class Series:
     times: Sequence[float] | None = None
 
     def __post_init__(self) -> None:
-        values = tuple(number(v, f"Series.values[{i}]") for i, v in enumerate(_sequence(self.values, "Series.values")))
+        values = _numbers(self.values, "Series.values")
         if not values:
             raise InvalidValue("Series.values", "no value", "must hold at least one number")
         object.__setattr__(self, "values", values)
         if self.times is None:
             return
-        times = tuple(number(t, f"Series.times[{i}]") for i, t in enumerate(_sequence(self.times, "Series.times")))
+        times = _numbers(self.times, "Series.times")
         if len(times) != len(values):
             raise InvalidValue("Series.times", f"{len(times)} times", f"must be as many as the {len(values)} values")
         for i in range(1, len(times)):
@@ -71,10 +73,9 @@ class Series:
         object.__setattr__(self, "times", times)
 
 
-def _sequence(value: object, where: str) -> Iterable[object]:
-    if isinstance(value, str | bytes) or not isinstance(value, Iterable):
-        raise InvalidValue(where, value, "must be a sequence of numbers")
-    return value
+def _numbers(values: object, where: str) -> tuple[float, ...]:
+    listed = sequence(values, where, "a sequence of numbers")
+    return tuple(number(value, f"{where}[{i}]") for i, value in enumerate(listed))
 
 
 Profile = Step | Ramp | Series
@@ -96,11 +97,11 @@ def profile_parts(value: object, where: str, last: float) -> tuple[Profile, ...]
     """Return a profile's parts, checked; `last` (s) is the latest start. Raises `InvalidValue`."""
     if value is None:
         return ()
-    parts = (value,) if isinstance(value, Step | Ramp | Series) else tuple(_sequence(value, where))
+    parts = (value,) if isinstance(value, Step | Ramp | Series) else tuple(sequence(value, where, PROFILES))
     checked: list[Profile] = []
     for part in parts:
         if not isinstance(part, Step | Ramp | Series):
-            raise InvalidValue(where, part, "must be a Step, Ramp or Series, or a list of these")
+            raise InvalidValue(where, part, f"must be {PROFILES}")
         begin = part.at if isinstance(part, Step) else part.start if isinstance(part, Ramp) else 0.0
         if begin > last:
             raise InvalidValue(where, f"a start at {begin:g} s", f"must start within the experiment of {last:g} s")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from types import MappingProxyType
 
 import numpy as np
@@ -19,6 +19,7 @@ from workbench.model.analyses import (
     RelaxationCycle,
     Waveform,
 )
+from workbench.model.checks import choice
 from workbench.model.controller import PID
 from workbench.model.ensemble import Constraints, Ensemble
 from workbench.model.estimation import (
@@ -366,6 +367,7 @@ class Repair(Shown):
         figure: "objective" or a name of `Kpis`. `1 - best_repaired/best`: 0 where repair changes nothing, negative
         where the ideal valve does worse, nan where there is nothing left to remove.
         """
+        choice(figure, "figure", ("objective", *(one.name for one in fields(Kpis))))
         left, repaired = (
             one.objective if figure == "objective" else float(getattr(one.kpis, figure))
             for one in (self.best, self.best_repaired)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Literal, get_args
 
 from workbench.errors import InvalidValue
-from workbench.model.checks import choice, number, ordered_pair
+from workbench.model.checks import choice, instance, number, ordered_pair
 from workbench.model.controller import PID
 
 __all__ = ["WEIGHABLE", "Bounds", "DigitStep", "Objective", "Weighable"]
@@ -100,6 +100,7 @@ class Bounds:
 
     def contains(self, controller: PID) -> bool:
         """Return whether the controller's Kc, Ti and Td lie within the bounds (to 1e-9 relative)."""
+        instance(controller, PID, "controller", "a PID")
         return all(
             low - 1e-9 * abs(low) <= getattr(controller, name) <= high + 1e-9 * abs(high)
             for name, (low, high) in (("Kc", self.Kc), ("Ti", self.Ti), ("Td", self.Td))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import overload
 
@@ -11,7 +11,7 @@ import numpy as np
 from workbench.errors import InvalidValue
 from workbench.kpi.kpis import last_event, measure
 from workbench.model.cascade import Cascade, CascadeRun
-from workbench.model.checks import instance, whole
+from workbench.model.checks import instance, sequence, whole
 from workbench.model.experiment import Experiment, Noise
 from workbench.model.loop import Loop
 from workbench.model.record import FloatArray
@@ -95,6 +95,8 @@ def simulate_batch(
     Exactly one of tunings, shape (M, 3) of (Kc, Ti, Td) in the controller's own form, and seeds (of the experiment's
     noise) must be given. Each run equals `simulate` of that tuning or seed. Raises `InvalidValue`.
     """
+    instance(loop, Loop, "loop", "a Loop")
+    instance(experiment, Experiment, "experiment", "an Experiment")
     if (tunings is None) == (seeds is None):
         raise InvalidValue("simulate_batch", "both or neither", "give either tunings or seeds")
     if tunings is not None:
@@ -107,9 +109,7 @@ def simulate_batch(
         if experiment.noise is None:
             raise InvalidValue("Experiment.noise", "none", "seeds need an experiment with noise")
         sd = experiment.noise.sd
-        instance(seeds, Iterable, "seeds", "a sequence of whole numbers")
-        # An array of them has no truth value: only None is none.
-        wanted = () if seeds is None else seeds
+        wanted = sequence(seeds, "seeds", "a sequence of whole numbers")
         experiments = [replace(experiment, noise=Noise(sd, whole(seed, "seeds"))) for seed in wanted]
         loops = [loop] * len(experiments)
     runs = [simulate(one, what) for one, what in zip(loops, experiments, strict=True)]

@@ -133,6 +133,9 @@ def tune_cascade(
     for name, value, most in (("digits", digits, 12), ("restarts", restarts, 100)):
         number(whole(value, f"tune.{name}"), f"tune.{name}", least=1, most=most)
     number(margin, "tune.margin", least=0.0, most=0.2)
+    whole(seed, "tune.seed")
+    if time_limit is not None:
+        number(time_limit, "tune.time_limit", above=0.0, unit="s")
 
     def tell(begin: float, size: float, words: str, share: float) -> None:
         if progress is not None:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from workbench.analyze.frequency import linear_stable
 from workbench.analyze.margins import loop_margins
+from workbench.errors import InvalidValue
 from workbench.model.checks import instance
 from workbench.model.controller import PID
 from workbench.model.ensemble import UNCERTAIN, Ensemble
@@ -72,15 +73,23 @@ def _draw(loop: Loop, ensemble: Ensemble, n: int, rng: np.random.Generator) -> D
     noise = Noise(float(rng.uniform(*ensemble.noise)), int(rng.integers(2**31)))
     factors = {name: 1.0 + getattr(ensemble, name) * float(rng.uniform(-1.0, 1.0)) for name in UNCERTAIN}
     plant = _plant(loop.plant, factors["gain"], factors["time_constant"], factors["dead_time"])
-    valve = _valve(loop.valve, factors["stiction"])
+    try:
+        valve = _valve(loop.valve, factors["stiction"])
+        drawn = replace(loop, plant=plant, valve=valve)
+    except InvalidValue as error:
+        # Nobody gave that valve: what was given is how far its stiction may be another.
+        allowed = f"must leave each draw a valve that may be; of {factors['stiction']:.2f} times the loop's it is not: "
+        raise InvalidValue("Ensemble.stiction", ensemble.stiction, f"{allowed}{error}") from None
+    lowest, highest = loop.controller.output_limits or (-math.inf, math.inf)
     return Draw(
-        replace(loop, plant=plant, valve=valve),
+        drawn,
         Experiment(
             ensemble.duration,
             Step(setpoint),
             Step(load, min(at, ensemble.duration)),
             noise,
-            stem_offset=offset * valve.hold,
+            # OP has stood there, within its limits.
+            stem_offset=min(max(offset * valve.hold, lowest), highest),
         ),
     )
 

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workbench.errors import InvalidValue
-from workbench.model.checks import callback, instance, number, whole
+from workbench.model.checks import all_of, callback, instance, number, whole
 from workbench.model.controller import PID
 from workbench.model.ensemble import Constraints, Ensemble
 from workbench.model.experiment import Experiment
@@ -131,8 +131,7 @@ def pareto_front(
             raise InvalidValue(f"pareto_front.{name}", value, f"must be {kind.__name__}(...) or None")
     if bounds is not None:
         instance(bounds, Bounds, "bounds", "a Bounds or None")
-    for i, pid in enumerate(known):
-        instance(pid, PID, f"pareto_front.known[{i}]", "a PID")
+    known = all_of(known, PID, "pareto_front.known", "a PID")
     callback(progress, "pareto_front.progress")
     for name, given, least, most in (("points", points, 2, 500), ("seed", seed, 0, None), ("digits", digits, 1, 12)):
         number(whole(given, f"pareto_front.{name}"), f"pareto_front.{name}", least=least, most=most)
