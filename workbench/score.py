@@ -68,7 +68,7 @@ def labelled(folder: Path) -> list[Labelled]:
     Raises `RecordError` where the file is missing, has other columns or labels, names a file twice (however it is
     written), or one that is not in the folder or below it.
     """
-    from workbench.record.table import delimiter
+    from workbench.record.text import delimiter
 
     path = folder / "labels.csv"
     try:

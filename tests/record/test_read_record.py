@@ -223,7 +223,7 @@ def test_text_in_no_known_encoding_is_refused(tmp_path: Path) -> None:
         read_record(write(tmp_path, b"\xff\xfet\x00,"))
 
 
-@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16", "cp1252"])
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16", "utf-16-le", "utf-16-be", "cp1252"])
 def test_usual_encodings_are_read(tmp_path: Path, encoding: str) -> None:
     text = table("t|OP|PV|SP=Sollwert °C").replace("MODE", "M")
     record = read_record(write(tmp_path, text.encode(encoding)))
@@ -235,6 +235,26 @@ def test_usual_encodings_are_read(tmp_path: Path, encoding: str) -> None:
 def test_delimiters_and_quotes(tmp_path: Path, sep: str) -> None:
     quoted = "\n".join(sep.join(f'"{c}"' for c in line.split(sep)) for line in table("t|OP|PV", sep=sep).splitlines())
     assert read_record(write(tmp_path, quoted)).pv.tolist() == [10.0 - k for k in range(12)]
+
+
+def test_columns_that_spaces_part(tmp_path: Path) -> None:
+    rows = "\n".join(f"  {2.0 * k:8.1f}   {50.0 + k:10.3f} {40.0 - k:9.2f}  " for k in range(12))
+    record = read_record(write(tmp_path, f"Loop 101 of unit two\n\n  t      PV     OP\n{rows}\n"))
+    assert record.sample_time == 2.0
+    assert record.pv.tolist() == [50.0 + k for k in range(12)]
+    assert record.op.tolist() == [40.0 - k for k in range(12)]
+    dates = "\n".join(f"2024-01-05 10:00:{k:02d} {50 + k} {40 - k}" for k in range(12))
+    assert read_record(write(tmp_path, f"Date Time PV OP\n{dates}\n")).sample_time == 1.0
+    with pytest.raises(RecordError, match="more fields than the header"):
+        read_record(write(tmp_path, f"Time PV OP\n{dates}\n"))
+
+
+@pytest.mark.parametrize("mark", [" ", "\u00a0", "\u202f", "'", "\u2019"])
+def test_thousands_that_a_space_or_an_apostrophe_parts(tmp_path: Path, mark: str) -> None:
+    rows = "\n".join(f"{k};1{mark}{234 + k}{mark}567,5;{40 - k},25" for k in range(12))
+    record = read_record(write(tmp_path, f"t;PV;OP\n{rows}\n"))
+    assert record.pv.tolist() == [1e6 + (234.0 + k) * 1000.0 + 567.5 for k in range(12)]
+    assert record.op.tolist() == [40.25 - k for k in range(12)]
 
 
 def test_percent_signs_are_no_text(tmp_path: Path) -> None:

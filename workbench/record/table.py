@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from workbench.errors import RecordError
 from workbench.model.record import FloatArray
+from workbench.record.text import HEAD, delimiter, encoding_of
 from workbench.record.units import is_unit
 
 __all__ = [
@@ -35,7 +36,6 @@ __all__ = [
     "Cells",
     "Table",
     "arrow_cells",
-    "delimiter",
     "number_cells",
     "one_mark",
     "read_csv",
@@ -47,8 +47,6 @@ OK, BLANK, TEXT, NOT_FINITE, FIELDS, QUALITY, RANGE, CODE, LARGE = range(9)
 # The signals that are numbers and nothing else; the other columns are kept as text too.
 NUMERIC = ("PV", "OP", "SP", "valve_position")
 
-# Enough to find the delimiter and to tell text from a binary file.
-_HEAD = 65536
 _HEAD_LINES = 50  # in which a header is looked for
 _UNIT_ROWS = 5  # below the header, in which one of units is looked for: descriptions may stand before it
 
@@ -57,6 +55,8 @@ _UNIT_ROWS = 5  # below the header, in which one of units is looked for: descrip
 LIMIT = 1e100
 
 
+# What parts thousands and is no mark: a space, of whatever width, or an apostrophe.
+_PARTED = re.compile(r"(?<=\d)[ \u00a0\u2009\u202f'\u2019](?=\d{3}(?!\d))")
 # Numbers with commas: that part thousands, or are decimal marks. 5,461 may be either.
 _THOUSANDS = re.compile(r"[+-]?[1-9]\d{0,2}(,\d{3})+(\.\d*)?")
 _DECIMAL = re.compile(r"[+-]?\d*,\d+([eE][+-]?\d+)?")
@@ -223,6 +223,8 @@ def number_cells(listed: Sequence[str], decimal_comma: bool, where: str) -> Cell
     or parts thousands, only if the column leaves no doubt which. Raises `RecordError`, beginning with `where`, for a
     column in which some cells have a decimal comma and others a decimal point: one of them parts thousands, but which?
     """
+    if any(_PARTED.search(cell) for cell in listed):
+        listed = [_PARTED.sub("", cell) for cell in listed]
     if not decimal_comma and any("," in cell for cell in listed):
         listed, decimal_comma = _quoted(listed)
     if decimal_comma and _points_part(listed):
@@ -264,21 +266,6 @@ def text_cells(listed: list[str], decimal_comma: bool, where: str, numbers: bool
     return cells
 
 
-def _encoding(head: bytes, source: str) -> str:
-    if head.startswith((b"\xff\xfe", b"\xfe\xff")):
-        return "utf-16"
-    if any(b < 32 and b not in (9, 10, 12, 13) for b in head):
-        msg = f"{source}: this is no text file (it holds binary bytes); CSV or Parquet is needed"
-        raise RecordError(msg)
-    try:
-        head.decode("utf-8")
-    except UnicodeDecodeError as error:
-        # The head may end within a character; anything before that is another encoding.
-        if error.start < len(head) - 3 or len(head) < _HEAD:
-            return "cp1252"
-    return "utf-8-sig"
-
-
 @contextmanager
 def _reading(source: str) -> Iterator[None]:
     try:
@@ -294,28 +281,20 @@ def _reading(source: str) -> Iterator[None]:
         raise RecordError(msg) from None
 
 
-def delimiter(line: str) -> str:
-    """Return what parts the cells of a CSV file's line: tab, semicolon, bar or comma."""
-    bare = "".join(part for i, part in enumerate(line.split('"')) if i % 2 == 0)
-    counts = {mark: bare.count(mark) for mark in ("\t", ";", "|", ",")}
-    # A comma may be a decimal comma or part of a name where another delimiter is there.
-    return next((mark for mark in ("\t", ";", "|") if counts[mark]), ",")
-
-
 def read_csv(path: Path, match: Callable[[list[str]], dict[str, int]], source: str) -> tuple[Table, list[str]]:
     """Return the needed columns of a CSV file and its header.
 
-    match: from the header to the column index of each needed signal. Delimiter comma, semicolon, tab or bar, with a
-    decimal comma allowed for all but the first; UTF-8 (with or without a byte order mark), UTF-16 or Windows-1252.
-    Lines before the header that are empty, start with # or hold a title are passed over. A row with more fields than
-    the header is marked FIELDS (a decimal comma in a comma-separated file shows in that way). A wide file's row of
-    units is no row of data. Raises `RecordError`.
+    match: from the header to the column index of each needed signal. Delimiter comma, semicolon, tab, bar or spaces,
+    with a decimal comma allowed for all but the first; UTF-8 (with or without a byte order mark), UTF-16 or
+    Windows-1252. Lines before the header that are empty, start with # or hold a title are passed over. A row with more
+    fields than the header is marked FIELDS (a decimal comma in a comma-separated file shows in that way). A wide file's
+    row of units is no row of data. Raises `RecordError`.
     """
     notes: list[str] = []
     with _reading(source):
         with path.open("rb") as raw:
-            head = raw.read(_HEAD)
-        encoding = _encoding(head, source)
+            head = raw.read(HEAD)
+        encoding = encoding_of(head, source)
         if encoding == "cp1252":
             notes.append("the text is not UTF-8 and was read as Windows-1252")
         with path.open(encoding=encoding, newline="") as stream:
