@@ -232,15 +232,13 @@ def _some_usable(signals: Signals, source: str) -> None:
             continue
         if signal.lines.size == 0:
             cause, lines = next(iter(signals.dropped.items()))
-            hint = "; is it a decimal comma in a comma-separated file?" if cause == _WHY[FIELDS] else ""
+            hint = "; is it a decimal comma among commas, or a space among spaces?" if cause == _WHY[FIELDS] else ""
             msg = f"{source}: {signals.unit} {min(lines)}: {cause}, and no row of {signal.name!r} without{hint}"
             raise RecordError(msg)
         mark, line = int(signal.cells.marks[0]), int(signal.lines[0])
         if mark == FIELDS:
-            msg = (
-                f"{source}: {signals.unit} {line}: {_WHY[mark]}, and no row without; is it a decimal comma in a "
-                "comma-separated file?"
-            )
+            hint = "is it a decimal comma among commas, or a space among spaces?"
+            msg = f"{source}: {signals.unit} {line}: {_WHY[mark]}, and no row without; {hint}"
             raise RecordError(msg)
         msg = (
             f"{source}: {signals.unit} {line}, {signals.what} {signal.name!r}: no row holds a usable number, the first "

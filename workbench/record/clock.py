@@ -1,0 +1,52 @@
+"""Times of day without a date, as spreadsheets write them: they run on over midnight, or over the hour."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+
+import numpy as np
+
+from workbench.model.record import FloatArray
+
+__all__ = ["of_the_day"]
+
+# 23:59:58, 11:59:58.5 PM, 0 days 00:05:00; and what a spreadsheet makes of them where it shows no hours: 59:58.0.
+_DAY = re.compile(r"(?:(\d+) days? )?(\d{1,2}):(\d\d):(\d\d(?:[.,]\d+)?)(?: ?([AaPp])\.?[Mm]\.?)?")
+_HOUR = re.compile(r"(\d{1,2}):(\d\d[.,]\d+)")
+DAY, HOUR, MOST = 86400.0, 3600.0, 60
+
+
+def of_the_day(cells: Sequence[str]) -> tuple[FloatArray, str] | None:
+    """Return (seconds, note) of times of day, shape (N,), nan where a cell is none; None where most are something else.
+
+    What steps back by more than half a day (or half an hour, where no hours are written) has run on over midnight.
+    """
+    for form, turn, note in (
+        (_DAY, DAY, "times of day without a date: they run on over midnight"),
+        (_HOUR, HOUR, "minutes and seconds without an hour: they run on over the hour"),
+    ):
+        found = [form.fullmatch(cell.strip()) for cell in cells]
+        if 2 * sum(one is not None for one in found) <= len(cells):
+            continue
+        seconds = np.array([np.nan if one is None else _seconds(*one.groups()) for one in found])
+        read = np.isfinite(seconds)
+        seconds[read] = np.unwrap(seconds[read], period=turn)
+        return seconds, note
+    return None
+
+
+def _seconds(*parts: str | None) -> float:
+    """Seconds of (days, hours, minutes, seconds, A or P), or of (minutes, seconds); nan of what no clock shows."""
+    if len(parts) == 2:
+        days, hours, half = 0, 0, ""
+        minutes, rest = parts
+    else:
+        days, hours, half = int(parts[0] or 0), int(parts[1] or 0), (parts[4] or "").upper()
+        minutes, rest = parts[2:4]
+    at, late = int(minutes or 0), float((rest or "").replace(",", "."))
+    if at >= MOST or late >= MOST or hours >= 24 or (half and not 1 <= hours <= 12):
+        return float("nan")
+    if half:
+        hours = hours % 12 + (12 if half == "P" else 0)
+    return DAY * days + HOUR * hours + 60.0 * at + late
