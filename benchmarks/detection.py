@@ -5,7 +5,7 @@
 Loops are random: first-order and integrating plants, PI tuned from brisk to slow, 750 to 3,000 samples, measurement
 noise of 2 to 20 % of the disturbance's effect. Healthy classes: noise alone; fast, slow and sinusoidal load; tight
 tuning; setpoint steps; a nonlinear gain (the static square law that the PV of an orifice without a square root has);
-one to three load steps; and, counted by itself, a square or triangular load of steady period.
+one to three load steps; and, counted by themselves, square, rectangular and triangular loads of steady period.
 Sticky ones: every valve type, the load a slow drift of up to a quarter of the stick band; those whose stem set off less
 than ten times in the record are counted by themselves: nothing tells them from a healthy loop at rest. And, by
 themselves too, sticky loops under load steps or a sinusoid of half to twice the stick band. Labelled records
@@ -43,7 +43,7 @@ ENOUGH = 10  # moves of the stem
 KEPT = 5  # loops of each class that are looked at as historians keep them too
 STICKY = ("Stenman", "S = J", "S > J", "S < J", "dead band")
 HIDDEN = ("stiction under load steps", "stiction under a sinusoid")
-APART = ("stuck fast", "large setpoint moves", "wave load", *HIDDEN)
+APART = ("stuck fast", "large setpoint moves", "wave load", *HIDDEN, "uneven wave load")
 SEEDED = (*HEALTHY[:7], *STICKY, *APART[:2], *HEALTHY[7:], *APART[2:])  # a class keeps its loops where another joins
 
 
@@ -96,6 +96,12 @@ def random_record(kind: str, level: bool, seed: int) -> tuple[wb.Record, int]:
         # Another loop whose valve sticks sends a square or a triangle.
         phase = (np.arange(n) / max(min(rng.uniform(2.0, 40.0) * speed, n / 4.0), 6.0) + rng.uniform()) % 1.0
         load = size * (np.where(phase < 0.5, 1.0, -1.0) if rng.random() < 0.5 else 1.0 - 4.0 * np.abs(phase - 0.5))
+    elif kind == "uneven wave load":
+        # A heater that is switched, or a tank that is filled by turns.
+        phase = (np.arange(n) / max(min(rng.uniform(2.0, 40.0) * speed, n / 4.0), 8.0) + rng.uniform()) % 1.0
+        first = 0.5 + float(rng.choice([-1.0, 1.0])) * rng.uniform(0.1, 0.4)
+        saw = np.where(phase < first, 2.0 * phase / first - 1.0, 1.0 - 2.0 * (phase - first) / (1.0 - first))
+        load = size * (np.where(phase < first, 1.0, -1.0) if rng.random() < 0.5 else saw)
     elif kind in ("load steps", HIDDEN[0]):
         load = np.zeros(n)
         for at in rng.integers(10, n - 10, int(rng.integers(1, 4))).tolist():
