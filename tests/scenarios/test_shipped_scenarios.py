@@ -11,6 +11,7 @@ import math
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 import workbench as wb
@@ -73,8 +74,7 @@ def what_was_searched_for_is_as_good_as_committed(name: str, study: Any) -> None
         if study.objective is not None:
             assert case.objective == pytest.approx(again, rel=1e-12), "the figure shown is the exact simulation's"
         if case.tuned.ensemble is not None:
-            # Searches over draws that differ by the last digits of a margin ended up to 2.1 % apart.
-            assert case.tuned.objective <= 1.03 * found[case.name]["objective"]
+            assert case.tuned.objective <= 1.02 * found[case.name]["objective"]
             continue
         # The least worst case within the digits is searched for: a tuning that betters it may have a higher J.
         assert case.tuned.worst <= 1.02 * found[case.name]["worst"]
@@ -123,10 +123,12 @@ def robust_tunings_are_worth_what_the_report_says(study: Any) -> None:
     assert best.mse_median <= 0.265
     assert best.travel_median <= 250.0
     # Cases 4 and 5 pay for their slow integral action with more than twice the error at equal travel.
-    # At the front's steep end, where Case 2 lies, its points are up to 6 % apart.
-    for name, times in (("Case 2", 1.05), ("Case 4", 2.1), ("Case 5", 2.0)):
+    # Between two points of the front: at its steep end, where Case 2 lies, they are up to 15 % apart.
+    travel = [math.log(point.valve_travel) for point in front.sticky]
+    error = [math.log(point.mean_square_error) for point in front.sticky]
+    for name, times in (("Case 2", 1.1), ("Case 4", 2.2), ("Case 5", 2.1)):
         r = cases[name].robustness
-        assert r.mse_mean >= times * front.at(r.travel_mean).mean_square_error, name
+        assert r.mse_mean >= times * math.exp(np.interp(math.log(r.travel_mean), travel, error)), name
     # Nothing that keeps the constraints lies below the front.
     for case in study.cases:
         r = case.robustness
