@@ -154,6 +154,15 @@ def test_a_controller_that_acts_the_wrong_way_is_unstable_where_its_gain_at_rest
         assert wb.margins(loop).gain_margin == pytest.approx(2.0, rel=1e-9)
 
 
+def test_of_a_response_that_overflows_nothing_is_read():
+    rows = np.repeat(coefficients(wb.Loop(PAPER_PLANT, wb.Ideal(), wb.PID(0.5, 20.0), 1.0)), 2, axis=0)
+    rows[0, margins_kernel.KC] = math.nan
+    values, at, stable = loop_margins(rows, 1.0)
+    assert values[0].tolist() == [math.inf] * 3
+    assert np.isfinite(at).all()
+    assert stable.tolist() == [False, True]
+
+
 def test_of_two_peaks_that_are_nearly_as_high_the_higher_is_told():
     plant = wb.FOPDT(2.8764044772270134, 11.961500407745712, 3.0)
     pid = wb.PID(0.15271001947125187, math.inf, 3.6971375741114985, form="parallel", derivative_filter=math.inf)

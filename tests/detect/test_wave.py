@@ -104,7 +104,7 @@ def test_nor_of_one_whose_halves_differ(plant: wb.FOPDT, controller: wb.PID, loa
     assert verdict_but_for_the_wave(found) == "stiction"
     assert found.verdict == "undecided"
     by_op = free(record.pv, record.op)
-    period = period_of_wave(record.pv, found.cycle)
+    period = period_of_wave(record.pv, 1.0, found.cycle)
     equal, (beside, instead) = steady_wave(by_op, record.pv, period), uneven_wave(by_op, record.pv, period)
     assert instead >= beside > equal + 100.0
 
@@ -122,11 +122,11 @@ def test_a_cycle_of_unequal_halves_is_steady_by_whole_periods() -> None:
     pv = uneven(41.0, 0.2, "rectangle", 1.0) + 0.01 * np.random.default_rng(1).normal(size=1000)
     cycle = oscillation_of(pv, 2.0)
     assert no_period(cycle) == "PV's cycle is not regular"
-    assert period_of_wave(pv, cycle) == pytest.approx(82.0, rel=0.01)
+    assert period_of_wave(pv, 2.0, cycle) == pytest.approx(82.0, rel=0.01)
     noise = np.random.default_rng(2).normal(size=1000)
-    assert math.isnan(period_of_wave(noise, oscillation_of(noise, 2.0)))
+    assert math.isnan(period_of_wave(noise, 2.0, oscillation_of(noise, 2.0)))
     ramp = np.arange(50.0)
-    assert math.isnan(period_of_wave(ramp, oscillation_of(ramp, 2.0)))
+    assert math.isnan(period_of_wave(ramp, 2.0, oscillation_of(ramp, 2.0)))
 
 
 def test_where_there_is_no_wave_its_price_is_not_earned() -> None:

@@ -32,8 +32,9 @@ def margins(loop: Loop) -> Margins:
     Ms = max |1/(1 + L)| over frequencies up to pi/Ts; gain margin: the least factor on Kc above 1 at which the loop
     becomes unstable; phase margin: the least phase lag, degrees, that does so; delay margin: the least further dead
     time, s, that does so (as a lag of w times it, exact for whole samples). Source of the definitions: K.J. Astrom, T.
-    Hagglund, "Advanced PID Control", ISA (2006), sections 4.6 and 7.5. An unstable loop has Ms = inf and margins 0.
-    Raises `InvalidValue` for what is no loop.
+    Hagglund, "Advanced PID Control", ISA (2006), sections 4.6 and 7.5. An unstable loop has Ms = inf and margins 0; one
+    whose limit lies at a factor on Kc from 0.99 to 1, or a lead of at most 0.01 rad, is told a gain margin of 1, or a
+    phase margin of 0. Raises `InvalidValue` for what is no loop.
     """
     instance(loop, Loop, "loop", "a Loop")
     if not linear_stable(loop):

@@ -237,7 +237,7 @@ def read_margins(
     for m in range(rows.shape[0]):
         row = rows[m]
         _response(row, turned, late[which[m]], re, im)
-        lowest, least = math.inf, math.inf
+        lowest, least, read[m, 1] = math.inf, math.inf, w[0]
         for i in range(w.size):
             apart[i] = (1.0 + re[i]) * (1.0 + re[i]) + im[i] * im[i]
             least = min(least, apart[i])
@@ -247,7 +247,8 @@ def read_margins(
                 deepest, at = _nearest_between(row, w[low], w[high], fine)
                 if deepest < lowest:
                     lowest, read[m, 1] = deepest, at
-        read[m, 0] = 1.0 / lowest if lowest > 0.0 else math.inf
+        # Of a response that overflows nothing is read.
+        read[m, 0] = 1.0 / lowest if 0.0 < lowest < math.inf else math.inf
         read[m, 2] = read[m, 3] = read[m, 4] = math.inf
         if all_three:
             read[m, 2] = _gain_margin(row, w, re, im, point)

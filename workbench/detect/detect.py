@@ -103,7 +103,7 @@ def _detected(record: Record, bicoherence: bool, fitted: Fitted | None) -> Detec
             stem=None,
         )
         return replace(found, statistics=statistics_of(found, bicoherence))
-    period = period_of_wave(record.pv, whole)
+    period = period_of_wave(record.pv, record.sample_time, whole)
     test = stem_test(record.pv, record.op, record.sp, record.sample_time, period, gain_sign(record), fitted)
     stem = None if record.valve_position is None else stem_evidence(record.op, record.valve_position)
     verdict, reasons = ("undecided", [dead]) if dead else decide(whole, test, stem)
@@ -185,7 +185,7 @@ def _between_moves(record: Record) -> str:
     if dead_signal(part):
         return ""
     cycle = oscillation_of(part.pv, part.sample_time)
-    period = period_of_wave(part.pv, cycle)
+    period = period_of_wave(part.pv, part.sample_time, cycle)
     test = stem_test(part.pv, part.op, part.sp, part.sample_time, period, gain_sign(record))
     # What load steps do as well is no finding, but reason enough not to acquit.
     verdict, reasons = decide(cycle, replace(test, loaded=test.predicting), None)

@@ -26,7 +26,7 @@ def no_period(cycle: Oscillation) -> str:
     return "" if cycle.regularity > REGULAR else "PV's cycle is not regular"
 
 
-def period_of_wave(pv: FloatArray, cycle: Oscillation) -> float:
+def period_of_wave(pv: FloatArray, sample_time: float, cycle: Oscillation) -> float:
     """Return the period of PV's oscillation, s, where it is regular by half or by whole periods, and nan elsewhere.
 
     A cycle whose halves differ, of a heater that is on for a fifth of the time, crosses its mean in turns of unequal
@@ -39,9 +39,8 @@ def period_of_wave(pv: FloatArray, cycle: Oscillation) -> float:
         return math.nan
     periods = crossings[2:] - crossings[:-2]
     mean, spread = float(periods.mean()), float(periods.std(ddof=1))
-    # Twice the mean interval between crossings, as of all of them, is off where there is an odd number of unequal ones.
-    each = cycle.period / (2.0 * float(np.diff(crossings).mean()))
-    return mean * each if mean > 3.0 * REGULAR * spread else math.nan
+    # `cycle.period` is off where there is an odd number of unequal intervals.
+    return mean * sample_time if mean > 3.0 * REGULAR * spread else math.nan
 
 
 def oscillation_of(pv: FloatArray, sample_time: float) -> Oscillation:

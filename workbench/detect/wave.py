@@ -133,9 +133,15 @@ def _gain(free: FreePredictor, frequency: float, sort: Sort, part: float = 0.0) 
         for j in range(i + 1):
             products[:, i, j] = products[:, j, i] = (waves[:, i : many + i] * waves[:, j : many + j]).sum(axis=0)
     along = np.lib.stride_tricks.sliding_window_view(waves.T @ free.left, ANSWERS)
+    return free.gain(float(_explained(products, along).max()))
+
+
+def _explained(products: FloatArray, along: FloatArray) -> FloatArray:
+    """What the answers of waves explain, EU^2, shape (M,), by their products, (M, ANSWERS, ANSWERS), and with PV."""
     trace = np.trace(products, axis1=1, axis2=2)[:, None, None]
     terms = np.linalg.solve(products + (SAME * trace + 1e-300) * np.eye(ANSWERS), along[..., None])[..., 0]
-    return free.gain(float((terms * along).sum(axis=1).max()))
+    explained: FloatArray = (terms * along).sum(axis=1)
+    return explained
 
 
 def _cornered(
@@ -159,9 +165,6 @@ def _cornered(
 
     # Of differences: what turns at the one less what turns at the other.
     squares = of(first, first) + of(second, second) - of(first, second) - of(second, first)
-    onto = along[first] - along[second]
-    trace = np.trace(squares, axis1=1, axis2=2)[:, None, None]
-    terms = np.linalg.solve(squares + (SAME * trace + 1e-300) * np.eye(ANSWERS), onto[..., None])[..., 0]
-    explained = (terms * onto).sum(axis=1)
+    explained = _explained(squares, along[first] - along[second])
     best = int(np.argmax(explained))
     return free.gain(float(explained[best])), float(ones[i[best]]), float(others[k[best]])
