@@ -11,6 +11,7 @@ from workbench.errors import RecordError
 from workbench.model.record import FloatArray
 from workbench.record.rounding import on_lines
 from workbench.record.table import CODE, OK, RANGE, Cells
+from workbench.record.times import runs
 
 __all__ = [
     "frozen_rows",
@@ -18,7 +19,6 @@ __all__ = [
     "no_codes",
     "none_far",
     "op_said",
-    "runs",
     "setpoint_said",
     "swapped",
     "within_range",
@@ -97,13 +97,6 @@ def _leave_out(cells: Cells, beyond: NDArray[np.bool_], least: float, most: floa
     cells.beyond = cells.values[beyond], least, most
     cells.marks[beyond] = RANGE
     cells.values[beyond] = np.nan
-
-
-def runs(flags: NDArray[np.bool_]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return (first, length) of every run of True, shapes (R,)."""
-    edges = np.diff(np.concatenate(([False], flags, [False])).astype(np.int8))
-    first = np.flatnonzero(edges == 1)
-    return first, np.flatnonzero(edges == -1) - first
 
 
 def frozen_rows(pv: FloatArray, joined: NDArray[np.bool_]) -> list[tuple[int, int]]:

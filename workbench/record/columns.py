@@ -16,6 +16,7 @@ __all__ = [
     "is_tall",
     "match_columns",
     "match_tags",
+    "names_time",
     "qualities_unused",
     "split_tag",
 ]
@@ -157,6 +158,11 @@ def split_tag(tag: str) -> tuple[str, str] | None:
     signal = next((s for s in TAGGED if word in _SUFFIXES[s]), None)
     name = tag[:at].rstrip(" ._-/:\\|[(")
     return None if signal is None or not name else (name, signal)
+
+
+def names_time(name: str) -> bool:
+    """Whether a column's name is one of times: Time, Timestamp (UTC), PV time."""
+    return _tier(name.strip(), "time") is not None or bool({*_tokens(name)} & {"time", "timestamp", "date", "datetime"})
 
 
 def is_tall(header: Sequence[str], columns: Mapping[str, str] | None) -> bool:

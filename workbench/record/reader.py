@@ -19,8 +19,9 @@ from workbench.errors import RecordError
 from workbench.model.checks import file_name, instance, number, ordered_pair
 from workbench.model.record import Record
 from workbench.record.checks import held_said, no_codes, none_far, op_said, setpoint_said, swapped, within_range
-from workbench.record.columns import NEEDED, is_tall, match_columns, qualities_unused
+from workbench.record.columns import NEEDED, is_tall, match_columns, names_time, qualities_unused
 from workbench.record.grid import Samples, lay
+from workbench.record.pairs import PAIRED
 from workbench.record.segments import Parts, part, record_of
 from workbench.record.signals import Signal, Signals, from_tall, from_wide
 from workbench.record.table import (
@@ -71,13 +72,13 @@ def read_record(
 ) -> Record:
     """Read one loop's record from a CSV or Parquet file.
 
-    path: of the file, at most 1 GiB; wide (a column per signal) or tall, as historians export (a row per value, with
-    tag, time, value and perhaps quality). columns: which column is which signal ("time", "SP", "PV", "OP", "MODE",
-    "valve_position", "quality" of the row, "PV quality" ...; "tag", "value", "quality" and "unit" of a tall file),
-    where the usual spellings do not tell; only PV and OP are needed. tags: which tag, or column of a wide file, is
-    which signal ({"PV": "FIC101.PV"}), by default told by its ending. sample_time: s, needed where the file has no time
-    column; where the rows are even, taken in the place of their own if both agree within 1 %; else the sample time to
-    resample to (default: the usual interval).
+    path: of the file, at most 1 GiB; wide (a column per signal, or a pair of columns for each, its own times and its
+    values) or tall, as historians export (a row per value, with tag, time, value and perhaps quality). columns: which
+    column is which signal ("time", "SP", "PV", "OP", "MODE", "valve_position", "quality" of the row, "PV quality" ...;
+    "tag", "value", "quality" and "unit" of a tall file), where the usual spellings do not tell; only PV and OP are
+    needed. tags: which tag, or column of a wide file, is which signal ({"PV": "FIC101.PV"}), by default told by its
+    ending. sample_time: s, needed where the file has no time column; where the rows are even, taken in the place of
+    their own if both agree within 1 %; else the sample time to resample to (default: the usual interval).
 
     pv_range: (low, high) of the transmitter, EU; op_range: (low, high) of OP in the file's unit, which are 0 and 100 %,
     by default 4 and 20 where its name, a row of units or a tall file's column of units says mA. Values beyond a given
@@ -101,26 +102,32 @@ def read_record(
         instance(mapping, (Mapping, type(None)), where, "a mapping such as {'PV': 'FIC101.PV'}")
     scale_pv = None if pv_range is None else ordered_pair(pv_range, "pv_range")
     scale_op = None if op_range is None else ordered_pair(op_range, "op_range")
+    both = {**(columns or {}), **(tags or {})}
     found: dict[str, int] = {}
     tall = False
 
     def match(header: list[str]) -> dict[str, int]:
         nonlocal tall
         tall = is_tall(header, columns)
-        named = columns if tall or not tags else {**(columns or {}), **tags}
-        found.update(match_columns(header, named, source, tall))
+        found.update(match_columns(header, columns if tall or not tags else both, source, tall))
         return found
 
-    table, header = (read_parquet if _is_parquet(file) else read_csv)(file, match, source)
+    table, header = read_parquet(file, match, source) if _is_parquet(file) else read_csv(file, match, source, True)
     names = {signal: header[i].strip() for signal, i in found.items()}
     if table.lines.size == 0:
         msg = f"{source}: a header and no row of data"
         raise RecordError(msg)
-    signals = from_tall(table, names, tags, source) if tall else from_wide(table, names, source)
-    if not tall:
+    if table.paired:  # the names of columns are those of tags
+        signals = from_tall(table, dict(zip(PAIRED, PAIRED, strict=True)), both, source)
+    elif tall:
+        signals = from_tall(table, names, tags, source)
+    else:
+        signals = from_wide(table, names, source)
         signals.notes += qualities_unused(header, found)
         signals.unnamed = [name.strip() for name in header].count("") == 1
-    given = {str(key).upper() for key in {**(columns or {}), **(tags or {})}}
+        if "time" not in {key.lower() for key in both} and not names_time(names.get("time", "time")):
+            signals.notes.append(f"the times are those of the column {names['time'] or 'without a name'}")
+    given = {str(key).upper() for key in both}
     return record_from(signals, sample_time, max_gap, scale_pv, scale_op, set(NEEDED) <= given, source)
 
 

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from workbench.errors import RecordError
 from workbench.model.record import FloatArray
+from workbench.record.pairs import PAIRED, Pairs, pairs_of, tall_rows, time_column, unguarded
 from workbench.record.text import HEAD, delimiter, encoding_of
 from workbench.record.units import is_unit
 
@@ -109,7 +110,8 @@ class Cells:
 class Table:
     """A file's needed columns; lines[i] is row i's line (CSV) or row number from 1 (Parquet), `unit` names which.
 
-    units: what a row of units below the header says of each column, as it is written; no row of data is such.
+    units: what a row of units below the header says of each column, as it is written; no row of data is such. paired:
+    whether it was put together from a pair of columns for each tag.
     """
 
     columns: dict[str, Cells]
@@ -118,6 +120,7 @@ class Table:
     notes: list[str] = field(default_factory=list)
     decimal_comma: bool = False
     units: dict[str, str] = field(default_factory=dict)
+    paired: bool = False
 
 
 def _number(cell: str, decimal_comma: bool) -> tuple[float, int]:
@@ -281,14 +284,18 @@ def _reading(source: str) -> Iterator[None]:
         raise RecordError(msg) from None
 
 
-def read_csv(path: Path, match: Callable[[list[str]], dict[str, int]], source: str) -> tuple[Table, list[str]]:
+def read_csv(
+    path: Path, match: Callable[[list[str]], dict[str, int]], source: str, apart: bool = False
+) -> tuple[Table, list[str]]:
     """Return the needed columns of a CSV file and its header.
 
-    match: from the header to the column index of each needed signal. Delimiter comma, semicolon, tab, bar or spaces,
-    with a decimal comma allowed for all but the first; UTF-8 (with or without a byte order mark), UTF-16 or
-    Windows-1252. Lines before the header that are empty, start with # or hold a title are passed over. A row with more
-    fields than the header is marked FIELDS (a decimal comma in a comma-separated file shows in that way). A wide file's
-    row of units is no row of data. Raises `RecordError`.
+    match: from the header to the column index of each needed signal; "time", where it finds none, is the one other
+    column of timestamps. apart: whether a file may have a pair of columns for each tag, of its times and its values;
+    they become the columns `PAIRED` of a table. Delimiter comma, semicolon, tab, bar or spaces, with a decimal comma
+    allowed for all but the first; UTF-8 (with or without a byte order mark), UTF-16 or Windows-1252. Lines before the
+    header that are empty, start with # or hold a title are passed over. A row with more fields than the header is
+    marked FIELDS (a decimal comma in a comma-separated file shows in that way). A wide file's row of units is no row of
+    data. Raises `RecordError`.
     """
     notes: list[str] = []
     with _reading(source):
@@ -298,32 +305,45 @@ def read_csv(path: Path, match: Callable[[list[str]], dict[str, int]], source: s
         if encoding == "cp1252":
             notes.append("the text is not UTF-8 and was read as Windows-1252")
         with path.open(encoding=encoding, newline="") as stream:
-            head_lines = list(islice(stream, _HEAD_LINES))
-            skipped, mark, found = _header(head_lines, match, source)
+            head_lines = list(unguarded(islice(stream, _HEAD_LINES)))
+            skipped, mark, found, pairs = _header(head_lines, match, source, apart)
             if any(line.strip() and not line.lstrip().startswith("#") for line in head_lines[:skipped]):
                 notes.append(f"the header is line {skipped + 1}")
-            lines = chain(head_lines[skipped:], stream)
+            lines = chain(head_lines[skipped:], unguarded(stream))
             reader = csv.reader(lines, delimiter=mark, skipinitialspace=True, strict=False)
             header = next(reader)
-            return _rows(reader, header, found, mark, skipped, notes, source), header
+            return _rows(reader, header, found, pairs, mark, skipped, notes, source), header
 
 
 def _header(
-    lines: list[str], match: Callable[[list[str]], dict[str, int]], source: str
-) -> tuple[int, str, dict[str, int]]:
-    """Return the number of lines before the header, the delimiter and the columns; titles may stand before a header."""
+    lines: list[str], match: Callable[[list[str]], dict[str, int]], source: str, apart: bool
+) -> tuple[int, str, dict[str, int], Pairs]:
+    """Return the number of lines before the header, the delimiter, the columns and, if they are such, their pairs.
+
+    Titles may stand before a header.
+    """
     refusal: RecordError | None = None
     for skipped, line in enumerate(lines):
         if not line.strip() or line.lstrip().startswith("#"):
             continue
         mark = delimiter(line)
         # A name in quotes may go on in the next line.
-        cells = next(csv.reader(lines[skipped:], delimiter=mark, skipinitialspace=True, strict=False))
+        rows = csv.reader(lines[skipped:], delimiter=mark, skipinitialspace=True, strict=False)
+        cells = next(rows)
+        below: list[list[str]] = []
+        with suppress(csv.Error):  # which is told where the rows are read
+            below += rows
         if all(_number(cell, mark != ",")[1] == OK for cell in cells):
             msg = f"{source}: line {skipped + 1}: numbers where the column names should be; a header line is needed"
             raise refusal or RecordError(msg)
         try:
-            return skipped, mark, match(cells)
+            pairs = pairs_of(cells, below, source) if apart else {}
+            if pairs:
+                return skipped, mark, dict(zip(PAIRED, range(len(PAIRED)), strict=True)), pairs
+            found = match(cells)
+            if "time" not in found and (column := time_column(cells, below, found)) is not None:
+                found["time"] = column
+            return skipped, mark, found, {}
         except RecordError as error:
             # If no line is a header, what is wrong with the first one is told.
             parts = max(line.count(mark), 1)
@@ -337,13 +357,14 @@ def _rows(
     reader: Iterator[list[str]],
     header: list[str],
     found: dict[str, int],
+    pairs: Pairs,
     mark: str,
     skipped: int,
     notes: list[str],
     source: str,
 ) -> Table:
     lines, rows, last = array("q"), [], reader.line_num + skipped  # type: ignore[attr-defined]
-    width, needed = len(header), tuple(found.values())
+    width, needed = len(header), tuple(value for _, value in pairs.values()) or tuple(found.values())
 
     def is_row(text: str) -> bool:
         cells = text.split(mark)
@@ -368,6 +389,9 @@ def _rows(
             continue
         lines.append(last)
         rows.append(row)
+    if pairs:
+        header = list(PAIRED)
+        rows, lines = tall_rows(rows, lines, pairs)
     units = _taken_units(rows, lines, found, mark != ",")
     columns: dict[str, Cells] = {}
     texts = {name: [row[i] if i < len(row) else "" for row in rows] for name, i in found.items()}
@@ -385,7 +409,7 @@ def _rows(
     wide = [k for k, row in enumerate(rows) if len(row) > width and any(cell.strip() for cell in row[width:])]
     for cells in columns.values():
         cells.marks[wide] = FIELDS
-    return Table(columns, np.array(lines, dtype=np.int64), "line", notes, mark != ",", units)
+    return Table(columns, np.array(lines, dtype=np.int64), "line", notes, mark != ",", units, bool(pairs))
 
 
 def _taken_units(

@@ -13,9 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workbench.model.record import FloatArray
-from workbench.record.checks import runs
 
-__all__ = ["FORMATS_SAID", "JITTER", "Order", "in_order", "is_timestamp", "parse_timestamps"]
+__all__ = ["FORMATS_SAID", "JITTER", "Order", "in_order", "is_timestamp", "parse_timestamps", "runs"]
 
 JITTER = 0.2  # of the sample time, by which an interval may differ from it
 HOUR = 3600.0
@@ -292,6 +291,13 @@ def _exported_again(times: FloatArray, wall_clock: bool, alike: Alike) -> NDArra
         # A loop at rest is the same in both hours that a clock shows in autumn.
         out[block] = back < -HOUR or not wall_clock or not alike(block[1:], block[:-1]).all()
     return out
+
+
+def runs(flags: NDArray[np.bool_]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return (first, length) of every run of True, shapes (R,)."""
+    edges = np.diff(np.concatenate(([False], flags, [False])).astype(np.int8))
+    first = np.flatnonzero(edges == 1)
+    return first, np.flatnonzero(edges == -1) - first
 
 
 def _backwards(times: FloatArray, wall_clock: bool) -> bool:

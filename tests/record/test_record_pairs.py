@@ -1,0 +1,122 @@
+"""Files as spreadsheets leave them: a pair of columns for each tag, cells held to be text, times without a name."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import workbench as wb
+
+PV = [41.5, 41.7, 42.25, 42.0, 41.75, 41.5, 41.25, 41.0]
+OP = [55.0, 55.5, 56.0, 56.5, 56.0, 55.5, 55.0, 54.5]
+
+
+def stamp(seconds: float) -> str:
+    return f"2024-03-01 08:{int(seconds) // 60:02d}:{int(seconds) % 60:02d}"
+
+
+def written(path: Path, header: str, rows: list[str]) -> Path:
+    file = path / "loop.csv"
+    file.write_text("\n".join([header, *rows]) + "\n", encoding="utf-8")
+    return file
+
+
+def alike(mark: str = ",") -> list[str]:
+    return [mark.join([stamp(10 * k), str(PV[k]), stamp(10 * k), str(OP[k])]) for k in range(8)]
+
+
+@pytest.mark.parametrize(
+    "header",
+    [
+        ",FIC101.PV,,FIC101.OP",
+        "Time,FIC101.PV,Time,FIC101.OP",
+        "PV time,PV,OP time,OP",
+        "Timestamp,FIC101.PV,Timestamp.1,FIC101.OP",
+        "FIC101.PV,,FIC101.OP,",  # the name above the times, where a spreadsheet's function begins
+    ],
+)
+def test_a_pair_of_columns_for_each_tag_is_read(tmp_path: Path, header: str) -> None:
+    record = wb.read_record(written(tmp_path, header, alike()))
+    assert record.pv.tolist() == PV
+    assert record.op.tolist() == OP
+    assert record.sample_time == 10.0
+    assert f"first timestamp {stamp(0)}" in record.notes
+
+
+def test_decimal_commas_stand_in_pairs_too(tmp_path: Path) -> None:
+    rows = [row.replace(".", ",") for row in alike(";")]
+    assert wb.read_record(written(tmp_path, "Time;PV;Time;OP", rows)).pv.tolist() == PV
+
+
+def test_each_tag_has_its_own_times_and_its_own_length(tmp_path: Path) -> None:
+    """PV every 10 s; OP, kept by exception, came at four other times; a setpoint was kept once, at the beginning."""
+    events = [(0, 55.0), (13, 56.0), (37, 55.0), (70, 54.0)]
+    rows = []
+    for k in range(8):
+        op = f"{stamp(events[k][0])},{events[k][1]}" if k < 4 else ","
+        rows.append(f"{stamp(10 * k)},{PV[k]},{op}," + (f"{stamp(0)},41.5" if k == 0 else ","))
+    record = wb.read_record(written(tmp_path, ",FIC101.PV,,FIC101.OP,,FIC101.SP", rows), sample_time=10.0)
+    assert record.pv.tolist() == PV
+    assert record.op.tolist() == [55.0, 55.0, 56.0, 56.0, 55.0, 55.0, 55.0, 54.0]
+    assert record.sp is not None
+    assert np.all(record.sp == 41.5)
+
+
+def test_what_is_no_number_in_a_pair_is_told_by_its_line_and_tag(tmp_path: Path) -> None:
+    rows = alike()
+    rows[3] = rows[3].replace("42.0", "Bad Input")
+    record = wb.read_record(written(tmp_path, ",FIC101.PV,,FIC101.OP", rows))
+    assert any("'Bad Input'" in note and "line 5, tag 'FIC101.PV'" in note for note in record.notes)
+    assert record.pv[3] == pytest.approx(0.5 * (PV[2] + PV[4]))
+
+
+def test_pairs_of_any_name_are_mapped(tmp_path: Path) -> None:
+    file = written(tmp_path, "Time,FT101,Time,FV101", alike())
+    for argument in ("columns", "tags"):
+        assert wb.read_record(file, **{argument: {"PV": "FT101", "OP": "FV101"}}).op.tolist() == OP
+    with pytest.raises(wb.RecordError, match="no tag for PV and OP; the file has 'FT101', 'FV101'"):
+        wb.read_record(file)
+
+
+def test_pairs_of_one_name_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(wb.RecordError, match=r"two pairs of columns, .* have the name 'FIC101.PV'"):
+        wb.read_record(written(tmp_path, ",FIC101.PV,,FIC101.PV", alike()))
+
+
+@pytest.mark.parametrize(
+    ("header", "row"),
+    [
+        ("Time,PV,OP,", "{time},{pv},{op},"),  # a delimiter too many
+        ("PV,,OP,", "{pv},,{op},"),  # columns left empty
+        ("Time,PV,Dead time,OP", "{time},{pv},3.5,{op}"),
+    ],
+)
+def test_a_column_for_each_signal_stays_one(tmp_path: Path, header: str, row: str) -> None:
+    rows = [row.format(time=stamp(10 * k), pv=PV[k], op=OP[k]) for k in range(8)]
+    record = wb.read_record(written(tmp_path, header, rows), sample_time=10.0)
+    assert record.pv.tolist() == PV
+    assert record.op.tolist() == OP
+
+
+@pytest.mark.parametrize("name", ["", "Tag", "Batch"])
+def test_times_are_found_by_what_they_are(tmp_path: Path, name: str) -> None:
+    rows = [f"{stamp(10 * k)},{PV[k]},{OP[k]}" for k in range(8)]
+    record = wb.read_record(written(tmp_path, f"{name},FIC101.PV,FIC101.OP", rows))
+    assert record.sample_time == 10.0
+    assert record.pv.tolist() == PV
+    assert f"the times are those of the column {name or 'without a name'}" in record.notes
+
+
+def test_of_two_columns_of_timestamps_none_is_taken(tmp_path: Path) -> None:
+    rows = [f"{stamp(10 * k)},{PV[k]},{OP[k]},{stamp(10 * k + 1)}" for k in range(8)]
+    with pytest.raises(wb.RecordError, match="no time column"):
+        wb.read_record(written(tmp_path, "Begin,PV,OP,End", rows))
+
+
+def test_cells_that_are_held_to_be_text_are_read(tmp_path: Path) -> None:
+    rows = [f'="{stamp(10 * k)}",="{PV[k]}",="{OP[k]}"' for k in range(8)]
+    record = wb.read_record(written(tmp_path, '="Time",="PV",="OP"', rows))
+    assert record.pv.tolist() == PV
+    assert record.op.tolist() == OP

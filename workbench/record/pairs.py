@@ -1,0 +1,100 @@
+"""What spreadsheets make of a historian's data: pairs of columns, cells held to be text, times without a name."""
+
+from __future__ import annotations
+
+import re
+from array import array
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+
+from workbench.errors import RecordError
+from workbench.model.checks import reads_as_number
+from workbench.record.columns import names_time
+from workbench.record.times import is_timestamp
+
+__all__ = ["PAIRED", "Pairs", "pairs_of", "tall_rows", "time_column", "unguarded"]
+
+# What the columns of pairs are once they stand below each other, as in a tall file.
+PAIRED = ("tag", "time", "value")
+_LOOKED_AT = 20  # rows below a header
+_KEPT_AS_TEXT = re.compile(r'(^|[,;\t|])="([^"\r\n]*)"')
+
+# The columns of each tag's times and values, by the tag.
+Pairs = Mapping[str, tuple[int, int]]
+
+
+def unguarded(lines: Iterable[str]) -> Iterator[str]:
+    """Return lines with `="51.2"`, as a spreadsheet is told that a cell is text, as a cell in quotes."""
+    for line in lines:
+        yield _KEPT_AS_TEXT.sub(r'\1"\2"', line) if '="' in line else line
+
+
+def pairs_of(header: Sequence[str], below: Sequence[Sequence[str]], source: str) -> Pairs:
+    """Return where a file has two columns for each tag, its own times and its values, and {} where it has not.
+
+    Of a pair either the values have the tag's name, and the times such a name as "Time" or none; or the tag's name
+    stands above the times, and none above the values, as where a spreadsheet's function was filled in below the name.
+    below: the cells of rows below the header, which show whether there are timestamps. Raises `RecordError` for tags
+    of the same name.
+    """
+    names = [name.strip() for name in header]
+    while names and not names[-1]:
+        names.pop()
+    names += [""] * (len(names) % 2)
+    couples = list(zip(names[::2], names[1::2], strict=True))
+    if len(couples) < 2:
+        return {}
+    if all(value and not names_time(value) and (not time or names_time(time)) for time, value in couples):
+        tags = [value for _, value in couples]
+    elif all(time and not value for time, value in couples):
+        tags = [time for time, _ in couples]
+    else:
+        return {}
+    if sum(_timed(below, 2 * k) for k in range(len(tags))) < 2 or not all(
+        _timed(below, 2 * k) or not _numbered(below, 2 * k + 1) for k in range(len(tags))
+    ):
+        return {}
+    twice = next((tag for tag, many in Counter(tags).items() if many > 1), None)
+    if twice is not None:
+        msg = f"{source}: two pairs of columns, of times and values, have the name {twice!r}; each needs its own"
+        raise RecordError(msg)
+    return {tag: (2 * k, 2 * k + 1) for k, tag in enumerate(tags)}
+
+
+def tall_rows(rows: Sequence[list[str]], lines: Sequence[int], pairs: Pairs) -> tuple[list[list[str]], array[int]]:
+    """Return the rows of `PAIRED` that the pairs are below each other, and the line of each; none for empty pairs.
+
+    A row with more cells than the pairs has one more in each of its rows, too.
+    """
+    out, at = [], array("q")
+    width = 2 * len(pairs)
+    for tag, (time, value) in pairs.items():
+        for row, line in zip(rows, lines, strict=True):
+            cells = [*row[time : value + 1], "", ""][:2]
+            if any(cell.strip() for cell in cells):
+                out.append([tag, *cells, *filter(str.strip, row[width:])])
+                at.append(line)
+    return out, at
+
+
+def time_column(header: Sequence[str], below: Sequence[Sequence[str]], found: Mapping[str, int]) -> int | None:
+    """Return the one column of a wide file, of no name that tells, that holds timestamps; None where none is, or two.
+
+    found: the columns that are something else.
+    """
+    columns = [k for k in range(len(header)) if k not in found.values() and _timed(below, k)]
+    return columns[0] if len(columns) == 1 else None
+
+
+def _cells(below: Sequence[Sequence[str]], column: int) -> list[str]:
+    return [cell for row in below[:_LOOKED_AT] if column < len(row) and (cell := row[column].strip())]
+
+
+def _timed(below: Sequence[Sequence[str]], column: int) -> bool:
+    """Whether most of a column's cells are timestamps; titles, units and "No Data" may stand among them."""
+    cells = _cells(below, column)
+    return bool(cells) and 2 * sum(not reads_as_number(cell) and is_timestamp(cell) for cell in cells) > len(cells)
+
+
+def _numbered(below: Sequence[Sequence[str]], column: int) -> bool:
+    return any(reads_as_number(cell.replace(",", ".")) for cell in _cells(below, column))
