@@ -200,6 +200,14 @@ def test_the_sticky_valves_cycle_shows_in_both_loops():
         (lambda c: wb.simulate(c, wb.Experiment(1002.0)), r"Experiment\.duration"),
         (lambda c: wb.simulate(c, wb.Experiment(1000.0, stem_offset=1.5)), r"Experiment\.stem_offset"),
         (lambda c: wb.simulate(c, "step"), "experiment"),
+        (
+            lambda c: wb.simulate(c.secondary, wb.CascadeExperiment(100.0, primary_load=wb.Step(1.0))),
+            r"CascadeExperiment\.primary_load: .* beside a Loop",
+        ),
+        (
+            lambda c: wb.tune(c.secondary, wb.CascadeExperiment(100.0, secondary_noise=wb.Noise(0.1))),
+            r"CascadeExperiment\.secondary_noise: .* beside a Loop",
+        ),
         (lambda _: wb.CascadeExperiment(100.0, secondary_noise=0.1), r"CascadeExperiment\.secondary_noise"),
         (lambda _: wb.CascadeExperiment(100.0, primary_load=wb.Step(1.0, 200.0)), r"CascadeExperiment\.primary_load"),
     ],

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from workbench.errors import InvalidValue
+from workbench.model.cascade import CascadeExperiment
 from workbench.model.checks import instance
 from workbench.model.experiment import Experiment, Noise, Profile, Ramp, Step
 from workbench.model.loop import Loop
@@ -81,11 +82,17 @@ def noise_signal(noise: Noise | None, n: int) -> FloatArray:
 def signals(loop: Loop, experiment: Experiment) -> Signals:
     """Return the experiment's signals on the loop's samples, the load in OP's direction.
 
-    Raises `InvalidValue` where these are no loop and experiment, the duration is no whole number of samples, or the
-    stem offset is no resting state: the valve would not hold it, or OP cannot stand there.
+    Raises `InvalidValue` where these are no loop and experiment, the experiment has what a cascade alone has, the
+    duration is no whole number of samples, or the stem offset is no resting state: the valve would not hold it, or OP
+    cannot stand there.
     """
     instance(loop, Loop, "loop", "a Loop")
     instance(experiment, Experiment, "experiment", "an Experiment")
+    if isinstance(experiment, CascadeExperiment):
+        for name in ("primary_load", "secondary_noise"):
+            if getattr(experiment, name) is not None:
+                where, given = f"CascadeExperiment.{name}", getattr(experiment, name)
+                raise InvalidValue(where, given, "must be None beside a Loop, which has none: simulate a Cascade")
     n = sample_count(experiment.duration, loop.sample_time)
     if abs(experiment.stem_offset) > loop.valve.hold:
         raise InvalidValue(
