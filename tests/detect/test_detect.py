@@ -293,6 +293,10 @@ def test_a_smooth_cycle_is_acquitted_only_where_the_loop_can_make_it() -> None:
     assert "tight tuning" in decide(own, LINEAR, None)[1][0]
     assert decide(slow, LINEAR, None)[0] == "undecided"
     assert decide(slow, LINEAR, None, Thresholds(slow=11.0))[0] == "no_stiction"
+    # A lag of many periods is told as what it is to the cycle.
+    for periods, lag in ((9.0, f"time constant {9.0 * own.period:g} s"), (11.0, "a process that integrates")):
+        level = replace(LINEAR, time_constant=periods * own.period)
+        assert f"which a linear loop with {lag} and dead time" in decide(own, level, None)[1][0]
 
 
 def test_a_stem_that_sticks_on_record_is_found_whatever_pv_says() -> None:

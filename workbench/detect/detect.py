@@ -210,5 +210,5 @@ def _strongest(record: Record, whole: Oscillation) -> tuple[tuple[int, int], Osc
 def _cycle_said(cycle: Oscillation, oscillates: bool, load: float) -> list[str]:
     if not oscillates:
         return []
-    often = ", load disturbances come often enough to count as an oscillation" if load >= DETECTIONS else ""
+    often = ", an oscillation by Hägglund's load index too" if load >= DETECTIONS else ""
     return [f"PV oscillates with a period of {given(cycle.period, 3)} s (index {cycle.index:.2f}{often})"]

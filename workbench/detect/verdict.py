@@ -103,6 +103,7 @@ __all__ = [
 ]
 
 DUST = 1e-20  # share of PV's variance that is rounding, left or not
+INTEGRATES = 10.0  # periods of PV's cycle: a lag as long is an integrator to it, within a degree of phase
 
 
 @dataclass(frozen=True, slots=True)
@@ -221,9 +222,10 @@ def decide(
     if doubt:
         return "undecided", [doubt, f"{both}; {linear}"]
     own = test.time_constant + test.dead_time
-    loop = (
-        f"a linear loop with time constant {given(test.time_constant, 3)} s and dead time {given(test.dead_time, 3)} s"
-    )
+    lag = f"time constant {given(test.time_constant, 3)} s"
+    if not no_period(oscillation) and test.time_constant > INTEGRATES * oscillation.period:
+        lag = "a process that integrates"
+    loop = f"a linear loop with {lag} and dead time {given(test.dead_time, 3)} s"
     if excluded(test, limits):
         ratio = f"(log likelihood ratio {test.wide:.0f})"
         earned = f"a stem that sticks over {given(test.wide_from, 3)} % or more is excluded {ratio}"
