@@ -83,7 +83,7 @@ def check(found: Estimate, record: wb.Record) -> None:
 
 def test_a_record_without_noise_gives_the_plant_itself() -> None:
     record = record_of(wb.Stenman(2.0), PLANT)
-    found = wb.estimate(record, method="joint")
+    found = wb.estimate(record, method="joint", plant="fopdt")
     check(found, record)
     assert found.verdict == "stiction"
     assert found.plant.gain == pytest.approx(2.0, rel=1e-3)
@@ -96,11 +96,11 @@ def test_a_record_without_noise_gives_the_plant_itself() -> None:
 
 
 def test_disturbance_and_drift_that_were_added_are_found() -> None:
-    run = run_of(wb.Stenman(2.0), PLANT, samples=800)
-    n = coloured(0.8, 0.3, 800, 5)
-    drift = 2.0 / 800.0
+    run = run_of(wb.Stenman(2.0), PLANT, samples=400)
+    n = coloured(0.8, 0.3, 400, 5)
+    drift = 2.0 / 400.0
     record = wb.Record(run.pv + 50.0 + n + drift * run.time, run.op + 40.0, 1.0)
-    found = wb.estimate(record, method="joint", valve="stenman")
+    found = wb.estimate(record, method="joint", valve="stenman", plant="fopdt")
     check(found, record)
     noise = found.noise_model
     assert noise is not None
@@ -120,31 +120,28 @@ def test_disturbance_and_drift_that_were_added_are_found() -> None:
     assert content["noise_model"]["ar"] == noise.ar
 
 
-@pytest.mark.slow
 def test_under_a_coloured_load_the_plant_is_near_and_the_intervals_hold() -> None:
     # In closed loop OP carries the load: with a white disturbance the same fit is biased.
-    errors, white, covered = [], [], []
     truth = {"gain": 2.0, "time_constant": 6.0, "dead_time": 1.6}
-    for seed in range(2):
-        record = record_of(wb.Stenman(1.5), PLANT, load=0.3, sd=0.05, seed=seed)
-        found = wb.estimate(record, method="joint", valve="stenman")
-        check(found, record)
-        assert found.noise_model is not None
-        assert found.noise_model.ar
-        errors.append(abs(found.plant.time_constant / 6.0 - 1.0) + abs(found.plant.dead_time - 1.6) / 6.0)
-        pairs = [getattr(found.intervals, name) for name in truth]
-        covered += [low <= true <= high for (low, high), true in zip(pairs, truth.values(), strict=True)]
-        # The same path and start with a disturbance of order 0.
-        data = centre(record, "fopdt")
-        x = found.valve_position - data.op_middle
-        fit = Fit(0.0, 6.0, 1.6, 2.0, 0.0, 2.0 * float(x[0]), 0.0)
-        path = Path(found.valve, x, 0, (-math.inf, math.inf), fit, found.slips)
-        program = joint._Program(data, Limits((0.05, 800.0), (0.0, 30.0)))
-        plain = program.solve(joint.Refined(path, fit, 0.0, (), False, math.inf), 0, False)[0].fit
-        white.append(abs(plain.tau / 6.0 - 1.0) + abs(plain.theta - 1.6) / 6.0)
-    assert np.mean(errors) < 0.06
-    assert np.mean(errors) < 0.5 * np.mean(white)
-    assert sum(covered) >= 0.8 * len(covered)
+    record = record_of(wb.Stenman(1.5), PLANT, load=0.3, sd=0.05, samples=500)
+    found = wb.estimate(record, method="joint", valve="stenman", plant="fopdt")
+    check(found, record)
+    assert found.noise_model is not None
+    assert found.noise_model.ar
+    pairs = [getattr(found.intervals, name) for name in truth]
+    assert all(low <= true <= high for (low, high), true in zip(pairs, truth.values(), strict=True))
+    # The same path and start with a disturbance of order 0.
+    data = centre(record, "fopdt")
+    x = found.valve_position - data.op_middle
+    fit = Fit(0.0, 6.0, 1.6, 2.0, 0.0, 2.0 * float(x[0]), 0.0)
+    path = Path(found.valve, x, 0, (-math.inf, math.inf), fit, found.slips)
+    program = joint._Program(data, Limits((0.05, 500.0), (0.0, 30.0)))
+    plain = program.solve(joint.Refined(path, fit, 0.0, (), False, math.inf), 0, False)[0].fit
+
+    def error(time_constant: float, dead_time: float) -> float:
+        return abs(time_constant / 6.0 - 1.0) + abs(dead_time - 1.6) / 6.0
+
+    assert error(found.plant.time_constant, found.plant.dead_time) < min(0.06, 0.5 * error(plain.tau, plain.theta))
 
 
 def test_an_integrating_plant_and_a_two_parameter_valve_are_refined_too() -> None:
@@ -162,8 +159,10 @@ def test_an_integrating_plant_and_a_two_parameter_valve_are_refined_too() -> Non
 
 
 def test_without_stiction_the_linear_model_is_refined() -> None:
-    record = record_of(wb.Ideal(), PLANT, load=0.5, sd=0.02, seed=3)
-    plain, found = (wb.estimate(record, method=method, valve="linear") for method in ("profile", "joint"))
+    record = record_of(wb.Ideal(), PLANT, load=0.5, sd=0.02, seed=11, samples=400)
+    plain, found = (
+        wb.estimate(record, method=method, valve="linear", plant="fopdt") for method in ("profile", "joint")
+    )
     check(found, record)
     assert isinstance(found.valve, wb.Ideal)
     assert found.verdict == plain.verdict
@@ -180,7 +179,7 @@ def test_without_stiction_the_linear_model_is_refined() -> None:
 def test_a_long_record_is_refined_on_its_most_active_stretch(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(joint, "LONGEST", 500)
     record = record_of(wb.Stenman(2.0), PLANT, sd=0.05, samples=1100)
-    found = wb.estimate(record, method="joint", valve="stenman")
+    found = wb.estimate(record, method="joint", valve="stenman", plant="fopdt")
     check(found, record)
     assert any("the joint refinement used its samples" in reason for reason in found.reasons)
     assert found.plant.gain == pytest.approx(2.0, rel=0.02)
@@ -191,7 +190,9 @@ def test_a_long_record_is_refined_on_its_most_active_stretch(monkeypatch: pytest
 def test_where_no_program_is_solved_the_profile_stands(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(joint, "OPTIONS", replace(joint.OPTIONS, max_iterations=0))
     record = record_of(wb.Stenman(2.0), PLANT, sd=0.05)
-    plain, found = (wb.estimate(record, method=method, valve="stenman") for method in ("profile", "joint"))
+    plain, found = (
+        wb.estimate(record, method=method, valve="stenman", plant="fopdt") for method in ("profile", "joint")
+    )
     assert found.plant == plain.plant
     assert found.noise_model is None
     assert "iteration limit" in found.reasons[-1]
@@ -202,7 +203,7 @@ def test_ctrl_c_stops_the_refinement(monkeypatch: pytest.MonkeyPatch) -> None:
     solve = joint.Solver.solve
     monkeypatch.setattr(joint.Solver, "solve", lambda self, values: replace(solve(self, values), status=stopped))
     with pytest.raises(KeyboardInterrupt):
-        wb.estimate(record_of(wb.Stenman(2.0), PLANT, sd=0.05), method="joint")
+        wb.estimate(record_of(wb.Stenman(2.0), PLANT, sd=0.05), method="joint", valve="stenman", plant="fopdt")
 
 
 @given(partial=st.lists(st.floats(-0.998, 0.998), max_size=4))
@@ -214,12 +215,11 @@ def test_every_disturbance_is_stationary(partial: list[float]) -> None:
         assert a[-1] == partial[-1]
 
 
-@pytest.mark.slow
-@settings(max_examples=8)
+@settings(max_examples=3)
 @given(kinds=st.tuples(*[st.sampled_from(["noise", "walk", "spike", "steps", "sine"])] * 2), seed=st.integers(0, 50))
 def test_adversarial_records_are_refined_or_left(kinds: tuple[str, str], seed: int) -> None:
     rng = np.random.default_rng(seed)
-    n = 40
+    n = 30
     made = {
         "noise": rng.normal(0.0, 1.0, n),
         "walk": np.cumsum(rng.normal(0.0, 1.0, n)),
@@ -228,14 +228,15 @@ def test_adversarial_records_are_refined_or_left(kinds: tuple[str, str], seed: i
         "sine": np.sin(2.0 * np.pi * np.arange(n) / 17.0),
     }
     record = wb.Record(made[kinds[0]], made[kinds[1]], 2.0)
-    found = wb.estimate(record, method="joint")
+    found = wb.estimate(record, method="joint", plant="fopdt")
     assert np.isfinite(found.prediction).all()
     assert found.verdict in ("stiction", "no_stiction", "undecided")
 
 
 def test_other_methods_do_not_load_casadi() -> None:
     code = (
-        "import sys, numpy as np, workbench as wb; k = np.arange(60.0); "
-        "wb.estimate(wb.Record(np.sin(k / 5.0), np.cos(k / 5.0), 1.0)); assert 'casadi' not in sys.modules"
+        "import sys, numpy as np, workbench as wb; k = np.arange(30.0); "
+        "wb.estimate(wb.Record(np.sin(k / 5.0), np.cos(k / 5.0), 1.0), plant='fopdt', valve='stenman'); "
+        "assert 'casadi' not in sys.modules"
     )
     subprocess.run([sys.executable, "-c", code], check=True, timeout=120)

@@ -40,17 +40,9 @@ def record_of(
 PLANTS = (wb.FOPDT(2.0, 8.0, 1.5), wb.Integrating(0.06, 2.5))
 
 
-@pytest.mark.parametrize(
-    ("plant", "valve"),
-    [
-        (PLANTS[0], wb.Stenman(2.0)),
-        (PLANTS[0], wb.Ideal()),
-        (PLANTS[1], wb.Choudhury(2.5, 1.0)),
-        (PLANTS[1], wb.Ideal()),
-    ],
-)
-def test_the_plant_of_the_record_is_chosen_and_said(plant: wb.FOPDT | wb.Integrating, valve: object) -> None:
-    found = wb.estimate(record_of(plant, valve, 1))
+@pytest.mark.parametrize("plant", PLANTS)
+def test_the_plant_of_a_record_without_stiction_is_chosen_and_said(plant: wb.FOPDT | wb.Integrating) -> None:
+    found = wb.estimate(record_of(plant, wb.Ideal(), 1))
     assert type(found.plant) is type(plant)
     assert found.plant.gain == pytest.approx(plant.gain, rel=0.1)
     first_order = any(reason.startswith("a first-order process has the lower BIC, by ") for reason in found.reasons)
@@ -81,6 +73,9 @@ def test_the_other_kind_is_searched_only_where_the_first_leaves_something(monkey
         level = isinstance(plant, wb.Integrating)
         # A level that is seen not to level off is never searched as a lag.
         assert asked == [level]
+        assert found.plant.gain == pytest.approx(plant.gain, rel=0.1)
+        assert (WORDS_OF_ENDLESS in found.reasons) == level
+        assert not any("has the lower BIC" in reason for reason in found.reasons)
         by_name = wb.estimate(record, plant="integrating" if level else "fopdt")
         assert found.plant == by_name.plant
         assert found.valve == by_name.valve
@@ -98,17 +93,14 @@ def test_a_load_step_does_not_make_a_level_of_a_lag() -> None:
     assert found.plant.gain == pytest.approx(2.0, rel=0.05)
 
 
-@pytest.mark.slow
 def test_the_other_plant_foretells_worse_under_a_load() -> None:
     # Along the stem of its own fit each plant is judged by what it foretells one sample ahead.
-    for plant in PLANTS:
-        record = record_of(plant, wb.Stenman(2.0), 3, load=0.2)
-        bic = {}
-        for name in ("fopdt", "integrating"):
-            one = wb.estimate(record, plant=name)
-            bic[name] = foretelling_bic(centre(record, name), one.plant, one.valve, one.valve_position, one.prediction)
-        own, other = ("fopdt", "integrating") if isinstance(plant, wb.FOPDT) else ("integrating", "fopdt")
-        assert bic[own] < bic[other] - 10.0
+    record = record_of(PLANTS[1], wb.Stenman(2.0), 3, load=0.2)
+    bic = {}
+    for name in ("fopdt", "integrating"):
+        one = wb.estimate(record, plant=name, valve="stenman")
+        bic[name] = foretelling_bic(centre(record, name), one.plant, one.valve, one.valve_position, one.prediction)
+    assert bic["integrating"] < bic["fopdt"] - 10.0
 
 
 def test_where_the_stem_rested_before_its_first_move_is_fitted_and_decides_nothing() -> None:
@@ -155,7 +147,7 @@ def test_the_command_takes_joint_and_auto(tmp_path: object) -> None:
 
 @pytest.mark.parametrize("plant", PLANTS)
 def test_a_linear_loop_by_itself_is_the_model_that_the_estimate_gives_it(plant: wb.FOPDT | wb.Integrating) -> None:
-    record = record_of(plant, wb.Ideal(), 4, load=0.2)
+    record = record_of(plant, wb.Ideal(), 4, load=0.2, samples=200)
     alone = linear_loop(record, "auto")
     found = wb.estimate(record, plant="fopdt" if isinstance(plant, wb.FOPDT) else "integrating", valve="linear")
     assert type(alone.plant) is type(plant)
@@ -208,7 +200,7 @@ def test_a_lag_as_long_as_the_record_is_no_likelier_than_a_level_that_leaves_les
     # Without noise, and beside a load step too small to be found, what each stem leaves foretells itself.
     loop = wb.Loop(wb.Integrating(0.003283, 0.1332), wb.Choudhury(3.5755, 4.1444), wb.PID(Kc=25.741, Ti=47.33), 1.0)
     setpoint, load = [wb.Step(0.15814), wb.Step(-0.2372, 556.0)], wb.Step(-0.009893, 747.0)
-    run = wb.simulate(loop, wb.Experiment(1000.0, setpoint=setpoint, load=load))
+    run = wb.simulate(loop, wb.Experiment(800.0, setpoint=setpoint, load=load))
     found = wb.estimate(wb.Record(run.pv + 50.0, run.op + 40.0, 1.0, sp=run.sp + 50.0))
     assert isinstance(found.plant, wb.Integrating)
     assert found.plant.gain == pytest.approx(0.003283, rel=0.01)
