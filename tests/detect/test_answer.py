@@ -41,17 +41,16 @@ STUCK = wb.Stenman(1e9)
 
 
 def test_a_stuck_valve_is_not_acquitted() -> None:
-    found = [wb.detect(recorded(STUCK, seed)) for seed in range(8)]
-    # The test is one at 5 %: of eight, one may pass.
-    assert sum(f.verdict == "no_stiction" for f in found) <= 1
+    found = [wb.detect(recorded(STUCK, seed)) for seed in range(4)]
+    assert not any(f.verdict == "no_stiction" for f in found)
     told = [f for f in found if "PV is not seen to answer the OP moves of" in f.reasons[0]]
-    assert len(told) >= 4
+    assert len(told) >= 2
     assert all(f.verdict == "undecided" for f in told)
 
 
 def test_a_valve_that_moves_is_acquitted_as_before() -> None:
-    found = [wb.detect(recorded(wb.Ideal(), seed)) for seed in range(5)]
-    assert sum(f.verdict == "no_stiction" for f in found) >= 3
+    found = [wb.detect(recorded(wb.Ideal(), seed)) for seed in range(3)]
+    assert sum(f.verdict == "no_stiction" for f in found) >= 2
     assert not any("PV is not seen to answer" in reason for f in found for reason in f.reasons)
 
 
@@ -102,11 +101,11 @@ def test_a_pv_that_went_along_with_its_setpoint_answers(samples: int) -> None:
         return wb.Record(50.0 + run.pv, 50.0 + run.op, 1.0, sp=50.0 + run.sp)
 
     # Beside such a move so few samples hold too little of OP's own way for the test.
-    for seed in range(12):
+    for seed in range(6):
         reasons = wb.detect(moved(wb.Ideal(), seed)).reasons
         assert not any("PV is not seen to answer" in reason for reason in reasons)
-    stuck = [answer_of(moved(STUCK, seed)) for seed in range(12)]
-    assert sum(found is not None and found.missing for found in stuck) >= 6
+    stuck = [answer_of(moved(STUCK, seed)) for seed in range(6)]
+    assert sum(found is not None and found.missing for found in stuck) >= 3
 
 
 def test_where_the_setpoint_moved_a_larger_move_is_asked_for() -> None:
@@ -124,9 +123,8 @@ def test_a_recorded_stem_that_follows_outweighs_it() -> None:
     assert wb.detect(seen).verdict == "no_stiction"
 
 
-@pytest.mark.slow
 def test_a_stuck_valve_is_left_undecided_by_the_estimate_too() -> None:
-    record = recorded(STUCK, 4, samples=500)
+    record = recorded(STUCK, 4, samples=300)
     found = wb.estimate(record, valve="stenman", plant="fopdt")
     assert found.verdict == "undecided"
     assert any("PV is not seen to answer the OP moves of" in reason for reason in found.reasons)

@@ -84,7 +84,7 @@ def test_the_search_finds_the_stem_that_a_load_hides() -> None:
     assert found.test.band == pytest.approx(3.0, rel=0.15)
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", range(2))
 def test_a_sinusoidal_load_on_a_level_is_no_stiction(seed: int) -> None:
     wave = 3.0 * np.sin(2.0 * math.pi * np.arange(900) / (50.0 + 9.0 * seed))
     loop = wb.Loop(wb.Integrating(0.02, 4.0), wb.Ideal(), wb.PID(Kc=3.0, Ti=80.0), 1.0)
@@ -92,7 +92,7 @@ def test_a_sinusoidal_load_on_a_level_is_no_stiction(seed: int) -> None:
     assert wb.detect(wb.Record(run.pv, run.op, 1.0, sp=run.sp)).verdict != "stiction"
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 def test_a_healthy_valve_is_not_accused(seed: int) -> None:
     assert wb.detect(run_of(wb.Ideal(), seed=seed, load=2.0)).verdict != "stiction"
 
@@ -100,7 +100,7 @@ def test_a_healthy_valve_is_not_accused(seed: int) -> None:
 def test_noise_is_hardly_ever_called_stiction() -> None:
     # The likelihood's threshold lets about one in a hundred through, most of it in slow noise.
     accused = 0
-    for seed, smooth in [(30858, 25), *((k, 1 + k) for k in range(30))]:
+    for seed, smooth in [(30858, 25), *((k, 1 + k) for k in range(0, 30, 3))]:
         rng = np.random.default_rng(seed)
         pv, op = (np.convolve(rng.normal(size=400), np.ones(smooth), "same") for _ in range(2))
         found = wb.detect(wb.Record(pv, op, 1.0))
@@ -129,7 +129,7 @@ def test_stretches_that_nobody_recorded_do_not_count() -> None:
 
 
 def test_a_long_record_is_looked_at_in_stretches() -> None:
-    record = run_of(wb.Stenman(2.0), n=12000)
+    record = run_of(wb.Stenman(2.0), n=9600)
     found = wb.detect(record)
     assert found.verdict == "stiction"
     assert 0 < found.test.samples <= 9000
@@ -441,7 +441,7 @@ def test_a_healthy_valve_at_work_is_acquitted_even_in_a_short_record() -> None:
     assert "or more is excluded" in found.reasons[0]
 
 
-@settings(deadline=None, max_examples=15)
+@settings(deadline=None, max_examples=6)
 @given(seed=st.integers(0, 2**32 - 1), smooth=st.integers(1, 12), n=st.integers(30, 300))
 def test_a_short_record_of_noise_is_never_a_verdict_but_by_exclusion(seed: int, smooth: int, n: int) -> None:
     rng = np.random.default_rng(seed)

@@ -31,6 +31,14 @@ def sticky(seed: int) -> wb.Record:
     return wb.Record(run.pv + rng.normal(0.0, 0.1, N) + 120.0, run.op + 45.0, 1.0, sp=run.sp + 120.0)
 
 
+def moved(samples: int) -> wb.Record:
+    """A loop whose valve sticks, under setpoint moves and no load, which an estimate would look for steps in."""
+    loop = wb.Loop(wb.FOPDT(1.0, 12.0, 3.0), wb.Stenman(3.0), wb.PID(Kc=1.0, Ti=12.0), 1.0)
+    moves = [wb.Step(4.0), wb.Step(-6.0, 0.5 * samples)]
+    run = wb.simulate(loop, wb.Experiment(float(samples), moves, noise=wb.Noise(0.1, 0)))
+    return wb.Record(run.pv + 120.0, run.op + 45.0, 1.0, sp=run.sp + 120.0)
+
+
 def healthy(seed: int, spikes: FloatArray) -> wb.Record:
     """A loop without stiction whose controller sees the sensor's spikes (EU) and answers them."""
     rng = np.random.default_rng(seed)
@@ -78,7 +86,7 @@ def test_they_are_found_alone_and_up_to_three_together() -> None:
     assert not spikes_of(often).any()
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", range(2))
 def test_a_sensors_spikes_accuse_no_valve(seed: int) -> None:
     rng = np.random.default_rng(100 + seed)
     spikes = np.where(rng.random(N) < 0.01, rng.choice([-3.0, 3.0], N), 0.0)
@@ -90,14 +98,13 @@ def test_a_sensors_spikes_accuse_no_valve(seed: int) -> None:
     assert any(f"{count} samples of PV stand out from" in reason for reason in found.reasons)
 
 
-@pytest.mark.slow
 def test_a_few_zeros_hide_no_valve_that_sticks() -> None:
-    whole = sticky(0)
-    record = wb.Record(whole.pv[:600], whole.op[:600], 1.0, sp=whole.sp[:600])
+    record = moved(600)
     pv = record.pv.copy()
-    pv[[150, 300, 450]] = 0.0
+    pv[[150, 320, 450]] = 0.0
     hidden = wb.Record(pv, record.op, 1.0, sp=record.sp)
-    clean, found = wb.estimate(record, plant="fopdt"), wb.estimate(hidden, plant="fopdt")
+    how = {"plant": "fopdt", "valve": "stenman"}
+    clean, found = wb.estimate(record, **how), wb.estimate(hidden, **how)
     assert clean.verdict == found.verdict == wb.detect(hidden).verdict == "stiction"
     assert found.valve.stick_band == pytest.approx(clean.valve.stick_band, rel=0.01)
     assert found.plant.gain == pytest.approx(clean.plant.gain, rel=0.01)
@@ -146,7 +153,7 @@ def test_what_a_setpoint_step_sends_through_derivative_action_stays() -> None:
     assert np.flatnonzero(op_spikes_of(replace(record, op=op))).tolist() == [700]
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", range(2))
 @pytest.mark.parametrize("size", [3.0, -20.0])
 def test_what_the_controller_answers_a_sensors_spike_stays(seed: int, size: float) -> None:
     spikes = np.zeros(N)
@@ -174,14 +181,13 @@ def test_a_band_rests_on_more_than_a_few_values_of_op() -> None:
     assert "no valve travels so far" in beyond_op(100.0 * cycle, 120.0)
 
 
-@pytest.mark.slow
 def test_no_verdict_names_a_band_that_no_valve_has() -> None:
-    whole = sticky(0)
-    record = wb.Record(whole.pv[:300], whole.op[:300], 1.0)
+    record = replace(moved(400), sp=None)
     counts = replace(record, op=60.0 * (record.op - 40.0))
-    for found in (wb.detect(counts), wb.estimate(counts, plant="fopdt")):
+    how = {"plant": "fopdt", "valve": "stenman"}
+    for found in (wb.detect(counts), wb.estimate(counts, **how)):
         assert found.verdict == "undecided"
         assert "no valve travels so far: give OP's range" in " ".join(found.reasons)
-    fraction = wb.estimate(replace(record, op=record.op * 1e-3), plant="fopdt")
+    fraction = wb.estimate(replace(record, op=record.op * 1e-3), **how)
     assert fraction.verdict == "undecided"
     assert "give its range if it is in another unit, such as a fraction of 1" in fraction.reasons[0]

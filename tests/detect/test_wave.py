@@ -131,7 +131,7 @@ def test_a_cycle_of_unequal_halves_is_steady_by_whole_periods() -> None:
 
 def test_where_there_is_no_wave_its_price_is_not_earned() -> None:
     gains, others = [], []
-    for seed in range(20):
+    for seed in range(10):
         drift = np.cumsum(np.random.default_rng(seed).normal(size=N)) * 0.1
         record = healthy(wb.FOPDT(2.0, 20.0, 8.0), wb.PID(Kc=0.6, Ti=20.0), drift)
         gains.append(steady_wave(free(record.pv, record.op), record.pv, 50.0))

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import workbench as wb
+from workbench.estimate.estimate import _profile
 from workbench.estimate.fits.data import Centred, centre
 from workbench.estimate.loads.coloured import DELAYS, delays_about
 from workbench.estimate.search.profile import EACH, _delays
@@ -28,8 +29,8 @@ def record_of(plant: wb.FOPDT | wb.Integrating, valve: Valve, size: float, sampl
 @pytest.mark.parametrize(
     ("plant", "valve", "size", "samples", "sd"),
     [
-        (wb.FOPDT(1.2, 60.0, 55.0), wb.Stenman(2.5), 6.0, 1000, 0.05),
-        (wb.FOPDT(1.5, 40.0, 80.0), wb.Choudhury(3.0, 1.2), 8.0, 1200, 0.05),
+        (wb.FOPDT(1.2, 60.0, 55.0), wb.Stenman(2.5), 6.0, 800, 0.05),
+        (wb.FOPDT(1.5, 40.0, 80.0), wb.Choudhury(3.0, 1.2), 8.0, 900, 0.05),
         (wb.Integrating(0.02, 95.0), wb.Deadband(2.6), 15.0, 1000, 0.2),
     ],
     ids=["stenman", "two parameters", "dead band"],
@@ -47,10 +48,13 @@ def test_a_sticking_valve_and_its_plant_are_found(
 
 
 def test_a_dead_time_just_beyond_the_usual_ones_is_found_and_no_other_is_searched_where_one_is_asked_for() -> None:
-    record = record_of(wb.FOPDT(1.5, 40.0, 32.0), wb.Stenman(2.0), 6.0, 1000, 0.05)
-    how = {"plant": "fopdt", "valve": "stenman"}
-    assert wb.estimate(record, **how).plant.dead_time == pytest.approx(32.0, abs=0.5)
-    assert wb.estimate(record, **how, max_dead_time=20.0).plant.dead_time <= 20.0 + 1e-6
+    record = record_of(wb.FOPDT(1.5, 40.0, 32.0), wb.Stenman(2.0), 6.0, 600, 0.05)
+    found = wb.estimate(record, plant="fopdt", valve="stenman")
+    assert found.plant.dead_time == pytest.approx(32.0, abs=0.5)
+    asked = _profile(centre(record, "fopdt"), 20.0, silent)
+    assert asked is not None
+    assert asked.limits.theta[1] == 20.0
+    assert all(one.fit.theta <= 20.0 + 1e-6 for one in asked.fits)
 
 
 def test_a_usual_dead_time_is_searched_once(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -63,7 +67,7 @@ def test_a_usual_dead_time_is_searched_once(monkeypatch: pytest.MonkeyPatch) -> 
         return search(data, most, *rest)
 
     monkeypatch.setattr(module, "search", noted)
-    wb.estimate(record_of(wb.FOPDT(1.5, 30.0, 8.0), wb.Stenman(2.0), 6.0, 1000, 0.05))
+    wb.estimate(record_of(wb.FOPDT(1.5, 30.0, 8.0), wb.Stenman(2.0), 6.0, 1000, 0.05), plant="fopdt", valve="stenman")
     assert longest == [30.0]
 
 

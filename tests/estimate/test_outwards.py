@@ -64,7 +64,7 @@ def test_a_stem_that_soon_leaves_more_than_in_its_window_is_given_up() -> None:
 
 @pytest.mark.slow
 def test_a_slow_loops_valve_is_found_in_all_of_a_long_record() -> None:
-    found = wb.estimate(slow_record(), plant="fopdt")
+    found = wb.estimate(slow_record(), plant="fopdt", valve="choudhury")
     assert found.verdict == "stiction"
     assert found.identifiable
     assert found.valve.stick_band == pytest.approx(3.0, rel=2e-3)

@@ -102,17 +102,23 @@ def test_op_never_leaves_its_step(moves: list[int], step: float, seed: int) -> N
     assert 0.0 <= doubt <= step
 
 
+@cache
+def found_in_steps(method: str) -> tuple[Estimate, tuple[float, ...]]:
+    """What is found where OP is in steps, and the shares of the work that were told on the way."""
+    told: list[float] = []
+    return wb.estimate(kept(cycle(FLOW, 2)), plant="fopdt", method=method, progress=told.append), tuple(told)
+
+
 TWO_PARAMETER = wb.Loop(wb.FOPDT(1.0, 10.0, 4.0), wb.Choudhury(2.0, 1.0), wb.PID(Kc=0.8, Ti=12.0), 1.0)
 STICKY = {
     "flow": (FLOW, 0.02),
-    "direct": (REVERSED, 0.02),
     "level": (wb.Loop(wb.Integrating(0.1, 5.0), wb.Stenman(1.0), wb.PID(Kc=0.9, Ti=60.0), 1.0), 0.01),
     "two-parameter": (TWO_PARAMETER, 0.02),
     "two-parameter, longer": (TWO_PARAMETER, 0.005),
 }
-# What is not known of OP, and the noise, leave the gain open by more than a tenth; in twice the samples, less.
+# What is not known of OP, and the noise, leave the gain open by more than a tenth; in more samples, less.
 VAGUE = ("two-parameter",)
-LONGER = {"two-parameter, longer": 2000}
+LONGER = {"two-parameter, longer": 1400}
 
 
 @pytest.mark.parametrize("name", STICKY)
@@ -120,7 +126,8 @@ def test_a_valve_is_identified_from_an_op_in_steps(name: str) -> None:
     # Taken for exact, the same OP gives a band 3 to 60 % off, another kind of valve, or a gain 40 % off.
     loop, sd = STICKY[name]
     plant = "integrating" if isinstance(loop.plant, wb.Integrating) else "fopdt"
-    found = wb.estimate(kept(cycle(loop, 0, sd, LONGER.get(name, 1000))), plant=plant)
+    record = kept(cycle(loop, 0, sd, LONGER.get(name, 1000)))
+    found = found_in_steps("profile")[0] if loop is FLOW else wb.estimate(record, plant=plant)
     assert found.verdict == "stiction"
     assert isinstance(found.valve, type(loop.valve))
     assert found.valve.stick_band == pytest.approx(loop.valve.stick_band, rel=0.01)
@@ -132,13 +139,6 @@ def test_a_valve_is_identified_from_an_op_in_steps(name: str) -> None:
     low, high = found.intervals.gain
     assert low <= loop.plant.gain <= high
     assert (high - low <= 0.2 * abs(found.plant.gain)) == (name not in VAGUE)
-
-
-@cache
-def found_in_steps(method: str) -> tuple[Estimate, tuple[float, ...]]:
-    """What is found where OP is in steps, and the shares of the work that were told on the way."""
-    told: list[float] = []
-    return wb.estimate(kept(cycle(FLOW, 2)), method=method, progress=told.append), tuple(told)
 
 
 @pytest.mark.parametrize("method", ["profile", "joint"])
@@ -203,7 +203,7 @@ def test_ops_steps_beside_a_valve_that_stands_still_end_in_no_traceback() -> Non
     op[500:] = op[500]
     pv = np.where(np.arange(1600) < 500, full.pv, full.pv[500])
     pv += np.where(np.arange(1600) < 500, 0.0, np.random.default_rng(0).normal(0.0, 0.05, 1600))
-    found = wb.estimate(replace(full, op=op, pv=pv))
+    found = wb.estimate(replace(full, op=op, pv=pv), plant="fopdt", valve="stenman")
     assert np.isfinite(found.plant.gain)
 
 
@@ -227,19 +227,19 @@ def test_a_linear_loop_takes_the_steps_that_its_controller_sent_too(plant: wb.FO
 
 def test_a_linear_loop_is_the_estimates_where_a_stem_would_take_op_otherwise() -> None:
     # Which OP explains more of PV is asked of each model by itself.
-    load = wb.Series(tuple(np.cumsum(np.random.default_rng(0).normal(0.0, 0.05, 1000)).tolist()))
-    moves = [wb.Step(3.0, 20.0), wb.Step(-4.5, 500.0)]
+    load = wb.Series(tuple(np.cumsum(np.random.default_rng(0).normal(0.0, 0.05, 500)).tolist()))
+    moves = [wb.Step(3.0, 20.0), wb.Step(-4.5, 250.0)]
     loop = wb.Loop(wb.Integrating(0.015, 2.0), wb.Ideal(), wb.PID(Kc=8.0, Ti=32.0), 1.0)
-    run = wb.simulate(loop, wb.Experiment(1000.0, moves, load, wb.Noise(0.015, 0)))
+    run = wb.simulate(loop, wb.Experiment(500.0, moves, load, wb.Noise(0.015, 0)))
     record = wb.Record(run.pv + 50.0, np.round(run.op / 0.25) * 0.25 + 40.0, 1.0, sp=run.sp + 50.0)
     assert centre(record, "integrating").doubt > 0.0
     found = wb.estimate(record, plant="integrating", valve="linear")
     assert found.plant == linear_loop(record, "integrating").plant
 
 
-@pytest.mark.parametrize("method", ["profile", "joint"])
-def test_where_the_stem_is_hidden_nothing_says_that_ranges_hold_it(method: str) -> None:
-    found = wb.estimate(kept(cycle(FLOW, 1), 0.1), plant="fopdt", method=method)
+def test_where_the_stem_is_hidden_nothing_says_that_ranges_hold_it() -> None:
+    # The programs go on from the profile's answer, and give ranges only where that has some.
+    found = wb.estimate(kept(cycle(FLOW, 1, 0.05, 600), 0.1), plant="fopdt", method="joint")
     assert found.intervals == Intervals()
     assert found.repeats is None
     assert any("no ranges are given" in reason for reason in found.reasons)

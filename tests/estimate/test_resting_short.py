@@ -15,11 +15,11 @@ def estimate_of(valve: wb.Stenman | wb.He, controller: wb.PID) -> wb.Estimate:
     """The estimate from a late cycle."""
     experiment = wb.Experiment(1000.0, setpoint=wb.Step(1.0), noise=wb.Noise(0.05, 3))
     run = wb.simulate(wb.Loop(PLANT, valve, controller, 1.0), experiment)
-    return wb.estimate(wb.Record(run.pv[FROM:], run.op[FROM:], 1.0, sp=run.sp[FROM:]))
+    return wb.estimate(wb.Record(run.pv[FROM:], run.op[FROM:], 1.0, sp=run.sp[FROM:]), plant="fopdt")
 
 
 # Under the slow controller load steps are found beside the stem that lands on OP, which the other one does not need.
-@pytest.mark.parametrize(("controller", "fd"), [(BRISK, 0.2), (BRISK, 0.7), (SLOW, 0.4)])
+@pytest.mark.parametrize(("controller", "fd"), [(BRISK, 0.7), (SLOW, 0.4)])
 def test_the_gain_of_a_stem_that_rests_short_of_op_is_not_called_identified(controller: wb.PID, fd: float) -> None:
     found = estimate_of(wb.He(fs=2.0 - fd, fd=fd), controller)
     assert found.verdict == "stiction"

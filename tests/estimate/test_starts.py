@@ -53,7 +53,7 @@ def test_a_first_slip_off_by_one_sample_is_put_right() -> None:
     valve, sd = wb.Choudhury(1.0768220700648368, 0.5774493464850187), 0.01379149477044848
     controller = wb.PID(Kc=0.19910479276714266, Ti=3.194365491415788)
     loop = wb.Loop(wb.FOPDT(0.8640586989972787, 3.1134077220783247, 9.591350688588323), valve, controller, 1.0)
-    found = wb.estimate(late(loop, [wb.Step(1.4474691485208497)], sd, 1670737351, sd / 4.0))
+    found = wb.estimate(late(loop, [wb.Step(1.4474691485208497)], sd, 1670737351, sd / 4.0), plant="fopdt")
     assert isinstance(found.valve, wb.Choudhury)
     assert found.valve.stick_band == pytest.approx(valve.S, rel=0.01)
     assert found.plant.dead_time == pytest.approx(9.59, abs=0.2)
@@ -69,7 +69,7 @@ def test_a_dead_band_that_op_never_turns_within_is_as_wide_as_one_likes() -> Non
     assert bands["choudhury"].best.J == 0.0
     assert bands["deadband"].best.fit.sse <= bands["choudhury"].best.fit.sse
     assert {b.J for b in bands["deadband"].met} == {bands["deadband"].only} == {0.0}
-    found = wb.estimate(record)
+    found = wb.estimate(record, plant="fopdt")
     assert isinstance(found.valve, wb.Deadband)
     assert not found.identifiable
     assert holds(found.intervals.S, 1.16864)
