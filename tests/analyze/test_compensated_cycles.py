@@ -118,8 +118,7 @@ def test_an_ensemble_runs_the_controller_that_it_is_asked_about():
 def test_repair_takes_the_compensator_out_with_the_stiction():
     loop = paper_loop(0.5, 20.0, compensator=wb.Dither(3.0, 4.0))
     experiment, ideal = paper_step(200.0), paper_loop(0.5, 20.0)
-    bounds = wb.Bounds(Kc=(0.1, 3.0), Ti=(5.0, 200.0), Td=(0.0, 0.0))
-    worth = wb.value_of_repair(loop, experiment, bounds=bounds, restarts=1)
+    worth = wb.value_of_repair(loop, experiment, bounds=wb.Bounds((0.5, 0.5), (20.0, 20.0), (0.0, 0.0)))
     without = wb.simulate(dataclasses.replace(ideal, valve=wb.Ideal()), experiment)
     assert worth.repaired.controller.compensator is None
     assert worth.repaired.kpis.mean_square_error == without.kpis.mean_square_error

@@ -130,7 +130,7 @@ def test_tuning_knows_both():
     task = wb.Experiment(60.0, setpoint=wb.Step(4.0), load=wb.Step(1.0, at=30.0))
     loop = wb.Loop(wb.FOPDT(1.0, 5.0, 1.0), wb.Stenman(2.0), wb.PID(0.5, 20.0), 1.0)
     turned = replace(loop, fail_open=True, controller=replace(loop.controller, action="direct"))
-    asked = {"bounds": wb.Bounds(Td=(0, 0)), "restarts": 1}
+    asked = {"bounds": wb.Bounds(Td=(0, 0)), "restarts": 1, "digits": 2}
     ours, theirs = wb.tune(turned, task, **asked), wb.tune(loop, task, **asked)
     assert (ours.controller.Kc, ours.controller.Ti) == (theirs.controller.Kc, theirs.controller.Ti)
     assert ours.solves > 0, "branch programs know fail-open valves"

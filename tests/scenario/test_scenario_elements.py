@@ -150,8 +150,9 @@ PLACES = "{type: positional, places: [{position: -20 %, S: 6, J: 2}, {position: 
 
 
 @pytest.mark.usefixtures("undrawn")
+@pytest.mark.usefixtures("undrawn")
 def test_friction_by_place_is_read_run_and_told(tmp_path: Path) -> None:
-    study = run_scenario(read(GOOD.replace(STENMAN, PLACES)))
+    study = run_scenario(read(GOOD.replace(STENMAN, PLACES).replace("Ti: 20 s", "Ti: 200 s")))
     case = study.cases[0]
     assert case.loop.valve == Positional((-20.0, 10.0), (Choudhury(6.0, 2.0), Choudhury(3.0, 1.0)))
     assert case.describing_function is None

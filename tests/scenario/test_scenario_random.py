@@ -95,7 +95,7 @@ def scenarios(draw: st.DrawFn) -> dict[str, object]:
     }
 
 
-@settings(deadline=None, max_examples=60)
+@settings(deadline=None, max_examples=30)
 @given(scenarios())
 def test_valid_scenarios_load(data: dict[str, object]) -> None:
     # JSON is YAML: what is written here is what the loader must understand.
@@ -144,7 +144,7 @@ def put(data: object, path: tuple[object, ...], value: object, rename: str | Non
     return copied
 
 
-@settings(deadline=None, max_examples=150, suppress_health_check=[HealthCheck.too_slow])
+@settings(deadline=None, max_examples=75, suppress_health_check=[HealthCheck.too_slow])
 @given(scenarios(), st.data())
 def test_mutated_scenarios_give_only_our_errors(data: dict[str, object], drawn: st.DataObject) -> None:
     for _ in range(drawn.draw(st.integers(1, 2))):

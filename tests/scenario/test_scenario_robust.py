@@ -32,9 +32,9 @@ ensemble: {duration: 200 s, draws: 6, noise: [0.01, 0.05]}
 cases:
   - {name: Case 1, Kc: 0.5, Ti: 20 s}
 """
-ROBUST = "  - {name: Robust, tune: {robust: true, Td: 0 s, restarts: 1, digits: 3}}\n"
+ROBUST = "  - {name: Robust, tune: {robust: true, Td: 0 s, restarts: 1, digits: 2}}\n"
 CALM = (
-    "  - {name: Calm, tune: {robust: {draws: 4}, travel_budget: {case: Case 1}, Td: 0 s, restarts: 1, digits: 3,"
+    "  - {name: Calm, tune: {robust: {draws: 4}, travel_budget: {case: Case 1}, Td: 0 s, restarts: 1, digits: 2,"
     " constraints: {max_sensitivity: 1.8}}}\n"
 )
 ANALYSES = "analyze: {describing_function: false, limit_cycle: false, tradeoff: true, repair: true}\n"
@@ -121,7 +121,7 @@ def test_every_field_of_the_ensemble_has_its_key() -> None:
         (CALM.replace("{case: Case 1}", "{cas: Case 1}"), "cases[1].tune.travel_budget.cas", "did you mean case?"),
         (CALM.replace("max_sensitivity: 1.8", "valve_travel: 20"), "cases[1].tune.travel_budget", "one of the two"),
         (CALM.replace("robust: {draws: 4}, ", ""), "cases[1].tune.travel_budget", "given without robust"),
-        (CALM.replace("digits: 3", "nominal: true"), "cases[1].tune.nominal", "an ensemble has no nominal run"),
+        (CALM.replace("digits: 2", "nominal: true"), "cases[1].tune.nominal", "an ensemble has no nominal run"),
         (CALM.replace("robust: {draws: 4}", "robust: false"), "cases[1].tune.travel_budget", "given without robust"),
     ],
 )
@@ -143,7 +143,7 @@ def test_refusals_of_the_shared_ensemble_and_the_trade_off() -> None:
 def study() -> Study:
     with pytest.MonkeyPatch.context() as patch:
         # The repair's value without an ensemble is other tests' matter: one search each.
-        patch.setattr(runner, "value_of_repair", partial(runner.value_of_repair, restarts=1))
+        patch.setattr(runner, "value_of_repair", partial(runner.value_of_repair, restarts=1, digits=2))
         return run_scenario(read(BASE + ROBUST + CALM + ANALYSES))
 
 
@@ -181,7 +181,7 @@ def test_the_front_and_the_value_of_repair_stand_in_the_results(study: Study) ->
     assert front is not None
     assert front.constraints == wb.Constraints(max_sensitivity=2.0)
     assert front.bounds == wb.Bounds(Td=(0.0, 0.0))
-    assert front.digits == 3
+    assert front.digits == 2
     assert repair is not None
     assert repair.tuned is study.cases[1].tuned
     assert repair.present.loop.controller == study.cases[0].loop.controller

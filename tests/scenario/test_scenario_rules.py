@@ -192,7 +192,7 @@ def test_a_rule_that_does_not_suit_the_record_names_its_entry(tmp_path: Path) ->
 # repair ------------------------------------------------------------------------------------------------------------
 
 REPAIR = BASE.replace("limit_cycle: false}", "limit_cycle: false, repair: true}")
-SEARCH = "  - {name: PI, tune: {bounds: {Kc: [0, 10], Ti: [5 s, 100 s]}, Td: 0 s, restarts: 1, digits: 3}}\n"
+SEARCH = "  - {name: PI, tune: {bounds: {Kc: [0, 10], Ti: [5 s, 100 s]}, Td: 0 s, restarts: 1, digits: 2}}\n"
 
 
 def test_the_value_of_repair_stands_in_the_study() -> None:
@@ -227,7 +227,7 @@ def quickened(monkeypatch: pytest.MonkeyPatch) -> list[object]:
 
     def quick(*args: object, **kwargs: object) -> object:
         asked.append(kwargs.pop("tuned"))
-        return true_value(*args, tuned=None, restarts=1, **kwargs)  # type: ignore[arg-type]
+        return true_value(*args, tuned=None, restarts=1, digits=2, **kwargs)  # type: ignore[arg-type]
 
     monkeypatch.setattr(runner, "value_of_repair", quick)
     return asked
@@ -235,7 +235,8 @@ def quickened(monkeypatch: pytest.MonkeyPatch) -> list[object]:
 
 def test_a_search_of_the_repair_stays_within_the_bounds_of_robust_tunings(monkeypatch: pytest.MonkeyPatch) -> None:
     asked = quickened(monkeypatch)
-    tune = "{robust: {draws: 4}, bounds: {Kc: [0.2, 1.2], Ti: [5 s, 30 s]}, Td: 0 s, restarts: 1}"
+    tune = "{robust: {duration: 100 s, draws: 4}, bounds: {Kc: [0.2, 1.2], Ti: [5 s, 30 s]}, Td: 0 s, "
+    tune += "restarts: 1, digits: 2}"
     study = run_scenario(read(f"{REPAIR}  - {{name: R, tune: {tune}}}\n"))
     assert asked == [None]
     assert study.repair is not None

@@ -32,7 +32,7 @@ experiment: {duration: 150 s, setpoint: {step: 4, at: 0 s}}
 CASES = """\
 cases:
   - {name: Case 1, Kc: 0.5, Ti: 20 s, reference: {valve_travel: 12.18}, note: base}
-  - {name: PI, tune: {bounds: {Kc: [0, 10], Ti: [5 s, 600 s]}, Td: 0 s, restarts: 1, digits: 3}}
+  - {name: PI, tune: {bounds: {Kc: [0, 10], Ti: [5 s, 600 s]}, Td: 0 s, restarts: 1, digits: 2}}
 """
 
 
@@ -41,7 +41,9 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> None:
     """Tune for a found loop in one search: for what is asked of it and told of it."""
     true_tune = retune.tune_case
     monkeypatch.setattr(
-        retune, "tune_case", lambda loop, task, job, told: true_tune(loop, task, replace(job, restarts=1), told)
+        retune,
+        "tune_case",
+        lambda loop, task, job, told: true_tune(loop, task, replace(job, restarts=1, digits=2), told),
     )
 
 
@@ -182,14 +184,15 @@ def test_the_value_of_repair_stops_at_an_interrupted_tuning(monkeypatch: pytest.
     monkeypatch.setattr(repair, "tune", interrupted)
     loop = wb.Loop(wb.FOPDT(1.0, 5.0, 1.0), wb.Stenman(2.0), wb.PID(0.5, 20.0), 1.0)
     with pytest.raises(KeyboardInterrupt):
-        wb.value_of_repair(loop, wb.Experiment(60.0, wb.Step(4.0)), restarts=1)
+        wb.value_of_repair(loop, wb.Experiment(60.0, wb.Step(4.0)), restarts=1, digits=2)
     assert len(calls) == 1
 
 
 def test_estimates_from_one_record_share_its_evidence() -> None:
     text = LOOP.replace("{derivative_filter: none}", "{Kc: 0.5, Ti: 20 s}").replace("150 s", "400 s")
-    text += "estimate:\n  - {name: a, simulate: true}\n  - {name: b, simulate: true, method: two_step, start: 1.9}\n"
-    text += "  - {name: c, simulate: true, noise: {sd: 0.1, seed: 1}}\n"
+    told = "simulate: true, plant: fopdt, valve: stenman"
+    text += f"estimate:\n  - {{name: a, {told}}}\n  - {{name: b, {told}, method: two_step, start: 1.9}}\n"
+    text += f"  - {{name: c, {told}, noise: {{sd: 0.1, seed: 1}}}}\n"
     first, again, noisy = (named.detection for named in run_scenario(plan(text)).estimates)
     assert first is not None
     assert noisy is not None
@@ -230,7 +233,7 @@ def test_a_scenario_is_retuned_under_other_wishes() -> None:
     (one,) = tune_scenario(plan(LOOP + CASES), Wishes(Kc=(0.1, 0.3), seed=4))
     assert one.name == "PI"
     assert 0.1 <= one.tuned.controller.Kc <= 0.3
-    assert (one.tuned.seed, one.tuned.digits) == (4, 3)
+    assert (one.tuned.seed, one.tuned.digits) == (4, 2)
     with pytest.raises(wb.InvalidValue, match="--step"):
         tune_scenario(plan(LOOP + CASES), Wishes(step=1.0))
     with pytest.raises(wb.InvalidValue, match="needs both"):

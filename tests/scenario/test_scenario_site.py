@@ -141,7 +141,7 @@ def test_settings_beside_those_typed_in_are_looked_at(tmp_path):
 
 def test_the_value_of_repair_is_of_what_is_typed_in(tmp_path):
     text = BASE.replace("limit_cycle: false", "limit_cycle: false, repair: true")
-    found = "  - {name: Found, tune: {bounds: {Kc: [0.4, 0.6], Ti: [15 s, 25 s]}, Td: 0 s, restarts: 1, digits: 3}}\n"
+    found = "  - {name: Found, tune: {bounds: {Kc: [0.4, 0.6], Ti: [15 s, 25 s]}, Td: 0 s, restarts: 1, digits: 2}}\n"
     study = wb.run_scenario(
         written(tmp_path, "{gain: proportional_band}", text.replace("analyze:", f"{found}analyze:"))
     )

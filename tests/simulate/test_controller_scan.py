@@ -112,13 +112,12 @@ def test_a_loop_that_saturates_between_executions_comes_to_rest_at_its_limit():
     assert "OP is at its limit" in start.reason
 
 
-@pytest.mark.slow
 def test_tuning_searches_directly_and_keeps_the_margins_of_the_executions():
     loop = replace(paper_loop(0.5, 20.0), scan=2)
     asked = {
         "bounds": wb.Bounds(Td=(0, 0)),
         "restarts": 1,
-        "digits": 3,
+        "digits": 2,
         "constraints": wb.Constraints(max_sensitivity=1.6),
     }
     tuned = wb.tune(loop, paper_step(60.0), **asked)

@@ -162,14 +162,14 @@ LEVEL_AT_THE_BANDS_END = wb.Loop(
 )
 
 
-@settings(max_examples=80)
+@settings(max_examples=40)
 @given(loop=slow_loops(), r=numbers(-6.0, 6.0), load=numbers(-2.0, 2.0), pauses=pauses)
 @example(LEVEL_AT_THE_BANDS_END, 3.0, 0.0, [1, 1, 1, 1])
 def test_each_jump_equals_the_kernel_restarted_from_the_same_state(loop, r, load, pauses):
     follow_jumps(loop, r, load, pauses)
 
 
-@settings(max_examples=40)
+@settings(max_examples=20)
 @given(loop=slow_loops(), R=numbers(2.0, 100.0), r=numbers(-6.0, 6.0), load=numbers(-2.0, 2.0), pauses=pauses)
 def test_jumps_behind_a_curved_characteristic_equal_the_kernel_too(loop, R, r, load, pauses):
     assume(loop.valve.slip_jump <= loop.valve.stick_band)
@@ -177,7 +177,7 @@ def test_jumps_behind_a_curved_characteristic_equal_the_kernel_too(loop, R, r, l
     follow_jumps(replace(loop, controller=pid, characteristic=wb.EqualPercentage(R, 35.0)), r, load, pauses)
 
 
-@settings(max_examples=40)
+@settings(max_examples=20)
 @given(loop=slow_loops(), far=numbers(0.5, 2.0), r=numbers(-6.0, 6.0), load=numbers(-2.0, 2.0), pauses=pauses)
 def test_jumps_of_stems_whose_friction_differs_by_place_equal_the_kernel_too(loop, far, r, load, pauses):
     one_parameter = loop.valve.sticks_at_once
@@ -185,7 +185,7 @@ def test_jumps_of_stems_whose_friction_differs_by_place_equal_the_kernel_too(loo
     follow_jumps(replace(loop, valve=wb.Positional((-3.0, 2.0), ends)), r, load, pauses)
 
 
-@settings(max_examples=40)
+@settings(max_examples=20)
 @given(loop=slow_loops(), fs=numbers(0.3, 3.0), share=numbers(0.3, 1.0), r=numbers(-6.0, 6.0), pauses=pauses)
 def test_jumps_of_a_stem_with_mass_equal_the_kernel_too(loop, fs, share, r, pauses):
     forces = 50.0 * fs * share, 50.0 * fs
@@ -193,7 +193,7 @@ def test_jumps_of_a_stem_with_mass_equal_the_kernel_too(loop, fs, share, r, paus
     follow_jumps(replace(loop, valve=valve), r, 0.0, pauses)
 
 
-@settings(max_examples=50)
+@settings(max_examples=25)
 @given(loop=loops, r=numbers(-6.0, 6.0), load=numbers(-2.0, 2.0), pauses=pauses)
 def test_jumps_of_fast_loops_with_limits_equal_the_kernel_too(loop, r, load, pauses):
     follow_jumps(loop, r, load, pauses)

@@ -41,6 +41,6 @@ def test_an_estimate_has_one(two):
     rng = np.random.default_rng(1)
     record = wb.Record(pv=rng.normal(size=300), op=50.0 + rng.normal(size=300), sample_time=1.0)
     seen: set[int] = set()
-    wb.estimate(record, progress=lambda _: seen.update(threads()))
+    wb.estimate(record, plant="fopdt", valve="stenman", progress=lambda _: seen.update(threads()))
     assert seen == {1}
     assert threads() == {2}

@@ -55,12 +55,10 @@ def test_a_tuning_that_keeps_the_margins_has_possible_points_about_it(asked, bou
         assert not region.possible(nearest)[missed > 0.2].any()
 
 
-@pytest.mark.parametrize(
-    "asked", [*ASKED, wb.Constraints(valve_travel=15.0)], ids=["Ms", "both margins", "strict", "travel"]
-)
+@pytest.mark.parametrize("asked", ASKED[1:], ids=["both margins", "strict"])
 def test_no_tuning_that_keeps_the_constraints_is_better_than_what_is_found_and_proved(asked):
     # Two digits leave so few tunings that all of them can be tried.
-    found = wb.tune(LOOP, SHORT, bounds=PLANE, digits=2, margin=0.02, constraints=asked)
+    found = wb.tune(LOOP, SHORT, bounds=PLANE, restarts=3, digits=2, margin=0.02, constraints=asked)
     problem = Problem(LOOP, SHORT, wb.Objective(), PLANE, 2, 0.02, constraints=asked)
     Kc, Ti = (np.unique(round_to(np.geomspace(*ends, 4000), 2, *ends)) for ends in (PLANE.Kc, PLANE.Ti))
     plane = np.stack([np.repeat(Kc, Ti.size), np.tile(Ti, Kc.size), np.zeros(Kc.size * Ti.size)], axis=1)
@@ -76,7 +74,7 @@ def test_no_tuning_that_keeps_the_constraints_is_better_than_what_is_found_and_p
 def test_of_constraints_that_nothing_keeps_nothing_is_proved():
     bounds = wb.Bounds(Kc=(1.0, 4.0), Ti=(2.0, 10.0), Td=(0.0, 0.0))
     loop = replace(LOOP, controller=wb.PID(2.0, 5.0))
-    found = wb.tune(loop, SHORT, bounds=bounds, constraints=wb.Constraints(valve_travel=0.5))
+    found = wb.tune(loop, SHORT, bounds=bounds, restarts=3, digits=2, constraints=wb.Constraints(valve_travel=0.5))
     assert found.status is wb.SolveStatus.INFEASIBLE
     assert found.worst_bound is None
 

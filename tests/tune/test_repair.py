@@ -17,7 +17,7 @@ BOUNDS = wb.Bounds(Td=(0.0, 0.0))
 
 @pytest.fixture(scope="module")
 def repair() -> Repair:
-    return wb.value_of_repair(paper_loop(0.5, 20.0), EXPERIMENT, bounds=BOUNDS, restarts=1)
+    return wb.value_of_repair(paper_loop(0.5, 20.0), EXPERIMENT, bounds=BOUNDS, restarts=1, digits=2)
 
 
 def assert_same(ours: Kpis, theirs: Kpis) -> None:
@@ -77,7 +77,7 @@ def test_the_stem_offset_goes_with_the_stiction() -> None:
 
 def test_bounds_left_out_hold_the_present_tuning() -> None:
     loop = paper_loop(12.0, 700.0)
-    found = wb.value_of_repair(loop, wb.Experiment(60.0, wb.Step(4.0)), restarts=1)
+    found = wb.value_of_repair(loop, wb.Experiment(60.0, wb.Step(4.0)), restarts=1, digits=2)
     assert found.tuned.bounds == wb.Bounds((0.0, 12.0), (5.0, 700.0), (0.0, 0.0))
 
 

@@ -86,9 +86,9 @@ def test_margins_as_constraints():
 
 
 def test_other_statistics():
-    mean = tune(restarts=1).objective
+    mean = tune(restarts=1, digits=2).objective
     for kind, words in (("percentile", "quantile"), ("cvar", "CVaR")):
-        found = tune(robust=replace(SMALL, statistic=kind, level=0.8), restarts=1)
+        found = tune(robust=replace(SMALL, statistic=kind, level=0.8), restarts=1, digits=2)
         assert found.status is wb.SolveStatus.SOLVED
         assert found.objective > mean
         assert words in found.message
@@ -157,7 +157,7 @@ def test_wrong_options_are_refused(wrong, where):
 
 @pytest.mark.slow
 def test_the_papers_loop_meets_its_figures():
-    robust = wb.tune(START, paper_step(), bounds=PI, robust=True, seed=0, restarts=1)
+    robust = wb.tune(START, paper_step(), bounds=PI, robust=True, seed=0, restarts=1, digits=3)
     fresh = robust.robustness
     assert robust.status is wb.SolveStatus.SOLVED
     assert fresh.max_sensitivity <= 2.0

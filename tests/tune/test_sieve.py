@@ -115,7 +115,7 @@ def test_neighbourhoods_too_many_to_count_are_not_asked(margin: float) -> None:
 def test_no_tuning_of_the_plane_is_below_what_the_sieve_proves() -> None:
     experiment = wb.Experiment(200.0, setpoint=wb.Step(4.0), noise=wb.Noise(0.1, seed=3))
     bounds = wb.Bounds(Kc=(0.5, 4.0), Ti=(5.0, 60.0), Td=(0.0, 0.0))
-    tuned = wb.tune(LOOP, experiment, bounds=bounds, margin=0.01)
+    tuned = wb.tune(LOOP, experiment, bounds=bounds, margin=0.01, restarts=3)
     assert tuned.worst_bound is not None
     assert 0.8 * tuned.worst < tuned.worst_bound <= tuned.worst
     assert f"no tuning within the bounds has a worst J below {tuned.worst_bound:.5g}" in tuned.message
@@ -123,15 +123,15 @@ def test_no_tuning_of_the_plane_is_below_what_the_sieve_proves() -> None:
     problem = Problem(LOOP, experiment, wb.Objective(), bounds, 4, 0.01)
     rng = np.random.default_rng(5)
     best = problem.cube(np.array([[tuned.controller.Kc, tuned.controller.Ti, 0.0]]))
-    anywhere, near = rng.random((3000, 2)), np.clip(best + rng.normal(0.0, 0.02, (3000, 2)), 0.0, 1.0)
+    anywhere, near = rng.random((500, 2)), np.clip(best + rng.normal(0.0, 0.02, (1000, 2)), 0.0, 1.0)
     tunings = problem.tunings(np.concatenate([anywhere, near]))
     worst = problem.spread(tunings, np.full(tunings.shape[0], np.inf))
     assert worst.min() >= tuned.worst_bound
 
 
 def test_what_is_not_a_whole_plane_proves_nothing() -> None:
-    few = wb.tune(LOOP, SHORT, bounds=PLANE, restarts=1)
-    least = wb.tune(LOOP, SHORT, bounds=PLANE, restarts=1, nominal=True)
+    few = wb.tune(LOOP, SHORT, bounds=PLANE, restarts=1, digits=2)
+    least = wb.tune(LOOP, SHORT, bounds=PLANE, restarts=3, digits=2, nominal=True)
     assert few.worst_bound is None
     assert least.worst_bound is None
     assert "worst J below" not in few.message

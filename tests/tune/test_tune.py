@@ -34,12 +34,22 @@ def digits_of(value: float) -> int:
 
 @pytest.fixture(scope="module")
 def pi():
-    return wb.tune(START, SHORT, wb.Objective(), PI, seed=3)
+    return wb.tune(START, SHORT, wb.Objective(), PI, seed=3, restarts=1)
 
 
 @pytest.fixture(scope="module")
 def pid():
     return wb.tune(START, SHORT, wb.Objective(), wb.Bounds(), seed=3, restarts=2)
+
+
+# So few neighbourhoods that the plane is soon sieved, which needs three restarts.
+SIEVED = {"bounds": PI, "seed": 3, "restarts": 3, "margin": 0.004}
+
+
+@pytest.fixture(scope="module")
+def sieved():
+    seen: list[tuple[str, float]] = []
+    return wb.tune(START, SHORT, progress=lambda phase, share: seen.append((phase, share)), **SIEVED), seen
 
 
 def test_the_objective_is_the_exact_cost_of_the_rounded_controller(pi, pid) -> None:
@@ -93,12 +103,14 @@ def test_statistics_tell_what_was_done(pid) -> None:
     assert pid.guard_margin == pytest.approx(np.abs(lead - 2.0).min(), rel=1e-9)
 
 
-def test_equal_seeds_give_equal_results(pi) -> None:
+def test_equal_seeds_give_equal_results(sieved) -> None:
     began = time.perf_counter()
-    again = wb.tune(START, SHORT, wb.Objective(), PI, seed=3)
+    again = wb.tune(START, SHORT, **SIEVED)
     assert 0.0 < again.wall_time <= time.perf_counter() - began
+    assert again.solves > 0
+    assert again.worst_bound is not None
     for name in ("controller", "objective", "worst", "nominal", "restarts", "evaluations", "solves", "message"):
-        assert getattr(again, name) == getattr(pi, name), name
+        assert getattr(again, name) == getattr(sieved[0], name), name
 
 
 def test_fixed_parameters_stay_as_given() -> None:
@@ -127,25 +139,17 @@ def test_all_fixed_is_an_evaluation() -> None:
     ("valve", "plant", "controller"),
     [
         (wb.Choudhury(S=2.0, J=0.8), PAPER_PLANT, {"derivative_on": "pv"}),
-        (wb.He(fs=1.5, fd=0.6), PAPER_PLANT, {}),
-        (wb.Deadband(b=1.0), PAPER_PLANT, {}),
-        (wb.Ideal(), PAPER_PLANT, {}),
-        (wb.Stenman(1.0), wb.Integrating(gain=0.1, dead_time=1.5), {"Ti": 40.0}),
-        (wb.Stenman(1.0), wb.FOPDT(-0.5, 8.0, 2.3), {"action": "direct", "form": "series"}),
-        (wb.Stenman(1.0), PAPER_PLANT, {"form": "parallel"}),
-        (wb.Stenman(1.0), PAPER_PLANT, {"output_limits": (-2.0, 5.0)}),
+        (wb.Deadband(b=1.0), wb.FOPDT(-0.5, 8.0, 2.3), {"action": "direct", "form": "series"}),
         (wb.Stenman(1.0), PAPER_PLANT, {"output_limits": (-2.0, 5.0), "anti_windup": "back_calculation"}),
+        (wb.He(fs=1.5, fd=0.6), PAPER_PLANT, {"output_limits": (-2.0, 5.0)}),
+        (wb.Ideal(), wb.Integrating(gain=0.1, dead_time=1.5), {"Ti": 40.0, "form": "parallel"}),
     ],
     ids=[
-        "Choudhury",
-        "He",
-        "Deadband",
-        "Ideal",
-        "integrating",
-        "series, direct",
-        "parallel",
-        "clamp",
-        "back-calculation",
+        "Choudhury, PV",
+        "Deadband, series, direct",
+        "Stenman, back-calculation",
+        "He, clamp",
+        "Ideal, integrating, parallel",
     ],
 )
 def test_every_kind_of_loop(valve, plant, controller) -> None:
@@ -153,7 +157,7 @@ def test_every_kind_of_loop(valve, plant, controller) -> None:
     loop = wb.Loop(plant, valve, pid, sample_time=1.0)
     experiment = wb.Experiment(80.0, wb.Step(4.0), load=wb.Step(0.5, at=40.0))
     objective = wb.Objective(w4=0.05)
-    tuned = wb.tune(loop, experiment, objective, wb.Bounds(), seed=1, restarts=1)
+    tuned = wb.tune(loop, experiment, objective, wb.Bounds(), seed=1, restarts=1, digits=2)
     assert tuned.status is wb.SolveStatus.SOLVED
     assert tuned.objective == exact(tuned)
     assert tuned.solves > 0
@@ -161,14 +165,14 @@ def test_every_kind_of_loop(valve, plant, controller) -> None:
     assert not tuned.message.startswith("0 of")
     assert tuned.guard_margin > 0.0
     rng = np.random.default_rng(0)
-    count = 20_000
+    count = 10_000
     random = np.column_stack(
         [10.0 * rng.random(count) ** 2, 5.0 * 120.0 ** rng.random(count), 60.0 * rng.random(count) ** 4]
     )
     random[: count // 4, 2] = 0.0
     costs = evaluate(loop, experiment, objective, random)
     assert tuned.nominal <= 1.002 * costs.min()
-    problem = Problem(loop, experiment, objective, wb.Bounds(), 4, 0.001)
+    problem = Problem(loop, experiment, objective, wb.Bounds(), 2, 0.001)
     best = random[np.argsort(costs)[:20]]
     assert tuned.worst <= 1.002 * problem.worst_below(best, np.full(20, np.inf), dense=True).min()
 
@@ -176,7 +180,7 @@ def test_every_kind_of_loop(valve, plant, controller) -> None:
 @pytest.mark.parametrize("valve", [wb.Kano(2.0, 0.8), wb.Directional(wb.Choudhury(2.0, 0.8), wb.Choudhury(3.0, 1.0))])
 def test_a_valve_without_branch_programs_is_tuned_by_direct_search(valve) -> None:
     loop = wb.Loop(PAPER_PLANT, valve, wb.PID(0.5, 20.0), sample_time=1.0)
-    tuned = wb.tune(loop, paper_step(80.0), bounds=wb.Bounds(Td=(0.0, 0.0)), restarts=1)
+    tuned = wb.tune(loop, paper_step(80.0), bounds=wb.Bounds(Td=(0.0, 0.0)), restarts=1, digits=2)
     assert tuned.status is wb.SolveStatus.SOLVED
     assert tuned.solves == 0
     assert f"do not know the valve {type(valve).__name__}" in tuned.message
@@ -184,7 +188,7 @@ def test_a_valve_without_branch_programs_is_tuned_by_direct_search(valve) -> Non
     assert 0.0 < tuned.guard_margin < math.inf
 
 
-@settings(deadline=None, max_examples=3)
+@settings(deadline=None, max_examples=2)
 @given(
     d=st.floats(0.2, 3.0),
     tau=st.floats(2.0, 20.0),
@@ -274,9 +278,10 @@ def test_a_pid_search_is_no_worse_than_the_pi_within_its_bounds() -> None:
     task = wb.Experiment(3000.0, wb.Ramp(6.0, 300.0, 900.0), wb.Step(3.0, 1500.0), wb.Noise(0.1, 7))
     weights = wb.Objective(w1=0.5, w3=0.5, w4=0.1)
     ends = wb.Bounds(Kc=(0.2, 10.0), Ti=(60.0, 3600.0), Td=(0.0, 0.0))
-    plain = wb.tune(loop, task, weights, ends, restarts=1)
+    # The tuning that a search for a PI ends with.
+    plain = Problem(loop, task, weights, ends, 4, 0.001).last_word(np.array([4.221, 83.38, 0.0]))
     full = wb.tune(loop, task, weights, replace(ends, Td=(0.0, 120.0)), restarts=1)
-    assert full.worst <= 1.003 * plain.worst
+    assert full.worst <= 1.003 * plain
     assert full.controller.Td == 0.0 or full.controller.Td >= 0.02 * 5.0
 
 
@@ -287,19 +292,16 @@ def test_the_time_limit_returns_the_best_so_far() -> None:
     assert tuned.objective == exact(tuned)
 
 
-def test_progress_rises_to_one() -> None:
-    seen: list[tuple[str, float]] = []
-    wb.tune(START, SHORT, bounds=PI, restarts=2, progress=lambda phase, share: seen.append((phase, share)))
+def test_progress_rises_to_one(sieved) -> None:
+    _, seen = sieved
     shares = [share for _, share in seen]
     assert shares == sorted(shares)
     assert (shares[0], shares[-1]) == (0.0, 1.0)
     assert all(phase for phase, _ in seen)
 
 
-def test_progress_goes_on_while_the_plane_is_sieved() -> None:
-    seen: list[tuple[str, float]] = []
-    wb.tune(START, SHORT, bounds=PI, restarts=3, progress=lambda phase, share: seen.append((phase, share)))
-    shares = [share for phase, share in seen if phase == "worst case within the digits"]
+def test_progress_goes_on_while_the_plane_is_sieved(sieved) -> None:
+    shares = [share for phase, share in sieved[1] if phase == "worst case within the digits"]
     assert shares == sorted(shares)
     assert sum(0.56 < share < 0.8 for share in shares) >= 5
 
@@ -316,7 +318,8 @@ def test_a_loop_that_no_tuning_holds_ends_without_success() -> None:
 
 
 def test_long_records_are_tuned_without_branch_programs() -> None:
-    tuned = wb.tune(START, wb.Experiment(10_001.0, wb.Step(4.0)), bounds=PI, restarts=1)
+    bounds = wb.Bounds(Kc=(0.5, 0.5), Ti=(19.0, 21.0), Td=(0.0, 0.0))
+    tuned = wb.tune(START, wb.Experiment(10_001.0, wb.Step(4.0)), bounds=bounds, restarts=1, digits=2)
     assert tuned.status is wb.SolveStatus.SOLVED
     assert tuned.solves == 0
     assert "without branch programs" in tuned.message
@@ -375,7 +378,8 @@ def test_a_controller_that_acts_the_wrong_way_is_said(gain: float, action: str, 
 )
 def test_and_left_alone_under_constraints_too(asked: dict[str, object]) -> None:
     loop = wb.Loop(wb.FOPDT(1.0, 5.0, 1.0), wb.Stenman(1.0), wb.PID(0.5, 20.0, action="direct"), 1.0)
-    found = wb.tune(loop, wb.Experiment(50.0, wb.Step(1.0)), bounds=wb.Bounds(Td=(0, 0)), restarts=1, **asked)
+    bounds = wb.Bounds(Td=(0, 0))
+    found = wb.tune(loop, wb.Experiment(50.0, wb.Step(1.0)), bounds=bounds, restarts=1, digits=3, **asked)
     assert found.status is wb.SolveStatus.SOLVED
     assert found.controller.Kc == 0.0
     assert "acts the wrong way" in found.message
@@ -415,7 +419,7 @@ def test_a_tuning_that_the_simulation_refuses_is_none() -> None:
     loop, run = wb.Loop(wb.FOPDT(1.0, 2.0, 0.0), wb.Stenman(0.5), pid, 10.0), wb.Experiment(400.0, wb.Step(3.0))
     values = wb.evaluate(loop, run, wb.Objective(), [[0.1, 4.0, 0.0], [0.1, 5.0, 0.0], [0.1, 5.01, 0.0]])
     assert np.isfinite(values).tolist() == [False, False, True]
-    tuned = wb.tune(loop, run, bounds=wb.Bounds((0.0, 2.0), (1.0, 600.0), (0.0, 0.0)))
+    tuned = wb.tune(loop, run, bounds=wb.Bounds((0.0, 2.0), (1.0, 600.0), (0.0, 0.0)), restarts=1)
     Ti = tuned.controller.Ti
     assert Ti - 0.001 * Ti > 5.0
     wb.simulate(loop.with_controller(tuned.controller), run)
@@ -424,7 +428,8 @@ def test_a_tuning_that_the_simulation_refuses_is_none() -> None:
 def test_where_every_tuning_does_alike_the_plane_is_sieved_and_none_is_better() -> None:
     # The stem never moves: J is one value over the whole plane, of which no neighbourhood is better than another.
     loop = wb.Loop(wb.FOPDT(1.0, 5.0, 1.0), wb.Choudhury(4.0, 1.0), wb.PID(0.5, 20.0), 1.0)
-    tuned = wb.tune(loop, wb.Experiment(100.0, noise=wb.Noise(0.1, 1)), bounds=wb.Bounds(Kc=(0.0, 1.0), Td=(0.0, 0.0)))
+    experiment, bounds = wb.Experiment(100.0, noise=wb.Noise(0.1, 1)), wb.Bounds(Kc=(0.0, 1.0), Td=(0.0, 0.0))
+    tuned = wb.tune(loop, experiment, bounds=bounds, restarts=3, margin=0.003)
     assert tuned.slips == 0
     assert tuned.worst_bound == pytest.approx(tuned.worst, rel=1e-8)
     assert "Kc ends on its lower bound" not in tuned.message

