@@ -34,7 +34,7 @@ cases:
   - {name: "[bold]Case 2", Kc: 0.5, Ti: 200 s}
 analyze: {limit_cycle: false}
 """
-TUNE = "  - {name: PI, tune: {Td: 0 s, restarts: 1}}\nanalyze:"
+TUNE = "  - {name: PI, tune: {Td: 0 s, restarts: 1, digits: 2}}\nanalyze:"
 
 
 @pytest.fixture
@@ -113,6 +113,7 @@ def test_schema_is_the_committed_one() -> None:
 # run and check -----------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_run_writes_a_report_for_each_scenario(folder: Path) -> None:
     (folder / "other.yaml").write_text(GOOD.replace("A short run", "Another"))
     code, out, err = call("run", "good.yaml", "other.yaml", "--out", "there")
@@ -129,6 +130,7 @@ def test_run_writes_a_report_for_each_scenario(folder: Path) -> None:
     assert "[bold]Case 2" in out
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_figures_zoom_where_that_is_asked(folder: Path) -> None:
     assert call("run", "good.yaml", "--out", "still")[0] == 0
     assert call("run", "good.yaml", "--out", "zoomed", "--interactive")[0] == 0
@@ -216,7 +218,9 @@ def test_an_interrupt_ends_with_130_and_keeps_the_last_report(folder: Path, monk
 @pytest.mark.skipif(os.name == "nt", reason="sends SIGINT")
 def test_ctrl_c_says_one_line(folder: Path) -> None:
     (folder / "long.yaml").write_text(
-        GOOD.replace("120 s", "400000 s").replace("analyze: {limit_cycle: false}", TUNE.split("analyze")[0])
+        GOOD.replace("120 s", "2000 s")
+        .replace("analyze: {limit_cycle: false}", TUNE.split("analyze")[0])
+        .replace(", restarts: 1", ", restarts: 20")
     )
     code = """
 import sys

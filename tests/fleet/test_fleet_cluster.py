@@ -53,6 +53,11 @@ class Processes:
     def worker(self) -> subprocess.Popen[bytes]:
         return self.start("worker", self.address, "--nthreads", "1", "--no-nanny", "--host", "127.0.0.1")
 
+    def with_worker(self) -> None:
+        """See to it that there is a worker beside the scheduler."""
+        if len(self.all) < 2:
+            self.worker()
+
     def until(self, holds: object) -> None:
         assert callable(holds)
         end = time.monotonic() + 60.0
@@ -112,7 +117,7 @@ def test_the_cluster_gives_the_same_and_a_killed_worker_loses_nothing(
 
 
 def test_other_versions_are_refused(running: Processes, monkeypatch: pytest.MonkeyPatch) -> None:
-    running.worker()
+    running.with_worker()
     monkeypatch.setattr(cluster, "__version__", "0.0.9")
     with pytest.raises(WorkersFailed, match=r"stiction-workbench is 0\.0\.9 here and .* at tcp://.*install the same"):
         cluster.Cluster(running.address, Settings(), Limits())

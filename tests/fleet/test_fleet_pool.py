@@ -35,8 +35,11 @@ def loops(folder: Path, *names: str) -> list[LoopSource]:
 
 
 def test_a_loop_beyond_its_limits_is_a_row_and_the_others_go_on(folder: Path) -> None:
-    with Pool(2, Settings(), Limits(seconds=1.5)) as pool:
+    with Pool(2, Settings(), Limits()) as pool:
         pool.start()
+        # A worker's first loop takes longest.
+        assert not any(r.row.failed for r in pool.run(loops(folder, "3", "4")))
+        pool.limits = Limits(seconds=1.5)
         rows = {r.row.name: r.row for r in pool.run(loops(folder, "0", "huge", "1", "2"))}
         assert {name for name, row in rows.items() if row.failed} == {"huge"}
         assert rows["huge"].reason == "took longer than the limit of 1.5 s"
@@ -49,14 +52,14 @@ def test_a_loop_beyond_its_limits_is_a_row_and_the_others_go_on(folder: Path) ->
 
 
 def test_killed_workers_lose_nothing(folder: Path) -> None:
-    names = [str(k % 6) for k in range(18)]
+    names = [str(k % 6) for k in range(12)]
     todo = [LoopSource(f"{i}-{name}", str(folder / f"{name}.csv")) for i, name in enumerate(names)]
     got: list[str] = []
     with Pool(2, Settings(), Limits()) as pool:
         for i, result in enumerate(pool.run(todo)):
             assert not result.row.failed
             got.append(result.row.name)
-            if i in (0, 5, 9):
+            if i in (0, 5):
                 os.kill(pool.workers[i % 2].process.pid, signal.SIGKILL)
         assert len({worker.process.pid for worker in pool.workers}) == 2
         pids = [worker.process.pid for worker in pool.workers]

@@ -64,7 +64,7 @@ def test_models_and_tunings_come_with_depth(folder: Path, monkeypatch: pytest.Mo
     search, true_tune = cache(retune.tune_found), retune.tune_case
     # How well it is searched for is the tuning's own test.
     monkeypatch.setattr(
-        retune, "tune_case", lambda loop, do, job, told: true_tune(loop, do, replace(job, restarts=1), told)
+        retune, "tune_case", lambda loop, do, job, told: true_tune(loop, do, replace(job, restarts=1, digits=2), told)
     )
 
     def searched_once(found: Estimate, wishes: retune.Wishes) -> object:

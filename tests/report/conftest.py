@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
 from workbench.model.controller import PID
 from workbench.model.experiment import Experiment, Noise, Step
@@ -31,7 +32,9 @@ from workbench.model.results import (
 from workbench.model.study import CaseResult, NamedEstimate, Study
 from workbench.model.tuning import Bounds, Objective
 from workbench.model.valve import Stenman
+from workbench.report import page
 from workbench.report.page import write_report
+from workbench.report.style import svg_text
 from workbench.simulate.run import evaluate, simulate
 
 EXPERIMENT = Experiment(duration=1000.0, setpoint=Step(4.0))
@@ -204,6 +207,19 @@ def written(study: Study, tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("reports") / "deep" / "made"
     write_report(study, folder)
     return folder
+
+
+@pytest.fixture(scope="session")
+def write_undrawn() -> Callable[..., None]:
+    """Write a report with no figure drawn, as `undrawn` has it, for fixtures that last longer than a test."""
+    empty = svg_text(Figure())
+
+    def write(study: Study, folder: Path, **more: bool) -> None:
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(page, "svg_text", lambda *_: empty)
+            write_report(study, folder, **more)
+
+    return write
 
 
 @pytest.fixture(scope="session")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -127,11 +128,16 @@ def test_without_a_site_the_controllers_own_form_is_shown(study: Study) -> None:
     assert "site" not in json.loads(results_json(bare))
 
 
+@cache
+def searched() -> Tuned:
+    bounds = wb.Bounds((1.0, 2.0), (60.0, 100.0), (0.0, 0.0))
+    experiment = wb.Experiment(100.0, wb.Step(2.0))
+    tuned = wb.tune_cascade(flow_and_temperature(), experiment, bounds=bounds, restarts=1, digits=2).primary
+    return replace(tuned, digits=4)  # as by default, which takes far longer
+
+
 def search(case: CascadeResult, *, restarts: int = 2, worst: float = 1.0) -> Tuned:
-    cascade = flow_and_temperature()
-    tuned = wb.tune_cascade(
-        cascade, wb.Experiment(100.0, wb.Step(2.0)), bounds=wb.Bounds((1.0, 2.0), (60.0, 100.0), (0.0, 0.0)), restarts=1
-    ).primary
+    tuned = searched()
     pid = case.run.cascade.primary.controller
     one = tuned.restarts[0]
     every = tuple(replace(one, seed=k, refined=1.0) for k in range(restarts))
@@ -196,8 +202,10 @@ def test_a_lucky_rounding_of_a_cascade_is_no_promise(study: Study) -> None:
 
 def test_controllers_that_are_there_already_are_not_rounded_anew() -> None:
     text = TEXT.replace("{Kc: 0.5, Ti: 5 s}", "{Kc: 0.51234, Ti: 5 s}")
-    cases = wb.run_scenario(read_scenario(text, Path("cascade.yaml"))).cascade
-    assert [case.run.cascade.secondary.controller.Kc for case in cases[:2]] == [0.51234, 0.51234]
+    text = "\n".join(line for line in text.splitlines() if not line.startswith(("  - {name: T", "  - {name: Steep")))
+    plan = read_scenario(f"{text}\nanalyze: {{limit_cycle: false}}\n", Path("cascade.yaml"))
+    cases = wb.run_scenario(plan).cascade
+    assert [case.run.cascade.secondary.controller.Kc for case in cases] == [0.51234, 0.51234]
     assert cases[1].run.cascade.primary.controller.Kc == pytest.approx(0.8)
 
 
@@ -238,6 +246,7 @@ def test_a_settling_time_of_a_primary_that_cycles_on_is_marked(study: Study) -> 
     assert cell.small == "not for good: it cycles"
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_the_page_holds_them(study: Study, tmp_path: Path) -> None:
     write_report(study, tmp_path)
     page = (tmp_path / "report.html").read_text()

@@ -301,11 +301,8 @@ def test_an_undecided_record_claims_nothing(estimated: Make) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("noise", [0.0, 50.0])
-def test_hours_by_the_second_make_a_page_of_bounded_size(
-    study: Study, estimated: Make, noise: float, tmp_path: Path
-) -> None:
-    samples = 21_600  # many more than a figure has places for
+def test_hours_by_the_second_make_a_page_of_bounded_size(study: Study, estimated: Make, tmp_path: Path) -> None:
+    samples, noise = 21_600, 50.0  # many more than a figure has places for, and each beside the last
     estimate, _ = estimated(samples)
     rng = np.random.default_rng(2)
     pv = estimate.record.pv + noise * rng.normal(size=samples)

@@ -175,7 +175,7 @@ def test_text_from_scenarios_and_data_is_escaped(study: Study, tmp_path: Path) -
         scenario_text=EVIL + "]]>",
         reference_source=EVIL,
         notes=(EVIL,),
-        cases=(replace(first, name=EVIL + ' d="M 1 2" $x^2$ \\frac', note=EVIL, agreement=EVIL), *study.cases[1:]),
+        cases=(replace(first, name=EVIL + ' d="M 1 2" $x^2$ \\frac', note=EVIL, agreement=EVIL), study.cases[2]),
         estimates=(replace(named, name=EVIL, note=EVIL, found=replace(named.found, reasons=(EVIL,))),),
     )
     write_report(evil, tmp_path)

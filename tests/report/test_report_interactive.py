@@ -46,12 +46,12 @@ def cases_of(study: Study) -> Study:
 
 
 @pytest.fixture(scope="module")
-def named(study: Study, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def named(study: Study, write_undrawn: Callable[..., None], tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A page to zoom in whose title and cases are named as scripts."""
     folder = tmp_path_factory.mktemp("named")
     told = cases_of(study)
     cases = tuple(replace(case, name=f"{SCRIPT} {i}") for i, case in enumerate(told.cases))
-    write_report(replace(told, title=SCRIPT, cases=cases), folder, interactive=True)
+    write_undrawn(replace(told, title=SCRIPT, cases=cases), folder, interactive=True)
     return folder / "report.html"
 
 

@@ -93,7 +93,7 @@ def test_a_longer_report_takes_more_pages_and_none_is_empty(
     study: Study, case: Make, browser: Any, tmp_path: Path
 ) -> None:
     told = replace(study, estimates=(), scenario_text="title: A study made for tests\n" * 12)
-    many = [replace(case(f"Case {i}", 0.5 + 0.05 * i, 20.0), note="A note. " * 20) for i in range(6)]
+    many = [replace(case(f"Case {i}", 0.5 + 0.05 * i, 20.0), note="A note. " * 20) for i in range(4)]
     write_report(replace(told, cases=tuple(many)), tmp_path)
     page = opened(browser, tmp_path / "report.html")
     longer = clean(printed(page))

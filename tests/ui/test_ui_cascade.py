@@ -309,6 +309,7 @@ def test_a_tuning_in_turn_is_the_librarys_and_becomes_a_case(ask, tmp_path):
     typed = {
         "tune_cascade.tuned": "primary",
         "tune_cascade.primary.bounds.Kc.low": "0.5",
+        "tune.digits": "2",
         "experiment.duration": "150",
         "experiment.load.at": "50",
         "experiment.primary_load.at": "100",
@@ -319,7 +320,7 @@ def test_a_tuning_in_turn_is_the_librarys_and_becomes_a_case(ask, tmp_path):
     job = read_scenario(text, FILE).cascade[0]
     assert job.tune is not None
     again = wb.tune_cascade(
-        job.cascade, ask.page.session.built.experiment, job.tune.objective, job.tune.bounds, 0, restarts=1
+        job.cascade, ask.page.session.built.experiment, job.tune.objective, job.tune.bounds, 0, restarts=1, digits=2
     )
     assert found.primary == again.cascade.primary.controller
     assert found.controller == job.cascade.secondary.controller

@@ -53,6 +53,22 @@ def ask():
     page.close()
 
 
+@pytest.fixture(scope="module")
+def standing():
+    page = open_page(Document(), PAPER)
+    yield Asked(page)
+    page.close()
+
+
+@pytest.fixture
+def shared(standing):
+    """One page for the tests that change only what can be undone, as its pictures take most of a test's time."""
+    while standing("undo").get("message") != "there is nothing to undo":
+        pass
+    standing("view", view="loop")
+    return standing
+
+
 @pytest.fixture
 def begun(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, str]]:
     """The tasks that a page begins, in place of their processes."""
@@ -82,8 +98,8 @@ def ended(ask: Asked, kind: str, words: str = "", result: object = None) -> dict
     return ask.last
 
 
-def test_hello_brings_everything(ask):
-    answer = ask("hello")
+def test_hello_brings_everything(shared):
+    answer = shared("hello")
     assert answer["title"] == "Five tunings of one sticky flow loop, and two optimised ones"
     assert answer["entries"]["loop.valve.d"] == "2"
     assert [case["name"] for case in answer["cases"]] == [f"Case {i}" for i in range(1, 6)]
@@ -91,39 +107,39 @@ def test_hello_brings_everything(ask):
     assert answer["axes"]["pv.y"][0] < 0.0 < 4.0 < answer["axes"]["pv.y"][1]
 
 
-def test_a_slider_changes_figures_and_pictures(ask):
-    ask("hello")
-    before = ask.page.pictures.run.source.data["pv_y"].copy()
-    answer = ask("set", entries={"loop.controller.Kc": "1.2"}, gesture="slide:loop.controller.Kc")
-    loop = ask.page.session.built.loop
-    run = wb.simulate(loop, ask.page.session.built.experiment)
-    drawn = ask.page.pictures.run.source.data["pv_y"]
+def test_a_slider_changes_figures_and_pictures(shared):
+    shared("hello")
+    before = shared.page.pictures.run.source.data["pv_y"].copy()
+    answer = shared("set", entries={"loop.controller.Kc": "1.2"}, gesture="slide:loop.controller.Kc")
+    loop = shared.page.session.built.loop
+    run = wb.simulate(loop, shared.page.session.built.experiment)
+    drawn = shared.page.pictures.run.source.data["pv_y"]
     assert np.array_equal(drawn, run.pv.astype(np.float32))
     assert not np.array_equal(drawn, before)
     assert answer["undo"]
     assert answer["problems"] == []
-    assert ask("undo")["entries"]["loop.controller.Kc"] == "0.5"
-    assert ask("undo")["message"] == "there is nothing to undo"
+    assert shared("undo")["entries"]["loop.controller.Kc"] == "0.5"
+    assert shared("undo")["message"] == "there is nothing to undo"
 
 
-def test_long_runs_are_drawn_finely_and_short_ones_as_before(ask):
-    lines = ask.page.pictures.figures["op"].renderers
+def test_long_runs_are_drawn_finely_and_short_ones_as_before(shared):
+    lines = shared.page.pictures.figures["op"].renderers
     before = [(line.glyph.line_width, line.glyph.line_dash) for line in lines]
-    ask("set", entries={"experiment.duration": "20000"})
+    shared("set", entries={"experiment.duration": "20000"})
     assert {(line.glyph.line_width, tuple(line.glyph.line_dash)) for line in lines} == {(1.0, ())}
-    assert ask.page.pictures.run.source.data["pv_y"].size < 5000
-    ask("undo")
+    assert shared.page.pictures.run.source.data["pv_y"].size < 5000
+    shared("undo")
     assert [(line.glyph.line_width, line.glyph.line_dash) for line in lines] == before
 
 
-def test_what_is_refused_is_told_at_its_field(ask):
-    answer = ask("set", entries={"loop.valve.d": "much"})
+def test_what_is_refused_is_told_at_its_field(shared):
+    answer = shared("set", entries={"loop.valve.d": "much"})
     assert answer["problems"] == [
         {"field": "loop.valve.d", "text": 'loop.valve.d: much % given; must be a number of %, such as 2 or "2 %"'}
     ]
     assert answer["entries"]["loop.valve.d"] == "much"
     assert answer["figures"], "the last good run stays"
-    assert ask("export", what="scenario")["message"].startswith("loop.valve.d")
+    assert shared("export", what="scenario")["message"].startswith("loop.valve.d")
 
 
 NONSENSE: list[tuple[str, dict[str, Any]]] = [
@@ -147,43 +163,43 @@ NONSENSE: list[tuple[str, dict[str, Any]]] = [
 ]
 
 
-def test_requests_that_make_no_sense_are_answered_and_change_nothing(ask):
-    screen = ask.page.session.screen
+def test_requests_that_make_no_sense_are_answered_and_change_nothing(shared):
+    screen = shared.page.session.screen
     for what, more in NONSENSE:
-        answer = ask(what, **more)
+        answer = shared(what, **more)
         assert answer["message"], what
         assert "Traceback" not in answer["message"]
-        assert ask.page.session.screen is screen
+        assert shared.page.session.screen is screen
     for text in ("", "{", "[]", "1", '{"n": 1}', '{"do": "hello"}'):
-        ask.page.ask(text)
-        assert "not understood" in ask.last["message"]
+        shared.page.ask(text)
+        assert "not understood" in shared.last["message"]
 
 
-def test_comparing_sends_table_and_overlays(ask):
-    answer = ask("view", view="compare")
+def test_comparing_sends_table_and_overlays(shared):
+    answer = shared("view", view="compare")
     assert [head["name"] for head in answer["comparison"]["heads"]][-1] == "On screen"
-    drawn = ask.page.pictures.cases.source.data
+    drawn = shared.page.pictures.cases.source.data
     assert np.isfinite(drawn["pv4_y"]).any()
     assert not np.isfinite(drawn["pv7_y"]).any()
-    answer = ask("pin", name="<script>alert(1)</script>")
+    answer = shared("pin", name="<script>alert(1)</script>")
     assert [case["name"] for case in answer["cases"]][-1] == "<script>alert(1)</script>"
-    assert ask("rename", index=5, name="Case 1")["message"].startswith("cases[6].name: 'Case 1' given")
-    assert ask("move", index=5, to=0)["comparison"]["heads"][0]["name"] == "<script>alert(1)</script>"
-    assert len(ask("remove", index=0)["cases"]) == 5
-    assert ask("show", index=4)["entries"]["loop.controller.Td"] == "1"
+    assert shared("rename", index=5, name="Case 1")["message"].startswith("cases[6].name: 'Case 1' given")
+    assert shared("move", index=5, to=0)["comparison"]["heads"][0]["name"] == "<script>alert(1)</script>"
+    assert len(shared("remove", index=0)["cases"]) == 5
+    assert shared("show", index=4)["entries"]["loop.controller.Td"] == "1"
 
 
-def test_frequency_brings_both_verdicts(ask):
-    answer = ask("view", view="frequency")
+def test_frequency_brings_both_verdicts(shared):
+    answer = shared("view", view="frequency")
     lines = answer["frequency"]["lines"]
     assert lines[0].startswith("Describing function: The loci do not cross")
     assert "102.4 s" in lines[1]
-    assert ask.page.pictures.L.data["x"].size > 100
+    assert shared.page.pictures.L.data["x"].size > 100
 
 
-def test_the_scenario_is_shown_and_leaves_as_a_file(ask):
-    shown = ask("view", view="export")["scenario"]
-    answer = ask("export", what="scenario")
+def test_the_scenario_is_shown_and_leaves_as_a_file(shared):
+    shown = shared("view", view="export")["scenario"]
+    answer = shared("export", what="scenario")
     assert answer["download"]["text"] == shown
     assert answer["download"]["name"] == "scenario.yaml"
     assert answer["view"] == "export"
@@ -227,12 +243,12 @@ def test_events_of_a_former_task_are_left_out(ask, begun):
     assert ask.last["sent"] == sent
 
 
-def test_bounds_that_suit_the_loop_hold_its_tuning(ask):
-    ask("set", entries={"loop.controller.Ti": "5000", "loop.plant.time_constant": "60"})
-    answer = ask("suit_bounds")
+def test_bounds_that_suit_the_loop_hold_its_tuning(shared):
+    shared("set", entries={"loop.controller.Ti": "5000", "loop.plant.time_constant": "60"})
+    answer = shared("suit_bounds")
     low, high = (float(answer["entries"][f"tune.bounds.Ti.{end}"]) for end in ("low", "high"))
     assert low < 5000 < high
-    ask.page.session.tuning()
+    shared.page.session.tuning()
 
 
 def uploaded(ask: Asked, name: str, content: bytes) -> dict[str, Any]:
@@ -344,27 +360,27 @@ def test_a_map_of_what_is_in_view_takes_its_place(ask, begun):
     assert answer["axes"]["f_map.x"][0] < 0.5 < 2.0 < answer["axes"]["f_map.x"][1]
 
 
-def test_what_has_no_describing_function_says_so_and_draws_none(ask):
-    ask("view", view="frequency")
-    assert ask.page.pictures.L.data["x"].size > 100
+def test_what_has_no_describing_function_says_so_and_draws_none(shared):
+    shared("view", view="frequency")
+    assert shared.page.pictures.L.data["x"].size > 100
     typed = {"loop.controller.compensator.type": "knocker"}
-    answer = ask("set", entries=typed)
+    answer = shared("set", entries=typed)
     assert answer["frequency"]["lines"][0].startswith("This loop has no describing function with a compensator")
     assert answer["frequency"]["lines"][1].startswith("Exact: The loop cycles")
     assert not answer["frequency"]["loci"]
-    assert ask.page.pictures.L.data["x"].size == 0
+    assert shared.page.pictures.L.data["x"].size == 0
     typed = {"loop.controller.compensator.type": "none", "loop.valve.type": "karnopp"}
-    answer = ask("set", entries=typed)
+    answer = shared("set", entries=typed)
     assert answer["frequency"]["lines"][0].startswith("This loop has no describing function here")
     assert answer["frequency"]["lines"][1].startswith("Exact: The loop cycles")
-    ask("undo")
-    answer = ask("undo")
+    shared("undo")
+    answer = shared("undo")
     assert answer["frequency"]["loci"]
-    assert ask.page.pictures.L.data["x"].size > 100
+    assert shared.page.pictures.L.data["x"].size > 100
 
 
-def test_what_is_typed_is_cut_where_no_value_is_that_long(ask):
-    answer = ask("set", entries={"loop.plant.gain": "1" * 5000, "loop.valve.places": "0 1\n" * 5000})
+def test_what_is_typed_is_cut_where_no_value_is_that_long(shared):
+    answer = shared("set", entries={"loop.plant.gain": "1" * 5000, "loop.valve.places": "0 1\n" * 5000})
     assert len(answer["entries"]["loop.plant.gain"]) == 400
     assert len(answer["entries"]["loop.valve.places"]) == 2000
 

@@ -8,9 +8,11 @@ import signal
 import socket
 import urllib.error
 import urllib.request
+from functools import partial
 from pathlib import Path
 
 import pytest
+from tornado.ioloop import IOLoop
 from typer.testing import CliRunner
 
 from workbench.cli import app
@@ -64,10 +66,8 @@ def test_its_own_files_are_served_and_nothing_beside_them(served):
             assert error.code in (403, 404)
 
 
-def socket_from(url: str, origin: str) -> int:
+def socket_from(url: str, token: str, origin: str) -> int:
     """Return the HTTP code of a websocket asked for by a page of `origin`: 101 where it is opened."""
-    token = re.search(r'"token":"([^"]+)"', get(url)[2])
-    assert token is not None
     host, _, port = url.removeprefix("http://").rstrip("/").partition(":")
     lines = [
         "GET /ws HTTP/1.1",
@@ -77,7 +77,7 @@ def socket_from(url: str, origin: str) -> int:
         "Connection: Upgrade",
         "Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==",
         "Sec-WebSocket-Version: 13",
-        f"Sec-WebSocket-Protocol: bokeh, {token[1]}",
+        f"Sec-WebSocket-Protocol: bokeh, {token}",
     ]
     with socket.create_connection((host, int(port)), timeout=30) as connection:
         connection.sendall("\r\n".join([*lines, "", ""]).encode())
@@ -86,11 +86,14 @@ def socket_from(url: str, origin: str) -> int:
 
 def test_websockets_are_for_the_pages_own_address_alone(served):
     port = served.url.rsplit(":", 1)[1].rstrip("/")
-    assert socket_from(served.url, f"http://127.0.0.1:{port}") == 101
-    assert socket_from(served.url, f"http://localhost:{port}") == 101
-    assert socket_from(served.url, "http://evil.example") == 403
-    assert socket_from(served.url, f"http://evil.example:{port}") == 403
-    assert socket_from(served.url, "http://127.0.0.1:1") == 403
+    found = re.search(r'"token":"([^"]+)"', get(served.url)[2])
+    assert found is not None
+    asked = partial(socket_from, served.url, found[1])
+    assert asked(f"http://127.0.0.1:{port}") == 101
+    assert asked(f"http://localhost:{port}") == 101
+    assert asked("http://evil.example") == 403
+    assert asked(f"http://evil.example:{port}") == 403
+    assert asked("http://127.0.0.1:1") == 403
 
 
 def test_it_listens_on_this_machine_alone(served):
@@ -104,25 +107,36 @@ def test_it_listens_on_this_machine_alone(served):
     assert addresses == {"0100007F"}
 
 
-def test_ctrl_c_ends_it(serve):
+@pytest.mark.skipif(os.name != "posix", reason="ends a process by a signal")
+def test_ctrl_c_ends_it_and_leaves_no_uploaded_records(serve, tmp_path, monkeypatch):
+    monkeypatch.setenv("TMPDIR", str(tmp_path))
     served = serve()
+    get(served.url)  # a session
+    assert [path.name for path in tmp_path.glob("workbench-ui-*")]
     code, said = served.end()
     assert code == 0
     assert said.endswith("Workbench: ended\n")
     assert "Traceback" not in said
-
-
-@pytest.mark.skipif(os.name != "posix", reason="ends a process by a signal")
-@pytest.mark.parametrize("name", ["SIGTERM", "SIGHUP"])
-def test_a_kill_or_a_closed_terminal_leaves_no_uploaded_records(serve, tmp_path, monkeypatch, name):
-    monkeypatch.setenv("TMPDIR", str(tmp_path))
-    served = serve("--address", "127.0.0.1")
-    get(served.url)  # a session
-    assert [path.name for path in tmp_path.glob("workbench-ui-*")]
-    code, said = served.end(getattr(signal, name))
-    assert code == 0
-    assert "Traceback" not in said
     assert not list(tmp_path.glob("workbench-ui-*"))
+
+
+@pytest.mark.skipif(os.name != "posix", reason="is sent a signal")
+@pytest.mark.parametrize("name", ["SIGTERM", "SIGHUP"])
+def test_a_kill_or_a_closed_terminal_ends_it_as_ctrl_c_does(name):
+    ending = getattr(signal, name)
+    before = {one: signal.getsignal(one) for one in (signal.SIGTERM, signal.SIGHUP)}
+    loop = IOLoop()  # the command's, as it is this thread's
+    loop.call_later(0.0, os.kill, os.getpid(), ending)
+    try:
+        signal.signal(ending, lambda *_: loop.stop())  # where the command does not take it
+        result = CliRunner().invoke(app, ["ui", "--address", "localhost", "--no-browser", "--port", "0"])
+    finally:
+        for one, handler in before.items():
+            signal.signal(one, handler)
+        loop.close(all_fds=True)
+    assert result.exit_code == 0
+    assert result.output.startswith("Workbench: http://localhost:")
+    assert result.output.endswith("Workbench: ended\n")
 
 
 def test_an_address_or_port_that_cannot_be_had_is_refused_in_one_line():
