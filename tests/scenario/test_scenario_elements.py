@@ -150,7 +150,6 @@ PLACES = "{type: positional, places: [{position: -20 %, S: 6, J: 2}, {position: 
 
 
 @pytest.mark.usefixtures("undrawn")
-@pytest.mark.usefixtures("undrawn")
 def test_friction_by_place_is_read_run_and_told(tmp_path: Path) -> None:
     study = run_scenario(read(GOOD.replace(STENMAN, PLACES).replace("Ti: 20 s", "Ti: 200 s")))
     case = study.cases[0]
