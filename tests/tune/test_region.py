@@ -55,7 +55,9 @@ def test_a_tuning_that_keeps_the_margins_has_possible_points_about_it(asked, bou
         assert not region.possible(nearest)[missed > 0.2].any()
 
 
-@pytest.mark.parametrize("asked", ASKED[1:], ids=["both margins", "strict"])
+@pytest.mark.parametrize(
+    "asked", [*ASKED[1:], wb.Constraints(valve_travel=15.0)], ids=["both margins", "strict", "travel"]
+)
 def test_no_tuning_that_keeps_the_constraints_is_better_than_what_is_found_and_proved(asked):
     # Two digits leave so few tunings that all of them can be tried.
     found = wb.tune(LOOP, SHORT, bounds=PLANE, restarts=3, digits=2, margin=0.02, constraints=asked)
