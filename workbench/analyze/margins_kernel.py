@@ -21,10 +21,8 @@ Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
 
 READ = 5  # columns of what is read: Ms, its frequency, gain margin, phase margin and delay margin
-FINE, CLOSER = (
-    9,
-    (0.5, 0.1, 0.01),
-)  # points between the neighbours of a grid's least, and of their gap about its best one
+# Points between the neighbours of a grid's least, and steps about the best of these, as shares of their gap.
+FINE, CLOSER = 9, (0.5, 0.1, 0.01)
 BESIDE = 0.1  # L's step between points of the grid, about: a minimum of |1 + L| may lie by so much beside them
 SOLVING, EXACT = 40, 1e-10  # steps of a crossing's search, and how closely it is found
 # Of the limit: a factor on Kc and a lag, rad, below it by less count as at it, as a chord of the grid may read a loop
