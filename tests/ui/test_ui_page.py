@@ -147,8 +147,8 @@ NONSENSE: list[tuple[str, dict[str, Any]]] = [
     ("set", {"entries": {"loop.plant.gian": "1"}}),
     ("set", {"entries": []}),
     ("format_the_disk", {}),
-    ("rename", {"index": 99, "name": "x"}),
-    ("move", {"index": "x", "to": 1}),
+    ("rename", {"case": -1, "name": "x"}),
+    ("move", {"case": "x", "by": 1}),
     ("view", {"view": "secret"}),
     ("export", {"what": "passwords"}),
     ("map_figure", {"name": "x"}),
@@ -183,10 +183,27 @@ def test_comparing_sends_table_and_overlays(shared):
     assert not np.isfinite(drawn["pv7_y"]).any()
     answer = shared("pin", name="<script>alert(1)</script>")
     assert [case["name"] for case in answer["cases"]][-1] == "<script>alert(1)</script>"
-    assert shared("rename", index=5, name="Case 1")["message"].startswith("cases[6].name: 'Case 1' given")
-    assert shared("move", index=5, to=0)["comparison"]["heads"][0]["name"] == "<script>alert(1)</script>"
-    assert len(shared("remove", index=0)["cases"]) == 5
-    assert shared("show", index=4)["entries"]["loop.controller.Td"] == "1"
+    keys = [head.get("case") for head in answer["comparison"]["heads"]]
+    assert keys[-1] is None, "the page's own is no case"
+    assert shared("rename", case=keys[5], name="Case 1")["message"].startswith("cases[6].name: 'Case 1' given")
+    assert shared("move", case=keys[5], by=-5)["comparison"]["heads"][0]["name"] == "<script>alert(1)</script>"
+    assert len(shared("remove", case=keys[5])["cases"]) == 5
+    assert shared("show", case=keys[4])["entries"]["loop.controller.Td"] == "1"
+
+
+def test_what_is_asked_of_a_case_that_has_moved_on_is_done_to_no_other(shared):
+    ask = shared
+    first, second, third, *_ = (head["case"] for head in ask("view", view="compare")["comparison"]["heads"])
+    ask("remove", case=first)
+    # Asked before the page showed the first one gone: one of the next, and the same once more.
+    assert [case["name"] for case in ask("remove", case=second)["cases"]] == ["Case 3", "Case 4", "Case 5"]
+    again = ask("remove", case=second)
+    assert (again["message"], len(again["cases"])) == ("", 3)
+    for what, more in (("move", {"by": 1}), ("rename", {"name": "x"}), ("show", {})):
+        assert ask(what, case=second, **more)["message"] == "that case is no longer there"
+    ask("undo")
+    ask("undo")
+    assert [head["case"] for head in ask("view", view="compare")["comparison"]["heads"]][:3] == [first, second, third]
 
 
 def test_frequency_brings_both_verdicts(shared):
@@ -445,7 +462,9 @@ def test_the_front_is_drawn_with_the_cases_and_a_click_sets_its_tuning(ask, begu
     assert ask.last["entries"]["loop.controller.Kc"] == "1.3"
     assert ask.last["entries"]["loop.controller.Ti"] == "9.5"
     assert ask("undo")["entries"]["loop.controller.Kc"] == "0.5"
-    assert ask("remove", index=0)["front"][0].startswith("This is of the loop and the cases as they stood")
+    assert ask("remove", case=ask.page.session.screen.cases[0].key)["front"][0].startswith(
+        "This is of the loop and the cases as they stood"
+    )
     for x, y in ((None, 1.0), (0.0, 1.0)):
         ask.page._front_tapped(Tap(figure, x=x, y=y))
 

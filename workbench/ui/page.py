@@ -188,16 +188,25 @@ class Page:
         self.session.pin(str(request["name"]))
 
     def _do_rename(self, request: Mapping[str, Any]) -> None:
-        self.session.rename(int(request["index"]), str(request["name"]))
+        self.session.rename(self._case(request), str(request["name"]))
 
     def _do_move(self, request: Mapping[str, Any]) -> None:
-        self.session.move(int(request["index"]), int(request["to"]))
+        place = self._case(request)
+        self.session.move(place, place + int(request["by"]))
 
     def _do_remove(self, request: Mapping[str, Any]) -> None:
-        self.session.remove(int(request["index"]))
+        # A second click, or one of another tab, that comes before the first is seen removes no other case.
+        if (place := self.session.place(int(request["case"]))) is not None:
+            self.session.remove(place)
 
     def _do_show(self, request: Mapping[str, Any]) -> None:
-        self.session.show(int(request["index"]))
+        self.session.show(self._case(request))
+
+    def _case(self, request: Mapping[str, Any]) -> int:
+        """Return the place of the case that a request names by its key: places change while it is on its way."""
+        if (place := self.session.place(int(request["case"]))) is None:
+            raise WorkbenchError("that case is no longer there")
+        return place
 
     # long tasks ----------------------------------------------------------------------------------------------------
 

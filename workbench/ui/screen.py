@@ -7,6 +7,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from functools import partial
+from itertools import count
 from types import MappingProxyType
 
 from workbench.model.controller import PID
@@ -29,7 +31,8 @@ _CURVE = ("rangeability", "opening")
 class Pinned:
     """A case kept to compare with: its name, controller, note, and published figures to show beside ours.
 
-    primary: of a cascade, whose secondary's is `controller` then.
+    primary: of a cascade, whose secondary's is `controller` then. key: by which the page names the case, whatever its
+    name and place have become since it was shown.
     """
 
     name: str
@@ -37,6 +40,7 @@ class Pinned:
     note: str = ""
     reference: Mapping[str, float] = field(default_factory=lambda: MappingProxyType({}))
     primary: PID | None = None
+    key: int = field(default_factory=partial(next, count()))
 
 
 @dataclass(frozen=True, eq=False)

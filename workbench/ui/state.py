@@ -162,6 +162,10 @@ class Session:
             raise InvalidValue("cases", f"{MOST_CASES + 1} cases", f"must be at most {MOST_CASES}; remove one first")
         self._with_cases((*self.screen.cases, Pinned(name.strip(), controller, note, primary=primary)))
 
+    def place(self, key: int) -> int | None:
+        """Return where a pinned case stands; None where it is gone."""
+        return next((i for i, case in enumerate(self.screen.cases) if case.key == key), None)
+
     def rename(self, index: int, name: str) -> None:
         """Give a pinned case another name. Raises `WorkbenchError`."""
         cases = list(self.screen.cases)
@@ -324,7 +328,11 @@ class Session:
                     }
                 )
             rows.append({"title": title, "unit": unit, "cells": cells})
-        heads = [{"name": one.name, "settings": one.words, "refused": one.refused} for one in columns]
+        keys = [case.key for case in cases] + [None] * (len(columns) - len(cases))
+        heads = [
+            {"name": one.name, "settings": one.words, "refused": one.refused, "case": key}
+            for one, key in zip(columns, keys, strict=True)
+        ]
         return {"heads": heads, "rows": rows}
 
     # scenarios -----------------------------------------------------------------------------------------------------

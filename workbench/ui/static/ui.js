@@ -256,16 +256,16 @@ function showComparison(table, pinned) {
     } else {
       const name = make("input", "", { type: "text", "aria-label": `Name of case ${i + 1}`, maxlength: "80", "data-keep": `name-${i}` });
       name.value = name.defaultValue = name.title = head.name;
-      name.addEventListener("change", () => ask("rename", { index: i, name: name.value }));
+      name.addEventListener("change", () => ask("rename", { case: head.case, name: name.value }));
       cell.append(name);
     }
     cell.append(make("small", head.refused || head.settings));
     if (!own) {
       const buttons = [
-        ["←", "to the left", i > 0, () => ask("move", { index: i, to: i - 1 })],
-        ["→", "to the right", i < pinned - 1, () => ask("move", { index: i, to: i + 1 })],
-        ["▲", "on the screen", true, () => ask("show", { index: i })],
-        ["✕", "away", true, () => ask("remove", { index: i })],
+        ["←", "to the left", i > 0, () => ask("move", { case: head.case, by: -1 })],
+        ["→", "to the right", i < pinned - 1, () => ask("move", { case: head.case, by: 1 })],
+        ["▲", "on the screen", true, () => ask("show", { case: head.case })],
+        ["✕", "away", true, () => ask("remove", { case: head.case })],
       ].map(([text, words, usable, action]) => {
         const button = make("button", text, { type: "button", class: "small", "aria-label": `${head.name}: ${words}`, title: words, "data-keep": `${words}-${i}` });
         button.disabled = !usable;
