@@ -7,6 +7,8 @@ import pytest
 
 import workbench as wb
 from workbench.detect.causes import below_step, between_values, kept_by_exception, no_percent
+from workbench.detect.detect import _doubtful
+from workbench.detect.oscillation import oscillation_of
 from workbench.detect.resolution import exception_of, unseen
 from workbench.detect.spikes import op_spikes_of
 from workbench.record.rounding import on_lines
@@ -150,6 +152,21 @@ def test_a_healthy_valve_is_not_accused_for_an_op_in_steps() -> None:
     low, high = found.intervals.gain
     assert low <= 1.25
     assert high >= 1.15
+
+
+def test_a_stem_that_ops_steps_may_have_made_is_sought_within_them_too() -> None:
+    test = wb.detect(record_of(run_of(wb.Choudhury(2.0, 1.0), 2))).test
+    assert test is not None
+    said = []
+    for valve in (wb.Ideal(), wb.Choudhury(2.0, 1.0)):
+        run = run_of(valve, 2)
+        record = record_of(run, op=np.round((run.op + 43.0) / 0.2) * 0.2)
+        whole = oscillation_of(record.pv, TS)
+        said.append(_doubtful(record, whole, test, whole.period))
+    assert (
+        "OP is recorded in steps of 0.2 %: where the controller's law has it within them no stem is needed" in said[0]
+    )
+    assert said[1] == ""
 
 
 def test_a_valve_that_sticks_is_found_behind_an_op_in_steps() -> None:

@@ -102,15 +102,6 @@ def test_a_linear_loop_beside_an_oscillation_from_outside_is_likelier_than_a_ste
     assert why.startswith("a linear loop beside an oscillation from outside of 785 s explains PV better")
 
 
-@pytest.mark.slow
-def test_load_steps_alone_accuse_no_valve() -> None:
-    rng = np.random.default_rng(0)
-    load = [wb.Step(float(rng.normal(0.0, 5.0)), at=float(at)) for at in rng.uniform(0.0, 500.0, 6)]
-    loop = wb.Loop(wb.FOPDT(1.5, 12.0, 3.0), wb.Ideal(), wb.PID(0.8, 14.0), 1.0)
-    run = wb.simulate(loop, wb.Experiment(500.0, load=load, noise=wb.Noise(0.1, 0)))
-    assert wb.estimate(wb.Record(run.pv + 50.0, run.op + 40.0, 1.0), plant="fopdt").verdict != "stiction"
-
-
 def healthy(
     plant: wb.FOPDT,
     controller: wb.PID,
@@ -134,14 +125,19 @@ def unsought(monkeypatch: pytest.MonkeyPatch, *modules: str) -> None:
         monkeypatch.setattr(module, "sought_beside_steps", lambda *_: iter(()))
 
 
-def test_the_linear_loop_is_given_the_steps_that_a_stem_was_found_beside(monkeypatch: pytest.MonkeyPatch) -> None:
-    unsought(monkeypatch, "straight")
-    # Beside the right steps a stem that hardly sticks leaves noise alone; so does the linear loop, once it has them.
-    load = [(-6.186, 4240.0), (7.628, 4640.0)]
-    record = healthy(wb.FOPDT(0.0747, 361.8), wb.PID(44.08, 186.5), 20.0, load, 0.00102, 2, samples=500)
-    found = wb.estimate(record, plant="fopdt")
-    assert found.verdict == "undecided"
-    assert "a linear loop with load steps of its own explains PV better" in found.reasons[0]
+def test_the_linear_loop_is_given_the_steps_that_a_stem_was_found_beside() -> None:
+    # By itself its plant settles between a setpoint move and a load step that follows at once, and finds neither load.
+    plant, load = wb.FOPDT(3.0, 7.84, 1.05), [(-3.7, 211.0), (-1.84, 605.0)]
+    loop = wb.Loop(plant, wb.Ideal(), wb.PID(0.293, 7.84), 1.0)
+    steps = [wb.Step(size, at) for size, at in load]
+    run = wb.simulate(loop, wb.Experiment(892.0, wb.Step(-8.06, at=202.0), steps, wb.Noise(0.3, 73)))
+    since = [np.maximum(np.arange(run.pv.size) - at - plant.dead_time, 0.0) for _, at in load]
+    answers = sum(3.0 * size * -np.expm1(-each / 7.84) for (size, _), each in zip(load, since, strict=True))
+    data, freed = (centre(wb.Record(pv, run.op, 1.0, sp=run.sp), "fopdt") for pv in (run.pv, run.pv - answers))
+    line = Straight(data, fit_linear(data, 30.0), 30.0, None)
+    fit = fit_linear(freed, 30.0)
+    given, bare = (rival_of(freed, fit, line, times).ahead for times in ((212, 606), ()))
+    assert abs(given) < 5.0 < 100.0 < bare
 
 
 def test_steps_of_a_healthy_loop_are_found_to_a_part_of_a_sample_and_accuse_nobody() -> None:
