@@ -668,6 +668,15 @@ site: {gain: proportional_band}
     ]
 
 
+def test_what_suits_a_choice_that_was_misspelt_is_no_mistake_of_its_own() -> None:
+    # Of all methods the one that was meant takes a start.
+    text = MANY[: MANY.index("cases")].replace("gain: x", "gain: 2").replace("{form: ideal}", "{Kc: 1, Ti: 9 s}")
+    lines = refusal(
+        text.replace("5000", "10") + "estimate: {simulate: true, method: two_stpe, start: 2}\n"
+    ).splitlines()
+    assert [line.split(" given")[0] for line in lines] == ["loop.yaml:8:36: estimate.method: two_stpe"]
+
+
 def _places(data: object, path: tuple[str | int, ...] = ()) -> Iterator[tuple[str | int, ...]]:
     pairs = data.items() if isinstance(data, dict) else enumerate(data) if isinstance(data, list) else ()
     for name, value in pairs:
