@@ -11,6 +11,7 @@ import pytest
 import workbench as wb
 from workbench.report.page import write_report
 from workbench.report.results import results_content
+from workbench.scenario import cascade_runner
 from workbench.scenario.loader import read_scenario
 
 TEXT = """\
@@ -71,6 +72,20 @@ def test_a_cascade_is_read_with_what_its_cases_change():
     assert tuned.tune.bounds == wb.Bounds((0.5, 4.0), (40.0, 200.0), (0.0, 0.0))
     assert tuned.tune.objective == wb.Objective(0.5, 0.0, 0.0, 0.0)
     assert tuned.tune.secondary[0] == wb.Experiment(100.0, wb.Step(1.0))
+
+
+def test_a_tuning_in_turn_is_asked_with_all_that_its_case_says(monkeypatch):
+    asked = []
+    monkeypatch.setattr(cascade_runner, "tune_cascade", lambda *given, **named: asked.append((given, named)))
+    plan = read(TEXT + TUNE.replace("restarts: 1", "restarts: 3\n      seed: 5\n      digits: 6"))
+    job = plan.cascade[-1]
+    cascade_runner.tune_job(job.cascade, plan.experiment, job.tune, print)
+    ((given, named),) = asked
+    assert given == (job.cascade, plan.experiment, job.tune.objective, job.tune.bounds, 5)
+    experiment, objective, bounds = job.tune.secondary
+    assert bounds == wb.Bounds((0.1, 1.0), (2.0, 30.0), (0.0, 0.0))
+    inner = {"secondary_experiment": experiment, "secondary_objective": objective, "secondary_bounds": bounds}
+    assert named == inner | {"restarts": 3, "digits": 6, "progress": print}
 
 
 # What is replaced by what, the refusal, and the text where it stands.
