@@ -83,6 +83,20 @@ def test_a_stopped_tuning_hands_over_its_best_so_far(tmp_path):
     assert not running.alive
 
 
+@pytest.mark.skipif(os.name != "posix", reason="asks a process to end by a signal")
+def test_a_task_that_is_stopped_twice_is_interrupted_once(tmp_path, monkeypatch):
+    running, told = job("tune", tuning(LONG), tmp_path)
+    told.wait_for("progress")
+    asked = []
+    monkeypatch.setattr(os, "kill", lambda *sent: asked.append(sent))
+    running.stop()
+    running.stop()
+    monkeypatch.undo()
+    running.kill()
+    running.join(10)
+    assert asked == [(running.pid, signal.SIGINT)]
+
+
 def test_a_task_that_is_stopped_before_it_began_is_stopped(tmp_path):
     running, told = job("tune", tuning(LONG), tmp_path)
     running.stop()

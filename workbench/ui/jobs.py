@@ -54,7 +54,12 @@ class Job:
         return self._thread.is_alive()
 
     def stop(self) -> None:
-        """Ask the task to end: what can, such as a tuning, hands over its best so far; the rest ends as it is."""
+        """Ask the task to end: what can, such as a tuning, hands over its best so far; the rest ends as it is.
+
+        Asked once more, as by a double click, it goes on: a second interrupt would end the handing over.
+        """
+        if self._stopping:
+            return
         self._stopping = True
         if self._ready and hasattr(os, "kill") and self._process.pid is not None and os.name == "posix":
             with suppress(ProcessLookupError):
