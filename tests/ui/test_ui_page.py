@@ -139,7 +139,10 @@ def test_what_is_refused_is_told_at_its_field(shared):
     ]
     assert answer["entries"]["loop.valve.d"] == "much"
     assert answer["figures"], "the last good run stays"
-    assert shared("export", what="scenario")["message"].startswith("loop.valve.d")
+    for what in ("scenario", "trends", "figures", "report"):
+        answer = shared("export", what=what)
+        assert answer["message"].startswith("loop.valve.d"), what
+        assert "download" not in answer
 
 
 NONSENSE: list[tuple[str, dict[str, Any]]] = [

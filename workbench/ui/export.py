@@ -21,6 +21,8 @@ def made(what: str, session: Session) -> tuple[str, str, str]:
 
     Raises `ScenarioError` where the page holds something that is refused, `InvalidValue` for anything else.
     """
+    if session.stale:  # the run that shows is not of what stands there
+        raise ScenarioError("\n".join(problem.text for problem in session.problems))
     if what == "scenario":
         return "scenario.yaml", "application/yaml", session.scenario()
     if what == "trends":
