@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -241,6 +242,33 @@ def test_a_tuning_runs_stops_and_becomes_a_case(ask, begun):
     assert answer["busy"] == ""
     assert [c["name"] for c in ask("pin_tuned", name="Tuned PI")["cases"]][-1] == "Tuned PI"
     assert ask("use_tuned")["entries"]["loop.controller.Kc"] == "2.384"
+
+
+def test_a_tuning_of_what_stood_there_before_says_so(ask, begun):
+    ask("tune")
+    controller = replace(ask.page.session.built.loop.controller, Kc=2.384, Ti=9.092)
+    found = TunedCase(controller, True, "solved", ("Kc 2.384", "J 10"), 10.0, 226.0)
+    assert ended(ask, "done", result=found)["tuned"]["lines"] == ["Kc 2.384", "J 10"]
+    # The tuning itself may be another: it is what was searched for.
+    assert ask("use_tuned")["tuned"]["lines"] == ["Kc 2.384", "J 10"]
+    for path, text in (("loop.valve.d", "3"), ("experiment.setpoint.step", "1"), ("objective.w1", "7")):
+        *_, said = ask("set", entries={path: text})["tuned"]["lines"]
+        assert "as they stood when the search began" in said, path
+        ask("pin_tuned", name=path)
+        assert ask.page.session.screen.cases[-1].note == f"J 10 {said}"
+        ask("undo")
+        assert ask("undo")["tuned"]["lines"] == ["Kc 2.384", "J 10"]
+
+
+def test_a_loop_that_changes_during_its_tuning_is_told_with_it(ask, begun):
+    ask("tune")
+    ask("set", entries={"loop.valve.d": "3"})
+    found = TunedCase(wb.PID(2.384, 9.092), True, "solved", ("Kc 2.384", "J 10"), 10.0, 226.0)
+    assert "as they stood when the search began" in ended(ask, "done", result=found)["tuned"]["lines"][-1]
+    # A search that has to wait leaves the one before.
+    ask("front")
+    assert "must wait" in ask("tune")["message"]
+    assert ask.last["tuned"]["lines"][0] == "Kc 2.384"
 
 
 def test_a_dead_worker_leaves_the_page_with_the_reason(ask, begun):

@@ -7,11 +7,13 @@ from dataclasses import replace
 from workbench.errors import WorkbenchError
 from workbench.model.analyses import DescribingFunction
 from workbench.model.cascade import Cascade
+from workbench.model.controller import PID
 from workbench.model.experiment import Experiment
+from workbench.model.loop import Loop
 from workbench.report.words import duration, figure
 from workbench.ui.state import Built
 
-__all__ = ["map_key", "verdicts"]
+__all__ = ["map_key", "tuning_key", "verdicts"]
 
 
 def verdicts(built: Built) -> tuple[DescribingFunction | None, list[str]]:
@@ -70,6 +72,21 @@ def map_key(built: Built | None) -> object:
     """Return what a map is of: everything of a loop but the tuning, which is where one stands on it."""
     if built is None:
         return None
-    loop = built.loop
+    return _under(built.loop, replace(built.loop.controller, Kc=1.0, Ti=1.0))
+
+
+def tuning_key(built: Built | None) -> object:
+    """Return what a tuning is of: everything that stands on the page but the settings that are searched for."""
+    if built is None:
+        return None
+    cascade = built.cascade
+    loops = [built.loop] if cascade is None else [cascade.primary, cascade.secondary]
+    bare = [_under(loop, replace(loop.controller, Kc=1.0, Ti=1.0, Td=0.0)) for loop in loops]
+    between = None if cascade is None else (cascade.scale, cascade.anti_windup)
+    return bare, between, built.experiment, built.objective
+
+
+def _under(loop: Loop, controller: PID) -> object:
+    """Return everything of a loop but its controller, and this one."""
     elements = loop.characteristic, loop.fail_open, loop.scan
-    return loop.plant, loop.valve, replace(loop.controller, Kc=1.0, Ti=1.0), loop.sample_time, elements
+    return loop.plant, loop.valve, controller, loop.sample_time, elements

@@ -27,7 +27,7 @@ from workbench.errors import InvalidValue, RecordError, WorkbenchError
 from workbench.ui import export
 from workbench.ui.fields import FIELDS
 from workbench.ui.figures import MAP_FIGURES, Pictures
-from workbench.ui.frequency import map_key, verdicts
+from workbench.ui.frequency import map_key, tuning_key, verdicts
 from workbench.ui.given import found_words, record_words, safe_name
 from workbench.ui.jobs import Event, Job
 from workbench.ui.load import Loaded, bounds_entries, controller_entries
@@ -79,6 +79,7 @@ class Page:
         self.record: ReadRecord | None = None
         self.found: Found | None = None
         self.tuned: TunedCase | None = None
+        self.tuned_of: object = None
         self.map: MapFound | None = None
         self.map_of: object = None
         self.map_figure = "period"
@@ -153,7 +154,7 @@ class Page:
             answer["scenario"] = self._scenario()
         tuned = self._tuned()
         if tuned is not None:
-            answer["tuned"] = {"lines": list(tuned.lines), "status": tuned.status}
+            answer["tuned"] = {"lines": [*tuned.lines, *self._outdated()], "status": tuned.status}
         answer["axes"] = self.pictures.moved(all_of_them="start" in answer, anew=str(answer.get("refit", "")))
         self._send(answer)
 
@@ -253,7 +254,7 @@ class Page:
             self.record, self.found = result.record, result
             self.pictures.show_record(result, result.record)
         elif isinstance(result, TunedCase):
-            self.tuned = result
+            self.tuned, self.tuned_of = result, self.asked_of
             self.message = "" if result.success else f"The tuning ended as {result.status}."
         elif isinstance(result, MapFound):
             self.map, self.map_of = result, self.asked_of
@@ -373,13 +374,13 @@ class Page:
 
     def _do_tune(self, _request: Mapping[str, Any]) -> None:
         text = self.session.tuning()
-        self.tuned = None
         self._begin("tune", text)
+        self.tuned, self.asked_of = None, tuning_key(self.session.built)
 
     def _do_pin_tuned(self, request: Mapping[str, Any]) -> None:
         tuned = self._found_tuning()
         settings = 1 if tuned.primary is None else 2
-        note = " ".join(tuned.lines[settings:])
+        note = " ".join([*tuned.lines[settings:], *self._outdated()])
         self.session.pin(str(request["name"]), tuned.controller, note, tuned.primary)
 
     def _do_use_tuned(self, _request: Mapping[str, Any]) -> None:
@@ -390,6 +391,12 @@ class Page:
         """Return the tuning found, if it is of what stands on the page: a loop or a cascade."""
         tuned = self.tuned
         return None if tuned is None or (tuned.primary is not None) != self.session.screen.cascade else tuned
+
+    def _outdated(self) -> list[str]:
+        """Return what is to be said of a tuning found that is not of what stands on the page now."""
+        if self.tuned_of == tuning_key(self.session.built):
+            return []
+        return ["This is of the loop, experiment and weights as they stood when the search began, not as they are now."]
 
     def _found_tuning(self) -> TunedCase:
         tuned = self._tuned()
