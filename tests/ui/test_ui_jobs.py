@@ -186,7 +186,7 @@ def test_a_map_and_a_report_of_the_page(undrawn, tmp_path):
     report = work.write_html(scenario_text(screen), str(tmp_path), silent)
     assert report.html.startswith("<!DOCTYPE html>")
     assert "A loop with a sticky valve" in report.html
-    assert {path.name for path in tmp_path.iterdir()} == {"report"}
+    assert {path.name for path in tmp_path.iterdir()} == {".report"}
 
 
 @pytest.mark.slow

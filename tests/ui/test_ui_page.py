@@ -353,6 +353,12 @@ def test_a_record_is_drawn_and_told(ask, begun):
     assert ask.page.pictures.record.source.data["pv_y"].size == 300
 
 
+def test_an_upload_that_cannot_be_kept_is_told(ask, begun):
+    (ask.page.folder / "a.csv").mkdir()
+    assert ask("upload", name="a.csv", data="")["message"] == "a.csv: cannot be kept here (Is a directory)"
+    assert not begun
+
+
 def test_too_large_an_upload_is_refused(ask, begun, monkeypatch):
     monkeypatch.setattr(pages, "LARGEST_UPLOAD", 100)
     assert "can be uploaded" in uploaded(ask, "a.csv", b"x" * 101)["message"]

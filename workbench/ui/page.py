@@ -324,7 +324,10 @@ class Page:
         if self.task:
             raise InvalidValue("file", name, f"must wait: {WORDS[self.task].lower()} is under way")
         target = self.folder / safe_name(name)
-        target.write_bytes(content)
+        try:
+            target.write_bytes(content)
+        except OSError as error:
+            raise RecordError(f"{name}: cannot be kept here ({error.strerror})") from None
         self.data = target.name
         self._begin("read", estimate_text(self.session.screen, self.data))
         return None

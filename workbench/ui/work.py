@@ -331,7 +331,7 @@ def write_html(text: str, folder: str, progress: Progress) -> Report:
     from workbench.scenario.runner import run_scenario
 
     study = run_scenario(_plan(text, folder), progress=progress)
-    target = Path(folder) / "report"
+    target = Path(folder) / ".report"  # which no file that was opened is called
     write_report(study, target)
     return Report((target / "report.html").read_text(encoding="utf-8"))
 
