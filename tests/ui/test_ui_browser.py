@@ -12,6 +12,7 @@ import shutil
 import signal
 import time
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -109,6 +110,21 @@ class Opened:
               for (let frame = 0; frame < 4; frame++) await new Promise(requestAnimationFrame);
             }"""
         )
+
+    @contextmanager
+    def held(self) -> Iterator[None]:
+        """Hold back what is asked for: what is done within comes before the first answer is seen."""
+        self.settled()
+        self.page.evaluate(
+            """() => {
+              window.real = bridge;
+              window.kept = null;
+              bridge = { get down() { return real.down; }, set up(text) { window.kept = text; } };
+            }"""
+        )
+        yield
+        self.page.evaluate("() => { bridge = real; if (kept) bridge.up = kept; }")
+        self.settled()
 
     def view(self, name: str) -> None:
         self.page.click(f"#tab-{name}")
@@ -231,6 +247,24 @@ def test_what_is_being_typed_is_not_lost(paper, tmp_path):
     constant.press("Enter")
     run = wb.simulate(replace(paper_loop(0.7, 20.0), plant=wb.FOPDT(1.0, 7.77, 1.0)), paper_step())
     expect(paper.figure("valve_travel")).to_have_text(f"{shown('valve_travel', run.kpis.valve_travel)} %")
+
+
+def test_what_is_typed_before_the_answer_is_seen_is_not_lost(paper):
+    page = paper.page
+    with paper.held():
+        paper.type("loop.controller.Kc", "0.7")
+        paper.entry("loop.controller.Kc").fill("0.75")
+        page.fill("#pin-name-loop", "First")
+        page.press("#pin-name-loop", "Enter")
+        page.fill("#pin-name-loop", "Sec")
+        paper.entry("loop.controller.Ti").fill("21")
+        paper.entry("loop.controller.Ti").press("Enter")
+        paper.entry("loop.controller.Ti").fill("210")
+    expect(page.locator("#pin-name-loop")).to_have_value("Sec")
+    expect(paper.entry("loop.controller.Ti")).to_have_value("210")
+    expect(paper.entry("loop.controller.Kc")).to_have_value("0.75")
+    page.fill("#pin-name-loop", "")
+    paper.settled()
 
 
 def test_a_cascade_and_what_few_loops_have_show_where_a_scenario_has_them(paper):

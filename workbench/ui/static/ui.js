@@ -96,7 +96,8 @@ function show(answer, asked) {
   byId("undo").disabled = !answer.undo;
   byId("message").textContent = answer.message;
   byId("message").hidden = !answer.message;
-  if (asked?.do === "pin" && !answer.message) byId(asked.from).value = ""; // a name that is refused stays, to be mended
+  // A name that is refused stays, to be mended, and so does one that was typed since.
+  if (asked?.do === "pin" && !answer.message && byId(asked.from).value === asked.name) byId(asked.from).value = "";
   byId("progress").hidden = !answer.busy;
   for (const el of document.querySelectorAll("#tune, #map, #map-view, #front, [data-export=report]")) el.disabled = Boolean(answer.busy);
   if (answer.notes.join() !== notes) list(byId("notes"), answer.notes);
@@ -165,9 +166,9 @@ function showEntries(asked, before) {
     const text = entries[path];
     if (text === undefined) continue; // of the other kind of scenario
     if (text === before[path] && el.value === text && el.type !== "checkbox") continue;
-    // What is being typed or dragged stays as it is until it is sent, whoever's answer this is.
+    // What is being typed or dragged stays as it is until it is answered, whoever's answer this is.
     const typing = el === document.activeElement && typable(el) && path in before && el.value !== before[path];
-    if (queued.has(path) || (typing && !(path in sliding))) continue;
+    if (queued.has(path) || (typing && el.value.trim() !== sliding[path])) continue;
     if (el.type === "checkbox") el.checked = text === "true";
     else if (el.value !== text) el.value = text;
     kinds ||= el.type !== "text";
