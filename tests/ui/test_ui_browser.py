@@ -358,6 +358,32 @@ def test_cases_are_pinned_renamed_moved_and_removed(paper):
     paper.picture("compare")
 
 
+def test_a_cases_name_and_the_focus_stay_where_an_answer_comes_meanwhile(paper):
+    page = paper.page
+    paper.view("compare")
+    paper.settled()
+    names = page.locator("#comparison thead input")
+    names.nth(0).fill("Half a na")
+    page.evaluate("ask('view', { view: 'compare' })")
+    paper.settled()
+    page.keyboard.type("me")
+    expect(names.nth(0)).to_have_value("Half a name")
+    expect(names.nth(0)).to_have_attribute("title", "Case 1")  # not taken before it is entered
+    page.keyboard.press("Enter")
+    expect(names.nth(0)).to_have_attribute("title", "Half a name")
+    page.focus('[aria-label="Case 4: to the left"]')
+    for _ in range(3):
+        page.keyboard.press("Enter")
+        paper.settled()
+    # Its button is of no more use now; what follows by the keyboard is of the same case.
+    assert page.evaluate("document.activeElement.value") == "Case 4"
+    expect(names.nth(0)).to_have_value("Case 4")
+    page.focus('[aria-label="Case 5: away"]')
+    page.keyboard.press("Enter")
+    paper.settled()
+    assert page.evaluate("document.activeElement.ariaLabel") == "Case 3: away"
+
+
 def test_a_tuning_runs_and_another_is_stopped(paper):
     page = paper.page
     paper.type("experiment.duration", "120")

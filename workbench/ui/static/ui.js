@@ -108,7 +108,7 @@ function show(answer, asked) {
     byId("progress-words").textContent = "Starting";
     byId("progress-share").removeAttribute("value");
   }
-  if (answer.comparison) showComparison(answer.comparison, answer.cases.length);
+  if (answer.comparison) showComparison(answer.comparison, answer.cases.length, asked);
   if (answer.front) {
     list(byId("front-lines"), answer.front);
     byId("front-box").hidden = !answer.front.length;
@@ -247,36 +247,52 @@ function swatch(index, own) {
   return svg;
 }
 
-function showComparison(table, pinned) {
-  const focus = document.activeElement?.dataset?.keep;
-  const heads = table.heads.map((head, i) => {
-    const own = i >= pinned;
-    const cell = make("th", "", { scope: "col" }, swatch(i, own), make("br"));
-    if (own) {
-      cell.append(make("span", head.name));
-    } else {
-      const name = make("input", "", { type: "text", "aria-label": `Name of case ${i + 1}`, maxlength: "80", "data-keep": `name-${i}` });
-      name.value = name.defaultValue = name.title = head.name;
-      name.addEventListener("change", () => ask("rename", { case: head.case, name: name.value }));
-      cell.append(name);
-    }
-    cell.append(make("small", head.refused || head.settings));
-    if (!own) {
-      const buttons = [
-        ["←", "to the left", i > 0, () => ask("move", { case: head.case, by: -1 })],
-        ["→", "to the right", i < pinned - 1, () => ask("move", { case: head.case, by: 1 })],
-        ["▲", "on the screen", true, () => ask("show", { case: head.case })],
-        ["✕", "away", true, () => ask("remove", { case: head.case })],
-      ].map(([text, words, usable, action]) => {
-        const button = make("button", text, { type: "button", class: "small", "aria-label": `${head.name}: ${words}`, title: words, "data-keep": `${words}-${i}` });
-        button.disabled = !usable;
-        button.addEventListener("click", action);
-        return button;
-      });
-      cell.append(...buttons);
-    }
-    return cell;
+// The heads of the pinned cases, by their keys: what is typed, held or clicked there is not taken away by an answer.
+const heads = new Map();
+
+function headOf(key) {
+  if (heads.has(key)) return heads.get(key);
+  const name = make("input", "", { type: "text", maxlength: "80" });
+  name.addEventListener("change", () => ask("rename", { case: key, name: name.value }));
+  const buttons = [
+    ["←", "to the left", "move", { by: -1 }],
+    ["→", "to the right", "move", { by: 1 }],
+    ["▲", "on the screen", "show", {}],
+    ["✕", "away", "remove", {}],
+  ].map(([text, words, what, more]) => {
+    const button = make("button", text, { type: "button", class: "small", title: words });
+    button.addEventListener("click", () => ask(what, { case: key, ...more }));
+    return button;
   });
+  const words = make("small");
+  const cell = make("th", "", { scope: "col" }, swatch(0), make("br"), name, words, ...buttons);
+  heads.set(key, { cell, name, words, buttons });
+  return heads.get(key);
+}
+
+function showHead(head, i, pinned, asked) {
+  const settings = head.refused || head.settings;
+  if (i >= pinned) return make("th", "", { scope: "col" }, swatch(i, true), make("br"), make("span", head.name), make("small", settings));
+  const { cell, name, words, buttons } = headOf(head.case);
+  cell.firstChild.replaceWith(swatch(i));
+  const renamed = asked?.do === "rename" && asked.case === head.case && asked.name === name.value;
+  const typing = name === document.activeElement && name.value !== name.defaultValue && !renamed;
+  if (!typing) name.value = head.name;
+  name.defaultValue = name.title = head.name;
+  name.setAttribute("aria-label", `Name of case ${i + 1}`);
+  words.textContent = settings;
+  for (const button of buttons) button.setAttribute("aria-label", `${head.name}: ${button.title}`);
+  buttons[0].disabled = i === 0;
+  buttons[1].disabled = i === pinned - 1;
+  return cell;
+}
+
+function showComparison(table, pinned, asked) {
+  const focus = document.activeElement;
+  const held = focus.closest("#comparison th");
+  const [at, part] = held ? [held.cellIndex, [...held.children].indexOf(focus)] : [];
+  const cells = table.heads.map((head, i) => showHead(head, i, pinned, asked));
+  for (const [key, { cell }] of heads) if (!cells.includes(cell)) heads.delete(key);
   const rows = table.rows.map((row) => {
     const title = make("th", row.title, { scope: "row" });
     if (row.unit) title.append(make("span", row.unit, { class: "unit" }));
@@ -288,12 +304,21 @@ function showComparison(table, pinned) {
     });
     return make("tr", "", {}, title, ...cells);
   });
-  const corner = make("th", "Figure", { scope: "col", style: "text-align: left" });
-  byId("comparison").replaceChildren(
-    make("thead", "", {}, make("tr", "", {}, corner, ...heads)),
-    make("tbody", "", {}, ...rows),
-  );
-  if (focus) document.querySelector(`[data-keep="${CSS.escape(focus)}"]`)?.focus();
+  const grid = byId("comparison");
+  const body = make("tbody", "", {}, ...rows);
+  const shown = [...(grid.rows[0]?.cells ?? [])].slice(1);
+  if (shown.length === cells.length && cells.every((cell, i) => i >= pinned || cell === shown[i])) {
+    for (let i = pinned; i < cells.length; i += 1) shown[i].replaceWith(cells[i]);
+    grid.tBodies[0].replaceWith(body);
+  } else {
+    const corner = make("th", "Figure", { scope: "col", style: "text-align: left" });
+    grid.replaceChildren(make("thead", "", {}, make("tr", "", {}, corner, ...cells)), body);
+  }
+  if (!held) return;
+  // The focus goes along with its case; from one that is gone to its neighbour.
+  const cell = held.isConnected ? held : cells[Math.min(at, pinned) - 1];
+  const wanted = cell?.children[part];
+  (wanted?.disabled ? cell.querySelector("input") : (wanted ?? byId("pin-name"))).focus();
 }
 
 function tableOf(table, first) {
