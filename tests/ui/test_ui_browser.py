@@ -384,6 +384,22 @@ def test_a_cases_name_and_the_focus_stay_where_an_answer_comes_meanwhile(paper):
     assert page.evaluate("document.activeElement.ariaLabel") == "Case 3: away"
 
 
+def test_a_view_turned_to_before_the_last_one_is_there_stays(paper):
+    page = paper.page
+    with paper.held():
+        page.click("#tab-frequency")
+        page.click("#tab-compare")
+        page.evaluate(
+            """() => {
+              window.turned = [];
+              const seen = new MutationObserver((all) => turned.push(...all.map((one) => one.target.id)));
+              seen.observe(document.querySelector("[role=tablist]"), { subtree: true, attributes: true });
+            }"""
+        )
+    expect(page.locator("#view-compare")).to_be_visible()
+    assert page.evaluate("turned") == []
+
+
 def test_a_tuning_runs_and_another_is_stopped(paper):
     page = paper.page
     paper.type("experiment.duration", "120")

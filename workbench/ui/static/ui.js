@@ -129,7 +129,9 @@ function show(answer, asked) {
   if (answer.tuned) byId("tuned").querySelector("ul").replaceChildren(...answer.tuned.lines.map((l) => make("li", l)));
   if (answer.ended === "tune" && answer.tuned && !byId("tuned-name").value) suggest(answer.cases);
   if (answer.download) download(answer.download);
-  if (answer.view !== view) turn(answer.view, false);
+  // A view that was turned to since stays.
+  const turned = queue.some((one) => one.do === "view") || (!asked && waiting?.do === "view");
+  if (answer.view !== view && !turned) turn(answer.view, false);
 }
 
 const fitted = new Map();
