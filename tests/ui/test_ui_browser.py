@@ -421,6 +421,16 @@ def test_a_tuning_runs_and_another_is_stopped(paper):
     page.click("#tune")
     expect(page.locator("#progress-words")).to_contain_text("Tuning: ")
     paper.picture("tuning")
+    page.evaluate(
+        """() => {
+          window.words = [];
+          const words = document.getElementById("progress-words");
+          new MutationObserver(() => window.words.push(words.textContent)).observe(words, { childList: true });
+        }"""
+    )
+    page.click("#suit-bounds")  # which has nothing to do with how far the search has come
+    paper.settled()
+    assert "Starting" not in page.evaluate("window.words")
     page.click("#stop")
     expect(page.locator("#progress")).to_be_hidden(timeout=30_000)
     expect(page.locator("#message")).to_have_text(re.compile("The tuning ended as interrupted|Tuning was stopped"))

@@ -98,16 +98,16 @@ function show(answer, asked) {
   byId("message").hidden = !answer.message;
   // A name that is refused stays, to be mended, and so does one that was typed since.
   if (asked?.do === "pin" && !answer.message && byId(asked.from).value === asked.name) byId(asked.from).value = "";
+  if (answer.busy && byId("progress").hidden) {
+    byId("progress-words").textContent = "Starting";
+    byId("progress-share").removeAttribute("value");
+  }
   byId("progress").hidden = !answer.busy;
   for (const el of document.querySelectorAll("#tune, #map, #map-view, #front, [data-export=report]")) el.disabled = Boolean(answer.busy);
   if (answer.notes.join() !== notes) list(byId("notes"), answer.notes);
   notes = answer.notes.join();
   showFigures(answer.figures);
   document.querySelector("main").classList.toggle("stale", answer.stale);
-  if (answer.busy && asked && !["set", "view"].includes(asked.do)) {
-    byId("progress-words").textContent = "Starting";
-    byId("progress-share").removeAttribute("value");
-  }
   if (answer.comparison) showComparison(answer.comparison, answer.cases.length, asked);
   if (answer.front) {
     list(byId("front-lines"), answer.front);
