@@ -400,6 +400,17 @@ def test_a_view_turned_to_before_the_last_one_is_there_stays(paper):
     assert page.evaluate("turned") == []
 
 
+def test_what_is_asked_for_twice_before_it_is_seen_is_done_once(paper):
+    page = paper.page
+    paper.view("compare")
+    page.fill("#pin-name", "Once")
+    with paper.held():
+        page.press("#pin-name", "Enter")
+        page.press("#pin-name", "Enter")
+    expect(page.locator("#message")).to_be_hidden()
+    expect(page.locator("#comparison thead input")).to_have_count(6)
+
+
 def test_a_tuning_runs_and_another_is_stopped(paper):
     page = paper.page
     paper.type("experiment.duration", "120")

@@ -20,8 +20,12 @@ let notes = "";
 
 // requests ------------------------------------------------------------------------------------------------------------
 
+// Which a second click, or Enter, before the first is answered does not ask for once more.
+const once = new Set(["pin", "pin_tuned", "read", "estimate", "tune", "map", "front", "use_model", "use_tuned", "export"]);
+
 function ask(what, more = {}) {
   const last = queue[queue.length - 1];
+  if (once.has(what) && JSON.stringify({ ...(last ?? waiting), n: undefined }) === JSON.stringify({ do: what, ...more })) return;
   // While a request is under way only the latest of what is dragged or typed counts.
   if (what === "set" && last && last.do === "set" && last.gesture === more.gesture) {
     Object.assign(last.entries, more.entries);
