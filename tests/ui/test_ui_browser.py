@@ -215,6 +215,10 @@ def test_the_keyboard_is_enough(paper):
     expect(paper.entry("loop.controller.Kc")).to_have_value("0.51")
     page.keyboard.press("Control+z")
     expect(paper.figure("valve_travel")).to_have_text("12.18 %")
+    paper.view("tune")
+    paper.entry("tune.seed").focus()
+    page.keyboard.press("ArrowUp")
+    expect(paper.entry("tune.seed")).to_have_value("1")
     page.focus("#tab-loop")
     page.keyboard.press("ArrowRight")
     assert page.evaluate("document.activeElement.id") == "tab-compare"

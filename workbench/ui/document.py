@@ -34,7 +34,14 @@ def open_page(document: Document, loaded: Loaded | None, data: Path | None = Non
     variables = {
         "groups": GROUPS,
         "fields": {
-            path: {"slider": f.slider, "reach": f.reach, "signed": f.signed, "when": f.when, "usual": DEFAULTS[path]}
+            path: {
+                "slider": f.slider,
+                "reach": f.reach,
+                "signed": f.signed,
+                "when": f.when,
+                "whole": f.whole,
+                "usual": DEFAULTS[path],
+            }
             for path, f in FIELDS.items()
         },
         "views": VIEWS,

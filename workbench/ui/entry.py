@@ -17,7 +17,8 @@ class Field:
 
     slider: "log" (even ratios), "linear" or "" for none; reach: how far a linear one goes from 0 at least, to both
     sides where it is signed. when: the entry shows where another has one of these values.
-    flag: a yes or no. rows: lines of a longer text, 0 for one line. hint: shown under the field's name.
+    flag: a yes or no. whole: a whole number, which keys step by 1. rows: lines of a longer text, 0 for one line.
+    hint: shown under the field's name.
     more: few loops have it; it shows where its group is opened further, or where it is used.
     """
 
@@ -31,6 +32,7 @@ class Field:
     signed: bool = False
     when: tuple[str, tuple[str, ...]] | None = None
     flag: bool = False
+    whole: bool = False
     rows: int = 0
     hint: str = ""
     more: bool = False

@@ -34,7 +34,7 @@ _CONTROLLER = Group(
     "Controller",
     (
         *controller_fields("loop.controller"),
-        Field("loop.scan", "Scan", "1", hint="executes every so many samples", more=True),
+        Field("loop.scan", "Scan", "1", whole=True, hint="executes every so many samples", more=True),
         *_range("loop", "for %/% and PB"),
     ),
 )
@@ -105,7 +105,7 @@ _EXPERIMENT = Group(
         ),
         Field("experiment.primary_load.at", "at", "0", SECONDS),
         Field("experiment.noise.sd", "Noise", "0", ("EU",), slider="linear", reach=0.2, hint="standard deviation"),
-        Field("experiment.noise.seed", "Noise seed", "0"),
+        Field("experiment.noise.seed", "Noise seed", "0", whole=True),
         Field(
             "experiment.secondary_noise.sd",
             "Noise of the secondary",
@@ -115,7 +115,7 @@ _EXPERIMENT = Group(
             reach=0.2,
             hint="standard deviation",
         ),
-        Field("experiment.secondary_noise.seed", "Its seed", "0"),
+        Field("experiment.secondary_noise.seed", "Its seed", "0", whole=True),
         Field(
             "experiment.stem_offset",
             "Stem offset",

@@ -26,9 +26,9 @@ _TUNE = Group(
         ),
         Field("tune.constraints.max_sensitivity", "Largest Ms", "", hint="empty: none (robust: 2)"),
         Field("tune.constraints.valve_travel", "Largest valve travel", "", ("%",), hint="empty: none"),
-        Field("tune.digits", "Digits to type in", "4"),
-        Field("tune.restarts", "Searches", "4"),
-        Field("tune.seed", "Seed", "0"),
+        Field("tune.digits", "Digits to type in", "4", whole=True),
+        Field("tune.restarts", "Searches", "4", whole=True),
+        Field("tune.seed", "Seed", "0", whole=True),
     ),
 )
 
@@ -67,7 +67,7 @@ _SECONDARY = Group(
         Field(f"{_ALONE}.load.step", "Load step", "-2", ("%",), when=_BOTH),
         Field(f"{_ALONE}.load.at", "at", "300", SECONDS, when=_BOTH),
         Field(f"{_ALONE}.noise.sd", "Noise", "0.02", ("EU",), when=_BOTH, hint="standard deviation"),
-        Field(f"{_ALONE}.noise.seed", "Noise seed", "2", when=_BOTH),
+        Field(f"{_ALONE}.noise.seed", "Noise seed", "2", whole=True, when=_BOTH),
     ),
 )
 _PRIMARY = Group("tune_primary", "The primary over it", _part("tune_cascade.primary", "EU/EU", ("10", "600"), None))

@@ -441,7 +441,7 @@ function typed(path, el) {
 function nudge(path, el, up) {
   const value = Number(el.value);
   if (el.value.trim() === "" || !Number.isFinite(value)) return;
-  const size = value === 0 ? (spec.fields[path]?.reach ?? 1) / 10 : 10 ** (Math.floor(Math.log10(Math.abs(value))) - 1);
+  const size = spec.fields[path]?.whole ? 1 : value === 0 ? (spec.fields[path]?.reach ?? 1) / 10 : 10 ** (Math.floor(Math.log10(Math.abs(value))) - 1);
   el.value = String(Number((value + (up ? size : -size)).toPrecision(6)));
   ask("set", { entries: { [path]: el.value }, gesture: `nudge ${path} ${gesture}` });
 }
