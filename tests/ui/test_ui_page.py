@@ -235,9 +235,11 @@ def test_a_tuning_runs_stops_and_becomes_a_case(ask, begun):
     assert ask.last["progress"] == {"words": "Tuning: searching", "share": 0.25}
     ask("stop")
     assert type(ask.page.job).stopped
+    ask("set", entries={"tune.kind": "PID"})
     found = TunedCase(wb.PID(2.384, 9.092), False, "interrupted", ("Kc 2.384", "J 10"), 10.0, 226.0)
     answer = ended(ask, "done", result=found)
     assert answer["tuned"]["lines"] == ["Kc 2.384", "J 10"]
+    assert answer["tuned"]["name"] == "Tuned PI"  # whatever is chosen for the next by now
     assert answer["message"] == "The tuning ended as interrupted."
     assert answer["busy"] == ""
     assert [c["name"] for c in ask("pin_tuned", name="Tuned PI")["cases"]][-1] == "Tuned PI"

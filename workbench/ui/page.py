@@ -154,7 +154,12 @@ class Page:
             answer["scenario"] = self._scenario()
         tuned = self._tuned()
         if tuned is not None:
-            answer["tuned"] = {"lines": [*tuned.lines, *self._outdated()], "status": tuned.status}
+            kind = "PID" if tuned.controller.Td > 0.0 else "PI"
+            answer["tuned"] = {
+                "lines": [*tuned.lines, *self._outdated()],
+                "status": tuned.status,
+                "name": f"Tuned {kind if tuned.primary is None else 'in turn'}",
+            }
         answer["axes"] = self.pictures.moved(all_of_them="start" in answer, anew=str(answer.get("refit", "")))
         self._send(answer)
 

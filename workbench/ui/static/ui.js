@@ -131,7 +131,7 @@ function show(answer, asked) {
   if (answer.found !== undefined) showFound(answer.found);
   byId("tuned").hidden = !answer.tuned;
   if (answer.tuned) byId("tuned").querySelector("ul").replaceChildren(...answer.tuned.lines.map((l) => make("li", l)));
-  if (answer.ended === "tune" && answer.tuned && !byId("tuned-name").value) suggest(answer.cases);
+  if (answer.ended === "tune" && answer.tuned) suggest(answer.tuned.name, answer.cases);
   if (answer.download) download(answer.download);
   // A view that was turned to since stays.
   const turned = queue.some((one) => one.do === "view") || (!asked && waiting?.do === "view");
@@ -152,13 +152,15 @@ function fitAxes(axes, refit) {
   }
 }
 
-function suggest(cases) {
+let suggested = "";
+
+function suggest(base, cases) {
+  // What was typed stays; what was suggested was for the tuning before.
+  if (![suggested, ""].includes(byId("tuned-name").value)) return;
   const names = cases.map((one) => one.name);
-  const own = entries["tune.kind"] === "PI" ? "Tuned PI" : "Tuned PID";
-  const base = document.documentElement.dataset.kind === "cascade" ? "Tuned in turn" : own;
   let name = base;
   for (let i = 2; names.includes(name); i += 1) name = `${base} ${i}`;
-  byId("tuned-name").value = name;
+  byId("tuned-name").value = suggested = name;
 }
 
 const typable = (el) => el.type === "text" || el.type === "textarea";
