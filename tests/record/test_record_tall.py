@@ -58,6 +58,12 @@ def test_the_rows_may_come_in_any_order_of_tags(tmp_path: Path) -> None:
     [
         ("TagName,DateTime,Value,OPCQuality", "FIC101/PID1/PV.CV", "FIC101/PID1/OUT.CV"),
         ("point,time,reading,status", "31FC101.DACA.PV", "31FC101.PIDA.OP"),
+        # Ignition, InfluxDB, ABB, Wonderware, IP.21.
+        ("path,t_stamp,value,quality", "FIC101/PV", "FIC101/OP"),
+        ("_field,_time,_value,_status", "PV", "OP"),
+        ("Object,Timestamp,Value,Quality", "FIC101:PV", "FIC101:OUT"),
+        ("TagName,DateTime,vValue,Quality", "FIC101.PV", "FIC101.OP"),
+        ("NAME,IP_TREND_TIME,IP_TREND_VALUE,IP_TREND_QSTATUS", "FIC101.PV", "FIC101.OP"),
         ("name,timestamp,val,quality", "FIC101_PV", "FIC101_MV"),
         ("Item ID,Date,Average,Qual", "fic101 pv", "fic101 co"),
     ],
@@ -109,6 +115,52 @@ def test_texts_and_qualities_are_rejected_and_counted(tmp_path: Path) -> None:
     said = " ".join(record.notes)
     assert "2 rows rejected: text ('Bad Input' 1, 'I/O Timeout' 1), first in line 22, tag 'F1.PV'" in said
     assert "1 row rejected: bad quality" in said
+
+
+@pytest.mark.parametrize(
+    ("name", "good", "bad"),
+    [
+        ("DataQuality", "Good - NonSpecific", "Bad - Comm Failure"),
+        ("Good", "True", "False"),
+        ("Validity", "1", "0"),
+        ("IsQuestionable", "False", "True"),
+        ("QStatus", "Good", "Bad"),
+        ("Percent Good", "100", "0"),
+    ],
+)
+def test_a_quality_by_another_name_is_one(tmp_path: Path, name: str, good: str, bad: str) -> None:
+    rows = [(*row[:3], good) for row in rows_of("F1.PV", PV) + rows_of("F1.OP", OP)]
+    rows[20:22] = [(*row[:2], "0", bad) for row in rows[20:22]]
+    record = read_record(write(tmp_path, rows, f"Tag,Timestamp,Value,{name}"))
+    assert record.pv.tolist() == PV[22:]
+    assert record.counts["rejected, bad quality"] == 2
+
+
+def test_the_times_of_wincc_are_its_timestamps(tmp_path: Path) -> None:
+    rows = ['"VarName";"TimeString";"VarValue";"Validity";"Time_ms"']
+    for tag, values in (("FIC101_PV", PV), ("FIC101_LMN", OP)):
+        for k, value in enumerate(values):
+            bad = tag == "FIC101_PV" and k == 20
+            shown = "0" if bad else f"{value:.2f}".replace(".", ",")
+            days = f"{45582913194.444443 + k / 0.0864:.6f}".replace(".", ",")
+            at = f"{START + dt.timedelta(seconds=k):%d.%m.%Y %H:%M:%S}"
+            rows.append(f'"{tag}";"{at}";{shown};{0 if bad else 1};{days}')
+    path = tmp_path / "wincc.csv"
+    path.write_text("\n".join([*rows, '"$RT_OFF$";"17.10.2024 22:11:40";0;2;45582924768,518517']) + "\n")
+    record = read_record(path)
+    assert record.sample_time == 1.0
+    assert record.pv.tolist() == [*PV[:20], pytest.approx((PV[19] + PV[21]) / 2), *PV[21:]]
+    assert record.counts["rejected, bad quality"] == 1
+
+
+def test_a_code_means_the_same_for_all_tags(tmp_path: Path) -> None:
+    for good, bad in (("192", "0"), ("1", "0"), ("0", "1")):
+        rows = [(*row[:3], good) for row in rows_of("F1.PV", PV) + rows_of("F1.OP", OP)]
+        rows[:40] = [(*row[:2], "0", bad) for row in rows[:40]]
+        rows += [(*row[:2], "0", bad) for row in rows_of("F1.SP", OP)[:10]]
+        record = read_record(write(tmp_path, rows))
+        assert record.sp is None
+        assert record.pv.tolist() == PV[40:]
 
 
 def test_tags_of_different_hours_are_refused(tmp_path: Path) -> None:
@@ -225,6 +277,10 @@ def test_a_wide_file_may_have_qualities_and_tags(tmp_path: Path) -> None:
         ("questionable", ["0", "1", "0"], "101", ""),
         ("status", ["0", "0", "0", "1"], "1110", "0, the more frequent, is taken as good"),
         ("confidence", ["100", "0", "80"], "101", ""),
+        ("confidence", ["100", "-1", "80"], "101", ""),
+        ("quality", ["100", "0", "100"], "101", ""),
+        ("Percent Good", ["90", "0", "80"], "101", ""),
+        ("status", ["Good_NonCascade", "Bad_Stale", "GoodClamped", "Uncertain_Initial"], "1010", ""),
         ("status", ["7", "9"], "11", "codes that are not known (7, 9)"),
     ],
 )

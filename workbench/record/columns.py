@@ -44,10 +44,13 @@ _OWN: dict[str, tuple[str, ...]] = {
     "value": ("value",),
 }
 _SPELLINGS: dict[str, tuple[str, ...]] = {
-    "time": ("seconds", "second", "sec", "secs", "s", "datetime", "date", "elapsed", "elapsedtime", "minutes", "hours"),
+    "time": (
+        *("seconds", "second", "sec", "secs", "s", "datetime", "date", "elapsed", "elapsedtime", "minutes", "hours"),
+        *("tstamp", "iptrendtime"),
+    ),
     "SP": ("setpt", "spt", "setpointvalue", "target", "reference", "r", "sv"),
     "PV": ("processvalue", "processvariable", "measurement", "measured", "measuredvalue", "y"),
-    "OP": ("output", "co", "mv", "out", "controlleroutput", "manipulatedvariable", "outputvalue", "u"),
+    "OP": ("output", "co", "mv", "out", "controlleroutput", "manipulatedvariable", "outputvalue", "u", "lmn"),
     "MODE": ("mod", "controllermode", "controlmode", "operatingmode"),
     "valve_position": ("valvepos", "stem", "stemposition", "position", "zt", "pos", "zi", "valvetravel", "valve"),
     "quality": (
@@ -62,14 +65,17 @@ _SPELLINGS: dict[str, tuple[str, ...]] = {
         "questionable",
     ),
     "unit": ("uom", "eu", "engunit", "engunits", "engineeringunit", "engineeringunits"),
-    "tag": ("tagid", "point", "pointname", "pointid", "item", "itemid", "itemname", "name", "signal", "variable"),
-    "value": ("val", "reading", "average", "avg", "pointvalue", "itemvalue"),
+    "tag": (
+        *("tagid", "point", "pointname", "pointid", "item", "itemid", "itemname", "name", "signal", "variable"),
+        *("varname", "variablename", "path", "tagpath", "object", "field"),
+    ),
+    "value": ("val", "reading", "average", "avg", "pointvalue", "itemvalue", "varvalue", "vvalue", "iptrendvalue"),
 }
 _SUFFIXES: dict[str, tuple[str, ...]] = {
     "time": (),
     "SP": ("sp", "spt", "setpoint", "sv"),
     "PV": ("pv", "measurement", "meas", "measured"),
-    "OP": ("op", "co", "mv", "out", "output"),
+    "OP": ("op", "co", "mv", "out", "output", "lmn"),
     "MODE": ("mode", "mod"),
     "valve_position": ("zt", "zi", "pos", "position", "stem"),
     "quality": (),
@@ -77,12 +83,18 @@ _SUFFIXES: dict[str, tuple[str, ...]] = {
     "tag": (),
     "value": (),
 }
+# WinCC's: the Time_ms beside it counts millionths of a day.
+_FIRST = {"time": ("timestring",)}
 # CV is the controlled variable beside an MV or OP, and the controller's beside a PV: the last to be looked at for both.
 _LAST = {"PV": ("cv", "controlledvariable"), "OP": ("cv", "controlvariable")}
 # What control systems write after the signal: FIC101/PID1/PV.CV, FIC101/PID1/MODE.ACTUAL.
 _AFTER = ("cv", "value", "val", "actual")
 # A quality beside a value bears the value's name and one of these: PV_Q, PV.Status, "FIC101.PV Quality", Quality_PV.
-_QUALITIES = (*_OWN["quality"], *_SPELLINGS["quality"], "good", "bad", "valid", "invalid", "st", "q")
+_QUALITIES = (
+    *(*_OWN["quality"], *_SPELLINGS["quality"], "dataquality", "isgoodquality", "isquestionable", "qstatus"),
+    *("good", "percentgood", "pctgood", "bad", "isbad", "valid", "isvalid", "validity", "invalid", "iptrendqstatus"),
+    *("st", "q"),
+)
 
 _ALIKE = "have this name: rename all but one of them in the file's header"
 
@@ -102,7 +114,10 @@ def _tokens(name: str) -> list[str]:
 
 
 def _tier(name: str, signal: str) -> int | None:
-    """Return how well a column's name fits a signal: 0 its own name, 1 a usual spelling, 2 a tag's suffix, 3 CV."""
+    """Return how well a column's name fits a signal: 0 its own name, 1 a usual spelling, 2 a tag's suffix, 3 CV.
+
+    And -1 goes before all that.
+    """
     tier = _fit(name, signal)
     head, comma, unit = name.rpartition(",")
     if tier is None and comma and not {*_ENDINGS, *_QUALITIES} & {*_tokens(unit)[-1:]}:
@@ -114,9 +129,11 @@ def _tier(name: str, signal: str) -> int | None:
 
 def _fit(name: str, signal: str) -> int | None:
     plain, tokens = _plain(name), _tokens(name)
+    if plain in _FIRST.get(signal, ()):
+        return -1
     if plain in _OWN[signal]:
         return 0
-    if plain in _SPELLINGS[signal]:
+    if plain in _SPELLINGS[signal] or (signal == "quality" and plain in _QUALITIES):
         return 1
     if plain in _LAST.get(signal, ()):
         return 3
@@ -330,9 +347,11 @@ def _match(
         if what == "column" and _is_data(names):
             msg = f"{source}: times and numbers ({there}) where the column names should be; a header line is needed"
             raise RecordError(msg)
+        tall = ", or which are 'tag', 'time' and 'value' of a row per value" if missing == ["PV", "OP"] else ""
         msg = (
             f"{source}: no {what} for {' and '.join(missing)}; the file has {there or f'no named {what}'}; "
             f"give the mapping, for example {argument}={{{missing[0]!r}: 'name in the file'}}"
+            f"{tall if what == 'column' else ''}"
         )
         raise RecordError(msg)
     return found

@@ -7,6 +7,7 @@ record then takes only the row groups and columns that hold it.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -143,7 +144,8 @@ def read_tags(
     clock = _joined(clocks)
     table = Table({"time": clock}, lines, "value")
     times = clock_of(clock, "time", table, source, signals.notes)
-    tall = Tall(signals, times, clock.marks == FIELDS, lines, {name: name for name in TALL}, source)
+    rated = Counter(text for qualities, _ in said for text in qualities or ())
+    tall = Tall(signals, times, clock.marks == FIELDS, lines, {name: name for name in TALL}, source, rated)
     first = 0
     for (kind, tag, _), cells, (qualities, units) in zip(order, values, said, strict=True):
         stop = first + cells.marks.size

@@ -12,24 +12,30 @@ from numpy.typing import NDArray
 __all__ = ["good_quality"]
 
 _GOOD = re.compile(
-    r"(good|ok|valid|true|yes|normal|g|192|0x0*c0)\b(?!.*\b(bad|uncertain|questionable)\b)", re.IGNORECASE
+    r"(good\w*|ok|valid|true|yes|normal|g|192|0x0*c0)\b(?!.*\b(bad|uncertain|questionable)\b)", re.IGNORECASE
 )
 # A column named after a fault says "good" by 0 or False.
 _FAULT_NAMES = ("bad", "questionable", "invalid", "fault", "error")
+# Shares of what was good: Honeywell's confidence, and the quality of GE's historian, which writes 100 for a good value.
+_SHARES = ("confidence", "percent", "pct")
+_WHOLE = 100
 # OPC DA: the two high bits of a byte, 11 is good (OPC Data Access 3.00, 6.8). OPC UA: the two high bits of 32, 00 is
 # good (OPC UA part 4, 7.39).
 _DA_GOOD, _DA_MASK, _UA_LEAST = 192, 192, 1 << 30
 
 
-def good_quality(texts: Sequence[str], name: str) -> tuple[NDArray[np.bool_], Counter[str], str]:
+def good_quality(
+    texts: Sequence[str], name: str, whole: Counter[str] | None = None
+) -> tuple[NDArray[np.bool_], Counter[str], str]:
     """Return (good, the qualities that are not good with their counts, a note) of a quality column, shape (N,).
 
-    texts: the cells. name: of the column. Words ("Good", "Bad", "Uncertain" ...), OPC DA codes (192 and above good),
-    OPC UA codes (below 2^30 good), confidences (0 bad) and 0/1 flags are known; of two flags the more frequent is taken
-    as good unless the name tells ("IsGood", "Questionable"), and the note says so. A blank quality is good: nothing was
-    said against it.
+    texts: the cells. name: of the column. whole: those of the whole column, counted, where texts are one tag's of
+    several: what a code means is the same for all of them, and one tag may be bad throughout. Words ("Good", "Bad",
+    "Uncertain" ...), OPC DA codes (192 and above good), OPC UA codes (below 2^30 good), confidences and per cents of
+    what was good (0 and below bad) and 0/1 flags are known; of two flags the more frequent is taken as good unless the
+    name tells ("IsGood", "Questionable"), and the note says so. A blank quality is good: nothing was said against it.
     """
-    kinds = Counter(texts)
+    kinds = Counter(texts) if whole is None else whole
     numbers = {text: number for text in kinds if (number := _whole(text)) is not None}
     plain = re.sub(r"[^a-z]", "", name.lower())
     fault = any(word in plain for word in _FAULT_NAMES)
@@ -43,10 +49,10 @@ def good_quality(texts: Sequence[str], name: str) -> tuple[NDArray[np.bool_], Co
                 good_code = numbers[max(numbers, key=lambda text: kinds[text])]
                 note = f"{name!r} holds flags; {good_code}, the more frequent, is taken as good"
             fine = {text: number == good_code for text, number in numbers.items()}
+        elif max(codes) == _WHOLE or any(word in plain for word in _SHARES):
+            fine = {text: number > 0 for text, number in numbers.items()}
         elif max(codes) < 256 and _DA_GOOD in {code & _DA_MASK for code in codes}:
             fine = {text: number & _DA_MASK == _DA_GOOD for text, number in numbers.items()}
-        elif "confidence" in plain:
-            fine = {text: number > 0 for text, number in numbers.items()}
         elif codes == {0} or max(codes) >= _UA_LEAST:
             fine = {text: 0 <= number < _UA_LEAST for text, number in numbers.items()}
         else:
@@ -55,7 +61,7 @@ def good_quality(texts: Sequence[str], name: str) -> tuple[NDArray[np.bool_], Co
     else:
         for text in kinds:
             fine[text] = bool(_GOOD.match(text)) != fault
-    bad = Counter({text: many for text, many in kinds.items() if text and not fine[text]})
+    bad = Counter({text: many for text, many in Counter(texts).items() if text and not fine[text]})
     good = np.array([not text or fine[text] for text in texts], dtype=bool)
     return good, bad, note
 

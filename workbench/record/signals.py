@@ -7,6 +7,7 @@ from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
+from itertools import compress
 
 import numpy as np
 from numpy.typing import NDArray
@@ -139,7 +140,9 @@ def from_tall(table: Table, names: Mapping[str, str], tags: Mapping[str, str] | 
     wide = table.columns["time"].marks == FIELDS
     clock.seconds[wide] = np.nan
     qualities, units = (table.columns[name].as_texts() if name in table.columns else None for name in TALL[3:])
-    tall = Tall(out, clock, wide, table.lines, names, source)
+    # Rows of the logging itself, such as WinCC's $RT_OFF$, have codes of their own.
+    rated = Counter(compress(qualities or (), used.tolist()))
+    tall = Tall(out, clock, wide, table.lines, names, source, rated)
     rows_of = {kind: np.flatnonzero(of_row == codes[listed[i]]) for kind, i in found.items()}
     _one_mark({listed[found[kind]]: rows for kind, rows in rows_of.items() if kind in NUMERIC}, table, source)
     for kind, i in found.items():
@@ -162,8 +165,8 @@ def _one_mark(rows: Mapping[str, NDArray[np.int64]], table: Table, source: str) 
 class Tall:
     """A loop's signals as they are put together from the rows of a tall table.
 
-    clock: of the rows, shape (N,); wide: rows with fields too many; lines: of the rows; names: of the columns. first:
-    the time that comes first, s, and its row.
+    clock: of the rows, shape (N,); wide: rows with fields too many; lines: of the rows; names: of the columns;
+    qualities: of all tags in use, counted. first: the time that comes first, s, and its row.
     """
 
     out: Signals
@@ -172,6 +175,7 @@ class Tall:
     lines: NDArray[np.int64]
     names: Mapping[str, str]
     source: str
+    qualities: Counter[str]
     said: Counter[str] = field(default_factory=Counter)
     first: tuple[float, int] | None = None
 
@@ -187,7 +191,7 @@ class Tall:
         """Add one tag as the signal `kind`; rows: its own, cells, qualities, units: theirs. Raises `RecordError`."""
         out, times = self.out, self.clock.seconds[rows]
         if qualities is not None:
-            _mark_quality(cells, qualities, self.names["quality"], out.notes)
+            _mark_quality(cells, qualities, self.names["quality"], out.notes, self.qualities)
         value = np.where(cells.marks == OK, cells.values, 0.0)
         same = np.concatenate(([False], value[1:] == value[:-1]))
         if cells.texts is not None and kind == "MODE":
@@ -237,8 +241,10 @@ def _values(table: Table, rows: NDArray[np.int64], signal: str, where: str) -> C
     return cells
 
 
-def _mark_quality(cells: Cells, texts: list[str], name: str, notes: list[str]) -> None:
-    good, bad, note = good_quality(texts, name)
+def _mark_quality(
+    cells: Cells, texts: list[str], name: str, notes: list[str], whole: Counter[str] | None = None
+) -> None:
+    good, bad, note = good_quality(texts, name, whole)
     hit = ~good & np.isin(cells.marks, (OK, NOT_FINITE, LARGE))
     cells.marks[hit] = QUALITY
     cells.values[hit] = np.nan
