@@ -444,6 +444,9 @@ def test_a_day_and_a_clock_in_columns_of_their_own(tmp_path: Path) -> None:
     record = read_record(write(tmp_path, "Date,Time,PV,OP\n" + "\n".join(rows)))
     assert (len(record), record.sample_time, record.pv[-1]) == (90, 1.0, 89.0)
     assert "first timestamp 17.10.2024 23:59:00" in record.notes
+    for names, day in (("Datum,Uhrzeit", ""), ("Datum,Zeit", ""), ("Date,Heure", ""), ("Date,Time", " 00:00:00.000")):
+        text = f"{names},PV,OP\n" + "\n".join(row.replace("2024,", f"2024{day},") for row in rows)
+        assert read_record(write(tmp_path, text)).notes == record.notes
     alone = write(tmp_path, "Time,PV,OP\n" + "\n".join(row.partition(",")[2] for row in rows))
     assert "column 'Time': times of day without a date: they run on over midnight" in read_record(alone).notes
 

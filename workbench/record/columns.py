@@ -46,7 +46,7 @@ _OWN: dict[str, tuple[str, ...]] = {
 _SPELLINGS: dict[str, tuple[str, ...]] = {
     "time": (
         *("seconds", "second", "sec", "secs", "s", "datetime", "date", "elapsed", "elapsedtime", "minutes", "hours"),
-        *("tstamp", "iptrendtime"),
+        *("tstamp", "iptrendtime", "zeit", "zeitstempel", "horodatage", "temps"),
     ),
     "SP": ("setpt", "spt", "setpointvalue", "target", "reference", "r", "sv"),
     "PV": ("processvalue", "processvariable", "measurement", "measured", "measuredvalue", "y"),
@@ -83,6 +83,8 @@ _SUFFIXES: dict[str, tuple[str, ...]] = {
     "tag": (),
     "value": (),
 }
+# A day and a clock in columns of their own.
+_DAY, _CLOCK = ("date", "datum", "fecha"), ("time", "uhrzeit", "zeit", "heure", "hora")
 # WinCC's: the Time_ms beside it counts millionths of a day.
 _FIRST = {"time": ("timestring",)}
 # CV is the controlled variable beside an MV or OP, and the controller's beside a PV: the last to be looked at for both.
@@ -179,7 +181,7 @@ def split_tag(tag: str) -> tuple[str, str] | None:
 
 def names_time(name: str) -> bool:
     """Whether a column's name is one of times: Time, Timestamp (UTC), PV time."""
-    return _tier(name.strip(), "time") is not None or bool({*_tokens(name)} & {"time", "timestamp", "date", "datetime"})
+    return _tier(name.strip(), "time") is not None or bool({*_tokens(name)} & {"timestamp", "datetime", *_DAY, *_CLOCK})
 
 
 def is_tall(header: Sequence[str], columns: Mapping[str, str] | None) -> bool:
@@ -211,9 +213,11 @@ def match_columns(
         return _match(names, columns, TALL, TALL, ("tag", "time", "value"), source, "column")
     found = _match(names, columns, (*SIGNALS, *QUALITIES), SIGNALS, NEEDED, source, "column")
     # A day and a clock in columns of their own are one time.
-    days = [i for i, n in enumerate(names) if _plain(n) == "date" and i not in found.values()]
-    if days and "time" in found and _plain(names[found["time"]]) == "time":
-        found["date"] = days[0]
+    free = [i for i in range(len(names)) if i == found.get("time") or i not in found.values()]
+    day, clock = (next((i for i in free if _plain(names[i]) in words), None) for words in (_DAY, _CLOCK))
+    told = "time" in {_plain(str(key)) for key in columns or {}}
+    if day is not None and clock is not None and found.get("time") in ((clock,) if told else (None, day, clock)):
+        found |= {"date": day, "time": clock}
     return found | _qualities(names, found)
 
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from workbench.errors import RecordError
 from workbench.model.checks import reads_as_number
 from workbench.model.record import FloatArray
-from workbench.record.clock import of_the_day
+from workbench.record.clock import DAY, of_the_day
 from workbench.record.columns import NEEDED, QUALITIES, TALL, match_tags
 from workbench.record.counted import counted
 from workbench.record.quality import good_quality
@@ -39,8 +39,9 @@ __all__ = ["Clock", "Signal", "Signals", "Tall", "clock_of", "from_tall", "from_
 # Share of times in another format than the rest, beyond which they are not left out: without one time in nine, or more,
 # those that are left may pass for even ones with a longer sample time.
 OTHERS = 0.1
-# A time of day without its day.
+# A time of day without its day, and the one that databases write with a day.
 _CLOCK = re.compile(r"\d{1,2}:\d\d")
+_MIDNIGHT = re.compile(r"[ T]0?0:00(:00)?(\.0+)?$")
 
 
 @dataclass
@@ -293,7 +294,7 @@ def clock_of(
     # Rows with fields too many hold a time all the same, or the file would be told that it has none.
     numeric = int(np.count_nonzero(np.isfinite(cells.values)))
     if "date" in table.columns and _CLOCK.match(next(filter(None, cells.texts or ()), "")):
-        days = table.columns["date"].as_texts()
+        days = _days(table.columns["date"])
         cells = replace(cells, texts=[f"{day} {clock}" for day, clock in zip(days, cells.as_texts(), strict=True)])
     if cells.stamped is not None:
         return Clock(cells.values.copy(), wall=not cells.stamped, stamped=True)
@@ -326,6 +327,14 @@ def clock_of(
     _one_format(seconds, cells, used, name, table, source)
     notes += [note] if note else []
     return Clock(seconds, wall=not zoned, stamped=True, texts=texts)
+
+
+def _days(cells: Cells) -> list[str]:
+    """Return a column of days as text, "" for none."""
+    if cells.stamped is None:
+        return [_MIDNIGHT.sub("", text) for text in cells.as_texts()]
+    days = (cells.values // DAY).tolist()
+    return ["" if day != day else str(np.datetime64(int(day), "D")) for day in days]
 
 
 def _one_format(
