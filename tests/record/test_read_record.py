@@ -482,6 +482,15 @@ def test_parquet_timestamps_and_missing_values(tmp_path: Path) -> None:
     assert any("row 4" in note for note in record.notes)
 
 
+def test_parquet_times_without_a_name_and_text_as_bytes(tmp_path: Path) -> None:
+    at = pa.array([k * 1_000_000_000 for k in range(60)], pa.timestamp("ns", "UTC"))
+    columns = {"PV": [float(k) for k in range(60)], "OP": [5.0] * 60, "MODE": pa.array([b"AUTO"] * 60, pa.binary())}
+    pq.write_table(pa.table({**columns, "__index_level_0__": at}), tmp_path / "loop.parquet")
+    record = read_record(tmp_path / "loop.parquet")
+    assert (record.sample_time, len(record), record.mode) == (1.0, 60, ("AUTO",) * 60)
+    assert "the times are those of the column __index_level_0__" in record.notes
+
+
 def test_a_broken_parquet_file_is_refused(tmp_path: Path) -> None:
     with pytest.raises(RecordError, match="Parquet"):
         read_record(write(tmp_path, b"PAR1" + b"\x01" * 200 + b"PAR1", "loop.parquet"))

@@ -51,10 +51,8 @@ NUMERIC = ("PV", "OP", "SP", "valve_position")
 _HEAD_LINES = 50  # in which a header is looked for
 _UNIT_ROWS = 5  # below the header, in which one of units is looked for: descriptions may stand before it
 
-
 # Larger values are fill values of a historian, and their squares would overflow.
 LIMIT = 1e100
-
 
 # What parts thousands and is no mark: a space, of whatever width, or an apostrophe.
 _PARTED = re.compile(r"(?<=\d)[ \u00a0\u2009\u202f'\u2019](?=\d{3}(?!\d))")
@@ -452,8 +450,10 @@ def read_parquet(path: Path, match: Callable[[list[str]], dict[str, int]], sourc
             header = [str(name) for name in file.schema_arrow.names]
             found = match(header)
             if len(set(header)) < len(header):
-                msg = f"{source}: several columns have the same name; each needs its own"
-                raise RecordError(msg)
+                raise RecordError(f"{source}: several columns have the same name; each needs its own")
+            stamps = [i for i, kind in enumerate(file.schema_arrow.types) if pa.types.is_timestamp(kind)]
+            if "time" not in found and len(stamps) == 1 and stamps[0] not in found.values():
+                found["time"] = stamps[0]
             table = file.read(columns=[header[i] for i in found.values()])
             columns = {
                 name: arrow_cells(table.column(header[i]), name, f"{source}: column {header[i]!r}")
@@ -463,10 +463,8 @@ def read_parquet(path: Path, match: Callable[[list[str]], dict[str, int]], sourc
     except (pa.ArrowException, OSError, ValueError, KeyError, NotImplementedError) as error:
         if isinstance(error, RecordError):
             raise
-        msg = (
-            f"{source}: no readable Parquet file: {str(error).splitlines()[0] if str(error) else type(error).__name__}"
-        )
-        raise RecordError(msg) from None
+        said = str(error).splitlines()[0] if str(error) else type(error).__name__
+        raise RecordError(f"{source}: no readable Parquet file: {said}") from None
     return Table(columns, np.arange(1, rows + 1, dtype=np.int64), "row"), header
 
 
@@ -490,6 +488,8 @@ def arrow_cells(column: object, name: str, where: str) -> Cells:
         return Cells(values, marks, stamped=kind.tz is not None)
     if pa.types.is_boolean(kind):
         chunk, kind = pc.cast(chunk, pa.int8()), pa.int8()
+    if pa.types.is_binary(kind):  # how older writers keep text
+        chunk = pc.cast(chunk, pa.string())
     if pa.types.is_integer(kind) or pa.types.is_floating(kind) or pa.types.is_decimal(kind):
         # A float holds nanoseconds since 1970 to the quarter of a microsecond: near enough, but not exact.
         plain = pc.cast(chunk, pa.float64(), safe=False)
