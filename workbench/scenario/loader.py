@@ -144,7 +144,9 @@ def _problem(root: Node, data: object, allowed: dict[int, tuple[str, ...]], erro
         if units.is_quantity(path[-1]) and node.value is None:
             return _placed(root, path, f"no key, but the rest of a number? {units.COMMA_RULE}", key=True)
         near = nearest(path[-1], keys)
-        if not near and "tune" in keys and path[-1] in Tune.model_fields:
+        if ":" in str(path[-1]) and str(path[-1]).partition(":")[0] in (*keys, *CASE_KINDS):
+            near = " (a space must follow the colon)"
+        elif not near and "tune" in keys and path[-1] in Tune.model_fields:
             near = " (write it inside tune)"
         elif not near and ("tune" in keys or "rule" in keys) and path[-1] in CASE_KINDS:
             near = " (a case holds Kc and Ti, or a rule, or tune)"

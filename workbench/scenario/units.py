@@ -46,7 +46,8 @@ FILTER_FORM = "^none$"
 
 COMMA_RULE = "decimals are written with a point, such as 2.5"
 
-_QUANTITY = re.compile(rf"\s*({NUMBER})\s*(\S*)\s*")
+# No unit begins with a decimal comma.
+_QUANTITY = re.compile(rf"\s*({NUMBER})\s*((?!,\d)\S*)\s*")
 _TIME_RULE = 'must be a time with its unit, such as "5 s" (ms, s, min, h, d)'
 _INTEGRAL_RULE = 'must be a time with its unit, such as "20 s" (ms, s, min, h, d), "0.5 repeats/min", or none'
 _GAIN_RULE = 'must be a gain in %/EU, such as 0.5 or "0.5 %/EU", or "2 %/%" of the PV range'
@@ -88,7 +89,7 @@ def bare(value: object) -> float:
     """Return a plain number."""
     x, unit = _split(value, "must be a number")
     if unit:
-        raise InvalidValue("", value, "must be a number")
+        raise InvalidValue("", value, "must be a number, without a unit")
     return x
 
 

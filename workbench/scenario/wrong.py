@@ -6,6 +6,7 @@ from typing import Any
 
 from workbench.errors import InvalidValue
 from workbench.scenario.document import Node, nearest
+from workbench.scenario.units import is_quantity
 
 __all__ = ["given_words", "literals", "refusal"]
 
@@ -17,7 +18,7 @@ _KINDS = {
     "int_from_float": "must be a whole number",
     "bool_type": "must be true or false (yes, no, on and off are text in YAML 1.2)",
     "string_type": "must be text (numbers and true/false need quotes to be text)",
-    "list_type": "must be a list",
+    "list_type": "must be a list: [one, other], or a line with - for each",
     "dict_type": "must be a mapping",
     "model_type": "must be a mapping",
     "string_pattern_mismatch": "must not be blank",
@@ -36,7 +37,8 @@ def refusal(node: Node, error: Any) -> str:
     if kind == "value_error":
         cause = context.get("error")
         return f"{given} given; {cause.allowed}" if isinstance(cause, InvalidValue) else str(cause)
-    return f"{given} given; {_rule(kind, context, str(error['msg']))}"
+    unit = ", without a unit" if _KINDS.get(kind) == "must be a number" and is_quantity(error["input"]) else ""
+    return f"{given} given; {_rule(kind, context, str(error['msg']))}{unit}"
 
 
 def given_words(node: Node) -> str:
