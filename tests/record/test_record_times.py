@@ -455,3 +455,17 @@ def test_no_place_is_filled_beside_a_bad_value(tmp_path: Path) -> None:
     record = read_record(path)
     assert [len(part) for part in record.segments] == [50, 48]
     assert "between" not in record.counts
+
+
+@pytest.mark.parametrize(
+    "form", ["%b %d, %Y, %I:%M:%S %p", "%d/%m/%Y %H:%M:%S:000", "%Y-%m-%dT%H:%M:%S+02:00[Europe/Berlin]"]
+)
+def test_stamps_as_programs_spell_them(tmp_path: Path, form: str) -> None:
+    rows = [
+        f"{dt.datetime(2024, 10, 17, 21, 55) + dt.timedelta(seconds=k):{form}};{k};{k % 7}"  # noqa: DTZ001
+        for k in range(90)
+    ]
+    path = tmp_path / "loop.csv"
+    path.write_text("\n".join(["time;PV;OP", *rows]), encoding="utf-8")
+    record = read_record(path)
+    assert (len(record), record.sample_time, record.epoch % 60.0) == (90, 1.0, 0.0)

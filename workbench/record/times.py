@@ -69,7 +69,9 @@ _ZONES = {
 }
 _ZONE = re.compile(rf"(.*[\dMm.])\s?({'|'.join(_ZONES)})")
 _HALF = re.compile(r"([AP])\.\s?M\.$", re.IGNORECASE)
-_COMMA = re.compile(r"(:\d\d),(\d{1,6})\b")
+_FRACTION = re.compile(r"(:\d\d)(?:,|(?<=:\d\d:\d\d):)(\d{1,6})\b")
+# What Java and JavaScript write: Oct 17, 2024, 9:55:00 PM, and a zone's place after its hours.
+_LISTED, _PLACE = re.compile(r"(?<=\d),(?= )"), re.compile(r"\[[\w/+-]+\]$")
 FORMATS_SAID = (
     "seconds, ISO 8601 (2024-10-17 21:55:00, with or without a zone) or spellings such as 17.10.2024 21:55:00"
 )
@@ -120,10 +122,11 @@ def _other_clock(text: str, form: str) -> datetime | None:
 
 def _spelled(text: str) -> tuple[str, timezone | None]:
     """Return a timestamp without the name of its zone, with AM and PM and a decimal point as Python knows them."""
+    text = _LISTED.sub("", _PLACE.sub("", text))
     found = _ZONE.fullmatch(text)
     zone = None if found is None else timezone(timedelta(hours=_ZONES[found[2]]))
     bare = text if found is None else found[1]
-    return _COMMA.sub(r"\1.\2", _HALF.sub(r"\1M", bare)), zone
+    return _FRACTION.sub(r"\1.\2", _HALF.sub(r"\1M", bare)), zone
 
 
 def _zoned(stamp: datetime | None, zone: timezone | None) -> datetime | None:
@@ -156,7 +159,7 @@ def parse_timestamps(cells: Sequence[str]) -> tuple[FloatArray, str, bool] | str
     note = ""
     if read < len(cells):
         texts, zones = zip(*(_spelled(c) for c in cells), strict=True)
-        if any(zones):
+        if texts != tuple(cells):
             stamps = [s or _zoned(_iso(t), z) for s, t, z in zip(stamps, texts, zones, strict=True)]
             read = sum(s is not None for s in stamps)
         sample = [t for t, s in zip(texts, stamps, strict=True) if s is None and t][:50]
