@@ -447,6 +447,8 @@ def test_a_day_and_a_clock_in_columns_of_their_own(tmp_path: Path) -> None:
     for names, day in (("Datum,Uhrzeit", ""), ("Datum,Zeit", ""), ("Date,Heure", ""), ("Date,Time", " 00:00:00.000")):
         text = f"{names},PV,OP\n" + "\n".join(row.replace("2024,", f"2024{day},") for row in rows)
         assert read_record(write(tmp_path, text)).notes == record.notes
+    stamps = [f"{day} {clock},{clock},{rest}" for day, clock, rest in (row.split(",", 2) for row in rows)]
+    assert read_record(write(tmp_path, "Datum,Zeit,PV,OP\n" + "\n".join(stamps))).notes == record.notes
     alone = write(tmp_path, "Time,PV,OP\n" + "\n".join(row.partition(",")[2] for row in rows))
     assert "column 'Time': times of day without a date: they run on over midnight" in read_record(alone).notes
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from workbench.errors import RecordError
 from workbench.model.checks import reads_as_number
 from workbench.model.record import FloatArray
-from workbench.record.clock import DAY, of_the_day
+from workbench.record.clock import of_the_day
 from workbench.record.columns import NEEDED, QUALITIES, TALL, match_tags
 from workbench.record.counted import counted
 from workbench.record.quality import good_quality
@@ -39,7 +39,7 @@ __all__ = ["Clock", "Signal", "Signals", "Tall", "clock_of", "from_tall", "from_
 # Share of times in another format than the rest, beyond which they are not left out: without one time in nine, or more,
 # those that are left may pass for even ones with a longer sample time.
 OTHERS = 0.1
-# A time of day without its day, and the one that databases write with a day.
+# A time of day without its day, and the one that databases and Parquet's timestamps have with a day.
 _CLOCK = re.compile(r"\d{1,2}:\d\d")
 _MIDNIGHT = re.compile(r"[ T]0?0:00(:00)?(\.0+)?$")
 
@@ -293,9 +293,13 @@ def clock_of(
     """
     # Rows with fields too many hold a time all the same, or the file would be told that it has none.
     numeric = int(np.count_nonzero(np.isfinite(cells.values)))
-    if "date" in table.columns and _CLOCK.match(next(filter(None, cells.texts or ()), "")):
-        days = _days(table.columns["date"])
-        cells = replace(cells, texts=[f"{day} {clock}" for day, clock in zip(days, cells.as_texts(), strict=True)])
+    if "date" in table.columns and cells.texts is not None:
+        days, clocks = _days(table.columns["date"]), cells.texts
+        first = next(filter(None, clocks), "")
+        if not first or _CLOCK.match(first):
+            own = any(":" in day for day in days)  # the day has a clock, too
+            both = days if own else [f"{day} {clock}" for day, clock in zip(days, clocks, strict=True)]
+            cells = replace(cells, texts=both)
     if cells.stamped is not None:
         return Clock(cells.values.copy(), wall=not cells.stamped, stamped=True)
     texts = cells.texts
@@ -330,11 +334,14 @@ def clock_of(
 
 
 def _days(cells: Cells) -> list[str]:
-    """Return a column of days as text, "" for none."""
+    """Return a column of days as text, "" for none, without the clock of a column that shows midnight throughout."""
     if cells.stamped is None:
-        return [_MIDNIGHT.sub("", text) for text in cells.as_texts()]
-    days = (cells.values // DAY).tolist()
-    return ["" if day != day else str(np.datetime64(int(day), "D")) for day in days]
+        days = cells.as_texts()
+    else:
+        seconds = cells.values.tolist()
+        days = ["" if one != one else str(np.datetime64(round(one * 1e6), "us")) for one in seconds]
+    bare = [_MIDNIGHT.sub("", day) for day in days]
+    return days if any(":" in day for day in bare) else bare
 
 
 def _one_format(
