@@ -153,6 +153,14 @@ def test_the_times_of_wincc_are_its_timestamps(tmp_path: Path) -> None:
     assert record.counts["rejected, bad quality"] == 1
 
 
+def test_what_is_no_quality_and_no_number_is_told(tmp_path: Path) -> None:
+    rows = rows_of("F1.PV", PV) + rows_of("F1.OP", OP)
+    with pytest.raises(RecordError, match=r"quality \('Running'\); a column that rates no values is to be renamed"):
+        read_record(write(tmp_path, [(*row[:3], "Running") for row in rows], "Tag,Timestamp,Value,Status"))
+    with pytest.raises(RecordError, match=r"text .*50 m3/h.*; export numbers without their unit"):
+        read_record(write(tmp_path, [(*row[:2], f"{row[2]} m3/h", "Good") for row in rows]))
+
+
 def test_a_code_means_the_same_for_all_tags(tmp_path: Path) -> None:
     for good, bad in (("192", "0"), ("1", "0"), ("0", "1")):
         rows = [(*row[:3], good) for row in rows_of("F1.PV", PV) + rows_of("F1.OP", OP)]

@@ -58,6 +58,7 @@ _WHY = {
     RANGE: "out of range",
     CODE: "a code for no value",
 }
+_HINTS = {QUALITY: "; a column that rates no values is to be renamed or taken out"}
 
 
 def read_record(
@@ -247,9 +248,11 @@ def _some_usable(signals: Signals, source: str) -> None:
             hint = "is it a decimal comma among commas, or a space among spaces?"
             msg = f"{source}: {signals.unit} {line}: {_WHY[mark]}, and no row without; {hint}"
             raise RecordError(msg)
+        united = mark == TEXT and all(word[:1].isdigit() for word in signal.cells.words)
+        hint = "; export numbers without their unit" if united else _HINTS.get(mark, "")
         msg = (
             f"{source}: {signals.unit} {line}, {signals.what} {signal.name!r}: no row holds a usable number, the first "
-            f"is {_WHY[mark]}{_examples(signal, mark)}"
+            f"is {_WHY[mark]}{_examples(signal, mark)}{hint}"
         )
         raise RecordError(msg)
 
