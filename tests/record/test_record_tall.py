@@ -58,9 +58,8 @@ def test_the_rows_may_come_in_any_order_of_tags(tmp_path: Path) -> None:
     [
         ("TagName,DateTime,Value,OPCQuality", "FIC101/PID1/PV.CV", "FIC101/PID1/OUT.CV"),
         ("point,time,reading,status", "31FC101.DACA.PV", "31FC101.PIDA.OP"),
-        # Ignition, InfluxDB, ABB, Wonderware, IP.21.
+        # Ignition, ABB, Wonderware, IP.21.
         ("path,t_stamp,value,quality", "FIC101/PV", "FIC101/OP"),
-        ("_field,_time,_value,_status", "PV", "OP"),
         ("Object,Timestamp,Value,Quality", "FIC101:PV", "FIC101:OUT"),
         ("TagName,DateTime,vValue,Quality", "FIC101.PV", "FIC101.OP"),
         ("NAME,IP_TREND_TIME,IP_TREND_VALUE,IP_TREND_QSTATUS", "FIC101.PV", "FIC101.OP"),
@@ -151,6 +150,13 @@ def test_the_times_of_wincc_are_its_timestamps(tmp_path: Path) -> None:
     assert record.sample_time == 1.0
     assert record.pv.tolist() == [*PV[:20], pytest.approx((PV[19] + PV[21]) / 2), *PV[21:]]
     assert record.counts["rejected, bad quality"] == 1
+
+
+def test_fields_of_influxdb_are_no_tags_unless_said(tmp_path: Path) -> None:
+    path = write(tmp_path, rows_of("PV", PV) + rows_of("OP", OP), "_field,_time,_value,loop")
+    with pytest.raises(RecordError, match=r"or which are 'tag', 'time' and 'value' of a row per value"):
+        read_record(path)
+    assert read_record(path, columns={"tag": "_field"}).pv.tolist() == PV
 
 
 def test_what_is_no_quality_and_no_number_is_told(tmp_path: Path) -> None:

@@ -67,7 +67,8 @@ _SPELLINGS: dict[str, tuple[str, ...]] = {
     "unit": ("uom", "eu", "engunit", "engunits", "engineeringunit", "engineeringunits"),
     "tag": (
         *("tagid", "point", "pointname", "pointid", "item", "itemid", "itemname", "name", "signal", "variable"),
-        *("varname", "variablename", "path", "tagpath", "object", "field"),
+        # Not InfluxDB's _field: it is the same for all loops of a file, and two would be read as one.
+        *("varname", "variablename", "path", "tagpath", "object"),
     ),
     "value": ("val", "reading", "average", "avg", "pointvalue", "itemvalue", "varvalue", "vvalue", "iptrendvalue"),
 }
