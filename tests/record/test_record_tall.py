@@ -91,6 +91,27 @@ def test_two_loops_in_one_file_are_not_guessed_between(tmp_path: Path) -> None:
         read_record(write(tmp_path, rows))
 
 
+@pytest.mark.parametrize("header", ["Element,Attribute,Timestamp,Value", "loop,name,time,value"])
+def test_attributes_of_two_loops_are_not_read_as_one(tmp_path: Path, header: str) -> None:
+    """Their times are their own, so that no time has two values."""
+    lines = [header]
+    for k in range(60):
+        for loop, at, pv in (("FIC101", 0, 50 + k % 7), ("FIC102", 500, 20 + k % 5)):
+            lines += [
+                f"{loop},{name},2024-10-17T09:00:{k:02d}.{at:03d},{pv + more}" for name, more in (("PV", 0), ("OP", 3))
+            ]
+    file = tmp_path / "two.csv"
+    file.write_text("\n".join(lines))
+    with pytest.raises(RecordError, match=r"tags 'FIC101.PV', 'FIC102.PV' could each be PV; say which one"):
+        read_record(file)
+    record = read_record(file, tags={"PV": "FIC102.PV", "OP": "FIC102.OP"})
+    assert (record.sample_time, record.pv.tolist()) == (1.0, [20.0 + k % 5 for k in range(60)])
+    assert "tags not used: FIC101.PV, FIC101.OP" in record.notes
+    # Of one loop the attributes are the tags.
+    file.write_text("\n".join(line for line in lines if "FIC102" not in line))
+    assert read_record(file, tags={"OP": "OP"}).op.tolist() == [53.0 + k % 7 for k in range(60)]
+
+
 def test_a_tag_twice_at_one_time_counts_once_or_is_refused(tmp_path: Path) -> None:
     rows = rows_of("F1.PV", PV) + rows_of("F1.OP", OP)
     record = read_record(write(tmp_path, rows[:5] + rows[4:]))

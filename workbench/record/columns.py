@@ -68,7 +68,7 @@ _SPELLINGS: dict[str, tuple[str, ...]] = {
     "tag": (
         *("tagid", "point", "pointname", "pointid", "item", "itemid", "itemname", "name", "signal", "variable"),
         # Not InfluxDB's _field: it is the same for all loops of a file, and two would be read as one.
-        *("varname", "variablename", "path", "tagpath", "object"),
+        *("varname", "variablename", "path", "tagpath", "object", "attribute"),
     ),
     "value": ("val", "reading", "average", "avg", "pointvalue", "itemvalue", "varvalue", "vvalue", "iptrendvalue"),
 }
@@ -84,6 +84,8 @@ _SUFFIXES: dict[str, tuple[str, ...]] = {
     "tag": (),
     "value": (),
 }
+# Whose attribute the tag of a tall file is: PV, OP of several.
+_LOOP = ("loop", "loopname", "element", "asset", "block", "module", "controller", "equipment", "instrument")
 # A day and a clock in columns of their own.
 _DAY, _CLOCK = ("date", "datum", "fecha"), ("time", "uhrzeit", "zeit", "heure", "hora")
 # WinCC's: the Time_ms beside it counts millionths of a day.
@@ -206,12 +208,15 @@ def match_columns(
 
     header: the file's column names. columns: an explicit mapping from signal (`SIGNALS`, or the columns of a tall
     file, in any case) to column name, which goes before all spellings. A wide file's qualities are found as "quality"
-    (of the row), "PV quality", "OP quality" ...; the day as "date" where "time" may be but a clock. Raises
+    (of the row), "PV quality", "OP quality" ...; the day as "date" where "time" may be but a clock; a tall file's
+    "loop" where one names what its tags are of. Raises
     `RecordError` for columns that are missing, ambiguous or mapped twice.
     """
     names = [h.strip() for h in header]
     if tall:
-        return _match(names, columns, TALL, TALL, ("tag", "time", "value"), source, "column")
+        found = _match(names, columns, TALL, TALL, ("tag", "time", "value"), source, "column")
+        loops = [i for i, name in enumerate(names) if i not in found.values() and _plain(name) in _LOOP]
+        return found | ({"loop": loops[0]} if loops else {})
     found = _match(names, columns, (*SIGNALS, *QUALITIES), SIGNALS, NEEDED, source, "column")
     # A day and a clock in columns of their own are one time.
     free = [i for i in range(len(names)) if i == found.get("time") or i not in found.values()]

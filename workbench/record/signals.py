@@ -129,7 +129,7 @@ def from_tall(table: Table, names: Mapping[str, str], tags: Mapping[str, str] | 
     """Return the signals of a historian export with a row per value; tags: which tag is which. Raises `RecordError`."""
     out = Signals({}, table.unit, table.lines.size, notes=list(table.notes), time_name=names["time"], what="tag")
     codes: dict[str, int] = {}
-    of_row = np.array([codes.setdefault(tag, len(codes)) for tag in table.columns["tag"].as_texts()])
+    of_row = np.array([codes.setdefault(tag, len(codes)) for tag in _tags(table)])
     listed = [tag for tag in codes if tag]
     found = match_tags(listed, tags, source)
     others = [tag for i, tag in enumerate(listed) if i not in found.values()]
@@ -152,6 +152,16 @@ def from_tall(table: Table, names: Mapping[str, str], tags: Mapping[str, str] | 
         said = [None if texts is None else [texts[k] for k in rows.tolist()] for texts in (qualities, units)]
         tall.add(kind, listed[i], rows, cells, *said)
     return tall.done()
+
+
+def _tags(table: Table) -> list[str]:
+    """Return the tag of each row; where one stands for several loops, each with its loop's name: FIC101.PV."""
+    tags = table.columns["tag"].as_texts()
+    if "loop" not in table.columns:
+        return tags
+    rows = list(zip(table.columns["loop"].as_texts(), tags, strict=True))
+    shared = len(set(rows)) > len(set(tags))
+    return [f"{loop}.{tag}" if loop and tag else tag for loop, tag in rows] if shared else tags
 
 
 def _one_mark(rows: Mapping[str, NDArray[np.int64]], table: Table, source: str) -> None:
