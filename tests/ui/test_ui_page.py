@@ -383,6 +383,10 @@ def test_a_scenario_opened_after_its_record_reads_it(ask, begun):
     scenario = b"title: Of a record\nestimate: {data: data/loop 1.csv}\n"
     assert uploaded(ask, "x.yaml", scenario)["title"] == "Of a record"
     assert "data: loop_1.csv" in begun[-1][1]
+    # What is under way may be of another record.
+    answer = uploaded(ask, "again.yaml", scenario)
+    assert answer["message"].startswith("data/loop 1.csv was not read, as reading was under way")
+    assert len(begun) == 2
     assert (ask.page.folder / "loop_1.csv").is_file()
 
 

@@ -345,7 +345,10 @@ class Page:
         except UnicodeDecodeError:
             raise RecordError(f"{name}: is no UTF-8 text; a scenario is UTF-8 text") from None
         data = self.session.read(text, self.folder / safe_name(name))
-        if data and not self.task:
+        if data and self.task:
+            under_way = WORDS[self.task].lower()
+            self.message = f"{data} was not read, as {under_way} was under way: open the scenario again after it"
+        elif data:
             self.data = safe_name(data)
             self._begin("read", estimate_text(self.session.screen, self.data))
 
