@@ -53,6 +53,8 @@ def table(header: str, rows: int = 12, sep: str = ",") -> str:
         "t=TIME|OP=FIC101_OP|PV=FIC101_PV|SP=FIC101_SP|MODE=FIC101_MODE",
         "t=t|OP=output [%]|PV=PV (m3/h)|SP=setpoint (m3/h)|MODE=mode",
         "t=time_s|OP=CO|PV=process_variable|SP=SetPoint|MODE=MODE",
+        "t=Zeit|OP=Stellgröße (%)|PV=Istwert (m3/h)|SP=Sollwert (m3/h)|MODE=Mode",
+        "t=Temps|OP=FIC101.Sortie|PV=FIC101.Mesure|SP=FIC101.Consigne|MODE=Mode",
     ],
 )
 def test_usual_spellings_are_found(tmp_path: Path, header: str) -> None:

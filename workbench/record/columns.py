@@ -48,9 +48,12 @@ _SPELLINGS: dict[str, tuple[str, ...]] = {
         *("seconds", "second", "sec", "secs", "s", "datetime", "date", "elapsed", "elapsedtime", "minutes", "hours"),
         *("tstamp", "iptrendtime", "zeit", "zeitstempel", "horodatage", "temps"),
     ),
-    "SP": ("setpt", "spt", "setpointvalue", "target", "reference", "r", "sv"),
-    "PV": ("processvalue", "processvariable", "measurement", "measured", "measuredvalue", "y"),
-    "OP": ("output", "co", "mv", "out", "controlleroutput", "manipulatedvariable", "outputvalue", "u", "lmn"),
+    "SP": ("setpt", "spt", "setpointvalue", "target", "reference", "r", "sv", "sollwert", "consigne"),
+    "PV": ("processvalue", "processvariable", "measurement", "measured", "measuredvalue", "y", "istwert", "mesure"),
+    "OP": (
+        *("output", "co", "mv", "out", "controlleroutput", "manipulatedvariable", "outputvalue", "u", "lmn"),
+        *("stellwert", "stellgre", "stellgroesse", "sortie"),  # Stellgröße, of which letters without marks are left
+    ),
     "MODE": ("mod", "controllermode", "controlmode", "operatingmode"),
     "valve_position": ("valvepos", "stem", "stemposition", "position", "zt", "pos", "zi", "valvetravel", "valve"),
     "quality": (
@@ -74,9 +77,9 @@ _SPELLINGS: dict[str, tuple[str, ...]] = {
 }
 _SUFFIXES: dict[str, tuple[str, ...]] = {
     "time": (),
-    "SP": ("sp", "spt", "setpoint", "sv"),
-    "PV": ("pv", "measurement", "meas", "measured"),
-    "OP": ("op", "co", "mv", "out", "output", "lmn"),
+    "SP": ("sp", "spt", "setpoint", "sv", "sollwert", "consigne"),
+    "PV": ("pv", "measurement", "meas", "measured", "istwert", "mesure"),
+    "OP": ("op", "co", "mv", "out", "output", "lmn", "stellwert", "sortie"),
     "MODE": ("mode", "mod"),
     "valve_position": ("zt", "zi", "pos", "position", "stem"),
     "quality": (),
