@@ -53,6 +53,7 @@ def test_travel_and_reversals():
     assert travel(np.array([1.0, 3.0]), 0.0) == 3.0
     assert reversals(np.array([1.0, 1.0, 2.0, 1.5, 1.5, 0.0, 1.0]), 0.0) == 2
     assert reversals(np.zeros(3)) == 0
+    assert reversals(np.array([1.0, 2.0, 2.0 + 1e-13, 2.0, 2.0 + 1e-13])) == 0
 
 
 def test_overshoot_and_settling_of_a_step():

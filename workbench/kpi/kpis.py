@@ -17,7 +17,10 @@ from workbench.model.plant import FOPDT
 from workbench.model.record import FloatArray, Record
 from workbench.model.results import Kpis
 
-__all__ = ["Event", "cascade_event", "last_event", "measure", "record_kpis", "reversals", "travel"]
+__all__ = ["STILL", "Event", "cascade_event", "last_event", "measure", "record_kpis", "reversals", "travel"]
+
+# %: a stem that moves no further in a sample is at rest. An ideal valve follows the rounding of OP to and fro for ever.
+STILL = 1e-9
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,9 +85,9 @@ def travel(signal: FloatArray, before: float = math.nan) -> float:
 
 
 def reversals(valve: FloatArray, before: float = math.nan) -> int:
-    """Return how often successive stem moves change sign."""
+    """Return how often successive stem moves change sign; a stem that is `STILL` makes none."""
     moves = np.diff(valve, prepend=valve[0] if math.isnan(before) else before)
-    signs = np.sign(moves[moves != 0.0])
+    signs = np.sign(moves[np.abs(moves) > STILL])
     return int(np.count_nonzero(signs[1:] != signs[:-1]))
 
 

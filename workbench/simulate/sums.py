@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from workbench.kpi.kpis import STILL
 from workbench.simulate.compiled import compiled
 
 __all__ = ["FEW_SUMS", "SUMS", "WEIGHTS", "add_sums", "weigh", "weigh_all"]
@@ -45,7 +46,7 @@ def add_sums(
             sums[STEM2] += stem * stem
             sums[PV] += measured
             sums[PV2] += measured * measured
-            if stem != x_last:
+            if abs(stem - x_last) > STILL:
                 way = 1.0 if stem > x_last else -1.0
                 if direction != 0.0 and way != direction:
                     sums[REVERSALS] += 1.0
