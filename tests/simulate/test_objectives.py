@@ -27,6 +27,17 @@ def test_each_figure_weighs_as_the_run_reports_it(name, valve):
     assert figure > 0.0
 
 
+def test_a_valve_at_rest_makes_no_reversals():
+    # As it comes to rest it follows what rounding makes of OP: which of these moves change sign is chance.
+    loop = wb.Loop(wb.FOPDT(1.0, 5.0, 1.0), wb.Ideal(), wb.PID(1.5, 5.0), 1.0)
+    task = wb.Experiment(1000.0, wb.Step(3.7))
+    run = wb.simulate(loop, task)
+    moves = np.diff(run.valve, prepend=0.0)
+    signs = np.sign(moves[np.abs(moves) > 1e-7])
+    reversals = np.count_nonzero(signs[1:] != signs[:-1])
+    assert run.kpis.reversals == wb.evaluate(loop, task, wb.Objective.of(reversals=1.0))[0] == reversals
+
+
 def test_figures_add_to_equation_two():
     both = wb.Objective(0.5, 0.1, 0.5, 0.2, {"iae": 0.3, "valve_travel": 0.05})
     parts = wb.Objective(0.5, 0.1, 0.5, 0.2), wb.Objective.of(iae=0.3, valve_travel=0.05)

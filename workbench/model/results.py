@@ -79,7 +79,7 @@ class Kpis(Shown):
     Variances are population variances. error_variance, mean_square_error, ise, iae are of SP - PV (EU; iae EU s, ise
     EU^2 s); pv_sd is PV's standard deviation (EU); op_variance and valve_variance in %^2; valve_travel and
     controller_travel are sums of absolute moves (%), the first move counted from the sample before the window;
-    reversals counts the sign changes of successive stem moves, but for those of rounding at rest (`kpi.STILL`; 0 where
+    reversals counts the sign changes of successive stem moves, but for those of rounding at rest (`kpis.STILL`; 0 where
     the stem is not known). overshoot: % of the last setpoint step, until a load steps; settling_time: s from the last
     setpoint or load step, `inf` if it never settles; final_error: SP - PV at the window's last sample (EU);
     oscillation_index 0..1 and oscillation_period (s) from PV's autocorrelation.

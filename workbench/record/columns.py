@@ -124,7 +124,7 @@ def _tokens(name: str) -> list[str]:
 def _tier(name: str, signal: str) -> int | None:
     """Return how well a column's name fits a signal: 0 its own name, 1 a usual spelling, 2 a tag's suffix, 3 CV.
 
-    And -1 goes before all that.
+    -1, before all of these: a name that is right even beside the signal's own.
     """
     tier = _fit(name, signal)
     head, comma, unit = name.rpartition(",")
@@ -212,8 +212,8 @@ def match_columns(
     header: the file's column names. columns: an explicit mapping from signal (`SIGNALS`, or the columns of a tall
     file, in any case) to column name, which goes before all spellings. A wide file's qualities are found as "quality"
     (of the row), "PV quality", "OP quality" ...; the day as "date" where "time" may be but a clock; a tall file's
-    "loop" where one names what its tags are of. Raises
-    `RecordError` for columns that are missing, ambiguous or mapped twice.
+    "loop" where one names what its tags are of. Raises `RecordError` for columns that are missing, ambiguous or mapped
+    twice.
     """
     names = [h.strip() for h in header]
     if tall:
