@@ -4,11 +4,14 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import pyarrow as pa
+import pyarrow.compute as pc
 import pyarrow.parquet as pq
 import pytest
 from fleet_helpers import record, tall, write_csv, write_tall
 
+import workbench as wb
 from workbench.errors import InvalidValue, RecordError, ScenarioError
 from workbench.fleet.loops import OWN
 from workbench.fleet.source import only, sources_of
@@ -90,6 +93,64 @@ def test_tags_without_op_and_tags_of_one_signal_twice(tmp_path: Path, one) -> No
     assert list(loops) == ["FIC1", "FIC3"]
     assert loops["FIC1"].refusal == "no tag for OP (tags: FIC1.PV)"
     assert "'FIC3.OP' and 'FIC3.OUT' are both OP" in loops["FIC3"].refusal
+
+
+def named_by_column(table: pa.Table, column: str, loop: str, tag: str = "") -> pa.Table:
+    """A tall table whose loop stands in a column of its own; tag: before the signal, in the place of the loop's."""
+    tags = [tag + str(one).rpartition(".")[2] for one in table.column("tag").to_pylist()]
+    with_loop = table.set_column(0, "tag", pa.array(tags)).append_column(column, pa.array([loop] * len(tags)))
+    return with_loop.set_column(4, column, with_loop.column(column).dictionary_encode())
+
+
+def same_loops(path: Path, *records: wb.Record) -> list[str]:
+    """The loops of a source by name, of which each must hold the PV and OP of its record."""
+    loops = sources_of(path).loops
+    for loop, one in zip(loops, records, strict=True):
+        ours = read(loop, Settings())
+        assert np.array_equal(ours.pv, one.pv)
+        assert np.array_equal(ours.op, one.op)
+    return [loop.name for loop in loops]
+
+
+def test_a_column_names_the_loop_that_tags_are_of(tmp_path: Path, one) -> None:
+    other = record(sticky=False, n=len(one))
+    mixed = pa.concat_tables(
+        [named_by_column(tall("x", one), "loop", "FIC1"), named_by_column(tall("x", other), "loop", "LIC2")]
+    )
+    pq.write_table(mixed.sort_by("time"), tmp_path / "x.parquet", row_group_size=300)
+    assert same_loops(tmp_path, one, other) == ["FIC1", "LIC2"]
+    (tmp_path / "m.yaml").write_text("data: x.parquet\nloops:\n  - {name: L, tags: {PV: LIC2.PV, OP: LIC2.OP}}\n")
+    assert same_loops(tmp_path / "m.yaml", other) == ["L"]
+
+
+def test_one_tag_of_two_units_is_two_loops(tmp_path: Path, one) -> None:
+    # Half a second apart, the rows of both would else be one plausible record.
+    other = record(sticky=False, n=len(one))
+    later = tall("x", other)
+    later = later.set_column(1, "time", pc.add(later.column("time"), pa.scalar(500, pa.duration("ms"))))
+    write_tall(
+        tmp_path / "x.parquet",
+        named_by_column(tall("x", one), "asset", "North", "FIC1."),
+        named_by_column(later, "asset", "South", "FIC1."),
+    )
+    assert same_loops(tmp_path, one, other) == ["North.FIC1", "South.FIC1"]
+
+
+def test_folders_name_loop_and_tag_of_the_files_in_them(tmp_path: Path, one) -> None:
+    other = record(sticky=False, n=len(one))
+    both = pa.concat_tables([tall("FIC1", one), tall("LIC 2", other)])
+    pq.write_to_dataset(both, tmp_path / "tags", partition_cols=["tag"])
+    assert same_loops(tmp_path / "tags", one, other) == ["FIC1", "LIC 2"]
+    loops = [named_by_column(tall("x", one), "loop", "FIC1"), named_by_column(tall("x", other), "loop", "LIC 2")]
+    pq.write_to_dataset(pa.concat_tables(loops), tmp_path / "loops", partition_cols=["loop"])
+    assert same_loops(tmp_path / "loops", one, other) == ["FIC1", "LIC 2"]
+
+
+def test_tall_files_whose_tags_name_no_loop_are_a_loop_each(tmp_path: Path, one) -> None:
+    other = record(sticky=False, n=len(one))
+    for name, its in (("FIC1", one), ("LIC2", other)):
+        write_tall(tmp_path / f"{name}.parquet", named_by_column(tall("x", its), "loop", name).drop_columns("loop"))
+    assert same_loops(tmp_path, one, other) == ["FIC1", "LIC2"]
 
 
 def test_nothing_to_look_at(tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -9,8 +10,8 @@ from typing import Any
 from workbench.errors import RecordError
 from workbench.fleet.store import MARK
 from workbench.model.fleet import LoopSource
-from workbench.record.columns import NEEDED, is_tall, split_tag
-from workbench.record.historian import Pieces, tags_of
+from workbench.record.columns import NEEDED, is_tall, of_folders, split_tag
+from workbench.record.historian import Pieces, named, pairs_of
 
 __all__ = ["FILES", "OWN", "Sources", "loops_in", "of_tags", "tagged"]
 
@@ -47,7 +48,7 @@ def loops_in(path: Path) -> list[LoopSource]:
     except OSError as error:
         raise RecordError(f"{path}: cannot be read ({error.strerror or error})") from None
     loops: list[LoopSource] = []
-    tags: dict[str, Pieces] = {}
+    pairs: dict[tuple[str, str], Pieces] = {}
     for file in files:
         name = file.relative_to(root).with_suffix("").as_posix()
         if file.suffix.lower() not in (".parquet", ".pq"):
@@ -57,14 +58,25 @@ def loops_in(path: Path) -> list[LoopSource]:
             schema = _schema(file)
             if MARK in (schema.metadata or {}):
                 continue  # rows of a fleet run, and no loop
-            if not is_tall([str(name) for name in schema.names], None):
+            header = [str(name) for name in schema.names]
+            if not is_tall([*header, *of_folders(file, header)], None):
                 loops.append(LoopSource(name, str(file)))
                 continue
-            for tag, pieces in tags_of(file).items():
-                tags[tag] = (*tags.get(tag, ()), *pieces)
+            found = pairs_of(file)
+            if _alone(found):
+                loops.append(LoopSource(name, str(file)))
+                continue
+            for pair, pieces in found.items():
+                pairs[pair] = (*pairs.get(pair, ()), *pieces)
         except RecordError as error:
             loops.append(LoopSource(name, str(file), refusal=str(error)))
-    return loops + list(tagged(tags).values())
+    return loops + list(tagged(named(pairs)).values())
+
+
+def _alone(pairs: Iterable[tuple[str, str]]) -> bool:
+    """Whether a tall file's tags are PV and OP and tell no loop: the file is one loop's, and has its name."""
+    signals = {split[1] for loop, tag in pairs if not loop and not split_tag(tag) and (split := split_tag(f"x.{tag}"))}
+    return signals.issuperset(NEEDED)
 
 
 def _record_file(path: Path, root: Path) -> bool:

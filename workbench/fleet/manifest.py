@@ -24,7 +24,7 @@ from workbench.fleet.loops import Sources, loops_in, of_tags, tagged
 from workbench.model.checks import reads_as_number
 from workbench.model.fleet import LoopSource, Tuning
 from workbench.record.columns import TAGGED
-from workbench.record.historian import Pieces, tags_of
+from workbench.record.historian import Pieces, named, pairs_of, tags_of
 from workbench.scenario import units
 from workbench.scenario.document import Node, Problem, locate, nearest, parse, plain, spell
 from workbench.scenario.wrong import given_words, refusal
@@ -156,14 +156,15 @@ def _data(content: Manifest, folder: Path, path: Path) -> tuple[dict[str, Pieces
     if not data.exists():
         raise ScenarioError(f"{path}: data: {content.data} given; no such file or folder beside the manifest")
     if data.is_dir():
-        tags: dict[str, Pieces] = {}
+        pairs: dict[tuple[str, str], Pieces] = {}
         for file in sorted(data.rglob("*.parquet")):
             if not any(part.startswith((".", "_")) for part in file.relative_to(data).parts):
                 try:
-                    for tag, pieces in tags_of(file).items():
-                        tags[tag] = (*tags.get(tag, ()), *pieces)
+                    for pair, pieces in pairs_of(file).items():
+                        pairs[pair] = (*pairs.get(pair, ()), *pieces)
                 except RecordError:
                     continue  # of the loops in it the tags are missing, and they say so
+        tags = named(pairs)
         if not tags and not loops_in(data):
             raise ScenarioError(f"{path}: data: {content.data} given; holds no tall Parquet file")
     else:

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
+from pathlib import Path
+from urllib.parse import unquote
 
 from workbench.errors import RecordError
 from workbench.model.checks import reads_as_number
@@ -17,8 +19,10 @@ __all__ = [
     "match_columns",
     "match_tags",
     "names_time",
+    "of_folders",
     "qualities_unused",
     "split_tag",
+    "with_loops",
 ]
 
 SIGNALS = ("time", "SP", "PV", "OP", "MODE", "valve_position")
@@ -188,6 +192,26 @@ def split_tag(tag: str) -> tuple[str, str] | None:
 def names_time(name: str) -> bool:
     """Whether a column's name is one of times: Time, Timestamp (UTC), PV time."""
     return _tier(name.strip(), "time") is not None or bool({*_tokens(name)} & {"timestamp", "datetime", *_DAY, *_CLOCK})
+
+
+def with_loops(pairs: Collection[tuple[str, str]]) -> dict[tuple[str, str], str]:
+    """Return the name of each (loop, tag) of a tall file: the tag, or FIC101.PV where a tag stands for several loops.
+
+    pairs: all of the file, each once.
+    """
+    shared = len(pairs) > len({tag for _, tag in pairs})
+    return {(loop, tag): f"{loop}.{tag}" if shared and loop and tag else tag for loop, tag in pairs}
+
+
+def of_folders(path: Path, header: Sequence[str]) -> dict[str, str]:
+    """Return what the names of its folders tell of a tall file's rows: {"tag": ...} of tag=FIC101.PV/0.parquet.
+
+    Only the loop, or asset, and the tag are told so, and what `header`, the file's own columns, holds goes before.
+    """
+    told = dict(part.split("=", 1) for part in path.parts[:-1] if "=" in part)
+    tagged = any(_tier(name.strip(), "tag") is not None for name in header)
+    tags = () if tagged else (*_OWN["tag"], *_SPELLINGS["tag"])
+    return {key: unquote(cell) for key, cell in told.items() if _plain(key) in (*_LOOP, *tags) and key not in header}
 
 
 def is_tall(header: Sequence[str], columns: Mapping[str, str] | None) -> bool:

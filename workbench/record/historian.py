@@ -20,13 +20,13 @@ import numpy as np
 
 from workbench.errors import RecordError
 from workbench.model.record import FloatArray, Record
-from workbench.record.columns import NEEDED, TALL, match_columns
+from workbench.record.columns import NEEDED, TALL, match_columns, of_folders, split_tag, with_loops
 from workbench.record.counted import counted
 from workbench.record.reader import record_from
 from workbench.record.signals import Signals, Tall, clock_of
 from workbench.record.table import FIELDS, Cells, Table, arrow_cells
 
-__all__ = ["Piece", "Pieces", "read_tags", "tags_of"]
+__all__ = ["Piece", "Pieces", "named", "pairs_of", "read_tags", "tags_of"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,34 +68,63 @@ def _open(path: str, **how: object) -> Any:
     return pq.ParquetFile(path, metadata=_footer(path, (status.st_mtime_ns, status.st_size)), **how)
 
 
-def _names(header: list[str], source: str) -> dict[str, str]:
-    """Return the column of each of tag, time, value, quality and unit."""
-    found = match_columns(header, None, source, tall=True)
-    return {signal: header[i] for signal, i in found.items() if signal in TALL}
+def _names(file: Any, source: str) -> tuple[dict[str, str], dict[str, str]]:
+    """Return the column of each of `TALL` and "loop" that a file has, and what its folders tell of those beside it."""
+    header = [str(name) for name in file.schema_arrow.names]
+    told = of_folders(Path(source), header)
+    found = match_columns([*header, *told], None, source, tall=True)
+    names = {signal: [*header, *told][i] for signal, i in found.items() if signal in (*TALL, "loop")}
+    own = {signal: name for signal, name in names.items() if name not in told}
+    return own, {signal: told[name] for signal, name in names.items() if name in told}
+
+
+def pairs_of(path: str | Path) -> dict[tuple[str, str], Pieces]:
+    """Return which row groups of a tall Parquet file hold which (loop, tag), the loop "" where no column names it.
+
+    A row group of which the footer gives equal least and greatest values holds one loop or tag alone; of the others the
+    columns are read. Raises `RecordError` for anything but a tall file.
+    """
+    source = str(path)
+    groups: dict[tuple[str, str], list[int]] = {}
+    with _reading(source), _open(source) as file:
+        names, told = _names(file, source)
+        meta = file.metadata
+        places = [meta.schema.column(i).path for i in range(meta.num_columns)]
+        wanted = {signal: names[signal] for signal in ("loop", "tag") if signal in names}
+        for group in range(meta.num_row_groups):
+            known: dict[str, Any] = dict(told)
+            for signal, name in wanted.items():
+                stats = meta.row_group(group).column(places.index(name)).statistics
+                if stats is not None and stats.has_min_max and stats.min == stats.max and stats.null_count == 0:
+                    known[signal] = stats.min
+            rest = {name: signal for signal, name in wanted.items() if signal not in known}
+            rows: list[dict[str, Any]] = [{}]
+            if rest:
+                read = file.read_row_group(group, columns=list(rest), use_threads=False)
+                rows = read.group_by(list(rest)).aggregate([]).to_pylist()
+            for row in rows:
+                of = known | {rest[name]: cell for name, cell in row.items()}
+                loop, tag = ("" if (cell := of.get(signal)) is None else str(cell) for signal in ("loop", "tag"))
+                if tag:
+                    groups.setdefault((loop, tag), []).append(group)
+    return {pair: (Piece(source, tuple(found)),) for pair, found in groups.items()}
+
+
+def named(pairs: Mapping[tuple[str, str], Pieces]) -> dict[str, Pieces]:
+    """Return a data set's tags by name, as `read_tags` takes them; pairs: of all its files.
+
+    A tag that tells no loop by itself bears its loop's name, too, as one does that stands for several loops.
+    """
+    tags: dict[str, Pieces] = {}
+    for (loop, tag), name in with_loops(pairs.keys()).items():
+        whole = f"{loop}.{tag}" if loop and split_tag(name) is None else name
+        tags[whole] = (*tags.get(whole, ()), *pairs[loop, tag])
+    return tags
 
 
 def tags_of(path: str | Path) -> dict[str, Pieces]:
-    """Return which row groups of a tall Parquet file hold which tag. Raises `RecordError` for anything else.
-
-    A row group whose tag has equal least and greatest values in the footer holds that tag alone; of the others the
-    column of tags is read.
-    """
-    source = str(path)
-    groups: dict[str, list[int]] = {}
-    with _reading(source), _open(source) as file:
-        column = _names([str(name) for name in file.schema_arrow.names], source)["tag"]
-        meta = file.metadata
-        at = [meta.schema.column(i).path for i in range(meta.num_columns)].index(column)
-        for group in range(meta.num_row_groups):
-            stats = meta.row_group(group).column(at).statistics
-            if stats is not None and stats.has_min_max and stats.min == stats.max and stats.null_count == 0:
-                tags = [str(stats.min)]
-            else:
-                read = file.read_row_group(group, columns=[column], use_threads=False)
-                tags = [str(tag) for tag in read.column(column).unique().to_pylist() if tag is not None]
-            for tag in tags:
-                groups.setdefault(tag, []).append(group)
-    return {tag: (Piece(source, tuple(found)),) for tag, found in groups.items()}
+    """Return which row groups of a tall Parquet file hold which tag. Raises `RecordError` for anything else."""
+    return named(pairs_of(path))
 
 
 def read_tags(
@@ -157,23 +186,45 @@ def read_tags(
 def _rows(piece: Piece, tags: list[str], window: tuple[float, float] | None, source: str) -> Any:
     """Return a piece's rows of these tags within the window as a table of the columns of `TALL` that it has."""
     import pyarrow as pa
-    import pyarrow.compute as pc
 
     with _open(piece.path) as file:
-        names = _names([str(name) for name in file.schema_arrow.names], source)
+        names, told = _names(file, piece.path)
         groups = list(piece.groups)
         if window is not None:
             groups = [g for g in groups if _meets(file.metadata.row_group(g), names["time"], window)]
-    texts = [names[name] for name in ("tag", "quality", "unit") if name in names]
+    texts = [names[name] for name in ("tag", "loop", "quality", "unit") if name in names]
     with _open(piece.path, read_dictionary=texts) as file:
         read = file.read_row_groups(groups, columns=list(names.values()), use_threads=False)
     table = read.select(list(names.values())).rename_columns(list(names))
-    keep = pc.is_in(table.column("tag"), pa.array(tags))
+    for signal, cell in told.items():
+        table = table.append_column(signal, pa.repeat(cell, table.num_rows))
+    table = _of_tags(table, tags)
     if window is not None:
         cells = arrow_cells(table.column("time"), "time", source)
         seconds = cells.values if cells.stamped is not None else _since_1970(cells.values)
-        keep = pc.and_(keep, pa.array((seconds >= window[0]) & (seconds < window[1])))
-    return table.filter(keep)
+        table = table.filter(pa.array((seconds >= window[0]) & (seconds < window[1])))
+    return table
+
+
+def _of_tags(table: Any, tags: list[str]) -> Any:
+    """Return the rows of these tags, each under the name of `named`: the tag, or its loop's name and the tag."""
+    import pyarrow as pa
+    import pyarrow.compute as pc
+
+    wanted = pa.array(tags)
+    keep = pc.is_in(table.column("tag"), wanted)
+    if "loop" in table.column_names:
+        # Few rows are of these loops: names are put together of those alone.
+        loops = [str(loop) for loop in pc.unique(table.column("loop")).to_pylist() if loop is not None]
+        ours = pa.array([loop for loop in loops if any(tag.startswith(f"{loop}.") for tag in tags)], pa.string())
+        keep = pc.or_(keep, pc.is_in(pc.cast(table.column("loop"), pa.string()), ours))
+    table = table.filter(keep)
+    names = pc.cast(table.column("tag"), pa.string())
+    if "loop" in table.column_names:
+        joined = pc.binary_join_element_wise(pc.cast(table.column("loop"), pa.string()), names, ".")
+        names = pc.if_else(pc.fill_null(pc.is_in(joined, wanted), False), joined, names)
+    table = table.set_column(table.column_names.index("tag"), "tag", names)
+    return table.filter(pc.is_in(names, wanted))
 
 
 def _since_1970(values: FloatArray) -> FloatArray:

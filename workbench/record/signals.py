@@ -16,7 +16,7 @@ from workbench.errors import RecordError
 from workbench.model.checks import reads_as_number
 from workbench.model.record import FloatArray
 from workbench.record.clock import of_the_day
-from workbench.record.columns import NEEDED, QUALITIES, TALL, match_tags
+from workbench.record.columns import NEEDED, QUALITIES, TALL, match_tags, with_loops
 from workbench.record.counted import counted
 from workbench.record.quality import good_quality
 from workbench.record.table import (
@@ -160,8 +160,8 @@ def _tags(table: Table) -> list[str]:
     if "loop" not in table.columns:
         return tags
     rows = list(zip(table.columns["loop"].as_texts(), tags, strict=True))
-    shared = len(set(rows)) > len(set(tags))
-    return [f"{loop}.{tag}" if loop and tag else tag for loop, tag in rows] if shared else tags
+    names = with_loops(set(rows))
+    return [names[row] for row in rows]
 
 
 def _one_mark(rows: Mapping[str, NDArray[np.int64]], table: Table, source: str) -> None:
