@@ -101,6 +101,33 @@ def test_a_window_of_time_reads_that_alone(tmp_path: Path, one: wb.Record) -> No
         found(tmp_path / "a.parquet", FIC1, window=(0.0, 1.0))
 
 
+def test_a_window_of_nanoseconds(tmp_path: Path, one: wb.Record) -> None:
+    # A datetime, as a footer's statistics give it, holds none.
+    table = tall("FIC1", one)
+    at = table.column("time").cast(pa.timestamp("ns")).to_numpy() + np.timedelta64(1, "ns")
+    write_tall(tmp_path / "a.parquet", table.set_column(1, "time", pa.array(at)))
+    part = found(tmp_path / "a.parquet", FIC1, window=(START + 250.0, START + 300.0))
+    assert np.array_equal(part.pv, one.pv[250:300])
+
+
+def test_files_of_one_data_set_may_differ_in_zone_and_in_how_they_write_texts(tmp_path: Path, one: wb.Record) -> None:
+    first, second = tall("FIC1", one, 0, 200), tall("FIC1", one, 200)
+    zoned = [
+        part.set_column(1, "time", part.column("time").cast(pa.timestamp("ms", zone)))
+        for part, zone in ((first, "Europe/Berlin"), (second, "UTC"))
+    ]
+    codes = pa.array([192] * len(first))
+    write_tall(tmp_path / "a.parquet", zoned[0].set_column(3, "quality", codes))
+    write_tall(tmp_path / "b.parquet", zoned[1].set_column(0, "tag", zoned[1].column("tag").cast(pa.binary())))
+    pieces = tuple(tags_of(tmp_path / f"{name}.parquet")["FIC1.PV"][0] for name in "ab")
+    both = read_tags(pieces, FIC1, "FIC1")
+    assert np.array_equal(both.pv, one.pv)
+    assert both.epoch == START
+    write_tall(tmp_path / "b.parquet", second)
+    with pytest.raises(RecordError, match="FIC1: its files do not agree: Field time has incompatible types"):
+        read_tags(pieces, FIC1, "FIC1")
+
+
 @pytest.mark.parametrize("per_second", [1, 10**3, 10**6, 10**9])
 def test_a_window_of_time_is_told_of_counts_too(tmp_path: Path, one: wb.Record, per_second: int) -> None:
     def counts(table: pa.Table) -> pa.Table:

@@ -486,9 +486,10 @@ def test_parquet_timestamps_and_missing_values(tmp_path: Path) -> None:
     assert any("row 4" in note for note in record.notes)
 
 
-def test_parquet_times_without_a_name_and_text_as_bytes(tmp_path: Path) -> None:
+@pytest.mark.parametrize("kind", [pa.binary(), pa.large_binary(), pa.binary(4)])
+def test_parquet_times_without_a_name_and_text_as_bytes(tmp_path: Path, kind: pa.DataType) -> None:
     at = pa.array([k * 1_000_000_000 for k in range(60)], pa.timestamp("ns", "UTC"))
-    columns = {"PV": [float(k) for k in range(60)], "OP": [5.0] * 60, "MODE": pa.array([b"AUTO"] * 60, pa.binary())}
+    columns = {"PV": [float(k) for k in range(60)], "OP": [5.0] * 60, "MODE": pa.array([b"AUTO"] * 60, kind)}
     pq.write_table(pa.table({**columns, "__index_level_0__": at}), tmp_path / "loop.parquet")
     record = read_record(tmp_path / "loop.parquet")
     assert (record.sample_time, len(record), record.mode) == (1.0, 60, ("AUTO",) * 60)

@@ -22,9 +22,9 @@ def sources_of(path: Path) -> Sources:
 
     In a folder every CSV and wide Parquet file is a loop, named by its path; tall Parquet files, in any partitioning,
     are one data set, whose tags tell the loops (FIC101.PV is PV of FIC101), or a column of loops or a folder such as
-    loop=FIC101 beside them; a tall file with PV and OP and no loop's name is a loop. Names that begin with "." or "_" are
-    passed over, and so is what the workbench itself wrote there, such as an estimate's table or the rows of a fleet
-    run. A file that cannot be read, tags without PV or OP and a name that two loops share become loops with a
+    loop=FIC101 beside them; a tall file with PV and OP and no loop's name is a loop. Names that begin with "." or "_"
+    are passed over, and so is what the workbench itself wrote there, such as an estimate's table or the rows of a
+    fleet run. A file that cannot be read, tags without PV or OP and a name that two loops share become loops with a
     refusal. Raises `RecordError` where there is nothing to look at, and `ScenarioError` for a manifest with mistakes.
     """
     if not path.exists():

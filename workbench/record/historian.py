@@ -25,6 +25,7 @@ from workbench.record.counted import counted
 from workbench.record.reader import record_from
 from workbench.record.signals import Signals, Tall, clock_of
 from workbench.record.table import FIELDS, Cells, Table, arrow_cells
+from workbench.record.text import arrow_text
 
 __all__ = ["Piece", "Pieces", "named", "pairs_of", "read_tags", "tags_of"]
 
@@ -104,7 +105,7 @@ def pairs_of(path: str | Path) -> dict[tuple[str, str], Pieces]:
                 rows = read.group_by(list(rest)).aggregate([]).to_pylist()
             for row in rows:
                 of = known | {rest[name]: cell for name, cell in row.items()}
-                loop, tag = ("" if (cell := of.get(signal)) is None else str(cell) for signal in ("loop", "tag"))
+                loop, tag = (arrow_text(of.get(signal)) for signal in ("loop", "tag"))
                 if tag:
                     groups.setdefault((loop, tag), []).append(group)
     return {pair: (Piece(source, tuple(found)),) for pair, found in groups.items()}
@@ -153,7 +154,11 @@ def read_tags(
         parts = [_rows(piece, sorted(set(tags.values())), window, source) for piece in pieces]
         if not parts:
             raise RecordError(f"{source}: no row holds {' or '.join(sorted(tags.values()))}")
-        whole = pa.concat_tables(parts, promote_options="permissive")
+        try:
+            whole = pa.concat_tables(parts, promote_options="permissive")
+        except pa.ArrowException as error:
+            how = str(error).partition(": ")[2] or str(error)
+            raise RecordError(f"{source}: its files do not agree: {how}; export all with one type of each") from None
         order: list[tuple[str, str, Any]] = []
         for kind, tag in tags.items():
             rows = whole.filter(pc.is_in(whole.column("tag"), pa.array([tag]))).combine_chunks()
@@ -198,6 +203,12 @@ def _rows(piece: Piece, tags: list[str], window: tuple[float, float] | None, sou
     table = read.select(list(names.values())).rename_columns(list(names))
     for signal, cell in told.items():
         table = table.append_column(signal, pa.repeat(cell, table.num_rows))
+    for i, name in enumerate(table.column_names):
+        if name not in ("time", "value"):
+            table = table.set_column(i, name, _coded(table.column(name)))
+        elif pa.types.is_timestamp(kind := table.schema.field(i).type) and kind.tz is not None:
+            # What zone each file names is no matter: the instants are the same.
+            table = table.set_column(i, name, table.column(name).cast(pa.timestamp(kind.unit, "UTC")))
     table = _of_tags(table, tags)
     if window is not None:
         cells = arrow_cells(table.column("time"), "time", source)
@@ -215,9 +226,11 @@ def _of_tags(table: Any, tags: list[str]) -> Any:
     keep = pc.is_in(table.column("tag"), wanted)
     if "loop" in table.column_names:
         # Few rows are of these loops: names are put together of those alone.
-        loops = [str(loop) for loop in pc.unique(table.column("loop")).to_pylist() if loop is not None]
-        ours = pa.array([loop for loop in loops if any(tag.startswith(f"{loop}.") for tag in tags)], pa.string())
-        keep = pc.or_(keep, pc.is_in(pc.cast(table.column("loop"), pa.string()), ours))
+        loops = pc.unique(table.column("loop")).to_pylist()
+        ours = pa.array(
+            [loop for loop in loops if loop and any(tag.startswith(f"{loop}.") for tag in tags)], pa.string()
+        )
+        keep = pc.or_(keep, pc.is_in(table.column("loop"), ours))
     table = table.filter(keep)
     names = pc.cast(table.column("tag"), pa.string())
     if "loop" in table.column_names:
@@ -240,30 +253,36 @@ def _meets(group: Any, column: str, window: tuple[float, float]) -> bool:
     )
     if stats is None or not stats.has_min_max:
         return True
-    ends = [
-        end.replace(tzinfo=end.tzinfo or UTC).timestamp() if isinstance(end, datetime) else end
-        for end in (stats.min, stats.max)
-    ]
+    try:
+        limits = stats.min, stats.max
+    except ValueError:  # nanoseconds, which a datetime does not hold
+        return True
+    ends = [end.replace(tzinfo=end.tzinfo or UTC).timestamp() if isinstance(end, datetime) else end for end in limits]
     if not all(isinstance(end, float | int) for end in ends):
         return True
-    if not isinstance(stats.min, datetime):
+    if not isinstance(limits[0], datetime):
         ends = _since_1970(np.array(ends, dtype=np.float64)).tolist()
     return bool(ends[0] < window[1] and ends[1] >= window[0])
 
 
+def _coded(column: Any) -> Any:
+    """Return a column of texts, or of codes, as a dictionary of texts; its few values are made text only once."""
+    import pyarrow as pa
+
+    coded = column.combine_chunks()
+    if not pa.types.is_dictionary(coded.type):
+        coded = coded.dictionary_encode()
+    words = [arrow_text(cell) for cell in coded.dictionary.to_pylist()]
+    return pa.DictionaryArray.from_arrays(coded.indices, pa.array(words, pa.string()))
+
+
 def _texts(column: Any) -> list[str]:
-    """Return a column of texts, or of codes, as a list of texts, "" for none; its few values are made only once."""
-    coded = column.combine_chunks().dictionary_encode() if not _is_dictionary(column) else column.combine_chunks()
-    words = np.array([*("" if v is None else str(v).strip() for v in coded.dictionary.to_pylist()), ""], dtype=object)
+    """Return a column of `_coded` as a list of texts, "" for none."""
+    coded = column.combine_chunks()
+    words = np.array([*coded.dictionary.to_pylist(), ""], dtype=object)
     at = np.asarray(coded.indices.fill_null(len(words) - 1).to_numpy(zero_copy_only=False))
     texts: list[str] = words[at].tolist()
     return texts
-
-
-def _is_dictionary(column: Any) -> bool:
-    import pyarrow as pa
-
-    return bool(pa.types.is_dictionary(column.type))
 
 
 def _joined(cells: list[Cells]) -> Cells:

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from workbench.errors import RecordError
 from workbench.model.record import FloatArray
 from workbench.record.pairs import PAIRED, Pairs, pairs_of, tall_rows, time_column, unguarded
-from workbench.record.text import HEAD, delimiter, encoding_of
+from workbench.record.text import HEAD, arrow_text, delimiter, encoding_of
 from workbench.record.units import is_unit
 
 __all__ = [
@@ -488,13 +488,11 @@ def arrow_cells(column: object, name: str, where: str) -> Cells:
         return Cells(values, marks, stamped=kind.tz is not None)
     if pa.types.is_boolean(kind):
         chunk, kind = pc.cast(chunk, pa.int8()), pa.int8()
-    if pa.types.is_binary(kind):  # how older writers keep text
-        chunk = pc.cast(chunk, pa.string())
     if pa.types.is_integer(kind) or pa.types.is_floating(kind) or pa.types.is_decimal(kind):
         # A float holds nanoseconds since 1970 to the quarter of a microsecond: near enough, but not exact.
         plain = pc.cast(chunk, pa.float64(), safe=False)
         cells = _marked(np.array(plain.to_numpy(zero_copy_only=False), dtype=np.float64))
         cells.marks[missing] = BLANK
         return cells
-    listed = ["" if v is None else str(v).strip() for v in chunk.to_pylist()]
+    listed = [arrow_text(v) for v in chunk.to_pylist()]
     return text_cells(listed, False, where) if name not in NUMERIC else number_cells(listed, False, where)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from workbench.errors import RecordError
 
-__all__ = ["HEAD", "delimiter", "encoding_of"]
+__all__ = ["HEAD", "arrow_text", "delimiter", "encoding_of"]
 
 HEAD = 65536  # bytes: enough to tell how text is encoded, and text from a binary file
 ZEROS = 0.9  # of every other byte, which western text in UTF-16 leaves zero
@@ -36,3 +36,8 @@ def delimiter(line: str) -> str:
     # A comma may be a decimal comma or part of a name where another delimiter is there.
     found = next((mark for mark in ("\t", ";", "|", ",") if mark in bare), "")
     return found or (" " if len(bare.split()) > 1 else ",")
+
+
+def arrow_text(cell: object) -> str:
+    """Return a value of an Arrow column as text, "" for none; older writers keep text as bytes."""
+    return "" if cell is None else (cell.decode(errors="replace") if isinstance(cell, bytes) else str(cell)).strip()
