@@ -49,6 +49,8 @@ def test_the_figures() -> None:
             "'./a.csv' is labelled twice; it stands already in line 2",
         ),
         ("file,label\n../beside.csv,stiction\n", "file '../beside.csv' is not in"),
+        ("file,label\na.csv,stiction,FIC1\n", "labels.csv:2: 3 cells given; its columns are file, label"),
+        ("file,label,Label\na.csv,stiction,no_stiction\n", "2 columns 'label'; it must have one"),
         ("file,label\n", "names no record"),
         ("", "no column 'file'"),
     ],
@@ -102,6 +104,12 @@ def test_labels_are_parted_as_records_are(tmp_path: Path, mark: str) -> None:
     (tmp_path / "a.csv").touch()
     (tmp_path / "labels.csv").write_text(f"file{mark}label\r\na.csv{mark}stiction\r\n", encoding="utf-8")
     assert [(line.path.name, line.label) for line in labelled(tmp_path)] == [("a.csv", "stiction")]
+
+
+def test_the_case_of_a_column_does_not_matter(tmp_path: Path) -> None:
+    (tmp_path / "a.csv").touch()
+    (tmp_path / "labels.csv").write_text("File,LABEL,Tag,comment\na.csv,stiction,FIC1,\n", encoding="utf-8")
+    assert [(line.label, line.tag) for line in labelled(tmp_path)] == [("stiction", "FIC1")]
 
 
 def test_a_folder_without_labels_is_refused(tmp_path: Path) -> None:

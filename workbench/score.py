@@ -65,8 +65,8 @@ class Scored:
 def labelled(folder: Path) -> list[Labelled]:
     """Return the lines of folder/labels.csv, whose columns are file, label and optionally tag, parted as records are.
 
-    Raises `RecordError` where the file is missing, has other columns or labels, names a file twice (however it is
-    written), or one that is not in the folder or below it.
+    Raises `RecordError` where the file is missing, has other columns or labels, one of them twice, or more cells in a
+    line, names a file twice (however it is written), or one that is not in the folder or below it.
     """
     from workbench.record.text import delimiter
 
@@ -76,7 +76,7 @@ def labelled(folder: Path) -> list[Labelled]:
             text = stream.readlines()
             reader = csv.DictReader(text, delimiter=delimiter(text[0] if text else ""))
             rows = [(reader.line_num, row) for row in reader]
-            columns = [name.strip() for name in reader.fieldnames or ()]
+            columns = [(name or "").strip().casefold() for name in reader.fieldnames or ()]
     except (OSError, ValueError, csv.Error) as error:
         reason = getattr(error, "strerror", None) or str(error)
         raise RecordError(f"{path}: cannot be read ({reason}); it must be a CSV file with columns file,label") from None
@@ -84,16 +84,23 @@ def labelled(folder: Path) -> list[Labelled]:
         if needed not in columns:
             given = ", ".join(columns) or "nothing"
             raise RecordError(f"{path}: no column {needed!r}; it has {given}; file and label are needed, tag may be")
+    for name in ("file", "label", "tag"):
+        if columns.count(name) > 1:
+            raise RecordError(f"{path}: {columns.count(name)} columns {name!r}; it must have one")
     lines: list[Labelled] = []
     known: dict[Path, int] = {}
     # Without following links: records may lie elsewhere and be linked here.
     inside = os.path.normpath(folder.absolute())
     for number, row in rows:
-        cells = {(name or "").strip(): (cell or "").strip() for name, cell in row.items() if isinstance(cell, str)}
+        cells = {name.strip().casefold(): cell.strip() for name, cell in row.items() if name and cell}
         name, label = cells.get("file", ""), cells.get("label", "")
         if not name and not label:
             continue
         where = f"{path}:{number}"
+        if any(row.get(None, ())):
+            raise RecordError(
+                f"{where}: {len(columns) + len(row[None])} cells given; its columns are {', '.join(columns)}"
+            )
         if label not in LABELS:
             raise RecordError(f"{where}: label {label!r} given; must be stiction or no_stiction")
         record = folder / name
