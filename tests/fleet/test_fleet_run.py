@@ -142,7 +142,7 @@ def test_changes_are_told_since_the_run_before(whole: Path, site: Path, tmp_path
         (["."], "holds no record"),
         (["site", "--depth", "deep"], "--depth: deep given; must be one of screen, estimate, tune"),
         (["site", "--from", "yesterday"], "--from: yesterday given; must be a time such as"),
-        (["site", "--from", "2024-10-18", "--to", "2024-10-17"], "must be before --to"),
+        (["site", "--from", "2024-10-18", "--to", "2024-10-17"], "--from: 2024-10-18 00:00:00 given; must be before"),
         (["site", "--last", "8"], "--last"),
         (["site", "--time-limit", "0 s"], "--time-limit"),
         (["site", "--memory-limit", "1"], "--memory-limit"),

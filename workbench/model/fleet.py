@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, fields
+from datetime import UTC, datetime
 from typing import Any
 
 from workbench.errors import InvalidValue
@@ -68,7 +69,8 @@ class Settings:
         if self.last is not None:
             number(self.last, "--last", above=0.0, unit="s")
         if self.begin is not None and self.end is not None and not self.begin < self.end:
-            raise InvalidValue("--from", f"{self.begin:.0f} s", "must be before --to")
+            first, last = (datetime.fromtimestamp(at, UTC).isoformat(" ")[:19] for at in (self.begin, self.end))
+            raise InvalidValue("--from", first, f"must be before --to, {last}")
 
 
 @dataclass(frozen=True, slots=True)
