@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import tracemalloc
 from dataclasses import replace
 
 import numpy as np
@@ -84,6 +85,16 @@ def test_proportional_control_loses_its_stability_at_the_ultimate_gain(plant: wb
     Ku, _ = ultimate_point(loop)
     assert linear_stable(loop.with_controller(wb.PID(Ku * (1.0 - 1e-6), math.inf)))
     assert not linear_stable(loop.with_controller(wb.PID(Ku * (1.0 + 1e-6), math.inf)))
+
+
+def test_the_ultimate_point_of_a_long_dead_time_is_that_of_a_short_one_and_found_as_soon() -> None:
+    """Far slower than its lag a plant is its gain and delay: Ku = 1/K, Pu twice the delay, hold included."""
+    tracemalloc.start()
+    Ku, Pu = ultimate_point(loop_of(wb.FOPDT(2.0, 1e-3, 20_000.0)))
+    _, most = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert (Ku, Pu) == pytest.approx((0.5, 40_002.0), rel=1e-9)
+    assert most < 1e6, "bytes: a grid that grew with the dead time held four million points"
 
 
 @pytest.mark.parametrize("form", ["ideal", "series", "parallel"])

@@ -138,10 +138,10 @@ def ultimate_point(loop: Loop) -> tuple[float, float]:
         total: FloatArray = lag - (step.delay + 1) * np.asarray(x) + math.pi
         return total
 
-    # Fine enough for the dead time to turn the phase little from one point to the next.
-    grid = np.linspace(0.0, math.pi, 2000 + 200 * (step.delay + 1))[1:]
+    # No factor leads: by here the whole samples of delay alone have turned the phase by 180 degrees.
+    grid = np.linspace(0.0, math.pi / (step.delay + 1), 2200)[1:]
     past = np.flatnonzero(phase(grid) <= 0.0)
-    at = math.pi  # where rounding alone keeps the phase above -180 degrees up to Nyquist
+    at = float(grid[-1])  # where rounding alone keeps the phase above -180 degrees to the last
     if past.size:
         first = int(past[0])
         at = float(optimize.brentq(lambda x: float(phase(x)), grid[first - 1], grid[first], xtol=1e-14))
