@@ -107,6 +107,13 @@ def test_constraints_that_nothing_keeps_are_infeasible_with_what_the_nearest_rea
         tuned.require_success()
 
 
+def test_constraints_that_ask_for_nothing_are_none(plain):
+    tuned = wb.tune(LOOP, STEP, bounds=PI, restarts=1, constraints=wb.Constraints())
+    assert (tuned.controller, tuned.objective, tuned.worst) == (plain.controller, plain.objective, plain.worst)
+    assert (tuned.solves, tuned.message, tuned.constraints) == (plain.solves, plain.message, None)
+    assert tuned.solves > 0
+
+
 def test_a_small_budget_returns_the_best_so_far():
     tuned = wb.tune(LOOP, STEP, bounds=PI, max_evaluations=500)
     assert tuned.status is wb.SolveStatus.EVALUATION_LIMIT

@@ -111,7 +111,8 @@ def tune(
     if constraints is not None and not isinstance(constraints, Constraints):
         raise InvalidValue("tune.constraints", constraints, "must be Constraints(...) or None")
     began = time.perf_counter()
-    single = None if robust is not False else constraints
+    # An ensemble has constraints of its own, and those that ask for nothing are none.
+    single = None if robust is not False or constraints == Constraints() else constraints
     problem = Problem(loop, experiment, objective, bounds, digits, margin, nominal=nominal, constraints=single)
     if robust is not False:
         if nominal:
@@ -178,7 +179,7 @@ def tune(
         seed=seed,
         wall_time=time.perf_counter() - began,
         versions=MappingProxyType(dict(versions())),
-        constraints=constraints,
+        constraints=single,
         steps=digit_steps(problem, chosen.tuning, problem.exact),
         nominal_only=nominal,
         worst_bound=min(found.bound, chosen.worst)
