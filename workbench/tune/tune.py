@@ -69,10 +69,14 @@ def tune(
     The controller keeps its form, structure, filter and limits; bounds are in its own form, and equal ends fix a
     parameter. Its present tuning must lie within the bounds of the parameters that are free. digits: significant
     digits (1..12) of the numbers to type in, 4 by default. restarts: independent global searches (1..100); with 3 or
-    more, some seconds for each are also spent on leaving no valley out (`Tuned.worst_bound`). guard: least
-    distance (0..0.5) to keep from a stick/slip decision in the refinement, relative to the valve's (S + J)/2. margin:
-    relative change (0..0.2) of each parameter against which the worst J is minimised; half a last digit is always
-    covered. progress: called with a phase in words and the share done (0..1).
+    more, some seconds for each are also spent on leaving no valley out (`Tuned.worst_bound`). margin: relative change
+    (0..0.2) of each parameter against which the worst J is minimised; half a last digit is always covered. progress:
+    called with a phase in words and the share done (0..1).
+
+    guard: the distance (0..0.5) that solutions of branch programs keep from a stick/slip decision, relative to the
+    valve's (S + J)/2, half of their start's own where a program has no solution at that distance. It moves what these
+    programs add to the search and nothing else: the tuning returned may lie nearer to a decision
+    (`Tuned.guard_margin` says how near), and where `Tuned.solves` is 0 it plays no part.
 
     time_limit: s, and max_evaluations: simulated runs (both looked at between generations of a search); the best so far
     is returned as `TIME_LIMIT` or `EVALUATION_LIMIT`. Ctrl-C returns it as `INTERRUPTED`.
