@@ -12,6 +12,7 @@ from workbench.tune.limits import WORN, beyond
 from workbench.tune.problem import Problem, last_offsets, round_to
 from workbench.tune.region import Region
 from workbench.tune.sieve import _axis
+from workbench.tune.verify import choose
 
 LOOP = wb.Loop(wb.FOPDT(1.0, 5.0, 1.0), wb.Stenman(2.0), wb.PID(0.5, 20.0), 1.0)
 SHORT = wb.Experiment(100.0, setpoint=wb.Step(4.0), noise=wb.Noise(0.05, seed=3))
@@ -81,7 +82,7 @@ def test_of_constraints_that_nothing_keeps_nothing_is_proved():
     assert found.worst_bound is None
 
 
-def test_the_last_word_on_j_is_none_on_travel_that_a_dense_look_found_kept():
+def test_a_limit_that_only_a_closer_look_finds_broken_leaves_the_one_tuning_its_worst_j():
     loop = wb.Loop(wb.Integrating(0.47, 3.15), wb.Choudhury(1.98, 0.89), wb.PID(0.128, 18.6), 1.0)
     experiment = wb.Experiment(1500.0, wb.Step(4.37, 1.0), wb.Step(0.91, 750.0), wb.Noise(0.306, seed=6))
     bounds = wb.Bounds(Kc=(0.0, 2.0), Ti=(2.3, 468.0), Td=(0.0, 0.0))
@@ -93,7 +94,11 @@ def test_the_last_word_on_j_is_none_on_travel_that_a_dense_look_found_kept():
     assert max(run.kpis.valve_travel for run in runs) > limit  # the closer look meets a run that travels further
     asked = wb.Constraints(valve_travel=limit)
     kept = Problem(loop, experiment, wb.Objective(), bounds, 4, 0.001, constraints=asked)
-    assert kept.last_word(tuning) == free.last_word(tuning)
+    assert WORN <= kept.last_word(tuning) < np.inf
+    one = wb.Bounds(*((value, value) for value in tuning))
+    chosen = choose(Problem(loop, experiment, wb.Objective(), one, 4, 0.001, constraints=asked), tuning[None, :])
+    dense = free.spread(tuning[None, :], np.array([np.inf]))[0]
+    assert chosen.worst == max(dense, free.last_word(tuning, proof=True)) < WORN
     broken = Problem(loop, experiment, wb.Objective(), bounds, 4, 0.001, constraints=wb.Constraints(valve_travel=1.0))
     assert broken.last_word(tuning) >= WORN
     assert broken.last_word(tuning, 1e6) == np.inf

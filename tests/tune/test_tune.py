@@ -174,7 +174,8 @@ def test_every_kind_of_loop(valve, plant, controller) -> None:
     assert tuned.nominal <= 1.002 * costs.min()
     problem = Problem(loop, experiment, objective, wb.Bounds(), 2, 0.001)
     best = random[np.argsort(costs)[:20]]
-    assert tuned.worst <= 1.002 * problem.worst_below(best, np.full(20, np.inf), dense=True).min()
+    # Both by as many points: of fewer the worst is less.
+    assert tuned.worst <= 1.002 * min(problem.last_word(one, proof=True) for one in best)
 
 
 @pytest.mark.parametrize("valve", [wb.Kano(2.0, 0.8), wb.Directional(wb.Choudhury(2.0, 0.8), wb.Choudhury(3.0, 1.0))])

@@ -28,10 +28,13 @@ from workbench.simulate.signals import signals
 from workbench.simulate.sums import TRAVEL
 from workbench.tune.limits import NARROW, UNSTABLE, WORN, more_than_sensitivity, narrowness, worn
 
-__all__ = ["Problem", "last_offsets", "round_to", "stopper", "unit_of"]
+__all__ = ["Problem", "last_offsets", "proof_offsets", "round_to", "stopper", "unit_of"]
 
-# Random inner points of a neighbourhood: when searching, when it is looked at closely, and for the last word.
-SPARSE, DENSE, LAST, LAST_SAMPLES = 6, 100, 2000, 2_000_000
+# Random inner points of a neighbourhood: when searching, when it is looked at closely, for the last word, and for the
+# proof of the few that it leaves; the latter two are fewer for longer runs.
+SPARSE, DENSE, LAST, LAST_SAMPLES, PROOF, PROOF_SAMPLES = 6, 100, 2000, 2_000_000, 20_000, 20_000_000
+# Of the points by which a limit on travel is judged, the parts in which they are run: most that break it do so early.
+PARTS = (150, 500)
 NAMES = ("Kc", "Ti", "Td")
 # Powers of ten up to this one are floats without rounding.
 EXACT_POWER = 22
@@ -91,6 +94,7 @@ class Problem:
         self._known: tuple[dict[bytes, float], dict[bytes, float]] = ({}, {})
         self._lost: dict[int, NDArray[np.int64]] = {}
         self._last = last_offsets(self.samples)
+        self._proof = proof_offsets(round(self.price * self.samples))
 
     def without_derivative(self) -> Problem:
         """Return the same problem with Td held at 0; its work counts as this one's."""
@@ -163,23 +167,38 @@ class Problem:
             known.update((keys[i], values[i]) for i in new[np.isfinite(values[new])].tolist())
         return values
 
-    def last_word(self, tuning: FloatArray, ceiling: float = math.inf) -> float:
+    @property
+    def limited(self) -> bool:
+        """Whether a constraint limits the valve's travel."""
+        return self.constraints is not None and self.constraints.valve_travel is not None
+
+    def last_word(self, tuning: FloatArray, ceiling: float = math.inf, *, proof: bool = False) -> float:
         """Return the worst J in the neighbourhood of one tuning, looked at more closely than searches can afford.
 
-        Constraints are kept, or not, as a dense look finds: of thousands of runs of a rough loop one in a thousand may
-        travel further, whatever the tuning.
+        proof: at other and more points, by which no tuning has been chosen. inf above the ceiling. Where the travel's
+        limit is broken the rest of the points is not run: the sooner that shows, the higher the value.
         """
         if self.nominal:
             return float(self.below(tuning[None, :], np.array([ceiling]))[0])
-        if self.constraints is not None:
-            dense = float(self.spread(tuning[None, :], np.array([np.inf]))[0])
-            if dense > min(ceiling, WORN):
-                return dense if dense <= ceiling else math.inf
-        points = tuning + self._last * self.radius(tuning[None, :])
-        if self.constraints is None:
-            return float(self._worst(points, points.shape[0], np.array([ceiling]))[0])
-        rows = coefficients(self.loop, self.experiment.stem_offset, points)
-        return float(self._runs(rows, points.shape[0], np.array([ceiling]))[0])
+        offsets = self._proof if proof else self._last
+        parts = np.split(offsets, PARTS) if self.limited else [offsets]
+        value = -math.inf
+        for left, part in zip(range(len(parts), 0, -1), parts, strict=True):
+            # The first point of a group is the tuning itself.
+            points = tuning + np.concatenate([np.zeros((1, 3)), part]) * self.radius(tuning[None, :])
+            value = max(value, float(self._worst(points, points.shape[0], np.array([ceiling]))[0]))
+            if value >= WORN:
+                value *= left
+                break
+        return value if value <= ceiling else math.inf
+
+    def further(self, tuning: FloatArray) -> tuple[int, int, float]:
+        """Return at how many points of a proof, of how many, travel is above its limit, and the largest travel (%)."""
+        points = tuning + self._proof * self.radius(tuning[None, :])
+        travel = self._travel(coefficients(self.loop, self.experiment.stem_offset, points))
+        asked = self.constraints
+        limit = math.inf if asked is None or asked.valve_travel is None else asked.valve_travel
+        return int(np.count_nonzero(travel > limit)), travel.size, float(travel.max())
 
     def around(self, tunings: FloatArray, *, dense: bool = False) -> FloatArray:
         """Return the points of the neighbourhoods of tunings (M, 3), one group after the other, shape (M points, 3)."""
@@ -385,6 +404,11 @@ def _written(value: float, digits: int, low: float, high: float) -> float:
 def last_offsets(samples: int) -> FloatArray:
     """Return the points of [-1, 1]^3 by which a neighbourhood gets the last word; samples: of a run."""
     return _offsets(np.random.default_rng(2), max(DENSE, min(LAST, LAST_SAMPLES // samples)))
+
+
+def proof_offsets(samples: int) -> FloatArray:
+    """Return the points of [-1, 1]^3 by which the last few tunings are proved; samples: of a run, in plain ones."""
+    return _offsets(np.random.default_rng(3), max(DENSE, min(PROOF, PROOF_SAMPLES // samples)))
 
 
 def _offsets(rng: np.random.Generator, inner: int) -> FloatArray:
