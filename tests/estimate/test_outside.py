@@ -157,15 +157,21 @@ def test_models_accuse_alone_only_where_the_linear_loop_is_clearly_less_likely()
     n = answered.settled.samples - answered.settled.skip
     models = [FittedModel(valve, wb.FOPDT(19.3, 0.76), 1.0, 0.0, 0.0, 40) for valve in (wb.Deadband(4.5), wb.Ideal())]
 
-    def said(ahead: float, alone: bool) -> tuple[str, str]:
+    def said(ahead: float, alone: bool, slips: int = 40) -> tuple[str, str]:
         fit = replace(linear, sse=linear.sse / n * data.samples * math.exp(-2.0 * ahead / data.samples))
-        pairs = (fit, models[0]), (linear, models[1])
+        pairs = (fit, replace(models[0], slips=slips)), (linear, models[1])
         return weighed(data, *pairs, lambda: rival_of(data, fit, line, ()), "stiction", alone)
 
     assert said(29.0, True)[0] == "undecided"
     assert "is hardly less likely than a stem that sticks over 4.5 %" in said(29.0, True)[1]
     assert said(31.0, True) == ("stiction", "")
     assert said(29.0, False) == ("stiction", "")
+    # The likeliest stem must have slips enough too, whichever accuses.
+    assert said(31.0, True, 10) == ("stiction", "")
+    verdict, why = said(31.0, True, 9)
+    assert verdict == "undecided"
+    assert "only 9 stem moves in the record, and at least 10 are needed" in why
+    assert said(31.0, False, 9) == ("stiction", "")
 
 
 @pytest.mark.parametrize(

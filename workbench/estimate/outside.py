@@ -25,7 +25,7 @@ from workbench.estimate.loads.settled import coloured_linear
 from workbench.estimate.loads.steps import DEGREES
 from workbench.estimate.loads.swing import Answered, Swing
 from workbench.estimate.straight import Coloured, Straight, linear_beside, sought_beside_steps
-from workbench.estimate.verdict import MOST
+from workbench.estimate.verdict import MOST, words_of_few
 from workbench.model.numbers import given
 from workbench.model.results import FittedModel, LinearFit
 
@@ -104,6 +104,9 @@ def weighed(
     detection.
     """
     model, accused = sticking[1], verdict == "stiction"
+    # What accuses the valve is another stem, of more slips: the likeliest one takes few, as steps of the load are.
+    if accused and alone and (few := words_of_few(model.slips)):
+        return "undecided", f"by the likeliest stem {few}"
     # A stem that hardly sticks leaves what the linear loop leaves once it is given the same steps.
     closer = _ahead(data, sticking[0], data, linear[0]) >= LIKELIER
     closer = closer and model.residual_variance <= MOST * linear[1].residual_variance

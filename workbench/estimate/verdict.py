@@ -15,7 +15,7 @@ from workbench.estimate.fits.sureness import ENOUGH_SLIPS, SHARP, SURE_SLIPS
 from workbench.model.detection import Detection
 from workbench.model.numbers import counted, given
 
-__all__ = ["MOST", "WIDE_D", "Evidence", "agree", "judge"]
+__all__ = ["MOST", "WIDE_D", "Evidence", "agree", "judge", "words_of_few"]
 
 GAIN = 0.10  # least improvement over the linear model that counts
 UNEXPLAINED = 0.05  # least share of PV's variance that the linear model must leave for that to matter
@@ -130,11 +130,8 @@ def _for_health(e: Evidence, reasons: list[str]) -> str:
 
 
 def _for_stiction(e: Evidence, stem: float, reasons: list[str]) -> str:
-    if e.slips < ENOUGH_SLIPS:
-        reasons.append(
-            f"only {counted(e.slips, 'stem move')} in the record, and at least {ENOUGH_SLIPS} are needed for a "
-            "verdict: a longer record, or one with a setpoint change, would decide"
-        )
+    if few := words_of_few(e.slips):
+        reasons.append(few)
         return "undecided"
     if stem > EXPLAINS:
         reasons.append("the sticking stem fits better than the linear model, but explains too little of PV to decide")
@@ -150,6 +147,16 @@ def _for_stiction(e: Evidence, stem: float, reasons: list[str]) -> str:
         )
         return "undecided"
     return "stiction"
+
+
+def words_of_few(slips: int) -> str:
+    """Say that a stem moved too seldom to accuse a valve by; or nothing."""
+    if slips >= ENOUGH_SLIPS:
+        return ""
+    return (
+        f"only {counted(slips, 'stem move')} in the record, and at least {ENOUGH_SLIPS} are needed for a verdict: a "
+        "longer record, or one with a setpoint change, would decide"
+    )
 
 
 def _identified(e: Evidence, verdict: str, reasons: list[str]) -> bool:
