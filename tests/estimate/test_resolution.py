@@ -244,3 +244,13 @@ def test_where_the_stem_is_hidden_nothing_says_that_ranges_hold_it() -> None:
     assert found.repeats is None
     assert any("no ranges are given" in reason for reason in found.reasons)
     assert not any("the ranges hold both" in reason or "is not identified: from" in reason for reason in found.reasons)
+
+
+def test_a_load_step_lets_no_stem_of_other_slips_pass_for_the_one_of_an_op_sent_in_steps() -> None:
+    loop = wb.Loop(wb.FOPDT(1.8, 25.0, 2.6), wb.Stenman(3.65), wb.PID(Kc=1.3, Ti=25.0), 1.0)
+    experiment = wb.Experiment(800.0, wb.Step(4.0, 100.0), wb.Step(2.0, 400.0), wb.Noise(0.05, 6))
+    run = wb.simulate(loop, experiment)
+    found = wb.estimate(wb.Record(run.pv + 50.0, np.round(run.op * 20.0) / 20.0 + 40.0, 1.0, sp=run.sp + 50.0))
+    assert found.valve.stick_band == pytest.approx(3.65, rel=0.01)
+    assert found.plant.gain == pytest.approx(1.8, rel=0.01)
+    assert found.identifiable

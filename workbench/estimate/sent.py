@@ -9,10 +9,10 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import replace
-from typing import TypeVar
+from typing import NamedTuple, TypeVar
 
 from workbench.estimate.fits.data import Centred, centre
-from workbench.estimate.fits.fit import Fit, disturbance, predict
+from workbench.estimate.fits.fit import Fit, autoregression, predict
 from workbench.estimate.search.profile import Profile
 from workbench.estimate.search.stems import path_of, silent
 from workbench.estimate.search.two_parameter import band_stem, look
@@ -28,37 +28,50 @@ MATTERS = 0.05  # of the slips that may be a sample off: fewer are not worth a s
 Model = TypeVar("Model")
 
 
+class Left(NamedTuple):
+    """What a model leaves of PV, in N log V: as if it were noise, and the BIC of it as coloured; noise: whether it is.
+
+    A load step or a slow load, of which the models know nothing yet, is most of what they leave. Beside that a stem
+    that slips at other times may make up for some of it, and leave less than the right one does, by one measure or by
+    the other, but seldom by both.
+    """
+
+    white: float
+    coloured: float
+    noise: bool
+
+
 def likelier_op(
     record: Record,
     data: Centred,
     searched: Callable[[Centred, Callable[[float], None]], Model],
-    left: Callable[[Centred, Model], tuple[float, bool]],
+    left: Callable[[Centred, Model], Left],
     tell: Callable[[float], None] = silent,
 ) -> tuple[Centred, Model]:
     """Return the record with OP within its steps, as `centre` has it, or as it was sent; and its model, `searched`.
 
-    left: the mean square that a model leaves of PV, EU^2, and whether that is noise alone. tell: called with the share
-    done, which `searched` tells of one record. As it was sent only where that is clearly likelier. What is not known of
-    OP is nothing then, if the model leaves noise alone; else the steps may be the historian's after all.
+    left: what a model leaves of PV. tell: called with the share done, which `searched` tells of one record. As it was
+    sent only where that is clearly likelier. What is not known of OP is nothing then, if the model leaves noise alone;
+    else the steps may be the historian's after all.
     """
     if data.unsure < MATTERS:
         return data, searched(data, tell)
     sent = centre(record, "integrating" if data.integrating else "fopdt", sent=True)
     found = searched(data, lambda share: tell(0.5 * share))
     other = searched(sent, lambda share: tell(0.5 + 0.5 * share))
-    (least, _), (as_sent, noise) = left(data, found), left(sent, other)
-    if not data.samples * math.log(max(as_sent, 1e-300) / max(least, 1e-300)) < -CLEAR:
+    within, as_sent = left(data, found), left(sent, other)
+    if not max(as_sent.white - within.white, as_sent.coloured - within.coloured) < -CLEAR:
         return data, found
-    return (sent if noise else replace(sent, doubt=step_of(record.op) / math.sqrt(12.0))), other
+    return (sent if as_sent.noise else replace(sent, doubt=step_of(record.op) / math.sqrt(12.0))), other
 
 
-def left_by_line(data: Centred, linear: Fit) -> tuple[float, bool]:
-    """Return the mean square that a linear fit leaves of PV, EU^2, and whether that is noise alone."""
+def left_by_line(data: Centred, linear: Fit) -> Left:
+    """Return what a linear fit leaves of PV."""
     return _left(data, linear, data.u, 0)
 
 
-def left_by_stem(data: Centred, found: Profile | None, delays: float) -> tuple[float, bool]:
-    """Return the least mean square that a stem leaves of PV, EU^2, and whether that is noise alone.
+def left_by_stem(data: Centred, found: Profile | None, delays: float) -> Left:
+    """Return what the best stem leaves of PV.
 
     delays: the longest dead time looked at, samples.
     """
@@ -70,10 +83,11 @@ def left_by_stem(data: Centred, found: Profile | None, delays: float) -> tuple[f
         b = bands[0]
         stems.append((b.fit, band_stem(data.u, b.S, b.J, b.first, b.sense)[0], max(b.first, 0)))
     if not stems:
-        return data.variance, False
+        power = data.samples * math.log(max(data.variance, data.floor))
+        return Left(power, power, noise=False)
     return _left(data, *min(stems, key=lambda one: one[0].sse))
 
 
-def _left(data: Centred, fit: Fit, x: FloatArray, first: int) -> tuple[float, bool]:
-    left = data.y - predict(data, x, first, fit)[0]
-    return max(fit.sse / data.samples, data.floor), disturbance(left, data.floor).size == 1
+def _left(data: Centred, fit: Fit, x: FloatArray, first: int) -> Left:
+    a, bic = autoregression(data.y - predict(data, x, first, fit)[0], data.floor)
+    return Left(data.samples * math.log(max(fit.sse / data.samples, data.floor, 1e-300)), bic, a.size == 1)
