@@ -108,7 +108,7 @@ def from_wide(table: Table, names: Mapping[str, str], source: str) -> Signals:
         def alike(a: NDArray[np.int64], b: NDArray[np.int64]) -> NDArray[np.bool_]:
             return np.asarray(np.all([table.columns[kind].alike(a, b) for kind in kinds], axis=0))
 
-        order = in_order(times, same, clock.wall, alike)
+        order = in_order(times, same, clock.wall, alike, [table.columns[signal].values for signal in NEEDED])
         _refuse(order, table.lines, table.unit, names["time"], "", source)
         if clock.stamped and order.rows.size:
             out.epoch = float(order.seconds[0])
@@ -208,7 +208,7 @@ class Tall:
         if cells.texts is not None and kind == "MODE":
             texts = np.array(cells.texts, dtype=object)
             same[1:] &= (texts[1:] == texts[:-1]).astype(bool)
-        order = in_order(times, same, self.clock.wall, cells.alike)
+        order = in_order(times, same, self.clock.wall, cells.alike, [cells.values])
         _refuse(order, self.lines[rows], out.unit, self.names["time"], tag, self.source)
         self.said.update(order.notes)
         out.repeated += order.repeated

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workbench.model.record import FloatArray
+from workbench.record.resolution import coarse_clock
 
 __all__ = ["FORMATS_SAID", "JITTER", "Order", "in_order", "is_timestamp", "parse_timestamps", "runs"]
 
@@ -217,14 +218,22 @@ class Order:
     between: tuple[int, int] = (0, 0)
 
 
-def in_order(seconds: FloatArray, same: NDArray[np.bool_], wall_clock: bool, alike: Alike) -> Order:
+def in_order(
+    seconds: FloatArray,
+    same: NDArray[np.bool_],
+    wall_clock: bool,
+    alike: Alike,
+    values: Sequence[FloatArray] = (),
+) -> Order:
     """Bring times into ascending order as far as that leaves no doubt.
 
     seconds: as in the file, shape (N,), nan for none (those rows are left out). same: where a row holds the same
     values as the row before. wall_clock: timestamps without a zone. alike: whether rows hold the same in all their
-    cells as other rows do. Rows that a second export repeats are left out; a file from the latest time to the earliest
-    is turned round; of rows with one time the last counts; a wall clock that was put back or forward by an hour at the
-    change of daylight saving runs on. Anything else is refused.
+    cells as other rows do. values: of signals, shape (N,) each, nan for none. Rows that a second export repeats are
+    left out; a file from the latest time to the earliest is turned round; of rows with one time the last counts; a wall
+    clock that was put back or forward by an hour at the change of daylight saving runs on; stamps that are rounded as
+    coarsely as samples are apart become the times of the even clock that explains them (see `resolution`). Anything
+    else is refused.
     """
     rows, notes = np.flatnonzero(np.isfinite(seconds)), []
     again = _exported_again(seconds[rows], wall_clock, lambda a, b: alike(rows[a], rows[b]))
@@ -254,8 +263,10 @@ def in_order(seconds: FloatArray, same: NDArray[np.bool_], wall_clock: bool, ali
         )
         return Order(rows, times, doubled, tuple(notes), refusal, (int(rows[at + 1]), int(rows[at])))
     twice = np.flatnonzero(steps == 0.0)
+    other = twice[~same[rows[twice + 1]]]
+    if 2 * other.size >= twice.size and (clock := coarse_clock(times, [one[rows] for one in values])) is not None:
+        return Order(rows, clock[0], doubled, (*notes, clock[1]))
     if twice.size:
-        other = twice[~same[rows[twice + 1]]]
         if other.size > max(DUPLICATES * times.size, 1):
             at = int(other[0])
             refusal = (
