@@ -316,7 +316,14 @@ def test_a_wide_file_may_have_qualities_and_tags(tmp_path: Path) -> None:
         ("quality", ["100", "0", "100"], "101", ""),
         ("Percent Good", ["90", "0", "80"], "101", ""),
         ("status", ["Good_NonCascade", "Bad_Stale", "GoodClamped", "Uncertain_Initial"], "1010", ""),
-        ("status", ["7", "9"], "11", "codes that are not known (7, 9)"),
+        ("status", ["7", "9"], "11", "codes that are not known (7, 9); all are taken as good"),
+        ("status", ["3"] * 18 + ["0"], "1" * 19, "codes that are not known (0, 3); all are taken as good"),
+        ("status", ["3"] * 19 + ["0"], "1" * 19 + "0", "not known (0, 3); 3, the usual one, is taken as good"),
+        ("Quality", ["0"] * 57 + ["133", "1", ""], "1" * 57 + "001", "0, the usual one, is taken as good"),
+        ("status", ["8", "8"], "11", "codes that are not known (8); all are taken as good"),
+        ("Data Status", ["NR", "IOP", "NR", "CLP+", "NRDY"], "10110", ""),
+        ("Qualität", ["Gut", "Schlecht"], "10", ""),
+        ("Qualité", ["Bon", "Bonne", "Mauvais"], "110", ""),
     ],
 )
 def test_qualities(name: str, texts: list[str], good: str, words: str) -> None:

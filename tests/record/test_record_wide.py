@@ -47,6 +47,9 @@ def bad_at(*rows: int, good: str = "Good", bad: str = "Bad") -> list[str]:
         "t,Process Value,Quality of PV,Controller Output,Quality of OP",
         "t,PV,Quality,OP,Quality",
         "t,PV,Quality,OP,Quality.1",
+        "t,PV,Data Status,OP,Data Status",
+        "t,PV,PV Qualität,OP,OP Qualität",
+        "t,PV,Qualité,OP,Qualité",
     ],
 )
 @pytest.mark.parametrize(("good", "bad"), [("Good", "Bad"), ("192", "0"), ("1", "0"), ("Good", "Uncertain")])

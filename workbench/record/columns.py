@@ -70,6 +70,8 @@ _SPELLINGS: dict[str, tuple[str, ...]] = {
         "opcquality",
         "confidence",
         "questionable",
+        "datastatus",
+        *("qualitt", "qualitaet", "qualit", "qualite"),  # Qualität, qualité, of which letters without marks are left
     ),
     "unit": ("uom", "eu", "engunit", "engunits", "engineeringunit", "engineeringunits"),
     "tag": (

@@ -12,13 +12,18 @@ from numpy.typing import NDArray
 __all__ = ["good_quality"]
 
 _GOOD = re.compile(
-    r"(good\w*|ok|valid|true|yes|normal|g|192|0x0*c0)\b(?!.*\b(bad|uncertain|questionable)\b)", re.IGNORECASE
+    # NR and CLP are CENTUM's words for a normal value and for one at a limit.
+    r"(good\w*|ok|valid|true|yes|normal|g|gut|bon(ne)?|nr|clp|192|0x0*c0)\b"
+    r"(?!.*\b(bad|uncertain|questionable)\b)",
+    re.IGNORECASE,
 )
 # A column named after a fault says "good" by 0 or False.
 _FAULT_NAMES = ("bad", "questionable", "invalid", "fault", "error")
 # Shares of what was good: Honeywell's confidence, and the quality of GE's historian, which writes 100 for a good value.
 _SHARES = ("confidence", "percent", "pct")
 _WHOLE = 100
+# Of the values, from which a code that is not known is taken for the usual one, and the rare others for faults.
+USUAL = 0.95
 # OPC DA: the two high bits of a byte, 11 is good (OPC Data Access 3.00, 6.8). OPC UA: the two high bits of 32, 00 is
 # good (OPC UA part 4, 7.39).
 _DA_GOOD, _DA_MASK, _UA_LEAST = 192, 192, 1 << 30
@@ -33,7 +38,10 @@ def good_quality(
     several: what a code means is the same for all of them, and one tag may be bad throughout. Words ("Good", "Bad",
     "Uncertain" ...), OPC DA codes (192 and above good), OPC UA codes (below 2^30 good), confidences and per cents of
     what was good (0 and below bad) and 0/1 flags are known; of two flags the more frequent is taken as good unless the
-    name tells ("IsGood", "Questionable"), and the note says so. A blank quality is good: nothing was said against it.
+    name tells ("IsGood", "Questionable"), and the note says so. Of codes that are not known the one of 95 % of the
+    values or more is taken as good and the rare others as bad, for a good value lost costs less than a bad one kept;
+    where none is so frequent all are taken as good. Either is noted. A blank quality is good: nothing was said against
+    it.
     """
     kinds = Counter(texts) if whole is None else whole
     numbers = {text: number for text in kinds if (number := _whole(text)) is not None}
@@ -56,8 +64,13 @@ def good_quality(
         elif codes == {0} or max(codes) >= _UA_LEAST:
             fine = {text: 0 <= number < _UA_LEAST for text, number in numbers.items()}
         else:
-            fine = dict.fromkeys(numbers, True)
-            note = f"{name!r} holds codes that are not known ({_some(numbers)}); all are taken as good"
+            usual = max(numbers, key=lambda text: kinds[text])
+            rare = len(codes) > 1 and kinds[usual] >= USUAL * sum(kinds[text] for text in numbers)
+            fine = {text: number == numbers[usual] or not rare for text, number in numbers.items()}
+            taken = (
+                f"{usual}, the usual one, is taken as good, the rare others as bad" if rare else "all are taken as good"
+            )
+            note = f"{name!r} holds codes that are not known ({_some(numbers)}); {taken}"
     else:
         for text in kinds:
             fine[text] = bool(_GOOD.match(text)) != fault
