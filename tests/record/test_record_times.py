@@ -244,6 +244,40 @@ def test_times_cut_to_whole_minutes_are_refused(tmp_path: Path) -> None:
         read_record(write(tmp_path, times))
 
 
+@pytest.mark.parametrize("tall", [False, True])
+@pytest.mark.parametrize(
+    ("form", "midnight"),
+    [
+        ("%d.%m.%Y %H:%M:%S", "16.10.2024 24:00:00"),
+        ("%Y-%m-%d %H:%M:%S", "2024-10-16 24:00:00"),
+        ("%Y-%m-%dT%H:%M:%S.000", "2024-10-16T24:00:00.000"),
+        ("%d.%m.%Y %H:%M:%S", "17.10.2024"),
+        ("%m/%d/%Y %I:%M:%S %p", "10/17/2024"),
+        ("%Y-%m-%d %H:%M:%S", "2024-10-17"),
+    ],
+)
+def test_midnight_is_a_time_however_it_is_written(tmp_path: Path, form: str, midnight: str, tall: bool) -> None:
+    stamps = [dt.datetime(2024, 10, 16, 23, 59, tzinfo=dt.UTC) + dt.timedelta(seconds=2 * k) for k in range(60)]
+    times = [midnight if k == 30 else f"{t:{form}}" for k, t in enumerate(stamps)]
+    path = tmp_path / "loop.csv"
+    if tall:
+        rows = "".join(f"F1.PV,{t},{k}\nF1.OP,{t},{k % 7 + 20}\n" for k, t in enumerate(times))
+        path.write_text(f"tag,time,value\n{rows}")
+    else:
+        path.write_text("time,PV,OP\n" + "".join(f"{t},{k},{k % 7 + 20}\n" for k, t in enumerate(times)))
+    record = read_record(path)
+    assert (record.sample_time, record.pv.tolist()) == (2.0, list(range(60)))
+    assert not any("missing" in note or "no readable time" in note for note in record.notes)
+
+
+def test_a_day_below_the_times_is_no_midnight(tmp_path: Path) -> None:
+    path = tmp_path / "loop.csv"
+    path.write_text(
+        "time,PV,OP\n" + "".join(f"17.10.2024 12:00:{k:02d},{k},{k % 7}\n" for k in range(60)) + "17.10.2024,59,3\n"
+    )
+    assert read_record(path).pv.tolist() == list(range(60))
+
+
 def test_days_as_spreadsheets_count_them(tmp_path: Path) -> None:
     record = read_record(write(tmp_path, [f"{45291.5 + 5 * k / 86400:.8f}" for k in range(100)], "Timestamp,PV,OP"))
     assert (len(record), record.sample_time) == (100, pytest.approx(5.0, rel=1e-4))

@@ -18,7 +18,7 @@ from workbench.record.resolution import coarse_clock
 __all__ = ["FORMATS_SAID", "JITTER", "Order", "in_order", "is_timestamp", "parse_timestamps", "runs"]
 
 JITTER = 0.2  # of the sample time, by which an interval may differ from it
-HOUR = 3600.0
+HOUR, DAY = 3600.0, 86_400.0
 DUPLICATES = 0.2  # share of times that may repeat with other values before they say nothing
 # Of an hour that goes by twice, only this many sample times may be missing: anything longer is no changed clock.
 SLACK = 10.0
@@ -73,6 +73,8 @@ _HALF = re.compile(r"([AP])\.\s?M\.$", re.IGNORECASE)
 _FRACTION = re.compile(r"(:\d\d)(?:,|(?<=:\d\d:\d\d):)(\d{1,6})\b")
 # What Java and JavaScript write: Oct 17, 2024, 9:55:00 PM, and a zone's place after its hours.
 _LISTED, _PLACE = re.compile(r"(?<=\d),(?= )"), re.compile(r"\[[\w/+-]+\]$")
+# The end of a day, which ISO 8601 and control systems write as 24:00.
+_END = re.compile(r"(?<=[ T])24(?=:00(?::00(?:[.,]0+)?)?(?![\d:.,]))")
 FORMATS_SAID = (
     "seconds, ISO 8601 (2024-10-17 21:55:00, with or without a zone) or spellings such as 17.10.2024 21:55:00"
 )
@@ -121,6 +123,18 @@ def _other_clock(text: str, form: str) -> datetime | None:
     return next((s for other in _alike(form) if text and (s := _formatted(text, other)) is not None), None)
 
 
+def _with_midnights(stamps: list[datetime | None], texts: Sequence[str], form: str) -> list[datetime | None]:
+    """Return stamps with those that are a day alone, as midnight is written, where it lies between its neighbours."""
+    day, out = re.split(r" %[HI]", form)[0], list(stamps)
+    known = [(i, stamp) for i, stamp in enumerate(stamps) if stamp is not None]
+    for (before, one), (after, other) in pairwise(known):
+        for i in range(before + 1, after):
+            stamp = _day(texts[i], day)
+            if stamp is not None and min(one, other) <= stamp <= max(one, other):
+                out[i] = stamp
+    return out
+
+
 def _spelled(text: str) -> tuple[str, timezone | None]:
     """Return a timestamp without the name of its zone, with AM and PM and a decimal point as Python knows them."""
     text = _LISTED.sub("", _PLACE.sub("", text))
@@ -152,8 +166,12 @@ def parse_timestamps(cells: Sequence[str]) -> tuple[FloatArray, str, bool] | str
     The spelling is settled for the whole column: the one that reads most cells, and of two that read the same (day or
     month first) the one whose times run in one direction, then the one with the fewest leaps; where both do as well,
     the day comes first, or the month with a clock of twelve hours, and the note says so. zoned: whether the stamps
-    carry a zone; without one they are a clock on a wall, which may have been changed.
+    carry a zone; without one they are a clock on a wall, which may have been changed. 24:00 is the end of a day, and a
+    day alone between timestamps its begin.
     """
+    ends = np.array([_END.search(c) is not None for c in cells], dtype=bool)
+    if ends.any():
+        cells = [_END.sub("00", c) for c in cells]
     # Fractions with a comma are ISO 8601, and Python reads them as such.
     stamps = [_iso(c) for c in cells]
     read = sum(s is not None for s in stamps)
@@ -179,11 +197,12 @@ def parse_timestamps(cells: Sequence[str]) -> tuple[FloatArray, str, bool] | str
                 note += f" (as {form} they would run as evenly)"
         if chosen:
             chosen = [s or _other_clock(t, spelling) for s, t in zip(chosen, texts, strict=True)]
+            chosen = _with_midnights(chosen, texts, spelling)
             stamps = [_zoned(s, z) for s, z in zip(chosen, zones, strict=True)]
     parsed = _seconds(stamps)
     if parsed is None:
         return "some timestamps carry a time zone and some do not; all or none must"
-    return parsed[0], note, parsed[1]
+    return parsed[0] + np.where(ends, DAY, 0.0), note, parsed[1]
 
 
 def is_timestamp(text: str) -> bool:
