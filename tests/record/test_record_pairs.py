@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import datetime as dt
 from pathlib import Path
 
 import numpy as np
@@ -50,6 +51,18 @@ def test_decimal_commas_stand_in_pairs_too(tmp_path: Path) -> None:
     assert wb.read_record(written(tmp_path, "Time;PV;Time;OP", rows)).pv.tolist() == PV
 
 
+@pytest.mark.parametrize("header", ["Time,PV,Time,OP", "time,PV,time.1,OP", "Time,PV,,Time,OP", "Time,PV,,Time,OP,"])
+@pytest.mark.parametrize("form", ["{:.8f}", "{:%Y-%m-%d %H:%M:%S}"])
+def test_pairs_may_be_parted_and_have_the_days_of_spreadsheets(tmp_path: Path, header: str, form: str) -> None:
+    start = dt.datetime(2024, 3, 1, 8, tzinfo=dt.UTC)
+    rows = []
+    for k in range(8):
+        time = form.format(45352 + 1 / 3 + k / 8640 if ":.8f" in form else start + dt.timedelta(seconds=10 * k))
+        rows.append(",".join([time, str(PV[k]), *[""] * (",," in header), time, str(OP[k])]))
+    record = wb.read_record(written(tmp_path, header, rows))
+    assert (record.sample_time, record.pv.tolist(), record.op.tolist()) == (pytest.approx(10.0, rel=1e-4), PV, OP)
+
+
 def test_each_tag_has_its_own_times_and_its_own_length(tmp_path: Path) -> None:
     """PV every 10 s; OP, kept by exception, came at four other times; a setpoint was kept once, at the beginning."""
     events = [(0, 55.0), (13, 56.0), (37, 55.0), (70, 54.0)]
@@ -91,10 +104,11 @@ def test_pairs_of_one_name_are_refused(tmp_path: Path) -> None:
         ("Time,PV,OP,", "{time},{pv},{op},"),  # a delimiter too many
         ("PV,,OP,", "{pv},,{op},"),  # columns left empty
         ("Time,PV,Dead time,OP", "{time},{pv},3.5,{op}"),
+        ("Time,PV,Dead time,OP", "{k}0,{pv},3.5,{op}"),
     ],
 )
 def test_a_column_for_each_signal_stays_one(tmp_path: Path, header: str, row: str) -> None:
-    rows = [row.format(time=stamp(10 * k), pv=PV[k], op=OP[k]) for k in range(8)]
+    rows = [row.format(k=k, time=stamp(10 * k), pv=PV[k], op=OP[k]) for k in range(8)]
     record = wb.read_record(written(tmp_path, header, rows), sample_time=10.0)
     assert record.pv.tolist() == PV
     assert record.op.tolist() == OP

@@ -11,6 +11,7 @@ from workbench.errors import RecordError
 from workbench.model.checks import reads_as_number
 from workbench.record.columns import names_time
 from workbench.record.times import is_timestamp
+from workbench.record.units import time_unit
 
 __all__ = ["PAIRED", "Pairs", "pairs_of", "tall_rows", "time_column", "unguarded"]
 
@@ -34,31 +35,39 @@ def pairs_of(header: Sequence[str], below: Sequence[Sequence[str]], source: str)
 
     Of a pair either the values have the tag's name, and the times such a name as "Time" or none; or the tag's name
     stands above the times, and none above the values, as where a spreadsheet's function was filled in below the name.
-    below: the cells of rows below the header, which show whether there are timestamps. Raises `RecordError` for tags
-    of the same name.
+    below: the cells of rows below the header, which show whether there are timestamps; numbers are times where all of
+    them have one such name, without a unit. Columns without a name and a cell may part the pairs. Raises `RecordError` for
+    tags of the same name.
     """
     names = [name.strip() for name in header]
     while names and not names[-1]:
         names.pop()
-    names += [""] * (len(names) % 2)
-    couples = list(zip(names[::2], names[1::2], strict=True))
-    if len(couples) < 2:
-        return {}
+    filled = [k for k, name in enumerate(names) if name or _cells(below, k)]
+    tags = _paired(names, list(range(len(names))), below) or _paired(names, filled, below)
+    twice = next((tag for tag, many in Counter(tag for tag, _ in tags).items() if many > 1), None)
+    if twice is not None:
+        msg = f"{source}: two pairs of columns, of times and values, have the name {twice!r}; each needs its own"
+        raise RecordError(msg)
+    return {tag: (time, time + 1) for tag, time in tags}
+
+
+def _paired(names: Sequence[str], columns: list[int], below: Sequence[Sequence[str]]) -> list[tuple[str, int]]:
+    """Return each tag of `pairs_of` and the column of its times, where these columns are pairs, and else none."""
+    times, values = columns[::2], [*columns[1::2], len(names)][: len(columns[::2])]
+    couples = [(names[k], names[j] if j < len(names) else "") for k, j in zip(times, values, strict=True)]
+    if len(couples) < 2 or any(j != k + 1 for k, j in zip(times, values, strict=True)):
+        return []
     if all(value and not names_time(value) and (not time or names_time(time)) for time, value in couples):
         tags = [value for _, value in couples]
     elif all(time and not value for time, value in couples):
         tags = [time for time, _ in couples]
     else:
-        return {}
-    if sum(_timed(below, 2 * k) for k in range(len(tags))) < 2 or not all(
-        _timed(below, 2 * k) or not _numbered(below, 2 * k + 1) for k in range(len(tags))
-    ):
-        return {}
-    twice = next((tag for tag, many in Counter(tags).items() if many > 1), None)
-    if twice is not None:
-        msg = f"{source}: two pairs of columns, of times and values, have the name {twice!r}; each needs its own"
-        raise RecordError(msg)
-    return {tag: (2 * k, 2 * k + 1) for k, tag in enumerate(tags)}
+        return []
+    alike = len({re.sub(r"[\W\d]", "", names[k]).lower() for k in times}) == 1 and names_time(names[times[0]])
+    timed = [_timed(below, k) or (alike and _counted(names[k], below, k)) for k in times]
+    if sum(timed) < 2 or not all(one or not _numbered(below, k + 1) for one, k in zip(timed, times, strict=True)):
+        return []
+    return list(zip(tags, times, strict=True))
 
 
 def tall_rows(rows: Sequence[list[str]], lines: Sequence[int], pairs: Pairs) -> tuple[list[list[str]], array[int]]:
@@ -67,7 +76,7 @@ def tall_rows(rows: Sequence[list[str]], lines: Sequence[int], pairs: Pairs) -> 
     A row with more cells than the pairs has one more in each of its rows, too.
     """
     out, at = [], array("q")
-    width = 2 * len(pairs)
+    width = max((value + 1 for _, value in pairs.values()), default=0)
     for tag, (time, value) in pairs.items():
         for row, line in zip(rows, lines, strict=True):
             cells = [*row[time : value + 1], "", ""][:2]
@@ -94,6 +103,13 @@ def _timed(below: Sequence[Sequence[str]], column: int) -> bool:
     """Whether most of a column's cells are timestamps; titles, units and "No Data" may stand among them."""
     cells = _cells(below, column)
     return bool(cells) and 2 * sum(not reads_as_number(cell) and is_timestamp(cell) for cell in cells) > len(cells)
+
+
+def _counted(name: str, below: Sequence[Sequence[str]], column: int) -> bool:
+    """Whether all of a column's cells are numbers, and its name gives them no unit: that would be lost in a pair."""
+    cells = _cells(below, column)
+    numbers = all(reads_as_number(cell.replace(",", ".")) for cell in cells)
+    return bool(cells) and numbers and time_unit(name) in (None, 1.0)
 
 
 def _numbered(below: Sequence[Sequence[str]], column: int) -> bool:
