@@ -198,3 +198,19 @@ def test_a_setpoint_in_the_middle_of_op_asks_whether_pv_is_exchanged_with_it(tmp
     path.write_text("\n".join(["time,SP,PV,OP", *rows]))
     said = "SP lies in the middle of OP, and PV lies off it: are PV and OP exchanged?"
     assert (said in read_record(path).notes) == exchanged
+
+
+@pytest.mark.parametrize("title", ["", "\n", "Report of the night\n\n"])
+def test_columns_of_a_fixed_width_under_dashes_are_read(tmp_path: Path, title: str) -> None:
+    """As SQL*Plus and sqlcmd print them: a time with a space in it, numbers to the right, pages, a count at the end."""
+    page = f"{'TIME':19s} {'PV':>10s} {'OP':>10s} NOTE\n{'-' * 19} {'-' * 10} {'-' * 10} ----\n"
+    rows = [
+        f"2024-10-17 08:{k:02d}:00 {'' if k == 20 else pv:>10} {op:>10.2f} {'x y' if k % 7 == 0 else '':4s}\n"
+        for k, (pv, op) in enumerate(zip(PV, OP, strict=True))
+    ]
+    path = tmp_path / "spool.lst"
+    path.write_text(f"{title}{page}{''.join(rows[:30])}\n{page}{''.join(rows[30:])}\n60 rows selected.\n")
+    record = read_record(path)
+    assert (record.sample_time, record.op.tolist()) == (60.0, pytest.approx(OP))
+    assert np.delete(record.pv, 20).tolist() == PV[:20] + PV[21:]
+    assert record.counts["rejected, no readable time"] == 2  # the second page's heads, and the count

@@ -36,8 +36,8 @@ def pairs_of(header: Sequence[str], below: Sequence[Sequence[str]], source: str)
     Of a pair either the values have the tag's name, and the times such a name as "Time" or none; or the tag's name
     stands above the times, and none above the values, as where a spreadsheet's function was filled in below the name.
     below: the cells of rows below the header, which show whether there are timestamps; numbers are times where all of
-    them have one such name, without a unit. Columns without a name and a cell may part the pairs. Raises `RecordError` for
-    tags of the same name.
+    them have one such name, without a unit. Columns without a name and a cell may part the pairs. Raises `RecordError`
+    for tags of the same name.
     """
     names = [name.strip() for name in header]
     while names and not names[-1]:

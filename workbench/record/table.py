@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from workbench.errors import RecordError
 from workbench.model.record import FloatArray
 from workbench.record.pairs import PAIRED, Pairs, pairs_of, tall_rows, time_column, unguarded
-from workbench.record.text import HEAD, arrow_text, delimiter, encoding_of
+from workbench.record.text import HEAD, arrow_text, delimiter, encoding_of, fixed_width
 from workbench.record.units import is_unit
 
 __all__ = [
@@ -289,9 +289,9 @@ def read_csv(
 
     match: from the header to the column index of each needed signal; "time", where it finds none, is the one other
     column of timestamps. apart: whether a file may have a pair of columns for each tag, of its times and its values;
-    they become the columns `PAIRED` of a table. Delimiter comma, semicolon, tab, bar or spaces, with a decimal comma
-    allowed for all but the first; UTF-8 (with or without a byte order mark), UTF-16 or Windows-1252. Lines before the
-    header that are empty, start with # or hold a title are passed over. A row with more fields than the header is
+    they become the columns `PAIRED` of a table. Delimiter comma, semicolon, tab, bar or spaces, or columns of fixed
+    width under dashes; a decimal comma in all but the first; UTF-8 (with or without its mark), UTF-16 or Windows-1252.
+    Lines before the header that are empty, # or a title are passed over. A row with more fields than the header is
     marked FIELDS (a decimal comma in a comma-separated file shows in that way). A wide file's row of units is no row of
     data. Raises `RecordError`.
     """
@@ -304,10 +304,12 @@ def read_csv(
             notes.append("the text is not UTF-8 and was read as Windows-1252")
         with path.open(encoding=encoding, newline="") as stream:
             head_lines = list(unguarded(islice(stream, _HEAD_LINES)))
+            cut = fixed_width(head_lines)
+            head_lines = [cut(line) for line in head_lines]
             skipped, mark, found, pairs = _header(head_lines, match, source, apart)
             if any(line.strip() and not line.lstrip().startswith("#") for line in head_lines[:skipped]):
                 notes.append(f"the header is line {skipped + 1}")
-            lines = chain(head_lines[skipped:], unguarded(stream))
+            lines = chain(head_lines[skipped:], map(cut, unguarded(stream)))
             reader = csv.reader(lines, delimiter=mark, skipinitialspace=True, strict=False)
             header = next(reader)
             return _rows(reader, header, found, pairs, mark, skipped, notes, source), header

@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
+import re
+from collections.abc import Callable, Sequence
+from itertools import pairwise
+
 from workbench.errors import RecordError
 
-__all__ = ["HEAD", "arrow_text", "delimiter", "encoding_of"]
+__all__ = ["HEAD", "arrow_text", "delimiter", "encoding_of", "fixed_width"]
 
 HEAD = 65536  # bytes: enough to tell how text is encoded, and text from a binary file
+_DASHES = re.compile(r" *-+( +-+)+")
+_LOOKED_AT = 20  # rows below a header
 ZEROS = 0.9  # of every other byte, which western text in UTF-16 leaves zero
 
 
@@ -36,6 +42,27 @@ def delimiter(line: str) -> str:
     # A comma may be a decimal comma or part of a name where another delimiter is there.
     found = next((mark for mark in ("\t", ";", "|", ",") if mark in bare), "")
     return found or (" " if len(bare.split()) > 1 else ",")
+
+
+def fixed_width(lines: Sequence[str]) -> Callable[[str], str]:
+    """Return what makes lines of fixed columns, as databases print them, lines with tabs; else what leaves them alone.
+
+    lines: a file's first. Dashes under the heads show such columns, if nothing stands between them or beyond the last.
+    """
+    at = next((k for k, line in enumerate(lines) if _DASHES.fullmatch(line.rstrip()) and k > 0), None)
+    if at is None:
+        return str
+    spans = [dashes.span() for dashes in re.finditer("-+", lines[at])]
+    gaps = [*((a, b) for (_, a), (b, _) in pairwise(spans)), (spans[-1][1], None)]
+    if any("\t" in line or any(line[a:b].strip() for a, b in gaps) for line in lines[at - 1 : at + _LOOKED_AT]):
+        return str
+
+    def cut(line: str) -> str:
+        if not line.strip() or _DASHES.fullmatch(line.rstrip()):
+            return "\n"
+        return "\t".join(line[a:b].strip() for a, b in spans) + "\n"
+
+    return cut
 
 
 def arrow_text(cell: object) -> str:
