@@ -6,9 +6,12 @@ import datetime as dt
 from pathlib import Path
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 
 import workbench as wb
+from workbench.errors import RecordError
 
 PV = [41.5, 41.7, 42.25, 42.0, 41.75, 41.5, 41.25, 41.0]
 OP = [55.0, 55.5, 56.0, 56.5, 56.0, 55.5, 55.0, 54.5]
@@ -83,6 +86,41 @@ def test_what_is_no_number_in_a_pair_is_told_by_its_line_and_tag(tmp_path: Path)
     record = wb.read_record(written(tmp_path, ",FIC101.PV,,FIC101.OP", rows))
     assert any("'Bad Input'" in note and "line 5, tag 'FIC101.PV'" in note for note in record.notes)
     assert record.pv[3] == pytest.approx(0.5 * (PV[2] + PV[4]))
+
+
+@pytest.mark.parametrize("words", [False, True])
+@pytest.mark.parametrize(
+    "names",
+    [
+        ["Time", "FIC101.PV", "Time.1", "FIC101.OP"],
+        ["PV time", "PV", "OP time", "OP"],
+        ["Unnamed: 0", "PV", "Unnamed: 2", "OP"],
+        ["PV", "Unnamed: 1", "OP", "Unnamed: 3"],
+    ],
+)
+def test_pairs_are_read_from_parquet_too(tmp_path: Path, names: list[str], words: bool) -> None:
+    """OP was taken at the times of PV, half a minute off, where these had a name that is known."""
+    start = dt.datetime(2024, 3, 1, 8)  # noqa: DTZ001 - a clock on a wall
+    times = [start + dt.timedelta(seconds=10 * k) for k in range(40)]
+    pv, op = [41.123456789 + k % 7 for k in range(40)], [55.5 + k % 5 for k in range(40)]
+    shifted = [*times[3:], None, None, None]
+    columns: list[list[object]] = [list(times), list(pv), list(shifted), [*op[3:], None, None, None]]
+    if words:
+        columns[3] = [None if value is None else str(value) for value in columns[3]]
+        columns[3][5] = "Bad Input"
+    path = tmp_path / "pairs.parquet"
+    pq.write_table(pa.table(dict(zip(names, columns, strict=True))), path)
+    record = wb.read_record(path)
+    assert (record.sample_time, record.pv.tolist()) == (10.0, pv[3:])
+    assert record.op.tolist() == [op[7] if words and k == 8 else op[k] for k in range(3, 40)]
+
+
+def test_a_second_column_of_times_that_makes_no_pair_is_asked_about(tmp_path: Path) -> None:
+    rows = [f"{stamp(10 * k)},{PV[k]},41.5,{stamp(10 * k + 5)},{OP[k]}" for k in range(8)]
+    path = written(tmp_path, "Time,PV,SP,Time.1,OP", rows)
+    with pytest.raises(RecordError, match=r"columns 'Time', 'Time\.1' could each be time; say which one"):
+        wb.read_record(path)
+    assert wb.read_record(path, columns={"time": "Time"}).pv.tolist() == PV
 
 
 def test_pairs_of_any_name_are_mapped(tmp_path: Path) -> None:

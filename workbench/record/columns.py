@@ -115,6 +115,7 @@ _ALIKE = "have this name: rename all but one of them in the file's header"
 # Unit words that stand after a name without brackets too, as in "valve position %" written out.
 _UNITS = ("pct", "percent", "eu", "ma")
 _ENDINGS = {*_AFTER, *_UNITS, *(word for words in _SUFFIXES.values() for word in words)}
+_NUMBERED = re.compile(r"(?<=[A-Za-z]{3})[._ ]\d$")
 _BRACKETS = re.compile(r"\([^)]*\)|\[[^]]*\]")
 
 
@@ -253,6 +254,13 @@ def match_columns(
     told = "time" in {_plain(str(key)) for key in columns or {}}
     if day is not None and clock is not None and found.get("time") in ((clock,) if told else (None, day, clock)):
         found |= {"date": day, "time": clock}
+    elif "time" in found and not told:
+        # Time beside Time.1, as spreadsheets' and pandas' second column of a name is called.
+        used = names[found["time"]]
+        other = next((n for n in names if n != used and _NUMBERED.sub("", n) == _NUMBERED.sub("", used)), None)
+        if other is not None:
+            which = f"columns {used!r}, {other!r} could each be time"
+            raise RecordError(f"{source}: {which}; say which one, for example columns={{'time': {used!r}}}")
     return found | _qualities(names, found)
 
 

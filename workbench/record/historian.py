@@ -22,9 +22,10 @@ from workbench.errors import RecordError
 from workbench.model.record import FloatArray, Record
 from workbench.record.columns import NEEDED, TALL, match_columns, of_folders, split_tag, with_loops
 from workbench.record.counted import counted
+from workbench.record.parquet import arrow_cells, joined
 from workbench.record.reader import record_from
 from workbench.record.signals import Signals, Tall, clock_of
-from workbench.record.table import FIELDS, Cells, Table, arrow_cells
+from workbench.record.table import FIELDS, Table
 from workbench.record.text import arrow_text
 
 __all__ = ["Piece", "Pieces", "named", "pairs_of", "read_tags", "tags_of"]
@@ -175,7 +176,7 @@ def read_tags(
         ]
     lines = np.arange(1, sum(clock.marks.size for clock in clocks) + 1, dtype=np.int64)
     signals = Signals({}, "value", lines.size, time_name="time", what="tag")
-    clock = _joined(clocks)
+    clock = joined(clocks)
     table = Table({"time": clock}, lines, "value")
     times = clock_of(clock, "time", table, source, signals.notes)
     rated = Counter(text for qualities, _ in said for text in qualities or ())
@@ -283,15 +284,3 @@ def _texts(column: Any) -> list[str]:
     at = np.asarray(coded.indices.fill_null(len(words) - 1).to_numpy(zero_copy_only=False))
     texts: list[str] = words[at].tolist()
     return texts
-
-
-def _joined(cells: list[Cells]) -> Cells:
-    """Return the time cells of several tags as one column."""
-    texts = None if any(one.texts is None for one in cells) else [text for one in cells for text in one.texts or ()]
-    stamps = [one.stamped for one in cells]
-    return Cells(
-        np.concatenate([one.values for one in cells]),
-        np.concatenate([one.marks for one in cells]),
-        texts=texts,
-        stamped=None if None in stamps else stamps[0],
-    )

@@ -13,7 +13,7 @@ from workbench.record.columns import names_time
 from workbench.record.times import is_timestamp
 from workbench.record.units import time_unit
 
-__all__ = ["PAIRED", "Pairs", "pairs_of", "tall_rows", "time_column", "unguarded"]
+__all__ = ["PAIRED", "Pairs", "pairs_of", "tall_rows", "time_column", "unguarded", "unnamed"]
 
 # What the columns of pairs are once they stand below each other, as in a tall file.
 PAIRED = ("tag", "time", "value")
@@ -22,6 +22,11 @@ _KEPT_AS_TEXT = re.compile(r'(^|[,;\t|])="([^"\r\n]*)"')
 
 # The columns of each tag's times and values, by the tag.
 Pairs = Mapping[str, tuple[int, int]]
+
+
+def unnamed(name: str) -> bool:
+    """Whether a column has no name; pandas makes one up."""
+    return not name.strip() or re.fullmatch(r"Unnamed: \d+", name.strip()) is not None
 
 
 def unguarded(lines: Iterable[str]) -> Iterator[str]:
@@ -39,7 +44,7 @@ def pairs_of(header: Sequence[str], below: Sequence[Sequence[str]], source: str)
     them have one such name, without a unit. Columns without a name and a cell may part the pairs. Raises `RecordError`
     for tags of the same name.
     """
-    names = [name.strip() for name in header]
+    names = ["" if unnamed(name) else name.strip() for name in header]
     while names and not names[-1]:
         names.pop()
     filled = [k for k, name in enumerate(names) if name or _cells(below, k)]

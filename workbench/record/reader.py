@@ -22,6 +22,7 @@ from workbench.record.checks import held_said, no_codes, none_far, op_said, setp
 from workbench.record.columns import NEEDED, is_tall, match_columns, names_time, qualities_unused
 from workbench.record.grid import Samples, lay
 from workbench.record.pairs import PAIRED
+from workbench.record.parquet import read_parquet
 from workbench.record.segments import Parts, part, record_of
 from workbench.record.signals import Signal, Signals, from_tall, from_wide
 from workbench.record.table import (
@@ -37,7 +38,6 @@ from workbench.record.table import (
     RANGE,
     TEXT,
     read_csv,
-    read_parquet,
 )
 from workbench.record.units import in_milliamperes
 
@@ -113,7 +113,7 @@ def read_record(
         found.update(match_columns(header, columns if tall or not tags else both, source, tall))
         return found
 
-    table, header = read_parquet(file, match, source) if _is_parquet(file) else read_csv(file, match, source, True)
+    table, header = (read_parquet if _is_parquet(file) else read_csv)(file, match, source, True)
     names = {signal: header[i].strip() for signal, i in found.items()}
     if table.lines.size == 0:
         msg = f"{source}: a header and no row of data"

@@ -1,4 +1,4 @@
-"""Files as columns of numbers: CSV as it is found in plants, and Parquet. Nothing is dropped here, only marked."""
+"""Files as columns of numbers: CSV as it is found in plants. Nothing is dropped here, only marked."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from workbench.errors import RecordError
 from workbench.model.record import FloatArray
 from workbench.record.pairs import PAIRED, Pairs, pairs_of, tall_rows, time_column, unguarded
-from workbench.record.text import HEAD, arrow_text, delimiter, encoding_of, fixed_width
+from workbench.record.text import HEAD, delimiter, encoding_of, fixed_width
 from workbench.record.units import is_unit
 
 __all__ = [
@@ -36,11 +36,11 @@ __all__ = [
     "TEXT",
     "Cells",
     "Table",
-    "arrow_cells",
+    "marked",
     "number_cells",
     "one_mark",
     "read_csv",
-    "read_parquet",
+    "text_cells",
 ]
 
 # What a cell is; all but OK and BLANK are a value that was recorded and cannot be used.
@@ -101,7 +101,8 @@ class Cells:
         """Return the cells as text."""
         if self.texts is not None:
             return self.texts
-        return ["" if mark == BLANK else f"{v:g}" for v, mark in zip(self.values.tolist(), self.marks, strict=True)]
+        shown = [f"{v:g}" if float(f"{v:g}") == v or v != v else repr(v) for v in self.values.tolist()]
+        return ["" if mark == BLANK else text for text, mark in zip(shown, self.marks.tolist(), strict=True)]
 
 
 @dataclass
@@ -140,7 +141,7 @@ def _number(cell: str, decimal_comma: bool) -> tuple[float, int]:
     return math.nan, LARGE if math.isfinite(value) else NOT_FINITE
 
 
-def _marked(values: FloatArray) -> Cells:
+def marked(values: FloatArray) -> Cells:
     """Return cells of numbers that may not be finite, or too large."""
     fine = np.abs(values) <= LIMIT
     marks = np.where(fine, OK, np.where(np.isfinite(values), LARGE, NOT_FINITE))
@@ -244,7 +245,7 @@ def number_cells(listed: Sequence[str], decimal_comma: bool, where: str) -> Cell
     if "_" not in together and (comma_only or "," not in together) and together.count("\n") == len(listed) - 1:
         # Nearly always every cell is a number, and this takes a tenth of the time.
         with suppress(ValueError):
-            return _marked(np.array(list(map(float, together.replace(",", ".").split("\n"))), dtype=np.float64))
+            return marked(np.array(list(map(float, together.replace(",", ".").split("\n"))), dtype=np.float64))
     values, marks, words = array("d"), array("b"), Counter[str]()
     for cell in listed:
         value, mark = _number(cell, decimal_comma)
@@ -440,61 +441,3 @@ def _swallowed(cells: list[str], begin: int, names: Sequence[str], is_row: Calla
             return f'line {line}{name}: a quote (") is opened and not closed, and rows would be taken for its text'
         line += cell.count("\n")
     return ""
-
-
-def read_parquet(path: Path, match: Callable[[list[str]], dict[str, int]], source: str) -> tuple[Table, list[str]]:
-    """Return the needed columns of a Parquet file and its column names; only these are read. Raises `RecordError`."""
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
-    try:
-        with pq.ParquetFile(path) as file:
-            header = [str(name) for name in file.schema_arrow.names]
-            found = match(header)
-            if len(set(header)) < len(header):
-                raise RecordError(f"{source}: several columns have the same name; each needs its own")
-            stamps = [i for i, kind in enumerate(file.schema_arrow.types) if pa.types.is_timestamp(kind)]
-            if "time" not in found and len(stamps) == 1 and stamps[0] not in found.values():
-                found["time"] = stamps[0]
-            table = file.read(columns=[header[i] for i in found.values()])
-            columns = {
-                name: arrow_cells(table.column(header[i]), name, f"{source}: column {header[i]!r}")
-                for name, i in found.items()
-            }
-            rows = table.num_rows
-    except (pa.ArrowException, OSError, ValueError, KeyError, NotImplementedError) as error:
-        if isinstance(error, RecordError):
-            raise
-        said = str(error).splitlines()[0] if str(error) else type(error).__name__
-        raise RecordError(f"{source}: no readable Parquet file: {said}") from None
-    return Table(columns, np.arange(1, rows + 1, dtype=np.int64), "row"), header
-
-
-def arrow_cells(column: object, name: str, where: str) -> Cells:
-    """Return a column of an Arrow table as cells; name: the signal that it is, which tells numbers from text."""
-    import pyarrow as pa
-    import pyarrow.compute as pc
-
-    chunk = column.combine_chunks()  # type: ignore[attr-defined]
-    kind = chunk.type
-    if pa.types.is_dictionary(kind):
-        chunk = chunk.dictionary_decode()
-        kind = chunk.type
-    if pa.types.is_date(kind):
-        chunk, kind = pc.cast(chunk, pa.timestamp("us")), pa.timestamp("us")
-    missing = np.asarray(pc.is_null(chunk).to_numpy(zero_copy_only=False), dtype=bool)
-    if pa.types.is_timestamp(kind):
-        fine = pc.cast(chunk, pa.timestamp("us", kind.tz), safe=False)
-        values = np.where(missing, np.nan, np.asarray(fine.cast(pa.int64()).fill_null(0)) / 1e6)
-        marks = np.where(missing, BLANK, OK).astype(np.int8)
-        return Cells(values, marks, stamped=kind.tz is not None)
-    if pa.types.is_boolean(kind):
-        chunk, kind = pc.cast(chunk, pa.int8()), pa.int8()
-    if pa.types.is_integer(kind) or pa.types.is_floating(kind) or pa.types.is_decimal(kind):
-        # A float holds nanoseconds since 1970 to the quarter of a microsecond: near enough, but not exact.
-        plain = pc.cast(chunk, pa.float64(), safe=False)
-        cells = _marked(np.array(plain.to_numpy(zero_copy_only=False), dtype=np.float64))
-        cells.marks[missing] = BLANK
-        return cells
-    listed = [arrow_text(v) for v in chunk.to_pylist()]
-    return text_cells(listed, False, where) if name not in NUMERIC else number_cells(listed, False, where)
