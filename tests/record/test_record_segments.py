@@ -253,7 +253,7 @@ def test_swapped_columns_are_refused_where_op_lies_two_swings_from_sp(tmp_path: 
     ("op", "words"),
     [
         (noise(100) + 300.0, "beyond 0 to 100 %: give its range"),
-        (noise(100) / 100.0, "give its range, 0 to 1, if it is a fraction"),
+        (noise(100) / 100.0, "give its range, 0 to 1, if it is a fraction, as op_range (--op-range 0:1)"),
         (np.where(np.arange(100) < 60, 100.0, noise(100)), "highest value, 100 %, in 60% of the samples: saturated"),
         (np.where(np.arange(100) < 30, 0.0, noise(100)), "lowest value, 0 %, in 30% of the samples: saturated"),
     ],

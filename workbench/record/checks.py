@@ -171,10 +171,14 @@ def op_said(op: FloatArray, scaled: bool) -> list[str]:
     notes = []
     if not scaled and (low < -100.0 * BELOW or high > 100.0 * (1.0 + ABOVE)):
         notes.append(
-            f"OP runs from {low:.4g} to {high:.4g}, beyond 0 to 100 %: give its range if it is in another unit"
+            f"OP runs from {low:.4g} to {high:.4g}, beyond 0 to 100 %: give its range if it is in another unit, as "
+            "op_range (--op-range LOW:HIGH)"
         )
     elif not scaled and low >= 0.0 and high <= 1.0 and high > low:
-        notes.append(f"OP runs from {low:.4g} to {high:.4g} %: give its range, 0 to 1, if it is a fraction")
+        notes.append(
+            f"OP runs from {low:.4g} to {high:.4g} %: give its range, 0 to 1, if it is a fraction, as op_range "
+            "(--op-range 0:1); without it stiction comes out a hundredth of what it is"
+        )
     if high > low and op.size >= SHORTEST:
         for value, which in ((high, "highest"), (low, "lowest")):
             share = float(np.mean(op == value))
