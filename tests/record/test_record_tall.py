@@ -180,6 +180,22 @@ def test_fields_of_influxdb_are_no_tags_unless_said(tmp_path: Path) -> None:
     assert read_record(path, columns={"tag": "_field"}).pv.tolist() == PV
 
 
+@pytest.mark.parametrize("name", ["Series", "metric"])
+def test_the_tags_of_a_dashboard_are_read(tmp_path: Path, name: str) -> None:
+    rows = [row[:3] for row in rows_of("F1.PV", PV) + rows_of("F1.OP", OP)]
+    assert read_record(write(tmp_path, rows, f"{name},Time,Value")).pv.tolist() == PV
+
+
+def test_flags_beside_values_are_not_passed_over_unsaid(tmp_path: Path) -> None:
+    rows = [(*row[:3], "") for row in rows_of("F1.PV", PV) + rows_of("F1.OP", OP)]
+    rows[20:22] = [(*row[:3], "Q") for row in rows[20:22]]
+    path = write(tmp_path, rows, "Tag,Timestamp,Value,Flags")
+    record = read_record(path)
+    assert record.pv.tolist() == PV
+    assert any(note.startswith("not used: 'Flags'; columns (--column) can say, as 'quality'") for note in record.notes)
+    assert read_record(path, columns={"quality": "Flags"}).pv.tolist() == PV[22:]
+
+
 def test_what_is_no_quality_and_no_number_is_told(tmp_path: Path) -> None:
     rows = rows_of("F1.PV", PV) + rows_of("F1.OP", OP)
     with pytest.raises(RecordError, match=r"quality \('Running'\); a column that rates no values is to be renamed"):

@@ -15,6 +15,7 @@ from workbench.record.units import TIME_UNITS
 __all__ = [
     "SIGNALS",
     "TAGGED",
+    "flags_unused",
     "is_tall",
     "match_columns",
     "match_tags",
@@ -50,7 +51,7 @@ _OWN: dict[str, tuple[str, ...]] = {
 _SPELLINGS: dict[str, tuple[str, ...]] = {
     "time": (
         *("seconds", "second", "sec", "secs", "s", "datetime", "date", "elapsed", "elapsedtime", "minutes", "hours"),
-        *("tstamp", "iptrendtime", "zeit", "zeitstempel", "horodatage", "temps"),
+        *("tstamp", "iptrendtime", "xvalue", "datenum", "zeit", "zeitstempel", "horodatage", "temps"),
     ),
     "SP": ("setpt", "spt", "setpointvalue", "target", "reference", "r", "sv", "sollwert", "consigne"),
     "PV": ("processvalue", "processvariable", "measurement", "measured", "measuredvalue", "y", "istwert", "mesure"),
@@ -77,7 +78,7 @@ _SPELLINGS: dict[str, tuple[str, ...]] = {
     "tag": (
         *("tagid", "point", "pointname", "pointid", "item", "itemid", "itemname", "name", "signal", "variable"),
         # Not InfluxDB's _field: it is the same for all loops of a file, and two would be read as one.
-        *("varname", "variablename", "path", "tagpath", "object", "attribute"),
+        *("varname", "variablename", "path", "tagpath", "object", "attribute", "series", "metric"),
     ),
     "value": ("val", "reading", "average", "avg", "pointvalue", "itemvalue", "varvalue", "vvalue", "iptrendvalue"),
 }
@@ -110,6 +111,7 @@ _QUALITIES = (
     *("st", "q"),
 )
 
+_FLAGS = ("flag", "flags")
 _ALIKE = "have this name: rename all but one of them in the file's header"
 
 # Unit words that stand after a name without brackets too, as in "valve position %" written out.
@@ -327,6 +329,16 @@ def qualities_unused(header: Sequence[str], found: Mapping[str, int]) -> list[st
     more = f" and {len(unused) - NAMED} more" if len(unused) > NAMED else ""
     say = "columns (--column) can say, as 'PV quality'"
     return [f"not used, for whose quality is it? {', '.join(unused[:NAMED])}{more}; {say}"] if unused else []
+
+
+def flags_unused(header: Sequence[str], found: Mapping[str, int]) -> list[str]:
+    """Return a note on a tall file's column of flags, as PI's of what is questionable, substituted or annotated.
+
+    found: the columns in use.
+    """
+    unused = [name.strip() for i, name in enumerate(header) if i not in found.values() and _plain(name) in _FLAGS]
+    say = "columns (--column) can say, as 'quality', that a value with a flag is bad"
+    return [f"not used: {', '.join(map(repr, unused))}; {say}"] if unused else []
 
 
 def match_tags(tags: Sequence[str], mapping: Mapping[str, str] | None, source: str) -> dict[str, int]:

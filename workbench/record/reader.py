@@ -19,7 +19,7 @@ from workbench.errors import RecordError
 from workbench.model.checks import file_name, instance, number, ordered_pair
 from workbench.model.record import Record
 from workbench.record.checks import held_said, no_codes, none_far, op_said, setpoint_said, swapped, within_range
-from workbench.record.columns import NEEDED, is_tall, match_columns, names_time, qualities_unused
+from workbench.record.columns import NEEDED, flags_unused, is_tall, match_columns, names_time, qualities_unused
 from workbench.record.grid import Samples, lay
 from workbench.record.pairs import PAIRED
 from workbench.record.parquet import read_parquet
@@ -122,6 +122,7 @@ def read_record(
         signals = from_tall(table, dict(zip(PAIRED, PAIRED, strict=True)), both, source)
     elif tall:
         signals = from_tall(table, names, tags, source)
+        signals.notes += flags_unused(header, found)
     else:
         signals = from_wide(table, names, source)
         signals.notes += qualities_unused(header, found)
