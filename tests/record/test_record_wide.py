@@ -214,3 +214,30 @@ def test_columns_of_a_fixed_width_under_dashes_are_read(tmp_path: Path, title: s
     assert (record.sample_time, record.op.tolist()) == (60.0, pytest.approx(OP))
     assert np.delete(record.pv, 20).tolist() == PV[:20] + PV[21:]
     assert record.counts["rejected, no readable time"] == 2  # the second page's heads, and the count
+
+
+@pytest.mark.parametrize(
+    ("head", "form", "mark"),
+    [
+        ("# time PV OP", "{0} {1} {2}", 5.0),  # numpy.savetxt
+        ("# by a logger\n#time,PV,OP", "{0},{1},{2}", 5.0),
+        ("#Timestamp;PV;OP", "2024-10-17 08:{3:02d}:00;{1};{2}", 60.0),
+        ("X_Value\tPV\tOP\tComment", "{0}\t{1}\t{2}", 5.0),  # LabVIEW
+        ("time,PV,OP", "{0} sec,{1},{2}", 5.0),  # MATLAB
+        ("t,PV,OP", "{0} min,{1},{2}", 300.0),
+        (",PV,OP", "0 days 00:{3:02d}:00,{1},{2}", 60.0),  # pandas
+        ("Clock;PV;OP", "00:{3:02d}:00;{1};{2}", 60.0),
+    ],
+)
+def test_heads_and_times_as_other_tools_write_them(tmp_path: Path, head: str, form: str, mark: float) -> None:
+    path = tmp_path / "loop.txt"
+    path.write_text("\n".join([head, *(form.format(5 * k, PV[k], OP[k], k) for k in range(N))]))
+    record = read_record(path)
+    assert (record.sample_time, record.pv.tolist(), record.op.tolist()) == (mark, PV, OP)
+
+
+def test_numbers_below_a_comment_that_names_nothing_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "loop.txt"
+    path.write_text("# written at 2024\n" + "".join(f"{k},{PV[k]},{OP[k]}\n" for k in range(N)))
+    with pytest.raises(RecordError, match=r"line 2: numbers where the column names should be"):
+        read_record(path)

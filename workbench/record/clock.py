@@ -1,4 +1,4 @@
-"""Times of day without a date, as spreadsheets write them: they run on over midnight, or over the hour."""
+"""Times without a date: of day, as spreadsheets write them, which run on over midnight or the hour; and durations."""
 
 from __future__ import annotations
 
@@ -8,12 +8,14 @@ from collections.abc import Sequence
 import numpy as np
 
 from workbench.model.record import FloatArray
+from workbench.record.units import TIME_UNITS
 
-__all__ = ["of_the_day"]
+__all__ = ["durations", "of_the_day"]
 
 # 23:59:58, 11:59:58.5 PM, 0 days 00:05:00; and what a spreadsheet makes of them where it shows no hours: 59:58.0.
 _DAY = re.compile(r"(?:(\d+) days? )?(\d{1,2}):(\d\d):(\d\d(?:[.,]\d+)?)(?: ?([AaPp])\.?[Mm]\.?)?")
 _HOUR = re.compile(r"(\d{1,2}):(\d\d[.,]\d+)")
+_DURATION = re.compile(r"([+-]?\d+(?:[.,]\d+)?(?:[eE][+-]?\d+)?)\s?([a-z]+)")
 DAY, HOUR, MOST = 86400.0, 3600.0, 60
 
 
@@ -34,6 +36,16 @@ def of_the_day(cells: Sequence[str]) -> tuple[FloatArray, str] | None:
         seconds[read] = np.unwrap(seconds[read], period=turn)
         return seconds, note
     return None
+
+
+def durations(cells: Sequence[str]) -> tuple[FloatArray, str] | None:
+    """Return (seconds, note) of numbers with a unit of time, as MATLAB's durations, 0.5 sec; else as `of_the_day`."""
+    found = [_DURATION.fullmatch(cell.strip()) for cell in cells]
+    units = {one[2] for one in found if one is not None}
+    if 2 * sum(one is not None for one in found) <= len(cells) or not units <= TIME_UNITS.keys():
+        return None
+    seconds = [np.nan if one is None else float(one[1].replace(",", ".")) * TIME_UNITS[one[2]] for one in found]
+    return np.array(seconds), f"times with their unit ({', '.join(sorted(units))}) taken as seconds"
 
 
 def _seconds(*parts: str | None) -> float:

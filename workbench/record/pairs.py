@@ -9,6 +9,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 
 from workbench.errors import RecordError
 from workbench.model.checks import reads_as_number
+from workbench.record.clock import of_the_day
 from workbench.record.columns import names_time
 from workbench.record.times import is_timestamp
 from workbench.record.units import time_unit
@@ -94,9 +95,11 @@ def tall_rows(rows: Sequence[list[str]], lines: Sequence[int], pairs: Pairs) -> 
 def time_column(header: Sequence[str], below: Sequence[Sequence[str]], found: Mapping[str, int]) -> int | None:
     """Return the one column of a wide file, of no name that tells, that holds timestamps; None where none is, or two.
 
-    found: the columns that are something else.
+    Where none holds such, times of day without a date count. found: the columns that are something else.
     """
-    columns = [k for k in range(len(header)) if k not in found.values() and _timed(below, k)]
+    others = [k for k in range(len(header)) if k not in found.values()]
+    columns = [k for k in others if _timed(below, k)]
+    columns = columns or [k for k in others if (cells := _cells(below, k)) and of_the_day(cells) is not None]
     return columns[0] if len(columns) == 1 else None
 
 

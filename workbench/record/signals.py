@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from workbench.errors import RecordError
 from workbench.model.checks import reads_as_number
 from workbench.model.record import FloatArray
-from workbench.record.clock import of_the_day
+from workbench.record.clock import durations, of_the_day
 from workbench.record.columns import NEEDED, QUALITIES, TALL, match_tags, with_loops
 from workbench.record.counted import counted
 from workbench.record.quality import good_quality
@@ -323,7 +323,7 @@ def clock_of(
             _one_format(found.seconds, cells, used, name, table, source)
             return Clock(found.seconds)
         return _dated(found.texts or [], cells, name, table, source)
-    if (day := of_the_day(texts)) is not None:
+    if (day := of_the_day(texts) or durations(texts)) is not None:
         notes.append(f"column {name!r}: {day[1]}")
         _one_format(day[0], cells, used, name, table, source)
         return Clock(day[0])

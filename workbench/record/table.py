@@ -19,7 +19,8 @@ from numpy.typing import NDArray
 from workbench.errors import RecordError
 from workbench.model.record import FloatArray
 from workbench.record.pairs import PAIRED, Pairs, pairs_of, tall_rows, time_column, unguarded
-from workbench.record.text import HEAD, delimiter, encoding_of, fixed_width
+from workbench.record.text import HEAD, delimiter, encoding_of, fixed_width, uncommented
+from workbench.record.times import is_timestamp
 from workbench.record.units import is_unit
 
 __all__ = [
@@ -306,7 +307,7 @@ def read_csv(
         with path.open(encoding=encoding, newline="") as stream:
             head_lines = list(unguarded(islice(stream, _HEAD_LINES)))
             cut = fixed_width(head_lines)
-            head_lines = [cut(line) for line in head_lines]
+            head_lines = uncommented([cut(line) for line in head_lines], _is_data)
             skipped, mark, found, pairs = _header(head_lines, match, source, apart)
             if any(line.strip() and not line.lstrip().startswith("#") for line in head_lines[:skipped]):
                 notes.append(f"the header is line {skipped + 1}")
@@ -314,6 +315,10 @@ def read_csv(
             reader = csv.reader(lines, delimiter=mark, skipinitialspace=True, strict=False)
             header = next(reader)
             return _rows(reader, header, found, pairs, mark, skipped, notes, source), header
+
+
+def _is_data(cell: str) -> bool:
+    return _number(cell, True)[1] in (OK, NOT_FINITE) or is_timestamp(cell)
 
 
 def _header(

@@ -8,7 +8,7 @@ from itertools import pairwise
 
 from workbench.errors import RecordError
 
-__all__ = ["HEAD", "arrow_text", "delimiter", "encoding_of", "fixed_width"]
+__all__ = ["HEAD", "arrow_text", "delimiter", "encoding_of", "fixed_width", "uncommented"]
 
 HEAD = 65536  # bytes: enough to tell how text is encoded, and text from a binary file
 _DASHES = re.compile(r" *-+( +-+)+")
@@ -63,6 +63,26 @@ def fixed_width(lines: Sequence[str]) -> Callable[[str], str]:
         return "\t".join(line[a:b].strip() for a, b in spans) + "\n"
 
     return cut
+
+
+def uncommented(lines: list[str], is_data: Callable[[str], bool]) -> list[str]:
+    """Return a file's first lines, with the names that stand behind a # right above rows of data as a header.
+
+    is_data: whether a cell is a number or a time. numpy writes such, and gnuplot reads it.
+    """
+    at = next((k for k, line in enumerate(lines) if line.strip() and not line.lstrip().startswith("#")), 0)
+    if at == 0 or not lines[at - 1].lstrip().startswith("#"):
+        return lines
+    head = lines[at - 1].lstrip().lstrip("#").lstrip(" ")
+    mark = delimiter(lines[at])
+
+    def cells(line: str) -> list[str]:
+        return line.split() if mark == " " else [cell.strip().strip('"') for cell in line.split(mark)]
+
+    names, data = cells(head), cells(lines[at])
+    if len(names) != len(data) or len(data) < 2 or any(map(is_data, names)) or not all(map(is_data, data)):
+        return lines
+    return [*lines[: at - 1], head, *lines[at:]]
 
 
 def arrow_text(cell: object) -> str:
