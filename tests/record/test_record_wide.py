@@ -241,3 +241,11 @@ def test_numbers_below_a_comment_that_names_nothing_are_refused(tmp_path: Path) 
     path.write_text("# written at 2024\n" + "".join(f"{k},{PV[k]},{OP[k]}\n" for k in range(N)))
     with pytest.raises(RecordError, match=r"line 2: numbers where the column names should be"):
         read_record(path)
+
+
+@pytest.mark.parametrize("form", ["\u2212{}", "{}-", " \u2013{}", "{} -"])
+def test_minus_signs_that_are_no_hyphens_before_a_number(tmp_path: Path, form: str) -> None:
+    """Only the values above zero were kept."""
+    below = [value - 51.0 for value in PV]
+    shown = [form.format(-value) if value < 0.0 else str(value) for value in below]
+    assert read(tmp_path, "t,PV,OP", [shown, OP]).pv.tolist() == below
