@@ -244,6 +244,25 @@ def test_times_cut_to_whole_minutes_are_refused(tmp_path: Path) -> None:
         read_record(write(tmp_path, times))
 
 
+@pytest.mark.parametrize(
+    ("day", "month"),
+    [
+        *(("17-Okt-24 {}", 10), ("17-Dez-2024 {}", 12), ("17. März 2024 {}", 3), ("17. Mai 2024 {}", 5)),
+        *(("17-mars-24 {}", 3), ("17 août 2024 {}", 8), ("17.10.2024 {} Uhr", 10), ("Thu 17 Oct 2024 {}", 10)),
+        *(("Thursday 17 Oct 2024 {}", 10), ("{} 17/10/2024", 10), ("{} 2024-10-17", 10)),
+    ],
+)
+def test_days_as_other_countries_write_them(tmp_path: Path, day: str, month: int) -> None:
+    record = read_record(write(tmp_path, [day.format(f"21:{k // 6:02d}:{10 * (k % 6):02d}") for k in range(100)]))
+    assert (len(record), record.sample_time) == (100, 10.0)
+    assert dt.datetime.fromtimestamp(record.epoch, dt.UTC).month == month
+
+
+def test_a_clock_with_points_is_read(tmp_path: Path) -> None:
+    record = read_record(write(tmp_path, [f"17.10.2024 21.{k // 6:02d}.{10 * (k % 6):02d}" for k in range(100)]))
+    assert (len(record), record.sample_time) == (100, 10.0)
+
+
 @pytest.mark.parametrize("tall", [False, True])
 @pytest.mark.parametrize(
     ("form", "midnight"),

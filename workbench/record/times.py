@@ -73,6 +73,30 @@ _HALF = re.compile(r"([AP])\.\s?M\.$", re.IGNORECASE)
 _FRACTION = re.compile(r"(:\d\d)(?:,|(?<=:\d\d:\d\d):)(\d{1,6})\b")
 # What Java and JavaScript write: Oct 17, 2024, 9:55:00 PM, and a zone's place after its hours.
 _LISTED, _PLACE = re.compile(r"(?<=\d),(?= )"), re.compile(r"\[[\w/+-]+\]$")
+# Months as German and French plants write them where that is not as English ones do.
+_MONTHS = {
+    "mrz": "Mar",
+    "mär": "Mar",
+    "märz": "Mar",
+    "mai": "May",
+    "okt": "Oct",
+    "dez": "Dec",
+    "janv": "Jan",
+    "févr": "Feb",
+    "mars": "Mar",
+    "avr": "Apr",
+    "juin": "Jun",
+    "juil": "Jul",
+    "août": "Aug",
+    "sept": "Sep",
+    "déc": "Dec",
+}
+_MONTH = re.compile(rf"(?<=\d)(\. |[- ])({'|'.join(_MONTHS)})\b\.?", re.IGNORECASE)
+# A weekday before the day, "Uhr" behind the clock, a clock with points for colons, and one before the day.
+_WEEKDAY = re.compile(r"^(?:Mon|Tue|Wed|Thu|Fri|Sat|Sun)[a-z]{0,6},? (?=\d)| Uhr$")
+_POINTS = re.compile(r"(?<= )(\d\d)\.(\d\d)\.(\d\d)(?=$|[.,])")
+_TURNED = re.compile(r"(\d{1,2}:\d\d(?::\d\d(?:\.\d+)?)?(?: [AaPp][Mm])?),? (\d{1,4}[-./ ]\w+[-./ ]\d{2,4})")
+_UNUSUAL = re.compile(r"[^\W\d_]{3}|^\d{1,2}:| \d\d\.\d\d\.")
 # The end of a day, which ISO 8601 and control systems write as 24:00.
 _END = re.compile(r"(?<=[ T])24(?=:00(?::00(?:[.,]0+)?)?(?![\d:.,]))")
 FORMATS_SAID = (
@@ -136,8 +160,12 @@ def _with_midnights(stamps: list[datetime | None], texts: Sequence[str], form: s
 
 
 def _spelled(text: str) -> tuple[str, timezone | None]:
-    """Return a timestamp without the name of its zone, with AM and PM and a decimal point as Python knows them."""
+    """Return a timestamp without the name of its zone, with months, AM and PM and points as Python knows them."""
     text = _LISTED.sub("", _PLACE.sub("", text))
+    if _UNUSUAL.search(text):  # few are, and looking for all of it takes time
+        text = _POINTS.sub(r"\1:\2:\3", _WEEKDAY.sub("", text))
+        text = _MONTH.sub(lambda m: m[1][-1] + _MONTHS[m[2].lower()], text)
+        text = _TURNED.sub(r"\2 \1", text) if _TURNED.fullmatch(text) else text
     found = _ZONE.fullmatch(text)
     zone = None if found is None else timezone(timedelta(hours=_ZONES[found[2]]))
     bare = text if found is None else found[1]
