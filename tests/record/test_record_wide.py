@@ -249,3 +249,21 @@ def test_minus_signs_that_are_no_hyphens_before_a_number(tmp_path: Path, form: s
     below = [value - 51.0 for value in PV]
     shown = [form.format(-value) if value < 0.0 else str(value) for value in below]
     assert read(tmp_path, "t,PV,OP", [shown, OP]).pv.tolist() == below
+
+
+@pytest.mark.parametrize(
+    "header",
+    [
+        "Timestamp,Unit1\\FIC101|PV,Unit1\\FIC101|OP",  # PI's asset framework
+        "Timestamp,ns=2;s=FIC101.PV,ns=2;s=FIC101.OP",  # OPC UA
+        "Timestamp,PV (a;b),OP",
+    ],
+)
+def test_what_stands_in_names_alone_parts_no_cells(tmp_path: Path, header: str) -> None:
+    assert read(tmp_path, header, [PV, OP]).pv.tolist() == PV
+
+
+def test_names_in_quotes_are_parted_by_spaces(tmp_path: Path) -> None:
+    path = tmp_path / "r.txt"
+    path.write_text('"t" "PV" "OP"\n' + "".join(f"{k} {PV[k]} {OP[k]}\n" for k in range(N)))
+    assert read_record(path).pv.tolist() == PV

@@ -50,6 +50,7 @@ OK, BLANK, TEXT, NOT_FINITE, FIELDS, QUALITY, RANGE, CODE, LARGE = range(9)
 NUMERIC = ("PV", "OP", "SP", "valve_position")
 
 _HEAD_LINES = 50  # in which a header is looked for
+_BELOW = 3  # rows below it, which show what parts cells
 _UNIT_ROWS = 5  # below the header, in which one of units is looked for: descriptions may stand before it
 
 # Larger values are fill values of a historian, and their squares would overflow.
@@ -336,7 +337,7 @@ def _header(
     for skipped, line in enumerate(lines):
         if not line.strip() or line.lstrip().startswith("#"):
             continue
-        mark = delimiter(line)
+        mark = delimiter(line, [one for one in lines[skipped + 1 :] if one.strip()][:_BELOW])
         # A name in quotes may go on in the next line.
         rows = csv.reader(lines[skipped:], delimiter=mark, skipinitialspace=True, strict=False)
         cells = next(rows)

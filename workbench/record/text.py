@@ -36,12 +36,21 @@ def encoding_of(head: bytes, source: str) -> str:
     return "utf-8-sig"
 
 
-def delimiter(line: str) -> str:
-    """Return what parts the cells of a CSV file's line: tab, semicolon, bar or comma, and spaces where none is."""
-    bare = "".join(part for i, part in enumerate(line.split('"')) if i % 2 == 0)
+def delimiter(line: str, below: Sequence[str] = ()) -> str:
+    """Return what parts the cells of a CSV file's line: tab, semicolon, bar or comma, and spaces where none is.
+
+    below: lines below it; a mark that is in none of them is part of a name, as in Unit|FIC101|PV or ns=2;s=FIC101.PV.
+    """
+    bare, *others = (_unquoted(one) for one in (line, *below))
     # A comma may be a decimal comma or part of a name where another delimiter is there.
-    found = next((mark for mark in ("\t", ";", "|", ",") if mark in bare), "")
-    return found or (" " if len(bare.split()) > 1 else ",")
+    found = [mark for mark in ("\t", ";", "|", ",") if mark in bare]
+    used = [mark for mark in found if any(mark in other for other in others)]
+    return next(iter(used or found), " " if len(bare.split()) > 1 else ",")
+
+
+def _unquoted(line: str) -> str:
+    """Return a line with what stands in quotes left out, and a word in place of it."""
+    return "".join(part if i % 2 == 0 else "x" for i, part in enumerate(line.split('"')))
 
 
 def fixed_width(lines: Sequence[str]) -> Callable[[str], str]:
