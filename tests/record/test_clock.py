@@ -50,3 +50,12 @@ def test_what_no_clock_shows_is_no_time() -> None:
     assert of_the_day(["10:00", "10:05"]) is None
     assert of_the_day(["2024-01-05 10:00:00", "2024-01-05 10:00:05"]) is None
     assert of_the_day([]) is None
+
+
+@pytest.mark.parametrize("form", ["{0}:{1:02d}:00", "{2} days {3:02d}:{1:02d}:00", "{2} day, {3}:{1:02d}:00"])
+def test_times_from_a_start_on_go_beyond_a_day(form: str) -> None:
+    """They ended after 24 hours."""
+    cells = [form.format(m // 60, m % 60, m // 1440, m // 60 % 24) for m in range(0, 3000, 7)]
+    found = of_the_day(cells)
+    assert found is not None
+    np.testing.assert_array_equal(found[0], 60.0 * np.arange(0, 3000, 7))

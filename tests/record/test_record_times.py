@@ -258,6 +258,12 @@ def test_days_as_other_countries_write_them(tmp_path: Path, day: str, month: int
     assert dt.datetime.fromtimestamp(record.epoch, dt.UTC).month == month
 
 
+@pytest.mark.parametrize("half", ["AM", " AM", " am", "a.m.", " a. m."])
+def test_the_half_of_the_day_behind_the_clock(tmp_path: Path, half: str) -> None:
+    record = read_record(write(tmp_path, [f"10/17/2024 09:{k // 6:02d}:{10 * (k % 6):02d}{half}" for k in range(100)]))
+    assert (len(record), record.sample_time) == (100, 10.0)
+
+
 def test_a_clock_with_points_is_read(tmp_path: Path) -> None:
     record = read_record(write(tmp_path, [f"17.10.2024 21.{k // 6:02d}.{10 * (k % 6):02d}" for k in range(100)]))
     assert (len(record), record.sample_time) == (100, 10.0)

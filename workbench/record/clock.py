@@ -13,7 +13,7 @@ from workbench.record.units import TIME_UNITS
 __all__ = ["durations", "of_the_day"]
 
 # 23:59:58, 11:59:58.5 PM, 0 days 00:05:00; and what a spreadsheet makes of them where it shows no hours: 59:58.0.
-_DAY = re.compile(r"(?:(\d+) days? )?(\d{1,2}):(\d\d):(\d\d(?:[.,]\d+)?)(?: ?([AaPp])\.?[Mm]\.?)?")
+_DAY = re.compile(r"(?:(\d+) days?,? )?(\d{1,4}):(\d\d):(\d\d(?:[.,]\d+)?)(?: ?([AaPp])\.?[Mm]\.?)?")
 _HOUR = re.compile(r"(\d{1,2}):(\d\d[.,]\d+)")
 _DURATION = re.compile(r"([+-]?\d+(?:[.,]\d+)?(?:[eE][+-]?\d+)?)\s?([a-z]+)")
 DAY, HOUR, MOST = 86400.0, 3600.0, 60
@@ -23,6 +23,7 @@ def of_the_day(cells: Sequence[str]) -> tuple[FloatArray, str] | None:
     """Return (seconds, note) of times of day, shape (N,), nan where a cell is none; None where most are something else.
 
     What steps back by more than half a day (or half an hour, where no hours are written) has run on over midnight.
+    Where hours go beyond a day and times never back, they are not of the day but from a start on.
     """
     for form, turn, note in (
         (_DAY, DAY, "times of day without a date: they run on over midnight"),
@@ -33,9 +34,18 @@ def of_the_day(cells: Sequence[str]) -> tuple[FloatArray, str] | None:
             continue
         seconds = np.array([np.nan if one is None else _seconds(*one.groups()) for one in found])
         read = np.isfinite(seconds)
+        beyond = np.array([one is not None and _hours(one) >= DAY / HOUR for one in found])
+        if beyond.any() and (np.diff(seconds[read]) >= 0.0).all():
+            return seconds, "times from a start on"
+        seconds[beyond], read = np.nan, read & ~beyond
         seconds[read] = np.unwrap(seconds[read], period=turn)
         return seconds, note
     return None
+
+
+def _hours(found: re.Match[str]) -> int:
+    """Return the hours of a match of `_DAY`, 0 of `_HOUR`, which shows none."""
+    return int(found[2]) if found.re is _DAY else 0
 
 
 def durations(cells: Sequence[str]) -> tuple[FloatArray, str] | None:
@@ -57,7 +67,7 @@ def _seconds(*parts: str | None) -> float:
         days, hours, half = int(parts[0] or 0), int(parts[1] or 0), (parts[4] or "").upper()
         minutes, rest = parts[2:4]
     at, late = int(minutes or 0), float((rest or "").replace(",", "."))
-    if at >= MOST or late >= MOST or hours >= 24 or (half and not 1 <= hours <= 12):
+    if at >= MOST or late >= MOST or (half and not 1 <= hours <= 12):
         return float("nan")
     if half:
         hours = hours % 12 + (12 if half == "P" else 0)

@@ -69,7 +69,7 @@ _ZONES = {
     "PDT": -7,
 }
 _ZONE = re.compile(rf"(.*[\dMm.])\s?({'|'.join(_ZONES)})")
-_HALF = re.compile(r"([AP])\.\s?M\.$", re.IGNORECASE)
+_HALF = re.compile(r"(?<=\d)\s?([AP])(?:M|\.\s?M\.)$", re.IGNORECASE)
 _FRACTION = re.compile(r"(:\d\d)(?:,|(?<=:\d\d:\d\d):)(\d{1,6})\b")
 # What Java and JavaScript write: Oct 17, 2024, 9:55:00 PM, and a zone's place after its hours.
 _LISTED, _PLACE = re.compile(r"(?<=\d),(?= )"), re.compile(r"\[[\w/+-]+\]$")
@@ -169,7 +169,7 @@ def _spelled(text: str) -> tuple[str, timezone | None]:
     found = _ZONE.fullmatch(text)
     zone = None if found is None else timezone(timedelta(hours=_ZONES[found[2]]))
     bare = text if found is None else found[1]
-    return _FRACTION.sub(r"\1.\2", _HALF.sub(r"\1M", bare)), zone
+    return _FRACTION.sub(r"\1.\2", _HALF.sub(r" \1M", bare)), zone
 
 
 def _zoned(stamp: datetime | None, zone: timezone | None) -> datetime | None:
