@@ -264,6 +264,20 @@ def test_the_half_of_the_day_behind_the_clock(tmp_path: Path, half: str) -> None
     assert (len(record), record.sample_time) == (100, 10.0)
 
 
+@pytest.mark.parametrize("name", ["Millitm", "ms"])
+def test_milliseconds_in_a_column_of_their_own_are_added(tmp_path: Path, name: str) -> None:
+    """As FactoryTalk logs: every quarter of a second, four rows had one time, and were refused."""
+    path = tmp_path / "loop.csv"
+    rows = "".join(f"10/17/2024;21:00:{k // 4:02d};{250 * (k % 4):3d}; ;{k};{k % 7 + 20}\n" for k in range(200))
+    path.write_text(f"Date;Time;{name};Marker;PV;OP\n{rows}")
+    record = read_record(path)
+    assert (record.sample_time, record.pv.tolist()) == (0.25, list(range(200)))
+    path.write_text(
+        f"Date;Time;{name};PV;OP\n" + "".join(f"10/17/2024;21:{k:02d}:00;{k}.5;{k};{k % 7}\n" for k in range(60))
+    )
+    assert read_record(path).sample_time == 60.0
+
+
 def test_a_clock_with_points_is_read(tmp_path: Path) -> None:
     record = read_record(write(tmp_path, [f"17.10.2024 21.{k // 6:02d}.{10 * (k % 6):02d}" for k in range(100)]))
     assert (len(record), record.sample_time) == (100, 10.0)

@@ -98,6 +98,8 @@ _SUFFIXES: dict[str, tuple[str, ...]] = {
 _LOOP = ("loop", "loopname", "element", "asset", "block", "module", "controller", "equipment", "instrument")
 # A day and a clock in columns of their own.
 _DAY, _CLOCK = ("date", "datum", "fecha"), ("time", "uhrzeit", "zeit", "heure", "hora")
+# FactoryTalk's and others': the milliseconds of a time in whole seconds.
+_MILLI = ("millitm", "millisecond", "milliseconds", "millis", "msec", "ms")
 # WinCC's: the Time_ms beside it counts millionths of a day.
 _FIRST = {"time": ("timestring",)}
 # CV is the controlled variable beside an MV or OP, and the controller's beside a PV: the last to be looked at for both.
@@ -240,7 +242,8 @@ def match_columns(
 
     header: the file's column names. columns: an explicit mapping from signal (`SIGNALS`, or the columns of a tall
     file, in any case) to column name, which goes before all spellings. A wide file's qualities are found as "quality"
-    (of the row), "PV quality", "OP quality" ...; the day as "date" where "time" may be but a clock; a tall file's
+    (of the row), "PV quality", "OP quality" ...; the day as "date" where "time" may be but a clock, and what may be its
+    "milliseconds"; a tall file's
     "loop" where one names what its tags are of. Raises `RecordError` for columns that are missing, ambiguous or mapped
     twice.
     """
@@ -263,6 +266,8 @@ def match_columns(
         if other is not None:
             which = f"columns {used!r}, {other!r} could each be time"
             raise RecordError(f"{source}: {which}; say which one, for example columns={{'time': {used!r}}}")
+    milli = next((i for i in free if i not in found.values() and _plain(names[i]) in _MILLI), None)
+    found |= {} if milli is None or "time" not in found else {"milliseconds": milli}
     return found | _qualities(names, found)
 
 

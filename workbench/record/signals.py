@@ -96,6 +96,7 @@ def from_wide(table: Table, names: Mapping[str, str], source: str) -> Signals:
         out.timed = False
     else:
         clock = clock_of(table.columns["time"], names["time"], table, source, out.notes)
+        _add_milliseconds(clock, table, names, out.notes)
         times = clock.seconds
         times[table.columns["time"].marks == FIELDS] = np.nan
         same = np.ones(rows, dtype=bool)
@@ -341,6 +342,18 @@ def clock_of(
     _one_format(seconds, cells, used, name, table, source)
     notes += [note] if note else []
     return Clock(seconds, wall=not zoned, stamped=True, texts=texts)
+
+
+def _add_milliseconds(clock: Clock, table: Table, names: Mapping[str, str], notes: list[str]) -> None:
+    """Add the milliseconds that stand in a column of their own to timestamps in whole seconds."""
+    if "milliseconds" not in table.columns or not clock.stamped:
+        return
+    rows = np.flatnonzero(np.isfinite(clock.seconds))
+    texts = table.columns["milliseconds"].take(rows).as_texts()
+    whole = bool((clock.seconds[rows] % 1.0 == 0.0).all())
+    if whole and all(text.isdecimal() and len(text) <= 3 for text in texts):
+        clock.seconds[rows] += np.array(texts, dtype=np.float64) / 1e3
+        notes.append(f"the milliseconds of column {names['milliseconds']!r} are added to the times")
 
 
 def _days(cells: Cells) -> list[str]:
