@@ -20,6 +20,7 @@ from workbench.model.checks import file_name, instance, number, ordered_pair
 from workbench.model.record import Record
 from workbench.record.checks import held_said, no_codes, none_far, op_said, setpoint_said, swapped, within_range
 from workbench.record.columns import NEEDED, flags_unused, is_tall, match_columns, names_time, qualities_unused
+from workbench.record.csv_file import read_csv
 from workbench.record.grid import Samples, lay
 from workbench.record.pairs import PAIRED
 from workbench.record.parquet import read_parquet
@@ -37,7 +38,6 @@ from workbench.record.table import (
     QUALITY,
     RANGE,
     TEXT,
-    read_csv,
 )
 from workbench.record.units import in_milliamperes
 

@@ -12,10 +12,11 @@ from workbench.model.experiment import Experiment, Series
 from workbench.model.numbers import given
 from workbench.model.record import Record
 from workbench.record.columns import match_columns
+from workbench.record.csv_file import read_csv
 from workbench.record.parquet import read_parquet
 from workbench.record.reader import read_record
 from workbench.record.signals import clock_of
-from workbench.record.table import BLANK, OK, read_csv
+from workbench.record.table import BLANK, OK
 from workbench.scenario import schema
 
 __all__ = ["LARGEST", "in_samples", "read_data", "read_series"]
