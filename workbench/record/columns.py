@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from pathlib import Path
 from urllib.parse import unquote
 
@@ -17,12 +17,15 @@ __all__ = [
     "TAGGED",
     "flags_unused",
     "is_tall",
+    "loops_of",
     "match_columns",
     "match_tags",
     "names_time",
     "of_folders",
+    "of_no_loop",
     "qualities_unused",
     "split_tag",
+    "whole",
     "with_loops",
 ]
 
@@ -118,6 +121,8 @@ _ALIKE = "have this name: rename all but one of them in the file's header"
 
 # Unit words that stand after a name without brackets too, as in "valve position %" written out.
 _UNITS = ("pct", "percent", "eu", "ma")
+# And what may: in brackets, or after a comma.
+_BEHIND = re.compile(r"\s*(?:\([^()]*\)|\[[^][]*\]|,[^,]*)\s*$")
 _ENDINGS = {*_AFTER, *_UNITS, *(word for words in _SUFFIXES.values() for word in words)}
 _NUMBERED = re.compile(r"(?<=[A-Za-z]{3})[._ ]\d$")
 _BRACKETS = re.compile(r"\([^)]*\)|\[[^]]*\]")
@@ -181,19 +186,57 @@ def _tag(name: str) -> list[str]:
 
 
 def split_tag(tag: str) -> tuple[str, str] | None:
-    """Return (the loop's name, the signal) of a historian's tag by its ending, or None where that tells neither.
+    """Return (the loop's name, the signal) of a historian's tag or a column by its ending, None where that tells none.
 
-    FIC101.PV is PV of FIC101, FIC101/PID1/PV.CV that of FIC101/PID1.
+    FIC101.PV is PV of FIC101, FIC101/PID1/PV.CV that of FIC101/PID1. A unit may stand behind: FIC101.PV (m3/h).
     """
     pieces = [(m.group(0).lower(), m.start()) for m in re.finditer(r"[0-9A-Za-z]+", tag)]
-    if len(pieces) > 2 and pieces[-1][0] in _AFTER:
-        pieces.pop()
-    if len(pieces) < 2:
-        return None
-    word, at = pieces[-1]
-    signal = next((s for s in TAGGED if word in _SUFFIXES[s]), None)
-    name = tag[:at].rstrip(" ._-/:\\|[(")
-    return None if signal is None or not name else (name, signal)
+    for behind in (_UNITS, _AFTER):
+        if len(pieces) > 2 and pieces[-1][0] in behind:
+            pieces.pop()
+    for words in (2, 1):  # FIC101 Set Point
+        ending = "".join(word for word, _ in pieces[-words:])
+        signal = next((s for s in TAGGED if ending in _SUFFIXES[s]), None)
+        name = tag[: pieces[-words][1]].rstrip(" ._-/:\\|[(") if signal is not None and len(pieces) > words else ""
+        if signal is not None and name:
+            return name, signal
+    bare = _BEHIND.sub("", tag)
+    return split_tag(bare) if bare != tag else None
+
+
+def loops_of(names: Iterable[str]) -> dict[str, dict[str, list[str]]]:
+    """Return the loops that tags or columns tell, by name: of each its signals, and the names that could be each.
+
+    Beside FIC101.SP a name FIC101 is its PV.
+    """
+    loops: dict[str, dict[str, list[str]]] = {}
+    others: dict[str, list[str]] = {}
+    for name in names:
+        if split := split_tag(name):
+            loops.setdefault(split[0], {}).setdefault(split[1], []).append(name)
+        else:
+            others.setdefault(_plain(name), []).append(name)
+    for loop, own in loops.items():
+        if "SP" in own and "PV" not in own and (found := others.get(_plain(loop))):
+            own["PV"] = found
+    return loops
+
+
+def whole(loops: Mapping[str, Mapping[str, list[str]]]) -> list[str]:
+    """Return the names of those of `loops_of` that have PV and OP."""
+    return [loop for loop, own in loops.items() if all(signal in own for signal in NEEDED)]
+
+
+def of_no_loop(names: Collection[str]) -> list[str]:
+    """Return which columns or tags of a file of many loops belong to none, and are neither times nor a quality."""
+    used = {name for own in loops_of(names).values() for found in own.values() for name in found}
+    rated = {stem for name in used for stem in _stems(_plain(name))}
+
+    def other(name: str) -> bool:
+        bare = _plain(name).rstrip("0123456789") in (*_OWN["quality"], *_SPELLINGS["quality"], *_MILLI)
+        return bool(name) and not (names_time(name) or bare or not _rated(name).isdisjoint(rated))
+
+    return [name for name in dict.fromkeys(names) if name not in used and other(name)]
 
 
 def names_time(name: str) -> bool:
@@ -201,13 +244,17 @@ def names_time(name: str) -> bool:
     return _tier(name.strip(), "time") is not None or bool({*_tokens(name)} & {"timestamp", "datetime", *_DAY, *_CLOCK})
 
 
-def with_loops(pairs: Collection[tuple[str, str]]) -> dict[tuple[str, str], str]:
+def with_loops(pairs: Collection[tuple[str, str]], wanted: Collection[str] = ()) -> dict[tuple[str, str], str]:
     """Return the name of each (loop, tag) of a tall file: the tag, or FIC101.PV where a tag stands for several loops.
 
-    pairs: all of the file, each once.
+    pairs: all of the file, each once. wanted: names asked for; a loop and tag that together are one have that name.
     """
     shared = len(pairs) > len({tag for _, tag in pairs})
-    return {(loop, tag): f"{loop}.{tag}" if shared and loop and tag else tag for loop, tag in pairs}
+    names = {}
+    for loop, tag in pairs:
+        both = f"{loop}.{tag}" if loop and tag else tag
+        names[loop, tag] = both if shared or both in wanted else tag
+    return names
 
 
 def of_folders(path: Path, header: Sequence[str]) -> dict[str, str]:
@@ -236,23 +283,24 @@ def is_tall(header: Sequence[str], columns: Mapping[str, str] | None) -> bool:
 
 
 def match_columns(
-    header: Sequence[str], columns: Mapping[str, str] | None, source: str, tall: bool = False
+    header: Sequence[str], columns: Mapping[str, str] | None, source: str, tall: bool = False, alone: bool = False
 ) -> dict[str, int]:
     """Return the column index of each signal found; PV and OP always, or tag, time and value of a tall file.
 
     header: the file's column names. columns: an explicit mapping from signal (`SIGNALS`, or the columns of a tall
     file, in any case) to column name, which goes before all spellings. A wide file's qualities are found as "quality"
     (of the row), "PV quality", "OP quality" ...; the day as "date" where "time" may be but a clock, and what may be its
-    "milliseconds"; a tall file's
-    "loop" where one names what its tags are of. Raises `RecordError` for columns that are missing, ambiguous or mapped
-    twice.
+    "milliseconds"; a tall file's "loop" where one names what its tags are of. alone: whether a wide file's `columns`
+    are all that the loop has, but for its times and qualities. Raises `RecordError` for columns that are missing,
+    ambiguous or mapped twice.
     """
     names = [h.strip() for h in header]
     if tall:
         found = _match(names, columns, TALL, TALL, ("tag", "time", "value"), source, "column")
         loops = [i for i, name in enumerate(names) if i not in found.values() and _plain(name) in _LOOP]
         return found | ({"loop": loops[0]} if loops else {})
-    found = _match(names, columns, (*SIGNALS, *QUALITIES), SIGNALS, NEEDED, source, "column")
+    spelled = SIGNALS[:1] if alone else SIGNALS
+    found = _match(names, columns, (*SIGNALS, *QUALITIES), spelled, NEEDED, source, "column")
     # A day and a clock in columns of their own are one time.
     free = [i for i in range(len(names)) if i == found.get("time") or i not in found.values()]
     day, clock = (next((i for i in free if _plain(names[i]) in words), None) for words in (_DAY, _CLOCK))
@@ -381,21 +429,27 @@ def _match(
             raise RecordError(msg)
         found[signal] = fits[0]
     taken = set(found.values())
+    loops = loops_of(names)
+    others = _of_others(loops, [names[found[signal]] for signal in NEEDED if signal in found])
     for signal in spelled:
         if signal in found:
             continue
         tiers: dict[int, list[int]] = {}
         for i, name in enumerate(names):
-            tier = None if i in taken else _tier(name, signal)
+            tier = None if i in taken or name in others else _tier(name, signal)
             if tier is not None:
                 tiers.setdefault(tier, []).append(i)
         if not tiers:
             continue
         best = tiers[min(tiers)]
         if len(best) > 1 and signal not in ("quality", "unit"):
-            which = ", ".join(repr(names[i]) for i in best[:NAMED])
             single = next((names[i] for i in best if names.count(names[i]) == 1), None)
             way = f"say which one, for example {argument}={{{signal!r}: {single!r}}}"
+            many = len(whole(loops)) > 1 and not found.keys() & set(NEEDED)
+            if many:
+                way = _one_of(loops, argument)
+            which = ", ".join(repr(names[i]) for i in best[: 2 if many else NAMED])
+            which += f" and {len(best) - 2} more" if many and len(best) > 2 else ""
             msg = f"{source}: {argument} {which} could each be {signal}; {f'all {_ALIKE}' if single is None else way}"
             raise RecordError(msg)
         found[signal] = best[0]
@@ -419,3 +473,23 @@ def _match(
         )
         raise RecordError(msg)
     return found
+
+
+def _of_others(loops: Mapping[str, Mapping[str, list[str]]], given: Sequence[str]) -> set[str]:
+    """Return the names that are another loop's, one with a PV or OP of its own, where PV and OP are given of one."""
+    told = [{name for found in own.values() for name in found} for own in loops.values()]
+    if len(given) < len(NEEDED) or not any(names.issuperset(given) for names in told):
+        return set()
+    rivals = [names for own, names in zip(loops.values(), told, strict=True) if own.keys() & set(NEEDED)]
+    return {name for names in rivals if not names.issuperset(given) for name in names}
+
+
+def _one_of(loops: Mapping[str, Mapping[str, list[str]]], argument: str) -> str:
+    """Return in words which loops a file holds, and how to say which one."""
+    names = whole(loops)
+    more = f" and {len(names) - NAMED} more" if len(names) > NAMED else ""
+    first = {signal: loops[names[0]][signal][0] for signal in NEEDED}
+    return (
+        f"say which one, for example {argument}={first!r} for {names[0]}; the file holds {len(names)} loops: "
+        f"{', '.join(names[:NAMED])}{more}"
+    )

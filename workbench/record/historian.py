@@ -8,8 +8,7 @@ record then takes only the row groups and columns that hold it.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from functools import lru_cache
@@ -22,7 +21,7 @@ from workbench.errors import RecordError
 from workbench.model.record import FloatArray, Record
 from workbench.record.columns import NEEDED, TALL, match_columns, of_folders, split_tag, with_loops
 from workbench.record.counted import counted
-from workbench.record.parquet import arrow_cells, joined
+from workbench.record.parquet import arrow_cells, joined, reading
 from workbench.record.reader import record_from
 from workbench.record.signals import Signals, Tall, clock_of
 from workbench.record.table import FIELDS, Table
@@ -33,26 +32,13 @@ __all__ = ["Piece", "Pieces", "named", "pairs_of", "read_tags", "tags_of"]
 
 @dataclass(frozen=True, slots=True)
 class Piece:
-    """Row groups of one Parquet file."""
+    """Row groups of one Parquet file; none of a file that is no tall Parquet, which is read by `read_loop`."""
 
     path: str
     groups: tuple[int, ...]
 
 
 Pieces = tuple[Piece, ...]
-
-
-@contextmanager
-def _reading(source: str) -> Iterator[None]:
-    import pyarrow as pa
-
-    try:
-        yield
-    except RecordError:
-        raise
-    except (pa.ArrowException, OSError, ValueError, KeyError, NotImplementedError) as error:
-        said = str(error).splitlines()[0] if str(error) else type(error).__name__
-        raise RecordError(f"{source}: no readable Parquet file: {said}") from None
 
 
 @lru_cache(maxsize=64)
@@ -88,7 +74,7 @@ def pairs_of(path: str | Path) -> dict[tuple[str, str], Pieces]:
     """
     source = str(path)
     groups: dict[tuple[str, str], list[int]] = {}
-    with _reading(source), _open(source) as file:
+    with reading(source), _open(source) as file:
         names, told = _names(file, source)
         meta = file.metadata
         places = [meta.schema.column(i).path for i in range(meta.num_columns)]
@@ -148,7 +134,7 @@ def read_tags(
     for needed in NEEDED:
         if needed not in tags:
             raise RecordError(f"{source}: no tag for {needed}; tags: {', '.join(sorted(tags.values())) or 'none'}")
-    with _reading(source):
+    with reading(source):
         import pyarrow as pa
         import pyarrow.compute as pc
 

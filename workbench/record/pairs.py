@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from array import array
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 
 from workbench.errors import RecordError
 from workbench.model.checks import reads_as_number
@@ -14,7 +14,7 @@ from workbench.record.columns import names_time
 from workbench.record.times import is_timestamp
 from workbench.record.units import time_unit
 
-__all__ = ["PAIRED", "Pairs", "pairs_of", "tall_rows", "time_column", "unguarded", "unnamed"]
+__all__ = ["PAIRED", "Pairs", "in_use", "pairs_of", "tall_rows", "time_column", "unguarded", "unnamed"]
 
 # What the columns of pairs are once they stand below each other, as in a tall file.
 PAIRED = ("tag", "time", "value")
@@ -74,6 +74,11 @@ def _paired(names: Sequence[str], columns: list[int], below: Sequence[Sequence[s
     if sum(timed) < 2 or not all(one or not _numbered(below, k + 1) for one, k in zip(timed, times, strict=True)):
         return []
     return list(zip(tags, times, strict=True))
+
+
+def in_use(pairs: Pairs, wanted: Collection[str]) -> Pairs:
+    """Return the pairs of the tags wanted; all where none of them is there."""
+    return {tag: pair for tag, pair in pairs.items() if tag in wanted} or pairs
 
 
 def tall_rows(rows: Sequence[list[str]], lines: Sequence[int], pairs: Pairs) -> tuple[list[list[str]], array[int]]:

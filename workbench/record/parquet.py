@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -10,51 +11,85 @@ import numpy as np
 
 from workbench.errors import RecordError
 from workbench.record.columns import names_time
-from workbench.record.pairs import PAIRED, Pairs, pairs_of, unnamed
+from workbench.record.pairs import PAIRED, Pairs, in_use, pairs_of, unnamed
 from workbench.record.table import BLANK, NUMERIC, OK, TEXT, Cells, Table, marked, number_cells, text_cells
 from workbench.record.text import arrow_text
 
-__all__ = ["arrow_cells", "joined", "read_parquet"]
+__all__ = ["arrow_cells", "joined", "names_in_parquet", "read_parquet", "reading"]
 
 _LOOKED_AT = 20  # rows, whose cells show whether there are pairs of columns
 
 
+@contextmanager
+def reading(source: str) -> Iterator[None]:
+    """Refuse, with `RecordError`, a file that cannot be read as Parquet."""
+    import pyarrow as pa
+
+    try:
+        yield
+    except RecordError:
+        raise
+    except (pa.ArrowException, OSError, ValueError, KeyError, NotImplementedError) as error:
+        said = str(error).splitlines()[0] if str(error) else type(error).__name__
+        raise RecordError(f"{source}: no readable Parquet file: {said}") from None
+
+
 def read_parquet(
-    path: Path, match: Callable[[list[str]], dict[str, int]], source: str, apart: bool = False
+    path: Path,
+    match: Callable[[list[str]], dict[str, int]],
+    source: str,
+    apart: bool = False,
+    wanted: Collection[str] = (),
 ) -> tuple[Table, list[str]]:
     """Return the needed columns of a Parquet file and its column names; only these are read.
 
-    match, apart: as in `read_csv`. Raises `RecordError`.
+    match, apart: as in `read_csv`. wanted: of pairs, the tags that are kept; all where none is given. Raises
+    `RecordError`.
     """
     import pyarrow as pa
     import pyarrow.parquet as pq
 
-    try:
-        with pq.ParquetFile(path) as file:
-            header = [str(name) for name in file.schema_arrow.names]
-            # Looking at cells takes time, and nearly no file is such.
-            several = apart and sum(unnamed(name) or names_time(name) for name in header) > 1
-            pairs = pairs_of(header, _first(file), source) if several else {}
-            if pairs:
-                return _in_pairs(file, header, pairs, source), header
-            found = match(header)
-            if len(set(header)) < len(header):
-                raise RecordError(f"{source}: several columns have the same name; each needs its own")
-            stamps = [i for i, kind in enumerate(file.schema_arrow.types) if pa.types.is_timestamp(kind)]
-            if "time" not in found and len(stamps) == 1 and stamps[0] not in found.values():
-                found["time"] = stamps[0]
-            table = file.read(columns=[header[i] for i in found.values()])
-            columns = {
-                name: arrow_cells(table.column(header[i]), name, f"{source}: column {header[i]!r}")
-                for name, i in found.items()
-            }
-            rows = table.num_rows
-    except (pa.ArrowException, OSError, ValueError, KeyError, NotImplementedError) as error:
-        if isinstance(error, RecordError):
-            raise
-        said = str(error).splitlines()[0] if str(error) else type(error).__name__
-        raise RecordError(f"{source}: no readable Parquet file: {said}") from None
+    with reading(source), pq.ParquetFile(path) as file:
+        header, pairs = _header(file, source, apart)
+        if pairs:
+            return _in_pairs(file, header, in_use(pairs, wanted), source), header
+        found = match(header)
+        if len(set(header)) < len(header):
+            raise RecordError(f"{source}: several columns have the same name; each needs its own")
+        stamps = [i for i, kind in enumerate(file.schema_arrow.types) if pa.types.is_timestamp(kind)]
+        if "time" not in found and len(stamps) == 1 and stamps[0] not in found.values():
+            found["time"] = stamps[0]
+        table = file.read(columns=[header[i] for i in found.values()])
+        columns = {
+            name: arrow_cells(table.column(header[i]), name, f"{source}: column {header[i]!r}")
+            for name, i in found.items()
+        }
+        rows = table.num_rows
     return Table(columns, np.arange(1, rows + 1, dtype=np.int64), "row"), header
+
+
+def names_in_parquet(
+    path: Path, match: Callable[[list[str]], dict[str, int]], source: str
+) -> tuple[list[str], list[tuple[str, str]]]:
+    """Return a Parquet file's column names and, as ("", tag), the tag of each pair of columns; none of a wide one.
+
+    match: as in `read_csv`; it looks at the names of anything but pairs. Raises `RecordError`.
+    """
+    import pyarrow.parquet as pq
+
+    with reading(source), pq.ParquetFile(path) as file:
+        header, pairs = _header(file, source, apart=True)
+    if not pairs:
+        match(header)
+    return header, [("", tag) for tag in pairs]
+
+
+def _header(file: Any, source: str, apart: bool) -> tuple[list[str], Pairs]:
+    """Return the names of the columns, and the pairs of them, if they are such and may be."""
+    header = [str(name) for name in file.schema_arrow.names]
+    # Looking at cells takes time, and nearly no file is such.
+    several = apart and sum(unnamed(name) or names_time(name) for name in header) > 1
+    return header, pairs_of(header, _first(file), source) if several else {}
 
 
 def _first(file: Any) -> list[list[str]]:

@@ -41,7 +41,7 @@ from workbench.record.table import (
 )
 from workbench.record.units import in_milliamperes
 
-__all__ = ["LARGEST", "read_record", "record_from"]
+__all__ = ["LARGEST", "read_loop", "read_record", "record_from"]
 
 LARGEST = 1 << 30  # bytes
 CURRENT = (4.0, 20.0)  # mA, of 0 to 100 % (IEC 60381-1)
@@ -92,6 +92,37 @@ def read_record(
     given (in the unit that their name or a row of units says), or from the first timestamp on. Raises `RecordError`
     naming file, line and column, and `InvalidValue`.
     """
+    return _read(path, columns, tags, sample_time, pv_range, op_range, max_gap, alone=False)
+
+
+def read_loop(
+    path: str | os.PathLike[str],
+    tags: Mapping[str, str],
+    *,
+    sample_time: float | None = None,
+    pv_range: Sequence[float] | None = None,
+    op_range: Sequence[float] | None = None,
+    max_gap: float | None = None,
+) -> Record:
+    """Return one loop's record from a CSV or wide Parquet file of many.
+
+    tags: all signals that the loop has, as tags or columns: of the others nothing is kept, and nothing said. The rest
+    as `read_record`.
+    """
+    return _read(path, None, tags, sample_time, pv_range, op_range, max_gap, alone=True)
+
+
+def _read(
+    path: str | os.PathLike[str],
+    columns: Mapping[str, str] | None,
+    tags: Mapping[str, str] | None,
+    sample_time: float | None,
+    pv_range: Sequence[float] | None,
+    op_range: Sequence[float] | None,
+    max_gap: float | None,
+    *,
+    alone: bool,
+) -> Record:
     file = Path(file_name(path, "a CSV or Parquet file"))
     source = str(path)
     _check_file(file, source)
@@ -110,10 +141,11 @@ def read_record(
     def match(header: list[str]) -> dict[str, int]:
         nonlocal tall
         tall = is_tall(header, columns)
-        found.update(match_columns(header, columns if tall or not tags else both, source, tall))
+        found.update(match_columns(header, columns if tall or not tags else both, source, tall, alone))
         return found
 
-    table, header = (read_parquet if _is_parquet(file) else read_csv)(file, match, source, True)
+    wanted = set(tags.values()) if alone and tags else ()
+    table, header = (read_parquet if _is_parquet(file) else read_csv)(file, match, source, True, wanted)
     names = {signal: header[i].strip() for signal, i in found.items()}
     if table.lines.size == 0:
         msg = f"{source}: a header and no row of data"
@@ -125,7 +157,7 @@ def read_record(
         signals.notes += flags_unused(header, found)
     else:
         signals = from_wide(table, names, source)
-        signals.notes += qualities_unused(header, found)
+        signals.notes += [] if alone else qualities_unused(header, found)
         signals.unnamed = [name.strip() for name in header].count("") == 1
         if "time" not in {key.lower() for key in both} and not names_time(names.get("time", "time")):
             signals.notes.append(f"the times are those of the column {names['time'] or 'without a name'}")

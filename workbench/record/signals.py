@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from itertools import compress
@@ -130,7 +130,7 @@ def from_tall(table: Table, names: Mapping[str, str], tags: Mapping[str, str] | 
     """Return the signals of a historian export with a row per value; tags: which tag is which. Raises `RecordError`."""
     out = Signals({}, table.unit, table.lines.size, notes=list(table.notes), time_name=names["time"], what="tag")
     codes: dict[str, int] = {}
-    of_row = np.array([codes.setdefault(tag, len(codes)) for tag in _tags(table)])
+    of_row = np.array([codes.setdefault(tag, len(codes)) for tag in _tags(table, (tags or {}).values())])
     listed = [tag for tag in codes if tag]
     found = match_tags(listed, tags, source)
     others = [tag for i, tag in enumerate(listed) if i not in found.values()]
@@ -155,13 +155,13 @@ def from_tall(table: Table, names: Mapping[str, str], tags: Mapping[str, str] | 
     return tall.done()
 
 
-def _tags(table: Table) -> list[str]:
-    """Return the tag of each row; where one stands for several loops, each with its loop's name: FIC101.PV."""
+def _tags(table: Table, wanted: Collection[str]) -> list[str]:
+    """Return the tag of each row, by its name (see `with_loops`)."""
     tags = table.columns["tag"].as_texts()
     if "loop" not in table.columns:
         return tags
     rows = list(zip(table.columns["loop"].as_texts(), tags, strict=True))
-    names = with_loops(set(rows))
+    names = with_loops(set(rows), wanted)
     return [names[row] for row in rows]
 
 
