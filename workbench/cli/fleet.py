@@ -25,7 +25,8 @@ __all__ = ["fleet", "fleet_demo", "parted", "run_site"]
 FAILED, INTERRUPTED = 1, 130
 
 Source = Annotated[
-    Path, typer.Argument(metavar="SOURCE", help="A folder of records, tall Parquet, or a manifest (.yaml, .csv).")
+    Path,
+    typer.Argument(metavar="SOURCE", help="A folder of records, a file of many loops, or a manifest (.yaml, .csv)."),
 ]
 Out = Annotated[Path, typer.Option("--out", metavar="DIR", help="Where the report and the rows go.")]
 
@@ -146,7 +147,7 @@ def _run(
     except KeyboardInterrupt:
         typer.echo(f"workbench: interrupted; rows found so far are in {out}: go on with --resume", err=True)
         return INTERRUPTED
-    for line in _lines(outcome, out):
+    for line in (*sources.notes, *_lines(outcome, out)):
         typer.echo(line)
     return FAILED if outcome.site.failures else 0
 

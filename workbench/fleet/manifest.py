@@ -1,9 +1,9 @@
 """The manifest: a site's loops with what is known of each, as YAML or as CSV with a line per loop.
 
-YAML: `title`, `data` (a folder or file of tall Parquet that tags refer to), `depth`, and `loops`, each with a `name`
-and any of `file`, `tags`, `columns`, `pv_range`, `op_range`, `sample_time`, `max_gap`, `plant`, `Kc`, `Ti`, `Td`,
-`form`, `criticality`, `area`. CSV: the same names as columns, PV, OP, SP, MODE for tags, pv_low, pv_high, op_low,
-op_high.
+YAML: `title`, `data` (tall Parquet that tags refer to, a file of many loops, or a folder of such), `depth`, and
+`loops`, each with a `name` and any of `file`, `tags`, `columns`, `pv_range`, `op_range`, `sample_time`, `max_gap`,
+`plant`, `Kc`, `Ti`, `Td`, `form`, `criticality`, `area`. CSV: the same names as columns, PV, OP, SP, MODE for tags,
+pv_low, pv_high, op_low, op_high.
 Paths are looked for beside the manifest.
 """
 
@@ -20,11 +20,11 @@ from typing import Annotated, Any, Literal
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
 
 from workbench.errors import InvalidValue, RecordError, ScenarioError
-from workbench.fleet.loops import Sources, loops_in, of_tags, tagged
+from workbench.fleet.loops import Sources, all_tags, loops_in, of_tags, tagged, tags_in
 from workbench.model.checks import reads_as_number
 from workbench.model.fleet import LoopSource, Tuning
 from workbench.record.columns import TAGGED
-from workbench.record.historian import Pieces, named, pairs_of, tags_of
+from workbench.record.historian import Pieces, tags_of
 from workbench.scenario import units
 from workbench.scenario.document import Node, Problem, locate, nearest, parse, plain, spell
 from workbench.scenario.wrong import given_words, refusal
@@ -156,20 +156,15 @@ def _data(content: Manifest, folder: Path, path: Path) -> tuple[dict[str, Pieces
     if not data.exists():
         raise ScenarioError(f"{path}: data: {content.data} given; no such file or folder beside the manifest")
     if data.is_dir():
-        pairs: dict[tuple[str, str], Pieces] = {}
-        for file in sorted(data.rglob("*.parquet")):
-            if not any(part.startswith((".", "_")) for part in file.relative_to(data).parts):
-                try:
-                    for pair, pieces in pairs_of(file).items():
-                        pairs[pair] = (*pairs.get(pair, ()), *pieces)
-                except RecordError:
-                    continue  # of the loops in it the tags are missing, and they say so
-        tags = named(pairs)
-        if not tags and not loops_in(data):
-            raise ScenarioError(f"{path}: data: {content.data} given; holds no tall Parquet file")
+        tags = all_tags(data)
+        if not tags and not loops_in(data)[0]:
+            raise ScenarioError(
+                f"{path}: data: {content.data} given; holds no tall Parquet file and none of many loops"
+            )
     else:
+        tags = tags_in(data)
         try:
-            tags = tags_of(data)
+            tags = tags or tags_of(data)
         except RecordError as error:
             raise ScenarioError(f"{path}: data: {error}") from None
     return tags, tagged(tags)

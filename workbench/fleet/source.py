@@ -8,7 +8,7 @@ from fnmatch import fnmatchcase
 from pathlib import Path
 
 from workbench.errors import InvalidValue, RecordError
-from workbench.fleet.loops import FILES, Sources, loops_in
+from workbench.fleet.loops import FILES, Sources, loops_in, tags_in
 from workbench.fleet.manifest import read_manifest
 from workbench.model.fleet import LoopSource
 
@@ -18,11 +18,12 @@ MANIFESTS = (".yaml", ".yml")
 
 
 def sources_of(path: Path) -> Sources:
-    """Return the loops of a folder, a Parquet data set or a manifest (YAML or CSV).
+    """Return the loops of a folder, a Parquet data set, a file of many loops or a manifest (YAML or CSV).
 
-    In a folder every CSV and wide Parquet file is a loop, named by its path; tall Parquet files, in any partitioning,
-    are one data set, whose tags tell the loops (FIC101.PV is PV of FIC101), or a column of loops or a folder such as
-    loop=FIC101 beside them; a tall file with PV and OP and no loop's name is a loop. Names that begin with "." or "_"
+    In a folder a CSV or wide Parquet file of one loop is a loop, named by its path; one of many, wide or tall, holds
+    those that its columns or tags tell (FIC101.PV is PV of FIC101), or a column of loops beside the tags. Tall Parquet
+    files, in any partitioning, are one data set, whose tags tell the loops in the same way, or folders such as
+    loop=FIC101; a tall file with PV and OP and no loop's name is a loop. Names that begin with "." or "_"
     are passed over, and so is what the workbench itself wrote there, such as an estimate's table or the rows of a
     fleet run. A file that cannot be read, tags without PV or OP and a name that two loops share become loops with a
     refusal. Raises `RecordError` where there is nothing to look at, and `ScenarioError` for a manifest with mistakes.
@@ -30,15 +31,19 @@ def sources_of(path: Path) -> Sources:
     if not path.exists():
         raise RecordError(f"{path}: no such file or folder")
     if path.is_dir():
-        return Sources(path.resolve().name, str(path), _nothing(_unique(loops_in(path)), path))
-    if path.suffix.lower() in (*MANIFESTS, ".csv"):
+        return _sources(path, path.resolve().name)
+    if path.suffix.lower() in (*MANIFESTS, ".csv") and not tags_in(path):
         return read_manifest(path)
     if path.suffix.lower() in FILES:
-        return Sources(path.stem, str(path), _nothing(_unique(loops_in(path)), path))
+        return _sources(path, path.stem)
     raise RecordError(
-        f"{path}: is no source of loops; give a folder of records, a tall Parquet file or folder, or a manifest "
-        "(.yaml, .csv)"
+        f"{path}: is no source of loops; give a folder of records, a file of many loops, or a manifest (.yaml, .csv)"
     )
+
+
+def _sources(path: Path, title: str) -> Sources:
+    loops, notes = loops_in(path)
+    return Sources(title, str(path), _nothing(_unique(loops), path), notes=tuple(notes))
 
 
 def only(sources: Sources, patterns: Sequence[str]) -> Sources:

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -20,11 +22,11 @@ from workbench.model.record import Record
 from workbench.model.results import Estimate
 from workbench.record.historian import Piece, read_tags
 from workbench.record.modes import manual_share
-from workbench.record.reader import read_record
+from workbench.record.reader import read_loop, read_record
 from workbench.record.segments import USABLE
 from workbench.report.known import hint
 from workbench.report.loop_page import render_loop
-from workbench.scenario.refusals import in_entries
+from workbench.scenario.refusals import in_entries, scalar
 
 if TYPE_CHECKING:
     from workbench.model.controller import PID
@@ -42,6 +44,7 @@ BAND = (0.6, 1.6)  # of the frequency of the cycle
 INSTANTS = 256  # of the phase, at most
 DRAWN = 96  # points of a trend
 SHOWN, SHOWN_LEAST = 10.0, 2.0  # cycles, and hours where there is none, in a trend
+_ENTRY = re.compile(r"\b(columns|tags): \{[^}]*\}")
 NOTES = 1200  # characters of reasons and notes
 
 
@@ -57,7 +60,16 @@ def read(loop: LoopSource, settings: Settings) -> Record:
     """Return the loop's record within the window asked for. Raises `RecordError` and `InvalidValue`."""
     if loop.refusal:
         raise RecordError(loop.refusal)
-    if loop.pieces:
+    if loop.pieces and not loop.pieces[0][1]:
+        record = read_loop(
+            loop.pieces[0][0],
+            dict(loop.tags),
+            sample_time=loop.sample_time,
+            pv_range=loop.pv_range,
+            op_range=loop.op_range,
+            max_gap=loop.max_gap,
+        )
+    elif loop.pieces:
         window = None
         if settings.begin is not None or settings.end is not None:
             window = (
@@ -125,12 +137,23 @@ def look_at(loop: LoopSource, settings: Settings) -> Result:
     try:
         return _looked_at(loop, settings)
     except WorkbenchError as error:
-        # A manifest says what `columns` and `tags` are, as a scenario does.
-        return Result(FleetRow.failure(loop, _line(in_entries(str(error)))))
+        return Result(FleetRow.failure(loop, _line(_refused(loop, str(error)))))
     except MemoryError:
         return Result(FleetRow.failure(loop, "the record does not fit into memory"))
     except Exception as error:  # noqa: BLE001 - one loop must never stop the others, whatever it meets
         return Result(FleetRow.failure(loop, _line(f"unexpected: {type(error).__name__}: {error}")))
+
+
+def _refused(loop: LoopSource, message: str) -> str:
+    """Return a reader's message as a manifest says what `columns` and `tags` are, with the line of one for a file."""
+    said = in_entries(message)
+    if said == message or not loop.path or loop.columns or loop.tags:
+        return said
+    told = _ENTRY.search(said)
+    entry = told[0] if told else "sample_time: 5 s"
+    return (
+        f"{said}; a line of a manifest: - {{name: {scalar(loop.name)}, file: {scalar(Path(loop.path).name)}, {entry}}}"
+    )
 
 
 def _line(text: str) -> str:

@@ -30,9 +30,10 @@ class Tuning:
 class LoopSource:
     """Where one loop's data are, and what is known of it.
 
-    path: its own file, or "" where `pieces` (file, row groups) of a tall data set hold its tags. columns and tags:
-    pairs (signal, name), as `read_record` takes them. plant: "fopdt", "integrating" or "auto". criticality: 1 (least)
-    to 5, 0 where not told. refusal: why it cannot be read at all, "" where it can.
+    path: its own file, or "" where `pieces` (file, row groups) of a tall data set hold its tags, or one file of many
+    loops, without row groups, does. columns and tags: pairs (signal, name), as `read_record` takes them. plant:
+    "fopdt", "integrating" or "auto". criticality: 1 (least) to 5, 0 where not told. refusal: why it cannot be read at
+    all, "" where it can.
     """
 
     name: str

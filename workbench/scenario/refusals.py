@@ -11,7 +11,7 @@ from typing import TypeVar
 from workbench.errors import InvalidValue
 from workbench.scenario.document import Path
 
-__all__ = ["Refusals", "in_entries", "one_line"]
+__all__ = ["Refusals", "in_entries", "one_line", "scalar"]
 
 T = TypeVar("T")
 
@@ -60,13 +60,13 @@ def in_entries(message: str) -> str:
     """Return a reader's message with the entries of a scenario or manifest in place of the arguments of Python."""
 
     def entries(found: re.Match[str]) -> str:
-        pairs = [f"{signal}: {_scalar(plain or quoted)}" for signal, plain, quoted in _PAIR.findall(found[2])]
+        pairs = [f"{signal}: {scalar(plain or quoted)}" for signal, plain, quoted in _PAIR.findall(found[2])]
         return f"{found[1]}: {{{', '.join(pairs)}}}"
 
     return _MAPPING.sub(entries, message.replace("give sample_time in seconds", "give sample_time, such as 5 s"))
 
 
-def _scalar(text: str) -> str:
+def scalar(text: str) -> str:
     """Return a name as YAML takes it for text."""
     bare = _BARE.fullmatch(text) and not _MEANT.fullmatch(text)
     return text if bare else json.dumps(text, ensure_ascii=False)
