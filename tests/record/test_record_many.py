@@ -189,6 +189,23 @@ def test_of_a_file_of_many_only_one_loop_is_held(tmp_path: Path) -> None:
         tracemalloc.stop()
 
 
+def test_of_a_tall_file_of_many_only_the_tags_in_use_are_held(tmp_path: Path) -> None:
+    rows = "".join(f"FIC{i}.{s},{k},{k % 7}.{i % 10}\n" for k in range(400) for i in range(100) for s in ("PV", "OP"))
+    (tmp_path / "x.csv").write_text(f"tag,time,value\n{rows}")
+    tracemalloc.start()
+    try:
+        record = wb.read_record(tmp_path / "x.csv", tags={"PV": "FIC7.PV", "OP": "FIC8.OP"})
+        assert tracemalloc.get_traced_memory()[1] < 8e6  # of 80,000 rows, some 20 MB as text
+    finally:
+        tracemalloc.stop()
+    assert len(record) == 400
+    assert any(note.endswith("FIC2.PV and 193 more") for note in record.notes)
+    with pytest.raises(
+        RecordError, match=r"tag 'FIC7.CO' given for OP: there is no such tag; the file has 'FIC0.PV', "
+    ):
+        wb.read_record(tmp_path / "x.csv", tags={"PV": "FIC7.PV", "OP": "FIC7.CO"})
+
+
 @pytest.mark.parametrize(
     ("tag", "split"),
     [

@@ -143,12 +143,12 @@ def names_in_csv(
         # A cell of each column up to the last of these, those of them told.
         cell = rf"[^{re.escape(file.mark)}\r\n]*"
         line = re.escape(file.mark).join(f"({cell})" if i in at else cell for i in range(max(at) + 1))
-        pattern = re.compile(f"^{line}", re.MULTILINE)
+        pattern = re.compile(f"^{line}.*", re.MULTILINE)  # to the end of the line, which a search would creep to
         found: dict[tuple[str, ...], None] = {}
         for block in chain(["".join(file.lines[1:])], _blocks(file)):
             if _even(block) and '"' not in block and file.mark != " ":
-                told = pattern.findall(block)
-                found |= dict.fromkeys(told if len(at) > 1 else zip(told))
+                told = dict.fromkeys(pattern.findall(block))  # texts of one column, or pairs of two
+                found |= told if len(at) > 1 else dict.fromkeys((tag,) for tag in told)
             else:
                 rows = file.cells(unguarded(io.StringIO(block, newline="")))
                 found |= dict.fromkeys(tuple(row[i] for i in at) for row in rows if len(row) > max(at))

@@ -19,11 +19,20 @@ from workbench.errors import RecordError
 from workbench.model.checks import file_name, instance, number, ordered_pair
 from workbench.model.record import Record
 from workbench.record.checks import held_said, no_codes, none_far, op_said, setpoint_said, swapped, within_range
-from workbench.record.columns import NEEDED, flags_unused, is_tall, match_columns, names_time, qualities_unused
-from workbench.record.csv_file import read_csv
+from workbench.record.columns import (
+    NEEDED,
+    flags_unused,
+    is_tall,
+    match_columns,
+    match_tags,
+    names_time,
+    qualities_unused,
+    with_loops,
+)
+from workbench.record.csv_file import names_in_csv, read_csv
 from workbench.record.grid import Samples, lay
 from workbench.record.pairs import PAIRED
-from workbench.record.parquet import read_parquet
+from workbench.record.parquet import names_in_parquet, read_parquet
 from workbench.record.segments import Parts, part, record_of
 from workbench.record.signals import Signal, Signals, from_tall, from_wide
 from workbench.record.table import (
@@ -137,6 +146,7 @@ def _read(
     both = {**(columns or {}), **(tags or {})}
     found: dict[str, int] = {}
     tall = False
+    listed: list[str] = []
 
     def match(header: list[str]) -> dict[str, int]:
         nonlocal tall
@@ -144,16 +154,23 @@ def _read(
         found.update(match_columns(header, columns if tall or not tags else both, source, tall, alone))
         return found
 
-    wanted = set(tags.values()) if alone and tags else ()
-    table, header = (read_parquet if _is_parquet(file) else read_csv)(file, match, source, True, wanted)
+    names_in, read = (names_in_parquet, read_parquet) if _is_parquet(file) else (names_in_csv, read_csv)
+    wanted = list(tags.values()) if alone and tags else []
+    if tags and not alone:
+        # Of a file of many loops most rows are of others: which tags there are is looked for first.
+        _, pairs = names_in(file, match, source)
+        listed = list(with_loops(pairs, tags.values()).values())
+        if listed:
+            wanted = [listed[i] for i in match_tags(listed, tags if tall else both, source).values()]
+    table, header = read(file, match, source, True, wanted)
     names = {signal: header[i].strip() for signal, i in found.items()}
     if table.lines.size == 0:
         msg = f"{source}: a header and no row of data"
         raise RecordError(msg)
     if table.paired:  # the names of columns are those of tags
-        signals = from_tall(table, dict(zip(PAIRED, PAIRED, strict=True)), both, source)
+        signals = from_tall(table, dict(zip(PAIRED, PAIRED, strict=True)), both, source, listed)
     elif tall:
-        signals = from_tall(table, names, tags, source)
+        signals = from_tall(table, names, tags, source, listed)
         signals.notes += flags_unused(header, found)
     else:
         signals = from_wide(table, names, source)

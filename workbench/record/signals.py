@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from itertools import compress
@@ -62,10 +62,10 @@ class Signal:
 class Signals:
     """A loop's signals by their kind (PV, OP, SP, MODE, valve_position).
 
-    rows: of the file. dropped: rows without a readable time or with fields too many, as lines by cause. repeated: rows
-    left out since their time occurs again. timed: False where the file has no times; `seconds` then counts samples.
-    epoch: what second 0 is on the clock of the file's timestamps, s since 1970, 0 where it has none. what: a signal's
-    name is, a column or a tag. unnamed: whether one column of the file has no name.
+    rows: of the file, of a tall one those that were read. dropped: rows without a readable time or with fields too
+    many, as lines by cause. repeated: rows left out since their time occurs again. timed: False where the file has no
+    times; `seconds` then counts samples. epoch: what second 0 is on the clock of the file's timestamps, s since 1970, 0
+    where it has none. what: a signal's name is, a column or a tag. unnamed: whether one column of the file has no name.
     """
 
     by: dict[str, Signal]
@@ -126,12 +126,18 @@ def from_wide(table: Table, names: Mapping[str, str], source: str) -> Signals:
     return out
 
 
-def from_tall(table: Table, names: Mapping[str, str], tags: Mapping[str, str] | None, source: str) -> Signals:
-    """Return the signals of a historian export with a row per value; tags: which tag is which. Raises `RecordError`."""
+def from_tall(
+    table: Table, names: Mapping[str, str], tags: Mapping[str, str] | None, source: str, listed: Sequence[str] = ()
+) -> Signals:
+    """Return the signals of a historian export with a row per value.
+
+    names: of the columns. tags: which tag is which. listed: all tags of the file, where the table holds the rows of
+    those alone that are in use. Raises `RecordError`.
+    """
     out = Signals({}, table.unit, table.lines.size, notes=list(table.notes), time_name=names["time"], what="tag")
     codes: dict[str, int] = {}
     of_row = np.array([codes.setdefault(tag, len(codes)) for tag in _tags(table, (tags or {}).values())])
-    listed = [tag for tag in codes if tag]
+    listed = listed or [tag for tag in codes if tag]
     found = match_tags(listed, tags, source)
     others = [tag for i, tag in enumerate(listed) if i not in found.values()]
     if others:
