@@ -266,3 +266,7 @@ def test_a_file_of_many_says_which_loops_it_holds(tmp_path: Path, loops: Loops, 
         wb.read_record(tmp_path / "x.csv")
     way = f"say which one, for example {argument}={{'PV': 'FIC10.PV', 'OP': 'FIC10.OP'}} for FIC10; "
     assert str(refused.value).endswith(f"{way}the file holds 4 loops: FIC10, FIC11, FIC12, FIC13")
+    with pytest.raises(
+        RecordError, match=r"for example .*'PV': 'FIC12.PV', 'OP': 'FIC12.OP'} for FIC12; the file holds 4"
+    ):
+        wb.read_record(tmp_path / "x.csv", tags={"PV": "FIC12.PV"})

@@ -430,7 +430,8 @@ def _match(
         found[signal] = fits[0]
     taken = set(found.values())
     loops = loops_of(names)
-    others = _of_others(loops, [names[found[signal]] for signal in NEEDED if signal in found])
+    told = [names[found[signal]] for signal in NEEDED if signal in found]
+    others = _of_others(loops, told)
     for signal in spelled:
         if signal in found:
             continue
@@ -445,9 +446,9 @@ def _match(
         if len(best) > 1 and signal not in ("quality", "unit"):
             single = next((names[i] for i in best if names.count(names[i]) == 1), None)
             way = f"say which one, for example {argument}={{{signal!r}: {single!r}}}"
-            many = len(whole(loops)) > 1 and not found.keys() & set(NEEDED)
+            many = len(whole(loops)) > 1 and len(told) < len(NEEDED)
             if many:
-                way = _one_of(loops, argument)
+                way = _one_of(loops, argument, told)
             which = ", ".join(repr(names[i]) for i in best[: 2 if many else NAMED])
             which += f" and {len(best) - 2} more" if many and len(best) > 2 else ""
             msg = f"{source}: {argument} {which} could each be {signal}; {f'all {_ALIKE}' if single is None else way}"
@@ -484,12 +485,15 @@ def _of_others(loops: Mapping[str, Mapping[str, list[str]]], given: Sequence[str
     return {name for names in rivals if not names.issuperset(given) for name in names}
 
 
-def _one_of(loops: Mapping[str, Mapping[str, list[str]]], argument: str) -> str:
-    """Return in words which loops a file holds, and how to say which one."""
+def _one_of(loops: Mapping[str, Mapping[str, list[str]]], argument: str, given: Sequence[str]) -> str:
+    """Return in words which loops a file holds, and how to say which one, for example that of the names given."""
     names = whole(loops)
     more = f" and {len(names) - NAMED} more" if len(names) > NAMED else ""
-    first = {signal: loops[names[0]][signal][0] for signal in NEEDED}
+    meant = next(
+        (loop for loop in names if any(name in own for name in given for own in loops[loop].values())), names[0]
+    )
+    first = {signal: loops[meant][signal][0] for signal in NEEDED}
     return (
-        f"say which one, for example {argument}={first!r} for {names[0]}; the file holds {len(names)} loops: "
+        f"say which one, for example {argument}={first!r} for {meant}; the file holds {len(names)} loops: "
         f"{', '.join(names[:NAMED])}{more}"
     )
