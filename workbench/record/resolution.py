@@ -8,6 +8,7 @@ explains every stamp to within its resolution: places at random cannot be explai
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -19,6 +20,7 @@ __all__ = ["coarse_clock"]
 
 # What written times may be rounded to, s: a minute, a second, and decimals of seconds, minutes, hours and days.
 _MINUTE = 60.0
+_DECIMALS = (1.0, *(1.0 / 10.0**digits for digits in range(1, 7)))  # of seconds, which may be sample times, too
 _WRITTEN = (_MINUTE, 1.0, *(unit / 10.0**digits for unit in (1.0, 60.0, 3600.0, 86_400.0) for digits in range(1, 7)))
 WHOLE = 1e-3  # of the resolution, by which stamps may be off its multiples: what is kept of large numbers
 FINEST, COARSEST = 0.3, 1.3  # resolutions in a sample time, beyond which this is not looked for
@@ -27,6 +29,10 @@ SPAN = 32  # rows on end, from which the sample time is first guessed
 LOOSE, NEAR = 2e-3, 0.01  # resolutions by which a row's place may drift, and by which the guess may be off
 IN_TURN = 0.5  # of the change from row to row, below which that between rows further apart tells of several loops
 DIGITS = 7  # at most, of the sample times that are tried
+# Of rows one resolution apart of which every tenth is missing, a slower clock of a sample time with digits enough makes
+# the same stamps. So over the record one in its last digit makes at least so many resolutions, and the root mean square
+# of what it drifts from what least squares say is at most so many.
+PLAIN, DRIFT = 4.0, 0.05
 # Steps that are not the usual one and that the clock explains: five, and ten times those that it leaves unexplained.
 SURE, TIMES = 5, 10
 _MISSING = 2  # places from a row to the next where one is missing between them
@@ -37,7 +43,8 @@ def coarse_clock(seconds: FloatArray, values: Sequence[FloatArray] = ()) -> tupl
 
     seconds: stamps in ascending order, shape (N,), of which some may be the same. values: of signals, shape (N,) each,
     nan for none. Returns None where no even clock explains the stamps, where their resolution is far from the sample
-    time, or where rows of one stamp are of several loops in turn.
+    time, where rows of one stamp are of several loops in turn, or where only a sample time of many digits explains
+    stamps in seconds of which none is there twice: some of the rows are missing then.
     """
     if seconds.size < SPAN:
         return None
@@ -86,18 +93,30 @@ def _alternate(values: Sequence[FloatArray], many: int) -> bool:
 
 
 def _tried(units: FloatArray, guess: float, unit: float) -> dict[float, int]:
-    """Return sample times, in units, near a guess, with their digits in seconds; last what least squares say."""
+    """Return sample times, in units, near a guess, with their digits in seconds; last what least squares say.
+
+    Of those that rows which are missing might be taken for, only such as are no accident.
+    """
     moved = _walked(units, guess, LOOSE)
     place, off = _within(np.concatenate([[0], np.cumsum(moved)]), moved), _within(units, moved)
     least = float(np.sum(place * off) / np.sum(place * place))
+    missing, spread = guess > 1.0 and unit in _DECIMALS, float(np.sqrt(np.mean(place * place)))
     out: dict[float, int] = {}
     for digits in range(1, DIGITS + 1):
         for one in (guess, least):
             plain = float(f"{one * unit:.{digits}g}") / unit
-            if abs(plain - least) <= NEAR:
+            away, last = abs(plain - least), _last_digit(plain * unit, digits) / unit
+            sure = away * spread <= DRIFT and last * place.size >= PLAIN
+            if sure if missing else away <= NEAR:
                 out.setdefault(plain, digits)
-    out.setdefault(least, DIGITS + 1)
+    if not missing:
+        out.setdefault(least, DIGITS + 1)
     return out
+
+
+def _last_digit(value: float, digits: int) -> float:
+    """Return what one in the last of a value's significant digits is worth."""
+    return float(10.0 ** (math.floor(math.log10(value) + 1e-9) - digits + 1))
 
 
 def _guess(units: FloatArray) -> float:
