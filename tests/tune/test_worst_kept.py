@@ -52,8 +52,29 @@ def test_a_worst_case_that_other_points_refute_is_given_up_for_one_that_they_con
 
     problem = Asked(LOOP, EXPERIMENT, wb.Objective(), BOUNDS, 4, MARGIN)
     results = [(1.0, 0.9, np.array([1.0, 10.0, 0.0])), (1.1, 0.8, np.array([2.0, 10.0, 0.0]))]
-    chosen = verify._proved(problem, results)
+    chosen = verify._proved(problem, results, lambda: False)
     assert (chosen.tuning[0], chosen.worst, chosen.cost) == (2.0, 1.1, 0.8)
+
+
+@pytest.mark.parametrize("proof", [False, True])
+def test_the_last_word_and_the_proof_end_where_the_time_is_up(proof: bool) -> None:
+    asked: list[bool] = []
+
+    class Asked(Problem):
+        def last_word(self, tuning: np.ndarray, ceiling: float = np.inf, *, proof: bool = False) -> float:
+            asked.append(proof)
+            return super().last_word(tuning, ceiling, proof=proof)
+
+    def stop() -> bool:
+        if asked.count(proof):
+            raise TimeoutError
+        return False
+
+    problem = Asked(LOOP, EXPERIMENT, wb.Objective(), BOUNDS, 4, 0.001)
+    near = np.array([[0.3, 20.0, 0.0], [0.31, 20.0, 0.0], [0.31, 21.0, 0.0], [2.0, 20.0, 0.0]])
+    with pytest.raises(TimeoutError):
+        verify.choose(problem, near, stop=stop)
+    assert asked.count(proof) == 1
 
 
 def test_a_limit_that_some_points_of_the_only_neighbourhood_break_is_said() -> None:

@@ -77,6 +77,7 @@ def choose(problem: Problem, candidates: FloatArray, *, stop: Callable[[], bool]
     ends = ends[np.argsort(looked, kind="stable")]
     results: list[_Result] = []
     for end in ends:
+        stop()  # ends the choice by an exception where the time is up; the last look has no budget of its own
         ceiling = (1.0 + NO_LOSS) * min((item[0] for item in results), default=math.inf)
         results.append((problem.last_word(end, ceiling), float(problem.exact(end[None, :])[0]), end))
     last = min(results, key=lambda item: item[0])
@@ -89,14 +90,15 @@ def choose(problem: Problem, candidates: FloatArray, *, stop: Callable[[], bool]
     if min(item[0] for item in results) >= WORN:
         # The valve of a rough loop may travel further at one point in a thousand, whatever the tuning.
         results = [(dense(end, math.inf), cost, end) for _, cost, end in results]
-    return _proved(problem, results)
+    return _proved(problem, results, stop)
 
 
-def _proved(problem: Problem, results: list[_Result]) -> Choice:
+def _proved(problem: Problem, results: list[_Result], stop: Callable[[], bool]) -> Choice:
     """Return the best tuning whose worst case other points confirm, or the best of those that were tried so."""
     first = results[_picked(problem, results)]
     sure: list[int] = []
     while len(sure) < PROVED:
+        stop()
         at = _picked(problem, results)
         if at in sure:
             break
