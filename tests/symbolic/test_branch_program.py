@@ -15,7 +15,7 @@ from workbench.simulate.coefficients import coefficients
 from workbench.simulate.run import evaluate, simulate
 from workbench.simulate.signals import signals
 from workbench.symbolic.branch import BranchProgram, Decisions
-from workbench.symbolic.full_space import Coordinates
+from workbench.symbolic.full_space import Coordinates, FullSpace
 from workbench.symbolic.loop import COEFFICIENTS
 
 OBJECTIVE = wb.Objective(w1=0.5, w3=0.5, w4=0.02)
@@ -26,7 +26,8 @@ def program(loop: wb.Loop, experiment: wb.Experiment, bounds: wb.Bounds, objecti
     given_signals = signals(loop, experiment)
     numbers = {name: float(row[getattr(kernel, name)]) for name in COEFFICIENTS}
     parts = (given_signals.r, given_signals.load, given_signals.noise)
-    return BranchProgram(loop, numbers, *parts, objective, bounds, size=(4.0, 4.0), reference=10.0)
+    space = FullSpace(loop, numbers, *parts, objective, bounds, size=(4.0, 4.0))
+    return BranchProgram(space, reference=10.0)
 
 
 def loop_with(valve, plant=None, **controller) -> wb.Loop:

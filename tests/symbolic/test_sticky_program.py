@@ -17,6 +17,7 @@ from workbench.simulate.coefficients import coefficients
 from workbench.simulate.run import evaluate, simulate
 from workbench.simulate.signals import signals
 from workbench.symbolic.branch import Decisions
+from workbench.symbolic.full_space import FullSpace
 from workbench.symbolic.loop import COEFFICIENTS
 from workbench.symbolic.mpcc import Mpcc, MpccResult
 from workbench.symbolic.solve import Values
@@ -64,7 +65,8 @@ def program(loop: wb.Loop, bounds: wb.Bounds, mirrors: list[Mirror], experiment=
     s = signals(loop, experiment)
     numbers = {name: float(row[getattr(kernel, name)]) for name in COEFFICIENTS}
     parts = (s.r, s.load, s.noise)
-    return StickyProgram(loop, numbers, *parts, OBJECTIVE, bounds, size=(4.0, 5.0), reference=10.0, method=method)
+    space = FullSpace(loop, numbers, *parts, OBJECTIVE, bounds, size=(4.0, 5.0))
+    return StickyProgram(space, reference=10.0, method=method)
 
 
 def loop_with(plant=None, **controller) -> wb.Loop:

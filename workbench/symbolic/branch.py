@@ -16,10 +16,8 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from workbench.model.loop import Loop
 from workbench.model.record import FloatArray
 from workbench.model.results import NlpResult
-from workbench.model.tuning import Bounds, Objective
 from workbench.symbolic.full_space import FullSpace
 from workbench.symbolic.loop import valve_as_given
 from workbench.symbolic.solve import Group, IpoptOptions, Nlp, Solver, Values
@@ -72,28 +70,9 @@ class BranchSolution:
 
 
 class BranchProgram:
-    """The branch program of one loop, experiment, objective and bounds, compiled once.
+    """The branch program of one loop, experiment, objective and bounds, compiled once; reference: a typical J, > 0."""
 
-    `coefficients`: the loop's numbers by the names of `symbolic.loop.COEFFICIENTS`; of them bias, limits, valve and
-    plant are used. r (EU), load (%), noise (EU): shape (N + 1,). size: typical |PV| (EU) and |OP| (%) of a run, both
-    above 0; reference: a typical J, above 0.
-    """
-
-    def __init__(
-        self,
-        loop: Loop,
-        coefficients: Mapping[str, float],
-        r: FloatArray,
-        load: FloatArray,
-        noise: FloatArray,
-        objective: Objective,
-        bounds: Bounds,
-        *,
-        size: tuple[float, float],
-        reference: float,
-        options: IpoptOptions = OPTIONS,
-    ) -> None:
-        space = FullSpace(loop, coefficients, r, load, noise, objective, bounds, size=size)
+    def __init__(self, space: FullSpace, reference: float, options: IpoptOptions = OPTIONS) -> None:
         self.shape, self.samples, self.at = space.shape, space.samples, space.at
         self._space, self._raw, self._pu = space, space.raw, space.size[1]
         self._reference = reference

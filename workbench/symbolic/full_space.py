@@ -194,7 +194,7 @@ class FullSpace:
         *,
         size: tuple[float, float],
     ) -> None:
-        self.shape = shape_of(loop)
+        self.loop, self.shape = loop, shape_of(loop)
         self.samples = n = int(r.size) - 1
         self.at = Coordinates(loop.controller, loop.sample_time, bounds)
         self.size = py, pu = size

@@ -10,7 +10,7 @@ finds is therefore no tuning to use but a *sequence* to start a branch program f
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -19,9 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workbench.errors import InvalidValue
-from workbench.model.loop import Loop
 from workbench.model.record import FloatArray
-from workbench.model.tuning import Bounds, Objective
 from workbench.model.valve import Stenman
 from workbench.symbolic.branch import Decisions
 from workbench.symbolic.full_space import FullSpace
@@ -92,24 +90,11 @@ class StickySolution:
 class StickyProgram:
     """The complementarity program of one loop with a Stenman valve and no output limits, compiled once.
 
-    Arguments as for `symbolic.branch.BranchProgram`; `method` makes the solver. Raises `InvalidValue` for other loops.
+    reference: a typical J, > 0; `method` makes the solver. Raises `InvalidValue` for other loops.
     """
 
-    def __init__(
-        self,
-        loop: Loop,
-        coefficients: Mapping[str, float],
-        r: FloatArray,
-        load: FloatArray,
-        noise: FloatArray,
-        objective: Objective,
-        bounds: Bounds,
-        *,
-        size: tuple[float, float],
-        reference: float,
-        method: Callable[[Mpcc], MpccSolver] = relaxed,
-    ) -> None:
-        space = FullSpace(loop, coefficients, r, load, noise, objective, bounds, size=size)
+    def __init__(self, space: FullSpace, reference: float, *, method: Callable[[Mpcc], MpccSolver] = relaxed) -> None:
+        loop = space.loop
         if not isinstance(loop.valve, Stenman):
             raise InvalidValue("Loop.valve", loop.valve, "the complementarity form is written for Stenman valves")
         if space.shape.limited:

@@ -22,7 +22,7 @@ from workbench.symbolic.loop import unwritten
 from workbench.symbolic.mpcc import Mpcc, MpccSolver
 from workbench.symbolic.sticky import StickyProgram, relaxed
 from workbench.tune.problem import Problem
-from workbench.tune.refine import Seed, eq_2_alone, path, written
+from workbench.tune.refine import Seed, eq_2_alone, full_space, path
 
 __all__ = ["MOST_SAMPLES", "applicable", "seeds"]
 
@@ -55,20 +55,7 @@ def seeds(
     interrupted.
     """
     applicable(problem)
-    law, size = written(problem)
-    s = problem.signals
-    program = StickyProgram(
-        problem.loop,
-        law,
-        s.r,
-        s.load,
-        s.noise,
-        problem.objective,
-        problem.bounds,
-        size=size,
-        reference=reference,
-        method=method,
-    )
+    program = StickyProgram(full_space(problem), reference, method=method)
     found = []
     for start in starts:
         run = path(problem, start)

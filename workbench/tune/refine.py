@@ -8,7 +8,6 @@ from __future__ import annotations
 import heapq
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,11 +19,12 @@ from workbench.simulate.batch import weigh
 from workbench.simulate.coefficients import coefficients, rest
 from workbench.simulate.sums import SUMS, add_sums
 from workbench.symbolic.branch import BranchProgram, BranchSolution, Decisions
+from workbench.symbolic.full_space import FullSpace
 from workbench.symbolic.loop import COEFFICIENTS, unwritten
 from workbench.symbolic.solve import held_interrupt
 from workbench.tune.problem import Problem
 
-__all__ = ["AGREEMENT", "Path", "Refined", "Refiner", "Seed", "path", "usable", "written"]
+__all__ = ["AGREEMENT", "Path", "Refined", "Refiner", "Seed", "full_space", "path", "usable"]
 
 # Claim and exact re-simulation of an accepted program agree to this, relative to J.
 AGREEMENT = 1e-9
@@ -129,21 +129,16 @@ def path(problem: Problem, tuning: FloatArray, flip: int | None = None) -> Path:
     return ended()
 
 
-class Written(NamedTuple):
-    """A problem as the symbolic programs take it: the law's numbers by name, and typical |PV| (EU) and |OP| (%)."""
-
-    law: dict[str, float]
-    size: tuple[float, float]
-
-
-def written(problem: Problem) -> Written:
-    """Return a problem's numbers for the symbolic programs."""
+def full_space(problem: Problem) -> FullSpace:
+    """Return a problem's runs as the symbolic programs take them."""
     law = coefficients(problem.loop, problem.experiment.stem_offset)[0]
     s = problem.signals
     travel = max(float(np.abs(s.r).max()), float(np.abs(s.load).max()) * abs(law[kernel.GAIN]), 1e-12)
     steady = abs(law[kernel.GAIN] * (law[kernel.C0] + law[kernel.C1]) / max(1.0 - law[kernel.POLE], 0.1))
     size = (travel, max(problem.loop.valve.hold, travel / steady, 1e-12))
-    return Written({name: float(law[getattr(kernel, name)]) for name in COEFFICIENTS}, size)
+    numbers = {name: float(law[getattr(kernel, name)]) for name in COEFFICIENTS}
+    signals = (s.r, s.load, s.noise)
+    return FullSpace(problem.loop, numbers, *signals, problem.objective, problem.bounds, size=size)
 
 
 class Refiner:
@@ -154,20 +149,8 @@ class Refiner:
         valve = problem.loop.valve
         # Guard margins count in the valve's own mean of stick band and slip jump; a valve without any has no guards.
         self._guard = guard * (valve.stick_band + valve.slip_jump) / 2.0
-        s = problem.signals
-        law, size = written(problem)
         with held_interrupt() as held:
-            self._program = BranchProgram(
-                problem.loop,
-                law,
-                s.r,
-                s.load,
-                s.noise,
-                problem.objective,
-                problem.bounds,
-                size=size,
-                reference=reference,
-            )
+            self._program = BranchProgram(full_space(problem), reference)
         if held.asked:
             raise KeyboardInterrupt
         self._strict = valve.sticks_at_once
