@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from loops import paper_loop, paper_step
 
 import workbench as wb
-from workbench.kpi.kpis import last_event, measure, record_kpis, reversals, travel
+from workbench.kpi.kpis import last_event, measure, reversals, travel
 from workbench.kpi.oscillation import autocorrelation, oscillation
 
 PV = np.array([0.0, 1.0, 3.0, 5.0, 4.0, 4.0])
@@ -102,12 +102,12 @@ def test_a_run_that_never_settles_says_infinity_and_one_without_a_step_nan():
     assert math.isnan(quiet.kpis.overshoot)
 
 
-def test_a_record_without_setpoint_or_stem_has_no_such_figures():
-    k = record_kpis(wb.Record(pv=PV, op=OP, sample_time=2.0))
+def test_signals_without_setpoint_or_stem_have_no_such_figures():
+    k = measure(PV, 2.0, op=OP)
     assert math.isnan(k.error_variance)
     assert math.isnan(k.valve_travel)
     assert k.controller_travel == 4.0
-    with_stem = record_kpis(wb.Record(pv=PV, op=OP, sample_time=2.0, sp=SP, valve_position=STEM))
+    with_stem = measure(PV, 2.0, sp=SP, op=OP, valve=STEM)
     assert with_stem.valve_travel == 5.0
     assert with_stem.mean_square_error == pytest.approx(27 / 6)
 

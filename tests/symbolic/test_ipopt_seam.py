@@ -14,7 +14,7 @@ import pytest
 
 from workbench.errors import InvalidValue, SolveError
 from workbench.model.results import SolveStatus
-from workbench.symbolic.solve import Group, IpoptOptions, Nlp, Solver, Values, held_interrupt, solve, versions
+from workbench.symbolic.solve import Group, IpoptOptions, Nlp, Solver, Values, held_interrupt, versions
 
 
 def rosenbrock() -> Nlp:
@@ -34,7 +34,7 @@ def circle(radius: float) -> Nlp:
 
 
 def test_a_solved_program() -> None:
-    result = solve(rosenbrock())
+    result = Solver(rosenbrock()).solve()
     assert result.status is SolveStatus.SOLVED
     assert result.message == "Solve_Succeeded"
     assert np.abs(result.x - 1.0).max() < 1e-6
@@ -46,7 +46,7 @@ def test_a_solved_program() -> None:
 
 
 def test_residuals_carry_the_groups_names() -> None:
-    result = solve(circle(2.0))
+    result = Solver(circle(2.0)).solve()
     assert np.abs(result.x + math.sqrt(2.0)).max() < 1e-6
     assert set(result.residuals) == {"bounds", "circle", "half plane"}
     assert 0.0 <= result.residuals["circle"] < 1e-7
@@ -54,7 +54,7 @@ def test_residuals_carry_the_groups_names() -> None:
 
 
 def test_nothing_is_printed(capfd: pytest.CaptureFixture[str]) -> None:
-    solve(rosenbrock())
+    Solver(rosenbrock()).solve()
     captured = capfd.readouterr()
     assert captured.out == ""
     assert captured.err == ""
@@ -63,7 +63,7 @@ def test_nothing_is_printed(capfd: pytest.CaptureFixture[str]) -> None:
 def test_an_infeasible_program_says_so_and_names_the_residual() -> None:
     x = ca.SX.sym("x")
     nlp = Nlp(x=x, objective=x**2, groups=(Group("impossible", x**2, -2.0, -1.0),), start=1.0)
-    result = solve(nlp)
+    result = Solver(nlp).solve()
     assert result.status is SolveStatus.INFEASIBLE
     assert result.residuals["impossible"] == pytest.approx(1.0, abs=1e-3)
     with pytest.raises(SolveError, match="impossible"):
@@ -71,20 +71,20 @@ def test_an_infeasible_program_says_so_and_names_the_residual() -> None:
 
 
 def test_the_iteration_limit_is_a_status() -> None:
-    result = solve(rosenbrock(), IpoptOptions(max_iterations=3))
+    result = Solver(rosenbrock(), IpoptOptions(max_iterations=3)).solve()
     assert result.status is SolveStatus.ITERATION_LIMIT
     assert result.iterations == 3
     assert not result.status.success
 
 
 def test_the_time_limit_is_a_status() -> None:
-    result = solve(rosenbrock(), IpoptOptions(max_wall_time=1e-9))
+    result = Solver(rosenbrock(), IpoptOptions(max_wall_time=1e-9)).solve()
     assert result.status is SolveStatus.TIME_LIMIT
 
 
 def test_a_program_without_a_lower_end_diverges() -> None:
     x = ca.SX.sym("x")
-    result = solve(Nlp(x=x, objective=-(x**3), start=1.0), IpoptOptions(max_iterations=2000))
+    result = Solver(Nlp(x=x, objective=-(x**3), start=1.0), IpoptOptions(max_iterations=2000)).solve()
     assert not result.status.success
 
 
@@ -121,13 +121,13 @@ def test_wrong_options_are_refused(wrong: dict[str, object]) -> None:
 def test_sizes_and_names_are_checked() -> None:
     x = ca.SX.sym("x", 3)
     with pytest.raises(InvalidValue, match="one number or 3"):
-        solve(Nlp(x=x, objective=ca.sumsqr(x), start=np.zeros(2)))
+        Solver(Nlp(x=x, objective=ca.sumsqr(x), start=np.zeros(2))).solve()
     with pytest.raises(InvalidValue, match="name of its own"):
         Solver(Nlp(x=x, objective=ca.sumsqr(x), groups=(Group("a", x[0]), Group("a", x[1]))))
 
 
 def test_both_whitelisted_linear_solvers_are_there() -> None:
-    result = solve(circle(1.0), IpoptOptions(linear_solver="mumps"))
+    result = Solver(circle(1.0), IpoptOptions(linear_solver="mumps")).solve()
     assert result.status is SolveStatus.SOLVED
 
 

@@ -11,7 +11,7 @@ from workbench.analyze.loci import Approach, Meeting, closest_approach, first_me
 from workbench.analyze.valve_loci import locus_pieces
 from workbench.errors import InvalidValue
 from workbench.model.analyses import ComplexArray, Crossing, DescribingFunction
-from workbench.model.checks import instance, yes_or_no
+from workbench.model.checks import instance
 from workbench.model.loop import Loop
 from workbench.model.numbers import given
 from workbench.model.plant import FOPDT
@@ -40,7 +40,7 @@ def describing_function(loop: Loop, *, sampling_delay: bool = False) -> Describi
     describing function (`valve_loci.no_locus`), and for a controller with a compensator, which L(jw) does not hold.
     """
     instance(loop, Loop, "loop", "a Loop")
-    yes_or_no(sampling_delay, "describing_function.sampling_delay")
+    instance(sampling_delay, bool, "describing_function.sampling_delay", "True or False")
     if loop.controller.compensator is not None:
         allowed = "must be None: the method holds for the loop without it (`limit_cycle` follows the loop with it)"
         raise InvalidValue("PID.compensator", type(loop.controller.compensator).__name__, allowed)

@@ -28,7 +28,7 @@ from workbench.model.plant import FOPDT
 from workbench.model.valve import Directional, Positional
 from workbench.simulate.coefficients import discretise
 
-__all__ = ["relaxation_condition", "relaxation_cycle", "relaxation_period"]
+__all__ = ["relaxation_condition", "relaxation_cycle"]
 
 # Limits within which the formulas have been found right within 5 % (benchmarks/limit_cycles.py): the echo of a slip, in
 # stick bands, PV's time to come to rest, in time constants beyond the dead time, and the jump's least share in the
@@ -51,12 +51,6 @@ def relaxation_condition(loop: Loop) -> bool:
         return False
     gain = loop.controller.signed_gain * terms.Kc * loop.gain * J / S
     return 0.0 < gain < 1.0 and plant.time_constant + plant.dead_time < terms.Ti < math.inf
-
-
-def relaxation_period(loop: Loop, split: float = 0.5) -> float:
-    """Return the period (s) of `relaxation_cycle`, nan where its conditions do not hold."""
-    cycle = relaxation_cycle(loop, split)
-    return math.nan if cycle is None else cycle.period
 
 
 def relaxation_cycle(loop: Loop, split: float = 0.5) -> RelaxationCycle | None:

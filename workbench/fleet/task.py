@@ -43,7 +43,7 @@ FRESH = 10.0  # samples of a cycle that its phase is read from
 BAND = (0.6, 1.6)  # of the frequency of the cycle
 INSTANTS = 256  # of the phase, at most
 DRAWN = 96  # points of a trend
-SHOWN, SHOWN_LEAST = 10.0, 2.0  # cycles, and hours where there is none, in a trend
+SHOWN = 10.0  # cycles in a trend
 _ENTRY = re.compile(r"\b(columns|tags): \{[^}]*\}")
 NOTES = 1200  # characters of reasons and notes
 

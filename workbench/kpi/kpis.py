@@ -14,10 +14,10 @@ from workbench.model.cascade import Cascade, CascadeExperiment
 from workbench.model.experiment import Experiment, Step
 from workbench.model.loop import Loop
 from workbench.model.plant import FOPDT
-from workbench.model.record import FloatArray, Record
+from workbench.model.record import FloatArray
 from workbench.model.results import Kpis
 
-__all__ = ["STILL", "Event", "cascade_event", "last_event", "measure", "record_kpis", "reversals", "travel"]
+__all__ = ["STILL", "Event", "cascade_event", "last_event", "measure", "reversals", "travel"]
 
 # %: a stem that moves no further in a sample is at rest. An ideal valve follows the rounding of OP to and fro for ever.
 STILL = 1e-9
@@ -173,10 +173,3 @@ def _step_response(error: FloatArray, sample_time: float, event: Event) -> tuple
     entry = 0 if outside.size == 0 else int(outside[-1]) + 1
     settling = math.inf if 0 < entry == after.size else entry * sample_time
     return overshoot, settling
-
-
-def record_kpis(record: Record, window: tuple[float, float] | None = None) -> Kpis:
-    """Return the figures of a record (stem figures only where a positioner recorded it); window in s from its start."""
-    return measure(
-        record.pv, record.sample_time, sp=record.sp, op=record.op, valve=record.valve_position, window=window
-    )

@@ -21,7 +21,6 @@ __all__ = [
     "reads_as_number",
     "sequence",
     "whole",
-    "yes_or_no",
 ]
 
 
@@ -73,13 +72,6 @@ def sequence(value: object, where: str, allowed: str) -> Iterable[Any]:
     # A numpy array without a dimension has __iter__, and nothing to go through.
     if isinstance(value, str | bytes) or not isinstance(value, Iterable) or getattr(value, "ndim", 1) == 0:
         raise InvalidValue(where, value, f"must be {allowed}")
-    return value
-
-
-def yes_or_no(value: object, where: str) -> bool:
-    """Return `value` if it is True or False, else raise `InvalidValue`."""
-    if not isinstance(value, bool):
-        raise InvalidValue(where, value, "must be True or False")
     return value
 
 

@@ -82,11 +82,11 @@ def beside(above: Axes, below: Axes) -> None:
         ax.set_ylabel("")
 
 
-def finish(ax: Axes, ylabel: str, *, columns: int = 4) -> None:
+def finish(ax: Axes, ylabel: str) -> None:
     """Name the axis and put the legend above the plot, where it hides nothing."""
     ax.set_ylabel(ylabel)
     ax.margins(x=0.01)
-    ax.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=columns, borderaxespad=0.1, columnspacing=1.2)
+    ax.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=4, borderaxespad=0.1, columnspacing=1.2)
 
 
 def run_pv(ax: Axes, run: Run, unit: float = 1.0, part: slice = slice(None)) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -18,8 +17,7 @@ from workbench.model.study import CaseResult
 from workbench.model.valve import Ideal
 from workbench.report import draw
 from workbench.report.draw_evidence import apparent_stiction, bicoherence_map, pv_autocorrelation
-from workbench.report.files import write_files
-from workbench.report.style import SP, case_style, new_figure, styled, svg_text
+from workbench.report.style import SP, case_style, new_figure, styled
 from workbench.report.thinned import settled
 from workbench.report.words import given, join, label, parameter_words
 
@@ -37,7 +35,6 @@ __all__ = [
     "overlay_figure",
     "profile_figure",
     "pv_op_figure",
-    "save_svg",
     "trend_figure",
 ]
 
@@ -48,7 +45,7 @@ EARLY, SHOWN = 0.1, 3.0
 ABOVE = 13.0  # points: what a legend of one line above a plot takes
 
 
-def trend_figure(run: Run, title: str = "") -> Figure:
+def trend_figure(run: Run) -> Figure:
     """Return PV and SP above, OP and valve position below, on one time axis.
 
     Where the loop comes to rest early, its first stretch stands beside them, from near.
@@ -64,7 +61,6 @@ def trend_figure(run: Run, title: str = "") -> Figure:
             draw.run_op(below[i], run, unit, part)
             if i:
                 draw.beside(above[i], below[i])
-        above[0].set_title(label(title, 45 if until is None else 20), loc="left")
     return fig
 
 
@@ -197,14 +193,13 @@ def _comparable(signals: Sequence[FloatArray]) -> list[FloatArray]:
     return [draw.seen(s, limit) for s in kept]
 
 
-def pv_op_figure(run: Run, title: str = "") -> Figure:
+def pv_op_figure(run: Run) -> Figure:
     """Return PV against OP above, valve position against OP below."""
     with styled():
         fig = new_figure(2.5, 2.75)
         above, below = fig.subplots(2, 1, sharex=True)
         draw.pv_op(above, run)
         draw.op_stem(below, run)
-        above.set_title(label(title, 30), loc="left")
     return fig
 
 
@@ -337,12 +332,6 @@ def convergence_figure(found: Estimate, title: str = "") -> Figure:
         draw.convergence(above, below, found)
         above.set_title(label(title, 55), loc="left")
     return fig
-
-
-def save_svg(fig: Figure, path: Path | str) -> None:
-    """Write a figure as an SVG file, whole or not at all, the same to the byte each time. Raises `OutputError`."""
-    target = Path(path)
-    write_files({target.name: svg_file(svg_text(fig))}, target.parent)
 
 
 def svg_file(element: str) -> str:

@@ -12,7 +12,7 @@ import numpy as np
 from workbench.kpi.kpis import Event, cascade_event, last_event, reversals, travel
 from workbench.model.cascade import CascadeExperiment, CascadeRun
 from workbench.model.experiment import Experiment
-from workbench.model.results import Kpis, LimitCycle, Run, Tuned
+from workbench.model.results import LimitCycle, Run, Tuned
 from workbench.model.site import SiteCase
 from workbench.model.study import CascadeResult, CaseResult, NamedEstimate, Study
 from workbench.report.standing import held_by_stiction
@@ -165,13 +165,10 @@ def settling_band(case: CaseResult | CascadeResult, experiment: Experiment | Non
     return f"from the last step into ±{band}"
 
 
-def settling_doubt(case: CaseResult | CascadeResult, experiment: Experiment | None, kpis: Kpis | None = None) -> str:
-    """Return why a finite settling time is not one to go by, or "".
-
-    kpis: those of the case's run unless given; of a cascade the primary's.
-    """
+def settling_doubt(case: CaseResult | CascadeResult, experiment: Experiment | None) -> str:
+    """Return why a finite settling time, of a cascade the primary's, is not one to go by, or ""."""
     event, run = _event(case, experiment), case.run.primary if isinstance(case, CascadeResult) else case.run
-    value = (run.kpis if kpis is None else kpis).settling_time
+    value = run.kpis.settling_time
     if experiment is None or event is None or not math.isfinite(value):
         return ""
     band = event.band

@@ -31,7 +31,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workbench.errors import InvalidValue, SolveError
-from workbench.model.checks import choice, number
+from workbench.model.checks import choice, instance, number
 from workbench.model.record import FloatArray
 from workbench.model.results import NlpResult, SolveStatus
 from workbench.symbolic.solve import Group, IpoptOptions, Nlp, Solver, Values, versions
@@ -96,8 +96,7 @@ class Homotopy:
             raise InvalidValue("Homotopy.sigmas", self.sigmas, "must fall strictly")
         object.__setattr__(self, "sigmas", sigmas)
         number(self.tolerance, "Homotopy.tolerance", least=1e-12, most=1e-2)
-        if not isinstance(self.finish, bool):
-            raise InvalidValue("Homotopy.finish", self.finish, "must be True or False")
+        instance(self.finish, bool, "Homotopy.finish", "True or False")
 
 
 @dataclass(frozen=True, slots=True)

@@ -27,7 +27,7 @@ from workbench.model.checks import choice, number
 from workbench.model.record import FloatArray
 from workbench.model.results import NlpResult, SolveStatus
 
-__all__ = ["Group", "IpoptOptions", "Nlp", "Solver", "held_interrupt", "solve", "versions"]
+__all__ = ["Group", "IpoptOptions", "Nlp", "Solver", "Values", "held_interrupt", "versions"]
 
 # Only these ship in CasADi's wheel; asking IPOPT for another can end the whole process.
 LINEAR_SOLVERS = ("mumps", "spral")
@@ -314,11 +314,6 @@ class Solver:
             wall_time=time.perf_counter() - began,
             versions=versions(),
         )
-
-
-def solve(nlp: Nlp, options: IpoptOptions | None = None, values: Values | None = None) -> NlpResult:
-    """Compile and solve a program once; see `Solver`."""
-    return Solver(nlp, options).solve(values)
 
 
 def _has_interrupt(error: BaseException | None) -> bool:

@@ -19,6 +19,7 @@ __all__ = ["OutOfBudget", "Population", "evolve", "sized", "spread"]
 
 # (points, ceilings) -> values, inf where a value exceeds its ceiling.
 Evaluate = Callable[[FloatArray, FloatArray], FloatArray]
+LEAST = 8  # members of the last generation
 MEMORY = 5
 ARCHIVE = 1.4
 BEST_SHARE = 0.15
@@ -48,11 +49,10 @@ def evolve(
     generations: int,
     rng: np.random.Generator,
     *,
-    least: int = 8,
     stop: Callable[[], bool] = lambda: False,
     keep: Callable[[FloatArray, FloatArray], None] | None = None,
 ) -> Population:
-    """Minimise over the unit cube from a start population, shape (M, D), which shrinks linearly to `least` members.
+    """Minimise over the unit cube from a start population, shape (M, D), which shrinks linearly to `LEAST` members.
 
     `stop` is asked before each generation. `keep` is told of every improvement (points, values), for a caller that
     collects more than the last population. Ends early where all members agree.
@@ -71,8 +71,8 @@ def evolve(
         order = np.argsort(values, kind="stable")
         if values[order[-1]] <= values[order[0]] + AGREED * abs(values[order[0]]) and np.isfinite(values[order[0]]):
             break
-        wanted = max(least, round(count + (least - count) * generation / max(generations, 1)))
-        order = order[: max(wanted, 4)]
+        wanted = max(LEAST, round(count + (LEAST - count) * generation / max(generations, 1)))
+        order = order[:wanted]
         points, values = points[order], values[order]
         m = values.size
         pick = rng.integers(MEMORY, size=m)

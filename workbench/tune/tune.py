@@ -112,10 +112,8 @@ def tune(
     number(whole(complementarity, "tune.complementarity"), "tune.complementarity", most=100)
     digits = (NOMINAL_DIGITS if nominal else DIGITS) if digits is None else digits
     _check(loop, bounds, seed, digits, restarts, guard, margin, time_limit, max_evaluations)
-    if not isinstance(robust, bool | Ensemble):
-        raise InvalidValue("tune.robust", robust, "must be True, False or an Ensemble")
-    if constraints is not None and not isinstance(constraints, Constraints):
-        raise InvalidValue("tune.constraints", constraints, "must be Constraints(...) or None")
+    instance(robust, (bool, Ensemble), "tune.robust", "True, False or an Ensemble")
+    instance(constraints, (Constraints, type(None)), "tune.constraints", "Constraints(...) or None")
     began = time.perf_counter()
     # An ensemble has constraints of its own, and those that ask for nothing are none.
     single = None if robust is not False or constraints == Constraints() else constraints
