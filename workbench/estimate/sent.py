@@ -14,8 +14,8 @@ from typing import NamedTuple, TypeVar
 from workbench.estimate.fits.data import Centred, centre
 from workbench.estimate.fits.fit import Fit, autoregression, predict
 from workbench.estimate.search.profile import Profile
-from workbench.estimate.search.stems import path_of, silent
-from workbench.estimate.search.two_parameter import band_stem, look
+from workbench.estimate.search.stems import silent
+from workbench.estimate.search.two_parameter import look
 from workbench.model.record import FloatArray, Record
 from workbench.record.rounding import step_of
 
@@ -78,10 +78,10 @@ def left_by_stem(data: Centred, found: Profile | None, delays: float) -> Left:
     stems: list[tuple[Fit, FloatArray, int]] = []
     if found is not None:
         best = found.best
-        stems.append((best.fit, path_of(data.u, best.d_low, best.first)[0], best.first))
+        stems.append((best.fit, best.stem(data.u), best.first))
     if bands := look(data, delays):
         b = bands[0]
-        stems.append((b.fit, band_stem(data.u, b.S, b.J, b.first, b.sense)[0], max(b.first, 0)))
+        stems.append((b.fit, b.stem(data.u), b.begin))
     if not stems:
         power = data.samples * math.log(max(data.variance, data.floor))
         return Left(power, power, noise=False)

@@ -24,8 +24,7 @@ from workbench.estimate.search.bands import Found
 from workbench.estimate.search.models import bands_of, refitted
 from workbench.estimate.search.profile import Profile, profile_again, profile_of, search
 from workbench.estimate.search.sought import HOPELESS, Sought, coarse_of, like_stenman, sought
-from workbench.estimate.search.stems import path_of
-from workbench.estimate.search.two_parameter import Band, band_stem, fit_band
+from workbench.estimate.search.two_parameter import Band, fit_band
 from workbench.model.loads import LoadStep
 from workbench.model.record import FloatArray
 
@@ -52,13 +51,7 @@ def _leading(data: Centred, found: Profile | None, bands: dict[str, Found], line
     if found is None:
         return Stem(data.u, 0, linear)
     best = found.best
-    return Stem(
-        path_of(data.u, best.d_low, best.first)[0],
-        best.first,
-        best.fit,
-        lambda wider, _: path_of(data.u, best.d_low * wider, best.first)[0],
-        free=1,
-    )
+    return Stem(best.stem(data.u), best.first, best.fit, lambda wider, _: best.stem(data.u, wider), free=1)
 
 
 def _nearly(data: Centred, bands: dict[str, Found], lead: Stem) -> list[Stem]:
@@ -71,10 +64,10 @@ def _nearly(data: Centred, bands: dict[str, Found], lead: Stem) -> list[Stem]:
 def _of_band(data: Centred, b: Band) -> Stem:
     """A two-parameter stem over the whole of a record."""
     return Stem(
-        band_stem(data.u, b.S, b.J, b.first, b.sense)[0],
-        max(b.first, 0),
+        b.stem(data.u),
+        b.begin,
         b.fit,
-        lambda wider, further: band_stem(data.u, b.S * wider, b.J * further, b.first, b.sense)[0],
+        partial(b.stem, data.u),
         free=2 if b.J > 0.0 else 1,
         valve=(b.S, b.J, b.first, b.sense),
     )
@@ -259,7 +252,7 @@ def needs_steps(beside: tuple[Centred, Band], steps: Sequence[LoadStep], without
 
 def _itself(data: Centred, b: Band) -> Fit:
     """The fit of a stem as it is to PV itself."""
-    return grounded(data, band_stem(data.u, b.S, b.J, b.first, b.sense)[0], max(b.first, 0), b.fit)
+    return grounded(data, b.stem(data.u), b.begin, b.fit)
 
 
 def _akaike_in(data: Centred, lead: Stem, limits: Limits) -> float:

@@ -21,7 +21,7 @@ from workbench.estimate.kernels.bands import scan_starts
 from workbench.estimate.kernels.path import S_HIGH, S_LOW, band_path
 from workbench.estimate.search.bands import Bands, alike_about
 from workbench.estimate.search.profile import CHI_SQUARE
-from workbench.estimate.search.two_parameter import Band, band_stem, best_of, fit_band, jumped, started
+from workbench.estimate.search.two_parameter import Band, best_of, fit_band, jumped, started
 
 __all__ = ["widened"]
 
@@ -43,9 +43,9 @@ def widened(data: Centred, found: Bands, only: float | None, limits: Limits, riv
         return found
     others: list[Band] = []
     for _ in range(ROUNDS):
-        x, _ = band_stem(data.u, best.S, best.J, best.first, best.sense)
+        x = best.stem(data.u)
         base = max(min(best.fit.sse, rival) / n, data.floor)
-        most = base * math.exp(CHI_SQUARE / effective_samples(data, x, max(best.first, 0), best.fit)) * n
+        most = base * math.exp(CHI_SQUARE / effective_samples(data, x, best.begin, best.fit)) * n
         others += [b for way in (-1, 1) for b in _walked(data, best, way, most, only, limits)]
         known, best = best, best_of([best, *others])
         if known.fit.sse <= max(best.fit.sse, n * data.floor):
@@ -108,7 +108,7 @@ def _started(data: Centred, b: Band, limits: Limits) -> Band:
 
 
 def _slips(data: Centred, b: Band) -> NDArray[np.int64]:
-    moves = np.diff(band_stem(data.u, b.S, b.J, b.first, b.sense)[0], prepend=0.0) != 0.0
+    moves = np.diff(b.stem(data.u), prepend=0.0) != 0.0
     return np.flatnonzero(moves[1:] & ~moves[:-1]) + 1
 
 

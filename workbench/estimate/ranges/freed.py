@@ -103,8 +103,8 @@ def freed(
     if not steps or best.fit.gain == 0.0 or data.a.size > 1:
         return found
     loaded = Loaded.of(whole, data, steps, limits)
-    x, _ = band_stem(data.u, best.S, best.J, best.first, best.sense)
-    room = CHI_SQUARE / effective_samples(data, x, max(best.first, 0), best.fit)
+    x = best.stem(data.u)
+    room = CHI_SQUARE / effective_samples(data, x, best.begin, best.fit)
     begun = loaded.band(best.S, best.J, (best.first, best.sense), best.fit)
     floor = data.floor * data.samples
     least, met = max(begun.fit.sse, floor), [begun]

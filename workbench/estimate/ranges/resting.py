@@ -20,7 +20,6 @@ from workbench.estimate.fits.windows import EXACT
 from workbench.estimate.ranges.freed import Loaded
 from workbench.estimate.search.candidates import Candidate
 from workbench.estimate.search.profile import CHI_SQUARE
-from workbench.estimate.search.stems import path_of
 from workbench.model.record import FloatArray
 from workbench.simulate.compiled import compiled
 
@@ -40,7 +39,7 @@ def resting_short(data: Centred, best: Candidate, limits: Limits, loaded: Loaded
     does not explain.
     """
     n, fit = data.samples, best.fit
-    x = path_of(data.u, best.d_low, best.first)[0]
+    x = best.stem(data.u)
     rival = fit if loaded is None else loaded.fit(x, best.first, fit)
     room = CHI_SQUARE / effective_samples(data, x, best.first, fit)
     most = max(rival.sse / n, data.floor) * math.exp(room) * n

@@ -20,8 +20,7 @@ from workbench.estimate.search.bands import Bands, Found, alike
 from workbench.estimate.search.candidates import Candidate
 from workbench.estimate.search.models import PLANT_PARAMETERS, akaike
 from workbench.estimate.search.profile import CHI_SQUARE, Profile
-from workbench.estimate.search.stems import path_of
-from workbench.estimate.search.two_parameter import Band, band_stem, held_range
+from workbench.estimate.search.two_parameter import Band, held_range
 from workbench.model.loads import LoadStep
 from workbench.model.plant import FOPDT, Plant
 from workbench.model.record import FloatArray
@@ -204,9 +203,9 @@ def rivals_of(
     n = data.samples
     best = bands[chosen].best if chosen in bands else None
     if best is not None:
-        x, first, fit = band_stem(data.u, best.S, best.J, best.first, best.sense)[0], max(best.first, 0), best.fit
+        x, first, fit = best.stem(data.u), best.begin, best.fit
     elif found is not None:
-        x, first, fit = path_of(data.u, found.best.d_low, found.best.first)[0], found.best.first, found.best.fit
+        x, first, fit = found.best.stem(data.u), found.best.first, found.best.fit
     else:
         return {}
     most = max(fit.sse / n, data.floor) * math.exp(CHI_SQUARE / effective_samples(data, x, first, fit)) * n
@@ -233,7 +232,7 @@ def short_of(
     fits = resting_short(data, best, limits, loaded)
     if not fits:
         return {}
-    x, _ = path_of(data.u, best.d_low, best.first)
+    x = best.stem(data.u)
     errors = standard_errors(data, x, best.first, best.fit, clamped=False)
     return {"he": ranges_of(data, fits, errors, None, limits.theta[1])}
 
@@ -251,7 +250,7 @@ def without_jump(data: Centred, whole: Centred, dead: Found, limits: Limits, ste
 def stem_of(data: Centred, found: Profile) -> InScale:
     """Return the best one-parameter stem; d has a range where enough slips pin it."""
     best = found.best
-    x, _ = path_of(data.u, best.d_low, best.first)
+    x = best.stem(data.u)
     start, clamped = _start(data, best)
     bounds = start_range(data.u, best.first, best.d_low, best.d_high)
     whole = grounded(data, x, best.first, best.fit, bounds)
@@ -272,8 +271,7 @@ def stem_of(data: Centred, found: Profile) -> InScale:
 
 def band_position(data: Centred, best: Band) -> FloatArray:
     """Return a two-parameter stem, % of OP's scale, shape (N,)."""
-    x, _ = band_stem(data.u, best.S, best.J, best.first, best.sense)
-    begin = max(best.first, 0)
+    x, begin = best.stem(data.u), best.begin
     whole = grounded(data, x, begin, best.fit)
     position = x + data.op_middle
     if begin > 0 and best.fit.gain != 0.0:
@@ -285,8 +283,7 @@ def band_position(data: Centred, best: Band) -> FloatArray:
 def band_of(data: Centred, found: Bands, name: str, limits: Limits) -> InScale:
     """Return the best two-parameter stem, searched within limits, in the record's own scale."""
     best = found.best
-    x, _ = band_stem(data.u, best.S, best.J, best.first, best.sense)
-    begin = max(best.first, 0)
+    x, begin = best.stem(data.u), best.begin
     whole = grounded(data, x, begin, best.fit)
     prediction = data.pv_mean + data.load + predict(data, x, begin, whole)[0]
     errors = (math.nan, math.nan, math.nan)

@@ -93,7 +93,7 @@ def unseen(data: Centred, linear: Fit, longest: float, loaded: Loaded | None = N
     x, begin, fit = data.u, 0, linear
     if loaded is None:
         best = best_of(alike)
-        x, begin, fit = band_stem(data.u, best.S, 0.0, best.first, best.sense)[0], max(best.first, 0), best.fit
+        x, begin, fit = band_stem(data.u, best.S, 0.0, best.first, best.sense)[0], best.begin, best.fit
     errors = standard_errors(data, x, begin, fit, clamped=False)
     spare = [math.sqrt(1.0 - behind(b)) for b in alike]
     ranges = ranges_of(data, [b.fit for b in alike], errors, None, limits.theta[1], spare)

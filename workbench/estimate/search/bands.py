@@ -26,7 +26,6 @@ from workbench.estimate.search.two_parameter import (
     NARROWEST,
     WIDEST,
     Band,
-    band_stem,
     best_of,
     best_start,
     fit_band,
@@ -137,8 +136,7 @@ def search_bands(
 
 def _travels(data: Centred, b: Band) -> bool:
     """Whether a stem moves by as much as the widest band that is searched leaves of OP's range."""
-    x, _ = band_stem(data.u, b.S, b.J, b.first, b.sense)
-    return bool(np.ptp(x[max(b.first, 0) :]) >= (1.0 - WIDEST) * data.op_range)
+    return bool(np.ptp(b.stem(data.u)[b.begin :]) >= (1.0 - WIDEST) * data.op_range)
 
 
 def _search_long(
@@ -256,7 +254,7 @@ def _known(best: Band, part: Centred, longest: float) -> list[Band]:
 
 def noise_beside(data: Centred, b: Band) -> bool:
     """Return whether a stem leaves no more of PV than white noise."""
-    return noise_alone(data, band_stem(data.u, b.S, b.J, b.first, b.sense)[0], max(b.first, 0), b.fit)
+    return noise_alone(data, b.stem(data.u), b.begin, b.fit)
 
 
 def further(data: Centred, found: Found, seeds: Sequence[Band], limits: Limits) -> Found:
@@ -295,7 +293,7 @@ def _beside(data: Centred, best: Band, only: float | None, limits: Limits) -> li
     Where slips are few, and OP ramps between them, that may be many samples from the truth. No stem is closer to the
     best than `APART` of S. With few slips a stem of another jump, and gain, may be one slip from the truth as well.
     """
-    x, _ = band_stem(data.u, best.S, best.J, best.first, best.sense)
+    x = best.stem(data.u)
     moves = np.diff(x, prepend=x[0]) != 0.0
     slips = np.flatnonzero(moves[1:] & ~moves[:-1]) + 1
     slips = slips[slips >= BEFORE]
@@ -332,8 +330,7 @@ def _rejects(part: Centred, own: Band, other: Band) -> bool:
 
 def _effective(data: Centred, b: Band) -> float:
     """The number of independent samples that what a stem leaves is worth."""
-    x, _ = band_stem(data.u, b.S, b.J, b.first, b.sense)
-    return effective_samples(data, x, max(b.first, 0), b.fit)
+    return effective_samples(data, b.stem(data.u), b.begin, b.fit)
 
 
 def alike(data: Centred, found: Found, limits: Limits, rival: float = math.inf) -> Bands:
@@ -460,8 +457,7 @@ def _halves(data: Centred, bands: list[Band]) -> list[Band]:
     half = data.samples // 2
     costs = np.empty((len(bands), 2))
     for i, b in enumerate(bands):
-        x, _ = band_stem(data.u, b.S, b.J, b.first, b.sense)
-        squares = data.innovations(predict(data, x, max(b.first, 0), b.fit)[0]) ** 2
+        squares = data.innovations(predict(data, b.stem(data.u), b.begin, b.fit)[0]) ** 2
         costs[i] = squares[:half].sum(), squares[half:].sum()
     costs = np.maximum(costs, half * data.floor)
     return [bands[int(i)] for i in np.argmin(costs, axis=0)]

@@ -22,6 +22,7 @@ from workbench.estimate.fits.fit import (
 )
 from workbench.estimate.fits.windows import EXACT, stretch_of
 from workbench.estimate.search.stems import DELAY, FIRST, HIGH, LOW, path_of, range_of
+from workbench.model.record import FloatArray
 
 __all__ = ["Candidate", "again", "best_per_bin", "distinct", "fitted", "held", "leaves_noise", "polished", "refitted"]
 
@@ -45,6 +46,10 @@ class Candidate:
     def d(self) -> float:
         """The middle of the range, %; its lower end where the stem slips but once, for d however large."""
         return 0.5 * (self.d_low + self.d_high) if math.isfinite(self.d_high) else self.d_low
+
+    def stem(self, u: FloatArray, wider: float = 1.0) -> FloatArray:
+        """Return the path under OP u, shape (N,), 0 before `first`; of d multiplied by a factor."""
+        return path_of(u, self.d_low * wider, self.first)[0]
 
 
 def fitted(
@@ -79,7 +84,7 @@ def refitted(data: Centred, found: list[Candidate], limits: Limits, most: int) -
 
 def _nearer(data: Centred, c: Candidate, limits: Limits) -> Fit:
     bounds = start_range(data.u, c.first, c.d_low, c.d_high)
-    return fit_near(data, path_of(data.u, c.d_low, c.first)[0], c.first, bounds, limits, c.fit, CLOSER)
+    return fit_near(data, c.stem(data.u), c.first, bounds, limits, c.fit, CLOSER)
 
 
 def again(data: Centred, found: Sequence[Candidate], limits: Limits) -> list[Candidate]:
@@ -104,7 +109,7 @@ def best_per_bin(by_cost: NDArray[np.float64], bins: int) -> NDArray[np.float64]
 
 def leaves_noise(data: Centred, best: Candidate) -> bool:
     """Return whether a stem leaves no more of PV than white noise."""
-    return noise_alone(data, path_of(data.u, best.d_low, best.first)[0], best.first, best.fit)
+    return noise_alone(data, best.stem(data.u), best.first, best.fit)
 
 
 def distinct(fits: list[Candidate], most: int) -> list[Candidate]:

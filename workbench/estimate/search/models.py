@@ -12,8 +12,7 @@ from workbench.estimate.fits.sureness import SHARP
 from workbench.estimate.search.bands import Bands, Found, refit, search_bands
 from workbench.estimate.search.profile import Profile
 from workbench.estimate.search.sought import Sought
-from workbench.estimate.search.stems import path_of
-from workbench.estimate.search.two_parameter import Band, band_stem
+from workbench.estimate.search.two_parameter import Band
 from workbench.model.loads import LoadStep
 from workbench.model.numbers import counted, given, interval
 from workbench.model.record import FloatArray
@@ -111,10 +110,10 @@ def compared(data: Centred, linear: Fit, found: Profile | None, bands: dict[str,
     fits: dict[str, tuple[Fit, int, FloatArray, int]] = {"linear": (linear, 0, data.u, 0)}
     if found is not None:
         best = found.best
-        fits["stenman"] = (best.fit, best.slips, path_of(data.u, best.d_low, best.first)[0], best.first)
+        fits["stenman"] = (best.fit, best.slips, best.stem(data.u), best.first)
     for name, one in bands.items():
         b = one.best
-        fits[name] = (b.fit, b.slips, band_stem(data.u, b.S, b.J, b.first, b.sense)[0], max(b.first, 0))
+        fits[name] = (b.fit, b.slips, b.stem(data.u), b.begin)
     n, d = data.samples, math.nan if found is None else found.best.d
     models = {}
     for name, (fit, slips, x, first) in fits.items():

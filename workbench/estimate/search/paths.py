@@ -5,15 +5,12 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-import numpy as np
-
 from workbench.estimate.fits.data import Centred
 from workbench.estimate.fits.fit import Fit, start_range
 from workbench.estimate.search.bands import Bands
 from workbench.estimate.search.candidates import Candidate
 from workbench.estimate.search.profile import Profile
-from workbench.estimate.search.stems import path_of
-from workbench.estimate.search.two_parameter import Band, band_stem, held_range
+from workbench.estimate.search.two_parameter import Band, held_range
 from workbench.model.record import FloatArray
 from workbench.model.valve import Choudhury, Deadband, Ideal, Stenman, Valve
 
@@ -55,7 +52,7 @@ def stem_paths(data: Centred, found: Profile) -> list[Path]:
     return [
         Path(
             valve=Stenman(c.d),
-            x=path_of(data.u, c.d_low, c.first)[0],
+            x=c.stem(data.u),
             first=c.first,
             bounds=start_range(data.u, c.first, c.d_low, c.d_high),
             fit=c.fit,
@@ -76,6 +73,5 @@ def band_paths(data: Centred, found: Bands, name: str) -> list[Path]:
     paths = []
     for b in chosen:
         valve = Deadband(b.S) if name == "deadband" else Choudhury(b.S, b.J)
-        x = np.ascontiguousarray(band_stem(data.u, b.S, b.J, b.first, b.sense)[0])
-        paths.append(Path(valve, x, max(b.first, 0), held_range(data.u, b), b.fit, b.slips))
+        paths.append(Path(valve, b.stem(data.u), b.begin, held_range(data.u, b), b.fit, b.slips))
     return paths

@@ -31,7 +31,7 @@ from workbench.estimate.search.candidates import (
     refitted,
 )
 from workbench.estimate.search.long_record import scan_long
-from workbench.estimate.search.stems import COST, FIRST, LOW, path_of, scan, silent
+from workbench.estimate.search.stems import COST, FIRST, LOW, scan, silent
 
 __all__ = [
     "CHI_SQUARE",
@@ -174,7 +174,7 @@ def _alike(data: Centred, best: Candidate, fits: list[Candidate]) -> tuple[Candi
     `N_e log(max(V, f)/max(V_best, f)) <= 3.84`, with N_e the samples less what the residuals' autocorrelation takes and
     f the variance that the record can resolve, below which all fits are equally good.
     """
-    x, _ = path_of(data.u, best.d_low, best.first)
+    x = best.stem(data.u)
     n, effective = data.samples, effective_samples(data, x, best.first, best.fit)
     base = max(best.fit.sse / n, data.floor)
     region = [c for c in fits if effective * math.log(max(c.fit.sse / n, data.floor) / base) <= CHI_SQUARE]
@@ -212,7 +212,7 @@ def _halves(data: Centred, fits: list[Candidate]) -> list[Candidate]:
     half = data.samples // 2
     costs = np.empty((len(fits), 2))
     for i, c in enumerate(fits):
-        costs[i] = halves_left(data, path_of(data.u, c.d_low, c.first)[0], c.first, c.fit)
+        costs[i] = halves_left(data, c.stem(data.u), c.first, c.fit)
     # Below the resolution, one fit is as good as another.
     costs = np.maximum(costs, half * data.floor)
     return [fits[int(i)] for i in np.argmin(costs, axis=0)]

@@ -86,6 +86,15 @@ class Band:
     slips: int
     fit: Fit
 
+    @property
+    def begin(self) -> int:
+        """The sample from which the stem is known."""
+        return max(self.first, 0)
+
+    def stem(self, u: FloatArray, wider: float = 1.0, further: float = 1.0) -> FloatArray:
+        """Return the path under OP u, shape (N,), 0 before `begin`; of S and J multiplied by two factors."""
+        return band_stem(u, self.S * wider, self.J * further, self.first, self.sense)[0]
+
 
 def band_stem(u: FloatArray, S: float, J: float, first: int = -1, sense: float = 0.0) -> tuple[FloatArray, int]:
     """Return (stem path, number of slips): shape (N,), 0 before `first` unless that is -1 (see `band_path`)."""
