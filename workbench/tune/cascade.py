@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from functools import partial
 from types import MappingProxyType
 
@@ -11,7 +10,7 @@ import numpy as np
 
 from workbench.errors import InvalidValue
 from workbench.model.cascade import Cascade, CascadeTuned
-from workbench.model.checks import callback, instance, number, whole
+from workbench.model.checks import callback, instance
 from workbench.model.experiment import Experiment
 from workbench.model.record import FloatArray
 from workbench.model.results import SolveStatus, Tuned
@@ -21,15 +20,13 @@ from workbench.simulate.batch import kernel_weights, shared_out
 from workbench.simulate.cascade import cascade_signals, chain
 from workbench.simulate.coefficients import coefficients
 from workbench.symbolic.solve import versions
-from workbench.tune.problem import Problem, stopper
-from workbench.tune.scan import OutOfBudget
-from workbench.tune.search import Found, search
-from workbench.tune.tune import CHOICE_SAMPLES, DIGITS, candidates, check_bounds, quick, tune
-from workbench.tune.verify import choose, digit_steps
+from workbench.tune.budget import STOPPED, Progress, deadline
+from workbench.tune.problem import Problem
+from workbench.tune.search import Found, quick, searched
+from workbench.tune.tune import DIGITS, check_search, tune
+from workbench.tune.verify import digit_steps
 
 __all__ = ["CascadeProblem", "evaluate_cascade", "tune_cascade"]
-
-Progress = Callable[[str, float], None]
 
 # As how many samples of one loop a cascade's count in the searches' budgets: how long they go on, not what they cost.
 COST = 8
@@ -129,13 +126,7 @@ def tune_cascade(
     if secondary_experiment is None and (secondary_objective is not None or secondary_bounds is not None):
         where = "tune_cascade.secondary_experiment"
         raise InvalidValue(where, None, "must be given where the secondary has an objective or bounds")
-    check_bounds(cascade.primary, bounds)
-    for name, value, most in (("digits", digits, 12), ("restarts", restarts, 100)):
-        number(whole(value, f"tune.{name}"), f"tune.{name}", least=1, most=most)
-    number(margin, "tune.margin", least=0.0, most=0.2)
-    whole(seed, "tune.seed")
-    if time_limit is not None:
-        number(time_limit, "tune.time_limit", above=0.0, unit="s")
+    check_search(cascade.primary, bounds, seed, digits, restarts, margin, time_limit)
 
     def tell(begin: float, size: float, words: str, share: float) -> None:
         if progress is not None:
@@ -167,27 +158,17 @@ def _primary(
     problem: CascadeProblem, seed: int, restarts: int, time_limit: float | None, tell: Progress, *, give_up: bool
 ) -> Tuned:
     began, found = time.perf_counter(), Found()
-    status, note = SolveStatus.SOLVED, ""
 
-    def check() -> None:
-        if time_limit is not None and time.perf_counter() - began > time_limit:
-            raise OutOfBudget(SolveStatus.TIME_LIMIT, f"the time limit of {time_limit:g} s")
+    def telling(words: str, share: float) -> None:
+        tell(f"primary: {words}", share)
 
     pid = problem.cascade.primary.controller
     own = float(problem.exact(np.array([[pid.Kc, pid.Ti, pid.Td]]))[0])
-    try:
-        if give_up:
-            raise KeyboardInterrupt
-        search(problem, found, seed, restarts, 0.0, 0, check, lambda words, share: tell(f"primary: {words}", share))
-        tell("primary: choosing the digits", 0.9)
-        most = problem.work.simulated + CHOICE_SAMPLES
-        chosen = choose(problem, candidates(problem, found), stop=stopper(problem, most, check))
-    except KeyboardInterrupt:
-        status, note = SolveStatus.INTERRUPTED, "stopped by the user; the best so far"
-        chosen = quick(problem, found)
-    except OutOfBudget as limit:
-        status, note = limit.status, f"stopped at {limit}; the best so far"
-        chosen = quick(problem, found)
+    if give_up:
+        chosen, status, note = quick(problem, found), SolveStatus.INTERRUPTED, STOPPED
+    else:
+        check = deadline(began, time_limit)
+        chosen, status, note = searched(problem, found, seed, restarts, 0.0, 0, check, telling)
     if status is SolveStatus.SOLVED and not np.isfinite(chosen.cost):
         status, note = SolveStatus.DIVERGED, "no tuning that was tried within the bounds keeps the cascade bounded"
     words = f"direct search on exact simulations of the cascade at {problem.digits} significant digits"

@@ -29,15 +29,13 @@ from workbench.model.record import FloatArray
 from workbench.model.results import SolveStatus
 from workbench.model.tuning import Bounds, Objective
 from workbench.model.valve import Ideal
+from workbench.tune.budget import OutOfBudget, Progress, deadline
 from workbench.tune.ensemble import Circumstances
 from workbench.tune.problem import Problem
 from workbench.tune.repair import usual_bounds
 from workbench.tune.robust import DEFAULT_CONSTRAINTS, Judge, fresh_draws, guesses
-from workbench.tune.scan import OutOfBudget
 
 __all__ = ["alike", "pareto_front"]
-
-Progress = Callable[[str, float], None]
 
 # Trials a generation; generations on few and on all draws; how few; random tunings to begin with.
 TRIALS, FEW_GENERATIONS, GENERATIONS, FEW_DRAWS, RANDOM = 40, 40, 14, 50, 64
@@ -122,8 +120,7 @@ def pareto_front(
     what is there, marked by the status.
 
     The front begins where the error falls below a quarter of that of a loop left alone (Kc = 0) and below 50 times the
-    least. Equal arguments give
-    equal fronts (but for times, and unless stopped). Raises `InvalidValue`.
+    least. Equal arguments give equal fronts (but for times, and unless stopped). Raises `InvalidValue`.
     """
     instance(loop, Loop, "loop", "a Loop")
     for value, kind, name in ((ensemble, Ensemble, "ensemble"), (constraints, Constraints, "constraints")):
@@ -141,12 +138,7 @@ def pareto_front(
     ensemble = Ensemble.plant_ready(loop) if ensemble is None else ensemble
     asked = DEFAULT_CONSTRAINTS if constraints is None else constraints
     bounds = usual_bounds(loop.controller) if bounds is None else bounds
-    fresh = fresh_draws(ensemble, loop.sample_time)
-
-    def stop() -> None:
-        if time_limit is not None and time.perf_counter() - began > time_limit:
-            raise OutOfBudget(SolveStatus.TIME_LIMIT, f"the time limit of {time_limit:g} s")
-
+    fresh, stop = fresh_draws(ensemble, loop.sample_time), deadline(began, time_limit)
     loops = [loop] if isinstance(loop.valve, Ideal) else [loop, replace(loop, valve=Ideal())]
     found: list[tuple[FrontPoint, ...]] = []
     status, notes, evaluations = SolveStatus.SOLVED, [], 0

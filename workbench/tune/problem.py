@@ -28,7 +28,7 @@ from workbench.simulate.signals import signals
 from workbench.simulate.sums import TRAVEL
 from workbench.tune.limits import NARROW, UNSTABLE, WORN, more_than_sensitivity, narrowness, worn
 
-__all__ = ["Problem", "last_offsets", "proof_offsets", "round_to", "stopper", "unit_of"]
+__all__ = ["Problem", "last_offsets", "proof_offsets", "round_to", "unit_of"]
 
 # Random inner points of a neighbourhood: when searching, when it is looked at closely, for the last word, and for the
 # proof of the few that it leaves; the latter two are fewer for longer runs.
@@ -348,16 +348,6 @@ class Problem:
     def controller(self, tuning: FloatArray) -> PID:
         """Return the loop's controller with this tuning."""
         return replace(self.loop.controller, Kc=float(tuning[0]), Ti=float(tuning[1]), Td=float(tuning[2]))
-
-
-def stopper(problem: Problem, most: int, check: Callable[[], None]) -> Callable[[], bool]:
-    """Return the question whether more than `most` samples have been simulated; it also looks at the time."""
-
-    def stop() -> bool:
-        check()
-        return problem.work.simulated > most
-
-    return stop
 
 
 def unit_of(values: FloatArray, digits: int) -> FloatArray:

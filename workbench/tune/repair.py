@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 
@@ -18,12 +17,11 @@ from workbench.model.results import Outcome, Repair, SolveStatus, Tuned
 from workbench.model.tuning import Bounds, Objective
 from workbench.model.valve import Ideal
 from workbench.simulate.run import evaluate, simulate
+from workbench.tune.budget import Progress
 from workbench.tune.ensemble import Circumstances, measured
 from workbench.tune.tune import tune
 
 __all__ = ["outcome", "repair_over", "repaired_outcome", "usual_bounds", "value_of_repair"]
-
-Progress = Callable[[str, float], None]
 
 
 def value_of_repair(

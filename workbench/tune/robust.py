@@ -21,11 +21,12 @@ from workbench.model.numbers import given
 from workbench.model.record import FloatArray
 from workbench.model.results import Restart, Robustness, SolveStatus, Tuned
 from workbench.simulate.signals import sample_count
+from workbench.tune.budget import STOPPED, OutOfBudget, Progress, deadline, stopper
 from workbench.tune.ensemble import SURE, Circumstances, measured, statistic
 from workbench.tune.limits import NARROW, UNSTABLE, WORN, more_than_sensitivity, narrowness, worn
 from workbench.tune.problem import Problem, unit_of
 from workbench.tune.refine import path
-from workbench.tune.scan import OutOfBudget, evolve, spread
+from workbench.tune.scan import evolve, spread
 from workbench.tune.verify import digit_steps, stem_guard
 
 __all__ = ["DEFAULT_CONSTRAINTS", "Judge", "fresh_draws", "guesses", "tune_robust"]
@@ -38,8 +39,6 @@ JOINT_MEMBERS, JOINT_GENERATIONS, GAP = 32, 30, 3e-3
 STEPS, ROUNDS = (64, 16, 4, 1), 12
 # Fresh draws up to 1,000 samples; longer runs get fewer.
 FRESH, FRESH_SAMPLES = 2_000, 2_000_000
-
-Progress = Callable[[str, float], None]
 
 
 @dataclass
@@ -141,11 +140,7 @@ def tune_robust(
     judge = Judge(problem, ensemble, asked)
     found = _Found()
     status, notes = SolveStatus.SOLVED, []
-
-    def stop() -> bool:
-        if time_limit is not None and time.perf_counter() - began > time_limit:
-            raise OutOfBudget(SolveStatus.TIME_LIMIT, f"the time limit of {time_limit:g} s")
-        return False
+    stop = stopper(problem, 2**62, deadline(began, time_limit))
 
     def tell(phase: str, share: float) -> None:
         if progress is not None:
@@ -163,7 +158,7 @@ def tune_robust(
             _walk(judge, found, stop)
     except KeyboardInterrupt:
         status = SolveStatus.INTERRUPTED
-        notes.append("stopped by the user; the best so far")
+        notes.append(STOPPED)
     except OutOfBudget as limit:
         status = limit.status
         notes.append(f"stopped at {limit}; the best so far")

@@ -13,9 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workbench.model.record import FloatArray
-from workbench.model.results import SolveStatus
 
-__all__ = ["OutOfBudget", "Population", "evolve", "sized", "spread"]
+__all__ = ["Population", "evolve", "sized", "spread"]
 
 # (points, ceilings) -> values, inf where a value exceeds its ceiling.
 Evaluate = Callable[[FloatArray, FloatArray], FloatArray]
@@ -25,14 +24,6 @@ ARCHIVE = 1.4
 BEST_SHARE = 0.15
 # A population whose values agree to this (relative) has nothing left to find.
 AGREED = 1e-9
-
-
-class OutOfBudget(Exception):
-    """A limit has been reached, raised by a search's `stop`: how the search then ends, and which limit it was."""
-
-    def __init__(self, status: SolveStatus, limit: str) -> None:
-        super().__init__(limit)
-        self.status = status
 
 
 @dataclass(frozen=True, eq=False)

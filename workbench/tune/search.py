@@ -1,4 +1,4 @@
-"""The search behind `wb.tune`: scans, branch programs, complementarity starts, then the worst case within the digits.
+"""The search behind `wb.tune`: scans, branch programs, complementarity starts, the worst case, the digits to type in.
 
 Everything goes into a `Found` as it comes, so that a stop at any moment has something to return.
 """
@@ -12,15 +12,17 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from workbench.model.record import FloatArray
-from workbench.model.results import Restart
+from workbench.model.results import Restart, SolveStatus
+from workbench.tune.budget import STOPPED, OutOfBudget, Progress, stopper
 from workbench.tune.complementarity import seeds as complementary_seeds
 from workbench.tune.limits import WORN
-from workbench.tune.problem import Problem, stopper
+from workbench.tune.problem import Problem
 from workbench.tune.refine import Refined, Refiner, usable
 from workbench.tune.scan import evolve, sized, spread
+from workbench.tune.verify import Choice, choose
 from workbench.tune.worst import least_worst
 
-__all__ = ["Found", "Progress", "search"]
+__all__ = ["Found", "quick", "searched"]
 
 # Sizes of the searches up to 1,000 samples; longer runs get fewer.
 SCAN_MEMBERS, SCAN_GENERATIONS = 200, 200
@@ -34,7 +36,8 @@ SCAN_SAMPLES = 100_000_000
 # valleys often lie away from the best tunings.
 KEPT, GAP = 40, 3e-3
 WIDE, WIDE_GAP = 150, 1e-2
-Progress = Callable[[str, float], None]
+# Samples that the choice of the digits may simulate at most: some seconds.
+CHOICE_SAMPLES = 150_000_000
 
 
 @dataclass
@@ -64,7 +67,49 @@ class Found:
         return float(min((costs.min(initial=math.inf) for costs in self.costs), default=math.inf))
 
 
-def search(
+def searched(
+    problem: Problem,
+    found: Found,
+    seed: int,
+    restarts: int,
+    guard: float,
+    complementarity: int,
+    check: Callable[[], None],
+    tell: Progress,
+) -> tuple[Choice, SolveStatus, str]:
+    """Search, and choose the digits: the tuning, how that ended, and a note on what ended it early, "" if nothing did.
+
+    Everything goes into `found` as it comes; `check` is asked now and then, and ends all by `OutOfBudget`.
+    """
+    try:
+        _search(problem, found, seed, restarts, guard, complementarity, check, tell)
+        tell("choosing the digits", 0.9)
+        most = problem.work.simulated + CHOICE_SAMPLES
+        chosen = choose(problem, _candidates(problem, found), stop=stopper(problem, most, check))
+    except KeyboardInterrupt:
+        return quick(problem, found), SolveStatus.INTERRUPTED, STOPPED
+    except OutOfBudget as limit:
+        return quick(problem, found), limit.status, f"stopped at {limit}; the best so far"
+    return chosen, SolveStatus.SOLVED, ""
+
+
+def _candidates(problem: Problem, found: Found) -> FloatArray:
+    """The tunings among which the digits are chosen."""
+    if problem.free.size == 0:
+        return problem.low[None, :].copy()
+    return np.concatenate([found.joint, found.best(8)])
+
+
+def quick(problem: Problem, found: Found) -> Choice:
+    """Return the best rounded tuning of an unfinished search, by exact simulation, without a further search."""
+    tunings = np.concatenate([found.joint, found.best(40)]) if found.costs else problem.guesses()
+    rounded = np.unique(problem.rounded(tunings), axis=0)
+    worst = problem.worst_below(rounded, np.full(rounded.shape[0], np.inf))
+    best = rounded[int(np.argmin(worst))]
+    return Choice(best, float(problem.exact(best[None, :])[0]), float(worst.min()))
+
+
+def _search(
     problem: Problem,
     found: Found,
     seed: int,
@@ -74,7 +119,7 @@ def search(
     check: Callable[[], None],
     tell: Progress,
 ) -> None:
-    """Scan, refine, and search the worst case; everything goes into `found` as it comes."""
+    """Scan, refine, and search the worst case."""
     guesses = problem.guesses()
     found.add(guesses, problem.values(guesses))
     if problem.free.size == 0:

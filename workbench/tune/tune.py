@@ -29,20 +29,18 @@ from workbench.model.results import SolveStatus, Tuned
 from workbench.model.tuning import Bounds, Objective
 from workbench.symbolic.loop import unwritten
 from workbench.symbolic.solve import versions
+from workbench.tune.budget import OutOfBudget, Progress, deadline
 from workbench.tune.complementarity import applicable
-from workbench.tune.problem import NAMES, Problem, stopper
+from workbench.tune.problem import NAMES, Problem
 from workbench.tune.refine import Path, eq_2_alone, path, usable
 from workbench.tune.robust import tune_robust
-from workbench.tune.scan import OutOfBudget
-from workbench.tune.search import Found, Progress, search
-from workbench.tune.verify import Choice, choose, digit_steps, stem_guard
+from workbench.tune.search import Found, searched
+from workbench.tune.verify import digit_steps, stem_guard
 
-__all__ = ["candidates", "check_bounds", "quick", "tune"]
+__all__ = ["check_search", "tune"]
 
 # Digits of a tuning to type in, and of one that is only to be looked at: at a nominal optimum a few digits decide.
 DIGITS, NOMINAL_DIGITS = 4, 12
-# Samples that the choice of the digits may simulate at most: some seconds.
-CHOICE_SAMPLES = 150_000_000
 
 
 def tune(
@@ -111,7 +109,10 @@ def tune(
     instance(nominal, bool, "tune.nominal", "True or False")
     number(whole(complementarity, "tune.complementarity"), "tune.complementarity", most=100)
     digits = (NOMINAL_DIGITS if nominal else DIGITS) if digits is None else digits
-    _check(loop, bounds, seed, digits, restarts, guard, margin, time_limit, max_evaluations)
+    check_search(loop, bounds, seed, digits, restarts, margin, time_limit)
+    number(guard, "tune.guard", least=0.0, most=0.5)
+    if max_evaluations is not None:
+        number(whole(max_evaluations, "tune.max_evaluations"), "tune.max_evaluations", least=1)
     instance(robust, (bool, Ensemble), "tune.robust", "True, False or an Ensemble")
     instance(constraints, (Constraints, type(None)), "tune.constraints", "Constraints(...) or None")
     began = time.perf_counter()
@@ -126,12 +127,10 @@ def tune(
     if complementarity and problem.free.size:
         applicable(problem)
     start = float(problem.exact(np.array([[loop.controller.Kc, loop.controller.Ti, loop.controller.Td]]))[0])
-    found = Found()
-    status, note = SolveStatus.SOLVED, ""
+    found, late = Found(), deadline(began, time_limit)
 
     def check() -> None:
-        if time_limit is not None and time.perf_counter() - began > time_limit:
-            raise OutOfBudget(SolveStatus.TIME_LIMIT, f"the time limit of {time_limit:g} s")
+        late()
         if max_evaluations is not None and problem.work.evaluations >= max_evaluations:
             raise OutOfBudget(SolveStatus.EVALUATION_LIMIT, f"the limit of {max_evaluations} evaluations")
 
@@ -139,17 +138,7 @@ def tune(
         if progress is not None:
             progress(phase, share)
 
-    try:
-        search(problem, found, seed, restarts, guard, complementarity, check, tell)
-        tell("choosing the digits", 0.9)
-        most = problem.work.simulated + CHOICE_SAMPLES
-        chosen = choose(problem, candidates(problem, found), stop=stopper(problem, most, check))
-    except KeyboardInterrupt:
-        status, note = SolveStatus.INTERRUPTED, "stopped by the user; the best so far"
-        chosen = quick(problem, found)
-    except OutOfBudget as limit:
-        status, note = limit.status, f"stopped at {limit}; the best so far"
-        chosen = quick(problem, found)
+    chosen, status, note = searched(problem, found, seed, restarts, guard, complementarity, check, tell)
     tell("done", 1.0)
     solves = found.solves + sum(r.solves for r in found.restarts)
     run = path(problem, chosen.tuning)
@@ -216,54 +205,22 @@ def _runs_away(problem: Problem, run: Path, cost: float) -> bool:
     return not math.isfinite(cost) or float(np.abs(run.x).max()) > 1e9 * scale
 
 
-def _check(
-    loop: Loop,
-    bounds: Bounds,
-    seed: int,
-    digits: int,
-    restarts: int,
-    guard: float,
-    margin: float,
-    time_limit: float | None,
-    max_evaluations: int | None,
+def check_search(
+    loop: Loop, bounds: Bounds, seed: int, digits: int, restarts: int, margin: float, time_limit: float | None
 ) -> None:
+    """Raise `InvalidValue` where a search cannot be asked for so, or a free parameter starts outside its bounds."""
     whole(seed, "tune.seed")
-    for name, value, most in (("digits", digits, 12), ("restarts", restarts, 100)):
-        whole(value, f"tune.{name}")
-        number(value, f"tune.{name}", least=1, most=most)
-    number(guard, "tune.guard", least=0.0, most=0.5)
+    for name, count, most in (("digits", digits, 12), ("restarts", restarts, 100)):
+        number(whole(count, f"tune.{name}"), f"tune.{name}", least=1, most=most)
     number(margin, "tune.margin", least=0.0, most=0.2)
     if time_limit is not None:
         number(time_limit, "tune.time_limit", above=0.0, unit="s")
-    if max_evaluations is not None:
-        number(whole(max_evaluations, "tune.max_evaluations"), "tune.max_evaluations", least=1)
-    check_bounds(loop, bounds)
-
-
-def check_bounds(loop: Loop, bounds: Bounds) -> None:
-    """Raise `InvalidValue` where a free parameter does not start within its bounds."""
     for name in NAMES:
         (low, high), value = getattr(bounds, name), getattr(loop.controller, name)
         slack = 1e-9 * max(abs(low), abs(high))
         if low < high and not low - slack <= value <= high + slack:
             allowed = f"the tuning to start from must lie within the bounds ({low:g}, {high:g})"
             raise InvalidValue(f"PID.{name}", value, allowed)
-
-
-def candidates(problem: Problem, found: Found) -> FloatArray:
-    """The tunings among which the digits are chosen."""
-    if problem.free.size == 0:
-        return problem.low[None, :].copy()
-    return np.concatenate([found.joint, found.best(8)])
-
-
-def quick(problem: Problem, found: Found) -> Choice:
-    """The best rounded tuning of an unfinished search, by exact simulation, without a further search."""
-    tunings = np.concatenate([found.joint, found.best(40)]) if found.costs else problem.guesses()
-    rounded = np.unique(problem.rounded(tunings), axis=0)
-    worst = problem.worst_below(rounded, np.full(rounded.shape[0], np.inf))
-    best = rounded[int(np.argmin(worst))]
-    return Choice(best, float(problem.exact(best[None, :])[0]), float(worst.min()))
 
 
 def _message(problem: Problem, found: Found, note: str, tuned: Tuned) -> str:

@@ -15,8 +15,9 @@ from functools import partial
 import numpy as np
 
 from workbench.model.record import FloatArray
+from workbench.tune.budget import stopper
 from workbench.tune.limits import WORN
-from workbench.tune.problem import Problem, stopper
+from workbench.tune.problem import Problem
 from workbench.tune.scan import Population, evolve, sized, spread
 from workbench.tune.sieve import Sieved, sieve
 
