@@ -19,7 +19,7 @@ from workbench.analyze.valve_loci import no_locus
 from workbench.errors import InvalidValue
 from workbench.model.checks import callback, instance, ordered_pair, whole
 from workbench.model.controller import PID
-from workbench.model.cycle_map import MOST, OUTCOMES, POINTS, CycleMap
+from workbench.model.cycle_map import FIGURES, MOST, OUTCOMES, POINTS, CycleMap
 from workbench.model.loop import Loop
 from workbench.model.plant import FOPDT
 from workbench.model.record import FloatArray
@@ -36,7 +36,6 @@ BEYOND = 1.3
 # Samples before a cell's cycle may be called late: a fifth of what `limit_cycle` takes gives the same on all cells that
 # were compared (benchmarks/cycle_maps.py).
 LEAST = 20_000
-FIGURES = ("period", "pv_peak_to_peak", "mean_square_error", "travel_per_hour", "window")
 
 
 @dataclass(frozen=True, eq=False)

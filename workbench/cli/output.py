@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import io
-import json
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -22,7 +21,7 @@ from workbench.report.estimates import load_words
 from workbench.report.figures import estimate_figure, svg_file
 from workbench.report.files import write_files
 from workbench.report.known import unpinned
-from workbench.report.results import results_content, strict
+from workbench.report.results import results_content, strict_json
 from workbench.report.shared import objective_words
 from workbench.report.style import svg_text
 from workbench.report.words import controller_words, counted, figure, given, interval, nearby, plant_words, valve_words
@@ -147,7 +146,7 @@ def estimate_json(found: Estimate) -> str:
         for m in found.candidates
     ]
     content["valve_position"] = [float(f"{x:.6g}") for x in found.valve_position.tolist()]
-    return _json(content)
+    return strict_json(content)
 
 
 def write_estimate(found: Estimate, folder: Path) -> list[Path]:
@@ -221,7 +220,7 @@ def tuned_json(results: Sequence[Retuned]) -> str:
                 "weights": weights_content(tuned.weights),
             }
         )
-    return _json({"tunings": content})
+    return strict_json({"tunings": content})
 
 
 def score_parts(scored: Sequence[Scored], content: Mapping[str, Any]) -> list[Table | Text]:
@@ -255,7 +254,3 @@ def exit_code(status: SolveStatus) -> int:
     if status is SolveStatus.INTERRUPTED:
         return 130
     return 0 if status.success else 1
-
-
-def _json(content: object) -> str:
-    return json.dumps(strict(content), indent=2, ensure_ascii=False, allow_nan=False) + "\n"

@@ -13,7 +13,7 @@ from workbench.model.loop import Loop
 from workbench.model.record import FloatArray
 from workbench.model.show import Shown
 
-__all__ = ["MOST", "OUTCOMES", "POINTS", "CycleMap", "MapCell"]
+__all__ = ["FIGURES", "MOST", "OUTCOMES", "POINTS", "CycleMap", "MapCell"]
 
 # Cells along each axis: what is usual, and the most.
 POINTS, MOST = 60, 400

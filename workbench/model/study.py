@@ -64,6 +64,11 @@ class CaseResult:
     standing: Standing | None = None
     unrounded: Outcome | None = None
 
+    @property
+    def digits(self) -> int | None:
+        """The significant digits of the search that found the tuning, None where it was given."""
+        return None if self.tuned is None else self.tuned.digits
+
 
 @dataclass(frozen=True, eq=False)
 class NamedEstimate:

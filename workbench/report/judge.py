@@ -16,6 +16,7 @@ from workbench.model.results import LimitCycle, Run, Tuned
 from workbench.model.site import SiteCase
 from workbench.model.study import CascadeResult, CaseResult, NamedEstimate, Study
 from workbench.report.standing import held_by_stiction
+from workbench.report.thinned import BEYOND
 from workbench.report.words import figure, given, setting
 
 __all__ = [
@@ -40,7 +41,6 @@ __all__ = [
     "unstable",
 ]
 
-BEYOND = 1e9  # EU: a PV that grows past this has left every plant
 LATE = 0.9  # share of the run after which an entry into the band is no settling
 NEAR = 2e-3  # relative distance within which a tuned parameter lies on its bound
 TAIL = 0.5  # last share of a run that is compared with the verdict without noise

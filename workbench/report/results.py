@@ -55,6 +55,7 @@ __all__ = [
     "results_json",
     "run_json",
     "strict",
+    "strict_json",
 ]
 
 # Of results.json: told to readers, and raised where what stood in it means something else from then on. Files of
@@ -87,6 +88,11 @@ def strict(value: Any) -> Any:
         return strict(value.item())
     msg = f"{type(value).__name__} has no JSON form here"
     raise TypeError(msg)
+
+
+def strict_json(content: object) -> str:
+    """Return a value as the text of a strict JSON file (see `strict`)."""
+    return json.dumps(strict(content), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
 
 
 def _or_none(value: float) -> float | str:
@@ -340,13 +346,9 @@ def _further(study: Study) -> dict[str, Any]:
     return {"cascade": cascade_content(study), **content} if study.cascade else content
 
 
-def _dump(content: Any) -> str:
-    return json.dumps(strict(content), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
-
-
 def results_json(study: Study) -> str:
     """Return results.json's text: strict JSON, keys in a fixed order."""
-    return _dump(results_content(study))
+    return strict_json(results_content(study))
 
 
 def run_json(study: Study) -> str:
@@ -360,7 +362,7 @@ def run_json(study: Study) -> str:
     solver: dict[str, str] = {}
     for _, tuned in study.tunings:
         solver.update(tuned.versions)
-    return _dump(
+    return strict_json(
         {
             "name": study.name,
             "written": datetime.now(UTC).isoformat(timespec="seconds"),

@@ -69,10 +69,6 @@ def beside_words(beside: Beside, was: tuple[float, float] | None, by: str, error
     return f" A knife-edge, so count on no more than what settings beside these give: {told}."
 
 
-def _digits(case: CaseResult) -> int | None:
-    return None if case.tuned is None else case.tuned.digits
-
-
 def _written(study: Study, case: CaseResult) -> tuple[SiteForm, SiteSettings] | None:
     """Return form and settings of a case as it is typed in, None where the site's form has no equivalent."""
     typed = typed_case(study, case)
@@ -107,13 +103,13 @@ def settings_words(study: Study, case: CaseResult) -> str:
 
     Without `site` those of the controller itself. Where the site's form has no equivalent, these, and that it is so.
     """
-    own = controller_words(case.loop.controller, _digits(case))
+    own = controller_words(case.loop.controller, case.digits)
     written = _written(study, case)
     if study.site is None:
         return own
     if written is None:
         return f"{own}, which has no equivalent in the site's {study.site.form} form"
-    return typed_words(written[0], written[1], _digits(case))
+    return typed_words(written[0], written[1], case.digits)
 
 
 def typed_words(site: SiteForm, settings: SiteSettings, digits: int | None) -> str:
@@ -137,7 +133,7 @@ def as_found_as_left(study: Study, base: CaseResult | None, best: CaseResult) ->
     forms = {one[0] for one in written if one is not None}
     site = next(iter(forms)) if len(forms) == 1 else SiteForm()
     texts = [
-        ("no equivalent",) * 3 if one is None else setting_texts(one[0], one[1], _digits(case))
+        ("no equivalent",) * 3 if one is None else setting_texts(one[0], one[1], case.digits)
         for one, case in zip(written, cases, strict=True)
     ]
     pids = [
@@ -216,7 +212,7 @@ def rounding_sentences(case: CaseResult) -> list[str]:
     pairs.append(("valve travel", kpis.valve_travel, was.kpis.valve_travel, " %"))
     if case.objective is not None:
         pairs.insert(0, ("J", case.objective, was.objective, ""))
-    return [rounded(case.name, controller_words(was.controller, _digits(case)), pairs)]
+    return [rounded(case.name, controller_words(was.controller, case.digits), pairs)]
 
 
 def refused_sentences(study: Study, chosen: CaseResult) -> list[str]:
@@ -228,7 +224,7 @@ def refused_sentences(study: Study, chosen: CaseResult) -> list[str]:
             continue
         if case is not chosen and not measure(case) < measure(chosen):
             continue
-        form, own = study.site.form, controller_words(case.loop.controller, _digits(case))
+        form, own = study.site.form, controller_words(case.loop.controller, case.digits)
         text = f"{case.name} ({own}) cannot be typed in: the site's {form} form has no equivalent ({typed.refused})."
         near = next((one for one in study.cases if one.nearest_to == case.name), None)
         if near is not None:
@@ -260,7 +256,7 @@ def site_table(study: Study) -> Table | None:
         if typed.settings is None:
             cells = tuple(Cell("no equivalent") for _ in range(3))
         else:
-            cells = tuple(Cell(text) for text in setting_texts(study.site, typed.settings, _digits(case)))
+            cells = tuple(Cell(text) for text in setting_texts(study.site, typed.settings, case.digits))
         rows.append(Row(case.name, "", cells))
     return Table(setting_names(study.site), tuple(rows))
 

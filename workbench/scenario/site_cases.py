@@ -47,7 +47,7 @@ def nearest_controllers(site: SiteForm, cases: Sequence[CaseResult]) -> list[tup
             site.settings(case.loop.controller)
         except InvalidValue:
             try:
-                near = site.settings(case.loop.controller, _digits(case) or RULE_DIGITS, nearest=True)
+                near = site.settings(case.loop.controller, case.digits or RULE_DIGITS, nearest=True)
             except InvalidValue:
                 continue  # a controller without gain has nothing near it
             found.append((case, near.controller))
@@ -58,10 +58,6 @@ def site_cases(site: SiteForm, cases: Sequence[CaseResult], objective: Objective
     """Return every case as the site writes it, with what exactly these rounded settings give in its experiment."""
     by_name = {case.name: case for case in cases}
     return tuple(_typed(site, case, by_name.get(case.nearest_to, case), objective) for case in cases)
-
-
-def _digits(case: CaseResult) -> int | None:
-    return None if case.tuned is None else case.tuned.digits
 
 
 def typed_settings(site: SiteForm, controller: PID, digits: int | None) -> SiteSettings:
@@ -119,7 +115,7 @@ def _near(one: float, other: float) -> bool:
 
 
 def _typed(site: SiteForm, case: CaseResult, source: CaseResult, objective: Objective | None) -> SiteCase:
-    controller, digits = case.loop.controller, _digits(source)
+    controller, digits = case.loop.controller, source.digits
     try:
         settings = typed_settings(site, controller, digits)
     except InvalidValue as error:
