@@ -165,7 +165,7 @@ def tagged(tags: dict[str, Pieces]) -> dict[str, LoopSource]:
     return loops
 
 
-def of_tags(name: str, own: dict[str, str], tags: dict[str, Pieces], refusal: str = "") -> LoopSource:
+def of_tags(name: str, own: dict[str, str], tags: dict[str, Pieces], refusal: str) -> LoopSource:
     """Return the loop whose signals are the tags `own` of a data set, refused where PV or OP is not among them."""
     missing = [f"tag {tag!r} of {signal} is not in the data" for signal, tag in own.items() if tag not in tags]
     missing += [f"no tag for {signal}" for signal in NEEDED if signal not in own]

@@ -127,7 +127,7 @@ def from_wide(table: Table, names: Mapping[str, str], source: str) -> Signals:
 
 
 def from_tall(
-    table: Table, names: Mapping[str, str], tags: Mapping[str, str] | None, source: str, listed: Sequence[str] = ()
+    table: Table, names: Mapping[str, str], tags: Mapping[str, str] | None, source: str, listed: Sequence[str]
 ) -> Signals:
     """Return the signals of a historian export with a row per value.
 

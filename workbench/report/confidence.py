@@ -155,7 +155,7 @@ def _by_itself(standing: Standing | None, judged: Judged) -> None:
     judged.say(text, doubt=standing_doubt(standing))
 
 
-def digits(tuned: Tuned, judged: Judged, lead: str = "Digits", whose: str = "the optimum") -> None:
+def digits(tuned: Tuned, judged: Judged, lead: str, whose: str = "the optimum") -> None:
     """Say what the last digits matter."""
     steps = [v for step in tuned.steps for v in (step.below, step.above) if not math.isnan(v)]
     what = "J" if tuned.ensemble is None else "J over the draws of its search"

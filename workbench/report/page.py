@@ -85,7 +85,7 @@ def _ours(path: Path) -> bool:
         return figures.SVG_MARK.encode() in file.read(200)
 
 
-def render(study: Study, drawn: Mapping[str, str], zoom: Zoomable | None = None) -> str:
+def render(study: Study, drawn: Mapping[str, str], zoom: Zoomable | None) -> str:
     """Return report.html for a study and its figures (file name to `<svg>` element), all in one page.
 
     zoom: figures to take the place of the static ones where scripts run, or None.

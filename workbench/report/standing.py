@@ -58,7 +58,7 @@ def _place(there: Loop, own: Loop) -> str:
     )
 
 
-def trap_words(case: CaseResult, back: str = "") -> str:
+def trap_words(case: CaseResult, back: str) -> str:
     """Return the warning that goes with a tuning that only stiction holds, "" for any other.
 
     back: the tuning to put back, in words, or "".

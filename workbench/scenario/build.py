@@ -336,7 +336,7 @@ class Builder:
         path: Path,
         name: str,
         *,
-        tune: bool = False,
+        tune: bool,
         rule: bool = False,
     ) -> None:
         """Refuse a controller that acts the wrong way, or warn where the file itself says so; see `Builder`."""

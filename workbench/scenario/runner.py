@@ -376,7 +376,7 @@ def tune_case(
     loop: Loop,
     experiment: Experiment,
     job: TuneJob,
-    progress: Progress | None = None,
+    progress: Progress | None,
     cases: Mapping[str, PID] | None = None,
 ) -> Tuned:
     """Return the tuning that a case asks for, started from the loop's controller.

@@ -104,7 +104,7 @@ def valve_law(valve: Valve, sample_time: float = 1.0) -> ValveLaw:
     return _same_both_ways(kernel.IDEAL, 0.0, 0.0)
 
 
-def valve_row(valve: Valve, sample_time: float = 1.0) -> FloatArray:
+def valve_row(valve: Valve, sample_time: float) -> FloatArray:
     """Return a coefficient row with the valve's columns alone, as `kernel.valve_path` takes it."""
     law = valve_law(valve, sample_time)
     row = np.zeros(kernel.COEFFICIENTS + len(law.table))

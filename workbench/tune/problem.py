@@ -200,7 +200,7 @@ class Problem:
         limit = math.inf if asked is None or asked.valve_travel is None else asked.valve_travel
         return int(np.count_nonzero(travel > limit)), travel.size, float(travel.max())
 
-    def around(self, tunings: FloatArray, *, dense: bool = False) -> FloatArray:
+    def around(self, tunings: FloatArray, *, dense: bool) -> FloatArray:
         """Return the points of the neighbourhoods of tunings (M, 3), one group after the other, shape (M points, 3)."""
         offsets = self._dense if dense else self._offsets
         points = tunings[:, None, :] + offsets[None, :, :] * self.radius(tunings)[:, None, :]

@@ -88,7 +88,7 @@ class Pictures:
             self.axes |= {f"{name}.x": Axis(), f"{name}.y": Axis()}
         return fig
 
-    def moved(self, *, all_of_them: bool = False, anew: str = "") -> dict[str, tuple[float, float]]:
+    def moved(self, *, all_of_them: bool, anew: str) -> dict[str, tuple[float, float]]:
         """Return the ends of every axis ("pv.y") that changed since they were last told, and of the figure `anew`."""
         shared = {"op.x": "pv.x", "pv2.x": "pv.x", "op_stem.x": "pv_op.x", "c_stem.x": "c_pv.x", "e_op.x": "e_pv.x"}
         now = {name: axis.ends for name, axis in self.axes.items() if name not in shared}

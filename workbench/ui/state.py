@@ -341,7 +341,7 @@ class Session:
         """Return the page as a scenario. Raises `ScenarioError` where it is refused."""
         return self._checked(scenario_text(self.screen))
 
-    def mapped(self, view: MapView | None = None) -> str:
+    def mapped(self, view: MapView | None) -> str:
         """Return the page as a scenario with a map; view: of these ends of Kc (%/EU) and Ti (s). Raises as it does."""
         return self._checked(scenario_text(self.screen, mapped=True, view=view))
 

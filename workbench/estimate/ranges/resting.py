@@ -31,7 +31,7 @@ PLAIN = 0.1  # a share at which the direction of the first slip shows
 ROUNDS = 2  # of a long record's fits
 
 
-def resting_short(data: Centred, best: Candidate, limits: Limits, loaded: Loaded | None = None) -> list[Fit]:
+def resting_short(data: Centred, best: Candidate, limits: Limits, loaded: Loaded | None) -> list[Fit]:
     """Return the fits of stems that rest short of OP, with the stick band of a Stenman stem, which PV cannot tell.
 
     Up to the friction in motion from which on they fit worse: from there on they slip otherwise. loaded: the record
