@@ -308,16 +308,44 @@ def spell(path: Path) -> str:
     return words or "scenario"
 
 
+# What other books and systems call an entry or a choice, and how its value is had from theirs.
+_ALSO_CALLED = {
+    "kp": ("Kc", ""),
+    "p": ("Kc", ""),
+    "ki": ("Ti", ", which is Kc/Ki"),
+    "kd": ("Td", ", which is Kd/Kc"),
+    "pb": ("proportional_band", ""),
+    "tau": ("time_constant", ""),
+    "theta": ("dead_time", ""),
+    "delay": ("dead_time", ""),
+    "k": ("gain", ""),
+    "ts": ("sample_time", ""),
+    "dt": ("sample_time", ""),
+    "sp": ("setpoint", ""),
+    "length": ("duration", ""),
+    "ms": ("max_sensitivity", ""),
+    "standard": ("ideal", ""),
+    "isa": ("ideal", ""),
+    "noninteracting": ("ideal", ""),
+    "interacting": ("series", ""),
+    "classical": ("series", ""),
+}
+
+
 def nearest(name: object, allowed: tuple[str, ...]) -> str:
-    """Return ` (did you mean x?)` for the allowed name that looks most like the given one, else nothing."""
+    """Return ` (did you mean x?)` for the allowed name that means or looks most like the given one, else nothing."""
     close = closest(name, allowed)
-    return f" (did you mean {close}?)" if close else ""
+    known, how = _ALSO_CALLED.get(str(name).casefold(), ("", ""))
+    return f" (did you mean {close}{how if known == close else ''}?)" if close else ""
 
 
 def closest(name: object, allowed: tuple[str, ...]) -> str:
-    """Return the allowed name that looks most like the given one, "" where none does."""
+    """Return the allowed name that means the same as the given one, or looks most like it, "" where none does."""
     if not isinstance(name, str):
         return ""
+    known = _ALSO_CALLED.get(name.casefold(), ("", ""))[0]
+    if known in allowed:
+        return known
     by_folded = {candidate.casefold(): candidate for candidate in allowed}
     close = get_close_matches(name.casefold()[:80], list(by_folded), n=1, cutoff=0.6)
     return by_folded[close[0]] if close else ""

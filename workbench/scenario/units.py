@@ -76,7 +76,7 @@ def _split(value: object, rule: str) -> tuple[float, str]:
             raise InvalidValue("", value, rule if comma is None else f"{rule}; {COMMA_RULE}")
         x, unit = float(match[1]), match[2]
     if not math.isfinite(x):
-        raise InvalidValue("", value, f"{rule} and finite")
+        raise InvalidValue("", value, f"{rule}; and be finite")
     return x, unit
 
 
