@@ -119,7 +119,12 @@ def test_an_estimate_allows_for_the_step_and_says_so() -> None:
     left = record.pv - found.prediction
     assert np.std(left[20:]) == pytest.approx(0.05, rel=0.1)
     assert abs(left[720:].mean()) < 0.02
-    assert any(line.startswith("Load") and "nobody recorded it" in line for line in estimate_lines(found))
+    assert any(line.startswith("Load") and line.endswith("nobody recorded it") for line in estimate_lines(found))
+    # Its size is PV's answer over the gain.
+    blind = replace(found, intervals=replace(found.intervals, gain=(0.0, math.inf)))
+    for doubtful in (blind, replace(found, verdict="undecided")):
+        (line,) = [line for line in estimate_lines(doubtful) if line.startswith("Load")]
+        assert line.endswith("nobody recorded it (sizes are a hint only, as the gain is)")
 
 
 @pytest.mark.parametrize(

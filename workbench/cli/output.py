@@ -20,7 +20,7 @@ from workbench.report.content import controller_content, plant_content, valve_co
 from workbench.report.estimates import load_words
 from workbench.report.figures import estimate_figure, svg_file
 from workbench.report.files import write_files
-from workbench.report.known import unpinned
+from workbench.report.known import gain_doubt, unpinned
 from workbench.report.results import results_content, strict_json
 from workbench.report.shared import objective_words
 from workbench.report.style import svg_text
@@ -30,6 +30,7 @@ from workbench.score import Scored
 
 __all__ = ["estimate_json", "estimate_lines", "exit_code", "score_parts", "tuned_json", "tuned_lines", "write_estimate"]
 
+HINT = "a hint only"
 VERDICTS = {"stiction": "the valve sticks", "no_stiction": "no stiction found", "undecided": "undecided"}
 
 
@@ -55,8 +56,10 @@ def estimate_lines(found: Estimate) -> list[str]:
         f"Stem       {counted(found.slips, 'move')}, {figure(float(stem.min()))} to {figure(float(stem.max()))} %; "
         f"PV is met within {figure(found.noise_sd, 3)} EU (standard deviation)"
     )
+    # Its sizes are PV's answers over the gain.
+    doubt = " (sizes are a hint only, as the gain is)" if sure == HINT or gain_doubt(found) else ""
     for i, load in enumerate(load_words(found)):
-        lines.append(f"{'' if i else 'Load':<10} {load}, nobody recorded it")
+        lines.append(f"{'' if i else 'Load':<10} {load}, nobody recorded it{doubt}")
     if found.noise_model is not None:
         lines.append(f"Noise      {_noise_words(found.noise_model)}")
     if found.complementarity is not None:
@@ -125,7 +128,7 @@ def _stiction_ranges(found: Estimate) -> list[str]:
 
 
 def _sure(found: Estimate) -> str:
-    return "a hint only" if found.verdict == "undecided" else "95 %"
+    return HINT if found.verdict == "undecided" else "95 %"
 
 
 def estimate_json(found: Estimate) -> str:
