@@ -206,14 +206,16 @@ def test_an_estimated_negative_gain_makes_the_action_direct_where_none_is_given(
     jobs = plan(LOOP + CASES).cases
     assert not any(job.action_given for job in jobs)
     plant = wb.FOPDT(-2.0, 5.0, 1.0)
-    fitted, notes = for_plant(jobs, plant)
+    fitted, notes, wrong = for_plant(jobs, plant)
     assert [job.controller.action for job in fitted] == ["direct", "direct"]
     assert notes == ["The controller acts direct, as the estimated gain (−2) needs; no action is given."]
+    assert wrong == []
     given = plan(LOOP.replace("none}", "none, action: reverse}") + CASES).cases
-    kept, said = for_plant(given, plant)
+    kept, notes, said = for_plant(given, plant)
+    assert notes == []
     assert [job.controller.action for job in kept] == ["reverse", "reverse"]
     assert said[0].startswith("Case 1: the controller acts the wrong way")
-    assert for_plant(given, wb.FOPDT(2.0, 5.0, 1.0)) == (given, [])
+    assert for_plant(given, wb.FOPDT(2.0, 5.0, 1.0)) == (given, [], [])
 
 
 @pytest.mark.parametrize(
@@ -261,6 +263,8 @@ def test_a_found_loop_without_a_task_or_a_gain_is_refused() -> None:
     unsure = replace(found, intervals=replace(found.intervals, gain=(-0.01, 0.2)))
     with pytest.raises(wb.RecordError, match=r"positive or negative \(95 % range −0.0100 to 0.200 EU/%"):
         tune_found(unsure, Wishes())
+    with pytest.raises(wb.InvalidValue, match="--action: direct given; the controller acts the wrong way"):
+        tune_found(found, Wishes(action="direct"))
     # What a fit without any effect of the valve leaves as a gain is no finding.
     blind = replace(found, plant=wb.FOPDT(1e-12, 6.0, 2.0), intervals=replace(found.intervals, gain=None))
     with pytest.raises(wb.RecordError, match="shows no effect of the valve on PV"):

@@ -150,7 +150,7 @@ def run(
             study = run_scenario(plan, progress=progress)
             write_report(study, out / plan.name, interactive=interactive)
         _print_study(study)
-        for warning in plan.warnings:
+        for warning in plan.mistakes:
             typer.echo(f"Warning: {warning}", err=True)
         for name, tuned in study.tunings:
             if not tuned.status.success:
@@ -178,7 +178,7 @@ def check(
             if items
         ]
         typer.echo(f"{plan.path}: ok ({', '.join(parts)})")
-        for warning in plan.warnings:
+        for warning in plan.mistakes:
             typer.echo(f"{plan.path}: warning: {warning}", err=True)
     return code
 

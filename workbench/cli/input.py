@@ -49,10 +49,16 @@ def quantity(option: str, text: str, read: Callable[[object], float]) -> float:
 
 
 def span(option: str, text: str, read: Callable[[object], float]) -> tuple[float, float]:
-    """Return (low, high) of `low:high`; one value fixes."""
+    """Return (low, high) of `low:high`; one value fixes. Raises `InvalidValue` naming the option."""
     low, sign, high = text.partition(":")
-    first = quantity(option, low.strip(), read)
-    return (first, quantity(option, high.strip(), read)) if sign else (first, first)
+    try:
+        first = read(low.strip())
+        last = read(high.strip()) if sign else first
+    except InvalidValue as error:
+        raise InvalidValue(option, text, f"{error.allowed}, or LOW:HIGH of such") from None
+    if not first <= last:
+        raise InvalidValue(option, text, "must be LOW:HIGH with low <= high")
+    return first, last
 
 
 def read_data(data: Path, reading: Reading) -> Record:

@@ -111,7 +111,8 @@ class Study(Shown):
     """A scenario's results. `name` is the file's stem and the report folder's name; `scenario_text` the YAML as given.
 
     `reference_source`: where the reference figures come from, in words. `notes`: what an engineer should know about
-    how the results came about (coarse sampling, rejected rows ...). `front`: the trade-off of error and valve travel;
+    how the results came about (coarse sampling, rejected rows ...). `mistakes`: what could be run and most likely was
+    meant otherwise. `front`: the trade-off of error and valve travel;
     `robust_repair`: what repair is worth over an ensemble. `cycle_map`: the long-run behaviour over a plane of tunings.
     `cascade`: the cases of a cascade, which has no others. `site`: how the site writes its settings, with every case as
     typed in there, in order; None and empty where the scenario does not say; `cascade_site` and `cascade_site_cases`
@@ -128,6 +129,7 @@ class Study(Shown):
     cases: tuple[CaseResult, ...]
     reference_source: str = ""
     notes: tuple[str, ...] = ()
+    mistakes: tuple[str, ...] = ()
     repair: Repair | None = None
     front: Front | None = None
     robust_repair: RobustRepair | None = None

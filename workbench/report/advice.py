@@ -71,6 +71,9 @@ def case_advice(study: Study) -> Advice:
     if best is None:
         text = "None of these tunings can be recommended: their loops are unstable, or their searches failed."
         return Advice(text, None, tuple(failed))
+    if all(_idle(case) for case in study.cases):
+        text = "This experiment tells nothing of these tunings: neither PV nor a valve moves in it."
+        return Advice(text, None, tuple(failed))
     do += _traps(study, best)
     if len(study.cases) > 1 and best.objective is None:
         decision, case = _trade_off(study, best), None
@@ -88,6 +91,12 @@ def case_advice(study: Study) -> Advice:
     if study.repair is not None:
         left.append(repair_sentence(study))
     return Advice(decision, case, (*failed, *do), tuple(left))
+
+
+def _idle(case: CaseResult) -> bool:
+    """Whether nothing happens in a case's run."""
+    kpis = case.run.kpis
+    return kpis.mean_square_error == 0.0 and kpis.valve_travel == 0.0 and kpis.controller_travel == 0.0
 
 
 def stays_off(study: Study, case: CaseResult) -> str:

@@ -330,7 +330,7 @@ def results_content(study: Study) -> dict[str, Any]:
         **({} if study.robust_repair is None else {"robust_repair": _robust_repair(study.robust_repair)}),
         **_further(study),
         "reference_source": study.reference_source,
-        "notes": list(study.notes),
+        "notes": [*study.mistakes, *study.notes],
         "trends": trends_content(study),
     }
 

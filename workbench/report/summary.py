@@ -54,7 +54,7 @@ class Summary:
 
 def summarise(study: Study) -> Summary:
     """Return a study's summary in words."""
-    found: list[str] = []
+    found: list[str] = [f"Look at the scenario again: {text}" for text in study.mistakes]
     do: list[str] = []
     advice = Advice("")
     for i, named in enumerate(study.estimates):

@@ -22,6 +22,7 @@ from workbench.model.tuning import Objective
 from workbench.model.valve import Valve
 from workbench.scenario import schema
 from workbench.scenario.analyses import check_analyses
+from workbench.scenario.cautions import cautions
 from workbench.scenario.controllers import Controllers, fitting_action, ruled, wrong_way
 from workbench.scenario.document import Path
 from workbench.scenario.element_entries import DESCRIBED, NOT_FROM_DATA, elements_of
@@ -111,6 +112,7 @@ class Builder:
         site = site_form(given, self.refusals, self.controllers.pv_range, own_form)
         if self.refusals.issues:
             return None
+        said = cautions(whole, experiment, [(case.name, case.controller) for case in cases])
         return Scenario(
             path=self.file,
             name=self.file.stem,
@@ -133,6 +135,7 @@ class Builder:
             site=site,
             notes=tuple(self.notes),
             warnings=tuple(self.warnings),
+            cautions=tuple(said),
         )
 
     def _needs(self, given: schema.ScenarioFile, loop: schema.Loop, from_data: bool) -> None:

@@ -81,7 +81,8 @@ def cascade_study(plan: Scenario, progress: Callable[[str, float], None] | None)
         estimates=(),
         cases=(),
         reference_source=plan.reference_source,
-        notes=(*plan.warnings, *plan.notes),
+        notes=plan.notes,
+        mistakes=plan.mistakes,
         cascade=tuple(results),
         cascade_site=plan.cascade_site,
         cascade_site_cases=()

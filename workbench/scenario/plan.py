@@ -182,8 +182,8 @@ class Scenario:
     cycle_map: the map to draw, or None. cascade: the cases of a cascade, which has no others and no loop.
     ensemble: what the cases are measured in beside the experiment, None where nothing asks for it. site: how the site
     writes its settings, None for the controllers' own form in %/EU and s; cascade_site: both of a cascade. notes: what
-    loading assumed or left out (rejected rows, coarse sampling), for the report. warnings: what can be run and is most
-    likely a mistake.
+    loading assumed or left out (rejected rows, coarse sampling), for the report. warnings: the controllers that act the
+    wrong way, which can be run. cautions: what else can be run and is most likely a mistake.
     """
 
     path: Path
@@ -209,3 +209,9 @@ class Scenario:
     cascade_site: CascadeSite | None = None
     notes: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
+    cautions: tuple[str, ...] = ()
+
+    @property
+    def mistakes(self) -> tuple[str, ...]:
+        """All that can be run and is most likely a mistake."""
+        return (*self.warnings, *self.cautions)

@@ -48,6 +48,8 @@ class Wishes:
     def __post_init__(self) -> None:
         if self.step == 0.0:
             raise InvalidValue("--step", "0 EU", "must be other than 0, or there is nothing to tune for")
+        if self.action not in (None, "reverse", "direct"):
+            raise InvalidValue("--action", self.action, "must be reverse or direct")
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,15 +131,15 @@ def _loop(
 ) -> tuple[Loop, tuple[CaseJob, ...], tuple[str, ...], Estimate | None]:
     """Return the loop, the cases with the action that it needs, notes on what was assumed, and a record's estimate."""
     if plan.loop is not None:
-        return plan.loop, plan.cases, plan.warnings, None
+        return plan.loop, plan.cases, plan.mistakes, None
     study = run_scenario(replace(plan, cases=(), estimates=plan.estimates[:1]), progress=progress)
     named = study.estimates[0]
     found = named.found
     if named.truth is None:
         _refuse_blind(found)
-    cases, notes = for_plant(plan.cases, found.plant)
+    cases, notes, mistakes = for_plant(plan.cases, found.plant)
     loop = Loop(found.plant, found.valve, cases[0].controller, found.record.sample_time, plan.pv_range)
-    return loop, cases, (*notes, *_coarse(loop)), found if named.truth is None else None
+    return loop, cases, (*mistakes, *notes, *_coarse(loop)), found if named.truth is None else None
 
 
 def _refuse_blind(found: Estimate) -> None:
@@ -170,7 +172,8 @@ def tune_found(found: Estimate, wishes: Wishes, progress: Progress | None = None
     plant's, Ti from a fifth of the plant's time scale, or half of the rule's where that is less, to 20 times that
     scale; a setpoint step of twice the PV change of the least slip (without stiction: of PV's standard deviation) and,
     half way, a load step of half that size at the plant's input; D on PV. What was assumed is said in the result.
-    Raises `RecordError` where the record does not show the plant's gain, and what tuning raises.
+    Raises `RecordError` where the record does not show the plant's gain, `InvalidValue` for an action with which errors
+    grow, and what tuning raises.
     """
     _refuse_blind(found)
     plant, Ts = found.plant, found.record.sample_time
@@ -196,6 +199,9 @@ def tune_found(found: Estimate, wishes: Wishes, progress: Progress | None = None
         derivative_on="pv",
         action=action,
     )
+    # A search could but switch such a controller off.
+    if wrong := wrong_way(plant, replace(start, Kc=1.0)):
+        raise InvalidValue("--action", action, wrong)
     loop = Loop(plant, found.valve, start, Ts)
     samples = min(max(round(60.0 * scale / Ts), FEWEST), MOST)
     duration = samples * Ts
@@ -215,7 +221,6 @@ def tune_found(found: Estimate, wishes: Wishes, progress: Progress | None = None
         for name, (low, high), unit in (("Kc", bounds.Kc, "%/EU"), ("Ti", bounds.Ti, "s"), ("Td", bounds.Td, "s"))
     )
     verdict = {"stiction": "the valve sticks", "no_stiction": "no stiction"}.get(found.verdict, "")
-    wrong = wrong_way(plant, replace(start, Kc=1.0))
     tuned = tune_case(loop, experiment, job, progress)
     stands = _standing(tuned, found)
     assumed = (
@@ -223,7 +228,6 @@ def tune_found(found: Estimate, wishes: Wishes, progress: Progress | None = None
         task,
         f"bounds {searched}",
         f"{action} action, derivative on PV",
-        *(() if wrong is None else (wrong,)),
         *_coarse(loop),
     )
     return Retuned("Tuned for the record's loop", tuned, assumed, stands)

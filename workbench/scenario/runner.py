@@ -95,12 +95,13 @@ class _Runner:
     def study(self) -> Study:
         """Return the study."""
         plan = self.plan
-        notes = [*plan.warnings, *plan.notes]
+        notes, mistakes = [*plan.notes], [*plan.mistakes]
         estimates = tuple(self._estimate(job) for job in plan.estimates)
         loop, jobs = plan.loop, plan.cases
         if loop is None and jobs:
-            jobs, said = for_plant(jobs, estimates[0].found.plant)
+            jobs, said, wrong = for_plant(jobs, estimates[0].found.plant)
             notes += said
+            mistakes += wrong
             loop, self.ranges = self._found_loop(estimates[0], jobs[0]), estimates[0].found.intervals
             note = loop.sampling_note()
             if note is not None:
@@ -145,6 +146,7 @@ class _Runner:
             cases=tuple(cases),
             reference_source=plan.reference_source,
             notes=tuple(notes),
+            mistakes=tuple(mistakes),
             repair=repair,
             front=front,
             robust_repair=robust_repair,
@@ -330,13 +332,14 @@ class _Runner:
         self.times[words] = time.perf_counter() - begun
 
 
-def for_plant(jobs: Sequence[CaseJob], plant: Plant) -> tuple[tuple[CaseJob, ...], list[str]]:
+def for_plant(jobs: Sequence[CaseJob], plant: Plant) -> tuple[tuple[CaseJob, ...], list[str], list[str]]:
     """Return the cases with the controller action that an estimated gain needs where none is given, and notes on it.
 
-    A given action stays; where it does not fit, a note says so.
+    A given action stays; the last list says where it does not fit.
     """
     action = fitting_action(plant)
     notes: list[str] = []
+    mistakes: list[str] = []
     fitted: list[CaseJob] = []
     for job in jobs:
         if not job.action_given and job.controller.action != action:
@@ -346,9 +349,9 @@ def for_plant(jobs: Sequence[CaseJob], plant: Plant) -> tuple[tuple[CaseJob, ...
             notes += [] if note in notes else [note]
         wrong = wrong_way(plant, job.controller)
         if wrong is not None:
-            notes.append(f"{job.name}: {wrong}.")
+            mistakes.append(f"{job.name}: {wrong}.")
         fitted.append(job)
-    return tuple(fitted), notes
+    return tuple(fitted), notes, mistakes
 
 
 def _map(job: MapJob, cases: Sequence[CaseResult], progress: Callable[[float], None]) -> CycleMap:
