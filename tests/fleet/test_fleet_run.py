@@ -227,3 +227,8 @@ def test_the_demo_command(tmp_path: Path) -> None:
     again = CliRunner().invoke(app, ["fleet-demo", "--loops", "3", "--out", str(tmp_path / "x")])
     assert again.exit_code == 2
     assert "holds files already" in again.output
+    for option, value, allowed in (("--loops", "0", "must be 1 to 1,000,000"), ("--hours", "-1", "must be 0.2 to 744")):
+        wrong = CliRunner().invoke(app, ["fleet-demo", option, value, "--out", str(tmp_path / "y")])
+        assert wrong.exit_code == 2
+        assert f"{option}: " in wrong.output
+        assert allowed in wrong.output

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from workbench.cli.input import quantity
+from workbench.cli.input import in_options, quantity
 from workbench.errors import InvalidValue, OutputError
 
 if TYPE_CHECKING:
@@ -190,7 +190,7 @@ def fleet_demo(
     from workbench.fleet.demo import write_site
     from workbench.model.numbers import counted
 
-    with _progress() as show:
+    with in_options(), _progress() as show:
         truths = write_site(out, loops, hours, seed, lambda share: show(round(share * loops), loops, 0))
     sticky = sum(truth.kind == "sticky" for truth in truths)
     typer.echo(

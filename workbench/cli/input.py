@@ -114,7 +114,7 @@ def _mapping(option: str, given: Sequence[str] | None) -> dict[str, str]:
 _ARGUMENTS = {"sample_time": "--sample-time", "max_gap": "--max-gap"}
 _WORDS = re.compile(r"'[^']*'|\"[^\"]*\"|\b(?:" + "|".join(_ARGUMENTS) + r")\b")
 # What a value is called in Python, whose option is named otherwise.
-_FIELDS = {**_ARGUMENTS, "estimate.start": "--start"}
+_FIELDS = {**_ARGUMENTS, "estimate.start": "--start", "loops": "--loops", "hours": "--hours"}
 
 
 @contextmanager
