@@ -30,20 +30,16 @@ from estimation_joint import stenman_loop
 import workbench as wb
 from workbench.estimate.fits.data import Centred, centre
 from workbench.estimate.fits.fit import Fit, Limits, fit_linear, fit_path, start_range
-from workbench.estimate.methods.complementarity import WARM, Found, Point, solved, warm
+from workbench.estimate.methods.complementarity import COLD, WARM, Found, cold, solved, warm
 from workbench.estimate.search.paths import Path
 from workbench.estimate.search.stems import path_of
 from workbench.model.results import Estimate
-from workbench.symbolic.mpcc import Homotopy
-from workbench.symbolic.sticky import decided
 
 SAMPLES = 600
 SLIPS = 10
 NOISE = (0.0, 0.05)
 OFF = 1.05
 DELAYS = 30.0
-# Without a path to start from wide relaxations lead somewhere at least.
-COLD = Homotopy("scholtes", (1.0, 0.1, 1e-2, 1e-3, 1e-4, 1e-6, 1e-8))
 
 
 @dataclass(frozen=True)
@@ -92,15 +88,6 @@ def near(data: Centred, profile: Estimate, limits: Limits) -> Path:
     bounds = start_range(data.u, first, d, d)
     fit = fit_path(data, x, first, bounds, limits, min(profile.plant.dead_time, DELAYS))
     return Path(wb.Stenman(d), x, first, bounds, fit, slips, (d, d))
-
-
-def cold(data: Centred, linear: Fit, d: float) -> Point:
-    """A start without any stem: it follows OP, and no decision is taken yet."""
-    x0 = float(data.u[0])
-    still = np.zeros(data.samples, np.int8)
-    decisions = decided(still, data.u - np.append(x0, data.u[:-1]), d)
-    decisions[:2] = 0.5
-    return Point(d, x0, data.u, linear, decisions, at_op=False)
 
 
 def measure(record: wb.Record) -> dict[str, tuple[Answer, float]]:

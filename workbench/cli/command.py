@@ -464,7 +464,7 @@ def _print_study(study: Study) -> None:
     from rich.table import Table
     from rich.text import Text
 
-    from workbench.report.words import figure, setting
+    from workbench.report.words import figure, parameter
 
     width = None if sys.stdout.isatty() else 120
     console = Console(width=width, highlight=False, markup=False)
@@ -488,10 +488,10 @@ def _print_study(study: Study) -> None:
     for title in ("Kc", "Ti, s", "Td, s", "error variance", "valve travel, %", *costs):
         table.add_column(title, justify="right")
     for case in study.cases:
-        controller, digits = case.loop.controller, case.tuned.digits if case.tuned is not None else None
+        pid, converted = case.loop.controller, case.unrounded is not None
         table.add_row(
             Text(case.name),
-            *(setting(value, digits) for value in (controller.Kc, controller.Ti, controller.Td)),
+            *(parameter(value, case.digits, converted=converted) for value in (pid.Kc, pid.Ti, pid.Td)),
             figure(case.run.kpis.error_variance),
             figure(case.run.kpis.valve_travel),
             *([] if case.objective is None else [figure(case.objective, 5)]),

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from types import MappingProxyType
 
 from workbench.model.cascade import CascadeCycle, CascadeRun, CascadeTuned
+from workbench.model.checks import choice
 from workbench.model.cycle_map import CycleMap
 from workbench.model.detection import Detection
 from workbench.model.experiment import Experiment
@@ -140,6 +141,11 @@ class Study(Shown):
     cascade_site: CascadeSite | None = None
     cascade_site_cases: tuple[CascadeSiteCase, ...] = ()
     times: Mapping[str, float] = field(default_factory=lambda: MappingProxyType({}))
+
+    def case(self, name: str) -> CaseResult:
+        """Return the case of that name. Raises `InvalidValue`; a cascade's cases stand in `cascade`."""
+        by_name = {case.name: case for case in self.cases}
+        return by_name[choice(name, "Study.case", tuple(by_name))]
 
     @property
     def tunings(self) -> tuple[tuple[str, Tuned], ...]:

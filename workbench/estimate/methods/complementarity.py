@@ -37,10 +37,11 @@ from workbench.symbolic.mpcc import Homotopy, Mpcc, MpccResult, RelaxedSolver
 from workbench.symbolic.solve import Group, IpoptOptions, Nlp, Values
 from workbench.symbolic.sticky import decided, moved, unit_steps, unknown_decisions
 
-__all__ = ["WARM", "Found", "Point", "solved", "warm"]
+__all__ = ["COLD", "WARM", "Found", "Point", "cold", "solved", "warm"]
 
-# From a path that is nearly right wide relaxations only lead away.
+# From a path that is nearly right wide relaxations only lead away; without one they lead somewhere at least.
 WARM = Homotopy("scholtes", (1e-6, 1e-8))
+COLD = Homotopy("scholtes", (1.0, 0.1, 1e-2, 1e-3, 1e-4, 1e-6, 1e-8))
 OPTIONS = IpoptOptions(tolerance=1e-6, max_iterations=200, max_wall_time=60.0, barrier=1e-6, push=1e-6, scaling="none")
 ROUNDING = 1e-6  # of OP's range: the program knows its d no better
 PART = 1e-3  # a step as far from 0 and 1 moves the stem part of the way
@@ -89,6 +90,15 @@ def warm(data: Centred, path: Path) -> Point:
     lead = data.u - np.append(data.u[0] if at_op else x0, x[:-1])
     motion = ((lead > d).astype(np.int8) - (lead < -d).astype(np.int8)).astype(np.int8)
     return Point(d, x0, x, fit, decided(motion, lead, d), at_op)
+
+
+def cold(data: Centred, linear: Fit, d: float) -> Point:
+    """Return a start without any stem: it follows OP, and no decision is taken yet."""
+    x0 = float(data.u[0])
+    still = np.zeros(data.samples, np.int8)
+    decisions = decided(still, data.u - np.append(x0, data.u[:-1]), d)
+    decisions[:2] = 0.5
+    return Point(d, x0, data.u, linear, decisions, at_op=False)
 
 
 def solved(
