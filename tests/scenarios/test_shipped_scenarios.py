@@ -1,8 +1,9 @@
 """The shipped scenarios run, and still say what their committed reports say.
 
 Runs with given tunings repeat on every machine; what a search or a fit found is held by its quality instead. Where the
-search takes long and is like those of the other scenarios, the tuning that it found is run as given. All that is asked
-of a scenario is one test, as running it takes long and tests of one file may run in several processes.
+search takes long and is like those of the other scenarios, the tuning that it found is run as given; the cascade is
+searched at two digits. All that is asked of a scenario is one test, as running it takes long and tests of one file may
+run in several processes.
 """
 
 from __future__ import annotations
@@ -10,6 +11,7 @@ from __future__ import annotations
 import json
 import math
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -19,13 +21,23 @@ import pytest
 import workbench as wb
 from workbench.report.page import write_report
 from workbench.report.results import results_json
+from workbench.scenario import runner
 from workbench.scenario.loader import load_scenario
 from workbench.scenario.plan import Scenario
 
 ROOT = Path(__file__).parents[2]
 SHIPPED = sorted(path.stem for path in (ROOT / "scenarios").glob("*.yaml") if not path.stem.startswith("fleet_"))
 LARGEST = 2 * 2**20  # bytes of one report folder
-NOT_SEARCHED = ("compensators", "loop_1_feed_flow", "which_tunings_cycle")
+# Of their searches these alone are made: a kind of search is made in one scenario.
+SEARCHED = {
+    "compensators": (),
+    "industrial_flow_loop": (),
+    "integrating_level": ("Robust PI, calmer",),
+    "loop_1_feed_flow": (),
+    "robust_retune": ("Robust PI",),
+    "table_2": ("Optimised PID",),
+    "which_tunings_cycle": (),
+}
 
 
 def committed(name: str) -> Any:
@@ -71,7 +83,7 @@ def given_tunings_come_out_as_committed(name: str, study: Any) -> None:
             same(mine["controller"], case["controller"], case["name"])
             assert mine["objective"] <= found[case["name"]]["worst"]
             continue
-        keys = case.keys() - ({"tuned", "repaired"} if name in NOT_SEARCHED else set())
+        keys = case.keys() - ({"tuned", "repaired"} if name in SEARCHED else set())
         same({key: mine[key] for key in keys}, {key: case[key] for key in keys}, case["name"])
 
 
@@ -112,11 +124,11 @@ def table_2_says_what_the_paper_says_where_it_can(study: Any) -> None:
     assert round(cases["Case 2"].run.kpis.valve_travel, 2) == 4.01
     assert round(cases["Case 4"].objective, 1) == 303.6
     assert round(cases["Case 5"].objective, 1) == 320.5
-    for name, target in (("Optimised PI", 10.6), ("Optimised PID", 9.8)):
-        assert cases[name].objective == cases[name].tuned.objective <= target
-        assert cases[name].tuned.worst <= 1.01 * target
+    assert cases["Optimised PI"].objective <= 10.6
     # Three decisions in a thousand samples: the refinement slides along them where the scan is caught.
     pid = cases["Optimised PID"].tuned
+    assert cases["Optimised PID"].objective == pid.objective <= 9.8
+    assert pid.worst <= 1.01 * 9.8
     assert pid.controller.Td == 0.0 or any(r.refined < 0.99 * r.scanned for r in pid.restarts)
     assert not cases["Case 1"].describing_function.predicts_cycle
     assert cases["Case 1"].limit_cycle.outcome == "cycles"
@@ -141,8 +153,10 @@ def robust_tunings_are_worth_what_the_report_says(study: Any) -> None:
     for name, times in (("Case 2", 1.1), ("Case 4", 2.2), ("Case 5", 2.1)):
         r = cases[name].robustness
         assert r.mse_mean >= times * math.exp(np.interp(math.log(r.travel_mean), travel, error)), name
-    # Nothing that keeps the constraints lies below the front.
-    for case in study.cases:
+    # No PI tuning that keeps the constraints lies below the front.
+    within = [case for case in study.cases if front.bounds.contains(case.loop.controller)]
+    assert len(within) >= 6
+    for case in within:
         r = case.robustness
         point = front.at(r.travel_mean * (1.0 + 1e-9))
         if case.loop.controller.Kc > 0.0 and r.max_sensitivity <= 2.0 and point is not None:
@@ -195,9 +209,9 @@ def the_cascades_cycle_is_in_both_loops_and_comes_out_as_committed(study: Any) -
         if case["tuning"] is None:
             same(mine, case, case["name"])
         else:
-            # What the site's digits make of it is a draw: the search's own J is compared.
+            # What the site's digits make of it is a draw: the search's own J is compared, which two digits cost 2 %.
             ours_J, theirs_J = (one["tuning"]["primary"]["objective"] for one in (mine, case))
-            assert ours_J <= 1.02 * theirs_J
+            assert ours_J <= 1.04 * theirs_J
     cases = {case.name: case for case in study.cascade}
     found, detuned, tuned = cases["As found"], cases["Primary detuned"], cases["Tuned in turn"]
     for case in (found, detuned):
@@ -236,24 +250,33 @@ def test_each_story_is_of_a_shipped_scenario():
 
 
 def with_the_tunings_found(name: str) -> Scenario:
-    """The scenario with the tunings of its report in the place of its searches, and nothing else that searches."""
+    """The scenario with tunings of its report in the place of its searches, and nothing else that searches."""
     plan = load_scenario(ROOT / "scenarios" / f"{name}.yaml")
     found = {case["name"]: case["controller"] for case in committed(name)["cases"] if case["tuned"]}
     assert found.keys() == {job.name for job in plan.cases if job.tune is not None}
     cases = []
     for job in plan.cases:
-        if job.tune is not None:
+        if job.tune is not None and job.name not in SEARCHED[name]:
             controller = replace(job.controller, **{key: found[job.name][key] for key in ("Kc", "Ti", "Td")})
             job = replace(job, tune=None, controller=controller)
         cases.append(job)
-    return replace(plan, cases=tuple(cases), repair=False, cycle_map=None)
+    story = name == "robust_retune"  # which asks for both
+    return replace(plan, cases=tuple(cases), repair=story, tradeoff=story, cycle_map=None)
+
+
+def at_two_digits(plan: Scenario) -> Scenario:
+    """The scenario of a cascade whose tunings are searched at two digits."""
+    jobs = [job if job.tune is None else replace(job, tune=replace(job.tune, digits=2)) for job in plan.cascade]
+    return replace(plan, cascade=tuple(jobs))
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", SHIPPED)
-def test_a_scenario_still_says_what_its_report_says(name):
-    searched = name not in NOT_SEARCHED
-    study = wb.run_scenario(ROOT / "scenarios" / f"{name}.yaml" if searched else with_the_tunings_found(name))
+def test_a_scenario_still_says_what_its_report_says(name, monkeypatch):
+    # The repair's value in one experiment is asked of none: one search each.
+    monkeypatch.setattr(runner, "value_of_repair", partial(runner.value_of_repair, restarts=1, digits=2))
+    plan = with_the_tunings_found(name) if name in SEARCHED else load_scenario(ROOT / "scenarios" / f"{name}.yaml")
+    study = wb.run_scenario(at_two_digits(plan))
     given_tunings_come_out_as_committed(name, study)
     what_was_searched_for_is_as_good_as_committed(name, study)
     if name in ("identify_benchmark", "industrial_flow_loop"):
@@ -262,6 +285,7 @@ def test_a_scenario_still_says_what_its_report_says(name):
         STORIES[name](study)
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_report_is_the_same_to_the_byte_when_run_again(tmp_path):
     folders = [tmp_path / "a", tmp_path / "b"]
     for folder in folders:
