@@ -28,7 +28,7 @@ from workbench.scenario.plan import Scenario
 ROOT = Path(__file__).parents[2]
 SHIPPED = sorted(path.stem for path in (ROOT / "scenarios").glob("*.yaml") if not path.stem.startswith("fleet_"))
 LARGEST = 2 * 2**20  # bytes of one report folder
-# Of their searches these alone are made: a kind of search is made in one scenario.
+# Of their searches these alone are made, from one start: a kind of search is made in one scenario.
 SEARCHED = {
     "compensators": (),
     "industrial_flow_loop": (),
@@ -256,7 +256,9 @@ def with_the_tunings_found(name: str) -> Scenario:
     assert found.keys() == {job.name for job in plan.cases if job.tune is not None}
     cases = []
     for job in plan.cases:
-        if job.tune is not None and job.name not in SEARCHED[name]:
+        if job.name in SEARCHED[name]:
+            job = replace(job, tune=replace(job.tune, restarts=1))
+        elif job.tune is not None:
             controller = replace(job.controller, **{key: found[job.name][key] for key in ("Kc", "Ti", "Td")})
             job = replace(job, tune=None, controller=controller)
         cases.append(job)
