@@ -559,10 +559,10 @@ def test_a_click_on_the_map_sets_the_tuning(paper):
     expect(page.locator("#frequency-lines li").nth(1)).to_contain_text("102.4 s")
     paper.picture("frequency")
     # Fewer cells than the page offers.
-    paper.entry("analyze.map.points").evaluate("cells => { cells.append(new Option('6')); }")
-    paper.entry("analyze.map.points").select_option("6")
+    paper.entry("analyze.map.points").evaluate("cells => { cells.append(new Option('4')); }")
+    paper.entry("analyze.map.points").select_option("4")
     page.click("#map")
-    expect(page.locator("#map-lines li").nth(0)).to_contain_text("6 × 6 tunings", timeout=60_000)
+    expect(page.locator("#map-lines li").nth(0)).to_contain_text("4 × 4 tunings", timeout=60_000)
     paper.drawn()
     paper.picture("map")
     # What is zoomed to can be mapped in turn.
@@ -572,7 +572,7 @@ def test_a_click_on_the_map_sets_the_tuning(paper):
     page.click("#map-view")
     expect(page.locator("#map-lines li").nth(0)).to_contain_text("(Kc 0.3 to 0.9 %/EU", timeout=60_000)
     expect(page.locator("#progress")).to_be_hidden()
-    half = 3.0 ** (1 / 10)  # a cell, of 5 from the first to the last
+    half = 3.0 ** (1 / 6)  # a cell, of 3 from the first to the last
     assert page.evaluate(ends)[:2] == pytest.approx([0.3 / half, 0.9 * half], rel=1e-3)
     box = page.locator("#map-box .picture").bounding_box()
     page.mouse.click(box["x"] + 0.5 * box["width"], box["y"] + 0.5 * box["height"])
