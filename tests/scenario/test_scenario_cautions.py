@@ -57,8 +57,8 @@ FRACTION = (
 def test_what_was_most_likely_meant_otherwise_is_said(old: str, new: str, said: str) -> None:
     found = plan(old, new)
     (caution,) = found.cautions
-    assert caution.startswith(said)
-    assert found.mistakes == (caution,)
+    assert caution.text.startswith(said)
+    assert found.mistakes == (caution.text,)
 
 
 @pytest.mark.parametrize(

@@ -95,6 +95,36 @@ def test_the_loaders_own_refusal_of_the_wrong_action_is_a_warning_beside_the_run
     assert not paper.stale  # the run is of what stands there
     assert paper.own is not None
     assert paper.own.run is not None
+    # It is no refusal; each case is told of its own.
+    paper.pin("Direct", wb.PID(0.5, 20.0, action="direct"))
+    heads = paper.comparison(paper.runs())["heads"]
+    assert [head["name"] for head in heads if "acts the wrong way" not in head["refused"]] == ["Direct"]
+
+
+@pytest.mark.parametrize(
+    ("entries", "field", "text"),
+    [
+        ({"loop.valve.d": "0.02"}, "loop.valve.type", "sticks over 0.02 % of travel"),
+        (
+            {"loop.controller.limited": "true", "loop.controller.output_limits.low": "0"},
+            "loop.controller.output_limits.low",
+            "the loop rests on one of them",
+        ),
+        ({"experiment.setpoint.step": "0"}, "experiment.setpoint.step", "the loop stays at rest"),
+    ],
+)
+def test_what_was_most_likely_meant_otherwise_is_said_at_its_field_as_long_as_it_holds(paper, entries, field, text):
+    paper.change(entries)
+    (said,) = paper.problems
+    assert said.field == field
+    assert text in said.text
+    assert not paper.stale
+    paper.pin("Mine")  # which is no refusal
+    paper.read(paper.scenario(), Path("again.yaml"))
+    assert paper.problems == (said,)
+    assert paper.notes == (), "once, where it goes away"
+    paper.change({path: PAPER.screen.entries[path] for path in entries})
+    assert paper.problems == ()
 
 
 def test_a_run_that_the_loop_refuses_says_so(paper):

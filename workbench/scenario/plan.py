@@ -17,6 +17,7 @@ from workbench.model.record import Record
 from workbench.model.rule import Rule
 from workbench.model.site import CascadeSite, SiteForm
 from workbench.model.tuning import Bounds, Objective
+from workbench.scenario.cautions import Caution
 
 __all__ = [
     "RULE_DIGITS",
@@ -209,9 +210,9 @@ class Scenario:
     cascade_site: CascadeSite | None = None
     notes: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
-    cautions: tuple[str, ...] = ()
+    cautions: tuple[Caution, ...] = ()
 
     @property
     def mistakes(self) -> tuple[str, ...]:
         """All that can be run and is most likely a mistake."""
-        return (*self.warnings, *self.cautions)
+        return (*self.warnings, *(caution.text for caution in self.cautions))

@@ -47,7 +47,7 @@ def screen_of(plan: Scenario) -> Loaded:
     `scenario_text` writes it.
 
     """
-    notes = [*plan.warnings, *plan.notes]
+    notes = [*plan.notes]
     first = plan.cases[0].controller if plan.cases else None if plan.loop is None else plan.loop.controller
     entries: dict[str, str] = _cascade(plan.cascade[0].cascade) if plan.cascade else {}
     if plan.loop is not None:
@@ -84,8 +84,8 @@ def screen_of(plan: Scenario) -> Loaded:
                 entries[f"experiment.{name}.seed"] = str(noise.seed)
     for name, parts in more.items():
         if parts:
-            many = f"{len(parts)} more part{'s' if len(parts) > 1 else ''}"
-            notes.append(f"The {name.replace('_', ' ')} has {many}, kept as they are.")
+            many = "1 more part, kept as it is" if len(parts) == 1 else f"{len(parts)} more parts, kept as they are"
+            notes.append(f"The {name.replace('_', ' ')} has {many}.")
     if plan.objective is not None:
         entries |= _objective(plan.objective)
     entries |= _typed(plan)

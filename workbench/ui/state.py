@@ -6,6 +6,7 @@ No widgets and no server here: what the page shows can be asked of this alone.
 from __future__ import annotations
 
 import math
+import re
 import shutil
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -25,8 +26,9 @@ from workbench.model.titles import KPI_ROWS
 from workbench.model.tuning import Objective
 from workbench.model.valve import Valve
 from workbench.report.cascade import cascade_rows
-from workbench.report.tables import shown
-from workbench.report.words import change, controller_words
+from workbench.report.tables import printed, shown
+from workbench.report.words import change, controller_words, decimals_of
+from workbench.scenario.controllers import wrong_way
 from workbench.scenario.document import parse, plain
 from workbench.scenario.loader import read_scenario
 from workbench.simulate.run import evaluate, simulate
@@ -235,7 +237,9 @@ class Session:
         try:
             read_scenario(scenario_text(replace(Screen(), cascade=self.screen.cascade, cases=cases)), FILE)
         except ScenarioError as error:
-            raise ScenarioError("\n".join(problem.text for problem in problems_of(error))) from None
+            # The first case there is the page's own, so that a pinned one's number is its place.
+            texts = (re.sub(r"^cases\[\d+\]\.", "", problem.text) for problem in problems_of(error))
+            raise ScenarioError("\n".join(re.sub(r"\bcases\[(\d+)\]", r"case \1", text) for text in texts)) from None
         self._become(wanted, "")
 
     # what follows --------------------------------------------------------------------------------------------------
@@ -253,16 +257,25 @@ class Session:
         if loop is None or plan.experiment is None or plan.objective is None:
             raise AssertionError("a page's scenario holds a loop, an experiment and an objective")
         self.built = Built(loop, plan.experiment, plan.objective, cascade)
-        self.problems = tuple(Problem("loop.controller.action", text) for text in plan.warnings)
+        # What can be run and was most likely meant otherwise is said beside the run.
+        said = [Problem("loop.controller.action", text) for text in plan.warnings]
+        said += [Problem(field_of(one.where, self.screen.entries) or "", one.text) for one in plan.cautions]
+        self.problems = tuple(said)
         self.own = self._run("On screen", loop.controller, None if cascade is None else cascade.primary.controller)
         if self.own.refused:
             self.problems = (*self.problems, Problem("", self.own.refused))
 
     def _whole(self) -> Built:
-        if self.built is None or any(p for p in self.problems):
-            text = "\n".join(p.text for p in self.problems) or "nothing to show"
-            raise ScenarioError(text)
+        if self.built is None or self.stale or (self.own is not None and self.own.refused):
+            raise ScenarioError("\n".join(p.text for p in self.problems) or "nothing to show")
         return self.built
+
+    def _wrong_way(self, one: CaseRun) -> str:
+        """Return what is wrong where a single loop's tuning acts the wrong way, "" where it does not."""
+        if self.built is None or self.built.cascade is not None:
+            return ""
+        loop = self.built.loop
+        return wrong_way(loop.plant, one.controller, fail_open=loop.fail_open) or ""
 
     def _run(self, name: str, controller: PID, primary: PID | None = None) -> CaseRun:
         built = self.built
@@ -316,6 +329,7 @@ class Session:
                 continue
             finite = [v for v in values if math.isfinite(v)]
             best = min(finite) if less and len(finite) > 1 else math.nan
+            decimals = decimals_of([case.reference[name] for case in cases if name in case.reference])
             cells = []
             for i, value in enumerate(values):
                 published = cases[i].reference.get(name) if i < len(cases) else None
@@ -324,13 +338,13 @@ class Session:
                         "text": shown(name.rpartition(".")[2], value),
                         "difference": "" if i == 0 or math.isnan(value) else change(value, values[0]),
                         "best": value == best,
-                        "published": "" if published is None else f"{published:g}",
+                        "published": "" if published is None else printed(name, published, decimals),
                     }
                 )
             rows.append({"title": title, "unit": unit, "cells": cells})
         keys = [case.key for case in cases] + [None] * (len(columns) - len(cases))
         heads = [
-            {"name": one.name, "settings": one.words, "refused": one.refused, "case": key}
+            {"name": one.name, "settings": one.words, "refused": one.refused or self._wrong_way(one), "case": key}
             for one, key in zip(columns, keys, strict=True)
         ]
         return {"heads": heads, "rows": rows}
