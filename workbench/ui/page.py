@@ -9,7 +9,6 @@ from __future__ import annotations
 import base64
 import binascii
 import json
-import math
 import shutil
 import tempfile
 from collections.abc import Mapping, Sequence
@@ -20,11 +19,11 @@ from typing import Any
 
 from bokeh.core.properties import String
 from bokeh.document import Document
-from bokeh.events import Tap
 from bokeh.model import DataModel
 
 from workbench.errors import InvalidValue, RecordError, WorkbenchError
 from workbench.ui import export
+from workbench.ui.draw import positive
 from workbench.ui.fields import FIELDS
 from workbench.ui.figures import MAP_FIGURES, Pictures
 from workbench.ui.frequency import map_key, tuning_key, verdicts
@@ -41,7 +40,6 @@ VIEWS = ("loop", "compare", "estimate", "tune", "frequency", "export")
 LARGEST_UPLOAD = 16 << 20  # bytes of a file; a day of SP, PV, OP and MODE at 1 s takes a third of it
 LARGEST_SCENARIO = 1 << 20
 LONGEST = 400  # characters of a line that can be typed
-NEAR = 0.15  # of a click to a point of the front: the sum of both differences of logarithms
 WORDS = {
     "read": "Reading",
     "estimate": "Estimating",
@@ -52,7 +50,7 @@ WORDS = {
 }
 
 
-OF_ONE_LOOP = ("suit_bounds", "map", "front")
+OF_ONE_LOOP = ("suit_bounds", "map", "front", "tap")
 
 
 class Bridge(DataModel):  # type: ignore[misc]
@@ -76,6 +74,7 @@ class Page:
         self.job: Job | None = None
         self.task = ""
         self.data = ""
+        self.waits = ""  # a record that is read as soon as the task under way has ended
         self.record: ReadRecord | None = None
         self.found: Found | None = None
         self.tuned: TunedCase | None = None
@@ -89,8 +88,6 @@ class Page:
         self.sent = 0
         self.message = ""
         self.bridge.on_change("up", lambda _attr, _old, new: self.ask(new))
-        self.pictures.figures["f_map"].on_event(Tap, self._tapped)
-        self.pictures.figures["c_front"].on_event(Tap, self._front_tapped)
         if self.session.own is not None:
             self.pictures.show_run(self.session.own)
         if data is not None:
@@ -248,6 +245,8 @@ class Page:
             self.record, self.found = None, None
             self.pictures.show_no_record()
             extra |= {"record": record_words(self.data, None), "found": None}
+        if self.waits:
+            self._read(self.waits)
         self.show(extra)
 
     def _ended(self, result: object) -> dict[str, Any]:
@@ -292,24 +291,15 @@ class Page:
         old = "This is of the loop and the cases as they stood when it was made; make it anew for the present ones."
         return [*([old] if self.front_of != self._front_key() else []), *self.front.text]
 
-    def _tapped_at(self, event: Tap) -> tuple[float, float] | None:
-        """Return where in a logarithmic plane of a single loop was clicked; None elsewhere."""
-        x, y = event.x, event.y
-        if self.session.screen.cascade or x is None or y is None or x <= 0.0 or y <= 0.0:
-            return None
-        return float(x), float(y)
-
-    def _front_tapped(self, event: Tap) -> None:
-        """A click on a point of the front puts its tuning on the screen."""
-        at = self._tapped_at(event)
-        if self.front is None or at is None:
+    def _do_tap(self, request: Mapping[str, Any]) -> None:
+        """Put a tuning that was clicked on the screen: a place of the map, or a point of the front."""
+        picture, x, y = request["picture"], float(request["x"]), float(request["y"])
+        if not positive(x, y):
             return
-        points = [p for p in self.front.sticky if p.valve_travel > 0.0 and p.mean_square_error > 0.0]
-        away = [abs(math.log(p.valve_travel / at[0])) + abs(math.log(p.mean_square_error / at[1])) for p in points]
-        if points and min(away) < NEAR:
-            self.message = ""
-            self.session.change(controller_entries(points[away.index(min(away))].controller))
-            self.show()
+        if picture == "f_map" and self.map is not None:
+            self.session.use_tuning(x, y, self.map.axis)
+        elif picture == "c_front" and self.front is not None and (point := self.front.near(x, y)) is not None:
+            self.session.change(controller_entries(point.controller))
 
     # estimate ------------------------------------------------------------------------------------------------------
 
@@ -333,8 +323,7 @@ class Page:
             target.write_bytes(content)
         except OSError as error:
             raise RecordError(f"{name}: cannot be kept here ({error.strerror})") from None
-        self.data = target.name
-        self._begin("read", estimate_text(self.session.screen, self.data))
+        self._read(target.name)
         return None
 
     def _show_scenario(self, name: str, content: bytes) -> None:
@@ -345,12 +334,11 @@ class Page:
         except UnicodeDecodeError:
             raise RecordError(f"{name}: is no UTF-8 text; a scenario is UTF-8 text") from None
         data = self.session.read(text, self.folder / safe_name(name))
+        self.waits = safe_name(data) if data else ""
         if data and self.task:
-            under_way = WORDS[self.task].lower()
-            self.message = f"{data} was not read, as {under_way} was under way: open the scenario again after it"
+            self.message = f"{data} is read as soon as {WORDS[self.task].lower()} has ended."
         elif data:
-            self.data = safe_name(data)
-            self._begin("read", estimate_text(self.session.screen, self.data))
+            self._read(self.waits)
 
     def _take(self, data: Path) -> None:
         """Read a file that the command named, as if it had been uploaded."""
@@ -360,8 +348,11 @@ class Page:
         except OSError as error:
             self.message = f"{data}: cannot be read ({error.strerror})"
             return
-        self.data = target.name
-        self._begin("read", estimate_text(self.session.screen, self.data))
+        self._read(target.name)
+
+    def _read(self, name: str) -> None:
+        self.data, self.waits = name, ""
+        self._begin("read", estimate_text(self.session.screen, name))
 
     def _do_read(self, _request: Mapping[str, Any]) -> None:
         self._begin("read", estimate_text(self.session.screen, self._given()))
@@ -461,15 +452,6 @@ class Page:
         self.map_figure = request["name"]
         if self.map is not None:
             self.pictures.show_map(self.map, self.map_figure)
-
-    def _tapped(self, event: Tap) -> None:
-        """A click on the map sets the tuning."""
-        at = self._tapped_at(event)
-        if self.map is None or at is None:
-            return
-        self.message = ""
-        self.session.use_tuning(*at, self.map.axis)
-        self.show()
 
     # export --------------------------------------------------------------------------------------------------------
 

@@ -43,6 +43,7 @@ __all__ = [
 ]
 
 Progress = Callable[[str, float], None]
+NEAR = 0.15  # of a place to a point of the front: the sum of both differences of logarithms
 FILE = "screen.yaml"
 
 
@@ -127,6 +128,12 @@ class FrontFound:
     repaired: tuple[FrontPoint, ...]
     cases: tuple[tuple[str, float, float], ...]
     text: tuple[str, ...]
+
+    def near(self, travel: float, error: float) -> FrontPoint | None:
+        """Return the point of the valve as it is that lies closest, None where none is near; both are above 0."""
+        points = [p for p in self.sticky if p.valve_travel > 0.0 and p.mean_square_error > 0.0]
+        away = [abs(math.log(p.valve_travel / travel)) + abs(math.log(p.mean_square_error / error)) for p in points]
+        return points[away.index(min(away))] if points and min(away) < NEAR else None
 
 
 @dataclass(frozen=True, slots=True)

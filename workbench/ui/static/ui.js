@@ -101,8 +101,11 @@ function show(answer, asked) {
   byId("message").textContent = answer.message;
   byId("message").hidden = !answer.message;
   // A name that is refused stays, to be mended, and so does one that was typed since.
+  for (const name of document.querySelectorAll("input.name")) {
+    name.setAttribute("aria-invalid", String(Boolean(answer.message) && asked?.from === name.id));
+  }
   if (asked?.do === "pin" && !answer.message && byId(asked.from).value === asked.name) byId(asked.from).value = "";
-  if (answer.busy && byId("progress").hidden) {
+  if (answer.busy && (byId("progress").hidden || answer.ended)) {
     byId("progress-words").textContent = "Starting";
     byId("progress-share").removeAttribute("value");
   }
@@ -112,7 +115,7 @@ function show(answer, asked) {
   notes = answer.notes.join();
   showFigures(answer.figures);
   document.querySelector("main").classList.toggle("stale", answer.stale);
-  if (answer.comparison) showComparison(answer.comparison, answer.cases.length, asked);
+  if (answer.comparison) showComparison(answer.comparison, answer.cases.length, asked, answer.message);
   if (answer.front) {
     list(byId("front-lines"), answer.front);
     byId("front-box").hidden = !answer.front.length;
@@ -278,14 +281,16 @@ function headOf(key) {
   return heads.get(key);
 }
 
-function showHead(head, i, pinned, asked) {
+function showHead(head, i, pinned, asked, message) {
   const settings = head.refused || head.settings;
   if (i >= pinned) return make("th", "", { scope: "col" }, swatch(i, true), make("br"), make("span", head.name), make("small", settings));
   const { cell, name, words, buttons } = headOf(head.case);
   cell.firstChild.replaceWith(swatch(i));
   const renamed = asked?.do === "rename" && asked.case === head.case && asked.name === name.value;
+  const refused = renamed && Boolean(message);
+  name.setAttribute("aria-invalid", String(refused));
   const typing = name === document.activeElement && name.value !== name.defaultValue && !renamed;
-  if (!typing) name.value = head.name;
+  if (!typing && !refused) name.value = head.name;
   name.defaultValue = name.title = head.name;
   name.setAttribute("aria-label", `Name of case ${i + 1}`);
   words.textContent = settings;
@@ -295,11 +300,11 @@ function showHead(head, i, pinned, asked) {
   return cell;
 }
 
-function showComparison(table, pinned, asked) {
+function showComparison(table, pinned, asked, message) {
   const focus = document.activeElement;
   const held = focus.closest("#comparison th");
   const [at, part] = held ? [held.cellIndex, [...held.children].indexOf(focus)] : [];
-  const cells = table.heads.map((head, i) => showHead(head, i, pinned, asked));
+  const cells = table.heads.map((head, i) => showHead(head, i, pinned, asked, message));
   for (const [key, { cell }] of heads) if (!cells.includes(cell)) heads.delete(key);
   const rows = table.rows.map((row) => {
     const title = make("th", row.title, { scope: "row" });
@@ -515,7 +520,7 @@ for (const button of document.querySelectorAll("[data-export]")) {
 }
 const plain = { estimate: "estimate", read: "read", "use-model": "use_model", tune: "tune", stop: "stop", map: "map", front: "front", "suit-bounds": "suit_bounds", "use-tuned": "use_tuned" };
 for (const [id, what] of Object.entries(plain)) byId(id).addEventListener("click", () => ask(what));
-byId("pin-tuned").addEventListener("click", () => ask("pin_tuned", { name: byId("tuned-name").value }));
+byId("pin-tuned").addEventListener("click", () => ask("pin_tuned", { name: byId("tuned-name").value, from: "tuned-name" }));
 byId("map-view").addEventListener("click", () => {
   const plane = Bokeh.documents[0].get_model_by_name("f_map");
   const [x, y] = [plane.x_range, plane.y_range].map((range) => [range.start, range.end]);
@@ -575,6 +580,12 @@ function connect() {
     return;
   }
   bridge.properties.down.change.connect(taken);
+  // A click in a picture waits its turn behind what was changed before it.
+  for (const picture of ["f_map", "c_front"]) {
+    const figure = doc.get_model_by_name(picture);
+    figure.on_event("tap", ({ x, y }) => ask("tap", { picture, x, y }));
+    doc.event_manager.subscribed_models.add(figure);
+  }
   ask("hello");
 }
 connect();
