@@ -21,6 +21,7 @@ from workbench.report.words import figure, given, setting
 
 __all__ = [
     "at_odds",
+    "band_words",
     "base_case",
     "best_case",
     "df_disagrees",
@@ -161,8 +162,12 @@ def settling_band(case: CaseResult | CascadeResult, experiment: Experiment | Non
     event = _event(case, experiment)
     if event is None:
         return ""
-    band = "2 % of the largest error" if math.isnan(event.band) else f"{given(event.band, 2)} EU"
-    return f"from the last step into ±{band}"
+    return f"from the last step into {band_words(event)}"
+
+
+def band_words(event: Event) -> str:
+    """Return the band that PV has to enter after an event, in words."""
+    return "±2 % of the largest error" if math.isnan(event.band) else f"±{given(event.band, 2)} EU"
 
 
 def settling_doubt(case: CaseResult | CascadeResult, experiment: Experiment | None) -> str:

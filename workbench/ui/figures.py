@@ -205,7 +205,7 @@ class Pictures:
             x_range=DataRange1d(range_padding=0.6),
             y_range=DataRange1d(range_padding=0.2),
         )
-        fig.yaxis.formatter = fig.xaxis.formatter = BasicTickFormatter()
+        fig.yaxis.formatter = fig.xaxis.formatter = BasicTickFormatter(power_limit_high=6)
         for axis in fig.xaxis if name == "c_trade" else fig.axis:
             axis.ticker = LogTicker(mantissas=[1, 2, 5])
         source = ColumnDataSource({"x": [], "y": [], "color": [], "name": [], "align": [], "beside": [], "rise": []})

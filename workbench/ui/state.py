@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from workbench.errors import InvalidValue, ScenarioError, WorkbenchError
+from workbench.kpi.kpis import cascade_event, last_event
 from workbench.model.cascade import Cascade
 from workbench.model.checks import reads_as_number
 from workbench.model.controller import PID
@@ -26,6 +27,7 @@ from workbench.model.titles import KPI_ROWS
 from workbench.model.tuning import Objective
 from workbench.model.valve import Valve
 from workbench.report.cascade import cascade_rows
+from workbench.report.judge import band_words
 from workbench.report.tables import printed, shown
 from workbench.report.words import change, controller_words, decimals_of
 from workbench.scenario.controllers import wrong_way
@@ -300,8 +302,16 @@ class Session:
 
     @property
     def rows(self) -> Rows:
-        """The figures of what stands on the page: `ROWS` or `CASCADE_ROWS`."""
-        return ROWS if self.built is None or self.built.cascade is None else CASCADE_ROWS
+        """The figures of what stands on the page: `ROWS` or `CASCADE_ROWS`, the settling time with its band."""
+        if self.built is None:
+            return ROWS
+        loop, cascade, experiment = self.built.loop, self.built.cascade, self.built.experiment
+        event = last_event(loop, experiment) if cascade is None else cascade_event(cascade, experiment)
+        into = "" if event is None else f", into {band_words(event)}"
+        return tuple(
+            (name, title + into if name.endswith("settling_time") else title, unit, less)
+            for name, title, unit, less in (ROWS if cascade is None else CASCADE_ROWS)
+        )
 
     def figures(self) -> list[dict[str, str]]:
         """Return the figures of the page's own run: name, title, unit and value as text."""
@@ -336,7 +346,7 @@ class Session:
                 cells.append(
                     {
                         "text": shown(name.rpartition(".")[2], value),
-                        "difference": "" if i == 0 or math.isnan(value) else change(value, values[0]),
+                        "difference": change(value, values[0]) if i > 0 and math.isfinite(value - values[0]) else "",
                         "best": value == best,
                         "published": "" if published is None else printed(name, published, decimals),
                     }

@@ -570,6 +570,11 @@ window.addEventListener("beforeunload", (event) => {
   if (!byId("undo").disabled || !byId("use-model").disabled || !byId("progress").hidden) event.preventDefault();
 });
 
+// What sticks below the header begins where that ends: on a narrow page it has two lines.
+new ResizeObserver(([{ target }]) => {
+  document.documentElement.style.setProperty("--top", `${target.offsetHeight}px`);
+}).observe(document.querySelector("header"));
+
 // the connection ------------------------------------------------------------------------------------------------------
 
 function connect() {
