@@ -31,7 +31,5 @@ def test_the_readmes_regressions_hold(monkeypatch: pytest.MonkeyPatch) -> None:
     assert len(tests) == 2
     for run in tests:
         run(study)
-    with pytest.raises(
-        wb.InvalidValue, match=r"Study\.case: Base case given; must be one of Base case \(Fig\. 6\), "
-    ):
+    with pytest.raises(wb.InvalidValue, match=r"Study\.case: Base case given; must be one of Base case \(Fig\. 6\), "):
         study.case("Base case")

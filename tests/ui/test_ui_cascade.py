@@ -203,7 +203,7 @@ def test_tables_of_a_cascade_hold_both_loops(session):
 
 
 def test_a_found_model_stands_in_a_loop_of_its_own_and_the_cascade_can_be_had_back(session):
-    session.use_model(wb.FOPDT(2.0, 21.0, 5.0), wb.Stenman(1.0), 1.0, "reverse")
+    session.use_model(wb.FOPDT(2.0, 21.0, 5.0), wb.Stenman(1.0), 1.0, "reverse", "a.csv")
     assert session.problems == ()
     assert session.built.cascade is None
     assert session.built.loop.plant == wb.FOPDT(2.0, 21.0, 5.0)

@@ -194,6 +194,8 @@ def test_the_table_is_that_of_the_library_with_differences_from_the_first(paper)
     assert travel[0]["difference"] == ""
     assert travel[1]["difference"] == "−67 %"
     assert travel[1]["published"] == "4.01"
+    assert "Settling time, into ±1 EU" in rows
+    assert rows["Oscillation period"][4]["difference"] == "", "the first case has none"
     assert [cell["best"] for cell in travel] == [False, True, False, False, False, False]
     run = wb.simulate(paper_loop(2.01, 301.0), paper_step())
     assert paper.runs()[3].run.kpis == run.kpis
@@ -243,7 +245,7 @@ def test_reading_a_scenario_can_be_undone_and_a_bad_one_changes_nothing(paper):
 
 
 def test_a_found_model_and_a_maps_tuning_go_on_the_page(paper):
-    paper.use_model(wb.FOPDT(-0.5123456, 21.0, 5.0), wb.Choudhury(1.0, 0.25), 7.0, "direct")
+    paper.use_model(wb.FOPDT(-0.5123456, 21.0, 5.0), wb.Choudhury(1.0, 0.25), 7.0, "direct", "a.csv")
     assert paper.problems == ()
     loop = paper.built.loop
     assert loop.plant == wb.FOPDT(-0.51235, 21.0, 5.0)
@@ -254,11 +256,30 @@ def test_a_found_model_and_a_maps_tuning_go_on_the_page(paper):
     assert (paper.built.loop.controller.Kc, paper.built.loop.controller.Ti) == (1.23, 45.7)
 
 
+def test_a_model_of_another_record_leaves_what_was_said_of_the_scenarios_own_loop(paper):
+    paper.use_model(wb.FOPDT(1.0, 21.0, 5.0), wb.Stenman(1.0), 1.0, "reverse", "a.csv")
+    assert (paper.screen.title, paper.notes) == ("The loop found in a.csv", ())
+    assert "reference" not in paper.scenario()
+    assert [case.name for case in paper.screen.cases] == [f"Case {i}" for i in range(1, 6)]
+    assert paper.undo()
+    assert (paper.screen.title, paper.notes) == (PAPER.screen.title, PAPER.notes)
+    own = screen_of(load_scenario(SCENARIOS / "industrial_flow_loop.yaml"))
+    session = Session(own)
+    assert any("example" in note for note in session.notes)
+    session.use_model(wb.FOPDT(0.56, 21.0, 5.0), wb.Stenman(0.63), 5.0, "reverse", "industrial_flow_loop.csv")
+    assert session.screen.title == own.screen.title
+    assert not any("example" in note for note in session.notes)
+
+
 def test_a_tuning_that_is_refused_is_told_at_its_field(paper):
     paper.change({"tune.bounds.Ti.high": "10"})
     with pytest.raises(ScenarioError, match="excludes the start"):
         paper.tuning()
     assert [p.field for p in paper.problems] == ["tune.bounds.Ti.low"]
+    paper.change({"tune.bounds.Ti.high": "much"})
+    with pytest.raises(ScenarioError, match=r"^tune\.bounds\.Ti\[1\]: much s given"):
+        paper.tuning()
+    assert [p.field for p in paper.problems] == ["tune.bounds.Ti.high"]
 
 
 def test_sessions_share_nothing():

@@ -7,14 +7,25 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from bokeh.models import ColumnDataSource, Line, Range1d, Step
+from bokeh.models import BasicTickFormatter, ColumnDataSource, Line, Range1d, Step
 from bokeh.plotting import figure
 
 from workbench.model.record import FloatArray
 from workbench.report import palette as style
 from workbench.report.words import label
 
-__all__ = ["FONT", "curve", "edges", "label_sides", "labels", "line_look", "new_figure", "positive", "step"]
+__all__ = [
+    "FONT",
+    "curve",
+    "edges",
+    "label_sides",
+    "labels",
+    "line_look",
+    "new_figure",
+    "plain_ticks",
+    "positive",
+    "step",
+]
 
 FONT = '"Segoe UI", Arial, "Liberation Sans", Helvetica, sans-serif'
 SOFT, GRID = "#555555", "#e4e4e4"
@@ -71,6 +82,11 @@ def curve(fig: Any, source: ColumnDataSource, x: str, y: str, **look: Any) -> An
 def step(fig: Any, source: ColumnDataSource, x: str, y: str, **look: Any) -> Any:
     """Add a line that holds each value until the next."""
     return fig.add_glyph(source, Step(x=x, y=y, mode="after", **look))
+
+
+def plain_ticks() -> BasicTickFormatter:
+    """Return what writes an axis's numbers without powers, from 0.0001 to a million."""
+    return BasicTickFormatter(power_limit_low=-5, power_limit_high=6)
 
 
 def positive(*values: float) -> bool:

@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 from bokeh.core.properties import value
 from bokeh.models import (
-    BasicTickFormatter,
     ColorBar,
     ColumnDataSource,
     CrosshairTool,
@@ -33,18 +32,30 @@ from workbench.model.record import FloatArray
 from workbench.report import palette as style
 from workbench.report.palette import GROWS, SHADES
 from workbench.report.thinned import but_for_kicks, seen, time_axis
-from workbench.ui.draw import FONT, curve, edges, label_sides, labels, line_look, new_figure, positive, step
+from workbench.ui.draw import (
+    FONT,
+    curve,
+    edges,
+    label_sides,
+    labels,
+    line_look,
+    new_figure,
+    plain_ticks,
+    positive,
+    step,
+)
 from workbench.ui.state import MOST_CASES, CaseRun
 from workbench.ui.trend import WHOLE, Axis, Trend, loop_line
 from workbench.ui.work import Found, FrontFound, MapFound, ReadRecord
 
 __all__ = ["LEGENDS", "MAP_FIGURES", "Pictures"]
 
+BESIDE = {"text_align": "align", "x_offset": "beside", "y_offset": "rise"}  # see `label_sides`
 TEXT = {"text_font": value(FONT), "text_font_size": "12px"}
 NO_SIGNAL = np.array([])
 EMPTY = {"x": NO_SIGNAL, "y": NO_SIGNAL}
 OWN = {"line_color": "#9aa5b1", "line_width": 4.0}  # the page's own run beside the pinned ones
-TRADE = [("travel", "@x"), ("mean square error", "@y")]
+TRADE = [("travel", "@x %"), ("mean square error", "@y EU²")]
 WILD = 1e6  # EU: a diverging case would flatten the others
 MAP_FIGURES = {
     "period": "late period, s",
@@ -115,8 +126,8 @@ class Pictures:
         cross = Span(dimension="height", line_color="#aaaaaa", line_width=1)
         for fig in (pv, op):
             fig.add_tools(CrosshairTool(overlay=cross, dimensions="height"))
-        for fig, text, line in ((pv, "pv", pv_line), (op, "op", op_line)):
-            rows = [("time", f"@{text}_x"), (text.upper(), f"@{text}_y")]
+        for fig, text, unit, line in ((pv, "pv", "EU", pv_line), (op, "op", "%", op_line)):
+            rows = [("time", f"@{text}_x"), (text.upper(), f"@{text}_y {unit}")]
             fig.add_tools(HoverTool(renderers=[line], tooltips=rows, mode="vline", line_policy="nearest"))
         pv_op = self._add("pv_op", "", "PV (EU)")
         curve(pv_op, self.run.source, "pv_op_x", "pv_op_y", **line_look(style.PV, 1.1))
@@ -205,13 +216,12 @@ class Pictures:
             x_range=DataRange1d(range_padding=0.6),
             y_range=DataRange1d(range_padding=0.2),
         )
-        fig.yaxis.formatter = fig.xaxis.formatter = BasicTickFormatter(power_limit_high=6)
+        fig.yaxis.formatter = fig.xaxis.formatter = plain_ticks()
         for axis in fig.xaxis if name == "c_trade" else fig.axis:
             axis.ticker = LogTicker(mantissas=[1, 2, 5])
         source = ColumnDataSource({"x": [], "y": [], "color": [], "name": [], "align": [], "beside": [], "rise": []})
         dots = fig.add_glyph(source, Scatter(x="x", y="y", size=11, fill_color="color", line_color="white"))
-        beside = {"text_align": "align", "x_offset": "beside", "y_offset": "rise"}
-        fig.add_glyph(source, Text(x="x", y="y", text="name", **beside, **TEXT))
+        fig.add_glyph(source, Text(x="x", y="y", text="name", **BESIDE, **TEXT))
         fig.add_tools(HoverTool(renderers=[dots], tooltips=TRADE))
         return source, fig
 
@@ -280,7 +290,7 @@ class Pictures:
             x_range=DataRange1d(),
             y_range=DataRange1d(),
         )
-        profile.yaxis.formatter = BasicTickFormatter()
+        profile.yaxis.formatter = plain_ticks()
         self.profile = ColumnDataSource(EMPTY)
         step(profile, self.profile, "x", "y", **line_look(style.PV, 1.3))
 
@@ -332,7 +342,7 @@ class Pictures:
             x_range=Range1d(0.1, 10.0),
             y_range=Range1d(1.0, 100.0),
         )
-        plane.xaxis.formatter = plane.yaxis.formatter = BasicTickFormatter()
+        plane.xaxis.formatter = plane.yaxis.formatter = plain_ticks()
         plane.xaxis.ticker = plane.yaxis.ticker = LogTicker(mantissas=[1, 2, 5])
         plane.grid.grid_line_color = None
         names = ("left", "right", "bottom", "top", "shade", "value", "outcome")
@@ -347,11 +357,13 @@ class Pictures:
             line_color=None,
             fill_color={"field": "shade", "transform": self.mapper},
         )
-        ticks = {"ticker": LogTicker(mantissas=[1, 2, 5]), "formatter": BasicTickFormatter()}
+        ticks = {"ticker": LogTicker(mantissas=[1, 2, 5]), "formatter": plain_ticks()}
         plane.add_layout(ColorBar(color_mapper=self.mapper, width=12, padding=4, **ticks), "right")
-        self.here = ColumnDataSource({"x": [], "y": [], "name": []})
-        plane.scatter("x", "y", source=self.here, marker="circle_cross", size=13, fill_color=None, line_color="#000000")
-        plane.text("x", "y", text="name", source=self.here, x_offset=9, y_offset=-4, **TEXT)
+        self.here = ColumnDataSource({"x": [], "y": [], "name": [], "align": [], "beside": [], "rise": []})
+        ring = {"fill_color": "white", "fill_alpha": 0.6, "line_color": "#000000"}
+        plane.add_glyph(self.here, Scatter(x="x", y="y", marker="circle_cross", size=13, **ring))
+        ground = {"background_fill_color": "white", "background_fill_alpha": 0.7}  # names stand on dark cells too
+        plane.add_glyph(self.here, Text(x="x", y="y", text="name", **BESIDE, **TEXT, **ground))
         tips = [("Kc", "$x"), ("Ti", "$y s"), ("long run", "@outcome"), ("figure", "@value")]
         plane.add_tools(HoverTool(renderers=[self.cells], tooltips=tips))
 
@@ -393,7 +405,7 @@ class Pictures:
         """Draw one figure of a map in colour, even in its logarithm; grey where an ideal valve's loop is unstable."""
         across, up = edges(found.Kc), edges(found.values)
         rows, columns = found.outcome.shape
-        values = found.figures[name]
+        values, unit = found.figures[name], MAP_FIGURES[name].rpartition(" ")[2]
         usable = (found.stable > 0.5) & np.isfinite(values) & (values > 0.0)
         shade = np.where(usable, values, math.nan)
         self.map.data = {
@@ -402,7 +414,7 @@ class Pictures:
             "bottom": np.repeat(up[:-1], columns),
             "top": np.repeat(up[1:], columns),
             "shade": shade.ravel(),
-            "value": [f"{v:.3g}" if ok else "–" for v, ok in zip(values.ravel(), usable.ravel(), strict=True)],
+            "value": [f"{v:.3g} {unit}" if ok else "–" for v, ok in zip(values.ravel(), usable.ravel(), strict=True)],
             "outcome": [
                 OUTCOMES[int(code)] if steady else "unstable even with an ideal valve"
                 for code, steady in zip(found.outcome.ravel(), found.stable.ravel() > 0.5, strict=True)
@@ -418,4 +430,6 @@ class Pictures:
         """Mark tunings (name, Kc in %/EU, Ti in s) on the map."""
         inside = [one for one in tunings if one[1] > 0.0 and math.isfinite(one[2])]
         names = labels([t[0] for t in inside], [t[1:] for t in inside])
-        self.here.data = {"x": [t[1] for t in inside], "y": [t[2] for t in inside], "name": names}
+        across, up = [t[1] for t in inside], [t[2] for t in inside]
+        sides = label_sides(across, [math.log(value) for value in up], names)
+        self.here.data = {"x": across, "y": up, "name": names, **sides}

@@ -25,10 +25,22 @@ from workbench.ui.trees import compensator_texts, number_text
 
 # Of a loop without cases of its own: what stands in the file stands on the page.
 _ROOTS = ("loop.", "cascade.", "experiment.")
+NO_LOOP_YET = (
+    "The scenario's loop comes from its record: until that is estimated and its model used, the loop shown is this "
+    "page's own example."
+)
 _OWN_OBJECTIVE = "A tuning's own objective is left out here: the page has one for all."
 _AS_WRITTEN = re.compile(r"(loop|cascade\.primary|cascade\.secondary)\.(plant|sample_time)")
 
-__all__ = ["Loaded", "bounds_entries", "controller_entries", "plant_entries", "screen_of", "valve_entries"]
+__all__ = [
+    "NO_LOOP_YET",
+    "Loaded",
+    "bounds_entries",
+    "controller_entries",
+    "plant_entries",
+    "screen_of",
+    "valve_entries",
+]
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,10 +66,7 @@ def screen_of(plan: Scenario) -> Loaded:
         entries |= plant_entries(plan.loop.plant) | valve_entries(plan.loop.valve)
         entries |= time_entry("loop.sample_time", plan.loop.sample_time) | _elements(plan.loop)
     elif plan.estimates and plan.estimates[0].record is not None:
-        notes.append(
-            "The scenario's loop comes from its record: until that is estimated and its model used, the loop shown is "
-            "this page's own example."
-        )
+        notes.append(NO_LOOP_YET)
     notes += _left_of_estimate(_written(plan).get("estimate"))
     if first is not None:
         entries |= controller_entries(first)
@@ -109,6 +118,8 @@ def screen_of(plan: Scenario) -> Loaded:
     open_ones += [c.name for c in plan.cases if c.tune is not None or (c.rule is not None and c.controller.Kc == 0.0)]
     if open_ones:
         notes.append(f"Not shown, since still to be found: {', '.join(open_ones)}.")
+    record = plan.estimates[0].record if plan.estimates else None
+    source = "" if record is None else record.source
     screen = Screen(
         cases=tuple(cases),
         title=plan.title,
@@ -118,9 +129,9 @@ def screen_of(plan: Scenario) -> Loaded:
         more_load=more["load"],
         more_primary_load=more["primary_load"],
         cascade=bool(plan.cascade),
+        record=source,
     ).with_entries(entries)
-    record = plan.estimates[0].record if plan.estimates else None
-    return Loaded(screen, tuple(notes), record.source if record is not None else "")
+    return Loaded(screen, tuple(notes), source)
 
 
 def _cascade(cascade: Cascade) -> dict[str, str]:

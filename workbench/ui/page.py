@@ -369,7 +369,8 @@ class Page:
         if self.found is None:
             raise RecordError("nothing was estimated yet")
         found = self.found
-        self.session.use_model(found.plant, found.valve, found.record.sample_time, found.action)
+        record = found.record
+        self.session.use_model(found.plant, found.valve, record.sample_time, found.action, record.source)
         self.view = "loop"
 
     # tune ----------------------------------------------------------------------------------------------------------

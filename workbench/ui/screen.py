@@ -49,7 +49,8 @@ class Screen:
 
     entries: text by path (see `fields`), units under `path.unit`. cases: pinned, the first the base of comparison.
     more_setpoint, more_load, more_primary_load: parts of the experiment's profiles beside the step that the fields
-    show. cascade: whether it is one, of entries under `cascade.`, and not a loop of entries under `loop.`.
+    show. cascade: whether it is one, of entries under `cascade.`, and not a loop of entries under `loop.`. record:
+    which the scenario names, or the loop was found in.
     """
 
     entries: Mapping[str, str] = field(default_factory=lambda: DEFAULTS)
@@ -61,6 +62,7 @@ class Screen:
     more_load: tuple[Profile, ...] = ()
     more_primary_load: tuple[Profile, ...] = ()
     cascade: bool = False
+    record: str = ""
 
     def with_entries(self, changed: Mapping[str, str]) -> Screen:
         """Return the screen with other texts; unknown paths raise KeyError."""

@@ -11,6 +11,7 @@ import shutil
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
+from types import MappingProxyType
 
 import numpy as np
 
@@ -36,7 +37,15 @@ from workbench.scenario.loader import read_scenario
 from workbench.simulate.run import evaluate, simulate
 from workbench.ui.fields import field_of
 from workbench.ui.given import safe_name
-from workbench.ui.load import Loaded, controller_entries, plant_entries, screen_of, time_entry, valve_entries
+from workbench.ui.load import (
+    NO_LOOP_YET,
+    Loaded,
+    controller_entries,
+    plant_entries,
+    screen_of,
+    time_entry,
+    valve_entries,
+)
 from workbench.ui.screen import MapView, Pinned, Screen, scenario_text
 
 __all__ = ["MOST_CASES", "ROWS", "Built", "CaseRun", "Problem", "Session", "problems_of", "unplaced", "value_of"]
@@ -108,9 +117,12 @@ class CaseRun:
 
 
 def unplaced(line: str) -> str:
-    """Return a refusal's line without its place in the page's own scenario: `where: what is wrong`."""
+    """Return a refusal's line without its place in the page's own scenario: `where: what is wrong`.
+
+    The case that the page makes for its own controller, or for a tuning, is nothing that anyone has seen.
+    """
     place, _, text = line.partition(": ")
-    return text if text and place.startswith(str(FILE)) else line
+    return re.sub(r"^cases\[0\](\.|: )", "", text) if text and place.startswith(str(FILE)) else line
 
 
 def problems_of(error: ScenarioError, entries: Mapping[str, str] | None = None) -> tuple[Problem, ...]:
@@ -203,8 +215,11 @@ class Session:
         entries = {"loop.controller.Kc": f"{Kc:.3g}", "loop.controller.Kc.unit": "%/EU"}
         self.change(entries | time_entry(f"loop.controller.{axis}", float(f"{value:.3g}")))
 
-    def use_model(self, plant: Plant, valve: Valve, sample_time: float, action: str) -> None:
-        """Put an estimated plant and valve on the page, at `MODEL_DIGITS`, with the action that the gain needs."""
+    def use_model(self, plant: Plant, valve: Valve, sample_time: float, action: str, record: str) -> None:
+        """Put an estimated plant and valve on the page, at `MODEL_DIGITS`, with the action that the gain needs.
+
+        record: what they were found in; where the scenario named another one, what it says of its loop is left out.
+        """
         entries = {
             path: f"{float(text):.{MODEL_DIGITS}g}" if reads_as_number(text) else text
             for path, text in (plant_entries(plant) | valve_entries(valve)).items()
@@ -217,9 +232,14 @@ class Session:
         entries["loop.coarse_sampling"] = "true"  # the record's sampling is what it is
         # A loop that was found is linear, with the valve's sign in its gain, and executes at every sample.
         entries |= {"loop.characteristic.type": "linear", "loop.fail_open": "false", "loop.scan": "1"}
-        screen = self.screen.with_entries(entries)
+        screen, notes = self.screen.with_entries(entries), tuple(n for n in self.notes if n != NO_LOOP_YET)
+        if record != safe_name(screen.record):
+            cases = tuple(replace(case, note="", reference=MappingProxyType({})) for case in screen.cases)
+            title, notes = f"The loop found in {record}", ()
+            screen = replace(screen, title=title, description="", reference_source="", cases=cases, record=record)
         # A cascade's cases are none of the loop that was found.
         self._become(replace(screen, cascade=False, cases=()) if screen.cascade else screen, "")
+        self.notes = notes
 
     def load(self, loaded: Loaded) -> None:
         """Show another scenario; what stood here before can be had back."""
