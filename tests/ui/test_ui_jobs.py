@@ -70,9 +70,15 @@ def test_a_tuning_comes_back_verified_with_progress_on_the_way(tmp_path):
     assert len(shares) > 2
 
 
-def test_a_stopped_tuning_hands_over_its_best_so_far(tmp_path):
-    running, told = job("tune", tuning(LONG), tmp_path)
+def test_a_stopped_tuning_hands_over_its_best_so_far_even_where_the_server_ignores_interrupts(tmp_path, monkeypatch):
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)  # as of a server that a script put in the background
+    try:
+        running, told = job("tune", tuning(LONG), tmp_path)
+    finally:
+        signal.signal(signal.SIGINT, before)
     told.wait_for("progress")
+    killed = []
+    monkeypatch.setattr(running, "kill", lambda: killed.append(running.pid))
     running.stop()
     last = told.wait_for("done", "failed", "stopped", timeout=30.0)
     assert last.kind in ("done", "stopped")
@@ -81,6 +87,7 @@ def test_a_stopped_tuning_hands_over_its_best_so_far(tmp_path):
         assert last.result.status == "interrupted"
     running.join(10)
     assert not running.alive
+    assert not killed
 
 
 @pytest.mark.skipif(os.name != "posix", reason="asks a process to end by a signal")

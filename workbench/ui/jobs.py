@@ -117,6 +117,9 @@ def _serve(pipe: Connection, task: str, text: str, folder: str) -> None:
     """Carry a task out in the worker process."""
     from workbench.errors import WorkbenchError
 
+    # A server that a script put in the background ignores interrupts, and so would its workers: `stop` sends them.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+
     def send(kind: str, words: str = "", share: float = 0.0, result: object = None) -> None:
         pipe.send((kind, words, share, result))
 
