@@ -354,7 +354,10 @@ def test_cases_are_pinned_renamed_moved_and_removed(paper):
     expect(names.nth(4)).to_have_value("<script>alert(1)</script>")
     names.nth(4).fill("Case 1")
     names.nth(4).press("Enter")
-    expect(page.locator("#message")).to_contain_text("has this name already")
+    expect(page.locator("#message")).to_contain_text("case 1 has this name already")
+    expect(names.nth(4)).to_have_value("Case 1")  # to be mended
+    expect(names.nth(4)).to_have_attribute("aria-invalid", "true")
+    names.nth(4).press("Escape")
     expect(names.nth(4)).to_have_value("<script>alert(1)</script>")
     page.click('[aria-label="Case 1: away"]')
     expect(names).to_have_count(5)
@@ -575,9 +578,13 @@ def test_a_click_on_the_map_sets_the_tuning(paper):
     half = 3.0 ** (1 / 6)  # a cell, of 3 from the first to the last
     assert page.evaluate(ends)[:2] == pytest.approx([0.3 / half, 0.9 * half], rel=1e-3)
     box = page.locator("#map-box .picture").bounding_box()
+    # A click comes after what was typed before it.
+    paper.entry("loop.valve.d").fill("3")
     page.mouse.click(box["x"] + 0.5 * box["width"], box["y"] + 0.5 * box["height"])
     expect(paper.entry("loop.controller.Kc")).not_to_have_value("0.5")
-    expect(page.locator("#undo")).to_be_enabled()
+    page.click("#undo")
+    expect(paper.entry("loop.controller.Kc")).to_have_value("0.5")
+    expect(paper.entry("loop.valve.d")).to_have_value("3")
 
 
 def test_the_front_of_error_and_travel_is_searched_and_drawn(paper):

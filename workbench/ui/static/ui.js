@@ -265,6 +265,11 @@ function headOf(key) {
   if (heads.has(key)) return heads.get(key);
   const name = make("input", "", { type: "text", maxlength: "80" });
   name.addEventListener("change", () => ask("rename", { case: key, name: name.value }));
+  name.addEventListener("keydown", (event) => {
+    if (event.key !== "Escape") return;
+    name.value = name.defaultValue;
+    name.setAttribute("aria-invalid", "false");
+  });
   const buttons = [
     ["←", "to the left", "move", { by: -1 }],
     ["→", "to the right", "move", { by: 1 }],
