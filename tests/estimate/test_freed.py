@@ -122,14 +122,14 @@ def test_a_step_that_leaves_white_noise_is_white_enough(monkeypatch) -> None:
     setpoint, load = [wb.Step(3.08996), wb.Step(-4.63494, 659.0)], wb.Step(-0.318138, 666.0)
     run = wb.simulate(loop, wb.Experiment(1000.0, setpoint=setpoint, load=load, noise=wb.Noise(0.119562, 649522422)))
     record = wb.Record(run.pv + 50.0, run.op + 40.0, 1.0, sp=run.sp + 50.0)
-    found = wb.estimate(record, plant="fopdt", valve="stenman")
+    found = wb.estimate(record)
     assert [step.at for step in found.load_steps] == [pytest.approx(666.0, abs=2.0)]
     assert found.plant.gain == pytest.approx(1.66386, rel=0.02)
     low, high = found.intervals.gain
     assert low <= 1.66386 <= high
     loads = importlib.import_module("workbench.estimate.loads.steps")
     monkeypatch.setattr(loads, "NOISE", 0.0)
-    assert not wb.estimate(record, plant="fopdt", valve="stenman").load_steps
+    assert not wb.estimate(record).load_steps
 
 
 def test_a_slip_jump_that_is_hardly_likelier_than_none_leaves_the_dead_band_in_the_ranges() -> None:

@@ -137,7 +137,7 @@ BLIND = "no setpoint move is recorded and OP only answers PV"
 
 
 @pytest.mark.parametrize(
-    ("plant", "valve"), [(wb.FOPDT(2.0, 8.0, 2.0), "stenman"), (wb.Integrating(-0.05, 2.0), "linear")]
+    ("plant", "valve"), [(wb.FOPDT(2.0, 8.0, 2.0), "auto"), (wb.Integrating(-0.05, 2.0), "linear")]
 )
 def test_a_linear_loop_that_nobody_moves_shows_its_gains_sign_alone(plant: wb.Plant, valve: str) -> None:
     # What the controller makes of the load passes for the plant: a gain an eighth of the true one and less.

@@ -10,7 +10,6 @@ from __future__ import annotations
 import json
 import math
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -20,23 +19,13 @@ import pytest
 import workbench as wb
 from workbench.report.page import write_report
 from workbench.report.results import results_json
-from workbench.scenario import runner
 from workbench.scenario.loader import load_scenario
 from workbench.scenario.plan import Scenario
 
 ROOT = Path(__file__).parents[2]
 SHIPPED = sorted(path.stem for path in (ROOT / "scenarios").glob("*.yaml") if not path.stem.startswith("fleet_"))
 LARGEST = 2 * 2**20  # bytes of one report folder
-# Of their searches these alone are made, from one start: a kind of search is made in one scenario.
-SEARCHED = {
-    "compensators": (),
-    "industrial_flow_loop": (),
-    "integrating_level": ("Robust PI, calmer",),
-    "loop_1_feed_flow": (),
-    "robust_retune": ("Robust PI",),
-    "table_2": ("Optimised PID",),
-    "which_tunings_cycle": (),
-}
+NOT_SEARCHED = ("compensators", "loop_1_feed_flow", "which_tunings_cycle")
 
 
 def committed(name: str) -> Any:
@@ -82,7 +71,7 @@ def given_tunings_come_out_as_committed(name: str, study: Any) -> None:
             same(mine["controller"], case["controller"], case["name"])
             assert mine["objective"] <= found[case["name"]]["worst"]
             continue
-        keys = case.keys() - ({"tuned", "repaired"} if name in SEARCHED else set())
+        keys = case.keys() - ({"tuned", "repaired"} if name in NOT_SEARCHED else set())
         same({key: mine[key] for key in keys}, {key: case[key] for key in keys}, case["name"])
 
 
@@ -123,11 +112,11 @@ def table_2_says_what_the_paper_says_where_it_can(study: Any) -> None:
     assert round(cases["Case 2"].run.kpis.valve_travel, 2) == 4.01
     assert round(cases["Case 4"].objective, 1) == 303.6
     assert round(cases["Case 5"].objective, 1) == 320.5
-    assert cases["Optimised PI"].objective <= 10.6
+    for name, target in (("Optimised PI", 10.6), ("Optimised PID", 9.8)):
+        assert cases[name].objective == cases[name].tuned.objective <= target
+        assert cases[name].tuned.worst <= 1.01 * target
     # Three decisions in a thousand samples: the refinement slides along them where the scan is caught.
     pid = cases["Optimised PID"].tuned
-    assert cases["Optimised PID"].objective == pid.objective <= 9.8
-    assert pid.worst <= 1.01 * 9.8
     assert pid.controller.Td == 0.0 or any(r.refined < 0.99 * r.scanned for r in pid.restarts)
     assert not cases["Case 1"].describing_function.predicts_cycle
     assert cases["Case 1"].limit_cycle.outcome == "cycles"
@@ -152,10 +141,8 @@ def robust_tunings_are_worth_what_the_report_says(study: Any) -> None:
     for name, times in (("Case 2", 1.1), ("Case 4", 2.2), ("Case 5", 2.1)):
         r = cases[name].robustness
         assert r.mse_mean >= times * math.exp(np.interp(math.log(r.travel_mean), travel, error)), name
-    # No PI tuning that keeps the constraints lies below the front.
-    within = [case for case in study.cases if front.bounds.contains(case.loop.controller)]
-    assert len(within) >= 6
-    for case in within:
+    # Nothing that keeps the constraints lies below the front.
+    for case in study.cases:
         r = case.robustness
         point = front.at(r.travel_mean * (1.0 + 1e-9))
         if case.loop.controller.Kc > 0.0 and r.max_sensitivity <= 2.0 and point is not None:
@@ -249,29 +236,24 @@ def test_each_story_is_of_a_shipped_scenario():
 
 
 def with_the_tunings_found(name: str) -> Scenario:
-    """The scenario with tunings of its report in the place of its searches, and nothing else that searches."""
+    """The scenario with the tunings of its report in the place of its searches, and nothing else that searches."""
     plan = load_scenario(ROOT / "scenarios" / f"{name}.yaml")
     found = {case["name"]: case["controller"] for case in committed(name)["cases"] if case["tuned"]}
     assert found.keys() == {job.name for job in plan.cases if job.tune is not None}
     cases = []
     for job in plan.cases:
-        if job.name in SEARCHED[name]:
-            job = replace(job, tune=replace(job.tune, restarts=1))
-        elif job.tune is not None:
+        if job.tune is not None:
             controller = replace(job.controller, **{key: found[job.name][key] for key in ("Kc", "Ti", "Td")})
             job = replace(job, tune=None, controller=controller)
         cases.append(job)
-    story = name == "robust_retune"  # which asks for both
-    return replace(plan, cases=tuple(cases), repair=story, tradeoff=story, cycle_map=None)
+    return replace(plan, cases=tuple(cases), repair=False, cycle_map=None)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", SHIPPED)
-def test_a_scenario_still_says_what_its_report_says(name, monkeypatch):
-    # The repair's value in one experiment is asked of none: one search each.
-    monkeypatch.setattr(runner, "value_of_repair", partial(runner.value_of_repair, restarts=1, digits=2))
-    plan = with_the_tunings_found(name) if name in SEARCHED else load_scenario(ROOT / "scenarios" / f"{name}.yaml")
-    study = wb.run_scenario(plan)
+def test_a_scenario_still_says_what_its_report_says(name):
+    searched = name not in NOT_SEARCHED
+    study = wb.run_scenario(ROOT / "scenarios" / f"{name}.yaml" if searched else with_the_tunings_found(name))
     given_tunings_come_out_as_committed(name, study)
     what_was_searched_for_is_as_good_as_committed(name, study)
     if name in ("identify_benchmark", "industrial_flow_loop"):
@@ -280,7 +262,6 @@ def test_a_scenario_still_says_what_its_report_says(name, monkeypatch):
         STORIES[name](study)
 
 
-@pytest.mark.usefixtures("undrawn")
 def test_a_report_is_the_same_to_the_byte_when_run_again(tmp_path):
     folders = [tmp_path / "a", tmp_path / "b"]
     for folder in folders:

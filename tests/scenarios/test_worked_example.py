@@ -8,7 +8,6 @@ from __future__ import annotations
 import ast
 import re
 import runpy
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -82,10 +81,7 @@ def each_cell_ends_with_what_a_notebook_shows(names: dict[str, Any]) -> None:
 
 
 @pytest.mark.slow
-def test_the_example_says_what_its_text_says(monkeypatch: pytest.MonkeyPatch) -> None:
-    # How well is searched at more digits is the tuning's own test.
-    for name in ("tune", "value_of_repair"):
-        monkeypatch.setattr(wb, name, partial(getattr(wb, name), digits=2))
+def test_the_example_says_what_its_text_says() -> None:
     names = ran()
     the_record_gives_back_the_loop_that_made_it(names)
     the_analyses_say_what_the_text_says(names)
