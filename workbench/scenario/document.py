@@ -312,8 +312,8 @@ def spell(path: Path) -> str:
 _ALSO_CALLED = {
     "kp": ("Kc", ""),
     "p": ("Kc", ""),
-    "ki": ("Ti", ", which is Kc/Ki"),
-    "kd": ("Td", ", which is Kd/Kc"),
+    "ki": ("Ti", ", Kc/Ki, in parallel form 1/Ki"),
+    "kd": ("Td", ", Kd/Kc, in parallel form Kd"),
     "pb": ("proportional_band", ""),
     "tau": ("time_constant", ""),
     "theta": ("dead_time", ""),
