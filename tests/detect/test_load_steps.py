@@ -7,6 +7,7 @@ import pytest
 
 import workbench as wb
 from workbench.detect.load_steps import load_steps, unforced
+from workbench.detect.rivals import Loaded, Rivals
 from workbench.detect.verdict import decide
 from workbench.model.detection import Oscillation, StemTest
 from workbench.model.record import FloatArray
@@ -261,3 +262,20 @@ def test_a_ramp_is_found_where_it_begins() -> None:
     ((step, _),), ((ramp, _),) = (list(load_steps(lag, u, *asked, kind)) for kind in (False, True))
     np.testing.assert_allclose(ramp - ramp[0], lag, atol=1e-6)
     assert float((lag - step).var()) > 0.1 * float(lag.var())
+
+
+def test_the_linear_loop_is_set_beside_load_steps_once_for_all_stems(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[tuple[bytes, ...]] = []
+    under_load = Rivals.under_load
+
+    def counted(self: Rivals, x: FloatArray, a: FloatArray, *rest: object, **ramps: bool) -> Loaded:
+        asked.append((self.y.tobytes(), x.tobytes(), a.tobytes(), repr((rest[-1], ramps)).encode()))
+        return under_load(self, x, a, *rest, **ramps)
+
+    monkeypatch.setattr(Rivals, "under_load", counted)
+    loop = wb.Loop(wb.FOPDT(1.5, 20.0, 2.0), wb.Ideal(), wb.PID(Kc=1.0, Ti=20.0), 1.0)
+    k = np.arange(1200)
+    load = wb.Series((2.0 * np.sin(2.0 * np.pi * k / 95.0) + 3.0 * (k >= 700)).tolist())
+    run = wb.simulate(loop, wb.Experiment(1200.0, [wb.Step(4.0, 100.0)], load, wb.Noise(0.1, 1)))
+    wb.detect(wb.Record(run.pv + 50.0, run.op + 40.0, 1.0, sp=run.sp + 50.0))
+    assert len(asked) == len(set(asked)) > 0

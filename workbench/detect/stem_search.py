@@ -87,6 +87,7 @@ class Search:
             # In a short record the one may have to do with less of the past than the other.
             self.known += [curved] if curved.past == self.free.past else []
         self._in_place: dict[bytes, float] = {}
+        self._under: dict[tuple[bytes, bytes, int, bool], Loaded] = {}
         self._wave: dict[float, float] = {}
         self._uneven: dict[float, tuple[float, float]] = {}
 
@@ -160,7 +161,7 @@ class Search:
         filters = [self.linear.a, best.fit.a] if often else [self.linear.a, best.fit.a, self.white]
         left = math.inf
         for a in filters:
-            left = min(left, self.rivals.under_load(self.u, a, self.fine, free, most).variance)
+            left = min(left, self._under_load(a, free, most).variance)
             if often and self._gain(left, best.fit.variance) > FAR:
                 return best.innovations
         stem = best.fit.variance
@@ -168,9 +169,16 @@ class Search:
             stem = min([stem, *(self.rivals.under_load(best.path, a, self.fine, free, most).variance for a in filters)])
         return min(best.innovations, self._gain(left, stem))
 
+    def _under_load(self, a: FloatArray, free: NDArray[np.bool_], most: int, ramps: bool = True) -> Loaded:
+        """The linear rival under load steps: the same for every stem that it is set against, done once."""
+        key = a.tobytes(), free.tobytes(), most, ramps
+        if key not in self._under:
+            self._under[key] = self.rivals.under_load(self.u, a, self.fine, free, most, ramps=ramps)
+        return self._under[key]
+
     def load(self, free: NDArray[np.bool_]) -> Loaded:
         """Return the load steps under which the linear rival does best, none where they add no more than chance."""
-        best = self.rivals.under_load(self.u, self.linear.a, self.fine, free, FEW // 2, ramps=False)
+        best = self._under_load(self.linear.a, free, FEW // 2, ramps=False)
         more = best.steps and self._gain(self.rival.variance, best.variance) > Thresholds().chance
         return best if more else Loaded(self.rival.variance, np.zeros(self.rivals.n), 0)
 
