@@ -14,8 +14,8 @@ from fleet_helpers import START, record, tall, write_tall
 
 import workbench as wb
 from workbench.errors import RecordError
-from workbench.record.columns import split_tag
 from workbench.record.historian import read_tags, tags_of
+from workbench.record.names import split_tag
 
 FIC1 = {"PV": "FIC1.PV", "OP": "FIC1.OP"}
 

@@ -15,8 +15,9 @@ import pytest
 import workbench as wb
 from workbench.errors import RecordError
 from workbench.record import csv_file
-from workbench.record.columns import of_no_loop, split_tag
+from workbench.record.columns import of_no_loop
 from workbench.record.many import many_in
+from workbench.record.names import split_tag
 from workbench.record.reader import read_loop
 
 N = 300

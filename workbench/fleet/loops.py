@@ -11,9 +11,10 @@ from typing import Any, TypeVar
 from workbench.errors import RecordError
 from workbench.fleet.store import MARK
 from workbench.model.fleet import LoopSource
-from workbench.record.columns import NAMED, NEEDED, is_tall, loops_of, of_folders, of_no_loop, split_tag
+from workbench.record.columns import NAMED, NEEDED, is_tall, loops_of, of_folders, of_no_loop
 from workbench.record.historian import Piece, Pieces, named, pairs_of
 from workbench.record.many import many_in
+from workbench.record.names import split_tag
 
 __all__ = ["FILES", "OWN", "Sources", "all_tags", "loops_in", "of_tags", "tagged", "tags_in"]
 

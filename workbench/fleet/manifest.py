@@ -23,8 +23,8 @@ from workbench.errors import InvalidValue, RecordError, ScenarioError
 from workbench.fleet.loops import Sources, all_tags, loops_in, of_tags, tagged, tags_in
 from workbench.model.checks import reads_as_number
 from workbench.model.fleet import LoopSource, Tuning
-from workbench.record.columns import TAGGED
 from workbench.record.historian import Pieces, tags_of
+from workbench.record.names import TAGGED
 from workbench.scenario import units
 from workbench.scenario.document import Node, Problem, locate, nearest, parse, plain, spell
 from workbench.scenario.wrong import given_words, refusal

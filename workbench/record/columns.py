@@ -1,4 +1,4 @@
-"""Which column of a file, or which tag of a tall one, is which signal: usual spellings, suffixes, explicit mapping."""
+"""Which column of a file, or which tag of a tall one, is which signal: by their names, or an explicit mapping."""
 
 from __future__ import annotations
 
@@ -9,22 +9,37 @@ from urllib.parse import unquote
 
 from workbench.errors import RecordError
 from workbench.model.checks import reads_as_number
+from workbench.record.names import (
+    CLOCK,
+    DAY,
+    LOOP,
+    MILLI,
+    OWN,
+    QUALITY_WORDS,
+    SPELLINGS,
+    SUFFIXES,
+    TAGGED,
+    names_time,
+    plain_of,
+    rated_by,
+    split_tag,
+    stems,
+    tier_of,
+    tokens_of,
+    up_to_signal,
+)
 from workbench.record.times import is_timestamp
-from workbench.record.units import TIME_UNITS
 
 __all__ = [
     "SIGNALS",
-    "TAGGED",
     "flags_unused",
     "is_tall",
     "loops_of",
     "match_columns",
     "match_tags",
-    "names_time",
     "of_folders",
     "of_no_loop",
     "qualities_unused",
-    "split_tag",
     "whole",
     "with_loops",
 ]
@@ -32,176 +47,15 @@ __all__ = [
 SIGNALS = ("time", "SP", "PV", "OP", "MODE", "valve_position")
 # A tall file, as historians export them, has a row per value: tag, time, value and perhaps its quality and unit.
 TALL = ("tag", "time", "value", "quality", "unit")
-TAGGED = ("SP", "PV", "OP", "MODE", "valve_position")
 # The qualities of a wide file: of the row, or of one signal.
 QUALITIES = ("quality", *(f"{signal} quality" for signal in TAGGED))
 NEEDED = ("PV", "OP")
 NAMED = 12  # names of a file listed in a message
 
-# The signal's own name first; the spellings after it count less where a file holds both.
-_OWN: dict[str, tuple[str, ...]] = {
-    "time": ("time", "timestamp", "t", "ts"),
-    "SP": ("sp", "setpoint"),
-    "PV": ("pv",),
-    "OP": ("op",),
-    "MODE": ("mode",),
-    "valve_position": ("valveposition",),
-    "quality": ("quality",),
-    "unit": ("unit", "units"),
-    "tag": ("tag", "tagname"),
-    "value": ("value",),
-}
-_SPELLINGS: dict[str, tuple[str, ...]] = {
-    "time": (
-        *("seconds", "second", "sec", "secs", "s", "datetime", "date", "elapsed", "elapsedtime", "minutes", "hours"),
-        *("tstamp", "iptrendtime", "xvalue", "datenum", "zeit", "zeitstempel", "horodatage", "temps"),
-    ),
-    "SP": ("setpt", "spt", "setpointvalue", "target", "reference", "r", "sv", "sollwert", "consigne"),
-    "PV": ("processvalue", "processvariable", "measurement", "measured", "measuredvalue", "y", "istwert", "mesure"),
-    "OP": (
-        *("output", "co", "mv", "out", "controlleroutput", "manipulatedvariable", "outputvalue", "u", "lmn"),
-        *("stellwert", "stellgre", "stellgroesse", "sortie"),  # Stellgröße, of which letters without marks are left
-    ),
-    "MODE": ("mod", "controllermode", "controlmode", "operatingmode"),
-    "valve_position": ("valvepos", "stem", "stemposition", "position", "zt", "pos", "zi", "valvetravel", "valve"),
-    "quality": (
-        "qual",
-        "qualitycode",
-        "qualityflag",
-        "status",
-        "statuscode",
-        "isgood",
-        "opcquality",
-        "confidence",
-        "questionable",
-        "datastatus",
-        *("qualitt", "qualitaet", "qualit", "qualite"),  # Qualität, qualité, of which letters without marks are left
-    ),
-    "unit": ("uom", "eu", "engunit", "engunits", "engineeringunit", "engineeringunits"),
-    "tag": (
-        *("tagid", "point", "pointname", "pointid", "item", "itemid", "itemname", "name", "signal", "variable"),
-        # Not InfluxDB's _field: it is the same for all loops of a file, and two would be read as one.
-        *("varname", "variablename", "path", "tagpath", "object", "attribute", "series", "metric"),
-    ),
-    "value": ("val", "reading", "average", "avg", "pointvalue", "itemvalue", "varvalue", "vvalue", "iptrendvalue"),
-}
-_SUFFIXES: dict[str, tuple[str, ...]] = {
-    "time": (),
-    "SP": ("sp", "spt", "setpoint", "sv", "sollwert", "consigne"),
-    "PV": ("pv", "measurement", "meas", "measured", "istwert", "mesure"),
-    "OP": ("op", "co", "mv", "out", "output", "lmn", "stellwert", "sortie"),
-    "MODE": ("mode", "mod"),
-    "valve_position": ("zt", "zi", "pos", "position", "stem"),
-    "quality": (),
-    "unit": (),
-    "tag": (),
-    "value": (),
-}
-# Whose attribute the tag of a tall file is: PV, OP of several.
-_LOOP = ("loop", "loopname", "element", "asset", "block", "module", "controller", "equipment", "instrument")
-# A day and a clock in columns of their own.
-_DAY, _CLOCK = ("date", "datum", "fecha"), ("time", "uhrzeit", "zeit", "heure", "hora")
-# FactoryTalk's and others': the milliseconds of a time in whole seconds.
-_MILLI = ("millitm", "millisecond", "milliseconds", "millis", "msec", "ms")
-# WinCC's: the Time_ms beside it counts millionths of a day.
-_FIRST = {"time": ("timestring",)}
-# CV is the controlled variable beside an MV or OP, and the controller's beside a PV: the last to be looked at for both.
-_LAST = {"PV": ("cv", "controlledvariable"), "OP": ("cv", "controlvariable")}
-# What control systems write after the signal: FIC101/PID1/PV.CV, FIC101/PID1/MODE.ACTUAL.
-_AFTER = ("cv", "value", "val", "actual")
-# A quality beside a value bears the value's name and one of these: PV_Q, PV.Status, "FIC101.PV Quality", Quality_PV.
-_QUALITIES = (
-    *(*_OWN["quality"], *_SPELLINGS["quality"], "dataquality", "isgoodquality", "isquestionable", "qstatus"),
-    *("good", "percentgood", "pctgood", "bad", "isbad", "valid", "isvalid", "validity", "invalid", "iptrendqstatus"),
-    *("st", "q"),
-)
-
+# As spreadsheets and pandas call a second column of a name.
+_NUMBERED = re.compile(r"(?<=[A-Za-z]{3})[._ ]\d$")
 _FLAGS = ("flag", "flags")
 _ALIKE = "have this name: rename all but one of them in the file's header"
-
-# Unit words that stand after a name without brackets too, as in "valve position %" written out.
-_UNITS = ("pct", "percent", "eu", "ma")
-# And what may: in brackets, or after a comma.
-_BEHIND = re.compile(r"\s*(?:\([^()]*\)|\[[^][]*\]|,[^,]*)\s*$")
-_ENDINGS = {*_AFTER, *_UNITS, *(word for words in _SUFFIXES.values() for word in words)}
-_NUMBERED = re.compile(r"(?<=[A-Za-z]{3})[._ ]\d$")
-_BRACKETS = re.compile(r"\([^)]*\)|\[[^]]*\]")
-
-
-def _plain(name: str) -> str:
-    """Lower case without units in brackets and without anything but letters and digits."""
-    return re.sub(r"[^0-9a-z]", "", _BRACKETS.sub("", name.lower()))
-
-
-def _tokens(name: str) -> list[str]:
-    return [part for part in re.split(r"[^0-9a-z]+", re.sub(r"[()\[\]]", " ", name.lower())) if part]
-
-
-def _tier(name: str, signal: str) -> int | None:
-    """Return how well a column's name fits a signal: 0 its own name, 1 a usual spelling, 2 a tag's suffix, 3 CV.
-
-    -1, before all of these: a name that is right even beside the signal's own.
-    """
-    tier = _fit(name, signal)
-    head, comma, unit = name.rpartition(",")
-    if tier is None and comma and not {*_ENDINGS, *_QUALITIES} & {*_tokens(unit)[-1:]}:
-        # A unit may stand after a comma: "PV, m3/h".
-        tier = _fit(head, signal)
-        return None if tier is None else max(tier, 1)
-    return tier
-
-
-def _fit(name: str, signal: str) -> int | None:
-    plain, tokens = _plain(name), _tokens(name)
-    if plain in _FIRST.get(signal, ()):
-        return -1
-    if plain in _OWN[signal]:
-        return 0
-    if plain in _SPELLINGS[signal] or (signal == "quality" and plain in _QUALITIES):
-        return 1
-    if plain in _LAST.get(signal, ()):
-        return 3
-    if len(tokens) < 2:
-        return None
-    if signal == "time":
-        head = "".join(tokens[:-1])
-        return 0 if tokens[-1] in TIME_UNITS and head in _OWN["time"] + _SPELLINGS["time"] else None
-    tokens = _tag(name)
-    if "".join(tokens) in _OWN[signal] + _SPELLINGS[signal]:
-        return 1
-    # "FIC101 Set Point": a suffix may be two words.
-    ends = {tokens[-1], "".join(tokens[-2:]) if len(tokens) > 2 else ""}
-    return 2 if len(tokens) > 1 and ends & {*_SUFFIXES[signal]} else None
-
-
-def _tag(name: str) -> list[str]:
-    """Return a name's tokens up to its signal: without a unit, in brackets or not, and what systems write after it."""
-    tokens = _tokens(name)
-    if tokens and tokens[-1] not in _ENDINGS:
-        tokens = _tokens(_BRACKETS.sub(" ", name)) or tokens
-    if len(tokens) > 1 and tokens[-1] in _UNITS:
-        tokens = tokens[:-1]
-    named = len(tokens) > 2 or tokens[:1] in (["pv"], ["op"], ["sp"])
-    return tokens[:-1] if named and tokens[-1] in _AFTER else tokens
-
-
-def split_tag(tag: str) -> tuple[str, str] | None:
-    """Return (the loop's name, the signal) of a historian's tag or a column by its ending, None where that tells none.
-
-    FIC101.PV is PV of FIC101, FIC101/PID1/PV.CV that of FIC101/PID1. A unit may stand behind: FIC101.PV (m3/h).
-    """
-    pieces = [(m.group(0).lower(), m.start()) for m in re.finditer(r"[0-9A-Za-z]+", tag)]
-    for behind in (_UNITS, _AFTER):
-        if len(pieces) > 2 and pieces[-1][0] in behind:
-            pieces.pop()
-    for words in (2, 1):  # FIC101 Set Point
-        ending = "".join(word for word, _ in pieces[-words:])
-        signal = next((s for s in TAGGED if ending in _SUFFIXES[s]), None)
-        name = tag[: pieces[-words][1]].rstrip(" ._-/:\\|[(") if signal is not None and len(pieces) > words else ""
-        if signal is not None and name:
-            return name, signal
-    bare = _BEHIND.sub("", tag)
-    return split_tag(bare) if bare != tag else None
 
 
 def loops_of(names: Iterable[str]) -> dict[str, dict[str, list[str]]]:
@@ -215,9 +69,9 @@ def loops_of(names: Iterable[str]) -> dict[str, dict[str, list[str]]]:
         if split := split_tag(name):
             loops.setdefault(split[0], {}).setdefault(split[1], []).append(name)
         else:
-            others.setdefault(_plain(name), []).append(name)
+            others.setdefault(plain_of(name), []).append(name)
     for loop, own in loops.items():
-        if "SP" in own and "PV" not in own and (found := others.get(_plain(loop))):
+        if "SP" in own and "PV" not in own and (found := others.get(plain_of(loop))):
             own["PV"] = found
     return loops
 
@@ -230,18 +84,13 @@ def whole(loops: Mapping[str, Mapping[str, list[str]]]) -> list[str]:
 def of_no_loop(names: Collection[str]) -> list[str]:
     """Return which columns or tags of a file of many loops belong to none, and are neither times nor a quality."""
     used = {name for own in loops_of(names).values() for found in own.values() for name in found}
-    rated = {stem for name in used for stem in _stems(_plain(name))}
+    rated = {stem for name in used for stem in stems(plain_of(name))}
 
     def other(name: str) -> bool:
-        bare = _plain(name).rstrip("0123456789") in (*_OWN["quality"], *_SPELLINGS["quality"], *_MILLI)
-        return bool(name) and not (names_time(name) or bare or not _rated(name).isdisjoint(rated))
+        bare = plain_of(name).rstrip("0123456789") in (*OWN["quality"], *SPELLINGS["quality"], *MILLI)
+        return bool(name) and not (names_time(name) or bare or not rated_by(name).isdisjoint(rated))
 
     return [name for name in dict.fromkeys(names) if name not in used and other(name)]
-
-
-def names_time(name: str) -> bool:
-    """Whether a column's name is one of times: Time, Timestamp (UTC), PV time."""
-    return _tier(name.strip(), "time") is not None or bool({*_tokens(name)} & {"timestamp", "datetime", *_DAY, *_CLOCK})
 
 
 def with_loops(pairs: Collection[tuple[str, str]], wanted: Collection[str] = ()) -> dict[tuple[str, str], str]:
@@ -263,21 +112,21 @@ def of_folders(path: Path, header: Sequence[str]) -> dict[str, str]:
     Only the loop, or asset, and the tag are told so, and what `header`, the file's own columns, holds goes before.
     """
     told = dict(part.split("=", 1) for part in path.parts[:-1] if "=" in part)
-    tagged = any(_tier(name.strip(), "tag") is not None for name in header)
-    tags = () if tagged else (*_OWN["tag"], *_SPELLINGS["tag"])
-    return {key: unquote(cell) for key, cell in told.items() if _plain(key) in (*_LOOP, *tags) and key not in header}
+    tagged = any(tier_of(name.strip(), "tag") is not None for name in header)
+    tags = () if tagged else (*OWN["tag"], *SPELLINGS["tag"])
+    return {key: unquote(cell) for key, cell in told.items() if plain_of(key) in (*LOOP, *tags) and key not in header}
 
 
 def is_tall(header: Sequence[str], columns: Mapping[str, str] | None) -> bool:
     """Whether a header is that of a tall file: tag, time and value, and not PV and OP in columns of their own."""
-    given = {_plain(str(key)) for key in columns or {}}
+    given = {plain_of(str(key)) for key in columns or {}}
     if {"tag", "value"} & given:
         return True
-    if {_plain(signal) for signal in NEEDED} <= given:
+    if {plain_of(signal) for signal in NEEDED} <= given:
         return False
 
     def there(signal: str) -> bool:
-        return signal in given or any(_tier(name.strip(), signal) is not None for name in header)
+        return signal in given or any(tier_of(name.strip(), signal) is not None for name in header)
 
     return there("tag") and there("value") and there("time") and not all(there(signal) for signal in NEEDED)
 
@@ -297,14 +146,14 @@ def match_columns(
     names = [h.strip() for h in header]
     if tall:
         found = _match(names, columns, TALL, TALL, ("tag", "time", "value"), source, "column")
-        loops = [i for i, name in enumerate(names) if i not in found.values() and _plain(name) in _LOOP]
+        loops = [i for i, name in enumerate(names) if i not in found.values() and plain_of(name) in LOOP]
         return found | ({"loop": loops[0]} if loops else {})
     spelled = SIGNALS[:1] if alone else SIGNALS
     found = _match(names, columns, (*SIGNALS, *QUALITIES), spelled, NEEDED, source, "column")
     # A day and a clock in columns of their own are one time.
     free = [i for i in range(len(names)) if i == found.get("time") or i not in found.values()]
-    day, clock = (next((i for i in free if _plain(names[i]) in words), None) for words in (_DAY, _CLOCK))
-    told = "time" in {_plain(str(key)) for key in columns or {}}
+    day, clock = (next((i for i in free if plain_of(names[i]) in words), None) for words in (DAY, CLOCK))
+    told = "time" in {plain_of(str(key)) for key in columns or {}}
     if day is not None and clock is not None and found.get("time") in ((clock,) if told else (None, day, clock)):
         found |= {"date": day, "time": clock}
     elif "time" in found and not told:
@@ -314,7 +163,7 @@ def match_columns(
         if other is not None:
             which = f"columns {used!r}, {other!r} could each be time"
             raise RecordError(f"{source}: {which}; say which one, for example columns={{'time': {used!r}}}")
-    milli = next((i for i in free if i not in found.values() and _plain(names[i]) in _MILLI), None)
+    milli = next((i for i in free if i not in found.values() and plain_of(names[i]) in MILLI), None)
     found |= {} if milli is None or "time" not in found else {"milliseconds": milli}
     return found | _qualities(names, found)
 
@@ -325,14 +174,14 @@ def _qualities(names: Sequence[str], found: Mapping[str, int]) -> dict[str, int]
     out: dict[str, int] = {}
     for signal in TAGGED:
         if signal in found and f"{signal} quality" not in found:
-            own = _stems(_plain(names[found[signal]])) | set(_OWN[signal])
-            hits = [i for i, n in enumerate(names) if i not in taken and not _rated(n).isdisjoint(own)]
+            own = stems(plain_of(names[found[signal]])) | set(OWN[signal])
+            hits = [i for i, n in enumerate(names) if i not in taken and not rated_by(n).isdisjoint(own)]
             if hits:
                 out[f"{signal} quality"] = hits[0]
                 taken.add(hits[0])
     # Quality and nothing else: of the row, or of the column before it where there are several.
-    bare = _OWN["quality"] + _SPELLINGS["quality"]
-    rows = [i for i, n in enumerate(names) if i not in taken and _plain(n).rstrip("0123456789") in bare]
+    bare = OWN["quality"] + SPELLINGS["quality"]
+    rows = [i for i, n in enumerate(names) if i not in taken and plain_of(n).rstrip("0123456789") in bare]
     if len(rows) == 1 and "quality" not in found:
         out["quality"] = rows[0]
     elif len(rows) > 1:
@@ -340,20 +189,6 @@ def _qualities(names: Sequence[str], found: Mapping[str, int]) -> dict[str, int]
         before = {f"{signals[i - 1]} quality": i for i in rows if i - 1 in signals}
         out |= {name: i for name, i in before.items() if name not in found}
     return out
-
-
-def _rated(name: str) -> set[str]:
-    """Return what a column may hold the quality of, by its name: plain names, none where it is no quality's."""
-    plain, tokens = _plain(name), _tokens(name)
-    whole = {plain.removesuffix(word) for word in _QUALITIES if plain.endswith(word)}
-    if len(tokens) > 1 and tokens[0] in _QUALITIES:
-        whole.add("".join(tokens[2:] if tokens[1] in ("of", "for") else tokens[1:]))
-    return {stem for one in whole for stem in _stems(one)}
-
-
-def _stems(plain: str) -> set[str]:
-    """Return a plain name as it is and without what control systems write after it."""
-    return {plain, *(plain.removesuffix(word) for word in _AFTER)} - {""}
 
 
 def _is_data(names: Sequence[str]) -> bool:
@@ -369,14 +204,14 @@ def qualities_unused(header: Sequence[str], found: Mapping[str, int]) -> list[st
     found: the columns in use.
     """
     names = [h.strip() for h in header]
-    others = {_plain(n) for n in names}
+    others = {plain_of(n) for n in names}
 
     def looks(name: str) -> bool:
-        tokens = _tokens(name)
+        tokens = tokens_of(name)
         # Q alone is a flow.
         ends = {token for token in tokens[:1] if len(token) > 2} | set(tokens[-1:] if len(tokens) > 1 else ())
-        rated = "quality" in _plain(name) or not ends.isdisjoint(_QUALITIES)
-        return rated and _rated(name).isdisjoint(others)
+        rated = "quality" in plain_of(name) or not ends.isdisjoint(QUALITY_WORDS)
+        return rated and rated_by(name).isdisjoint(others)
 
     unused = [repr(n) for i, n in enumerate(names) if i not in found.values() and looks(n)]
     more = f" and {len(unused) - NAMED} more" if len(unused) > NAMED else ""
@@ -389,7 +224,7 @@ def flags_unused(header: Sequence[str], found: Mapping[str, int]) -> list[str]:
 
     found: the columns in use.
     """
-    unused = [name.strip() for i, name in enumerate(header) if i not in found.values() and _plain(name) in _FLAGS]
+    unused = [name.strip() for i, name in enumerate(header) if i not in found.values() and plain_of(name) in _FLAGS]
     say = "columns (--column) can say, as 'quality', that a value with a flag is bad"
     return [f"not used: {', '.join(map(repr, unused))}; {say}"] if unused else []
 
@@ -415,7 +250,7 @@ def _match(
     argument = f"{what}s"
     found: dict[str, int] = {}
     for key, given in (mapping or {}).items():
-        signal = next((s for s in wanted if _plain(s) == _plain(str(key))), None)
+        signal = next((s for s in wanted if plain_of(s) == plain_of(str(key))), None)
         if signal is None:
             msg = f"{source}: {argument}: {key!r} given; must be one of {', '.join(wanted)}"
             raise RecordError(msg)
@@ -437,7 +272,7 @@ def _match(
             continue
         tiers: dict[int, list[int]] = {}
         for i, name in enumerate(names):
-            tier = None if i in taken or name in others else _tier(name, signal)
+            tier = None if i in taken or name in others else tier_of(name, signal)
             if tier is not None:
                 tiers.setdefault(tier, []).append(i)
         if not tiers:
@@ -457,9 +292,9 @@ def _match(
         taken.add(best[0])
     if "PV" in spelled and "PV" not in found and "SP" in found:
         # A flow beside a "flow setpoint", or FIC101 beside FIC101.SP.
-        *head, end = _tag(names[found["SP"]]) or [""]
-        alone = [i for i, name in enumerate(names) if i not in taken and _plain(name) == "".join(head)]
-        if head and end in _SUFFIXES["SP"] and len(alone) == 1:
+        *head, end = up_to_signal(names[found["SP"]]) or [""]
+        alone = [i for i, name in enumerate(names) if i not in taken and plain_of(name) == "".join(head)]
+        if head and end in SUFFIXES["SP"] and len(alone) == 1:
             found["PV"] = alone[0]
     missing = [s for s in needed if s not in found]
     if missing:

@@ -19,8 +19,9 @@ import numpy as np
 
 from workbench.errors import RecordError
 from workbench.model.record import FloatArray, Record
-from workbench.record.columns import NEEDED, TALL, match_columns, of_folders, split_tag, with_loops
+from workbench.record.columns import NEEDED, TALL, match_columns, of_folders, with_loops
 from workbench.record.counted import counted
+from workbench.record.names import split_tag
 from workbench.record.parquet import arrow_cells, joined, reading
 from workbench.record.reader import record_from
 from workbench.record.signals import Signals, Tall, clock_of

@@ -10,7 +10,7 @@ from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from workbench.errors import RecordError
 from workbench.model.checks import reads_as_number
 from workbench.record.clock import of_the_day
-from workbench.record.columns import names_time
+from workbench.record.names import names_time
 from workbench.record.times import is_timestamp
 from workbench.record.units import time_unit
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from workbench.errors import RecordError
-from workbench.record.columns import names_time
+from workbench.record.names import names_time
 from workbench.record.pairs import PAIRED, Pairs, in_use, pairs_of, unnamed
 from workbench.record.table import BLANK, NUMERIC, OK, TEXT, Cells, Table, marked, number_cells, text_cells
 from workbench.record.text import arrow_text

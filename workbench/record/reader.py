@@ -25,12 +25,12 @@ from workbench.record.columns import (
     is_tall,
     match_columns,
     match_tags,
-    names_time,
     qualities_unused,
     with_loops,
 )
 from workbench.record.csv_file import names_in_csv, read_csv
 from workbench.record.grid import Samples, lay
+from workbench.record.names import names_time
 from workbench.record.pairs import PAIRED
 from workbench.record.parquet import names_in_parquet, read_parquet
 from workbench.record.segments import Parts, part, record_of
