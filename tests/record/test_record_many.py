@@ -42,6 +42,12 @@ def loops() -> Loops:
     return out
 
 
+def test_columns_of_a_date_and_a_clock_are_of_no_loop_and_told_as_times(loops: Loops) -> None:
+    calendar = ["Year", "Month", "Day", "Hour", "Minute", "Second"]
+    assert of_no_loop([*calendar, *wide(loops)[0][1:], "Remark"]) == ["Remark"]
+    assert of_no_loop([*calendar[:3], *wide(loops)[0][1:]]) == calendar[:3]
+
+
 def text(rows: list[list[str]], **how: object) -> str:
     stream = io.StringIO(newline="")
     csv.writer(stream, **how).writerows(rows)  # type: ignore[arg-type]

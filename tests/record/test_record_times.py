@@ -278,6 +278,57 @@ def test_milliseconds_in_a_column_of_their_own_are_added(tmp_path: Path, name: s
     assert read_record(path).sample_time == 60.0
 
 
+CALENDAR = "Year,Month,Day,Hour,Minute,Second,PV,OP"
+
+
+def calendar(stamps: list[dt.datetime], many: int = 6, cell: str = "{}") -> list[object]:
+    return [",".join(cell.format(part) for part in stamp.timetuple()[:many]) for stamp in stamps]
+
+
+def every(seconds: float, many: int = 200) -> list[dt.datetime]:
+    start = dt.datetime(2024, 10, 31, 23, 55, tzinfo=dt.UTC)
+    return [start + dt.timedelta(seconds=seconds * k) for k in range(many)]
+
+
+@pytest.mark.parametrize("header", [CALENDAR, "years,months,days,hours,minutes,seconds,PV,OP", f"Date,{CALENDAR}"])
+@pytest.mark.parametrize("cell", ["{}", "{:02d}", "{:.7e}"])
+def test_a_time_in_six_columns_is_one(tmp_path: Path, header: str, cell: str) -> None:
+    times = calendar(every(10.0), cell=cell)
+    path = write(tmp_path, [f"31.10.2024,{time}" for time in times] if "Date" in header else times, header)
+    record = read_record(path)
+    assert (record.sample_time, len(record), record.counts["rejected"]) == (10.0, 200, 0)
+    assert record.epoch == every(10.0)[0].timestamp()
+    said = "the times are put together of year, month, day, hour, minute, second in columns of their own"
+    assert record.notes[:2] == (said, "first timestamp 2024-10-31 23:55:00")
+
+
+def test_a_time_in_columns_may_have_no_seconds_or_parts_of_them(tmp_path: Path) -> None:
+    whole = write(tmp_path, calendar(every(60.0), 5), "Year,Month,Day,Hour,Minute,PV,OP")
+    assert read_record(whole).sample_time == 60.0
+    parts = [f"{time},{500 * (k % 2)}" for k, time in enumerate(calendar(every(0.5)))]
+    assert read_record(write(tmp_path, parts, "Year,Month,Day,Hour,Minute,Second,ms,PV,OP")).sample_time == 0.5
+    halves = [f"{time}.{5 * (k % 2)}" for k, time in enumerate(calendar(every(0.5)))]
+    assert read_record(write(tmp_path, halves, CALENDAR)).sample_time == 0.5
+    cut = write(tmp_path, calendar(every(10.0), 5), "Year,Month,Day,Hour,Minute,PV,OP")
+    with pytest.raises(RecordError, match="line 3, column 'Year': the same time as line 2 with other values"):
+        read_record(cut)
+
+
+def test_a_time_in_columns_is_not_guessed(tmp_path: Path) -> None:
+    short = write(tmp_path, [str(time)[2:] for time in calendar(every(10.0))], CALENDAR)
+    with pytest.raises(RecordError, match="line 2, column 'Year': '24 10 31 23 55 0' is no time that can be read"):
+        read_record(short)
+    rows = calendar(every(10.0))
+    rows[40] = str(rows[40]).replace("2024,11,1", "2024,11,31")
+    record = read_record(write(tmp_path, rows, CALENDAR))
+    assert record.counts["rejected, no readable time"] == 1
+    # A column of whole timestamps, or what the user says, goes before.
+    both = [f"{stamp:%Y-%m-%d %H:%M:%S},{time}" for stamp, time in zip(every(10.0), rows, strict=True)]
+    path = write(tmp_path, both, f"Timestamp,{CALENDAR}")
+    assert read_record(path).counts["rejected"] == 0
+    assert read_record(path, columns={"time": "Timestamp"}).notes[0] == "first timestamp 2024-10-31 23:55:00"
+
+
 def test_a_clock_with_points_is_read(tmp_path: Path) -> None:
     record = read_record(write(tmp_path, [f"17.10.2024 21.{k // 6:02d}.{10 * (k % 6):02d}" for k in range(100)]))
     assert (len(record), record.sample_time) == (100, 10.0)

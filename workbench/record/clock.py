@@ -4,13 +4,17 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from datetime import datetime, timedelta
 
 import numpy as np
 
 from workbench.model.record import FloatArray
 from workbench.record.units import TIME_UNITS
 
-__all__ = ["durations", "of_the_day"]
+__all__ = ["PARTS", "durations", "of_the_day", "put_together"]
+
+# What a time in several columns has beside its year.
+PARTS = ("month", "day", "hour", "minute", "second")
 
 # 23:59:58, 11:59:58.5 PM, 0 days 00:05:00; and what a spreadsheet makes of them where it shows no hours: 59:58.0.
 _DAY = re.compile(r"(?:(\d+) days?,? )?(\d{1,4}):(\d\d):(\d\d(?:[.,]\d+)?)(?: ?([AaPp])\.?[Mm]\.?)?")
@@ -46,6 +50,25 @@ def of_the_day(cells: Sequence[str]) -> tuple[FloatArray, str] | None:
 def _hours(found: re.Match[str]) -> int:
     """Return the hours of a match of `_DAY`, 0 of `_HOUR`, which shows none."""
     return int(found[2]) if found.re is _DAY else 0
+
+
+def put_together(*parts: Sequence[str]) -> list[str]:
+    """Return timestamps as text, of years, months, days, hours, minutes and perhaps seconds as text, shape (N,) each.
+
+    Where they are no time, with a year of four digits, they are left beside each other, which reads as none.
+    """
+    return [_whole(row) or " ".join(row) for row in zip(*parts, strict=True)]
+
+
+def _whole(row: Sequence[str]) -> str:
+    """Return the timestamp of a row of `put_together`, "" where it is none."""
+    try:
+        *days, second = (float(cell.replace(",", ".")) for cell in (*row, "0")[: len(PARTS) + 1])
+        if any(part % 1.0 for part in days) or not (days[0] >= 1900.0 and 0.0 <= second < MOST + 1.0):
+            return ""
+        return str(datetime(*map(int, days)) + timedelta(seconds=second))  # type: ignore[arg-type] # noqa: DTZ001
+    except (ValueError, OverflowError):
+        return ""
 
 
 def durations(cells: Sequence[str]) -> tuple[FloatArray, str] | None:

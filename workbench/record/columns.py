@@ -10,6 +10,7 @@ from urllib.parse import unquote
 from workbench.errors import RecordError
 from workbench.model.checks import reads_as_number
 from workbench.record.names import (
+    CALENDAR,
     CLOCK,
     DAY,
     LOOP,
@@ -85,9 +86,11 @@ def of_no_loop(names: Collection[str]) -> list[str]:
     """Return which columns or tags of a file of many loops belong to none, and are neither times nor a quality."""
     used = {name for own in loops_of(names).values() for found in own.values() for name in found}
     rated = {stem for name in used for stem in stems(plain_of(name))}
+    calendar = set(map(plain_of, _calendar(list(names), {}).values()))
 
     def other(name: str) -> bool:
         bare = plain_of(name).rstrip("0123456789") in (*OWN["quality"], *SPELLINGS["quality"], *MILLI)
+        bare = bare or plain_of(name) in calendar
         return bool(name) and not (names_time(name) or bare or not rated_by(name).isdisjoint(rated))
 
     return [name for name in dict.fromkeys(names) if name not in used and other(name)]
@@ -138,10 +141,10 @@ def match_columns(
 
     header: the file's column names. columns: an explicit mapping from signal (`SIGNALS`, or the columns of a tall
     file, in any case) to column name, which goes before all spellings. A wide file's qualities are found as "quality"
-    (of the row), "PV quality", "OP quality" ...; the day as "date" where "time" may be but a clock, and what may be its
-    "milliseconds"; a tall file's "loop" where one names what its tags are of. alone: whether a wide file's `columns`
-    are all that the loop has, but for its times and qualities. Raises `RecordError` for columns that are missing,
-    ambiguous or mapped twice.
+    (of the row), "PV quality", "OP quality" ...; the day as "date" where "time" may be but a clock, what may be its
+    "milliseconds", and "month", "day", "hour", "minute" and "second" where it is but the year; a tall file's "loop"
+    where one names what its tags are of. alone: whether a wide file's `columns` are all that the loop has, but for its
+    times and qualities. Raises `RecordError` for columns that are missing, ambiguous or mapped twice.
     """
     names = [h.strip() for h in header]
     if tall:
@@ -149,7 +152,14 @@ def match_columns(
         loops = [i for i, name in enumerate(names) if i not in found.values() and plain_of(name) in LOOP]
         return found | ({"loop": loops[0]} if loops else {})
     spelled = SIGNALS[:1] if alone else SIGNALS
-    found = _match(names, columns, (*SIGNALS, *QUALITIES), spelled, NEEDED, source, "column")
+    calendar = _calendar(names, columns or {})
+    given = {**calendar, **(columns or {})}
+    found = _match(names, given, (*SIGNALS, *QUALITIES, *calendar), spelled, NEEDED, source, "column")
+    if calendar:
+        parts = {part: found.pop(part) for part in calendar}
+        if "time" not in found or plain_of(names[found["time"]]) in DAY:
+            found["time"] = parts.pop("year")
+            return found | parts | _milliseconds(names, found | parts) | _qualities(names, found | parts)
     # A day and a clock in columns of their own are one time.
     free = [i for i in range(len(names)) if i == found.get("time") or i not in found.values()]
     day, clock = (next((i for i in free if plain_of(names[i]) in words), None) for words in (DAY, CLOCK))
@@ -163,9 +173,30 @@ def match_columns(
         if other is not None:
             which = f"columns {used!r}, {other!r} could each be time"
             raise RecordError(f"{source}: {which}; say which one, for example columns={{'time': {used!r}}}")
-    milli = next((i for i in free if i not in found.values() and plain_of(names[i]) in MILLI), None)
-    found |= {} if milli is None or "time" not in found else {"milliseconds": milli}
+    found |= _milliseconds(names, found)
     return found | _qualities(names, found)
+
+
+def _calendar(names: Sequence[str], columns: Mapping[str, str]) -> dict[str, str]:
+    """Return which columns hold the year, month, day, hour, minute and, if there is one, second; {} where times do not.
+
+    columns: what the user said, which goes before.
+    """
+    said = {str(name).strip() for name in columns.values()}
+    found = {
+        part: [name for name in names if plain_of(name) in words and name not in said]
+        for part, words in CALENDAR.items()
+    }
+    told = "time" in {plain_of(str(key)) for key in columns}
+    if told or any(len(own) > 1 or (not own and part != "second") for part, own in found.items()):
+        return {}
+    return {part: own[0] for part, own in found.items() if own}
+
+
+def _milliseconds(names: Sequence[str], found: Mapping[str, int]) -> dict[str, int]:
+    """Return the column that may hold the milliseconds of a time; found: the other columns."""
+    milli = next((i for i, n in enumerate(names) if i not in found.values() and plain_of(n) in MILLI), None)
+    return {} if milli is None or "time" not in found else {"milliseconds": milli}
 
 
 def _qualities(names: Sequence[str], found: Mapping[str, int]) -> dict[str, int]:

@@ -7,6 +7,7 @@ import re
 from workbench.record.units import TIME_UNITS
 
 __all__ = [
+    "CALENDAR",
     "CLOCK",
     "DAY",
     "LOOP",
@@ -91,6 +92,15 @@ SUFFIXES: dict[str, tuple[str, ...]] = {
 LOOP = ("loop", "loopname", "element", "asset", "block", "module", "controller", "equipment", "instrument")
 # A day and a clock in columns of their own.
 DAY, CLOCK = ("date", "datum", "fecha"), ("time", "uhrzeit", "zeit", "heure", "hora")
+# A year, month, day, hour and minute in columns of their own, and perhaps a second.
+CALENDAR = {
+    "year": ("year", "years", "yr", "yyyy", "jahr", "annee"),
+    "month": ("month", "months", "mon", "monat", "mois"),
+    "day": ("day", "days", "dd", "jour"),
+    "hour": ("hour", "hours", "hr", "hh", "stunde", "heure"),
+    "minute": ("minute", "minutes", "min", "mins"),
+    "second": ("second", "seconds", "sec", "secs", "ss", "sekunde", "seconde"),
+}
 # FactoryTalk's and others': the milliseconds of a time in whole seconds.
 MILLI = ("millitm", "millisecond", "milliseconds", "millis", "msec", "ms")
 # WinCC's: the Time_ms beside it counts millionths of a day.

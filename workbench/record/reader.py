@@ -176,7 +176,9 @@ def _read(
         signals = from_wide(table, names, source)
         signals.notes += [] if alone else qualities_unused(header, found)
         signals.unnamed = [name.strip() for name in header].count("") == 1
-        if "time" not in {key.lower() for key in both} and not names_time(names.get("time", "time")):
+        if "time" not in {key.lower() for key in both} and not (
+            "month" in names or names_time(names.get("time", "time"))
+        ):
             signals.notes.append(f"the times are those of the column {names['time'] or 'without a name'}")
     given = {str(key).upper() for key in both}
     return record_from(signals, sample_time, max_gap, scale_pv, scale_op, set(NEEDED) <= given, source)

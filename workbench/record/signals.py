@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from workbench.errors import RecordError
 from workbench.model.checks import reads_as_number
 from workbench.model.record import FloatArray
-from workbench.record.clock import durations, of_the_day
+from workbench.record.clock import PARTS, durations, of_the_day, put_together
 from workbench.record.columns import NEEDED, QUALITIES, TALL, match_tags, with_loops
 from workbench.record.counted import counted
 from workbench.record.quality import good_quality
@@ -309,6 +309,11 @@ def clock_of(
     Raises `RecordError`.
     """
     # Rows with fields too many hold a time all the same, or the file would be told that it has none.
+    if "month" in table.columns:
+        parts = [table.columns[part] for part in PARTS if part in table.columns]
+        whole = put_together(*(one.as_texts() for one in (cells, *parts)))
+        cells = replace(cells, values=np.full(len(whole), np.nan), texts=whole)
+        notes.append(f"the times are put together of year, {', '.join(PARTS[: len(parts)])} in columns of their own")
     numeric = int(np.count_nonzero(np.isfinite(cells.values)))
     if "date" in table.columns and cells.texts is not None:
         days, clocks = _days(table.columns["date"]), cells.texts
