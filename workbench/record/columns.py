@@ -9,6 +9,7 @@ from urllib.parse import unquote
 
 from workbench.errors import RecordError
 from workbench.model.checks import reads_as_number
+from workbench.record.aggregates import DOUBTFUL, aggregate_of, rank_of
 from workbench.record.names import (
     CALENDAR,
     CLOCK,
@@ -62,8 +63,19 @@ _ALIKE = "have this name: rename all but one of them in the file's header"
 def loops_of(names: Iterable[str]) -> dict[str, dict[str, list[str]]]:
     """Return the loops that tags or columns tell, by name: of each its signals, and the names that could be each.
 
-    Beside FIC101.SP a name FIC101 is its PV.
+    Beside FIC101.SP a name FIC101 is its PV. Beside the signal itself its averages count for nothing.
     """
+    return {loop: {signal: _nearest(found) for signal, found in own.items()} for loop, own in _loops(names).items()}
+
+
+def _nearest(names: list[str]) -> list[str]:
+    """Return the names of a signal that are nearest to it, where some are its aggregates."""
+    ranks = [rank_of(name) or 0 for name in names]
+    return [name for name, rank in zip(names, ranks, strict=True) if rank == min(ranks)]
+
+
+def _loops(names: Iterable[str]) -> dict[str, dict[str, list[str]]]:
+    """Return the same as `loops_of` with all aggregates that are a signal."""
     loops: dict[str, dict[str, list[str]]] = {}
     others: dict[str, list[str]] = {}
     for name in names:
@@ -205,7 +217,8 @@ def _qualities(names: Sequence[str], found: Mapping[str, int]) -> dict[str, int]
     out: dict[str, int] = {}
     for signal in TAGGED:
         if signal in found and f"{signal} quality" not in found:
-            own = stems(plain_of(names[found[signal]])) | set(OWN[signal])
+            name = names[found[signal]]
+            own = stems(plain_of(name)) | stems(plain_of(aggregate_of(name)[0])) | set(OWN[signal])
             hits = [i for i, n in enumerate(names) if i not in taken and not rated_by(n).isdisjoint(own)]
             if hits:
                 out[f"{signal} quality"] = hits[0]
@@ -297,14 +310,14 @@ def _match(
     taken = set(found.values())
     loops = loops_of(names)
     told = [names[found[signal]] for signal in NEEDED if signal in found]
-    others = _of_others(loops, told)
+    others = _of_others(_loops(names), told)
     for signal in spelled:
         if signal in found:
             continue
         tiers: dict[int, list[int]] = {}
         for i, name in enumerate(names):
             tier = None if i in taken or name in others else tier_of(name, signal)
-            if tier is not None:
+            if tier is not None and (signal in needed or rank_of(name) != DOUBTFUL):
                 tiers.setdefault(tier, []).append(i)
         if not tiers:
             continue
@@ -336,10 +349,18 @@ def _match(
         msg = (
             f"{source}: no {what} for {' and '.join(missing)}; the file has {there or f'no named {what}'}; "
             f"give the mapping, for example {argument}={{{missing[0]!r}: 'name in the file'}}"
-            f"{tall if what == 'column' else ''}"
+            f"{tall if what == 'column' else ''}{_figures(names, missing)}"
         )
         raise RecordError(msg)
     return found
+
+
+def _figures(names: Sequence[str], missing: Sequence[str]) -> str:
+    """Return what ends a refusal where a missing signal's maximum, or another such figure, is there; else ""."""
+    figures = [
+        n for n in names if rank_of(n) is None and any(tier_of(aggregate_of(n)[0], s) is not None for s in missing)
+    ]
+    return f"; {figures[0]!r} is a figure of its intervals, not the signal" if figures else ""
 
 
 def _of_others(loops: Mapping[str, Mapping[str, list[str]]], given: Sequence[str]) -> set[str]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 
+from workbench.record.aggregates import DOUBTFUL, aggregate_of, rank_of
 from workbench.record.units import TIME_UNITS
 
 __all__ = [
@@ -107,6 +108,8 @@ MILLI = ("millitm", "millisecond", "milliseconds", "millis", "msec", "ms")
 _FIRST = {"time": ("timestring",)}
 # CV is the controlled variable beside an MV or OP, and the controller's beside a PV: the last to be looked at for both.
 _LAST = {"PV": ("cv", "controlledvariable"), "OP": ("cv", "controlvariable")}
+_APART = 3  # tiers that the signal itself, its last values, interpolated ones and so on each have
+_CV = (DOUBTFUL + 1) * _APART
 # What control systems write after the signal: FIC101/PID1/PV.CV, FIC101/PID1/MODE.ACTUAL.
 _AFTER = ("cv", "value", "val", "actual")
 # A quality beside a value bears the value's name and one of these: PV_Q, PV.Status, "FIC101.PV Quality", Quality_PV.
@@ -135,17 +138,21 @@ def tokens_of(name: str) -> list[str]:
 
 
 def tier_of(name: str, signal: str) -> int | None:
-    """Return how well a column's name fits a signal: 0 its own name, 1 a usual spelling, 2 a tag's suffix, 3 CV.
+    """Return how well a column's name fits a signal: 0 its own name, 1 a usual spelling, 2 a tag's suffix, then CV.
 
-    -1, before all of these: a name that is right even beside the signal's own.
+    -1, before all of these: a name that is right even beside the signal's own. Aggregates such as averages come after
+    what is the signal itself.
     """
-    tier = _fit(name, signal)
-    head, comma, unit = name.rpartition(",")
+    bare, rank = (aggregate_of(name)[0], rank_of(name)) if signal in TAGGED else (name, 0)
+    if rank is None:
+        return None
+    tier = _fit(bare, signal)
+    head, comma, unit = bare.rpartition(",")
     if tier is None and comma and not {*_ENDINGS, *QUALITY_WORDS} & {*tokens_of(unit)[-1:]}:
         # A unit may stand after a comma: "PV, m3/h".
         tier = _fit(head, signal)
-        return None if tier is None else max(tier, 1)
-    return tier
+        tier = None if tier is None else max(tier, 1)
+    return None if tier is None else tier + _APART * rank
 
 
 def _fit(name: str, signal: str) -> int | None:
@@ -157,7 +164,7 @@ def _fit(name: str, signal: str) -> int | None:
     if plain in SPELLINGS[signal] or (signal == "quality" and plain in QUALITY_WORDS):
         return 1
     if plain in _LAST.get(signal, ()):
-        return 3
+        return _CV
     if len(tokens) < 2:
         return None
     if signal == "time":
@@ -185,8 +192,12 @@ def up_to_signal(name: str) -> list[str]:
 def split_tag(tag: str) -> tuple[str, str] | None:
     """Return (the loop's name, the signal) of a historian's tag or a column by its ending, None where that tells none.
 
-    FIC101.PV is PV of FIC101, FIC101/PID1/PV.CV that of FIC101/PID1. A unit may stand behind: FIC101.PV (m3/h).
+    FIC101.PV is PV of FIC101, FIC101/PID1/PV.CV that of FIC101/PID1. A unit may stand behind: FIC101.PV (m3/h). Of an
+    aggregate it is the same, FIC101.PV_AVG; a figure that is no signal, as FIC101.PV_MAX, tells none.
     """
+    whole, (tag, _) = tag, aggregate_of(tag)
+    if rank_of(whole) is None:
+        return None
     pieces = [(m.group(0).lower(), m.start()) for m in re.finditer(r"[0-9A-Za-z]+", tag)]
     for behind in (_UNITS, _AFTER):
         if len(pieces) > 2 and pieces[-1][0] in behind:

@@ -18,6 +18,7 @@ import numpy as np
 from workbench.errors import RecordError
 from workbench.model.checks import file_name, instance, number, ordered_pair
 from workbench.model.record import Record
+from workbench.record.aggregates import aggregates_said, is_average, said_of
 from workbench.record.checks import held_said, no_codes, none_far, op_said, setpoint_said, swapped, within_range
 from workbench.record.columns import (
     NEEDED,
@@ -172,6 +173,7 @@ def _read(
     elif tall:
         signals = from_tall(table, names, tags, source, listed)
         signals.notes += flags_unused(header, found)
+        signals.notes += [said_of(f"column {names['value']!r}")] if is_average(names["value"]) else []
     else:
         signals = from_wide(table, names, source)
         signals.notes += [] if alone else qualities_unused(header, found)
@@ -200,6 +202,7 @@ def record_from(
     for name in NUMERIC:
         if name in signals.by:
             no_codes(signals.by[name].cells)
+    signals.notes += aggregates_said({kind: signal.name for kind, signal in signals.by.items()})
     scaled = _scale(signals, pv_range, op_range, source)
     _some_usable(signals, source)
     if not signals.timed and sample_time is None:
