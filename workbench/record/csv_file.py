@@ -16,6 +16,7 @@ from typing import TextIO
 import numpy as np
 
 from workbench.errors import RecordError
+from workbench.record.influx import SERIES, annotated
 from workbench.record.pairs import PAIRED, Pairs, in_use, pairs_of, tall_rows, time_column, unguarded
 from workbench.record.table import (
     BLANK,
@@ -96,7 +97,11 @@ def _opened(path: Path, match: Callable[[list[str]], dict[str, int]], source: st
             notes.append("the text is not UTF-8 and was read as Windows-1252")
         with path.open(encoding=encoding, newline="") as stream:
             lines = list(islice(stream, _HEAD_LINES))
-            cut = fixed_width(lines)
+            cut = annotated(lines, source)
+            if cut is str:
+                cut = fixed_width(lines)
+            else:
+                notes.append(f"InfluxDB's tables taken as one, with the column {SERIES!r}")
             lines = uncommented(list(unguarded(map(cut, lines))), _is_data)
             skipped, mark, header, found, pairs = _header(lines, match, source, apart)
             if any(line.strip() and not line.lstrip().startswith("#") for line in lines[:skipped]):

@@ -104,8 +104,8 @@ CALENDAR = {
 }
 # FactoryTalk's and others': the milliseconds of a time in whole seconds.
 MILLI = ("millitm", "millisecond", "milliseconds", "millis", "msec", "ms")
-# WinCC's: the Time_ms beside it counts millionths of a day.
-_FIRST = {"time": ("timestring",)}
+# InfluxDB's series have one name of all that tells them. WinCC's: the Time_ms beside it counts millionths of a day.
+_FIRST = {"time": ("timestring",), "tag": ("influxdbseries",)}
 # CV is the controlled variable beside an MV or OP, and the controller's beside a PV: the last to be looked at for both.
 _LAST = {"PV": ("cv", "controlledvariable"), "OP": ("cv", "controlvariable")}
 _APART = 3  # tiers that the signal itself, its last values, interpolated ones and so on each have
