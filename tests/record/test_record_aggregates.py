@@ -87,6 +87,12 @@ def test_figures_of_an_interval_are_no_signal(tmp_path: Path, form: str, other: 
         read_record(alone)
 
 
+def test_a_time_in_minutes_is_no_minimum(tmp_path: Path) -> None:
+    path = write(tmp_path, {"PV_AVG": PV, "OP_AVG": OP})
+    path.write_text(path.read_text().replace("t,", "time [min],", 1))
+    assert read_record(path).sample_time == 60.0
+
+
 def test_what_is_nearest_to_the_signal_is_read(tmp_path: Path) -> None:
     kinds = {"_AVG": off(PV), ".INTERP": off(off(PV)), "_LAST": PV}
     columns = {f"FIC101.PV{kind}": values for kind, values in kinds.items()} | {"FIC101.OP": OP, "CV": off(OP)}

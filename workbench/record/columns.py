@@ -317,7 +317,7 @@ def _match(
         tiers: dict[int, list[int]] = {}
         for i, name in enumerate(names):
             tier = None if i in taken or name in others else tier_of(name, signal)
-            if tier is not None and (signal in needed or rank_of(name) != DOUBTFUL):
+            if tier is not None and (signal in needed or signal not in TAGGED or rank_of(name) != DOUBTFUL):
                 tiers.setdefault(tier, []).append(i)
         if not tiers:
             continue
