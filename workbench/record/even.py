@@ -7,10 +7,13 @@ is taken from several intervals on end, and a row's place from where the rows be
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
 from workbench.model.record import FloatArray
+from workbench.record.missing import rows_missing
 from workbench.record.times import JITTER
 
 __all__ = ["best_grid", "most_uneven", "places"]
@@ -25,11 +28,11 @@ FOLLOWED, LEARNT = 1.0 / 6.0, 1.0 / 144.0
 ROUNDING = 1e-6  # of the sample time
 
 
-def places(seconds: FloatArray) -> tuple[float, NDArray[np.int64] | None]:
+def places(seconds: FloatArray, values: Sequence[FloatArray] = ()) -> tuple[float, NDArray[np.int64] | None]:
     """Return the sample time, s, and by how many places each row follows the last, shape (N - 1,); 0 after a gap.
 
-    seconds: ascending, shape (N,), two at least. No places are returned where the rows lie on no even grid; the sample
-    time is then their median interval.
+    seconds: ascending, shape (N,), two at least; values: of signals, shape (N,) each, nan for none. No places are
+    returned where the rows lie on no even grid, or too many are missing; the sample time is then their median interval.
     """
     steps = np.diff(seconds)
     median = float(np.median(steps))
@@ -37,7 +40,7 @@ def places(seconds: FloatArray) -> tuple[float, NDArray[np.int64] | None]:
     # Nearly even intervals need no grid: a clock may drift away from every one.
     many = np.rint(np.clip(steps / median, 0.0, MISSING + 2.0)).astype(np.int64)
     fits = (np.abs(steps - many * median) <= JITTER * median) & (many >= 1) & (many <= MISSING + 1)
-    if not (fits & (many == 1)).all():
+    if not (fits & (many == 1)).all() and not rows_missing(seconds, values):
         found = _followed(seconds, _usual(seconds), most)
         if found is not None:
             usual, off = best_grid(seconds, found)

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from workbench.errors import RecordError
 from workbench.model.record import FloatArray
 from workbench.record.even import most_uneven, places
+from workbench.record.missing import doubt_said, missing_said
 from workbench.record.signals import Signal, Signals
 from workbench.record.stamps import on_stamps_of_pv
 from workbench.record.table import BLANK, OK, Cells
@@ -78,12 +79,17 @@ def _laid(signals: Signals, sample_time: float | None, max_gap: float | None, so
             many = f"{pv.seconds.size} row{'s' if pv.seconds.size != 1 else ''}"
             msg = f"{source}: {many} with a time; at least two are needed"
             raise RecordError(msg)
-        usual, moved = places(pv.seconds)
+        values = [pv.cells.values, op.cells.values]
+        usual, moved = places(pv.seconds, values)
         bridging = max_gap is not None and max_gap > (1.0 + JITTER) * usual
         if not bridging and moved is not None and not any(_sparse(s.cells) for s in (pv, op)):
             _agree(sample_time, usual, signals, source)
-            return _as_recorded(signals, pv, op, usual, moved)
+            out = _as_recorded(signals, pv, op, usual, moved)
+            out.notes += doubt_said(pv.seconds, values, usual)
+            return out
         why = "the times are not even" if moved is None else "most rows hold only what changed"
+        if moved is None and (missing := missing_said(pv.seconds)) is not None:
+            why, sample_time = missing[0], missing[1] if sample_time is None else sample_time
     if max_gap is not None:
         why = "gaps are to be bridged"
     return _resampled(signals, pv, op, sample_time, max_gap, source, why)

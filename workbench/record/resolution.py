@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workbench.model.record import FloatArray
+from workbench.record.missing import DOUBT, rows_missing
 
 __all__ = ["coarse_clock"]
 
@@ -43,8 +44,8 @@ def coarse_clock(seconds: FloatArray, values: Sequence[FloatArray] = ()) -> tupl
 
     seconds: stamps in ascending order, shape (N,), of which some may be the same. values: of signals, shape (N,) each,
     nan for none. Returns None where no even clock explains the stamps, where their resolution is far from the sample
-    time, where rows of one stamp are of several loops in turn, or where only a sample time of many digits explains
-    stamps in seconds of which none is there twice: some of the rows are missing then.
+    time, where rows of one stamp are of several loops in turn, or where some of the rows are missing: as values tell,
+    or as only a sample time of many digits explains stamps in seconds of which none is there twice.
     """
     if seconds.size < SPAN:
         return None
@@ -58,6 +59,7 @@ def coarse_clock(seconds: FloatArray, values: Sequence[FloatArray] = ()) -> tupl
     stamps = (seconds - seconds[0]) / unit
     units = np.rint(stamps)
     usual, whole = _guess(units), np.diff(units)
+    missing = rows_missing(seconds, values) if usual > 1.0 else False
     uneven = int(np.count_nonzero(whole == 0.0 if usual < 1.0 else whole == _MISSING))
     if (
         not FINEST <= usual <= COARSEST
@@ -65,6 +67,7 @@ def coarse_clock(seconds: FloatArray, values: Sequence[FloatArray] = ()) -> tupl
         or uneven < SURE
         or float(np.abs(stamps - units).max()) > WHOLE
         or _alternate(values, round(1.0 / usual))
+        or missing
     ):
         return None
     best: tuple[int, float, NDArray[np.int64]] | None = None
@@ -78,6 +81,7 @@ def coarse_clock(seconds: FloatArray, values: Sequence[FloatArray] = ()) -> tupl
         return None
     _, period, moved = best
     note = f"times are rounded to {unit:g} s; taken as those of the even clock, of {period * unit:.6g} s, that they fit"
+    note += f" ({DOUBT})" if missing is None else ""
     return seconds[0] + unit * _places(units, period, moved), note
 
 

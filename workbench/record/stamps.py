@@ -30,7 +30,7 @@ def on_stamps_of_pv(signals: Signals) -> tuple[Signals, list[str]]:
     """
     pv = signals.by["PV"].seconds
     others = {name: s for name, s in signals.by.items() if not (s.seconds is pv or np.array_equal(s.seconds, pv))}
-    usual = _even(pv) if others else None
+    usual = _even(signals.by["PV"]) if others else None
     if usual is None:
         return signals, []
     by, said = dict(signals.by), []
@@ -46,11 +46,12 @@ def on_stamps_of_pv(signals: Signals) -> tuple[Signals, list[str]]:
     return replace(signals, by=by), notes
 
 
-def _even(seconds: FloatArray) -> float | None:
+def _even(signal: Signal) -> float | None:
     """Return the sample time, s, of times that lie on an even grid, or None."""
+    seconds = signal.seconds
     if seconds.size < 2:
         return None
-    moved = places(seconds)[1]
+    moved = places(seconds, [signal.cells.values])[1]
     return None if moved is None or not moved.any() else best_grid(seconds, moved)[0]
 
 
@@ -61,7 +62,7 @@ def _paired(pv: FloatArray, usual: float, signal: Signal) -> tuple[Signal, float
     lies further from PV than is taken as one sample, or needs nothing.
     """
     own = signal.seconds
-    every = _even(own)
+    every = _even(signal)
     # Grids that drift apart over the record are not one.
     if every is None or abs(every - usual) * max(own.size, pv.size) > APART * usual:
         return None
