@@ -49,7 +49,7 @@ LIMIT = 1e100
 # What parts thousands and is no mark: a space, of whatever width, or an apostrophe.
 _PARTED = re.compile(r"(?<=\d)[ \u00a0\u2009\u202f'\u2019](?=\d{3}(?!\d))")
 # Signs that are no hyphen before a number: a minus as typography has it, and one behind the number, as SAP writes it.
-_MINUS = re.compile(r"^\s*[\u2212\u2013\ufe63\uff0d](?=[\d.,])|^(?=\s*[\d.,]+\s*[-\u2212]\s*$)")
+_MINUS = re.compile(r"^\s*[\u2212\u2013\ufe63\uff0d](?=[\d.,])|^(?=\s*[\d.,]+\s*[-\u2212]\s*$)", re.MULTILINE)
 # Numbers with commas: that part thousands, or are decimal marks. 5,461 may be either.
 _THOUSANDS = re.compile(r"[+-]?[1-9]\d{0,2}(,\d{3})+(\.\d*)?")
 _DECIMAL = re.compile(r"[+-]?\d*,\d+([eE][+-]?\d+)?")
@@ -220,9 +220,10 @@ def number_cells(listed: Sequence[str], decimal_comma: bool, where: str) -> Cell
     or parts thousands, only if the column leaves no doubt which. Raises `RecordError`, beginning with `where`, for a
     column in which some cells have a decimal comma and others a decimal point: one of them parts thousands, but which?
     """
-    if any(_PARTED.search(cell) for cell in listed):
+    together = "\n".join(listed)
+    if _PARTED.search(together):
         listed = [_PARTED.sub("", cell) for cell in listed]
-    if any(_MINUS.search(cell) for cell in listed):
+    if _MINUS.search(together):
         listed = ["-" + _MINUS.sub("", cell).strip(" -\u2212") if _MINUS.search(cell) else cell for cell in listed]
     if not decimal_comma and any("," in cell for cell in listed):
         listed, decimal_comma = _quoted(listed)

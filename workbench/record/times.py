@@ -182,10 +182,9 @@ def _seconds(stamps: Sequence[datetime | None]) -> tuple[FloatArray, bool] | Non
     aware = {s.tzinfo is not None for s in known}
     if len(aware) > 1:
         return None
-    if aware != {True}:
-        clock = np.array(stamps, dtype="datetime64[us]")
-        return np.where(np.isnat(clock), np.nan, clock.astype(np.int64) / 1e6), False
-    return np.array([np.nan if s is None else (s - _EPOCH).total_seconds() for s in stamps]), True
+    zoned = aware == {True}
+    epoch = _EPOCH if zoned else _EPOCH.replace(tzinfo=None)
+    return np.array([np.nan if s is None else (s - epoch).total_seconds() for s in stamps]), zoned
 
 
 def parse_timestamps(cells: Sequence[str]) -> tuple[FloatArray, str, bool] | str:
