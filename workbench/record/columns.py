@@ -345,11 +345,13 @@ def _match(
         if what == "column" and _is_data(names):
             msg = f"{source}: times and numbers ({there}) where the column names should be; a header line is needed"
             raise RecordError(msg)
-        tall = ", or which are 'tag', 'time' and 'value' of a row per value" if missing == ["PV", "OP"] else ""
+        other = ", or, where another column holds the tags, columns={'tag': 'its name'}"
+        if what == "column":
+            other = ", or which are 'tag', 'time' and 'value' of a row per value" if missing == ["PV", "OP"] else ""
         msg = (
             f"{source}: no {what} for {' and '.join(missing)}; the file has {there or f'no named {what}'}; "
             f"give the mapping, for example {argument}={{{missing[0]!r}: 'name in the file'}}"
-            f"{tall if what == 'column' else ''}{_figures(names, missing)}"
+            f"{other}{_figures(names, missing)}"
         )
         raise RecordError(msg)
     return found

@@ -16,6 +16,7 @@ from typing import TextIO
 import numpy as np
 
 from workbench.errors import RecordError
+from workbench.record.headings import in_one_row
 from workbench.record.influx import SERIES, annotated
 from workbench.record.pairs import PAIRED, Pairs, in_use, pairs_of, tall_rows, time_column, unguarded
 from workbench.record.table import (
@@ -102,7 +103,7 @@ def _opened(path: Path, match: Callable[[list[str]], dict[str, int]], source: st
                 cut = fixed_width(lines)
             else:
                 notes.append(f"InfluxDB's tables taken as one, with the column {SERIES!r}")
-            lines = uncommented(list(unguarded(map(cut, lines))), _is_data)
+            lines = in_one_row(uncommented(list(unguarded(map(cut, lines))), _is_data))
             skipped, mark, header, found, pairs = _header(lines, match, source, apart)
             if any(line.strip() and not line.lstrip().startswith("#") for line in lines[:skipped]):
                 notes.append(f"the header is line {skipped + 1}")

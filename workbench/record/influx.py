@@ -24,7 +24,7 @@ def annotated(lines: Sequence[str], source: str) -> Callable[[str], str]:
     series' name before them (measurement, tags and field, and mean where that is the result's name), or a blank one.
     What is pivoted, with a column for each field, must be one series' rows. That raises `RecordError` for others.
     """
-    return _Tables(source) if any(_cells(line)[1:3] == _BEGIN for line in lines) else str
+    return _Tables(source) if any(",result,table," in line for line in lines) else str
 
 
 def _cells(line: str) -> list[str]:

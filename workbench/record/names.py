@@ -67,15 +67,39 @@ SPELLINGS: dict[str, tuple[str, ...]] = {
         "confidence",
         "questionable",
         "datastatus",
+        "dataintegrity",
         *("qualitt", "qualitaet", "qualit", "qualite"),  # Qualität, qualité, of which letters without marks are left
     ),
     "unit": ("uom", "eu", "engunit", "engunits", "engineeringunit", "engineeringunits"),
     "tag": (
-        *("tagid", "point", "pointname", "pointid", "item", "itemid", "itemname", "name", "signal", "variable"),
+        *(
+            "tagid",
+            "point",
+            "pointname",
+            "pointid",
+            "item",
+            "itemid",
+            "itemname",
+            "name",
+            "signal",
+            "variable",
+            "logname",
+        ),
         # Not InfluxDB's _field: it is the same for all loops of a file, and two would be read as one.
         *("varname", "variablename", "path", "tagpath", "object", "attribute", "series", "metric"),
     ),
-    "value": ("val", "reading", "average", "avg", "pointvalue", "itemvalue", "varvalue", "vvalue", "iptrendvalue"),
+    "value": (
+        "val",
+        "reading",
+        "average",
+        "avg",
+        "pointvalue",
+        "itemvalue",
+        "varvalue",
+        "vvalue",
+        "iptrendvalue",
+        "floatvalue",
+    ),
 }
 SUFFIXES: dict[str, tuple[str, ...]] = {
     "time": (),
@@ -90,7 +114,7 @@ SUFFIXES: dict[str, tuple[str, ...]] = {
     "value": (),
 }
 # Whose attribute the tag of a tall file is: PV, OP of several.
-LOOP = ("loop", "loopname", "element", "asset", "block", "module", "controller", "equipment", "instrument")
+LOOP = ("loop", "loopname", "element", "asset", "block", "module", "controller", "equipment", "instrument", "object")
 # A day and a clock in columns of their own.
 DAY, CLOCK = ("date", "datum", "fecha"), ("time", "uhrzeit", "zeit", "heure", "hora")
 # A year, month, day, hour and minute in columns of their own, and perhaps a second.
@@ -108,7 +132,8 @@ MILLI = ("millitm", "millisecond", "milliseconds", "millis", "msec", "ms")
 _FIRST = {"time": ("timestring",), "tag": ("influxdbseries",)}
 # CV is the controlled variable beside an MV or OP, and the controller's beside a PV: the last to be looked at for both.
 _LAST = {"PV": ("cv", "controlledvariable"), "OP": ("cv", "controlvariable")}
-_APART = 3  # tiers that the signal itself, its last values, interpolated ones and so on each have
+_PINS = ("pvin", "pvout")  # PCS 7's, where PV is no pin of its own; PV_Out is no output
+_APART = 4  # tiers that the signal itself, its last values, interpolated ones and so on each have
 _CV = (DOUBTFUL + 1) * _APART
 # What control systems write after the signal: FIC101/PID1/PV.CV, FIC101/PID1/MODE.ACTUAL.
 _AFTER = ("cv", "value", "val", "actual")
@@ -175,6 +200,8 @@ def _fit(name: str, signal: str) -> int | None:
         return 1
     # "FIC101 Set Point": a suffix may be two words.
     ends = {tokens[-1], "".join(tokens[-2:]) if len(tokens) > 2 else ""}
+    if "".join(tokens[-2:]) in _PINS:
+        return 3 if signal == "PV" else None
     return 2 if len(tokens) > 1 and ends & {*SUFFIXES[signal]} else None
 
 
@@ -205,6 +232,8 @@ def split_tag(tag: str) -> tuple[str, str] | None:
     for words in (2, 1):  # FIC101 Set Point
         ending = "".join(word for word, _ in pieces[-words:])
         signal = next((s for s in TAGGED if ending in SUFFIXES[s]), None)
+        if ending in _PINS:
+            return None
         name = tag[: pieces[-words][1]].rstrip(" ._-/:\\|[(") if signal is not None and len(pieces) > words else ""
         if signal is not None and name:
             return name, signal

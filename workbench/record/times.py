@@ -96,6 +96,8 @@ _MONTH = re.compile(rf"(?<=\d)(\. |[- ])({'|'.join(_MONTHS)})\b\.?", re.IGNORECA
 _WEEKDAY = re.compile(r"^(?:Mon|Tue|Wed|Thu|Fri|Sat|Sun)[a-z]{0,6},? (?=\d)| Uhr$")
 _POINTS = re.compile(r"(?<= )(\d\d)\.(\d\d)\.(\d\d)(?=$|[.,])")
 _TURNED = re.compile(r"(\d{1,2}:\d\d(?::\d\d(?:\.\d+)?)?(?: [AaPp][Mm])?),? (\d{1,4}[-./ ]\w+[-./ ]\d{2,4})")
+# As Java and C print a time: Thu Oct 17 21:55:00 UTC 2024.
+_PRINTED = re.compile(r"(?:[A-Z][a-z]{2} )?([A-Z][a-z]{2}) +(\d{1,2}) (\d\d:\d\d:\d\d(?:\.\d+)?)( [A-Z]{2,4})? (\d{4})")
 _UNUSUAL = re.compile(r"[^\W\d_]{3}|^\d{1,2}:| \d\d\.\d\d\.")
 # The end of a day, which ISO 8601 and control systems write as 24:00.
 _END = re.compile(r"(?<=[ T])24(?=:00(?::00(?:[.,]0+)?)?(?![\d:.,]))")
@@ -163,6 +165,7 @@ def _spelled(text: str) -> tuple[str, timezone | None]:
     """Return a timestamp without the name of its zone, with months, AM and PM and points as Python knows them."""
     text = _LISTED.sub("", _PLACE.sub("", text))
     if _UNUSUAL.search(text):  # few are, and looking for all of it takes time
+        text = _PRINTED.sub(r"\2 \1 \5 \3\4", text) if _PRINTED.fullmatch(text) else text
         text = _POINTS.sub(r"\1:\2:\3", _WEEKDAY.sub("", text))
         text = _MONTH.sub(lambda m: m[1][-1] + _MONTHS[m[2].lower()], text)
         text = _TURNED.sub(r"\2 \1", text) if _TURNED.fullmatch(text) else text
