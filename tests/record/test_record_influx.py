@@ -112,6 +112,12 @@ def test_pivoted_tables_are_of_one_loop(tmp_path: Path) -> None:
         read_record(write(tmp_path, lines + pivoted("FIC102", N, 1)))
 
 
+def test_a_line_that_was_cut_short_is_no_row(tmp_path: Path) -> None:
+    for last in (",", ",,1", "x", f",,0,{SPAN},{stamp(1)}"):
+        record = read_record(write(tmp_path, [*head(), *rows(OP, "OP"), *rows(PV, "PV"), last]))
+        assert (record.pv.tolist(), record.op.tolist()) == (PV, OP)
+
+
 def test_a_line_of_it_is_told_as_in_the_file(tmp_path: Path) -> None:
     lines = [*head(), *rows(OP, "OP"), "", *head(), *rows(["Bad Input", "Bad Input", *PV[2:]], "PV")]
     record = read_record(write(tmp_path, lines))

@@ -314,6 +314,16 @@ def test_a_time_in_columns_may_have_no_seconds_or_parts_of_them(tmp_path: Path) 
         read_record(cut)
 
 
+@pytest.mark.parametrize("many", [5, 6])
+def test_a_tall_file_may_have_its_times_in_columns(tmp_path: Path, many: int) -> None:
+    path, header = tmp_path / "tall.csv", ",".join(CALENDAR.split(",")[:many])
+    times = calendar(every(60.0 if many == 5 else 1.0), many)
+    rows = [f"FIC1.{tag},{time},{n * k % 13}" for tag, n in (("PV", 7), ("OP", 5)) for k, time in enumerate(times)]
+    path.write_text("\n".join([f"Tag,{header},Value", *rows]))
+    record = read_record(path)
+    assert (record.sample_time, len(record)) == (60.0 if many == 5 else 1.0, 200)
+
+
 def test_a_time_in_columns_is_not_guessed(tmp_path: Path) -> None:
     short = write(tmp_path, [str(time)[2:] for time in calendar(every(10.0))], CALENDAR)
     with pytest.raises(RecordError, match="line 2, column 'Year': '24 10 31 23 55 0' is no time that can be read"):

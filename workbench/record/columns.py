@@ -143,7 +143,8 @@ def is_tall(header: Sequence[str], columns: Mapping[str, str] | None) -> bool:
     def there(signal: str) -> bool:
         return signal in given or any(tier_of(name.strip(), signal) is not None for name in header)
 
-    return there("tag") and there("value") and there("time") and not all(there(signal) for signal in NEEDED)
+    timed = there("time") or bool(_calendar([name.strip() for name in header], {}))
+    return there("tag") and there("value") and timed and not all(there(signal) for signal in NEEDED)
 
 
 def match_columns(
@@ -159,19 +160,20 @@ def match_columns(
     times and qualities. Raises `RecordError` for columns that are missing, ambiguous or mapped twice.
     """
     names = [h.strip() for h in header]
+    calendar = _calendar(names, columns or {})
+    given = {**calendar, **(columns or {})}
     if tall:
-        found = _match(names, columns, TALL, TALL, ("tag", "time", "value"), source, "column")
+        needed = ("tag", "value") if calendar else ("tag", "time", "value")
+        found = _match(names, given, (*TALL, *calendar), TALL, needed, source, "column")
+        found = _dated(names, found, calendar)
         loops = [i for i, name in enumerate(names) if i not in found.values() and plain_of(name) in LOOP]
         return found | ({"loop": loops[0]} if loops else {})
     spelled = SIGNALS[:1] if alone else SIGNALS
-    calendar = _calendar(names, columns or {})
-    given = {**calendar, **(columns or {})}
     found = _match(names, given, (*SIGNALS, *QUALITIES, *calendar), spelled, NEEDED, source, "column")
-    if calendar:
-        parts = {part: found.pop(part) for part in calendar}
-        if "time" not in found or plain_of(names[found["time"]]) in DAY:
-            found["time"] = parts.pop("year")
-            return found | parts | _milliseconds(names, found | parts) | _qualities(names, found | parts)
+    found = _dated(names, found, calendar)
+    if "month" in found:
+        found |= _milliseconds(names, found)
+        return found | _qualities(names, found)
     # A day and a clock in columns of their own are one time.
     free = [i for i in range(len(names)) if i == found.get("time") or i not in found.values()]
     day, clock = (next((i for i in free if plain_of(names[i]) in words), None) for words in (DAY, CLOCK))
@@ -203,6 +205,14 @@ def _calendar(names: Sequence[str], columns: Mapping[str, str]) -> dict[str, str
     if told or any(len(own) > 1 or (not own and part != "second") for part, own in found.items()):
         return {}
     return {part: own[0] for part, own in found.items() if own}
+
+
+def _dated(names: Sequence[str], found: Mapping[str, int], calendar: Collection[str]) -> dict[str, int]:
+    """Return the columns found, with the year of a calendar as "time", and its other parts, where no time is there."""
+    bare = {signal: i for signal, i in found.items() if signal not in calendar}
+    if not calendar or ("time" in bare and plain_of(names[bare["time"]]) not in DAY):
+        return bare
+    return bare | {"time": found["year"]} | {part: found[part] for part in calendar if part != "year"}
 
 
 def _milliseconds(names: Sequence[str], found: Mapping[str, int]) -> dict[str, int]:

@@ -47,8 +47,9 @@ class _Tables:
     def __call__(self, line: str) -> str:
         self.line += 1
         cells = _cells(line)
-        if not any(cells):
+        if not any(map(str.strip, cells)):
             return "\n"
+        cells += [""] * (len(_BEGIN) + 1 - len(cells))  # a line that was cut short
         if cells[0].startswith("#"):
             self.annotations = {cells[0]: cells} if self.inside else self.annotations | {cells[0]: cells}
             self.inside = False
