@@ -7,11 +7,14 @@ from pathlib import Path
 from zoneinfo import ZoneInfo
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from workbench.errors import RecordError
+from workbench.record.historian import tags_of
 from workbench.record.reader import read_record
 from workbench.record.times import in_order
 
@@ -322,6 +325,19 @@ def test_a_tall_file_may_have_its_times_in_columns(tmp_path: Path, many: int) ->
     path.write_text("\n".join([f"Tag,{header},Value", *rows]))
     record = read_record(path)
     assert (record.sample_time, len(record)) == (60.0 if many == 5 else 1.0, 200)
+
+
+def test_parquet_may_have_its_times_in_columns(tmp_path: Path) -> None:
+    parts = ("year", "month", "day", "hour", "minute", "second")
+    columns = {part: [getattr(stamp, part) for stamp in every(1.0)] for part in parts}
+    values = {"PV": [7.0 * k % 13 for k in range(200)], "OP": [5.0 * k % 13 for k in range(200)]}
+    path = tmp_path / "loop.parquet"
+    pq.write_table(pa.table(columns | values), path)
+    record = read_record(path)
+    assert (record.sample_time, len(record), record.epoch) == (1.0, 200, every(1.0)[0].timestamp())
+    pq.write_table(pa.table(columns | {"tag": ["FIC1.PV"] * 200, "value": values["PV"]}), path)
+    with pytest.raises(RecordError, match=r"times in columns of year, month ...; a tall data set needs one column"):
+        tags_of(path)
 
 
 def test_a_time_in_columns_is_not_guessed(tmp_path: Path) -> None:

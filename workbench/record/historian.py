@@ -62,6 +62,8 @@ def _names(file: Any, source: str) -> tuple[dict[str, str], dict[str, str]]:
     header = [str(name) for name in file.schema_arrow.names]
     told = of_folders(Path(source), header)
     found = match_columns([*header, *told], None, source, tall=True)
+    if "month" in found:
+        raise RecordError(f"{source}: times in columns of year, month ...; a tall data set needs one column of times")
     names = {signal: [*header, *told][i] for signal, i in found.items() if signal in (*TALL, "loop")}
     own = {signal: name for signal, name in names.items() if name not in told}
     return own, {signal: told[name] for signal, name in names.items() if name in told}
