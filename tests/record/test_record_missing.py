@@ -78,6 +78,17 @@ def test_where_nothing_tells_that_is_said(tmp_path: Path, every: int) -> None:
     assert any("or single rows are missing: neither the times nor the values tell" in note for note in record.notes)
 
 
+@pytest.mark.parametrize("noise", [0.02, 0.1, 0.15, 0.2, 0.3, 0.5])
+@pytest.mark.parametrize("every", [4, 5, 6, 8, 11])
+def test_noise_makes_neither_of_the_other(noise: float, every: int) -> None:
+    for tau, seed in ((3.0, 1), (12.0, 2), (25.0, 3)):
+        loop = wb.Loop(wb.FOPDT(1.0, tau, 1.0), wb.Stenman(2.0), wb.PID(Kc=0.8, Ti=10.0), 1.0)
+        run = wb.simulate(loop, wb.Experiment(3000.0, setpoint=wb.Step(3.0, at=300.0), noise=wb.Noise(noise, seed)))
+        rows, clock = kept(every, 3000), np.floor(every / (every - 1) * np.arange(3000))
+        assert rows_missing(rows.astype(np.float64), [run.pv[rows], run.op[rows]]) is not False
+        assert rows_missing(clock, [run.pv[:3000], run.op[:3000]]) is not True
+
+
 def test_values_tell_where_they_move_on() -> None:
     rows = kept(6).astype(np.float64)
     ramp = np.abs(rows % 80 - 40)

@@ -39,8 +39,8 @@ def _double(seconds: FloatArray) -> tuple[NDArray[np.bool_], float]:
 def rows_missing(seconds: FloatArray, values: Sequence[FloatArray]) -> bool | None:
     """Whether signals move so much further over intervals of twice the least one that a row is missing there.
 
-    seconds: ascending, shape (N,); values: of signals, shape (N,) each, nan for none. Returns None where no signal
-    moves further over two intervals than over one at all, as noise: none of them tells.
+    seconds: ascending, shape (N,); values: of signals, shape (N,) each, nan for none. Returns None where neither this
+    nor the contrary is sure, as of noise.
     """
     two, _ = _double(seconds)
     # Beside one that may hold a missing row stand two that do not.
@@ -51,11 +51,13 @@ def rows_missing(seconds: FloatArray, values: Sequence[FloatArray]) -> bool | No
         beside = 0.5 * (change[at - 1] + change[at + 1])
         more = change[at] - beside
         known = np.isfinite(more)
-        total, many = float(np.sum(more[known])), int(np.count_nonzero(known))
-        further = total > (FURTHER - 1.0) * float(np.sum(beside[known]))
-        if many >= FEWEST and further and total > SURE * float(more[known].std()) * math.sqrt(many):
+        total, base, many = float(np.sum(more[known])), float(np.sum(beside[known])), int(np.count_nonzero(known))
+        error = SURE * float(more[known].std()) * math.sqrt(many) if many else 0.0
+        if many >= FEWEST and total > max((FURTHER - 1.0) * base, error):
             return True
-        told |= float(np.nansum(np.abs(signal[2:] - signal[:-2]))) > FURTHER * float(np.nansum(change))
+        # As far as the signal moves over two intervals of the rows, it would move over one with a row missing in it.
+        twice = float(np.nansum(np.abs(signal[2:] - signal[:-2]))) / max(float(np.nansum(change)), 1e-300)
+        told |= many >= FEWEST and total + error < (min(twice, 2.0) - 1.0) * base
     return False if told else None
 
 
