@@ -59,6 +59,14 @@ def test_rows_missing_here_and_there_are_counted(tmp_path: Path) -> None:
     assert any(f"as {1200 - rows.size} single rows are missing" in note for note in record.notes)
 
 
+def test_where_most_intervals_are_doubled_the_usual_one_counts(tmp_path: Path) -> None:
+    pv, op = sticky()
+    rows = np.concatenate([[0], np.cumsum(np.random.default_rng(2).choice([1, 2], 650, p=[0.35, 0.65]))])
+    record = read_record(write(tmp_path, rows * 1.0, pv[rows], op[rows]))
+    assert record.sample_time == 2.0
+    assert any(note.startswith("resampled, as the times are not even: every 2 s") for note in record.notes)
+
+
 @pytest.mark.parametrize("Ts", [1.05, 1.1, 1.2, 1.25, 1.3, 1.5])
 @pytest.mark.parametrize("start", [0.0, 0.3, 0.77])
 def test_a_slower_clock_in_whole_seconds_stays_one(tmp_path: Path, Ts: float, start: float) -> None:

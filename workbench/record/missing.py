@@ -31,7 +31,8 @@ def _double(seconds: FloatArray) -> tuple[NDArray[np.bool_], float]:
     none = np.zeros(steps.size, dtype=bool)
     least = float(np.percentile(steps, 5.0)) if steps.size else 0.0
     one, two = (np.abs(steps - many * least) <= WHOLE * least for many in (1.0, 2.0))
-    if not one.any() or float((one | two).mean()) < SHARE:
+    # Where more intervals are doubled than not, that is the usual one.
+    if not one.any() or float((one | two).mean()) < SHARE or np.count_nonzero(two) > np.count_nonzero(one) + 1:
         return none, 0.0
     return two, float(f"{np.median(steps[one]):.4g}")
 
