@@ -84,8 +84,13 @@ def test_both_controllers_stand_as_found_and_as_left_in_the_sites_form(study: St
     typed = study.cascade_site_cases[2]
     assert typed.kpis is not None
     lead = "Set the secondary to proportional band 257.1 %, 18.18 repeats/min (series form), then the primary to "
-    assert summary.decision.startswith(f"{lead}proportional band 9.259 %, 0.8571 repeats/min (series form) (Tighter): ")
-    assert "against As found. In the long run without noise: swing of the primary's PV −" in summary.decision
+    price = " if 3.9 times the valve travel of As found in the long run is acceptable: "
+    assert summary.decision.startswith(
+        f"{lead}proportional band 9.259 %, 0.8571 repeats/min (series form) (Tighter){price}"
+    )
+    assert (
+        "12 repeats/min (series form)). In the long run without noise: swing of the primary's PV −" in summary.decision
+    )
     assert summary.settings is not None
     assert summary.settings.heads == ("as found", "as left: Tighter", "change")
     rows = {row.label: [cell.text for cell in row.cells] for row in summary.settings.rows}
@@ -244,6 +249,17 @@ def test_a_settling_time_of_a_primary_that_cycles_on_is_marked(study: Study) -> 
     table = cascade_tables(replace(study, cascade=(replace(found, cycle=wide, run=run),)))[0]
     cell = next(row for row in table.rows if row.label == "Primary: settling time").cells[0]
     assert cell.small == "not for good: it cycles"
+
+
+def test_what_multiplies_the_travel_is_set_on_a_condition(study: Study) -> None:
+    found, _, tighter, _ = study.cascade
+    assert found.cycle is not None
+    calm = replace(found, cycle=replace(found.cycle, travel_per_hour=1e-3))
+    decision = told(study, calm, tighter).decision
+    assert " (Tighter) if " in decision
+    assert " times the valve travel of As found in the long run is acceptable: in this run J " in decision
+    assert "against As found; otherwise keep As found (primary proportional band 8.333 %, " in decision
+    assert "acceptable" not in told(study, found, replace(tighter, cycle=found.cycle)).decision
 
 
 @pytest.mark.usefixtures("undrawn")

@@ -506,7 +506,8 @@ def test_what_the_sites_form_cannot_take_is_not_advised_but_what_comes_nearest_i
     told = of(study, study.cases[0], steep, near, site=SITE)
     summary = summarise(told)
     words = "proportional band 571.4 %, 6 repeats/min, Td 0.1667 min (series form)"
-    assert summary.decision.startswith(f"Set {words} (Steep, nearest series): in this run J ")
+    price = "if 3.8 times the valve travel of Case 1 is acceptable"
+    assert summary.decision.startswith(f"Set {words} (Steep, nearest series) {price}: in this run J ")
     assert len(summary.typed) == 1
     assert summary.typed[0].startswith(
         "Steep (Kc 0.5 %/EU, Ti 20 s, Td 6 s) cannot be typed in: the site's series form has no equivalent (Ti = 20 s, "

@@ -22,12 +22,14 @@ from workbench.report.judge import (
     at_odds,
     base_case,
     best_case,
+    cycle_of,
     measure,
     quiet,
     refused,
     run_travel,
     typed_case,
     unstable,
+    with_stem,
 )
 from workbench.report.plain_truth import lasting
 from workbench.report.repair import repair_sentence
@@ -35,11 +37,12 @@ from workbench.report.settings import around, beside_words, settings_words, spre
 from workbench.report.standing import held_by_stiction, trap_words
 from workbench.report.words import change, figure, join, nearby
 
-__all__ = ["Advice", "case_advice", "stays_off", "worth_it"]
+__all__ = ["Advice", "case_advice", "condition", "stays_off", "worth_it"]
 
 ALIKE = 1.1  # ratio of mean square errors up to which one is hardly more than the other
 WORTH = 0.95  # ratio of J (or mean square error) above which a change of settings is not worth it,
 CALMER = 0.8  # unless the valve's travel falls below this ratio
+DEAR = 2.0  # times the valve's travel as found, from which the decision depends on it
 IDLE = " (its valve never moves: it controls nothing)"
 
 
@@ -86,7 +89,7 @@ def case_advice(study: Study) -> Advice:
         best = case
         do += _exactly(study, base, best)
         left += _remaining(study, base, best)
-        do += _asked_elsewhere(study, best) or _less_wear(study, best)
+        do += _rules_with_less(study, best) + (_asked_elsewhere(study, best) or _less_wear(study, best))
     left += lasting(study, best)
     if study.repair is not None:
         left.append(repair_sentence(study))
@@ -163,15 +166,69 @@ def _recommendation(study: Study, base: CaseResult | None, best: CaseResult) -> 
     parts.append(f"{name} {change(ours, theirs)}")
     parts.append(f"mean square error {change(kpis.mean_square_error, was.mean_square_error)}")
     parts.append(f"valve travel {change(kpis.valve_travel, was.valve_travel)}")
-    told = f"in this run {', '.join(parts)} against {base.name}.{_beside(study, base, best)}"
-    told += _in_the_long_run(study, base, best)
+    told = f"in this run {', '.join(parts)} against {base.name}"
+    rest = f".{_beside(study, base, best)}{_in_the_long_run(study, base, best)}"
     worth = worth_it(_gain(study, best), (_cost(base), base.run.kpis.valve_travel))
     if not worth and not held_by_stiction(base.standing):
         return (
             f"Keep {base.name} ({settings_words(study, base)}): nothing here is worth a change. The best other tuning, "
-            f"{best.name} ({controller}), has {told}"
+            f"{best.name} ({controller}), has {told}{rest}"
         ), base
-    return f"Set {controller} ({best.name}): {told}{_by_repair(study, best)}", best
+    price = condition(base, best)
+    if price:
+        told += _otherwise(study, base, best)
+    return f"Set {controller} ({best.name}){price}: {told}{rest}{_by_repair(study, best)}", best
+
+
+def _wear(base: CaseResult | CascadeResult, case: CaseResult | CascadeResult) -> tuple[float, str]:
+    """Return how many times the travel as found a case's is, in the run or the long run, and "in the long run" or "".
+
+    The larger counts: a run may be too short for the cycle, and a cycle without noise may be calmer than the run.
+    """
+    was, now = with_stem(base).kpis.valve_travel, with_stem(case).kpis.valve_travel
+    ratios = [(now / was if was > 0.0 else 0.0, "")]
+    before, after = cycle_of(base), cycle_of(case)
+    if before is not None and after is not None and {before.outcome, after.outcome} == {"cycles"}:
+        ratios.append((after.travel_per_hour / before.travel_per_hour, " in the long run"))
+    return max(ratios)
+
+
+def condition(base: CaseResult | CascadeResult, case: CaseResult | CascadeResult) -> str:
+    """Return on which valve travel the order to set a case depends, "" where it is not several times that as found."""
+    ratio, where = _wear(base, case)
+    return f" if {figure(ratio, 2)} times the valve travel of {base.name}{where} is acceptable" if ratio > DEAR else ""
+
+
+def _otherwise(study: Study, base: CaseResult, best: CaseResult) -> str:
+    """Return what to do where the best case's valve travel is not acceptable."""
+    # What is clearly better than the tuning as found, at half the wear of the best or less.
+    most = _wear(base, best)[0] / DEAR
+    fit = [
+        c
+        for c in study.cases
+        if c not in (base, best) and _can_be_set(study, c) and c.run.kpis.valve_travel > 0.0
+        if _wear(base, c)[0] <= most and measure(c) < WORTH * measure(base)
+    ]
+    other = min(fit, key=measure, default=None)
+    if other is not None:
+        by = "mean square error" if other.objective is None else "J"
+        travel, there = _wear(base, other)
+        settings = f"{settings_words(study, other)} ({other.name})"
+        return f"; otherwise {settings}, {by} {figure(measure(other))} at {figure(travel, 2)} times{there}"
+    return "" if held_by_stiction(base.standing) else f"; otherwise keep {settings_words(study, base)}"
+
+
+def _rules_with_less(study: Study, best: CaseResult) -> list[str]:
+    """Tell of the rules that a search goes before although they have a little less J."""
+    by = "J" if best.objective is not None else "mean square error"
+    return [
+        f"{case.name} ({settings_words(study, case)}) has {by} {figure(measure(case))} instead of "
+        f"{figure(measure(best))}, at valve travel {figure(case.run.kpis.valve_travel)} % instead of "
+        f"{figure(best.run.kpis.valve_travel)} %: a rule that was not asked for it, and hardly better."
+        for case in study.cases
+        if best.tuned is not None and case.rule is not None and _can_be_set(study, case)
+        if measure(case) < measure(best)
+    ]
 
 
 def _in_the_long_run(study: Study, base: CaseResult, best: CaseResult) -> str:

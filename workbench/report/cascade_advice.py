@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from workbench.model.study import CascadeResult, Study
-from workbench.report.advice import Advice, worth_it
+from workbench.report.advice import Advice, condition, worth_it
 from workbench.report.cascade_settings import cascade_base, cascade_error, cascade_kpis, cascade_typed, cascade_words
 from workbench.report.confidence import UNROUNDED, Confidence, Judged, digits, recovery, searches, settled, typed_digits
 from workbench.report.judge import at_odds, last_change, quiet, run_travel, unstable
@@ -107,17 +107,20 @@ def _decision(study: Study, base: CascadeResult | None, best: CascadeResult) -> 
     parts.append(f"{name} {change(ours, theirs)}")
     parts.append(f"its mean square error {change(one.mean_square_error, was.mean_square_error)}")
     parts.append(f"valve travel {change(two.valve_travel, wore.valve_travel)}")
-    told = f"in this run {', '.join(parts)} against {base.name}."
+    told, rest = f"in this run {', '.join(parts)} against {base.name}", "."
     gain = _measure(best), two.valve_travel
     if beside is not None:  # what is lost by a digit beside is no gain to count on
-        told += beside_words(beside, (was.mean_square_error, wore.valve_travel), by, error)
+        rest += beside_words(beside, (was.mean_square_error, wore.valve_travel), by, error)
         gain = beside.worst, gain[1] if beside.secondary is None else beside.secondary.valve_travel
-    told += _in_the_long_run(study, base, best)
+    rest += _in_the_long_run(study, base, best)
+    own = "; ".join(f"{which} {cascade_words(study, base, which)}" for which in ("primary", "secondary"))
     if not worth_it(gain, (_measure(base), wore.valve_travel)):
-        own = "; ".join(f"{which} {cascade_words(study, base, which)}" for which in ("primary", "secondary"))
         text = f"Keep {base.name} ({own}): nothing here is worth a change. The best other tuning, {best.name} ({both}),"
-        return f"{text} has {told}", base
-    return f"{lead}: {told}", best
+        return f"{text} has {told}{rest}", base
+    price = condition(base, best)
+    if price:
+        told += f"; otherwise keep {base.name} ({own})"
+    return f"{lead}{price}: {told}{rest}", best
 
 
 def _in_the_long_run(study: Study, base: CascadeResult, best: CascadeResult) -> str:

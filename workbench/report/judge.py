@@ -10,7 +10,7 @@ import math
 import numpy as np
 
 from workbench.kpi.kpis import Event, cascade_event, last_event, reversals, travel
-from workbench.model.cascade import CascadeExperiment, CascadeRun
+from workbench.model.cascade import CascadeCycle, CascadeExperiment, CascadeRun
 from workbench.model.experiment import Experiment
 from workbench.model.results import LimitCycle, Run, Tuned
 from workbench.model.site import SiteCase
@@ -24,6 +24,7 @@ __all__ = [
     "band_words",
     "base_case",
     "best_case",
+    "cycle_of",
     "df_disagrees",
     "last_change",
     "late_figure",
@@ -40,6 +41,7 @@ __all__ = [
     "source_of",
     "typed_case",
     "unstable",
+    "with_stem",
 ]
 
 LATE = 0.9  # share of the run after which an entry into the band is no settling
@@ -48,6 +50,7 @@ TAIL = 0.5  # last share of a run that is compared with the verdict without nois
 SHORTEST = 0.1  # share of a run that is enough for that, and that a change before it is left to die out
 SAME_CYCLE = 1.1  # ratio up to which the figures of cycles from several starts are one figure
 MOVING = 3  # reversals of the stem from which a valve keeps moving
+AHEAD = 0.9  # times the J of a search, below which a rule that was not asked to minimise it goes before
 
 
 def unstable(case: CaseResult | CascadeResult) -> bool:
@@ -96,12 +99,18 @@ def best_case(study: Study) -> CaseResult | None:
     """Return the case of least J (least mean square error without an objective) of those that can be set.
 
     They are verified, bounded, have an equivalent in the site's form, and hold the loop without the valve's stiction;
-    where none has, the form, and where none does, the stiction is left aside.
+    where none has, the form, and where none does, the stiction is left aside. A search, which was asked for, goes
+    before a rule that is hardly better.
     """
     fit = [c for c in study.cases if c.tuned is None or c.tuned.status.success]
     fit = [c for c in fit if math.isfinite(measure(c)) and not unstable(c)]
     fit = [c for c in fit if not refused(study, c)] or fit
-    return min([c for c in fit if not held_by_stiction(c.standing)] or fit, key=measure, default=None)
+    fit = [c for c in fit if not held_by_stiction(c.standing)] or fit
+    best = min(fit, key=measure, default=None)
+    if best is None or best.rule is None:
+        return best
+    found = min([c for c in fit if c.tuned is not None], key=measure, default=best)
+    return best if measure(best) < AHEAD * measure(found) else found
 
 
 def df_disagrees(case: CaseResult) -> bool:
@@ -243,14 +252,19 @@ def last_change(run: Run | CascadeRun) -> float:
     return float(one.time[moves[-1] + 1]) if moves.size else 0.0
 
 
-def _with_stem(case: CaseResult | CascadeResult) -> Run:
+def with_stem(case: CaseResult | CascadeResult) -> Run:
     """Return the run of the loop that holds the valve."""
     return case.run.secondary if isinstance(case, CascadeResult) else case.run
 
 
+def cycle_of(case: CaseResult | CascadeResult) -> LimitCycle | CascadeCycle | None:
+    """Return what a case does in the long run, None where it was not asked."""
+    return case.cycle if isinstance(case, CascadeResult) else case.limit_cycle
+
+
 def _tail(case: CaseResult | CascadeResult, experiment: Experiment) -> tuple[int, int] | None:
     """Return the samples [first, stop) of the second half, once the last change has died out, or None if too few."""
-    run, last = _with_stem(case), last_change(case.run)
+    run, last = with_stem(case), last_change(case.run)
     # A change needs time to die out, or its own answer would be taken for the loop's lasting motion.
     start = max((1.0 - TAIL) * experiment.duration, last + SHORTEST * experiment.duration if last > 0.0 else 0.0)
     if experiment.duration - start < SHORTEST * experiment.duration:
@@ -265,14 +279,14 @@ def run_travel(case: CaseResult | CascadeResult, experiment: Experiment | None) 
     if part is None or unstable(case):
         return math.nan
     first, stop = part
-    run = _with_stem(case)
+    run = with_stem(case)
     moved = travel(run.valve[first:stop], float(run.valve[first - 1]))
     return 3600.0 * moved / ((stop - first) * run.loop.sample_time)
 
 
 def at_odds(case: CaseResult | CascadeResult, experiment: Experiment | None) -> bool:
     """Return whether the run, with its noise or load, shows another motion of the valve than the verdict without."""
-    cycle, run = case.cycle if isinstance(case, CascadeResult) else case.limit_cycle, _with_stem(case)
+    cycle, run = cycle_of(case), with_stem(case)
     part = None if experiment is None or not quiet(experiment) else _tail(case, experiment)
     if cycle is None or part is None or unstable(case):
         return False

@@ -1,0 +1,96 @@
+"""A search before a rule that is hardly better, and an order that depends on the valve travel that it costs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import pytest
+
+from workbench.analyze.standing import standing
+from workbench.model.controller import PID
+from workbench.model.rule import Simc
+from workbench.model.study import CaseResult, Study
+from workbench.report.judge import best_case
+from workbench.report.summary import summarise
+
+Make = Callable[..., Any]
+
+
+def of(study: Study, *cases: CaseResult) -> Study:
+    return replace(study, cases=cases, estimates=())
+
+
+def at(case: CaseResult, objective: float, travel: float, rate: float | None = None, **changes: Any) -> CaseResult:
+    """The case with that J, valve travel in the run (%) and, where given, an hour of the long run."""
+    run = replace(case.run, kpis=replace(case.run.kpis, valve_travel=travel))
+    cycle = case.limit_cycle if rate is not None else None
+    if cycle is not None and rate is not None:
+        starts = tuple(replace(start, travel_per_hour=rate) for start in cycle.starts)
+        cycle = replace(cycle, travel_per_hour=rate, starts=starts)
+    return replace(case, objective=objective, run=run, limit_cycle=cycle, **changes)
+
+
+@pytest.mark.parametrize(("rule", "leads"), [(9.5, "Optimised PI"), (8.0, "Rule"), (11.0, "Optimised PI")])
+def test_a_search_goes_before_a_rule_that_is_hardly_better(study: Study, rule: float, leads: str) -> None:
+    found, other, best = study.cases
+    textbook = at(other, rule, 180.0, name="Rule", rule=Simc())
+    cases = of(study, found, textbook, at(best, 10.0, 16.0))
+    chosen = best_case(cases)
+    assert chosen is not None
+    assert chosen.name == leads
+    summary = summarise(cases)
+    assert f"({leads})" in summary.decision
+    words = (
+        "Rule (Kc 0.5 %/EU, Ti 200 s) has J 9.500 instead of 10.00, at valve travel 180.0 % instead of 16.00 %: a rule "
+        "that was not asked for it, and hardly better."
+    )
+    assert (words in summary.do) is (rule == 9.5)
+    # Settings that somebody gave are a proposal as good as any.
+    given = best_case(of(study, found, replace(textbook, rule=None), at(best, 10.0, 16.0)))
+    assert given is not None
+    assert (given.name == "Rule") is (rule < 10.0)
+
+
+def test_an_order_that_multiplies_the_travel_depends_on_it(study: Study) -> None:
+    found, other, best = study.cases
+    base = at(found, 200.0, 10.0)
+    dear = at(best, 10.0, 1180.0)
+    decision = summarise(of(study, base, dear)).decision
+    assert decision.startswith(
+        "Set Kc 2.351 %/EU, Ti 9.500 s (Optimised PI) if 118 times the valve travel of Case 1 is acceptable: in this "
+        "run J 10.00 instead of 200.0, "
+    )
+    assert "against Case 1; otherwise keep Kc 0.5 %/EU, Ti 20 s." in decision
+    # Half the wear of the best at a clear gain goes before what is there.
+    middle = at(other, 40.0, 30.0, name="Middle")
+    decision = summarise(of(study, base, middle, dear)).decision
+    assert "against Case 1; otherwise Kc 0.5 %/EU, Ti 200 s (Middle), J 40.00 at 3.0 times." in decision
+    for useless in (at(middle, 195.0, 30.0), at(middle, 40.0, 600.0), at(middle, 40.0, 0.0)):
+        assert "; otherwise keep Kc 0.5" in summarise(of(study, base, useless, dear)).decision
+    assert "acceptable" not in summarise(of(study, base, at(best, 10.0, 19.0))).decision
+    assert "acceptable" not in summarise(of(study, at(found, 200.0, 0.0), dear)).decision, "nothing to compare with"
+
+
+def test_the_long_run_counts_where_it_moves_the_valve_more(study: Study) -> None:
+    found, other, best = study.cases
+    base = at(found, 200.0, 10.0, 100.0)
+    decision = summarise(
+        of(study, base, at(other, 30.0, 10.0, 210.0, name="Mild"), at(best, 10.0, 17.0, 950.0))
+    ).decision
+    assert "(Optimised PI) if 9.5 times the valve travel of Case 1 in the long run is acceptable: " in decision
+    assert "(Mild), J 30.00 at 2.1 times in the long run." in decision
+    assert "if 1" not in summarise(of(study, base, at(best, 10.0, 17.0, 190.0))).decision
+    settled = replace(best.limit_cycle, outcome="settles")
+    quiet = replace(at(best, 10.0, 17.0), limit_cycle=settled)
+    assert "acceptable" not in summarise(of(study, base, quiet)).decision
+
+
+def test_what_only_stiction_holds_is_not_kept_otherwise(study: Study) -> None:
+    found, _, best = study.cases
+    trap = at(found, 200.0, 10.0)
+    trap = replace(trap, standing=standing(trap.loop.with_controller(PID(5.0, 5.0)), None))
+    decision = summarise(of(study, trap, at(best, 10.0, 1180.0))).decision
+    assert "if 118 times the valve travel of Case 1 is acceptable" in decision
+    assert "otherwise" not in decision
