@@ -330,6 +330,29 @@ def test_labels_never_overlap_and_stay_inside(robust: Study, points: list[NamedP
         assert frame.y0 * scale <= y0 <= y1 <= frame.y1 * scale
 
 
+# Letters in a name, valve travel, error: where a long name fits beside the front only over another case.
+BESIDE_A_FRONT = [
+    [(20, 96.6, 0.43), (5, 180.9, 0.208), (9, 29.1, 1.112), (12, 24.9, 1.337), (9, 69.2, 0.567), (4, 46.3, 1.445),
+     (22, 20.2, 1.816), (4, 81.1, 0.505), (4, 54.9, 0.71), (13, 218.6, 0.43)],
+    [(20, 291.6, 0.158), (4, 90.5, 0.403), (7, 66.0, 0.542), (4, 137.6, 0.43), (20, 237.6, 0.181), (15, 21.3, 1.413),
+     (5, 22.1, 1.736), (7, 282.1, 0.226), (20, 87.7, 0.385)],
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("cases", BESIDE_A_FRONT)
+def test_a_label_covers_no_other_case(robust: Study, cases: list[tuple[int, float, float]]) -> None:
+    assert robust.front is not None
+    pid = robust.front.sticky[0].controller
+    travels = np.geomspace(10.0, 300.0, 60).tolist()
+    sticky = tuple(FrontPoint(pid, x, 2.0 * (10.0 / x) ** 0.8) for x in travels)
+    repaired = tuple(FrontPoint(pid, 0.6 * x, (10.0 / x) ** 0.9) for x in travels)
+    points = [NamedPoint("n" * letters, x, y) for letters, x, y in cases]
+    ax = trade_figure(replace(robust.front, sticky=sticky, repaired=repaired), points).axes[0]
+    at = ax.transData.transform([(x, y) for _, x, y in cases]) * 72.0 / ax.figure.dpi  # type: ignore[union-attr]
+    for x0, y0, x1, y1 in boxes(ax):
+        assert not any(x0 - 3.0 < x < x1 + 3.0 and y0 - 3.0 < y < y1 + 3.0 for x, y in at)
+
+
 def test_a_label_beside_another_point_has_a_line_to_its_own(robust: Study) -> None:
     assert robust.front is not None
     points = [NamedPoint("Lambda", 134.0, 0.43), NamedPoint("Robust PI, travel of Case 5", 140.0, 0.385, tuned=True)]

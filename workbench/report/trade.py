@@ -25,6 +25,7 @@ WIDTH, HEIGHT = 7.1, 4.6
 FONT = 7.0  # points
 LETTER = 0.56  # mean width of a letter, in font sizes
 RINGS = (6.0, 13.0, 22.0, 34.0, 48.0, 66.0, 90.0, 120.0)  # points from a named point to its label
+MARKER = 3.2  # points from a named point to the edge of its marker
 LEADER = {"arrowstyle": "-", "linewidth": 0.5, "color": "#767676", "shrinkA": 0.0, "shrinkB": 2.0}
 NEEDED = 1.3  # factor by which an axis reaches beyond what it shows
 
@@ -185,7 +186,7 @@ def _cost(
         (200.0 if ring == RINGS[0] else 30.0) * strays
         + 1000.0 * outside
         + 300.0 * over
-        + 60.0 * within(points, 2.5)
+        + 250.0 * within(points, MARKER)
         + 8.0 * within(busy, 1.0)
         + 0.5 * ring
     )
