@@ -330,6 +330,24 @@ def test_another_objective_or_plant_or_draw_is_said(study: Study, put: Callable[
     assert "another draw of the noise" in told
 
 
+def test_a_note_names_a_run_in_place_of_all_its_cases(study: Study, put: Callable[..., Path]) -> None:
+    other = replace(study, experiment=Experiment(500.0, Step(4.0)))
+    one = replace(other, cases=other.cases[1:2])
+    paths = [put(study, "a"), put(replace(other, name="b"), "b"), put(replace(one, name="c"), "c")]
+    (note,) = found(*paths).notes
+    assert note.startswith("all of b; c: Case 2: not held against the base: its experiment is another one in duration")
+    content = json.loads(paths[1].read_text())
+    content["trends"] = [one for one in content["trends"] if one["case"] == "Optimised PI"]
+    content["experiment"] = json.loads(paths[0].read_text())["experiment"]
+    paths[1].write_text(json.dumps(content))
+    assert drawn(found(*paths[:2]))[1] == [
+        "b (Case 1; Case 2): the file holds no signals to draw; run its scenario again."
+    ]
+    # Of one run the cases are named, as there is no other to tell it from.
+    alone = found(paths[1])
+    assert drawn(alone)[1] == ["Case 1; Case 2: the file holds no signals to draw; run its scenario again."]
+
+
 def test_many_cases_stand_in_several_tables_each_with_the_base(study: Study, put: Callable[..., Path]) -> None:
     cases = tuple(replace(study.cases[0], name=f"Case {i}") for i in range(14))
     made = found(put(replace(study, cases=cases)), base="Case 3")

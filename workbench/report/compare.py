@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import math
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
@@ -17,7 +18,16 @@ from workbench.report.compared import Entry, Found, Results
 from workbench.report.tables import Cell, Row, Table, shown
 from workbench.report.words import change, duration, figure, given, interval, join, setting
 
-__all__ = ["Comparison", "Line", "comparison", "comparison_csv", "difference_words", "estimate_table", "tables"]
+__all__ = [
+    "Comparison",
+    "Line",
+    "comparison",
+    "comparison_csv",
+    "difference_words",
+    "estimate_table",
+    "tables",
+    "which",
+]
 
 ACROSS = 6  # cases beside the base in one table: what an A4 page holds
 TOLD = 12  # names in a message
@@ -168,10 +178,10 @@ def _notes(lines: Sequence[Line], base: Line | None) -> list[str]:
     """Return what a reader must know of cases that do not compare, each reason once with its cases."""
     if base is None:
         return []
-    notes: dict[str, list[str]] = {}
+    notes: dict[str, list[Line]] = {}
     for line in lines:
         if line.apart:
-            notes.setdefault(f"not held against the base: {line.apart}", []).append(line.name)
+            notes.setdefault(f"not held against the base: {line.apart}", []).append(line)
             continue
         entry, other = line.entry, base.entry
         if entry.sample_time != other.sample_time:
@@ -179,18 +189,37 @@ def _notes(lines: Sequence[Line], base: Line | None) -> list[str]:
             text = (
                 f"sampled every {setting(entry.sample_time)} s, the base every {setting(other.sample_time)} s: {names}"
             )
-            notes.setdefault(f"{text} count samples and are not held against it", []).append(line.name)
+            notes.setdefault(f"{text} count samples and are not held against it", []).append(line)
         elif "objective" in line.unlike and not math.isnan(entry.objective):
-            notes.setdefault("J has other weights than the base's and is not held against it", []).append(line.name)
+            notes.setdefault("J has other weights than the base's and is not held against it", []).append(line)
         if dict(entry.plant) != dict(other.plant):
             text = f"another plant than the base's ({model_words(entry.plant)}; the base: {model_words(other.plant)})"
-            notes.setdefault(f"{text}; figures in EU compare only where both PVs have one unit", []).append(line.name)
+            notes.setdefault(f"{text}; figures in EU compare only where both PVs have one unit", []).append(line)
         if dict(entry.valve) != dict(other.valve):
-            notes.setdefault(f"another valve than the base's ({model_words(entry.valve)})", []).append(line.name)
+            notes.setdefault(f"another valve than the base's ({model_words(entry.valve)})", []).append(line)
         if _seed(line.results) != _seed(base.results):
             text = "another draw of the noise than the base's; small differences are chance"
-            notes.setdefault(text, []).append(line.name)
-    return [f"{_some(names)}: {text}." for text, names in notes.items()]
+            notes.setdefault(text, []).append(line)
+    return [f"{which(some, lines)}: {text}." for text, some in notes.items()]
+
+
+def which(some: Sequence[Line], every: Sequence[Line]) -> str:
+    """Return which of all cases some are, a run by its name where they are all of it: "all of table_2; b (SIMC)"."""
+    by_run: dict[str, list[str]] = {}
+    for line in some:
+        by_run.setdefault(line.results.label, []).append(
+            f"{line.entry.name}{f' ({p})' if (p := line.entry.part) else ''}"
+        )
+    counts = Counter(line.results.label for line in every)
+    told = []
+    for run, names in by_run.items():
+        if len(counts) == 1:
+            told.append(_some(names))
+        elif len(names) < counts[run]:
+            told.append(f"{run} ({_some(names)})")
+        else:
+            told.append(f"all of {run}" if len(names) > 1 else f"{run}: {names[0]}")
+    return "; ".join(told)
 
 
 def _seed(results: Results) -> object:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from markupsafe import Markup
 
-from workbench.report.compare import Comparison, estimate_table, tables
+from workbench.report.compare import Comparison, estimate_table, tables, which
 from workbench.report.figures import Curves, overlaid
 from workbench.report.style import CASES, svg_text
 from workbench.report.templating import environment, style_sheet
@@ -22,7 +22,7 @@ def drawn(found: Comparison) -> tuple[list[Curves], list[str]]:
     if found.base is None:
         return [], []
     lines = [line for line in (found.base, *found.others) if not line.apart]
-    without = [line.name for line in lines if line.entry.trend is None]
+    without = [line for line in lines if line.entry.trend is None]
     with_signals = [(line, line.entry.trend) for line in lines if line.entry.trend is not None]
     shown = with_signals[: len(CASES)]
     names = [line.entry.name for line, _ in shown]
@@ -36,7 +36,7 @@ def drawn(found: Comparison) -> tuple[list[Curves], list[str]]:
     if len(lines) <= len(found.others):
         said.append("The figure shows those that are held against the base.")
     if without:
-        said.append(f"{'; '.join(without)}: the file holds no signals to draw; run its scenario again.")
+        said.append(f"{which(without, found.lines)}: the file holds no signals to draw; run its scenario again.")
     if len(with_signals) > len(CASES):
         said.append(f"The figure shows the first {len(CASES)} of {len(with_signals)} cases; --include chooses others.")
     return curves, said
