@@ -99,3 +99,97 @@ def test_the_report_says_first_that_a_controller_acts_the_wrong_way() -> None:
     assert first.startswith("Look at the scenario again: Case 1: the controller acts the wrong way")
     assert second.startswith("Look at the scenario again: Case 2: the controller acts the wrong way")
     assert study.notes == ()
+
+
+CASCADE = """\
+title: A cascade
+cascade:
+  primary:
+    plant: {type: fopdt, gain: 1.2, time_constant: 60 s, dead_time: 10 s}
+    controller: {Kc: 1.5, Ti: 80 s}
+    sample_time: 5 s
+  secondary:
+    plant: {type: fopdt, gain: 1.0, time_constant: 3 s, dead_time: 1 s}
+    valve: {type: stenman, d: 1 %}
+    controller: {Kc: 0.5, Ti: 5 s}
+    sample_time: 1 s
+experiment: {duration: 200 s, setpoint: {step: 4, at: 0 s}}
+analyze: {limit_cycle: false}
+cases:
+  - {name: As found}
+  - {name: Calmer, primary: {Kc: 0.8}}
+"""
+IN_PRIMARY = "Kc: 1.5, Ti: 80 s"
+IN_SECONDARY = "Kc: 0.5, Ti: 5 s"
+
+
+def cascade(old: str = "", new: str = "") -> Scenario:
+    assert old in CASCADE
+    return read_scenario(CASCADE.replace(old, new) if old else CASCADE, Path("cascade.yaml"))
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "where", "said"),
+    [
+        ("d: 1 %", "d: 0.01", "cascade.secondary.valve", "cascade.secondary.valve sticks over 0.01 % of travel, less"),
+        (
+            IN_SECONDARY,
+            f"{IN_SECONDARY}, output_limits: [0, 100]",
+            "cascade.secondary.controller.output_limits",
+            "As found, Calmer: output limits of the secondary 0 to 100 %: the loop rests on one of them, as OP is",
+        ),
+        (
+            IN_PRIMARY,
+            f"{IN_PRIMARY}, output_limits: [-9, 0]",
+            "cascade.primary.controller.output_limits",
+            (
+                "As found, Calmer: output limits of the primary -9 to 0: the loop rests on one of them, as its output, "
+                "the secondary's setpoint, is counted from its resting point."
+            ),
+        ),
+        (
+            "{Kc: 0.8}",
+            "{Kc: 0.8, output_limits: [0, 9]}",
+            "cascade.primary.controller.output_limits",
+            "Calmer: output limits of the primary 0 to 9: the loop rests",
+        ),
+        (
+            SETPOINT,
+            ", primary_load: {step: 0}",
+            "experiment.setpoint.step",
+            (
+                "experiment: without a setpoint move, a load or noise both loops stay at rest, and its run tells "
+                "nothing of any tuning: give a setpoint, such as {step: 4, at: 0 s}, or a load or primary_load."
+            ),
+        ),
+    ],
+)
+def test_a_cascade_has_the_cautions_of_its_loops(old: str, new: str, where: str, said: str) -> None:
+    found = cascade(old, new)
+    (caution,) = found.cautions
+    assert caution.where == where
+    assert caution.text.startswith(said)
+    assert found.mistakes == (caution.text,)
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ("", ""),
+        (IN_SECONDARY, f"{IN_SECONDARY}, output_limits: [-40, 60]"),
+        (SETPOINT, ", primary_load: {step: 1}"),
+        (SETPOINT, ", load: {step: 1}"),
+        (SETPOINT, ", noise: {sd: 0.1}"),
+        (SETPOINT, ", secondary_noise: {sd: 0.1}"),
+    ],
+)
+def test_a_cascade_as_it_may_well_be_meant_is_taken_without_a_word(old: str, new: str) -> None:
+    assert cascade(old, new).mistakes == ()
+
+
+def test_the_report_of_a_cascade_begins_with_them_and_advises_nothing_where_nothing_moved() -> None:
+    told = summarise(run_scenario(cascade(SETPOINT, "")))
+    assert told.found[0].startswith("Look at the scenario again: experiment: without a setpoint move")
+    assert told.decision == "This experiment tells nothing of these tunings: neither PV nor the valve moves in it."
+    assert told.settings is None
+    assert summarise(run_scenario(cascade())).settings is not None

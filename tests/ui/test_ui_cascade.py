@@ -341,3 +341,12 @@ def test_names_of_a_cascades_cases_are_as_strict_as_a_loops(session):
     session.pin("<script>")
     assert isinstance(session.screen.cases[-1], Pinned)
     assert read_scenario(session.scenario(), FILE).cascade[-1].name == "<script>"
+
+
+def test_what_a_cascade_most_likely_means_otherwise_is_said_at_its_field(session):
+    session.change({"cascade.secondary.valve.d": "0.02"})
+    (problem,) = session.problems
+    assert problem.field == "cascade.secondary.valve.type"
+    assert problem.text.startswith("cascade.secondary.valve sticks over 0.02 % of travel")
+    assert session.own is not None
+    assert session.own.run is not None, "said, not refused"

@@ -45,6 +45,8 @@ def cascade_advice(study: Study) -> Advice:
     if best is None:
         text = "None of these tunings can be recommended: their loops are unstable, or their searches failed."
         return Advice(text, None, tuple(failed))
+    if all(_idle(case) for case in study.cascade):
+        return Advice("This experiment tells nothing of these tunings: neither PV nor the valve moves in it.")
     decision, case = _decision(study, cascade_base(study), best)
     cannot = [
         f"{other.name} cannot be typed in: the site's form has no equivalent of {_refused(study, other)}. A tuning of "
@@ -54,6 +56,12 @@ def cascade_advice(study: Study) -> Advice:
     ]
     do = (*failed, *_less_wear(study, [c for c in fit if not _refused(study, c)], case), *cannot)
     return Advice(decision, case, do, tuple(_remaining(study, cascade_base(study), case)))
+
+
+def _idle(case: CascadeResult) -> bool:
+    """Whether nothing happens in a case's run."""
+    both = (case.run.primary.kpis, case.run.secondary.kpis)
+    return all(k.mean_square_error == k.valve_travel == k.controller_travel == 0.0 for k in both)
 
 
 def _less_wear(study: Study, fit: list[CascadeResult], case: CascadeResult) -> list[str]:

@@ -14,6 +14,7 @@ from workbench.model.tuning import Bounds, Objective
 from workbench.model.valve import Ideal, Valve
 from workbench.scenario import schema
 from workbench.scenario.build import Builder
+from workbench.scenario.cautions import cascade_cautions
 from workbench.scenario.controllers import Controllers, wrong_way
 from workbench.scenario.document import Path
 from workbench.scenario.plan import CascadeJob, CascadeTuneJob, Scenario, wrong_length
@@ -55,7 +56,7 @@ def cascade_scenario(builder: Builder, given: schema.ScenarioFile, entry: schema
         if experiment is not None:
             _fits(builder, cascade, experiment)
         jobs = _Cases(builder, entry, cascade, objective).jobs(given.cases)
-    if refusals.issues:
+    if refusals.issues or experiment is None or not jobs:
         return None
     return Scenario(
         path=builder.file,
@@ -76,6 +77,7 @@ def cascade_scenario(builder: Builder, given: schema.ScenarioFile, entry: schema
         cascade_site=site,
         notes=tuple(builder.notes),
         warnings=tuple(builder.warnings),
+        cautions=tuple(cascade_cautions(experiment, [(job.name, job.cascade) for job in jobs])),
     )
 
 
