@@ -378,6 +378,22 @@ def test_a_scenario_is_opened_and_a_bad_one_is_told_with_its_lines(ask):
     assert uploaded(ask, "stick_slip.yaml", text)["title"].startswith("A stick-slip cycle")
 
 
+def test_a_record_opened_during_a_task_is_read_after_it(ask, begun):
+    ask("tune")
+    rows = b"time,PV,OP\n" + b"".join(b"%d,%d,%d\n" % (k, k % 7, k % 5) for k in range(40))
+    answer = uploaded(ask, "loop 1.csv", rows)
+    assert answer["message"] == "loop 1.csv is read as soon as tuning has ended."
+    assert answer["busy"] == "tune"
+    assert uploaded(ask, "loop 2.csv", rows)["message"] == "loop 2.csv is read as soon as tuning has ended."
+    assert len(begun) == 1
+    ended(ask, "stopped")
+    assert ask.last["busy"] == "read"
+    assert "data: loop_2.csv" in begun[-1][1], "the one that was opened last"
+    assert (ask.page.folder / "loop_2.csv").read_bytes() == rows
+    ended(ask, "stopped")
+    assert len(begun) == 2
+
+
 def test_a_scenario_opened_after_its_record_reads_it_at_once_or_after_the_task_under_way(ask, begun):
     rows = "\n".join(f"{k},{k % 7},{k % 5}" for k in range(40))
     uploaded(ask, "loop 1.csv", f"time,PV,OP\n{rows}\n".encode())

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +11,7 @@ from loops import paper_loop, paper_step
 
 import workbench as wb
 from workbench.errors import InvalidValue, ScenarioError
-from workbench.scenario.loader import load_scenario
+from workbench.scenario.loader import load_scenario, read_scenario
 from workbench.scenario.runner import run_scenario
 from workbench.ui import export
 from workbench.ui.load import screen_of
@@ -269,6 +270,66 @@ def test_a_model_of_another_record_leaves_what_was_said_of_the_scenarios_own_loo
     session.use_model(wb.FOPDT(0.56, 21.0, 5.0), wb.Stenman(0.63), 5.0, "reverse", "industrial_flow_loop.csv")
     assert session.screen.title == own.screen.title
     assert not any("example" in note for note in session.notes)
+
+
+@pytest.mark.parametrize(
+    ("path", "typed", "text", "unit"),
+    [
+        ("loop.valve.d", "2 %", "2", "%"),
+        ("loop.valve.d", " 2.5% ", "2.5", "%"),
+        ("loop.plant.time_constant", "0.1 min", "0.1", "min"),
+        ("loop.plant.gain", "-1.5 EU/%", "-1.5", "EU/%"),
+        ("loop.controller.Kc", "150 PB %", "150", "PB %"),
+        ("experiment.setpoint.step", "4 EU", "4", "EU"),
+        ("loop.valve.mass", "2e-1kg", "2e-1", "kg"),
+        ("loop.controller.Ti", "none", "none", "s"),
+    ],
+)
+def test_a_unit_typed_behind_its_number_goes_to_the_units_own_entry(paper, path, typed, text, unit):
+    paper.change({path: typed})
+    assert (paper.screen.entries[path], paper.screen.entries[f"{path}.unit"]) == (text, unit)
+
+
+@pytest.mark.parametrize(
+    ("path", "typed", "said"),
+    [
+        ("loop.valve.d", "2 kg", 'loop.valve.d: 2 kg given; must be a number of %, such as 2 or "2 %"'),
+        ("loop.valve.d", "1,5", "loop.valve.d: 1,5 % given; must be a number of %, such as 2 or"),
+        ("loop.valve.d", "1,5 %", "loop.valve.d: 1,5 % given; must be a number of %, such as 2 or"),
+        ("loop.plant.gain", "1,5", "loop.plant.gain: 1,5 given; must be a number; decimals are written with a point"),
+        ("experiment.noise.sd", "0,1", "experiment.noise.sd: 0,1 given; must be a number; decimals are written with a"),
+        ("objective.w1", "0,5", "objective.w1: 0,5 given; must be a number; decimals are written with a point"),
+        ("loop.plant.gain", "1,x", "loop.plant.gain: 1,x given; must be a number"),
+    ],
+)
+def test_another_unit_or_a_decimal_comma_is_refused_as_it_was_typed(paper, path, typed, said):
+    paper.change({path: typed})
+    (problem,) = paper.problems
+    assert problem.field == path
+    assert problem.text.startswith(said)
+    assert ("decimals are written with a point, such as 2.5" in problem.text) is bool(re.search(r",\d", typed))
+
+
+def test_published_figures_are_left_out_for_another_loop_than_the_scenarios(paper):
+    def published() -> set[str]:
+        rows = paper.comparison(paper.runs())["rows"]
+        return {cell["published"] for row in rows for cell in row["cells"]} - {""}
+
+    assert "12.18" in published()
+    paper.change({"loop.controller.Kc": "3", "tune.restarts": "2", "loop.valve.d": "2.0"})
+    paper.pin("Mine")
+    assert "12.18" in published(), "of the cases' own tunings"
+    assert "reference" in paper.scenario()
+    assert paper.said == paper.notes
+    for path, text in (("loop.valve.d", "3"), ("experiment.setpoint.step", "1"), ("objective.w1", "7")):
+        paper.change({path: text})
+        assert published() == set()
+        assert "reference" not in paper.scenario()
+        assert paper.said[-1].startswith("The cases' published figures are of the loop, experiment and weights as the")
+        assert paper.undo()
+        assert "12.18" in published()
+    again = Session(screen_of(read_scenario(paper.scenario(), Path("again.yaml"))))
+    assert [case.reference for case in again.screen.cases[:5]] == [case.reference for case in paper.screen.cases[:5]]
 
 
 def test_a_tuning_that_is_refused_is_told_at_its_field(paper):

@@ -18,10 +18,12 @@ __all__ = [
     "GAIN_FORM",
     "INTEGRAL_FORM",
     "LAMBDA_FORM",
+    "NUMBER",
     "PERCENT_FORM",
     "TIME_FORM",
     "Quantity",
     "bare",
+    "comma_rule",
     "filter_ratio",
     "gain",
     "integral_time",
@@ -72,12 +74,17 @@ def _split(value: object, rule: str) -> tuple[float, str]:
     else:
         match = _QUANTITY.fullmatch(value)
         if match is None:
-            comma = _QUANTITY.fullmatch(value.replace(",", ".", 1))
-            raise InvalidValue("", value, rule if comma is None else f"{rule}; {COMMA_RULE}")
+            raise InvalidValue("", value, f"{rule}{comma_rule(value)}")
         x, unit = float(match[1]), match[2]
     if not math.isfinite(x):
         raise InvalidValue("", value, f"{rule}; and be finite")
     return x, unit
+
+
+def comma_rule(text: str) -> str:
+    """Return what is to be said besides of a text that is a quantity but for its decimal comma, "" of any other."""
+    comma = "," in text and _QUANTITY.fullmatch(text.replace(",", ".", 1)) is not None
+    return f"; {COMMA_RULE}" if comma else ""
 
 
 def is_quantity(text: object) -> bool:

@@ -6,7 +6,7 @@ from typing import Any
 
 from workbench.errors import InvalidValue
 from workbench.scenario.document import Node, nearest
-from workbench.scenario.units import is_quantity
+from workbench.scenario.units import comma_rule, is_quantity
 
 __all__ = ["given_words", "literals", "refusal"]
 
@@ -37,8 +37,10 @@ def refusal(node: Node, error: Any) -> str:
     if kind == "value_error":
         cause = context.get("error")
         return f"{given} given; {cause.allowed}" if isinstance(cause, InvalidValue) else str(cause)
-    unit = ", without a unit" if _KINDS.get(kind) == "must be a number" and is_quantity(error["input"]) else ""
-    return f"{given} given; {_rule(kind, context, str(error['msg']))}{unit}"
+    more = ""
+    if _KINDS.get(kind) == "must be a number":
+        more = ", without a unit" if is_quantity(error["input"]) else comma_rule(str(error["input"]))
+    return f"{given} given; {_rule(kind, context, str(error['msg']))}{more}"
 
 
 def given_words(node: Node) -> str:

@@ -13,11 +13,14 @@ from types import MappingProxyType
 
 from workbench.model.titles import kpi_title
 from workbench.model.tuning import WEIGHABLE
+from workbench.scenario.units import NUMBER
 from workbench.ui.entry import SECONDS, Field, Group
 from workbench.ui.loop_fields import OWN_WEIGHT, controller_fields, element_fields, plant_fields, valve_fields
 from workbench.ui.tune_fields import TUNE_GROUPS
 
-__all__ = ["DEFAULTS", "FIELDS", "GROUPS", "OWN_WEIGHT", "field_of"]
+__all__ = ["DEFAULTS", "FIELDS", "GROUPS", "OWN_WEIGHT", "field_of", "parted"]
+
+_WITH_UNIT = re.compile(rf"({NUMBER})\s*(\S.*)")
 
 
 def _range(path: str, hint: str) -> tuple[Field, Field]:
@@ -219,6 +222,16 @@ def _defaults() -> dict[str, str]:
 
 
 DEFAULTS = MappingProxyType(_defaults())
+
+
+def parted(entries: Mapping[str, str]) -> dict[str, str]:
+    """Return entries with a unit that was typed behind its number in the unit's own entry, where the field knows it."""
+    out = dict(entries)
+    for path, text in entries.items():
+        field, typed = FIELDS.get(path), _WITH_UNIT.fullmatch(text.strip())
+        if field is not None and typed is not None and typed[2] in field.units:
+            out |= {path: typed[1], f"{path}.unit": typed[2]}
+    return out
 
 
 def field_of(where: str, entries: Mapping[str, str] | None = None) -> str | None:

@@ -129,7 +129,7 @@ class Page:
             "entries": {p: text for p, text in session.screen.entries.items() if not p.startswith(f"{other}.")},
             "title": session.screen.title,
             "problems": [{"field": p.field, "text": self._plain(p.text)} for p in session.problems],
-            "notes": list(session.notes),
+            "notes": list(session.said),
             "message": self.message,
             "figures": session.figures(),
             "stale": session.stale,
@@ -316,14 +316,15 @@ class Page:
         if name.lower().endswith((".yaml", ".yml")):
             self._show_scenario(name, content)
             return {"start": True}
-        if self.task:
-            raise InvalidValue("file", name, f"must wait: {WORDS[self.task].lower()} is under way")
         target = self.folder / safe_name(name)
+        arriving = self.folder / ".arriving"  # which no file that was opened is called
         try:
-            target.write_bytes(content)
+            # A task under way may be reading the one of that name.
+            arriving.write_bytes(content)
+            arriving.replace(target)
         except OSError as error:
             raise RecordError(f"{name}: cannot be kept here ({error.strerror})") from None
-        self._read(target.name)
+        self._read_in_turn(name)
         return None
 
     def _show_scenario(self, name: str, content: bytes) -> None:
@@ -334,11 +335,17 @@ class Page:
         except UnicodeDecodeError:
             raise RecordError(f"{name}: is no UTF-8 text; a scenario is UTF-8 text") from None
         data = self.session.read(text, self.folder / safe_name(name))
-        self.waits = safe_name(data) if data else ""
-        if data and self.task:
-            self.message = f"{data} is read as soon as {WORDS[self.task].lower()} has ended."
-        elif data:
-            self._read(self.waits)
+        self.waits = ""
+        if data:
+            self._read_in_turn(data)
+
+    def _read_in_turn(self, name: str) -> None:
+        """Read a record that was opened by this name, after the task under way where there is one."""
+        if not self.task:
+            self._read(safe_name(name))
+            return
+        self.waits = safe_name(name)
+        self.message = f"{name} is read as soon as {WORDS[self.task].lower()} has ended."
 
     def _take(self, data: Path) -> None:
         """Read a file that the command named, as if it had been uploaded."""

@@ -50,7 +50,8 @@ class Screen:
     entries: text by path (see `fields`), units under `path.unit`. cases: pinned, the first the base of comparison.
     more_setpoint, more_load, more_primary_load: parts of the experiment's profiles beside the step that the fields
     show. cascade: whether it is one, of entries under `cascade.`, and not a loop of entries under `loop.`. record:
-    which the scenario names, or the loop was found in.
+    which the scenario names, or the loop was found in. published_of: the loop, experiment and weights that the cases'
+    published figures are of, None where they are of none.
     """
 
     entries: Mapping[str, str] = field(default_factory=lambda: DEFAULTS)
@@ -63,6 +64,7 @@ class Screen:
     more_primary_load: tuple[Profile, ...] = ()
     cascade: bool = False
     record: str = ""
+    published_of: object = None
 
     def with_entries(self, changed: Mapping[str, str]) -> Screen:
         """Return the screen with other texts; unknown paths raise KeyError."""
@@ -75,7 +77,9 @@ class Screen:
         """Return an entry with its unit, as a scenario writes it; "" where nothing is typed."""
         text = self.entries[path].strip()
         unit = self.entries.get(f"{path}.unit", "")
-        return f"{text} {unit}" if text and text != "none" and unit in WRITTEN else text
+        # A unit that the field does not know is refused as it was typed behind its number.
+        own = text == "none" or (text[:1] in "+-.0123456789" and (text[-1:].isalpha() or text[-1:] == "%"))
+        return f"{text} {unit}" if text and not own and unit in WRITTEN else text
 
 
 def scenario_text(

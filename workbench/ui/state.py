@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import math
 import re
-import shutil
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -35,8 +34,8 @@ from workbench.scenario.controllers import wrong_way
 from workbench.scenario.document import parse, plain
 from workbench.scenario.loader import read_scenario
 from workbench.simulate.run import evaluate, simulate
-from workbench.ui.fields import field_of
-from workbench.ui.given import safe_name
+from workbench.ui.fields import field_of, parted
+from workbench.ui.given import files_named, find_file, safe_name
 from workbench.ui.load import (
     NO_LOOP_YET,
     Loaded,
@@ -54,6 +53,10 @@ MOST_CASES = 12
 MOST_UNDONE = 200
 MODEL_DIGITS = 5  # of an estimate on the page: far more than any record pins down
 FILE = Path("screen.yaml")  # the name under which the page's own scenario is read
+UNPUBLISHED = (
+    "The cases' published figures are of the loop, experiment and weights as the scenario gives them, and are left out "
+    "for what stands here now."
+)
 # Name, title, unit, whether less is better; of a cascade the loop stands before the name.
 Rows = tuple[tuple[str, str, str, bool], ...]
 ROWS: Rows = (("objective", "Objective J", "", True), *KPI_ROWS)
@@ -149,6 +152,7 @@ class Session:
         if loaded is not None:
             self.screen, self.notes = loaded.screen, loaded.notes
         self._build()
+        self._publish()
 
     # changes -------------------------------------------------------------------------------------------------------
 
@@ -158,7 +162,7 @@ class Session:
         What the loader refuses stays typed, with `problems` saying why, beside the last run that was good. Raises
         KeyError for an unknown path.
         """
-        self._become(self.screen.with_entries(entries), gesture)
+        self._become(self.screen.with_entries(parted(entries)), gesture)
 
     def undo(self) -> bool:
         """Go back to the screen before the last change; False where there is none."""
@@ -239,12 +243,34 @@ class Session:
             screen = replace(screen, title=title, description="", reference_source="", cases=cases, record=record)
         # A cascade's cases are none of the loop that was found.
         self._become(replace(screen, cascade=False, cases=()) if screen.cascade else screen, "")
+        self._publish()
         self.notes = notes
 
     def load(self, loaded: Loaded) -> None:
         """Show another scenario; what stood here before can be had back."""
         self._become(loaded.screen, "")
+        self._publish()
         self.notes = loaded.notes
+
+    def _publish(self) -> None:
+        """Take what stands here now as that which the cases' published figures are of."""
+        self.screen = replace(self.screen, published_of=None if self.stale else _published_of(self.built))
+
+    @property
+    def compared(self) -> Screen:
+        """The screen without published figures where these are not of what stands on it now."""
+        screen = self.screen
+        if self.built is not None and screen.published_of == _published_of(self.built):
+            return screen
+        cases = tuple(replace(case, reference=MappingProxyType({})) for case in screen.cases)
+        return replace(screen, reference_source="", cases=cases)
+
+    @property
+    def said(self) -> tuple[str, ...]:
+        """What is to be said of the scenario, and of published figures that are left out."""
+        if not any(case.reference for case in self.screen.cases) or any(c.reference for c in self.compared.cases):
+            return self.notes
+        return (*self.notes, UNPUBLISHED)
 
     def _become(self, screen: Screen, gesture: str) -> None:
         if not gesture or gesture != self.gesture:
@@ -351,7 +377,7 @@ class Session:
         better, published figure).
         """
         columns = [*runs, *([self.own] if self.own is not None else [])]
-        cases = self.screen.cases
+        cases = self.compared.cases
         rows: list[dict[str, object]] = []
         for name, title, unit, less in self.rows:
             values = [value_of(one, name) for one in columns]
@@ -383,11 +409,11 @@ class Session:
 
     def scenario(self) -> str:
         """Return the page as a scenario. Raises `ScenarioError` where it is refused."""
-        return self._checked(scenario_text(self.screen))
+        return self._checked(scenario_text(self.compared))
 
     def mapped(self, view: MapView | None) -> str:
         """Return the page as a scenario with a map; view: of these ends of Kc (%/EU) and Ti (s). Raises as it does."""
-        return self._checked(scenario_text(self.screen, mapped=True, view=view))
+        return self._checked(scenario_text(self.compared, mapped=True, view=view))
 
     def _checked(self, text: str) -> str:
         try:
@@ -413,11 +439,21 @@ class Session:
         scenario that comes from elsewhere looks at nothing else here. Raises `ScenarioError`.
         """
         root, _ = parse(text)
-        for named in _files(None if root is None else plain(root)):
-            _find(path, named)
+        for named in files_named(None if root is None else plain(root)):
+            find_file(path, named)
         loaded = screen_of(read_scenario(text, path, path.name))
         self.load(loaded)
         return loaded.data
+
+
+def _published_of(built: Built | None) -> object:
+    """Return all of what stands on a page but the tunings."""
+    if built is None:
+        return None
+    loops = (built.loop,) if built.cascade is None else (built.cascade.primary, built.cascade.secondary)
+    bare = tuple(loop.with_controller(PID(0.0, math.inf)) for loop in loops)
+    more = None if built.cascade is None else (built.cascade.scale, built.cascade.anti_windup)
+    return bare, more, built.experiment, built.objective
 
 
 def _cascade_run(name: str, below: PID, above: PID | None, built: Built, cascade: Cascade) -> CaseRun:
@@ -441,29 +477,3 @@ def value_of(one: CaseRun, name: str) -> float:
     if run is None:
         return math.nan
     return one.objective if name == "objective" else float(getattr(run.kpis, own))
-
-
-def _find(path: Path, named: str) -> None:
-    """Put a file that was opened beside the scenario `path` where that names it. Raises `ScenarioError`."""
-    folder = path.parent.resolve()
-    wanted, own = (folder / named).resolve(), folder / safe_name(named)
-    if not wanted.is_relative_to(folder):
-        raise ScenarioError(f"{path.name}: {named} given; open that file here first, and name it by itself")
-    try:
-        if not own.is_file():
-            raise ScenarioError(f"{path.name}: {named} given; open that file here first, then the scenario")
-        if own != wanted:  # a browser does not tell the folder of what it opens
-            wanted.parent.mkdir(parents=True, exist_ok=True)
-            shutil.copyfile(own, wanted)
-    except OSError as error:
-        raise ScenarioError(f"{path.name}: {named} given; cannot be had here ({error.strerror})") from None
-
-
-def _files(data: object) -> list[str]:
-    """Return the files that a scenario's plain data names."""
-    if isinstance(data, list):
-        return [name for one in data for name in _files(one)]
-    if not isinstance(data, dict):
-        return []
-    own = [value for key, value in data.items() if key in ("data", "file") and isinstance(value, str)]
-    return own + [name for value in data.values() for name in _files(value)]
