@@ -121,13 +121,13 @@ def _decision(study: Study, base: CascadeResult | None, best: CascadeResult) -> 
         rest += beside_words(beside, (was.mean_square_error, wore.valve_travel), by, error)
         gain = beside.worst, gain[1] if beside.secondary is None else beside.secondary.valve_travel
     rest += _in_the_long_run(study, base, best)
-    own = "; ".join(f"{which} {cascade_words(study, base, which)}" for which in ("primary", "secondary"))
     if not worth_it(gain, (_measure(base), wore.valve_travel)):
+        own = "; ".join(f"{which} {cascade_words(study, base, which)}" for which in ("primary", "secondary"))
         text = f"Keep {base.name} ({own}): nothing here is worth a change. The best other tuning, {best.name} ({both}),"
         return f"{text} has {told}{rest}", base
     price = condition(base, best)
     if price:
-        told += f"; otherwise keep {base.name} ({own})"
+        told += f"; otherwise keep {base.name}"
     return f"{lead}{price}: {told}{rest}", best
 
 
