@@ -37,6 +37,11 @@ def plane() -> CycleMap:
     return wb.cycle_map(loop, Kc=(0.1, 10.0), Ti=(3.0, 300.0), points=(7, 6), starts=1)
 
 
+def test_an_axis_leaves_out_numbers_that_would_stand_on_others(study: Study) -> None:
+    fig = front_plane(front_of(study.cases[0].loop), [])
+    assert [type(axis.major_label_policy).__name__ for axis in fig.axis] == ["NoOverlap", "NoOverlap"]
+
+
 def front_of(loop: wb.Loop) -> Front:
     ensemble = replace(wb.Ensemble.plant_ready(loop), duration=200.0, load_time=(50.0, 100.0), draws=20)
     sticky = tuple(

@@ -5,10 +5,16 @@ from __future__ import annotations
 from itertools import pairwise
 
 import numpy as np
+from bokeh.models import NoOverlap
 from hypothesis import given
 from hypothesis import strategies as st
 
-from workbench.ui.draw import PLANE, ROW, edges, label_sides, labels
+from workbench.ui.draw import PLANE, ROW, edges, label_sides, labels, new_figure
+
+
+def test_an_axis_leaves_out_numbers_that_would_stand_on_others():
+    fig = new_figure("c_trade", "valve travel (%)", "mean square error (EU²)", x_axis_type="log")
+    assert [type(axis.major_label_policy) for axis in fig.axis] == [NoOverlap, NoOverlap]
 
 
 def test_names_stand_inward():

@@ -312,20 +312,20 @@ def test_another_unit_or_a_decimal_comma_is_refused_as_it_was_typed(paper, path,
 
 def test_published_figures_are_left_out_for_another_loop_than_the_scenarios(paper):
     def published() -> set[str]:
-        rows = paper.comparison(paper.runs())["rows"]
-        return {cell["published"] for row in rows for cell in row["cells"]} - {""}
+        table = paper.comparison(paper.runs())
+        shown = {cell["published"] for row in table["rows"] for cell in row["cells"]} - {""}
+        assert bool(shown) is not table["note"].startswith("The cases' published figures are of the loop, experiment ")
+        return shown
 
     assert "12.18" in published()
     paper.change({"loop.controller.Kc": "3", "tune.restarts": "2", "loop.valve.d": "2.0"})
     paper.pin("Mine")
     assert "12.18" in published(), "of the cases' own tunings"
     assert "reference" in paper.scenario()
-    assert paper.said == paper.notes
     for path, text in (("loop.valve.d", "3"), ("experiment.setpoint.step", "1"), ("objective.w1", "7")):
         paper.change({path: text})
         assert published() == set()
         assert "reference" not in paper.scenario()
-        assert paper.said[-1].startswith("The cases' published figures are of the loop, experiment and weights as the")
         assert paper.undo()
         assert "12.18" in published()
     again = Session(screen_of(read_scenario(paper.scenario(), Path("again.yaml"))))

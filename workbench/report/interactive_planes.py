@@ -45,9 +45,10 @@ def dash_of(pattern: Any) -> Any:
 
 
 def _logarithmic(fig: Any, *axes: Any) -> None:
-    from bokeh.models import BasicTickFormatter, LogTicker
+    from bokeh.models import BasicTickFormatter, LogTicker, NoOverlap
 
     for axis in axes:
+        axis.major_label_policy = NoOverlap()
         axis.formatter = BasicTickFormatter()
         axis.ticker = LogTicker(mantissas=TICKS)
     fig.grid.grid_line_color = "#e4e4e4"

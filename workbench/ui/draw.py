@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from bokeh.models import BasicTickFormatter, ColumnDataSource, Line, Range1d, Step
+from bokeh.models import BasicTickFormatter, ColumnDataSource, Line, NoOverlap, Range1d, Step
 from bokeh.plotting import figure
 
 from workbench.model.record import FloatArray
@@ -70,6 +70,7 @@ def new_figure(name: str, x: str, y: str, **options: Any) -> Any:
         axis.axis_label_text_color = axis.major_label_text_color = SOFT
         axis.axis_line_color = axis.major_tick_line_color = "#999999"
         axis.minor_tick_line_color = None
+        axis.major_label_policy = NoOverlap()
     fig.grid.grid_line_color = GRID
     return fig
 

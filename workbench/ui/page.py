@@ -129,7 +129,7 @@ class Page:
             "entries": {p: text for p, text in session.screen.entries.items() if not p.startswith(f"{other}.")},
             "title": session.screen.title,
             "problems": [{"field": p.field, "text": self._plain(p.text)} for p in session.problems],
-            "notes": list(session.said),
+            "notes": list(session.notes),
             "message": self.message,
             "figures": session.figures(),
             "stale": session.stale,

@@ -265,13 +265,6 @@ class Session:
         cases = tuple(replace(case, reference=MappingProxyType({})) for case in screen.cases)
         return replace(screen, reference_source="", cases=cases)
 
-    @property
-    def said(self) -> tuple[str, ...]:
-        """What is to be said of the scenario, and of published figures that are left out."""
-        if not any(case.reference for case in self.screen.cases) or any(c.reference for c in self.compared.cases):
-            return self.notes
-        return (*self.notes, UNPUBLISHED)
-
     def _become(self, screen: Screen, gesture: str) -> None:
         if not gesture or gesture != self.gesture:
             self.past = [*self.past[-MOST_UNDONE + 1 :], (self.screen, self.notes)]
@@ -371,7 +364,7 @@ class Session:
         ]
 
     def comparison(self, runs: list[CaseRun]) -> dict[str, object]:
-        """Return the table of the pinned cases and the page's own: heads, and rows of cells.
+        """Return the table of the pinned cases and the page's own: heads, rows of cells, and a note on it or "".
 
         A cell is (text, difference from the first case in words, whether it is the least of a figure of which less is
         better, published figure).
@@ -403,7 +396,8 @@ class Session:
             {"name": one.name, "settings": one.words, "refused": one.refused or self._wrong_way(one), "case": key}
             for one, key in zip(columns, keys, strict=True)
         ]
-        return {"heads": heads, "rows": rows}
+        left_out = any(case.reference for case in self.screen.cases) and not any(case.reference for case in cases)
+        return {"heads": heads, "rows": rows, "note": UNPUBLISHED if left_out else ""}
 
     # scenarios -----------------------------------------------------------------------------------------------------
 

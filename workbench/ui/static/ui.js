@@ -322,6 +322,7 @@ function showComparison(table, pinned, asked, message) {
     });
     return make("tr", "", {}, title, ...cells);
   });
+  byId("comparison-note").textContent = table.note;
   const grid = byId("comparison");
   const body = make("tbody", "", {}, ...rows);
   const shown = [...(grid.rows[0]?.cells ?? [])].slice(1);
