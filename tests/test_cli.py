@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -435,6 +436,9 @@ def test_tune_prints_the_settings_of_a_scenario(folder: Path) -> None:
     assert "solved" in out
     assert "model     first order plus dead time: gain 1 EU/%" in out
     assert "weights   J = 1 Σ (SP − PV)², sums over samples" in out
+    assert re.search(
+        r"  run       mean square error \S+ EU² \(−\d+ %\), valve travel \S+ % \(.+\), against the start\n", out
+    )
     code, out, _ = call("tune", "good.yaml", "--Kc", "0.3", "--json")
     (tuning,) = strict(out)["tunings"]  # type: ignore[misc]
     assert tuning["model"]["plant"]["gain"] == 1.0

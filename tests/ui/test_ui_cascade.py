@@ -13,6 +13,7 @@ from bokeh.document import Document
 
 import workbench as wb
 from workbench.model.cascade import CascadeExperiment
+from workbench.model.numbers import figure
 from workbench.model.study import Study
 from workbench.scenario.loader import load_scenario, read_scenario
 from workbench.scenario.runner import run_scenario
@@ -325,6 +326,10 @@ def test_a_tuning_in_turn_is_the_librarys_and_becomes_a_case(ask, tmp_path):
     assert found.primary == again.cascade.primary.controller
     assert found.controller == job.cascade.secondary.controller
     assert found.objective == again.primary.objective
+    now = wb.simulate(again.cascade, ask.page.session.built.experiment)
+    error, travel = figure(now.primary.kpis.mean_square_error), figure(now.secondary.kpis.valve_travel)
+    assert found.lines[3].startswith(f"In the run on the page: mean square error {error} EU² (")
+    assert f"), valve travel {travel} % (" in found.lines[3]
     assert found.lines[1].startswith(f"Primary: Kc {again.cascade.primary.controller.Kc:.4g}"[:16])
     ask.page.tuned = found
     answer = ask("pin_tuned", name="Tuned in turn")

@@ -13,6 +13,8 @@ import pytest
 
 import workbench as wb
 from workbench.errors import ScenarioError, WorkbenchError
+from workbench.report.words import change, figure
+from workbench.scenario.loader import read_scenario
 from workbench.ui import work
 from workbench.ui.jobs import Event, Job, _serve
 from workbench.ui.screen import Screen, estimate_text, scenario_text
@@ -182,7 +184,21 @@ def test_an_estimate_brings_model_evidence_and_the_action_that_the_gain_needs(re
     assert found.prediction.shape == found.stem.shape == (600,)
     assert found.parameters.rows
     assert found.evidence.rows
+    assert all(reason[0].isupper() and reason.endswith(".") for reason in found.reasons)
     assert told == sorted(told)
+
+
+def test_a_tuning_says_what_it_makes_of_error_and_wear(tmp_path):
+    screen = Screen().with_entries({**SHORT, "tune.digits": "2", "tune.restarts": "1"})
+    found = work.tune_loop(scenario_text(screen, tune=True), str(tmp_path), silent)
+    plan = read_scenario(scenario_text(screen), tmp_path / "screen.yaml")
+    was, now = (
+        wb.simulate(plan.loop.with_controller(one), plan.experiment).kpis
+        for one in (plan.loop.controller, found.controller)
+    )
+    error = f"{figure(now.mean_square_error)} EU² ({change(now.mean_square_error, was.mean_square_error)})"
+    travel = f"{figure(now.valve_travel)} % ({change(now.valve_travel, was.valve_travel)})"
+    assert found.lines[2] == f"In the run on the page: mean square error {error}, valve travel {travel}."
 
 
 def test_a_map_and_a_report_of_the_page(undrawn, tmp_path):

@@ -25,7 +25,7 @@ from workbench.report.results import results_content, strict_json
 from workbench.report.shared import objective_words
 from workbench.report.style import svg_text
 from workbench.report.words import controller_words, counted, figure, given, interval, nearby, plant_words, valve_words
-from workbench.scenario.retune import Retuned
+from workbench.scenario.retune import Retuned, run_words
 from workbench.score import Scored
 
 __all__ = ["estimate_json", "estimate_lines", "exit_code", "score_parts", "tuned_json", "tuned_lines", "write_estimate"]
@@ -189,8 +189,9 @@ def tuned_lines(result: Retuned) -> list[str]:
         f"  J         {figure(tuned.objective, 5)} (start {figure(tuned.start_objective, 5)}; at most "
         f"{figure(tuned.worst, 5)} {nearby(tuned.margin)})"
     )
+    lines.append(f"  run       {run_words(tuned)}, against the start")
     lines.append(
-        f"  search    {tuned.status.value}; {len(tuned.restarts)} restarts, J {figure(best, 5)} to "
+        f"  search    {tuned.status.value}; {counted(len(tuned.restarts), 'restart')}, J {figure(best, 5)} to "
         f"{figure(worst, 5)}, seed {tuned.seed}"
     )
     lines += [f"  assumed   {words}" for words in result.assumed]

@@ -32,6 +32,7 @@ __all__ = [
     "decimals_of",
     "difference",
     "duration",
+    "error_and_wear",
     "figure",
     "given",
     "interval",
@@ -73,6 +74,14 @@ def change(new: float, old: float) -> str:
     if float(size) == 0.0:
         return "unchanged"
     return f"{'−' if percent < 0 else '+'}{size} %"
+
+
+def error_and_wear(error: tuple[float, float], travel: tuple[float, float]) -> str:
+    """Return what a tuning makes of mean square error (EU^2) and valve travel (%), each now and before."""
+    return (
+        f"mean square error {figure(error[0])} EU² ({change(*error)}), valve travel {figure(travel[0])} % "
+        f"({change(*travel)})"
+    )
 
 
 def decimals_of(values: Sequence[float]) -> int:

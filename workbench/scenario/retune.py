@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from workbench.analyze.standing import standing
 from workbench.errors import InvalidValue, RecordError
 from workbench.model.controller import PID
@@ -15,12 +17,14 @@ from workbench.model.results import Estimate, SolveStatus, Standing, Tuned
 from workbench.model.rule import Simc
 from workbench.model.tuning import Bounds, Objective
 from workbench.report.known import gain_doubt, hint
+from workbench.report.words import error_and_wear
 from workbench.scenario.controllers import fitting_action, ruled, wrong_way
 from workbench.scenario.plan import CaseJob, Scenario, TuneJob
 from workbench.scenario.runner import Progress, for_plant, run_scenario, tune_case
+from workbench.simulate.run import simulate
 from workbench.tune.rules import apply_rule
 
-__all__ = ["Retuned", "Wishes", "tune_found", "tune_scenario"]
+__all__ = ["Retuned", "Wishes", "run_words", "tune_found", "tune_scenario"]
 
 Range = tuple[float, float]
 
@@ -108,6 +112,15 @@ def tune_scenario(plan: Scenario, wishes: Wishes, progress: Progress | None = No
         if tuned.status is SolveStatus.INTERRUPTED:
             break
     return found
+
+
+def run_words(tuned: Tuned) -> str:
+    """Return what a tuning makes of error and wear in the run of its experiment, against the loop's own controller."""
+    loop, both = tuned.loop, (tuned.controller, tuned.loop.controller)
+    # A diverging loop overflows; its figures say so.
+    with np.errstate(over="ignore", invalid="ignore"):
+        now, was = (simulate(loop.with_controller(controller), tuned.experiment).kpis for controller in both)
+    return error_and_wear((now.mean_square_error, was.mean_square_error), (now.valve_travel, was.valve_travel))
 
 
 def _controller(name: str, base: Loop, cases: tuple[CaseJob, ...], found: list[Retuned]) -> PID:

@@ -172,6 +172,7 @@ def estimate_record(text: str, folder: str, progress: Progress) -> Found:
     from workbench.report.detections import detection_table, detection_words
     from workbench.report.estimates import estimate_sentences, estimate_table
     from workbench.report.known import known_sentences
+    from workbench.report.words import sentences
     from workbench.scenario.controllers import fitting_action
 
     progress("reading", 0.0)
@@ -195,7 +196,7 @@ def estimate_record(text: str, folder: str, progress: Progress) -> Found:
         action=fitting_action(found.plant),
         verdict=found.verdict,
         sentences=(*estimate_sentences(named), *known_sentences(found)),
-        reasons=found.reasons,
+        reasons=tuple(sentences([reason]) for reason in found.reasons),
         stem=found.valve_position,
         prediction=found.prediction,
         linear=found.linear.prediction,
@@ -210,6 +211,7 @@ def estimate_record(text: str, folder: str, progress: Progress) -> Found:
 def tune_loop(text: str, folder: str, progress: Progress) -> TunedCase:
     """Return the tuning that a scenario's last case asks for; stopped, the best so far. Raises `WorkbenchError`."""
     from workbench.report.words import change, controller_words, figure, sentences
+    from workbench.scenario.retune import run_words
     from workbench.scenario.runner import tune_case
 
     plan = _plan(text, folder)
@@ -223,9 +225,10 @@ def tune_loop(text: str, folder: str, progress: Progress) -> TunedCase:
     gained = change(tuned.objective, tuned.start_objective)
     cost = (
         f"J {figure(tuned.objective, 5)}{over}, {gained} against the tuning on the page "
-        f"({figure(tuned.start_objective, 5)}); worst near by {figure(tuned.worst, 5)}"
+        f"({figure(tuned.start_objective, 5)}); worst near by {figure(tuned.worst, 5)}."
     )
-    lines = [controller_words(tuned.controller, tuned.digits), cost, sentences([tuned.message])]
+    told = f"In the run on the page: {run_words(tuned)}."
+    lines = [controller_words(tuned.controller, tuned.digits), cost, told, sentences([tuned.message])]
     if tuned.robustness is not None:
         fares = tuned.robustness
         lines.append(
@@ -243,8 +246,9 @@ def tune_loop(text: str, folder: str, progress: Progress) -> TunedCase:
 
 
 def _tune_in_turn(plan: Scenario, progress: Progress) -> TunedCase:
-    from workbench.report.words import change, controller_words, figure, sentences
+    from workbench.report.words import change, controller_words, error_and_wear, figure, sentences
     from workbench.scenario.cascade_runner import tune_job
+    from workbench.simulate.run import simulate
 
     job = plan.cascade[-1]
     if plan.experiment is None or job.tune is None:
@@ -255,12 +259,18 @@ def _tune_in_turn(plan: Scenario, progress: Progress) -> TunedCase:
     of_secondary = [] if tuned.secondary is None else [f"Secondary: {sentences([tuned.secondary.message])}"]
     cost = (
         f"J {figure(found.objective, 5)}, {change(found.objective, tuned.start_objective)} against the tuning on the "
-        f"page ({figure(tuned.start_objective, 5)}); worst near by {figure(found.worst, 5)}"
+        f"page ({figure(tuned.start_objective, 5)}); worst near by {figure(found.worst, 5)}."
     )
+    # A diverging cascade overflows; its figures say so.
+    with np.errstate(over="ignore", invalid="ignore"):
+        now, was = (simulate(cascade, plan.experiment) for cascade in (tuned.cascade, job.cascade))
+    errors = now.primary.kpis.mean_square_error, was.primary.kpis.mean_square_error
+    travels = now.secondary.kpis.valve_travel, was.secondary.kpis.valve_travel
     lines = (
         f"Secondary: {controller_words(below, None if tuned.secondary is None else digits)}",
         f"Primary: {controller_words(above, digits).replace('%/EU', 'EU/EU')}",
         cost,
+        f"In the run on the page: {error_and_wear(errors, travels)}.",
         *of_secondary,
         f"Primary: {sentences([found.message])}",
     )
