@@ -200,7 +200,8 @@ def test_a_search_whose_first_stage_kept_no_constraint_says_so(robust: Study) ->
 
 def test_what_one_experiment_likes_is_not_recommended(robust: Study) -> None:
     out = robust_advice(robust)
-    assert out[0].startswith("Set Kc 2.351 %/EU, Ti 9.500 s (Optimised PI). Over 20 plants")
+    price = " if 11 times the valve travel of Case 1 is acceptable"
+    assert out[0].startswith(f"Set Kc 2.351 %/EU, Ti 9.500 s (Optimised PI){price}. Over 20 plants")
     assert "Against Case 1: error −" in out[0]
     assert summarise(robust).advice[1 : 1 + len(out)] == tuple(out) or summarise(robust).advice[: len(out)] == tuple(
         out
@@ -227,7 +228,8 @@ def test_in_place_of_what_the_sites_form_cannot_take_stands_what_is_nearest(robu
     near = replace(best, name="Near", tuned=None, nearest_to=best.name)
     told = replace(robust, cases=(*robust.cases, near))
     assert robust_choice(told) is near
-    assert robust_advice(told)[0].startswith("Set Kc 2.351 %/EU, Ti 9.5 s (Near). Over 20 plants")
+    price = " if 11 times the valve travel of Case 1 is acceptable"
+    assert robust_advice(told)[0].startswith(f"Set Kc 2.351 %/EU, Ti 9.5 s (Near){price}. Over 20 plants")
     assert "Against Case 1" in robust_advice(told)[0], "the nearest is no case as found"
 
 
@@ -245,6 +247,12 @@ def test_a_calmer_robust_tuning_is_offered_beside(robust: Study) -> None:
         found = replace(over(first), valve_travel=over(best).valve_travel / ratio)
         told = replace(robust, cases=(replace(first, robustness=found), best, other))
         assert ("Where wear counts more: " in robust_advice(told)[0]) is beside
+        price = "(Optimised PI) if 3.0 times the valve travel of Case 1 is acceptable. Over 20 plants"
+        assert (price in robust_advice(told)[0]) is beside
+        alone = robust_advice(replace(told, cases=told.cases[:2]))[0]
+        assert alone.endswith(" Otherwise keep Case 1.") is beside
+        lost = replace(told.cases[0], robustness=replace(found, diverged=1))
+        assert "acceptable" not in robust_advice(replace(told, cases=(lost, best)))[0]
         assert " ".join(robust_advice(told)).count("Where wear counts more: ") == 1
         assert f"plants and circumstances of {duration(over(best).ensemble.duration)} each" in robust_advice(told)[0]
     asked = ensemble_text(replace(robust, cases=(*robust.cases, other)))[-1]

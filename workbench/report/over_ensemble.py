@@ -367,8 +367,12 @@ def robust_advice(study: Study) -> list[str]:
     ]
     # Less error at several times the wear is a choice, which belongs with the decision.
     dear = base is not None and base.robustness is not None and r.travel_mean > DEAR * base.robustness.travel_mean
+    price = _price(r, base) if dear else ""
     beside = calmer[:1] if dear else []
-    out = [" ".join([f"{_setting(study, case, r)}{_against(r, base)}", *beside]), *calmer[len(beside) :]]
+    if price and base is not None and not beside:
+        beside = [f"Otherwise keep {base.name}."]
+    order = f"{_setting(study, case, r, price)}{_against(r, base)}"
+    out = [" ".join([order, *beside]), *(text for text in calmer if text not in beside)]
     asked = tuned.constraints or Constraints()
     for other in study.cases:
         theirs = other.robustness
@@ -387,13 +391,21 @@ def robust_advice(study: Study) -> list[str]:
     return out
 
 
-def _setting(study: Study, case: CaseResult, r: Robustness) -> str:
+def _price(r: Robustness, base: CaseResult | None) -> str:
+    """Return the valve travel on which the order depends, "" where the tuning as found is nothing to go back to."""
+    was = None if base is None else base.robustness
+    if base is None or was is None or not held(was) or was.travel_mean == 0.0:
+        return ""
+    return f" if {figure(r.travel_mean / was.travel_mean, 2)} times the valve travel of {base.name} is acceptable"
+
+
+def _setting(study: Study, case: CaseResult, r: Robustness, price: str) -> str:
     lost = "none diverges" if r.diverged == 0 else f"{r.diverged} diverge"
+    many, long = f"{r.ensemble.draws:,}", duration(r.ensemble.duration)
     return (
-        f"Set {settings_words(study, case)} ({case.name}). Over {r.ensemble.draws:,} plants and circumstances of "
-        f"{duration(r.ensemble.duration)} each that no search has seen it has mean square error "
-        f"{figure(r.mse_mean, 3)} EU² and valve travel {figure(r.travel_mean, 3)} % (means); {lost}, and Ms is at most "
-        f"{figure(r.max_sensitivity, 3)}"
+        f"Set {settings_words(study, case)} ({case.name}){price}. Over {many} plants and circumstances of {long} each "
+        f"that no search has seen it has mean square error {figure(r.mse_mean, 3)} EU² and valve travel "
+        f"{figure(r.travel_mean, 3)} % (means); {lost}, and Ms is at most {figure(r.max_sensitivity, 3)}"
     )
 
 
