@@ -332,6 +332,12 @@ def test_what_the_loader_refuses_is_said_at_the_field(paper):
     paper.type("loop.valve.d", "1")
     expect(said).to_be_hidden()
     expect(stale).to_have_count(0)
+    # A unit typed behind its number goes to the unit's own entry.
+    paper.type("loop.plant.time_constant", "0.1 min")
+    expect(paper.entry("loop.plant.time_constant")).to_have_value("0.1")
+    expect(paper.entry("loop.plant.time_constant.unit")).to_have_value("min")
+    paper.type("loop.plant.time_constant", "5 s")
+    expect(paper.entry("loop.plant.time_constant.unit")).to_have_value("s")
     paper.entry("loop.controller.action").select_option("direct")  # a warning: the run is of what stands there
     expect(paper.page.locator('[data-field="loop.controller.action"] .said')).to_contain_text("acts the wrong way")
     expect(stale).to_have_count(0)
@@ -438,6 +444,10 @@ def test_a_tuning_runs_and_another_is_stopped(paper):
     paper.type("tune.restarts", "64")
     page.click("#tune")
     expect(page.locator("#progress-words")).to_contain_text("Tuning: ")
+    # What cannot be pressed does not look as if it could.
+    expect(page.locator("#tune")).to_be_disabled()
+    ground = "el => getComputedStyle(el).backgroundColor"
+    assert page.locator("#tune").evaluate(ground) == page.locator("#suit-bounds").evaluate(ground)
     paper.picture("tuning")
     page.evaluate(
         """() => {
