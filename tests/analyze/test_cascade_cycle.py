@@ -62,6 +62,7 @@ def test_seen_alone_only_the_secondary_shows_stiction():
 def test_what_settles_and_what_runs_away():
     still = wb.cascade_cycle(flow_and_temperature(valve=wb.Ideal()), STEP)
     assert still.outcome == "settles"
+    assert still.reason == "both loops come to rest, the primary on its setpoint"
     assert still.late.primary.pv[-1] == pytest.approx(5.0, abs=1e-9)
     banded = (
         wb.PID(0.5, 80.0, compensator=wb.IntegralDeadband(2.0)),

@@ -77,7 +77,9 @@ def cascade_cycle(
             return CascadeCycle(cascade, "undecided", "PV grows without bound", late=late)
         if _still(late, band):
             error = r - late.primary.final_pv
-            reason = f"both loops come to rest, the primary with an error of {error:+.3g} EU"
+            there = abs(error) <= 10.0 * STILL * max(abs(r), band)
+            where = "on its setpoint" if there else f"with an error of {error:+.3g} EU"
+            reason = f"both loops come to rest, the primary {where}"
             return CascadeCycle(cascade, "settles", reason, late=late)
         while halves.shape[0] >= first + size:
             block = Block(halves[first : first + size], Ts)

@@ -10,7 +10,7 @@ import sys
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -477,7 +477,8 @@ def _print_study(study: Study) -> None:
     if study.cascade:
         from workbench.report.summary import summarise
 
-        summary = summarise(study)
+        # Mistakes are told as warnings.
+        summary = summarise(replace(study, mistakes=()))
         for sentence in (*summary.found, *summary.advice):
             console.print(Text(sentence))
     if not study.cases:
