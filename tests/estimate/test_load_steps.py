@@ -17,6 +17,7 @@ from workbench.estimate.loads.settled import _of_band
 from workbench.estimate.loads.steps import Stem, _beside, _refined, loads_of
 from workbench.estimate.record_fits import Fits
 from workbench.estimate.search import profile
+from workbench.estimate.search.stems import path_of
 from workbench.estimate.search.two_parameter import band_stem, best_start, fit_band
 from workbench.model.loads import LoadStep
 from workbench.model.results import FittedModel
@@ -258,3 +259,39 @@ def test_a_step_that_the_leading_stem_made_up_for_is_found_beside_one_that_leave
     (step,) = loads_of(data, lead, limits, 0, 2, strict=False, others=[dead]).steps
     assert step.at == pytest.approx(449.0 + 4.6, abs=8.0)
     assert step.size == pytest.approx(0.54, rel=0.25)
+
+
+LONG = 3600  # samples
+TIGHT = wb.Loop(wb.FOPDT(1.0, 12.0, 2.0), wb.Stenman(2.5), wb.PID(Kc=2.0, Ti=12.0), 1.0)
+
+
+def starting(seed: int) -> tuple[wb.Record, wb.Run]:
+    """A long record of a loop at rest, whose cycle an early step of the load starts."""
+    run = wb.simulate(TIGHT, wb.Experiment(float(LONG), load=wb.Step(4.0, 60.0), noise=wb.Noise(0.024, seed)))
+    return record_of(run), run
+
+
+@pytest.mark.parametrize("missed", [0, 1])
+def test_a_step_early_in_a_long_record_is_found_beside_a_stem_that_may_miss_the_slip_after_it(missed: int) -> None:
+    record, run = starting(2)
+    data, limits = centre(record, "fopdt"), Limits((0.05, float(LONG)), (0.0, 30.0))
+    first = (np.flatnonzero(np.diff(run.valve)) + 1)[missed]
+
+    def begun(first: int, _: float) -> Stem:
+        x = path_of(data.u, 2.5, first)[0]
+        fit = fit_path(data, x, first, (-math.inf, math.inf), limits, 2.0, tau=12.0)
+        return Stem(x, first, fit, lambda wider, _: path_of(data.u, 2.5 * wider, first)[0], free=1, begun=begun)
+
+    (step,) = loads_of(data, begun(int(first), 0.0), limits, 10, 2).steps
+    assert step.at == pytest.approx(62.0, abs=0.5)
+    assert step.size == pytest.approx(4.0, rel=0.02)
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_the_gain_is_known_where_an_early_step_starts_the_cycle(seed: int) -> None:
+    model, fits = fitted(starting(seed)[0], "fopdt", "stenman")
+    (step,) = fits.steps
+    assert step.at == pytest.approx(62.0, abs=0.5)
+    assert step.size == pytest.approx(4.0, rel=0.03)
+    assert model.plant.gain == pytest.approx(1.0, rel=0.01)
+    assert model.valve.stick_band == pytest.approx(2.5, rel=0.002)

@@ -50,15 +50,31 @@ def _leading(data: Centred, found: Profile | None, bands: dict[str, Found], line
         return _of_band(data, band)
     if found is None:
         return Stem(data.u, 0, linear)
+    return _of_profile(data, found)
+
+
+def _of_profile(data: Centred, found: Profile) -> Stem:
+    """The profile's best stem over the whole of a record."""
     best = found.best
-    return Stem(best.stem(data.u), best.first, best.fit, lambda wider, _: best.stem(data.u, wider), free=1)
+
+    def begun(first: int, _: float) -> Stem:
+        other = replace(best, first=first)
+        return Stem(other.stem(data.u), first, best.fit, lambda wider, _: other.stem(data.u, wider), free=1)
+
+    return replace(begun(best.first, 0.0), begun=begun)
 
 
-def _nearly(data: Centred, bands: dict[str, Found], lead: Stem) -> list[Stem]:
-    """The best stems of other valves that leave hardly more than the leading one."""
+def _nearly(data: Centred, found: Profile | None, bands: dict[str, Found], lead: Stem) -> list[Stem]:
+    """The best stems of other valves that leave hardly more than the leading one, and Stenman's.
+
+    What a step spoils, a valve of more freedom makes up for by wrong slips: Stenman's may be right and leave far more.
+    """
     most = max(lead.fit.sse, data.samples * data.floor) * math.exp(HARDLY / data.samples)
     bests = [one.best for one in bands.values()]
-    return [_of_band(data, b) for b in bests if b.fit is not lead.fit and b.fit.sse <= most]
+    stems = [_of_band(data, b) for b in bests if b.fit is not lead.fit and b.fit.sse <= most]
+    if found is not None and found.best.fit is not lead.fit and found.best.fit.gain != 0.0:
+        stems.append(_of_profile(data, found))
+    return stems
 
 
 def _of_band(data: Centred, b: Band) -> Stem:
@@ -70,6 +86,7 @@ def _of_band(data: Centred, b: Band) -> Stem:
         partial(b.stem, data.u),
         free=2 if b.J > 0.0 else 1,
         valve=(b.S, b.J, b.first, b.sense),
+        begun=lambda first, sense: _of_band(data, replace(b, first=first, sense=sense)),
     )
 
 
@@ -130,7 +147,7 @@ def settled(
         earlier, lead = lead, replace(_leading(data, found, bands, linear), times=at)
         stands = turn > 0 and _same_stem(earlier.x, lead.x)
         further = partial(stepped_stems, whole, limits, skip) if turn == 0 else None
-        others = [] if turn > 0 else _nearly(data, bands, lead)
+        others = [] if turn > 0 else _nearly(data, found, bands, lead)
         bare, loads = _relieved(whole, data, lead, limits, skip, most, further, others, strict=turn > 0)
         nearly = bool(before) and not loads.steps and turn == 1
         if nearly:

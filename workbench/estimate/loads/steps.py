@@ -28,7 +28,9 @@ __all__ = ["CLEAR", "DEGREES", "SHIFT", "Loads", "Stem", "loads_of", "steps_of"]
 
 TURNS = 6  # of least squares and output error in turn, at most
 STILL = 1e-4, 1e-3  # of the time constant, and samples of dead time: a plant that moved less in a turn stays
-LEAST_BEFORE, LEAST_AFTER = 0.02, 0.02  # of the record, that a step must have on either side
+# A step must have a share of the record on either side, and no more than so many samples: these tell PV's level,
+# however long the record goes on.
+LEAST, ENOUGH = 0.02, 20
 # A step has a size and a time, and the time is found by a search: three degrees (N. Zhang, D. Siegmund, "A modified
 # Bayes information criterion", Biometrics 63 (2007) 22-32). Beyond these "very strong" evidence (Kass, Raftery 1995).
 DEGREES, CLEAR = 3, 10.0
@@ -39,6 +41,7 @@ DEGREES, CLEAR = 3, 10.0
 WHITER, WHITE_ENOUGH, NOISE = 0.4, 5.0, 1.2
 SPREADS, EVALUATIONS = (0.03, 0.01, -0.01, 0.003), 120  # of a valve's and plant's parameters, in turn
 PLACINGS, WITHIN = 4, 1.5  # of a step's time, each by what the one before says; samples, by which it may be off then
+SLIPPED = 3  # samples about a step and the plant's dead time before it: a first slip that it may have been taken for
 SHIFT = 0.05  # a move of a dead time by one sample counts as that of a parameter by this share
 
 Valve = tuple[float, float, int, float]  # S, J, %, and the stem's start, first and sense
@@ -65,7 +68,8 @@ class Stem:
 
     near: the path of the same stem with S (or d) and J multiplied by two factors; None where the plant stays as it is.
     free: the first so many of these factors make a difference. valve: of a two-parameter stem, None of any other.
-    times: samples at which PV begins to answer load steps, where it was found beside such.
+    times: samples at which PV begins to answer load steps, where it was found beside such. begun: the same stem with
+    another first slip, of that sense.
     """
 
     x: FloatArray
@@ -75,6 +79,7 @@ class Stem:
     free: int = 0
     times: tuple[int, ...] = ()
     valve: Valve | None = None
+    begun: Callable[[int, float], Stem] | None = None
 
 
 def loads_of(
@@ -96,7 +101,8 @@ def loads_of(
     """
     n = data.samples
     nothing = Loads(np.zeros(n), np.empty((0, n)), np.zeros(n), ())
-    span = (skip + max(int(LEAST_BEFORE * n), 3), n - max(int(LEAST_AFTER * n), 8))
+    least = min(int(LEAST * n), ENOUGH)
+    span = (skip + max(least, 3), n - max(least, 8))
     if n > WHOLE or most == 0 or span[1] - span[0] <= 8 or lead.fit.gain == 0.0:
         return nothing
     bare = _beside(data, lead.x, lead.first, lead.fit, limits, skip, [])
@@ -104,8 +110,8 @@ def loads_of(
     coloured = bare.a.size > 1
 
     def explained(stem: Stem, alone: _Model) -> list[tuple[_Model, Stem]]:
-        model = _explained(data, stem, alone, limits, skip, span, most, strict)
-        return [] if model is None else [(model, stem)]
+        one = _explained(data, stem, alone, limits, skip, span, most, strict)
+        return [] if one is None else [one]
 
     def also(stems: Sequence[Stem]) -> list[tuple[_Model, Stem]]:
         alone = (_beside(data, s.x, s.first, s.fit, limits, skip, []) for s in stems)
@@ -137,10 +143,10 @@ def loads_of(
 
 def _explained(
     data: Centred, stem: Stem, model: _Model, limits: Limits, skip: int, span: tuple[int, int], most: int, strict: bool
-) -> _Model | None:
+) -> tuple[_Model, Stem] | None:
     """The model of one stem with the load steps that it needs, or None where it needs none (see `loads_of`).
 
-    model: without any.
+    model: without any. With it the stem, whose first slip may be another.
     """
     x, first, fit = stem.x, stem.first, stem.fit
     coloured = inflation(model.left[skip:])
@@ -164,10 +170,32 @@ def _explained(
             break
         model, x = moved, moved.x
         come_to[model.times] = model.bic
+    model, stem = _begun(data, stem, model, limits, skip)
     # What the record does not resolve has no colour.
     after = inflation(model.left[skip:]) if model.power(skip) > LOUD * data.floor else 0.0
     white = after <= max(min(WHITER * coloured, WHITE_ENOUGH), NOISE)
-    return model if model.times and (white or not strict) else None
+    return (model, stem) if model.times and (white or not strict) else None
+
+
+def _begun(data: Centred, stem: Stem, model: _Model, limits: Limits, skip: int) -> tuple[_Model, Stem]:
+    """The model with the first slip where a step was taken for it, if that is likelier, and the stem.
+
+    Up to its first slip the stem is anywhere: one that was missed moves PV as a step of the load does.
+    """
+    best = model, stem
+    if stem.begun is None or len(model.times) < 2:
+        return best
+    firsts, _, senses = data.starts
+    for at in model.times:
+        fewer = [other for other in model.times if other != at]
+        near = (firsts < stem.first) & (np.abs(firsts + model.fit.theta - at) <= SLIPPED)
+        for first, sense in zip(firsts[near].tolist(), senses[near].tolist(), strict=True):
+            other = stem.begun(first, sense)
+            trial = _beside(data, other.x, other.first, model.fit, limits, skip, fewer)
+            best = min(best, (trial, other), key=lambda one: one[0].bic)
+    if best[0] is not model:
+        best = _refined(data, best[1], best[0], limits, skip), best[1]
+    return best
 
 
 @dataclass(frozen=True, eq=False)
