@@ -14,7 +14,7 @@ from workbench.estimate import record_fits
 from workbench.estimate.fits.data import centre
 from workbench.estimate.fits.fit import Limits, autoregression, fit_linear, fit_path
 from workbench.estimate.loads.settled import _of_band
-from workbench.estimate.loads.steps import Stem, _beside, _refined, loads_of
+from workbench.estimate.loads.steps import Stem, _beside, _explained, _refined, loads_of
 from workbench.estimate.record_fits import Fits
 from workbench.estimate.search import profile
 from workbench.estimate.search.stems import path_of
@@ -285,6 +285,17 @@ def test_a_step_early_in_a_long_record_is_found_beside_a_stem_that_may_miss_the_
     (step,) = loads_of(data, begun(int(first), 0.0), limits, 10, 2).steps
     assert step.at == pytest.approx(62.0, abs=0.5)
     assert step.size == pytest.approx(4.0, rel=0.02)
+
+
+@pytest.mark.parametrize(("begin", "found"), [(50, True), (66, False)])
+def test_a_step_before_those_that_are_sought_is_none_at_the_first_of_them(begin: int, found: bool) -> None:
+    record, run = starting(2)
+    data, limits = centre(record, "fopdt"), Limits((0.05, float(LONG)), (0.0, 30.0))
+    first = int(np.flatnonzero(np.diff(run.valve))[0]) + 1
+    x = path_of(data.u, 2.5, first)[0]
+    fit = fit_path(data, x, first, (-math.inf, math.inf), limits, 2.0, tau=12.0)
+    stem, bare = Stem(x, first, fit), _beside(data, x, first, fit, limits, 10, [])
+    assert (_explained(data, stem, bare, limits, 10, (begin, LONG - 20), 2, False) is not None) == found
 
 
 @pytest.mark.parametrize("seed", [1, 2])

@@ -174,7 +174,9 @@ def _explained(
     # What the record does not resolve has no colour.
     after = inflation(model.left[skip:]) if model.power(skip) > LOUD * data.floor else 0.0
     white = after <= max(min(WHITER * coloured, WHITE_ENOUGH), NOISE)
-    return (model, stem) if model.times and (white or not strict) else None
+    # One as early as may be, after samples that do not count, stands for what moved PV among these.
+    hidden = skip > 0 and span[0] in model.times
+    return (model, stem) if model.times and not hidden and (white or not strict) else None
 
 
 def _begun(data: Centred, stem: Stem, model: _Model, limits: Limits, skip: int) -> tuple[_Model, Stem]:
