@@ -306,3 +306,16 @@ def test_the_gain_is_known_where_an_early_step_starts_the_cycle(seed: int) -> No
     assert step.size == pytest.approx(4.0, rel=0.03)
     assert model.plant.gain == pytest.approx(1.0, rel=0.01)
     assert model.valve.stick_band == pytest.approx(2.5, rel=0.002)
+
+
+def test_a_step_among_the_first_hundredths_of_a_levels_record_is_found() -> None:
+    level = wb.Loop(wb.Integrating(0.027, 4.3), wb.Stenman(1.3), wb.PID(Kc=0.8, Ti=150.0), 1.0)
+    run = wb.simulate(level, wb.Experiment(float(LONG), load=wb.Step(2.3, 58.0), noise=wb.Noise(0.03, 3)))
+    data, limits = centre(record_of(run), "integrating"), Limits((0.05, float(LONG)), (0.0, 30.0))
+    first = int(np.flatnonzero(np.diff(run.valve))[0]) + 1
+    x = path_of(data.u, 1.3, first)[0]
+    fit = fit_path(data, x, first, (-math.inf, math.inf), limits, 4.3, tau=1.0)
+    # What 60 samples of a ramp are beside 3,600 is a millionth of its power, and no rounding.
+    (step,) = loads_of(data, Stem(x, first, fit), limits, 10, 2).steps
+    assert step.at == pytest.approx(62.3, abs=1.0)
+    assert step.size == pytest.approx(2.3, rel=0.1)

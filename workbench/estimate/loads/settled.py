@@ -30,6 +30,7 @@ from workbench.model.record import FloatArray
 
 __all__ = ["STEPS_MOST", "coloured_linear", "led_to", "needs_steps", "settled"]
 
+HALF = 0.5  # of what a model leaves: another that leaves no more is the one to go by
 STARTING = 20  # of the record at most is left out at its start
 STEPS_MOST = 2  # load steps
 COLOURINGS = 2  # rounds of model and disturbance in turn
@@ -134,7 +135,10 @@ def settled(
     """
     whole, first = data, (found, bands, linear)
     steps: tuple[LoadStep, ...] = ()
-    theta = max(0.0 if found is None else found.best.fit.theta, min(linear.theta, delays))
+    fits = [linear, *(one.best.fit for one in (*(() if found is None else (found,)), *bands.values()))]
+    # The dead time of a model that leaves much more of PV than another is no plant's.
+    near = max(min(fit.sse for fit in fits), data.samples * data.floor) / HALF
+    theta = min(max((fit.theta for fit in fits if fit.sse <= near), default=0.0), delays)
     later = data.y[data.samples // 4 :]
     amid = bool(later.min() <= data.y[0] <= later.max())
     skip = min(math.ceil(theta) + 2, data.samples // STARTING) if amid else 0

@@ -42,6 +42,9 @@ WHITER, WHITE_ENOUGH, NOISE = 0.4, 5.0, 1.2
 SPREADS, EVALUATIONS = (0.03, 0.01, -0.01, 0.003), 120  # of a valve's and plant's parameters, in turn
 PLACINGS, WITHIN = 4, 1.5  # of a step's time, each by what the one before says; samples, by which it may be off then
 SLIPPED = 3  # samples about a step and the plant's dead time before it: a first slip that it may have been taken for
+# Of its power: a step's answer that the other columns leave less of is theirs; rounding leaves some 1e-14. Of a level,
+# the first of thousands of samples are little.
+APART = 1e-9
 SHIFT = 0.05  # a move of a dead time by one sample counts as that of a parameter by this share
 
 Valve = tuple[float, float, int, float]  # S, J, %, and the stem's start, first and sense
@@ -398,7 +401,7 @@ def _likeliest(data: Centred, model: _Model, a: FloatArray, span: tuple[int, int
     products = np.fft.irfft(np.fft.rfft(rows, size) * np.conj(np.fft.rfft(answer, size)), size)[:, slice(*span)]
     whole = np.cumsum(answer**2)[n - 1 - np.arange(*span)]
     power = whole - (products[:-1] ** 2).sum(axis=0)
-    apart = power > 1e-6 * whole
+    apart = power > APART * whole
     return span[0] + int(np.argmax(np.where(apart, products[-1] ** 2 / np.where(apart, power, 1.0), -1.0)))
 
 
