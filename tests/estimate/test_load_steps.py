@@ -319,3 +319,35 @@ def test_a_step_among_the_first_hundredths_of_a_levels_record_is_found() -> None
     (step,) = loads_of(data, Stem(x, first, fit), limits, 10, 2).steps
     assert step.at == pytest.approx(62.3, abs=1.0)
     assert step.size == pytest.approx(2.3, rel=0.1)
+
+
+@pytest.mark.parametrize(
+    ("loop", "experiment", "begin"),
+    [
+        # The stem of a search beside steps, whose first slip comes a sample late, is the one to go on from.
+        (
+            wb.Loop(wb.Integrating(0.0247, 8.4), wb.Stenman(1.0566), wb.PID(Kc=0.913, Ti=177.2), 1.0),
+            wb.Experiment(2000.0, wb.Step(0.467), wb.Step(-0.398, 1280.0)),
+            1000,
+        ),
+        # It slips first three samples early, which a second step makes up for.
+        (
+            wb.Loop(wb.Integrating(0.02452, 0.8606), wb.Stenman(1.23976), wb.PID(Kc=1.45971, Ti=111.76), 1.0),
+            wb.Experiment(1000.0, [wb.Step(0.24525), wb.Step(-0.36788, 564.0)], wb.Step(0.61834, 182.0)),
+            0,
+        ),
+    ],
+    ids=["late", "early"],
+)
+def test_a_first_slip_at_the_wrong_sample_is_moved_and_no_step_made_of_it(
+    loop: wb.Loop, experiment: wb.Experiment, begin: int
+) -> None:
+    run = wb.simulate(loop, experiment)
+    record = wb.Record(run.pv[begin:] + 50.0, run.op[begin:] + 40.0, 1.0, sp=run.sp[begin:] + 50.0)
+    model, fits = fitted(record, "integrating")
+    (step,), load = fits.steps, experiment.load
+    assert isinstance(load, wb.Step)
+    assert step.at == pytest.approx(load.at - begin + loop.plant.dead_time, abs=0.01)
+    assert step.size == pytest.approx(load.size, rel=1e-3)
+    assert model.plant.gain == pytest.approx(loop.plant.gain, rel=1e-3)
+    assert isinstance(model.valve, wb.Stenman)

@@ -21,9 +21,11 @@ from workbench.estimate.loads.coloured import colour_beside
 from workbench.estimate.loads.stepped import stepped_stems
 from workbench.estimate.loads.steps import CLEAR, DEGREES, Loads, Stem, loads_of
 from workbench.estimate.search.bands import Found
+from workbench.estimate.search.candidates import Candidate, held
 from workbench.estimate.search.models import bands_of, refitted
 from workbench.estimate.search.profile import Profile, profile_again, profile_of, search
 from workbench.estimate.search.sought import HOPELESS, Sought, coarse_of, like_stenman, sought
+from workbench.estimate.search.stems import path_of
 from workbench.estimate.search.two_parameter import Band, fit_band
 from workbench.model.loads import LoadStep
 from workbench.model.record import FloatArray
@@ -51,18 +53,24 @@ def _leading(data: Centred, found: Profile | None, bands: dict[str, Found], line
         return _of_band(data, band)
     if found is None:
         return Stem(data.u, 0, linear)
-    return _of_profile(data, found)
+    return _of_path(data, found.best)
 
 
-def _of_profile(data: Centred, found: Profile) -> Stem:
-    """The profile's best stem over the whole of a record."""
-    best = found.best
+def _of_path(data: Centred, best: Candidate) -> Stem:
+    """Stenman's stem over the whole of a record."""
 
-    def begun(first: int, _: float) -> Stem:
-        other = replace(best, first=first)
-        return Stem(other.stem(data.u), first, best.fit, lambda wider, _: other.stem(data.u, wider), free=1)
+    def near(wider: float, _: float) -> FloatArray:
+        return best.stem(data.u, wider)
 
-    return replace(begun(best.first, 0.0), begun=begun)
+    return Stem(
+        near(1.0, 1.0),
+        best.first,
+        best.fit,
+        near,
+        free=1,
+        valve=(best.d_low, math.nan, best.first, 0.0),
+        begun=lambda first, _: _of_path(data, replace(best, first=first)),
+    )
 
 
 def _nearly(data: Centred, found: Profile | None, bands: dict[str, Found], lead: Stem) -> list[Stem]:
@@ -74,7 +82,7 @@ def _nearly(data: Centred, found: Profile | None, bands: dict[str, Found], lead:
     bests = [one.best for one in bands.values()]
     stems = [_of_band(data, b) for b in bests if b.fit is not lead.fit and b.fit.sse <= most]
     if found is not None and found.best.fit is not lead.fit and found.best.fit.gain != 0.0:
-        stems.append(_of_profile(data, found))
+        stems.append(_of_path(data, found.best))
     return stems
 
 
@@ -183,7 +191,7 @@ def settled(
         if found is not None:
             likely = [*found.likely, found.best.d_low]
             if anew and not _outdone(data, found, bands):
-                found = profile_of(data, found.rows, likely, found.limits, (found.best,))
+                found = profile_of(data, found.rows, likely, found.limits, (found.best, *_stenman_of(data, loads)))
             else:
                 found = profile_again(data, found)
         if bands:
@@ -199,7 +207,7 @@ def settled(
                 coarse = [one.best for one in bands.values()]
                 if not known:
                     coarse = [*coarse_of(data, there, delays), *like_stenman(found, data, delays)]
-                if loads.beside is not None:
+                if loads.beside is not None and not math.isnan(loads.beside[0][1]):
                     (S, J, first_slip, sense), fit = loads.beside
                     coarse.append(fit_band(data, S, J, (first_slip, sense), limits, (fit.tau, fit.theta)))
                 bands = bands_of(data, coarse, there, limits, there.rival(other), only_any, bands)
@@ -216,6 +224,14 @@ def settled(
             coarse = [one.best for one in bands.values()]
             bands = bands_of(data, coarse, there, limits, there.rival(other), before=bands)
     return data, found, bands, linear, steps
+
+
+def _stenman_of(data: Centred, loads: Loads) -> list[Candidate]:
+    """Stenman's stem that load steps were found beside, if it was one."""
+    if loads.beside is None or not math.isnan(loads.beside[0][1]):
+        return []
+    (d, _, first, _), fit = loads.beside
+    return [held(data, Candidate(first, d, d, path_of(data.u, d, first)[1], fit))]
 
 
 def led_to(data: Centred, was: dict[str, Found], bands: dict[str, Found], limits: Limits) -> dict[str, Found]:

@@ -306,6 +306,14 @@ def _stem(search: _Search, one: _Found) -> Stem:
             return path_of(data.u, one.S * wider, one.first)[0]
         return band_stem(data.u, one.S * wider, one.J * further, one.first, one.sense)[0]
 
-    valve = None if math.isnan(one.J) else (one.S, one.J, one.first, one.sense)
     free = 2 if one.J > 0.0 else 1
-    return Stem(near(1.0, 1.0), max(one.first, 0), fit, near, free, (one.at * every,), valve)
+    return Stem(
+        near(1.0, 1.0),
+        max(one.first, 0),
+        fit,
+        near,
+        free,
+        times=(one.at * every,),
+        valve=(one.S, one.J, one.first, one.sense),
+        begun=lambda first, sense: _stem(search, replace(one, first=first, sense=sense)),
+    )

@@ -47,7 +47,7 @@ SLIPPED = 3  # samples about a step and the plant's dead time before it: a first
 APART = 1e-9
 SHIFT = 0.05  # a move of a dead time by one sample counts as that of a parameter by this share
 
-Valve = tuple[float, float, int, float]  # S, J, %, and the stem's start, first and sense
+Valve = tuple[float, float, int, float]  # S, J, %, and the stem's start, first and sense; J nan for Stenman's of d = S
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,7 +70,7 @@ class Stem:
     """A stem path x, shape (N,), its first slip, the plant fitted to it, and the paths of valves near its own.
 
     near: the path of the same stem with S (or d) and J multiplied by two factors; None where the plant stays as it is.
-    free: the first so many of these factors make a difference. valve: of a two-parameter stem, None of any other.
+    free: the first so many of these factors make a difference. valve: None of OP itself.
     times: samples at which PV begins to answer load steps, where it was found beside such. begun: the same stem with
     another first slip, of that sense.
     """
@@ -122,7 +122,7 @@ def loads_of(
 
     found = [*explained(lead, bare), *also(others)]
     # Slips that leave noise alone beside steps are the right ones; what a wrong dead band leaves, its plant takes.
-    slips = (model.a.size == 1 and s.near is not None and (s.valve is None or s.valve[1] > 0.0) for model, s in found)
+    slips = (model.a.size == 1 and s.near is not None and (s.valve is None or s.valve[1] != 0.0) for model, s in found)
     if further is not None and coloured and not any(slips):
         found += also(further(span))
     model, stem = min(found, key=lambda one: one[0].bic, default=(None, lead))
@@ -185,7 +185,8 @@ def _explained(
 def _begun(data: Centred, stem: Stem, model: _Model, limits: Limits, skip: int) -> tuple[_Model, Stem]:
     """The model with the first slip where a step was taken for it, if that is likelier, and the stem.
 
-    Up to its first slip the stem is anywhere: one that was missed moves PV as a step of the load does.
+    Up to its first slip the stem is anywhere: one that was missed, or comes at the wrong sample, moves PV as a step of
+    the load does.
     """
     best = model, stem
     if stem.begun is None or len(model.times) < 2:
@@ -193,7 +194,7 @@ def _begun(data: Centred, stem: Stem, model: _Model, limits: Limits, skip: int) 
     firsts, _, senses = data.starts
     for at in model.times:
         fewer = [other for other in model.times if other != at]
-        near = (firsts < stem.first) & (np.abs(firsts + model.fit.theta - at) <= SLIPPED)
+        near = (firsts != stem.first) & (np.abs(firsts + model.fit.theta - at) <= SLIPPED)
         for first, sense in zip(firsts[near].tolist(), senses[near].tolist(), strict=True):
             other = stem.begun(first, sense)
             trial = _beside(data, other.x, other.first, model.fit, limits, skip, fewer)
@@ -326,7 +327,7 @@ def _refined(data: Centred, stem: Stem, model: _Model, limits: Limits, skip: int
 
     def valve(point: FloatArray) -> tuple[FloatArray, Fit]:
         tau = min(max(model.fit.tau * grown(point[2]), limits.tau[0]), limits.tau[1])
-        theta = min(max(model.fit.theta + point[3] / SHIFT, limits.theta[0]), limits.theta[1])
+        theta = min(max(model.fit.theta + float(point[3]) / SHIFT, limits.theta[0]), limits.theta[1])
         return near(grown(point[0]), grown(point[1])), replace(model.fit, tau=tau, theta=theta)
 
     # A step between samples is one at either, in part.
