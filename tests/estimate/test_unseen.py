@@ -118,6 +118,21 @@ def test_a_dead_band_that_is_likelier_than_the_linear_loop_is_told_and_not_acqui
     assert isinstance(wb.estimate(record, plant="fopdt", valve="deadband").valve, wb.Deadband)
 
 
+def test_a_wide_dead_band_that_the_linear_loops_colour_hides_is_told_and_not_acquitted() -> None:
+    plant = wb.FOPDT(1.15751, 8.76474, 1.20639)
+    loop = wb.Loop(plant, wb.Deadband(3.45822), wb.PID(Kc=0.667897, Ti=11.4104), 1.0)
+    moves = [wb.Step(11.5945), wb.Step(-17.3917, at=1688.0)]
+    run = wb.simulate(loop, wb.Experiment(2000.0, moves, wb.Step(-1.23474, 1436.0), wb.Noise(0.348, 0)))
+    record = wb.Record(run.pv[1000:] + 50.0, run.op[1000:] + 40.0, 1.0, sp=run.sp[1000:] + 50.0)
+    found = wb.estimate(record, plant="fopdt")
+    # The linear loop leaves little of PV, and in the measure of that the band does not leave less; it leaves noise.
+    assert "a sticking stem has nothing to explain" in " ".join(found.reasons)
+    assert found.verdict == "undecided"
+    assert found.reasons[0].startswith("a stem that sticks over ")
+    assert found.valve.stick_band == pytest.approx(3.45822, rel=0.2)
+    assert_held(found, plant)
+
+
 def test_how_far_a_dead_band_is_ahead_of_the_linear_loop_is_that_of_their_sums_of_squares() -> None:
     ahead = []
     for valve in (wb.Ideal(), wb.Deadband(0.8)):

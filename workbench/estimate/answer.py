@@ -15,7 +15,7 @@ from workbench.detect.stem import WIDE
 from workbench.detect.stem_search import Fitted
 from workbench.detect.verdict import beyond_doubt
 from workbench.estimate.fits.data import plant_of
-from workbench.estimate.fits.fit import LEAST_TAU, Limits, fit_nothing
+from workbench.estimate.fits.fit import LEAST_TAU, Limits, autoregression, fit_nothing, grounded, predict
 from workbench.estimate.fits.sureness import ENOUGH_SLIPS
 from workbench.estimate.loads.settled import coloured_linear
 from workbench.estimate.loads.steps import CLEAR, DEGREES
@@ -35,7 +35,7 @@ from workbench.estimate.ranges.scale import (
     unknown,
     without_jump,
 )
-from workbench.estimate.ranges.unseen import Unseen, unseen, words_of_likelier, words_of_unseen
+from workbench.estimate.ranges.unseen import unseen, words_of_likelier, words_of_unseen
 from workbench.estimate.record_fits import Fits, about, closely, first_fits, likelier_pair, sound, with_ranges
 from workbench.estimate.search.bands import Bands
 from workbench.estimate.search.candidates import Candidate
@@ -66,6 +66,7 @@ from workbench.record.modes import manual_share, mode_words
 __all__ = ["answer_of"]
 
 BARE_MENTION = 2.0  # of BIC: up to it a difference is "not worth more than a bare mention" (R. Kass, A. Raftery, 1995)
+WHITER = 3  # of the first two-parameter stems, that may be likelier than a linear loop which leaves colour
 MUCH_MANUAL = 0.05  # share of the record in manual that is worth a word
 
 
@@ -326,46 +327,72 @@ def _told_straight(loop: _Asked, fits: Fits, said: _Said) -> Answered[Estimate]:
     ranges, others = linear_intervals(data, linear, loop.line.longest), tuple[Intervals, ...]()
     if loop.blind and ranges != Intervals():
         said, others = said._replace(reasons=(*said.reasons, WORDS_OF_BLIND)), (unknown(answer.plant),)
-    elif (
-        loop.valve != "linear" and not loop.two_step and (found := unseen(data, linear, loop.line.longest, loop.loaded))
-    ):
-        words, others = words_of_unseen(found, ranges, data.integrating), (found.plant,)
-        # Who is acquitted hides no band over much of OP's range, unless the plant is the same.
-        doubt = bool(words) and said.verdict == "no_stiction" and found.band >= WIDE * data.op_range
-        # Of what real healthy loops leave, coloured as it is, a narrow band may take as much by chance.
-        asked = doubt or said.verdict == "undecided" or data.a.size == 1
-        banded = _told_band(loop, fits, (*words, *said.reasons), found) if asked else None
+    elif loop.valve != "linear" and not loop.two_step:
+        found = unseen(data, linear, loop.line.longest, loop.loaded)
+        words: tuple[str, ...] = ()
+        seed, doubt, asked = _whiter(loop, fits), False, False
+        if found is not None:
+            words, others = words_of_unseen(found, ranges, data.integrating), (found.plant,)
+            # Who is acquitted hides no band over much of OP's range, unless the plant is the same.
+            doubt = bool(words) and said.verdict == "no_stiction" and found.band >= WIDE * data.op_range
+            # Of what real healthy loops leave, coloured as it is, a narrow band may take as much by chance.
+            asked = doubt or said.verdict == "undecided" or data.a.size == 1
+            asked = asked and found.ahead >= math.log(data.samples) + CLEAR
+            seed = found.best if asked else seed
+        banded = None if seed is None else _told_band(loop, fits, (*words, *said.reasons), seed, not asked)
         if banded is not None:
-            return banded
+            return banded._replace(others=(*banded.others, *others))
         reasons = (*words, *said.reasons) if doubt else (*said.reasons, *words)
         said = said._replace(verdict="undecided" if doubt else said.verdict, reasons=reasons)
     told = _linear_estimate(loop, replace(fits, steps=steps), said, answer)
     return Answered(replace(told, intervals=ranges), linear_path(data, linear), data, others)
 
 
-def _told_band(loop: _Asked, fits: Fits, reasons: tuple[str, ...], found: Unseen) -> Answered[Estimate] | None:
-    """The answer whose model is the dead band that is likelier than the linear loop, or None where none clearly is.
+def _whiter(loop: _Asked, fits: Fits) -> Band | None:
+    """The two-parameter stem that is much likelier than a linear loop that does not leave noise alone, or None.
+
+    Each is in the measure of what it leaves itself: in that of the other the true stem, too, may leave no less.
+    """
+    linear = loop.coloured[0]
+    if linear.a.size == 1:
+        return None
+    data, steps = fits.data, loop.coloured[2] if fits.data is linear else fits.steps
+    paid = DEGREES * len(steps) * math.log(data.samples) + CLEAR
+    likelier: list[tuple[float, Band]] = []
+    for b in (*(one.best for one in fits.bands.values()), *fits.coarse[:WHITER]):
+        x = b.stem(data.u)
+        left = data.y - predict(data, x, b.begin, grounded(data, x, b.begin, b.fit))[0]
+        free = (2 if b.J > 0.0 else 1) * math.log(data.samples)
+        likelier += [(autoregression(left[data.skip :], data.floor)[1] + free + paid, b)] if b.fit.gain != 0.0 else []
+    least, best = min(likelier, key=lambda one: one[0], default=(math.inf, None))
+    return best if least < level(*loop.coloured) else None
+
+
+def _told_band(
+    loop: _Asked, fits: Fits, reasons: tuple[str, ...], seed: Band, alone: bool
+) -> Answered[Estimate] | None:
+    """The answer whose model is a valve (S, J) that is likelier than the linear loop, or None where none clearly is.
 
     Each has the load steps that it needs. Nothing else accuses the valve, which is not acquitted then. reasons: for the
-    linear loop.
+    linear loop; seed: the stem that the search goes on from; alone: it has to leave noise alone. Of what real healthy
+    loops leave no stem does, though it may take some of that by chance.
     """
     bare, linear, _ = loop.coloured
-    if loop.valve not in ("auto", "deadband") or found.ahead < math.log(bare.samples) + CLEAR:
+    if loop.valve not in ("auto", "deadband"):
         return None
-    fits = about(fits, loop.line.data, bare, found.best, linear)
+    fits = about(fits, loop.line.data, bare, seed, linear)
     chosen = choose(fits.models, loop.valve)
     if chosen not in fits.bands:
         return None
     fits, ranged = with_ranges(fits, chosen)
     b, free = ranged.best, VALVE_PARAMETERS[chosen] * math.log(bare.samples)
     ahead = level(*loop.coloured) - level(fits.data, b.fit, fits.steps)
-    if b.fit.gain == 0.0 or ahead < free + CLEAR:
+    if b.fit.gain == 0.0 or ahead < free + CLEAR or (alone and fits.data.a.size > 1):
         return None
     fits = replace(fits, bands=fits.bands | {chosen: replace(fits.bands[chosen], best=b)})
     stem = band_of(fits.data, ranged, chosen, fits.limits)
     said = _Said("undecided", (words_of_likelier(fits.models[chosen].valve, 0.5 * ahead), *reasons), identifiable=False)
-    answered = _told_stem(loop, fits, chosen, b, said, stem, ranged, None)
-    return answered._replace(others=(*answered.others, found.plant))
+    return _told_stem(loop, fits, chosen, b, said, stem, ranged, None)
 
 
 def _told_stem(

@@ -187,14 +187,14 @@ def sound(fits: Fits, valve: str, data: Centred, linear: Fit) -> Fits:
 
 
 def about(fits: Fits, whole: Centred, data: Centred, band: Band, linear: Fit) -> Fits:
-    """Return the models of a loop in which a dead band was found beside a linear loop, searched on from there.
+    """Return the models of a loop in which a stem was found beside a linear loop, searched on from there.
 
     whole: the record with its load steps; data, linear: without those that the linear loop was found beside, and its
     fit there.
     """
     limits, delays = fits.limits, fits.limits.theta[1]
     within = fits.seen_in(data)
-    seed = fit_band(data, band.S, 0.0, (band.first, band.sense), limits, (band.fit.tau, band.fit.theta))
+    seed = fit_band(data, band.S, band.J, (band.first, band.sense), limits, (band.fit.tau, band.fit.theta))
     bands = bands_of(data, [seed], within, limits, linear.sse)
     there, _, own, linear, steps = settled(whole, None, bands, linear, delays, within)
     found = fits.found
