@@ -224,14 +224,16 @@ def _weighed(
     if seen.test is not None and seen.test.steps:
         # A step of the load that was missed, or is not quite where it was, moves the gain.
         said = said._replace(identifiable=False, sure=False)
-    known = fits.best(chosen) if not loop.two_step and chosen in STICKING else None
+    # Where a linear loop is asked for, the likeliest stem is what accuses the valve.
+    accused = chosen if chosen in STICKING else next((name for name in fits.models if name in STICKING), "")
+    known = None if loop.two_step or not accused else fits.best(accused)
     if known is None:
         return said, None
     times = tuple(round(step.at / fits.data.sample_time) for step in fits.steps)
     rival = cache(lambda: rival_of(fits.data, known.fit, loop.line, times))
     # Without steps of its own a stem that nothing else accuses may be no more than the likeness of one.
     if not (seen.test is not None and beyond_doubt(seen.test)) if said.verdict == "stiction" else bool(fits.steps):
-        pairs = (known.fit, fits.models[chosen]), (fits.linear, fits.models["linear"])
+        pairs = (known.fit, fits.models[accused]), (fits.linear, fits.models["linear"])
         verdict, reason = weighed(fits.data, *pairs, rival, said.verdict, seen.verdict != "stiction")
         if reason:
             said = _Said(verdict, (reason, *said.reasons), identifiable=False, sure=False)
