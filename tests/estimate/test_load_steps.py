@@ -11,10 +11,11 @@ import pytest
 import workbench as wb
 from workbench.cli.output import estimate_lines
 from workbench.estimate import record_fits
-from workbench.estimate.fits.data import centre
+from workbench.estimate.fits.data import Centred, centre
 from workbench.estimate.fits.fit import Limits, autoregression, fit_linear, fit_path
+from workbench.estimate.loads import settled as turns
 from workbench.estimate.loads.settled import _of_band
-from workbench.estimate.loads.steps import Stem, _beside, _explained, _refined, loads_of
+from workbench.estimate.loads.steps import Loads, Stem, _beside, _explained, _refined, loads_of
 from workbench.estimate.record_fits import Fits
 from workbench.estimate.search import profile
 from workbench.estimate.search.stems import path_of
@@ -306,6 +307,27 @@ def test_the_gain_is_known_where_an_early_step_starts_the_cycle(seed: int) -> No
     assert step.size == pytest.approx(4.0, rel=0.03)
     assert model.plant.gain == pytest.approx(1.0, rel=0.01)
     assert model.valve.stick_band == pytest.approx(2.5, rel=0.002)
+
+
+@pytest.mark.parametrize("doubt", [0.0, 0.01])
+def test_what_is_left_out_at_the_start_is_the_dead_time_of_a_model_that_explains_pv(
+    doubt: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    class Asked(Exception):
+        """The samples that are left out are known."""
+
+    def asked(data: Centred, lead: Stem, limits: Limits, skip: int, *_: object, **__: object) -> Loads:
+        raise Asked(skip)
+
+    data = replace(centre(starting(2)[0], "fopdt"), doubt=doubt)
+    linear, found = fit_linear(data, 240.0), profile.search(data, 30.0)
+    assert found is not None
+    assert found.best.fit.sse < 0.5 * linear.sse
+    longest = max(linear.theta, found.best.fit.theta) if doubt else found.best.fit.theta
+    monkeypatch.setattr(turns, "loads_of", asked)
+    with pytest.raises(Asked) as known:
+        turns.settled(data, found, {}, linear, 30.0, record_fits.sought(data, 30.0, found.best.fit, contested=False))
+    assert known.value.args == (math.ceil(min(longest, 30.0)) + 2,)
 
 
 def test_a_step_among_the_first_hundredths_of_a_levels_record_is_found() -> None:

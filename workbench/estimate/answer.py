@@ -428,8 +428,9 @@ def _told_stem(
         reasons += tuple(words_of_rival(name, ranges, data.integrating) for name, ranges in rivals.items())
     plant = plant_of(data, best.fit.gain, best.fit.tau, best.fit.theta)
     if rival is not None:
-        straight = rival.answered.settled, rival.answered.paths[0].fit
-        others += (unknown(plant) if loop.blind else linear_intervals(*straight, loop.line.longest),)
+        # As the likeliest rival and as it would be told by itself.
+        straight = (rival.answered.settled, rival.answered.paths[0].fit), loop.coloured[:2]
+        others += (unknown(plant),) if loop.blind else tuple(linear_intervals(*o, loop.line.longest) for o in straight)
         reasons += (WORDS_OF_BLIND if loop.blind else WORDS_OF_STRAIGHT,)
     answer = _linear_estimate(loop, fits, said._replace(reasons=reasons), loop.white)
     # Of the prediction itself: where the model's columns are nearly dependent, the normal equations lose digits.

@@ -144,8 +144,9 @@ def settled(
     whole, first = data, (found, bands, linear)
     steps: tuple[LoadStep, ...] = ()
     fits = [linear, *(one.best.fit for one in (*(() if found is None else (found,)), *bands.values()))]
-    # The dead time of a model that leaves much more of PV than another is no plant's.
-    near = max(min(fit.sse for fit in fits), data.samples * data.floor) / HALF
+    # The dead time of a model that leaves much more of PV than another is no plant's. Under an OP in steps what slips
+    # first is not known either, and the longest leaves it out.
+    near = max(min(fit.sse for fit in fits), data.samples * data.floor) / HALF if data.doubt == 0.0 else math.inf
     theta = min(max((fit.theta for fit in fits if fit.sse <= near), default=0.0), delays)
     later = data.y[data.samples // 4 :]
     amid = bool(later.min() <= data.y[0] <= later.max())
