@@ -8,7 +8,7 @@ does not count.
 
 Printed for each class: how many have stick band and gain within 5 %; of the others in how many the truth is likelier,
 and in how many not, and how many of them are called identified; in how many the truth is likelier though both are
-within 5 %.
+within 5 %. A line for each whose search failed.
 
 Run: python benchmarks/estimation_truth.py [LOOPS [SEED]]
 """
@@ -52,7 +52,12 @@ def main(loops: int, seed: int) -> None:
                     found = wb.estimate(c.record, plant=plant)
                     off = errors(c, found)
                     right = all(abs(off[name]) <= CLOSE[name] for name in ("S", "K"))
-                    rows.append((right, ahead(c, found) > LIKELIER, found.identifiable))
+                    behind = ahead(c, found)
+                    rows.append((right, behind > LIKELIER, found.identifiable))
+                    if behind > LIKELIER:
+                        steps = [f"{step.size:.3g} at {step.at:.4g} s" for step in found.load_steps]
+                        print(f"  {behind:.0f} behind: {c.loop.valve}, {c.loop.plant}, load {c.experiment.load}, from")
+                        print(f"    {c.skip} s on; found {found.valve}, {found.plant}, load {', '.join(steps) or None}")
             wrong = [row for row in rows if not row[0]]
             print(
                 f"{kind}, {plant}, {'with a load step' if load else 'without load'}: {len(rows) - len(wrong)} of "
