@@ -2,13 +2,13 @@
 
 Random loops of `estimation.py` with noise of 1 to 5 % of PV's swing and four slips or more, the kind of plant named.
 What the true model leaves of PV is the noise that was drawn, known sample by sample. A found model that leaves more, by
-10 of `N log V` ("very strong" evidence), missed a likelier one: the search failed. One that leaves no more is as likely
-as the truth, however far off its parameters are. The first twentieth of a record, which may answer to slips before it,
-does not count.
+10 of `N log V` ("very strong" evidence), missed a likelier one: the search failed, or a start that a fit leaves out is
+felt beyond it. One that leaves no more is as likely as the truth, however far off its parameters are. The first
+twentieth of a record, which may answer to slips before it, does not count.
 
 Printed for each class: how many have stick band and gain within 5 %; of the others in how many the truth is likelier,
 and in how many not, and how many of them are called identified; in how many the truth is likelier though both are
-within 5 %. A line for each whose search failed.
+within 5 %. Two lines for each that the truth is ahead of.
 
 Run: python benchmarks/estimation_truth.py [LOOPS [SEED]]
 """

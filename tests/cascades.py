@@ -1,4 +1,4 @@
-"""Random cascades for property tests, and an independent simulator of them in plain Python."""
+"""A cascade as a scenario, random ones for property tests, and an independent simulator of them in plain Python."""
 
 from __future__ import annotations
 
@@ -9,6 +9,24 @@ from hypothesis import strategies as st
 from loops import numbers
 
 import workbench as wb
+
+TWO_LOOPS = """\
+title: Two loops
+cascade:
+  primary:
+    plant: {type: fopdt, gain: 1.2, time_constant: 30 s, dead_time: 5 s}
+    controller: {Kc: 1.5, Ti: 40 s}
+    sample_time: 5 s
+  secondary:
+    plant: {type: fopdt, gain: 1.0, time_constant: 5 s, dead_time: 1 s}
+    valve: {type: stenman, d: 1.0}
+    controller: {Kc: 0.5, Ti: 5 s}
+    sample_time: 1 s
+experiment: {duration: 200 s, setpoint: {step: 2, at: 0 s}}
+cases:
+  - {name: As found}
+analyze: {limit_cycle: false}
+"""
 
 
 def flow_and_temperature(

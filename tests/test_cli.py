@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import typer.core
+from cascades import TWO_LOOPS
 from typer.testing import CliRunner
 
 import workbench as wb
@@ -344,28 +345,9 @@ def test_a_controller_that_acts_the_wrong_way_is_said(folder: Path) -> None:
     assert err.startswith("good.yaml: warning: Case 1: the controller acts the wrong way")
 
 
-CASCADE = """\
-title: Two loops
-cascade:
-  primary:
-    plant: {type: fopdt, gain: 1.2, time_constant: 30 s, dead_time: 5 s}
-    controller: {Kc: 1.5, Ti: 40 s}
-    sample_time: 5 s
-  secondary:
-    plant: {type: fopdt, gain: 1.0, time_constant: 5 s, dead_time: 1 s}
-    valve: {type: stenman, d: 0.02}
-    controller: {Kc: 0.5, Ti: 5 s}
-    sample_time: 1 s
-experiment: {duration: 100 s, setpoint: {step: 2, at: 0 s}}
-cases:
-  - {name: As found}
-analyze: {limit_cycle: false}
-"""
-
-
 @pytest.mark.usefixtures("undrawn")
 def test_what_a_cascade_most_likely_means_otherwise_is_a_warning_told_once(folder: Path) -> None:
-    (folder / "two.yaml").write_text(CASCADE)
+    (folder / "two.yaml").write_text(TWO_LOOPS.replace("d: 1.0", "d: 0.02"))
     code, out, err = call("check", "two.yaml")
     words = "warning: cascade.secondary.valve sticks over 0.02 % of travel, less than a good valve resolves (0.1 %)"
     assert (code, out) == (0, "two.yaml: ok (1 cascade case)\n")

@@ -7,6 +7,7 @@ import json
 from pathlib import Path
 
 import pytest
+from cascades import TWO_LOOPS
 from typer.testing import CliRunner
 
 from workbench.cli import app
@@ -23,23 +24,6 @@ objective: {w1: 0.5, w3: 0.5}
 cases:
   - {name: Case 1, Kc: 0.5, Ti: 20 s}
   - {name: "[bold]=Case 2", Kc: 0.5, Ti: 200 s}
-analyze: {limit_cycle: false}
-"""
-CASCADE = """\
-title: Two loops
-cascade:
-  primary:
-    plant: {type: fopdt, gain: 1.2, time_constant: 30 s, dead_time: 5 s}
-    controller: {Kc: 1.5, Ti: 40 s}
-    sample_time: 5 s
-  secondary:
-    plant: {type: fopdt, gain: 1.0, time_constant: 5 s, dead_time: 1 s}
-    valve: {type: stenman, d: 1.0}
-    controller: {Kc: 0.5, Ti: 5 s}
-    sample_time: 1 s
-experiment: {duration: 200 s, setpoint: {step: 2, at: 0 s}}
-cases:
-  - {name: As found}
 analyze: {limit_cycle: false}
 """
 
@@ -95,7 +79,7 @@ def test_base_and_cases_are_chosen(reports: Path) -> None:
 
 @pytest.mark.usefixtures("undrawn")
 def test_a_cascades_loops_stand_apart(tmp_path: Path) -> None:
-    (tmp_path / "both.yaml").write_text(CASCADE)
+    (tmp_path / "both.yaml").write_text(TWO_LOOPS)
     assert call("run", tmp_path / "both.yaml", "--out", tmp_path)[0] == 0
     code, said, _ = call("compare", tmp_path / "both", "--out", tmp_path / "out")
     assert code == 0

@@ -66,7 +66,7 @@ from workbench.record.modes import manual_share, mode_words
 __all__ = ["answer_of"]
 
 BARE_MENTION = 2.0  # of BIC: up to it a difference is "not worth more than a bare mention" (R. Kass, A. Raftery, 1995)
-WHITER = 3  # of the first two-parameter stems, that may be likelier than a linear loop which leaves colour
+FIRST_STEMS = 3  # that may be likelier than a linear loop which leaves colour, beside the best of each kind
 MUCH_MANUAL = 0.05  # share of the record in manual that is worth a word
 
 
@@ -332,16 +332,17 @@ def _told_straight(loop: _Asked, fits: Fits, said: _Said) -> Answered[Estimate]:
     elif loop.valve != "linear" and not loop.two_step:
         found = unseen(data, linear, loop.line.longest, loop.loaded)
         words: tuple[str, ...] = ()
-        seed, doubt, asked = _whiter(loop, fits), False, False
+        seed, doubt = None, False
         if found is not None:
             words, others = words_of_unseen(found, ranges, data.integrating), (found.plant,)
             # Who is acquitted hides no band over much of OP's range, unless the plant is the same.
             doubt = bool(words) and said.verdict == "no_stiction" and found.band >= WIDE * data.op_range
             # Of what real healthy loops leave, coloured as it is, a narrow band may take as much by chance.
             asked = doubt or said.verdict == "undecided" or data.a.size == 1
-            asked = asked and found.ahead >= math.log(data.samples) + CLEAR
-            seed = found.best if asked else seed
-        banded = None if seed is None else _told_band(loop, fits, (*words, *said.reasons), seed, not asked)
+            seed = found.best if asked and found.ahead >= math.log(data.samples) + CLEAR else None
+        alone = seed is None
+        seed = seed or _whiter(loop, fits)
+        banded = None if seed is None else _told_band(loop, fits, (*words, *said.reasons), seed, alone)
         if banded is not None:
             return banded._replace(others=(*banded.others, *others))
         reasons = (*words, *said.reasons) if doubt else (*said.reasons, *words)
@@ -361,7 +362,7 @@ def _whiter(loop: _Asked, fits: Fits) -> Band | None:
     data, steps = fits.data, loop.coloured[2] if fits.data is linear else fits.steps
     paid = DEGREES * len(steps) * math.log(data.samples) + CLEAR
     likelier: list[tuple[float, Band]] = []
-    for b in (*(one.best for one in fits.bands.values()), *fits.coarse[:WHITER]):
+    for b in (*(one.best for one in fits.bands.values()), *fits.coarse[:FIRST_STEMS]):
         x = b.stem(data.u)
         left = data.y - predict(data, x, b.begin, grounded(data, x, b.begin, b.fit))[0]
         free = (2 if b.J > 0.0 else 1) * math.log(data.samples)
