@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from workbench.simulate.compiled import compiled, written_out
+from workbench.simulate.compiled import compiled, place, written_out
 from workbench.simulate.kernel import (
     BAND,
     BAND_DOWN,
@@ -95,10 +95,9 @@ def _abreast(
         band, offset = -1.0, 0.0
     for k in range(r.size):
         r_now, load_now, noise_now = r[k], load[k], noise[k]
-        # Views: an index that may be negative would be looked at for each lane.
-        far, near, now = v[k * LANES :], v[(k + 1) * LANES :], v[(k + m + 2) * LANES :]
+        far, near, now = place(k * LANES), place((k + 1) * LANES), place((k + m + 2) * LANES)
         for j in range(LANES):
-            plant = a * lanes[_Y + j] + gain * (c0 * near[j] + c1 * far[j])
+            plant = a * lanes[_Y + j] + gain * (c0 * v[near + place(j)] + c1 * v[far + place(j)])
             measured = plant + noise_now
             e = r_now - measured
             s = -measured if on_pv else e
@@ -126,7 +125,7 @@ def _abreast(
             lanes[_OP2 + j] += out * out
             lanes[_MOVES2 + j] += (out - u_last) * (out - u_last)
             lanes[_TRAVEL + j] += abs(x - x_last)
-            now[j] = x + load_now
+            v[now + place(j)] = x + load_now
         if first and k == 0:
             # J counts the errors from sample 1 on.
             lanes[_ERROR2 : _ERROR2 + LANES] = 0.0

@@ -14,12 +14,15 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["compiled", "copy", "fused", "specialised", "written_out"]
+__all__ = ["compiled", "copy", "fused", "place", "specialised", "written_out"]
 
 P = ParamSpec("P")
 R = TypeVar("R")
 T = TypeVar("T")
 IMPORT = re.compile(r"^from (\S+) import (\([^)]*\)|.*)", re.MULTILINE)
+# A place in an array, which does not count from its end: what is added to one must be one too. In a loop over samples
+# a slice instead costs some 50 ns, as each is counted as a reference that is held.
+place = np.uintp
 CONSTANT = (int, float, tuple, np.generic, np.ndarray)  # what compiled code holds as it was then
 
 

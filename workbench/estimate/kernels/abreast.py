@@ -23,7 +23,7 @@ from workbench.estimate.kernels.output_error import (
     start_rests,
     transient_at,
 )
-from workbench.simulate.compiled import compiled, copy, written_out
+from workbench.simulate.compiled import compiled, copy, place, written_out
 
 __all__ = ["LANES", "LINE", "ROW", "walk_bands"]
 
@@ -54,18 +54,20 @@ WORTH = 1.5  # steps left of a line, as long as its last, for which an idle lane
 
 
 @written_out
-def _stems(op: Floats, lanes: Floats, x: Floats, count: int) -> None:
-    """`count` samples of the lanes' stems: `path_kernel.band_path` without branches.
+def _stem(op: Floats, first: int, lanes: Floats, x: Floats, at: int, count: int) -> None:
+    """`count` samples of the lanes' stems, OP's from `first` on, written from x's row `at`: `path_kernel.band_path`.
 
-    Each choice has one comparison: such as are made of several are slow where vectors are of four numbers.
+    Without branches, and each choice has one comparison: such as are made of several are slow where vectors are of four
+    numbers.
     """
+    there, here = place(first * LANES), place(at * LANES)
     for j in range(LANES):
         S, J, along_j = lanes[_BACK + j], lanes[_ON + j], lanes[_ALONG_J + j] > 0.0
         offset, edge_on, edge_back = 0.5 * (S - J), J if along_j else NEVER, NEVER if along_j else S
         led, sense, motion, last = lanes[_LED + j], lanes[_SENSE + j], lanes[_MOTION + j], lanes[_LAST + j]
         edge, slips = lanes[_EDGE + j], lanes[_SLIPS + j]
         for i in range(count):
-            v = op[i * LANES + j]
+            v = op[there + place(i * LANES + j)]
             goes_on = motion * (v - last) > 0.0
             # A stem that goes on is led as one that slips on is, over an edge of no size.
             on = NEVER if goes_on else (v - led) * sense
@@ -81,38 +83,41 @@ def _stems(op: Floats, lanes: Floats, x: Floats, count: int) -> None:
             motion = -sense if on < -S else motion
             sense = -sense if on < -S else sense
             last = v
-            x[i * LANES + j] = led - sense * offset
+            x[here + place(i * LANES + j)] = led - sense * offset
         lanes[_LED + j], lanes[_SENSE + j], lanes[_MOTION + j], lanes[_LAST + j] = led, sense, motion, last
         lanes[_EDGE + j], lanes[_SLIPS + j] = edge, slips
 
 
 @compiled
-def _stems_stride(op: Floats, lanes: Floats, x: Floats) -> None:
-    _stems(op, lanes, x, STRIDE)
-
-
-@compiled
-def _stems_rest(op: Floats, lanes: Floats, x: Floats, count: int) -> None:
-    _stems(op, lanes, x, count)
+def _stems(op: Floats, first: int, lanes: Floats, x: Floats, at: int, rows: int) -> None:
+    """The lanes' stems in `rows` samples."""
+    i = 0
+    while i + STRIDE <= rows:
+        _stem(op, first + i, lanes, x, at + i, STRIDE)
+        i += STRIDE
+    while i < rows:
+        _stem(op, first + i, lanes, x, at + i, 1)
+        i += 1
 
 
 @written_out
-def _sums(y: Floats, w: Floats, added: Floats, lanes: Floats, count: int, late: bool) -> None:
-    """`count` samples of the lanes' responses to w, and their products; late: start and transient have died out.
+def _sum(y: Floats, first: int, w: Floats, added: Floats, at: int, lanes: Floats, count: int, late: bool) -> None:
+    """`count` samples of the lanes' responses to w, from its row `at` on, and their products with PV from `first` on.
 
-    added: what start columns are set on by.
+    added: what start columns are set on by. late: start and transient have died out.
     """
+    there, here = place(first), place(at * LANES)
     for j in range(LANES):
         pole, c0, c1, grows = lanes[_POLE + j], lanes[_C0 + j], lanes[_C1 + j], lanes[_GROWS + j]
         s, before, g, r = lanes[_S + j], lanes[_W + j], lanes[_G + j], lanes[_R + j]
         total, ss, sy, sg, sr = lanes[_SUM + j], lanes[_SS + j], lanes[_SY + j], lanes[_SG + j], lanes[_SR + j]
         for i in range(count):
-            now = w[i * LANES + j]
+            now = w[here + place(i * LANES + j)]
             total += s
             ss += s * s
-            sy += s * y[i]
+            sy += s * y[there + place(i)]
             if not late:
-                g += added[i * LANES + j]
+                g += added[here + place(i * LANES + j)]
                 sg += s * g
                 sr += s * r
                 g *= pole
@@ -126,18 +131,18 @@ def _sums(y: Floats, w: Floats, added: Floats, lanes: Floats, count: int, late: 
 
 
 @compiled
-def _sums_stride(y: Floats, w: Floats, added: Floats, lanes: Floats) -> None:
-    _sums(y, w, added, lanes, STRIDE, False)
-
-
-@compiled
-def _sums_late(y: Floats, w: Floats, added: Floats, lanes: Floats) -> None:
-    _sums(y, w, added, lanes, STRIDE, True)
-
-
-@compiled
-def _sums_rest(y: Floats, w: Floats, added: Floats, lanes: Floats, count: int) -> None:
-    _sums(y, w, added, lanes, count, False)
+def _sums(y: Floats, first: int, w: Floats, added: Floats, lanes: Floats, begin: int, end: int, late: bool) -> None:
+    """The lanes' sums in rows [begin, end) of w, the first of which is PV's sample `first`."""
+    i = begin
+    while i + STRIDE <= end:
+        if late:
+            _sum(y, first + i, w, added, i, lanes, STRIDE, True)
+        else:
+            _sum(y, first + i, w, added, i, lanes, STRIDE, False)
+        i += STRIDE
+    while i < end:
+        _sum(y, first + i, w, added, i, lanes, 1, False)
+        i += 1
 
 
 @compiled
@@ -327,11 +332,7 @@ def _run(room: _Room, a: Floats, skip: int) -> None:
     late = False
     for chunk in range(0, total, CHUNK):
         rows = min(CHUNK, total - chunk)
-        for i in range(0, rows - STRIDE + 1, STRIDE):
-            _stems_stride(room.op[(chunk + i) * LANES :], lanes, x[(p + i) * LANES :])
-        if rows % STRIDE:
-            i = rows - rows % STRIDE
-            _stems_rest(room.op[(chunk + i) * LANES :], lanes, x[(p + i) * LANES :], rows % STRIDE)
+        _stems(room.op, chunk, lanes, x, p, rows)
         added[:] = 0.0
         for j in range(LANES):
             for t in range(chunk, min(room.held[j], chunk + rows)):
@@ -345,18 +346,14 @@ def _run(room: _Room, a: Floats, skip: int) -> None:
             w = x
         else:
             _filtered(a, x, w, rows)
-        for i in range(0, rows - STRIDE + 1, STRIDE):
-            if chunk + i == counts:
-                lanes[_SUM : _SR + LANES] = 0.0
-                copy(room.after, lanes[_R : _R + LANES])
-                late = False
-            if late:
-                _sums_late(y[chunk + i :], w[i * LANES :], added[i * LANES :], lanes)
-            else:
-                _sums_stride(y[chunk + i :], w[i * LANES :], added[i * LANES :], lanes)
-        if rows % STRIDE:
-            i = rows - rows % STRIDE
-            _sums_rest(y[chunk + i :], w[i * LANES :], added[i * LANES :], lanes, rows % STRIDE)
+        begin = 0
+        if chunk <= counts < chunk + rows:
+            begin = counts - chunk
+            _sums(y, chunk, w, added, lanes, 0, begin, late)
+            lanes[_SUM : _SR + LANES] = 0.0
+            copy(room.after, lanes[_R : _R + LANES])
+            late = False
+        _sums(y, chunk, w, added, lanes, begin, rows, late)
         late = True
         for j in range(LANES):
             for at in (_G + j, _R + j):

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from workbench.estimate.kernels.output_error import plant_terms
 from workbench.estimate.kernels.path import band_path, stem_path
-from workbench.simulate.compiled import compiled, copy, fused, written_out
+from workbench.simulate.compiled import compiled, copy, fused, place, written_out
 
 __all__ = ["LANES", "STRIDE", "screen_stepped"]
 
@@ -22,7 +22,8 @@ Ints = NDArray[np.int64]
 Plant = tuple[float, float, float, int]
 
 LANES = 16
-STRIDE = 4  # samples of a lane at a time, its numbers in registers; samples between the steps that are tried roughly
+RUN = 8  # samples of a lane at a time, its numbers in registers
+STRIDE = 4  # samples between the steps that are tried roughly
 # A lane's numbers: its response, that squared, its products with what no stem changes (three columns) and with PV;
 # then, backward, its sums beyond a sample, the best step so far, its sample, the stem's gain beside it, and one over
 # the response's length.
@@ -34,89 +35,113 @@ ONCE = 1e-6  # of a step's answer: the same, beside those and the stem's respons
 
 
 @written_out
-def _respond(x: Floats, w: Floats, held: Floats, lanes: Floats, terms: tuple[float, float, float], count: int) -> None:
-    """`count` samples of the lanes' responses, written to w, and of their sums.
+def _respond(
+    x: Floats, w: Floats, held: Floats, lanes: Floats, terms: tuple[float, float, float], first: int, count: int
+) -> None:
+    """`count` samples of the lanes' responses from `first` on, written to w, and of their sums.
 
     x: the stems, late by the dead time, behind one sample more; held: rows of the three columns and PV.
     """
     pole, c0, c1 = terms
+    at, row = place(first * LANES), place(4 * first)
     for j in range(LANES):
         s, ss, sy = lanes[_S + j], lanes[_SS + j], lanes[_SY + j]
         p0, p1, p2 = lanes[_P0 + j], lanes[_P1 + j], lanes[_P2 + j]
         for i in range(count):
-            w[i * LANES + j] = s
+            w[at + place(i * LANES + j)] = s
             ss += s * s
-            p0 += s * held[4 * i]
-            p1 += s * held[4 * i + 1]
-            p2 += s * held[4 * i + 2]
-            sy += s * held[4 * i + 3]
-            s = pole * s + (c0 * x[(i + 1) * LANES + j] + c1 * x[i * LANES + j])
+            p0 += s * held[row + place(4 * i)]
+            p1 += s * held[row + place(4 * i + 1)]
+            p2 += s * held[row + place(4 * i + 2)]
+            sy += s * held[row + place(4 * i + 3)]
+            s = pole * s + (c0 * x[at + place((i + 1) * LANES + j)] + c1 * x[at + place(i * LANES + j)])
         lanes[_S + j], lanes[_SS + j], lanes[_SY + j] = s, ss, sy
         lanes[_P0 + j], lanes[_P1 + j], lanes[_P2 + j] = p0, p1, p2
 
 
 @fused
-def _respond_stride(x: Floats, w: Floats, held: Floats, lanes: Floats, terms: tuple[float, float, float]) -> None:
-    _respond(x, w, held, lanes, terms, STRIDE)
-
-
-@fused
-def _respond_one(x: Floats, w: Floats, held: Floats, lanes: Floats, terms: tuple[float, float, float]) -> None:
-    _respond(x, w, held, lanes, terms, 1)
+def _responses(
+    x: Floats, w: Floats, held: Floats, lanes: Floats, terms: tuple[float, float, float], begin: int, end: int
+) -> None:
+    """The lanes' responses in samples [begin, end), and their sums."""
+    k = begin
+    while k + RUN <= end:
+        _respond(x, w, held, lanes, terms, k, RUN)
+        k += RUN
+    while k < end:
+        _respond(x, w, held, lanes, terms, k, 1)
+        k += 1
 
 
 @written_out
-def _answered(w: Floats, lanes: Floats, fades: float, step: Floats, at: float, integrating: bool, count: int) -> None:
-    """Go back by `count` samples of the lanes' responses and try a step whose answer begins at the earliest of them.
+def _answered(
+    w: Floats, lanes: Floats, fades: float, steps: Floats, first: int, integrating: bool, tries: int, every: int
+) -> None:
+    """Go back by `tries` times `every` samples of the lanes' responses to `first`, and try a step after each time.
 
-    step: of its answer, its parts along the three columns, its product with PV, and its square beside the columns; last
-    the square alone.
+    The answer of a step begins at the sample come to. steps: for each sample six numbers of its step's answer: its
+    parts along the three columns, its product with PV, its square beside the columns; last the square alone.
     """
-    k0, k1, k2, own_along, own_power, power = step[0], step[1], step[2], step[3], step[4], step[5]
+    at, row = place(first * LANES), place(6 * first)
     for j in range(LANES):
         beyond, faded = lanes[_BEYOND + j], lanes[_FADED + j]
-        for i in range(count - 1, -1, -1):
-            now = w[i * LANES + j]
+        p0, p1, p2 = lanes[_P0 + j], lanes[_P1 + j], lanes[_P2 + j]
+        product, scale = lanes[_SY + j], lanes[_SCALE + j]
+        best, best_at, gain = lanes[_BEST + j], lanes[_AT + j], lanes[_GAIN + j]
+        for i in range(tries * every - 1, -1, -1):
+            now = w[at + place(i * LANES + j)]
             if integrating:
                 faded += beyond
                 beyond += now
             else:
                 beyond += now
                 faded = now + fades * faded
+            if i % every == 0:
+                total = faded if integrating else beyond - faded
+                k0, k1, k2 = steps[row + place(6 * i)], steps[row + place(6 * i + 1)], steps[row + place(6 * i + 2)]
+                s = (total - p0 * k0 - p1 * k1 - p2 * k2) * scale
+                own = steps[row + place(6 * i + 4)] - s * s
+                r = steps[row + place(6 * i + 3)] - product * s
+                # One division for both: it takes as long as all else.
+                over = r / own
+                better = (own > ONCE * steps[row + place(6 * i + 5)]) & (r * r > best * own)
+                best = r * over if better else best
+                best_at = first + i if better else best_at
+                gain = product - s * over if better else gain
         lanes[_BEYOND + j], lanes[_FADED + j] = beyond, faded
-        total = faded if integrating else beyond - faded
-        product, scale, best = lanes[_SY + j], lanes[_SCALE + j], lanes[_BEST + j]
-        s = (total - lanes[_P0 + j] * k0 - lanes[_P1 + j] * k1 - lanes[_P2 + j] * k2) * scale
-        own = own_power - s * s
-        r = own_along - product * s
-        better = (own > ONCE * power) & (r * r > best * own)
-        lanes[_BEST + j] = r * r / own if better else best
-        lanes[_AT + j] = at if better else lanes[_AT + j]
-        lanes[_GAIN + j] = product - s * r / own if better else lanes[_GAIN + j]
+        lanes[_BEST + j], lanes[_AT + j], lanes[_GAIN + j] = best, best_at, gain
 
 
 @fused
-def _answered_stride(w: Floats, lanes: Floats, fades: float, step: Floats, at: float, integrating: bool) -> None:
-    if integrating:
-        _answered(w, lanes, fades, step, at, True, STRIDE)
-    else:
-        _answered(w, lanes, fades, step, at, False, STRIDE)
-
-
-@fused
-def _answered_one(w: Floats, lanes: Floats, fades: float, step: Floats, at: float, integrating: bool) -> None:
-    if integrating:
-        _answered(w, lanes, fades, step, at, True, 1)
-    else:
-        _answered(w, lanes, fades, step, at, False, 1)
+def _answers(
+    w: Floats, lanes: Floats, fades: float, steps: Floats, integrating: bool, begin: int, end: int, every: int
+) -> None:
+    """Try steps of load from `end` back to `begin`, at each sample or at one of STRIDE so many."""
+    k = end
+    if every == 1:
+        while k - STRIDE >= begin:
+            k -= STRIDE
+            if integrating:
+                _answered(w, lanes, fades, steps, k, True, STRIDE, 1)
+            else:
+                _answered(w, lanes, fades, steps, k, False, STRIDE, 1)
+    while k - every >= begin:
+        k -= every
+        if every == 1:
+            _answered(w, lanes, fades, steps, k, integrating, 1, 1)
+        elif integrating:
+            _answered(w, lanes, fades, steps, k, True, 1, STRIDE)
+        else:
+            _answered(w, lanes, fades, steps, k, False, 1, STRIDE)
 
 
 @fused
 def _back(w: Floats, lanes: Floats, fades: float, integrating: bool, begin: int, end: int) -> None:
     """Go back over the lanes' responses from `end` to `begin`, before the steps that are tried."""
     for k in range(end - 1, begin - 1, -1):
+        at = place(k * LANES)
         for j in range(LANES):
-            now = w[k * LANES + j]
+            now = w[at + place(j)]
             if integrating:
                 lanes[_FADED + j] += lanes[_BEYOND + j]
                 lanes[_BEYOND + j] += now
@@ -166,16 +191,9 @@ def _tried(
     n = held.shape[0]
     flat, terms, integrating = held.ravel(), (pole, c0, c1), pole == 1.0
     lanes[:] = 0.0
-    k = 0
-    while k < n:
-        if k == skip:
-            lanes[_SS : _SY + LANES] = 0.0
-        if k < skip or k + STRIDE > n:
-            _respond_one(x[k * LANES :], w[k * LANES :], flat[4 * k :], lanes, terms)
-            k += 1
-        else:
-            _respond_stride(x[k * LANES :], w[k * LANES :], flat[4 * k :], lanes, terms)
-            k += STRIDE
+    _responses(x, w, flat, lanes, terms, 0, skip)
+    lanes[_SS : _SY + LANES] = 0.0
+    _responses(x, w, flat, lanes, terms, skip, n)
     for j in range(LANES):
         p0, p1, p2 = lanes[_P0 + j], lanes[_P1 + j], lanes[_P2 + j]
         length = lanes[_SS + j] - p0 * p0 - p1 * p1 - p2 * p2
@@ -185,14 +203,9 @@ def _tried(
         lanes[_GAIN + j], lanes[_AT + j] = lanes[_SY + j], begin
     if begin >= end:
         return
-    k = begin + (end - 1 - begin) // every * every
-    _back(w, lanes, pole, integrating, k + every, n)
-    while k >= begin:
-        if every == 1:
-            _answered_one(w[k * LANES :], lanes, pole, steps[k], k, integrating)
-        else:
-            _answered_stride(w[k * LANES :], lanes, pole, steps[k], k, integrating)
-        k -= every
+    last = begin + (end - 1 - begin) // every * every
+    _back(w, lanes, pole, integrating, last + every, n)
+    _answers(w, lanes, pole, steps.ravel(), integrating, begin, last + every, every)
 
 
 @compiled
