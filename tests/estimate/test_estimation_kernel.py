@@ -235,6 +235,7 @@ def test_the_simplex_leaves_a_limit_that_it_has_met(start: float) -> None:
     assert out[TAU] == pytest.approx(6.0, rel=0.02)
 
 
+@pytest.mark.parametrize("n", [200, 900])  # one by one, and in parts side by side
 @pytest.mark.parametrize("integrating", [False, True])
 @pytest.mark.parametrize("bounds", [FREE, (1.0, 2.0)])
 @pytest.mark.parametrize(
@@ -248,15 +249,15 @@ def test_the_simplex_leaves_a_limit_that_it_has_met(start: float) -> None:
     ],
 )
 def test_the_cost_is_least_squares_of_the_filtered_columns(
-    integrating: bool, bounds: tuple[float, float], coefficients: tuple[float, ...], skip: int, first: int
+    n: int, integrating: bool, bounds: tuple[float, float], coefficients: tuple[float, ...], skip: int, first: int
 ) -> None:
     """Filtering the drive once is filtering each column: the lag and the filter may change places."""
     rng = np.random.default_rng(4)
-    op, y = np.cumsum(rng.normal(0, 0.5, 200)), rng.normal(size=200)
+    op, y = np.cumsum(rng.normal(0, 0.5, n)), rng.normal(size=n)
     a, theta = np.array(coefficients), 2.3
     pole = 1.0 if integrating else math.exp(-1.0 / 6.0)
     part = 0.7 if integrating else 1.0 - pole**0.7
-    columns = np.empty((4, 200))
+    columns = np.empty((4, n))
     oe_columns(op, first, pole, 2, part, 1.0 - pole - part if not integrating else 0.3, integrating, columns)
     filtered, target = lfilter(a, [1.0], columns, axis=1)[:, skip:], lfilter(a, [1.0], y)
     free, *_ = np.linalg.lstsq(filtered.T, target[skip:], rcond=None)
@@ -267,7 +268,7 @@ def test_the_cost_is_least_squares_of_the_filtered_columns(
     else:
         left = target[skip:] - free @ filtered
     out = np.empty(FIT)
-    drive = np.empty(200)
+    drive = np.empty(n)
     drive_of(op, first, a, drive)
     cost = oe_cost(target, drive, first, *bounds, 0.0, integrating, 6.0, theta, a, skip, out)
     assert cost == pytest.approx(float(left @ left), rel=1e-9)

@@ -16,6 +16,8 @@ __all__ = ["fit_bands", "fit_stems", "oe_fit", "scan_plants"]
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
+FURTHER = 8.0  # samples of dead time beyond where a search begins
+
 
 @compiled
 def _mirrored(value: float, low: float, high: float) -> float:
@@ -52,7 +54,9 @@ def oe_fit(
     spread: the first simplex's size, in log tau and, times three, in samples of dead time. Ends after `evaluations`, or
     when the simplex's costs agree to `tolerance` relative. For an integrating plant tau is not used.
     """
-    given = posed(y, drive, first, (low, high, sign), integrating, a, skip)
+    # Seldom does a search go further than that.
+    longest = int(min(theta + FURTHER, theta_limits[1]))
+    given = posed(y, drive, first, (low, high, sign), integrating, a, skip, longest)
     points = np.empty((3, 2))
     costs = np.empty(3)
     trial = np.empty(2)
@@ -126,7 +130,8 @@ def scan_plants(
     y: Floats, drive: Floats, sign: float, integrating: bool, plants: Floats, a: Floats, skip: int, costs: Floats
 ) -> None:
     """Write the costs (see `oe_cost`) of a drive from the first sample on at many plants, rows (tau, theta)."""
-    given, out = posed(y, drive, 0, (-math.inf, math.inf, sign), integrating, a, skip), np.empty(FIT)
+    longest = int(plants[:, 1].max())
+    given, out = posed(y, drive, 0, (-math.inf, math.inf, sign), integrating, a, skip, longest), np.empty(FIT)
     for i in range(plants.shape[0]):
         costs[i] = cost_at(given, plants[i, 0], plants[i, 1], out)
 

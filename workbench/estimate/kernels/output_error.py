@@ -11,6 +11,20 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from workbench.estimate.kernels.parts import (
+    AFTER,
+    GONE,
+    PARTS,
+    SS,
+    SY,
+    WEIGHTED_S,
+    Parts,
+    S,
+    in_parts,
+    parted,
+    sum_fading,
+    sum_parts,
+)
 from workbench.simulate.compiled import compiled, copy
 
 __all__ = [
@@ -28,6 +42,7 @@ __all__ = [
     "oe_columns",
     "oe_cost",
     "own_sums",
+    "passed_by",
     "plant_terms",
     "solve",
     "start_products",
@@ -45,6 +60,7 @@ FIT = 7
 # Time constants after which nothing is left of a start in double precision.
 DIED = 25.0
 NO_DELAY = 1e-4  # samples: a dead time as good as none, to which a fit comes and which is told as none
+STEP = 16  # samples of dead time
 FADED = 1e-6  # of a transient, at the first sample that counts, from which it is left out
 
 
@@ -61,6 +77,7 @@ class Posed(NamedTuple):
     rest: Floats
     skip: int
     window: Floats
+    parts: Parts
     room: Floats
 
 
@@ -161,6 +178,12 @@ def fading(pole: float) -> int:
 
 
 @compiled
+def passed_by(first: int, m: int, p: int, skip: int) -> int:
+    """Return the first sample that counts, from which on the start has passed dead time and filter."""
+    return max(first + m + p + 2, skip)
+
+
+@compiled
 def start_products(
     y: Floats,
     total: float,
@@ -187,8 +210,7 @@ def start_products(
     for q in range(1, p + 1):
         lead += rest[q]
     r = transient_at(skip, integrating, pole, whole, lead, a)
-    # Until the start has passed the dead time and the filter.
-    passed = min(max(first + m + p + 2, skip), n)
+    passed = min(passed_by(first, m, p, skip), n)
     begin = first + m
     g = whole * begin - lead if integrating else whole
     for k in range(begin, min(skip, passed)):
@@ -219,22 +241,7 @@ def start_products(
     if not integrating:
         # Once they have died out the stem's response alone is left.
         count = min(count, fading(pole))
-    late_y, weighted_y, weight = 0.0, 0.0, 1.0 - grow
-    pole2, pole3, pole4 = pole * pole, pole * pole * pole, pole * pole * pole * pole
-    k, stop = passed, passed + count
-    # Four samples at a time: the weight waits for itself but once.
-    while k + 4 <= stop:
-        ya, yb, yc, yd = y[k], y[k + 1], y[k + 2], y[k + 3]
-        four = (ya + yb) + (yc + yd)
-        late_y += four
-        weighted_y += weight * ((ya + pole * yb) + (pole2 * yc + pole3 * yd)) + grow * (yb + 2.0 * yc + 3.0 * yd)
-        weight = weight * pole4 + 4.0 * grow
-        k += 4
-    while k < stop:
-        late_y += y[k]
-        weighted_y += weight * y[k]
-        weight = weight * pole + grow
-        k += 1
+    late_y, weighted_y, weight = sum_fading(y, passed, passed + count, pole, integrating)
     if integrating:
         sum_q = 0.5 * count * (count - 1.0)
         sum_qq = sum_q * (2.0 * count - 1.0) / 3.0
@@ -273,11 +280,13 @@ def stem_products(
     skip: int,
     passed: int,
     window: Floats,
+    parts: Parts,
     out: Floats,
 ) -> None:
     """Write the products of the response to a stem with itself, with y and with what `start_products` is about.
 
-    whole: what the filter of order p makes of a constant. passed, window: as `start_products` gave them.
+    whole: what the filter of order p makes of a constant. passed, window: as `start_products` gave them. parts: most of
+    y and drive side by side.
     """
     n = y.size
     pole, c0, c1, m = plant
@@ -293,69 +302,36 @@ def stem_products(
         s = pole * s + c0 * drive[k - m]
         if k > m:
             s += c1 * drive[k - m - 1]
-    count = n - passed
-    if not integrating:
-        count = min(count, fading(pole))
-    grow = 1.0 if integrating else 0.0
-    late_s, weighted_s, weight = 0.0, 0.0, 1.0 - grow
-    # Four samples at a time: each needs s of the first alone, not of the one before it.
-    pole2, pole3, pole4 = pole * pole, pole * pole * pole, pole * pole * pole * pole
-    k, stop = passed, passed + count
-    while k + 4 <= stop:
-        d0, d1, d2 = drive[k - m - 1], drive[k - m], drive[k - m + 1]
-        d3, d4 = drive[k - m + 2], drive[k - m + 3]
-        u0, u1, u2, u3 = c0 * d1 + c1 * d0, c0 * d2 + c1 * d1, c0 * d3 + c1 * d2, c0 * d4 + c1 * d3
-        sb = pole * s + u0
-        sc = pole2 * s + (pole * u0 + u1)
-        sd = pole3 * s + (pole2 * u0 + (pole * u1 + u2))
-        four = (s + sb) + (sc + sd)
-        late_s += four
-        ss += (s * s + sb * sb) + (sc * sc + sd * sd)
-        sy += (s * y[k] + sb * y[k + 1]) + (sc * y[k + 2] + sd * y[k + 3])
-        weighted_s += weight * ((s + pole * sb) + (pole2 * sc + pole3 * sd)) + grow * (sb + 2.0 * sc + 3.0 * sd)
-        weight = weight * pole4 + 4.0 * grow
-        s = pole4 * s + (pole3 * u0 + (pole2 * u1 + (pole * u2 + u3)))
-        k += 4
-    while k < stop:
-        late_s += s
-        ss += s * s
-        sy += s * y[k]
-        weighted_s += weight * s
-        s = pole * s + (c0 * drive[k - m] + c1 * drive[k - m - 1])
-        weight = weight * pole + grow
-        k += 1
+    late_s, weighted_s, grow, span = 0.0, 0.0, 1.0 if integrating else 0.0, parts.size * PARTS
+    weight, k = 1.0 - grow, passed
+    split = span > 0 and passed <= parts.begin and m < parts.before
+    # One by one up to the parts, and what is left after them.
+    for end in (parts.begin if split else n, n):
+        while k < end:
+            late_s += s
+            ss += s * s
+            sy += s * y[k]
+            weighted_s += weight * s
+            s = pole * s + (c0 * drive[k - m] + c1 * drive[k - m - 1])
+            weight = weight * pole + grow
+            weight = weight if weight > GONE else 0.0
+            k += 1
+        if split and end < n:
+            sum_parts(parts, m, (pole, c0, c1), integrating, s)
+            sums = parts.sums
+            ss, sy, late_s, s = ss + sums[SS], sy + sums[SY], late_s + sums[S], sums[AFTER]
+            weighted_s += weight * sums[S] + sums[WEIGHTED_S] if integrating else weight * sums[WEIGHTED_S]
+            weight = weight + span if integrating else weight * pole**span
+            k += span
     g, r = window[0, p + 2], window[1, p + 2]
-    s1 += late_s
     if integrating:
         sg += g * late_s
         sr += r * late_s + whole * weighted_s
     else:
         sg += g * weighted_s
         sr += r * weighted_s
-    sA, sB, ssA, ssB, syA, syB = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    while k + 4 <= n:
-        d0, d1, d2 = drive[k - m - 1], drive[k - m], drive[k - m + 1]
-        d3, d4 = drive[k - m + 2], drive[k - m + 3]
-        u0, u1, u2, u3 = c0 * d1 + c1 * d0, c0 * d2 + c1 * d1, c0 * d3 + c1 * d2, c0 * d4 + c1 * d3
-        sb = pole * s + u0
-        sc = pole2 * s + (pole * u0 + u1)
-        sd = pole3 * s + (pole2 * u0 + (pole * u1 + u2))
-        sA += s + sb
-        sB += sc + sd
-        ssA += s * s + sb * sb
-        ssB += sc * sc + sd * sd
-        syA += s * y[k] + sb * y[k + 1]
-        syB += sc * y[k + 2] + sd * y[k + 3]
-        s = pole4 * s + (pole3 * u0 + (pole2 * u1 + (pole * u2 + u3)))
-        k += 4
-    while k < n:
-        sA += s
-        ssA += s * s
-        syA += s * y[k]
-        s = pole * s + (c0 * drive[k - m] + c1 * drive[k - m - 1])
-        k += 1
-    out[0, 1], out[1, 1] = whole * (s1 + sA + sB), ss + ssA + ssB
-    out[1, 2], out[1, 3], out[4, 1] = sg, sr, sy + syA + syB
+    out[0, 1], out[1, 1] = whole * (s1 + late_s), ss
+    out[1, 2], out[1, 3], out[4, 1] = sg, sr, sy
 
 
 @compiled
@@ -453,7 +429,7 @@ def oe_cost(
     outside, it is set to the nearer end. sign: the gain's sign, 0 for either. Written into `out` (FIT): SSE, TAU,
     THETA, GAIN (per sample for integrating plants), BIAS, START (gain times x0) and TRANSIENT.
     """
-    return cost_at(posed(y, drive, first, (low, high, sign), integrating, a, skip), tau, theta, out)
+    return cost_at(posed(y, drive, first, (low, high, sign), integrating, a, skip, int(theta)), tau, theta, out)
 
 
 @compiled
@@ -465,10 +441,19 @@ def posed(
     integrating: bool,
     a: Floats,
     skip: int,
+    longest: int,
 ) -> Posed:
-    """Gather what all costs of one stem share, as `oe_cost` takes it; bounds: (low, high, sign)."""
+    """Gather what all costs of one stem share, as `oe_cost` takes it; bounds: (low, high, sign).
+
+    longest: whole samples of dead time; what is beyond them takes longer.
+    """
     room, window = np.empty((2, 5, 4)), np.empty((2, a.size + 2))
-    return Posed(y, own_sums(y, skip), drive, first, bounds, integrating, a, start_rests(a), skip, window, room)
+    # In steps: a dead time that is searched and one that is given mostly part the record alike, and round alike.
+    longest = (longest // STEP + 1) * STEP
+    parts = in_parts(y, passed_by(first, longest, a.size - 1, skip), longest)
+    if parts.size > 0:
+        parted(drive, parts.begin, parts.size, parts.before, parts.drive)
+    return Posed(y, own_sums(y, skip), drive, first, bounds, integrating, a, start_rests(a), skip, window, parts, room)
 
 
 @compiled
@@ -479,6 +464,17 @@ def cost_at(of: Posed, tau: float, theta: float, out: Floats) -> float:
     products, window = of.room[0], of.window
     passed = start_products(of.y, of.own[0], of.first, of.integrating, plant, of.a, of.rest, of.skip, window, products)
     stem_products(
-        of.y, of.drive, of.first, of.integrating, plant, of.rest[0], of.a.size - 1, of.skip, passed, window, products
+        of.y,
+        of.drive,
+        of.first,
+        of.integrating,
+        plant,
+        of.rest[0],
+        of.a.size - 1,
+        of.skip,
+        passed,
+        window,
+        of.parts,
+        products,
     )
     return least(of.room, of.own[1], low, high, sign, tau, theta, out)

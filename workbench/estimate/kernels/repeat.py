@@ -15,6 +15,7 @@ from workbench.estimate.kernels.output_error import (
     start_rests,
     stem_products,
 )
+from workbench.estimate.kernels.parts import in_parts, parted
 from workbench.estimate.kernels.path import DOWN_HIGH, DOWN_LOW, UP_HIGH, UP_LOW, each_way_path
 from workbench.simulate.compiled import compiled
 
@@ -96,6 +97,7 @@ def scan_held(
         first, sense = int(starts[j, 0]), starts[j, 1]
         top, bottom = (op[:first].max(), op[:first].min()) if first > 0 else (0.0, 0.0)
         passed = start_products(y, total, first, integrating, plant, white, rest, 0, window, room[0])
+        parts = in_parts(y, passed, plant[3] + 1)
         known, oldest = 0, 0
         gone = math.nan
         for i in range(bands.shape[0]):
@@ -124,7 +126,9 @@ def scan_held(
                 way = oldest
                 oldest, known = (oldest + 1) % WAYS, min(known + 1, WAYS)
                 moved[way] = each_way_path(op, gap, up, down, first, sense, x, boxes[way])
-                stem_products(y, x, first, integrating, plant, 1.0, 0, 0, passed, window, room[0])
+                if parts.size > 0:
+                    parted(x, parts.begin, parts.size, parts.before, parts.drive)
+                stem_products(y, x, first, integrating, plant, 1.0, 0, 0, passed, window, parts, room[0])
                 _keep(room[0], products[way])
             slips = moved[way]
             cost = held_least(room, power, low, high, gain, terms)
