@@ -12,7 +12,7 @@ from hypothesis.extra.numpy import arrays
 
 from workbench.estimate.kernels import abreast
 from workbench.estimate.kernels.output_error import FIT, drive_of, oe_cost
-from workbench.estimate.kernels.path import band_path
+from workbench.estimate.kernels.path import band_path, spans_of
 from workbench.estimate.search.two_parameter import band_stem
 
 WHITE = np.ones(1)
@@ -47,7 +47,7 @@ def plain_cost(
     """The cost of a row's stem taken alone, and its slips that PV can answer to."""
     first, sense, tau, theta = int(line[6]), line[7], line[8], line[9]
     x, drive, out = np.empty(op.size), np.empty(op.size), np.empty(FIT)
-    band_path(op, row[0], row[1], first, sense, x, np.empty(4))
+    band_path(op, spans_of(op), row[0], row[1], first, sense, x, np.empty(4))
     drive_of(x, max(first, 0), a, drive)
     cost = oe_cost(y, drive, max(first, 0), -math.inf, math.inf, 0.0, integrating, tau, theta, a, skip, out)
     until = op.size - math.floor(theta)

@@ -34,7 +34,7 @@ def test_sums_in_parts_are_those_of_the_whole(n: int, integrating: bool, tau: fl
     pole, c0, c1, m = plant_terms(integrating, tau, theta)
     parts = in_parts(y, begin, 10)
     assert parts.size == (n - begin) // PARTS
-    parted(drive, parts.begin, parts.size, parts.before, parts.drive)
+    parted(drive, parts)
     sum_parts(parts, m, (pole, c0, c1), integrating, s)
     k = np.arange(begin, begin + PARTS * parts.size)
     moves = c0 * drive[k - m] + c1 * drive[k - m - 1]

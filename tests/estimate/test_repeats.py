@@ -16,7 +16,7 @@ import workbench as wb
 from workbench.cli.output import estimate_lines
 from workbench.estimate.fits.data import centre
 from workbench.estimate.fits.fit import Fit, predict
-from workbench.estimate.kernels.path import band_path, each_way_path, stem_path
+from workbench.estimate.kernels.path import band_path, each_way_path, spans_of, stem_path
 from workbench.estimate.kernels.repeat import HELD, scan_held
 from workbench.estimate.repeat import repeats_of, words_of
 from workbench.model.results import Estimate, Part, Repeats
@@ -253,7 +253,7 @@ def test_a_stem_alike_both_ways_is_the_known_one(
     gap = S - J
     slips = each_way_path(op, gap, J, J, first, sense, ours, np.empty(4))
     # gap + J may differ from S by one rounding.
-    assert slips == band_path(op, gap + J, J, first, sense, theirs, np.empty(4))
+    assert slips == band_path(op, spans_of(op), gap + J, J, first, sense, theirs, np.empty(4))
     np.testing.assert_allclose(ours, theirs, atol=1e-12)
 
 

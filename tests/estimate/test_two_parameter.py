@@ -15,7 +15,7 @@ from workbench.cli.output import estimate_lines
 from workbench.estimate import record_fits
 from workbench.estimate.fits.data import centre
 from workbench.estimate.fits.fit import LEAST_TAU, Limits, fit_linear
-from workbench.estimate.kernels.path import band_path
+from workbench.estimate.kernels.path import band_path, spans_of
 from workbench.estimate.record_fits import Fits, closely, first_fits, leaves_noise_alone
 from workbench.estimate.search.bands import noise_beside
 from workbench.estimate.search.dense import densely
@@ -45,12 +45,12 @@ def test_the_path_is_the_simulations(op: np.ndarray, S: float, J: float) -> None
 @given(op=outputs, S=bands, J=st.floats(0.0, 6.0), a=st.floats(0.0, 0.999), b=st.floats(0.0, 0.999))
 def test_the_same_slips_happen_within_the_rectangle(op: np.ndarray, S: float, J: float, a: float, b: float) -> None:
     x, y, box = np.empty(op.size), np.empty(op.size), np.empty(4)
-    slips = band_path(op, S, J, 0, 1.0, x, box)
+    slips = band_path(op, spans_of(op), S, J, 0, 1.0, x, box)
     top = np.minimum(box, 50.0)
     other = (top[0] + a * (top[1] - top[0]), top[2] + b * (top[3] - top[2]))
     assert box[0] <= S < box[1]
     assert box[2] <= J < box[3]
-    assert band_path(op, other[0], other[1], 0, 1.0, y, box) == slips
+    assert band_path(op, spans_of(op), other[0], other[1], 0, 1.0, y, box) == slips
     # Both paths are led alike; they stand apart by half the change of S - J.
     apart = 0.5 * abs((other[0] - other[1]) - (S - J))
     assert np.abs(np.abs(y - x) - apart).max() < 1e-9

@@ -7,8 +7,8 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from workbench.estimate.kernels.output_error import FIT, GAIN, drive_of, oe_cost
-from workbench.estimate.kernels.path import band_path
+from workbench.estimate.kernels.output_error import FIT, GAIN, cost_at, drive_of, posed, posed_alike
+from workbench.estimate.kernels.path import band_path, spans_of
 from workbench.simulate.compiled import compiled, copy, fused
 
 __all__ = ["scan_bands", "scan_starts", "screen_bands", "screen_drive", "sums_of"]
@@ -36,17 +36,18 @@ def scan_bands(
     bands: rows (S, J); plants: rows (tau, theta) in samples. Written: costs, shape (bands, plants), inf where the stem
     never moves.
     """
-    x, drive = np.empty(op.size), np.empty(op.size)
+    x, drive, spans = np.empty(op.size), np.empty(op.size), spans_of(op)
     box = np.empty(4)
     out = np.empty(FIT)
+    longest = int(plants[:, 1].max())
     for i in range(bands.shape[0]):
-        if band_path(op, bands[i, 0], bands[i, 1], first, sense, x, box) == 0:
+        if band_path(op, spans, bands[i, 0], bands[i, 1], first, sense, x, box) == 0:
             costs[i] = math.inf
             continue
         drive_of(x, max(first, 0), a, drive)
+        given = posed(y, drive, max(first, 0), (-math.inf, math.inf, sign), integrating, a, skip, longest)
         for j in range(plants.shape[0]):
-            tau, theta = plants[j, 0], plants[j, 1]
-            cost = oe_cost(y, drive, max(first, 0), -math.inf, math.inf, sign, integrating, tau, theta, a, skip, out)
+            cost = cost_at(given, plants[j, 0], plants[j, 1], out)
             costs[i, j] = cost if out[GAIN] != 0.0 else math.inf
 
 
@@ -69,16 +70,18 @@ def scan_starts(
 
     Written: costs, inf where the stem never moves.
     """
-    x, drive = np.empty(op.size), np.empty(op.size)
+    x, drive, spans = np.empty(op.size), np.empty(op.size), spans_of(op)
     box = np.empty(4)
     out = np.empty(FIT)
+    given = posed(y, drive, 0, (-math.inf, math.inf, sign), integrating, a, skip, int(theta))
     for i in range(starts.shape[0]):
         first = int(starts[i, 0])
-        if band_path(op, S, J, first, starts[i, 1], x, box) == 0:
+        if band_path(op, spans, S, J, first, starts[i, 1], x, box) == 0:
             costs[i] = math.inf
             continue
         drive_of(x, max(first, 0), a, drive)
-        cost = oe_cost(y, drive, max(first, 0), -math.inf, math.inf, sign, integrating, tau, theta, a, skip, out)
+        given = posed_alike(given, drive, max(first, 0))
+        cost = cost_at(given, tau, theta, out)
         costs[i] = cost if out[GAIN] != 0.0 else math.inf
 
 
@@ -271,15 +274,15 @@ def screen_bands(
     many = op.size // n
     stems, paths, w, room = np.empty((3, op.size)), np.empty((4, n)), np.empty(n), np.zeros((13, n + 1))
     box = np.empty(4)
-    own = sums_of(y, poles, delays, skip)
+    own, spans = sums_of(y, poles, delays, skip), spans_of(op)
     best = np.empty(3)
     found[:, :, 0] = math.inf
     found[:, :, 1:] = 0.0
     for i in range(bands.shape[0]):
         S, J = bands[i, 0], bands[i, 1]
-        band_path(op, S, J, 0, 1.0, stems[0], box)
-        band_path(op, S, J, 0, -1.0, stems[1], box)
-        moves = band_path(op, S, J, -1, 0.0, stems[2], box) > 0
+        band_path(op, spans, S, J, 0, 1.0, stems[0], box)
+        band_path(op, spans, S, J, 0, -1.0, stems[1], box)
+        moves = band_path(op, spans, S, J, -1, 0.0, stems[2], box) > 0
         met = op.size
         while met > 0 and stems[0, met - 1] == stems[1, met - 1]:
             met -= 1

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workbench.estimate.kernels.output_error import FIT, cost_at, drive_of, oe_cost, posed
-from workbench.estimate.kernels.path import band_path, rest_range, stem_path
+from workbench.estimate.kernels.path import band_path, rest_range, spans_of, stem_path
 from workbench.simulate.compiled import compiled, copy
 
 __all__ = ["fit_bands", "fit_stems", "oe_fit", "scan_plants"]
@@ -173,9 +173,10 @@ def fit_stems(
             start = 1.0
         elif math.isnan(start):
             least = math.inf
+            given = posed(y, drive, first, (low, high, sign), False, a, skip, int(theta))
             for j in range(10):
                 trial = low_tau * (high_tau / low_tau) ** (j / 9.0)
-                cost = oe_cost(y, drive, first, low, high, sign, False, trial, theta, a, skip, out)
+                cost = cost_at(given, trial, theta, out)
                 if cost < least:
                     least, start = cost, trial
         if evaluations == 0:
@@ -227,10 +228,10 @@ def fit_bands(
     first, sense: as in `band_path`; tau, theta and the rest: as in `oe_fit`. Written: fits, shape (bands, FIT), and
     slips, shape (bands,).
     """
-    x, drive, box = np.empty(op.size), np.empty(op.size), np.empty(4)
+    x, drive, box, spans = np.empty(op.size), np.empty(op.size), np.empty(4), spans_of(op)
     inf = math.inf
     for i in range(bands.shape[0]):
-        slips[i] = band_path(op, bands[i, 0], bands[i, 1], first, sense, x, box)
+        slips[i] = band_path(op, spans, bands[i, 0], bands[i, 1], first, sense, x, box)
         drive_of(x, max(first, 0), a, drive)
         oe_fit(
             y,

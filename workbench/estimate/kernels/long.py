@@ -20,9 +20,11 @@ from workbench.estimate.kernels.output_error import (
     TAU,
     THETA,
     TRANSIENT,
+    cost_at,
     drive_of,
     oe_cost,
     plant_terms,
+    posed,
     start_rests,
 )
 from workbench.estimate.kernels.path import rest_range, stem_path
@@ -89,9 +91,11 @@ def fit_in_stretch(
         if first >= begin:
             from_there, low_there, high_there = min(first, stop) - begin, low, high
         start, least = 1.0, math.inf
+        bounds = (low_there, high_there, sign)
+        given = posed(part, within, from_there, bounds, integrating, a, skipped, int(theta))
         for j in range(0 if integrating else STARTS):
             trial = low_tau * (high_tau / low_tau) ** (j / (STARTS - 1.0))
-            cost = oe_cost(part, within, from_there, low_there, high_there, sign, False, trial, theta, a, skipped, out)
+            cost = cost_at(given, trial, theta, out)
             if cost < least:
                 least, start = cost, trial
         oe_fit(

@@ -44,6 +44,8 @@ __all__ = [
     "own_sums",
     "passed_by",
     "plant_terms",
+    "posed",
+    "posed_alike",
     "solve",
     "start_products",
     "start_rests",
@@ -61,6 +63,7 @@ FIT = 7
 DIED = 25.0
 NO_DELAY = 1e-4  # samples: a dead time as good as none, to which a fit comes and which is told as none
 STEP = 16  # samples of dead time
+REACH = 64  # samples that are summed one by one rather than part a record anew
 FADED = 1e-6  # of a transient, at the first sample that counts, from which it is left out
 
 
@@ -452,8 +455,23 @@ def posed(
     longest = (longest // STEP + 1) * STEP
     parts = in_parts(y, passed_by(first, longest, a.size - 1, skip), longest)
     if parts.size > 0:
-        parted(drive, parts.begin, parts.size, parts.before, parts.drive)
+        parted(drive, parts)
     return Posed(y, own_sums(y, skip), drive, first, bounds, integrating, a, start_rests(a), skip, window, parts, room)
+
+
+@compiled
+def posed_alike(of: Posed, drive: Floats, first: int) -> Posed:
+    """Gather the same for another stem of the same record, which makes use of the other's room."""
+    parts = of.parts
+    least = passed_by(first, parts.before - 1, of.a.size - 1, of.skip)
+    if not least <= parts.begin <= least + REACH:
+        # So that stems that start somewhat later find PV in parts too.
+        parts = in_parts(of.y, least + REACH // 2, parts.before - 1)
+    if parts.size > 0:
+        parted(drive, parts)
+    return Posed(
+        of.y, of.own, drive, first, of.bounds, of.integrating, of.a, of.rest, of.skip, of.window, parts, of.room
+    )
 
 
 @compiled

@@ -72,19 +72,23 @@ def in_parts(y: Floats, begin: int, longest: int) -> Parts:
     before = longest + 1
     own, drive = np.empty(size * PARTS), np.empty((before + size) * PARTS if size > 0 else 0)
     if size > 0:
-        parted(y, begin, size, 0, own)
+        _part(y, begin, size, 0, own)
     return Parts(begin, size, before, own, drive, np.empty(WIDTH), np.empty(SUMS))
 
 
 @compiled
-def parted(signal: Floats, begin: int, size: int, before: int, out: Floats) -> None:
-    """Write a signal in parts, see `Parts`; before it begins it is 0."""
-    for i in range(PARTS):
-        at = begin + i * size - before
-        for k in range(max(-at, 0)):
-            out[k * PARTS + i] = 0.0
-        for k in range(max(-at, 0), before + size):
-            out[place(k * PARTS + i)] = signal[place(at + k)]
+def _part(signal: Floats, begin: int, size: int, before: int, out: Floats) -> None:
+    """Write a signal in parts, see `Parts`, of which `before` samples stand before each part; 0 before it begins."""
+    for k in range(before + size):
+        for i in range(PARTS):
+            at = begin + i * size - before + k
+            out[k * PARTS + i] = signal[at] if at >= 0 else 0.0
+
+
+@compiled
+def parted(drive: Floats, parts: Parts) -> None:
+    """Put a drive, shape (N,), into parts."""
+    _part(drive, parts.begin, parts.size, parts.before, parts.drive)
 
 
 @written_out

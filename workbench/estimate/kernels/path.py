@@ -25,6 +25,7 @@ __all__ = [
     "band_path",
     "each_way_path",
     "rest_range",
+    "spans_of",
     "stem_path",
     "stem_slips",
 ]
@@ -35,6 +36,20 @@ Ints = NDArray[np.int64]
 # Entries that `band_path` writes, and `each_way_path`.
 S_LOW, S_HIGH, J_LOW, J_HIGH = range(4)
 UP_LOW, UP_HIGH, DOWN_LOW, DOWN_HIGH = range(4)
+SPAN = 8  # samples of OP that a stem may rest through at once
+
+
+@compiled
+def spans_of(op: Floats) -> Floats:
+    """Return the least and the largest of each SPAN samples of OP, shape (2, N // SPAN): what `band_path` takes."""
+    spans = np.empty((2, op.size // SPAN))
+    for i in range(spans.shape[1]):
+        low, high = math.inf, -math.inf
+        for k in range(i * SPAN, (i + 1) * SPAN):
+            low = op[k] if op[k] < low else low
+            high = op[k] if op[k] > high else high
+        spans[0, i], spans[1, i] = low, high
+    return spans
 
 
 @compiled
@@ -93,9 +108,10 @@ def rest_range(op: Floats, first: int, d_low: float, d_high: float, slack: float
 
 
 @compiled
-def band_path(op: Floats, S: float, J: float, first: int, sense: float, x: Floats, box: Floats) -> int:
+def band_path(op: Floats, spans: Floats, S: float, J: float, first: int, sense: float, x: Floats, box: Floats) -> int:
     """Write the path of a two-parameter (Choudhury) stem; return the number of times it slips.
 
+    op, spans: OP, shape (N,), and `spans_of` it.
     first: its first slip, the stem before it is unknown and written 0, or -1 for a stem that rests in the middle of its
     band at OP's first value. sense: of the first slip, +1 or -1, not used for first = -1. A stem that was led to w in
     sense s stands at `w - s (S - J)/2`; it turns where OP comes back by more than S from w and moves on where OP goes
@@ -122,7 +138,19 @@ def band_path(op: Floats, S: float, J: float, first: int, sense: float, x: Float
     x[first] = led - sense * offset
     moving = True
     slips = 1
-    for k in range(first + 1, n):
+    k = first + 1
+    while k < n:
+        if not moving and k % SPAN == 0 and k + SPAN <= n:
+            # Where all of a span is held, none of its samples is looked at.
+            above, below = spans[1, k // SPAN] - led, led - spans[0, k // SPAN]
+            ahead, behind = (above, below) if sense > 0.0 else (below, above)
+            if ahead <= J and behind <= S:
+                on_held = max(on_held, ahead)
+                back_held = max(back_held, behind)
+                for i in range(SPAN):
+                    x[k + i] = led - sense * offset
+                k += SPAN
+                continue
         if moving and (op[k] - op[k - 1]) * sense > 0.0:
             led = op[k]
         else:
@@ -142,6 +170,7 @@ def band_path(op: Floats, S: float, J: float, first: int, sense: float, x: Float
                 led = op[k]
                 slips += 1
         x[k] = led - sense * offset
+        k += 1
     box[S_LOW], box[S_HIGH], box[J_LOW], box[J_HIGH] = back_held, back, on_held, further
     return slips
 

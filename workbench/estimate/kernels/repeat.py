@@ -127,7 +127,7 @@ def scan_held(
                 oldest, known = (oldest + 1) % WAYS, min(known + 1, WAYS)
                 moved[way] = each_way_path(op, gap, up, down, first, sense, x, boxes[way])
                 if parts.size > 0:
-                    parted(x, parts.begin, parts.size, parts.before, parts.drive)
+                    parted(x, parts)
                 stem_products(y, x, first, integrating, plant, 1.0, 0, 0, passed, window, parts, room[0])
                 _keep(room[0], products[way])
             slips = moved[way]

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workbench.estimate.kernels.output_error import plant_terms
-from workbench.estimate.kernels.path import band_path, stem_path
+from workbench.estimate.kernels.path import band_path, spans_of, stem_path
 from workbench.simulate.compiled import compiled, copy, fused, place, written_out
 
 __all__ = ["LANES", "STRIDE", "screen_stepped"]
@@ -151,7 +151,7 @@ def _back(w: Floats, lanes: Floats, fades: float, integrating: bool, begin: int,
 
 
 @compiled
-def _stems(op: Floats, stems: Floats, early: int, x: Floats, slips: Ints) -> None:
+def _stems(op: Floats, spans: Floats, stems: Floats, early: int, x: Floats, slips: Ints) -> None:
     """Write the paths of up to LANES stems, flat with LANES apart, behind `early` samples before the record.
 
     Where x has fewer samples than OP each is a mean of OP's. Written: slips, of each.
@@ -165,7 +165,7 @@ def _stems(op: Floats, stems: Floats, early: int, x: Floats, slips: Ints) -> Non
         if math.isnan(stems[i, 1]):
             slips[i] = stem_path(op, stems[i, 0], first, path)
         else:
-            slips[i] = band_path(op, stems[i, 0], stems[i, 1], first, stems[i, 3], path, box)
+            slips[i] = band_path(op, spans, stems[i, 0], stems[i, 1], first, stems[i, 3], path, box)
         if first < 0:
             for k in range(early):
                 x[k * LANES + i] = path[0]
@@ -248,8 +248,9 @@ def screen_stepped(
         blocks.append(until)
         i = until
     paths, slips = np.empty((len(blocks) - 1, (early + n) * LANES)), np.zeros(stems.shape[0], np.int64)
+    spans = spans_of(op)
     for b in range(len(blocks) - 1):
-        _stems(op, stems[blocks[b] : blocks[b + 1]], early, paths[b], slips[blocks[b] : blocks[b + 1]])
+        _stems(op, spans, stems[blocks[b] : blocks[b + 1]], early, paths[b], slips[blocks[b] : blocks[b + 1]])
     w, lanes, held, steps = np.zeros((n + STRIDE) * LANES), np.empty(WIDTH), np.zeros((n, 4)), np.zeros((n, 6))
     column, basis, parts, size = np.empty(n), np.zeros((3, n)), np.zeros((3, n)), 0
     rest, along, power = np.empty(n), np.empty(n), np.empty(n)

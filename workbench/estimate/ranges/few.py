@@ -18,7 +18,7 @@ from workbench.estimate.fits.data import Centred
 from workbench.estimate.fits.fit import Limits
 from workbench.estimate.fits.sureness import ENOUGH_SLIPS, effective_samples
 from workbench.estimate.kernels.bands import scan_starts
-from workbench.estimate.kernels.path import S_HIGH, S_LOW, band_path
+from workbench.estimate.kernels.path import S_HIGH, S_LOW, band_path, spans_of
 from workbench.estimate.search.bands import Bands, alike_about
 from workbench.estimate.search.profile import CHI_SQUARE
 from workbench.estimate.search.two_parameter import Band, best_of, fit_band, jumped, started
@@ -74,7 +74,7 @@ def _walked(data: Centred, best: Band, way: int, most: float, only: float | None
     last, at, aside = best, best, 0
     box = np.empty(4)
     for _ in range(MOST):
-        band_path(data.u, at.S, at.J, at.first, at.sense, np.empty(data.samples), box)
+        band_path(data.u, spans_of(data.u), at.S, at.J, at.first, at.sense, np.empty(data.samples), box)
         S = float(box[S_HIGH]) if way > 0 else math.nextafter(float(box[S_LOW]), 0.0)
         if not 0.0 < S < data.op_range or aside > ASIDE * best.slips:
             break

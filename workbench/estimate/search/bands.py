@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from workbench.estimate.fits.data import Centred
 from workbench.estimate.fits.fit import LEAST_TAU, Fit, Limits, noise_alone, predict
 from workbench.estimate.fits.sureness import ENOUGH_SLIPS, effective_samples
-from workbench.estimate.kernels.path import J_HIGH, J_LOW, S_HIGH, S_LOW, band_path
+from workbench.estimate.kernels.path import J_HIGH, J_LOW, S_HIGH, S_LOW, band_path, spans_of
 from workbench.estimate.search.nearer import CROSSINGS, REACHES, REFITS, SPREADS, closer, nearer, search_short
 from workbench.estimate.search.outwards import outwards
 from workbench.estimate.search.profile import CHI_SQUARE, HALF_SLIPS
@@ -397,7 +397,7 @@ def _held(data: Centred, b: Band, only: float | None) -> tuple[float, float, flo
     if only is not None:
         return b.S, b.S, b.J, b.J
     box = np.empty(4)
-    band_path(data.u, b.S, b.J, b.first, b.sense, np.empty(data.samples), box)
+    band_path(data.u, spans_of(data.u), b.S, b.J, b.first, b.sense, np.empty(data.samples), box)
     less = min(b.S - box[S_LOW], b.J - box[J_LOW])
     more = min(box[S_HIGH] - b.S, box[J_HIGH] - b.J, data.op_range)
     return b.S - less, b.S + more, b.J - less, b.J + more

@@ -13,7 +13,7 @@ import numpy as np
 
 from workbench.estimate.fits.data import Centred
 from workbench.estimate.fits.fit import LEAST_TAU, Limits
-from workbench.estimate.kernels.path import J_HIGH, J_LOW, S_HIGH, S_LOW, band_path
+from workbench.estimate.kernels.path import J_HIGH, J_LOW, S_HIGH, S_LOW, band_path, spans_of
 from workbench.estimate.search.nearer import REACHES, SPREADS, closer, nearer, within
 from workbench.estimate.search.two_parameter import Band, best_of, best_start, fit_band
 from workbench.model.record import FloatArray
@@ -88,6 +88,6 @@ def _followed(
 def _right(op: FloatArray, b: Band) -> tuple[float, float, float, float]:
     """The rectangle (S from, to, J from, to) in which stems slip along OP as one does."""
     box = np.empty(4)
-    band_path(op, b.S, b.J, b.first, b.sense, np.empty(op.size), box)
+    band_path(op, spans_of(op), b.S, b.J, b.first, b.sense, np.empty(op.size), box)
     low, high, least, most = box[[S_LOW, S_HIGH, J_LOW, J_HIGH]].tolist()
     return low, high, least, most

@@ -22,7 +22,7 @@ from workbench.estimate.fits.fit import LEAST_TAU, Fit, Limits, fit_bands
 from workbench.estimate.fits.windows import EXACT, windows_of
 from workbench.estimate.kernels import abreast
 from workbench.estimate.kernels.bands import scan_starts, screen_bands
-from workbench.estimate.kernels.path import band_path
+from workbench.estimate.kernels.path import band_path, spans_of
 from workbench.estimate.search.stems import thin
 from workbench.model.record import FloatArray
 
@@ -99,7 +99,7 @@ class Band:
 def band_stem(u: FloatArray, S: float, J: float, first: int = -1, sense: float = 0.0) -> tuple[FloatArray, int]:
     """Return (stem path, number of slips): shape (N,), 0 before `first` unless that is -1 (see `band_path`)."""
     x = np.empty(u.size)
-    return x, band_path(u, S, J, first, sense, x, np.empty(4))
+    return x, band_path(u, spans_of(u), S, J, first, sense, x, np.empty(4))
 
 
 def held_range(u: FloatArray, b: Band) -> tuple[float, float]:
