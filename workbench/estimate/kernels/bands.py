@@ -306,10 +306,10 @@ def screen_bands(
                 paths[3, :met] = paths[0, met]
             x = paths[start]
             for k in range(n):
-                total = x[k] - x[0]
-                for j in range(1, min(p, k) + 1):
-                    total += a[j] * (x[k - j] - x[0])
-                w[k] = total
+                w[k] = x[k] - x[0]
+            for j in range(1, p + 1):
+                for k in range(j, n):
+                    w[k] += a[j] * (x[k - j] - x[0])
             best[0], best[1], best[2] = math.inf, 0.0, 0.0
             within = (low, high, soonest, latest)
             screen_drive(w, y, poles, delays, within, sign, skip, known, False, own, room, best)
