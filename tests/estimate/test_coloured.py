@@ -7,22 +7,27 @@ import pytest
 
 from workbench.estimate.fits.data import centre
 from workbench.estimate.fits.fit import LEAST_TAU, Fit, Limits, predict
-from workbench.estimate.kernels.coloured import HELD, colour_left, products_of
+from workbench.estimate.kernels.coloured import HELD, colour_left, lagged, products_of
 from workbench.estimate.loads.coloured import MOST_LAGS, colour_beside
 from workbench.model.record import Record
 
 
 @pytest.mark.parametrize("plant", ["fopdt", "integrating"])
 @pytest.mark.parametrize(("first", "skip"), [(0, 0), (9, 5)])
+@pytest.mark.parametrize("tau", [6.5, 0.8, 60.0])  # start and transient die out within the record, at once, and not
 @pytest.mark.parametrize("lags", [1, 4, MOST_LAGS])
-def test_what_an_autoregression_leaves_is_numpys_least_squares(plant: str, first: int, skip: int, lags: int) -> None:
+def test_what_an_autoregression_leaves_is_numpys_least_squares(
+    plant: str, first: int, skip: int, tau: float, lags: int
+) -> None:
     rng = np.random.default_rng(2)
     u = np.cumsum(rng.normal(size=240))
     data = centre(Record(np.cumsum(rng.normal(size=240)), u, 1.0), plant)
-    gain, tau, theta, size = 0.7, 6.5, 2.3, MOST_LAGS + 1
+    gain, theta, size = 0.7, 2.3, MOST_LAGS + 1
     products = np.empty((2 * size + HELD, 2 * size + HELD))
     begin = skip + MOST_LAGS
-    rows = products_of(data.y, data.u, first, data.integrating, tau, theta, begin, size, products)
+    own = np.empty((size, size))
+    lagged(data.y, data.y, begin, size, own)
+    rows = products_of(data.y, own, data.u, first, data.integrating, tau, theta, begin, products)
     terms = lags + rows - 2 * size
     room = np.empty((terms + 1, terms))
     left = colour_left(products, rows, size, gain, lags, room)

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workbench.detect.whitening import NOUGHT
-from workbench.simulate.compiled import compiled, copy
+from workbench.simulate.compiled import compiled, copy, place
 
 __all__ = ["ABREAST", "KINDS", "LANES", "fade", "gather", "one_tap", "two_taps"]
 
@@ -72,18 +72,19 @@ def _lag_edge(w: Floats, count: int, st: Floats, z: Floats, edge: Floats) -> Non
 
 
 @compiled
-def _lag_chunk(w: Floats, st: Floats, z: Floats) -> None:
-    """The same by CHUNK samples, without the sums before each."""
+def _lag_chunk(w: Floats, begin: int, st: Floats, z: Floats) -> None:
+    """The same by CHUNK samples from `begin` on, without the sums before each."""
     for k in range(0, CHUNK, 4):
-        now, rows = w[k * LANES : (k + 4) * LANES], z[k * LANES : (k + 4) * LANES]
+        now, row = place((begin + k) * LANES), place(k * LANES)
         for j in range(LANES):
             p, g, z0, last = st[P + j], st[G + j], st[Z + j], st[LAST + j]
-            z1 = p * z0 + g * now[j]
-            z2 = p * z1 + g * now[LANES + j]
-            z3 = p * z2 + g * now[2 * LANES + j]
-            st[Z + j] = p * z3 + g * now[3 * LANES + j]
+            z1 = p * z0 + g * w[now + place(j)]
+            z2 = p * z1 + g * w[now + place(LANES + j)]
+            z3 = p * z2 + g * w[now + place(2 * LANES + j)]
+            st[Z + j] = p * z3 + g * w[now + place(3 * LANES + j)]
             st[LAST + j] = z3
-            rows[j], rows[LANES + j], rows[2 * LANES + j], rows[3 * LANES + j] = z0, z1, z2, z3
+            z[row + place(j)], z[row + place(LANES + j)] = z0, z1
+            z[row + place(2 * LANES + j)], z[row + place(3 * LANES + j)] = z2, z3
             st[S + j] += (z0 + z1) + (z2 + z3)
             st[Q + j] += (z0 * z0 + z1 * z1) + (z2 * z2 + z3 * z3)
             st[R + j] += (z0 * last + z1 * z0) + (z2 * z1 + z3 * z2)
@@ -97,29 +98,35 @@ def _lag_chunk(w: Floats, st: Floats, z: Floats) -> None:
 
 
 @compiled
-def _cross(z: Floats, rows: int, t: Floats, delays: Ints, sums: Floats) -> None:
-    """Add to sums[i LANES + j] the products of `rows` (a multiple of 8) rows of z with t, delays[i] samples later."""
+def _cross(z: Floats, rows: int, t: Floats, begin: int, delays: Ints, sums: Floats) -> None:
+    """Add to sums[i LANES + j] the products of `rows` (a multiple of 8) rows of z with t, delays[i] samples later.
+
+    begin: the sample of t that the first row stands at.
+    """
     for k in range(0, rows, 8):
-        b = z[k * LANES : (k + 8) * LANES]
+        first = place(k * LANES)
         for i in range(delays.size):
-            v = t[k + delays[i] : k + delays[i] + 8]
-            v0, v1, v2, v3, v4, v5, v6, v7 = v[0], v[1], v[2], v[3], v[4], v[5], v[6], v[7]
-            c = sums[i * LANES : (i + 1) * LANES]
+            at, row = place(begin + k + delays[i]), place(i * LANES)
+            v0, v1, v2, v3 = t[at], t[at + place(1)], t[at + place(2)], t[at + place(3)]
+            v4, v5, v6, v7 = t[at + place(4)], t[at + place(5)], t[at + place(6)], t[at + place(7)]
             for j in range(LANES):
-                near = (b[j] * v0 + b[LANES + j] * v1) + (b[2 * LANES + j] * v2 + b[3 * LANES + j] * v3)
-                far = (b[4 * LANES + j] * v4 + b[5 * LANES + j] * v5) + (b[6 * LANES + j] * v6 + b[7 * LANES + j] * v7)
-                c[j] += near + far
+                b = first + place(j)
+                near = z[b] * v0 + z[b + place(LANES)] * v1
+                near += z[b + place(2 * LANES)] * v2 + z[b + place(3 * LANES)] * v3
+                far = z[b + place(4 * LANES)] * v4 + z[b + place(5 * LANES)] * v5
+                far += z[b + place(6 * LANES)] * v6 + z[b + place(7 * LANES)] * v7
+                sums[row + place(j)] += near + far
 
 
 @compiled
-def _cross_own(z: Floats, rows: int, e: Floats, delays: Ints, sums: Floats) -> None:
+def _cross_own(z: Floats, rows: int, e: Floats, begin: int, delays: Ints, sums: Floats) -> None:
     """The same with a series of its own for each lane, e[k LANES + j]."""
     for k in range(rows):
-        b = z[k * LANES : (k + 1) * LANES]
+        first = place(k * LANES)
         for i in range(delays.size):
-            v, c = e[(k + delays[i]) * LANES : (k + delays[i] + 1) * LANES], sums[i * LANES : (i + 1) * LANES]
+            at, row = place((begin + k + delays[i]) * LANES), place(i * LANES)
             for j in range(LANES):
-                c[j] += b[j] * v[j]
+                sums[row + place(j)] += z[first + place(j)] * e[at + place(j)]
 
 
 @compiled
@@ -195,21 +202,21 @@ def gather(w: Floats, t: Floats, weight: Floats, e: Floats, first: int, delays: 
             _lag_edge(w, head, st, z, head_edge)
             st[W : W + LANES] = 1.0
         elif begin < tail:
-            _lag_chunk(w[begin * LANES :], st, z)
+            _lag_chunk(w, begin, st, z)
         else:
             _lag_edge(w[begin * LANES :], n - begin, st, z, tail_edge)
         z[(end - begin) * LANES : rows * LANES] = 0.0
-        _cross(z, rows, t[begin:], delays, sums[PV * size * LANES :])
+        _cross(z, rows, t, begin, delays, sums[PV * size * LANES :])
         if e.size > 0:
-            _cross(z, rows, weight[begin:], delays, sums[ONES * size * LANES :])
-            _cross_own(z, end - begin, e[begin * LANES :], delays, sums[FADING * size * LANES :])
+            _cross(z, rows, weight, begin, delays, sums[ONES * size * LANES :])
+            _cross_own(z, end - begin, e, begin, delays, sums[FADING * size * LANES :])
             for k in range((rows - 1) * LANES, 0, -1):
                 pairs[LANES + k - 1] = z[k - 1]
             for k in range(rows * LANES):
                 pairs[k] *= z[k]
                 z[k] *= z[k]
-            _cross(pairs, rows, weight[begin:], delays, sums[PAIRS * size * LANES :])
-            _cross(z, rows, weight[begin:], delays, sums[SQUARES * size * LANES :])
+            _cross(pairs, rows, weight, begin, delays, sums[PAIRS * size * LANES :])
+            _cross(z, rows, weight, begin, delays, sums[SQUARES * size * LANES :])
         elif end == head:
             # Of a transient that begins there, in place of one that begins at its end: from each sample of the head.
             for k in range(head, -1, -1):

@@ -8,14 +8,15 @@ from numpy.typing import NDArray
 from workbench.estimate.kernels.output_error import oe_columns, plant_terms, solve
 from workbench.simulate.compiled import compiled, copy
 
-__all__ = ["HELD", "colour_left", "products_of", "scan_colours"]
+__all__ = ["HELD", "colour_left", "lagged", "products_of", "scan_colours"]
 
 Floats = NDArray[np.float64]
 HELD = 3  # signals that no stem changes, at most: the constant, the start and the transient
+DIED = 1e-18  # of the largest value of a start or transient: it changes no sum
 
 
 @compiled
-def _lagged(f: Floats, g: Floats, begin: int, size: int, out: Floats) -> None:
+def lagged(f: Floats, g: Floats, begin: int, size: int, out: Floats) -> None:
     """Write the sums over k from `begin` on of f[k - i] g[k - j], i and j below size."""
     n = f.size
     for i in range(size):
@@ -28,37 +29,63 @@ def _lagged(f: Floats, g: Floats, begin: int, size: int, out: Floats) -> None:
 
 
 @compiled
+def _lasting(signal: Floats) -> int:
+    """Return how many samples a signal lasts before it has died out."""
+    most = 0.0
+    for k in range(signal.size):
+        most = max(most, abs(signal[k]))
+    last: int = signal.size
+    while last > 0 and abs(signal[last - 1]) <= DIED * most:
+        last -= 1
+    return last
+
+
+@compiled
 def products_of(
-    y: Floats, x: Floats, first: int, integrating: bool, tau: float, theta: float, begin: int, size: int, out: Floats
+    y: Floats,
+    own: Floats,
+    x: Floats,
+    first: int,
+    integrating: bool,
+    tau: float,
+    theta: float,
+    begin: int,
+    out: Floats,
 ) -> int:
     """Write the products that `colour_left` takes, over the samples from `begin` on, and return their rows.
 
-    y, x: PV and the stem path, shape (N,), its first slip `first`; tau, theta: of a plant of gain 1, samples. out,
+    y, x: PV and the stem path, shape (N,), its first slip `first`; own, shape (size, size): PV's own (`lagged`). tau,
+    theta: of a plant of gain 1, samples. out,
     (2 size + HELD, 2 size + HELD): of PV at lags 0 to size - 1, of the response at the same, and of the signals that no
     stem changes, with each other; of these the ones that are nothing are left out.
     """
-    n = y.size
+    n, size = y.size, own.shape[0]
     columns = np.empty((4, n))
     pole, c0, c1, m = plant_terms(integrating, tau, theta)
     oe_columns(x, first, pole, m, c0, c1, integrating, columns)
     response, pair = columns[1], np.empty((size, size))
     for row, col in ((0, 0), (0, 1), (1, 1)):
-        _lagged(response if row else y, response if col else y, begin, size, pair)
+        if col == 1:
+            lagged(response if row else y, response, begin, size, pair)
         for i in range(size):
             for j in range(size):
-                out[row * size + i, col * size + j] = out[col * size + j, row * size + i] = pair[i, j]
-    rows = 2 * size
-    kept = np.empty((HELD, n - begin))
+                value = pair[i, j] if col == 1 else own[i, j]
+                out[row * size + i, col * size + j] = out[col * size + j, row * size + i] = value
+    rows: int = 2 * size
+    kept, lengths = np.empty((HELD, n - begin)), np.empty(HELD, np.int64)
     for column in (0, 2, 3):
-        held = columns[column, begin:]
+        stop = begin + _lasting(columns[column, begin:])
+        held = columns[column, begin:stop]
         if not np.dot(held, held) > 0.0:
             continue
         copy(held, kept[rows - 2 * size])
+        lengths[rows - 2 * size] = held.size
         for i in range(size):
-            out[i, rows] = np.dot(y[begin - i : n - i], held)
-            out[size + i, rows] = np.dot(response[begin - i : n - i], held)
+            out[i, rows] = np.dot(y[begin - i : stop - i], held)
+            out[size + i, rows] = np.dot(response[begin - i : stop - i], held)
         for i in range(rows - 2 * size + 1):
-            out[2 * size + i, rows] = np.dot(kept[i], held)
+            both = min(lengths[i], held.size)
+            out[2 * size + i, rows] = np.dot(kept[i, :both], held[:both])
         for i in range(rows):
             out[rows, i] = out[i, rows]
         rows += 1
@@ -99,23 +126,25 @@ def colour_left(products: Floats, rows: int, size: int, gain: float, lags: int, 
 @compiled
 def scan_colours(
     y: Floats,
+    own: Floats,
     x: Floats,
     first: int,
     integrating: bool,
     plants: Floats,
     gains: Floats,
     skip: int,
-    lags: int,
     left: Floats,
 ) -> None:
     """Write what an autoregression leaves beside each plant, rows (tau, theta), and gain: sums, shape (plants, gains).
 
-    Its order is `lags`, and the samples are those from skip + lags on, as in `products_of`.
+    own: as in `products_of`, of one lag more than the autoregression's order; the samples are those from so many after
+    `skip` on.
     """
-    size = lags + 1
+    size = own.shape[0]
+    lags = size - 1
     products = np.empty((2 * size + HELD, 2 * size + HELD))
     for i in range(plants.shape[0]):
-        rows = products_of(y, x, first, integrating, plants[i, 0], plants[i, 1], skip + lags, size, products)
+        rows = products_of(y, own, x, first, integrating, plants[i, 0], plants[i, 1], skip + lags, products)
         terms = lags + rows - 2 * size
         room = np.empty((terms + 1, terms))
         for j in range(gains.size):

@@ -16,7 +16,7 @@ from scipy.optimize import minimize
 
 from workbench.estimate.fits.data import Centred
 from workbench.estimate.fits.fit import Fit, Limits, grown
-from workbench.estimate.kernels.coloured import HELD, colour_left, products_of, scan_colours
+from workbench.estimate.kernels.coloured import HELD, colour_left, lagged, products_of, scan_colours
 from workbench.model.record import FloatArray
 
 __all__ = ["MOST_LAGS", "TAUS", "colour_beside", "delays_about"]
@@ -42,16 +42,17 @@ def colour_beside(data: Centred, x: FloatArray, first: int, fit: Fit, limits: Li
     delays = delays_about(fit.theta, limits.theta[1])
     taus = [fit.tau] if data.integrating else [min(max(f * fit.tau, limits.tau[0]), limits.tau[1]) for f in TAUS]
     plants, gains = np.array([(tau, theta) for tau in taus for theta in delays]), fit.gain * GAINS
-    left = np.empty((len(plants), gains.size))
-    scan_colours(data.y, x, first, data.integrating, plants, gains, skip, MOST_LAGS, left)
+    left, own = np.empty((len(plants), gains.size)), np.empty((SIZE, SIZE))
+    lagged(data.y, data.y, skip + MOST_LAGS, SIZE, own)
+    scan_colours(data.y, own, x, first, data.integrating, plants, gains, skip, left)
     least = np.maximum(left, data.floor * (data.samples - skip - MOST_LAGS))
     i, j = divmod(int(np.argmin(least)), gains.size)
     (tau, theta), gain = plants[i].tolist(), float(gains[j])
 
     def placed(point: FloatArray) -> _Beside:
-        own = min(max(tau * grown(point[-1]), limits.tau[0]), limits.tau[1]) if not data.integrating else tau
+        slower = min(max(tau * grown(point[-1]), limits.tau[0]), limits.tau[1]) if not data.integrating else tau
         later = min(max(theta + point[1] / SHIFT, 0.0), limits.theta[1])
-        return _Beside(data, x, first, (gain * grown(point[0]), own, later), skip)
+        return _Beside(data, own, x, first, (gain * grown(point[0]), slower, later), skip)
 
     def level(point: FloatArray, lags: int) -> float:
         return placed(point).level(lags)
@@ -83,12 +84,20 @@ def delays_about(theta: float, longest: float) -> list[float]:
 class _Beside:
     """The autoregressions beside one plant (gain, tau, theta)."""
 
-    def __init__(self, data: Centred, x: FloatArray, first: int, plant: tuple[float, float, float], skip: int) -> None:
+    def __init__(
+        self,
+        data: Centred,
+        own: FloatArray,
+        x: FloatArray,
+        first: int,
+        plant: tuple[float, float, float],
+        skip: int,
+    ) -> None:
         self.gain, tau, theta = plant
         self.samples, self.floor = data.samples - skip - MOST_LAGS, data.floor
         self.products = np.empty((2 * SIZE + HELD, 2 * SIZE + HELD))
         begin = skip + MOST_LAGS
-        self.rows = products_of(data.y, x, first, data.integrating, tau, theta, begin, SIZE, self.products)
+        self.rows = products_of(data.y, own, x, first, data.integrating, tau, theta, begin, self.products)
 
     def level(self, lags: int) -> float:
         """N log V of what is left with some lags."""
