@@ -90,12 +90,9 @@ def _answered(
         best, best_at, gain = lanes[_BEST + j], lanes[_AT + j], lanes[_GAIN + j]
         for i in range(tries * every - 1, -1, -1):
             now = w[at + place(i * LANES + j)]
-            if integrating:
-                faded += beyond
-                beyond += now
-            else:
-                beyond += now
-                faded = now + fades * faded
+            # Of a plant that integrates nothing fades: its answers are the sum of these sums.
+            faded = fades * faded + (beyond if integrating else now)
+            beyond += now
             if i % every == 0:
                 total = faded if integrating else beyond - faded
                 k0, k1, k2 = steps[row + place(6 * i)], steps[row + place(6 * i + 1)], steps[row + place(6 * i + 2)]
@@ -118,21 +115,15 @@ def _answers(
 ) -> None:
     """Try steps of load from `end` back to `begin`, at each sample or at one of STRIDE so many."""
     k = end
-    if every == 1:
-        while k - STRIDE >= begin:
-            k -= STRIDE
-            if integrating:
-                _answered(w, lanes, fades, steps, k, True, STRIDE, 1)
-            else:
-                _answered(w, lanes, fades, steps, k, False, STRIDE, 1)
-    while k - every >= begin:
-        k -= every
-        if every == 1:
-            _answered(w, lanes, fades, steps, k, integrating, 1, 1)
-        elif integrating:
-            _answered(w, lanes, fades, steps, k, True, 1, STRIDE)
-        else:
-            _answered(w, lanes, fades, steps, k, False, 1, STRIDE)
+    while every == 1 and k - STRIDE >= begin:
+        k -= STRIDE
+        _answered(w, lanes, fades, steps, k, integrating, STRIDE, 1)
+    while every != 1 and k - STRIDE >= begin:
+        k -= STRIDE
+        _answered(w, lanes, fades, steps, k, integrating, 1, STRIDE)
+    while every == 1 and k > begin:
+        k -= 1
+        _answered(w, lanes, fades, steps, k, integrating, 1, 1)
 
 
 @fused
@@ -142,12 +133,8 @@ def _back(w: Floats, lanes: Floats, fades: float, integrating: bool, begin: int,
         at = place(k * LANES)
         for j in range(LANES):
             now = w[at + place(j)]
-            if integrating:
-                lanes[_FADED + j] += lanes[_BEYOND + j]
-                lanes[_BEYOND + j] += now
-            else:
-                lanes[_BEYOND + j] += now
-                lanes[_FADED + j] = now + fades * lanes[_FADED + j]
+            lanes[_FADED + j] = fades * lanes[_FADED + j] + (lanes[_BEYOND + j] if integrating else now)
+            lanes[_BEYOND + j] += now
 
 
 @compiled
