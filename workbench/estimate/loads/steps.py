@@ -197,7 +197,10 @@ def _begun(data: Centred, stem: Stem, model: _Model, limits: Limits, skip: int) 
         near = (firsts != stem.first) & (np.abs(firsts + model.fit.theta - at) <= SLIPPED)
         for first, sense in zip(firsts[near].tolist(), senses[near].tolist(), strict=True):
             other = stem.begun(first, sense)
-            trial = _beside(data, other.x, other.first, model.fit, limits, skip, fewer)
+            # The valve as it is by now, beside the steps.
+            x = other.x if other.near is None else other.near(model.wider, model.further)
+            trial = _beside(data, x, other.first, model.fit, limits, skip, fewer)
+            trial = replace(trial, wider=model.wider, further=model.further)
             best = min(best, (trial, other), key=lambda one: one[0].bic)
     if best[0] is not model:
         best = _refined(data, best[1], best[0], limits, skip), best[1]
@@ -323,12 +326,12 @@ def _refined(data: Centred, stem: Stem, model: _Model, limits: Limits, skip: int
     """
     if stem.near is None:
         return model
-    near = stem.near
+    near, begun = stem.near, (model.wider, model.further)
 
     def valve(point: FloatArray) -> tuple[FloatArray, Fit]:
         tau = min(max(model.fit.tau * grown(point[2]), limits.tau[0]), limits.tau[1])
         theta = min(max(model.fit.theta + float(point[3]) / SHIFT, limits.theta[0]), limits.theta[1])
-        return near(grown(point[0]), grown(point[1])), replace(model.fit, tau=tau, theta=theta)
+        return near(begun[0] * grown(point[0]), begun[1] * grown(point[1])), replace(model.fit, tau=tau, theta=theta)
 
     # A step between samples is one at either, in part.
     times = np.array(sorted({at + i for at in model.times for i in ((0, 1) if model.between else (0,))}))
@@ -340,7 +343,8 @@ def _refined(data: Centred, stem: Stem, model: _Model, limits: Limits, skip: int
         point = step @ moves
         if (
             stem.valve is not None
-            and sum(size * grown(by) for size, by in zip(stem.valve, point[:2], strict=False)) >= 2.0 * data.op_range
+            and sum(size * by * grown(more) for size, by, more in zip(stem.valve, begun, point[:2], strict=False))
+            >= 2.0 * data.op_range
         ):
             # Such a jump is never made: beyond it the stem's size is a gain of its own.
             return unexplained
@@ -363,7 +367,7 @@ def _refined(data: Centred, stem: Stem, model: _Model, limits: Limits, skip: int
         ).x
     point = step @ moves
     x, fit = valve(point)
-    wider, further = np.exp(point[:2]).tolist()
+    wider, further = (by * grown(more) for by, more in zip(begun, point[:2].tolist(), strict=True))
     moved = replace(
         _beside(data, x, stem.first, fit, limits, skip, list(model.times), model.between), wider=wider, further=further
     )
