@@ -20,8 +20,9 @@ P = ParamSpec("P")
 R = TypeVar("R")
 T = TypeVar("T")
 IMPORT = re.compile(r"^from (\S+) import (\([^)]*\)|.*)", re.MULTILINE)
-# A place in an array, which does not count from its end: what is added to one must be one too. In a loop over samples
-# a slice instead costs some 50 ns, as each is counted as a reference that is held.
+# A place in an array, which does not count from its end: what is added to one must be one too. With it a loop over
+# samples calls compiled functions for a few of them each: a slice handed on instead costs some 20 ns, as references to
+# it are counted, and an index that may be negative is looked at for each lane.
 place = np.uintp
 CONSTANT = (int, float, tuple, np.generic, np.ndarray)  # what compiled code holds as it was then
 
