@@ -268,3 +268,25 @@ def test_no_dense_grid_is_walked_where_nothing_moves_or_the_record_is_long() -> 
     part = data.part(0, 1000)
     assert densely(part, [], 30.0) == ()
     assert densely(part, look(part, 30.0), 30.0)
+
+
+@pytest.mark.parametrize("first", [-1, 0, 13])
+def test_a_stem_that_rests_through_spans_goes_as_one_that_is_looked_at_sample_by_sample(first: int) -> None:
+    rng = np.random.default_rng(4)
+    rested = 0
+    for n in (7, 40, 203):
+        op = np.round(4.0 * np.cumsum(rng.normal(0.0, 0.3, n))) / 8.0  # that meets the edges of its bands exactly
+        spans = spans_of(op)
+        never = np.vstack([np.full(spans.shape[1], -np.inf), np.full(spans.shape[1], np.inf)])
+        for S in (0.125, 0.5, 1.0, 2.5):
+            for J in (0.0, 0.25 * S, S, 1.3 * S):
+                ways = [(np.zeros(n), np.zeros(4)) for _ in range(2)]
+                at = min(first, n - 1)
+                one, other = (
+                    band_path(op, those, S, J, at, 1.0, *way) for those, way in zip((spans, never), ways, strict=True)
+                )
+                assert one == other
+                assert np.array_equal(ways[0][0], ways[1][0])
+                assert np.array_equal(ways[0][1], ways[1][1])
+                rested += int((np.diff(ways[0][0]) == 0.0).sum())
+    assert rested > 1000

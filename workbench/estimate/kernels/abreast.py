@@ -132,7 +132,7 @@ def _sum(y: Floats, first: int, w: Floats, added: Floats, at: int, lanes: Floats
 
 @compiled
 def _sums(y: Floats, first: int, w: Floats, added: Floats, lanes: Floats, begin: int, end: int, late: bool) -> None:
-    """The lanes' sums in rows [begin, end) of w, the first of which is PV's sample `first`."""
+    """The lanes' sums in rows [begin, end) of w, whose row 0 stands at PV's sample `first`."""
     i = begin
     while i + STRIDE <= end:
         if late:

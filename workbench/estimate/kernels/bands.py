@@ -70,9 +70,10 @@ def scan_starts(
 
     Written: costs, inf where the stem never moves.
     """
-    x, drive, spans = np.empty(op.size), np.empty(op.size), spans_of(op)
+    x, drive, spans = np.empty(op.size), np.zeros(op.size), spans_of(op)
     box = np.empty(4)
     out = np.empty(FIT)
+    # PV's part of it, which each start's stem is then put beside.
     given = posed(y, drive, 0, (-math.inf, math.inf, sign), integrating, a, skip, int(theta))
     for i in range(starts.shape[0]):
         first = int(starts[i, 0])

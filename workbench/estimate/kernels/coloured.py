@@ -63,14 +63,13 @@ def products_of(
     columns = np.empty((4, n))
     pole, c0, c1, m = plant_terms(integrating, tau, theta)
     oe_columns(x, first, pole, m, c0, c1, integrating, columns)
-    response, pair = columns[1], np.empty((size, size))
-    for row, col in ((0, 0), (0, 1), (1, 1)):
-        if col == 1:
-            lagged(response if row else y, response, begin, size, pair)
-        for i in range(size):
-            for j in range(size):
-                value = pair[i, j] if col == 1 else own[i, j]
-                out[row * size + i, col * size + j] = out[col * size + j, row * size + i] = value
+    response, crossed, answered = columns[1], np.empty((size, size)), np.empty((size, size))
+    lagged(y, response, begin, size, crossed)
+    lagged(response, response, begin, size, answered)
+    for i in range(size):
+        for j in range(size):
+            out[i, j], out[size + i, size + j] = own[i, j], answered[i, j]
+            out[i, size + j] = out[size + j, i] = crossed[i, j]
     rows: int = 2 * size
     kept, lengths = np.empty((HELD, n - begin)), np.empty(HELD, np.int64)
     for column in (0, 2, 3):

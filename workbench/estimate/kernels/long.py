@@ -91,13 +91,14 @@ def fit_in_stretch(
         if first >= begin:
             from_there, low_there, high_there = min(first, stop) - begin, low, high
         start, least = 1.0, math.inf
-        bounds = (low_there, high_there, sign)
-        given = posed(part, within, from_there, bounds, integrating, a, skipped, int(theta))
-        for j in range(0 if integrating else STARTS):
-            trial = low_tau * (high_tau / low_tau) ** (j / (STARTS - 1.0))
-            cost = cost_at(given, trial, theta, out)
-            if cost < least:
-                least, start = cost, trial
+        if not integrating:
+            bounds = (low_there, high_there, sign)
+            given = posed(part, within, from_there, bounds, integrating, a, skipped, int(theta))
+            for j in range(STARTS):
+                trial = low_tau * (high_tau / low_tau) ** (j / (STARTS - 1.0))
+                cost = cost_at(given, trial, theta, out)
+                if cost < least:
+                    least, start = cost, trial
         oe_fit(
             part,
             within,
