@@ -133,6 +133,15 @@ def test_a_loop_of_many_is_read_as_from_a_file_of_its_own(
         assert many_in(alone) == []
 
 
+@pytest.mark.parametrize("shape", SHAPES)
+def test_pv_and_op_alone_are_named(tmp_path: Path, loops: Loops, shape: str) -> None:
+    (tmp_path / "many.csv").write_text(SHAPES[shape](loops), newline="")
+    tags = tags_of(tmp_path / "many.csv", "FIC12")
+    ours = wb.read_record(tmp_path / "many.csv", tags={"PV": tags["PV"], "OP": tags["OP"]})
+    assert ours.sp is not None  # told by its name, which begins as theirs do
+    assert np.array_equal(ours.pv, read_loop(tmp_path / "many.csv", tags).pv)
+
+
 def test_a_comment_over_lines_is_not_parted(tmp_path: Path, loops: Loops, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(csv_file, "_BLOCK", 500)
     rows = [[f"a remark,\non {row[0]},\nand more" if k % 50 == 7 else "", *row] for k, row in enumerate(tall(loops))]

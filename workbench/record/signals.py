@@ -136,7 +136,7 @@ def from_tall(
     """
     out = Signals({}, table.unit, table.lines.size, notes=list(table.notes), time_name=names["time"], what="tag")
     codes: dict[str, int] = {}
-    of_row = np.array([codes.setdefault(tag, len(codes)) for tag in _tags(table, (tags or {}).values())])
+    of_row = np.array([codes.setdefault(tag, len(codes)) for tag in _tags(table, listed or (tags or {}).values())])
     listed = listed or [tag for tag in codes if tag]
     found = match_tags(listed, tags, source)
     others = [tag for i, tag in enumerate(listed) if i not in found.values()]
