@@ -9,13 +9,14 @@ from array import array
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
-from itertools import chain, islice
+from itertools import compress, islice
 from pathlib import Path
 from typing import TextIO
 
 import numpy as np
 
 from workbench.errors import RecordError
+from workbench.record.blocks import Block
 from workbench.record.headings import in_one_row
 from workbench.record.influx import SERIES, annotated
 from workbench.record.pairs import PAIRED, Pairs, in_use, pairs_of, tall_rows, time_column, unguarded
@@ -39,7 +40,7 @@ from workbench.record.units import is_unit
 
 __all__ = ["names_in_csv", "read_csv"]
 
-_BLOCK = 1 << 20  # characters looked through at once
+_BLOCK = 1 << 18  # characters looked through at once
 _HEAD_LINES = 50  # in which a header is looked for
 _BELOW = 3  # rows below it, which show what parts cells
 _UNIT_ROWS = 5  # below the header, in which one of units is looked for: descriptions may stand before it
@@ -81,10 +82,6 @@ class _Opened:
     def cells(self, lines: Iterable[str]) -> Iterator[list[str]]:
         """Return a reader of the rows that the lines hold."""
         return csv.reader(lines, delimiter=self.mark, skipinitialspace=True, strict=False)
-
-    def further(self) -> Iterator[str]:
-        """Return the lines after those read."""
-        return map(self.cut, self.stream)
 
 
 @contextmanager
@@ -145,66 +142,61 @@ def names_in_csv(
             return file.header, [("", tag) for tag in file.pairs]
         if "tag" not in file.found:
             return file.header, []
-        at = sorted(file.found[name] for name in ("loop", "tag") if name in file.found)
-        # A cell of each column up to the last of these, those of them told.
-        cell = rf"[^{re.escape(file.mark)}\r\n]*"
-        line = re.escape(file.mark).join(f"({cell})" if i in at else cell for i in range(max(at) + 1))
-        pattern = re.compile(f"^{line}.*", re.MULTILINE)  # to the end of the line, which a search would creep to
+        at = [file.found[name] for name in ("loop", "tag") if name in file.found]
         found: dict[tuple[str, ...], None] = {}
-        for block in chain(["".join(file.lines[1:])], _blocks(file)):
-            if _even(block) and '"' not in block and file.mark != " ":
-                told = dict.fromkeys(pattern.findall(block))  # texts of one column, or pairs of two
-                found |= told if len(at) > 1 else dict.fromkeys((tag,) for tag in told)
-            else:
-                rows = file.cells(unguarded(io.StringIO(block, newline="")))
-                found |= dict.fromkeys(tuple(row[i] for i in at) for row in rows if len(row) > max(at))
-        back = at.index(file.found["tag"])
-        pairs = ((told[1 - back].strip() if len(at) > 1 else "", told[back].strip()) for told in found)
+        for k, block in enumerate(_blocks(file)):
+            cut = block.columns(file.mark, len(file.header), at) if k > 0 else None
+            if cut is not None:
+                found |= dict.fromkeys(zip(*cut, strict=True))
+                continue
+            rows = file.cells(unguarded(block.lines()))
+            if k == 0:
+                next(rows)  # the header
+            found |= dict.fromkeys(tuple(row[i] for i in at) for row in rows if len(row) > max(at))
+        pairs = ((cells[0].strip() if len(at) > 1 else "", cells[-1].strip()) for cells in found)
         return file.header, list(dict.fromkeys(pair for pair in pairs if pair[1]))
 
 
-def _blocks(file: _Opened) -> Iterator[str]:
-    """Yield the lines after those read in parts that end where a line does."""
-    while block := file.stream.read(_BLOCK) + file.stream.readline():
-        yield block if file.cut is str else "".join(map(file.cut, io.StringIO(block, newline="")))
+def _blocks(file: _Opened) -> Iterator[Block]:
+    """Yield a file's lines from its header on in blocks, the lines read with the header as the first."""
+    text, first = "".join(file.lines), file.skipped + 1
+    while text:
+        block = Block(text, first)
+        yield block
+        first += block.numbers.size
+        text = file.stream.read(_BLOCK) + file.stream.readline()
+        if file.cut is not str:
+            text = "".join(map(file.cut, io.StringIO(text, newline="")))
 
 
-def _even(block: str) -> bool:
-    """Whether all lines of a block end alike, and no more than whole cells in quotes are in it."""
-    return block.count('"') % 2 == 0 and ("\r" not in block or block.count("\r") == block.count("\r\n"))
+class _Lines:
+    """A file's lines from its header on, one by one, by blocks.
 
-
-def _lines_with(file: _Opened, words: Collection[str], at: array[int]) -> Iterator[str]:
-    """Yield the header and further lines of a file, all in which one of the words is; at: takes the number of each.
-
-    Lines of a cell that goes on over several are not parted. Most lines are never looked at one by one.
+    words: lines without any of them are left out where that can be told (see `Block.having`), but for those read with
+    the header; none for all lines. block: the present one; given: how many of its lines were.
     """
-    pattern = re.compile("|".join(map(re.escape, words)))
-    last = file.skipped + len(file.lines)
-    at.extend(range(file.skipped + 1, last + 1))
-    yield from file.lines
-    for block in _blocks(file):
-        chosen = list(_chosen(block, pattern)) if _even(block) else None
-        if chosen is None or any(line.count('"') % 2 for _, line in chosen):
-            chosen = list(enumerate(io.StringIO(block, newline="")))
-            lines = len(chosen)
-        else:
-            lines = block.count("\n")
-        for number, line in chosen:
-            at.append(last + 1 + number)
-            yield line
-        last += lines
 
+    def __init__(self, file: _Opened, words: Collection[str]) -> None:
+        self._blocks = _blocks(file)
+        self._pattern = re.compile("|".join(map(re.escape, words))) if words else None
+        self._take(next(self._blocks))
 
-def _chosen(block: str, pattern: re.Pattern[str]) -> Iterator[tuple[int, str]]:
-    """Yield the lines of a block in which the pattern is found, each with its number from 0."""
-    number, end = 0, 0
-    while found := pattern.search(block, end):
-        begin = block.rfind("\n", end, found.start()) + 1 or end
-        number += block.count("\n", end, begin)
-        end = block.find("\n", found.end()) + 1 or len(block)
-        yield number, block[begin:end]
-        number += 1
+    def _take(self, block: Block) -> None:
+        self.block, self.given, self._each = block, 0, iter(block.lines())
+
+    def left(self) -> bool:
+        """Whether there is a line more; the present block is then the one that it is of."""
+        while self.given == self.block.numbers.size:
+            block = next(self._blocks, None)
+            if block is None:
+                return False
+            self._take(block if self._pattern is None else block.having(self._pattern))
+        return True
+
+    def __iter__(self) -> Iterator[str]:
+        while self.left():
+            self.given += 1
+            yield next(self._each)
 
 
 def _is_data(cell: str) -> bool:
@@ -251,97 +243,119 @@ def _header(
 
 def _rows(file: _Opened, wanted: frozenset[str], source: str) -> Table:
     """Return the table of a file's rows; of each only the cells that are needed are held."""
-    mark, found, pairs = file.mark, file.found, file.pairs
-    width, needed = len(file.header), tuple(value for _, value in pairs.values()) or tuple(found.values())
-    tag, loop = (found.get(name) if wanted and not pairs else None for name in ("tag", "loop"))
-
-    def is_row(text: str) -> bool:
-        cells = text.split(mark)
-        return len(cells) >= width and any(as_number(cells[i], mark != ",")[1] == OK for i in needed)
-
-    def of_others(row: list[str]) -> bool:
-        if tag is None:
-            return False
-        own, whose = (row[i].strip() if i is not None and i < len(row) else "" for i in (tag, loop))
-        return own not in wanted and f"{whose}.{own}" not in wanted
-
+    found, pairs, decimal_comma = file.found, file.pairs, file.mark != ","
     if pairs:
         width = max(value for _, value in pairs.values()) + 1
         pairs = in_use(pairs, wanted)
         kept = [i for pair in pairs.values() for i in pair]
         pairs = {name: (2 * k, 2 * k + 1) for k, name in enumerate(pairs)}
+        columns, lines, over = _held(file, kept, width, frozenset(), source)
+        columns, of_row = tall_rows(columns, pairs)
+        lines, over = array("q", [lines[k] for k in of_row]), bytearray(over[k] for k in of_row)
+        header = list(PAIRED)
     else:
         kept = sorted(found.values())
+        columns, lines, over = _held(file, kept, len(file.header), wanted, source)
+        header = [file.header[i] for i in kept]
         found = {name: kept.index(i) for name, i in found.items()}
-    header = [file.header[i] if i < len(file.header) else "" for i in kept]
-    at: array[int] | None = None
-    if tag is None or any('"' in name for name in wanted):  # which is written otherwise in a file
-        reader = file.cells(chain(file.lines, unguarded(file.further())))
-    else:
-        at = array("q")
-        words = wanted if loop is None else {name.partition(".")[0] for name in wanted}
-        reader = file.cells(unguarded(_lines_with(file, words, at)))
-    next(reader)
-
-    def line(k: int) -> int:
-        """Return the number, in the file, of the k-th line that the reader had."""
-        return k + file.skipped if at is None else at[k - 1]
-
-    lines, rows, count = array("q"), [], reader.line_num  # type: ignore[attr-defined]
-    while True:
-        before = count
-        try:
-            row = next(reader, None)
-        except csv.Error as error:
-            said = f"no readable CSV: {error}; is a quote opened there that is not closed?"
-            raise RecordError(f"{source}: line {line(before + 1)}: {said}") from None
-        if row is None:
-            break
-        count = reader.line_num  # type: ignore[attr-defined]
-        if count > before + 1:
-            said = _swallowed(row, line(before + 1), file.header, is_row)
-            if said:
-                msg = f"{source}: {said}, up to line {line(count)}; close it, or take it out"
-                raise RecordError(msg)
-        if not row or (len(row) == 1 and not row[0].strip()) or of_others(row):
-            continue
-        lines.append(line(count))
-        # A trailing delimiter makes one empty field more; that is harmless.
-        more = [cell for cell in row[width:] if cell.strip()]
-        rows.append([row[i] if i < len(row) else "" for i in kept] + more)
-    if pairs:
-        header = list(PAIRED)
-        rows, lines = tall_rows(rows, lines, pairs)
-    units = _taken_units(rows, lines, found, mark != ",")
-    columns: dict[str, Cells] = {}
-    texts = {name: [row[i] if i < len(row) else "" for row in rows] for name, i in found.items()}
-    numbers = {header[found[name]].strip(): (texts[name], lines) for name in NUMERIC if name in found}
-    one_mark(numbers, mark != ",", "column", "line", source)
+    units = _taken_units(columns, lines, over, found, decimal_comma)
+    named = {header[found[name]].strip(): (columns[found[name]], lines) for name in NUMERIC if name in found}
+    one_mark(named, decimal_comma, "column", "line", source)
+    out: dict[str, Cells] = {}
     for name, i in found.items():
-        listed = texts[name]
+        listed = columns[i]
         where = f"{source}: column {header[i].strip()!r}"
         if name in NUMERIC:
-            columns[name] = number_cells(listed, mark != ",", where)
+            out[name] = number_cells(listed, decimal_comma, where)
         else:
-            columns[name] = text_cells([cell.strip() for cell in listed], mark != ",", where, name == "time")
-    wide = [k for k, row in enumerate(rows) if len(row) > len(header)]
-    for cells in columns.values():
-        cells.marks[wide] = FIELDS
-    return Table(columns, np.array(lines, dtype=np.int64), "line", file.notes, mark != ",", units, bool(pairs))
+            out[name] = text_cells([cell.strip() for cell in listed], decimal_comma, where, name == "time")
+        out[name].marks[np.frombuffer(over, dtype=bool)] = FIELDS
+    return Table(out, np.array(lines, dtype=np.int64), "line", file.notes, decimal_comma, units, bool(pairs))
+
+
+def _held(
+    file: _Opened, kept: Sequence[int], width: int, wanted: frozenset[str], source: str
+) -> tuple[list[list[str]], array[int], bytearray]:
+    """Return the cells of each of the columns `kept`, the line of each row, and whether it has more than `width` cells.
+
+    wanted: as in `read_csv`, of a tall file.
+    """
+    mark, needed = file.mark, tuple(value for _, value in file.pairs.values()) or tuple(file.found.values())
+    by_tag = bool(wanted) and "tag" in file.found
+    whose = [file.found[name] for name in ("tag", "loop") if by_tag and name in file.found]
+
+    def is_row(text: str) -> bool:
+        cells = text.split(mark)
+        return len(cells) >= width and any(as_number(cells[i], mark != ",")[1] == OK for i in needed)
+
+    def is_own(cells: Sequence[str]) -> bool:
+        """Whether a row is wanted, by its cells of the tag and, if there is such a column, of the loop."""
+        own, *loop = (cell.strip() for cell in cells)
+        return own in wanted or ".".join([*loop, own]) in wanted
+
+    words: Collection[str] = ()
+    if whose and not any('"' in name for name in wanted):  # which is written otherwise in a file
+        words = wanted if len(whose) == 1 else {name.partition(".")[0] for name in wanted}
+    text = _Lines(file, words)
+    reader = file.cells(unguarded(text))
+    next(reader)  # the header
+    columns: list[list[str]] = [[] for _ in kept]
+    lines, over = array("q"), bytearray()
+    while text.left():
+        numbers = text.block.numbers
+        if text.given == 0 and (cut := text.block.columns(mark, width, kept)) is not None:
+            text.given = numbers.size
+            if whose:
+                told = list(zip(*(cut[kept.index(i)] for i in whose), strict=True))
+                own = {cells: is_own(cells) for cells in set(told)}
+                chosen = np.array([own[cells] for cells in told], dtype=bool)
+                cut, numbers = [list(compress(cells, chosen)) for cells in cut], numbers[chosen]
+            for column, cells in zip(columns, cut, strict=True):
+                column += cells
+            lines.frombytes(numbers.tobytes())
+            over.extend(bytes(numbers.size))
+            continue
+        begin, before = int(numbers[text.given]), reader.line_num  # type: ignore[attr-defined]
+        try:
+            row = next(reader)
+        except csv.Error as error:
+            said = f"no readable CSV: {error}; is a quote opened there that is not closed?"
+            raise RecordError(f"{source}: line {begin}: {said}") from None
+        line = int(text.block.numbers[text.given - 1])
+        if reader.line_num > before + 1:  # type: ignore[attr-defined]
+            said = _swallowed(row, begin, file.header, is_row)
+            if said:
+                msg = f"{source}: {said}, up to line {line}; close it, or take it out"
+                raise RecordError(msg)
+        if not row or (len(row) == 1 and not row[0].strip()):
+            continue
+        if whose and not is_own([row[i] if i < len(row) else "" for i in whose]):
+            continue
+        lines.append(line)
+        for column, i in zip(columns, kept, strict=True):
+            column.append(row[i] if i < len(row) else "")
+        # A trailing delimiter makes one empty field more; that is harmless.
+        over.append(any(map(str.strip, row[width:])))
+    return columns, lines, over
 
 
 def _taken_units(
-    rows: list[list[str]], lines: array[int], found: Mapping[str, int], decimal_comma: bool
+    columns: Sequence[list[str]], lines: array[int], over: bytearray, found: Mapping[str, int], decimal_comma: bool
 ) -> dict[str, str]:
-    """Take a wide file's row of units, above all data, out of its rows and lines; return what it says, {} for none."""
+    """Take a wide file's row of units, above all data, out of its rows; return what it says, {} for none.
+
+    lines, over: the line of each row, and whether it has too many fields.
+    """
     kinds = [name for name in ("time", *NUMERIC) if name in found and "PV" in found]
-    for k, row in enumerate(rows[:_UNIT_ROWS]):
-        cells = {name: row[found[name]].strip() if found[name] < len(row) else "" for name in kinds}
+    for k in range(min(_UNIT_ROWS, len(lines))):
+        cells = {name: columns[found[name]][k].strip() for name in kinds}
         timed = any(mark.isdigit() for mark in cells.get("time", ""))
         if timed or any(as_number(cells[name], decimal_comma)[1] not in (TEXT, BLANK) for name in kinds):
             break
         if any(map(is_unit, cells.values())):
-            del rows[k], lines[k]
+            for column in columns:
+                del column[k]
+            del lines[k], over[k]
             return cells
     return {}
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from array import array
 from collections import Counter
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 
@@ -81,20 +80,17 @@ def in_use(pairs: Pairs, wanted: Collection[str]) -> Pairs:
     return {tag: pair for tag, pair in pairs.items() if tag in wanted} or pairs
 
 
-def tall_rows(rows: Sequence[list[str]], lines: Sequence[int], pairs: Pairs) -> tuple[list[list[str]], array[int]]:
-    """Return the rows of `PAIRED` that the pairs are below each other, and the line of each; none for empty pairs.
-
-    A row with more cells than the pairs has one more in each of its rows, too.
-    """
-    out, at = [], array("q")
-    width = max((value + 1 for _, value in pairs.values()), default=0)
+def tall_rows(columns: Sequence[list[str]], pairs: Pairs) -> tuple[list[list[str]], list[int]]:
+    """Return the columns of `PAIRED` that the pairs are below each other, and the row of each; none for empty pairs."""
+    tags, times, values, rows = [], [], [], []
     for tag, (time, value) in pairs.items():
-        for row, line in zip(rows, lines, strict=True):
-            cells = [*row[time : value + 1], "", ""][:2]
-            if any(cell.strip() for cell in cells):
-                out.append([tag, *cells, *filter(str.strip, row[width:])])
-                at.append(line)
-    return out, at
+        for row, cells in enumerate(zip(columns[time], columns[value], strict=True)):
+            if any(map(str.strip, cells)):
+                tags.append(tag)
+                times.append(cells[0])
+                values.append(cells[1])
+                rows.append(row)
+    return [tags, times, values], rows
 
 
 def time_column(header: Sequence[str], below: Sequence[Sequence[str]], found: Mapping[str, int]) -> int | None:
