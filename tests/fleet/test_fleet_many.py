@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import nullcontext
+from dataclasses import replace
+from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
@@ -17,9 +19,10 @@ from typer.testing import CliRunner
 import workbench as wb
 from workbench.cli import app
 from workbench.errors import ScenarioError
+from workbench.fleet.run import run_fleet
 from workbench.fleet.source import sources_of
 from workbench.fleet.task import Result, look_at, read
-from workbench.model.fleet import LoopSource, Settings
+from workbench.model.fleet import FleetRow, LoopSource, Settings
 
 N = 200
 
@@ -89,6 +92,118 @@ def test_a_row_of_many_is_that_of_a_file_of_its_own(tmp_path: Path, records: dic
         ]
         assert [repr(row) for row in rows[0]] == [repr(row) for row in rows[1]]
         assert {row.status for row in rows[1]} == {"ok"}
+
+
+def stamp(k: int, form: str = "%Y-%m-%d %H:%M:%S") -> str:
+    return datetime.fromtimestamp(START + k + (40 if k >= 150 else 0), UTC).strftime(form)
+
+
+def forms(folder: Path, records: dict[str, wb.Record]) -> dict[str, Path]:
+    """The same loops in files of many: text among PV, a gap in time, one bad value, and a loop without OP."""
+    table = {k: [f"{x:.4f}" for x in cells] for k, cells in columns(records).items() if k not in ("Time", "FIC2.OP")}
+    table["FIC1.PV"][60] = "Bad Input"
+    table["LIC3.PV"][20] = ""
+    rows = list(zip(*table.values(), strict=True))
+
+    def german(cell: str) -> str:
+        return cell.replace(".", ",")
+
+    def wide(path: Path, mark: str, time: str, form: str, said: Callable[[str], str], **how: str) -> Path:
+        lines = [mark.join([time, *table])]
+        lines += [mark.join([stamp(k, form), *map(said, row)]) for k, row in enumerate(rows)]
+        path.write_text("\n".join(lines) + "\n", **how)  # type: ignore[arg-type]
+        return path
+
+    def long(path: Path, mark: str, header: str, form: str, said: Callable[[str], str], **how: str) -> Path:
+        lines = [header]
+        for k, row in enumerate(rows):
+            lines += [mark.join([tag, stamp(k, form), said(x), "Good"]) for tag, x in zip(table, row, strict=True)]
+        path.write_text("\n".join(lines), **how)  # type: ignore[arg-type]
+        return path
+
+    days = "%d.%m.%Y %H:%M:%S"
+    out = {
+        "wide": wide(folder / "wide.csv", ",", "Time", "%Y-%m-%d %H:%M:%S", str),
+        "semicolons": wide(folder / "semicolons.csv", ";", "Zeit", days, german, encoding="cp1252", newline="\r\n"),
+        "tall": long(folder / "tall.csv", ",", "Tag,Timestamp,Value,Quality", "%Y-%m-%d %H:%M:%S", str),
+        "tall, semicolons": long(
+            folder / "tall_german.csv", ";", "Tag;Zeit;Wert;Qualit\u00e4t", days, german, encoding="cp1252"
+        ),
+        "Parquet": folder / "wide.parquet",
+    }
+    times = pa.array([datetime.fromisoformat(stamp(k)) for k in range(N)])
+    pq.write_table(pa.table({"Time": times, **{k: pa.array(v) for k, v in table.items()}}), out["Parquet"])
+    return out
+
+
+def test_rows_are_the_same_by_all_forms_of_a_file(tmp_path: Path, records: dict[str, wb.Record]) -> None:
+    told: dict[str, list[FleetRow]] = {}
+    for form, path in forms(tmp_path, records).items():
+        told[form] = [look_at(loop, Settings()).row for loop in sources_of(path).loops]
+    for rows in told.values():
+        assert [(row.name, row.status) for row in rows] == [("FIC1", "ok"), ("FIC2", "failed"), ("LIC3", "ok")]
+        assert "no tag for OP" in rows[1].reason
+        # Notes name columns or tags, and each file's own lines.
+        bare = [replace(row, notes="", reason="") for row in rows]
+        assert repr(bare) == repr([replace(row, notes="", reason="") for row in told["wide"]])
+    assert "text ('Bad Input'), first in line 62, column 'FIC1.PV'" in told["wide"][0].notes
+    assert "text ('Bad Input'), first in line 62, column 'FIC1.PV'" in told["semicolons"][0].notes
+    assert "text ('Bad Input'), first in line 482, tag 'FIC1.PV'" in told["tall"][0].notes
+    assert "text ('Bad Input'), first in line 482, tag 'FIC1.PV'" in told["tall, semicolons"][0].notes
+    assert "text ('Bad Input'), first in row 61, column 'FIC1.PV'" in told["Parquet"][0].notes
+    assert told["wide"][0].samples == 150  # what lies beyond the gap is another stretch
+
+
+@pytest.mark.parametrize("form", ["wide", "tall"])
+def test_a_file_that_changes_under_way_is_a_reason(tmp_path: Path, records: dict[str, wb.Record], form: str) -> None:
+    path = forms(tmp_path, records)[form]
+    loop = by_name(path)["FIC1"]
+    whole = path.read_bytes()
+    for now, said in (
+        (whole.replace(b"FIC1.OP", b"FIC9.OP"), "'FIC1.OP' given for OP: there is no such "),
+        (whole.replace(b"FIC1", b"FIC8"), "no such column" if form == "wide" else "no row of data of 'FIC1.OP', 'FIC1"),
+        (whole[:20], "there is no such column" if form == "wide" else "no row of data of"),
+        (b"", "empty"),
+    ):
+        path.write_bytes(now)
+        row = look_at(loop, Settings()).row
+        assert row.failed
+        assert said in row.reason
+        assert "\n" not in row.reason
+        assert "unexpected" not in row.reason
+    path.unlink()
+    assert "no such file" in look_at(loop, Settings()).row.reason
+    path.write_bytes(whole)
+    assert not look_at(loop, Settings()).row.failed
+
+
+def test_a_run_of_one_file_that_is_stopped_goes_on(tmp_path: Path, records: dict[str, wb.Record]) -> None:
+    sources = sources_of(forms(tmp_path, records)["tall"])
+
+    def stop(done: int, total: int, failed: int) -> None:
+        if done == 1:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        run_fleet(sources, tmp_path / "out", Settings(), progress=stop)
+    outcome = run_fleet(sources, tmp_path / "out", Settings(), resume=True)
+    assert outcome.resumed <= 1
+    run_fleet(sources, tmp_path / "other", Settings(), workers=2)
+    assert (tmp_path / "out" / "fleet.csv").read_text() == (tmp_path / "other" / "fleet.csv").read_text()
+    # Beside the file itself nothing was written.
+    assert {path.name for path in tmp_path.iterdir() if path.is_dir()} == {"out", "other"}
+    assert not (tmp_path / "out" / "parts").exists()
+
+
+def test_a_file_of_one_loop_may_be_the_source(tmp_path: Path, records: dict[str, wb.Record]) -> None:
+    write_csv(tmp_path / "FIC1.csv", records["FIC1"])
+    assert not look_at(by_name(tmp_path / "FIC1.csv")["FIC1"], Settings()).row.failed
+    (tmp_path / "x.csv").write_bytes("Zeit;Me\u00dfgr\u00f6\u00dfe\n1;2\n".encode("cp1252"))
+    reason = look_at(by_name(tmp_path / "x.csv")["x"], Settings()).row.reason
+    assert "no column for PV and OP; the file has 'Zeit', 'Me\u00dfgr\u00f6\u00dfe'" in reason
+    (tmp_path / "y.csv").write_text("")
+    with pytest.raises(ScenarioError, match="a manifest has a line per loop"):
+        sources_of(tmp_path / "y.csv")
 
 
 def test_loops_of_a_file_that_cannot_be_read_are_rows_and_the_others_stay(

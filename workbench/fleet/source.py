@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import replace
 from fnmatch import fnmatchcase
 from pathlib import Path
 
 from workbench.errors import InvalidValue, RecordError
-from workbench.fleet.loops import FILES, Sources, loops_in, tags_in
+from workbench.fleet.loops import FILES, Sources, loops_in
 from workbench.fleet.manifest import read_manifest
 from workbench.model.fleet import LoopSource
+from workbench.record.names import tier_of
+from workbench.record.text import HEAD, delimiter, encoding_of
 
 __all__ = ["only", "sources_of"]
 
@@ -18,7 +21,7 @@ MANIFESTS = (".yaml", ".yml")
 
 
 def sources_of(path: Path) -> Sources:
-    """Return the loops of a folder, a Parquet data set, a file of many loops or a manifest (YAML or CSV).
+    """Return the loops of a folder, a Parquet data set, a file of one loop or many, or a manifest (YAML or CSV).
 
     In a folder a CSV or wide Parquet file of one loop is a loop, named by its path; one of many, wide or tall, holds
     those that its columns or tags tell (FIC101.PV is PV of FIC101), or a column of loops beside the tags. Tall Parquet
@@ -30,20 +33,29 @@ def sources_of(path: Path) -> Sources:
     """
     if not path.exists():
         raise RecordError(f"{path}: no such file or folder")
-    if path.is_dir():
-        return _sources(path, path.resolve().name)
-    if path.suffix.lower() in (*MANIFESTS, ".csv") and not tags_in(path):
+    kind = path.suffix.lower()
+    if path.is_dir() or kind in FILES:
+        loops, notes = loops_in(path)
+        if path.is_dir() or kind != ".csv" or any(loop.pieces for loop in loops) or _timed(path):
+            title = path.resolve().name if path.is_dir() else path.stem
+            return Sources(title, str(path), _nothing(_unique(loops), path), notes=tuple(notes))
+    if kind in (*MANIFESTS, ".csv"):
         return read_manifest(path)
-    if path.suffix.lower() in FILES:
-        return _sources(path, path.stem)
     raise RecordError(
-        f"{path}: is no source of loops; give a folder of records, a file of many loops, or a manifest (.yaml, .csv)"
+        f"{path}: is no source of loops; give a folder of records, a file of them (.csv, .parquet), or a manifest "
+        "(.yaml, .csv)"
     )
 
 
-def _sources(path: Path, title: str) -> Sources:
-    loops, notes = loops_in(path)
-    return Sources(title, str(path), _nothing(_unique(loops), path), notes=tuple(notes))
+def _timed(path: Path) -> bool:
+    """Whether the first line of a CSV file names a column of times, which a manifest has not."""
+    with suppress(OSError, RecordError):
+        with path.open("rb") as raw:
+            head = raw.read(HEAD)
+        lines = head.decode(encoding_of(head, str(path)), errors="replace").splitlines()
+        names = lines[0].split(delimiter(lines[0], lines[1:2])) if lines else []
+        return any(tier_of(name.strip(' "'), "time") is not None for name in names)
+    return False
 
 
 def only(sources: Sources, patterns: Sequence[str]) -> Sources:

@@ -99,6 +99,7 @@ SPELLINGS: dict[str, tuple[str, ...]] = {
         "vvalue",
         "iptrendvalue",
         "floatvalue",
+        *("wert", "valeur"),
     ),
 }
 SUFFIXES: dict[str, tuple[str, ...]] = {

@@ -166,7 +166,8 @@ def _read(
     table, header = read(file, match, source, True, wanted)
     names = {signal: header[i].strip() for signal, i in found.items()}
     if table.lines.size == 0:
-        msg = f"{source}: a header and no row of data"
+        own = f" of {', '.join(map(repr, wanted))}" if wanted else ""
+        msg = f"{source}: a header and no row of data{own}"
         raise RecordError(msg)
     if table.paired:  # the names of columns are those of tags
         signals = from_tall(table, dict(zip(PAIRED, PAIRED, strict=True)), both, source, listed)
