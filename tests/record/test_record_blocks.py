@@ -59,7 +59,8 @@ def test_even_lines_are_cut() -> None:
             for block in (whole, whole + end):
                 row = [cell.lstrip(" ") for cell in text.split(",")]
                 assert Block(block, 1).columns(",", 3, [0, 1, 2]) == [[cell] * 3 for cell in row]
-    for text in ("1,2,3\n1,2\n1,2,3,4\n", "1,2,3\n\n", '1,"2",3\n', "1,2,3\r1,2,3\n"):
+    assert Block('"1"," 2",3\n"",,"x"\n', 1).columns(",", 3, [0, 1, 2]) == [["1", ""], [" 2", ""], ["3", "x"]]
+    for text in ("1,2,3\n1,2\n1,2,3,4\n", "1,2,3\n\n", '1,"2,3\n', '1, "2",3\n', '1,"2""",3\n', "1,2,3\r1,2,3\n"):
         assert Block(text, 1).columns(",", 3, [0]) is None
 
 

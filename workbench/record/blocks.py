@@ -1,7 +1,7 @@
 """Blocks of text cut into cells, or searched for lines, as a whole: many times faster than line by line.
 
-For text of which nothing needs a closer look: lines that all end alike, with nothing in quotes. Of other text a block
-says None, and `csv` is to read it.
+For text of which nothing needs a closer look: lines that all end alike, and no quotes but around whole cells without a
+mark. Of other text a block says None, and `csv` is to read it.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 __all__ = ["Block"]
 
-_NEWLINE, _RETURN, _SPACE = map(ord, "\n\r ")
+_NEWLINE, _RETURN, _SPACE, _QUOTE = map(ord, '\n\r "')
 
 
 class Block:
@@ -47,27 +47,33 @@ class Block:
     def columns(self, mark: str, width: int, kept: Sequence[int]) -> list[list[str]] | None:
         """Return the cells of some columns, as `csv` has them without the spaces before a cell; None where `csv` must.
 
-        mark: what parts the cells; width: of each line, cells. None where a line has another width or a cell is in
-        quotes, and where spaces part the cells.
+        mark: what parts the cells; width: of each line, cells. None where a line has another width, where quotes do
+        more than to stand around a cell, and where spaces part the cells.
         """
-        codes, ends = self._codes, self._ends
-        if self._quoted or not self._even or mark == " " or width < 2:
+        codes, lines = self._codes, self._ends.size
+        if not self._even or mark == " " or width < 2:
             return None
         found = np.flatnonzero(codes == ord(mark))
-        if found.size != ends.size * (width - 1):
+        if found.size != lines * (width - 1):
             return None
-        marks = found.reshape(ends.size, width - 1)
-        begins = np.concatenate(([0], ends + 1))[:-1]
-        if (marks[:, 0] < begins).any() or (marks[:, -1] > ends).any():
+        marks, begins = found.reshape(lines, width - 1), np.concatenate(([0], self._ends + 1))[:-1]
+        if (marks[:, 0] < begins).any() or (marks[:, -1] > self._ends).any():
             return None
-        ends = ends - (codes[ends - 1] == _RETURN)
+        ends = self._ends - (codes[self._ends - 1] == _RETURN)
+        first, last = np.column_stack((begins, marks + 1)), np.column_stack((marks, ends))
+        if not self._quoted:
+            first, last = first[:, kept], last[:, kept]
+        opening = codes.take(first, mode="clip")
+        spaced = opening == _SPACE
+        if self._quoted:
+            quoted = (opening == _QUOTE) & (codes[last - 1] == _QUOTE) & (last - first > 1)
+            if 2 * np.count_nonzero(quoted) != np.count_nonzero(codes == _QUOTE) or spaced.any():
+                return None
+            first, last, spaced = (first + quoted)[:, kept], (last - quoted)[:, kept], spaced[:, kept]
         out = []
-        for i in kept:
-            first = begins if i == 0 else marks[:, i - 1] + 1
-            last = ends if i == width - 1 else marks[:, i]
-            cells = [self.text[a:b] for a, b in zip(first.tolist(), last.tolist(), strict=True)]
-            spaced = bool((codes.take(first, mode="clip") == _SPACE).any())
-            out.append([cell.lstrip(" ") for cell in cells] if spaced else cells)
+        for k in range(len(kept)):
+            cells = [self.text[a:b] for a, b in zip(first[:, k].tolist(), last[:, k].tolist(), strict=True)]
+            out.append([cell.lstrip(" ") for cell in cells] if spaced[:, k].any() else cells)
         return out
 
     def having(self, pattern: re.Pattern[str]) -> Block:
