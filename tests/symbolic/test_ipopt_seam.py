@@ -111,7 +111,7 @@ def test_an_unknown_linear_solver_is_refused_before_ipopt_sees_it(name: str) -> 
 @pytest.mark.parametrize(
     "wrong",
     [{"tolerance": 0.0}, {"tolerance": math.nan}, {"max_iterations": -1}, {"max_iterations": 2.5},
-     {"max_wall_time": 0.0}, {"barrier": -1.0}, {"push": 0.0}, {"scaling": "equilibration"}],
+     {"max_wall_time": 0.0}, {"barrier": -1.0}, {"push": 0.0}, {"scaling": "equilibration"}, {"ordering": "metis"}],
 )  # fmt: skip
 def test_wrong_options_are_refused(wrong: dict[str, object]) -> None:
     with pytest.raises(InvalidValue, match="IpoptOptions"):
@@ -126,8 +126,9 @@ def test_sizes_and_names_are_checked() -> None:
         Solver(Nlp(x=x, objective=ca.sumsqr(x), groups=(Group("a", x[0]), Group("a", x[1]))))
 
 
-def test_both_whitelisted_linear_solvers_are_there() -> None:
-    result = Solver(circle(1.0), IpoptOptions(linear_solver="mumps")).solve()
+@pytest.mark.parametrize("ordering", ["minimum_degree", "nested_dissection"])
+def test_both_whitelisted_linear_solvers_are_there(ordering: str) -> None:
+    result = Solver(circle(1.0), IpoptOptions(linear_solver="mumps", ordering=ordering)).solve()
     assert result.status is SolveStatus.SOLVED
 
 

@@ -31,6 +31,8 @@ __all__ = ["Group", "IpoptOptions", "Nlp", "Solver", "Values", "held_interrupt",
 
 # Only these ship in CasADi's wheel; asking IPOPT for another can end the whole process.
 LINEAR_SOLVERS = ("mumps", "spral")
+# MUMPS's ICNTL(7): approximate minimum degree, and METIS.
+ORDERINGS = {"minimum_degree": 0, "nested_dissection": 5}
 
 _STATUS = {
     "Solve_Succeeded": SolveStatus.SOLVED,
@@ -53,8 +55,8 @@ class IpoptOptions:
 
     tolerance: of the scaled optimality error, 1e-12..1e-2. max_iterations: 0..100,000. max_wall_time: s, > 0.
     linear_solver: "mumps" or "spral". barrier: the barrier parameter's start, > 0; small after a good start. push: how
-    far the start is kept from its bounds, relative and absolute, > 0. scaling: "gradient-based" or "none". Raises
-    `InvalidValue`.
+    far the start is kept from its bounds, relative and absolute, > 0. scaling: "gradient-based" or "none". ordering: of
+    the unknowns when MUMPS eliminates them, "minimum_degree" or "nested_dissection". Raises `InvalidValue`.
     """
 
     tolerance: float = 1e-8
@@ -64,6 +66,7 @@ class IpoptOptions:
     barrier: float = 0.1
     push: float = 0.01
     scaling: str = "gradient-based"
+    ordering: str = "minimum_degree"
 
     def __post_init__(self) -> None:
         number(self.tolerance, "IpoptOptions.tolerance", least=1e-12, most=1e-2)
@@ -75,12 +78,14 @@ class IpoptOptions:
         number(self.barrier, "IpoptOptions.barrier", above=0.0)
         number(self.push, "IpoptOptions.push", above=0.0, most=1.0)
         choice(self.scaling, "IpoptOptions.scaling", ("gradient-based", "none"))
+        choice(self.ordering, "IpoptOptions.ordering", tuple(ORDERINGS))
 
     def settings(self) -> dict[str, Any]:
         """Return the options in CasADi's words, silenced, with bounds that are not relaxed."""
-        # An ordering by structure alone (approximate minimum degree). MUMPS's own choice leans on the numbers of the
-        # first matrix; later ones then now and then fill in, and one iteration takes many seconds.
-        ordering = {"mumps_pivot_order": 0, "mumps_permuting_scaling": 0} if self.linear_solver == "mumps" else {}
+        # An ordering by structure alone. MUMPS's own choice leans on the numbers of the first matrix; later ones then
+        # now and then fill in, and one iteration takes many seconds.
+        order = {"mumps_pivot_order": ORDERINGS[self.ordering], "mumps_permuting_scaling": 0}
+        ordering = order if self.linear_solver == "mumps" else {}
         return {
             "print_time": False,
             "error_on_fail": False,

@@ -32,7 +32,7 @@ AGREEMENT = 1e-9
 MOST_SAMPLES = 10_000
 # How many active guards of a solution are tried from their other side.
 FLIPS = 3
-# After so many programs that came to nothing, a restart's refinement is given up.
+# After so many programs in a row that came to nothing, over all restarts, refinement is given up.
 FAILURES = 5
 # A neighbour whose run, as it goes on from the flip, costs more than this many times the best is not worth a solve.
 WORTH = 1.5
@@ -155,6 +155,7 @@ class Refiner:
             raise KeyboardInterrupt
         self._strict = valve.sticks_at_once
         self._seen: set[bytes] = set()
+        self._failures = 0
 
     def refine(self, tunings: FloatArray, costs: FloatArray, budget: int, seeds: Sequence[Seed] = ()) -> Refined:
         """Solve the programs of the best distinct sequences among scanned tunings, and of their neighbours.
@@ -176,6 +177,9 @@ class Refiner:
                 self._seen.add(key)
                 heapq.heappush(queue, (float(costs[index]), waiting, key, tunings[index], True, None))
                 waiting += 1
+        if seeds:
+            # Sequences from elsewhere are a chance of their own.
+            self._failures = 0
         for seed in seeds:
             if seed.decisions.key not in self._seen:
                 self._seen.add(seed.decisions.key)
@@ -185,8 +189,7 @@ class Refiner:
         values: list[float] = []
         accepted: list[bool] = []
         iterations = solves = 0
-        failures = 0
-        while queue and solves < budget and failures < FAILURES:
+        while queue and solves < budget and self._failures < FAILURES:
             _, _, key, start, natural, point = heapq.heappop(queue)
             decisions = Decisions.from_branch(np.frombuffer(key, dtype=np.int8))
             begin = (float(start[0]), float(start[1]), float(start[2]))
@@ -205,7 +208,7 @@ class Refiner:
             found.append(tuning)
             values.append(exact)
             accepted.append(end.result.status.success and agrees)
-            failures += not accepted[-1]
+            self._failures = 0 if accepted[-1] else self._failures + 1
             if not accepted[-1] or exact > min(values):
                 continue
             for sample in end.active[:FLIPS]:
