@@ -27,8 +27,9 @@ __all__ = ["Found", "quick", "searched"]
 # Sizes of the searches up to 1,000 samples; longer runs get fewer.
 SCAN_MEMBERS, SCAN_GENERATIONS = 200, 200
 NOMINAL_MEMBERS, NOMINAL_GENERATIONS = 400, 400
-# Branch programs over all restarts, up to `FEW` samples; a program's time grows with N, and longer runs get fewer.
-SOLVES, FEW = 24, 300
+# Branch programs over all restarts, up to `FEW` samples; a program's time grows with N, and longer runs get fewer. The
+# least J lies at the end of a walk across many decisions, the least worst case within the digits seldom does.
+SOLVES, NOMINAL_SOLVES, FEW = 24, 64, 300
 # Samples that a scan may simulate at most: some seconds.
 SCAN_SAMPLES = 100_000_000
 # What a scan hands on, and how far apart it is at least in the unit cube: to refinement, and to the worst case, whose
@@ -126,7 +127,8 @@ def _search(
     check()
     scale = min(math.sqrt(1000.0 / problem.samples), 1.0)
     refiner: Refiner | None = None
-    budget = max(1, round(SOLVES * min(1.0, FEW / problem.samples) / restarts))
+    solves = NOMINAL_SOLVES if problem.nominal else SOLVES
+    budget = max(1, round(solves * min(1.0, FEW / problem.samples) / restarts))
     seeds = [np.random.default_rng([seed, k]) for k in range(restarts)]
     pools: list[FloatArray] = []
     for k, rng in enumerate(seeds):
