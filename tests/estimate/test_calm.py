@@ -10,9 +10,9 @@ import pytest
 import workbench as wb
 from workbench.estimate.estimate import linear_loop
 from workbench.estimate.fits.data import Centred, centre
-from workbench.estimate.fits.fit import LEAST_TAU, Limits, fit_linear
+from workbench.estimate.fits.fit import LEAST_TAU, Fit, Limits, fit_linear
 from workbench.estimate.loads import steps as loads
-from workbench.estimate.loads.settled import _as_white, coloured_linear
+from workbench.estimate.loads.settled import _colour, _stands, coloured_linear
 from workbench.estimate.loads.steps import CLEAR, _beside, _needed
 from workbench.model.loads import LoadStep
 
@@ -112,16 +112,25 @@ def test_steps_that_explain_less_than_they_cost_are_left_out() -> None:
     assert [round(step.at) for step in coloured_linear(data, line, 60.0, (150, 303, 500, 703))[2]] == [303, 703]
 
 
-def test_a_filter_that_whitens_as_well_as_another_is_no_other_measure() -> None:
+def test_a_measure_that_is_as_likely_as_another_stands() -> None:
     rng = np.random.default_rng(0)
-    left = np.zeros(1000)
+    left, u = np.zeros(1000), np.repeat(rng.normal(size=50), 20)
     for k, e in enumerate(rng.normal(size=1000)):
         left[k] = 0.7 * left[k - 1] + e
-    near, far, white = np.array([1.0, -0.69]), np.array([1.0, -0.5]), np.ones(1)
-    assert _as_white(left, near, np.array([1.0, -0.7]), 0.0)
-    assert not _as_white(left, far, near, 0.0)
-    assert not _as_white(left, white, near, 0.0)
-    assert _as_white(left, near, white, 0.0)
+    pv = np.concatenate([np.zeros(3), 2.0 * u[:-3]])
+    data = centre(wb.Record(pv + left, u, 1.0), "fopdt")
+    limits = Limits((LEAST_TAU, 1000.0), (0.0, 30.0))
+    lead = loads.Stem(data.u, 0, Fit(1000.0, 0.1, 2.0, 2.0, 0.0, 0.0, 0.0))
+    a, level = _colour(data, left, lead, limits, 0)
+    assert a[1] == pytest.approx(-0.7, abs=0.05)
+
+    def stands(*filtered: float) -> bool:
+        return _stands(data.whitened(np.array([1.0, *filtered]), 0), lead, limits, level)
+
+    assert stands(*a[1:])
+    assert stands(-0.69)
+    assert not stands(-0.5)
+    assert not stands()
 
 
 def test_a_step_that_is_taken_for_another_does_not_come_and_go_for_ever(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -346,7 +346,7 @@ def _likelier_plant(record: Record, asked: _Asked, tell: Callable[[float], None]
             return likelier, (WORDS_OF_ENDLESS,)
     other = search(second)
     found = {first: likelier, second: other}
-    bics = {plant: foretelling_of(record, plant, one.answered) for plant, one in found.items()}
+    bics = {plant: foretelling_of(record, plant, one.answered, closely=True) for plant, one in found.items()}
     if (likelier.answered.model.verdict, other.answered.model.verdict) == ("no_stiction", "undecided"):
         # With a plant that may be it no valve that sticks is needed; what another would need says nothing against that.
         return likelier, ()

@@ -8,11 +8,23 @@ the parameters of a dynamic model", IFAC Symposium on Identification in Automati
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 
 from workbench.estimate.fits.data import Centred, centre
-from workbench.estimate.fits.fit import LEAST_TAU, Fit, Limits, disturbance, fit_path, predict
+from workbench.estimate.fits.fit import (
+    INTEGRATED,
+    LEAST_TAU,
+    Fit,
+    Limits,
+    autoregression,
+    disturbance,
+    fit_path,
+    predict,
+)
+from workbench.estimate.fits.windows import WHOLE
+from workbench.estimate.loads.coloured import MOST_LAGS, colour_beside
 from workbench.estimate.loads.swing import Answered, Model
 from workbench.estimate.search.models import PLANT_PARAMETERS, VALVE_PARAMETERS
 from workbench.model.plant import FOPDT, Plant
@@ -29,38 +41,58 @@ TAUS = (0.02, 0.1, 0.5)  # of the record: time constants from which a first-orde
 
 
 def foretelling_bic(
-    data: Centred, plant: Plant, valve: Valve, valve_position: FloatArray, prediction: FloatArray
+    data: Centred,
+    plant: Plant,
+    valve: Valve,
+    valve_position: FloatArray,
+    prediction: FloatArray,
+    *,
+    closely: bool = False,
 ) -> float:
     """Return `N log V + p log N` with V the mean square of the one-step prediction errors, along the stem found.
 
     data: the record as it was estimated, to the plant and valve with this stem (%, shape (N,)) and prediction (PV, EU,
     shape (N,)), less the load steps and the oscillation from outside that were found beside it. p counts plant, valve,
-    loads, oscillation and disturbance.
+    loads, oscillation and disturbance. closely: plant and disturbance are sought together, too (`loads.coloured`).
     """
     n = data.samples
     x = valve_position - data.op_middle
     # Where the stem rests until it first moves is fitted, as it was when the stem was found.
     first = 0 if isinstance(valve, Ideal) else int(np.argmax(x != x[0]))
     tau = plant.time_constant / data.sample_time if isinstance(plant, FOPDT) else 1.0
-    fit = Fit(math.nan, tau, plant.dead_time / data.sample_time, 0.0, 0.0, 0.0, 0.0)
-    limits = Limits((LEAST_TAU, float(n)), (0.0, max(2.0 * fit.theta, 30.0)))
-    left = data.pv_mean + data.load + data.y - prediction
-    free = VALVE_PARAMETERS.get(type(valve).__name__.lower(), 0) + len(data.answers)
-    least = math.inf
-    for _ in range(ROUNDS):
-        coloured = data.whitened(disturbance(left, data.floor), 0)
+    start = Fit(math.nan, tau, plant.dead_time / data.sample_time, 0.0, 0.0, 0.0, 0.0)
+    limits = Limits((LEAST_TAU, float(n)), (0.0, max(2.0 * start.theta, 30.0)))
+    begun = data.pv_mean + data.load + data.y - prediction
+    free, least = _free(data, valve), math.inf
+
+    def along(coloured: Centred, fit: Fit) -> Fit:
+        nonlocal least
         fit = fit_path(coloured, x, first, (-math.inf, math.inf), limits, fit.theta, tau=fit.tau)
         variance = fit.sse / (n - coloured.skip)
-        p = PLANT_PARAMETERS - data.integrating + free + coloured.a.size - 1
+        p = free + coloured.a.size - 1
         least = min(least, n * math.log(max(variance, data.floor)) + p * math.log(n))
-        left = data.y - predict(data, x, first, fit)[0]
+        return fit
+
+    for moves in (False, True)[: 1 + data.integrating]:
+        fit, left = start, begun
+        for _ in range(ROUNDS):
+            a = disturbance(np.diff(left) if moves else left, data.floor)
+            fit = along(data.whitened(np.convolve(INTEGRATED, a) if moves else a, 0), fit)
+            left = data.y - predict(data, x, first, fit)[0]
+        if closely and a.size > 1 and n <= WHOLE:
+            a, (tau, theta) = colour_beside(data, x, first, fit, limits, 0, moves, MOST_LAGS)
+            along(data.whitened(a, 0), replace(fit, tau=tau, theta=theta))
     return least
 
 
-def foretelling_of(record: Record, kind: str, answered: Answered[Model]) -> float:
+def foretelling_of(record: Record, kind: str, answered: Answered[Model], *, closely: bool = False) -> float:
     """Return the BIC (`foretelling_bic`) of a record's model with one kind of plant, "fopdt" or "integrating"."""
-    model = answered.model
-    return foretelling_bic(_less_loads(record, kind, answered), model.plant, *_stem(record, model), model.prediction)
+    model, data = answered.model, _less_loads(record, kind, answered)
+    valve, position = _stem(record, model)
+    # What the model itself leaves, too: where that is nearly nothing no fit along its stem comes to as little.
+    left = data.pv_mean + data.load + data.y - model.prediction
+    own = autoregression(left, data.floor)[1] + _free(data, valve) * math.log(left.size)
+    return min(own, foretelling_bic(data, model.plant, valve, position, model.prediction, closely=closely))
 
 
 def with_other_plant(record: Record, kind: str, answered: Answered[Model]) -> float:
@@ -72,6 +104,12 @@ def with_other_plant(record: Record, kind: str, answered: Answered[Model]) -> fl
         plants = [FOPDT(model.plant.gain, share * duration, model.plant.dead_time) for share in TAUS]
     stem = _stem(record, model)
     return min(foretelling_bic(data, plant, *stem, model.prediction) for plant in plants)
+
+
+def _free(data: Centred, valve: Valve) -> int:
+    """How many parameters plant, valve and loads have."""
+    own = VALVE_PARAMETERS.get(type(valve).__name__.lower(), 0)
+    return PLANT_PARAMETERS - data.integrating + own + len(data.answers)
 
 
 def _less_loads(record: Record, kind: str, answered: Answered[Model]) -> Centred:

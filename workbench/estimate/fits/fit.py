@@ -16,6 +16,7 @@ from workbench.estimate.kernels import path as path_kernel
 from workbench.model.record import FloatArray
 
 __all__ = [
+    "INTEGRATED",
     "LOUD",
     "Fit",
     "Limits",
@@ -46,6 +47,7 @@ NEAR = 0.02  # of a time constant: how far apart the points of a quadratic about
 FOLLOWED = 2  # linear fits of a stretch of a long record, on all of it
 MOST = 700.0  # of an exponent: e^709 is the largest number there is
 LARGEST = 1e150  # EU: the square of a larger residual may overflow
+INTEGRATED = np.array([1.0, -1.0])  # the filter of a disturbance whose changes are white, as a level sums up its load
 LOUD = 4.0  # times what the record resolves: quieter residuals tell nothing of a disturbance
 
 
@@ -294,7 +296,11 @@ def again_linear(data: Centred, linear: Fit, longest: float) -> Fit:
         for tau in {linear.tau, max(linear.tau / 4.0, LEAST_TAU)}
         for theta in {linear.theta, 0.0}
     ]
-    return _linear_from(data, _sought_in(data, longest), plants, longest)
+    fit = _linear_from(data, _sought_in(data, longest), plants, longest)
+    if not data.integrating:
+        return fit
+    # In a measure that takes what is slow, no dead time leads to the right one from afar.
+    return min(fit, fit_linear(data, longest), key=lambda f: f.sse)
 
 
 def _sought_in(data: Centred, longest: float) -> Centred:

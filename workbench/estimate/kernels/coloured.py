@@ -50,9 +50,12 @@ def products_of(
     tau: float,
     theta: float,
     begin: int,
+    moves: bool,
     out: Floats,
 ) -> int:
     """Write the products that `colour_left` takes, over the samples from `begin` on, and return their rows.
+
+    moves: whether signals count by how they change from sample to sample, as y and own do then already.
 
     y, x: PV and the stem path, shape (N,), its first slip `first`; own, shape (size, size): PV's own (`lagged`). tau,
     theta: of a plant of gain 1, samples. out,
@@ -63,6 +66,10 @@ def products_of(
     columns = np.empty((4, n))
     pole, c0, c1, m = plant_terms(integrating, tau, theta)
     oe_columns(x, first, pole, m, c0, c1, integrating, columns)
+    if moves:
+        for i in range(columns.shape[0]):
+            for k in range(n - 1, 0, -1):
+                columns[i, k] -= columns[i, k - 1]
     response, crossed, answered = columns[1], np.empty((size, size)), np.empty((size, size))
     lagged(y, response, begin, size, crossed)
     lagged(response, response, begin, size, answered)
@@ -131,19 +138,19 @@ def scan_colours(
     integrating: bool,
     plants: Floats,
     gains: Floats,
-    skip: int,
+    begin: int,
+    moves: bool,
     left: Floats,
 ) -> None:
     """Write what an autoregression leaves beside each plant, rows (tau, theta), and gain: sums, shape (plants, gains).
 
-    own: as in `products_of`, of one lag more than the autoregression's order; the samples are those from so many after
-    `skip` on.
+    own, begin, moves: as in `products_of`, own of one lag more than the autoregression's order.
     """
     size = own.shape[0]
     lags = size - 1
     products = np.empty((2 * size + HELD, 2 * size + HELD))
     for i in range(plants.shape[0]):
-        rows = products_of(y, own, x, first, integrating, plants[i, 0], plants[i, 1], skip + lags, products)
+        rows = products_of(y, own, x, first, integrating, plants[i, 0], plants[i, 1], begin, moves, products)
         terms = lags + rows - 2 * size
         room = np.empty((terms + 1, terms))
         for j in range(gains.size):

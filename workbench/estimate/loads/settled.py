@@ -13,11 +13,20 @@ from functools import partial
 
 import numpy as np
 
-from workbench.detect.whitening import whitened
 from workbench.estimate.fits.data import WHITE, Centred
-from workbench.estimate.fits.fit import LEAST_TAU, Fit, Limits, again_linear, disturbance, fit_path, grounded, predict
+from workbench.estimate.fits.fit import (
+    INTEGRATED,
+    LEAST_TAU,
+    Fit,
+    Limits,
+    again_linear,
+    disturbance,
+    fit_path,
+    grounded,
+    predict,
+)
 from workbench.estimate.fits.windows import WHOLE
-from workbench.estimate.loads.coloured import colour_beside
+from workbench.estimate.loads.coloured import MOST_LAGS, colour_beside
 from workbench.estimate.loads.stepped import stepped_stems
 from workbench.estimate.loads.steps import CLEAR, DEGREES, Loads, Stem, loads_of
 from workbench.estimate.search.bands import Found
@@ -172,17 +181,18 @@ def settled(
             found, was, linear = first
             return settled(whole, found, led_to(whole, was, bands, limits), linear, delays, within, 0)
         same_steps = _same(before, steps, whole.sample_time)
-        a = disturbance(loads.left[skip:], data.floor)
-        if a.size > 1 and data.samples <= WHOLE:
-            beside = colour_beside(bare, lead.x, lead.first, lead.fit, limits, skip)
-            a = min(a, beside, key=lambda one: _akaike_in(bare.whitened(one, skip), lead, limits))
+        a, level = _colour(bare, loads.left[skip:], lead, limits, skip)
+        if turn == 0 and a.size > 1 and data.integrating and data.samples <= WHOLE:
+            for changing in _of_changes(bare, found, delays, within, skip):
+                left = bare.y - predict(bare, changing.x, changing.first, changing.fit)[0]
+                a, level = min((a, level), _colour(bare, left[skip:], changing, limits, skip), key=lambda one: one[1])
         same = a.size == data.a.size == 1 and not steps
         stands = stands and (same_steps or not (before or steps))
         # Of a long record the first few samples are nothing.
         turn += 1
         if same and (turn > 1 or skip == 0 or data.samples > WHOLE):
             break
-        if turns and not (before or steps) and _as_white(loads.left[skip:], data.a, a, data.floor):
+        if turns and not (before or steps) and _stands(data, lead, limits, level):
             break
         data = bare.whitened(a, skip)
         anew = a.size > 1 or bool(steps)
@@ -293,10 +303,52 @@ def _itself(data: Centred, b: Band) -> Fit:
     return grounded(data, b.stem(data.u), b.begin, b.fit)
 
 
-def _akaike_in(data: Centred, lead: Stem, limits: Limits) -> float:
-    """AIC of a stem with a plant fitted to it in data's measure, as far as it depends on that."""
-    n, fit = data.samples, lead.fit
-    sse = fit_path(data, lead.x, lead.first, (-math.inf, math.inf), limits, fit.theta, tau=fit.tau).sse
+def _of_changes(data: Centred, found: Profile | None, delays: float, within: Sought, skip: int) -> list[Stem]:
+    """The best stem of how PV changes from sample to sample, if there is one.
+
+    What a level sums up of a load, and of a wrong slip, lasts in PV, and hides stems that are right.
+    """
+    changes = data.whitened(INTEGRATED, skip)
+    seen = [*coarse_of(changes, within, delays), *like_stenman(found, changes, delays)]
+    stems = [_of_band(data, b) for b in sorted(seen, key=lambda b: b.fit.sse)[:1]]
+    return [replace(one, fit=grounded(changes, one.x, one.first, one.fit)) for one in stems]
+
+
+def _colour(bare: Centred, left: FloatArray, lead: Stem, limits: Limits, skip: int) -> tuple[FloatArray, float]:
+    """The filter that leaves what disturbs a stem's fit white, and its AIC; left: what the fit leaves from `skip` on.
+
+    An integrating process sums up what disturbs its input, so that its disturbance may change as one of a
+    self-regulating process is: no autoregression fitted to the disturbance itself comes to that (its coefficients would
+    have to sum up to nought), and what little is missing is a force that pulls the level back, which takes the gain.
+    """
+    a = disturbance(left, bare.floor)
+    plant = lead.fit.tau, lead.fit.theta
+    filters = [(a, plant)]
+    if a.size > 1 and bare.samples <= WHOLE and lead.fit.gain != 0.0:
+        beside = partial(colour_beside, bare, lead.x, lead.first, lead.fit, limits, skip)
+        if not bare.integrating:
+            filters.append(beside())
+        else:
+            filters += [beside(moves=moves, longest=MOST_LAGS) for moves in (False, True)]
+            filters.append((np.convolve(INTEGRATED, disturbance(np.diff(left), bare.floor)), plant))
+    levels = [_akaike_in(bare.whitened(one, skip), lead, limits, near) for one, near in filters]
+    least = int(np.argmin(levels))
+    return filters[least][0], levels[least]
+
+
+def _stands(data: Centred, lead: Stem, limits: Limits, level: float) -> bool:
+    """Whether data's measure is as likely beside a stem as one of this AIC, which has its filter to pay for."""
+    return _akaike_in(data, lead, limits) - 2.0 * (data.a.size - 1) <= level
+
+
+def _akaike_in(data: Centred, lead: Stem, limits: Limits, *near: tuple[float, float]) -> float:
+    """AIC of a stem with a plant fitted to it in data's measure, as far as it depends on that.
+
+    near: tau and theta, samples, of plants to begin from beside the stem's own.
+    """
+    n, free = data.samples, (-math.inf, math.inf)
+    begins = {(lead.fit.tau, lead.fit.theta), *near}
+    sse = min(fit_path(data, lead.x, lead.first, free, limits, theta, tau=tau).sse for tau, theta in begins)
     return n * math.log(max(sse / n, data.floor)) + 2.0 * data.a.size
 
 
@@ -310,13 +362,6 @@ def _same(before: Sequence[LoadStep], steps: Sequence[LoadStep], Ts: float) -> b
             for one, other in zip(steps, before, strict=True)
         )
     )
-
-
-def _as_white(left: FloatArray, known: FloatArray, a: FloatArray, floor: float) -> bool:
-    """Whether a known filter leaves a residual as white as the one that is made for it, by AIC."""
-    first = max(known.size, a.size) - 1
-    one, other = (float(np.mean(whitened(each, left)[first:] ** 2)) for each in (known, a))
-    return (left.size - first) * math.log(max(one, floor) / max(other, floor)) <= 2.0 * (a.size - 1)
 
 
 def _same_stem(one: FloatArray, other: FloatArray) -> bool:
@@ -339,10 +384,6 @@ def coloured_linear(
         lead = Stem(data.u, 0, linear, lambda *_: whole.u, times=times)
         bare, loads = _relieved(whole, data, lead, limits, 0, most)
         steps = loads.steps
-        a = disturbance(loads.left, data.floor)
-        if a.size > 1 and data.samples <= WHOLE and linear.gain != 0.0:
-            beside = colour_beside(bare, data.u, 0, linear, limits, 0)
-            a = min(a, beside, key=lambda one: _akaike_in(bare.whitened(one, 0), lead, limits))
-        data = bare.whitened(a, 0)
+        data = bare.whitened(_colour(bare, loads.left, lead, limits, 0)[0], 0)
         linear = again_linear(data, linear, delays)
     return data, linear, steps
