@@ -88,8 +88,8 @@ def test_what_a_level_sums_up_of_a_load_is_coloured_in_its_changes() -> None:
     assert found.bias == 0.0  # nothing of it is seen in that measure, not even its rounding
 
 
-@pytest.mark.parametrize("seed", [1, 6])
-def test_a_level_under_a_slow_load_tells_its_valve_and_gain(seed: int) -> None:
+@pytest.mark.parametrize(("seed", "plant"), [(1, "integrating"), (6, "auto")])
+def test_a_level_under_a_slow_load_tells_its_valve_and_gain(seed: int, plant: str) -> None:
     # What it sums up of the load, in PV itself, hides the slips that are right: d came out up to 40 % off, the gain to
     # half of it or twice.
     n, d = 700, 3.0
@@ -97,8 +97,9 @@ def test_a_level_under_a_slow_load_tells_its_valve_and_gain(seed: int) -> None:
     loop = wb.Loop(wb.Integrating(0.02, 4.0), wb.Stenman(d), wb.PID(Kc=2.0, Ti=80.0), sample_time=1.0)
     noise = wb.Noise(0.05, seed)
     run = wb.simulate(loop, wb.Experiment(float(n), None, wb.Series(load.tolist()), noise))
-    found = wb.estimate(wb.Record(run.pv + 50.0, run.op + 50.0, 1.0, sp=run.sp + 50.0), plant="integrating")
+    found = wb.estimate(wb.Record(run.pv + 50.0, run.op + 50.0, 1.0, sp=run.sp + 50.0), plant=plant)
     assert found.verdict == "stiction"
+    assert isinstance(found.plant, wb.Integrating)
     assert found.valve.stick_band == pytest.approx(d, rel=0.02)
     assert found.plant.gain == pytest.approx(0.02, rel=0.15)
     low, high = found.intervals.gain

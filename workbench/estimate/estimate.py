@@ -49,6 +49,7 @@ PLANTS = ("fopdt", "integrating", "auto")
 FIRST = 0.8  # of the progress told: the first kind of plant, as the other is seldom asked
 
 WIDEST_GAIN = 0.2  # of the gain itself: a 95 % range wider than this does not identify a valve and what it does to PV
+BARE_BIC = 2.0  # up to it a difference is "not worth more than a bare mention" (source below)
 CLEAR_BIC = 10.0  # R. Kass, A. Raftery, J. Am. Stat. Assoc. 90 (1995) 773-795: "very strong" evidence above it
 ALIKE, HALF = 1.25, 0.5  # times what a lag leaves along OP: a level that leaves more is none; and of PV itself
 SLOW = 0.25  # of the record: a time constant that a lag seldom has, and the first fits of a level mostly have
@@ -352,10 +353,10 @@ def _likelier_plant(record: Record, asked: _Asked, tell: Callable[[float], None]
         return likelier, ()
     level = _levels_off(record, found["fopdt"].answered.model.plant)
     by = bics["integrating"] - bics["fopdt"]
-    # Of two that are hardly told apart, the one that the time constant speaks for; and where that is as long as the
-    # record the two differ by the stems that were found, not by the plant: unless what is left of PV says it too.
+    # A level has a parameter less than a lag that does as well. Where the time constant is as long as the record they
+    # differ by the stems that were found, not by the plant: unless what is left of PV says it too.
     leave = {one: each.answered.model.residual_variance for one, each in found.items()}
-    levels_off = by > -CLEAR_BIC if level else by > FAR_BIC and leave["fopdt"] < leave["integrating"]
+    levels_off = by > -BARE_BIC if level else by > FAR_BIC and leave["fopdt"] < leave["integrating"]
     plant = "fopdt" if levels_off else "integrating"
     if not level and plant == "integrating":
         return found[plant], (WORDS_OF_ENDLESS,)
