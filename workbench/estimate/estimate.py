@@ -297,7 +297,7 @@ def linear_loop(record: Record, plant: str = "auto") -> LinearFit:
     record = as_seen(record, PURPOSE)[0]
     if plant == "auto":
         found = {one: _likeliest(_straight(record, centre(record, one), None)) for one in ("fopdt", "integrating")}
-        return min(found.items(), key=lambda one: foretelling_of(record, *one))[1].model
+        return min(found.items(), key=lambda one: foretelling_of(record, *one, closely=True))[1].model
     return _likeliest(_straight(record, centre(record, plant), None)).model
 
 
@@ -353,10 +353,14 @@ def _likelier_plant(record: Record, asked: _Asked, tell: Callable[[float], None]
         return likelier, ()
     level = _levels_off(record, found["fopdt"].answered.model.plant)
     by = bics["integrating"] - bics["fopdt"]
-    # A level has a parameter less than a lag that does as well. Where the time constant is as long as the record they
-    # differ by the stems that were found, not by the plant: unless what is left of PV says it too.
+    # Along a stem, which moves PV by itself, a level that does as well has a parameter less; without one, of two that
+    # are hardly told apart, the one that the time constant speaks for. Where that is as long as the record they differ
+    # by the stems that were found, not by the plant: unless what is left of PV says it too.
     leave = {one: each.answered.model.residual_variance for one, each in found.items()}
-    levels_off = by > -BARE_BIC if level else by > FAR_BIC and leave["fopdt"] < leave["integrating"]
+    sticks = all(one.answered.model.verdict == "stiction" for one in found.values())
+    levels_off = by > (-BARE_BIC if sticks else -CLEAR_BIC)
+    if not level:
+        levels_off = by > FAR_BIC and leave["fopdt"] < leave["integrating"]
     plant = "fopdt" if levels_off else "integrating"
     if not level and plant == "integrating":
         return found[plant], (WORDS_OF_ENDLESS,)

@@ -317,9 +317,9 @@ def _of_changes(data: Centred, found: Profile | None, delays: float, within: Sou
 def _colour(bare: Centred, left: FloatArray, lead: Stem, limits: Limits, skip: int) -> tuple[FloatArray, float]:
     """The filter that leaves what disturbs a stem's fit white, and its AIC; left: what the fit leaves from `skip` on.
 
-    An integrating process sums up what disturbs its input, so that its disturbance may change as one of a
-    self-regulating process is: no autoregression fitted to the disturbance itself comes to that (its coefficients would
-    have to sum up to nought), and what little is missing is a force that pulls the level back, which takes the gain.
+    An integrating process sums up what disturbs its input: it is how the disturbance changes that is white or coloured
+    then. The coefficients of an autoregression fitted to the disturbance itself never quite sum up to nought, as that
+    takes, and what is missing acts as a force that pulls the level back, at the cost of the gain.
     """
     a = disturbance(left, bare.floor)
     plant = lead.fit.tau, lead.fit.theta
