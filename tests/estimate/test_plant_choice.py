@@ -12,7 +12,7 @@ import workbench as wb
 from workbench.cli import app
 from workbench.estimate import estimate as search
 from workbench.estimate.answer import answer_of
-from workbench.estimate.estimate import WORDS_OF_ENDLESS, linear_loop
+from workbench.estimate.estimate import WORDS_OF_ENDLESS, _kind, linear_loop
 from workbench.estimate.fits.data import centre
 from workbench.estimate.plants import foretelling_bic
 from workbench.estimate.record_fits import Fits
@@ -204,3 +204,21 @@ def test_a_lag_as_long_as_the_record_is_no_likelier_than_a_level_that_leaves_les
     found = wb.estimate(wb.Record(run.pv + 50.0, run.op + 40.0, 1.0, sp=run.sp + 50.0))
     assert isinstance(found.plant, wb.Integrating)
     assert found.plant.gain == pytest.approx(0.003283, rel=0.01)
+
+
+@pytest.mark.parametrize(
+    ("by", "levels_off", "sticks", "less", "kind"),
+    [
+        (-1.0, True, True, False, "fopdt"),  # no more than a bare mention
+        (-5.0, True, True, True, "integrating"),  # as likely, with a parameter less
+        (-5.0, True, False, True, "fopdt"),  # without a stem it takes more
+        (-11.0, True, False, True, "integrating"),
+        (99.0, False, True, True, "integrating"),  # a time constant as long as the record is none
+        (101.0, False, True, True, "fopdt"),
+        (101.0, False, True, False, "integrating"),
+    ],
+)
+def test_a_lag_and_a_level_that_are_hardly_told_apart(
+    by: float, kind: str, *, levels_off: bool, sticks: bool, less: bool
+) -> None:
+    assert _kind(by, levels_off=levels_off, sticks=sticks, less=less) == kind

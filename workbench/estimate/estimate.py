@@ -351,23 +351,31 @@ def _likelier_plant(record: Record, asked: _Asked, tell: Callable[[float], None]
     if (likelier.answered.model.verdict, other.answered.model.verdict) == ("no_stiction", "undecided"):
         # With a plant that may be it no valve that sticks is needed; what another would need says nothing against that.
         return likelier, ()
-    level = _levels_off(record, found["fopdt"].answered.model.plant)
+    levels_off = _levels_off(record, found["fopdt"].answered.model.plant)
     by = bics["integrating"] - bics["fopdt"]
-    # Along a stem, which moves PV by itself, a level that does as well has a parameter less; without one, of two that
-    # are hardly told apart, the one that the time constant speaks for. Where that is as long as the record they differ
-    # by the stems that were found, not by the plant: unless what is left of PV says it too.
-    leave = {one: each.answered.model.residual_variance for one, each in found.items()}
     sticks = all(one.answered.model.verdict == "stiction" for one in found.values())
-    levels_off = by > (-BARE_BIC if sticks else -CLEAR_BIC)
-    if not level:
-        levels_off = by > FAR_BIC and leave["fopdt"] < leave["integrating"]
-    plant = "fopdt" if levels_off else "integrating"
-    if not level and plant == "integrating":
+    leave = {one: each.answered.model.residual_variance for one, each in found.items()}
+    plant = _kind(by, levels_off=levels_off, sticks=sticks, less=leave["fopdt"] < leave["integrating"])
+    if not levels_off and plant == "integrating":
         return found[plant], (WORDS_OF_ENDLESS,)
     names = {"fopdt": "a first-order process", "integrating": "an integrating process"}
     if abs(by) < CLEAR_BIC:
         return found[plant], (f"the record hardly tells {names['fopdt']} from {names['integrating']}",)
     return found[plant], (f"{names[plant]} has the lower BIC, by {given(abs(by), 3)}",)
+
+
+def _kind(by: float, *, levels_off: bool, sticks: bool, less: bool) -> str:
+    """The kind of plant to tell, where a lag is likelier than a level by so much of BIC.
+
+    levels_off: whether the lag does so within the record; sticks: whether the valve does, with both; less: whether the
+    lag leaves less of PV.
+    """
+    if not levels_off:
+        # The two differ by the stems that were found, not by the plant: unless what is left of PV says it too.
+        return "fopdt" if by > FAR_BIC and less else "integrating"
+    # Along a stem, which moves PV by itself, a level that does as well has a parameter less; without one, of two that
+    # are hardly told apart, the one that the time constant speaks for.
+    return "fopdt" if by > (-BARE_BIC if sticks else -CLEAR_BIC) else "integrating"
 
 
 def _endless(begun: _Begun) -> bool:

@@ -55,10 +55,9 @@ def products_of(
 ) -> int:
     """Write the products that `colour_left` takes, over the samples from `begin` on, and return their rows.
 
-    moves: whether signals count by how they change from sample to sample, as y and own do then already.
-
     y, x: PV and the stem path, shape (N,), its first slip `first`; own, shape (size, size): PV's own (`lagged`). tau,
-    theta: of a plant of gain 1, samples. out,
+    theta: of a plant of gain 1, samples. moves: whether signals count by how they change from sample to sample, as y
+    and own do already then. out,
     (2 size + HELD, 2 size + HELD): of PV at lags 0 to size - 1, of the response at the same, and of the signals that no
     stem changes, with each other; of these the ones that are nothing are left out.
     """
