@@ -20,7 +20,7 @@ from workbench.record.many import many_in
 from workbench.record.names import split_tag
 from workbench.record.reader import read_loop
 
-N = 300
+N = 120
 SIGNALS = ("PV", "SP", "OP", "MODE")
 Loops = dict[str, dict[str, list[str]]]
 
@@ -36,7 +36,7 @@ def loops() -> Loops:
         rng = np.random.default_rng(i)
         # A value that is none: its line is told, as in the file.
         pv = [f"{x:.2f}" for x in 50 + rng.normal(size=N)]
-        pv[200 + i] = "Bad Input"
+        pv[80 + i] = "Bad Input"
         op = [f"{x:.2f}" for x in 40 + rng.normal(size=N)]
         out[f"FIC1{i}"] = {"PV": pv, "SP": ["50.00"] * N, "OP": op, "MODE": ["AUTO"] * N}
     return out
@@ -153,8 +153,8 @@ def test_a_comment_over_lines_is_not_parted(tmp_path: Path, loops: Loops, monkey
 
 
 def test_a_wide_parquet_file_of_many(tmp_path: Path, loops: Loops) -> None:
-    numbers = {f"{n}/{s}": pa.array([float(x) for x in own[s][:200]]) for n, own in loops.items() for s in ("PV", "OP")}
-    seconds = pa.array(np.arange(200.0))
+    numbers = {f"{n}/{s}": pa.array([float(x) for x in own[s][:80]]) for n, own in loops.items() for s in ("PV", "OP")}
+    seconds = pa.array(np.arange(80.0))
     pq.write_table(pa.table({"time": seconds, **numbers}), tmp_path / "x.parquet")
     assert ("", "FIC10/PV") in many_in(tmp_path / "x.parquet")
     ours = read_loop(tmp_path / "x.parquet", {"PV": "FIC13/PV", "OP": "FIC13/OP"})
@@ -162,10 +162,10 @@ def test_a_wide_parquet_file_of_many(tmp_path: Path, loops: Loops) -> None:
 
 
 def test_a_parquet_file_of_pairs_of_many(tmp_path: Path, loops: Loops) -> None:
-    numbers = {f"{n}.{s}": pa.array([float(x) for x in own[s][:200]]) for n, own in loops.items() for s in ("PV", "OP")}
+    numbers = {f"{n}.{s}": pa.array([float(x) for x in own[s][:80]]) for n, own in loops.items() for s in ("PV", "OP")}
     columns = {}
     for k, (name, values) in enumerate(numbers.items()):
-        columns |= {f"Time.{k}" if k else "Time": [stamp(at) for at in range(200)], name: values}
+        columns |= {f"Time.{k}" if k else "Time": [stamp(at) for at in range(80)], name: values}
     many, alone = tmp_path / "many.parquet", tmp_path / "alone.parquet"
     pq.write_table(pa.table(columns), many)
     assert many_in(many) == [("", name) for name in numbers]
