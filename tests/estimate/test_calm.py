@@ -121,7 +121,7 @@ def test_a_measure_that_is_as_likely_as_another_stands() -> None:
     data = centre(wb.Record(pv + left, u, 1.0), "fopdt")
     limits = Limits((LEAST_TAU, 1000.0), (0.0, 30.0))
     lead = loads.Stem(data.u, 0, Fit(1000.0, 0.1, 2.0, 2.0, 0.0, 0.0, 0.0))
-    a, level = _colour(data, left, lead, limits, 0)
+    (a, _), level = _colour(data, left, lead, limits, 0)
     assert a[1] == pytest.approx(-0.7, abs=0.05)
 
     def stands(*filtered: float) -> bool:

@@ -11,8 +11,10 @@ import workbench as wb
 from workbench.estimate.fits.data import centre
 from workbench.estimate.fits.fit import LEAST_TAU, Fit, Limits, fit_path, predict
 from workbench.estimate.kernels.coloured import HELD, colour_left, lagged, products_of
-from workbench.estimate.loads.coloured import MOST_LAGS, colour_beside
+from workbench.estimate.loads.coloured import SHARED, Beside, colour_beside
 from workbench.model.record import Record
+
+MOST_LAGS = SHARED[-1]
 
 
 @pytest.mark.parametrize("plant", ["fopdt", "integrating"])
@@ -57,7 +59,7 @@ def test_the_colour_beside_the_true_stem_is_the_disturbances() -> None:
         drift[k] = 0.9 * drift[k - 1] + kicks[k]
     data = centre(Record(np.convolve(np.roll(x, 4), 0.15 * 0.85 ** np.arange(60))[:n] + drift, x, 1.0), "fopdt")
     fit = Fit(0.0, 4.0, 3.0, 0.8, 0.0, 0.0, 0.0)
-    a, _ = colour_beside(data, data.u, 0, fit, Limits((LEAST_TAU, float(n)), (0.0, 30.0)), 0)
+    a = colour_beside(data, data.u, 0, fit, Limits((LEAST_TAU, float(n)), (0.0, 30.0)), 0)[0].a
     assert a[0] == 1.0
     assert a[1] == pytest.approx(-0.9, abs=0.06)
     assert np.abs(a[2:]).max(initial=0.0) < 0.08
@@ -73,13 +75,55 @@ def _drifting(rng: np.random.Generator, n: int, pole: float) -> np.ndarray:
     return drift
 
 
+@pytest.mark.parametrize("moves", [False, True])
+@pytest.mark.parametrize("law", [SHARED, SHARED[:7], (1, 2, 3)])
+def test_lags_that_share_a_coefficient_are_summed_in_least_squares(law: tuple[int, ...], *, moves: bool) -> None:
+    rng = np.random.default_rng(4)
+    n, plant = 300, (0.7, 6.5, 2.3)
+    data = centre(Record(np.cumsum(rng.normal(size=n)), np.cumsum(rng.normal(size=n)), 1.0), "fopdt")
+    y, begin = np.diff(data.y, prepend=data.y[0]) if moves else data.y, MOST_LAGS + moves
+    own = np.empty((MOST_LAGS + 1, MOST_LAGS + 1))
+    lagged(y, y, begin, MOST_LAGS + 1, own)
+    beside = Beside(data, y, own, data.u, 0, plant, begin, moves)
+
+    columns = predict(data, data.u, 0, Fit(0.0, *plant[1:], 1.0, 0.0, 0.0, 0.0))[1]
+    if moves:
+        columns = np.diff(columns, axis=1, prepend=0.0)
+    rest = y - plant[0] * columns[1]
+    groups = [range(first + 1, last + 1) for first, last in zip((0, *law), law, strict=False)]
+    past = [sum(rest[begin - lag : n - lag] for lag in group) for group in groups]
+    matrix = np.column_stack([*past, *(column for column in columns[[0, 2, 3], begin:] if column.any())])
+    solved, *_ = np.linalg.lstsq(matrix / (scale := np.linalg.norm(matrix, axis=0)), rest[begin:], rcond=None)
+    left = rest[begin:] - matrix @ (solved / scale)
+    assert beside.level(law) == pytest.approx((n - begin) * math.log(float(np.mean(left**2))), rel=1e-9)
+    terms = [-solved[i] / scale[i] for i, group in enumerate(groups) for _ in group]
+    np.testing.assert_allclose(beside.filter_of(law), [1.0, *terms], rtol=1e-6, atol=1e-9)
+
+
+def test_noise_upon_a_load_that_drifts_is_remembered_for_long_by_few_coefficients() -> None:
+    few, gains = [], []
+    for seed in range(6):
+        rng = np.random.default_rng(seed)
+        n, x = 3000, np.repeat(rng.choice([-1.0, 1.0], size=60), 50)
+        answer = np.convolve(np.roll(x, 3), 0.1 * 0.9 ** np.arange(80))[:n]
+        data = centre(Record(answer + 0.5 * _drifting(rng, n, 0.99) + rng.normal(0.0, 0.3, n), x, 1.0), "fopdt")
+        limits, fit = Limits((LEAST_TAU, float(n)), (0.0, 30.0)), Fit(0.0, 8.0, 3.0, 0.9, 0.0, 0.0, 0.0)
+        (a, shared), (_, theta) = colour_beside(data, data.u, 0, fit, limits, 0)
+        there = data.whitened(a, 0, shared)
+        few.append(there.terms < a.size - 1)
+        assert there.terms == (len(shared) or a.size - 1)
+        gains.append(fit_path(there, data.u, 0, (-math.inf, math.inf), limits, theta).gain)
+    assert sum(few) >= 4
+    assert np.abs(np.array(gains) - 1.0).max() < 0.1
+
+
 def test_what_a_level_sums_up_of_a_load_is_coloured_in_its_changes() -> None:
     rng = np.random.default_rng(8)
     n, x = 3000, np.repeat(rng.choice([-1.0, 1.0], size=100), 30)
     summed = np.cumsum(0.02 * (np.roll(x, 3) + _drifting(rng, n, 0.9)))
     data = centre(Record(np.concatenate([[0.0], summed[:-1]]), x, 1.0), "integrating")
     limits, fit = Limits((LEAST_TAU, float(n)), (0.0, 30.0)), Fit(0.0, 1.0, 5.0, 0.012, 0.0, 0.0, 0.0)
-    a, (_, theta) = colour_beside(data, data.u, 0, fit, limits, 0, moves=True)
+    (a, _), (_, theta) = colour_beside(data, data.u, 0, fit, limits, 0, moves=True)
     # How the level changes is a drift of the pole 0.9, which takes a constant away altogether.
     assert a[:3] == pytest.approx([1.0, -1.9, 0.9], abs=0.15)
     assert float(a.sum()) == pytest.approx(0.0, abs=1e-12)

@@ -152,7 +152,7 @@ def test_steps_of_a_healthy_loop_are_found_to_a_part_of_a_sample_and_accuse_nobo
 def test_models_accuse_alone_only_where_the_linear_loop_is_clearly_less_likely() -> None:
     data = centre(flow(2), "fopdt")
     line = Straight(data, fit_linear(data, 30.0), 30.0, NOWHERE)
-    answered = linear_beside(line, lambda one: one.coloured)[0]
+    answered = rival_of(data, line.fit, line, ()).answered
     linear = answered.paths[0].fit
     n = answered.settled.samples - answered.settled.skip
     models = [FittedModel(valve, wb.FOPDT(19.3, 0.76), 1.0, 0.0, 0.0, 40) for valve in (wb.Deadband(4.5), wb.Ideal())]

@@ -175,7 +175,7 @@ def test_a_plant_found_beside_the_colour_of_its_load_is_the_true_one() -> None:
         left = data.y - predict(data, stem, 0, white)[0]
         for filtered, gains in (
             (disturbance(left, data.floor), alternating),
-            (colour_beside(data, stem, 0, white, LIMITS, 0)[0], beside),
+            (colour_beside(data, stem, 0, white, LIMITS, 0)[0].a, beside),
         ):
             measured = data.whitened(filtered, 0)
             fits = [fit_path(measured, stem, 0, FREE, LIMITS, theta) for theta in (0.0, 3.0, white.theta)]
@@ -195,7 +195,7 @@ def test_a_plant_without_a_gain_has_no_colour_beside_it() -> None:
     data = centre(record, "integrating")
     fit = fit_path(data, stem, 0, FREE, LIMITS, 3.0)
     none = grounded(data, stem, 0, type(fit)(fit.sse, fit.tau, fit.theta, 0.0, 0.0, 0.0, 0.0))
-    assert colour_beside(data, stem, 0, none, LIMITS, 0)[0].tolist() == [1.0]
+    assert colour_beside(data, stem, 0, none, LIMITS, 0)[0].a.tolist() == [1.0]
 
 
 def test_a_load_step_that_was_found_makes_the_gain_less_sure() -> None:

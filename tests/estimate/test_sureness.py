@@ -9,11 +9,12 @@ import workbench as wb
 from workbench.estimate.fits.data import Centred, centre
 from workbench.estimate.fits.fit import Fit, disturbance, fit_linear, predict
 from workbench.estimate.fits.sureness import NORMAL, standard_errors
-from workbench.estimate.loads.coloured import MOST_LAGS
+from workbench.estimate.loads.coloured import LAGS
 from workbench.estimate.loads.settled import coloured_linear
 
 PLANT = wb.FOPDT(1.5, 8.0, 2.0)
 LONGEST = 30.0
+MANY = 30  # lags, more than the disturbance needs
 
 
 def coloured_data(seed: int, samples: int = 600) -> Centred:
@@ -46,9 +47,9 @@ def test_a_filter_that_fits_chance_makes_no_plant_surer() -> None:
         fit = fit_linear(data, LONGEST)
         left = left_by(data, fit)
         plain = disturbance(left, data.floor)
-        assert 1 < plain.size <= MOST_LAGS
-        simple = standard_errors(data.whitened(plain, MOST_LAGS), data.u, 0, fit, clamped=False)
-        rich = standard_errors(data.whitened(yule_walker(left, MOST_LAGS), 0), data.u, 0, fit, clamped=False)
+        assert 1 < plain.size <= LAGS + 1
+        simple = standard_errors(data.whitened(plain, MANY), data.u, 0, fit, clamped=False)
+        rich = standard_errors(data.whitened(yule_walker(left, MANY), 0), data.u, 0, fit, clamped=False)
         assert all(r >= s * (1.0 - 1e-9) for r, s in zip(rich, simple, strict=True))
         surer += rich[0] > simple[0]
     # Where it is the richer filter that is less sure, it stands.

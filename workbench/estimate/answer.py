@@ -366,7 +366,9 @@ def _whiter(loop: _Asked, fits: Fits) -> Band | None:
         x = b.stem(data.u)
         left = data.y - predict(data, x, b.begin, grounded(data, x, b.begin, b.fit))[0]
         free = (2 if b.J > 0.0 else 1) * math.log(data.samples)
-        likelier += [(autoregression(left[data.skip :], data.floor)[1] + free + paid, b)] if b.fit.gain != 0.0 else []
+        # Of as many samples as the linear loop's, whichever count.
+        own = autoregression(left[data.skip :], data.floor)[1] * data.samples / (data.samples - data.skip)
+        likelier += [(own + free + paid, b)] if b.fit.gain != 0.0 else []
     least, best = min(likelier, key=lambda one: one[0], default=(math.inf, None))
     return best if least < level(*loop.coloured) else None
 

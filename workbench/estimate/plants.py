@@ -24,7 +24,7 @@ from workbench.estimate.fits.fit import (
     predict,
 )
 from workbench.estimate.fits.windows import WHOLE
-from workbench.estimate.loads.coloured import MOST_LAGS, colour_beside
+from workbench.estimate.loads.coloured import colour_beside
 from workbench.estimate.loads.swing import Answered, Model
 from workbench.estimate.search.models import PLANT_PARAMETERS, VALVE_PARAMETERS
 from workbench.model.plant import FOPDT, Plant
@@ -69,7 +69,7 @@ def foretelling_bic(
         nonlocal least
         fit = fit_path(coloured, x, first, (-math.inf, math.inf), limits, fit.theta, tau=fit.tau)
         variance = fit.sse / (n - coloured.skip)
-        p = free + coloured.a.size - 1
+        p = free + coloured.terms
         least = min(least, n * math.log(max(variance, data.floor)) + p * math.log(n))
         return fit
 
@@ -80,8 +80,8 @@ def foretelling_bic(
             fit = along(data.whitened(np.convolve(INTEGRATED, a) if moves else a, 0), fit)
             left = data.y - predict(data, x, first, fit)[0]
         if closely and a.size > 1 and n <= WHOLE:
-            a, (tau, theta) = colour_beside(data, x, first, fit, limits, 0, moves, MOST_LAGS)
-            along(data.whitened(a, 0), replace(fit, tau=tau, theta=theta))
+            colour, (tau, theta) = colour_beside(data, x, first, fit, limits, 0, moves)
+            along(data.whitened(colour.a, 0, colour.shared), replace(fit, tau=tau, theta=theta))
     return least
 
 

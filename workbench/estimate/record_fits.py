@@ -14,6 +14,7 @@ from workbench.estimate.fits.windows import EXACT, WHOLE
 from workbench.estimate.loads.settled import STEPS_MOST, needs_steps, settled
 from workbench.estimate.ranges.few import widened
 from workbench.estimate.ranges.freed import freed
+from workbench.estimate.ranges.recoloured import recoloured
 from workbench.estimate.search.bands import Bands, Found, further, noise_beside, repeated
 from workbench.estimate.search.candidates import Candidate, leaves_noise
 from workbench.estimate.search.dense import densely, densely_about
@@ -235,4 +236,5 @@ def _ranged(fits: Fits, chosen: str) -> Bands:
     data, only = fits.data, fits.bands[chosen].only
     found = repeated(data, fits.bands[chosen], fits.limits, fits.seen_in(data))
     found = widened(data, found, only, fits.limits)
-    return freed(data, fits.whole, found, only, fits.limits, fits.steps)
+    found = freed(data, fits.whole, found, only, fits.limits, fits.steps)
+    return recoloured(data, found, only, fits.limits)

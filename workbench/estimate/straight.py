@@ -96,7 +96,7 @@ def linear_beside(line: Straight, settled: Callable[[Straight], Coloured]) -> tu
 def level(data: Centred, fit: Fit, steps: Sequence[LoadStep]) -> float:
     """Return the BIC of a plant beside load steps in the measure of what disturbs the loop, but for its parameters."""
     n = data.samples
-    terms = data.a.size + DEGREES * len(steps)
+    terms = data.terms + 1 + DEGREES * len(steps)
     return n * math.log(max(fit.sse / (n - data.skip), data.floor)) + terms * math.log(n)
 
 

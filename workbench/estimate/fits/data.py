@@ -48,7 +48,8 @@ class Centred:
     the disturbance white, (1,) where it is taken to be; target: y filtered by it. skip: the first samples, which do not
     count: they answer to what the stem did before the record. load: EU, shape (N,), what load steps add to PV; y is
     without it. answers: shape (2 steps, N), what it would change by with each step's size and time, up to
-    factors: neither is known exactly. doubt: the standard deviation of what is not known of OP, %, where it is recorded
+    factors: neither is known exactly. shared: lags up to each of which the filter's terms after that at the one before
+    are one, () where each is its own. doubt: the standard deviation of what is not known of OP, %, where it is recorded
     in steps (see `resolved`), else 0. latest: the last sample at which the stem is tried to slip first.
     """
 
@@ -72,6 +73,7 @@ class Centred:
     answers: FloatArray
     doubt: float
     latest: float = math.inf
+    shared: tuple[int, ...] = ()
 
     @property
     def unsure(self) -> float:
@@ -98,9 +100,14 @@ class Centred:
             np.where(np.append(True, above[new]), 1.0, -1.0),
         )
 
-    def whitened(self, a: FloatArray, skip: int) -> Centred:
+    def whitened(self, a: FloatArray, skip: int, shared: tuple[int, ...] = ()) -> Centred:
         """Return the same record, its disturbance the autoregression that the filter a leaves white."""
-        return replace(self, a=a, target=whitened(a, self.y), skip=max(skip, a.size - 1))
+        return replace(self, a=a, target=whitened(a, self.y), skip=max(skip, a.size - 1), shared=shared)
+
+    @property
+    def terms(self) -> int:
+        """How many parameters the filter has."""
+        return self.a.size - 1 - (self.shared[-1] - len(self.shared) if self.shared else 0)
 
     def less(self, load: FloatArray, answers: FloatArray) -> Centred:
         """Return the same record without a load, EU, shape (N,), made of some answers, any disturbance white."""

@@ -92,20 +92,22 @@ def standard_errors(data: Centred, x: FloatArray, first: int, fit: Fit, clamped:
     if not clamped:
         vectors.append(columns[2])
     raw = np.array([*vectors, columns[3], *data.answers])
-    filters = [data.a] if data.a.size == 1 else [data.a, disturbance(left, data.floor)]
-    spreads = [_errors_of(raw, left, a, max(data.skip, a.size - 1), data.floor) for a in filters]
+    filters = [(data.a, data.shared)]
+    filters += [(disturbance(left, data.floor), ())] if data.a.size > 1 else []
+    spreads = [_errors_of(raw, left, a, shared, max(data.skip, a.size - 1), data.floor) for a, shared in filters]
     found = dict(zip(names, np.max(spreads, axis=0).tolist(), strict=False))
     return found["gain"], found.get("tau", math.nan), found["theta"]
 
 
-def _errors_of(vectors: FloatArray, left: FloatArray, a: FloatArray, skip: int, floor: float) -> FloatArray:
+def _errors_of(
+    vectors: FloatArray, left: FloatArray, a: FloatArray, shared: tuple[int, ...], skip: int, floor: float
+) -> FloatArray:
     """Standard errors of what vectors, (p, N), stand for, in the measure of a filter; nan where a vector says nothing.
 
-    left: the residual, (N,). The filter was found beside the plant: in closed loop a gain that is off passes for a part
-    of the disturbance.
+    left: the residual, (N,); shared: as in `Centred`. The filter was found beside the plant: in closed loop a gain that
+    is off passes for a part of the disturbance.
     """
-    lagged = [np.concatenate([np.zeros(lag), left[:-lag]]) for lag in range(1, a.size)]
-    jacobian = np.vstack([whitened(a, vectors), *lagged])[:, skip:]
+    jacobian = np.vstack([whitened(a, vectors), *_past(left, a.size - 1, shared)])[:, skip:]
     residuals = whitened(a, left)[skip:]
     scale = np.sqrt((jacobian**2).sum(axis=1))
     kept = scale > 0.0
@@ -116,6 +118,26 @@ def _errors_of(vectors: FloatArray, left: FloatArray, a: FloatArray, skip: int, 
     errors = np.full(scale.size, math.nan)
     errors[kept] = np.sqrt(np.maximum(spread, 0.0)) / scale[kept]
     return errors[: len(vectors)]
+
+
+def _past(left: FloatArray, lags: int, shared: tuple[int, ...]) -> list[FloatArray]:
+    """What each parameter of a filter multiplies, each of shape (N,).
+
+    Where coefficients share lags and the filter has one more, they are those of how what is left changes.
+    """
+
+    def before(signal: FloatArray, first: int, last: int) -> FloatArray:
+        total = np.zeros(signal.size)
+        for lag in range(first, last + 1):
+            total[lag:] += signal[:-lag]
+        return total
+
+    if not shared:
+        return [before(left, lag, lag) for lag in range(1, lags + 1)]
+    moves = shared[-1] < lags
+    signal = np.diff(left, prepend=0.0) if moves else left
+    groups = zip((0, *shared), shared, strict=False)
+    return [before(signal, first + 1, last) for first, last in groups] + [before(left, 1, 1)] * moves
 
 
 def score_covariance(jacobian: FloatArray, residuals: FloatArray) -> FloatArray:

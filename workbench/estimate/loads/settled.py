@@ -26,10 +26,11 @@ from workbench.estimate.fits.fit import (
     predict,
 )
 from workbench.estimate.fits.windows import WHOLE
-from workbench.estimate.loads.coloured import MOST_LAGS, colour_beside
+from workbench.estimate.loads.coloured import Colour, colour_beside
+from workbench.estimate.loads.own_colour import OwnColour, other_jumps
 from workbench.estimate.loads.stepped import stepped_stems
 from workbench.estimate.loads.steps import CLEAR, DEGREES, Loads, Stem, loads_of
-from workbench.estimate.search.bands import Found
+from workbench.estimate.search.bands import Found, further
 from workbench.estimate.search.candidates import Candidate, held
 from workbench.estimate.search.models import bands_of, refitted
 from workbench.estimate.search.profile import Profile, profile_again, profile_of, search
@@ -49,6 +50,7 @@ ROUNDS = 4  # where there are load steps
 SAME_TIME, SAME_SIZE = 5, 0.1  # samples, share: steps that moved less have settled
 SAME_STEM = 0.05  # of its standard deviation: a stem's path that moved less has
 HARDLY = 20.0  # of N log V: a stem that leaves so much more than the leading one may be the right one beside a step
+SAME_BAND = 0.05  # of its stick band: a stem that is no other one, whatever its jump
 WORSE = 2.0  # of AIC: a turn that ends so far above an earlier one is taken back
 
 # A record without load steps in some measure, its models there, and the steps.
@@ -181,12 +183,13 @@ def settled(
             found, was, linear = first
             return settled(whole, found, led_to(whole, was, bands, limits), linear, delays, within, 0)
         same_steps = _same(before, steps, whole.sample_time)
-        a, level = _colour(bare, loads.left[skip:], lead, limits, skip)
-        if turn == 0 and a.size > 1 and data.integrating and data.samples <= WHOLE:
+        colour, level = _colour(bare, loads.left[skip:], lead, limits, skip)
+        if turn == 0 and colour.a.size > 1 and data.integrating and data.samples <= WHOLE:
             for changing in _of_changes(bare, found, delays, within, skip):
                 left = bare.y - predict(bare, changing.x, changing.first, changing.fit)[0]
-                a, level = min((a, level), _colour(bare, left[skip:], changing, limits, skip), key=lambda one: one[1])
-        same = a.size == data.a.size == 1 and not steps
+                own = _colour(bare, left[skip:], changing, limits, skip)
+                colour, level = min((colour, level), own, key=lambda one: one[1])
+        same = colour.a.size == data.a.size == 1 and not steps
         stands = stands and (same_steps or not (before or steps))
         # Of a long record the first few samples are nothing.
         turn += 1
@@ -194,8 +197,8 @@ def settled(
             break
         if turns and not (before or steps) and _stands(data, lead, limits, level):
             break
-        data = bare.whitened(a, skip)
-        anew = a.size > 1 or bool(steps)
+        data = bare.whitened(colour.a, skip, colour.shared)
+        anew = colour.a.size > 1 or bool(steps)
         linear = again_linear(data, linear, delays)
         if found is not None and steps and not same_steps:
             found = search(bare, delays) or found
@@ -226,7 +229,7 @@ def settled(
         if same_steps and not nearly:
             break
     least, best = min(turns, key=lambda one: one[0], default=(math.inf, None))
-    if best is not None and steps and least < turns[-1][0] - WORSE:
+    if best is not None and least < turns[-1][0] - WORSE:
         # Stem, steps and colour may lead each other away from what explained PV best.
         data, found, bands, linear, steps = best
         if bands:
@@ -234,7 +237,51 @@ def settled(
             there = sought(data, delays, other, within.contested)
             coarse = [one.best for one in bands.values()]
             bands = bands_of(data, coarse, there, limits, there.rival(other), before=bands)
+    if data.a.size > 1 and data.samples <= WHOLE:
+        data, found, bands, linear = _in_own_colour(data, found, bands, linear, limits, skip)
     return data, found, bands, linear, steps
+
+
+def _in_own_colour(
+    data: Centred, found: Profile | None, bands: dict[str, Found], linear: Fit, limits: Limits, skip: int
+) -> tuple[Centred, Profile | None, dict[str, Found], Fit]:
+    """The models in the measure that the best stem, or one of another jump, has once plant and colour are free in it.
+
+    Gone on with as long as that is likelier. Other stems are not sought: in the measure of a wrong one many look right.
+    """
+    for _ in range(ROUNDS):
+        lead = _leading(data, found, bands, linear)
+        if lead.valve is None or lead.fit.gain == 0.0:
+            break
+        own, stems = OwnColour.of(data, limits), [lead]
+        if found is not None and found.best.fit is not lead.fit and found.best.fit.gain != 0.0:
+            stems.append(_of_path(data, found.best))
+        likely = min((one for stem in stems for one in other_jumps(own, stem)), key=own.akaike)
+        if not own.as_it_is(lead) - own.akaike(likely) > WORSE:
+            break
+        left = data.y - predict(data, likely.x, likely.first, grounded(data, likely.x, likely.first, likely.fit))[0]
+        colour, _ = _colour(data, left[skip:], likely, limits, skip)
+        anew = data.whitened(colour.a, skip, colour.shared)
+        profile = None if found is None else profile_again(anew, found)
+        searched = refitted(anew, bands, limits)
+        S, J, begin, sense = likely.valve or lead.valve
+        if not math.isnan(J) and "choudhury" in searched:
+            seed = fit_band(anew, S, J, (begin, sense), limits, (likely.fit.tau, likely.fit.theta))
+            searched |= {"choudhury": further(anew, searched["choudhury"], [seed], limits)}
+        straight = again_linear(anew, linear, limits.theta[1])
+        led = _leading(anew, profile, searched, straight).valve
+        elsewhere = led is None or abs(led[0] / S - 1.0) > SAME_BAND
+        if elsewhere or not _priced(anew, profile, searched) < _priced(data, found, bands) - WORSE:
+            break
+        data, found, bands, linear = anew, profile, searched, straight
+    return data, found, bands, linear
+
+
+def _priced(data: Centred, found: Profile | None, bands: dict[str, Found]) -> float:
+    """AIC of the likeliest valve that sticks, in the measure of its disturbance, as far as it depends on these."""
+    fits = [(fit.best.fit, 0.0) for fit in (found,) if fit is not None]
+    fits += [(one.best.fit, 2.0 * (one.best.J > 0.0)) for one in bands.values()]
+    return min(_akaike(data, fit) + price for fit, price in fits)
 
 
 def _stenman_of(data: Centred, loads: Loads) -> list[Candidate]:
@@ -281,7 +328,8 @@ def _akaike_of(
 
 
 def _akaike(data: Centred, fit: Fit) -> float:
-    return data.samples * math.log(max(fit.sse / data.samples, data.floor)) + 2.0 * data.a.size
+    variance = fit.sse / (data.samples - data.skip)
+    return data.samples * math.log(max(variance, data.floor)) + 2.0 * data.terms
 
 
 def needs_steps(beside: tuple[Centred, Band], steps: Sequence[LoadStep], without: tuple[Centred, Band]) -> bool:
@@ -314,31 +362,30 @@ def _of_changes(data: Centred, found: Profile | None, delays: float, within: Sou
     return [replace(one, fit=grounded(changes, one.x, one.first, one.fit)) for one in stems]
 
 
-def _colour(bare: Centred, left: FloatArray, lead: Stem, limits: Limits, skip: int) -> tuple[FloatArray, float]:
-    """The filter that leaves what disturbs a stem's fit white, and its AIC; left: what the fit leaves from `skip` on.
+def _colour(bare: Centred, left: FloatArray, lead: Stem, limits: Limits, skip: int) -> tuple[Colour, float]:
+    """The colour of what disturbs a stem's fit, and its AIC; left: what the fit leaves from `skip` on.
 
     An integrating process sums up what disturbs its input: it is how the disturbance changes that is white or coloured
     then. The coefficients of an autoregression fitted to the disturbance itself never quite sum up to nought, as that
     takes, and what is missing acts as a force that pulls the level back, at the cost of the gain.
     """
-    a = disturbance(left, bare.floor)
+    own = Colour(disturbance(left, bare.floor))
     plant = lead.fit.tau, lead.fit.theta
-    filters = [(a, plant)]
-    if a.size > 1 and bare.samples <= WHOLE and lead.fit.gain != 0.0:
+    colours = [(own, plant)]
+    if own.a.size > 1 and bare.samples <= WHOLE and lead.fit.gain != 0.0:
         beside = partial(colour_beside, bare, lead.x, lead.first, lead.fit, limits, skip)
-        if not bare.integrating:
-            filters.append(beside())
-        else:
-            filters += [beside(moves=moves, longest=MOST_LAGS) for moves in (False, True)]
-            filters.append((np.convolve(INTEGRATED, disturbance(np.diff(left), bare.floor)), plant))
-    levels = [_akaike_in(bare.whitened(one, skip), lead, limits, near) for one, near in filters]
+        colours.append(beside())
+        if bare.integrating:
+            colours.append(beside(moves=True))
+            colours.append((Colour(np.convolve(INTEGRATED, disturbance(np.diff(left), bare.floor))), plant))
+    levels = [_akaike_in(bare.whitened(one.a, skip, one.shared), lead, limits, near) for one, near in colours]
     least = int(np.argmin(levels))
-    return filters[least][0], levels[least]
+    return colours[least][0], levels[least]
 
 
 def _stands(data: Centred, lead: Stem, limits: Limits, level: float) -> bool:
     """Whether data's measure is as likely beside a stem as one of this AIC, which has its filter to pay for."""
-    return _akaike_in(data, lead, limits) - 2.0 * (data.a.size - 1) <= level
+    return _akaike_in(data, lead, limits) - 2.0 * data.terms <= level
 
 
 def _akaike_in(data: Centred, lead: Stem, limits: Limits, *near: tuple[float, float]) -> float:
@@ -346,10 +393,9 @@ def _akaike_in(data: Centred, lead: Stem, limits: Limits, *near: tuple[float, fl
 
     near: tau and theta, samples, of plants to begin from beside the stem's own.
     """
-    n, free = data.samples, (-math.inf, math.inf)
-    begins = {(lead.fit.tau, lead.fit.theta), *near}
-    sse = min(fit_path(data, lead.x, lead.first, free, limits, theta, tau=tau).sse for tau, theta in begins)
-    return n * math.log(max(sse / n, data.floor)) + 2.0 * data.a.size
+    free, begins = (-math.inf, math.inf), {(lead.fit.tau, lead.fit.theta), *near}
+    fits = (fit_path(data, lead.x, lead.first, free, limits, theta, tau=tau) for tau, theta in begins)
+    return _akaike(data, min(fits, key=lambda fit: fit.sse))
 
 
 def _same(before: Sequence[LoadStep], steps: Sequence[LoadStep], Ts: float) -> bool:
@@ -384,6 +430,7 @@ def coloured_linear(
         lead = Stem(data.u, 0, linear, lambda *_: whole.u, times=times)
         bare, loads = _relieved(whole, data, lead, limits, 0, most)
         steps = loads.steps
-        data = bare.whitened(_colour(bare, loads.left, lead, limits, 0)[0], 0)
+        colour = _colour(bare, loads.left, lead, limits, 0)[0]
+        data = bare.whitened(colour.a, 0, colour.shared)
         linear = again_linear(data, linear, delays)
     return data, linear, steps

@@ -1,0 +1,131 @@
+"""Stems of another jump, each with the plant and the colour that it leaves.
+
+In a cycle a larger jump makes up for a smaller gain, and in the measure of what one stem leaves another one looks worse
+than it is: the filter has taken to the first. Where each has a filter of its own, the likelier shows.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.optimize import minimize
+
+from workbench.estimate.fits.data import Centred
+from workbench.estimate.fits.fit import Fit, Limits, grown
+from workbench.estimate.kernels.coloured import lagged
+from workbench.estimate.loads.coloured import SPREAD, Beside
+from workbench.estimate.loads.steps import Stem
+from workbench.model.record import FloatArray
+
+__all__ = ["OwnColour", "of_jump", "other_jumps"]
+
+EVALUATIONS = 60  # of a plant beside one stem, begun at that beside the last
+RATIO, MOST = 1.2, 12  # of one jump to the next, and how many either way
+FAR, WORSE = 20.0, 2  # of N log V: how many in a row may be so far behind before the rest is taken to be so too
+
+
+@dataclass(frozen=True, eq=False)
+class OwnColour:
+    """A record in whose measure the autoregression is free beside each stem; law: the lags at which its terms end."""
+
+    data: Centred
+    limits: Limits
+    law: tuple[int, ...]
+    moves: bool
+    y: FloatArray
+    own: FloatArray
+    begin: int
+
+    @classmethod
+    def of(cls, data: Centred, limits: Limits) -> OwnColour:
+        """A record whose disturbance is coloured: with as many terms as its filter has, at the same lags."""
+        lags = data.a.size - 1
+        moves = data.integrating and abs(float(data.a.sum())) < 1e-9
+        law = data.shared or tuple(range(1, lags + 1 - moves))
+        y = np.diff(data.y, prepend=data.y[0]) if moves else data.y
+        begin = max(data.skip, law[-1] + moves)
+        own = np.empty((law[-1] + 1, law[-1] + 1))
+        lagged(y, y, begin, law[-1] + 1, own)
+        return cls(data, limits, law, moves, y, own, begin)
+
+    def fit(self, x: FloatArray, first: int, near: Fit) -> Fit:
+        """The plant that leaves least along a stem path, sought from another; without bias and start."""
+        data, limits = self.data, self.limits
+        free = 2 if data.integrating else 3
+
+        def plant(point: FloatArray) -> tuple[float, float, float]:
+            tau = near.tau if data.integrating else float(np.clip(near.tau * grown(point[2]), *limits.tau))
+            return near.gain * grown(point[0]), tau, float(np.clip(near.theta + point[1], *limits.theta))
+
+        def level(point: FloatArray) -> float:
+            return self._level(x, first, plant(point))
+
+        least = minimize(
+            level,
+            np.zeros(free),
+            method="Nelder-Mead",
+            options={
+                "initial_simplex": SPREAD * np.vstack([np.zeros(free), np.eye(free)]),
+                "maxfev": EVALUATIONS,
+                "xatol": 1e-3,
+                "fatol": 1e-2,
+            },
+        )
+        gain, tau, theta = plant(least.x)
+        return Fit(self._sse(least.fun), tau, theta, gain, math.nan, math.nan, math.nan)
+
+    def akaike(self, stem: Stem) -> float:
+        """AIC of a stem with its own plant, from `fit`, as far as it depends on the stem."""
+        free = 2.0 * (stem.valve is not None and stem.valve[1] > 0.0)
+        return (self.data.samples - self.begin) * math.log(stem.fit.sse / self.data.samples) + free
+
+    def as_it_is(self, stem: Stem) -> float:
+        """The same with the plant that it had in the record's own measure."""
+        fit = stem.fit
+        sse = self._sse(self._level(stem.x, stem.first, (fit.gain, fit.tau, fit.theta)))
+        return self.akaike(replace(stem, fit=replace(fit, sse=sse)))
+
+    def _sse(self, level: float) -> float:
+        """What is left of all samples, EU^2, of N log V."""
+        return self.data.samples * math.exp(level / (self.data.samples - self.begin))
+
+    def _level(self, x: FloatArray, first: int, plant: tuple[float, float, float]) -> float:
+        there = Beside(self.data, self.y, self.own, x, first, plant, self.begin, self.moves)
+        return there.level(self.law)
+
+
+def other_jumps(own: OwnColour, lead: Stem) -> Iterator[Stem]:
+    """Yield a stem with its own plant, and those of smaller and larger jumps, until they are far behind the likeliest.
+
+    Stenman's jumps by as much as it sticks, and has no others.
+    """
+    begun = replace(lead, fit=own.fit(lead.x, lead.first, lead.fit))
+    yield begun
+    if lead.valve is None or lead.near is None or not lead.valve[1] > 0.0:
+        return
+    least = begun.fit.sse
+    for ratio in (1.0 / RATIO, RATIO):
+        last, worse = begun, 0
+        for step in range(1, MOST + 1):
+            last = of_jump(own, lead, lead.valve[1] * ratio**step, last)
+            if not np.any(last.x[lead.first :] != last.x[lead.first]):
+                break
+            yield last
+            least = min(least, last.fit.sse)
+            worse = worse + 1 if own.data.samples * math.log(last.fit.sse / least) > FAR else 0
+            if worse == WORSE:
+                break
+
+
+def of_jump(own: OwnColour, lead: Stem, J: float, alike: Stem) -> Stem:
+    """Return a two-parameter stem of another jump, %, with its own plant, sought from that of one alike."""
+    if lead.valve is None or lead.near is None or alike.valve is None:
+        return lead
+    S, known, first, sense = lead.valve
+    x = lead.near(1.0, J / known)
+    # What a jump gains a gain loses.
+    near = replace(alike.fit, gain=alike.fit.gain * alike.valve[1] / J)
+    return replace(lead, x=x, fit=own.fit(x, lead.first, near), valve=(S, J, first, sense), near=None)
