@@ -48,12 +48,14 @@ def foretelling_bic(
     prediction: FloatArray,
     *,
     closely: bool = False,
+    far: bool = False,
 ) -> float:
     """Return `N log V + p log N` with V the mean square of the one-step prediction errors, along the stem found.
 
     data: the record as it was estimated, to the plant and valve with this stem (%, shape (N,)) and prediction (PV, EU,
     shape (N,)), less the load steps and the oscillation from outside that were found beside it. p counts plant, valve,
-    loads, oscillation and disturbance. closely: plant and disturbance are sought together, too (`loads.coloured`).
+    loads, oscillation and disturbance. closely: plant and disturbance are sought together, too (`loads.coloured`);
+    far: and that may remember more.
     """
     n = data.samples
     x = valve_position - data.op_middle
@@ -80,7 +82,7 @@ def foretelling_bic(
             fit = along(data.whitened(np.convolve(INTEGRATED, a) if moves else a, 0), fit)
             left = data.y - predict(data, x, first, fit)[0]
         if closely and a.size > 1 and n <= WHOLE:
-            colour, (tau, theta) = colour_beside(data, x, first, fit, limits, 0, moves)
+            colour, (tau, theta) = colour_beside(data, x, first, fit, limits, 0, moves, far)
             along(data.whitened(colour.a, 0, colour.shared), replace(fit, tau=tau, theta=theta))
     return least
 
@@ -92,7 +94,10 @@ def foretelling_of(record: Record, kind: str, answered: Answered[Model], *, clos
     # What the model itself leaves, too: where that is nearly nothing no fit along its stem comes to as little.
     left = data.pv_mean + data.load + data.y - model.prediction
     own = autoregression(left, data.floor)[1] + _free(data, valve) * math.log(left.size)
-    return min(own, foretelling_bic(data, model.plant, valve, position, model.prediction, closely=closely))
+    # Where no stem is seen to move PV a level with a long memory does as well as a lag.
+    far = not isinstance(model, LinearFit) and model.verdict == "stiction"
+    along = foretelling_bic(data, model.plant, valve, position, model.prediction, closely=closely, far=far)
+    return min(own, along)
 
 
 def with_other_plant(record: Record, kind: str, answered: Answered[Model]) -> float:

@@ -45,7 +45,14 @@ class Colour(NamedTuple):
 
 
 def colour_beside(
-    data: Centred, x: FloatArray, first: int, fit: Fit, limits: Limits, skip: int, moves: bool = False
+    data: Centred,
+    x: FloatArray,
+    first: int,
+    fit: Fit,
+    limits: Limits,
+    skip: int,
+    moves: bool = False,
+    far: bool = True,
 ) -> tuple[Colour, tuple[float, float]]:
     """Return the colour of the likeliest plant and autoregression beside a stem path x, shape (N,).
 
@@ -53,7 +60,7 @@ def colour_beside(
     plant as if the disturbance were white. The lags, and which of them share a coefficient, are those of least AIC (H.
     Akaike, IEEE Trans. Autom. Control 19 (1974) 716-723): too few leave the plant part of the disturbance, some too
     many cost little. moves: whether the autoregression is one of how the disturbance changes from sample to sample
-    (`INTEGRATED`).
+    (`INTEGRATED`). far: whether it may remember more than `LAGS` samples.
     """
     if fit.gain == 0.0:
         return Colour(np.ones(1)), (fit.tau, fit.theta)
@@ -62,7 +69,7 @@ def colour_beside(
     delays = delays_about(fit.theta, limits.theta[1])
     taus = [fit.tau] if data.integrating else [min(max(f * fit.tau, limits.tau[0]), limits.tau[1]) for f in TAUS]
     plants, gains = np.array([(tau, theta) for tau in taus for theta in delays]), fit.gain * GAINS
-    laws = _laws(data.samples // EACH)
+    laws = _laws(data.samples // EACH if far else LAGS)
     most = max(law[-1] for law in laws)
     begin = skip + most
     left, own = np.empty((len(plants), gains.size)), np.empty((most + 1, most + 1))
