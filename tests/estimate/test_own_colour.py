@@ -79,7 +79,7 @@ def test_the_plant_beside_a_free_colour_is_where_its_likelihood_is_least() -> No
 
 def test_a_levels_filter_of_changes_is_known_as_one() -> None:
     data = centre(record_of(0), "integrating")
-    for a, moves in ((np.array([1.0, -0.8]), False), (np.convolve(INTEGRATED, [1.0, -0.5]), True)):
+    for a, moves in ((np.array([1.0, -0.8]), False), (np.convolve(INTEGRATED, [1.0, -0.5]), True), (INTEGRATED, True)):
         own = OwnColour.of(data.whitened(a, 0), LIMITS)
         assert own.moves is moves
         assert own.law == (1,)

@@ -44,7 +44,8 @@ class OwnColour:
         """A record whose disturbance is coloured: with as many terms as its filter has, at the same lags."""
         lags = data.a.size - 1
         moves = data.integrating and abs(float(data.a.sum())) < 1e-9
-        law = data.shared or tuple(range(1, lags + 1 - moves))
+        # A sum of white noise alone has no lag of its own.
+        law = data.shared or tuple(range(1, max(lags - moves, 1) + 1))
         y = np.diff(data.y, prepend=data.y[0]) if moves else data.y
         begin = max(data.skip, law[-1] + moves)
         own = np.empty((law[-1] + 1, law[-1] + 1))
