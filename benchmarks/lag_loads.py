@@ -12,12 +12,10 @@ Run: python benchmarks/lag_loads.py [LOOPS [FIRST [SAMPLES]]]
 from __future__ import annotations
 
 import math
-import sys
-import time
-from collections import Counter
 
 import numpy as np
-from detection import ENOUGH, drift
+from detection import drift
+from level_loads import asked, scored
 
 import workbench as wb
 
@@ -44,36 +42,5 @@ def drawn(seed: int, samples: int) -> tuple[wb.Loop, wb.Record, int]:
     return loop, wb.Record(run.pv + 50.0, run.op + 50.0, 1.0, sp=run.sp + 50.0), moves
 
 
-def main(loops: int, first: int, samples: int) -> None:
-    """Print each record's figures, and how many are right."""
-    right: Counter[str] = Counter()
-    seed, took = first, 0.0
-    while loops > right["records"]:
-        loop, record, moves = drawn(seed, samples)
-        seed += 1
-        if moves < ENOUGH:
-            continue
-        began = time.process_time()
-        found = wb.estimate(record)
-        took += time.process_time() - began
-        lag, known = isinstance(found.plant, wb.FOPDT), found.intervals.gain
-        S, gain = found.valve.stick_band / loop.valve.stick_band, found.plant.gain / loop.plant.gain
-        right["records"] += 1
-        right[found.verdict] += 1
-        right["told as first order"] += lag
-        right["S within 5 %"] += abs(S - 1.0) <= 0.05
-        right["gain within 5 %"] += lag and abs(gain - 1.0) <= 0.05
-        right["gain within 20 %"] += lag and abs(gain - 1.0) <= 0.2
-        right["gain held"] += lag and known is not None and known[0] <= loop.plant.gain <= known[1]
-        right["identified"] += found.identifiable
-        right["of these right"] += found.identifiable and max(abs(S - 1.0), abs(gain - 1.0)) <= 0.05
-        told = f"gain x {gain:.3f}" if lag else "integrating"
-        print(
-            f"{seed - 1:5} {type(loop.valve).__name__:9} {moves:4} moves {found.verdict:12} S x {S:.3f} {told}",
-            flush=True,
-        )
-    print(f"{dict(right)}, {took / loops:.1f} s of processor time each")
-
-
 if __name__ == "__main__":
-    main(*(int(word) for word in (sys.argv[1:] + ["24", "0", "1500"][len(sys.argv) - 1 :])))
+    scored(wb.FOPDT, drawn, *asked())
