@@ -41,7 +41,10 @@ class OwnColour:
 
     @classmethod
     def of(cls, data: Centred, limits: Limits) -> OwnColour:
-        """A record whose disturbance is coloured: with as many terms as its filter has, at the same lags."""
+        """A record whose disturbance is coloured: with as many terms as its filter has, at the same lags.
+
+        A level's filter whose terms sum up to nought is one of how the disturbance changes (`INTEGRATED`).
+        """
         lags = data.a.size - 1
         moves = data.integrating and abs(float(data.a.sum())) < 1e-9
         # A sum of white noise alone has no lag of its own.

@@ -85,8 +85,9 @@ class Bands:
     """The best stem, those that the record cannot tell from it, and their ranges of S and J, %.
 
     spare: of each of those, the share of a 95 % range's half that its cost leaves it within the likelihood region.
-    parts: the fits that parts of the record have by themselves (see `repeated`). beside: those alike with load steps of
-    their own (see `freed`), spare_beside: their spare.
+    parts: the fits that parts of the record have by themselves (see `repeated`). beside: those alike with load steps or
+    a colour of their own (see `freed`, `recoloured`), of which only gain, tau and theta need be known; spare_beside:
+    their spare.
     """
 
     best: Band
