@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
+from scipy.signal import lfilter
 
 import workbench as wb
 from workbench.estimate import estimate
@@ -26,7 +27,7 @@ from workbench.estimate.fits.fit import (
     predict,
     start_range,
 )
-from workbench.estimate.fits.windows import EXACT, active_windows, stretch_of, windows_of
+from workbench.estimate.fits.windows import EXACT, WHOLE, active_windows, stretch_of, stretch_with, windows_of
 from workbench.estimate.kernels import long as long_kernel
 from workbench.estimate.kernels.bands import screen_bands
 from workbench.estimate.kernels.output_error import FIT, TAU, drive_of, oe_cost
@@ -191,6 +192,9 @@ def test_windows_are_the_liveliest_and_apart_and_a_stretch_is_lively() -> None:
         assert stop > there
     begin, stop = stretch_of(data)
     assert (begin, stop - begin) == (pytest.approx(20_000, abs=5000), 5000)
+    for slips, size in ((1000, 3000), (120, 4000), (2, 6000), (0, 6000)):
+        begin, stop = stretch_with(data, slips)
+        assert (begin, stop - begin) == (pytest.approx(20_000, abs=6000), size)
     quiet = centre(wb.Record(np.where(np.arange(40_000) < 9000, y, 0.0), u, 1.0), "fopdt")
     assert [float(part.y[0]) for _, part in active_windows(quiet)] == [quiet.y[windows_of(quiet)[0][0]]]
 
@@ -380,6 +384,37 @@ def test_a_load_step_in_a_long_record_is_found_beside_its_valve() -> None:
     (step,) = fits.steps
     assert step.size == pytest.approx(0.8, rel=0.1)
     assert step.at == pytest.approx(650.9, abs=10.0)
+
+
+@pytest.mark.slow
+def test_a_valve_and_its_gain_are_known_in_a_long_record_under_a_slow_load() -> None:
+    # As if the load were white the gain comes out at a third: a larger jump takes what the load does.
+    loop = wb.Loop(wb.FOPDT(2.0, 6.0, 2.0), wb.Choudhury(5.0, 5.0), wb.PID(Kc=0.6, Ti=8.0), 1.0)
+    n, pole = WHOLE + 400, math.exp(-1.0 / 240.0)
+    kicks = np.random.default_rng(3).normal(0.0, 0.75 * math.sqrt(1.0 - pole * pole), n)
+    load = wb.Series(lfilter([1.0], [1.0, -pole], kicks).tolist())
+    experiment = wb.Experiment(float(n), load=load, noise=wb.Noise(0.3, 1))
+    run = wb.simulate(loop, experiment)
+    found = wb.estimate(
+        wb.Record(run.pv + 50.0, run.op + 50.0, 1.0, sp=run.sp + 50.0), plant="fopdt", valve="choudhury"
+    )
+    assert (found.verdict, found.identifiable) == ("stiction", True)
+    assert pytest.approx(5.0, rel=0.005) == found.valve.stick_band
+    assert found.plant.gain == pytest.approx(2.0, rel=0.03)
+    assert found.intervals.gain is not None
+    assert found.intervals.gain[0] <= 2.0 <= found.intervals.gain[1]
+
+
+def test_paths_close_about_one_that_a_part_shows_join_those_of_a_long_record() -> None:
+    data = loop_data(samples=2000)
+    rows = long_record.scan_long(data, np.arange(6), 6.0, silent)[0]
+    far = rows[np.abs(np.log(rows[:, LOW] / 1.5)) > 0.1]
+    seen = search(data, 6.0)
+    assert seen is not None
+    joined = long_record.rows_beside(data, far, seen.best)
+    assert (np.diff(joined[:, 4]) >= 0.0).all()
+    assert joined[0, LOW] == pytest.approx(1.5, rel=0.005)
+    assert {tuple(row) for row in far.tolist()} <= {tuple(row) for row in joined.tolist()}
 
 
 @pytest.mark.parametrize(

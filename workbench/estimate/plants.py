@@ -23,7 +23,6 @@ from workbench.estimate.fits.fit import (
     fit_path,
     predict,
 )
-from workbench.estimate.fits.windows import WHOLE
 from workbench.estimate.loads.coloured import colour_beside
 from workbench.estimate.loads.swing import Answered, Model
 from workbench.estimate.search.models import PLANT_PARAMETERS, VALVE_PARAMETERS
@@ -81,7 +80,7 @@ def foretelling_bic(
             a = disturbance(np.diff(left) if moves else left, data.floor)
             fit = along(data.whitened(np.convolve(INTEGRATED, a) if moves else a, 0), fit)
             left = data.y - predict(data, x, first, fit)[0]
-        if closely and a.size > 1 and n <= WHOLE:
+        if closely and a.size > 1:
             colour, (tau, theta) = colour_beside(data, x, first, fit, limits, 0, moves, far)
             along(data.whitened(colour.a, 0, colour.shared), replace(fit, tau=tau, theta=theta))
     return least

@@ -7,20 +7,23 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 
+import numpy as np
+
 from workbench.estimate.fits.data import Centred
-from workbench.estimate.fits.fit import LEAST_TAU, Fit, Limits, fit_linear
+from workbench.estimate.fits.fit import LEAST_TAU, Fit, Limits, again_linear, fit_linear
 from workbench.estimate.fits.sureness import ENOUGH_SLIPS, SHARP, SURE_SLIPS
-from workbench.estimate.fits.windows import EXACT, WHOLE
-from workbench.estimate.loads.settled import STEPS_MOST, needs_steps, settled
+from workbench.estimate.fits.windows import EXACT, WHOLE, stretch_with
+from workbench.estimate.loads.settled import STEPS_MOST, akaike_of, needs_steps, settled
 from workbench.estimate.ranges.few import widened
 from workbench.estimate.ranges.freed import freed
 from workbench.estimate.ranges.recoloured import recoloured
 from workbench.estimate.search.bands import Bands, Found, further, noise_beside, repeated
 from workbench.estimate.search.candidates import Candidate, leaves_noise
 from workbench.estimate.search.dense import densely, densely_about
+from workbench.estimate.search.long_record import rows_beside
 from workbench.estimate.search.models import bands_of, compared
-from workbench.estimate.search.profile import Profile, profile_of
-from workbench.estimate.search.sought import Seek, Sought, coarse_of, like_stenman, sought
+from workbench.estimate.search.profile import Profile, profile_of, search
+from workbench.estimate.search.sought import Seek, Sought, Window, coarse_of, like_stenman, sought
 from workbench.estimate.search.two_parameter import Band, fit_band, look
 from workbench.estimate.verdict import WIDE_D
 from workbench.model.loads import LoadStep
@@ -136,7 +139,47 @@ def closely(fits: Fits, valve: str) -> Fits:
         there, found, own, linear, steps = settled(data, fits.found, bands, fits.linear, delays, fits.within, most)
         return replace(fits, data=there, found=found, bands=own, linear=linear, steps=steps)
 
-    return replace(with_steps(STEPS_MOST), bare=partial(with_steps, 0))
+    found = replace(with_steps(STEPS_MOST), bare=partial(with_steps, 0))
+    long = data.samples > WHOLE and found.data.a.size > 1
+    return min([found, _as_in_stretch(found, valve)], key=_akaike) if long else found
+
+
+def _akaike(fits: Fits) -> float:
+    return akaike_of(fits.data, fits.found, fits.bands, fits.linear, fits.steps)
+
+
+def _as_in_stretch(fits: Fits, valve: str) -> Fits:
+    """The models of a long record gone on with from those of its liveliest stretch, gone through by itself.
+
+    A search that takes a coloured disturbance for white ends in stems that follow it; in a stretch that is short enough
+    stem and colour are found together, and with its colour that stem leads to the right one in all of the record.
+    """
+    whole, delays = fits.whole, fits.limits.theta[1]
+    stems: list[Band | Candidate] = [one.best for one in fits.bands.values()]
+    stems += [] if fits.found is None else [fits.found.best]
+    slips = min(stems, key=lambda one: one.fit.sse).slips if stems else 0
+    begin, stop = stretch_with(whole, slips)
+    part = whole.part(begin, stop)
+    if not part.op_range > 0.0 or not float(np.ptp(part.y)) > 0.0:
+        return fits
+    near = min(delays, part.samples / 4.0)
+    seen = closely(first_fits(part, valve, search(part, near), fit_linear(part, near)), valve)
+
+    def met(only: float | None) -> list[Band]:
+        return [one.best for one in seen.bands.values() if one.only == only]
+
+    within = replace(fits.within, windows=(Window(begin, part, [], met),), known=False, thinned=())
+    data = whole.whitened(seen.data.a, fits.data.skip, seen.data.shared)
+    found, bands = fits.found, bands_of(data, [], within, fits.limits)
+    if found is not None:
+        likely = list(found.likely)
+        rows = found.rows
+        if seen.found is not None:
+            rows, likely = rows_beside(data, rows, seen.found.best), [*likely, seen.found.best.d]
+        found = profile_of(data, rows, likely, fits.limits)
+    linear = again_linear(data, fits.linear, delays)
+    data, found, bands, linear, steps = settled(data, found, bands, linear, delays, within, 0)
+    return replace(fits, data=data, found=found, bands=bands, linear=linear, steps=steps, within=within)
 
 
 def _bands_about(fits: Fits) -> dict[str, Found]:

@@ -8,16 +8,17 @@ import numpy as np
 
 from workbench.estimate.fits.data import Centred
 
-__all__ = ["EXACT", "WHOLE", "active_windows", "stretch_of", "windows_of"]
+__all__ = ["EXACT", "WHOLE", "active_windows", "stretch_of", "stretch_with", "windows_of"]
 
 # Exact enumeration up to this many samples; longer records are first searched in their most active windows of this
 # length.
 EXACT = 1500
-# Two-parameter stems, load steps and a disturbance's colour are sought in all of a record up to this many: a stretch of
-# a slow cycle holds too few slips.
+# Two-parameter stems and load steps are sought in all of a record up to this many: a stretch of a slow cycle holds too
+# few slips.
 WHOLE = 10_000
 WINDOWS = 3  # most active windows of a long record, beside its head
 STRETCHES = 8  # the share of a long record in which plants are sought
+SLIPS, LEAST, MOST = 12, 2 * EXACT, 4 * EXACT  # of a stretch in which stem and colour are: slips, and its samples
 
 
 def _by_activity(data: Centred, size: int) -> list[int]:
@@ -57,5 +58,15 @@ def active_windows(data: Centred) -> list[tuple[int, Centred]]:
 def stretch_of(data: Centred) -> tuple[int, int]:
     """Return the samples [begin, stop) of a long record in which its plant is sought: an active share of it."""
     size = min(max(data.samples // STRETCHES, 3 * EXACT), data.samples)
+    begin = _by_activity(data, size)[0]
+    return begin, begin + size
+
+
+def stretch_with(data: Centred, slips: int) -> tuple[int, int]:
+    """Return the samples [begin, stop) of a long record in which stem and colour are sought: its liveliest.
+
+    As many as hold slips enough, of so many in all of the record.
+    """
+    size = int(np.clip(SLIPS * data.samples / max(slips, 1), LEAST, MOST))
     begin = _by_activity(data, size)[0]
     return begin, begin + size

@@ -40,7 +40,7 @@ from workbench.estimate.search.two_parameter import Band, fit_band
 from workbench.model.loads import LoadStep
 from workbench.model.record import FloatArray
 
-__all__ = ["STEPS_MOST", "coloured_linear", "led_to", "needs_steps", "settled"]
+__all__ = ["STEPS_MOST", "akaike_of", "coloured_linear", "led_to", "needs_steps", "settled"]
 
 HALF = 0.5  # of what a model leaves: another that leaves no more is the one to go by
 STARTING = 20  # of the record at most is left out at its start
@@ -225,7 +225,7 @@ def settled(
                     (S, J, first_slip, sense), fit = loads.beside
                     coarse.append(fit_band(data, S, J, (first_slip, sense), limits, (fit.tau, fit.theta)))
                 bands = bands_of(data, coarse, there, limits, there.rival(other), only_any, bands)
-        turns.append((_akaike_of(data, found, bands, linear, steps), (data, found, bands, linear, steps)))
+        turns.append((akaike_of(data, found, bands, linear, steps), (data, found, bands, linear, steps)))
         if same_steps and not nearly:
             break
     least, best = min(turns, key=lambda one: one[0], default=(math.inf, None))
@@ -237,7 +237,7 @@ def settled(
             there = sought(data, delays, other, within.contested)
             coarse = [one.best for one in bands.values()]
             bands = bands_of(data, coarse, there, limits, there.rival(other), before=bands)
-    if data.a.size > 1 and data.samples <= WHOLE:
+    if data.a.size > 1:
         data, found, bands, linear = _in_own_colour(data, found, bands, linear, limits, skip)
     return data, found, bands, linear, steps
 
@@ -320,10 +320,10 @@ def _exact(data: Centred, found: Profile | None, bands: dict[str, Found], linear
     return data.a.size > 1 and _leading(data, found, bands, linear).fit.sse <= data.samples * data.floor
 
 
-def _akaike_of(
+def akaike_of(
     data: Centred, found: Profile | None, bands: dict[str, Found], linear: Fit, steps: Sequence[LoadStep]
 ) -> float:
-    """AIC of the best stem in the measure of its disturbance, as far as it depends on that and on load steps."""
+    """Return the AIC of the best stem in the measure of its disturbance, as far as it depends on these and on steps."""
     return _akaike(data, _leading(data, found, bands, linear).fit) + 4.0 * len(steps)
 
 
@@ -372,7 +372,7 @@ def _colour(bare: Centred, left: FloatArray, lead: Stem, limits: Limits, skip: i
     own = Colour(disturbance(left, bare.floor))
     plant = lead.fit.tau, lead.fit.theta
     colours = [(own, plant)]
-    if own.a.size > 1 and bare.samples <= WHOLE and lead.fit.gain != 0.0:
+    if own.a.size > 1 and lead.fit.gain != 0.0:
         beside = partial(colour_beside, bare, lead.x, lead.first, lead.fit, limits, skip)
         colours.append(beside())
         if bare.integrating:

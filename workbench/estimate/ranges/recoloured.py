@@ -15,7 +15,6 @@ from itertools import pairwise
 from workbench.estimate.fits.data import Centred
 from workbench.estimate.fits.fit import Limits
 from workbench.estimate.fits.sureness import sure_samples
-from workbench.estimate.fits.windows import WHOLE
 from workbench.estimate.loads.own_colour import OwnColour, of_jump, other_jumps
 from workbench.estimate.loads.steps import Stem
 from workbench.estimate.search.bands import Bands
@@ -31,10 +30,10 @@ def recoloured(data: Centred, found: Bands, only: float | None, limits: Limits) 
     """Return the stems alike, and those of another jump that are as likely with a colour of their own.
 
     data: with the filter of what the best leaves. only: J as a share of S, None for any; found as it is where J is not
-    free, where what is left is white, and in long records.
+    free, and where what is left is white.
     """
     best = found.best
-    if only is not None or data.a.size == 1 or data.samples > WHOLE or best.fit.gain == 0.0 or not best.J > 0.0:
+    if only is not None or data.a.size == 1 or best.fit.gain == 0.0 or not best.J > 0.0:
         return found
     own = OwnColour.of(data, limits)
     near = partial(best.stem, data.u)

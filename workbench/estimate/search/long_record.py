@@ -28,7 +28,7 @@ from workbench.estimate.search.stems import (
     walk_starts,
 )
 
-__all__ = ["scan_long"]
+__all__ = ["rows_beside", "scan_long"]
 
 CLEARLY = 0.8  # of the linear fit's residual: a stem that leaves less in a window narrows the dead times
 AGREED = 0.01  # of d: windows that differ by less agree
@@ -37,6 +37,7 @@ NARROW = 40  # bands below WIDE_D on the whole of a long record, those above by 
 LEAN = 16  # dead times on the whole of a long record
 NEAR = 4  # samples about what the windows say
 LIKELY = 8  # bands looked at closely there
+ABOUT, BESIDE = 0.02, 4e6  # of d, and samples in all: paths about one that part of the record shows
 
 
 @dataclass(frozen=True, eq=False)
@@ -186,3 +187,15 @@ def _each_once(rows: NDArray[np.float64]) -> NDArray[np.float64]:
     new = np.concatenate([[True], (ends[1:] != ends[:-1]).any(axis=1)])
     kept: NDArray[np.float64] = rows[new[: len(rows)]]
     return kept
+
+
+def rows_beside(data: Centred, rows: NDArray[np.float64], seen: Candidate) -> NDArray[np.float64]:
+    """Return rows as `scan_long` and those close about a path that part of the record shows, the lowest cost first."""
+    lean = at_delays(data.sums, np.unique(np.maximum(round(seen.fit.theta) + np.arange(-NEAR, NEAR + 1), 0)))
+    paths = math.ceil(min(max(BESIDE / data.samples, 20.0), 200.0))
+    about = walk_starts(
+        data, firsts_for(data, (1.0 + ABOUT) * seen.d, 60), seen.d * np.linspace(1.0 - ABOUT, 1.0 + ABOUT, paths), lean
+    )
+    found = _each_once(np.vstack([rows, about]))
+    by_cost: NDArray[np.float64] = found[np.argsort(found[:, COST], kind="stable")]
+    return by_cost
