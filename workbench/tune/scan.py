@@ -104,7 +104,7 @@ def evolve(
 
 def _weights(before: FloatArray, after: FloatArray) -> FloatArray:
     """Shares of each success in the adaptation, by its gain; a success over an infinite value counts by what it has."""
-    gain = np.where(np.isfinite(before), before, 2.0 * np.minimum(after, 1e150)) - after
+    gain = np.where(np.isfinite(before), before - after, after)
     gain = np.maximum(gain / max(float(gain.max()), 1e-300), 1e-12)
     shares: FloatArray = gain / gain.sum()
     return shares
