@@ -6,6 +6,7 @@ A program is accepted only if the exact simulation of its tuning takes the same 
 from __future__ import annotations
 
 import heapq
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -34,6 +35,11 @@ MOST_SAMPLES = 10_000
 FLIPS = 3
 # After so many programs in a row that came to nothing, over all restarts, refinement is given up.
 FAILURES = 5
+# After so many in a row that did not lower the least J known a restart's refinement ends: what programs gain they gain
+# at once. The second number holds after a restart whose programs gained nothing.
+IDLE, IDLE_LATER = 4, 2
+# A program that lowers J by less, relative to it, has not.
+GAIN = 1e-7
 # A neighbour whose run, as it goes on from the flip, costs more than this many times the best is not worth a solve.
 WORTH = 1.5
 
@@ -156,6 +162,7 @@ class Refiner:
         self._strict = valve.sticks_at_once
         self._seen: set[bytes] = set()
         self._failures = 0
+        self._least, self._idle = math.inf, IDLE
 
     def refine(self, tunings: FloatArray, costs: FloatArray, budget: int, seeds: Sequence[Seed] = ()) -> Refined:
         """Solve the programs of the best distinct sequences among scanned tunings, and of their neighbours.
@@ -177,9 +184,11 @@ class Refiner:
                 self._seen.add(key)
                 heapq.heappush(queue, (float(costs[index]), waiting, key, tunings[index], True, None))
                 waiting += 1
+        self._least = min(self._least, float(costs.min(initial=math.inf)))
+        before, idle, patience = self._least, 0, self._idle
         if seeds:
             # Sequences from elsewhere are a chance of their own.
-            self._failures = 0
+            self._failures, patience = 0, budget
         for seed in seeds:
             if seed.decisions.key not in self._seen:
                 self._seen.add(seed.decisions.key)
@@ -189,7 +198,7 @@ class Refiner:
         values: list[float] = []
         accepted: list[bool] = []
         iterations = solves = 0
-        while queue and solves < budget and self._failures < FAILURES:
+        while queue and solves < budget and idle < patience and self._failures < FAILURES:
             _, _, key, start, natural, point = heapq.heappop(queue)
             decisions = Decisions.from_branch(np.frombuffer(key, dtype=np.int8))
             begin = (float(start[0]), float(start[1]), float(start[2]))
@@ -209,6 +218,8 @@ class Refiner:
             values.append(exact)
             accepted.append(end.result.status.success and agrees)
             self._failures = 0 if accepted[-1] else self._failures + 1
+            idle = 0 if exact < (1.0 - GAIN) * self._least else idle + 1
+            self._least = min(self._least, exact)
             if not accepted[-1] or exact > min(values):
                 continue
             for sample in end.active[:FLIPS]:
@@ -218,6 +229,7 @@ class Refiner:
                     self._seen.add(neighbour)
                     waiting += 1
                     heapq.heappush(queue, (across.cost, waiting, neighbour, tuning, False, None))
+        self._idle = IDLE if self._least < (1.0 - GAIN) * before else IDLE_LATER
         best = sorted(range(len(values)), key=lambda i: (not accepted[i], values[i]))
         return Refined(
             tunings=np.array([found[i] for i in best]).reshape(-1, 3),
