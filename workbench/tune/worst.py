@@ -38,6 +38,9 @@ SAMPLES = 150_000_000
 SIEVE_SAMPLES, SIEVE_RESTARTS = 1_900_000_000, 3
 # A least worst case as near to what the sieve proves needs no other search.
 SETTLED = 0.85
+# Where J itself is asked: half-widths of boxes in the unit cube, ever smaller, how many of the best tunings have one
+# about them, and a box's members and generations.
+BOXES, BOX_MEMBERS, BOX_GENERATIONS = ((1e-1, 24), (1e-2, 16), (1e-3, 8)), 40, 40
 # Members and generations between the passes of a sieve, the most of its tunings that they start from, and how many
 # they hand back.
 QUICK_MEMBERS, QUICK_GENERATIONS, QUICK_OF, QUICK_ENDS = 60, 40, 2_000, 4
@@ -121,8 +124,9 @@ def least_worst(
 
     Each pool is searched by itself, then the best of all together, and all of that some times, each from other members
     of the pools; a sieved plane that leaves little open needs none of that. So far with few points of each
-    neighbourhood; from the best at last with many. tell: called with the share done. ceiling: a worst J known from
-    elsewhere, above which a tuning of the plane is of no interest.
+    neighbourhood; from the best at last with many. In a nominal problem boxes about the best stand for that. tell:
+    called with the share done. ceiling: a worst J known from elsewhere, above which a tuning of the plane is of no
+    interest.
     """
     search = _Search(problem, scale, check)
     bound = -math.inf
@@ -138,7 +142,7 @@ def least_worst(
         if left is not None:
             some = spread(problem.cube(left.tunings), left.bounds, SIEVED, GAP)
             pools = [*pools, left.tunings[some]]
-        _islands(search, pools, seed, tell)
+        (_boxes if problem.nominal else _islands)(search, pools, seed, tell)
     tell(LAST_WORD)
     rng = np.random.default_rng([*seed, ROUNDS_FLAT])
     best = search.best(sized(DENSE_MEMBERS, scale), DENSE_GAP)
@@ -162,6 +166,25 @@ def _islands(search: _Search, pools: list[FloatArray], seed: list[int], tell: Ca
             fresh = rng.random((ISLAND_FRESH, problem.free.size))
             search.evolve(np.concatenate([problem.cube(pool[k::rounds]), fresh]), ISLAND_GENERATIONS, rng)
         _together(search, rng, first)
+
+
+def _boxes(search: _Search, pools: list[FloatArray], seed: list[int], tell: Callable[[float], None]) -> None:
+    """Search the best of all pools together, then about each of the best by itself, ever nearer.
+
+    J itself is rough at every scale, under noise above all: one population ends in one of its many pits, and the best
+    of them are seldom next to each other.
+    """
+    problem, rng = search.problem, np.random.default_rng([*seed, 0])
+    start = np.unique(np.concatenate([problem.guesses(), *pools]), axis=0)
+    search.keep(problem.cube(start), problem.values(start))
+    _together(search, rng, 0)
+    for k, (half, count) in enumerate(BOXES):
+        tell(SIEVING + (LAST_WORD - SIEVING) * k / len(BOXES))
+        for centre in search.best(count, half):
+            low = np.clip(centre - half, 0.0, 1.0)
+            width = np.clip(centre + half, 0.0, 1.0) - low
+            around = low + rng.random((BOX_MEMBERS, centre.size)) * width
+            search.evolve(np.concatenate([centre[None, :], around]), BOX_GENERATIONS, rng)
 
 
 def _together(search: _Search, rng: np.random.Generator, first: int) -> None:
