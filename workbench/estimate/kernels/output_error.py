@@ -59,8 +59,8 @@ Plant = tuple[float, float, float, int]
 # Entries of a fit that `oe_cost` writes.
 SSE, TAU, THETA, GAIN, BIAS, START, TRANSIENT = range(7)
 FIT = 7
-# Time constants after which nothing is left of a start in double precision.
-DIED = 25.0
+DIED = 25.0  # time constants after which nothing is left of a start in double precision
+NOTHING = 1e-300  # below it what dies out is 0: numbers without all their digits are many times slower
 NO_DELAY = 1e-4  # samples: a dead time as good as none, to which a fit comes and which is told as none
 STEP = 16  # samples of dead time
 REACH = 64  # samples that are summed one by one rather than part a record anew
@@ -118,7 +118,7 @@ def oe_columns(
         columns[3, k] = r
         near, far = k - m, k - m - 1
         s = pole * s
-        g = pole * g
+        g = pole * g if g > NOTHING else 0.0
         if near >= first:
             s += c0 * x[near]
         else:
@@ -127,7 +127,7 @@ def oe_columns(
             s += c1 * x[far]
         else:
             g += c1
-        r = r + 1.0 if integrating else r * pole
+        r = r + 1.0 if integrating else r * pole if r > NOTHING else 0.0
 
 
 @compiled
