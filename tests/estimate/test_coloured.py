@@ -10,7 +10,7 @@ import pytest
 import workbench as wb
 from workbench.estimate.fits.data import centre
 from workbench.estimate.fits.fit import LEAST_TAU, Fit, Limits, fit_path, predict
-from workbench.estimate.kernels.coloured import BLOCK, HELD, colour_left, lagged, products_of
+from workbench.estimate.kernels.coloured import HELD, colour_left, lagged, products_of
 from workbench.estimate.kernels.output_error import oe_columns, plant_terms
 from workbench.estimate.loads.coloured import SHARED, Beside, colour_beside
 from workbench.model.record import Record
@@ -33,7 +33,7 @@ def test_what_an_autoregression_leaves_is_numpys_least_squares(
     products = np.empty((2 * size + HELD, 2 * size + HELD))
     begin = skip + MOST_LAGS + moves
     own, y = np.empty((size, size)), np.diff(data.y, prepend=0.0) if moves else data.y
-    lagged(y, y, begin, size, True, own)
+    lagged(y, y, begin, size, own)
     rows = products_of(y, own, data.u, first, data.integrating, tau, theta, begin, moves, products)
     terms = lags + rows - 2 * size
     room = np.empty((terms + 1, terms))
@@ -50,17 +50,6 @@ def test_what_an_autoregression_leaves_is_numpys_least_squares(
     solved, *_ = np.linalg.lstsq(matrix, rest[begin:], rcond=None)
     assert left == pytest.approx(float(((rest[begin:] - matrix @ solved) ** 2).sum()), rel=1e-8)
     np.testing.assert_allclose(room[terms, :lags], (solved / scale)[:lags], rtol=1e-6, atol=1e-9)
-
-
-@pytest.mark.parametrize("alike", [False, True])
-def test_lagged_sums_of_more_than_a_block_are_those_of_all_samples(*, alike: bool) -> None:
-    rng = np.random.default_rng(3)
-    f = rng.normal(size=2 * BLOCK + 17)
-    g, size, begin = f if alike else rng.normal(size=f.size), 4, 6
-    out = np.empty((size, size))
-    lagged(f, g, begin, size, alike, out)
-    rows = [np.array([one[begin - i : one.size - i] for i in range(size)]) for one in (f, g)]
-    np.testing.assert_allclose(out, rows[0] @ rows[1].T, rtol=1e-9, atol=1e-9)
 
 
 def test_what_dies_out_over_a_long_record_ends_at_nothing() -> None:
@@ -103,7 +92,7 @@ def test_lags_that_share_a_coefficient_are_summed_in_least_squares(law: tuple[in
     data = centre(Record(np.cumsum(rng.normal(size=n)), np.cumsum(rng.normal(size=n)), 1.0), "fopdt")
     y, begin = np.diff(data.y, prepend=data.y[0]) if moves else data.y, MOST_LAGS + moves
     own = np.empty((MOST_LAGS + 1, MOST_LAGS + 1))
-    lagged(y, y, begin, MOST_LAGS + 1, True, own)
+    lagged(y, y, begin, MOST_LAGS + 1, own)
     beside = Beside(data, y, own, data.u, 0, plant, begin, moves)
 
     columns = predict(data, data.u, 0, Fit(0.0, *plant[1:], 1.0, 0.0, 0.0, 0.0))[1]

@@ -7,8 +7,6 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 
-import numpy as np
-
 from workbench.estimate.fits.data import Centred
 from workbench.estimate.fits.fit import LEAST_TAU, Fit, Limits, again_linear, fit_linear
 from workbench.estimate.fits.sureness import ENOUGH_SLIPS, SHARP, SURE_SLIPS
@@ -160,7 +158,7 @@ def _as_in_stretch(fits: Fits, valve: str) -> Fits:
     slips = min(stems, key=lambda one: one.fit.sse).slips if stems else 0
     begin, stop = stretch_with(whole, slips)
     part = whole.part(begin, stop)
-    if not part.op_range > 0.0 or not float(np.ptp(part.y)) > 0.0:
+    if not part.moves:
         return fits
     near = min(delays, part.samples / 4.0)
     seen = closely(first_fits(part, valve, search(part, near), fit_linear(part, near)), valve)
@@ -172,8 +170,7 @@ def _as_in_stretch(fits: Fits, valve: str) -> Fits:
     data = whole.whitened(seen.data.a, fits.data.skip, seen.data.shared)
     found, bands = fits.found, bands_of(data, [], within, fits.limits)
     if found is not None:
-        likely = list(found.likely)
-        rows = found.rows
+        rows, likely = found.rows, list(found.likely)
         if seen.found is not None:
             rows, likely = rows_beside(data, rows, seen.found.best), [*likely, seen.found.best.d]
         found = profile_of(data, rows, likely, fits.limits)

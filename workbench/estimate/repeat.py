@@ -128,7 +128,7 @@ def repeats_of(data: Centred, found: Estimate) -> Repeats | None:
     parts = []
     for first, stop in _stretches(moves, data.samples, many):
         part = data.part(first, stop)
-        if not part.op_range > 0.0 or not float(np.ptp(part.y)) > 0.0:
+        if not part.moves:
             continue
         held = _Held(part, gain, tau, found.plant.dead_time / data.sample_time)
         one = _part(held, law)

@@ -83,6 +83,11 @@ class Centred:
         return min(4.0 * self.doubt / rate, 1.0) if self.doubt > 0.0 else 0.0
 
     @property
+    def moves(self) -> bool:
+        """Whether both PV and OP move."""
+        return self.op_range > 0.0 and float(np.ptp(self.y)) > 0.0
+
+    @property
     def samples(self) -> int:
         """N."""
         return int(self.y.size)

@@ -52,7 +52,7 @@ def active_windows(data: Centred) -> list[tuple[int, Centred]]:
     Each with the sample at which it begins.
     """
     parts = [(begin, data.part(begin, stop)) for begin, stop in windows_of(data)]
-    return [(begin, part) for begin, part in parts if part.op_range > 0.0 and float(np.ptp(part.y)) > 0.0]
+    return [(begin, part) for begin, part in parts if part.moves]
 
 
 def stretch_of(data: Centred) -> tuple[int, int]:

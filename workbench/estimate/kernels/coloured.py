@@ -8,28 +8,20 @@ from numpy.typing import NDArray
 from workbench.estimate.kernels.output_error import oe_columns, plant_terms, solve
 from workbench.simulate.compiled import compiled, copy
 
-__all__ = ["BLOCK", "HELD", "colour_left", "lagged", "products_of", "scan_colours"]
+__all__ = ["HELD", "colour_left", "lagged", "products_of", "scan_colours"]
 
 Floats = NDArray[np.float64]
 HELD = 3  # signals that no stem changes, at most: the constant, the start and the transient
-BLOCK = 4096  # samples
 DIED = 1e-18  # of the largest value of a start or transient: it changes no sum
 
 
 @compiled
-def lagged(f: Floats, g: Floats, begin: int, size: int, alike: bool, out: Floats) -> None:
-    """Write the sums over k from `begin` on of f[k - i] g[k - j], i and j below size; alike: whether g is f."""
+def lagged(f: Floats, g: Floats, begin: int, size: int, out: Floats) -> None:
+    """Write the sums over k from `begin` on of f[k - i] g[k - j], i and j below size."""
     n = f.size
-    out[0, :], out[:, 0] = 0.0, 0.0
-    # What all lags need of a block is read once.
-    for at in range(begin, n, BLOCK):
-        stop = min(at + BLOCK, n)
-        for i in range(size):
-            out[0, i] += np.dot(f[at:stop], g[at - i : stop - i])
-            if i > 0 and not alike:
-                out[i, 0] += np.dot(f[at - i : stop - i], g[at:stop])
-    if alike:
-        out[:, 0] = out[0, :]
+    for i in range(size):
+        out[0, i] = np.dot(f[begin:], g[begin - i : n - i])
+        out[i, 0] = np.dot(f[begin - i : n - i], g[begin:])
     # One lag further in both is the same sum, one sample earlier.
     for i in range(1, size):
         for j in range(1, size):
@@ -78,8 +70,8 @@ def products_of(
             for k in range(n - 1, 0, -1):
                 columns[i, k] -= columns[i, k - 1]
     response, crossed, answered = columns[1], np.empty((size, size)), np.empty((size, size))
-    lagged(y, response, begin, size, False, crossed)
-    lagged(response, response, begin, size, True, answered)
+    lagged(y, response, begin, size, crossed)
+    lagged(response, response, begin, size, answered)
     for i in range(size):
         for j in range(size):
             out[i, j], out[size + i, size + j] = own[i, j], answered[i, j]
@@ -93,12 +85,9 @@ def products_of(
             continue
         copy(held, kept[rows - 2 * size])
         lengths[rows - 2 * size] = held.size
-        out[: 2 * size, rows] = 0.0
-        for at in range(begin, stop, BLOCK):
-            end = min(at + BLOCK, stop)
-            for i in range(size):
-                out[i, rows] += np.dot(y[at - i : end - i], columns[column, at:end])
-                out[size + i, rows] += np.dot(response[at - i : end - i], columns[column, at:end])
+        for i in range(size):
+            out[i, rows] = np.dot(y[begin - i : stop - i], held)
+            out[size + i, rows] = np.dot(response[begin - i : stop - i], held)
         for i in range(rows - 2 * size + 1):
             both = min(lengths[i], held.size)
             out[2 * size + i, rows] = np.dot(kept[i, :both], held[:both])

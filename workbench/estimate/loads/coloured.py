@@ -73,7 +73,7 @@ def colour_beside(
     most = max(law[-1] for law in laws)
     begin = skip + most
     left, own = np.empty((len(plants), gains.size)), np.empty((most + 1, most + 1))
-    lagged(y, y, begin, most + 1, True, own)
+    lagged(y, y, begin, most + 1, own)
     few = np.ascontiguousarray(own[: LAGS + 1, : LAGS + 1])
     scan_colours(y, few, x, first, data.integrating, plants, gains, begin, moves, left)
     least = np.maximum(left, data.floor * (data.samples - begin))

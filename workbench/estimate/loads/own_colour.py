@@ -52,7 +52,7 @@ class OwnColour:
         y = np.diff(data.y, prepend=data.y[0]) if moves else data.y
         begin = max(data.skip, law[-1] + moves)
         own = np.empty((law[-1] + 1, law[-1] + 1))
-        lagged(y, y, begin, law[-1] + 1, True, own)
+        lagged(y, y, begin, law[-1] + 1, own)
         return cls(data, limits, law, moves, y, own, begin)
 
     def fit(self, x: FloatArray, first: int, near: Fit) -> Fit:

@@ -235,7 +235,7 @@ def _of_parts(data: Centred, whole: Found, limits: Limits, within: Sought) -> li
     windows: Sequence[Window] = within.windows[:2]
     if within.whole:
         halves = [data.part(0, n // 2), data.part(n // 2, n)]
-        moved = [part for part in halves if part.op_range > 0.0 and float(np.ptp(part.y)) > 0.0]
+        moved = [part for part in halves if part.moves]
         seek = partial(_known, best) if best.slips >= ENOUGH_SLIPS and noise_beside(data, best) else look
         windows = [window_of(part, min(limits.theta[1], part.samples / 4.0), seek) for part in moved]
     found = []

@@ -51,7 +51,7 @@ class _Glimpse:
 
 def _glimpse(part: Centred, delays: NDArray[np.int64], longest: float) -> _Glimpse | None:
     """Search one window: every path from some starts, and from all where the best of those leaves more than noise."""
-    if not part.op_range > 0.0 or not float(np.ptp(part.y)) > 0.0:
+    if not part.moves:
         return None
     reach = LEAST_D * part.op_range, 1.0001 * part.op_range
     firsts, shifted = firsts_for(part, part.op_range, GLIMPSED).tolist(), at_delays(part.sums, delays)

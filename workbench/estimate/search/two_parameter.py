@@ -162,7 +162,7 @@ def _look_aside(data: Centred, longest: float) -> list[Band]:
     found: list[Band] = []
     for begin, stop in windows_of(data)[:1]:
         part = data.part(begin, stop)
-        if part.op_range > 0.0 and float(np.ptp(part.y)) > 0.0:
+        if part.moves:
             part = part.whitened(data.a, max(data.skip - begin, 0), data.shared)
             found += look(part, min(longest, part.samples / 4.0))[:SEEDS]
     seeds = [*seen_thinned(data, longest), *((b.S, b.J, b.fit.tau, b.fit.theta) for b in found)]
