@@ -15,7 +15,7 @@ from workbench.estimate.fits.data import WHITE, Centred, centre
 from workbench.estimate.fits.fit import INTEGRATED, LEAST_TAU, Fit, Limits, grounded, predict
 from workbench.estimate.fits.sureness import NORMAL, standard_errors
 from workbench.estimate.loads.coloured import colour_beside
-from workbench.estimate.loads.own_colour import OwnColour, of_jump, other_jumps
+from workbench.estimate.loads.own_colour import as_it_is, of_jump, other_jumps, own_akaike, own_colour
 from workbench.estimate.loads.steps import Stem
 from workbench.estimate.ranges.recoloured import recoloured
 from workbench.estimate.search.bands import Bands
@@ -53,13 +53,13 @@ def stem_of(data: Centred, b: Band) -> Stem:
 @pytest.mark.parametrize("seed", range(1, 4))
 def test_the_likeliest_jump_is_the_true_one_in_the_measure_of_another(seed: int) -> None:
     data, wrong = band_in(centre(record_of(seed), "fopdt"), 2.2 * VALVE.J)
-    own = OwnColour.of(data, LIMITS)
+    own = own_colour(data, LIMITS)
     met = list(other_jumps(own, stem_of(data, wrong)))
-    likely = min(met, key=own.akaike)
+    likely = min(met, key=partial(own_akaike, own))
     assert likely.valve[1] == pytest.approx(VALVE.J, rel=0.35)
     assert likely.fit.gain == pytest.approx(PLANT.gain, rel=0.35)
-    assert own.akaike(likely) < own.as_it_is(stem_of(data, wrong)) - 2.0
-    assert own.akaike(met[0]) <= own.as_it_is(stem_of(data, wrong)) + 1e-9
+    assert own_akaike(own, likely) < as_it_is(own, stem_of(data, wrong)) - 2.0
+    assert own_akaike(own, met[0]) <= as_it_is(own, stem_of(data, wrong)) + 1e-9
     # One by one outwards, each way from the stem itself.
     jumps = [one.valve[1] for one in met]
     assert jumps[0] == wrong.J
@@ -68,31 +68,30 @@ def test_the_likeliest_jump_is_the_true_one_in_the_measure_of_another(seed: int)
 
 def test_the_plant_beside_a_free_colour_is_where_its_likelihood_is_least() -> None:
     data, b = band_in(centre(record_of(0), "fopdt"), VALVE.J)
-    own = OwnColour.of(data, LIMITS)
+    own = own_colour(data, LIMITS)
     stem = replace(stem_of(data, b), fit=own.fit(b.stem(data.u), b.begin, b.fit))
     for change in ({"gain": 1.02}, {"gain": 0.98}, {"tau": 1.03}, {"tau": 0.97}, {"theta": 1.02}, {"theta": 0.98}):
         ((name, times),) = change.items()
         other = replace(stem, fit=replace(stem.fit, **{name: times * getattr(stem.fit, name)}))
-        assert own.as_it_is(other) > own.as_it_is(stem) - 1e-6
-    assert own.akaike(stem) == pytest.approx(own.as_it_is(stem), abs=1e-6)
+        assert as_it_is(own, other) > as_it_is(own, stem) - 1e-6
+    assert own_akaike(own, stem) == pytest.approx(as_it_is(own, stem), abs=1e-6)
 
 
 def test_a_levels_filter_of_changes_is_known_as_one() -> None:
     data = centre(record_of(0), "integrating")
     for a, moves in ((np.array([1.0, -0.8]), False), (np.convolve(INTEGRATED, [1.0, -0.5]), True), (INTEGRATED, True)):
-        own = OwnColour.of(data.whitened(a, 0), LIMITS)
+        own = own_colour(data.whitened(a, 0), LIMITS)
         assert own.moves is moves
         assert own.law == (1,)
 
 
-def test_stenmans_jump_is_not_free_and_a_stem_that_stands_still_is_none() -> None:
+def test_neither_stenmans_jump_is_free_nor_that_of_op_itself() -> None:
     data, b = band_in(centre(record_of(0), "fopdt"), VALVE.J)
-    own, stem = OwnColour.of(data, LIMITS), stem_of(data, b)
+    own, stem = own_colour(data, LIMITS), stem_of(data, b)
     stenman = replace(stem, valve=(VALVE.S, math.nan, b.first, b.sense))
     assert len(list(other_jumps(own, stenman))) == 1
-    still = replace(stem, near=lambda *_: np.zeros(N))
-    assert len(list(other_jumps(own, still))) == 1
-    assert of_jump(own, replace(stem, near=None), 3.0, stem).valve == stem.valve
+    assert len(list(other_jumps(own, replace(stem, valve=None)))) == 1
+    assert of_jump(own, replace(stem, valve=None), 3.0, stem).valve is None
 
 
 def test_the_ranges_hold_jumps_that_are_as_likely_with_a_colour_of_their_own() -> None:

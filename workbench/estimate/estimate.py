@@ -411,11 +411,13 @@ def _decided(record: Record, kind: str, answered: Answered[Estimate], line: Stra
     other = "integrating" if kind == "fopdt" else "fopdt"
     if not _levels_off(record, answered.model.plant):
         return False
-    bic, along = foretelling_of(record, kind, answered), with_other_plant(record, other, answered)
-    if answered.settled.a.size == 1:
+    closely = answered.settled.a.size > 1
+    bic = foretelling_of(record, kind, answered, closely=closely)
+    along = with_other_plant(record, other, answered, closely=closely)
+    if not closely:
         # Who leaves noise alone leaves nothing for another, unless that does the same with less.
         return bic <= along
-    rival = foretelling_of(record, other, _likeliest(line))
+    rival = foretelling_of(record, other, _likeliest(line), closely=closely)
     if answered.model.verdict == "no_stiction":
         return bic - CLEAR_BIC <= rival
     plant = answered.model.plant

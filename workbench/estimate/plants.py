@@ -9,10 +9,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
 from workbench.estimate.fits.data import Centred, centre
+from workbench.estimate.fits.drift import Drift
 from workbench.estimate.fits.fit import (
     INTEGRATED,
     LEAST_TAU,
@@ -24,6 +26,7 @@ from workbench.estimate.fits.fit import (
     predict,
 )
 from workbench.estimate.loads.coloured import colour_beside
+from workbench.estimate.loads.drifting import Drifting
 from workbench.estimate.loads.swing import Answered, Model
 from workbench.estimate.search.models import PLANT_PARAMETERS, VALVE_PARAMETERS
 from workbench.model.plant import FOPDT, Plant
@@ -74,6 +77,9 @@ def foretelling_bic(
         least = min(least, n * math.log(max(variance, data.floor)) + p * math.log(n))
         return fit
 
+    def foretold(fit: Fit, law: Drift) -> float:
+        return n * math.log(fit.sse / n) + (free + law.terms) * math.log(n)
+
     for moves in (False, True)[: 1 + data.integrating]:
         fit, left = start, begun
         for _ in range(ROUNDS):
@@ -82,7 +88,11 @@ def foretelling_bic(
             left = data.y - predict(data, x, first, fit)[0]
         if closely and a.size > 1:
             colour, (tau, theta) = colour_beside(data, x, first, fit, limits, 0, moves, far)
-            along(data.whitened(colour.a, 0, colour.shared), replace(fit, tau=tau, theta=theta))
+            along(data.whitened(colour.a, 0, colour.law), replace(fit, tau=tau, theta=theta))
+            if far:
+                near = [(fit.tau, fit.theta), (tau, theta)]
+                plant_and_law = Drifting.of(data, limits, 0).likeliest(x, first, near, tied=True)
+                least = min(least, foretold(*plant_and_law))
     return least
 
 
@@ -94,12 +104,11 @@ def foretelling_of(record: Record, kind: str, answered: Answered[Model], *, clos
     left = data.pv_mean + data.load + data.y - model.prediction
     own = autoregression(left, data.floor)[1] + _free(data, valve) * math.log(left.size)
     # Where no stem is seen to move PV a level with a long memory does as well as a lag.
-    far = not isinstance(model, LinearFit) and model.verdict == "stiction"
-    along = foretelling_bic(data, model.plant, valve, position, model.prediction, closely=closely, far=far)
+    along = foretelling_bic(data, model.plant, valve, position, model.prediction, closely=closely, far=_sticks(model))
     return min(own, along)
 
 
-def with_other_plant(record: Record, kind: str, answered: Answered[Model]) -> float:
+def with_other_plant(record: Record, kind: str, answered: Answered[Model], *, closely: bool = False) -> float:
     """Return the same for a plant of the other kind, `kind`, along the stem and beside the loads of that model."""
     model, data = answered.model, _less_loads(record, kind, answered)
     plants: list[Plant] = [model.plant]
@@ -107,13 +116,18 @@ def with_other_plant(record: Record, kind: str, answered: Answered[Model]) -> fl
         duration = data.samples * data.sample_time
         plants = [FOPDT(model.plant.gain, share * duration, model.plant.dead_time) for share in TAUS]
     stem = _stem(record, model)
-    return min(foretelling_bic(data, plant, *stem, model.prediction) for plant in plants)
+    how = partial(foretelling_bic, closely=closely, far=closely and _sticks(model))
+    return min(how(data, plant, *stem, model.prediction) for plant in plants)
 
 
 def _free(data: Centred, valve: Valve) -> int:
     """How many parameters plant, valve and loads have."""
     own = VALVE_PARAMETERS.get(type(valve).__name__.lower(), 0)
     return PLANT_PARAMETERS - data.integrating + own + len(data.answers)
+
+
+def _sticks(model: Model) -> bool:
+    return not isinstance(model, LinearFit) and model.verdict == "stiction"
 
 
 def _less_loads(record: Record, kind: str, answered: Answered[Model]) -> Centred:

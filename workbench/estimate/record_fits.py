@@ -167,7 +167,7 @@ def _as_in_stretch(fits: Fits, valve: str) -> Fits:
         return [one.best for one in seen.bands.values() if one.only == only]
 
     within = replace(fits.within, windows=(Window(begin, part, [], met),), known=False, thinned=())
-    data = whole.whitened(seen.data.a, fits.data.skip, seen.data.shared)
+    data = whole.whitened(seen.data.a, fits.data.skip, seen.data.law)
     found, bands = fits.found, bands_of(data, [], within, fits.limits)
     if found is not None:
         rows, likely = found.rows, list(found.likely)

@@ -16,13 +16,17 @@ from workbench.detect.resolution import coarseness, resolved, unseen
 from workbench.detect.spikes import without_op_spikes, without_spikes
 from workbench.detect.whitening import whitened
 from workbench.errors import RecordError
+from workbench.estimate.fits.drift import Drift
 from workbench.estimate.kernels.output_error import NO_DELAY
 from workbench.model.plant import FOPDT, Integrating, Plant
 from workbench.model.record import FloatArray, Record
 
-__all__ = ["PURPOSE", "WHITE", "Centred", "Starts", "centre", "integers", "plant_of", "refuse_unfit"]
+__all__ = ["PURPOSE", "WHITE", "Centred", "Law", "Starts", "centre", "integers", "plant_of", "refuse_unfit"]
 
 WHITE = np.ones(1)
+# Lags up to each of which a filter's terms after that at the one before are one, () where each is its own; or noise
+# upon a drift.
+Law = tuple[int, ...] | Drift
 PURPOSE = "estimate a loop"
 # What a record can resolve: fits whose rms residual is below this share of PV's standard deviation are equally good.
 RESOLUTION = 1e-3
@@ -48,9 +52,9 @@ class Centred:
     the disturbance white, (1,) where it is taken to be; target: y filtered by it. skip: the first samples, which do not
     count: they answer to what the stem did before the record. load: EU, shape (N,), what load steps add to PV; y is
     without it. answers: shape (2 steps, N), what it would change by with each step's size and time, up to
-    factors: neither is known exactly. shared: lags up to each of which the filter's terms after that at the one before
-    are one, () where each is its own. doubt: the standard deviation of what is not known of OP, %, where it is recorded
-    in steps (see `resolved`), else 0. latest: the last sample at which the stem is tried to slip first.
+    factors: neither is known exactly. law: what the filter's terms come from, see `Law`. doubt: the standard deviation
+    of what is not known of OP, %, where it is recorded in steps (see `resolved`), else 0. latest: the last sample at
+    which the stem is tried to slip first.
     """
 
     y: FloatArray
@@ -73,7 +77,7 @@ class Centred:
     answers: FloatArray
     doubt: float
     latest: float = math.inf
-    shared: tuple[int, ...] = ()
+    law: Law = ()
 
     @property
     def unsure(self) -> float:
@@ -105,14 +109,16 @@ class Centred:
             np.where(np.append(True, above[new]), 1.0, -1.0),
         )
 
-    def whitened(self, a: FloatArray, skip: int, shared: tuple[int, ...] = ()) -> Centred:
+    def whitened(self, a: FloatArray, skip: int, law: Law = ()) -> Centred:
         """Return the same record, its disturbance the autoregression that the filter a leaves white."""
-        return replace(self, a=a, target=whitened(a, self.y), skip=max(skip, a.size - 1), shared=shared)
+        return replace(self, a=a, target=whitened(a, self.y), skip=max(skip, a.size - 1), law=law)
 
     @property
     def terms(self) -> int:
         """How many parameters the filter has."""
-        return self.a.size - 1 - (self.shared[-1] - len(self.shared) if self.shared else 0)
+        if isinstance(self.law, Drift):
+            return self.law.terms
+        return self.a.size - 1 - (self.law[-1] - len(self.law) if self.law else 0)
 
     def less(self, load: FloatArray, answers: FloatArray) -> Centred:
         """Return the same record without a load, EU, shape (N,), made of some answers, any disturbance white."""

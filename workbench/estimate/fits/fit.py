@@ -308,7 +308,7 @@ def _sought_in(data: Centred, longest: float) -> Centred:
     if data.samples <= EXACT:
         return data
     begin, stop = stretch_of(data)
-    part = data.part(begin, stop).whitened(data.a, max(data.skip - begin, 0), data.shared)
+    part = data.part(begin, stop).whitened(data.a, max(data.skip - begin, 0), data.law)
     return part if 4.0 * longest <= part.samples else data
 
 

@@ -8,7 +8,8 @@ from dataclasses import replace
 import numpy as np
 
 from workbench.detect.whitening import whitened
-from workbench.estimate.fits.data import Centred
+from workbench.estimate.fits.data import Centred, Law
+from workbench.estimate.fits.drift import Drift
 from workbench.estimate.fits.fit import Fit, disturbance, predict
 from workbench.model.record import FloatArray
 
@@ -27,6 +28,7 @@ __all__ = [
 NORMAL = 1.96  # standard deviations: a range of 95 %
 ENOUGH_SLIPS = 10  # fewer do not pin the unknown start of the stem
 SURE_SLIPS = 2 * ENOUGH_SLIPS  # fewer may fall in with as many steps of the load, or come at other times than found
+SMALL = 1e-2  # step of a drift's law, for its derivatives
 SHARP = 0.10  # widest range of d, relative, that counts as identified
 
 
@@ -92,22 +94,20 @@ def standard_errors(data: Centred, x: FloatArray, first: int, fit: Fit, clamped:
     if not clamped:
         vectors.append(columns[2])
     raw = np.array([*vectors, columns[3], *data.answers])
-    filters = [(data.a, data.shared)]
+    filters: list[tuple[FloatArray, Law]] = [(data.a, data.law)]
     filters += [(disturbance(left, data.floor), ())] if data.a.size > 1 else []
-    spreads = [_errors_of(raw, left, a, shared, max(data.skip, a.size - 1), data.floor) for a, shared in filters]
+    spreads = [_errors_of(raw, left, a, law, max(data.skip, a.size - 1), data.floor) for a, law in filters]
     found = dict(zip(names, np.max(spreads, axis=0).tolist(), strict=False))
     return found["gain"], found.get("tau", math.nan), found["theta"]
 
 
-def _errors_of(
-    vectors: FloatArray, left: FloatArray, a: FloatArray, shared: tuple[int, ...], skip: int, floor: float
-) -> FloatArray:
+def _errors_of(vectors: FloatArray, left: FloatArray, a: FloatArray, law: Law, skip: int, floor: float) -> FloatArray:
     """Standard errors of what vectors, (p, N), stand for, in the measure of a filter; nan where a vector says nothing.
 
-    left: the residual, (N,); shared: as in `Centred`. The filter was found beside the plant: in closed loop a gain that
+    left: the residual, (N,); law: as in `Centred`. The filter was found beside the plant: in closed loop a gain that
     is off passes for a part of the disturbance.
     """
-    jacobian = np.vstack([whitened(a, vectors), *_past(left, a.size - 1, shared)])[:, skip:]
+    jacobian = np.vstack([whitened(a, vectors), *_past(left, a.size - 1, law)])[:, skip:]
     residuals = whitened(a, left)[skip:]
     scale = np.sqrt((jacobian**2).sum(axis=1))
     kept = scale > 0.0
@@ -120,8 +120,8 @@ def _errors_of(
     return errors[: len(vectors)]
 
 
-def _past(left: FloatArray, lags: int, shared: tuple[int, ...]) -> list[FloatArray]:
-    """What each parameter of a filter multiplies, each of shape (N,).
+def _past(left: FloatArray, lags: int, law: Law) -> list[FloatArray]:
+    """What each parameter of a filter changes of what it leaves, each of shape (N,).
 
     Where coefficients share lags and the filter has one more, they are those of how what is left changes.
     """
@@ -132,11 +132,15 @@ def _past(left: FloatArray, lags: int, shared: tuple[int, ...]) -> list[FloatArr
             total[lag:] += signal[:-lag]
         return total
 
-    if not shared:
+    if isinstance(law, Drift):
+        steps = SMALL * np.eye(law.terms)
+        ends = [[whitened(law.moved(*way).filter(left.size), left) for way in (step, -step)] for step in steps]
+        return [(up - down) / (2.0 * SMALL) for up, down in ends]
+    if not law:
         return [before(left, lag, lag) for lag in range(1, lags + 1)]
-    moves = shared[-1] < lags
+    moves = law[-1] < lags
     signal = np.diff(left, prepend=0.0) if moves else left
-    groups = zip((0, *shared), shared, strict=False)
+    groups = zip((0, *law), law, strict=False)
     return [before(signal, first + 1, last) for first, last in groups] + [before(left, 1, 1)] * moves
 
 

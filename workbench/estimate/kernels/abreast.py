@@ -164,6 +164,13 @@ def _filtered(a: Floats, x: Floats, w: Floats, count: int) -> None:
     else:
         for k in range(n):
             w[k] = now[k] + ((a[1] * one[k] + a[2] * two[k]) + (a[3] * three[k] + a[4] * four[k]))
+    while q + 4 <= p:
+        one, two = x[(p - q - 1) * LANES :], x[(p - q - 2) * LANES :]
+        three, four = x[(p - q - 3) * LANES :], x[(p - q - 4) * LANES :]
+        b, c, d, e = a[q + 1], a[q + 2], a[q + 3], a[q + 4]
+        for k in range(n):
+            w[k] += (b * one[k] + c * two[k]) + (d * three[k] + e * four[k])
+        q += 4
     while q < p:
         q += 1
         one = x[(p - q) * LANES :]

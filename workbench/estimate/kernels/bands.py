@@ -7,6 +7,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from workbench.detect.whitening import four_taps, run_filter
 from workbench.estimate.kernels.output_error import FIT, GAIN, cost_at, drive_of, posed, posed_alike
 from workbench.estimate.kernels.path import band_path, spans_of
 from workbench.simulate.compiled import compiled, copy, fused
@@ -276,6 +277,9 @@ def screen_bands(
     stems, paths, w, room = np.empty((3, op.size)), np.empty((4, n)), np.empty(n), np.zeros((13, n + 1))
     box = np.empty(4)
     own, spans = sums_of(y, poles, delays, skip), spans_of(op)
+    taps = four_taps(a)
+    before = taps.size - 1
+    begun = np.zeros(before + n)
     best = np.empty(3)
     found[:, :, 0] = math.inf
     found[:, :, 1:] = 0.0
@@ -307,10 +311,8 @@ def screen_bands(
                 paths[3, :met] = paths[0, met]
             x = paths[start]
             for k in range(n):
-                w[k] = x[k] - x[0]
-            for j in range(1, p + 1):
-                for k in range(j, n):
-                    w[k] += a[j] * (x[k - j] - x[0])
+                begun[before + k] = x[k] - x[0]
+            run_filter(taps, begun, 1, w)
             best[0], best[1], best[2] = math.inf, 0.0, 0.0
             within = (low, high, soonest, latest)
             screen_drive(w, y, poles, delays, within, sign, skip, known, False, own, room, best)

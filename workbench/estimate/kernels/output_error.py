@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from workbench.detect.whitening import whiten
 from workbench.estimate.kernels.parts import (
     AFTER,
     GONE,
@@ -134,10 +135,10 @@ def oe_columns(
 def drive_of(x: Floats, first: int, a: Floats, drive: Floats) -> None:
     """Write what drives the model along a stem path: 0 before `first`, the path from there on, filtered by a."""
     drive[:first] = 0.0
-    copy(x[first:], drive[first:])
-    for j in range(1, a.size):
-        for k in range(first + j, x.size):
-            drive[k] += a[j] * x[k - j]
+    if a.size == 1:
+        copy(x[first:], drive[first:])
+    else:
+        whiten(a, x[first:], drive[first:])
 
 
 @compiled

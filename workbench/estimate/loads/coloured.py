@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.optimize import minimize
 
-from workbench.estimate.fits.data import Centred
+from workbench.estimate.fits.data import Centred, Law
 from workbench.estimate.fits.fit import INTEGRATED, Fit, Limits, grown
 from workbench.estimate.kernels.coloured import HELD, colour_left, lagged, products_of, scan_colours
 from workbench.model.record import FloatArray
@@ -38,10 +38,10 @@ EVALUATIONS = 150
 
 
 class Colour(NamedTuple):
-    """A disturbance's colour: the filter (1, -a_1, .., -a_p) that leaves it white; shared: as `Centred` has it."""
+    """A disturbance's colour: the filter (1, -a_1, .., -a_p) that leaves it white; law: as `Centred` has it."""
 
     a: FloatArray
-    shared: tuple[int, ...] = ()
+    law: Law = ()
 
 
 def colour_beside(

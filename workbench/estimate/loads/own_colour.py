@@ -14,13 +14,16 @@ import numpy as np
 from scipy.optimize import minimize
 
 from workbench.estimate.fits.data import Centred
+from workbench.estimate.fits.drift import Drift
 from workbench.estimate.fits.fit import Fit, Limits, grown
 from workbench.estimate.kernels.coloured import lagged
 from workbench.estimate.loads.coloured import SPREAD, Beside
+from workbench.estimate.loads.drifting import Drifting
 from workbench.estimate.loads.steps import Stem
+from workbench.estimate.search.two_parameter import band_stem, best_start
 from workbench.model.record import FloatArray
 
-__all__ = ["OwnColour", "of_jump", "other_jumps"]
+__all__ = ["OwnColour", "OwnDrift", "OwnLags", "as_it_is", "of_jump", "other_jumps", "own_akaike", "own_colour"]
 
 EVALUATIONS = 60  # of a plant beside one stem, begun at that beside the last
 RATIO, MOST = 1.2, 12  # of one jump to the next, and how many either way
@@ -28,7 +31,34 @@ FAR, WORSE = 20.0, 2  # of N log V: how many in a row may be so far behind befor
 
 
 @dataclass(frozen=True, eq=False)
-class OwnColour:
+class OwnDrift:
+    """A record in whose measure noise upon a drift is free beside each stem; law: what it is beside the leading one."""
+
+    drifting: Drifting
+    law: Drift
+
+    @property
+    def data(self) -> Centred:
+        """The record."""
+        return self.drifting.data
+
+    @property
+    def begin(self) -> int:
+        """The sample from which on what is left counts."""
+        return self.drifting.begin
+
+    def fit(self, x: FloatArray, first: int, near: Fit) -> Fit:
+        """The plant that leaves least along a stem path, sought from another; without bias and start."""
+        return self.drifting.nearer(x, first, (near.tau, near.theta), self.law)[0]
+
+    def left(self, stem: Stem) -> float:
+        """What is left of all samples, EU^2, with the plant that a stem had in the record's own measure."""
+        level = self.drifting.level(stem.x, stem.first, (stem.fit.tau, stem.fit.theta), self.law)[0]
+        return self.data.samples * math.exp(level / self.data.samples)
+
+
+@dataclass(frozen=True, eq=False)
+class OwnLags:
     """A record in whose measure the autoregression is free beside each stem; law: the lags at which its terms end."""
 
     data: Centred
@@ -40,15 +70,15 @@ class OwnColour:
     begin: int
 
     @classmethod
-    def of(cls, data: Centred, limits: Limits) -> OwnColour:
-        """A record whose disturbance is coloured: with as many terms as its filter has, at the same lags.
+    def of(cls, data: Centred, limits: Limits, shared: tuple[int, ...]) -> OwnLags:
+        """With as many terms as its filter has, at the same lags.
 
         A level's filter whose terms sum up to nought is one of how the disturbance changes (`INTEGRATED`).
         """
         lags = data.a.size - 1
         moves = data.integrating and abs(float(data.a.sum())) < 1e-9
         # A sum of white noise alone has no lag of its own.
-        law = data.shared or tuple(range(1, max(lags - moves, 1) + 1))
+        law = shared or tuple(range(1, max(lags - moves, 1) + 1))
         y = np.diff(data.y, prepend=data.y[0]) if moves else data.y
         begin = max(data.skip, law[-1] + moves)
         own = np.empty((law[-1] + 1, law[-1] + 1))
@@ -81,16 +111,9 @@ class OwnColour:
         gain, tau, theta = plant(least.x)
         return Fit(self._sse(least.fun), tau, theta, gain, math.nan, math.nan, math.nan)
 
-    def akaike(self, stem: Stem) -> float:
-        """AIC of a stem with its own plant, from `fit`, as far as it depends on the stem."""
-        free = 2.0 * (stem.valve is not None and stem.valve[1] > 0.0)
-        return (self.data.samples - self.begin) * math.log(stem.fit.sse / self.data.samples) + free
-
-    def as_it_is(self, stem: Stem) -> float:
-        """The same with the plant that it had in the record's own measure."""
-        fit = stem.fit
-        sse = self._sse(self._level(stem.x, stem.first, (fit.gain, fit.tau, fit.theta)))
-        return self.akaike(replace(stem, fit=replace(fit, sse=sse)))
+    def left(self, stem: Stem) -> float:
+        """What is left of all samples, EU^2, with the plant that a stem had in the record's own measure."""
+        return self._sse(self._level(stem.x, stem.first, (stem.fit.gain, stem.fit.tau, stem.fit.theta)))
 
     def _sse(self, level: float) -> float:
         """What is left of all samples, EU^2, of N log V."""
@@ -101,6 +124,28 @@ class OwnColour:
         return there.level(self.law)
 
 
+OwnColour = OwnLags | OwnDrift
+
+
+def own_colour(data: Centred, limits: Limits) -> OwnColour:
+    """Return a record whose disturbance is coloured, by a law as its filter's."""
+    law = data.law
+    if isinstance(law, Drift):
+        return OwnDrift(Drifting.of(data, limits, data.skip), law)
+    return OwnLags.of(data, limits, law)
+
+
+def own_akaike(own: OwnColour, stem: Stem) -> float:
+    """AIC of a stem with its own plant, from `fit`, as far as it depends on the stem."""
+    free = 2.0 * (stem.valve is not None and stem.valve[1] > 0.0)
+    return (own.data.samples - own.begin) * math.log(stem.fit.sse / own.data.samples) + free
+
+
+def as_it_is(own: OwnColour, stem: Stem) -> float:
+    """The same with the plant that it had in the record's own measure."""
+    return own_akaike(own, replace(stem, fit=replace(stem.fit, sse=own.left(stem))))
+
+
 def other_jumps(own: OwnColour, lead: Stem) -> Iterator[Stem]:
     """Yield a stem with its own plant, and those of smaller and larger jumps, until they are far behind the likeliest.
 
@@ -108,14 +153,14 @@ def other_jumps(own: OwnColour, lead: Stem) -> Iterator[Stem]:
     """
     begun = replace(lead, fit=own.fit(lead.x, lead.first, lead.fit))
     yield begun
-    if lead.valve is None or lead.near is None or not lead.valve[1] > 0.0:
+    if lead.valve is None or not lead.valve[1] > 0.0:
         return
     least = begun.fit.sse
     for ratio in (1.0 / RATIO, RATIO):
         last, worse = begun, 0
         for step in range(1, MOST + 1):
             last = of_jump(own, lead, lead.valve[1] * ratio**step, last)
-            if not np.any(last.x[lead.first :] != last.x[lead.first]):
+            if not np.any(last.x[last.first :] != last.x[last.first]):
                 break
             yield last
             least = min(least, last.fit.sse)
@@ -125,11 +170,15 @@ def other_jumps(own: OwnColour, lead: Stem) -> Iterator[Stem]:
 
 
 def of_jump(own: OwnColour, lead: Stem, J: float, alike: Stem) -> Stem:
-    """Return a two-parameter stem of another jump, %, with its own plant, sought from that of one alike."""
-    if lead.valve is None or lead.near is None or alike.valve is None:
+    """Return a two-parameter stem of another jump, %, with its own plant, sought from that of one alike.
+
+    It begins where that suits it best: from where the lead does, one of another jump may never slip again.
+    """
+    if lead.valve is None or alike.valve is None:
         return lead
-    S, known, first, sense = lead.valve
-    x = lead.near(1.0, J / known)
+    S, _, first, sense = lead.valve
+    _, first, sense = best_start(own.data, (S, J), (alike.fit.tau, alike.fit.theta))
+    x, begin = band_stem(own.data.u, S, J, first, sense)[0], max(first, 0)
     # What a jump gains a gain loses.
     near = replace(alike.fit, gain=alike.fit.gain * alike.valve[1] / J)
-    return replace(lead, x=x, fit=own.fit(x, lead.first, near), valve=(S, J, first, sense), near=None)
+    return replace(lead, x=x, first=begin, fit=own.fit(x, begin, near), valve=(S, J, first, sense), near=None)

@@ -27,7 +27,8 @@ from workbench.estimate.fits.fit import (
 )
 from workbench.estimate.fits.windows import WHOLE
 from workbench.estimate.loads.coloured import Colour, colour_beside
-from workbench.estimate.loads.own_colour import OwnColour, other_jumps
+from workbench.estimate.loads.drifting import Drifting
+from workbench.estimate.loads.own_colour import as_it_is, other_jumps, own_akaike, own_colour
 from workbench.estimate.loads.stepped import stepped_stems
 from workbench.estimate.loads.steps import CLEAR, DEGREES, Loads, Stem, loads_of
 from workbench.estimate.search.bands import Found, further
@@ -197,7 +198,7 @@ def settled(
             break
         if turns and not (before or steps) and _stands(data, lead, limits, level):
             break
-        data = bare.whitened(colour.a, skip, colour.shared)
+        data = bare.whitened(colour.a, skip, colour.law)
         anew = colour.a.size > 1 or bool(steps)
         linear = again_linear(data, linear, delays)
         if found is not None and steps and not same_steps:
@@ -253,15 +254,15 @@ def _in_own_colour(
         lead = _leading(data, found, bands, linear)
         if lead.valve is None or lead.fit.gain == 0.0:
             break
-        own, stems = OwnColour.of(data, limits), [lead]
+        own, stems = own_colour(data, limits), [lead]
         if found is not None and found.best.fit is not lead.fit and found.best.fit.gain != 0.0:
             stems.append(_of_path(data, found.best))
-        likely = min((one for stem in stems for one in other_jumps(own, stem)), key=own.akaike)
-        if not own.as_it_is(lead) - own.akaike(likely) > WORSE:
+        likely = min((one for stem in stems for one in other_jumps(own, stem)), key=partial(own_akaike, own))
+        if not as_it_is(own, lead) - own_akaike(own, likely) > WORSE:
             break
         left = data.y - predict(data, likely.x, likely.first, grounded(data, likely.x, likely.first, likely.fit))[0]
         colour, _ = _colour(data, left[skip:], likely, limits, skip)
-        anew = data.whitened(colour.a, skip, colour.shared)
+        anew = data.whitened(colour.a, skip, colour.law)
         profile = None if found is None else profile_again(anew, found)
         searched = refitted(anew, bands, limits)
         S, J, begin, sense = likely.valve or lead.valve
@@ -378,7 +379,15 @@ def _colour(bare: Centred, left: FloatArray, lead: Stem, limits: Limits, skip: i
         if bare.integrating:
             colours.append(beside(moves=True))
             colours.append((Colour(np.convolve(INTEGRATED, disturbance(np.diff(left), bare.floor))), plant))
-    levels = [_akaike_in(bare.whitened(one.a, skip, one.shared), lead, limits, near) for one, near in colours]
+        # Where no stem is seen to move PV a drift does as well as much that PV answers.
+        laws = () if lead.valve is None else (True,) if bare.integrating else (True, False)
+        for tied in laws:
+            begins = sorted({at for _, at in colours})
+            fit, law = Drifting.of(bare, limits, skip).likeliest(lead.x, lead.first, begins, tied=tied)
+            colours.append((Colour(law.filter(bare.samples), law), (fit.tau, fit.theta)))
+    # A longer filter leaves out more of the record's beginning: of all, the same samples count.
+    counted = max(skip, *(one.a.size - 1 for one, _ in colours))
+    levels = [_akaike_in(bare.whitened(one.a, counted, one.law), lead, limits, near) for one, near in colours]
     least = int(np.argmin(levels))
     return colours[least][0], levels[least]
 
@@ -431,6 +440,6 @@ def coloured_linear(
         bare, loads = _relieved(whole, data, lead, limits, 0, most)
         steps = loads.steps
         colour = _colour(bare, loads.left, lead, limits, 0)[0]
-        data = bare.whitened(colour.a, 0, colour.shared)
+        data = bare.whitened(colour.a, 0, colour.law)
         linear = again_linear(data, linear, delays)
     return data, linear, steps

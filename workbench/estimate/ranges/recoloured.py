@@ -15,7 +15,7 @@ from itertools import pairwise
 from workbench.estimate.fits.data import Centred
 from workbench.estimate.fits.fit import Limits
 from workbench.estimate.fits.sureness import sure_samples
-from workbench.estimate.loads.own_colour import OwnColour, of_jump, other_jumps
+from workbench.estimate.loads.own_colour import of_jump, other_jumps, own_colour
 from workbench.estimate.loads.steps import Stem
 from workbench.estimate.search.bands import Bands
 from workbench.estimate.search.profile import CHI_SQUARE
@@ -35,7 +35,7 @@ def recoloured(data: Centred, found: Bands, only: float | None, limits: Limits) 
     best = found.best
     if only is not None or data.a.size == 1 or best.fit.gain == 0.0 or not best.J > 0.0:
         return found
-    own = OwnColour.of(data, limits)
+    own = own_colour(data, limits)
     near = partial(best.stem, data.u)
     lead = Stem(near(), best.begin, best.fit, near, valve=(best.S, best.J, best.first, best.sense))
     met = list(other_jumps(own, lead))
@@ -53,7 +53,7 @@ def recoloured(data: Centred, found: Bands, only: float | None, limits: Limits) 
             met.append(halfway)
             inside, outside = (halfway, outside) if behind(halfway) <= 1.0 else (inside, halfway)
     alike = [one for one in met if behind(one) <= 1.0 and one.fit.gain * best.fit.gain > 0.0]
-    bands = [Band(best.S, _jump(one), best.first, best.sense, best.slips, one.fit) for one in alike]
+    bands = [_band_of(one, best) for one in alike]
     J = [b.J for b in bands]
     return replace(
         found,
@@ -61,6 +61,10 @@ def recoloured(data: Centred, found: Bands, only: float | None, limits: Limits) 
         spare_beside=(*found.spare_beside, *(math.sqrt(min(max(1.0 - behind(one), 0.0), 1.0)) for one in alike)),
         J=(min([found.J[0], *J]), max([found.J[1], *J])),
     )
+
+
+def _band_of(stem: Stem, like: Band) -> Band:
+    return like if stem.valve is None else Band(*stem.valve, like.slips, stem.fit)
 
 
 def _jump(stem: Stem) -> float:

@@ -62,7 +62,7 @@ def _followed(
         begin = max(min((begin + stop - size) // 2, n - size), 0)
         stop = begin + size
         whole = size == n
-        part = data if whole else data.part(begin, stop).whitened(data.a, max(data.skip - begin, 0), data.shared)
+        part = data if whole else data.part(begin, stop).whitened(data.a, max(data.skip - begin, 0), data.law)
         if closely:
             # As many slips as there were in half of it.
             part = part.slipping_by(LATEST * 0.5 * size / max(b.slips, 1))

@@ -163,7 +163,7 @@ def _look_aside(data: Centred, longest: float) -> list[Band]:
     for begin, stop in windows_of(data)[:1]:
         part = data.part(begin, stop)
         if part.moves:
-            part = part.whitened(data.a, max(data.skip - begin, 0), data.shared)
+            part = part.whitened(data.a, max(data.skip - begin, 0), data.law)
             found += look(part, min(longest, part.samples / 4.0))[:SEEDS]
     seeds = [*seen_thinned(data, longest), *((b.S, b.J, b.fit.tau, b.fit.theta) for b in found)]
     placed = [_placed(data, seed, limits) for seed in seeds]
