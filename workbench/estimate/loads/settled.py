@@ -385,8 +385,8 @@ def _colour(bare: Centred, left: FloatArray, lead: Stem, limits: Limits, skip: i
             begins = sorted({at for _, at in colours})
             fit, law = Drifting.of(bare, limits, skip).likeliest(lead.x, lead.first, begins, tied=tied)
             colours.append((Colour(law.filter(bare.samples), law), (fit.tau, fit.theta)))
-    # A longer filter leaves out more of the record's beginning: of all, the same samples count.
-    counted = max(skip, *(one.a.size - 1 for one, _ in colours))
+    # A drift's filter leaves out much more of the record's beginning than others: then the same samples count of all.
+    counted = max(skip, *(one.a.size - 1 for one, _ in colours)) if lead.valve is not None else skip
     levels = [_akaike_in(bare.whitened(one.a, counted, one.law), lead, limits, near) for one, near in colours]
     least = int(np.argmin(levels))
     return colours[least][0], levels[least]
