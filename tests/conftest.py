@@ -15,6 +15,10 @@ from hypothesis import HealthCheck, settings
 # threads of two workers would wait for each other by spinning (simulate.one_thread). Said before any of it is loaded.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
+# Bytecode is kept whatever the environment says: each of the processes that tests start would compile the package anew.
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+sys.dont_write_bytecode = False
+
 sys.path.insert(0, str(Path(__file__).parent))
 
 settings.register_profile("workbench", deadline=None, max_examples=60, suppress_health_check=[HealthCheck.too_slow])
