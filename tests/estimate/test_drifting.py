@@ -183,7 +183,7 @@ def test_a_stem_of_another_jump_begins_where_it_suits_it() -> None:
 def test_a_level_under_a_slow_load_is_known_by_its_gain() -> None:
     # Gains came out at half or twice, and longer levels as lags, while a load that is summed up was an autoregression.
     plant = wb.Integrating(0.05, 4.0)
-    found = wb.estimate(record_of(plant, 2000, 2, correlation=400.0))
+    found = wb.estimate(record_of(plant, 2000, 2, correlation=400.0), plant="integrating")
     assert found.verdict == "stiction"
     assert isinstance(found.plant, wb.Integrating)
     assert found.plant.gain == pytest.approx(plant.gain, rel=0.05)

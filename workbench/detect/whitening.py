@@ -33,6 +33,9 @@ def whitened(a: Floats, rows: Floats) -> Floats:
 @compiled
 def whiten(a: Floats, row: Floats, out: Floats) -> None:
     """Write a signal filtered by a = (1, -a_1, .., -a_p), shape (N,), as if it had been 0 before."""
+    if a.size == 1:
+        copy(row, out)
+        return
     taps = four_taps(a)
     before = np.zeros(taps.size - 1 + row.size)
     copy(row, before[taps.size - 1 :])

@@ -135,10 +135,7 @@ def oe_columns(
 def drive_of(x: Floats, first: int, a: Floats, drive: Floats) -> None:
     """Write what drives the model along a stem path: 0 before `first`, the path from there on, filtered by a."""
     drive[:first] = 0.0
-    if a.size == 1:
-        copy(x[first:], drive[first:])
-    else:
-        whiten(a, x[first:], drive[first:])
+    whiten(a, x[first:], drive[first:])
 
 
 @compiled
