@@ -26,7 +26,7 @@ from workbench.estimate.fits.fit import (
     predict,
 )
 from workbench.estimate.loads.coloured import colour_beside
-from workbench.estimate.loads.drifting import Drifting
+from workbench.estimate.loads.drifting import LONGEST, Drifting
 from workbench.estimate.loads.swing import Answered, Model
 from workbench.estimate.search.models import PLANT_PARAMETERS, VALVE_PARAMETERS
 from workbench.model.plant import FOPDT, Plant
@@ -89,7 +89,7 @@ def foretelling_bic(
         if closely and a.size > 1:
             colour, (tau, theta) = colour_beside(data, x, first, fit, limits, 0, moves, far)
             along(data.whitened(colour.a, 0, colour.law), replace(fit, tau=tau, theta=theta))
-            if far:
+            if far and n <= LONGEST:
                 near = [(fit.tau, fit.theta), (tau, theta)]
                 plant_and_law = Drifting.of(data, limits, 0).likeliest(x, first, near, tied=True)
                 least = min(least, foretold(*plant_and_law))

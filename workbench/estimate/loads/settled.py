@@ -27,7 +27,7 @@ from workbench.estimate.fits.fit import (
 )
 from workbench.estimate.fits.windows import WHOLE
 from workbench.estimate.loads.coloured import Colour, colour_beside
-from workbench.estimate.loads.drifting import Drifting
+from workbench.estimate.loads.drifting import LONGEST, Drifting
 from workbench.estimate.loads.own_colour import as_it_is, other_jumps, own_akaike, own_colour
 from workbench.estimate.loads.stepped import stepped_stems
 from workbench.estimate.loads.steps import CLEAR, DEGREES, Loads, Stem, loads_of
@@ -380,7 +380,7 @@ def _colour(bare: Centred, left: FloatArray, lead: Stem, limits: Limits, skip: i
             colours.append(beside(moves=True))
             colours.append((Colour(np.convolve(INTEGRATED, disturbance(np.diff(left), bare.floor))), plant))
         # Where no stem is seen to move PV a drift does as well as much that PV answers.
-        laws = () if lead.valve is None else (True,) if bare.integrating else (True, False)
+        laws = () if lead.valve is None or bare.samples > LONGEST else (True,) if bare.integrating else (True, False)
         for tied in laws:
             begins = sorted({at for _, at in colours})
             fit, law = Drifting.of(bare, limits, skip).likeliest(lead.x, lead.first, begins, tied=tied)
