@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -16,9 +18,12 @@ from workbench.estimate.fits.drift import Drift
 from workbench.estimate.fits.fit import LEAST_TAU, Fit, Limits, fit_path, grounded, predict
 from workbench.estimate.fits.sureness import standard_errors
 from workbench.estimate.kernels.drifting import ROOM, drift_left, steady
-from workbench.estimate.loads.drifting import Drifting
+from workbench.estimate.loads import steps, swing
+from workbench.estimate.loads.drifting import Drifting, drifting_bic
 from workbench.estimate.loads.own_colour import of_jump, own_colour
-from workbench.estimate.loads.steps import Stem
+from workbench.estimate.loads.steps import Stem, loads_of
+from workbench.estimate.loads.swing import Answered, beside_swing
+from workbench.estimate.search.paths import Path
 from workbench.estimate.search.two_parameter import band_stem, best_start
 
 LAWS = [(0.8, 0.95, 3.0), (1.0, 0.99, 200.0), (0.97, 0.4, 0.0), (0.5, 0.999, 1e5), (1.0, 1e-6, 1e-3)]
@@ -158,6 +163,46 @@ def test_plant_and_law_are_found_together_from_afar(plant: wb.FOPDT | wb.Integra
     assert own.left(Stem(x, first, fit)) == pytest.approx(own.fit(x, first, fit).sse, rel=1e-3)
     errors = standard_errors(there, x, first, grounded(there, x, first, again), clamped=False)
     assert abs(again.gain - plant.gain) < 3.0 * errors[0] < 0.2 * plant.gain
+
+
+@pytest.mark.parametrize(("plant", "seed"), [(wb.FOPDT(1.5, 12.0, 3.0), 3), (wb.Integrating(0.05, 4.0), 4)])
+def test_a_load_that_drifts_is_told_as_no_steps_and_no_oscillation(
+    plant: wb.FOPDT | wb.Integrating, seed: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # Beside the true stem a wander of few turns passes for either, where autoregressions alone are weighed against it.
+    n, lag = 1000, isinstance(plant, wb.FOPDT)
+    data = centre(record_of(plant, n, seed), "fopdt" if lag else "integrating")
+    near, limits = (12.0 if lag else 1.0, plant.dead_time), Limits((LEAST_TAU, float(n)), (0.0, 30.0))
+    x, first = true_stem(data, near)
+    free = (-math.inf, math.inf)
+    fit = fit_path(data, x, first, free, limits, near[1], tau=near[0])
+    lead = Stem(x, first, fit, valve=(VALVE.S, VALVE.J, *best_start(data, (VALVE.S, VALVE.J), near)[1:]))
+    model = SimpleNamespace(residual_variance=math.inf)
+    answered = Answered(model, [Path(VALVE, x, first, free, fit, 20)], data, ())
+
+    def told() -> tuple[int, bool]:
+        swings: list[Centred] = []
+        beside_swing(data, answered, lambda calm: swings.append(calm) or answered, 30.0)
+        return len(loads_of(data, lead, limits, 0, 2, strict=False).steps), bool(swings)
+
+    assert told() == (0, False)
+    for module in (steps, swing):
+        monkeypatch.setattr(module, "drifting_bic", lambda *_: math.inf)
+    assert told() == ((2, False) if lag else (1, True))
+
+
+def test_no_drift_is_seen_where_less_is_left_than_the_record_resolves_or_it_is_too_long() -> None:
+    n = 500
+    x = np.repeat(np.random.default_rng(3).normal(size=10), 50)
+    x[:50] = 0.0
+    loop = wb.Loop(wb.Integrating(0.05, 4.0), wb.Ideal(), wb.PID(1.0, 60.0), 1.0)
+    pv = wb.simulate(loop, wb.Experiment(float(n), wb.Step(1.0))).pv
+    data, limits = centre(wb.Record(pv + 50.0, x + 50.0, 1.0), "integrating"), Limits((LEAST_TAU, 500.0), (0.0, 30.0))
+    left = drifting_bic(data, x, 50, [(1.0, 4.0)], limits, 0)
+    assert math.isfinite(left)
+    assert drifting_bic(replace(data, floor=10.0), x, 50, [(1.0, 4.0)], limits, 0) == math.inf
+    long = centre(wb.Record(np.tile(pv, 61), np.tile(x, 61), 1.0), "integrating")
+    assert drifting_bic(long, np.tile(x, 61), 50, [(1.0, 4.0)], limits, 0) == math.inf
 
 
 def test_a_stem_of_another_jump_begins_where_it_suits_it() -> None:

@@ -14,7 +14,6 @@ from functools import partial
 import numpy as np
 
 from workbench.estimate.fits.data import Centred, centre
-from workbench.estimate.fits.drift import Drift
 from workbench.estimate.fits.fit import (
     INTEGRATED,
     LEAST_TAU,
@@ -26,7 +25,7 @@ from workbench.estimate.fits.fit import (
     predict,
 )
 from workbench.estimate.loads.coloured import colour_beside
-from workbench.estimate.loads.drifting import LONGEST, Drifting
+from workbench.estimate.loads.drifting import drifting_bic
 from workbench.estimate.loads.swing import Answered, Model
 from workbench.estimate.search.models import PLANT_PARAMETERS, VALVE_PARAMETERS
 from workbench.model.plant import FOPDT, Plant
@@ -77,9 +76,6 @@ def foretelling_bic(
         least = min(least, n * math.log(max(variance, data.floor)) + p * math.log(n))
         return fit
 
-    def foretold(fit: Fit, law: Drift) -> float:
-        return n * math.log(fit.sse / n) + (free + law.terms) * math.log(n)
-
     for moves in (False, True)[: 1 + data.integrating]:
         fit, left = start, begun
         for _ in range(ROUNDS):
@@ -89,10 +85,9 @@ def foretelling_bic(
         if closely and a.size > 1:
             colour, (tau, theta) = colour_beside(data, x, first, fit, limits, 0, moves, far)
             along(data.whitened(colour.a, 0, colour.law), replace(fit, tau=tau, theta=theta))
-            if far and n <= LONGEST:
+            if far:
                 near = [(fit.tau, fit.theta), (tau, theta)]
-                plant_and_law = Drifting.of(data, limits, 0).likeliest(x, first, near, tied=True)
-                least = min(least, foretold(*plant_and_law))
+                least = min(least, drifting_bic(data, x, first, near, limits, 0) + free * math.log(n))
     return least
 
 

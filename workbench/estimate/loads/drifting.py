@@ -18,11 +18,11 @@ from scipy.optimize import minimize
 
 from workbench.estimate.fits.data import Centred
 from workbench.estimate.fits.drift import Drift
-from workbench.estimate.fits.fit import Fit, Limits, grown
+from workbench.estimate.fits.fit import LOUD, Fit, Limits, grown
 from workbench.estimate.kernels.drifting import ROOM, drift_left
 from workbench.model.record import FloatArray
 
-__all__ = ["LONGEST", "Drifting"]
+__all__ = ["LONGEST", "Drifting", "drifting_bic"]
 
 LONGEST = 30_000  # samples: in longer records each of some thousand trials takes too long
 # Where the search for a law begins: the drift's pole, the noise's variance, and the pole where it is not the plant's.
@@ -103,6 +103,22 @@ class Drifting:
         if not law.tied:
             return law
         return replace(law, pole=1.0 if self.data.integrating else math.exp(-1.0 / tau))
+
+
+def drifting_bic(
+    data: Centred, x: FloatArray, first: int, near: list[tuple[float, float]], limits: Limits, skip: int
+) -> float:
+    """Return the BIC of noise upon a drift that comes through the plant, as `autoregression` gives that of its terms.
+
+    Of what is left beside a stem path x, shape (N,), and the plant that suits it best, from those near it (tau, theta);
+    the first `skip` samples do not count. It is inf where less is left than the record resolves, of which no drift is
+    seen, and beyond `LONGEST`.
+    """
+    if data.samples > LONGEST:
+        return math.inf
+    fit, law = Drifting.of(data, limits, skip).likeliest(x, first, near, tied=True)
+    left, count = fit.sse / data.samples, data.samples - skip
+    return count * math.log(left) + law.terms * math.log(count) if left > LOUD * data.floor else math.inf
 
 
 def _laws(tied: bool) -> Iterator[Drift]:

@@ -52,6 +52,7 @@ SAME_TIME, SAME_SIZE = 5, 0.1  # samples, share: steps that moved less have sett
 SAME_STEM = 0.05  # of its standard deviation: a stem's path that moved less has
 HARDLY = 20.0  # of N log V: a stem that leaves so much more than the leading one may be the right one beside a step
 SAME_BAND = 0.05  # of its stick band: a stem that is no other one, whatever its jump
+CLEARLY = 2.0  # of AIC: noise upon a drift is told where it is so much likelier than any autoregression
 WORSE = 2.0  # of AIC: a turn that ends so far above an earlier one is taken back
 
 # A record without load steps in some measure, its models there, and the steps.
@@ -372,13 +373,14 @@ def _colour(bare: Centred, left: FloatArray, lead: Stem, limits: Limits, skip: i
     """
     own = Colour(disturbance(left, bare.floor))
     plant = lead.fit.tau, lead.fit.theta
-    colours = [(own, plant)]
+    colours, plain = [(own, plant)], 1
     if own.a.size > 1 and lead.fit.gain != 0.0:
         beside = partial(colour_beside, bare, lead.x, lead.first, lead.fit, limits, skip)
         colours.append(beside())
         if bare.integrating:
             colours.append(beside(moves=True))
             colours.append((Colour(np.convolve(INTEGRATED, disturbance(np.diff(left), bare.floor))), plant))
+        plain = len(colours)
         # Where no stem is seen to move PV a drift does as well as much that PV answers.
         laws = () if lead.valve is None or bare.samples > LONGEST else (True,) if bare.integrating else (True, False)
         for tied in laws:
@@ -389,6 +391,8 @@ def _colour(bare: Centred, left: FloatArray, lead: Stem, limits: Limits, skip: i
     counted = max(skip, *(one.a.size - 1 for one, _ in colours)) if lead.valve is not None else skip
     levels = [_akaike_in(bare.whitened(one.a, counted, one.law), lead, limits, near) for one, near in colours]
     least = int(np.argmin(levels))
+    if not levels[least] < min(levels[:plain]) - CLEARLY:
+        least = int(np.argmin(levels[:plain]))
     return colours[least][0], levels[least]
 
 

@@ -21,6 +21,7 @@ from workbench.estimate.fits.fit import LOUD, Fit, Limits, autoregression, fit_p
 from workbench.estimate.fits.sureness import NORMAL, inflation
 from workbench.estimate.fits.windows import WHOLE
 from workbench.estimate.kernels.beside import left_beside
+from workbench.estimate.loads.drifting import drifting_bic
 from workbench.model.loads import LoadStep
 from workbench.model.record import FloatArray
 
@@ -129,6 +130,11 @@ def loads_of(
     # Steps beside a worse stem explain nothing that the first one does not by itself.
     if model is None or model.bic > bare.bic - CLEAR:
         return nothing
+    if lead.valve is not None and data.doubt == 0.0:
+        # Nor what a load that drifts explains as well; what OP's own steps hide of it drifts, too.
+        near = [(one.tau, one.theta) for one in (lead.fit, model.fit)]
+        if model.bic > drifting_bic(data, lead.x, lead.first, near, limits, skip) - CLEAR:
+            return nothing
     gain, errors = float(model.terms[1]), _errors(model, skip)
     steps = []
     for i, (at, later) in enumerate(zip(model.times, model.later, strict=True)):

@@ -22,6 +22,7 @@ from workbench.estimate.fits.fit import LEAST_TAU, LOUD, Limits, autoregression,
 from workbench.estimate.fits.windows import WHOLE
 from workbench.estimate.kernels.beside import left_swinging
 from workbench.estimate.loads.coloured import TAUS, delays_about
+from workbench.estimate.loads.drifting import drifting_bic
 from workbench.estimate.search.paths import Path
 from workbench.model.loads import LoadSwing
 from workbench.model.numbers import given
@@ -153,6 +154,13 @@ def _swing_of(data: Centred, lead: Path, limits: Limits, before: Swing | None) -
     much = float(np.var(swing.pv)) >= MUCH * (float(np.var(swing.pv)) + float(np.var(rest)))
     price = DEGREES * math.log(n) + CLEAR
     clear = much and autoregression(rest, data.floor)[1] < level - price
+    if clear:
+        # A load that drifts, over a record in which it turns a few times only, passes for an oscillation.
+        with_it, without = (
+            drifting_bic(one, lead.x, lead.first, [(fit.tau, fit.theta)], limits, 0)
+            for one in (data.less(swing.pv, swing.answers), data)
+        )
+        clear = min(autoregression(rest, data.floor)[1], with_it) < without - price
     return swing if clear else None, float(rest @ rest) / n
 
 
