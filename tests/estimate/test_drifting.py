@@ -15,7 +15,7 @@ import workbench as wb
 from workbench.detect.whitening import whitened
 from workbench.estimate.fits.data import Centred, centre
 from workbench.estimate.fits.drift import Drift
-from workbench.estimate.fits.fit import LEAST_TAU, Fit, Limits, fit_path, grounded, predict
+from workbench.estimate.fits.fit import LEAST_TAU, Fit, Limits, fit_linear, fit_path, grounded, predict
 from workbench.estimate.fits.sureness import standard_errors
 from workbench.estimate.kernels.drifting import ROOM, drift_left, steady
 from workbench.estimate.loads import steps, swing
@@ -23,6 +23,7 @@ from workbench.estimate.loads.drifting import Drifting, drifting_bic
 from workbench.estimate.loads.own_colour import of_jump, own_colour
 from workbench.estimate.loads.steps import Stem, loads_of
 from workbench.estimate.loads.swing import Answered, beside_swing
+from workbench.estimate.plants import ramps
 from workbench.estimate.search.paths import Path
 from workbench.estimate.search.two_parameter import band_stem, best_start
 
@@ -191,6 +192,25 @@ def test_a_load_that_drifts_is_told_as_no_steps_and_no_oscillation(
     assert told() == ((2, False) if lag else (1, True))
 
 
+@pytest.mark.parametrize("plant", [wb.FOPDT(1.5, 12.0, 3.0), wb.Integrating(0.05, 4.0)])
+def test_what_a_stem_leaves_tells_a_level_from_a_lag_under_a_slow_load(plant: wb.FOPDT | wb.Integrating) -> None:
+    n, lag = 800, isinstance(plant, wb.FOPDT)
+    limits = Limits((LEAST_TAU, float(n)), (0.0, 30.0))
+    for seed in range(3):
+        record = record_of(plant, n, seed, correlation=400.0)
+        own, data = (centre(record, one) for one in ("fopdt" if lag else "integrating", "fopdt"))
+        x, first = true_stem(own, (12.0 if lag else 1.0, plant.dead_time))
+        # As it is met with: the plant that a lag would have along it, its disturbance taken for white.
+        fit = fit_path(data, x, first, (-math.inf, math.inf), limits, plant.dead_time, tau=12.0 if lag else 400.0)
+        linear = fit_linear(data, 40.0)
+        assert ramps(data, linear, [(x, first, fit)], limits) != lag
+        # A stem that moves PV no more than OP does tells nothing; nor is there much to tell where noise alone is left.
+        assert not ramps(data, linear, [(data.u, 0, linear)], limits)
+        noise = np.random.default_rng(seed).normal(size=n)
+        white = replace(data, y=predict(data, x, first, fit)[0] + 0.1 * noise)
+        assert not ramps(white, linear, [(x, first, fit)], limits)
+
+
 def test_no_drift_is_seen_where_less_is_left_than_the_record_resolves_or_it_is_too_long() -> None:
     n = 500
     x = np.repeat(np.random.default_rng(3).normal(size=10), 50)
@@ -228,10 +248,12 @@ def test_a_stem_of_another_jump_begins_where_it_suits_it() -> None:
 def test_a_level_under_a_slow_load_is_known_by_its_gain() -> None:
     # Gains came out at half or twice, and longer levels as lags, while a load that is summed up was an autoregression.
     plant = wb.Integrating(0.05, 4.0)
-    found = wb.estimate(record_of(plant, 2000, 2, correlation=400.0), plant="integrating")
+    found = wb.estimate(record_of(plant, 2000, 2, correlation=400.0))
     assert found.verdict == "stiction"
     assert isinstance(found.plant, wb.Integrating)
     assert found.plant.gain == pytest.approx(plant.gain, rel=0.05)
     assert found.valve.stick_band == pytest.approx(VALVE.S, rel=0.02)
     low, high = found.intervals.gain or (math.nan, math.nan)
     assert low <= plant.gain <= high
+    # Without a search for lags, which cost as much again.
+    assert "along this stem an integrating process has the lower BIC" in found.reasons[-1]

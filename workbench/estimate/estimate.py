@@ -20,7 +20,7 @@ from workbench.estimate.fits.sureness import SHARP
 from workbench.estimate.loads.swing import Answered, Swing, beside_swing, words_of_swing
 from workbench.estimate.methods.refined import by_complementarity, jointly, refuse_complementarity
 from workbench.estimate.methods.two_step import two_step
-from workbench.estimate.plants import ENDLESS, foretelling_of, with_other_plant
+from workbench.estimate.plants import CLEAR_BIC, ENDLESS, foretelling_of, ramps, with_other_plant
 from workbench.estimate.ranges.between import between_samples
 from workbench.estimate.ranges.scale import joined
 from workbench.estimate.record_fits import DELAYS, LINEAR_DELAYS, Fits, first_fits, longest_delay
@@ -49,14 +49,14 @@ PLANTS = ("fopdt", "integrating", "auto")
 FIRST = 0.8  # of the progress told: the first kind of plant, as the other is seldom asked
 
 WIDEST_GAIN = 0.2  # of the gain itself: a 95 % range wider than this does not identify a valve and what it does to PV
-BARE_BIC = 2.0  # up to it a difference is "not worth more than a bare mention" (source below)
-CLEAR_BIC = 10.0  # R. Kass, A. Raftery, J. Am. Stat. Assoc. 90 (1995) 773-795: "very strong" evidence above it
+BARE_BIC = 2.0  # up to it a difference is "not worth more than a bare mention" (source at `CLEAR_BIC`)
 ALIKE, HALF = 1.25, 0.5  # times what a lag leaves along OP: a level that leaves more is none; and of PV itself
 SLOW = 0.25  # of the record: a time constant that a lag seldom has, and the first fits of a level mostly have
 BRIEF, FAR_BIC = 0.05, 10.0 * CLEAR_BIC  # of the record: a time constant that PV shows twenty times; of BIC
 WORDS_OF_IDEAL = (
     "the model told has no friction, which the valve has: its plant makes up for that, so that no ranges are given"
 )
+NAMES = {"fopdt": "a first-order process", "integrating": "an integrating process"}
 WORDS_OF_ENDLESS = (
     "PV does not level off within the record, as an integrating process does not: a first-order one would need a time "
     "constant of half the record or more"
@@ -208,6 +208,16 @@ class _Begun:
         """Whether Stenman's stem leaves nothing for another plant."""
         return self.found is not None and leaves_noise(self.data, self.found.best)
 
+    @cached_property
+    def ramps(self) -> bool:
+        """Whether a level is likelier than a first-order process along these."""
+        data, fits = self.data, self.fits
+        stems = [(one.stem(data.u), one.begin, one.fit) for one in fits.coarse[:1]]
+        if self.found is not None:
+            best = self.found.best
+            stems.append((best.stem(data.u), best.first, best.fit))
+        return ramps(data, self.line.fit, stems, fits.limits)
+
     @property
     def likeliest(self) -> Fit:
         """The likeliest of the first fits of any valve."""
@@ -336,15 +346,18 @@ def _likelier_plant(record: Record, asked: _Asked, tell: Callable[[float], None]
     endless = endless and (
         ramp.sse <= HALF * fit_nothing(lines["integrating"].data) or begin("integrating").noise_alone
     )
-    first, second = ("integrating", "fopdt") if endless or _slow(begin("fopdt")) else ("fopdt", "integrating")
+    level = endless or _slow(begin("fopdt")) or begin("fopdt").ramps
+    first, second = ("integrating", "fopdt") if level else ("fopdt", "integrating")
     likelier = search(first)
-    decided = _decided(record, first, likelier.answered, lines[second])
-    if decided and not _needless(record, likelier.answered, lambda: begin(second)):
+    ahead = _decided(record, first, likelier.answered, lines[second])
+    if ahead is not None and not _needless(record, likelier.answered, lambda: begin(second)):
         # Where more than noise is left, a stem may be what shows a lag that levels off.
         if first == "fopdt":
             return likelier, ()
         if likelier.answered.settled.a.size == 1 or _endless(begin("fopdt")):
             return likelier, (WORDS_OF_ENDLESS,)
+        if ahead > 0.0 and begin("fopdt").ramps:
+            return likelier, (f"along this stem {NAMES[first]} has the lower BIC, by {given(ahead, 3)}",)
     other = search(second)
     found = {first: likelier, second: other}
     bics = {plant: foretelling_of(record, plant, one.answered, closely=True) for plant, one in found.items()}
@@ -358,10 +371,9 @@ def _likelier_plant(record: Record, asked: _Asked, tell: Callable[[float], None]
     plant = _kind(by, levels_off=levels_off, sticks=sticks, less=leave["fopdt"] < leave["integrating"])
     if not levels_off and plant == "integrating":
         return found[plant], (WORDS_OF_ENDLESS,)
-    names = {"fopdt": "a first-order process", "integrating": "an integrating process"}
     if abs(by) < CLEAR_BIC:
-        return found[plant], (f"the record hardly tells {names['fopdt']} from {names['integrating']}",)
-    return found[plant], (f"{names[plant]} has the lower BIC, by {given(abs(by), 3)}",)
+        return found[plant], (f"the record hardly tells {NAMES['fopdt']} from {NAMES['integrating']}",)
+    return found[plant], (f"{NAMES[plant]} has the lower BIC, by {given(abs(by), 3)}",)
 
 
 def _kind(by: float, *, levels_off: bool, sticks: bool, less: bool) -> str:
@@ -406,26 +418,30 @@ def _needless(record: Record, answered: Answered[Estimate], begin: Callable[[], 
     return other.rough.sse < least or other.likeliest.sse < least
 
 
-def _decided(record: Record, kind: str, answered: Answered[Estimate], line: Straight) -> bool:
-    """Whether what one kind of plant leaves is nothing to ask the other about, whose linear fit is given."""
+def _decided(record: Record, kind: str, answered: Answered[Estimate], line: Straight) -> float | None:
+    """By how much of BIC a kind of plant is likelier than the other along its stem, where that settles it, else None.
+
+    line: the other's linear fit.
+    """
     other = "integrating" if kind == "fopdt" else "fopdt"
     if not _levels_off(record, answered.model.plant):
-        return False
+        return None
     closely = answered.settled.a.size > 1
     bic = foretelling_of(record, kind, answered, closely=closely)
     along = with_other_plant(record, other, answered, closely=closely)
     if not closely:
         # Who leaves noise alone leaves nothing for another, unless that does the same with less.
-        return bic <= along
+        return along - bic if bic <= along else None
     rival = foretelling_of(record, other, _likeliest(line), closely=closely)
     if answered.model.verdict == "no_stiction":
-        return bic - CLEAR_BIC <= rival
+        return along - bic if bic - CLEAR_BIC <= rival else None
     plant = answered.model.plant
     if not isinstance(plant, FOPDT):
         # A lag as long as the record does as well along any stem: one that levels off would do better along this one.
-        return bic - CLEAR_BIC <= along and bic + FAR_BIC <= rival
+        return along - bic if bic - CLEAR_BIC <= along and bic + FAR_BIC <= rival else None
     # The other's own stem may be a better one, but not by so much where PV is seen to level off again and again.
-    return plant.time_constant <= BRIEF * len(record) * record.sample_time and bic + FAR_BIC <= min(along, rival)
+    brief = plant.time_constant <= BRIEF * len(record) * record.sample_time
+    return along - bic if brief and bic + FAR_BIC <= min(along, rival) else None
 
 
 def _levels_off(record: Record, plant: Plant) -> bool:

@@ -8,6 +8,7 @@ the parameters of a dynamic model", IFAC Symposium on Identification in Automati
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 
@@ -24,6 +25,7 @@ from workbench.estimate.fits.fit import (
     fit_path,
     predict,
 )
+from workbench.estimate.fits.windows import WHOLE
 from workbench.estimate.loads.coloured import colour_beside
 from workbench.estimate.loads.drifting import drifting_bic
 from workbench.estimate.loads.swing import Answered, Model
@@ -33,12 +35,32 @@ from workbench.model.record import FloatArray, Record
 from workbench.model.results import LinearFit
 from workbench.model.valve import Ideal, Valve
 
-__all__ = ["ENDLESS", "foretelling_bic", "foretelling_of", "with_other_plant"]
+__all__ = ["CLEAR_BIC", "ENDLESS", "foretelling_bic", "foretelling_of", "ramps", "with_other_plant"]
 
 ROUNDS = 4
+CLEAR_BIC = 10.0  # R. Kass, A. Raftery, J. Am. Stat. Assoc. 90 (1995) 773-795: "very strong" evidence above it
 # Of the record: a time constant from there on is none that PV shows, whose gain in steady state it never comes near.
 ENDLESS = 0.5
 TAUS = (0.02, 0.1, 0.5)  # of the record: time constants from which a first-order plant along a stem is sought
+
+
+def ramps(data: Centred, linear: Fit, stems: Sequence[tuple[FloatArray, int, Fit]], limits: Limits) -> bool:
+    """Return whether a level is likelier than a lag along the first stems of a lag, beside noise upon a drift.
+
+    stems: each a path x, shape (N,), its first slip and its plant, the linear loop's along OP. What they leave one
+    plant sums up and the other answers, which tells the two long before the right stem is found; but not where they
+    leave noise alone, nor where no stem is clearly likelier than OP itself: a drift does as well as much that PV
+    answers.
+    """
+    left = (data.y - predict(data, *stem)[0] for stem in stems)
+    if data.samples > WHOLE or any(autoregression(one, data.floor)[0].size == 1 for one in left):
+        return False
+    level = replace(data, integrating=True)
+    lags, levels = [], []
+    for x, first, fit in [*stems, (data.u, 0, linear)]:
+        lags.append(drifting_bic(data, x, first, [(fit.tau, fit.theta)], limits, 0) + math.log(data.samples))
+        levels.append(drifting_bic(level, x, first, [(1.0, fit.theta), (1.0, 0.0)], limits, 0))
+    return min(levels) < min(lags) and min(levels) < min(lags[-1], levels[-1]) - CLEAR_BIC
 
 
 def foretelling_bic(
