@@ -16,6 +16,7 @@ import workbench as wb
 from workbench.estimate import estimate
 from workbench.estimate.fits.data import Centred, centre
 from workbench.estimate.fits.fit import (
+    LEAST_TAU,
     Fit,
     Limits,
     fit_in_stretch,
@@ -23,6 +24,7 @@ from workbench.estimate.fits.fit import (
     fit_near,
     fit_path,
     fit_stems,
+    grounded,
     halves_left,
     predict,
     start_range,
@@ -165,6 +167,16 @@ def test_what_halves_leave_is_what_the_prediction_leaves_filtered(plant: str, a:
         squares = data.innovations(predict(data, x, first, fit)[0]) ** 2
         expected = squares[:350].sum(), squares[350:].sum()
         assert halves_left(data, x, first, fit) == pytest.approx(expected, rel=1e-8)
+
+
+def test_what_halves_leave_is_known_of_a_fast_plant_behind_a_long_filter() -> None:
+    # Its transient, grown back through a filter of more than 37 terms, was beyond all numbers: a division by zero.
+    a = np.convolve([1.0, -1.0], 0.9 ** np.arange(60))
+    data = loop_data(samples=700).whitened(a, 0)
+    x, _ = path_of(data.u, 1.4, 0)
+    fit = grounded(data, x, 0, Fit(math.nan, LEAST_TAU, 2.3, 1.0, math.nan, math.nan, math.nan))
+    squares = data.innovations(predict(data, x, 0, fit)[0]) ** 2
+    assert halves_left(data, x, 0, fit) == pytest.approx((squares[:350].sum(), squares[350:].sum()), rel=1e-6)
 
 
 def test_compiled_kernels_of_long_records_and_python_agree() -> None:

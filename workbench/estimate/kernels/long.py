@@ -26,6 +26,7 @@ from workbench.estimate.kernels.output_error import (
     plant_terms,
     posed,
     start_rests,
+    transient_at,
 )
 from workbench.estimate.kernels.path import rest_range, stem_path
 from workbench.simulate.compiled import compiled, copy
@@ -225,11 +226,8 @@ def halves_left(
     whole, lead = rest[0], 0.0
     for q in range(1, p + 1):
         lead += rest[q]
-    # The response, with gain and start in it, and the transient, which is the first alone before the filter.
-    s, r = start * (-lead if integrating else whole), -lead if integrating else 0.0
-    if not integrating:
-        for q in range(p + 1):
-            r += a[q] * pole ** (-q)
+    # The response, with gain and start in it, from the first sample on, and the transient from the first that counts.
+    s, r = start * (-lead if integrating else whole), transient_at(skip, integrating, pole, whole, lead, a)
     early, late = 0.0, 0.0
     for k in range(n):
         if k >= skip:
@@ -238,6 +236,7 @@ def halves_left(
                 early += left * left
             else:
                 late += left * left
+            r = r + whole if integrating else r * pole
         near, far = k - m - first + 1, k - m - first
         u = 0.0
         if near <= p:
@@ -249,5 +248,4 @@ def halves_left(
         if k > m:
             u += gain * c1 * drive[k - m - 1]
         s = pole * s + u
-        r = r + whole if integrating else r * pole
     return early, late
