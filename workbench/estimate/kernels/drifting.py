@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from workbench.estimate.kernels.output_error import oe_columns, plant_terms, solve
+from workbench.estimate.kernels.output_error import NOTHING, oe_columns, plant_terms, solve
 from workbench.simulate.compiled import compiled
 
 __all__ = ["ROOM", "drift_left", "steady"]
@@ -87,6 +87,11 @@ def drift_left(
         s2, z2 = pole * s2 + z2 + g1 * v2, drift * z2 + g2 * v2
         s3, z3 = pole * s3 + z3 + g1 * v3, drift * z3 + g2 * v3
         s4, z4 = pole * s4 + z4 + g1 * v4, drift * z4 + g2 * v4
+        # What dies out is nought before its numbers are so small that each sum of them takes long.
+        if abs(s2) + abs(z2) < NOTHING:
+            s2, z2 = 0.0, 0.0
+        if abs(s3) + abs(z3) < NOTHING:
+            s3, z3 = 0.0, 0.0
         if not settled:
             a11, a12, a22 = p11 * (noise / F), p12 * (noise / F), p22 - p12 * p12 / F
             p11 = pole * pole * a11 + 2.0 * pole * a12 + a22
