@@ -210,7 +210,9 @@ class _Begun:
 
     @cached_property
     def ramps(self) -> bool:
-        """Whether a level is likelier than a first-order process along these."""
+        """Whether a level is likelier than a first-order process along these; the two-step algorithm does not ask."""
+        if self.history:
+            return False
         data, fits = self.data, self.fits
         stems = [(one.stem(data.u), one.begin, one.fit) for one in fits.coarse[:1]]
         if self.found is not None:
