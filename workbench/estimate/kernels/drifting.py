@@ -20,6 +20,21 @@ ROOM = 2 * TERMS + 1  # rows of signals to work in: the columns, and what is not
 
 
 @compiled
+def _begun(drift: float, noise: float) -> tuple[float, float, float]:
+    """The covariance of the states before anything is seen: of s, of s with z, and of z."""
+    p22 = 1.0 / (1.0 - drift * drift)
+    return DIFFUSE * (p22 + noise), 0.0, p22
+
+
+@compiled
+def _onward(p11: float, p12: float, p22: float, pole: float, drift: float, noise: float) -> tuple[float, float, float]:
+    """The same a sample later, once the sum of s and noise is seen (Riccati's equation)."""
+    F = p11 + noise
+    a11, a12, a22 = p11 * (noise / F), p12 * (noise / F), p22 - p12 * p12 / F
+    return pole * pole * a11 + 2.0 * pole * a12 + a22, drift * (pole * a12 + a22), drift * drift * a22 + 1.0
+
+
+@compiled
 def steady(pole: float, drift: float, noise: float) -> tuple[float, float, float]:
     """Return (F, g1, g2): the variance of what is not foretold in the end, and by how much of that the states move.
 
@@ -27,14 +42,10 @@ def steady(pole: float, drift: float, noise: float) -> tuple[float, float, float
     `z_{k+1} = drift z_k + w_k`, w of variance 1. Foretold is `s_{k+1} = pole s_k + z_k + g1 v_k`,
     `z_{k+1} = drift z_k + g2 v_k`, v the error of the last.
     """
-    p22 = 1.0 / (1.0 - drift * drift)
-    p11, p12 = DIFFUSE * (p22 + noise), 0.0
+    p11, p12, p22 = _begun(drift, noise)
     F = p11 + noise
     for _ in range(1_000_000):
-        a11, a12, a22 = p11 * (noise / F), p12 * (noise / F), p22 - p12 * p12 / F
-        p11 = pole * pole * a11 + 2.0 * pole * a12 + a22
-        p12 = drift * (pole * a12 + a22)
-        p22 = drift * drift * a22 + 1.0
+        p11, p12, p22 = _onward(p11, p12, p22, pole, drift, noise)
         last, F = F, p11 + noise
         if abs(F - last) <= STEADY * F:
             break
@@ -70,8 +81,7 @@ def drift_left(
     level = 0 if pole == 1.0 else 1
     s0 = s1 = s2 = s3 = s4 = 0.0
     z0 = z1 = z2 = z3 = z4 = 0.0
-    p22 = 1.0 / (1.0 - drift * drift)
-    p11, p12 = DIFFUSE * (p22 + noise), 0.0
+    p11, p12, p22 = _begun(drift, noise)
     F = p11 + noise
     weight, total, settled = 1.0 / math.sqrt(F), 0.0, False
     g1, g2 = (pole * p11 + p12) / F, drift * p12 / F
@@ -93,10 +103,7 @@ def drift_left(
         if abs(s3) + abs(z3) < NOTHING:
             s3, z3 = 0.0, 0.0
         if not settled:
-            a11, a12, a22 = p11 * (noise / F), p12 * (noise / F), p22 - p12 * p12 / F
-            p11 = pole * pole * a11 + 2.0 * pole * a12 + a22
-            p12 = drift * (pole * a12 + a22)
-            p22 = drift * drift * a22 + 1.0
+            p11, p12, p22 = _onward(p11, p12, p22, pole, drift, noise)
             last, F = F, p11 + noise
             weight = 1.0 / math.sqrt(F)
             g1, g2 = (pole * p11 + p12) / F, drift * p12 / F

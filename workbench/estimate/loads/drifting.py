@@ -24,7 +24,7 @@ from workbench.model.record import FloatArray
 
 __all__ = ["LONGEST", "Drifting", "drifting_bic"]
 
-LONGEST = 30_000  # samples: in longer records each of some thousand trials takes too long
+LONGEST = 30_000  # samples: a record of 86,400 took half as long again with it, and its gain was no closer
 # Where the search for a law begins: the drift's pole, the noise's variance, and the pole where it is not the plant's.
 DRIFTS, NOISES, POLES = (0.8, 0.95, 0.99, 0.998), (0.1, 10.0, 1e2, 1e3, 1e4, 1e5), (0.5, 0.95)
 # Its first steps: of the logarithm of tau, of theta in samples, and as `Drift.moved` takes them.

@@ -14,6 +14,7 @@ from functools import partial
 import numpy as np
 
 from workbench.estimate.fits.data import WHITE, Centred
+from workbench.estimate.fits.drift import Drift
 from workbench.estimate.fits.fit import (
     INTEGRATED,
     LEAST_TAU,
@@ -373,14 +374,13 @@ def _colour(bare: Centred, left: FloatArray, lead: Stem, limits: Limits, skip: i
     """
     own = Colour(disturbance(left, bare.floor))
     plant = lead.fit.tau, lead.fit.theta
-    colours, plain = [(own, plant)], 1
+    colours = [(own, plant)]
     if own.a.size > 1 and lead.fit.gain != 0.0:
         beside = partial(colour_beside, bare, lead.x, lead.first, lead.fit, limits, skip)
         colours.append(beside())
         if bare.integrating:
             colours.append(beside(moves=True))
             colours.append((Colour(np.convolve(INTEGRATED, disturbance(np.diff(left), bare.floor))), plant))
-        plain = len(colours)
         # Where no stem is seen to move PV a drift does as well as much that PV answers.
         laws = () if lead.valve is None or bare.samples > LONGEST else (True,) if bare.integrating else (True, False)
         for tied in laws:
@@ -390,9 +390,8 @@ def _colour(bare: Centred, left: FloatArray, lead: Stem, limits: Limits, skip: i
     # A drift's filter leaves out much more of the record's beginning than others: then the same samples count of all.
     counted = max(skip, *(one.a.size - 1 for one, _ in colours)) if lead.valve is not None else skip
     levels = [_akaike_in(bare.whitened(one.a, counted, one.law), lead, limits, near) for one, near in colours]
-    least = int(np.argmin(levels))
-    if not levels[least] < min(levels[:plain]) - CLEARLY:
-        least = int(np.argmin(levels[:plain]))
+    doubted = [CLEARLY * isinstance(one.law, Drift) for one, _ in colours]
+    least = int(np.argmin(np.add(levels, doubted)))
     return colours[least][0], levels[least]
 
 

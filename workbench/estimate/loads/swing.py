@@ -153,14 +153,15 @@ def _swing_of(data: Centred, lead: Path, limits: Limits, before: Swing | None) -
     swing, rest = min(found, key=lambda one: float(one[1] @ one[1]))
     much = float(np.var(swing.pv)) >= MUCH * (float(np.var(swing.pv)) + float(np.var(rest)))
     price = DEGREES * math.log(n) + CLEAR
-    clear = much and autoregression(rest, data.floor)[1] < level - price
+    after = autoregression(rest, data.floor)[1]
+    clear = much and after < level - price
     if clear:
         # A load that drifts, over a record in which it turns a few times only, passes for an oscillation.
         with_it, without = (
             drifting_bic(one, lead.x, lead.first, [(fit.tau, fit.theta)], limits, 0)
             for one in (data.less(swing.pv, swing.answers), data)
         )
-        clear = min(autoregression(rest, data.floor)[1], with_it) < without - price
+        clear = min(after, with_it) < without - price
     return swing if clear else None, float(rest @ rest) / n
 
 
