@@ -6,9 +6,8 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.signal import lfilter
 
-from workbench.estimate.kernels.drifting import steady
+from workbench.estimate.kernels.drifting import remember
 from workbench.model.record import FloatArray
 
 __all__ = ["Drift"]
@@ -45,14 +44,12 @@ class Drift:
     def filter(self, samples: int) -> FloatArray:
         """The filter (1, -a_1, .., -a_p) that leaves it white, as long as it remembers, or as so many samples allow.
 
-        It is `(1 - pole B)(1 - drift B) / D(B)`, D from the steady Kalman filter (`steady`), and takes what the poles
+        It is `(1 - pole B)(1 - drift B) / D(B)`, D from the steady Kalman filter (`remember`), and takes what the poles
         take, however short it is cut.
         """
-        _, g1, g2 = steady(self.pole, self.drift, self.noise)
+        remembered = np.empty(2 * MOST)
+        remember(self.pole, self.drift, self.noise, remembered)
         poles = np.convolve([1.0, -self.pole], [1.0, -self.drift])
-        kick = np.zeros(2 * MOST)
-        kick[0] = 1.0
-        remembered = lfilter([1.0], poles + np.array([0.0, g1, g2 - g1 * self.drift]), kick)
         later = np.abs(remembered)[::-1].cumsum()[::-1]
         size = int(np.count_nonzero(later >= DIED * later[0]))
         return np.convolve(poles, remembered[: min(size, max(samples // SHARE, 1), MOST)])

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from workbench.estimate.kernels.output_error import NOTHING, oe_columns, plant_terms, solve
 from workbench.simulate.compiled import compiled
 
-__all__ = ["ROOM", "drift_left", "steady"]
+__all__ = ["ROOM", "drift_left", "remember", "steady"]
 
 Floats = NDArray[np.float64]
 DIFFUSE = 1e8  # times what drift and noise come to: the variance of where the disturbance begins
@@ -50,6 +50,20 @@ def steady(pole: float, drift: float, noise: float) -> tuple[float, float, float
         if abs(F - last) <= STEADY * F:
             break
     return F, (pole * p11 + p12) / F, drift * p12 / F
+
+
+@compiled
+def remember(pole: float, drift: float, noise: float, out: Floats) -> None:
+    """Write by how much each error counts in what is foretold so many samples later: 1 / D(B), B a sample's delay.
+
+    D is `(1 - pole B)(1 - drift B) + g1 B + (g2 - g1 drift) B^2` with the gains of `steady`.
+    """
+    _, g1, g2 = steady(pole, drift, noise)
+    one, two = -drift - pole + g1, pole * drift + (g2 - g1 * drift)
+    last, before = 1.0, 0.0
+    for k in range(out.size):
+        out[k] = last
+        last, before = -one * last - two * before, last
 
 
 @compiled
