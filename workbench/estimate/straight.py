@@ -15,7 +15,7 @@ from workbench.detect.rivals import Loaded, Rivals, dead_times, fine_taus
 from workbench.estimate.fits.data import Centred
 from workbench.estimate.fits.fit import Fit, again_linear, fit_linear
 from workbench.estimate.fits.windows import WHOLE
-from workbench.estimate.loads.settled import coloured_linear
+from workbench.estimate.loads.settled import calm_linear, coloured_linear
 from workbench.estimate.loads.steps import DEGREES
 from workbench.estimate.loads.swing import Answered, Swing, beside_swing
 from workbench.estimate.ranges.scale import linear_result
@@ -65,8 +65,8 @@ class Straight:
         if self.free is not None and data.a.size > 1 and data.samples <= WHOLE:
             least = level(*own)
             for beside, times in sought_beside_steps(self, self.free):
-                found = coloured_linear(beside.data, beside.fit, beside.longest, times)
-                if found[0].a.size == 1 and level(*found) < least and _answered(found[2], data.op_range):
+                found = calm_linear(beside.data, beside.fit, beside.longest, times)
+                if found is not None and level(*found) < least and _answered(found[2], data.op_range):
                     return found
         return own
 

