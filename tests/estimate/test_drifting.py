@@ -13,7 +13,7 @@ from scipy.signal import lfilter
 
 import workbench as wb
 from workbench.detect.whitening import whitened
-from workbench.estimate.fits.data import Centred, centre
+from workbench.estimate.fits.data import WHITE, Centred, centre
 from workbench.estimate.fits.drift import Drift
 from workbench.estimate.fits.fit import LEAST_TAU, Fit, Limits, fit_linear, fit_path, grounded, predict
 from workbench.estimate.fits.sureness import standard_errors
@@ -235,6 +235,25 @@ def test_no_drift_is_seen_where_less_is_left_than_the_record_resolves_or_it_is_t
     assert drifting_bic(replace(data, floor=10.0), x, 50, [(1.0, 4.0)], limits, 0) == math.inf
     long = centre(wb.Record(np.tile(pv, 61), np.tile(x, 61), 1.0), "integrating")
     assert drifting_bic(long, np.tile(x, 61), 50, [(1.0, 4.0)], limits, 0) == math.inf
+
+
+def test_a_simulated_level_begins_without_a_leap_that_no_stem_in_sight_makes() -> None:
+    # What wanders slowly left the first samples to a stem 70 % off in OP: a leap of 20 EU within the dead time.
+    gain, theta = 0.05, 4.0
+    record = record_of(wb.Integrating(gain, theta), 2000, 2, correlation=400.0)
+    data = centre(record, "integrating").whitened(WHITE, 6)
+    x, first = true_stem(data, (LEAST_TAU, theta))
+    x, first = np.where(np.arange(x.size) < first, x[first], x), 0
+    plant = Fit(math.nan, LEAST_TAU, theta, gain, math.nan, math.nan, math.nan)
+    fit = grounded(data, x, first, plant)
+    assert data.u.min() - 1e-9 <= fit.start / gain <= data.u.max() + 1e-9
+    begins = predict(data, x, first, fit)[0][: round(theta) + 2]
+    assert np.ptp(begins) <= 1.2 * gain * (theta + 1.0) * np.ptp(data.u)
+    # Its level and its slope are those of least squares, that start given.
+    left = data.y - predict(data, x, first, fit)[0]
+    assert abs(left.mean()) < 1e-6 * np.abs(left).max()
+    # A range that is given is kept to instead.
+    assert 0.1 - 1e-9 <= grounded(data, x, first, plant, (0.1, 0.2)).start / gain <= 0.2 + 1e-9
 
 
 def test_a_stem_of_another_jump_begins_where_it_suits_it() -> None:

@@ -354,10 +354,16 @@ def grounded(
     """Return a fit with its bias, start and transient by least squares on PV itself, its plant as it is.
 
     Where the first samples do not count, or a filter takes what is slow, these three are hardly seen in the measure
-    that the plant was found in. bounds: the range of x0 (see `start_range`).
+    that the plant was found in. bounds: the range of x0 (see `start_range`); where it has no end x0 is no further than
+    OP goes in the record: what wanders slowly would have a stem that nobody saw make up for some of it in the first
+    samples, a level's by a leap.
     """
     if data.skip == 0 and data.a.size == 1:
         return fit
+    bounds = (
+        bounds[0] if math.isfinite(bounds[0]) else float(data.u.min()),
+        bounds[1] if math.isfinite(bounds[1]) else float(data.u.max()),
+    )
     columns = predict(data, x, first, fit)[1]
     rest = data.y - fit.gain * columns[1]
 
