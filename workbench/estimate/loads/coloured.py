@@ -81,10 +81,11 @@ def colour_beside(
     (tau, theta), gain = plants[i].tolist(), float(gains[j])
 
     def placed(point: FloatArray, lags: int) -> Beside:
-        slower = min(max(tau * grown(point[-1]), limits.tau[0]), limits.tau[1]) if not data.integrating else tau
-        later = min(max(theta + point[1] / SHIFT, 0.0), limits.theta[1])
-        there = np.ascontiguousarray(own[: lags + 1, : lags + 1])
-        return Beside(data, y, there, x, first, (gain * grown(point[0]), slower, later), begin, moves)
+        by = point.tolist()
+        slower = min(max(tau * grown(by[-1]), limits.tau[0]), limits.tau[1]) if not data.integrating else tau
+        later = min(max(theta + by[1] / SHIFT, 0.0), limits.theta[1])
+        there = own if lags == most else np.ascontiguousarray(own[: lags + 1, : lags + 1])
+        return Beside(data, y, there, x, first, (gain * grown(by[0]), slower, later), begin, moves)
 
     def level(point: FloatArray, law: tuple[int, ...]) -> float:
         return placed(point, law[-1]).level(law)

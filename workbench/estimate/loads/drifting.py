@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.optimize import minimize
@@ -75,10 +75,11 @@ class Drifting:
         free = [i for i in range(len(SPREADS)) if not ((i == 0 and self.data.integrating) or (i == 4 and law.tied))]
 
         def moved(point: FloatArray) -> tuple[tuple[float, float], Drift]:
-            by = np.zeros(len(SPREADS))
-            by[free] = point
-            slower = tau if self.data.integrating else float(np.clip(tau * grown(by[0]), *limits.tau))
-            return (slower, float(np.clip(theta + by[1], *limits.theta))), law.moved(*by[2:].tolist())
+            by = [0.0] * len(SPREADS)
+            for i, step in zip(free, point.tolist(), strict=True):
+                by[i] = step
+            slower = tau if self.data.integrating else min(max(tau * grown(by[0]), limits.tau[0]), limits.tau[1])
+            return (slower, min(max(theta + by[1], limits.theta[0]), limits.theta[1])), law.moved(*by[2:])
 
         def cost(point: FloatArray) -> float:
             return self.level(x, first, *moved(point))[0]
@@ -102,7 +103,7 @@ class Drifting:
     def _tied(self, law: Drift, tau: float) -> Drift:
         if not law.tied:
             return law
-        return replace(law, pole=1.0 if self.data.integrating else math.exp(-1.0 / tau))
+        return Drift(1.0 if self.data.integrating else math.exp(-1.0 / tau), law.drift, law.noise, law.tied)
 
 
 def drifting_bic(

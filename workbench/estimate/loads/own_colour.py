@@ -91,8 +91,9 @@ class OwnLags:
         free = 2 if data.integrating else 3
 
         def plant(point: FloatArray) -> tuple[float, float, float]:
-            tau = near.tau if data.integrating else float(np.clip(near.tau * grown(point[2]), *limits.tau))
-            return near.gain * grown(point[0]), tau, float(np.clip(near.theta + point[1], *limits.theta))
+            by = point.tolist()
+            tau = near.tau if data.integrating else min(max(near.tau * grown(by[2]), limits.tau[0]), limits.tau[1])
+            return near.gain * grown(by[0]), tau, min(max(near.theta + by[1], limits.theta[0]), limits.theta[1])
 
         def level(point: FloatArray) -> float:
             return self._level(x, first, plant(point))

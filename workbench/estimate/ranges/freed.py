@@ -66,7 +66,9 @@ class Loaded:
         data, skip, limits = self.data, self.skip, self.limits
 
         def plant(point: FloatArray) -> tuple[float, float]:
-            return float(np.clip(grown(point[0]), *limits.tau)), float(np.clip(point[1] / SHIFT, *limits.theta))
+            slower, later = point.tolist()
+            tau, theta = min(max(grown(slower), limits.tau[0]), limits.tau[1]), later / SHIFT
+            return tau, min(max(theta, limits.theta[0]), limits.theta[1])
 
         def left(point: FloatArray) -> float:
             return self.left(plant(point), x, first)
