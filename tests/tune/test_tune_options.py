@@ -1,5 +1,6 @@
 """What `wb.tune` can be asked beside eq. (2): nominal optima, figures of the run, constraints, budgets, sureness."""
 
+import importlib
 import math
 from dataclasses import replace
 
@@ -10,6 +11,7 @@ import workbench as wb
 from workbench.tune.problem import Problem
 
 LOOP = wb.Loop(wb.FOPDT(1.0, 5.0, 1.0), wb.Stenman(2.0), wb.PID(0.5, 20.0, derivative_on="pv"), 1.0)
+search = importlib.import_module("workbench.tune.search")  # `workbench.tune` is the function
 STEP = wb.Experiment(200.0, wb.Step(4.0))
 PI = wb.Bounds(Td=(0.0, 0.0))
 
@@ -43,6 +45,37 @@ def test_a_nominal_search_reaches_the_best_known_value(on, weights, best):
     assert "not to be typed in" in tuned.message
     # A cliff: within 0.1 % of its parameters it costs far more.
     assert tuned.worst > tuned.objective
+
+
+def test_a_least_j_that_few_searches_meet_is_searched_further(monkeypatch):
+    brief = wb.Experiment(120.0, wb.Step(4.0))
+    phases = []
+
+    def told(phase, _):
+        phases.append(phase)
+
+    def tuned(restarts):
+        return wb.tune(LOOP, brief, bounds=PI, restarts=restarts, nominal=True, progress=told)
+
+    agreed = tuned(3)
+    assert len(agreed.restarts) == agreed.agreeing == 3
+    assert not any("few have met" in phase for phase in phases)
+    # Searches that end where they began.
+    monkeypatch.setattr(search, "NOMINAL_MEMBERS", 40)
+    monkeypatch.setattr(search, "NOMINAL_GENERATIONS", 1)
+    monkeypatch.setattr(search, "sized", lambda count, _: count)
+    monkeypatch.setattr(search, "usable", lambda _: False)
+    found = tuned(3)
+    assert [r.seed for r in found.restarts] == list(range(len(found.restarts)))
+    assert 3 < len(found.restarts) <= 3 + search.MORE
+    assert len(found.restarts) == 3 + search.MORE or 2 * found.agreeing > len(found.restarts)
+    assert any("few have met" in phase for phase in phases)
+    ends = [r.refined for r in found.restarts]
+    assert found.objective <= min(ends) * (1.0 + 1e-12)
+    assert len(set(ends)) > 1
+    # Larger ones, and none of them where a quick answer is asked for.
+    assert min(r.evaluations for r in found.restarts[3:]) > 1.5 * max(r.evaluations for r in found.restarts[:3])
+    assert len(tuned(2).restarts) == 2
 
 
 def test_a_nominal_optimum_is_below_the_typed_in_one_and_its_worst_case_above(plain):

@@ -125,6 +125,7 @@ class Run(Shown):
 
 
 # Worst J within the margin over J itself, above which a tuning is a knife-edge.
+SAME_LEAST = 1e-3  # of J: searches whose least values are no further apart agree
 KNIFE_EDGE = 1.05
 # A parameter whose bounds begin at 0 is asked from this share of the upper one, for `Tuned.worst_bound`.
 ASKED_FROM = 1e-3
@@ -315,7 +316,7 @@ class Tuned(Shown):
     def agreeing(self) -> int:
         """How many of the restarts ended within 0.1 % of the least J that was met, theirs or a later search's."""
         best = min(self.nominal, self.spread[0])
-        return sum(math.isfinite(best) and r.refined <= best + 1e-3 * abs(best) for r in self.restarts)
+        return sum(math.isfinite(best) and r.refined <= best + SAME_LEAST * abs(best) for r in self.restarts)
 
     @property
     def knife_edge(self) -> bool:

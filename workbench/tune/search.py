@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from workbench.model.record import FloatArray
-from workbench.model.results import Restart, SolveStatus
+from workbench.model.results import SAME_LEAST, Restart, SolveStatus
 from workbench.tune.budget import STOPPED, OutOfBudget, Progress, stopper
 from workbench.tune.complementarity import seeds as complementary_seeds
 from workbench.tune.limits import WORN
@@ -30,6 +30,9 @@ NOMINAL_MEMBERS, NOMINAL_GENERATIONS = 400, 400
 # Branch programs over all restarts, up to `FEW` samples; a program's time grows with N, and longer runs get fewer. The
 # least J lies at the end of a walk across many decisions, the least worst case within the digits seldom does.
 SOLVES, NOMINAL_SOLVES, FEW = 24, 64, 300
+# Where J itself is minimised, and no more than half of the searches have met the least, so many more are made at most,
+# so many times larger and without branch programs; not where fewer than so many are asked for: for a quick answer.
+MORE, LARGER, ASKED = 4, 2, 3
 # Samples that a scan may simulate at most: some seconds.
 SCAN_SAMPLES = 100_000_000
 # What a scan hands on, and how far apart it is at least in the unit cube: to refinement, and to the worst case, whose
@@ -150,6 +153,17 @@ def _search(
         best = min(scanned, float(refined.costs.min(initial=math.inf)))
         scanned, best = (v if v < WORN else math.inf for v in (scanned, best))
         found.restarts.append(Restart(k, scanned, best, evaluations, refined.solves, refined.iterations))
+    more = 0
+    while problem.nominal and restarts >= ASKED and more < MORE and _seldom(found.restarts):
+        tell(f"global scan {restarts + more + 1}, as few have met the least J", 0.5)
+        before = problem.work.evaluations
+        tunings, costs, pool = _scan(problem, np.random.default_rng([seed, restarts + 3, more]), scale, check, LARGER)
+        found.add(tunings, costs)
+        pools.append(pool)
+        end = float(costs.min(initial=math.inf))
+        end = end if end < WORN else math.inf
+        found.restarts.append(Restart(restarts + more, end, end, problem.work.evaluations - before, 0, 0))
+        more += 1
     if complementarity:
         tell("complementarity program", 0.5)
         check()
@@ -184,6 +198,13 @@ def _search(
         )
 
 
+def _seldom(restarts: list[Restart]) -> bool:
+    """Whether no more than half of the searches ended within `SAME_LEAST` of the least J of all."""
+    ends = [r.refined for r in restarts]
+    least = min(ends)
+    return math.isfinite(least) and 2 * sum(end <= least + SAME_LEAST * abs(least) for end in ends) <= len(ends)
+
+
 def _search_face(
     problem: Problem,
     found: Found,
@@ -206,9 +227,12 @@ def _search_face(
 
 
 def _scan(
-    problem: Problem, rng: np.random.Generator, scale: float, check: Callable[[], None]
+    problem: Problem, rng: np.random.Generator, scale: float, check: Callable[[], None], larger: int = 1
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """One global search for the least J: its best tunings, with their J, and more tunings, further apart."""
+    """One global search for the least J: its best tunings, with their J, and more tunings, further apart.
+
+    larger: times as many members, and generations.
+    """
     points: list[FloatArray] = []
     values: list[FloatArray] = []
 
@@ -216,7 +240,7 @@ def _scan(
         points.append(some)
         values.append(costs)
 
-    members = sized(NOMINAL_MEMBERS if problem.nominal else SCAN_MEMBERS, scale)
+    members = larger * sized(NOMINAL_MEMBERS if problem.nominal else SCAN_MEMBERS, scale)
     start = rng.random((members, problem.free.size))
     if problem.low[2] == 0.0 and 2 in problem.free:
         # PI controllers are always among them.
@@ -224,9 +248,9 @@ def _scan(
     evolve(
         lambda x, ceilings: problem.below(problem.tunings(x), ceilings),
         np.concatenate([problem.cube(problem.guesses()), start]),
-        sized(NOMINAL_GENERATIONS if problem.nominal else SCAN_GENERATIONS, scale),
+        larger * sized(NOMINAL_GENERATIONS if problem.nominal else SCAN_GENERATIONS, scale),
         rng,
-        stop=stopper(problem, problem.work.simulated + SCAN_SAMPLES, check),
+        stop=stopper(problem, problem.work.simulated + larger * SCAN_SAMPLES, check),
         keep=keep,
     )
     all_points, all_values = np.concatenate(points), np.concatenate(values)

@@ -80,7 +80,8 @@ def tune(
     is returned as `TIME_LIMIT` or `EVALUATION_LIMIT`. Ctrl-C returns it as `INTERRUPTED`.
 
     nominal: minimise J of the tuning itself, at 12 digits unless they are given. Such optima sit on cliffs:
-    `Tuned.worst` tells what the margin costs, and the message warns. For comparison, not for a controller.
+    `Tuned.worst` tells what the margin costs, and the message warns. For comparison, not for a controller. Where
+    no more than half of three searches or more meet the least J, up to four larger ones are made.
 
     complementarity: how many random starts (0..100) are also taken to the loop's complementarity program, rounded to
     sequences of decisions and refined; for Stenman's valve without output limits, up to 500 samples, under eq. (2).
