@@ -11,8 +11,9 @@ import workbench as wb
 from workbench.estimate.estimate import linear_loop
 from workbench.estimate.fits.data import Centred, centre
 from workbench.estimate.fits.fit import LEAST_TAU, Fit, Limits, fit_linear
+from workbench.estimate.loads import settled
 from workbench.estimate.loads import steps as loads
-from workbench.estimate.loads.settled import _colour, _stands, coloured_linear
+from workbench.estimate.loads.settled import _colour, _stands, calm_linear, coloured_linear
 from workbench.estimate.loads.steps import CLEAR, _beside, _needed
 from workbench.model.loads import LoadStep
 
@@ -110,6 +111,29 @@ def test_steps_that_explain_less_than_they_cost_are_left_out() -> None:
     assert kept.bic < many.bic - CLEAR
     assert _needed(data, kept, limits, 0) is kept
     assert [round(step.at) for step in coloured_linear(data, line, 60.0, (150, 303, 500, 703))[2]] == [303, 703]
+
+
+def test_a_linear_loop_beside_steps_is_told_where_these_leave_noise_and_given_up_where_not(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    load = [(-4.0, 150.0), (3.0, 720.0)]
+    record = stepped(LAG, LAG_PI, load, 0.05, UP_DOWN)
+    data = centre(record, "fopdt")
+    near = Fit(0.0, LAG.time_constant, LAG.dead_time, LAG.gain, 0.0, 0.0, 0.0)
+    times = tuple(round(at + LAG.dead_time) for _, at in load)
+    found = calm_linear(data, near, 60.0, times)
+    assert found is not None
+    still, fit, steps = found
+    assert still.a.size == 1
+    assert fit.gain == pytest.approx(LAG.gain, rel=0.03)
+    assert same(steps, load, LAG.dead_time)
+    assert [step.at for step in steps] == [step.at for step in coloured_linear(data, near, 60.0, times)[2]]
+    # A slow load beside them is no noise, and its measure is not looked for.
+    wander = np.convolve(np.random.default_rng(3).normal(size=1100), np.exp(-np.arange(101) / 25.0), "valid")
+    slow = centre(replace(record, pv=record.pv + 0.3 * wander), "fopdt")
+    assert coloured_linear(slow, near, 60.0, times)[0].a.size > 1
+    monkeypatch.setattr(settled, "_colour", None)
+    assert calm_linear(slow, near, 60.0, times) is None
 
 
 def test_a_measure_that_is_as_likely_as_another_stands() -> None:

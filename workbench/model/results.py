@@ -263,8 +263,9 @@ class Tuned(Shown):
     start_objective: J of the loop's own controller. guard_margin: the least distance (%) of the trajectory to a
     stick/slip decision; slips: how many samples the stem moves in, the length of its sequence of decisions. steps: J at
     one unit of the last digit more and less of each free parameter. nominal_only: J itself was minimised, not its worst
-    case. worst_bound: what no worst J within the bounds is below that keeps the constraints, as a run in every
-    neighbourhood of their plane shows (`asked_from`); None where not all were asked.
+    case; where its searches did not agree the restarts are more than were asked for. worst_bound: what no worst J
+    within the bounds is below that keeps the constraints, as a run in every neighbourhood of their plane shows
+    (`asked_from`); None where not all were asked.
 
     A robust tuning minimises `ensemble.statistic` of J over the ensemble's draws: objective, nominal, worst,
     start_objective and the restarts are that statistic then, while guard_margin and slips are of the experiment's run.
