@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from types import MappingProxyType
 
@@ -173,6 +173,12 @@ class Restart:
     iterations: int
 
 
+def agreeing(restarts: Sequence[Restart], least: float = math.inf) -> int:
+    """Return how many restarts ended within `SAME_LEAST` of the least J of all; least: one met elsewhere."""
+    best = min([least, *(r.refined for r in restarts)])
+    return sum(math.isfinite(best) and r.refined <= best + SAME_LEAST * abs(best) for r in restarts)
+
+
 @dataclass(frozen=True, slots=True)
 class Margins(Shown):
     """The margins of a sampled loop with an ideal valve.
@@ -316,8 +322,7 @@ class Tuned(Shown):
     @property
     def agreeing(self) -> int:
         """How many of the restarts ended within 0.1 % of the least J that was met, theirs or a later search's."""
-        best = min(self.nominal, self.spread[0])
-        return sum(math.isfinite(best) and r.refined <= best + SAME_LEAST * abs(best) for r in self.restarts)
+        return agreeing(self.restarts, self.nominal)
 
     @property
     def knife_edge(self) -> bool:

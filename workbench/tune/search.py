@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from workbench.model.record import FloatArray
-from workbench.model.results import SAME_LEAST, Restart, SolveStatus
+from workbench.model.results import Restart, SolveStatus, agreeing
 from workbench.tune.budget import STOPPED, OutOfBudget, Progress, stopper
 from workbench.tune.complementarity import seeds as complementary_seeds
 from workbench.tune.limits import WORN
@@ -154,7 +154,7 @@ def _search(
         scanned, best = (v if v < WORN else math.inf for v in (scanned, best))
         found.restarts.append(Restart(k, scanned, best, evaluations, refined.solves, refined.iterations))
     more = 0
-    while problem.nominal and restarts >= ASKED and more < MORE and _seldom(found.restarts):
+    while problem.nominal and restarts >= ASKED and more < MORE and 0 < 2 * agreeing(found.restarts) <= restarts + more:
         tell(f"global scan {restarts + more + 1}, as few have met the least J", 0.5)
         before = problem.work.evaluations
         tunings, costs, pool = _scan(problem, np.random.default_rng([seed, restarts + 3, more]), scale, check, LARGER)
@@ -196,13 +196,6 @@ def _search(
             check,
             lambda share: tell("without derivative", 0.8 + 0.1 * share),
         )
-
-
-def _seldom(restarts: list[Restart]) -> bool:
-    """Whether no more than half of the searches ended within `SAME_LEAST` of the least J of all."""
-    ends = [r.refined for r in restarts]
-    least = min(ends)
-    return math.isfinite(least) and 2 * sum(end <= least + SAME_LEAST * abs(least) for end in ends) <= len(ends)
 
 
 def _search_face(
