@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import gc
 import os
+import shutil
 import sys
 from collections.abc import Generator, Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 from hypothesis import HealthCheck, settings
@@ -50,6 +52,28 @@ def _no_word_on_compiling() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("workbench.cli.command.tell_compiling", lambda: None)
         yield
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    """Return a browser of Debian's, driven by Playwright: its headless shell, which takes a fifth less, or Chromium.
+
+    Skipped where there is neither, unless WORKBENCH_REQUIRE_BROWSER=1 says that there must be one.
+    """
+    required = os.environ.get("WORKBENCH_REQUIRE_BROWSER") == "1"
+    names = ("chromium-headless-shell", "chromium", "chromium-browser")
+    path = next((found for name in names if (found := shutil.which(name))), None)
+    if path is None and not required:
+        pytest.skip("no chromium is installed")
+    assert path is not None, "WORKBENCH_REQUIRE_BROWSER=1, and no chromium is installed"
+    if not required:
+        pytest.importorskip("playwright")
+    from playwright import sync_api
+
+    with sync_api.sync_playwright() as playwright:
+        running = playwright.chromium.launch(executable_path=path, args=["--no-sandbox", "--disable-gpu"])
+        yield running
+        running.close()
 
 
 @pytest.fixture

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import json
-import os
 import re
-import shutil
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -22,23 +20,6 @@ from workbench.simulate.run import simulate
 Make = Callable[..., Any]
 SCRIPT = "</script><script>alert(1)</script>"
 LIBRARY = 1_400_000  # bytes of Bokeh's own script, with room for the next version
-CHROMIUM = next((path for name in ("chromium", "chromium-browser") if (path := shutil.which(name))), None)
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
-    required = os.environ.get("WORKBENCH_REQUIRE_BROWSER") == "1"
-    if CHROMIUM is None and not required:
-        pytest.skip("no chromium is installed")
-    if not required:
-        pytest.importorskip("playwright")
-    from playwright import sync_api
-
-    assert CHROMIUM is not None, "WORKBENCH_REQUIRE_BROWSER=1, and no chromium is installed"
-    with sync_api.sync_playwright() as playwright:
-        running = playwright.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox", "--disable-gpu"])
-        yield running
-        running.close()
 
 
 def cases_of(study: Study) -> Study:

@@ -1,12 +1,10 @@
-"""Reports print to clean A4 pages: Debian's Chromium by Playwright, skipped where there is none (see tests/ui)."""
+"""Reports print to clean A4 pages, from a real browser (conftest.py)."""
 
 from __future__ import annotations
 
-import os
 import re
-import shutil
 import zlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -19,15 +17,6 @@ from workbench.report.compare_page import comparison_page
 from workbench.report.compared import read_all
 from workbench.report.page import write_report
 
-REQUIRED = os.environ.get("WORKBENCH_REQUIRE_BROWSER") == "1"
-try:
-    from playwright import sync_api
-except ImportError:
-    if REQUIRED:
-        raise
-    pytest.skip("playwright is not installed", allow_module_level=True)
-
-CHROMIUM = next((path for name in ("chromium", "chromium-browser") if (path := shutil.which(name))), None)
 A4 = (595.0, 842.0)  # points
 MILLIMETRE = 96.0 / 25.4  # CSS pixels
 BODY = (182.0, 267.0)  # mm of A4 within the page's margins
@@ -35,18 +24,6 @@ SHIPPED = Path(__file__).parents[2] / "reports"
 
 pytestmark = pytest.mark.slow
 Make = Callable[..., Any]
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
-    if CHROMIUM is None:
-        if REQUIRED:
-            pytest.fail("WORKBENCH_REQUIRE_BROWSER=1, and no chromium is installed")
-        pytest.skip("no chromium is installed")
-    with sync_api.sync_playwright() as playwright:
-        running = playwright.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox", "--disable-gpu"])
-        yield running
-        running.close()
 
 
 def opened(browser: Any, path: Path) -> Any:

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-import os
 import re
-import shutil
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -28,7 +26,6 @@ from workbench.report.plain_truth import map_points
 from workbench.report.trade import NamedPoint
 
 SCRIPT = "</script><script>alert(1)</script>"
-CHROMIUM = next((path for name in ("chromium", "chromium-browser") if (path := shutil.which(name))), None)
 
 
 @pytest.fixture(scope="module")
@@ -140,31 +137,25 @@ def test_planes_have_their_places_and_names_stay_text(told: Study, page: Path, t
 
 
 @pytest.mark.slow
-def test_a_box_in_one_figure_of_the_map_zooms_all_of_them(page: Path) -> None:
-    if CHROMIUM is None and os.environ.get("WORKBENCH_REQUIRE_BROWSER") != "1":
-        pytest.skip("no chromium is installed")
-    sync_api = pytest.importorskip("playwright.sync_api")
-    where = page.as_uri()
-    with sync_api.sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox", "--disable-gpu"])
-        shown = browser.new_page(viewport={"width": 1280, "height": 1000})
-        wrong: list[str] = []
-        shown.on("pageerror", lambda error: wrong.append(str(error)))
-        shown.goto(where)
-        figures = shown.locator(".zoom").filter(has_text="Each cell is one tuning").locator(".bk-Figure")
-        figures.first.wait_for(state="visible")
-        assert figures.count() == 4
-        figures.nth(1).scroll_into_view_if_needed()
-        ends = (
-            "Bokeh.documents.flatMap(d => d.roots()).filter(r => r.type === 'GridPlot')"
-            ".flatMap(g => g.children.map(c => c[0].x_range.end))"
-        )
-        before = shown.evaluate(ends)
-        box = figures.nth(1).bounding_box()
-        shown.mouse.move(box["x"] + 150, box["y"] + 100)
-        shown.mouse.down()
-        shown.mouse.move(box["x"] + 260, box["y"] + 180, steps=5)
-        shown.mouse.up()
-        shown.wait_for_function(f"(was => {ends}.every((end, i) => end < 0.9 * was[i]))({before})")
-        assert wrong == []
-        browser.close()
+def test_a_box_in_one_figure_of_the_map_zooms_all_of_them(browser: Any, page: Path) -> None:
+    shown = browser.new_page(viewport={"width": 1280, "height": 1000})
+    wrong: list[str] = []
+    shown.on("pageerror", lambda error: wrong.append(str(error)))
+    shown.goto(page.as_uri())
+    figures = shown.locator(".zoom").filter(has_text="Each cell is one tuning").locator(".bk-Figure")
+    figures.first.wait_for(state="visible")
+    assert figures.count() == 4
+    figures.nth(1).scroll_into_view_if_needed()
+    ends = (
+        "Bokeh.documents.flatMap(d => d.roots()).filter(r => r.type === 'GridPlot')"
+        ".flatMap(g => g.children.map(c => c[0].x_range.end))"
+    )
+    before = shown.evaluate(ends)
+    box = figures.nth(1).bounding_box()
+    shown.mouse.move(box["x"] + 150, box["y"] + 100)
+    shown.mouse.down()
+    shown.mouse.move(box["x"] + 260, box["y"] + 180, steps=5)
+    shown.mouse.up()
+    shown.wait_for_function(f"(was => {ends}.every((end, i) => end < 0.9 * was[i]))({before})")
+    assert wrong == []
+    shown.close()

@@ -1,14 +1,12 @@
-"""The page in a real browser: Debian's Chromium, driven by Playwright; what an engineer does, and what must not happen.
+"""The page in a real browser (conftest.py): what an engineer does, and what must not happen.
 
-Skipped where there is no Chromium, unless WORKBENCH_REQUIRE_BROWSER=1 says that there must be one. Screenshots go to
-build/screenshots.
+Screenshots go to build/screenshots.
 """
 
 from __future__ import annotations
 
 import os
 import re
-import shutil
 import signal
 import time
 from collections.abc import Callable, Iterator
@@ -25,38 +23,15 @@ import workbench as wb
 from workbench.report.tables import shown
 from workbench.scenario.loader import load_scenario
 
-REQUIRED = os.environ.get("WORKBENCH_REQUIRE_BROWSER") == "1"
-try:
-    from playwright import sync_api
-except ImportError:
-    if REQUIRED:
-        raise
-    pytest.skip("playwright is not installed", allow_module_level=True)
-
 ROOT = Path(__file__).parents[2]
 SCREENSHOTS = ROOT / "build" / "screenshots"
 AXE = Path(__file__).parent / "axe" / "axe.min.js"
 PAPER = str(ROOT / "scenarios" / "table_2.yaml")
-CHROMIUM = next((path for name in ("chromium", "chromium-browser") if (path := shutil.which(name))), None)
 WIDTHS = (1024, 1280, 2560)  # one for each layout of the style sheet
 SIZE = {"width": 1280, "height": 900}
 VIEWS = ("loop", "compare", "estimate", "tune", "frequency", "export")
 
 pytestmark = pytest.mark.slow
-sync_api.expect.set_options(timeout=15_000)
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
-    if CHROMIUM is None:
-        if REQUIRED:
-            pytest.fail("WORKBENCH_REQUIRE_BROWSER=1, and no chromium is installed")
-        pytest.skip("no chromium is installed")
-    SCREENSHOTS.mkdir(parents=True, exist_ok=True)
-    with sync_api.sync_playwright() as playwright:
-        running = playwright.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox", "--disable-gpu"])
-        yield running
-        running.close()
 
 
 class Opened:
@@ -131,6 +106,7 @@ class Opened:
         self.page.wait_for_selector(f"#view-{name}:not([hidden])")
 
     def picture(self, name: str) -> None:
+        SCREENSHOTS.mkdir(parents=True, exist_ok=True)
         self.page.screenshot(path=SCREENSHOTS / f"{name}.png")
 
     def undo_all(self) -> None:
@@ -172,6 +148,9 @@ def paper(paper_page: Callable[[], Opened]) -> Iterator[Opened]:
 
 
 def expect(locator: Any) -> Any:
+    from playwright import sync_api
+
+    sync_api.expect.set_options(timeout=15_000)
     return sync_api.expect(locator)
 
 
