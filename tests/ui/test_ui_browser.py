@@ -324,6 +324,12 @@ def test_what_the_loader_refuses_is_said_at_the_field(paper):
     paper.entry("loop.valve.type").select_option("choudhury")
     expect(paper.entry("loop.valve.S")).to_be_visible()
     expect(paper.entry("loop.valve.d")).to_be_hidden()
+    unit = paper.page.locator('[data-field="loop.plant.gain"] .unit')
+    expect(unit).to_have_text("EU/%")
+    paper.entry("loop.plant.type").select_option("integrating")
+    expect(paper.entry("loop.plant.time_constant")).to_be_hidden()
+    expect(unit).to_have_text("EU/(% s)")
+    paper.picture("level")
 
 
 def test_cases_are_pinned_renamed_moved_and_removed(paper):

@@ -14,6 +14,7 @@ from workbench.errors import InvalidValue, ScenarioError
 from workbench.scenario.loader import load_scenario, read_scenario
 from workbench.scenario.runner import run_scenario
 from workbench.ui import export
+from workbench.ui.fields import FIELDS
 from workbench.ui.load import screen_of
 from workbench.ui.state import MOST_CASES, Session
 
@@ -288,6 +289,20 @@ def test_a_model_of_another_record_leaves_what_was_said_of_the_scenarios_own_loo
 def test_a_unit_typed_behind_its_number_goes_to_the_units_own_entry(paper, path, typed, text, unit):
     paper.change({path: typed})
     assert (paper.screen.entries[path], paper.screen.entries[f"{path}.unit"]) == (text, unit)
+
+
+def test_a_levels_gain_has_a_unit_of_its_own(paper):
+    gain = FIELDS["loop.plant.gain"]
+    assert gain.units_in(paper.screen.entries) == ("EU/%",)
+    paper.change({"loop.plant.gain": "0.05 EU/(% s)"})
+    assert any("0.05 EU/(% s) given" in str(problem) for problem in paper.problems)
+    paper.change({"loop.plant.type": "integrating", "loop.plant.gain": "0.05 EU/(% s)"})
+    assert paper.problems == ()
+    assert paper.screen.entries["loop.plant.gain"] == "0.05"
+    assert gain.units_in(paper.screen.entries) == ("EU/(% s)",)
+    paper.change({"loop.plant.gain": "0.04 EU/%"})
+    assert any("0.04 EU/% given" in str(problem) for problem in paper.problems)
+    assert FIELDS["cascade.primary.plant.gain"].otherwise[2] == "EU/(EU s)"
 
 
 @pytest.mark.parametrize(

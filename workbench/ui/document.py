@@ -39,6 +39,8 @@ def open_page(document: Document, loaded: Loaded | None, data: Path | None = Non
                 "reach": f.reach,
                 "signed": f.signed,
                 "when": f.when,
+                "units": f.units,
+                "otherwise": f.otherwise,
                 "whole": f.whole,
                 "usual": DEFAULTS[path],
             }

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 __all__ = ["SECONDS", "WRITTEN", "Field", "Group"]
@@ -15,6 +16,8 @@ WRITTEN = frozenset({*SECONDS, "ms", "%", "%/%", "repeats/min"})
 class Field:
     """One entry. units: to choose from, () for none. choices: (value, words), () for what is typed.
 
+    otherwise: (another entry, a value of it, the unit that this one has then in place of its own).
+
     slider: "log" (even ratios), "linear" or "" for none; reach: how far a linear one goes from 0 at least, to both
     sides where it is signed. when: the entry shows where another has one of these values.
     flag: a yes or no. whole: a whole number, which keys step by 1. rows: lines of a longer text, 0 for one line.
@@ -26,6 +29,7 @@ class Field:
     label: str
     default: str
     units: tuple[str, ...] = ()
+    otherwise: tuple[str, str, str] | None = None
     choices: tuple[tuple[str, str], ...] = ()
     slider: str = ""
     reach: float = 1.0
@@ -36,6 +40,12 @@ class Field:
     rows: int = 0
     hint: str = ""
     more: bool = False
+
+    def units_in(self, entries: Mapping[str, str]) -> tuple[str, ...]:
+        """Return the units that it has beside these entries."""
+        if self.otherwise is not None and entries.get(self.otherwise[0]) == self.otherwise[1]:
+            return self.otherwise[2:]
+        return self.units
 
     @property
     def of(self) -> str:

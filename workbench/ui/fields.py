@@ -224,13 +224,16 @@ def _defaults() -> dict[str, str]:
 DEFAULTS = MappingProxyType(_defaults())
 
 
-def parted(entries: Mapping[str, str]) -> dict[str, str]:
-    """Return entries with a unit that was typed behind its number in the unit's own entry, where the field knows it."""
+def parted(entries: Mapping[str, str], beside: Mapping[str, str]) -> dict[str, str]:
+    """Return entries with a unit that was typed behind its number in the unit's own entry, where the field knows it.
+
+    beside: what stands on the page.
+    """
     out = dict(entries)
     for path, text in entries.items():
         field, typed = FIELDS.get(path), _WITH_UNIT.fullmatch(text.strip())
-        if field is not None and typed is not None and typed[2] in field.units:
-            out |= {path: typed[1], f"{path}.unit": typed[2]}
+        if field is not None and typed is not None and typed[2] in field.units_in({**beside, **entries}):
+            out |= {path: typed[1], f"{path}.unit": typed[2]} if typed[2] in field.units else {path: typed[1]}
     return out
 
 

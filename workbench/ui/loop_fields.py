@@ -49,7 +49,14 @@ def plant_fields(
             "fopdt",
             choices=(("fopdt", "first order plus dead time"), ("integrating", "integrating plus dead time")),
         ),
-        Field(f"{path}.gain", "Gain K", K, (gain,), slider="log", hint=f"integrating: EU/({moved} s)"),
+        Field(
+            f"{path}.gain",
+            "Gain K",
+            K,
+            (gain,),
+            otherwise=(f"{path}.type", "integrating", f"EU/({moved} s)"),
+            slider="log",
+        ),
         Field(f"{path}.time_constant", "Time constant", tau, SECONDS, slider="log", when=(f"{path}.type", ("fopdt",))),
         Field(f"{path}.dead_time", "Dead time", theta, SECONDS, slider="linear", reach=5.0),
     )

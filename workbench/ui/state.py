@@ -162,7 +162,7 @@ class Session:
         What the loader refuses stays typed, with `problems` saying why, beside the last run that was good. Raises
         KeyError for an unknown path.
         """
-        self._become(self.screen.with_entries(parted(entries)), gesture)
+        self._become(self.screen.with_entries(parted(entries, self.screen.entries)), gesture)
 
     def undo(self) -> bool:
         """Go back to the screen before the last change; False where there is none."""

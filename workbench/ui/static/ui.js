@@ -187,7 +187,12 @@ function showEntries(asked, before) {
   }
   if (kinds) {
     for (const [path, field] of Object.entries(spec.fields)) {
-      if (field.when) boxes.get(path).hidden = !shows(path);
+      const box = boxes.get(path);
+      if (field.when) box.hidden = !shows(path);
+      if (field.otherwise) {
+        const [other, value, unit] = field.otherwise;
+        box.querySelector(".unit").textContent = entries[other] === value ? unit : field.units[0];
+      }
     }
   }
   // What few loops have shows where it comes with a scenario.
