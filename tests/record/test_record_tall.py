@@ -58,6 +58,9 @@ def test_the_rows_may_come_in_any_order_of_tags(tmp_path: Path) -> None:
     [
         ("TagName,DateTime,Value,OPCQuality", "FIC101/PID1/PV.CV", "FIC101/PID1/OUT.CV"),
         ("point,time,reading,status", "31FC101.DACA.PV", "31FC101.PIDA.OP"),
+        ("Messstelle,Zeitstempel,Wert,Qualität", "FIC101.PV", "FIC101.OP"),
+        ("Kennzeichen,Zeitstempel,Wert,Status", "FIC101.Istwert", "FIC101.Stellwert"),
+        ("Repère,Horodatage,Valeur,Qualité", "FIC101.PV", "FIC101.OP"),
         # Ignition, ABB, Wonderware, IP.21.
         ("path,t_stamp,value,quality", "FIC101/PV", "FIC101/OP"),
         ("Object,Timestamp,Value,Quality", "FIC101:PV", "FIC101:OUT"),

@@ -70,7 +70,10 @@ SPELLINGS: dict[str, tuple[str, ...]] = {
         "dataintegrity",
         *("qualitt", "qualitaet", "qualit", "qualite"),  # Qualität, qualité, of which letters without marks are left
     ),
-    "unit": ("uom", "eu", "engunit", "engunits", "engineeringunit", "engineeringunits"),
+    "unit": (
+        *("uom", "eu", "engunit", "engunits", "engineeringunit", "engineeringunits"),
+        *("einheit", "unite"),
+    ),
     "tag": (
         *(
             "tagid",
@@ -87,6 +90,8 @@ SPELLINGS: dict[str, tuple[str, ...]] = {
         ),
         # Not InfluxDB's _field: it is the same for all loops of a file, and two would be read as one.
         *("varname", "variablename", "path", "tagpath", "object", "attribute", "series", "metric"),
+        *("variablenname", "messstelle", "kennzeichen", "bezeichnung", "nom", "nomvariable"),
+        *("repre", "repere", "tiquette", "etiquette", "etiqueta"),  # repère, étiquette, without the letters with marks
     ),
     "value": (
         "val",
