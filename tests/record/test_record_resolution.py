@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from workbench.errors import RecordError
@@ -55,6 +55,7 @@ def test_the_sample_time_is_that_of_the_clock_that_explains_all_stamps(
     cut=st.sampled_from([np.floor, np.ceil, np.round]),
     start=st.floats(0.0, 1e6),
 )
+@example(seed=0, unit=1.0, ratio=0.494668810489955, cut=np.floor, start=0.0)  # half a second, but for two leaps back
 def test_rounded_stamps_of_an_even_clock_find_it(
     seed: int, unit: float, ratio: float, cut: np.ufunc, start: float
 ) -> None:
@@ -69,9 +70,21 @@ def test_rounded_stamps_of_an_even_clock_find_it(
         assert uneven < 25 or (ratio > 1.0 and unit in (1.0, 0.1))
         return
     off = (found[0] - true) / unit
+    assert (np.diff(found[0]) > 0.0).all()
     # A sample time of fewer digits may stand for it, with a row that is taken for missing.
     assert max(float(np.ptp(part)) for part in (off[:gap], off[gap:])) < 0.8 + ratio
     assert float(np.median(np.diff(found[0]))) == pytest.approx(ratio * unit, rel=0.01)
+
+
+@given(seed=st.integers(0, 2**32 - 1), ratio=st.floats(0.32, 0.97), jitter=st.floats(0.0, 0.3))
+def test_a_clock_that_comes_late_now_and_then_goes_on_and_never_back(seed: int, ratio: float, jitter: float) -> None:
+    true = ratio * np.arange(600)
+    found = coarse_clock(np.sort(np.floor(true + np.random.default_rng(seed).uniform(0.0, jitter, 600))))
+    if found is None:
+        assert jitter > 0.2 or min(ratio, 1.0 - ratio) * 600 < 25
+        return
+    assert (np.diff(found[0]) > 0.0).all()
+    assert jitter > 0.2 or float(np.ptp(found[0] - true)) < 0.8 + ratio
 
 
 @settings(deadline=None, max_examples=60)

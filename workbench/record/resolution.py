@@ -25,7 +25,7 @@ _DECIMALS = (1.0, *(1.0 / 10.0**digits for digits in range(1, 7)))  # of seconds
 _WRITTEN = (_MINUTE, 1.0, *(unit / 10.0**digits for unit in (1.0, 60.0, 3600.0, 86_400.0) for digits in range(1, 7)))
 WHOLE = 1e-3  # of the resolution, by which stamps may be off its multiples: what is kept of large numbers
 FINEST, COARSEST = 0.3, 1.3  # resolutions in a sample time, beyond which this is not looked for
-FIT = 0.55  # of the resolution, by which a stamp may miss its place: half of it by rounding, and the clock's own jitter
+FIT = 0.6  # of the resolution, by which a stamp may miss its place: half of it by rounding, and the clock's own jitter
 SPAN = 32  # rows on end, from which the sample time is first guessed
 LOOSE, NEAR = 2e-3, 0.01  # resolutions by which a row's place may drift, and by which the guess may be off
 IN_TURN = 0.5  # of the change from row to row, below which that between rows further apart tells of several loops
@@ -72,8 +72,8 @@ def coarse_clock(seconds: FloatArray, values: Sequence[FloatArray] = ()) -> tupl
         return None
     best: tuple[int, float, NDArray[np.int64]] | None = None
     for period, digits in _tried(units, usual, unit).items():
-        moved = _walked(units, period, 0.0)
-        breaks = int(np.count_nonzero(moved != 1))
+        moved, early = _walked(units, period, 0.0)
+        breaks = int(np.count_nonzero(moved != 1)) + early
         # A digit more must explain a row more.
         if breaks * TIMES <= uneven and (best is None or breaks + digits < best[0]):
             best = breaks + digits, period, moved
@@ -101,7 +101,7 @@ def _tried(units: FloatArray, guess: float, unit: float) -> dict[float, int]:
 
     Of those that rows which are missing might be taken for, only such as are no accident.
     """
-    moved = _walked(units, guess, LOOSE)
+    moved, _ = _walked(units, guess, LOOSE)
     place, off = _within(np.concatenate([[0], np.cumsum(moved)]), moved), _within(units, moved)
     least = float(np.sum(place * off) / np.sum(place * place))
     missing, spread = guess > 1.0 and unit in _DECIMALS, float(np.sqrt(np.mean(place * place)))
@@ -130,14 +130,18 @@ def _guess(units: FloatArray) -> float:
     return float(near.mean()) / (SPAN - 1)
 
 
-def _walked(units: FloatArray, usual: float, drift: float) -> NDArray[np.int64]:
+def _walked(units: FloatArray, usual: float, drift: float) -> tuple[NDArray[np.int64], int]:
     """Return by how many places each row follows the last, shape (N - 1,): 1 or 2 as far as that explains it, else 0.
 
-    What is kept from row to row is where the clock may stand, [low, high] in units, with all stamps so far.
+    What is kept from row to row is where the clock may stand, [low, high] in units, with all stamps so far. Second is
+    how many stamps are too early for it: none of their rows begins a stretch, as a clock goes on and not back.
     """
-    moved = np.ones(units.size - 1, dtype=np.int64)
+    moved, early = np.ones(units.size - 1, dtype=np.int64), 0
     low, high = units[0] - FIT, units[0] + FIT
     for k, at in enumerate(units[1:].tolist()):
+        if at + FIT < low + usual - drift:
+            low, high, early = low + usual - drift, high + usual + drift, early + 1
+            continue
         for places in (1, _MISSING, 0):
             if not places:
                 low, high = at - FIT, at + FIT
@@ -148,7 +152,7 @@ def _walked(units: FloatArray, usual: float, drift: float) -> NDArray[np.int64]:
                 low, high = least, most
                 break
         moved[k] = places
-    return moved
+    return moved, early
 
 
 def _within(values: NDArray[np.int64] | FloatArray, moved: NDArray[np.int64]) -> FloatArray:
