@@ -383,6 +383,13 @@ def test_a_damaged_parquet_file_is_called_one(tmp_path: Path) -> None:
         (["MAN"] * 20, "MODE: MAN 100.0 %; the controller was never in automatic: OP is not its answer to PV"),
         (["CAS"] * 20, None),
         (["0"] * 20, None),
+        (["Automatique"] * 15 + ["Manuel"] * 5, "the 5 samples in manual are left out"),
+        (["AUT"] * 15 + ["MAN(8)"] * 5, "the 5 samples in manual are left out"),
+        (["AUTO"] * 15 + ["O-MAN"] * 5, "the 5 samples in manual are left out"),
+        (["16"] * 15 + ["8"] * 5, "the 5 samples in manual are left out"),  # the bits of a fieldbus block's mode
+        (["1"] * 5 + ["0"] * 15, "the 15 samples in manual are left out; 0 is taken for manual; whether 1 is"),
+        (["2"] * 15 + ["1"] * 5, "kept apart; whether 2 or 1 is automatic or manual is not known"),
+        (["HALT"] * 20, "MODE: HALT 100.0 %; whether HALT is automatic or manual is not known"),
     ],
 )
 def test_samples_in_manual_are_said(tmp_path: Path, modes: list[str], words: str | None) -> None:
@@ -391,6 +398,12 @@ def test_samples_in_manual_are_said(tmp_path: Path, modes: list[str], words: str
     said = " ".join(note for note in record.notes if "MODE" in note)
     assert (words in said) if words else said == ""
     assert len(set(record.mode or ())) == 1
+
+
+@pytest.mark.parametrize("name", ["MODE.ACTUAL", "Betriebsart", "Mode de marche", "Auto/Manual", "FIC101.MD", "Modo"])
+def test_a_column_of_modes_is_known_by_its_usual_names(tmp_path: Path, name: str) -> None:
+    rows = "".join(f"{k},{k},{2 * k},{'AUTO' if k < 40 else 'MAN'}\n" for k in range(60))
+    assert len(read_record(write(tmp_path, f"t,PV,OP,{name}\n" + rows))) == 40
 
 
 def test_a_gap_splits_the_record_and_is_said(tmp_path: Path) -> None:
@@ -413,11 +426,12 @@ def test_small_jitter_is_taken_as_even_and_said(tmp_path: Path) -> None:
 
 
 def test_missing_setpoint_cells_hold_and_a_broken_stem_signal_is_left_out(tmp_path: Path) -> None:
-    record = read_record(write(tmp_path, "t,PV,OP,SP,stem\n0,1,2,5,1\n1,1,2,,bad\n2,1,3,6,1\n3,1,4,6,1\n"))
+    record = read_record(write(tmp_path, "t,PV,OP,SP,stem\n0,1,2,,1\n1,1,2,5,1\n2,1,2,,bad\n3,1,3,6,1\n4,1,4,6,1\n"))
     assert record.sp is not None
-    assert record.sp.tolist() == [5.0, 5.0, 6.0, 6.0]
+    assert record.sp.tolist() == [5.0, 5.0, 5.0, 6.0, 6.0]
     assert record.valve_position is None
-    assert any(note.startswith("SP: 1 cells") for note in record.notes)
+    first = "SP: the first good value is taken for the 1 cell before it, too; theirs may differ"
+    assert {first, "SP: the value before is held in 1 cell without a good value"} <= {*record.notes}
     assert any(note.startswith("valve position left out") for note in record.notes)
 
 

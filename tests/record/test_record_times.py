@@ -180,7 +180,7 @@ def test_a_repeated_time_keeps_the_last_row(tmp_path: Path) -> None:
     record = read_record(path)
     assert record.pv[20] == -1.0
     assert (len(record), record.counts["repeated"]) == (50, 1)
-    assert any("1 row of a time that occurs again left out, 1 of them with other values" in n for n in record.notes)
+    assert any("1 row of a time that occurs again left out, with other values: the last row" in n for n in record.notes)
     assert any(note.endswith("with other values: the last row of a time is kept") for note in record.notes)
     path.write_text("t,PV,OP\n" + "".join(reversed(rows)))
     turned = read_record(path)

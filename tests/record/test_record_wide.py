@@ -67,7 +67,7 @@ def test_a_setpoint_of_bad_quality_holds_the_one_before(tmp_path: Path) -> None:
     record = read(tmp_path, "t,PV,OP,SP,SP_Q", [PV, OP, sp, bad_at(40)])
     assert record.sp is not None
     assert record.sp.tolist() == [50.0] * 30 + [51.0] * 30
-    assert "SP: 1 cells without a good value hold the value before them" in record.notes
+    assert "SP: the value before is held in 1 cell without a good value" in record.notes
 
 
 @pytest.mark.parametrize("name", ["Quality of the flow", "FIC101.Status", "LT7_Q", "Good"])

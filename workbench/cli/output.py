@@ -246,8 +246,8 @@ def score_parts(scored: Sequence[Scored], content: Mapping[str, Any]) -> list[Ta
         parts.append(Text(f"label {label}: {counts}"))
     parts.append(
         Text(
-            f"accuracy {content['accuracy']:.1%} of {content['records']} records, {content['accuracy_by_tag']:.1%} of "
-            f"{content['tags']} tags (undecided counts as wrong)"
+            f"accuracy {content['accuracy']:.1%} of {counted(content['records'], 'record', 'records')}, "
+            f"{content['accuracy_by_tag']:.1%} of {counted(content['tags'], 'tag', 'tags')} (undecided counts as wrong)"
         )
     )
     return parts

@@ -2,18 +2,26 @@
 
 from __future__ import annotations
 
+import re
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from contextlib import suppress
 
-__all__ = ["MANUAL", "manual_share", "mode_kinds", "mode_words"]
+from workbench.model.checks import reads_as_number
+
+__all__ = ["MANUAL", "manual_share", "mode_kinds", "mode_words", "modes_unknown", "zero_is_manual"]
 
 MANUAL = "manual"
 _KINDS = {
-    MANUAL: {"MAN", "MANUAL", "M", "IMAN", "LO", "HAND", "OOS", "OFF", "TRK", "TRACK", "TRACKING", "ROUT", "INITMAN"},
-    "automatic": {"AUTO", "AUT", "A", "AUTOMATIC"},
-    "cascade": {"CAS", "CASC", "CASCADE", "C", "RCAS", "RSP", "REMOTE"},
+    MANUAL: {
+        *("MAN", "MANUAL", "M", "IMAN", "LO", "HAND", "OOS", "OS", "OFF", "TRK", "TRACK", "TRACKING", "ROUT"),
+        *("INITMAN", "OMAN", "LOCAL", "LOC", "MANU", "MANUEL", "MANUELL", "MANUALE"),
+    },
+    "automatic": {"AUTO", "AUT", "A", "AUTOMATIC", "AUTOMATIK", "AUTOMATIQUE", "AUTOMATICO", "LAUTO"},
+    "cascade": {"CAS", "CASC", "CASCADE", "C", "RCAS", "RSP", "REMOTE", "KASKADE", "CASCATA", "CASCADA"},
 }
+# The bits of a fieldbus block's mode, as DeltaV keeps them: out of service, initialisation, local override, manual, ...
+_BITS = dict.fromkeys(("1", "2", "4", "8", "128"), MANUAL) | {"16": "automatic", "32": "cascade", "64": "cascade"}
 _KIND_OF = {name: kind for kind, names in _KINDS.items() for name in names}
 SHOWN = 4  # modes named one by one
 
@@ -25,6 +33,10 @@ def _name(text: str) -> str:
     return name or "blank"
 
 
+def _names(mode: Sequence[str]) -> set[str]:
+    return {_name(text) for text in set(mode)}
+
+
 def _counts(mode: Sequence[str]) -> Counter[str]:
     counts: Counter[str] = Counter()
     for text, many in Counter(mode).items():
@@ -32,9 +44,15 @@ def _counts(mode: Sequence[str]) -> Counter[str]:
     return counts
 
 
-def _kind(name: str, modes: int) -> str:
-    # A code 0 is manual by custom; alone in the record it tells nothing.
-    return MANUAL if name == "0" and modes > 1 else _KIND_OF.get(name.split(".")[0], name)
+def _kind(name: str, modes: Collection[str]) -> str:
+    """Return the kind of a mode; modes: the names of all in the record."""
+    if name == "0" and len(modes) > 1:  # see `zero_is_manual`
+        return MANUAL
+    # Of the bits, several there are and one that small codes do not reach.
+    if name in _BITS and len(modes) > 1 and _BITS.keys() >= set(modes) and {"8", "16"} & set(modes):
+        return _BITS[name]
+    bare = re.sub(r"[^0-9A-Z\u00c0-\u00dd]", "", re.split(r"[.(\[]", name)[0])
+    return _KIND_OF.get(bare.replace("\u00c1", "A"), name)
 
 
 def mode_kinds(mode: Sequence[str]) -> list[str]:
@@ -43,9 +61,21 @@ def mode_kinds(mode: Sequence[str]) -> list[str]:
     mode: text per sample. Tracking, out of service and the like count as manual, for OP is then not the controller's;
     and so does the code 0 where other codes occur too. Codes and names that are not known are kinds of their own.
     """
-    modes = len(_counts(mode))
+    modes = _names(mode)
     kinds = {text: _kind(_name(text), modes) for text in set(mode)}
     return [kinds[text] for text in mode]
+
+
+def modes_unknown(mode: Sequence[str]) -> list[str]:
+    """Return the names and codes that are of no known kind, the most frequent first; none for a code that is alone."""
+    counts, modes = _counts(mode), _names(mode)
+    unknown = [name for name, _ in counts.most_common() if name != "blank" and _kind(name, modes) not in _KINDS]
+    return [] if len(modes) == 1 and reads_as_number(unknown[0] if unknown else "0") else unknown
+
+
+def zero_is_manual(mode: Sequence[str]) -> bool:
+    """Whether a code 0 is taken for manual, as is the custom; alone in a record it tells nothing."""
+    return "0" in (modes := _names(mode)) and len(modes) > 1
 
 
 def manual_share(mode: Sequence[str]) -> float:

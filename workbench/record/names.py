@@ -47,6 +47,8 @@ SPELLINGS: dict[str, tuple[str, ...]] = {
     "time": (
         *("seconds", "second", "sec", "secs", "s", "datetime", "date", "elapsed", "elapsedtime", "minutes", "hours"),
         *("tstamp", "iptrendtime", "xvalue", "datenum", "zeit", "zeitstempel", "horodatage", "temps"),
+        *("epoch", "epochtime", "epochseconds", "epochms", "unixtime", "unixtimestamp", "posixtime"),
+        *("sourcetimestamp", "sourcetime"),  # OPC UA's; the server's own is when it was told
     ),
     "SP": ("setpt", "spt", "setpointvalue", "target", "reference", "r", "sv", "sollwert", "consigne"),
     "PV": ("processvalue", "processvariable", "measurement", "measured", "measuredvalue", "y", "istwert", "mesure"),
@@ -54,7 +56,10 @@ SPELLINGS: dict[str, tuple[str, ...]] = {
         *("output", "co", "mv", "out", "controlleroutput", "manipulatedvariable", "outputvalue", "u", "lmn"),
         *("stellwert", "stellgre", "stellgroesse", "sortie"),  # Stellgröße, of which letters without marks are left
     ),
-    "MODE": ("mod", "controllermode", "controlmode", "operatingmode"),
+    "MODE": (
+        *("mod", "controllermode", "controlmode", "operatingmode", "modeactual", "modeact", "automanual", "automan"),
+        *("betriebsart", "betriebsmodus", "modus", "modedemarche", "modo"),
+    ),
     "valve_position": ("valvepos", "stem", "stemposition", "position", "zt", "pos", "zi", "valvetravel", "valve"),
     "quality": (
         "qual",
@@ -90,6 +95,7 @@ SPELLINGS: dict[str, tuple[str, ...]] = {
         ),
         # Not InfluxDB's _field: it is the same for all loops of a file, and two would be read as one.
         *("varname", "variablename", "path", "tagpath", "object", "attribute", "series", "metric"),
+        *("nodeid", "browsename", "displayname"),
         *("variablenname", "messstelle", "kennzeichen", "bezeichnung", "nom", "nomvariable"),
         *("repre", "repere", "tiquette", "etiquette", "etiqueta"),  # repère, étiquette, without the letters with marks
     ),
@@ -112,7 +118,7 @@ SUFFIXES: dict[str, tuple[str, ...]] = {
     "SP": ("sp", "spt", "setpoint", "sv", "sollwert", "consigne"),
     "PV": ("pv", "measurement", "meas", "measured", "istwert", "mesure"),
     "OP": ("op", "co", "mv", "out", "output", "lmn", "stellwert", "sortie"),
-    "MODE": ("mode", "mod"),
+    "MODE": ("mode", "mod", "md", "betriebsart"),
     "valve_position": ("zt", "zi", "pos", "position", "stem"),
     "quality": (),
     "unit": (),

@@ -11,7 +11,7 @@ from workbench.model.record import FloatArray, Record
 from workbench.record.checks import frozen_rows
 from workbench.record.even import best_grid
 from workbench.record.grid import Samples
-from workbench.record.modes import MANUAL, mode_kinds, mode_words
+from workbench.record.modes import MANUAL, mode_kinds, mode_words, modes_unknown, zero_is_manual
 
 __all__ = ["Parts", "part", "record_of"]
 
@@ -105,10 +105,14 @@ def _frozen_said(samples: Samples, frozen: list[tuple[int, int]], unit: str) -> 
 def _modes_said(mode: list[str], kinds: NDArray[np.str_], all_manual: bool, in_manual: int) -> list[str]:
     if all_manual:
         return [f"MODE: {mode_words(mode)}; the controller was never in automatic: OP is not its answer to PV"]
-    if len(set(kinds.tolist())) < 2:
+    unknown, several = modes_unknown(mode), len(set(kinds.tolist())) > 1
+    if not several and not unknown:
         return []
-    told = f"; the {in_manual} samples in manual are left out" if in_manual else ""
-    return [f"MODE: {mode_words(mode)}; stretches of one mode are kept apart{told}"]
+    told = ["stretches of one mode are kept apart"] if several else []
+    told += [f"the {in_manual} samples in manual are left out"] if in_manual else []
+    told += ["0 is taken for manual"] if in_manual and zero_is_manual(mode) else []
+    told += [f"whether {' or '.join(unknown[:NAMED])} is automatic or manual is not known"] if unknown else []
+    return [f"MODE: {mode_words(mode)}; {'; '.join(told)}"]
 
 
 def _sampling(samples: Samples, first: int, stop: int) -> tuple[float, float, float]:
@@ -148,8 +152,16 @@ def _setpoint(values: FloatArray, notes: list[str]) -> FloatArray | None:
         return values
     held = np.maximum.accumulate(np.where(good, np.arange(values.size), -1))
     held[held < 0] = int(np.argmax(good))
-    notes.append(f"SP: {missing} cells without a good value hold the value before them")
+    first = int(np.argmax(good))
+    if first:
+        notes.append(f"SP: the first good value is taken for the {_cells(first)} before it, too; theirs may differ")
+    if missing > first:
+        notes.append(f"SP: the value before is held in {_cells(missing - first)} without a good value")
     return values[held]
+
+
+def _cells(many: int) -> str:
+    return f"{many} cell{'s' if many > 1 else ''}"
 
 
 def _stem(values: FloatArray, notes: list[str]) -> FloatArray | None:

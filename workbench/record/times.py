@@ -325,7 +325,8 @@ def in_order(
             return Order(rows, times, doubled, tuple(notes), refusal, (int(rows[at + 1]), int(rows[at])))
         keep = np.concatenate((steps > 0.0, [True]))
         rows, times = rows[keep], times[keep]
-        which = f"{other.size} of them with other values" if other.size else "with the same values"
+        some = "with other values" if other.size == twice.size else f"{other.size} of them with other values"
+        which = some if other.size else "with the same values"
         kept = f": the {'first' if turned else 'last'} row of a time is kept" if other.size else ""
         many = f"{twice.size} row{'s' if twice.size > 1 else ''}"
         notes.append(f"{many} of a time that occurs again left out, {which}{kept}")
