@@ -49,9 +49,68 @@ def test_a_count_is_told_by_the_year_that_it_gives(
         pq.write_table(pa.table({"time": times, "PV": list(range(100)), "OP": [k % 7 for k in range(100)]}), path)
     record = read_record(path)
     assert (len(record), record.sample_time) == (100, 5.0)
-    assert record.start == SINCE_1970
+    assert record.epoch + record.start == SINCE_1970
     assert f"column 'time' read as {words}" in record.notes
     assert not any("even grid" in note for note in record.notes)
+
+
+@pytest.mark.parametrize(("origin", "who"), [(25_569, "spreadsheets"), (719_529, "MATLAB")])
+@pytest.mark.parametrize("every", [1, 60, 900, 3600])
+def test_days_are_placed_on_the_calendar_however_far_apart(tmp_path: Path, origin: int, who: str, every: int) -> None:
+    days = [f"{origin + (SINCE_1970 + every * k) / 86_400:.8f}" for k in range(100)]
+    record = read_record(write(tmp_path, [*days]))
+    assert (len(record), record.sample_time) == (100, every)
+    assert record.epoch + record.start == SINCE_1970
+    assert any(f"read as days, as {who} count" in note for note in record.notes)
+    assert "first timestamp 2026-03-09 22:50:00" in record.notes
+
+
+def test_a_short_number_of_seconds_is_no_day(tmp_path: Path) -> None:
+    record = read_record(write(tmp_path, [f"{45_000 + 0.0125 * k:.4f}" for k in range(100)]))
+    assert (record.sample_time, record.epoch) == (pytest.approx(0.0125, rel=1e-6), 0.0)
+
+
+@pytest.mark.parametrize(("name", "per_second"), [("epoch", 1), ("unixtime", 1), ("epoch_ms", 1000)])
+def test_seconds_since_1970_are_known_by_their_size(tmp_path: Path, name: str, per_second: int) -> None:
+    record = read_record(write(tmp_path, [(SINCE_1970 + 5 * k) * per_second for k in range(100)], name))
+    assert (record.sample_time, record.start, record.epoch) == (5.0, 0.0, SINCE_1970)
+    assert "first timestamp 2026-03-09 22:50:00+00:00" in record.notes
+
+
+@pytest.mark.parametrize(
+    ("form", "every", "said"),
+    [
+        ("{:%H%M%S}", 1, "clocks in digits, HHMMSS"),
+        ("{:%H%M}", 60, "clocks in digits, HHMM"),
+        ("1899-12-30 {:%H:%M:%S}", 60, "the day before each clock is none"),
+        ("fraction", 60, "fractions of a day"),
+    ],
+)
+def test_a_clock_beside_a_date_is_read_however_it_is_written(tmp_path: Path, form: str, every: int, said: str) -> None:
+    rows = []
+    for k in range(200):  # over midnight
+        at = START + dt.timedelta(minutes=69) + dt.timedelta(seconds=every * k)
+        seconds = at.hour * 3600 + at.minute * 60 + at.second
+        clock = f"{seconds / 86_400:.8f}" if form == "fraction" else form.format(at)
+        rows.append(f"{at:%d.%m.%Y};{clock};{k};{k % 7}")
+    path = tmp_path / "loop.csv"
+    path.write_text("\n".join(["Date;Time;PV;OP", *rows]))
+    record = read_record(path)
+    assert (len(record), record.sample_time, record.epoch) == (200, every, SINCE_1970 + 69 * 60)
+    assert any(said in note for note in record.notes)
+
+
+def test_seconds_beside_a_date_are_no_clock(tmp_path: Path) -> None:
+    path = tmp_path / "loop.csv"
+    path.write_text("Date;Time;PV;OP\n" + "".join(f"09.03.2026;{k};{k};{k % 7}\n" for k in range(200)))
+    assert (len(read_record(path)), read_record(path).sample_time) == (200, 1.0)
+
+
+def test_a_clock_in_digits_alone_is_told_by_its_even_steps(tmp_path: Path) -> None:
+    clocks = [f"{START + dt.timedelta(minutes=65, seconds=5 * k):%H%M%S}" for k in range(200)]  # over midnight
+    record = read_record(write(tmp_path, [str(int(clock)) for clock in clocks]))
+    assert (len(record), record.sample_time, record.start) == (200, 5.0, 23 * 3600 + 55 * 60)
+    assert "column 'time' read as clocks in digits, HHMMSS, without a date" in record.notes
 
 
 @pytest.mark.parametrize(("form", "every"), [("%Y%m%d%H%M%S", 5), ("%Y%m%d%H%M", 60)])

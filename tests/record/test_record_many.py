@@ -142,6 +142,23 @@ def test_pv_and_op_alone_are_named(tmp_path: Path, loops: Loops, shape: str) -> 
     assert np.array_equal(ours.pv, read_loop(tmp_path / "many.csv", tags).pv)
 
 
+@pytest.mark.parametrize("name", ["Loop", "Tag"])
+@pytest.mark.parametrize("mixed", [True, False])
+def test_rows_of_several_loops_are_not_read_as_one(tmp_path: Path, loops: Loops, name: str, mixed: bool) -> None:
+    """In turn, at times between each other's, or one after the other: either would pass for a record of one loop."""
+    rows = []
+    for i, (loop, own) in enumerate([*loops.items()][:2]):
+        for k in range(N):
+            second = 2 * k + i if mixed else N * i + k
+            rows.append((second, [loop, stamp(second), own["PV"][k], own["OP"][k]]))
+    path = tmp_path / "rows.csv"
+    path.write_text(text([[name, "Time", "PV", "OP"], *(row for _, row in sorted(rows))]))
+    with pytest.raises(RecordError, match=rf"column '{name}' names 2 loops \(FIC10, FIC11\), whose rows stand in one"):
+        wb.read_record(path)
+    path.write_text(text([[name, "Time", "PV", "OP"], *(row for _, row in sorted(rows) if row[0] == "FIC10")]))
+    assert wb.read_record(path).sample_time == (2.0 if mixed else 1.0)
+
+
 def test_a_comment_over_lines_is_not_parted(tmp_path: Path, loops: Loops, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(csv_file, "_BLOCK", 500)
     rows = [[f"a remark,\non {row[0]},\nand more" if k % 50 == 7 else "", *row] for k, row in enumerate(tall(loops))]

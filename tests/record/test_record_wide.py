@@ -267,3 +267,22 @@ def test_names_in_quotes_are_parted_by_spaces(tmp_path: Path) -> None:
     path = tmp_path / "r.txt"
     path.write_text('"t" "PV" "OP"\n' + "".join(f"{k} {PV[k]} {OP[k]}\n" for k in range(N)))
     assert read_record(path).pv.tolist() == PV
+
+
+@pytest.mark.parametrize(("header", "unit"), [("OP [V]", "V"), ("OP (psi)", "psi"), ("OP,V", ""), ("OP", "")])
+def test_an_op_in_another_unit_than_per_cent_is_told(tmp_path: Path, header: str, unit: str) -> None:
+    path = tmp_path / "loop.csv"
+    path.write_text(f'time,PV,"{header}"\n' + "".join(f"{k},{k},{k % 7}\n" for k in range(60)))
+    told = [note for note in read_record(path).notes if "taken as %" in note]
+    assert bool(told) == bool(unit)
+    assert not unit or told[0].startswith(f"OP is in {unit} by its name or unit")
+    ranged = read_record(path, op_range=(0.0, 10.0))
+    assert not any("taken as %" in note for note in ranged.notes)
+    assert ranged.op.max() == pytest.approx(60.0)
+
+
+def test_a_file_without_times_says_what_it_has(tmp_path: Path) -> None:
+    path = tmp_path / "loop.csv"
+    path.write_text("row,PV,OP\n" + "".join(f"{k},{k},{k % 7}\n" for k in range(60)))
+    with pytest.raises(RecordError, match=r"no time column; .* the file has 'row', 'PV', 'OP'"):
+        read_record(path)

@@ -11,7 +11,7 @@ import numpy as np
 from workbench.model.record import FloatArray
 from workbench.record.units import TIME_UNITS
 
-__all__ = ["PARTS", "durations", "of_the_day", "put_together"]
+__all__ = ["PARTS", "as_clocks", "digits_of_the_day", "durations", "of_the_day", "put_together"]
 
 # What a time in several columns has beside its year.
 PARTS = ("month", "day", "hour", "minute", "second")
@@ -21,6 +21,9 @@ _DAY = re.compile(r"(?:(\d+) days?,? )?(\d{1,4}):(\d\d):(\d\d(?:[.,]\d+)?)(?: ?(
 _HOUR = re.compile(r"(\d{1,2}):(\d\d[.,]\d+)")
 _DURATION = re.compile(r"([+-]?\d+(?:[.,]\d+)?(?:[eE][+-]?\d+)?)\s?([a-z]+)")
 DAY, HOUR, MOST = 86400.0, 3600.0, 60
+# The day that databases and spreadsheets have with a clock alone: their first.
+_NO_DAY = re.compile(r"(?:1899-12-30|1899/12/30|30[./]12[./]1899|12/30/1899)[ T]")
+EVEN = 0.9  # share of steps that are alike, of a clock in digits
 
 
 def of_the_day(cells: Sequence[str]) -> tuple[FloatArray, str] | None:
@@ -50,6 +53,69 @@ def of_the_day(cells: Sequence[str]) -> tuple[FloatArray, str] | None:
 def _hours(found: re.Match[str]) -> int:
     """Return the hours of a match of `_DAY`, 0 of `_HOUR`, which shows none."""
     return int(found[2]) if found.re is _DAY else 0
+
+
+def as_clocks(cells: Sequence[str]) -> tuple[list[str], str] | None:
+    """Return (HH:MM:SS, note) of clocks beside a day that are written otherwise, "" for none; None where most are not.
+
+    HHMMSS or HHMM in digits, a fraction of a day, or a clock behind the first day that a spreadsheet counts.
+    """
+    there = [cell for cell in cells if cell]
+    if there and all(_NO_DAY.match(cell) for cell in there):
+        return [_NO_DAY.sub("", cell) for cell in cells], "the day before each clock is none"
+    try:
+        numbers = [float(cell.replace(",", ".")) for cell in there]
+    except ValueError:
+        return None
+    if not there:
+        return None
+    if all(cell.isdecimal() for cell in there):
+        widths = {len(cell) for cell in there}
+        for long, places, least in ((True, 6, 2400), (False, 4, MOST)):
+            read = {cell: _in_digits(int(cell), long) for cell in {*there}}
+            if all(read.values()) and max(widths) <= places and (max(numbers) >= least or widths == {places}):
+                note = f"read as clocks in digits, {'HHMMSS' if long else 'HHMM'}"
+                return [read.get(cell, "") for cell in cells], note
+        return None
+    if min(numbers) >= 0.0 and max(numbers) < 1.0:
+        each = iter(numbers)
+        return [_clock(round(DAY * next(each), 3)) if cell else "" for cell in cells], "read as fractions of a day"
+    return None
+
+
+def _in_digits(value: int, long: bool) -> str:
+    """Return HH:MM:SS of HHMMSS (long) or HHMM, "" where no clock shows it."""
+    hours, rest = divmod(value, 10_000 if long else 100)
+    minutes, seconds = divmod(rest, 100) if long else (rest, 0)
+    shown = hours < DAY / HOUR and minutes < MOST and seconds < MOST
+    return f"{hours:02d}:{minutes:02d}:{seconds:02d}" if shown else ""
+
+
+def _clock(seconds: float) -> str:
+    minutes, rest = divmod(min(seconds, DAY - 1e-3), 60.0)
+    return f"{int(minutes) // 60:02d}:{int(minutes) % 60:02d}:{rest:06.3f}"
+
+
+def digits_of_the_day(values: FloatArray) -> tuple[FloatArray, str] | None:
+    """Return (seconds, note) of clocks in digits, HHMMSS, without a day, shape (N,), nan for none; None where not such.
+
+    Such are numbers that a clock may show and that are evenly apart as clocks and not as numbers: 60059 is a second
+    before 60100.
+    """
+    read = np.isfinite(values)
+    fine = values[read]
+    if fine.size < MOST or fine.min() < 0.0 or fine.max() >= 240_000.0 or (fine % 1.0).any():
+        return None
+    hours, minutes, late = fine // 10_000, fine // 100 % 100, fine % 100
+    if minutes.max() >= MOST or late.max() >= MOST:
+        return None
+    clock = np.unwrap(HOUR * hours + 60.0 * minutes + late, period=DAY)
+    alike = [float(np.mean(steps == np.median(steps))) for steps in (np.diff(clock), np.diff(fine))]
+    if alike[0] < EVEN or alike[0] <= alike[1]:
+        return None
+    seconds = np.full(values.size, np.nan)
+    seconds[read] = clock
+    return seconds, "read as clocks in digits, HHMMSS, without a date"
 
 
 def put_together(*parts: Sequence[str]) -> list[str]:

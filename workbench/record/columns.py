@@ -39,6 +39,7 @@ __all__ = [
     "loops_of",
     "match_columns",
     "match_tags",
+    "names_said",
     "of_folders",
     "of_no_loop",
     "qualities_unused",
@@ -155,9 +156,9 @@ def match_columns(
     header: the file's column names. columns: an explicit mapping from signal (`SIGNALS`, or the columns of a tall
     file, in any case) to column name, which goes before all spellings. A wide file's qualities are found as "quality"
     (of the row), "PV quality", "OP quality" ...; the day as "date" where "time" may be but a clock, what may be its
-    "milliseconds", and "month", "day", "hour", "minute" and "second" where it is but the year; a tall file's "loop"
-    where one names what its tags are of. alone: whether a wide file's `columns` are all that the loop has, but for its
-    times and qualities. Raises `RecordError` for columns that are missing, ambiguous or mapped twice.
+    "milliseconds", and "month", "day", "hour", "minute" and "second" where it is but the year; the "loop" where a
+    column names what a row, or a tall file's tag, is of. alone: whether a wide file's `columns` are all that the loop
+    has, but for its times and qualities. Raises `RecordError` for columns that are missing, ambiguous or mapped twice.
     """
     names = [h.strip() for h in header]
     calendar = _calendar(names, columns or {})
@@ -188,7 +189,14 @@ def match_columns(
             which = f"columns {used!r}, {other!r} could each be time"
             raise RecordError(f"{source}: {which}; say which one, for example columns={{'time': {used!r}}}")
     found |= _milliseconds(names, found)
-    return found | _qualities(names, found)
+    return found | _qualities(names, found) | ({} if alone else _of_rows(names, found))
+
+
+def _of_rows(names: Sequence[str], found: Mapping[str, int]) -> dict[str, int]:
+    """Return the column that may tell which loop each row is of; found: the other columns."""
+    words = ("loop", "loopname", *OWN["tag"], "tagid")
+    at = next((i for i, name in enumerate(names) if i not in found.values() and plain_of(name) in words), None)
+    return {} if at is None else {"loop": at}
 
 
 def _calendar(names: Sequence[str], columns: Mapping[str, str]) -> dict[str, str]:
@@ -288,6 +296,12 @@ def match_tags(tags: Sequence[str], mapping: Mapping[str, str] | None, source: s
     return _match(list(tags), mapping, TAGGED, TAGGED, NEEDED, source, "tag")
 
 
+def names_said(names: Sequence[str]) -> str:
+    """Return the first of some names, and how many more there are, in words."""
+    more = f" and {len(names) - NAMED} more" if len(names) > NAMED else ""
+    return f"{', '.join(map(repr, names[:NAMED]))}{more}"
+
+
 def _match(
     names: list[str],
     mapping: Mapping[str, str] | None,
@@ -298,9 +312,7 @@ def _match(
     what: str,
 ) -> dict[str, int]:
     """Return the index of each of `wanted` that the mapping gives, or, of those in `spelled`, that its name tells."""
-    there = ", ".join(repr(n) for n in names[:NAMED]) + (
-        f" and {len(names) - NAMED} more" if len(names) > NAMED else ""
-    )
+    there = names_said(names)
     argument = f"{what}s"
     found: dict[str, int] = {}
     for key, given in (mapping or {}).items():

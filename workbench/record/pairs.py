@@ -96,9 +96,10 @@ def tall_rows(columns: Sequence[list[str]], pairs: Pairs) -> tuple[list[list[str
 def time_column(header: Sequence[str], below: Sequence[Sequence[str]], found: Mapping[str, int]) -> int | None:
     """Return the one column of a wide file, of no name that tells, that holds timestamps; None where none is, or two.
 
-    Where none holds such, times of day without a date count. found: the columns that are something else.
+    Where none holds such, times of day without a date count. found: the columns that are something else; what may only
+    be a loop's name may be times as well.
     """
-    others = [k for k in range(len(header)) if k not in found.values()]
+    others = [k for k in range(len(header)) if k not in {i for name, i in found.items() if name != "loop"}]
     columns = [k for k in others if _timed(below, k)]
     columns = columns or [k for k in others if (cells := _cells(below, k)) and of_the_day(cells) is not None]
     return columns[0] if len(columns) == 1 else None

@@ -26,6 +26,7 @@ from workbench.record.columns import (
     is_tall,
     match_columns,
     match_tags,
+    names_said,
     qualities_unused,
     with_loops,
 )
@@ -49,7 +50,7 @@ from workbench.record.table import (
     RANGE,
     TEXT,
 )
-from workbench.record.units import in_milliamperes
+from workbench.record.units import in_milliamperes, signal_unit
 
 __all__ = ["LARGEST", "read_loop", "read_record", "record_from"]
 
@@ -178,7 +179,8 @@ def _read(
     else:
         signals = from_wide(table, names, source)
         signals.notes += [] if alone else qualities_unused(header, found)
-        signals.unnamed = [name.strip() for name in header].count("") == 1
+        stripped = [name.strip() for name in header]
+        signals.header, signals.unnamed = stripped, stripped.count("") == 1
         if "time" not in {key.lower() for key in both} and not (
             "month" in names or names_time(names.get("time", "time"))
         ):
@@ -208,7 +210,8 @@ def record_from(
     _some_usable(signals, source)
     if not signals.timed and sample_time is None:
         way = "columns={'time': ''} if it is the one without a name" if signals.unnamed else "columns={'time': 'name'}"
-        msg = f"{source}: no time column; give sample_time in seconds, or the column, {way}"
+        there = f"; the file has {names_said(signals.header)}" if signals.header else ""
+        msg = f"{source}: no time column; give sample_time in seconds, or the column, {way}{there}"
         raise RecordError(msg)
     samples = lay(signals, sample_time, max_gap, source)
     if samples.seconds.size == 0:
@@ -278,6 +281,9 @@ def _scale(
         if name not in known:
             if name == "OP":
                 none_far(signal.cells)
+                if unit := next(filter(None, map(signal_unit, (signal.name, signal.unit, *signal.cells.words))), ""):
+                    way = "give its range, as op_range (--op-range LOW:HIGH)"
+                    signals.notes.append(f"OP is in {unit} by its name or unit, and taken as %: {way}")
             continue
         low, high = known[name]
         if name == "OP":

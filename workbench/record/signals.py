@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from workbench.errors import RecordError
 from workbench.model.checks import reads_as_number
 from workbench.model.record import FloatArray
-from workbench.record.clock import PARTS, durations, of_the_day, put_together
+from workbench.record.clock import PARTS, as_clocks, digits_of_the_day, durations, of_the_day, put_together
 from workbench.record.columns import NEEDED, QUALITIES, TALL, match_tags, with_loops
 from workbench.record.counted import counted
 from workbench.record.quality import good_quality
@@ -33,6 +33,7 @@ from workbench.record.table import (
     one_mark,
 )
 from workbench.record.times import FORMATS_SAID, Order, in_order, parse_timestamps
+from workbench.record.units import time_unit
 
 __all__ = ["Clock", "Signal", "Signals", "Tall", "clock_of", "from_tall", "from_wide"]
 
@@ -65,7 +66,8 @@ class Signals:
     rows: of the file, of a tall one those that were read. dropped: rows without a readable time or with fields too
     many, as lines by cause. repeated: rows left out since their time occurs again. timed: False where the file has no
     times; `seconds` then counts samples. epoch: what second 0 is on the clock of the file's timestamps, s since 1970, 0
-    where it has none. what: a signal's name is, a column or a tag. unnamed: whether one column of the file has no name.
+    where it has none. what: a signal's name is, a column or a tag. header: a wide file's names of columns; unnamed:
+    whether one of them is blank.
     """
 
     by: dict[str, Signal]
@@ -78,12 +80,14 @@ class Signals:
     epoch: float = 0.0
     what: str = "column"
     unnamed: bool = False
+    header: Sequence[str] = ()
     notes: list[str] = field(default_factory=list)
 
 
 def from_wide(table: Table, names: Mapping[str, str], source: str) -> Signals:
     """Return the signals of a file with a column each; names: of the columns. Raises `RecordError`."""
     rows = table.lines.size
+    _one_loop(table, names, source)
     out = Signals({}, table.unit, rows, notes=list(table.notes), time_name=names.get("time", ""))
     for key in QUALITIES:
         if key in table.columns:
@@ -124,6 +128,19 @@ def from_wide(table: Table, names: Mapping[str, str], source: str) -> Signals:
         cells = table.columns[signal] if whole else table.columns[signal].take(order_rows)
         out.by[signal] = Signal(names[signal], seconds, cells, lines, table.units.get(signal, ""))
     return out
+
+
+def _one_loop(table: Table, names: Mapping[str, str], source: str) -> None:
+    """Raise `RecordError` where a column names several loops, each of many rows: they would be read as one."""
+    texts = [text for text in table.columns["loop"].as_texts() if text] if "loop" in table.columns else []
+    loops = dict.fromkeys(texts)
+    if len(loops) < 2 or 2 * len(loops) > len(texts) or all(reads_as_number(loop) for loop in loops):
+        return
+    told = f"{', '.join(list(loops)[:3])}{' ...' if len(loops) > 3 else ''}"
+    raise RecordError(
+        f"{source}: column {names['loop']!r} names {len(loops)} loops ({told}), whose rows stand in one file; export "
+        "one loop, or give each signal a column of its own, as FIC101.PV"
+    )
 
 
 def from_tall(
@@ -314,18 +331,24 @@ def clock_of(
         whole = put_together(*(one.as_texts() for one in (cells, *parts)))
         cells = replace(cells, values=np.full(len(whole), np.nan), texts=whole)
         notes.append(f"the times are put together of year, {', '.join(PARTS[: len(parts)])} in columns of their own")
-    numeric = int(np.count_nonzero(np.isfinite(cells.values)))
     if "date" in table.columns and cells.texts is not None:
         days, clocks = _days(table.columns["date"]), cells.texts
         first = next(filter(None, clocks), "")
+        if not _CLOCK.match(first) and (written := as_clocks(clocks)) is not None:
+            clocks, first = written[0], next(filter(None, written[0]))
+            cells = replace(cells, values=np.full(len(clocks), np.nan))
+            notes.append(f"column {name!r}: {written[1]}")
         if not first or _CLOCK.match(first):
             own = any(":" in day for day in days)  # the day has a clock, too
             both = days if own else [f"{day} {clock}" for day, clock in zip(days, clocks, strict=True)]
             cells = replace(cells, texts=both)
     if cells.stamped is not None:
         return Clock(cells.values.copy(), wall=not cells.stamped, stamped=True)
-    texts = cells.texts
+    texts, numeric = cells.texts, int(np.count_nonzero(np.isfinite(cells.values)))
     if texts is None or numeric * 2 > np.count_nonzero(cells.marks != BLANK):
+        if time_unit(name) is None and (day := digits_of_the_day(cells.values)) is not None:
+            notes.append(f"column {name!r} {day[1]}")
+            return Clock(day[0])
         found = counted(cells.values, name, table.units.get("time", ""))
         if found.refusal:
             msg = f"{source}: {table.unit} {table.lines[0]}, column {name!r}: {found.refusal}"
@@ -333,7 +356,7 @@ def clock_of(
         notes += [f"column {name!r} {found.note}"] if found.note else []
         if found.seconds is not None:
             _one_format(found.seconds, cells, used, name, table, source)
-            return Clock(found.seconds)
+            return Clock(found.seconds, found.wall, found.stamped)
         return _dated(found.texts or [], cells, name, table, source)
     if (day := of_the_day(texts) or durations(texts)) is not None:
         notes.append(f"column {name!r}: {day[1]}")

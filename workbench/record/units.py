@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 
-__all__ = ["TIME_UNITS", "in_milliamperes", "is_unit", "time_unit", "time_unit_below"]
+__all__ = ["TIME_UNITS", "in_milliamperes", "is_unit", "signal_unit", "time_unit", "time_unit_below"]
 
 # Time columns may carry their unit, as in t_s, "time [min]" or time_ms.
 TIME_UNITS = {
@@ -31,11 +31,18 @@ TIME_UNITS = {
     "days": 86_400.0,
 }
 _OTHERS = ("%", "pct", "percent", "ma")
+_SIGNALS = ("V", "VDC", "V DC", "mV", "psi", "psig", "bar", "barg", "mbar", "kPa")
 
 
 def in_milliamperes(text: str) -> bool:
     """Whether a name, a unit or the cell of a row of units says mA; _ma in small letters may be a moving average."""
     return re.search(r"(?<![A-Za-z])mA(?![A-Za-z])|[(\[]\s*(?i:ma)\s*[)\]]|(?i:milliamp)", text) is not None
+
+
+def signal_unit(text: str) -> str:
+    """Return the unit of a standard signal, V or a pressure, that a name ends with in brackets, or that a unit is."""
+    unit = re.split(r"[(\[]", text)[-1].strip(")] ")
+    return unit if unit in _SIGNALS else ""
 
 
 def _plain(text: str) -> str:
