@@ -256,6 +256,27 @@ def test_a_found_loop_is_tuned_and_what_was_assumed_is_said() -> None:
     assert "setpoint step of 2 EU" in result.assumed[1]
 
 
+@pytest.mark.usefixtures("quick")
+def test_a_found_loop_is_tuned_to_hold_without_its_stiction(monkeypatch: pytest.MonkeyPatch) -> None:
+    # Much dead time, and a valve that hardly lands where it is sent: the least J has a loop near instability without.
+    found = replace(found_loop(), plant=wb.FOPDT(2.3, 1.2, 3.4), valve=wb.Choudhury(4.0, 1.0))
+    wishes = Wishes(duration=100.0)
+    safe = tune_found(found, wishes)
+    assert safe.standing is not None
+    assert safe.standing.own.max_sensitivity <= retune.SAFE
+    assert "maximum sensitivity 2 at most, with an ideal valve" in safe.assumed
+    # Where the bounds hold no such tuning they go before.
+    forced = tune_found(found, replace(wishes, Kc=(0.5, 0.5)))
+    assert forced.tuned.controller.Kc == 0.5
+    assert forced.tuned.status.success
+    assert forced.assumed[3] == "no maximum sensitivity, as none within the bounds keeps one of 2 with an ideal valve"
+    assert "the loop with an ideal valve is" in forced.assumed[0]
+    monkeypatch.setattr(retune, "SAFE", 1e6)
+    least = tune_found(found, wishes)
+    assert least.standing is not None
+    assert least.standing.own.max_sensitivity > 5.0
+
+
 def test_a_found_loop_without_a_task_or_a_gain_is_refused() -> None:
     found = found_loop()
     with pytest.raises(wb.InvalidValue, match="--step: 0 EU given; must be other than 0"):

@@ -10,6 +10,7 @@ import numpy as np
 from workbench.analyze.standing import standing
 from workbench.errors import InvalidValue, RecordError
 from workbench.model.controller import PID
+from workbench.model.ensemble import Constraints
 from workbench.model.experiment import Experiment, Step
 from workbench.model.loop import Loop
 from workbench.model.plant import FOPDT, Plant
@@ -30,6 +31,10 @@ Range = tuple[float, float]
 
 # How long a found loop is simulated to tune it, in samples.
 FEWEST, MOST = 300, 20_000
+# Maximum sensitivity of a found loop with an ideal valve, at most: a plant from a record is never known exactly, and a
+# load that keeps the stem moving leaves the loop without the stiction that may hold it (1.4 to 2 are usual; K. Astrom,
+# T. Hagglund, Advanced PID Control, 2006).
+SAFE = 2.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -184,7 +189,8 @@ def tune_found(found: Estimate, wishes: Wishes, progress: Progress | None = None
     Unless wished otherwise: from the SIMC rule, Kc up to 4 times its gain and at least to twice the inverse of the
     plant's, Ti from a fifth of the plant's time scale, or half of the rule's where that is less, to 20 times that
     scale; a setpoint step of twice the PV change of the least slip (without stiction: of PV's standard deviation) and,
-    half way, a load step of half that size at the plant's input; D on PV. What was assumed is said in the result.
+    half way, a load step of half that size at the plant's input; D on PV; a maximum sensitivity of `SAFE` at most with
+    an ideal valve, where the bounds hold such a tuning. What was assumed is said in the result.
     Raises `RecordError` where the record does not show the plant's gain, `InvalidValue` for an action with which errors
     grow, and what tuning raises.
     """
@@ -225,9 +231,9 @@ def tune_found(found: Estimate, wishes: Wishes, progress: Progress | None = None
     load = _round(0.5 * abs(step) / effect)
     at = round(0.5 * duration / Ts) * Ts
     experiment = Experiment(duration, Step(step), Step(load, at) if load > 0.0 else None)
-    job = TuneJob(
-        wishes.objective or Objective(w1=0.5, w2=0.0, w3=0.5, w4=0.0), bounds, wishes.seed or 0, digits=None, restarts=4
-    )
+    objective = wishes.objective or Objective(w1=0.5, w2=0.0, w3=0.5, w4=0.0)
+    safe = Constraints(max_sensitivity=SAFE)
+    job = TuneJob(objective, bounds, wishes.seed or 0, digits=None, restarts=4, constraints=safe)
     task = f"setpoint step of {step:g} EU at 0 s and load step of {load:g} % at {at:g} s, over {duration:g} s"
     searched = ", ".join(
         f"{name} {low:g} to {high:g} {unit}"
@@ -235,11 +241,16 @@ def tune_found(found: Estimate, wishes: Wishes, progress: Progress | None = None
     )
     verdict = {"stiction": "the valve sticks", "no_stiction": "no stiction"}.get(found.verdict, "")
     tuned = tune_case(loop, experiment, job, progress)
+    kept = f"maximum sensitivity {SAFE:g} at most, with an ideal valve"
+    if tuned.status is SolveStatus.INFEASIBLE:
+        tuned = tune_case(loop, experiment, replace(job, constraints=None), progress)
+        kept = f"no maximum sensitivity, as none within the bounds keeps one of {SAFE:g} with an ideal valve"
     stands = _standing(tuned, found)
     assumed = (
         f"the record's loop: {'; '.join(words for words in (verdict, hint(found, standing=stands)) if words)}",
         task,
         f"bounds {searched}",
+        kept,
         f"{action} action, derivative on PV",
         *_coarse(loop),
     )
