@@ -51,12 +51,13 @@ def quantity(value: float, unit: str, digits: int = 4) -> str:
 def setting(value: float, digits: int | None = None) -> str:
     """Return a controller parameter with every digit that it has (at least `digits` of them), to be typed in.
 
-    A converted parameter, such as 100/150, has no last digit: more than ten are cut to six.
+    A converted parameter, such as 100/150, has no last digit: more than ten are cut to six, unless `digits` asks for
+    them.
     """
     if math.isinf(value):
         return "none"
     text = f"{value:.12g}"
-    if len(re.sub(r"\D", "", text.partition("e")[0]).strip("0")) > 10:
+    if len(re.sub(r"\D", "", text.partition("e")[0]).strip("0")) > max(10, digits or 0):
         text = f"{value:.6g}"
     if digits is not None and value != 0.0 and "e" not in text:
         full = f"{value:#.{digits}g}".rstrip(".")

@@ -24,6 +24,7 @@ from workbench.report.judge import (
     best_case,
     cycle_of,
     measure,
+    nominal_only,
     quiet,
     refused,
     run_travel,
@@ -73,11 +74,13 @@ def case_advice(study: Study) -> Advice:
     ]
     if best is None:
         text = "None of these tunings can be recommended: their loops are unstable, or their searches failed."
-        return Advice(text, None, tuple(failed))
+        if cliffs := _cliffs(study, best):
+            text = "Set none of these tunings: none is meant to be typed in."
+        return Advice(text, None, (*failed, *cliffs))
     if all(_idle(case) for case in study.cases):
         text = "This experiment tells nothing of these tunings: neither PV nor a valve moves in it."
         return Advice(text, None, tuple(failed))
-    do += _traps(study, best)
+    do += _traps(study, best) + _cliffs(study, best)
     if len(study.cases) > 1 and best.objective is None:
         decision, case = _trade_off(study, best), None
         do += late_errors(study)
@@ -147,7 +150,7 @@ def _recommendation(study: Study, base: CaseResult | None, best: CaseResult) -> 
     if best is base:
         better = [case for case in study.cases if measure(case) < measure(best)]
         others = "other tunings"
-        if any(refused(study, case) for case in better):
+        if any(refused(study, case) or nominal_only(case) for case in better):
             others += " that can be typed in"
         if any(held_by_stiction(case.standing) for case in better):
             others += " that hold the loop without stiction too"
@@ -244,7 +247,9 @@ def _in_the_long_run(study: Study, base: CaseResult, best: CaseResult) -> str:
 
 def _gain(study: Study, best: CaseResult) -> tuple[float, float]:
     """Return J (mean square error without one) and valve travel to count on: on a knife-edge those beside it."""
-    typed = typed_case(study, best)
+    typed, tuned = typed_case(study, best), best.tuned
+    if typed is None and tuned is not None and tuned.ensemble is None and tuned.knife_edge:
+        return tuned.worst, best.run.kpis.valve_travel
     if typed is None or typed.beside is None or not typed.knife_edge:
         return _cost(best), best.run.kpis.valve_travel
     return typed.beside.worst, typed.beside.kpis.valve_travel
@@ -303,7 +308,7 @@ def _asked(repair: Repair, best: CaseResult, *, gains: bool) -> str:
 
 
 def _can_be_set(study: Study, case: CaseResult) -> bool:
-    found = case.tuned is None or case.tuned.status.success
+    found = (case.tuned is None or case.tuned.status.success) and not nominal_only(case)
     return found and not unstable(case) and not refused(study, case) and not held_by_stiction(case.standing)
 
 
@@ -316,6 +321,19 @@ def _traps(study: Study, best: CaseResult) -> list[str]:
         "“constraints” in tune keeps to tunings that hold the loop by themselves."
         for case in study.cases
         if held_by_stiction(case.standing) and not unstable(case) and measure(case) < measure(best)
+    ]
+
+
+def _cliffs(study: Study, best: CaseResult | None) -> list[str]:
+    """Name the least J's own tunings where they do better than the best: they are there to compare with."""
+    other = " A search without “nominal: true” finds settings to type in."
+    return [
+        f"Do not type in {case.name} ({settings_words(study, case)}): it is the least J itself, "
+        f"{figure(tuned.objective)}, and {nearby(tuned.margin)} J rises to as much as {figure(tuned.worst)}."
+        f"{other if best is None or best.tuned is None else ''}"
+        for case in study.cases
+        if (tuned := case.tuned) is not None and nominal_only(case) and not unstable(case)
+        if best is None or measure(case) < measure(best)
     ]
 
 

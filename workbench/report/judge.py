@@ -30,6 +30,7 @@ __all__ = [
     "late_figure",
     "late_words",
     "measure",
+    "nominal_only",
     "on_bounds",
     "over_budget",
     "over_starts",
@@ -89,6 +90,11 @@ def refused(study: Study, case: CaseResult) -> bool:
     return typed is not None and typed.settings is None
 
 
+def nominal_only(case: CaseResult) -> bool:
+    """Return whether a case is the least J itself, which sits on a cliff: to compare with, and not to be typed in."""
+    return case.tuned is not None and case.tuned.nominal_only
+
+
 def measure(case: CaseResult) -> float:
     """Return what a case is judged by: J, or its mean square error without an objective; inf where it overflowed."""
     value = case.run.kpis.mean_square_error if case.objective is None else case.objective
@@ -98,11 +104,11 @@ def measure(case: CaseResult) -> float:
 def best_case(study: Study) -> CaseResult | None:
     """Return the case of least J (least mean square error without an objective) of those that can be set.
 
-    They are verified, bounded, have an equivalent in the site's form, and hold the loop without the valve's stiction;
-    where none has, the form, and where none does, the stiction is left aside. A search, which was asked for, goes
-    before a rule that is hardly better.
+    They are verified, meant to be typed in, bounded, have an equivalent in the site's form, and hold the loop without
+    the valve's stiction; where none has, the form, and where none does, the stiction is left aside. A search, which was
+    asked for, goes before a rule that is hardly better.
     """
-    fit = [c for c in study.cases if c.tuned is None or c.tuned.status.success]
+    fit = [c for c in study.cases if (c.tuned is None or c.tuned.status.success) and not nominal_only(c)]
     fit = [c for c in fit if math.isfinite(measure(c)) and not unstable(c)]
     fit = [c for c in fit if not refused(study, c)] or fit
     fit = [c for c in fit if not held_by_stiction(c.standing)] or fit

@@ -151,7 +151,9 @@ def controller_words(controller: PID, digits: int | None = None) -> str:
         integral = "no integral action" if math.isinf(controller.Ti) else f"Ti {setting(controller.Ti, digits)} s"
         derivative = f"Td {setting(controller.Td, digits)} s"
     else:
-        integral = f"1/Ti {figure(0.0 if math.isinf(controller.Ti) else 1.0 / controller.Ti, 5)} {gain[0]}"
+        integral = (
+            f"1/Ti {figure(0.0 if math.isinf(controller.Ti) else 1.0 / controller.Ti, max(5, digits or 0))} {gain[0]}"
+        )
         derivative = f"Td {setting(controller.Td, digits)} {gain[1]}"
     parts.append(integral)
     if controller.Td > 0.0:
@@ -163,7 +165,7 @@ def controller_words(controller: PID, digits: int | None = None) -> str:
 
 def parameter(value: float, digits: int | None, *, converted: bool) -> str:
     """Return a controller's parameter; converted: what a site's digits make of it, which has no last digit itself."""
-    return setting(float(f"{value:.6g}") if converted else value, digits)
+    return setting(float(f"{value:.6g}"), min(digits or 0, 6) or None) if converted else setting(value, digits)
 
 
 def compensator_words(what: Compensator | None) -> str:
