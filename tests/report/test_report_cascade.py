@@ -11,7 +11,7 @@ import pytest
 from cascades import flow_and_temperature
 
 import workbench as wb
-from workbench.model.numbers import figure
+from workbench.model.numbers import figure, given
 from workbench.model.results import Tuned
 from workbench.model.study import CascadeResult, Study
 from workbench.report.cascade import cascade_tables
@@ -261,6 +261,14 @@ def test_what_multiplies_the_travel_is_set_on_a_condition(study: Study) -> None:
     assert " times the valve travel of As found in the long run is acceptable: in this run J " in decision
     assert "against As found; otherwise keep As found." in decision
     assert "acceptable" not in told(study, found, replace(tighter, cycle=found.cycle)).decision
+    # Its noise keeps the valve of this run moving, whatever rests without.
+    silent = replace(study.experiment, noise=None)
+    rest = replace(found, cycle=replace(found.cycle, outcome="settles", primary=None, secondary=None))
+    decision = told(study, rest, tighter, experiment=silent).decision
+    rate = figure(tighter.cycle.travel_per_hour)
+    assert f" if valve travel of {rate} % an hour in the long run, where As found comes to rest, is accept" in decision
+    assert f"valve travel from 0 to {given(tighter.cycle.travel_per_hour)} % an hour." in decision
+    assert "comes to rest" not in told(study, rest, tighter).decision
 
 
 @pytest.mark.usefixtures("undrawn")

@@ -22,7 +22,6 @@ from workbench.report.judge import (
     at_odds,
     base_case,
     best_case,
-    cycle_of,
     measure,
     nominal_only,
     quiet,
@@ -30,20 +29,19 @@ from workbench.report.judge import (
     run_travel,
     typed_case,
     unstable,
-    with_stem,
 )
 from workbench.report.plain_truth import lasting
 from workbench.report.repair import repair_sentence
 from workbench.report.settings import around, beside_words, settings_words, spread
 from workbench.report.standing import held_by_stiction, trap_words
+from workbench.report.wear import DEAR, condition, from_rest, rests, wear
 from workbench.report.words import change, figure, join, nearby
 
-__all__ = ["Advice", "case_advice", "condition", "stays_off", "worth_it"]
+__all__ = ["Advice", "case_advice", "stays_off", "worth_it"]
 
 ALIKE = 1.1  # ratio of mean square errors up to which one is hardly more than the other
 WORTH = 0.95  # ratio of J (or mean square error) above which a change of settings is not worth it,
 CALMER = 0.8  # unless the valve's travel falls below this ratio
-DEAR = 2.0  # times the valve's travel as found, from which the decision depends on it
 IDLE = " (its valve never moves: it controls nothing)"
 
 
@@ -92,7 +90,7 @@ def case_advice(study: Study) -> Advice:
         best = case
         do += _exactly(study, base, best)
         left += _remaining(study, base, best)
-        do += _rules_with_less(study, best) + (_asked_elsewhere(study, best) or _less_wear(study, best))
+        do += _rules_with_less(study, best) + (_asked_elsewhere(study, best) or _lesswear(study, best))
     left += lasting(study, best)
     if study.repair is not None:
         left.append(repair_sentence(study))
@@ -177,45 +175,27 @@ def _recommendation(study: Study, base: CaseResult | None, best: CaseResult) -> 
             f"Keep {base.name} ({settings_words(study, base)}): nothing here is worth a change. The best other tuning, "
             f"{best.name} ({controller}), has {told}{rest}"
         ), base
-    price = condition(base, best)
+    price = condition(study, base, best, _gain(study, best)[1])
     if price:
         told += _otherwise(study, base, best)
     return f"Set {controller} ({best.name}){price}: {told}{rest}{_by_repair(study, best)}", best
 
 
-def _wear(base: CaseResult | CascadeResult, case: CaseResult | CascadeResult) -> tuple[float, str]:
-    """Return how many times the travel as found a case's is, in the run or the long run, and "in the long run" or "".
-
-    The larger counts: a run may be too short for the cycle, and a cycle without noise may be calmer than the run.
-    """
-    was, now = with_stem(base).kpis.valve_travel, with_stem(case).kpis.valve_travel
-    ratios = [(now / was if was > 0.0 else 0.0, "")]
-    before, after = cycle_of(base), cycle_of(case)
-    if before is not None and after is not None and {before.outcome, after.outcome} == {"cycles"}:
-        ratios.append((after.travel_per_hour / before.travel_per_hour, " in the long run"))
-    return max(ratios)
-
-
-def condition(base: CaseResult | CascadeResult, case: CaseResult | CascadeResult) -> str:
-    """Return on which valve travel the order to set a case depends, "" where it is not several times that as found."""
-    ratio, where = _wear(base, case)
-    return f" if {figure(ratio, 2)} times the valve travel of {base.name}{where} is acceptable" if ratio > DEAR else ""
-
-
 def _otherwise(study: Study, base: CaseResult, best: CaseResult) -> str:
     """Return what to do where the best case's valve travel is not acceptable."""
     # What is clearly better than the tuning as found, at half the wear of the best or less.
-    most = _wear(base, best)[0] / DEAR
+    dear = wear(study, base, best, _gain(study, best)[1])[0]
+    most = DEAR if math.isinf(dear) else dear / DEAR
     fit = [
         c
         for c in study.cases
         if c not in (base, best) and _can_be_set(study, c) and c.run.kpis.valve_travel > 0.0
-        if _wear(base, c)[0] <= most and measure(c) < WORTH * measure(base)
+        if wear(study, base, c, _gain(study, c)[1])[0] <= most and measure(c) < WORTH * measure(base)
     ]
     other = min(fit, key=measure, default=None)
     if other is not None:
         by = "mean square error" if other.objective is None else "J"
-        travel, there = _wear(base, other)
+        travel, there = wear(study, base, other, _gain(study, other)[1])
         settings = f"{settings_words(study, other)} ({other.name})"
         return f"; otherwise {settings}, {by} {figure(measure(other))} at {figure(travel, 2)} times{there}"
     return "" if held_by_stiction(base.standing) else f"; otherwise keep {settings_words(study, base)}"
@@ -235,14 +215,23 @@ def _rules_with_less(study: Study, best: CaseResult) -> list[str]:
 
 
 def _in_the_long_run(study: Study, base: CaseResult, best: CaseResult) -> str:
-    """Say what becomes of error and wear once both cycles have set in, "" where that depends on the start."""
+    """Say what becomes of error and wear once the best's cycle has set in, "" where that depends on the start."""
     was, now = base.limit_cycle, best.limit_cycle
-    if was is None or now is None or {was.outcome, now.outcome} != {"cycles"} or by_start(was, now):
+    if was is None or now is None or now.outcome != "cycles":
         return ""
-    error = change(now.mean_square_error, was.mean_square_error)
-    travel = change(now.travel_per_hour, was.travel_per_hour)
+    error, travel = was.mean_square_error, was.travel_per_hour
+    if rests(study, base):
+        error, travel = was.starts[0].rest_error ** 2, 0.0
+    elif was.outcome != "cycles" or by_start(was):
+        return ""
+    if by_start(now):
+        return ""
+    error_words = from_rest(now.mean_square_error, error, "EU²")
     aside = quiet(study.experiment)
-    return f" In the long run{f' {aside}' if aside else ''}: mean square error {error}, valve travel {travel}."
+    return (
+        f" In the long run{f' {aside}' if aside else ''}: mean square error {error_words}, valve travel "
+        f"{from_rest(now.travel_per_hour, travel, '% an hour')}."
+    )
 
 
 def _gain(study: Study, best: CaseResult) -> tuple[float, float]:
@@ -369,7 +358,7 @@ def _error(case: CaseResult) -> float:
     return case.run.kpis.mean_square_error
 
 
-def _less_wear(study: Study, best: CaseResult) -> list[str]:
+def _lesswear(study: Study, best: CaseResult) -> list[str]:
     """Name the calmest other case where it moves the valve less than half as far."""
     # A valve that never moves controls nothing, and wear under a PV that grows without bound is no choice.
     others = [c for c in study.cases if c is not best and c.run.kpis.valve_travel > 0.0 and _can_be_set(study, c)]

@@ -5,11 +5,12 @@ from __future__ import annotations
 import math
 
 from workbench.model.study import CascadeResult, Study
-from workbench.report.advice import Advice, condition, worth_it
+from workbench.report.advice import Advice, worth_it
 from workbench.report.cascade_settings import cascade_base, cascade_error, cascade_kpis, cascade_typed, cascade_words
 from workbench.report.confidence import UNROUNDED, Confidence, Judged, digits, recovery, searches, settled, typed_digits
 from workbench.report.judge import at_odds, last_change, quiet, run_travel, unstable
 from workbench.report.settings import beside_words
+from workbench.report.wear import condition, from_rest, rests
 from workbench.report.words import change, duration, figure
 
 __all__ = ["cascade_advice", "cascade_confidence", "cascade_watch"]
@@ -125,22 +126,27 @@ def _decision(study: Study, base: CascadeResult | None, best: CascadeResult) -> 
         own = "; ".join(f"{which} {cascade_words(study, base, which)}" for which in ("primary", "secondary"))
         text = f"Keep {base.name} ({own}): nothing here is worth a change. The best other tuning, {best.name} ({both}),"
         return f"{text} has {told}{rest}", base
-    price = condition(base, best)
+    price = condition(study, base, best, gain[1])
     if price:
         told += f"; otherwise keep {base.name}"
     return f"{lead}{price}: {told}{rest}", best
 
 
 def _in_the_long_run(study: Study, base: CascadeResult, best: CascadeResult) -> str:
-    """Say what becomes of the primary's swing and of wear once both cycles have set in, "" where one does not cycle."""
+    """Say what becomes of the primary's swing and of wear once the best's cycle has set in, "" where it has none."""
     was, now = base.cycle, best.cycle
-    if was is None or now is None or was.primary is None or now.primary is None:
+    if was is None or now is None or now.primary is None:
         return ""
-    swing = change(now.primary.pv_peak_to_peak, was.primary.pv_peak_to_peak)
+    before = (0.0, 0.0) if rests(study, base) else None
+    if was.primary is not None:
+        before = was.primary.pv_peak_to_peak, was.travel_per_hour
+    if before is None:
+        return ""
     aside = quiet(study.experiment)
     return (
-        f" In the long run{f' {aside}' if aside else ''}: swing of the primary's PV {swing}, valve travel "
-        f"{change(now.travel_per_hour, was.travel_per_hour)}."
+        f" In the long run{f' {aside}' if aside else ''}: swing of the primary's PV "
+        f"{from_rest(now.primary.pv_peak_to_peak, before[0], 'EU')}, valve travel "
+        f"{from_rest(now.travel_per_hour, before[1], '% an hour')}."
     )
 
 

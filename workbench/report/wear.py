@@ -1,0 +1,60 @@
+"""What a change of settings costs the valve: times its travel as found, in the run and in the long run."""
+
+from __future__ import annotations
+
+import math
+
+from workbench.model.results import LimitCycle
+from workbench.model.study import CascadeResult, CaseResult, Study
+from workbench.report.judge import at_odds, cycle_of, late_words, with_stem
+from workbench.report.words import change, figure
+
+__all__ = ["DEAR", "condition", "from_rest", "rests", "wear"]
+
+DEAR = 2.0  # times the valve's travel as found, from which the decision depends on it
+LONG = " in the long run"
+
+
+def rests(study: Study, case: CaseResult | CascadeResult) -> bool:
+    """Return whether a case's loop comes to rest in the long run, and its own run shows nothing else."""
+    cycle = cycle_of(case)
+    return cycle is not None and cycle.outcome == "settles" and not at_odds(case, study.experiment)
+
+
+def wear(
+    study: Study, base: CaseResult | CascadeResult, case: CaseResult | CascadeResult, counted: float
+) -> tuple[float, str]:
+    """Return how many times the travel as found a case's is, in the run or the long run, and where, "" of the run.
+
+    The largest counts: a run may be too short for the cycle, and a cycle without noise may be calmer than the run.
+    Infinite where the case cycles on and the loop as found rests. counted: the travel in a run to count on, %.
+    """
+    was, now = with_stem(base).kpis.valve_travel, with_stem(case).kpis.valve_travel
+    if was == 0.0:  # what never moves its valve controls nothing, and its wear is no measure
+        was, counted = math.inf, now
+    ratios = [(now / was, ""), (counted / was, " (with settings beside these)" if counted > now else "")]
+    before, after = cycle_of(base), cycle_of(case)
+    if before is not None and after is not None and after.outcome == "cycles":
+        if before.outcome == "cycles":
+            ratios.append((after.travel_per_hour / before.travel_per_hour, LONG))
+        elif math.isfinite(was) and rests(study, base):
+            ratios.append((math.inf, LONG))
+    return max(ratios)
+
+
+def condition(study: Study, base: CaseResult | CascadeResult, case: CaseResult | CascadeResult, counted: float) -> str:
+    """Return on which valve travel the order to set a case depends, "" where it is not several times that as found.
+
+    counted: the travel in a run to count on, %.
+    """
+    ratio, where = wear(study, base, case, counted)
+    cycle = cycle_of(case)
+    if math.isinf(ratio) and cycle is not None:
+        rate = late_words(cycle, "travel_per_hour") if isinstance(cycle, LimitCycle) else figure(cycle.travel_per_hour)
+        return f" if valve travel of {rate} % an hour{where}, where {base.name} comes to rest, is acceptable"
+    return f" if {figure(ratio, 2)} times the valve travel of {base.name}{where} is acceptable" if ratio > DEAR else ""
+
+
+def from_rest(new: float, old: float, unit: str) -> str:
+    """Return how a figure of the long run changes, with its unit where it was none: "+66 %", "from 0 to 12 EU"."""
+    return f"{change(new, old)} {unit}" if old == 0.0 < new else change(new, old)
