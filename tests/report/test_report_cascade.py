@@ -240,6 +240,15 @@ def test_what_to_watch_and_what_is_left_have_their_figures(study: Study) -> None
     assert told(study, found).decision.startswith("Nothing to set: As found (primary proportional band 8.333 %")
 
 
+def test_what_a_cascades_run_travels_is_no_wear_unseen(study: Study) -> None:
+    found, _, tighter, _ = study.cascade
+    assert "late in this run" not in " ".join(told(study, found, tighter).watch)
+    calm = replace(tighter, cycle=replace(tighter.cycle, travel_per_hour=0.125))
+    text = next(text for text in told(study, found, calm).watch if text.startswith("Valve travel: "))
+    assert " in this run of 10 min, 0.1250 % an hour in the long run without noise, " in text
+    assert text.endswith(" % an hour late in this run. More than that is wear which this model does not see.")
+
+
 def test_a_settling_time_of_a_primary_that_cycles_on_is_marked(study: Study) -> None:
     found = study.cascade[0]
     assert found.cycle is not None

@@ -10,7 +10,7 @@ from workbench.report.cascade_settings import cascade_base, cascade_error, casca
 from workbench.report.confidence import UNROUNDED, Confidence, Judged, digits, recovery, searches, settled, typed_digits
 from workbench.report.judge import at_odds, last_change, quiet, run_travel, unstable
 from workbench.report.settings import beside_words
-from workbench.report.wear import condition, from_rest, rests
+from workbench.report.wear import condition, from_rest, rests, watch_travel
 from workbench.report.words import change, duration, figure
 
 __all__ = ["cascade_advice", "cascade_confidence", "cascade_watch"]
@@ -247,7 +247,7 @@ def cascade_watch(study: Study, base: CascadeResult | None, best: CascadeResult)
     if best is base:
         return []
     out = []
-    cycle, two = best.cycle, cascade_kpis(best)[1]
+    cycle = best.cycle
     if cycle is not None and cycle.primary is not None and _swing(best):
         out.append(
             f"The cycle that remains: {_swing(best)}, without noise. A swing of the primary well above "
@@ -257,11 +257,7 @@ def cascade_watch(study: Study, base: CascadeResult | None, best: CascadeResult)
     elif cycle is not None and cycle.outcome == "settles":
         out.append("Here both loops come to rest: a lasting cycle means that the loops are not those modelled.")
     experiment = study.experiment
-    length = "this length" if experiment is None else duration(experiment.duration)
-    travel = f"Valve travel: {figure(two.valve_travel)} % in this run of {length}"
-    if cycle is not None and _swing(best):
-        travel += f", {figure(cycle.travel_per_hour)} % an hour in the long run without noise"
-    out.append(f"{travel}. More than that is wear which this model does not see.")
+    out.append(watch_travel(study, best))
     if base is not None and not unstable(base):
         noises = (
             None if experiment is None else experiment.noise,

@@ -24,6 +24,7 @@ from workbench.report.judge import (
     at_odds,
     base_case,
     last_change,
+    late_words,
     measure,
     over_starts,
     quiet,
@@ -35,6 +36,7 @@ from workbench.report.judge import (
 from workbench.report.known import known_groups, tuning_doubts, unpinned
 from workbench.report.settings import around, settings_words
 from workbench.report.standing import standing_doubt
+from workbench.report.wear import watch_travel
 from workbench.report.words import capital, duration, figure, given, interval, join, nearby
 
 __all__ = ["Confidence", "Judged", "confidence", "digits", "recovery", "searches", "settled", "typed_digits", "watch"]
@@ -296,18 +298,19 @@ def watch(study: Study, base: CaseResult | None, best: CaseResult) -> list[str]:
     out = []
     cycle = best.limit_cycle
     if cycle is not None and cycle.outcome == "cycles":
+        most, other = cycle.pv_peak_to_peak, ""
+        if " to " in late_words(cycle, "pv_peak_to_peak"):
+            most = over_starts(cycle, "pv_peak_to_peak")[1]
+            other = f", up to {figure(most, 3)} EU by the start" if most > cycle.pv_peak_to_peak else ""
         text = (
-            f"The cycle that remains: {_swing(cycle)} without noise, which took up to {duration(_longest(cycle))} to "
-            f"show from the starts tried. A swing well above {figure(cycle.pv_peak_to_peak, 3)} EU that does not come "
-            "from a disturbance means that the loop is not the one modelled here."
+            f"The cycle that remains: {_swing(cycle)} without noise{other}, which took up to "
+            f"{duration(_longest(cycle))} to show from the starts tried. A swing well above {figure(most, 3)} EU that "
+            "does not come from a disturbance means that the loop is not the one modelled here."
         )
         out.append(text)
     elif cycle is not None and cycle.outcome == "settles":
         out.append(_watch_rest(study, cycle))
-    travel = f"Valve travel: {figure(best.run.kpis.valve_travel)} % in this run of {_run(study)}"
-    if cycle is not None and cycle.outcome == "cycles":
-        travel += f", {figure(cycle.travel_per_hour, 3)} % an hour in the long run without noise"
-    out.append(f"{travel}. More than that is wear which this model does not see.")
+    out.append(watch_travel(study, best))
     if base is not None and not unstable(base):
         noise = None if study.experiment is None else study.experiment.noise
         out += recovery(base.loop.controller, best.loop.controller, noise)
@@ -327,10 +330,6 @@ def _watch_rest(study: Study, cycle: LimitCycle) -> str:
             "means that the loop is not the one modelled here."
         )
     return f"{text}: a lasting cycle means that the loop is not the one modelled."
-
-
-def _run(study: Study) -> str:
-    return "this length" if study.experiment is None else duration(study.experiment.duration)
 
 
 def recovery(before: PID, after: PID, noise: Noise | None, moves: str = "moves OP by {} %") -> list[str]:

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 
+from workbench.model.cascade import CascadeCycle
 from workbench.model.results import LimitCycle
 from workbench.model.study import CascadeResult, CaseResult, Study
-from workbench.report.judge import at_odds, cycle_of, late_words, with_stem
-from workbench.report.words import change, figure
+from workbench.report.judge import SAME_CYCLE, at_odds, cycle_of, late_words, over_starts, run_travel, with_stem
+from workbench.report.words import change, duration, figure
 
-__all__ = ["DEAR", "condition", "from_rest", "rests", "wear"]
+__all__ = ["DEAR", "condition", "from_rest", "rests", "watch_travel", "wear"]
 
 DEAR = 2.0  # times the valve's travel as found, from which the decision depends on it
 LONG = " in the long run"
@@ -50,11 +51,32 @@ def condition(study: Study, base: CaseResult | CascadeResult, case: CaseResult |
     ratio, where = wear(study, base, case, counted)
     cycle = cycle_of(case)
     if math.isinf(ratio) and cycle is not None:
-        rate = late_words(cycle, "travel_per_hour") if isinstance(cycle, LimitCycle) else figure(cycle.travel_per_hour)
-        return f" if valve travel of {rate} % an hour{where}, where {base.name} comes to rest, is acceptable"
+        return f" if valve travel of {_rate(cycle)[0]} % an hour{where}, where {base.name} comes to rest, is acceptable"
     return f" if {figure(ratio, 2)} times the valve travel of {base.name}{where} is acceptable" if ratio > DEAR else ""
+
+
+def _rate(cycle: LimitCycle | CascadeCycle) -> tuple[str, float]:
+    """Return the valve's travel an hour (%) in the long run, over its starts in words, and the most of it or nan."""
+    if isinstance(cycle, LimitCycle):
+        return late_words(cycle, "travel_per_hour"), over_starts(cycle, "travel_per_hour")[1]
+    return figure(cycle.travel_per_hour), cycle.travel_per_hour
 
 
 def from_rest(new: float, old: float, unit: str) -> str:
     """Return how a figure of the long run changes, with its unit where it was none: "+66 %", "from 0 to 12 EU"."""
     return f"{change(new, old)} {unit}" if old == 0.0 < new else change(new, old)
+
+
+def watch_travel(study: Study, case: CaseResult | CascadeResult) -> str:
+    """Say how far a case's valve travels by this model, in its run and from every start tried: more is wear unseen."""
+    cycle, experiment = cycle_of(case), study.experiment
+    length = "this length" if experiment is None else duration(experiment.duration)
+    text = f"Valve travel: {figure(with_stem(case).kpis.valve_travel)} % in this run of {length}"
+    words, most = ("", math.nan) if cycle is None else _rate(cycle)
+    if cycle is not None and cycle.outcome == "cycles":
+        text += f", {words} % an hour in the long run without noise{', by the start' if ' to ' in words else ''}"
+        rate = run_travel(case, experiment)
+        text += f", {figure(rate, 3)} % an hour late in this run" if rate > SAME_CYCLE * most else ""
+    elif not math.isnan(most):
+        text += f", up to {figure(most, 3)} % an hour where it cycles, from another start"
+    return f"{text}. More than that is wear which this model does not see."
