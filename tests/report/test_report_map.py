@@ -17,7 +17,7 @@ from matplotlib.figure import Figure
 
 import workbench as wb
 from workbench.model.cycle_map import OUTCOMES, CycleMap
-from workbench.model.study import Study
+from workbench.model.study import CaseResult, Study
 from workbench.report.draw_map import SHADES, MapPoint, _bands, map_figure
 from workbench.report.page import write_report
 from workbench.report.plain_truth import lasting, map_points, map_text
@@ -251,15 +251,28 @@ def test_tunings_that_come_to_rest_are_named_beside_those_that_cycle(study: Stud
     assert "come to rest from the start given or from every start tried: 2 of the map." in told
 
 
+def travels(case: CaseResult, *rates: float) -> CaseResult:
+    """The case with a cycle whose valve travels so far (% an hour) from each of its starts."""
+    cycle = case.limit_cycle
+    assert cycle is not None
+    starts = tuple(replace(start, travel_per_hour=rate) for start, rate in zip(cycle.starts, rates, strict=True))
+    return replace(case, limit_cycle=replace(cycle, travel_per_hour=rates[0], starts=starts))
+
+
 def test_slower_integral_action_is_compared_where_the_swing_stays(study: Study, cycle: Make) -> None:
     first = study.cases[0]
     slow_loop = first.loop.with_controller(replace(first.loop.controller, Ti=200.0))
-    slow = replace(first, name="Slow", loop=slow_loop, limit_cycle=cycle(slow_loop, period=3000.0))
+    as_far = replace(first, name="Slow", loop=slow_loop, limit_cycle=cycle(slow_loop, period=3000.0))
+    slow = travels(as_far, 14.2, 17.5)
     told = " ".join(lasting(replace(study, cases=(first, slow)), first))
     assert "Slower integral action spares the valve and does not shrink the cycle" in told
     assert "Slow (Ti 200 s) every 50 min" in told
     shrunk = replace(slow, limit_cycle=replace(slow.limit_cycle, pv_peak_to_peak=1.0))
     assert "Slower integral" not in " ".join(lasting(replace(study, cases=(first, shrunk)), first))
+    for hardly in (as_far, travels(as_far, 14.2, 135.0)):
+        assert "Slower integral" not in " ".join(lasting(replace(study, cases=(first, hardly)), first)), (
+            "spares nothing"
+        )
 
 
 def test_what_tuning_removes_is_the_cycle_of_an_unstable_loop(study: Study) -> None:

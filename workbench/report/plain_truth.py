@@ -16,7 +16,7 @@ from workbench.model.results import LimitCycle
 from workbench.model.study import CaseResult, Study
 from workbench.report.cycles import period_words
 from workbench.report.draw_map import MapPoint
-from workbench.report.judge import late_figure, late_words, source_of, unstable
+from workbench.report.judge import late_figure, late_words, over_starts, source_of, unstable
 from workbench.report.known import least_step
 from workbench.report.words import duration, figure, given, join
 
@@ -25,6 +25,7 @@ __all__ = ["lasting", "map_points", "map_text"]
 ALIKE = 1.1  # ratio up to which two swings count as the same
 ENDS = (0.05, 0.95)  # quantiles between which a range is told
 SLOWER = 2.0  # ratio of integral times from which on one is called slower
+SPARED = 0.8  # ratio of valve travels an hour up to which the lesser spares the valve
 ROOM = 2.0  # gain margin below which a tuning is said to be near instability
 
 
@@ -223,7 +224,10 @@ def _where(found: CycleMap, cell: MapCell) -> str:
 
 
 def _slower(study: Study) -> list[str]:
-    """Say from two cases of one gain what slower integral action does and does not change, where the swing stays."""
+    """Say from two cases of one gain what slower integral action changes, the travel, and what it does not, the swing.
+
+    Nothing where the travel stays or the swing does not.
+    """
     some = [
         (c, c.limit_cycle)
         for c in study.cases
@@ -237,6 +241,9 @@ def _slower(study: Study) -> list[str]:
             if not same or b.Ti < SLOWER * a.Ti or was.pv_peak_to_peak <= 0.0:
                 continue
             if not 1.0 / ALIKE <= now.pv_peak_to_peak / was.pv_peak_to_peak <= ALIKE:
+                continue
+            # Only what holds for all their cycles is a claim: which of them comes is chosen by the start.
+            if over_starts(now, "travel_per_hour")[1] > SPARED * over_starts(was, "travel_per_hour")[0]:
                 continue
             return [_slowed(fast, was, slow, now)]
     return []
