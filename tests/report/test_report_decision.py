@@ -315,6 +315,27 @@ def test_given_tunings_are_not_called_the_best_there_is(study: Study) -> None:
     assert "No tuning was searched for: this is the best of the given ones" in reasons
 
 
+def test_the_better_tuning_that_the_search_for_repair_has_found_is_named(study: Study) -> None:
+    base = study.cases[0]
+    assert base.objective is not None
+
+    def told(objective: float) -> tuple[str, str]:
+        repair = _repair(study, base.run.kpis)
+        repair = replace(repair, best=replace(repair.best, objective=objective))
+        said = summarise(of(study, *study.cases[:2], repair=repair)).sure
+        assert said is not None
+        return next(text for text in said.reasons if "the best of the given" in text), said.why
+
+    reason, why = told(0.5 * base.objective)
+    better = f"Kc 2.351 %/EU, Ti 9.500 s: J {figure(0.5 * base.objective)} instead of 226.6 in this run."
+    assert f"has found a better one for the sticking valve, {better}" in reason
+    assert "No tuning was searched for" not in reason
+    assert "a search has found a better tuning than the given ones" in why.lower()
+    reason, why = told(2.0 * base.objective)
+    assert reason.endswith("the search for what repairing the valve is worth has found none better.")
+    assert "better tuning" not in why
+
+
 def test_the_long_run_stands_beside_the_run(study: Study) -> None:
     worn = replace(study.cases[2].limit_cycle, mean_square_error=0.2, travel_per_hour=1420.0)
     starts = tuple(replace(s, mean_square_error=0.2, travel_per_hour=1420.0) for s in worn.starts)

@@ -37,7 +37,7 @@ from workbench.report.known import known_groups, tuning_doubts, unpinned
 from workbench.report.settings import around, settings_words
 from workbench.report.standing import standing_doubt
 from workbench.report.wear import watch_travel
-from workbench.report.words import capital, duration, figure, given, interval, join, nearby
+from workbench.report.words import capital, controller_words, duration, figure, given, interval, join, nearby
 
 __all__ = ["Confidence", "Judged", "confidence", "digits", "recovery", "searches", "settled", "typed_digits", "watch"]
 
@@ -91,10 +91,28 @@ def confidence(study: Study, case: CaseResult) -> Confidence:
             open_point="no tuning was searched for in the site's form",
         )
     elif all(one.tuned is None for one in study.cases):
-        judged.say("No tuning was searched for: this is the best of the given ones, and a search may find a better one")
+        _unsearched(study, case, judged)
     _elsewhere(case.robustness, judged)
     _long_run(study, case, judged)
     return settled(judged, given=source_of(study, case) is None)
+
+
+def _unsearched(study: Study, case: CaseResult, judged: Judged) -> None:
+    """Say that a case is the best of the given ones, and what the search for the value of repair has found beside."""
+    repair, own = study.repair, case.objective
+    if repair is None or own is None or not repair.tuned.status.success:
+        judged.say("No tuning was searched for: this is the best of the given ones, and a search may find a better one")
+        return
+    text = "This is the best of the given tunings; the search for what repairing the valve is worth has found"
+    if not repair.best.objective < own:
+        judged.say(f"{text} none better")
+        return
+    judged.say(
+        f"{text} a better one for the sticking valve, {controller_words(repair.best.controller, repair.tuned.digits)}: "
+        f"J {figure(repair.best.objective)} instead of {figure(own)} in this run. As a case (tune) it would be told "
+        "with its long run",
+        open_point="a search has found a better tuning than the given ones",
+    )
 
 
 def settled(judged: Judged, *, given: bool) -> Confidence:
