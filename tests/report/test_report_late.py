@@ -83,6 +83,35 @@ def test_a_cycle_is_sought_in_what_follows_the_last_change(study: Study) -> None
     ) in moved(300.0)
 
 
+def test_a_run_too_short_for_the_cycle_does_not_show_otherwise(study: Study) -> None:
+    load = Experiment(duration=1000.0, load=Step(0.01, at=1.0))
+
+    def found(window: float) -> str:
+        cycle = replace(study.cases[0].limit_cycle, period=100.0, travel_per_hour=142.0, window=window)
+        case = replace(study.cases[0], run=simulate(study.cases[0].loop, load), limit_cycle=cycle)
+        return " ".join(summarise(of(study, case, experiment=load)).found)
+
+    shown = found(800.0)
+    assert "Case 1: the run itself shows otherwise, late in it the valve travels 0 % an hour, not 142 %." in shown
+    assert "too short" not in shown
+    hidden = found(5000.0)
+    assert "is too short to show the cycle of Case 1" in hidden
+    assert "shows otherwise" not in hidden
+
+
+def test_a_loop_that_grows_is_not_called_undecided(study: Study, cycle: Make) -> None:
+    made = cycle(study.cases[0].loop, "undecided")
+
+    def row(reason: str) -> str:
+        starts = tuple(replace(start, reason=reason) for start in made.starts)
+        case = replace(study.cases[0], limit_cycle=replace(made, starts=starts))
+        return next(r for r in cycle_tables(of(study, case))[0].rows if r.label == "Exact simulation").cells[0].text
+
+    assert row("the loop is unstable: PV grows without bound") == "unstable: PV grows"
+    assert row("PV grows without bound, although the loop is stable with an ideal valve") == "unstable: PV grows"
+    assert row("fewer than 8 reversals") == "undecided"
+
+
 def test_the_last_change_is_one_of_setpoint_or_load_within_the_run(case: Make) -> None:
     loop = case("Any", 0.5, 20.0).loop
 

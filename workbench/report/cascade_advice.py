@@ -8,7 +8,7 @@ from workbench.model.study import CascadeResult, Study
 from workbench.report.advice import Advice, worth_it
 from workbench.report.cascade_settings import cascade_base, cascade_error, cascade_kpis, cascade_typed, cascade_words
 from workbench.report.confidence import UNROUNDED, Confidence, Judged, digits, recovery, searches, settled, typed_digits
-from workbench.report.judge import at_odds, last_change, quiet, run_travel, unstable
+from workbench.report.judge import at_odds, quiet, run_travel, too_short, unstable
 from workbench.report.settings import beside_words
 from workbench.report.wear import condition, from_rest, rests, watch_travel
 from workbench.report.words import change, duration, figure
@@ -232,7 +232,7 @@ def _long_run(study: Study, case: CascadeResult, judged: Judged) -> None:
         return
     text, doubt, open_point = f"{lead}both loops cycle; {_swing(case)}", "", ""
     experiment = study.experiment
-    if experiment is not None and 2.0 * cycle.period > experiment.duration - last_change(case.run):
+    if too_short(case, experiment):
         text += "; this run is too short to show it, and its figures are not those of the loops later on"
         doubt = "the run is too short for the cycle that the loops have in the long run"
     elif at_odds(case, experiment):

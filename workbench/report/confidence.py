@@ -23,13 +23,13 @@ from workbench.report.estimates import stiction_words
 from workbench.report.judge import (
     at_odds,
     base_case,
-    last_change,
     late_words,
     measure,
     over_starts,
     quiet,
     run_travel,
     source_of,
+    too_short,
     typed_case,
     unstable,
 )
@@ -285,7 +285,7 @@ def _long_run(study: Study, case: CaseResult, judged: Judged) -> None:
         judged.say(lead + told, open_point=join(open_points))
         return
     text, doubt, open_point = f"{lead}the loop cycles, {_swing(cycle)}", "", ""
-    if study.experiment is not None and cycle.window > study.experiment.duration - last_change(case.run):
+    if too_short(case, study.experiment):
         text += "; this run is too short to show it, and its figures are not those of the loop later on"
         doubt = "the run is too short for the cycle that the loop has in the long run"
     elif at_odds(case, study.experiment):

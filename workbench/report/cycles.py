@@ -16,6 +16,7 @@ from workbench.report.judge import (
     over_starts,
     quiet,
     run_travel,
+    too_short,
     unstable,
 )
 from workbench.report.tables import Cell, Row, Table, blocks
@@ -151,8 +152,7 @@ def _late_sentences(study: Study, cycling: list[tuple[CaseResult, LimitCycle]]) 
     """Name the cases whose cycle the run is too short to show: their figures are flattered."""
     if study.experiment is None:
         return []
-    # A cycle's window counts from the last change of the signals on: what comes before it shows another motion.
-    late = [c for c, cycle in cycling if cycle.window > study.experiment.duration - last_change(c.run)]
+    late = [c for c, _ in cycling if too_short(c, study.experiment)]
     if not late:
         return []
     whose = "its figures in the table do" if len(late) == 1 else "their figures in the table do"
@@ -236,20 +236,19 @@ def _deciding_start(cycle: LimitCycle) -> LimitCycleStart | None:
     return None
 
 
-_OUTCOMES = {
-    "settles": "settles",
-    "cycles": "cycles",
-    "depends": "depends on the start",
-    "undecided": "undecided",
-}
-
-
 def _of_cycle(text: Callable[[LimitCycle], str]) -> Callable[[CaseResult], str]:
     return lambda case: "–" if case.limit_cycle is None else text(case.limit_cycle)
 
 
 def _of_df(text: Callable[[DescribingFunction], str]) -> Callable[[CaseResult], str]:
     return lambda case: "–" if case.describing_function is None else text(case.describing_function)
+
+
+def _outcome(case: CaseResult) -> str:
+    cycle = case.limit_cycle
+    if cycle is not None and cycle.outcome == "undecided" and unstable(case):
+        return "unstable: PV grows"
+    return "–" if cycle is None else {"depends": "depends on the start"}.get(cycle.outcome, cycle.outcome)
 
 
 def _rest_error(cycle: LimitCycle) -> str:
@@ -287,7 +286,7 @@ def _all_starts(name: str) -> Callable[[CaseResult], str]:
 
 
 _CYCLE_ROWS: tuple[tuple[str, str, Callable[[CaseResult], str]], ...] = (
-    ("Exact simulation", "", _of_cycle(lambda c: _OUTCOMES.get(c.outcome, c.outcome))),
+    ("Exact simulation", "", _outcome),
     ("Rests with SP − PV at", "EU", _of_cycle(_rest_error)),
     ("Rests there, as", "", _of_cycle(lambda c: rest_cause(c) or "–")),
     ("First period", "", _of_cycle(_first_period)),

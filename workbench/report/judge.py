@@ -40,6 +40,7 @@ __all__ = [
     "settling_band",
     "settling_doubt",
     "source_of",
+    "too_short",
     "typed_case",
     "unstable",
     "with_stem",
@@ -62,7 +63,7 @@ def unstable(case: CaseResult | CascadeResult) -> bool:
     if isinstance(case, CascadeResult):
         return case.cycle is not None and "grows without bound" in case.cycle.reason
     cycle = case.limit_cycle
-    return cycle is not None and cycle.outcome == "undecided" and "unstable" in cycle.starts[0].reason
+    return cycle is not None and cycle.outcome == "undecided" and "grows without bound" in cycle.starts[0].reason
 
 
 def base_case(study: Study) -> CaseResult | None:
@@ -290,6 +291,16 @@ def run_travel(case: CaseResult | CascadeResult, experiment: Experiment | None) 
     return 3600.0 * moved / ((stop - first) * run.loop.sample_time)
 
 
+def too_short(case: CaseResult | CascadeResult, experiment: Experiment | None) -> bool:
+    """Return whether the run ends before it could show the cycle that the case comes to: it holds other figures."""
+    cycle = cycle_of(case)
+    if experiment is None or cycle is None or cycle.outcome != "cycles":
+        return False
+    window = cycle.window if isinstance(cycle, LimitCycle) else 2.0 * cycle.period
+    # It counts from the last change of the signals on: what comes before that shows another motion.
+    return window > experiment.duration - last_change(case.run)
+
+
 def at_odds(case: CaseResult | CascadeResult, experiment: Experiment | None) -> bool:
     """Return whether the run, with its noise or load, shows another motion of the valve than the verdict without."""
     cycle, run = cycle_of(case), with_stem(case)
@@ -306,4 +317,4 @@ def at_odds(case: CaseResult | CascadeResult, experiment: Experiment | None) -> 
     if rate > 2.0 * cycle.travel_per_hour:
         return moving
     long = (stop - first) * run.loop.sample_time >= 2.0 * cycle.period
-    return long and rate < 0.5 * cycle.travel_per_hour
+    return long and not too_short(case, experiment) and rate < 0.5 * cycle.travel_per_hour
