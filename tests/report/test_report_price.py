@@ -121,6 +121,11 @@ def test_a_cycle_that_goes_on_where_the_loop_rested_is_a_price(study: Study) -> 
     )
     assert "; otherwise keep Kc 0.5 %/EU, Ti 20 s." in decision
     assert decision.endswith("In the long run: mean square error 4.0 times, valve travel from 0 to 950 % an hour.")
+    both = summarise(of(study, base, at(best, 10.0, 53.0, 950.0))).decision
+    run = (
+        "if 5.3 times the valve travel of Case 1 in this run and 950 % an hour in the long run, where Case 1 comes to "
+    )
+    assert f"{run}rest, are acceptable: " in both
     # What rests too and does better goes before what is there; what cycles as well does not.
     calm = at_rest(at(other, 40.0, 15.0, 1.0, name="Calm"), 0.1)
     assert (

@@ -27,20 +27,24 @@ def wear(
 ) -> tuple[float, str]:
     """Return how many times the travel as found a case's is, in the run or the long run, and where, "" of the run.
 
-    The largest counts: a run may be too short for the cycle, and a cycle without noise may be calmer than the run.
+    The larger counts: a run may be too short for the cycle, and a cycle without noise may be calmer than the run.
     Infinite where the case cycles on and the loop as found rests. counted: the travel in a run to count on, %.
     """
+    before, after, in_run = cycle_of(base), cycle_of(case), _in_run(base, case, counted)
+    if before is None or after is None or after.outcome != "cycles":
+        return in_run
+    if before.outcome == "cycles":
+        return max(in_run, (after.travel_per_hour / before.travel_per_hour, LONG))
+    # What never moves its valve controls nothing, and its rest is no measure.
+    moved = with_stem(base).kpis.valve_travel > 0.0
+    return (math.inf, LONG) if moved and rests(study, base) else in_run
+
+
+def _in_run(base: CaseResult | CascadeResult, case: CaseResult | CascadeResult, counted: float) -> tuple[float, str]:
     was, now = with_stem(base).kpis.valve_travel, with_stem(case).kpis.valve_travel
-    if was == 0.0:  # what never moves its valve controls nothing, and its wear is no measure
-        was, counted = math.inf, now
-    ratios = [(now / was, ""), (counted / was, " (with settings beside these)" if counted > now else "")]
-    before, after = cycle_of(base), cycle_of(case)
-    if before is not None and after is not None and after.outcome == "cycles":
-        if before.outcome == "cycles":
-            ratios.append((after.travel_per_hour / before.travel_per_hour, LONG))
-        elif math.isfinite(was) and rests(study, base):
-            ratios.append((math.inf, LONG))
-    return max(ratios)
+    if was == 0.0:
+        return 0.0, ""
+    return (counted / was, " (with settings beside these)") if counted > now else (now / was, "")
 
 
 def condition(study: Study, base: CaseResult | CascadeResult, case: CaseResult | CascadeResult, counted: float) -> str:
@@ -51,7 +55,12 @@ def condition(study: Study, base: CaseResult | CascadeResult, case: CaseResult |
     ratio, where = wear(study, base, case, counted)
     cycle = cycle_of(case)
     if math.isinf(ratio) and cycle is not None:
-        return f" if valve travel of {_rate(cycle)[0]} % an hour{where}, where {base.name} comes to rest, is acceptable"
+        long = f"{_rate(cycle)[0]} % an hour{where}, where {base.name} comes to rest,"
+        ratio, where = _in_run(base, case, counted)
+        if ratio > DEAR:
+            run = f"{figure(ratio, 2)} times the valve travel of {base.name}{where or ' in this run'}"
+            return f" if {run} and {long} are acceptable"
+        return f" if valve travel of {long} is acceptable"
     return f" if {figure(ratio, 2)} times the valve travel of {base.name}{where} is acceptable" if ratio > DEAR else ""
 
 
