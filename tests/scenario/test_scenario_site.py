@@ -153,6 +153,16 @@ def test_the_value_of_repair_is_of_what_is_typed_in(tmp_path):
     assert study.repair.tuned is case.tuned
 
 
+def test_the_value_of_repair_goes_by_no_tuning_that_is_not_to_be_typed_in(tmp_path):
+    text = BASE.replace("limit_cycle: false", "limit_cycle: false, repair: true").replace("300 s", "60 s")
+    tune = "bounds: {Kc: [0.4, 0.6], Ti: [20 s, 20 s]}, Td: 0 s, restarts: 1"
+    cases = f"  - {{name: Cliff, tune: {{{tune}, nominal: true}}}}\n  - {{name: Found, tune: {{{tune}, digits: 2}}}}\n"
+    study = wb.run_scenario(written(tmp_path, "{form: ideal}", text.replace("analyze:", f"{cases}analyze:")))
+    cliff, found = (next(case for case in study.cases if case.name == name) for name in ("Cliff", "Found"))
+    assert cliff.tuned.objective <= found.tuned.objective
+    assert study.repair.tuned is found.tuned
+
+
 @pytest.mark.parametrize(
     ("entry", "base", "text"),
     [

@@ -280,9 +280,9 @@ class _Runner:
         """Return what repair is worth to the first given case, from the best search that the cases have made."""
         plan, experiment = self.plan, cases[0].run.experiment
         present = next((case for case in cases if case.tuned is None), cases[0])
-        # A robust tuning's objective is one over an ensemble, not of this experiment.
+        # A robust tuning's objective is one over an ensemble, not of this experiment; the least J itself is no tuning.
         found = [case.tuned for case in cases if case.tuned is not None and case.tuned.ensemble is None]
-        searches = [one for one in found if one.status.success]
+        searches = [one for one in found if one.status.success and not one.nominal_only]
         if plan.objective is not None:
             searches = [one for one in searches if one.weights == plan.objective]
         best = min(searches, key=lambda one: one.objective, default=None)
