@@ -90,7 +90,7 @@ def case_advice(study: Study) -> Advice:
         best = case
         do += _exactly(study, base, best)
         left += _remaining(study, base, best)
-        do += _rules_with_less(study, best) + (_asked_elsewhere(study, best) or _lesswear(study, best))
+        do += _rules_with_less(study, best) + (_asked_elsewhere(study, best) or _less_wear(study, best))
     left += lasting(study, best)
     if study.repair is not None:
         left.append(repair_sentence(study))
@@ -358,7 +358,7 @@ def _error(case: CaseResult) -> float:
     return case.run.kpis.mean_square_error
 
 
-def _lesswear(study: Study, best: CaseResult) -> list[str]:
+def _less_wear(study: Study, best: CaseResult) -> list[str]:
     """Name the calmest other case where it moves the valve less than half as far."""
     # A valve that never moves controls nothing, and wear under a PV that grows without bound is no choice.
     others = [c for c in study.cases if c is not best and c.run.kpis.valve_travel > 0.0 and _can_be_set(study, c)]
