@@ -152,6 +152,25 @@ def test_words_for_loops_that_the_method_says_nothing_about() -> None:
     assert "unstable with an ideal valve" in unstable.verdict
 
 
+@pytest.mark.parametrize(("Kc", "Ti"), [(1e160, 20.0), (1e300, 20.0), (0.5, 1e-160)])
+def test_the_distance_of_gains_beyond_all_use_is_theirs(Kc: float, Ti: float) -> None:
+    df = describing_function(paper(Kc, Ti))
+    assert not df.crossings
+    # L is least at the Nyquist frequency, beside which the locus is as good as 0.
+    assert df.distance == pytest.approx(np.abs(df.L).min(), rel=1e-9)
+    assert df.distance_frequency == pytest.approx(math.pi, rel=1e-6)
+    assert "unstable with an ideal valve" in df.verdict
+
+
+@pytest.mark.parametrize(
+    "loop", [paper(1e300, 1e-160), paper(0.5, 1e-320), paper(0.5, 20.0, 0.0, Choudhury(*[1e-320] * 2))]
+)
+def test_loci_that_no_number_holds_are_said(loop: Loop) -> None:
+    df = describing_function(loop)
+    assert math.isinf(df.distance)
+    assert df.verdict.startswith("The numbers of this loop are too large or too small for its loci to be calculated")
+
+
 def test_output_limits_too_narrow_for_the_cycle_are_said() -> None:
     loop = paper(2.01, 301.0)
     narrow = loop.with_controller(replace(loop.controller, output_limits=(-0.5, 0.5)))

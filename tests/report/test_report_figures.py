@@ -24,7 +24,7 @@ from workbench.model.valve import Choudhury, Directional, Ideal
 from workbench.report import draw, figures
 from workbench.report.plot import plot
 from workbench.report.style import CASES, case_style, svg_text
-from workbench.report.thinned import fills, settled
+from workbench.report.thinned import fills, phase, settled
 from workbench.report.words import figure
 from workbench.simulate.signature import signature
 
@@ -70,6 +70,12 @@ def test_a_case_that_comes_to_rest_early_is_shown_from_near(study: Study) -> Non
     assert near.get_legend() is None
     assert settled(run.time, run.pv) < 0.1 * run.time[-1] < settled(run.time, study.cases[0].run.pv)
     assert settled(np.arange(4.0), np.array([0.0, 1.0, np.nan, 1.0])) == np.inf
+
+
+def test_a_signal_that_moves_by_next_to_no_number_is_drawn() -> None:
+    x, y = phase(np.arange(4.0), np.array([0.0, 1e-320, 0.0, 1e-320]))
+    assert (x[0], x[-1]) == (0.0, 3.0)
+    assert y.max() == 1e-320
 
 
 def test_a_case_that_swings_fast_is_a_band_under_the_others() -> None:

@@ -25,6 +25,7 @@ SEARCHED = 4000
 LONGEST_SEARCH = 20000
 
 
+@np.errstate(over="ignore", invalid="ignore", divide="ignore")  # the verdict says where nothing is left of a locus
 def describing_function(loop: Loop, *, sampling_delay: bool = False) -> DescribingFunction:
     """Return the describing-function analysis of a loop: loci, all crossings, and the distance where there is none.
 
@@ -177,6 +178,8 @@ def _verdict(
             f"The loci cross only where a cycle would not last (OP amplitude {given(least.amplitude, 3)} %, period "
             f"{given(least.period, 3)} s): smaller swings are predicted to die out and larger ones to grow{linear}."
         )
+    if math.isinf(approach.distance):
+        return f"The numbers of this loop are too large or too small for its loci to be calculated{linear}."
     period = given(2.0 * math.pi / approach.frequency, 3)
     return (
         f"The loci do not cross, so no cycle is predicted; they come as close as {given(approach.distance, 3)} at an "

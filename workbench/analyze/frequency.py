@@ -78,6 +78,7 @@ def sampled_plant_response(loop: Loop, frequency: FloatArray) -> ComplexArray:
     return G
 
 
+@np.errstate(over="ignore", invalid="ignore")  # of a gain beyond all use it is inf or nan
 def loop_response(
     loop: Loop, frequency: FloatArray, *, sampling_delay: bool = False
 ) -> tuple[ComplexArray, ComplexArray]:
@@ -93,6 +94,7 @@ def loop_response(
     return controller_response(loop.controller, frequency) * G, G
 
 
+@np.errstate(over="ignore", invalid="ignore")  # whose roots lie far outside then
 def characteristic_polynomial(loop: Loop) -> FloatArray:
     """Return the closed loop's characteristic polynomial in z, highest power first, for an ideal valve.
 

@@ -45,9 +45,9 @@ def meetings(response: Response, frequencies: FloatArray, pieces: tuple[Piece, .
     Both curves are taken as polylines in the plane of log magnitude and phase, where they are evenly resolved from very
     low to very high gain; every crossing of two segments is then refined to `|1 + N L| < 1e-9`.
     """
-    L = response(frequencies)
+    frequencies, L = _seen(response, frequencies)
     found: list[Meeting] = []
-    if not pieces or not L.all():
+    if not pieces or not L.size or not L.all():
         return ()
     for piece in pieces:
         for t, w in _polyline_crossings(L, frequencies, piece):
@@ -55,6 +55,13 @@ def meetings(response: Response, frequencies: FloatArray, pieces: tuple[Piece, .
             if met is not None and met.frequency <= frequencies[-1] * (1.0 + 1e-9) and not _known(met, found):
                 found.append(met)
     return tuple(sorted(found, key=lambda met: met.amplitude))
+
+
+def _seen(response: Response, frequencies: FloatArray) -> tuple[FloatArray, ComplexArray]:
+    """Return the frequencies at which L is no larger than numbers can be, and L there."""
+    L = response(frequencies)
+    there = np.isfinite(L)
+    return frequencies[there], L[there]
 
 
 def _known(met: Meeting, found: list[Meeting]) -> bool:
@@ -138,7 +145,7 @@ def first_meeting(response: Response, frequencies: FloatArray, pieces: tuple[Pie
     A factor shifts L along log magnitude alone, so that it is the least gap of both curves at equal phase. Both are
     taken as the polylines of `meetings`; the factor is right to about their resolution (1e-4).
     """
-    L = response(frequencies)
+    _, L = _seen(response, frequencies)
     a = np.column_stack([np.log(np.abs(L)), _phase(L)])
     least = math.inf
     for piece in pieces:
@@ -167,24 +174,32 @@ def _least_gap(points: FloatArray, line: FloatArray, sign: float) -> float:
 def closest_approach(response: Response, frequencies: FloatArray, pieces: tuple[Piece, ...]) -> Approach:
     """Return where L comes closest to any piece of the locus: the nearest grid points, then refined within the piece.
 
-    Works with no frequency at which L is 0 as well: the locus' own distance from 0 then.
+    Works with no frequency at which L is 0 as well: the locus' own distance from 0 then. Where one of the curves is
+    nowhere within what numbers can be, the distance is inf and its place nan.
     """
-    L = response(frequencies)
-    tree = cKDTree(np.column_stack([L.real, L.imag]))
+    frequencies, L = _seen(response, frequencies)
+    best_found = Approach(math.inf, math.nan, math.nan)
+    if not L.size:
+        return best_found
+    # In units of an L that is large everywhere, so that no square of what lies near the locus overflows.
+    unit = max(1.0, float(np.abs(L).min()))
+    tree = cKDTree(np.column_stack([L.real, L.imag]) / unit)
     starts: list[tuple[float, Piece, float, float]] = []
     for piece in pieces:
         locus = -1.0 / piece.N(piece.amplitude(piece.points))
-        found = tree.query(np.column_stack([locus.real, locus.imag]))
+        there = np.isfinite(locus)
+        if not there.any():
+            continue  # of a stick band that is next to no number
+        found = tree.query(np.column_stack([locus[there].real, locus[there].imag]) / unit)
         gaps, nearest = np.asarray(found[0]), np.asarray(found[1])
         best = int(np.argmin(gaps))
-        starts.append((float(gaps[best]), piece, float(piece.points[best]), float(frequencies[nearest[best]])))
+        starts.append((float(gaps[best]), piece, float(piece.points[there][best]), float(frequencies[nearest[best]])))
     starts.sort(key=lambda start: start[0])
-    best_found = Approach(math.inf, math.nan, math.nan)
     low, high = np.array([0.0, math.log(frequencies[0])]), np.array([1.0, math.log(frequencies[-1])])
     for grid_gap, piece, t, w in starts[:4]:
 
         def gap(at: FloatArray, piece: Piece = piece) -> FloatArray:
-            between = response(np.exp(at[1:])) + 1.0 / piece.N(piece.amplitude(at[:1]))
+            between = (response(np.exp(at[1:])) + 1.0 / piece.N(piece.amplitude(at[:1]))) / unit
             return np.concatenate([between.real, between.imag])
 
         start = np.clip(np.array([t, math.log(w)]), low + 1e-9, high - 1e-9)
@@ -192,6 +207,6 @@ def closest_approach(response: Response, frequencies: FloatArray, pieces: tuple[
         value, at = float(np.hypot(*solved.fun)), np.asarray(solved.x, dtype=np.float64)
         if value > grid_gap:
             value, at = grid_gap, start
-        if value < best_found.distance:
-            best_found = Approach(value, float(piece.amplitude(at[:1])[0]), math.exp(float(at[1])))
+        if value * unit < best_found.distance:
+            best_found = Approach(value * unit, float(piece.amplitude(at[:1])[0]), math.exp(float(at[1])))
     return best_found

@@ -133,6 +133,7 @@ def _self_regulating(loop: Loop, plant: FOPDT, terms: IdealTerms, split: float) 
     return RelaxationCycle(split, period, K * M, K * M * K * M * error, M)
 
 
+@np.errstate(over="ignore")  # of a filter time that is next to no number
 def _echo(terms: IdealTerms, tau: float) -> float:
     """The peak of proportional and derivative action after a step of PV's rest by 1, Kc aside; 1 without derivative."""
     if terms.Td == 0.0:

@@ -110,7 +110,10 @@ def _stretches(x: FloatArray, y: FloatArray, cells: int) -> tuple[NDArray[np.int
     places = []
     for signal in (x, y):
         low, high = float(signal.min()), float(signal.max())
-        places.append(np.round((signal - low) * (cells / (high - low) if high > low else 0.0)).astype(np.int64))
+        # What moves by next to no number is at rest: its cells cannot be told apart.
+        places.append(
+            np.round((signal - low) * (cells / (high - low) if high - low > 1e-300 else 0.0)).astype(np.int64)
+        )
     code = places[0] * 1000 + places[1]
     moved = np.flatnonzero(np.concatenate(([True], np.diff(code) != 0)))
     code = code[moved]

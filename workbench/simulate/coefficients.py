@@ -124,6 +124,7 @@ def _same_both_ways(kind: int, band: float, offset: float) -> ValveLaw:
     return ValveLaw(kind, band, offset, band, offset)
 
 
+@np.errstate(over="ignore", invalid="ignore")  # such a run diverges, and its figures say so
 def coefficients(loop: Loop, stem_offset: float = 0.0, tunings: FloatArray | None = None) -> FloatArray:
     """Return coefficient rows, shape (M, COEFFICIENTS or more), of a loop with its own controller (M = 1).
 
