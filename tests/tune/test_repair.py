@@ -81,6 +81,16 @@ def test_bounds_left_out_hold_the_present_tuning() -> None:
     assert found.tuned.bounds == wb.Bounds((0.0, 12.0), (5.0, 700.0), (0.0, 0.0))
 
 
+def test_a_loop_without_integral_action_is_compared_with_the_best_of_bounds_that_have_some() -> None:
+    loop, experiment = paper_loop(2.0, math.inf), wb.Experiment(60.0, wb.Step(4.0))
+    found = wb.value_of_repair(loop, experiment, restarts=1, digits=2)
+    assert found.tuned.bounds == wb.Bounds(Td=(0.0, 0.0))
+    assert math.isinf(found.present.controller.Ti)
+    assert math.isinf(found.repaired.controller.Ti)
+    assert_same(found.present.kpis, wb.simulate(loop, experiment).kpis)
+    assert found.best.objective < found.present.objective
+
+
 def test_what_cannot_be_compared_is_refused(repair: Repair) -> None:
     loop = paper_loop(0.5, 20.0)
     with pytest.raises(wb.InvalidValue, match="nothing to repair"):

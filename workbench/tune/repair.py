@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from functools import partial
 
@@ -41,7 +42,8 @@ def value_of_repair(
     Both at the loop's present tuning, and each at the best tuning that `tune` finds for it under the same objective,
     bounds, seed, digits and restarts. tuned: a search of the sticky loop that has been made already; its experiment,
     objective, bounds, seed, digits and number of restarts are then used (and those given here are not). Without bounds:
-    the defaults widened to hold the present tuning, and PI where that has Td = 0. A stem offset of the experiment is
+    the defaults widened to hold the present tuning, and PI where that has Td = 0. A search for a loop without integral
+    action starts at the longest Ti of the bounds. A stem offset of the experiment is
     left out with the ideal valve, which holds none, and so is a compensator. progress: as `tune`.
 
     One setpoint step and nothing else flatters the sticky valve: a search finds the tuning that lands on the setpoint
@@ -71,8 +73,10 @@ def value_of_repair(
 
     half = 0.0 if tuned is not None else 0.5
     if tuned is None:
+        pid = loop.controller
+        start = pid if math.isfinite(pid.Ti) else replace(pid, Ti=bounds.Ti[1])
         tuned = tune(
-            loop,
+            loop.with_controller(start),
             experiment,
             objective,
             bounds,
@@ -170,14 +174,16 @@ def _ideal(loop: Loop) -> Loop:
 def usual_bounds(controller: PID, given: Bounds | None = None) -> Bounds:
     """Return bounds wide enough for the present tuning: those given, or the default ones.
 
-    The default ones have no derivative where the present tuning has none.
+    The default ones have no derivative where the present tuning has none. A tuning without integral action lies beyond
+    any bounds of Ti.
     """
     usual = Bounds() if given is None else given
 
     def with_present(name: str) -> tuple[float, float]:
         low, high = getattr(usual, name)
         value = getattr(controller, name)
-        return min(low, value), max(high, value)
+        # No integral action has no finite time that bounds could hold.
+        return (min(low, value), max(high, value)) if math.isfinite(value) else (low, high)
 
     none = given is None and controller.Td == 0.0
     return Bounds(with_present("Kc"), with_present("Ti"), (0.0, 0.0) if none else with_present("Td"))
