@@ -134,6 +134,30 @@ def test_without_a_site_the_controllers_own_form_is_shown(study: Study) -> None:
     assert "site" not in json.loads(results_json(bare))
 
 
+@pytest.mark.parametrize(("scale", "unit"), [(2.0, "unit"), (0.5, "%")])
+def test_a_primary_with_units_of_its_own_is_told_in_them_and_what_it_does_in_eu(scale: float, unit: str) -> None:
+    head = TEXT.partition("cases:")[0]
+
+    def at(scale: float) -> tuple[Study, Summary]:
+        # The same two loops whatever the primary's unit.
+        text = head.replace("cascade:\n", f"cascade:\n  scale: {scale}\n").replace("Kc: 3,", f"Kc: {0.5 / scale},")
+        tuned = f"{{name: Tighter, primary: {{Kc: {1.0 / scale}, Ti: 80 s}}}}"
+        study = wb.run_scenario(read_scenario(f"{text}cases:\n  - {{name: As found}}\n  - {tuned}\n", Path("c.yaml")))
+        return study, summarise(study)
+
+    (plain, bare), (study, summary) = at(1.0), at(scale)
+    assert f"then the primary to Kc {1.0 / scale:g} {unit}/EU, Ti 80 s" in summary.decision
+    kept = [line.replace("Kc 0.5 EU/EU", f"Kc {0.5 / scale:g} {unit}/EU") for line in bare.watch]
+    assert list(summary.watch) == kept, "what is in EU does not hang on the unit"
+    assert any("noise of 0.01 EU moves the secondary's setpoint by 0.01 EU" in line for line in summary.watch)
+    for ours, theirs in zip(cascade_tables(study), cascade_tables(plain), strict=True):
+        for row, other in zip(ours.rows, theirs.rows, strict=True):
+            if row.label == "Primary: Kc":
+                assert (row.unit, other.unit) == (f"{unit}/EU", "EU/EU")
+            elif not row.label.startswith("Looked at alone"):
+                assert row == other
+
+
 @cache
 def searched() -> Tuned:
     bounds = wb.Bounds((1.0, 2.0), (60.0, 100.0), (0.0, 0.0))

@@ -229,6 +229,8 @@ def test_a_cascades_site_is_the_form_of_both(tmp_path):
     assert (percent.primary.output, percent.primary.output_span) == ("%", 100.0)
     assert percent.primary.settings(wb.PID(6.0, 80.0), 4).gain == site.primary.settings(wb.PID(3.0, 80.0), 4).gain
     assert in_cascade(tmp_path, "{form: series}", CASCADE).primary.units == ("EU/EU", "s", "s")
+    other = RANGED.replace("\ncascade:\n", "\ncascade:\n  scale: 2\n")
+    assert in_cascade(tmp_path, "{form: parallel}", other).primary.units == ("unit/EU", "unit/(EU s)", "unit s/EU")
 
 
 @pytest.mark.parametrize(

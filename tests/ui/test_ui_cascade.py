@@ -96,6 +96,17 @@ def test_pinned_cases_are_those_of_the_scenario_and_can_be_shown(session):
     assert rows["Secondary: valve travel"]["cells"][0]["text"] == "72.14"
 
 
+def test_a_primary_in_units_of_its_own_is_told_in_them_and_its_travel_in_eu(session):
+    before = figures(session)
+    assert FIELDS[f"{ABOVE}.Kc"].units_in(session.screen.entries) == ("EU/EU",)
+    Kc = PLAN.cascade[0].cascade.primary.controller.Kc
+    session.change({"cascade.scale": "2", f"{ABOVE}.Kc": str(Kc / 2)})
+    assert session.problems == ()
+    assert FIELDS[f"{ABOVE}.Kc"].units_in(session.screen.entries) == ("unit/EU",)
+    assert figures(session)["primary.controller_travel"] == before["primary.controller_travel"]
+    assert session.own.words.startswith(f"primary Kc {Kc / 2:g} unit/EU, Ti")
+
+
 def test_a_pinned_case_that_the_cascade_refuses_says_why_and_the_others_stand(session):
     session.change({f"{BELOW}.compensator.type": "knocker", "cascade.secondary.sample_time": "1"})
     session.pin("Knocked")

@@ -66,6 +66,17 @@ class Cascade:
             raise InvalidValue("Cascade.primary.sample_time", f"{self.primary.sample_time:g} s", limit)
 
     @property
+    def output_unit(self) -> str:
+        """What the primary's output is in: "EU" of the secondary, "%" of its PV range, or a "unit" that `scale` tells.
+
+        Unlike `scale` it is of words alone: the primary's own figures are all in it.
+        """
+        if self.scale == 1.0:
+            return "EU"
+        low, high = self.secondary.pv_range or (0.0, 0.0)
+        return "%" if math.isclose(high - low, 100.0 * abs(self.scale)) else "unit"
+
+    @property
     def every(self) -> int:
         """How many samples of the secondary the primary's scan takes: n."""
         return round(self.primary.sample_time / self.secondary.sample_time)

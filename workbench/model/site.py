@@ -43,7 +43,8 @@ class SiteForm:
     In the parallel form all three are gains: the integral one is told in %/EU (or %/%) per s or min, the derivative one
     times s or min; it has no proportional band, and no repeats. pv_range: (low, high) in EU, needed for "%/%" and
     "PB %". output: the unit of what the controller puts out, "%" but for a cascade's primary, whose output may be the
-    secondary's setpoint in "EU"; output_span: what of it is 100 %, > 0. Raises `InvalidValue`.
+    secondary's setpoint in "EU", or in a "unit" of its own (`Cascade.output_unit`); output_span: what of it is 100 %,
+    > 0. Raises `InvalidValue`.
     """
 
     form: str = "ideal"
@@ -55,7 +56,7 @@ class SiteForm:
     output_span: float = 100.0
 
     def __post_init__(self) -> None:
-        choice(self.output, "SiteForm.output", ("%", "EU"))
+        choice(self.output, "SiteForm.output", ("%", "EU", "unit"))
         number(self.output_span, "SiteForm.output_span", above=0.0, unit=self.output)
         choice(self.form, "SiteForm.form", FORMS)
         choice(self.gain, "SiteForm.gain", GAIN_UNITS)

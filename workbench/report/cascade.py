@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable, Sequence
 
 from workbench.model.cascade import Appearance
+from workbench.model.results import Kpis
 from workbench.model.study import CascadeResult, Study
 from workbench.model.titles import kpi_title, within
 from workbench.report.judge import settling_band, settling_doubt
@@ -21,7 +22,7 @@ from workbench.report.words import (
     valve_words,
 )
 
-__all__ = ["cascade_lines", "cascade_rows", "cascade_sentences", "cascade_tables"]
+__all__ = ["cascade_figure", "cascade_lines", "cascade_rows", "cascade_sentences", "cascade_tables"]
 
 PRIMARY_KPIS = ("mean_square_error", "iae", "pv_sd", "settling_time", "final_error", "controller_travel")
 SECONDARY_KPIS = ("mean_square_error", "pv_sd", "valve_travel", "reversals", "controller_travel")
@@ -54,9 +55,9 @@ def _settings(study: Study, which: str) -> list[Row]:
     pids = [getattr(case.run.cascade, which).controller for case in study.cascade]
     tuned = [None if case.tuned is None else getattr(case.tuned, which) for case in study.cascade]
     digits = [None if one is None else one.digits for one in tuned]
-    unit = "EU/EU" if which == "primary" else "%/EU"
+    out = study.cascade[0].run.cascade.output_unit if which == "primary" else "%"
     rows = [
-        Row(f"{which.capitalize()}: {name}", unit if name == "Kc" else "s", cells, group=name == "Kc")
+        Row(f"{which.capitalize()}: {name}", f"{out}/EU" if name == "Kc" else "s", cells, group=name == "Kc")
         for name in ("Kc", "Ti", "Td")
         for cells in (
             tuple(
@@ -79,7 +80,7 @@ def cascade_tables(study: Study) -> list[Table]:
     if study.objective is not None:
         rows.append(_numbers("J", "", [math.nan if c.objective is None else c.objective for c in cases], less=True))
     for which, name, title, unit, less in cascade_rows():
-        values = [float(getattr(getattr(c.run, which).kpis, name)) for c in cases]
+        values = [cascade_figure(getattr(c.run, which).kpis, which, name, c.run.cascade.scale) for c in cases]
         doubts = [settling_doubt(c, study.experiment) if name == "settling_time" else "" for c in cases]
         unit = settling_band(cases[0], study.experiment) if name == "settling_time" else unit
         first = name in (PRIMARY_KPIS[0], SECONDARY_KPIS[0])
@@ -101,6 +102,12 @@ def cascade_rows() -> list[tuple[str, str, str, str, bool]]:
             words = f"{which.capitalize()}: {within(title)}"
             rows.append((which, name, words, unit, name in LESS))
     return rows
+
+
+def cascade_figure(kpis: Kpis, which: str, name: str, scale: float) -> float:
+    """Return a figure of `cascade_rows` in its unit there: the primary's travel is that of the secondary's setpoint."""
+    value = float(getattr(kpis, name))
+    return abs(scale) * value if (which, name) == ("primary", "controller_travel") else value
 
 
 def _numbers(
@@ -140,6 +147,9 @@ def _cycle_rows(cases: Sequence[CascadeResult]) -> list[Row]:
     def alone(place: int) -> Callable[[CascadeResult], str]:
         return lambda case: "–" if case.detections is None else VERDICTS[case.detections[place].verdict]
 
+    def in_eu(output: float) -> str:
+        return figure(abs(cases[0].run.cascade.scale) * output)
+
     def degrees(value: float) -> str:
         return "–" if math.isnan(value) else f"{value:.0f}°"
 
@@ -155,7 +165,8 @@ def _cycle_rows(cases: Sequence[CascadeResult]) -> list[Row]:
         for name, title in signals:
             unit = "%" if title == "OP" else "EU of the secondary" if title == "output" else "EU"
             words = f"{which.capitalize()}: {title} peak to peak"
-            rows.append(of(words, unit, seen(which, f"{name}_peak_to_peak", figure), group=title in ("PV", "SP")))
+            swing = seen(which, f"{name}_peak_to_peak", in_eu if title == "output" else figure)
+            rows.append(of(words, unit, swing, group=title in ("PV", "SP")))
         for name, title in signals:
             rows.append(
                 of(f"{which.capitalize()}: {title} lags the stem by", "", seen(which, f"{name}_phase", degrees))

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
+from workbench.model.controller import PID
 from workbench.model.study import CascadeResult, Study
 from workbench.report.advice import Advice, worth_it
 from workbench.report.cascade_settings import cascade_base, cascade_error, cascade_kpis, cascade_typed, cascade_words
@@ -242,6 +244,12 @@ def _long_run(study: Study, case: CascadeResult, judged: Judged) -> None:
     judged.say(text, doubt=doubt, open_point=open_point)
 
 
+def _in_eu(primary: PID, scale: float) -> PID:
+    """Return a primary whose output is the secondary's setpoint in EU, whatever it puts out."""
+    ideal = primary.to_form("ideal")
+    return replace(ideal, Kc=abs(scale) * ideal.Kc)
+
+
 def cascade_watch(study: Study, base: CascadeResult | None, best: CascadeResult) -> list[str]:
     """Return what to watch once a case's settings are in; nothing where it is the one to keep."""
     if best is base:
@@ -265,7 +273,10 @@ def cascade_watch(study: Study, base: CascadeResult | None, best: CascadeResult)
         )
         for which, noise in zip(("primary", "secondary"), noises, strict=True):
             was, now = (getattr(case.run.cascade, which).controller for case in (base, best))
-            put = "moves the secondary's setpoint by {} EU" if which == "primary" else "moves OP by {} %"
+            put = "moves OP by {} %"
+            if which == "primary":
+                put = "moves the secondary's setpoint by {} EU"
+                was, now = (_in_eu(pid, best.run.cascade.scale) for pid in (was, now))
             out += [f"{which.capitalize()}. {text}" for text in recovery(was, now, noise, put)]
         before = "; ".join(f"{which} {cascade_words(study, base, which)}" for which in ("primary", "secondary"))
         out.append(f"If PV or valve do worse than before, put back {before} ({base.name}) and look at the model again.")

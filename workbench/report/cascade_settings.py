@@ -76,8 +76,11 @@ def _form(study: Study, case: CascadeResult, which: str) -> SiteForm:
     if study.cascade_site is not None:
         form: SiteForm = getattr(study.cascade_site, which)
         return form
-    own = _pid(case, which).form
-    return SiteForm(own, output="EU" if which == "primary" else "%")
+    return SiteForm(_pid(case, which).form, output=_out(case, which))
+
+
+def _out(case: CascadeResult, which: str) -> str:
+    return case.run.cascade.output_unit if which == "primary" else "%"
 
 
 def _pid(case: CascadeResult, which: str) -> PID:
@@ -108,9 +111,7 @@ def cascade_words(study: Study, case: CascadeResult, which: str) -> str:
 
 
 def _own_words(case: CascadeResult, which: str) -> str:
-    own = controller_words(_pid(case, which), _digits(case, which))
-    # The primary's output is the secondary's setpoint, in EU.
-    return own.replace("%/EU", "EU/EU") if which == "primary" else own
+    return controller_words(_pid(case, which), _digits(case, which), _out(case, which))
 
 
 def cascade_table(study: Study, base: CascadeResult, best: CascadeResult) -> Table:

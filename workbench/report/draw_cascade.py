@@ -51,9 +51,7 @@ def pv_op_figure(run: CascadeRun) -> Figure:
     with styled():
         fig = new_figure(2.5, 3.9)
         above, below = fig.subplots(2, 1)
-        _against(above, run.primary.op, run.primary.pv, "secondary's SP (EU)", "primary's PV (EU)")
-        if run.cascade.scale != 1.0:
-            above.set_xlabel("primary's output")
+        _against(above, run.secondary.sp, run.primary.pv, "secondary's SP (EU)", "primary's PV (EU)")
         _against(below, run.secondary.op, run.secondary.pv, "OP (%)", "secondary's PV (EU)")
     return fig
 

@@ -143,10 +143,13 @@ def join(parts: Sequence[str]) -> str:
     return ", ".join(parts[:-1]) + " and " + parts[-1]
 
 
-def controller_words(controller: PID, digits: int | None = None) -> str:
-    """Return "Kc 2.351 %/EU, Ti 9.500 s" (and Td and compensator where there are), in the controller's own form."""
-    gain = {"parallel": ("%/(EU s)", "% s/EU")}.get(controller.form)
-    parts = [f"Kc {setting(controller.Kc, digits)} %/EU"]
+def controller_words(controller: PID, digits: int | None = None, out: str = "%") -> str:
+    """Return "Kc 2.351 %/EU, Ti 9.500 s" (and Td and compensator where there are), in the controller's own form.
+
+    out: the unit of what it puts out.
+    """
+    gain = {"parallel": (f"{out}/(EU s)", f"{out} s/EU")}.get(controller.form)
+    parts = [f"Kc {setting(controller.Kc, digits)} {out}/EU"]
     if gain is None:
         integral = "no integral action" if math.isinf(controller.Ti) else f"Ti {setting(controller.Ti, digits)} s"
         derivative = f"Td {setting(controller.Td, digits)} s"

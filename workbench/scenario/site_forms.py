@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 from workbench.model.cascade import Cascade
 from workbench.model.site import CascadeSite, SiteForm
 from workbench.scenario.refusals import Refusals
@@ -64,9 +62,7 @@ def cascade_site(scenario: ScenarioFile, refusals: Refusals, cascade: Cascade) -
     units = GAINS[given.gain], INTEGRALS[given.integral], DERIVATIVES[given.derivative]
     low, high = cascade.secondary.pv_range or (0.0, 100.0 * abs(cascade.scale))
     span = (high - low) / abs(cascade.scale)
-    # A primary that puts out per cent of the secondary's range is scaled by a hundredth of its span.
-    output = "%" if cascade.scale != 1.0 and math.isclose(span, 100.0) else "EU"
-    primary = SiteForm(forms[0], *units, cascade.primary.pv_range, output, span)
+    primary = SiteForm(forms[0], *units, cascade.primary.pv_range, cascade.output_unit, span)
     return CascadeSite(primary, SiteForm(forms[1], *units, cascade.secondary.pv_range))
 
 

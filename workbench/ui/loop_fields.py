@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from workbench.model.controller import FORMS, STRUCTURES
 from workbench.ui.entry import SECONDS, Field
 
@@ -11,6 +13,7 @@ __all__ = [
     "VALVES",
     "controller_fields",
     "element_fields",
+    "of_output",
     "plant_fields",
     "valve_fields",
 ]
@@ -171,9 +174,9 @@ def controller_fields(path: str, *, of_cascade: str = "", given: tuple[str, str]
     """Return a controller's entries. of_cascade: "primary" or "secondary", "" for a single loop's; given: Kc and Ti."""
     limited = (f"{path}.limited", ("true",))
     own = (f"{path}.structure", (OWN_WEIGHT,))
-    gains = {"": ("%/EU", "%/%", "PB %"), "primary": ("EU/EU",), "secondary": ("%/EU",)}[of_cascade]
-    out = "EU" if of_cascade == "primary" else "%"
-    return (
+    out = "unit" if of_cascade == "primary" else "%"
+    gains = (f"{out}/EU",) if of_cascade else ("%/EU", "%/%", "PB %")
+    fields = (
         Field(f"{path}.Kc", "Gain Kc", given[0], gains, slider="log"),
         Field(f"{path}.Ti", "Integral time Ti", given[1], (*SECONDS, "repeats/min"), slider="log", hint="or none"),
         Field(f"{path}.Td", "Derivative time Td", "0", SECONDS, slider="linear", reach=10.0),
@@ -222,6 +225,17 @@ def controller_fields(path: str, *, of_cascade: str = "", given: tuple[str, str]
             more=True,
         ),
         *_compensator(f"{path}.compensator", out),
+    )
+    return of_output(fields)
+
+
+def of_output(fields: tuple[Field, ...]) -> tuple[Field, ...]:
+    """Return fields among which those in a primary's own unit are in EU of the secondary where its scale is 1."""
+    return tuple(
+        replace(field, otherwise=("cascade.scale", "1", field.units[0].replace("unit", "EU")))
+        if field.units and field.units[0].startswith("unit")
+        else field
+        for field in fields
     )
 
 

@@ -26,7 +26,7 @@ from workbench.model.results import Run
 from workbench.model.titles import KPI_ROWS
 from workbench.model.tuning import Objective
 from workbench.model.valve import Valve
-from workbench.report.cascade import cascade_rows
+from workbench.report.cascade import cascade_figure, cascade_rows
 from workbench.report.judge import band_words
 from workbench.report.tables import printed, shown
 from workbench.report.words import change, controller_words, decimals_of
@@ -94,7 +94,8 @@ class Built:
 class CaseRun:
     """One tuning's exact simulation; run is None where the loop as it stands does not take it, `refused` says why.
 
-    run: of the loop that holds the valve, a cascade's secondary; primary: the controller above it, above: its run.
+    run: of the loop that holds the valve, a cascade's secondary; primary: the controller above it, above: its run,
+    cascade: both loops.
     """
 
     name: str
@@ -104,6 +105,7 @@ class CaseRun:
     refused: str = ""
     primary: PID | None = None
     above: Run | None = None
+    cascade: Cascade | None = None
 
     @property
     def outer(self) -> Run | None:
@@ -116,7 +118,8 @@ class CaseRun:
         own = controller_words(self.controller)
         if self.primary is None:
             return own
-        return f"primary {controller_words(self.primary).replace('%/EU', 'EU/EU')}; secondary {own}"
+        out = "EU" if self.cascade is None else self.cascade.output_unit
+        return f"primary {controller_words(self.primary, out=out)}; secondary {own}"
 
 
 def unplaced(line: str) -> str:
@@ -356,7 +359,7 @@ class Session:
         """Return the figures of the page's own run: name, title, unit and value as text."""
         if self.own is None or self.own.run is None:
             return []
-        values = [value_of(self.own, name) for name, *_ in self.rows]
+        values = [_shown(self.own, name) for name, *_ in self.rows]
         return [
             {"name": name, "title": title, "unit": unit, "text": shown(name.rpartition(".")[2], value)}
             for (name, title, unit, _), value in zip(self.rows, values, strict=True)
@@ -373,7 +376,7 @@ class Session:
         cases = self.compared.cases
         rows: list[dict[str, object]] = []
         for name, title, unit, less in self.rows:
-            values = [value_of(one, name) for one in columns]
+            values = [_shown(one, name) for one in columns]
             if all(math.isnan(v) for v in values):
                 continue
             finite = [v for v in values if math.isfinite(v)]
@@ -460,12 +463,20 @@ def _cascade_run(name: str, below: PID, above: PID | None, built: Built, cascade
             run = simulate(cascade, built.experiment)
             cost = float(evaluate_cascade(cascade, built.experiment, built.objective))
     except WorkbenchError as error:
-        return CaseRun(name, below, None, math.nan, str(error), above)
-    return CaseRun(name, below, run.secondary, cost, "", above, run.primary)
+        return CaseRun(name, below, None, math.nan, str(error), above, None, cascade)
+    return CaseRun(name, below, run.secondary, cost, "", above, run.primary, cascade)
+
+
+def _shown(one: CaseRun, name: str) -> float:
+    """Return a figure in the unit that `Session.rows` gives it."""
+    which, _, own = name.rpartition(".")
+    if one.above is None or one.cascade is None or which != "primary":
+        return value_of(one, name)
+    return cascade_figure(one.above.kpis, which, own, one.cascade.scale)
 
 
 def value_of(one: CaseRun, name: str) -> float:
-    """Return a figure of `Session.rows`; nan where there is no run."""
+    """Return a figure of `Session.rows` as the run has it; nan where there is no run."""
     which, _, own = name.rpartition(".")
     run = one.outer if which == "primary" else one.run
     if run is None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from workbench.ui.entry import SECONDS, Field, Group
+from workbench.ui.loop_fields import of_output
 
 __all__ = ["TUNE_GROUPS"]
 
@@ -37,7 +38,7 @@ def _part(path: str, gain: str, given: tuple[str, str], when: tuple[str, tuple[s
     """Return kind and bounds of one of a cascade's controllers; given: the highest Kc and Ti."""
     derived = (f"{path}.kind", ("PID",))
     kinds = (("PI", "PI (Td = 0)"), ("PID", "PID"))
-    return (
+    fields = (
         Field(f"{path}.kind", "Controller", "PI", choices=kinds, when=when),
         Field(f"{path}.bounds.Kc.low", "Kc from", "0.01", (gain,), when=when),
         Field(f"{path}.bounds.Kc.high", "Kc to", given[0], (gain,), when=when),
@@ -46,6 +47,7 @@ def _part(path: str, gain: str, given: tuple[str, str], when: tuple[str, tuple[s
         Field(f"{path}.bounds.Td.low", "Td from", "0", SECONDS, when=derived),
         Field(f"{path}.bounds.Td.high", "Td to", "10", SECONDS, when=derived),
     )
+    return of_output(fields)
 
 
 _BOTH = ("tune_cascade.tuned", ("both",))
@@ -70,6 +72,6 @@ _SECONDARY = Group(
         Field(f"{_ALONE}.noise.seed", "Noise seed", "2", whole=True, when=_BOTH),
     ),
 )
-_PRIMARY = Group("tune_primary", "The primary over it", _part("tune_cascade.primary", "EU/EU", ("10", "600"), None))
+_PRIMARY = Group("tune_primary", "The primary over it", _part("tune_cascade.primary", "unit/EU", ("10", "600"), None))
 
 TUNE_GROUPS = (_TUNE, _SECONDARY, _PRIMARY)

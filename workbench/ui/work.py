@@ -268,7 +268,7 @@ def _tune_in_turn(plan: Scenario, progress: Progress) -> TunedCase:
     travels = now.secondary.kpis.valve_travel, was.secondary.kpis.valve_travel
     lines = (
         f"Secondary: {controller_words(below, None if tuned.secondary is None else digits)}",
-        f"Primary: {controller_words(above, digits).replace('%/EU', 'EU/EU')}",
+        f"Primary: {controller_words(above, digits, job.cascade.output_unit)}",
         cost,
         f"In the run on the page: {error_and_wear(errors, travels)}.",
         *of_secondary,

@@ -185,14 +185,13 @@ function showEntries(asked, before) {
     kinds ||= el.type !== "text";
     if (text !== before[path] && text !== spec.fields[path]?.usual) used.push(path);
   }
-  if (kinds) {
-    for (const [path, field] of Object.entries(spec.fields)) {
-      const box = boxes.get(path);
-      if (field.when) box.hidden = !shows(path);
-      if (field.otherwise) {
-        const [other, value, unit] = field.otherwise;
-        box.querySelector(".unit").textContent = entries[other] === value ? unit : field.units[0];
-      }
+  for (const [path, field] of Object.entries(spec.fields)) {
+    if (kinds && field.when) boxes.get(path).hidden = !shows(path);
+    if (field.otherwise) {
+      const [other, value, unit] = field.otherwise;
+      const shown = boxes.get(path).querySelector(".unit");
+      const text = entries[other] === value ? unit : field.units[0];
+      if (shown.textContent !== text) shown.textContent = text;
     }
   }
   // What few loops have shows where it comes with a scenario.
