@@ -457,8 +457,32 @@ def test_tune_prints_the_settings_of_a_scenario(folder: Path) -> None:
     (tuning,) = strict(out)["tunings"]  # type: ignore[misc]
     assert tuning["model"]["plant"]["gain"] == 1.0
     assert tuning["weights"]["w1"] > 0.0
-    assert (code, tuning["status"], tuning["controller"]["Kc"]) == (0, "solved", 0.3)
+    assert (code, tuning["status"], tuning["controller"]["Kc"], tuning["site"]) == (0, "solved", 0.3, None)
     assert not (folder / "reports").exists()
+
+
+def test_tune_prints_the_settings_as_the_site_types_them_in(folder: Path) -> None:
+    site = "site: {form: FORM, gain: proportional_band, integral: repeats_per_minute}\n"
+    text = GOOD.replace("analyze:", TUNE).replace("sample_time", "pv_range: [0, 50]\n  sample_time") + site
+    (folder / "site.yaml").write_text(text.replace("FORM", "series"))
+    fixed = ("tune", "site.yaml", "--Kc", "0.3", "--Ti", "17 s:17 s")
+    code, out, err = call(*fixed)
+    assert (code, err) == (0, "")
+    assert out.startswith(
+        "PI: proportional band 670 %, 3.5 repeats/min (series form)\n  found     Kc 0.30 %/EU, Ti 17 s "
+    )
+    assert "(ideal form); with the site's digits J is " in out
+    assert "  form      series, " in out
+    code, out, _ = call(*fixed, "--json")
+    (tuning,) = strict(out)["tunings"]  # type: ignore[misc]
+    assert tuning["controller"]["Kc"] == 0.3
+    told = tuning["site"]
+    assert (told["form"], told["units"]["integral"], told["refused"]) == ("series", "repeats/min", None)
+    assert (told["gain"], told["integral"], told["Kc"]) == (670.0, 3.5, pytest.approx(2.0 / 6.7))
+    assert told["objective"] == pytest.approx(tuning["objective"], rel=0.1)
+    assert told["objective"] != tuning["objective"]
+    code, out, _ = call(*fixed, "--Td", "6 s")
+    assert (code, "Td 6.0 s, which has no equivalent in the site's series form (Ti = 17 s, " in out) == (0, True)
 
 
 @pytest.mark.parametrize(

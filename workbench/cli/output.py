@@ -13,7 +13,8 @@ import numpy as np
 from rich.table import Table
 from rich.text import Text
 
-from workbench.model.results import Complementarity, Estimate, NoiseModel, Repeats, SolveStatus
+from workbench.model.results import Complementarity, Estimate, NoiseModel, Repeats, SolveStatus, Tuned
+from workbench.model.site import SiteCase
 from workbench.model.study import NamedEstimate, Study
 from workbench.model.valve import Ideal, Stenman
 from workbench.report.content import controller_content, plant_content, valve_content, weights_content
@@ -22,6 +23,7 @@ from workbench.report.figures import estimate_figure, svg_file
 from workbench.report.files import write_files
 from workbench.report.known import gain_doubt, unpinned
 from workbench.report.results import results_content, strict_json
+from workbench.report.settings import beside_words, case_content, form_content, typed_words
 from workbench.report.shared import objective_words
 from workbench.report.style import svg_text
 from workbench.report.words import controller_words, counted, figure, given, interval, nearby, plant_words, valve_words
@@ -178,12 +180,20 @@ def write_estimate(found: Estimate, folder: Path) -> list[Path]:
 
 def tuned_lines(result: Retuned) -> list[str]:
     """Return the settings to type in and how they were found, one line each."""
-    tuned = result.tuned
+    tuned, site, typed = result.tuned, result.site, result.typed
     best, worst = tuned.spread
-    structure = tuned.controller.structure or f"setpoint weight {tuned.controller.setpoint_weight:g}"
-    lines = [f"{result.name}: {controller_words(tuned.controller, tuned.digits)}"]
+    own, pid = controller_words(tuned.controller, tuned.digits), tuned.controller
+    lines = [f"{result.name}: {own}"]
+    if site is not None and typed is not None:
+        if typed.settings is None:
+            lines[0] += f", which has no equivalent in the site's {site.form} form ({typed.refused})"
+        else:
+            lines = [f"{result.name}: {typed_words(site, typed.settings, tuned.digits)}"]
+            lines.append(f"  found     {own} ({pid.form} form){_as_typed_in(tuned, typed)}")
+            pid = typed.settings.controller
+    structure = pid.structure or f"setpoint weight {pid.setpoint_weight:g}"
     lines.append(f"  model     {plant_words(tuned.loop.plant)}; {valve_words(tuned.loop.valve)}")
-    lines.append(f"  form      {tuned.controller.form}, {structure}, {tuned.controller.action} action")
+    lines.append(f"  form      {pid.form}, {structure}, {pid.action} action")
     lines.append(f"  weights   J = {objective_words(tuned.weights)}")
     lines.append(
         f"  J         {figure(tuned.objective, 5)} (start {figure(tuned.start_objective, 5)}; at most "
@@ -200,8 +210,16 @@ def tuned_lines(result: Retuned) -> list[str]:
     return lines
 
 
+def _as_typed_in(tuned: Tuned, typed: SiteCase) -> str:
+    """Say what the site's digits make of J, "" where they leave it, or where J is one over an ensemble."""
+    if tuned.ensemble is not None or typed.objective is None or typed.beside is None:
+        return ""
+    text = "" if typed.objective == tuned.objective else f"; with the site's digits J is {figure(typed.objective, 5)}"
+    return text + (f".{beside_words(typed.beside, None, 'J')}" if typed.knife_edge else "")
+
+
 def tuned_json(results: Sequence[Retuned]) -> str:
-    """Return tunings as strict JSON: a list of controller, objective, status and search."""
+    """Return tunings as strict JSON: a list of controller, objective, status, search, and what the site types in."""
     content = []
     for result in results:
         tuned = result.tuned
@@ -222,9 +240,17 @@ def tuned_json(results: Sequence[Retuned]) -> str:
                 "assumed": list(result.assumed),
                 "model": {"plant": plant_content(tuned.loop.plant), "valve": valve_content(tuned.loop.valve)},
                 "weights": weights_content(tuned.weights),
+                "site": _site_content(result),
             }
         )
     return strict_json({"tunings": content})
+
+
+def _site_content(result: Retuned) -> dict[str, object] | None:
+    """Return what is typed in at the site, as results.json has it; None where the scenario does not say how."""
+    if result.site is None or result.typed is None:
+        return None
+    return form_content(result.site) | case_content(result.typed)
 
 
 def score_parts(scored: Sequence[Scored], content: Mapping[str, Any]) -> list[Table | Text]:

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from workbench.model.results import Kpis
-from workbench.model.site import Beside, SiteForm, SiteSettings
+from workbench.model.site import Beside, SiteCase, SiteForm, SiteSettings
 from workbench.model.study import CaseResult, Study
 from workbench.model.titles import kpi_title
 from workbench.report.judge import late_words, measure, refused, settling_band, settling_doubt, typed_case
@@ -21,6 +21,7 @@ __all__ = [
     "as_found_as_left",
     "beside_content",
     "beside_words",
+    "case_content",
     "form_content",
     "refused_sentences",
     "rounded",
@@ -265,14 +266,16 @@ def site_content(study: Study) -> dict[str, object]:
     """Return what results.json holds of the site's form and the cases in it."""
     if study.site is None:
         return {}
-    cases = []
-    for one in study.site_cases:
-        content: dict[str, object] = {"name": one.name, "refused": one.refused or None}
-        if one.settings is not None and one.kpis is not None:
-            content |= typed_content(one.settings, one.kpis) | {"objective": one.objective}
-            content |= {"beside": beside_content(one.beside)} if one.beside is not None else {}
-        cases.append(content)
-    return {**form_content(study.site), "cases": cases}
+    return {**form_content(study.site), "cases": [case_content(one) for one in study.site_cases]}
+
+
+def case_content(one: SiteCase) -> dict[str, object]:
+    """Return what results.json holds of a case as typed in at the site."""
+    content: dict[str, object] = {"name": one.name, "refused": one.refused or None}
+    if one.settings is not None and one.kpis is not None:
+        content |= typed_content(one.settings, one.kpis) | {"objective": one.objective}
+        content |= {"beside": beside_content(one.beside)} if one.beside is not None else {}
+    return content
 
 
 def beside_content(beside: Beside) -> dict[str, object]:

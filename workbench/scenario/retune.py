@@ -16,13 +16,16 @@ from workbench.model.loop import Loop
 from workbench.model.plant import FOPDT, Plant
 from workbench.model.results import Estimate, SolveStatus, Standing, Tuned
 from workbench.model.rule import Simc
+from workbench.model.site import SiteCase, SiteForm
+from workbench.model.study import CaseResult
 from workbench.model.tuning import Bounds, Objective
 from workbench.report.known import gain_doubt, hint
 from workbench.report.words import error_and_wear
 from workbench.scenario.controllers import fitting_action, ruled, wrong_way
 from workbench.scenario.plan import CaseJob, Scenario, TuneJob
 from workbench.scenario.runner import Progress, for_plant, run_scenario, tune_case
-from workbench.simulate.run import simulate
+from workbench.scenario.site_cases import site_cases
+from workbench.simulate.run import evaluate, simulate
 from workbench.tune.rules import apply_rule
 
 __all__ = ["Retuned", "Wishes", "run_words", "tune_found", "tune_scenario"]
@@ -63,12 +66,17 @@ class Wishes:
 
 @dataclass(frozen=True, eq=False)
 class Retuned:
-    """A tuning under its name, with what was assumed to find it, in words, and how it holds its loop by itself."""
+    """A tuning under its name, with what was assumed to find it, in words, and how it holds its loop by itself.
+
+    site: how the site writes its settings, and typed: the tuning as it is typed in there; None where no one has said.
+    """
 
     name: str
     tuned: Tuned
     assumed: tuple[str, ...] = ()
     standing: Standing | None = None
+    site: SiteForm | None = None
+    typed: SiteCase | None = None
 
 
 def tune_scenario(plan: Scenario, wishes: Wishes, progress: Progress | None = None) -> list[Retuned]:
@@ -113,7 +121,9 @@ def tune_scenario(plan: Scenario, wishes: Wishes, progress: Progress | None = No
         tuned = tune_case(base.with_controller(controller), experiment, job, progress, known)
         stands = _standing(tuned, source)
         doubt = hint(source, standing=stands)
-        found.append(Retuned(case.name, tuned, (*notes, *((doubt,) if doubt else ())), stands))
+        assumed, site = (*notes, *((doubt,) if doubt else ())), plan.site
+        typed = None if site is None else _typed(site, case.name, tuned)
+        found.append(Retuned(case.name, tuned, assumed, stands, site, typed))
         if tuned.status is SolveStatus.INTERRUPTED:
             break
     return found
@@ -126,6 +136,15 @@ def run_words(tuned: Tuned) -> str:
     with np.errstate(over="ignore", invalid="ignore"):
         now, was = (simulate(loop.with_controller(controller), tuned.experiment).kpis for controller in both)
     return error_and_wear((now.mean_square_error, was.mean_square_error), (now.valve_travel, was.valve_travel))
+
+
+def _typed(site: SiteForm, name: str, tuned: Tuned) -> SiteCase:
+    """Return a tuning as it is typed in at the site, with what it gives in the experiment with exactly these digits."""
+    loop = tuned.loop.with_controller(tuned.controller)
+    with np.errstate(over="ignore", invalid="ignore"):
+        run = simulate(loop, tuned.experiment)
+        cost = float(evaluate(loop, tuned.experiment, tuned.weights)[0])
+    return site_cases(site, [CaseResult(name, loop, run, cost, tuned)], tuned.weights)[0]
 
 
 def _controller(name: str, base: Loop, cases: tuple[CaseJob, ...], found: list[Retuned]) -> PID:
