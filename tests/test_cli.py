@@ -481,6 +481,7 @@ def test_tune_prints_the_settings_as_the_site_types_them_in(folder: Path) -> Non
     assert (told["gain"], told["integral"], told["Kc"]) == (670.0, 3.5, pytest.approx(2.0 / 6.7))
     assert told["objective"] == pytest.approx(tuning["objective"], rel=0.1)
     assert told["objective"] != tuning["objective"]
+    assert call("tune", "site.yaml", "--Kc", "0.3", "--Ti", "3.5 repeats/min:3.6 repeats/min")[0] == 0
     code, out, _ = call(*fixed, "--Td", "6 s")
     assert (code, "Td 6.0 s, which has no equivalent in the site's series form (Ti = 17 s, " in out) == (0, True)
 

@@ -514,6 +514,20 @@ def test_refusals_say_where_and_what(old: str, new: str, where: str, words: str)
     )
 
 
+@pytest.mark.parametrize("swapped", [False, True])
+def test_bounds_of_what_falls_where_ti_and_kc_rise_may_be_written_either_way(swapped: bool) -> None:
+    ends = [["20 %", "400 %"], ["1 repeats/min", "20 repeats/min"]]
+    band, rate = (", ".join(reversed(pair) if swapped else pair) for pair in ends)
+    case = f"  - {{name: T, tune: {{bounds: {{proportional_band: [{band}], Ti: [{rate}]}}, Td: 0 s}}}}\n"
+    text = GOOD.replace("  sample_time: 1 s\n", "  sample_time: 1 s\n  pv_range: [0, 50]\n")
+    plan = read(f"{text}{case}analyze: {{map: {{Ti: [{rate}]}}}}\n")
+    assert plan.cases[1].tune is not None
+    assert plan.cases[1].tune.bounds == Bounds((0.5, 10.0), (3.0, 60.0), (0.0, 0.0))
+    assert plan.cycle_map is not None
+    assert plan.cycle_map.Ti == (3.0, 60.0)
+    assert "bounds.Ti: (600.0, 5.0) given; must be a pair" in refusal(text + case.replace(rate, "600 s, 5 s"))
+
+
 def test_bounds_that_exclude_the_start_are_refused() -> None:
     message = refusal(GOOD + TUNED.replace("§", ""))
     assert message.startswith("loop.yaml:10:35: cases[1].tune.bounds.Kc: [1, 3] excludes the start, Kc = 0.5 (Case 1)")

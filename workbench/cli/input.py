@@ -50,12 +50,15 @@ def quantity(option: str, text: str, read: Callable[[object], float]) -> float:
 
 def span(option: str, text: str, read: Callable[[object], float]) -> tuple[float, float]:
     """Return (low, high) of `low:high`; one value fixes. Raises `InvalidValue` naming the option."""
+    from workbench.scenario import units
+
     low, sign, high = text.partition(":")
     try:
         first = read(low.strip())
         last = read(high.strip()) if sign else first
     except InvalidValue as error:
         raise InvalidValue(option, text, f"{error.allowed}, or LOW:HIGH of such") from None
+    first, last = units.integral_range((low, high), (first, last))
     if not first <= last:
         raise InvalidValue(option, text, "must be LOW:HIGH with low <= high")
     return first, last

@@ -216,9 +216,9 @@ class Controllers:
                 continue
             values = [self._gain(end, (*under, name, i), form) for i, end in enumerate(ends)]
             if values[0] is not None and values[1] is not None:
-                # A wide proportional band is a small gain.
+                # A wide proportional band is a small gain, whichever of the two is written first.
                 pair = values[0], values[1]
-                pairs["Kc"] = pair if name == "Kc" else (pair[1], pair[0])
+                pairs["Kc"] = pair if name == "Kc" else (min(pair), max(pair))
         if asked.Ti is not None:
             low, high = asked.Ti
             pairs["Ti"] = low, high

@@ -15,7 +15,9 @@ from pydantic import (
     GetJsonSchemaHandler,
     PlainValidator,
     ValidationInfo,
+    ValidatorFunctionWrapHandler,
     WithJsonSchema,
+    WrapValidator,
     model_validator,
 )
 from pydantic_core import CoreSchema, core_schema
@@ -30,6 +32,7 @@ __all__ = [
     "FileName",
     "FilterRatio",
     "GainValue",
+    "IntegralRange",
     "IntegralTime",
     "Name",
     "Noise",
@@ -72,6 +75,14 @@ PositiveTime = Annotated[float, BeforeValidator(units.time), Field(gt=0), WithJs
 IntegralTime = Annotated[
     float, BeforeValidator(units.integral_time), Field(gt=0), WithJsonSchema(text_form(units.INTEGRAL_FORM))
 ]
+
+
+def _integral_range(written: object, handler: ValidatorFunctionWrapHandler) -> list[float]:
+    times: list[float] = handler(written)
+    return units.integral_range(written, times) if isinstance(written, list) else times
+
+
+IntegralRange = Annotated[list[IntegralTime], WrapValidator(_integral_range)]
 GainValue = Annotated[
     units.Quantity, PlainValidator(units.gain), WithJsonSchema(text_form(units.GAIN_FORM, type="number", minimum=0))
 ]

@@ -9,7 +9,7 @@ from pydantic import Field
 
 from workbench.model.checks import ordered_pair
 from workbench.model.cycle_map import MOST, POINTS
-from workbench.scenario.entries import Closed, IntegralTime, Number, Time, TrueOr
+from workbench.scenario.entries import Closed, IntegralRange, IntegralTime, Number, Time, TrueOr
 from workbench.scenario.plan import MapJob
 from workbench.scenario.refusals import Refusals
 
@@ -24,7 +24,7 @@ class MapFields(Closed):
         Field(min_length=2, max_length=2, description="[low, high], %/EU, in the controller's own form"),
     ] = None
     Ti: Annotated[
-        list[IntegralTime] | None, Field(min_length=2, max_length=2, description="[low, high]; or a range of Td")
+        IntegralRange | None, Field(min_length=2, max_length=2, description="[low, high]; or a range of Td")
     ] = None
     Td: Annotated[list[Time] | None, Field(min_length=2, max_length=2, description="[low, high]; or a range of Ti")] = (
         None

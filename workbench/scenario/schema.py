@@ -21,6 +21,7 @@ from workbench.scenario.entries import (
     FileName,
     FilterRatio,
     GainValue,
+    IntegralRange,
     IntegralTime,
     Name,
     Noise,
@@ -295,7 +296,7 @@ class Bounds(Closed):
 
     Kc: Annotated[list[GainValue] | None, Field(min_length=2, max_length=2)] = None
     proportional_band: Annotated[list[BandValue] | None, Field(min_length=2, max_length=2)] = None
-    Ti: Annotated[list[IntegralTime] | None, Field(min_length=2, max_length=2)] = None
+    Ti: Annotated[IntegralRange | None, Field(min_length=2, max_length=2)] = None
     Td: Annotated[list[Time] | None, Field(min_length=2, max_length=2)] = None
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from workbench.errors import InvalidValue
@@ -26,6 +27,7 @@ __all__ = [
     "comma_rule",
     "filter_ratio",
     "gain",
+    "integral_range",
     "integral_time",
     "is_quantity",
     "lambda_time",
@@ -122,6 +124,15 @@ def integral_time(value: object) -> float:
     if unit in TIME_UNITS:
         return x * TIME_UNITS[unit]
     raise InvalidValue("", value, _INTEGRAL_RULE)
+
+
+def integral_range(written: Sequence[object], times: Sequence[float]) -> list[float]:
+    """Return the ends of a range of integral times, as they are `written`, in s.
+
+    Low to high where both are rates: repeats/min from low to high are times from high to low.
+    """
+    rates = all(isinstance(end, str) and end.rstrip().endswith("repeats/min") for end in written)
+    return sorted(times) if rates else list(times)
 
 
 def lambda_time(value: object) -> Quantity:
