@@ -82,6 +82,14 @@ def test_ideal_to_series_needs_four_times_td():
         wb.PID(1.0, 7.9, 2.0, derivative_filter=math.inf).to_form("series")
 
 
+@pytest.mark.parametrize(("Ti", "Td"), [(1e160, 1e300), (1e160, 1.0), (1e300, 1e300)])
+def test_times_beyond_all_use_have_no_series_form(Ti, Td):
+    with pytest.raises(wb.InvalidValue, match="a series equivalent "):
+        wb.PID(0.5, Ti, Td).to_form("series")
+    with pytest.raises(wb.InvalidValue, match="a series equivalent "):
+        wb.PID(0.5, 10.0, 1.0, form="series").with_ideal(0.5, Ti, Td)
+
+
 def test_parallel_gains_are_independent():
     parallel = wb.PID(2.0, 10.0, 3.0).to_form("parallel")
     assert (parallel.Kc, parallel.Ti, parallel.Td) == (2.0, 5.0, 6.0)

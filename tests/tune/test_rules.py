@@ -164,6 +164,21 @@ def test_impossible_options_are_refused(make: object) -> None:
 # --- no crossing -----------------------------------------------------------------------------------------------
 
 
+@pytest.mark.parametrize(
+    ("plant", "rule"),
+    [(wb.FOPDT(1e-100, 5.0, 1e-320), wb.Simc()), (wb.FOPDT(1.0, 1e300, 1.0), wb.Amigo())],
+    ids=["vanishes", "overflows"],
+)
+def test_a_plant_beyond_all_use_is_refused_in_a_line(plant: wb.FOPDT, rule: Rule) -> None:
+    with pytest.raises(wb.InvalidValue, match="its numbers are too large or too small for the rule's settings"):
+        wb.apply_rule(loop_of(plant), rule)
+
+
+def test_no_factor_that_a_number_holds_makes_next_to_no_gain_meet_the_loci() -> None:
+    loop = loop_of(LEVEL)
+    assert math.isinf(meeting_gain(loop.with_controller(wb.PID(1e-320, 10.0))))
+
+
 def test_the_loci_first_meet_where_the_phase_is_minus_90_degrees() -> None:
     """S = J: `|L| = pi S/(4 J)` at -90 degrees, found here from the phase alone."""
     plant, Ti = wb.FOPDT(1.0, 5.0, 1.0), 12.0

@@ -152,7 +152,8 @@ def first_meeting(response: Response, frequencies: FloatArray, pieces: tuple[Pie
         locus = -1.0 / piece.N(piece.amplitude(piece.points))
         b = np.column_stack([np.log(np.abs(locus)), _phase(locus)])
         least = min(least, _least_gap(a, b, 1.0), _least_gap(b, a, -1.0))
-    return math.exp(least) if math.isfinite(least) else math.inf
+    with np.errstate(over="ignore"):
+        return float(np.exp(least))
 
 
 def _least_gap(points: FloatArray, line: FloatArray, sign: float) -> float:

@@ -177,8 +177,8 @@ class PID:
             return replace(self, Kc=Kc, Ti=Ti, Td=Td)
         # The series terms of `ideal_terms`, with Tf = Td'/n, solved for Td'.
         share = 4.0 * (1.0 + 1.0 / self.derivative_filter)
-        root = Ti**2 - share * Ti * Td
-        if root < -1e-12 * Ti**2:
+        root = Ti * Ti - share * Ti * Td  # products, as a power that overflows raises
+        if not root >= -1e-12 * Ti * Ti or math.isinf(root):
             rule = f"a series equivalent with this derivative filter needs Ti >= {share:g} Td"
             raise InvalidValue("PID", f"Ti = {Ti:g} s, Td = {Td:g} s of the ideal form", rule)
         series_Td = 2.0 * Ti * Td / (Ti + math.sqrt(max(root, 0.0)))
@@ -228,7 +228,7 @@ class PID:
         ratio = 0.0 if t.Tf == 0.0 else t.Tf / t.Td
         middle = 4.0 + 2.0 * ratio
         # The smaller root of (1 - ratio x)^2 = 4 x, x = Td/Ti, and a last bit less.
-        longest = t.Ti * 2.0 / (middle + math.sqrt(middle**2 - 4.0 * ratio**2)) * (1.0 - 1e-12)
+        longest = t.Ti * 2.0 / (middle + math.sqrt(middle * middle - 4.0 * ratio * ratio)) * (1.0 - 1e-12)
         Td = min(t.Td, longest)
         return self._to_series(replace(t, Td=Td, Tf=ratio * Td), nearest=True)
 
@@ -237,8 +237,8 @@ class PID:
             return self._rebuilt("series", t.Kc, t.Ti, 0.0, 0.0, t.b)
         if math.isinf(t.Ti):
             return self._rebuilt("series", t.Kc, t.Ti, t.Td, t.Tf, t.b)
-        root = (t.Ti - t.Tf) ** 2 - 4.0 * t.Ti * t.Td
-        if root < 0.0:
+        root = (t.Ti - t.Tf) * (t.Ti - t.Tf) - 4.0 * t.Ti * t.Td
+        if not 0.0 <= root < math.inf:
             rule = "a series equivalent needs (Ti - Tf)^2 >= 4 Ti Td (unfiltered: Ti >= 4 Td)"
             raise InvalidValue("PID", f"Ti = {t.Ti:g} s, Td = {t.Td:g} s, Tf = {t.Tf:g} s", rule)
         Ti = 0.5 * (t.Ti + t.Tf + math.sqrt(root))

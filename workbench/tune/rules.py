@@ -49,7 +49,13 @@ def apply_rule(loop: Loop, rule: Rule, *, digits: int | None = None) -> PID:
         behind = " behind a fail-open valve" if loop.fail_open else ""
         given = f"{loop.controller.action} action with a plant gain of {loop.plant.gain:g}{behind}"
         raise _refused(rule, given, f"a plant of this sign needs action {needed}")
-    controller = loop.controller.with_ideal(*_settings(loop, rule))
+    try:
+        found = _settings(loop, rule)
+    except ArithmeticError:
+        K, theta = loop.plant.gain, loop.plant.dead_time
+        allowed = "its numbers are too large or too small for the rule's settings to be calculated"
+        raise _refused(rule, f"a plant of gain {K:g} with a dead time of {theta:g} s", allowed) from None
+    controller = loop.controller.with_ideal(*found)
     if digits is None:
         return controller
     Kc, Ti, Td = (float(f"{value:.{digits}g}") for value in (controller.Kc, controller.Ti, controller.Td))
