@@ -148,6 +148,7 @@ def test_unlike_directions_have_no_closed_form() -> None:
     [
         wb.Loop(wb.FOPDT(1.0, 1e17, 1.0), wb.Stenman(1.0), wb.PID(1.0, 20.0), 1.0),
         wb.Loop(wb.FOPDT(1.0, 5.0, 1.0), wb.He(1e160, 1e159), wb.PID(0.5, 20.0), 1.0),
+        wb.Loop(wb.FOPDT(1e-30, 5.0, 1.0), wb.Stenman(1e-300), wb.PID(0.7, 10.0), 1.0),
     ],
 )
 def test_values_beyond_what_floats_hold_end_in_no_traceback(loop: wb.Loop) -> None:

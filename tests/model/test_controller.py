@@ -90,6 +90,11 @@ def test_times_beyond_all_use_have_no_series_form(Ti, Td):
         wb.PID(0.5, 10.0, 1.0, form="series").with_ideal(0.5, Ti, Td)
 
 
+def test_parallel_settings_whose_ideal_time_no_number_holds_are_refused():
+    with pytest.raises(wb.InvalidValue, match="PID.Ti: 1e-300 given; the ideal equivalent's Ti, Kc Ti, is too small"):
+        wb.PID(1e-30, 1e-300, form="parallel").ideal_terms()
+
+
 def test_parallel_gains_are_independent():
     parallel = wb.PID(2.0, 10.0, 3.0).to_form("parallel")
     assert (parallel.Kc, parallel.Ti, parallel.Td) == (2.0, 5.0, 6.0)

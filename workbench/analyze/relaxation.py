@@ -98,9 +98,12 @@ def relaxation_cycle(loop: Loop, split: float = 0.5) -> RelaxationCycle | None:
         or loop.curve != 0.0
     ):
         return None
-    if isinstance(loop.plant, FOPDT):
-        return _self_regulating(loop, loop.plant, terms, split)
-    return _integrating(loop, terms, split)
+    try:
+        if isinstance(loop.plant, FOPDT):
+            return _self_regulating(loop, loop.plant, terms, split)
+        return _integrating(loop, terms, split)
+    except ArithmeticError:  # products of numbers beyond all use vanish or overflow
+        return None
 
 
 def _self_regulating(loop: Loop, plant: FOPDT, terms: IdealTerms, split: float) -> RelaxationCycle | None:

@@ -131,6 +131,8 @@ class PID:
                 if Td == 0.0 and math.isinf(Ti):
                     return IdealTerms(0.0, Ti, 0.0, 0.0, b)
                 raise InvalidValue("PID.Kc", Kc, "a parallel controller with Kc = 0 has no ideal equivalent")
+            if Kc * Ti == 0.0:
+                raise InvalidValue("PID.Ti", Ti, "the ideal equivalent's Ti, Kc Ti, is too small for a number")
             return IdealTerms(Kc, Kc * Ti, Td / Kc, Td / Kc / self.derivative_filter, b)
         Tf = Td / self.derivative_filter
         if math.isinf(Ti):
