@@ -91,7 +91,7 @@ def test_times_beyond_all_use_have_no_series_form(Ti, Td):
 
 
 def test_parallel_settings_whose_ideal_time_no_number_holds_are_refused():
-    with pytest.raises(wb.InvalidValue, match="PID.Ti: 1e-300 given; the ideal equivalent's Ti, Kc Ti, is too small"):
+    with pytest.raises(wb.InvalidValue, match=r"PID\.Ti: 1e-300 given; the ideal equivalent's Ti"):
         wb.PID(1e-30, 1e-300, form="parallel").ideal_terms()
 
 
