@@ -268,6 +268,10 @@ def test_who_is_undecided_is_not_sent_to_tuning_as_healthy_and_a_hint_is_called_
     )
     assert "cost J 0.0046 times that of the present tuning" in rows["FIC1"]
     assert "so take this tuning as a hint" in rows["FIC1"]
+    assert "holds the loop without stiction" not in rows["FIC1"]
+    dear = render_site(Site("A site", "x", Settings(), (replace(pinned, gain_of_tuning=1.27),)))
+    assert "cost J 1.3 times that of the present tuning" in dear
+    assert "model, as this one holds the loop without stiction too" in dear
     assert "hint" not in rows["FIC2"]
     assert ">0.454 (hint)<" in page
     assert ">2.00<" in page

@@ -571,3 +571,21 @@ def test_names_stay_text_on_the_first_screen(study: Study, tmp_path: Path) -> No
     page = (tmp_path / "report.html").read_text()
     assert script not in page
     assert page.count("&lt;script&gt;") > 3
+
+
+@pytest.mark.parametrize(("times", "level"), [(1.1, "moderate"), (1.5, "low")])
+def test_what_rounding_decides_is_told_of_the_tuning_left_and_the_one_as_found(
+    study: Study, times: float, level: str
+) -> None:
+    own = study.cases[0].run.kpis
+    others = (own, replace(own, valve_travel=times * own.valve_travel))
+    first = replace(study.cases[0], chance=others)
+    said = summarise(of(study, first, tried(study.cases[2]))).sure
+    told = "Case 1: rounding decides what its run gives: with Kc changed in the twelfth digit the mean square error is "
+    travel = f"the valve travel {figure(own.valve_travel)} to {figure(times * own.valve_travel)} %"
+    assert any(one.startswith(told) and travel in one for one in said.reasons)
+    assert ("ounding decides the figures of Case 1" in said.why) == (said.level == level)
+    # Of a case that is neither nothing is said.
+    other = replace(study.cases[1], chance=others)
+    said = summarise(of(study, study.cases[0], other, tried(study.cases[2]))).sure
+    assert not any("rounding decides" in one for one in said.reasons)

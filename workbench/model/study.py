@@ -16,6 +16,7 @@ from workbench.model.loop import Loop
 from workbench.model.results import (
     DescribingFunction,
     Estimate,
+    Kpis,
     LimitCycle,
     Outcome,
     Repair,
@@ -44,7 +45,8 @@ class CaseResult:
     with an ideal valve; None where the scenario has no ensemble, or the valve does not stick. `nearest_to`: the name of
     the case that the site's form cannot take, where this is what comes nearest to it there. `standing`: whether the
     tuning holds the loop without the valve's stiction, None where nothing is fed back. `unrounded`: what the scenario's
-    own digits give, where the site rounds them and the case is of what is typed in there.
+    own digits give, where the site rounds them and the case is of what is typed in there. `chance`: figures of runs
+    whose Kc is a hair larger or smaller, where they are others (`analyze.chance`), of a tuning that was given.
     """
 
     name: str
@@ -64,6 +66,7 @@ class CaseResult:
     nearest_to: str = ""
     standing: Standing | None = None
     unrounded: Outcome | None = None
+    chance: tuple[Kpis, ...] = ()
 
     @property
     def digits(self) -> int | None:

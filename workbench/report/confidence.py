@@ -44,6 +44,7 @@ __all__ = ["Confidence", "Judged", "confidence", "digits", "recovery", "searches
 NEARLY = 1.01  # ratio of the worst search's J to the best's up to which it does not matter which of them was lucky
 SLOWER = 0.5  # ratio of integral gains below which the controller is said to recover more slowly
 UNROUNDED = "before the site's rounding"
+FAR = 1.25  # ratio of what runs of one loop give beyond which a change against it says little
 STRONGER = 1.5  # ratio of gains above which it is said to pass more noise to the valve
 
 
@@ -76,6 +77,7 @@ def confidence(study: Study, case: CaseResult) -> Confidence:
     judged = Judged()
     _model(study, case, judged)
     _by_itself(case.standing, judged)
+    _by_chance(study, case, judged)
     typed = None if case is base_case(study) else typed_case(study, case)
     if case.tuned is not None and (typed is None or case.tuned.ensemble is not None):
         lead = "Digits" if case.unrounded is None else f"Digits of the search, {UNROUNDED}"
@@ -95,6 +97,22 @@ def confidence(study: Study, case: CaseResult) -> Confidence:
     _elsewhere(case.robustness, judged)
     _long_run(study, case, judged)
     return settled(judged, given=source_of(study, case) is None)
+
+
+def _by_chance(study: Study, case: CaseResult, judged: Judged) -> None:
+    """Say of a case and the one as found whose figures rounding decides what other runs of the same loop give."""
+    for one in dict.fromkeys(c for c in (base_case(study), case) if c is not None and c.chance):
+        runs = (one.run.kpis, *one.chance)
+        errors, travels = (sorted(getattr(k, name) for k in runs) for name in ("mean_square_error", "valve_travel"))
+        short = f"rounding decides the figures of {one.name}"
+        far = max(errors[-1] - FAR * errors[0], travels[-1] - FAR * travels[0]) > 0.0
+        judged.say(
+            f"{one.name}: rounding decides what its run gives: with Kc changed in the twelfth digit the mean square "
+            f"error is {figure(errors[0])} to {figure(errors[-1])} EU², the valve travel {figure(travels[0])} to "
+            f"{figure(travels[-1])} %. A longer run tells more",
+            doubt=short if far else "",
+            open_point="" if far else short,
+        )
 
 
 def _unsearched(study: Study, case: CaseResult, judged: Judged) -> None:

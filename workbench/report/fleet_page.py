@@ -247,6 +247,7 @@ def _to_tune(rows: Sequence[FleetRow], driven: dict[str, str], untold: frozenset
             if math.isfinite(row.gain_of_tuning):
                 times = figure(row.gain_of_tuning, 2)
                 why += f"; cost J {times} times that of the present tuning, on the loop's model"
+                why += ", as this one holds the loop without stiction too" if row.gain_of_tuning > 1.0 else ""
             if row.hint:
                 why += f"; {row.hint}"
         found.append(

@@ -12,6 +12,7 @@ from functools import partial
 import numpy as np
 
 from workbench.analyze.agreement import agreement
+from workbench.analyze.chance import by_chance
 from workbench.analyze.cycle_map import cycle_map, map_ranges
 from workbench.analyze.describing_function import describing_function
 from workbench.analyze.limit_cycle import limit_cycle
@@ -241,6 +242,7 @@ class _Runner:
             nearest_to=nearest_to,
             standing=standing(loop, self.ranges),
             unrounded=unrounded,
+            chance=by_chance(loop, experiment, run.kpis) if tuned is None else (),
         )
 
     def _as_typed_in(
