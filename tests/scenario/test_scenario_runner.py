@@ -238,6 +238,8 @@ def test_a_scenario_is_retuned_under_other_wishes() -> None:
     assert (one.tuned.seed, one.tuned.digits) == (4, 2)
     with pytest.raises(wb.InvalidValue, match="--step"):
         tune_scenario(plan(LOOP + CASES), Wishes(step=1.0))
+    with pytest.raises(wb.InvalidValue, match=r"--max-sensitivity: 1\.4 given; is for a record; a scenario states its"):
+        tune_scenario(plan(LOOP + CASES), Wishes(max_sensitivity=1.4))
     with pytest.raises(wb.InvalidValue, match="needs both"):
         tune_scenario(replace(plan(LOOP + CASES), cases=()), Wishes())
 
@@ -257,7 +259,7 @@ def test_a_found_loop_is_tuned_and_what_was_assumed_is_said() -> None:
 
 
 @pytest.mark.usefixtures("quick")
-def test_a_found_loop_is_tuned_to_hold_without_its_stiction(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_found_loop_is_tuned_to_hold_without_its_stiction() -> None:
     # Much dead time, and a valve that hardly lands where it is sent: the least J has a loop near instability without.
     found = replace(found_loop(), plant=wb.FOPDT(2.3, 1.2, 3.4), valve=wb.Choudhury(4.0, 1.0))
     wishes = Wishes(duration=100.0)
@@ -271,8 +273,8 @@ def test_a_found_loop_is_tuned_to_hold_without_its_stiction(monkeypatch: pytest.
     assert forced.tuned.status.success
     assert forced.assumed[3] == "no maximum sensitivity, as none within the bounds keeps one of 2 with an ideal valve"
     assert "the loop with an ideal valve is" in forced.assumed[0]
-    monkeypatch.setattr(retune, "SAFE", 1e6)
-    least = tune_found(found, wishes)
+    least = tune_found(found, replace(wishes, max_sensitivity=math.inf))
+    assert "no maximum sensitivity" in least.assumed
     assert least.standing is not None
     assert least.standing.own.max_sensitivity > 5.0
 
@@ -281,6 +283,8 @@ def test_a_found_loop_without_a_task_or_a_gain_is_refused() -> None:
     found = found_loop()
     with pytest.raises(wb.InvalidValue, match="--step: 0 EU given; must be other than 0"):
         Wishes(step=0.0)
+    with pytest.raises(wb.InvalidValue, match=r"--max-sensitivity: 0\.9 given; must be > 1, or none"):
+        Wishes(max_sensitivity=0.9)
     unsure = replace(found, intervals=replace(found.intervals, gain=(-0.01, 0.2)))
     with pytest.raises(wb.RecordError, match=r"positive or negative \(95 % range −0.0100 to 0.200 EU/%"):
         tune_found(unsure, Wishes())

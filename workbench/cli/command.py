@@ -19,13 +19,12 @@ import typer
 from workbench import __version__
 from workbench.cli import compare, fleet, ui
 from workbench.cli.compiling import tell_compiling
-from workbench.cli.input import Reading, in_options, quantity, read_data, scenario_of, span
+from workbench.cli.input import Reading, in_options, limit, quantity, read_data, scenario_of, span, weights_of
 from workbench.errors import InvalidValue, OutputError, ScenarioError, WorkbenchError
 
 if TYPE_CHECKING:
     from workbench.model.results import Estimate
     from workbench.model.study import Study
-    from workbench.model.tuning import Objective
     from workbench.scenario.plan import Scenario
 
 __all__ = ["app", "main"]
@@ -263,6 +262,9 @@ def tune(
     action: Annotated[
         str | None, typer.Option("--action", help="reverse or direct; by default as the estimated gain needs.")
     ] = None,
+    max_sensitivity: Annotated[
+        str | None, typer.Option("--max-sensitivity", metavar="MS", help="Of a record's loop: 2 by default, or none.")
+    ] = None,
     method: Annotated[str, METHOD] = "profile",
     valve: Annotated[str, VALVE] = "auto",
     plant: Annotated[str, PLANT] = "auto",
@@ -279,7 +281,7 @@ def tune(
     from workbench.scenario import retune, units
 
     wishes = retune.Wishes(
-        objective=None if objective is None else _weights(objective),
+        objective=None if objective is None else weights_of(objective),
         Kc=None if Kc is None else span("--Kc", Kc, units.bare),
         Ti=None if Ti is None else span("--Ti", Ti, units.integral_time),
         Td=None if Td is None else span("--Td", Td, units.time),
@@ -287,6 +289,7 @@ def tune(
         step=step,
         duration=None if duration is None else quantity("--duration", duration, units.time),
         action=action,
+        max_sensitivity=None if max_sensitivity is None else limit("--max-sensitivity", max_sensitivity),
     )
     with _progress() as progress:
         if source.suffix.lower() in (".yaml", ".yml"):
@@ -392,21 +395,6 @@ def _found(data: Path, reading: Reading, how: How, progress: Progress) -> Estima
             start=how.start,
             progress=functools.partial(progress, "estimate"),
         )
-
-
-def _weights(text: str) -> Objective:
-    from workbench.model.tuning import WEIGHABLE, Objective
-    from workbench.scenario import units
-
-    weights = dict.fromkeys(("w1", "w2", "w3", "w4", *WEIGHABLE), 0.0)
-    for part in text.split(","):
-        name, sign, value = (piece.strip() for piece in part.partition("="))
-        if name not in weights or not sign:
-            allowed = f"must be weights such as w1=0.5,w3=0.5, of {', '.join(weights)}"
-            raise InvalidValue("--objective", text, allowed)
-        weights[name] = quantity("--objective", value, units.bare)
-    w1, w2, w3, w4 = (weights.pop(name) for name in ("w1", "w2", "w3", "w4"))
-    return Objective(w1, w2, w3, w4, weights)
 
 
 def _writable(folder: Path) -> None:

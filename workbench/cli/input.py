@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -13,9 +14,10 @@ from workbench.errors import InvalidValue, RecordError, ScenarioError
 
 if TYPE_CHECKING:
     from workbench.model.record import Record
+    from workbench.model.tuning import Objective
     from workbench.scenario.plan import Scenario
 
-__all__ = ["Reading", "in_options", "quantity", "read_data", "scenario_of", "span"]
+__all__ = ["Reading", "in_options", "limit", "quantity", "read_data", "scenario_of", "span", "weights_of"]
 
 
 @dataclass(frozen=True)
@@ -46,6 +48,29 @@ def quantity(option: str, text: str, read: Callable[[object], float]) -> float:
         return read(text)
     except InvalidValue as error:
         raise InvalidValue(option, error.given, error.allowed) from None
+
+
+def limit(option: str, text: str) -> float:
+    """Return a limit, inf for "none"; raises `InvalidValue` naming the option."""
+    from workbench.scenario import units
+
+    return math.inf if text.strip().lower() == "none" else quantity(option, text, units.bare)
+
+
+def weights_of(text: str) -> Objective:
+    """Return the weights of --objective; raises `InvalidValue`."""
+    from workbench.model.tuning import WEIGHABLE, Objective
+    from workbench.scenario import units
+
+    weights = dict.fromkeys(("w1", "w2", "w3", "w4", *WEIGHABLE), 0.0)
+    for part in text.split(","):
+        name, sign, value = (piece.strip() for piece in part.partition("="))
+        if name not in weights or not sign:
+            allowed = f"must be weights such as w1=0.5,w3=0.5, of {', '.join(weights)}"
+            raise InvalidValue("--objective", text, allowed)
+        weights[name] = quantity("--objective", value, units.bare)
+    w1, w2, w3, w4 = (weights.pop(name) for name in ("w1", "w2", "w3", "w4"))
+    return Objective(w1, w2, w3, w4, weights)
 
 
 def span(option: str, text: str, read: Callable[[object], float]) -> tuple[float, float]:

@@ -45,7 +45,8 @@ class Wishes:
     """What is asked beside the loop; None leaves it to the scenario or to the loop found.
 
     Bounds of Kc (%/EU), Ti (s), Td (s), equal ends fix; seed of the search; for a loop from a record also the setpoint
-    step (EU, other than 0), the duration (s) and the controller's action. Raises `InvalidValue`.
+    step (EU, other than 0), the duration (s), the controller's action and the maximum sensitivity (> 1, inf for none)
+    that the loop with an ideal valve is to keep. Raises `InvalidValue`.
     """
 
     objective: Objective | None = None
@@ -56,12 +57,15 @@ class Wishes:
     step: float | None = None
     duration: float | None = None
     action: str | None = None
+    max_sensitivity: float | None = None
 
     def __post_init__(self) -> None:
         if self.step == 0.0:
             raise InvalidValue("--step", "0 EU", "must be other than 0, or there is nothing to tune for")
         if self.action not in (None, "reverse", "direct"):
             raise InvalidValue("--action", self.action, "must be reverse or direct")
+        if self.max_sensitivity is not None and not self.max_sensitivity > 1.0:
+            raise InvalidValue("--max-sensitivity", f"{self.max_sensitivity:g}", "must be > 1, or none")
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,9 +90,11 @@ def tune_scenario(plan: Scenario, wishes: Wishes, progress: Progress | None = No
     `InvalidValue` where there is no loop or experiment, or the wishes belong to a record's loop, and what tuning and
     estimating raise; `RecordError` where the scenario's record does not show the plant's gain.
     """
-    for name in ("step", "duration", "action"):
+    for name in ("step", "duration", "action", "max_sensitivity"):
         if getattr(wishes, name) is not None:
-            raise InvalidValue(f"--{name}", getattr(wishes, name), "is for a record; a scenario states its own")
+            raise InvalidValue(
+                f"--{name.replace('_', '-')}", getattr(wishes, name), "is for a record; a scenario states its own"
+            )
     experiment = plan.experiment
     if plan.cascade:
         raise InvalidValue(
@@ -209,9 +215,9 @@ def tune_found(found: Estimate, wishes: Wishes, progress: Progress | None = None
     plant's, Ti from a fifth of the plant's time scale, or half of the rule's where that is less, to 20 times that
     scale; a setpoint step of twice the PV change of the least slip (without stiction: of PV's standard deviation) and,
     half way, a load step of half that size at the plant's input; D on PV; a maximum sensitivity of `SAFE` at most with
-    an ideal valve, where the bounds hold such a tuning. What was assumed is said in the result.
-    Raises `RecordError` where the record does not show the plant's gain, `InvalidValue` for an action with which errors
-    grow, and what tuning raises.
+    an ideal valve. Where the bounds hold no tuning that keeps it, none is asked for. What was assumed is said in the
+    result. Raises `RecordError` where the record does not show the plant's gain, `InvalidValue` for an action with
+    which errors grow, and what tuning raises.
     """
     _refuse_blind(found)
     plant, Ts = found.plant, found.record.sample_time
@@ -251,7 +257,8 @@ def tune_found(found: Estimate, wishes: Wishes, progress: Progress | None = None
     at = round(0.5 * duration / Ts) * Ts
     experiment = Experiment(duration, Step(step), Step(load, at) if load > 0.0 else None)
     objective = wishes.objective or Objective(w1=0.5, w2=0.0, w3=0.5, w4=0.0)
-    safe = Constraints(max_sensitivity=SAFE)
+    most = SAFE if wishes.max_sensitivity is None else wishes.max_sensitivity
+    safe = Constraints(max_sensitivity=most) if math.isfinite(most) else None
     job = TuneJob(objective, bounds, wishes.seed or 0, digits=None, restarts=4, constraints=safe)
     task = f"setpoint step of {step:g} EU at 0 s and load step of {load:g} % at {at:g} s, over {duration:g} s"
     searched = ", ".join(
@@ -260,10 +267,10 @@ def tune_found(found: Estimate, wishes: Wishes, progress: Progress | None = None
     )
     verdict = {"stiction": "the valve sticks", "no_stiction": "no stiction"}.get(found.verdict, "")
     tuned = tune_case(loop, experiment, job, progress)
-    kept = f"maximum sensitivity {SAFE:g} at most, with an ideal valve"
+    kept = "no maximum sensitivity" if safe is None else f"maximum sensitivity {most:g} at most, with an ideal valve"
     if tuned.status is SolveStatus.INFEASIBLE:
         tuned = tune_case(loop, experiment, replace(job, constraints=None), progress)
-        kept = f"no maximum sensitivity, as none within the bounds keeps one of {SAFE:g} with an ideal valve"
+        kept = f"no maximum sensitivity, as none within the bounds keeps one of {most:g} with an ideal valve"
     stands = _standing(tuned, found)
     assumed = (
         f"the record's loop: {'; '.join(words for words in (verdict, hint(found, standing=stands)) if words)}",
