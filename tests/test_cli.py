@@ -498,7 +498,7 @@ def test_tune_prints_the_settings_as_the_site_types_them_in(folder: Path) -> Non
         (["good.yaml", "--step", "3"], "--step"),
         (
             ["good.yaml", "--max-sensitivity", "none"],
-            "--max-sensitivity: inf given; is for a record; a scenario states",
+            "--max-sensitivity: none given; is for a record; a scenario states",
         ),
         (["good.yaml", "--max-sensitivity", "1"], "--max-sensitivity: 1 given; must be > 1, or none"),
         (["good.yaml", "--max-sensitivity", "high"], "--max-sensitivity: high given; must be a number"),

@@ -384,6 +384,7 @@ def test_a_damaged_parquet_file_is_called_one(tmp_path: Path) -> None:
         (["CAS"] * 20, None),
         (["0"] * 20, None),
         (["Automatique"] * 15 + ["Manuel"] * 5, "the 5 samples in manual are left out"),
+        (["Automático"] * 15 + ["Manual"] * 5, "the 5 samples in manual are left out"),
         (["AUT"] * 15 + ["MAN(8)"] * 5, "the 5 samples in manual are left out"),
         (["AUTO"] * 15 + ["O-MAN"] * 5, "the 5 samples in manual are left out"),
         (["16"] * 15 + ["8"] * 5, "the 5 samples in manual are left out"),  # the bits of a fieldbus block's mode

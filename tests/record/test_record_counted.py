@@ -94,7 +94,7 @@ def test_a_clock_beside_a_date_is_read_however_it_is_written(tmp_path: Path, for
         clock = f"{seconds / 86_400:.8f}" if form == "fraction" else form.format(at)
         rows.append(f"{at:%d.%m.%Y};{clock};{k};{k % 7}")
     path = tmp_path / "loop.csv"
-    path.write_text("\n".join(["Date;Time;PV;OP", *rows]))
+    path.write_text("\n".join(["Date;Time;PV;OP", *rows, "End of report;200 rows;;"]))
     record = read_record(path)
     assert (len(record), record.sample_time, record.epoch) == (200, every, SINCE_1970 + 69 * 60)
     assert any(said in note for note in record.notes)

@@ -584,7 +584,8 @@ def test_what_rounding_decides_is_told_of_the_tuning_left_and_the_one_as_found(
     told = "Case 1: rounding decides what its run gives: with Kc changed in the twelfth digit the mean square error is "
     travel = f"the valve travel {figure(own.valve_travel)} to {figure(times * own.valve_travel)} %"
     assert any(one.startswith(told) and travel in one for one in said.reasons)
-    assert ("ounding decides the figures of Case 1" in said.why) == (said.level == level)
+    assert said.level == level
+    assert "ounding decides the figures of Case 1" in said.why
     # Of a case that is neither nothing is said.
     other = replace(study.cases[1], chance=others)
     said = summarise(of(study, study.cases[0], other, tried(study.cases[2]))).sure

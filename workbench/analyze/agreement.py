@@ -52,7 +52,7 @@ def _compared(df: DescribingFunction, cycle: LimitCycle) -> str:
     }.get(df.prediction, unstable)
     kind = comparison(df, cycle)
     if kind == "no verdict":
-        if "grows without bound" in cycle.starts[0].reason:
+        if cycle.grows:
             return f"{told}; by exact simulation PV grows without bound."
         return f"{told}; the exact simulation gives no verdict to compare with."
     if cycle.outcome == "settles":

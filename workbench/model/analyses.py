@@ -169,6 +169,11 @@ class LimitCycle(Shown):
     closed_form: RelaxationCycle | None = None
 
     @property
+    def grows(self) -> bool:
+        """Whether it is undecided as PV grows without bound from the given start."""
+        return self.outcome == "undecided" and "grows without bound" in self.starts[0].reason
+
+    @property
     def share(self) -> float:
         """Share of the starts that cycle among those that cycle or settle, 0 .. 1; nan where none was decided."""
         outcomes = [start.outcome for start in self.starts if start.outcome != "undecided"]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from contextlib import suppress
 from datetime import datetime, timedelta
 
 import numpy as np
@@ -56,30 +57,31 @@ def _hours(found: re.Match[str]) -> int:
 
 
 def as_clocks(cells: Sequence[str]) -> tuple[list[str], str] | None:
-    """Return (HH:MM:SS, note) of clocks beside a day that are written otherwise, "" for none; None where most are not.
+    """Return (HH:MM:SS, note) of clocks beside a day that are written otherwise; None where most cells are not such.
 
-    HHMMSS or HHMM in digits, a fraction of a day, or a clock behind the first day that a spreadsheet counts.
+    HHMMSS or HHMM in digits, a fraction of a day, or a clock behind the first day that a spreadsheet counts. What is
+    none, as a blank or a footer, stays as it is.
     """
     there = [cell for cell in cells if cell]
-    if there and all(_NO_DAY.match(cell) for cell in there):
+    if 2 * sum(_NO_DAY.match(cell) is not None for cell in there) > len(there):
         return [_NO_DAY.sub("", cell) for cell in cells], "the day before each clock is none"
-    try:
-        numbers = [float(cell.replace(",", ".")) for cell in there]
-    except ValueError:
+    numbers: dict[str, float] = {}
+    for cell in {*there}:
+        with suppress(ValueError):
+            numbers[cell] = float(cell.replace(",", "."))
+    if 2 * sum(cell in numbers for cell in there) <= len(there):
         return None
-    if not there:
-        return None
-    if all(cell.isdecimal() for cell in there):
-        widths = {len(cell) for cell in there}
-        for long, places, least in ((True, 6, 2400), (False, 4, MOST)):
-            read = {cell: _in_digits(int(cell), long) for cell in {*there}}
-            if all(read.values()) and max(widths) <= places and (max(numbers) >= least or widths == {places}):
+    least, most = min(numbers.values()), max(numbers.values())
+    if all(cell.isdecimal() for cell in numbers):
+        widths = {len(cell) for cell in numbers}
+        for long, places, usual in ((True, 6, 2400), (False, 4, MOST)):
+            read = {cell: _in_digits(int(cell), long) for cell in numbers}
+            if all(read.values()) and max(widths) <= places and (most >= usual or widths == {places}):
                 note = f"read as clocks in digits, {'HHMMSS' if long else 'HHMM'}"
-                return [read.get(cell, "") for cell in cells], note
-        return None
-    if min(numbers) >= 0.0 and max(numbers) < 1.0:
-        each = iter(numbers)
-        return [_clock(round(DAY * next(each), 3)) if cell else "" for cell in cells], "read as fractions of a day"
+                return [read.get(cell, cell) for cell in cells], note
+    elif least >= 0.0 and most < 1.0:
+        read = {cell: _clock(round(DAY * share, 3)) for cell, share in numbers.items()}
+        return [read.get(cell, cell) for cell in cells], "read as fractions of a day"
     return None
 
 

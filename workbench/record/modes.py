@@ -17,7 +17,17 @@ _KINDS = {
         *("MAN", "MANUAL", "M", "IMAN", "LO", "HAND", "OOS", "OS", "OFF", "TRK", "TRACK", "TRACKING", "ROUT"),
         *("INITMAN", "OMAN", "LOCAL", "LOC", "MANU", "MANUEL", "MANUELL", "MANUALE"),
     },
-    "automatic": {"AUTO", "AUT", "A", "AUTOMATIC", "AUTOMATIK", "AUTOMATIQUE", "AUTOMATICO", "LAUTO"},
+    "automatic": {
+        "AUTO",
+        "AUT",
+        "A",
+        "AUTOMATIC",
+        "AUTOMATIK",
+        "AUTOMATIQUE",
+        "AUTOMATICO",
+        "AUTOMTICO",
+        "LAUTO",
+    },  # automático
     "cascade": {"CAS", "CASC", "CASCADE", "C", "RCAS", "RSP", "REMOTE", "KASKADE", "CASCATA", "CASCADA"},
 }
 # The bits of a fieldbus block's mode, as DeltaV keeps them: out of service, initialisation, local override, manual, ...
@@ -51,8 +61,7 @@ def _kind(name: str, modes: Collection[str]) -> str:
     # Of the bits, several there are and one that small codes do not reach.
     if name in _BITS and len(modes) > 1 and _BITS.keys() >= set(modes) and {"8", "16"} & set(modes):
         return _BITS[name]
-    bare = re.sub(r"[^0-9A-Z\u00c0-\u00dd]", "", re.split(r"[.(\[]", name)[0])
-    return _KIND_OF.get(bare.replace("\u00c1", "A"), name)
+    return _KIND_OF.get(re.sub(r"[^0-9A-Z]", "", re.split(r"[.(\[]", name)[0]), name)
 
 
 def mode_kinds(mode: Sequence[str]) -> list[str]:
@@ -70,7 +79,7 @@ def modes_unknown(mode: Sequence[str]) -> list[str]:
     """Return the names and codes that are of no known kind, the most frequent first; none for a code that is alone."""
     counts, modes = _counts(mode), _names(mode)
     unknown = [name for name, _ in counts.most_common() if name != "blank" and _kind(name, modes) not in _KINDS]
-    return [] if len(modes) == 1 and reads_as_number(unknown[0] if unknown else "0") else unknown
+    return [name for name in unknown if len(modes) > 1 or not reads_as_number(name)]
 
 
 def zero_is_manual(mode: Sequence[str]) -> bool:

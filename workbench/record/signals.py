@@ -335,7 +335,7 @@ def clock_of(
         days, clocks = _days(table.columns["date"]), cells.texts
         first = next(filter(None, clocks), "")
         if not _CLOCK.match(first) and (written := as_clocks(clocks)) is not None:
-            clocks, first = written[0], next(filter(None, written[0]))
+            clocks, first = written[0], ""
             cells = replace(cells, values=np.full(len(clocks), np.nan))
             notes.append(f"column {name!r}: {written[1]}")
         if not first or _CLOCK.match(first):

@@ -63,7 +63,7 @@ def unstable(case: CaseResult | CascadeResult) -> bool:
     if isinstance(case, CascadeResult):
         return case.cycle is not None and "grows without bound" in case.cycle.reason
     cycle = case.limit_cycle
-    return cycle is not None and cycle.outcome == "undecided" and "grows without bound" in cycle.starts[0].reason
+    return cycle is not None and cycle.grows
 
 
 def base_case(study: Study) -> CaseResult | None:

@@ -91,10 +91,9 @@ def tune_scenario(plan: Scenario, wishes: Wishes, progress: Progress | None = No
     estimating raise; `RecordError` where the scenario's record does not show the plant's gain.
     """
     for name in ("step", "duration", "action", "max_sensitivity"):
-        if getattr(wishes, name) is not None:
-            raise InvalidValue(
-                f"--{name.replace('_', '-')}", getattr(wishes, name), "is for a record; a scenario states its own"
-            )
+        if (given := getattr(wishes, name)) is not None:
+            given = "none" if given == math.inf else given
+            raise InvalidValue(f"--{name.replace('_', '-')}", given, "is for a record; a scenario states its own")
     experiment = plan.experiment
     if plan.cascade:
         raise InvalidValue(
