@@ -13,7 +13,7 @@ from workbench.estimate.fits.data import Centred, centre
 from workbench.estimate.fits.fit import LEAST_TAU, Fit, Limits, fit_linear
 from workbench.estimate.loads import settled
 from workbench.estimate.loads import steps as loads
-from workbench.estimate.loads.settled import _colour, _stands, calm_linear, coloured_linear
+from workbench.estimate.loads.settled import _stands, calm_linear, colour_of, coloured_linear
 from workbench.estimate.loads.steps import CLEAR, _beside, _needed
 from workbench.model.loads import LoadStep
 
@@ -132,7 +132,7 @@ def test_a_linear_loop_beside_steps_is_told_where_these_leave_noise_and_given_up
     wander = np.convolve(np.random.default_rng(3).normal(size=1100), np.exp(-np.arange(101) / 25.0), "valid")
     slow = centre(replace(record, pv=record.pv + 0.3 * wander), "fopdt")
     assert coloured_linear(slow, near, 60.0, times)[0].a.size > 1
-    monkeypatch.setattr(settled, "_colour", None)
+    monkeypatch.setattr(settled, "colour_of", None)
     assert calm_linear(slow, near, 60.0, times) is None
 
 
@@ -145,7 +145,7 @@ def test_a_measure_that_is_as_likely_as_another_stands() -> None:
     data = centre(wb.Record(pv + left, u, 1.0), "fopdt")
     limits = Limits((LEAST_TAU, 1000.0), (0.0, 30.0))
     lead = loads.Stem(data.u, 0, Fit(1000.0, 0.1, 2.0, 2.0, 0.0, 0.0, 0.0))
-    (a, _), level = _colour(data, left, lead, limits, 0)
+    (a, _), level = colour_of(data, left, lead, limits, 0)
     assert a[1] == pytest.approx(-0.7, abs=0.05)
 
     def stands(*filtered: float) -> bool:

@@ -239,7 +239,7 @@ def test_a_linear_loop_is_the_estimates_where_a_stem_would_take_op_otherwise() -
 
 def test_where_the_stem_is_hidden_nothing_says_that_ranges_hold_it() -> None:
     # The programs go on from the profile's answer, and give ranges only where that has some.
-    found = wb.estimate(kept(cycle(FLOW, 1, 0.05, 600), 0.1), plant="fopdt", method="joint")
+    found = wb.estimate(kept(cycle(FLOW, 1, 0.0, 600)), plant="fopdt", method="joint", valve="deadband")
     assert found.intervals == Intervals()
     assert found.repeats is None
     assert any("no ranges are given" in reason for reason in found.reasons)

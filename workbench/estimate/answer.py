@@ -11,12 +11,13 @@ import numpy as np
 
 from workbench.detect.action import only_answers
 from workbench.detect.detect import detect
+from workbench.detect.scan import runs_faster
 from workbench.detect.stem import WIDE
 from workbench.detect.stem_search import Fitted
 from workbench.detect.verdict import beyond_doubt
 from workbench.estimate.fits.data import plant_of
 from workbench.estimate.fits.fit import LEAST_TAU, Limits, autoregression, fit_nothing, grounded, predict
-from workbench.estimate.fits.sureness import ENOUGH_SLIPS
+from workbench.estimate.fits.sureness import ENOUGH_SLIPS, SURE_SLIPS
 from workbench.estimate.loads.settled import coloured_linear
 from workbench.estimate.loads.steps import CLEAR, DEGREES
 from workbench.estimate.loads.swing import Answered
@@ -32,11 +33,12 @@ from workbench.estimate.ranges.scale import (
     rivals_of,
     short_of,
     stem_of,
+    uneven_of,
     unknown,
     without_jump,
 )
 from workbench.estimate.ranges.unseen import unseen, words_of_likelier, words_of_unseen
-from workbench.estimate.record_fits import Fits, about, closely, first_fits, likelier_pair, sound, with_ranges
+from workbench.estimate.record_fits import Fits, about, closely, first_fits, likelier_pair, sound, unevenly, with_ranges
 from workbench.estimate.search.bands import Bands
 from workbench.estimate.search.candidates import Candidate
 from workbench.estimate.search.models import (
@@ -52,22 +54,22 @@ from workbench.estimate.search.models import (
     words_of_closer,
     words_of_rival,
 )
-from workbench.estimate.search.paths import band_paths, linear_path, stem_paths
+from workbench.estimate.search.paths import band_paths, linear_path, stem_paths, uneven_paths
 from workbench.estimate.search.profile import islands, search
 from workbench.estimate.search.two_parameter import Band
+from workbench.estimate.search.uneven import Uneven, words_of_uneven
 from workbench.estimate.straight import MOST, Coloured, Straight, level
 from workbench.estimate.verdict import Evidence, agree, judge
 from workbench.model.detection import Detection
 from workbench.model.record import Record
 from workbench.model.results import Estimate, Intervals, Iteration, LinearFit
-from workbench.model.valve import Choudhury, Ideal, Stenman
-from workbench.record.modes import manual_share, mode_words
+from workbench.model.valve import Choudhury, Ideal
+from workbench.record.modes import manual_said
 
 __all__ = ["answer_of"]
 
 BARE_MENTION = 2.0  # of BIC: up to it a difference is "not worth more than a bare mention" (R. Kass, A. Raftery, 1995)
 FIRST_STEMS = 3  # that may be likelier than a linear loop which leaves colour, beside the best of each kind
-MUCH_MANUAL = 0.05  # share of the record in manual that is worth a word
 
 
 class _Said(NamedTuple):
@@ -144,8 +146,13 @@ def answer_of(
     first, open_yet = fits, early is not None and early[0].verdict == "undecided"
     if open_yet and (calm := _told_calm(loop, first)) is not None:
         return calm
-    fits = fits if loop.two_step else closely(fits, loop.valve)
+    if not loop.two_step:
+        fits = closely(fits, loop.valve)
+        # A controller that runs between the samples moves OP, and the stem, as the record does not show.
+        fits = fits if runs_faster(record) else unevenly(first, fits, loop.valve)
     stem = None if fits.found is None else stem_of(fits.data, fits.found)
+    if fits.uneven:
+        stem = uneven_of(fits.data, fits.uneven, fits.limits)
     if stem is not None and loop.two_step:
         # It knows nothing of stems that fit as well as the one in which it ended.
         stem = replace(stem, intervals=Intervals())
@@ -165,6 +172,8 @@ def answer_of(
         said = said._replace(identifiable=known)
         fits = replace(fits, bands=fits.bands | {chosen: replace(fits.bands[chosen], best=ranged.best)})
     best = fits.best(chosen) if maybe and chosen in STICKING else None
+    if isinstance(best, Uneven):
+        said = said._replace(identifiable=said.sure and said.verdict == "stiction" and best.slips >= SURE_SLIPS)
     if best is None or stem is None or best.fit.gain == 0.0:
         return _told_straight(loop, fits, _reasoned(loop, fits, chosen, said, ranged))
     return _told_stem(loop, fits, chosen, best, said, stem, ranged, rival)
@@ -261,7 +270,7 @@ def _atfirst_fits(
 
 def _evidence(record: Record, fits: Fits, stem: InScale | None, method: str, iterations: int) -> Evidence:
     """What the verdict of the fitted models rests on; stem: the profile's."""
-    data, found, coarse, n = fits.data, fits.found, fits.coarse, fits.data.samples
+    data, found, lead, coarse, n = fits.data, fits.found, fits.lead, fits.coarse, fits.data.samples
     linear = fits.rival.sse / n
     return Evidence(
         samples=n,
@@ -270,18 +279,18 @@ def _evidence(record: Record, fits: Fits, stem: InScale | None, method: str, ite
         # A load step is no stiction: where there is one, both have it.
         linear=min(linear, linear_result(data, fits.linear).residual_variance) if fits.steps else linear,
         stem=math.inf if stem is None else float(np.mean((record.pv - stem.prediction) ** 2)),
-        slips=0 if found is None else found.best.slips,
-        d=math.nan if found is None else found.best.d,
-        gain=0.0 if found is None else found.best.fit.gain,
+        slips=0 if lead is None else lead.slips,
+        d=math.nan if lead is None else lead.d,
+        gain=0.0 if lead is None else lead.fit.gain,
         op_range=data.op_range,
         nothing=fit_nothing(data) / n,
         wide=fits.wide,
         two_parameter=coarse[0].fit.sse / n if coarse else math.inf,
         bands=(coarse[0].S, coarse[0].J) if coarse else (0.0, 0.0),
         linear_delay=fits.rival.theta / n,
-        tau=0.0 if found is None or data.integrating else found.best.fit.tau / n,
+        tau=0.0 if lead is None or data.integrating else lead.fit.tau / n,
         d_range=None if stem is None else stem.intervals.d,
-        islands=() if found is None else islands(found),
+        islands=() if found is None or fits.uneven else islands(found),
         exact=found is None or found.exact,
         at_limit=found is not None and found.at_limit,
         method=method,
@@ -292,8 +301,8 @@ def _evidence(record: Record, fits: Fits, stem: InScale | None, method: str, ite
 def _detected(record: Record, fits: Fits, stem: InScale | None, pair: Band | None) -> Detection:
     """What detection says, which tries the profile's stem, or the two-parameter one that is likelier than it, too."""
     fitted: Fitted | None = None
-    if fits.found is not None and stem is not None:
-        fitted = (Stenman(fits.found.best.d), stem.valve_position)
+    if fits.lead is not None and stem is not None:
+        fitted = (fits.lead.valve, stem.valve_position)
     if pair is not None:
         fitted = (Choudhury(pair.S, pair.J), band_position(fits.data, pair))
     if fits.data.doubt > 0.0:
@@ -319,7 +328,7 @@ def _reasoned(loop: _Asked, fits: Fits, chosen: str, said: _Said, ranged: Bands 
         if not loop.two_step and chosen in STICKING and (closer := words_of_closer(fits.models, chosen)):
             said, reasons = said._replace(identifiable=False), reasons + closer
         reasons += reasons_of(fits.models, chosen, loop.valve, ranged)
-    return said._replace(reasons=reasons + _manual_said(loop.record))
+    return said._replace(reasons=reasons + manual_said(loop.record.mode))
 
 
 def _told_straight(loop: _Asked, fits: Fits, said: _Said) -> Answered[Estimate]:
@@ -404,7 +413,7 @@ def _told_stem(
     loop: _Asked,
     fits: Fits,
     chosen: str,
-    best: Band | Candidate,
+    best: Band | Candidate | Uneven,
     said: _Said,
     stem: InScale,
     ranged: Bands | None,
@@ -415,20 +424,21 @@ def _told_stem(
     rival: a linear loop that may as well be, whose plant the ranges then hold too.
     """
     data = fits.data
-    lost, others = hidden(data, best), stem.parts
+    lost, others = not isinstance(best, Uneven) and hidden(data, best), stem.parts
     said = _reasoned(loop, fits, chosen, said, None if lost else ranged)
     reasons = said.reasons
     if lost:
         stem, reasons = replace(stem, intervals=Intervals()), (*reasons, words_of_hidden(data.doubt))
     elif loop.valve == "auto" and not loop.two_step:
-        rivals = rivals_of(data, chosen, fits.found, fits.bands, fits.limits)
+        rivals = {} if fits.uneven else rivals_of(data, chosen, fits.found, fits.bands, fits.limits)
         dead = fits.bands.get("deadband") if chosen == "choudhury" else None
         if dead is not None and fits.models["deadband"].bic <= fits.models[chosen].bic + BARE_MENTION:
             rivals["deadband"] = without_jump(data, fits.whole, dead, fits.limits, fits.steps)
-        if chosen == "stenman" and isinstance(best, Candidate):
+        if chosen == "stenman" and not isinstance(best, Band):
             rivals |= short_of(data, fits.whole, best, fits.limits, fits.steps)
         others += tuple(rivals.values())
         reasons += tuple(words_of_rival(name, ranges, data.integrating) for name, ranges in rivals.items())
+    reasons += words_of_uneven(best, data.doubt) if isinstance(best, Uneven) else ()
     plant = plant_of(data, best.fit.gain, best.fit.tau, best.fit.theta)
     if rival is not None:
         # As the likeliest rival and as it would be told by itself.
@@ -453,6 +463,8 @@ def _told_stem(
         noise_sd=float(np.sqrt(np.mean(left[data.skip :] ** 2))),
         slips=best.slips,
     )
+    if isinstance(best, Uneven):
+        return Answered(answer, uneven_paths(fits.uneven), data, others)
     paths = [] if fits.found is None else stem_paths(data, fits.found)
     return Answered(answer, paths if ranged is None else band_paths(data, ranged, chosen), data, others)
 
@@ -483,11 +495,3 @@ def _linear_estimate(loop: _Asked, fits: Fits, said: _Said, straight: LinearFit)
         candidates=tuple(fits.models.values()),
         load_steps=fits.steps,
     )
-
-
-def _manual_said(record: Record) -> tuple[str, ...]:
-    share = 0.0 if record.mode is None else manual_share(record.mode)
-    if record.mode is None or share < MUCH_MANUAL:
-        return ()
-    said = f"the controller was in manual in {share:.0%} of the record ({mode_words(record.mode)})"
-    return (f"{said}: a stretch in automatic alone would show the loop better",)

@@ -8,21 +8,24 @@ from dataclasses import dataclass, replace
 from functools import cached_property, partial
 
 from workbench.estimate.fits.data import Centred
-from workbench.estimate.fits.fit import LEAST_TAU, Fit, Limits, again_linear, fit_linear
+from workbench.estimate.fits.fit import LEAST_TAU, LOUD, Fit, Limits, again_linear, fit_linear
 from workbench.estimate.fits.sureness import ENOUGH_SLIPS, SHARP, SURE_SLIPS
 from workbench.estimate.fits.windows import EXACT, WHOLE, stretch_with
 from workbench.estimate.loads.settled import STEPS_MOST, akaike_of, needs_steps, settled
+from workbench.estimate.loads.steps import CLEAR, DEGREES
+from workbench.estimate.loads.uneven import uneven_beside_colour
 from workbench.estimate.ranges.few import widened
 from workbench.estimate.ranges.freed import freed
 from workbench.estimate.ranges.recoloured import recoloured
 from workbench.estimate.search.bands import Bands, Found, further, noise_beside, repeated
-from workbench.estimate.search.candidates import Candidate, leaves_noise
+from workbench.estimate.search.candidates import Candidate, distinct, leaves_noise
 from workbench.estimate.search.dense import densely, densely_about
 from workbench.estimate.search.long_record import rows_beside
-from workbench.estimate.search.models import bands_of, compared
+from workbench.estimate.search.models import STICKING, bands_of, compared
 from workbench.estimate.search.profile import Profile, profile_of, search
 from workbench.estimate.search.sought import Seek, Sought, Window, coarse_of, like_stenman, sought
 from workbench.estimate.search.two_parameter import Band, fit_band, look
+from workbench.estimate.search.uneven import Uneven
 from workbench.estimate.verdict import WIDE_D
 from workbench.model.loads import LoadStep
 from workbench.model.results import FittedModel
@@ -38,6 +41,7 @@ __all__ = [
     "likelier_pair",
     "longest_delay",
     "sound",
+    "unevenly",
     "with_ranges",
 ]
 
@@ -46,6 +50,8 @@ DELAYS = 30
 LINEAR_DELAYS = 240
 NEARLY = 1.25  # times what a stem may leave to be far ahead: the first of a grid is not yet the best close about it
 BEHIND = 40.0  # in N log V: who is further behind the best stem comes to nothing better
+LONGEST_UNEVEN = 10_000  # samples: each of many stems is gone through with all that it may become
+UNEVEN_FROM = 3  # of the first stems of each kind, from which stems that stick unevenly are sought
 HALF = 0.5  # of what the linear fit leaves: a stem that leaves no more explains PV by itself
 
 
@@ -56,7 +62,8 @@ class Fits:
     data: without load steps; whole: with them; found: Stenman's profile; bands: two-parameter valves by name; rival:
     the linear model with dead times as short as the stem's, before `steps`, the load steps, were taken out; wide: what
     the best stem over much of OP's range leaves, EU^2; coarse: the first stems of the two-parameter search, the best
-    first; alone: whether Stenman's stem leaves noise alone (`leaves_noise_alone`); bare: the fits without load steps.
+    first; alone: whether Stenman's stem leaves noise alone (`leaves_noise_alone`); bare: the fits without load steps;
+    uneven: stems that do not stick alike at every slip, the likeliest first, where these tell the valve.
     """
 
     data: Centred
@@ -72,6 +79,7 @@ class Fits:
     limits: Limits
     alone: bool
     bare: Callable[[], Fits] | None = None
+    uneven: tuple[Uneven, ...] = ()
 
     def seen_in(self, data: Centred) -> Sought:
         """Where stems are sought in the record as it is in another measure, or without its load."""
@@ -79,14 +87,21 @@ class Fits:
             return self.within
         return sought(data, self.limits.theta[1], None, self.within.contested)
 
-    def best(self, name: str) -> Band | Candidate | None:
+    def best(self, name: str) -> Band | Candidate | Uneven | None:
         """The best stem of a valve by its name; of any that is not two-parameter, the profile's."""
+        if self.uneven and self.uneven[0].name == name:
+            return self.uneven[0]
         return self.bands[name].best if name in self.bands else None if self.found is None else self.found.best
+
+    @property
+    def lead(self) -> Candidate | Uneven | None:
+        """The best stem whose slips have one band each way."""
+        return self.uneven[0] if self.uneven else None if self.found is None else self.found.best
 
     @cached_property
     def models(self) -> dict[str, FittedModel]:
         """Every model by its name, the lowest BIC first."""
-        return compared(self.data, self.linear, self.found, self.bands)
+        return compared(self.data, self.linear, self.found, self.bands, next(iter(self.uneven), None))
 
 
 def longest_delay(data: Centred, max_dead_time: float | None, usual: int) -> float:
@@ -140,6 +155,43 @@ def closely(fits: Fits, valve: str) -> Fits:
     found = replace(with_steps(STEPS_MOST), bare=partial(with_steps, 0))
     long = data.samples > WHOLE and found.data.a.size > 1
     return min([found, _as_in_stretch(found, valve)], key=_akaike) if long else found
+
+
+def unevenly(first: Fits, found: Fits, valve: str) -> Fits:
+    """Return the models with a stem that does not stick alike at every slip where that is clearly the likeliest.
+
+    Else those found. first: the fits as if the disturbance were white. Of load steps and colour beside stems of one
+    band much may be no more than the slips that these miss; where they need neither no others are sought.
+    """
+    whole, limits = first.data, first.limits
+    if whole.samples > LONGEST_UNEVEN or (found.data.a.size == 1 and not found.steps):
+        return found
+    least = min((one.fit.sse for one in (found.best(name) for name in STICKING) if one is not None), default=math.inf)
+    if whole.doubt == 0.0 and least <= LOUD * whole.samples * whole.floor:
+        return found
+    stems = [] if found.found is None else [found.found.best]
+    stems += [] if first.found is None else distinct(sorted(first.found.fits, key=lambda c: c.fit.sse), UNEVEN_FROM)
+    bands = [one.best for one in found.bands.values()] + first.coarse[:UNEVEN_FROM]
+    seeds: list[tuple[bool, float, float, Fit]] = []
+    if valve in ("auto", "stenman"):
+        seeds += [(True, d, d, fit) for d, fit in [(c.d, c.fit) for c in stems] + [(b.S, b.fit) for b in bands]]
+    if valve in ("auto", "choudhury"):
+        seeds += [(False, b.S, b.J, b.fit) for b in bands]
+    data, met = uneven_beside_colour(whole, seeds, limits, min(found.data.skip, whole.samples // 20))
+    if not met:
+        return found
+    told, ahead = replace(first, data=data, bands={}, uneven=tuple(met)), CLEAR
+    if data.doubt > 0.0 and met[0].alike(data.doubt):
+        # Of an OP in steps no stem of one band is known to be the valve's: where these do as well they are told.
+        ahead = -met[0].price - CLEAR
+    return told if _weight(told) < _weight(found) - ahead else found
+
+
+def _weight(fits: Fits) -> float:
+    """BIC of the likeliest model, with all that it stands beside."""
+    data, n = fits.data, fits.data.samples
+    beside = math.log(n) * (data.terms + DEGREES * len(fits.steps)) - n * math.log(1.0 - data.skip / n)
+    return min(model.bic for model in fits.models.values()) + beside
 
 
 def _akaike(fits: Fits) -> float:

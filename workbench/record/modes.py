@@ -9,7 +9,7 @@ from contextlib import suppress
 
 from workbench.model.checks import reads_as_number
 
-__all__ = ["MANUAL", "manual_share", "mode_kinds", "mode_words", "modes_unknown", "zero_is_manual"]
+__all__ = ["MANUAL", "manual_said", "manual_share", "mode_kinds", "mode_words", "modes_unknown", "zero_is_manual"]
 
 MANUAL = "manual"
 _KINDS = {
@@ -34,6 +34,7 @@ _KINDS = {
 _BITS = dict.fromkeys(("1", "2", "4", "8", "128"), MANUAL) | {"16": "automatic", "32": "cascade", "64": "cascade"}
 _KIND_OF = {name: kind for kind, names in _KINDS.items() for name in names}
 SHOWN = 4  # modes named one by one
+MUCH_MANUAL = 0.05  # share of a record in manual that is worth a word
 
 
 def _name(text: str) -> str:
@@ -98,3 +99,12 @@ def mode_words(mode: Sequence[str]) -> str:
     total = sum(counts.values())
     told = [f"{name} {100.0 * many / total:.1f} %" for name, many in counts.most_common(SHOWN)]
     return ", ".join(told) + (f" and {len(counts) - SHOWN} more" if len(counts) > SHOWN else "")
+
+
+def manual_said(mode: Sequence[str] | None) -> tuple[str, ...]:
+    """Return in words that the controller was in manual for much of a record; nothing else, or without modes."""
+    share = manual_share(mode) if mode else 0.0
+    if mode is None or share < MUCH_MANUAL:
+        return ()
+    said = f"the controller was in manual in {share:.0%} of the record ({mode_words(mode)})"
+    return (f"{said}: a stretch in automatic alone would show the loop better",)

@@ -42,7 +42,7 @@ from workbench.estimate.search.two_parameter import Band, fit_band
 from workbench.model.loads import LoadStep
 from workbench.model.record import FloatArray
 
-__all__ = ["STEPS_MOST", "akaike_of", "calm_linear", "coloured_linear", "led_to", "needs_steps", "settled"]
+__all__ = ["STEPS_MOST", "akaike_of", "calm_linear", "colour_of", "coloured_linear", "led_to", "needs_steps", "settled"]
 
 HALF = 0.5  # of what a model leaves: another that leaves no more is the one to go by
 STARTING = 20  # of the record at most is left out at its start
@@ -186,11 +186,11 @@ def settled(
             found, was, linear = first
             return settled(whole, found, led_to(whole, was, bands, limits), linear, delays, within, 0)
         same_steps = _same(before, steps, whole.sample_time)
-        colour, level = _colour(bare, loads.left[skip:], lead, limits, skip)
+        colour, level = colour_of(bare, loads.left[skip:], lead, limits, skip)
         if turn == 0 and colour.a.size > 1 and data.integrating and data.samples <= WHOLE:
             for changing in _of_changes(bare, found, delays, within, skip):
                 left = bare.y - predict(bare, changing.x, changing.first, changing.fit)[0]
-                own = _colour(bare, left[skip:], changing, limits, skip)
+                own = colour_of(bare, left[skip:], changing, limits, skip)
                 colour, level = min((colour, level), own, key=lambda one: one[1])
         same = colour.a.size == data.a.size == 1 and not steps
         stands = stands and (same_steps or not (before or steps))
@@ -263,7 +263,7 @@ def _in_own_colour(
         if not as_it_is(own, lead) - own_akaike(own, likely) > WORSE:
             break
         left = data.y - predict(data, likely.x, likely.first, grounded(data, likely.x, likely.first, likely.fit))[0]
-        colour, _ = _colour(data, left[skip:], likely, limits, skip)
+        colour, _ = colour_of(data, left[skip:], likely, limits, skip)
         anew = data.whitened(colour.a, skip, colour.law)
         profile = None if found is None else profile_again(anew, found)
         searched = refitted(anew, bands, limits)
@@ -365,8 +365,8 @@ def _of_changes(data: Centred, found: Profile | None, delays: float, within: Sou
     return [replace(one, fit=grounded(changes, one.x, one.first, one.fit)) for one in stems]
 
 
-def _colour(bare: Centred, left: FloatArray, lead: Stem, limits: Limits, skip: int) -> tuple[Colour, float]:
-    """The colour of what disturbs a stem's fit, and its AIC; left: what the fit leaves from `skip` on.
+def colour_of(bare: Centred, left: FloatArray, lead: Stem, limits: Limits, skip: int) -> tuple[Colour, float]:
+    """Return the colour of what disturbs a stem's fit, and its AIC; left: what the fit leaves from `skip` on.
 
     An integrating process sums up what disturbs its input: it is how the disturbance changes that is white or coloured
     then. The coefficients of an autoregression fitted to the disturbance itself never quite sum up to nought, as that
@@ -440,7 +440,7 @@ def coloured_linear(
         lead, limits = _straight(whole, linear, delays, times)
         bare, loads = _relieved(whole, data, lead, limits, 0, _most(times))
         steps = loads.steps
-        colour = _colour(bare, loads.left, lead, limits, 0)[0]
+        colour = colour_of(bare, loads.left, lead, limits, 0)[0]
         data = bare.whitened(colour.a, 0, colour.law)
         linear = again_linear(data, linear, delays)
     return data, linear, steps

@@ -20,6 +20,7 @@ from workbench.estimate.fits.windows import EXACT
 from workbench.estimate.ranges.freed import Loaded
 from workbench.estimate.search.candidates import Candidate
 from workbench.estimate.search.profile import CHI_SQUARE
+from workbench.estimate.search.uneven import Uneven
 from workbench.model.record import FloatArray
 from workbench.simulate.compiled import compiled
 
@@ -31,7 +32,7 @@ PLAIN = 0.1  # a share at which the direction of the first slip shows
 ROUNDS = 2  # of a long record's fits
 
 
-def resting_short(data: Centred, best: Candidate, limits: Limits, loaded: Loaded | None) -> list[Fit]:
+def resting_short(data: Centred, best: Candidate | Uneven, limits: Limits, loaded: Loaded | None) -> list[Fit]:
     """Return the fits of stems that rest short of OP, with the stick band of a Stenman stem, which PV cannot tell.
 
     Up to the friction in motion from which on they fit worse: from there on they slip otherwise. loaded: the record
@@ -39,7 +40,7 @@ def resting_short(data: Centred, best: Candidate, limits: Limits, loaded: Loaded
     does not explain.
     """
     n, fit = data.samples, best.fit
-    x = best.stem(data.u)
+    x = best.x if isinstance(best, Uneven) else best.stem(data.u)
     rival = fit if loaded is None else loaded.fit(x, best.first, fit)
     room = CHI_SQUARE / effective_samples(data, x, best.first, fit)
     most = max(rival.sse / n, data.floor) * math.exp(room) * n
@@ -57,11 +58,15 @@ def resting_short(data: Centred, best: Candidate, limits: Limits, loaded: Loaded
 
 
 def _fitted(
-    data: Centred, best: Candidate, fd: float, sense: float, limits: Limits, near: Fit, loaded: Loaded | None
+    data: Centred, best: Candidate | Uneven, fd: float, sense: float, limits: Limits, near: Fit, loaded: Loaded | None
 ) -> Fit:
     """The fit along a stem with friction fd, %, in motion, whose first slip goes in one direction."""
     x: FloatArray = np.empty(data.samples)
-    _resting_path(data.u, best.d - fd, fd, best.first, sense, x)
+    if isinstance(best, Uneven):
+        # It slips where PV has it slip.
+        x = best.x - fd * _ways(best, sense)
+    else:
+        _resting_path(data.u, best.d - fd, fd, best.first, sense, x)
     if loaded is not None:
         return loaded.fit(x, best.first, near)
     # Where the stem was before it first slipped is free: its rest range is not that of the one that lands on OP.
@@ -69,6 +74,14 @@ def _fitted(
     if data.samples > EXACT:
         return fit_near(data, x, best.first, bounds, limits, near, ROUNDS)
     return fit_path(data, x, best.first, bounds, limits, near.theta, tau=near.tau)
+
+
+def _ways(best: Uneven, sense: float) -> FloatArray:
+    """The direction of the last slip, shape (N,), 0 before the first, which goes in the direction `sense`."""
+    moves = np.sign(np.diff(best.x, prepend=0.0))
+    moves[best.first] = sense
+    last = np.maximum.accumulate(np.where(moves != 0.0, np.arange(moves.size), 0))
+    return np.asarray(moves[last])
 
 
 @compiled

@@ -11,8 +11,9 @@ import numpy as np
 
 from workbench.estimate.fits.data import Centred, plant_of
 from workbench.estimate.fits.fit import LEAST_TAU, Fit, Limits, grounded, predict, start_range
-from workbench.estimate.fits.sureness import ENOUGH_SLIPS, NORMAL, effective_samples, standard_errors
+from workbench.estimate.fits.sureness import ENOUGH_SLIPS, NORMAL, SHARP, effective_samples, standard_errors
 from workbench.estimate.kernels.output_error import NO_DELAY
+from workbench.estimate.loads.steps import CLEAR
 from workbench.estimate.ranges.few import widened
 from workbench.estimate.ranges.freed import Loaded, freed
 from workbench.estimate.ranges.resting import resting_short
@@ -21,6 +22,7 @@ from workbench.estimate.search.candidates import Candidate
 from workbench.estimate.search.models import PLANT_PARAMETERS, akaike
 from workbench.estimate.search.profile import CHI_SQUARE, Profile
 from workbench.estimate.search.two_parameter import Band, held_range
+from workbench.estimate.search.uneven import Uneven
 from workbench.model.loads import LoadStep
 from workbench.model.plant import FOPDT, Plant
 from workbench.model.record import FloatArray
@@ -38,6 +40,7 @@ __all__ = [
     "rivals_of",
     "short_of",
     "stem_of",
+    "uneven_of",
     "unknown",
     "unsure",
     "wider",
@@ -221,7 +224,7 @@ def rivals_of(
 
 
 def short_of(
-    data: Centred, whole: Centred, best: Candidate, limits: Limits, steps: Sequence[LoadStep]
+    data: Centred, whole: Centred, best: Candidate | Uneven, limits: Limits, steps: Sequence[LoadStep]
 ) -> dict[str, Intervals]:
     """Return the plant's ranges with stems that rest short of OP, where the record cannot tell them from the best.
 
@@ -232,7 +235,7 @@ def short_of(
     fits = resting_short(data, best, limits, loaded)
     if not fits:
         return {}
-    x = best.stem(data.u)
+    x = best.x if isinstance(best, Uneven) else best.stem(data.u)
     errors = standard_errors(data, x, best.first, best.fit, clamped=False)
     return {"he": ranges_of(data, fits, errors, None, limits.theta[1])}
 
@@ -267,6 +270,40 @@ def stem_of(data: Centred, found: Profile) -> InScale:
     known = best.d_high > best.d_low and best.slips >= ENOUGH_SLIPS
     intervals = ranges_of(data, [c.fit for c in found.alike], errors, d if known else None, found.limits.theta[1])
     return InScale(position, prediction, bias_of(data, whole), intervals)
+
+
+def uneven_of(data: Centred, found: Sequence[Uneven], limits: Limits) -> InScale:
+    """Return the likeliest stem that does not stick alike at every slip, %, its band's mean with a range."""
+    best = found[0]
+    whole = grounded(data, best.x, best.first, best.fit, best.bounds)
+    prediction = data.pv_mean + data.load + predict(data, best.x, best.first, whole)[0]
+    position = best.x + data.op_middle
+    if best.first > 0:
+        position[: best.first] = data.op_middle + float(np.clip(whole.start / whole.gain, *best.bounds))
+    # What is not known of OP at a slip is in all that PV answers until the next.
+    worth = effective_samples(data, best.x, best.first, best.fit) / data.samples
+    near = [one for one in found if worth * (one.level - best.level) <= CLEAR]
+    alike = [one for one in near if one.sticks == best.sticks]
+    beside = data
+    if not best.sticks:
+        # How far it stands apart in its two directions was found with the plant.
+        apart = predict(data, best.senses, best.first, best.fit)[1][1]
+        beside = replace(data, answers=np.vstack([data.answers, apart]))
+    errors = standard_errors(beside, best.x, best.first, best.fit, clamped=False)
+    errors = unsure(data, errors, best.fit, best.S)
+    ranges = ranges_of(data, [one.fit for one in near], errors, None, limits.theta[1])
+
+    # Of bands that differ widely the mean is none to go by.
+    about = NORMAL * (best.spread if best.spread > SHARP * best.S else best.error)
+
+    def hull(values: list[float]) -> tuple[float, float]:
+        return wider(data, (max(min(values) - about, 0.0), max(values) + about))
+
+    if best.slips >= ENOUGH_SLIPS and best.sticks:
+        ranges = replace(ranges, d=hull([one.S for one in alike]))
+    elif best.slips >= ENOUGH_SLIPS:
+        ranges = replace(ranges, S=hull([one.S for one in alike]), J=hull([one.J for one in alike]))
+    return InScale(position, prediction, bias_of(data, whole), ranges)
 
 
 def band_position(data: Centred, best: Band) -> FloatArray:

@@ -23,6 +23,7 @@ from workbench.estimate.fits.fit import (
 from workbench.estimate.fits.windows import EXACT, stretch_of
 from workbench.estimate.search.stems import DELAY, FIRST, HIGH, LOW, path_of, range_of
 from workbench.model.record import FloatArray
+from workbench.model.valve import Stenman
 
 __all__ = ["Candidate", "again", "best_per_bin", "distinct", "fitted", "held", "leaves_noise", "polished", "refitted"]
 
@@ -46,6 +47,11 @@ class Candidate:
     def d(self) -> float:
         """The middle of the range, %; its lower end where the stem slips but once, for d however large."""
         return 0.5 * (self.d_low + self.d_high) if math.isfinite(self.d_high) else self.d_low
+
+    @property
+    def valve(self) -> Stenman:
+        """The valve that sticks so."""
+        return Stenman(self.d)
 
     def stem(self, u: FloatArray, wider: float = 1.0) -> FloatArray:
         """Return the path under OP u, shape (N,), 0 before `first`; of d multiplied by a factor."""

@@ -13,6 +13,7 @@ from workbench.estimate.search.bands import Bands, Found, refit, search_bands
 from workbench.estimate.search.profile import Profile
 from workbench.estimate.search.sought import Sought
 from workbench.estimate.search.two_parameter import Band
+from workbench.estimate.search.uneven import Uneven
 from workbench.model.loads import LoadStep
 from workbench.model.numbers import counted, given, interval
 from workbench.model.record import FloatArray
@@ -100,12 +101,15 @@ def _without_jump(found: dict[str, Found]) -> dict[str, Found]:
     return {"deadband": dead, **{name: bands for name, bands in found.items() if name != "deadband"}}
 
 
-def compared(data: Centred, linear: Fit, found: Profile | None, bands: dict[str, Found]) -> dict[str, FittedModel]:
+def compared(
+    data: Centred, linear: Fit, found: Profile | None, bands: dict[str, Found], uneven: Uneven | None = None
+) -> dict[str, FittedModel]:
     """Return every model by its name, the lowest BIC first.
 
     `AIC = N log V + 2 p` and `BIC = N log V + p log N` (H. Akaike, IEEE Trans. Autom. Control 19 (1974) 716-723;
     G. Schwarz, Ann. Statist. 6 (1978) 461-464), V that of the innovations where the disturbance is coloured, at least
     what the record resolves, so that rounding decides nothing. The residual variance told is what is left of PV.
+    uneven: stands for its kind of valve; its slips have their price, and their spread is one parameter more.
     """
     fits: dict[str, tuple[Fit, int, FloatArray, int]] = {"linear": (linear, 0, data.u, 0)}
     if found is not None:
@@ -119,15 +123,28 @@ def compared(data: Centred, linear: Fit, found: Profile | None, bands: dict[str,
     for name, (fit, slips, x, first) in fits.items():
         p = PLANT_PARAMETERS - data.integrating + VALVE_PARAMETERS[name]
         level = n * math.log(max(fit.sse / n, data.floor))
-        models[name] = FittedModel(
-            valve=_valve(name, d, bands[name].best if name in bands else None),
-            plant=plant_of(data, fit.gain, fit.tau, fit.theta),
-            residual_variance=grounded(data, x, first, fit).sse / n,
-            aic=level + 2.0 * p,
-            bic=level + p * math.log(n),
-            slips=slips,
-        )
+        valve = _valve(name, d, bands[name].best if name in bands else None)
+        models[name] = _model(data, valve, (fit, slips, x, first), level, p)
+    if uneven is not None:
+        p = PLANT_PARAMETERS - data.integrating + VALVE_PARAMETERS[uneven.name] + 1
+        stem = uneven.fit, uneven.slips, uneven.x, uneven.first
+        models[uneven.name] = _model(data, uneven.valve, stem, uneven.level, p)
     return dict(sorted(models.items(), key=lambda item: item[1].bic))
+
+
+def _model(
+    data: Centred, valve: Valve, stem: tuple[Fit, int, FloatArray, int], level: float, parameters: int
+) -> FittedModel:
+    """A valve's model by its fit, slips, stem and the stem's beginning; level: of twice the log likelihood."""
+    fit, slips, x, first = stem
+    return FittedModel(
+        valve=valve,
+        plant=plant_of(data, fit.gain, fit.tau, fit.theta),
+        residual_variance=grounded(data, x, first, fit).sse / data.samples,
+        aic=level + 2.0 * parameters,
+        bic=level + parameters * math.log(data.samples),
+        slips=slips,
+    )
 
 
 def choose(models: dict[str, FittedModel], valve: str) -> str:

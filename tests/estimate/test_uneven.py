@@ -1,0 +1,173 @@
+"""Valves that do not stick alike at every slip, and slips that the rounding of OP hides."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+import workbench as wb
+from workbench.estimate.fits.data import centre
+from workbench.estimate.fits.fit import LEAST_TAU, Fit, Limits
+from workbench.estimate.kernels.output_error import plant_terms
+from workbench.estimate.kernels.uneven import uneven_path
+from workbench.estimate.search.uneven import uneven_stems, words_of_uneven
+
+GAIN, TAU, THETA, BAND = 1.5, 8.0, 3, 2.0
+PLANT = wb.FOPDT(GAIN, TAU, float(THETA))
+
+
+@cache
+def cycle(
+    spread: float, samples: int = 1000, jump: float | None = None, seed: int = 3, noise: float = 0.02
+) -> tuple[wb.Record, tuple[float, ...]]:
+    """A loop in its cycle, and its stem, whose bands have a standard deviation of `spread`, % of travel.
+
+    jump: of a stem that is led on (S = BAND); without one it sticks again at once, as Stenman's does.
+    """
+    rng = np.random.default_rng(seed)
+    lead, Kc, Ti = 300, 0.5 / GAIN, 6.0
+    gap = 0.0 if jump is None else BAND - jump
+    n = samples + lead
+    band = BAND - gap + spread * rng.normal()
+    y, total, x, led, sense, moving, before = 0.0, 0.0, 0.0, 0.0, 1.0, False, 0.0
+    stem, rows = np.zeros(n + THETA + 1), []
+    for k in range(n):
+        pv = y + noise * BAND * GAIN * rng.normal()
+        error = GAIN - pv
+        total += Kc * error / Ti
+        op = Kc * error + total
+        if jump is None:
+            slips = abs(op - x) > band
+            led = op if slips else led
+        else:
+            slips = not (moving and (op - before) * sense > 0.0)
+            on = (op - led) * sense
+            moving = not slips or on > band or -on > gap + band
+            sense = -sense if slips and -on > gap + band else sense
+            slips = slips and moving
+            led = op if moving else led
+        band = BAND - gap + spread * rng.normal() if slips else band
+        x, before = led - 0.5 * sense * gap, op
+        rows.append((pv, op, x))
+        stem[k + THETA] = x
+        pole = np.exp(-1.0 / TAU)
+        y = pole * y + (1.0 - pole) * GAIN * stem[k]
+    pv, op, x = np.array(rows[lead:]).T
+    return wb.Record(pv + 50.0, op + 40.0, 1.0, sp=np.full(samples, 50.0 + GAIN)), tuple(x + 40.0)
+
+
+def holds(pair: tuple[float, float] | None, value: float) -> bool:
+    return pair is not None and pair[0] <= value <= pair[1]
+
+
+def test_along_the_plant_the_likeliest_stem_is_the_valves() -> None:
+    record, stem = cycle(0.06, noise=0.005)
+    data = centre(record, "fopdt")
+    x, senses, slips = np.empty(1000), np.empty(1000), np.empty((1000, 3))
+    true = np.array(stem) - data.op_middle
+    # PV at OP's middle: the bias of a model whose stem is counted from there.
+    bias = 50.0 + GAIN * (data.op_middle - 40.0) - data.pv_mean
+    terms = np.array([GAIN, bias, data.y[0] - bias, 0.0])
+    valve, starts = np.array([BAND, BAND, 0.06]), np.array([[true[0], 1.0], [true[0] + 0.5, 1.0]])
+    price, count = uneven_path(
+        data.y,
+        data.u,
+        plant_terms(False, TAU, float(THETA)),
+        terms,
+        True,
+        valve,
+        (0.005 * BAND * GAIN) ** 2,
+        starts,
+        data.a,
+        0,
+        x,
+        senses,
+        slips,
+    )
+    # The first slips answer to what was before the record.
+    assert np.abs(x - true)[50:].max() < 1e-9
+    assert count == np.count_nonzero(np.diff(true))
+    assert price > 0.0
+    held, gone = slips[: count - 1, 1], slips[: count - 1, 2]
+    assert (held < gone).all()
+    assert np.mean(0.5 * (held + gone)) == pytest.approx(BAND, rel=0.02)
+
+
+@pytest.mark.parametrize("jump", [None, 1.0], ids=["Stenman", "two parameters"])
+def test_bands_that_differ_by_some_per_cent_hide_neither_valve_nor_plant(jump: float | None) -> None:
+    record, stem = cycle(0.06, samples=1000 if jump is None else 1400, jump=jump)
+    found = wb.estimate(record, plant="fopdt")
+    assert found.verdict == "stiction"
+    assert isinstance(found.valve, wb.Stenman if jump is None else wb.Choudhury)
+    assert found.valve.stick_band == pytest.approx(BAND, rel=0.03)
+    assert found.plant.gain == pytest.approx(GAIN, rel=0.03)
+    assert found.identifiable
+    assert holds(found.intervals.gain, GAIN)
+    assert holds(found.intervals.d or found.intervals.S, BAND)
+    assert any("does not stick alike at every slip" in reason for reason in found.reasons)
+    assert np.mean(np.abs(found.valve_position[50:] - np.array(stem)[50:]) > 0.1 * BAND) < 0.03
+    # One number for each kind of valve stands beside it, the price of its slips paid.
+    told = next(model for model in found.candidates if type(model.valve) is type(found.valve))
+    assert told.valve == found.valve
+    assert min(model.bic for model in found.candidates) == told.bic
+
+
+def test_a_valve_that_sticks_alike_is_told_so() -> None:
+    found = wb.estimate(cycle(0.0)[0], plant="fopdt")
+    assert found.valve.stick_band == pytest.approx(BAND, rel=0.01)
+    assert not any("every slip" in reason or "each slip" in reason for reason in found.reasons)
+
+
+def test_bands_far_apart_leave_the_stick_band_open() -> None:
+    found = wb.estimate(cycle(0.3, samples=1500, seed=4)[0], plant="fopdt")
+    assert found.verdict == "stiction"
+    assert not found.identifiable
+    assert found.plant.gain == pytest.approx(GAIN, rel=0.05)
+    low, high = found.intervals.d
+    assert low < BAND - 0.3 < BAND + 0.3 < high
+    assert any("the stick band S is not identified" in reason for reason in found.reasons)
+
+
+@pytest.mark.parametrize("method", ["profile", "joint"])
+def test_slips_that_ops_rounding_hides_are_told_by_pv(method: str) -> None:
+    loop = wb.Loop(wb.FOPDT(2.0, 6.0, 3.0), wb.Stenman(1.2), wb.PID(Kc=0.3, Ti=10.0), 1.0)
+    run = wb.simulate(loop, wb.Experiment(1377.0, setpoint=wb.Step(3.0), noise=wb.Noise(0.05, 1)))
+    pv, op, sp = (signal[777:] for signal in (run.pv + 50.0, run.op + 40.0, run.sp + 50.0))
+    found = wb.estimate(wb.Record(np.round(pv, 1), np.round(op, 1), 1.0, sp=sp), plant="fopdt", method=method)
+    assert found.verdict == "stiction"
+    assert found.plant.gain == pytest.approx(2.0, rel=0.03)
+    assert holds(found.intervals.d, 1.2)
+    assert holds(found.intervals.gain, 2.0)
+    assert any("OP was recorded in steps, PV tells when" in reason for reason in found.reasons)
+    assert not any("no ranges are given" in reason for reason in found.reasons)
+
+
+def test_a_valve_that_was_asked_for_is_the_one_told() -> None:
+    record = cycle(0.06, jump=1.0, samples=1400)[0]
+    assert isinstance(wb.estimate(record, plant="fopdt", valve="stenman").valve, wb.Stenman)
+    assert isinstance(wb.estimate(record, plant="fopdt", valve="deadband").valve, wb.Deadband)
+
+
+def test_without_slips_there_is_no_such_stem() -> None:
+    data = centre(cycle(0.06)[0], "fopdt")
+    limits = Limits((LEAST_TAU, 1000.0), (0.0, 30.0))
+    nothing = Fit(1.0, TAU, float(THETA), 0.0, 0.0, 0.0, 0.0)
+    wide = replace(nothing, gain=GAIN)
+    assert uneven_stems(data, [], limits) == []
+    assert uneven_stems(data, [(True, BAND, BAND, nothing), (True, 50.0, 50.0, wide)], limits) == []
+
+
+def test_words_tell_what_differs() -> None:
+    data = centre(cycle(0.06)[0], "fopdt")
+    limits = Limits((LEAST_TAU, 1000.0), (0.0, 30.0))
+    fit = Fit(50.0, TAU, float(THETA), GAIN, 0.0, 0.0, 0.0)
+    best = uneven_stems(data, [(True, BAND, BAND, fit)], limits)[0]
+    assert pytest.approx(BAND, rel=0.03) == best.S
+    assert best.spread == pytest.approx(0.06, rel=0.7)
+    assert "most of them from 1." in words_of_uneven(best, 0.0)[0]
+    alike = replace(best, spread=best.blur)
+    assert words_of_uneven(alike, 0.0)[0].endswith("the rest of PV tells when")
+    assert words_of_uneven(alike, 0.05)[0].endswith("OP was recorded in steps, PV tells when")

@@ -1,0 +1,58 @@
+"""Stems that do not stick alike at every slip, in the measure of what disturbs the loop."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from workbench.estimate.fits.data import Centred
+from workbench.estimate.fits.fit import Fit, Limits, fit_path, grounded, predict
+from workbench.estimate.loads.settled import colour_of
+from workbench.estimate.loads.steps import Stem
+from workbench.estimate.search.uneven import Uneven, uneven_stems
+
+__all__ = ["uneven_beside_colour"]
+
+COLOURINGS = 3  # rounds of stems and disturbance in turn
+GONE_ON_WITH = 3  # stems
+
+
+def uneven_beside_colour(
+    whole: Centred, seeds: Sequence[tuple[bool, float, float, Fit]], limits: Limits, skip: int
+) -> tuple[Centred, list[Uneven]]:
+    """Return the record in the measure of what the likeliest stem leaves, and the stems there, the likeliest first.
+
+    whole: the record as if the disturbance were white; seeds: as of `uneven_stems`; skip: the first samples, which do
+    not count. Colour and stem are found in turn.
+    """
+    data = whole.whitened(whole.a, skip)
+    met = uneven_stems(data, seeds, limits)
+    for _ in range(COLOURINGS):
+        if not met:
+            break
+        best = met[0]
+        left = (
+            whole.y - predict(whole, best.x, best.first, grounded(data, best.x, best.first, best.fit, best.bounds))[0]
+        )
+        lead = Stem(best.x, best.first, best.fit, valve=(best.S, best.J, best.first, 0.0))
+        colour, _ = colour_of(whole, left[skip:], lead, limits, skip)
+        if colour.a.size == data.a.size == 1:
+            break
+        data = whole.whitened(colour.a, skip, colour.law)
+        again: list[tuple[bool, float, float, Fit]] = []
+        for one in _apart(met):
+            tau, theta = one.fit.tau, one.fit.theta
+            fit = fit_path(data, one.x, one.first, one.bounds, limits, theta, tau=tau)
+            again.append((one.sticks, one.S, one.J, fit))
+        met = uneven_stems(data, again, limits)
+    return data, met
+
+
+def _apart(met: Sequence[Uneven]) -> list[Uneven]:
+    """The likeliest of some stems that differ in where they slip."""
+    chosen: list[Uneven] = []
+    for one in met:
+        if len(chosen) < GONE_ON_WITH and not any(np.array_equal(one.x, known.x) for known in chosen):
+            chosen.append(one)
+    return chosen
