@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import json
 import os
 import shutil
 import signal
@@ -143,6 +144,10 @@ def test_changes_are_told_since_the_run_before(whole: Path, site: Path, tmp_path
         (["site", "--depth", "deep"], "--depth: deep given; must be one of screen, estimate, tune"),
         (["site", "--from", "yesterday"], "--from: yesterday given; must be a time such as"),
         (["site", "--from", "2024-10-18", "--to", "2024-10-17"], "--from: 2024-10-18 00:00:00 given; must be before"),
+        (
+            ["site", "--from", "2024-10-17", "--to", "2024-10-18T00:00Z"],
+            "--to: 2024-10-18T00:00Z given; must have a zone",
+        ),
         (["site", "--last", "8"], "--last"),
         (["site", "--time-limit", "0 s"], "--time-limit"),
         (["site", "--memory-limit", "1"], "--memory-limit"),
@@ -165,6 +170,33 @@ def test_what_cannot_start_is_said_in_one_line(
     assert message in result.output
     assert "Traceback" not in result.output
     assert not (tmp_path / "out" / "report.html").exists()
+
+
+def test_the_window_is_by_the_clock_of_each_record_and_told(tmp_path: Path) -> None:
+    (tmp_path / "site").mkdir()
+    one = record(sticky=False, n=600)
+    for name, zone in (("east", "+05:30"), ("plain", "")):
+        stamps = [f"2024-10-17T{6 + k // 60:02d}:{k % 60:02d}:00{zone}" for k in range(600)]
+        rows = zip(stamps, one.pv.tolist(), one.op.tolist(), strict=True)
+        (tmp_path / "site" / f"{name}.csv").write_text(
+            "Time,PV,OP\n" + "\n".join(f"{t},{y:.6g},{u:.6g}" for t, y, u in rows)
+        )
+    out = tmp_path / "out"
+    given = ["fleet", str(tmp_path / "site"), "--out", str(out), "--workers", "1", "--from"]
+    result = CliRunner().invoke(app, [*given, "2024-10-17T06:00", "--to", "2024-10-17T08:00"])
+    assert result.exit_code == 0, result.output
+    rows = read_rows(out / "fleet.parquet")[0]
+    assert [row.samples for row in rows] == [120, 120]
+    assert [row.pv_sd for row in rows] == [pytest.approx(one.pv[:120].std(), rel=1e-4)] * 2
+    said = "Window of time: from 2024-10-17 06:00:00 to 2024-10-17 08:00:00, by the clock of each record."
+    assert said in (out / "report.html").read_text()
+    told = json.loads((out / "run.json").read_text())
+    assert told["window"] == {"from": "2024-10-17T06:00:00", "to": "2024-10-17T08:00:00", "last": None}
+    result = CliRunner().invoke(app, [*given, "2024-10-17T06:00+05:30", "--last", "2 h"])
+    assert result.exit_code == 1
+    assert "plain: not looked at: " in result.output
+    assert "the window of time has a zone, and the record's times have none" in result.output
+    assert "from 2024-10-17 00:30:00, UTC; of that the last 2.0 h of each record." in (out / "report.html").read_text()
 
 
 def test_a_folder_that_cannot_be_written(tmp_path: Path) -> None:

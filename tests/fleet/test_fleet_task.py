@@ -9,15 +9,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from fleet_helpers import record, write_csv
+from fleet_helpers import START, record, write_csv
 from hypothesis import given
 from hypothesis import strategies as st
 
 import workbench as wb
-from workbench.errors import RecordError
+from workbench.errors import InvalidValue, RecordError
 from workbench.fleet import task
 from workbench.fleet.groups import grouped
 from workbench.fleet.sampling import oscillation_at_any_rate
+from workbench.fleet.window import within
 from workbench.model.estimation import Estimate, Intervals
 from workbench.model.fleet import FleetRow, LoopSource, Settings, Tuning
 from workbench.scenario import retune
@@ -144,18 +145,45 @@ def test_a_signal_that_stands_still_is_undecided(tmp_path: Path) -> None:
 
 def test_windows_of_time() -> None:
     base = replace(record(sticky=False, n=600), epoch=1000.0, start=50.0)
-    part = task._within(base, Settings(begin=1100.0, end=1200.0))
+    part = within(base, Settings(begin=1100.0, end=1200.0))
     assert len(part) == 100
     assert part.epoch + part.start == 1100.0
     assert np.array_equal(part.pv, base.pv[50:150])
-    late = task._within(base, Settings(last=60.0))
+    late = within(base, Settings(last=60.0))
     assert np.array_equal(late.pv, base.pv[-60:])
-    assert task._within(base, SCREEN) is base
+    assert within(base, SCREEN) is base
     with pytest.raises(RecordError, match="no 30 samples"):
-        task._within(base, Settings(begin=0.0, end=1000.0))
+        within(base, Settings(begin=0.0, end=1000.0))
     # The longest stretch within the window is the record, though another one is the longest of all.
     two = replace(base, rest=(replace(base, start=2000.0, pv=base.pv[:200], op=base.op[:200], sp=None),))
-    assert len(task._within(two, Settings(begin=1600.0))) == 200
+    assert len(within(two, Settings(begin=1600.0))) == 200
+
+
+def test_a_window_without_a_zone_is_by_the_clock_of_the_record() -> None:
+    base = replace(record(sticky=False, n=600), epoch=START, zone=((START, 19_800.0),))
+    by_clock = within(base, Settings(begin=START + 19_800.0 + 100.0, end=START + 19_800.0 + 200.0))
+    assert np.array_equal(by_clock.pv, base.pv[100:200])
+    instant = within(base, Settings(begin=START + 100.0, end=START + 200.0, zoned=True))
+    assert np.array_equal(instant.pv, base.pv[100:200])
+    with pytest.raises(RecordError, match="no 30 samples"):
+        within(base, Settings(begin=START + 100.0, end=START + 200.0))
+    with pytest.raises(
+        RecordError, match=r"has a zone, and the record's times have none; give --from and --to without"
+    ):
+        within(replace(base, zone=()), Settings(begin=START + 100.0, zoned=True))
+
+
+def test_a_clock_that_is_changed_in_the_record() -> None:
+    turn = START + 300.0
+    autumn = replace(record(sticky=False, n=600), epoch=START, zone=((START, 7200.0), (turn, 3600.0)))
+    assert autumn.instant(START + 7200.0 + 299.0) == START + 299.0
+    assert autumn.instant(turn + 3600.0 + 100.0) == turn + 100.0 - 3600.0  # an hour that is shown twice: the first
+    assert autumn.instant(turn + 7200.0 + 100.0) == turn + 3700.0
+    spring = replace(autumn, zone=((START, 3600.0), (turn, 7200.0)))
+    assert spring.instant(turn + 3600.0 + 100.0) == turn  # an hour that is never shown
+    assert spring.instant(turn + 7200.0 + 100.0) == turn + 100.0
+    with pytest.raises(InvalidValue, match=r"Record\.zone"):
+        replace(autumn, zone=3.0)
 
 
 def test_time_in_automatic() -> None:

@@ -101,6 +101,35 @@ def test_a_window_of_time_reads_that_alone(tmp_path: Path, one: wb.Record) -> No
         found(tmp_path / "a.parquet", FIC1, window=(0.0, 1.0))
 
 
+@pytest.mark.parametrize(("zone", "east"), [("+05:30", 19_800.0), ("Europe/Berlin", 7200.0), ("UTC", 0.0)])
+def test_a_window_without_a_zone_loses_nothing_of_a_file_in_another_zone(
+    tmp_path: Path, one: wb.Record, zone: str, east: float
+) -> None:
+    parts = [
+        part.set_column(1, "time", part.column("time").cast(pa.timestamp("ms", zone)))
+        for part in (tall("FIC1", one, 0, 200), tall("FIC1", one, 200))
+    ]
+    write_tall(tmp_path / "a.parquet", *parts)
+    by_clock = START + 250.0 + east, START + 300.0 + east
+    part = found(tmp_path / "a.parquet", FIC1, window=by_clock, zoned=False)
+    assert part.zone == ((part.epoch, east),)
+    at = part.epoch + part.time
+    inside = (at >= part.instant(by_clock[0])) & (at < part.instant(by_clock[1]))
+    assert np.array_equal(part.pv[inside], one.pv[250:300])
+    assert np.array_equal(
+        found(tmp_path / "a.parquet", FIC1, window=(START + 250.0, START + 300.0)).pv, one.pv[250:300]
+    )
+
+
+def test_a_window_of_times_written_as_text(tmp_path: Path, one: wb.Record) -> None:
+    table = tall("FIC1", one)
+    texts = pa.array([f"{at.isoformat()}+02:00" for at in table.column("time").to_pylist()])
+    write_tall(tmp_path / "a.parquet", table.set_column(1, "time", texts))
+    whole = found(tmp_path / "a.parquet", FIC1, window=(START + 250.0, START + 300.0))
+    assert np.array_equal(whole.pv, one.pv)  # the window is cut out of the record
+    assert whole.zone == ((START - 7200.0, 7200.0),)
+
+
 def test_a_window_of_nanoseconds(tmp_path: Path, one: wb.Record) -> None:
     # A datetime, as a footer's statistics give it, holds none.
     table = tall("FIC1", one)

@@ -137,6 +137,31 @@ def test_stamps_with_a_zone_need_no_mending(tmp_path: Path) -> None:
     assert not any("clock" in note for note in record.notes)
 
 
+@pytest.mark.parametrize("kind", ["csv", "parquet"])
+def test_a_record_keeps_the_zone_of_its_stamps(tmp_path: Path, kind: str) -> None:
+    start = dt.datetime(2024, 10, 26, 23, 30, tzinfo=dt.UTC)
+    stamps = [(start + dt.timedelta(seconds=10 * k)).astimezone(BERLIN) for k in range(600)]
+    path = write(tmp_path, [at.isoformat() for at in stamps])
+    if kind == "parquet":
+        path = tmp_path / "loop.parquet"
+        at = pa.array(stamps, pa.timestamp("us", "Europe/Berlin"))
+        pq.write_table(
+            pa.table({"time": at, "PV": [float(k) for k in range(600)], "OP": [k % 7 for k in range(600)]}), path
+        )
+    record = read_record(path)
+    turn = dt.datetime(2024, 10, 27, 1, 0, tzinfo=dt.UTC).timestamp()
+    assert record.zone == ((start.timestamp(), 7200.0), (turn, 3600.0))
+    late = dt.datetime(2024, 10, 27, 2, 5, tzinfo=dt.UTC)
+    shown = late.astimezone(BERLIN).replace(tzinfo=dt.UTC).timestamp()
+    assert record.instant(shown) == late.timestamp()
+
+
+def test_stamps_without_a_zone_and_counts_have_the_clock_that_they_show(tmp_path: Path) -> None:
+    assert read_record(write(tmp_path, local(dt.datetime(2024, 7, 1, tzinfo=dt.UTC), 60, 10))).zone == ()
+    assert read_record(write(tmp_path, list(range(60)))).zone == ()
+    assert read_record(write(tmp_path, list(range(1_720_000_000, 1_720_000_060)))).zone == ((1_720_000_000.0, 0.0),)
+
+
 def test_an_hour_missing_on_a_weekday_is_a_gap(tmp_path: Path) -> None:
     start = dt.datetime(2024, 3, 27, 0, 30)  # noqa: DTZ001 - a clock on a wall
     times: list[object] = [start + dt.timedelta(seconds=10 * k + (3600 if k >= 200 else 0)) for k in range(600)]

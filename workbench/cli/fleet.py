@@ -41,7 +41,14 @@ def fleet(
     scheduler: Annotated[
         str | None, typer.Option("--scheduler", metavar="ADDRESS", help="A Dask scheduler, such as tcp://host:8786.")
     ] = None,
-    begin: Annotated[str | None, typer.Option("--from", metavar="TIME", help="Such as 2024-10-17T06:00.")] = None,
+    begin: Annotated[
+        str | None,
+        typer.Option(
+            "--from",
+            metavar="TIME",
+            help="By each record's own clock, as 2024-10-17T06:00, or at a zone's, as 2024-10-17T06:00+02:00.",
+        ),
+    ] = None,
     end: Annotated[str | None, typer.Option("--to", metavar="TIME", help="The end of the window of time.")] = None,
     last: Annotated[str | None, typer.Option("--last", metavar="TIME", help='Of each record, such as "8 h".')] = None,
     include: Annotated[
@@ -61,11 +68,17 @@ def fleet(
     from workbench.scenario import units
 
     sources = only(sources_of(source), include or [])
+    first = None if begin is None else _time("--from", begin)
+    final = None if end is None else _time("--to", end)
+    zoned = {at.tzinfo is not None for at in (first, final) if at is not None}
+    if len(zoned) > 1:
+        raise InvalidValue("--to", end, f"must have a zone as --from ({begin}) has, or neither")
     settings = Settings(
         depth or sources.depth or "screen",
-        None if begin is None else _instant("--from", begin),
-        None if end is None else _instant("--to", end),
+        None if first is None else _seconds(first),
+        None if final is None else _seconds(final),
         None if last is None else quantity("--last", last, units.time),
+        True in zoned,
     )
     limits = Limits(quantity("--time-limit", time_limit, units.time), memory_limit)
     return _run(sources, out, settings, limits, workers, scheduler, resume, previous)
@@ -200,13 +213,17 @@ def fleet_demo(
     return 0
 
 
-def _instant(option: str, text: str) -> float:
-    """Return a time as s since 1970, by the data's own clock where it carries no zone."""
+def _time(option: str, text: str) -> datetime:
+    """Return a time of the window as it is given, with or without a zone."""
     try:
-        given = datetime.fromisoformat(text)
+        return datetime.fromisoformat(text)
     except ValueError:
         raise InvalidValue(option, text, "must be a time such as 2024-10-17T06:00 or 2024-10-17") from None
-    return (given if given.tzinfo is not None else given.replace(tzinfo=UTC)).timestamp()
+
+
+def _seconds(at: datetime) -> float:
+    """Return a time as s since 1970, of the same clock where it has no zone."""
+    return (at if at.tzinfo is not None else at.replace(tzinfo=UTC)).timestamp()
 
 
 def _silent(done: int, total: int, failed: int) -> None:

@@ -121,6 +121,8 @@ def run_fleet(
         "python": platform.python_version(),
         "machine": platform.platform(),
         "seconds": round(seconds, 3),
+        "depth": settings.depth,
+        "window": settings.window_as_data(),
         "loops": len(rows),
         "resumed": resumed,
         "workers": workers if scheduler is None else None,

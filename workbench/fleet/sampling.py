@@ -112,6 +112,7 @@ def thinned(record: Record, factor: int, first: int = 0, count: int | None = Non
         source=record.source,
         pv_range=record.pv_range,
         epoch=record.epoch,
+        zone=record.zone,
     )
 
 

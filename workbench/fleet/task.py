@@ -15,6 +15,7 @@ from workbench.detect.oscillation import OSCILLATES, REGULAR
 from workbench.detect.stem_search import FITTED
 from workbench.errors import RecordError, WorkbenchError
 from workbench.fleet.sampling import Seen, cycle_of, means, stretch
+from workbench.fleet.window import within
 from workbench.kpi.kpis import travel
 from workbench.model.fleet import FleetRow, LoopSource, Settings, Tuning
 from workbench.model.plant import FOPDT, Plant
@@ -23,7 +24,6 @@ from workbench.model.results import Estimate
 from workbench.record.historian import Piece, read_tags
 from workbench.record.modes import manual_share
 from workbench.record.reader import read_loop, read_record
-from workbench.record.segments import USABLE
 from workbench.report.known import hint
 from workbench.report.loop_page import render_loop
 from workbench.scenario.refusals import in_entries, scalar
@@ -81,6 +81,7 @@ def read(loop: LoopSource, settings: Settings) -> Record:
             dict(loop.tags),
             loop.name,
             window=window,
+            zoned=settings.zoned,
             sample_time=loop.sample_time,
             pv_range=loop.pv_range,
             op_range=loop.op_range,
@@ -96,40 +97,7 @@ def read(loop: LoopSource, settings: Settings) -> Record:
             op_range=loop.op_range,
             max_gap=loop.max_gap,
         )
-    return _within(record, settings)
-
-
-def _within(record: Record, settings: Settings) -> Record:
-    """Return the longest stretch of a record within the window, the others as its `rest`."""
-    begin = -math.inf if settings.begin is None else settings.begin
-    end = math.inf if settings.end is None else settings.end
-    if settings.last is not None:
-        latest = max(one.epoch + one.start + len(one) * one.sample_time for one in record.segments)
-        begin = max(begin, min(latest, end) - settings.last)
-    if begin == -math.inf and end == math.inf:
-        return record
-    kept: list[Record] = []
-    for one in record.segments:
-        at = one.epoch + one.time
-        where = np.flatnonzero((at >= begin - 1e-9) & (at < end - 1e-9))
-        if where.size >= USABLE:
-            part = slice(int(where[0]), int(where[-1]) + 1)
-            kept.append(
-                replace(
-                    one,
-                    pv=one.pv[part],
-                    op=one.op[part],
-                    sp=None if one.sp is None else one.sp[part],
-                    valve_position=None if one.valve_position is None else one.valve_position[part],
-                    mode=None if one.mode is None else one.mode[part],
-                    start=float(one.time[part.start]),
-                )
-            )
-    if not kept:
-        raise RecordError(f"{record.source}: no {USABLE} samples on end within the window of time")
-    longest = max(kept, key=len)
-    others = tuple(replace(one, notes=()) for one in kept if one is not longest)
-    return replace(longest, rest=others, notes=record.notes, counts=record.counts)
+    return within(record, settings)
 
 
 def look_at(loop: LoopSource, settings: Settings) -> Result:

@@ -9,6 +9,7 @@ from typing import Any
 
 from workbench.errors import InvalidValue
 from workbench.model.checks import choice, number
+from workbench.model.numbers import duration
 
 __all__ = ["DEPTHS", "Change", "FleetRow", "Group", "LoopSource", "Settings", "Site", "Tuning"]
 
@@ -56,22 +57,41 @@ class LoopSource:
 class Settings:
     """What is to be done with each loop; two runs with equal settings give equal rows.
 
-    depth: "screen", "estimate" or "tune". begin, end: of the window of time, s since 1970 by the data's own clock;
-    last: s before a record's end; None where not limited. Raises `InvalidValue`.
+    depth: "screen", "estimate" or "tune". begin, end: of the window of time, s since 1970; zoned: whether they are
+    instants, else they are by the clock of each record's own timestamps. last: s before a record's end; None where not
+    limited. Raises `InvalidValue`.
     """
 
     depth: str = "screen"
     begin: float | None = None
     end: float | None = None
     last: float | None = None
+    zoned: bool = False
 
     def __post_init__(self) -> None:
         choice(self.depth, "--depth", DEPTHS)
         if self.last is not None:
             number(self.last, "--last", above=0.0, unit="s")
         if self.begin is not None and self.end is not None and not self.begin < self.end:
-            first, last = (datetime.fromtimestamp(at, UTC).isoformat(" ")[:19] for at in (self.begin, self.end))
-            raise InvalidValue("--from", first, f"must be before --to, {last}")
+            raise InvalidValue("--from", _at(self.begin), f"must be before --to, {_at(self.end)}")
+
+    @property
+    def window(self) -> str:
+        """The window of time in words, "" without one."""
+        bounds = [f"{word} {_at(at)}" for word, at in (("from", self.begin), ("to", self.end)) if at is not None]
+        said = [f"{' '.join(bounds)}, {'UTC' if self.zoned else 'by the clock of each record'}"] if bounds else []
+        return "; of that ".join([*said, *([f"the last {duration(self.last)} of each record"] if self.last else [])])
+
+    def window_as_data(self) -> dict[str, str | float | None]:
+        """Return the window for a file: ISO 8601, with UTC's zone where it has one, and s."""
+        zone = "+00:00" if self.zoned else ""
+        begin, end = (None if at is None else _at(at, "T") + zone for at in (self.begin, self.end))
+        return {"from": begin, "to": end, "last": self.last}
+
+
+def _at(seconds: float, between: str = " ") -> str:
+    """Return a time of the window, s since 1970, as it is written without a zone."""
+    return datetime.fromtimestamp(seconds, UTC).replace(tzinfo=None).isoformat(between)
 
 
 @dataclass(frozen=True, slots=True)

@@ -61,13 +61,14 @@ class Record(Shown):
     """Measured data of one loop.
 
     pv (EU) and op (%) are needed, shape (N,), finite, evenly sampled every sample_time s from `start` s on; op[k] is
-    the output that the controller computed in the sample of pv[k]. sp (EU), valve_position (% of travel, measured by
-    a positioner) and mode (text per sample) where recorded. epoch: what time 0 is on the clock of the timestamps, s
-    since 1970, or 0 where times are plain seconds: loops meet at epoch + time. pv_range: (low, high) of the
-    transmitter, EU, where known.
-    `notes` say what reading kept, rejected and assumed; `counts` the same in numbers. Gaps, bad values and changes of
-    mode part what a plant records: the record is the best stretch, and `rest` holds the others of the same loop.
-    Arrays are copied and read-only. Raises `InvalidValue`.
+    the output that the controller computed in the sample of pv[k]. sp (EU), valve_position (% of travel, measured by a
+    positioner) and mode (text per sample) where recorded. epoch: what time 0 is on the clock of the timestamps, s since
+    1970, or 0 where times are plain seconds: loops meet at epoch + time. zone: where the timestamps carry one, how far
+    it is east of Greenwich, as (s since 1970, s east from then on) in the order of time; () where they carry none, and
+    are what a clock on a wall shows. pv_range: (low, high) of the transmitter, EU, where known. `notes` say what
+    reading kept, rejected and assumed; `counts` the same in numbers. Gaps, bad values and changes of mode part what a
+    plant records: the record is the best stretch, and `rest` holds the others of the same loop. Arrays are copied and
+    read-only. Raises `InvalidValue`.
     """
 
     pv: FloatArray
@@ -83,6 +84,7 @@ class Record(Shown):
     pv_range: tuple[float, float] | None = None
     rest: tuple[Record, ...] = ()
     epoch: float = 0.0
+    zone: tuple[tuple[float, float], ...] = ()
 
     def __post_init__(self) -> None:
         pv = signal_of(self.pv, "Record.pv", None)
@@ -100,6 +102,9 @@ class Record(Shown):
             object.__setattr__(self, "mode", mode)
         object.__setattr__(self, "start", number(self.start, "Record.start", unit="s"))
         object.__setattr__(self, "epoch", number(self.epoch, "Record.epoch", unit="s"))
+        instance(self.zone, Iterable, "Record.zone", "pairs (s since 1970, s east of Greenwich from then on)")
+        zone = tuple((number(at, "Record.zone", unit="s"), number(s, "Record.zone", unit="s")) for at, s in self.zone)
+        object.__setattr__(self, "zone", zone)
         if self.pv_range is not None:
             object.__setattr__(self, "pv_range", ordered_pair(self.pv_range, "Record.pv_range"))
         object.__setattr__(self, "rest", all_of(self.rest, Record, "Record.rest", "a Record"))
@@ -119,6 +124,16 @@ class Record(Shown):
     def segments(self) -> tuple[Record, ...]:
         """This stretch and the others of the same loop, in the order of time; nothing joins one to the next."""
         return tuple(sorted((replace(self, rest=()), *self.rest), key=lambda r: r.start))
+
+    def instant(self, wall: float) -> float:
+        """Return a time by the clock of the timestamps, s since 1970 with no zone, as `epoch` + `time` counts it.
+
+        Of an hour that this clock shows twice it is the first.
+        """
+        found = wall - (self.zone[0][1] if self.zone else 0.0)
+        for since, east in self.zone[1:]:
+            found = found if found < since else max(wall - east, since)
+        return found
 
     def summary(self) -> tuple[str, ...]:
         """Return what the record is, what was kept and why, in lines of words."""

@@ -30,6 +30,8 @@ from workbench.record.text import arrow_text
 
 __all__ = ["Piece", "Pieces", "named", "pairs_of", "read_tags", "tags_of"]
 
+DAY = 86_400.0  # s, by which no zone is away from UTC
+
 
 @dataclass(frozen=True, slots=True)
 class Piece:
@@ -124,6 +126,7 @@ def read_tags(
     source: str,
     *,
     window: tuple[float, float] | None = None,
+    zoned: bool = True,
     sample_time: float | None = None,
     pv_range: tuple[float, float] | None = None,
     op_range: tuple[float, float] | None = None,
@@ -131,8 +134,9 @@ def read_tags(
 ) -> Record:
     """Return one loop's record from the row groups that hold its tags.
 
-    tags: signal to tag; PV and OP at least. window: [start, end) of the timestamps, s since 1970. The rest as
-    `read_record`, whose laws hold here too. source: how messages name the loop. Raises `RecordError`.
+    tags: signal to tag; PV and OP at least. window: [start, end) of the timestamps, s since 1970; where not zoned, it
+    is by the clock of their own zone, and a day more on both sides is read of files whose zone is another than UTC. The
+    rest as `read_record`, whose laws hold here too. source: how messages name the loop. Raises `RecordError`.
     """
     for needed in NEEDED:
         if needed not in tags:
@@ -141,11 +145,11 @@ def read_tags(
         import pyarrow as pa
         import pyarrow.compute as pc
 
-        parts = [_rows(piece, sorted(set(tags.values())), window, source) for piece in pieces]
+        parts = [_rows(piece, sorted(set(tags.values())), window, zoned, source) for piece in pieces]
         if not parts:
             raise RecordError(f"{source}: no row holds {' or '.join(sorted(tags.values()))}")
         try:
-            whole = pa.concat_tables(parts, promote_options="permissive")
+            whole = pa.concat_tables(_of_one_zone(parts), promote_options="permissive")
         except pa.ArrowException as error:
             how = str(error).partition(": ")[2] or str(error)
             raise RecordError(f"{source}: its files do not agree: {how}; export all with one type of each") from None
@@ -178,7 +182,7 @@ def read_tags(
     return record_from(tall.done(), sample_time, max_gap, pv_range, op_range, True, source)
 
 
-def _rows(piece: Piece, tags: list[str], window: tuple[float, float] | None, source: str) -> Any:
+def _rows(piece: Piece, tags: list[str], window: tuple[float, float] | None, zoned: bool, source: str) -> Any:
     """Return a piece's rows of these tags within the window as a table of the columns of `TALL` that it has."""
     import pyarrow as pa
 
@@ -186,6 +190,9 @@ def _rows(piece: Piece, tags: list[str], window: tuple[float, float] | None, sou
         names, told = _names(file, piece.path)
         groups = list(piece.groups)
         if window is not None:
+            zone = getattr(file.schema_arrow.field(names["time"]).type, "tz", None)
+            if not zoned and zone not in (None, "UTC"):
+                window = window[0] - DAY, window[1] + DAY
             groups = [g for g in groups if _meets(file.metadata.row_group(g), names["time"], window)]
     texts = [names[name] for name in ("tag", "loop", "quality", "unit") if name in names]
     with _open(piece.path, read_dictionary=texts) as file:
@@ -196,15 +203,32 @@ def _rows(piece: Piece, tags: list[str], window: tuple[float, float] | None, sou
     for i, name in enumerate(table.column_names):
         if name not in ("time", "value"):
             table = table.set_column(i, name, _coded(table.column(name)))
-        elif pa.types.is_timestamp(kind := table.schema.field(i).type) and kind.tz is not None:
-            # What zone each file names is no matter: the instants are the same.
-            table = table.set_column(i, name, table.column(name).cast(pa.timestamp(kind.unit, "UTC")))
     table = _of_tags(table, tags)
     if window is not None:
         cells = arrow_cells(table.column("time"), "time", source)
         seconds = cells.values if cells.stamped is not None else _since_1970(cells.values)
+        if cells.texts is not None:
+            return table  # which are read for the whole column
         table = table.filter(pa.array((seconds >= window[0]) & (seconds < window[1])))
     return table
+
+
+def _of_one_zone(parts: list[Any]) -> list[Any]:
+    """Return tables with their times in UTC where they name several zones: the instants are the same."""
+    import pyarrow as pa
+
+    kinds = [part.schema.field("time").type for part in parts]
+    zones = {kind.tz for kind in kinds if pa.types.is_timestamp(kind) and kind.tz is not None}
+    if len(zones) < 2:
+        return parts
+    out = []
+    for part, kind in zip(parts, kinds, strict=True):
+        if pa.types.is_timestamp(kind) and kind.tz is not None:
+            at = part.column_names.index("time")
+            out.append(part.set_column(at, "time", part.column("time").cast(pa.timestamp(kind.unit, "UTC"))))
+        else:
+            out.append(part)
+    return out
 
 
 def _of_tags(table: Any, tags: list[str]) -> Any:

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from workbench.errors import RecordError
+from workbench.model.record import FloatArray
 from workbench.record.names import names_time
 from workbench.record.pairs import PAIRED, Pairs, in_use, pairs_of, unnamed
 from workbench.record.table import BLANK, NUMERIC, OK, TEXT, Cells, Table, marked, number_cells, text_cells
@@ -121,11 +122,13 @@ def joined(cells: Sequence[Cells]) -> Cells:
     """Return the cells of several columns as one; with texts where one of them has such."""
     texts = None if all(one.texts is None for one in cells) else [text for one in cells for text in one.as_texts()]
     stamps = [one.stamped for one in cells]
+    easts = [np.zeros(one.values.size) if one.east is None else one.east for one in cells]
     return Cells(
         np.concatenate([one.values for one in cells]),
         np.concatenate([one.marks for one in cells]),
         texts=texts,
         stamped=None if None in stamps else stamps[0],
+        east=None if all(one.east is None for one in cells) else np.concatenate(easts),
     )
 
 
@@ -146,7 +149,7 @@ def arrow_cells(column: object, name: str, where: str) -> Cells:
         fine = pc.cast(chunk, pa.timestamp("us", kind.tz), safe=False)
         values = np.where(missing, np.nan, np.asarray(fine.cast(pa.int64()).fill_null(0)) / 1e6)
         marks = np.where(missing, BLANK, OK).astype(np.int8)
-        return Cells(values, marks, stamped=kind.tz is not None)
+        return Cells(values, marks, stamped=kind.tz is not None, east=_east(fine, values))
     if pa.types.is_boolean(kind):
         chunk, kind = pc.cast(chunk, pa.int8()), pa.int8()
     if pa.types.is_integer(kind) or pa.types.is_floating(kind) or pa.types.is_decimal(kind):
@@ -157,3 +160,19 @@ def arrow_cells(column: object, name: str, where: str) -> Cells:
         return cells
     listed = [arrow_text(v) for v in chunk.to_pylist()]
     return text_cells(listed, False, where) if name not in NUMERIC else number_cells(listed, False, where)
+
+
+def _east(stamps: Any, seconds: FloatArray) -> FloatArray | None:
+    """Return how far the zone of an Arrow column of timestamps is east of Greenwich, s, shape (N,); None for UTC.
+
+    seconds: the same since 1970, nan for none. Where the system knows no zones they are taken for UTC.
+    """
+    import pyarrow as pa
+    import pyarrow.compute as pc
+
+    if stamps.type.tz in (None, "UTC"):
+        return None
+    with suppress(pa.ArrowException):
+        local = pc.cast(pc.local_timestamp(stamps), pa.int64()).fill_null(0)
+        return np.asarray(np.where(np.isnan(seconds), np.nan, np.asarray(local) / 1e6 - seconds))
+    return None

@@ -423,8 +423,16 @@ def _record(
         counts=counts,
         pv_range=pv_range,
         epoch=signals.epoch,
+        zone=signals.zone,
         rest=tuple(
-            replace(one, source=source, pv_range=pv_range, epoch=signals.epoch, counts={"kept": len(one)})
+            replace(
+                one,
+                source=source,
+                pv_range=pv_range,
+                epoch=signals.epoch,
+                zone=signals.zone,
+                counts={"kept": len(one)},
+            )
             for one in rest
         ),
     )

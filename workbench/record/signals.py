@@ -66,8 +66,8 @@ class Signals:
     rows: of the file, of a tall one those that were read. dropped: rows without a readable time or with fields too
     many, as lines by cause. repeated: rows left out since their time occurs again. timed: False where the file has no
     times; `seconds` then counts samples. epoch: what second 0 is on the clock of the file's timestamps, s since 1970, 0
-    where it has none. what: a signal's name is, a column or a tag. header: a wide file's names of columns; unnamed:
-    whether one of them is blank.
+    where it has none; zone: as a `Record` has it. what: a signal's name is, a column or a tag. header: a wide file's
+    names of columns; unnamed: whether one of them is blank.
     """
 
     by: dict[str, Signal]
@@ -78,6 +78,7 @@ class Signals:
     timed: bool = True
     time_name: str = ""
     epoch: float = 0.0
+    zone: tuple[tuple[float, float], ...] = ()
     what: str = "column"
     unnamed: bool = False
     header: Sequence[str] = ()
@@ -116,7 +117,7 @@ def from_wide(table: Table, names: Mapping[str, str], source: str) -> Signals:
         order = in_order(times, same, clock.wall, alike, [table.columns[signal].values for signal in NEEDED])
         _refuse(order, table.lines, table.unit, names["time"], "", source)
         if clock.stamped and order.rows.size:
-            out.epoch = float(order.seconds[0])
+            out.epoch, out.zone = float(order.seconds[0]), clock.zone(order.rows)
             out.notes.append(clock.first_said(int(order.rows[0])))
         out.notes += order.notes
         out.repeated = order.repeated
@@ -242,6 +243,7 @@ class Tall:
         if order.rows.size:
             first = float(order.seconds[0]), int(rows[order.rows[0]])
             self.first = first if self.first is None else min(self.first, first)
+            out.zone = out.zone or self.clock.zone(rows[order.rows])
 
     def done(self) -> Signals:
         """Return the signals, on one time from the first stamp on, with what was said of several tags said once."""
@@ -302,13 +304,23 @@ def _refuse(order: Order, lines: NDArray[np.int64], unit: str, name: str, tag: s
 class Clock:
     """The times of rows: s, nan for none, shape (N,); wall: of a clock on a wall; texts: the timestamps as written.
 
-    stamped: whether they are timestamps, and the seconds count since 1970.
+    stamped: whether they are timestamps, and the seconds count since 1970. east: how far their zones are east of
+    Greenwich, s, shape (N,); None for UTC, and on a wall.
     """
 
     seconds: FloatArray
     wall: bool = False
     stamped: bool = False
     texts: list[str] | None = None
+    east: FloatArray | None = None
+
+    def zone(self, rows: NDArray[np.int64]) -> tuple[tuple[float, float], ...]:
+        """Return (time, s east of Greenwich from then on) of rows in the order of time; none without a zone."""
+        if not self.stamped or self.wall:
+            return ()
+        east = np.zeros(rows.size) if self.east is None else self.east[rows]
+        turns = np.flatnonzero(np.concatenate(([True], np.diff(east) != 0.0)))
+        return tuple(zip(self.seconds[rows[turns]].tolist(), east[turns].tolist(), strict=True))
 
     def first_said(self, row: int) -> str:
         """Return in words which timestamp comes first, that of a row."""
@@ -343,7 +355,7 @@ def clock_of(
             both = days if own else [f"{day} {clock}" for day, clock in zip(days, clocks, strict=True)]
             cells = replace(cells, texts=both)
     if cells.stamped is not None:
-        return Clock(cells.values.copy(), wall=not cells.stamped, stamped=True)
+        return Clock(cells.values.copy(), wall=not cells.stamped, stamped=True, east=cells.east)
     texts, numeric = cells.texts, int(np.count_nonzero(np.isfinite(cells.values)))
     if texts is None or numeric * 2 > np.count_nonzero(cells.marks != BLANK):
         if time_unit(name) is None and (day := digits_of_the_day(cells.values)) is not None:
@@ -366,7 +378,7 @@ def clock_of(
     if isinstance(parsed, str):
         msg = f"{source}: column {name!r}: {parsed}"
         raise RecordError(msg)
-    seconds, note, zoned = parsed
+    seconds, note, east = parsed
     if not np.isfinite(seconds).any():
         msg = (
             f"{source}: {table.unit} {table.lines[0]}, column {name!r}: {texts[0]!r} is no time that can be read; "
@@ -375,7 +387,7 @@ def clock_of(
         raise RecordError(msg)
     _one_format(seconds, cells, used, name, table, source)
     notes += [note] if note else []
-    return Clock(seconds, wall=not zoned, stamped=True, texts=texts)
+    return Clock(seconds, wall=east is None, stamped=True, texts=texts, east=east)
 
 
 def _add_milliseconds(clock: Clock, table: Table, names: Mapping[str, str], notes: list[str]) -> None:

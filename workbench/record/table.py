@@ -63,9 +63,9 @@ class Cells:
     """One column: values (nan where bad) and marks, shape (N,), with the texts that stood for numbers, counted.
 
     texts: the cells as text, where they may be timestamps, modes, tags or qualities. stamped: whether a Parquet file's
-    timestamps carry a zone, None for anything else; `values` are then seconds since 1970. qualities: that were not
-    good, counted. codes: numbers that stood for no value, counted. beyond: the values marked `RANGE`, and
-    between which limits the others lie.
+    timestamps carry a zone, None for anything else; `values` are then seconds since 1970, and east how far, in s, that
+    zone is east of Greenwich, None for UTC itself. qualities: that were not good, counted. codes: numbers that stood
+    for no value, counted. beyond: the values marked `RANGE`, and between which limits the others lie.
     """
 
     values: FloatArray
@@ -76,11 +76,13 @@ class Cells:
     qualities: Counter[str] = field(default_factory=Counter)
     codes: Counter[str] = field(default_factory=Counter)
     beyond: tuple[FloatArray, float, float] | None = None
+    east: FloatArray | None = None
 
     def take(self, rows: NDArray[np.int64]) -> Cells:
         """Return the cells of these rows, shape (M,), in this order."""
         texts = None if self.texts is None else [self.texts[i] for i in rows.tolist()]
-        return replace(self, values=self.values[rows], marks=self.marks[rows], texts=texts)
+        east = None if self.east is None else self.east[rows]
+        return replace(self, values=self.values[rows], marks=self.marks[rows], texts=texts, east=east)
 
     def alike(self, rows: NDArray[np.int64], others: NDArray[np.int64]) -> NDArray[np.bool_]:
         """Return whether each of these rows, shape (M,), holds the same as its one of the others."""

@@ -179,25 +179,32 @@ def _zoned(stamp: datetime | None, zone: timezone | None) -> datetime | None:
     return stamp if stamp is None or zone is None else stamp.replace(tzinfo=zone)
 
 
-def _seconds(stamps: Sequence[datetime | None]) -> tuple[FloatArray, bool] | None:
-    """Seconds since 1970 (nan where None) and whether with a zone, or None where only some have a zone."""
+def _seconds(stamps: Sequence[datetime | None]) -> tuple[FloatArray, FloatArray | None] | None:
+    """Seconds since 1970 (nan where None) and how far east their zones are, or None where only some have a zone."""
     known = [s for s in stamps if s is not None]
     aware = {s.tzinfo is not None for s in known}
     if len(aware) > 1:
         return None
     zoned = aware == {True}
     epoch = _EPOCH if zoned else _EPOCH.replace(tzinfo=None)
-    return np.array([np.nan if s is None else (s - epoch).total_seconds() for s in stamps]), zoned
+    seconds = np.array([np.nan if s is None else (s - epoch).total_seconds() for s in stamps])
+    return seconds, np.array([_east(s) for s in stamps]) if zoned else None
 
 
-def parse_timestamps(cells: Sequence[str]) -> tuple[FloatArray, str, bool] | str:
-    """Return (seconds, note, zoned) of timestamps, shape (N,), nan where a cell is none; or a refusal in words.
+def _east(stamp: datetime | None) -> float:
+    """Return how far east of Greenwich a timestamp's zone is, s, nan where it has none."""
+    east = None if stamp is None else stamp.utcoffset()
+    return np.nan if east is None else east.total_seconds()
+
+
+def parse_timestamps(cells: Sequence[str]) -> tuple[FloatArray, str, FloatArray | None] | str:
+    """Return (seconds, note, east) of timestamps, shape (N,), nan where a cell is none; or a refusal in words.
 
     The spelling is settled for the whole column: the one that reads most cells, and of two that read the same (day or
     month first) the one whose times run in one direction, then the one with the fewest leaps; where both do as well,
-    the day comes first, or the month with a clock of twelve hours, and the note says so. zoned: whether the stamps
-    carry a zone; without one they are a clock on a wall, which may have been changed. 24:00 is the end of a day, and a
-    day alone between timestamps its begin.
+    the day comes first, or the month with a clock of twelve hours, and the note says so. east: s by which the zones of
+    the stamps are east of Greenwich; None where they carry none, and are a clock on a wall, which may have been
+    changed. 24:00 is the end of a day, and a day alone between timestamps its begin.
     """
     ends = np.array([_END.search(c) is not None for c in cells], dtype=bool)
     if ends.any():
