@@ -186,6 +186,38 @@ def test_a_clock_that_is_changed_in_the_record() -> None:
         replace(autumn, zone=3.0)
 
 
+def test_the_notes_of_a_window_are_of_what_it_leaves(tmp_path: Path) -> None:
+    one = record(sticky=False, n=900)
+    op = one.op.copy()
+    op[300:] = op.min()
+    rows = zip(one.time.tolist(), one.pv.tolist(), op.tolist(), strict=True)
+    lines = [f"{START + t:.0f},{y:.6g},{u:.6g}" for t, y, u in rows]
+    lines[5] = lines[5].rsplit(",", 1)[0] + ",Bad"
+    (tmp_path / "a.csv").write_text("Time,PV,OP\n" + "\n".join(lines))
+    loop = LoopSource("a", str(tmp_path / "a.csv"))
+    assert any(note.startswith("OP stays at its lowest value") for note in task.read(loop, SCREEN).notes)
+    part = task.read(loop, Settings(begin=START + 100.0, end=START + 250.0))
+    assert not any("OP stays" in note for note in part.notes)
+    (whole,) = part.notes
+    assert whole.startswith("of the whole record: ")
+    assert "first timestamp" not in whole
+    late = task.read(loop, Settings(begin=START + 280.0, end=START + 480.0))
+    assert late.notes[0].startswith("OP stays at its lowest value")
+    assert "90%" in late.notes[0]
+    assert dict(late.counts) == {"kept": 200, "window": 200}
+
+
+def test_counts_within_a_window() -> None:
+    base = replace(
+        record(sticky=False, n=600), mode=("AUTO",) * 600, counts={"between": 300, "manual": 200, "rows": 900}
+    )
+    part = within(base, Settings(last=200.0))
+    assert part.counts["between"] == 100
+    # How much of the window was in manual nobody knows.
+    assert math.isnan(task._automatic(part))
+    assert task._automatic(base) == 0.75
+
+
 def test_time_in_automatic() -> None:
     base = record(sticky=False, n=100)
     assert task._automatic(replace(base, mode=("AUTO",) * 75 + ("MAN",) * 25)) == 0.75

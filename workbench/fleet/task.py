@@ -15,7 +15,7 @@ from workbench.detect.oscillation import OSCILLATES, REGULAR
 from workbench.detect.stem_search import FITTED
 from workbench.errors import RecordError, WorkbenchError
 from workbench.fleet.sampling import Seen, cycle_of, means, stretch
-from workbench.fleet.window import within
+from workbench.fleet.window import WINDOW, within
 from workbench.kpi.kpis import travel
 from workbench.model.fleet import FleetRow, LoopSource, Settings, Tuning
 from workbench.model.plant import FOPDT, Plant
@@ -209,12 +209,14 @@ def _measured(loop: LoopSource, record: Record, seen: Seen, judged: Record, foun
 
 
 def _automatic(record: Record) -> float:
-    """Return the share of the samples in automatic or cascade, nan where no mode is recorded."""
+    """Return the share of the samples in automatic or cascade, nan where no mode is recorded, or a window hides it."""
     if record.mode is None:
         return math.nan
     if manual_share(record.mode) > 0.0:
         return 1.0 - manual_share(record.mode)
     kept, manual = sum(len(one) for one in record.segments), record.counts.get("manual", 0)
+    if manual and WINDOW in record.counts:
+        return math.nan  # reading leaves samples in manual out, and does not say how many of them the window has
     return kept / (kept + manual)
 
 
