@@ -291,6 +291,10 @@ def test_a_loops_page_says_a_hint_beside_the_tuning_and_no_unit_of_nothing() -> 
     assert "is 0.0046 times that of the present tuning on this model. The gain is open" in text
     assert "Notes held " in text
     assert "2.00 % of travel, of the model below; a hint: the record does not pin it" in text
+    assert "A repaired valve" not in text  # nothing that was computed says so
+    assert "A repaired valve allows" in render_loop(
+        row, record, record, wb.detect(record).statistics, None, wb.PID(1.0, 20.0), "A repaired valve allows more."
+    )
     assert "PV, EU" in text
     assert "– %" not in text
     assert "bicoherence=True" not in text

@@ -26,12 +26,14 @@ from workbench.record.modes import manual_share
 from workbench.record.reader import read_loop, read_record
 from workbench.report.known import hint
 from workbench.report.loop_page import render_loop
+from workbench.report.standing import room_words
 from workbench.scenario.refusals import in_entries, scalar
 
 if TYPE_CHECKING:
     from workbench.model.controller import PID
     from workbench.model.detection import Detection, StemTest
-    from workbench.model.results import LinearFit, Tuned
+    from workbench.model.results import LinearFit
+    from workbench.scenario.retune import Retuned
 
 __all__ = ["Result", "look_at", "read"]
 
@@ -135,7 +137,7 @@ def _looked_at(loop: LoopSource, settings: Settings) -> Result:
     found = detect(judged)
     row = _measured(loop, record, seen, judged, found)
     estimated: Estimate | LinearFit | None = None
-    tuned: Tuned | None = None
+    tuned: Retuned | None = None
     if settings.depth != "screen" and found.test is not None:
         row, estimated = _estimated(row, loop, record, seen)
     if isinstance(estimated, Estimate):
@@ -145,9 +147,8 @@ def _looked_at(loop: LoopSource, settings: Settings) -> Result:
         row, tuned = _tuned(row, loop, estimated)
     page = ""
     if row.sticks or row.oscillates:
-        page = render_loop(
-            row, record, judged, found.statistics, estimated, None if tuned is None else tuned.controller
-        )
+        controller = None if tuned is None else tuned.tuned.controller
+        page = render_loop(row, record, judged, found.statistics, estimated, controller, _room(tuned))
     return Result(row, page)
 
 
@@ -301,7 +302,7 @@ def _modelled(row: FleetRow, plant: Plant) -> FleetRow:
     )
 
 
-def _tuned(row: FleetRow, loop: LoopSource, found: Estimate) -> tuple[FleetRow, Tuned | None]:
+def _tuned(row: FleetRow, loop: LoopSource, found: Estimate) -> tuple[FleetRow, Retuned | None]:
     """Return the row with a tuning for the loop found, in the form of the present one."""
     from workbench.scenario.retune import Wishes, tune_found
     from workbench.simulate.run import evaluate
@@ -330,7 +331,13 @@ def _tuned(row: FleetRow, loop: LoopSource, found: Estimate) -> tuple[FleetRow, 
         hint=doubt,
         notes=note,
     )
-    return row, tuned
+    return row, result
+
+
+def _room(result: Retuned | None) -> str:
+    """Return what a repaired valve allows beyond a tuning, in words, "" where that is not known."""
+    kept = None if result is None else result.tuned.constraints
+    return "" if result is None or kept is None else room_words(result.standing, kept.max_sensitivity)
 
 
 def _present(loop: LoopSource, like: PID) -> PID:

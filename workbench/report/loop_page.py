@@ -55,10 +55,11 @@ def render_loop(
     statistics: Sequence[Statistic],
     found: Estimate | LinearFit | None,
     tuned: PID | None,
+    room: str = "",
 ) -> str:
     """Return a loop's page as HTML. judged: the stretch that the verdict rests on, and statistics are of.
 
-    found, tuned: None without one.
+    found, tuned: None without one. room: what a repaired valve allows beyond the tuning, in words.
     """
     near = judged if math.isnan(row.period) else _latest(judged, NEAR * row.period)
     evidence = [(one.name, one.measures, quantity(one.value, one.unit), one.limits, one.says) for one in statistics]
@@ -72,6 +73,7 @@ def render_loop(
             facts=_facts(row, record, judged),
             model=_model(row, found),
             tuning=None if tuned is None else controller_words(tuned, DIGITS),
+            room=room,
             gain=figure(row.gain_of_tuning, 2) if math.isfinite(row.gain_of_tuning) else None,
             pictures=[*_pictures(judged), *(_pictures(near) if 3 * len(near) <= 2 * len(judged) else [])],
             evidence=evidence,

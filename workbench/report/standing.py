@@ -11,8 +11,9 @@ from workbench.model.study import CaseResult
 from workbench.model.valve import Ideal
 from workbench.report.words import figure, join
 
-__all__ = ["held_by_stiction", "standing_doubt", "trap_words"]
+__all__ = ["held_by_stiction", "room_words", "standing_doubt", "trap_words"]
 
+ROOM = 0.9  # of the maximum sensitivity allowed, below which a tuning leaves room for a faster one
 POOR = 5.0  # maximum sensitivity above which a quarter more gain may make a loop unstable
 
 
@@ -55,6 +56,22 @@ def _place(there: Loop, own: Loop) -> str:
             for name, unit in units.items()
             if (value := getattr(there.plant, name, math.nan)) != getattr(own.plant, name, value)
         ]
+    )
+
+
+def room_words(standing: Standing | None, most: float | None) -> str:
+    """Return that a repaired valve allows more than a record's tuning asks of it, or "" where that is not known.
+
+    most: the maximum sensitivity that the tuning was to keep, None where it was to keep none.
+    """
+    if standing is None or standing.worst is None or most is None:
+        return ""
+    reached = max(standing.own.max_sensitivity, standing.worst.max_sensitivity)
+    if reached > ROOM * most:
+        return ""
+    return (
+        f"A repaired valve allows more: with an ideal valve the maximum sensitivity is {figure(reached, 2)} at most "
+        f"within the plant's 95 % range, and {figure(most, 2)} was allowed."
     )
 
 
