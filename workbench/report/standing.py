@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 from workbench.model.loop import Loop
 from workbench.model.plant import FOPDT
 from workbench.model.results import Margins, Standing
@@ -54,7 +52,8 @@ def _place(there: Loop, own: Loop) -> str:
         [
             f"{name.replace('_', ' ')} {figure(value, 3)} {unit}"
             for name, unit in units.items()
-            if (value := getattr(there.plant, name, math.nan)) != getattr(own.plant, name, value)
+            # An integrating plant has no time constant.
+            if (value := getattr(there.plant, name, None)) is not None and value != getattr(own.plant, name)
         ]
     )
 
