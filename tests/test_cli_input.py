@@ -185,6 +185,11 @@ def test_a_wrong_scenario_is_refused_where_it_is_wrong(folder: Path, old: str, n
     assert err.startswith("plan.yaml:")
 
 
+def write_moving(path: Path) -> None:
+    """Write a record of a loop that moves, as a run looks at it."""
+    path.write_text("t,PV,OP\n" + "".join(f"{k},{k * 7 % 11},{k * 5 % 13}\n" for k in range(200)), encoding="utf-8")
+
+
 @pytest.mark.parametrize("command", ["tune", "ui"])
 def test_a_manifest_of_many_loops_is_named_as_one(command: str) -> None:
     manifest = Path(__file__).parents[1] / "scenarios" / "fleet_table_1.yaml"
@@ -203,15 +208,43 @@ def test_a_manifest_of_many_loops_is_named_as_one(command: str) -> None:
     ],
 )
 def test_a_manifest_is_checked_as_its_run_would_end(folder: Path, entries: str, code: int, said: str) -> None:
-    (folder / "a.csv").write_text("PV,OP\n1,2\n", encoding="utf-8")
+    write_moving(folder / "a.csv")
     (folder / "site.yaml").write_text(f"loops:\n  {entries}\n", encoding="utf-8")
     ended, out, err = call("check", "site.yaml")
     assert (ended, out.strip()) == (code, said)
     assert ("b.csv is not there" in err) == (code == 1)
 
 
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        (b"t,PV,OP\n" + b"".join(b"%d,%d,%d\n" % (k, k % 7, k % 5) for k in range(20)), "at least 30 are needed"),
+        (b"t,SP,OP\n" + b"".join(b"%d,3,%d\n" % (k, k % 5) for k in range(60)), "no column for PV"),
+        (bytes(range(256)) * 4, "no text file (it holds binary bytes)"),
+        (b"PV,OP\n1,2\n", "no time column"),
+    ],
+)
+def test_a_check_reads_a_manifests_loops_as_its_run_does(folder: Path, content: bytes, said: str) -> None:
+    (folder / "b.csv").write_bytes(content)
+    write_moving(folder / "a.csv")
+    (folder / "site.yaml").write_text("loops:\n  - {name: A, file: a.csv}\n  - {name: B, file: b.csv}\n")
+    code, out, err = call("check", "site.yaml")
+    assert (code, out) == (1, "site.yaml: 1 of 2 loops cannot be read\n")
+    assert err.startswith("site.yaml: B: ")
+    assert said in err
+    assert err.count("\n") == 1
+
+
+def test_a_loop_that_stands_still_is_a_warning_as_its_run_looks_at_it(folder: Path) -> None:
+    (folder / "a.csv").write_text("t,PV,OP\n" + "".join(f"{k},40,{k % 5}\n" for k in range(60)))
+    (folder / "site.yaml").write_text("loops:\n  - {name: A, file: a.csv}\n")
+    code, out, err = call("check", "site.yaml")
+    assert (code, out) == (0, "site.yaml: ok (1 loop)\n")
+    assert err.startswith("site.yaml: A: warning: PV is constant over all 60 samples")
+
+
 def test_a_manifest_in_csv_is_checked_too(folder: Path) -> None:
-    (folder / "a.csv").write_text("PV,OP\n1,2\n", encoding="utf-8")
+    write_moving(folder / "a.csv")
     (folder / "site.csv").write_text("name,file\nA,a.csv\n", encoding="utf-8")
     assert call("check", "site.csv")[:2] == (0, "site.csv: ok (1 loop)\n")
 

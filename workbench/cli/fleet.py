@@ -96,14 +96,22 @@ def parted(files: Sequence[Path]) -> tuple[dict[str, Sources], list[Path]]:
 
 
 def check_site(sources: Sources) -> int:
-    """Say whether a manifest's loops are there to be read; return the exit code, 1 where some are not."""
-    refused = [loop for loop in sources.loops if loop.refusal]
+    """Read a manifest's loops and say which ones a run would refuse; return the exit code, 1 where there are such."""
+    from workbench.fleet.task import checked
     from workbench.model.numbers import counted
 
+    refused: list[str] = []
+    warned: list[str] = []
+    with _progress() as show:
+        for done, loop in enumerate(sources.loops, 1):
+            refusal, warning = checked(loop)
+            refused += [f"{loop.name}: {refusal}"] if refusal else []
+            warned += [f"{loop.name}: warning: {warning}"] if warning else []
+            show(done, len(sources.loops), len(refused))
     loops = counted(len(sources.loops), "loop")
     typer.echo(f"{sources.shown}: " + (f"{len(refused)} of {loops} cannot be read" if refused else f"ok ({loops})"))
-    for loop in refused:
-        typer.echo(f"{sources.shown}: {loop.name}: {loop.refusal}", err=True)
+    for line in (*refused, *warned):
+        typer.echo(f"{sources.shown}: {line}", err=True)
     return 1 if refused else 0
 
 

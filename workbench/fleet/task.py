@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from workbench.detect.causes import dead_signal, refuse_unusable
 from workbench.detect.detect import detect
 from workbench.detect.oscillation import OSCILLATES, REGULAR
 from workbench.detect.stem_search import FITTED
@@ -35,7 +36,7 @@ if TYPE_CHECKING:
     from workbench.model.results import LinearFit
     from workbench.scenario.retune import Retuned
 
-__all__ = ["Result", "look_at", "read"]
+__all__ = ["Result", "checked", "look_at", "read"]
 
 # What a model is fitted to, samples and samples in a cycle: ten cycles, at the data's own rate as far as that goes, for
 # a plant is faster than its cycle, and thinning biases d. More of a loop whose valve may stick.
@@ -106,12 +107,27 @@ def look_at(loop: LoopSource, settings: Settings) -> Result:
     """Return the result of one loop; whatever is wrong with its data becomes its row's reason."""
     try:
         return _looked_at(loop, settings)
-    except WorkbenchError as error:
-        return Result(FleetRow.failure(loop, _line(_refused(loop, str(error)))))
-    except MemoryError:
-        return Result(FleetRow.failure(loop, "the record does not fit into memory"))
     except Exception as error:  # noqa: BLE001 - one loop must never stop the others, whatever it meets
-        return Result(FleetRow.failure(loop, _line(f"unexpected: {type(error).__name__}: {error}")))
+        return Result(FleetRow.failure(loop, _reason(loop, error)))
+
+
+def checked(loop: LoopSource) -> tuple[str, str]:
+    """Return why `look_at` would refuse a loop, and why its record would tell nothing of the valve; "" for nothing."""
+    try:
+        record = read(loop, Settings())
+        refuse_unusable(record, "detect stiction")
+    except Exception as error:  # noqa: BLE001 - as above
+        return _reason(loop, error), ""
+    return "", dead_signal(record)
+
+
+def _reason(loop: LoopSource, error: Exception) -> str:
+    """Return in a line why a loop could not be looked at."""
+    if isinstance(error, WorkbenchError):
+        return _line(_refused(loop, str(error)))
+    if isinstance(error, MemoryError):
+        return "the record does not fit into memory"
+    return _line(f"unexpected: {type(error).__name__}: {error}")
 
 
 def _refused(loop: LoopSource, message: str) -> str:
