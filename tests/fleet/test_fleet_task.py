@@ -143,6 +143,18 @@ def test_a_signal_that_stands_still_is_undecided(tmp_path: Path) -> None:
     assert not row.failed
 
 
+def test_a_long_record_that_stands_still_is_told_by_its_own_samples(tmp_path: Path) -> None:
+    rest = np.full(4000, 40.0)
+    (tmp_path / "a.csv").write_text("t,PV,OP\n" + "".join(f"{t},{y:g},{t % 7}\n" for t, y in enumerate(rest)))
+    row = task.look_at(LoopSource("a", str(tmp_path / "a.csv")), SCREEN).row
+    assert row.samples == 4000
+    assert row.reasons.startswith("PV is constant over all 4000 samples")
+    # What holds of the stretch alone stays the stretch's.
+    moved = wb.Record(np.concatenate((np.arange(9000.0) % 9, rest)), np.arange(13000.0) % 7, 1.0)
+    part = replace(moved, pv=moved.pv[9000:], op=moved.op[9000:])
+    assert task._of_whole(wb.detect(part), part, moved).reasons == wb.detect(part).reasons
+
+
 def test_windows_of_time() -> None:
     base = replace(record(sticky=False, n=600), epoch=1000.0, start=50.0)
     part = within(base, Settings(begin=1100.0, end=1200.0))

@@ -150,7 +150,7 @@ def _looked_at(loop: LoopSource, settings: Settings) -> Result:
     record = read(loop, settings)
     seen = cycle_of(record)
     judged = stretch(record, seen)
-    found = detect(judged)
+    found = _of_whole(detect(judged), judged, record)
     row = _measured(loop, record, seen, judged, found)
     estimated: Estimate | LinearFit | None = None
     tuned: Retuned | None = None
@@ -166,6 +166,17 @@ def _looked_at(loop: LoopSource, settings: Settings) -> Result:
         controller = None if tuned is None else tuned.tuned.controller
         page = render_loop(row, record, judged, found.statistics, estimated, controller, _room(tuned))
     return Result(row, page)
+
+
+def _of_whole(found: Detection, judged: Record, record: Record) -> Detection:
+    """Return the evidence with its word on a signal that tells nothing said of the whole record, where it holds there.
+
+    Beside the record's number of samples that of the stretch would be another record's.
+    """
+    said, whole = dead_signal(judged), dead_signal(record)
+    if not (said and whole):
+        return found
+    return replace(found, reasons=tuple(whole if reason == said else reason for reason in found.reasons))
 
 
 def _evidence(estimated: Estimate) -> Detection:
