@@ -58,6 +58,16 @@ def test_case_2_takes_eight_hours_a_cycle() -> None:
     assert cycle.window > 30_493.0
 
 
+def test_the_given_experiment_alone_comes_to_the_same_cycle() -> None:
+    loop, step = paper_loop(0.5, 20.0), paper_step()
+    whole, alone = wb.limit_cycle(loop, step), wb.limit_cycle(loop, step, others=False)
+    assert len(alone.starts) == 1
+    for name in ("outcome", "period", "pv_peak_to_peak", "mean_square_error", "travel_per_hour", "window"):
+        assert getattr(alone, name) == getattr(whole, name)
+    # Without an experiment there is nothing else to follow.
+    assert len(wb.limit_cycle(loop, others=False).starts) == len(standard_starts(loop))
+
+
 def test_case_4_and_5_cycle_fast() -> None:
     fourth = wb.limit_cycle(paper_loop(2.01, 301.0), paper_step())
     assert fourth.period == pytest.approx(13.7, abs=0.1)

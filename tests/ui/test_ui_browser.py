@@ -175,6 +175,17 @@ def test_a_slider_of_the_papers_loop_shows_what_the_kernel_gives(paper):
     expect(paper.page.locator("#undo")).to_be_disabled()
 
 
+def test_a_settling_time_that_is_none_says_so_at_the_figure_and_in_the_table(paper):
+    doubt = paper.figure("settling_time").locator("small.doubt")
+    expect(doubt).to_have_text("not for good: it cycles")
+    paper.view("compare")
+    cells = paper.page.locator("#comparison tr", has_text="Settling time").locator("td")
+    expect(cells.last).to_contain_text("not for good: it cycles")
+    paper.view("loop")
+    paper.type("loop.controller.Kc", "2.01")
+    expect(doubt).to_have_count(0)
+
+
 def test_the_keyboard_is_enough(paper):
     page = paper.page
     paper.entry("loop.controller.Kc").focus()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -12,9 +13,12 @@ import pytest
 from bokeh.document import Document
 
 import workbench as wb
+from workbench.analyze.cascade import cascade_cycle
+from workbench.kpi.kpis import cascade_event
 from workbench.model.cascade import CascadeExperiment
 from workbench.model.numbers import figure
-from workbench.model.study import Study
+from workbench.model.study import CascadeResult, Study
+from workbench.report.judge import settling_doubt
 from workbench.scenario.loader import load_scenario, read_scenario
 from workbench.scenario.runner import run_scenario
 from workbench.tune.cascade import evaluate_cascade
@@ -366,3 +370,20 @@ def test_what_a_cascade_most_likely_means_otherwise_is_said_at_its_field(session
     assert problem.text.startswith("cascade.secondary.valve sticks over 0.02 % of travel")
     assert session.own is not None
     assert session.own.run is not None, "said, not refused"
+
+
+def test_the_primarys_settling_time_is_disowned_as_the_report_does(session):
+    def on_the_page() -> str:
+        return next(one["doubt"] for one in session.figures() if one["name"] == "primary.settling_time")
+
+    def in_a_report() -> str:
+        cascade, experiment = session.own.cascade, session.built.experiment
+        case = CascadeResult("x", wb.simulate(cascade, experiment), cycle=cascade_cycle(cascade, experiment))
+        return settling_doubt(case, experiment)
+
+    assert on_the_page() == in_a_report() == ""
+    event = cascade_event(session.own.cascade, session.built.experiment)
+    settled = event.at + session.own.above.kpis.settling_time
+    session.change({"experiment.duration": f"{5.0 * math.ceil(settled / 0.95 / 5.0):g}"})
+    assert session.problems == ()
+    assert on_the_page() == in_a_report() == "only at the run's end"

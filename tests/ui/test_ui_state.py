@@ -203,6 +203,40 @@ def test_the_table_is_that_of_the_library_with_differences_from_the_first(paper)
     assert paper.runs()[3].run.kpis == run.kpis
 
 
+def settled(session: Session) -> tuple[str, str]:
+    """The settling time on the page and why it is none to go by."""
+    return next((f["text"], f["doubt"]) for f in session.figures() if f["name"] == "settling_time")
+
+
+def test_a_settling_time_that_the_report_disowns_is_disowned_on_the_page(paper):
+    from workbench.report.judge import settling_doubt
+    from workbench.scenario.runner import run_scenario
+
+    study = run_scenario(load_scenario(SCENARIOS / "table_2.yaml"))
+    said = {case.name: settling_doubt(case, study.experiment) for case in study.cases}
+    table = paper.comparison(paper.runs())
+    (cells,) = (row["cells"] for row in table["rows"] if row["title"].startswith("Settling time"))
+    own = paper.own.controller
+    assert own == study.cases[0].loop.controller
+    assert [cell["doubt"] for cell in cells] == [said[one.name] for one in paper.runs()] + [said["Case 1"]]
+    assert "not for good: it cycles" in said.values()
+    for cell in cells:
+        assert not (cell["doubt"] and (cell["best"] or cell["difference"]))
+    assert settled(paper)[1] == said["Case 1"]
+    # Without stiction it settles, and nothing is to be said.
+    paper.change({"loop.valve.type": "ideal"})
+    assert settled(paper)[1] == ""
+    assert all(f["doubt"] == "" for f in paper.figures())
+
+
+def test_an_entry_into_the_band_at_the_runs_end_is_no_settling(paper):
+    paper.change({"loop.valve.type": "ideal", "loop.controller.Kc": "0.3", "loop.controller.Ti": "20"})
+    time = paper.own.run.kpis.settling_time
+    assert settled(paper)[1] == ""
+    paper.change({"experiment.duration": str(round(time * 1.03))})
+    assert settled(paper)[1] == "only at the run's end"
+
+
 def test_pinned_cases_follow_the_loop_and_one_that_it_refuses_says_why(paper):
     before = paper.runs()[0].run.kpis
     paper.change({"loop.valve.d": "1"})

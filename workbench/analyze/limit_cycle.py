@@ -26,7 +26,11 @@ STARTS = ((0.0, 0.5), (0.0, -1.3), (0.0, 2.7), (0.0, -6.2), (0.5, 0.2), (-0.9, 1
 
 
 def limit_cycle(
-    loop: Loop, experiment: Experiment | None = None, *, progress: Callable[[float], None] | None = None
+    loop: Loop,
+    experiment: Experiment | None = None,
+    *,
+    others: bool = True,
+    progress: Callable[[float], None] | None = None,
 ) -> LimitCycle:
     """Return the loop's long-run behaviour: settles, cycles, depends on the start, or undecided.
 
@@ -34,14 +38,15 @@ def limit_cycle(
     compensator sample by sample, which is as exact, with less patience for cycles of days. With an experiment
     its signals are applied without the noise, the last values held for good, and its outcome and figures are the
     result's; the other starts tell whether they depend on it. Without one the figures are medians over the starts that
-    cycle, and the outcome is "depends" where some starts cycle and others settle.
+    cycle, and the outcome is "depends" where some starts cycle and others settle. others: whether those are followed
+    beside a given experiment.
 
     `progress` is called with the share done, 0 .. 1. Raises `InvalidValue` for an experiment that does not fit the loop
     or a controller that has no ideal equivalent.
     """
     instance(loop, Loop, "loop", "a Loop")
     callback(progress, "limit_cycle.progress")
-    starts = list(standard_starts(loop))
+    starts = list(standard_starts(loop)) if others or experiment is None else []
     if experiment is not None:
         instance(experiment, Experiment, "experiment", "an Experiment")
         quiet = replace(experiment, noise=None)

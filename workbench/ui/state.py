@@ -34,6 +34,7 @@ from workbench.scenario.controllers import wrong_way
 from workbench.scenario.document import parse, plain
 from workbench.scenario.loader import read_scenario
 from workbench.simulate.run import evaluate, simulate
+from workbench.ui.doubts import doubt_of
 from workbench.ui.fields import field_of, parted
 from workbench.ui.given import files_named, find_file, safe_name
 from workbench.ui.load import (
@@ -356,12 +357,18 @@ class Session:
         )
 
     def figures(self) -> list[dict[str, str]]:
-        """Return the figures of the page's own run: name, title, unit and value as text."""
+        """Return the figures of the page's own run: name, title, unit, value as text, and why it is none to go by."""
         if self.own is None or self.own.run is None:
             return []
         values = [_shown(self.own, name) for name, *_ in self.rows]
         return [
-            {"name": name, "title": title, "unit": unit, "text": shown(name.rpartition(".")[2], value)}
+            {
+                "name": name,
+                "title": title,
+                "unit": unit,
+                "text": shown(name.rpartition(".")[2], value),
+                "doubt": doubt_of(self.own, name),
+            }
             for (name, title, unit, _), value in zip(self.rows, values, strict=True)
             if not math.isnan(value)
         ]
@@ -369,8 +376,8 @@ class Session:
     def comparison(self, runs: list[CaseRun]) -> dict[str, object]:
         """Return the table of the pinned cases and the page's own: heads, rows of cells, and a note on it or "".
 
-        A cell is (text, difference from the first case in words, whether it is the least of a figure of which less is
-        better, published figure).
+        A cell is (text, why it is none to go by or "", difference from the first case in words, whether it is the least
+        of a figure of which less is better, published figure). One in doubt is compared with no other.
         """
         columns = [*runs, *([self.own] if self.own is not None else [])]
         cases = self.compared.cases
@@ -379,17 +386,20 @@ class Session:
             values = [_shown(one, name) for one in columns]
             if all(math.isnan(v) for v in values):
                 continue
-            finite = [v for v in values if math.isfinite(v)]
+            doubts = [doubt_of(one, name) for one in columns]
+            finite = [v for v, doubt in zip(values, doubts, strict=True) if math.isfinite(v) and not doubt]
             best = min(finite) if less and len(finite) > 1 else math.nan
             decimals = decimals_of([case.reference[name] for case in cases if name in case.reference])
             cells = []
             for i, value in enumerate(values):
                 published = cases[i].reference.get(name) if i < len(cases) else None
+                differs = i > 0 and math.isfinite(value - values[0]) and not (doubts[i] or doubts[0])
                 cells.append(
                     {
                         "text": shown(name.rpartition(".")[2], value),
-                        "difference": change(value, values[0]) if i > 0 and math.isfinite(value - values[0]) else "",
-                        "best": value == best,
+                        "doubt": doubts[i],
+                        "difference": change(value, values[0]) if differs else "",
+                        "best": value == best and not doubts[i],
                         "published": "" if published is None else printed(name, published, decimals),
                     }
                 )

@@ -246,8 +246,10 @@ function showFigures(figures) {
     const [title, value] = box.children[i].children;
     box.children[i].dataset.figure = figure.name;
     if (title.textContent !== figure.title) title.textContent = figure.title;
-    const text = `${figure.text} ${figure.unit}`.trim();
-    if (value.textContent !== text) value.replaceChildren(figure.text, ...(figure.unit ? [make("small", ` ${figure.unit}`)] : []));
+    const small = figure.unit ? [make("small", ` ${figure.unit}`)] : [];
+    if (figure.doubt) small.push(make("small", figure.doubt, { class: "doubt" }));
+    const text = figure.text + small.map((one) => one.textContent).join("");
+    if (value.textContent !== text) value.replaceChildren(figure.text, ...small);
   });
 }
 
@@ -320,6 +322,7 @@ function showComparison(table, pinned, asked, message) {
     if (row.unit) title.append(make("span", row.unit, { class: "unit" }));
     const cells = row.cells.map((cell) => {
       const td = make("td", cell.text, cell.best ? { class: "best" } : {});
+      if (cell.doubt) td.append(make("small", cell.doubt));
       if (cell.difference) td.append(make("small", cell.difference));
       if (cell.published) td.append(make("small", `publ. ${cell.published}`));
       return td;
