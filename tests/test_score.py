@@ -38,6 +38,27 @@ def test_the_figures() -> None:
 
 
 @pytest.mark.parametrize(
+    ("labels", "verdicts", "right"),
+    [
+        (("stiction", "no_stiction"), ("no_stiction", "stiction"), (0, 2)),
+        (("stiction", "no_stiction"), ("undecided", "undecided"), (0, 2)),
+        (("stiction", "no_stiction"), ("stiction", "no_stiction"), (2, 2)),  # before and after repair
+        (("stiction", "stiction"), ("stiction", "no_stiction"), (0, 1)),
+        (("stiction", "stiction"), ("undecided", "undecided"), (0, 1)),
+        (("stiction", "stiction", "no_stiction"), ("stiction", "stiction", "stiction"), (1, 2)),
+        (("stiction", "stiction", "stiction"), ("undecided", "stiction", "stiction"), (1, 1)),
+    ],
+)
+def test_a_tie_within_a_tag_is_never_right_and_both_labels_are_two_tags(
+    labels: tuple[str, ...], verdicts: tuple[str, ...], right: tuple[int, int]
+) -> None:
+    pairs = zip(labels, verdicts, strict=True)
+    content = score_content([scored(f"{i}.csv", "T", *both) for i, both in enumerate(pairs)])
+    assert content["tags"] == right[1]
+    assert content["accuracy_by_tag"] == right[0] / right[1]
+
+
+@pytest.mark.parametrize(
     ("text", "message"),
     [
         ("file\na.csv\n", "no column 'label'"),

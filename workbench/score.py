@@ -7,7 +7,6 @@ import json
 import math
 import os
 import re
-from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -157,13 +156,14 @@ def _one(line: Labelled) -> Scored:
 def score_content(scored: list[Scored]) -> dict[str, Any]:
     """Return accuracy (undecided counts as wrong), accuracy by tag, confusion and loops, as score.json holds them.
 
-    By tag: the majority of its records' verdicts must be its label, the majority of their labels. confusion: label to
-    verdict to count. Times are not in it: the file is the same from run to run.
+    By tag: more than half of its records' verdicts must be its label, a tie is wrong. A tag whose records have both
+    labels, as of a valve before and after its repair, is two. confusion: label to verdict to count. Times are not in
+    it: the file is the same from run to run.
     """
-    tags: dict[str, list[Scored]] = {}
+    tags: dict[tuple[str, str], list[str]] = {}
     for one in scored:
-        tags.setdefault(one.tag, []).append(one)
-    by_tag = [_majority([o.verdict for o in group]) == _majority([o.label for o in group]) for group in tags.values()]
+        tags.setdefault((one.tag, one.label), []).append(one.verdict)
+    by_tag = [2 * verdicts.count(label) > len(verdicts) for (_, label), verdicts in tags.items()]
     confusion = {label: dict.fromkeys(VERDICTS, 0) for label in LABELS}
     for one in scored:
         confusion[one.label][one.verdict] += 1
@@ -190,12 +190,6 @@ def score_content(scored: list[Scored]) -> dict[str, Any]:
         "confusion": confusion,
         "loops": loops,
     }
-
-
-def _majority(answers: list[str]) -> str:
-    """The answer of more than half of the records, or "undecided"."""
-    answer, many = Counter(answers).most_common(1)[0]
-    return answer if 2 * many > len(answers) else "undecided"
 
 
 def _number(value: float) -> float | None:
