@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from workbench.cli.output import estimate_lines
 from workbench.model.experiment import Experiment, Noise, Step
 from workbench.model.study import CaseResult, NamedEstimate, Study
 from workbench.model.tuning import Bounds, Objective
@@ -23,8 +24,12 @@ from workbench.report.judge import at_odds, best_case, df_disagrees, on_bounds, 
 from workbench.report.reference import reference_sentences
 from workbench.report.shared import loop_lines
 from workbench.report.summary import summarise
-from workbench.report.tables import case_tables
+from workbench.report.tables import Table, case_tables
+from workbench.report.templating import environment
 from workbench.simulate.run import simulate
+from workbench.ui.given import table_content
+
+SHOWS = "{% from 'macros.html.j2' import table_of %}{{ table_of(table, '') }}"
 
 Make = Callable[..., Any]
 
@@ -178,6 +183,34 @@ def test_an_unstable_case_is_never_bold_and_does_not_stretch_the_figure(study: S
     assert below.get_ylim()[1] < 40.0
     assert any("Wild: beyond this axis" in text.get_text() for text in above.texts)
     assert not any("beyond" in t.get_text() for t in figures.overlay_figure(study.cases).axes[0].texts)
+
+
+def test_a_prediction_that_wanders_away_with_a_load_is_not_held_against_the_linear_fit(estimated: Make) -> None:
+    found, _ = estimated()
+    spread = float(np.var(found.record.pv))
+
+    def table(**changes: object) -> tuple[dict[str, list[str]], str]:
+        made = estimate_table(NamedEstimate("E", replace(found, **changes)))
+        return {row.label: [cell.text for cell in row.cells] for row in made.rows}, made.note
+
+    rows, note = table()
+    assert note == ""
+    assert "–" not in (rows["Residual variance"][0], rows["AIC"][0])
+    rows, note = table(residual_variance=19.0 * spread, verdict="undecided")
+    assert "wanders away with the load" in note
+    assert table_content(Table((), (), note=note))["note"] == note
+    assert note in environment().from_string(SHOWS).render(table=Table((), (), note=note)).replace("&#39;", "'")
+    assert note.count(".") == 1
+    assert rows["Residual variance"][0] == rows["AIC"][0] == "–"
+    assert rows["Residual variance"][-1] != "–"
+    lines = " ".join(estimate_lines(replace(found, residual_variance=19.0 * spread, verdict="undecided")))
+    assert "wanders away from PV with the load" in lines
+    assert "PV is met within" not in lines
+    assert "PV is met within" in " ".join(estimate_lines(found))
+    # A model that is of no use is told as such by these very figures.
+    rows, note = table(residual_variance=19.0 * spread, verdict="stiction", candidates=())
+    assert note == ""
+    assert rows["Residual variance"][0] != "–"
 
 
 def test_a_bias_that_is_rounding_error_is_0(study: Study, estimated: Make) -> None:

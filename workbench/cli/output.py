@@ -21,7 +21,7 @@ from workbench.report.content import controller_content, plant_content, valve_co
 from workbench.report.estimates import load_words
 from workbench.report.figures import estimate_figure, svg_file
 from workbench.report.files import write_files
-from workbench.report.known import gain_doubt, unpinned
+from workbench.report.known import gain_doubt, strays, unpinned
 from workbench.report.results import results_content, strict_json
 from workbench.report.settings import beside_words, case_content, form_content, typed_words
 from workbench.report.shared import objective_words
@@ -54,10 +54,11 @@ def estimate_lines(found: Estimate) -> list[str]:
         first, *others = _repeats_lines(found.repeats)
         lines += [f"Parts      {first}", *(f"           {line}" for line in others)]
     stem = found.valve_position
-    lines.append(
-        f"Stem       {counted(found.slips, 'move')}, {figure(float(stem.min()))} to {figure(float(stem.max()))} %; "
-        f"PV is met within {figure(found.noise_sd, 3)} EU (standard deviation)"
-    )
+    met = f"PV is met within {figure(found.noise_sd, 3)} EU (standard deviation)"
+    if strays(found):
+        met = "a prediction from it alone wanders away from PV with the load, and says nothing of the valve"
+    reach = f"{figure(float(stem.min()))} to {figure(float(stem.max()))} %"
+    lines.append(f"Stem       {counted(found.slips, 'move')}, {reach}; {met}")
     # Its sizes are PV's answers over the gain.
     doubt = " (sizes are a hint only, as the gain is)" if sure == HINT or gain_doubt(found) else ""
     for i, load in enumerate(load_words(found)):

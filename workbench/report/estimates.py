@@ -18,6 +18,7 @@ from workbench.report.known import (
     plant_parameters,
     range_of,
     sp_moves,
+    strays,
     unpinned,
     useless,
     valve_parameters,
@@ -44,6 +45,10 @@ __all__ = [
     "stiction_words",
 ]
 
+STRAYS = (
+    "The prediction is simulated from the stem alone and wanders away with the load, by more than all of PV's "
+    "variance: its residual variance and AIC are left out, as models are compared by what of PV cannot be foretold."
+)
 NO_BIAS = 1e-6  # share of PV's span below which a bias is rounding error
 
 
@@ -191,7 +196,10 @@ def estimate_advice(named: NamedEstimate) -> list[str]:
 
 
 def estimate_table(named: NamedEstimate) -> Table:
-    """Return an estimate's parameters with their ranges, beside truth, published figures and the linear fit."""
+    """Return an estimate's parameters with their ranges, beside truth, published figures and the linear fit.
+
+    Where the prediction `strays` the table leaves out how closely it meets PV, and says so.
+    """
     found, truth = named.found, named.truth
     true_values = {} if truth is None else _true_parameters(truth)
     linear = plant_parameters(found.linear.plant)
@@ -230,9 +238,11 @@ def estimate_table(named: NamedEstimate) -> Table:
     ):
         if title.startswith("Bias"):
             ours, theirs = (0.0 if abs(b) < NO_BIAS * span else b for b in (ours, theirs))
+        elif strays(found):
+            ours = math.nan
         middle = tuple(Cell("") for _ in range(blanks + 1))
         rows.append(Row(title, unit, (Cell(figure(ours)), *middle, Cell(figure(theirs)))))
-    return Table(tuple(heads), tuple(rows))
+    return Table(tuple(heads), tuple(rows), note=STRAYS if strays(found) else "")
 
 
 def _true_parameters(truth: Loop) -> dict[str, float]:

@@ -24,6 +24,7 @@ __all__ = [
     "plant_parameters",
     "range_of",
     "sp_moves",
+    "strays",
     "tuning_doubts",
     "unpinned",
     "useless",
@@ -241,6 +242,14 @@ def useless(found: Estimate) -> bool:
     bics = {type(model.valve): model.bic for model in found.candidates}
     foretells = bics.get(type(found.valve), math.inf) < bics.get(Ideal, math.inf)
     return sticks and not foretells and found.residual_variance > found.linear.residual_variance
+
+
+def strays(found: Estimate) -> bool:
+    """Return whether a model's prediction leaves more than all of PV's variance, and the model is of use all the same.
+
+    It is simulated from the stem alone: a load, which stem and model tell nothing of, carries PV away from it.
+    """
+    return not useless(found) and found.residual_variance > float(np.var(found.record.pv))
 
 
 def least_step(found: Estimate) -> tuple[str, str] | None:

@@ -40,11 +40,12 @@ class Row:
 
 @dataclass(frozen=True, slots=True)
 class Table:
-    """A table: the column heads after the first, and the rows."""
+    """A table: the column heads after the first, and the rows; note: a sentence below it."""
 
     heads: tuple[str, ...]
     rows: tuple[Row, ...]
     title: str = ""
+    note: str = ""
 
 
 def blocks(cases: Sequence[CaseResult]) -> list[Sequence[CaseResult]]:

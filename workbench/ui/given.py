@@ -28,6 +28,7 @@ def table_content(table: Table) -> dict[str, Any]:
     """Return a report's table as plain values."""
     return {
         "heads": list(table.heads),
+        "note": table.note,
         "rows": [
             {"label": row.label, "unit": row.unit, "cells": [{"text": c.text, "small": c.small} for c in row.cells]}
             for row in table.rows

@@ -360,7 +360,8 @@ function tableOf(table, first) {
     });
     return make("tr", "", {}, title, ...cells);
   });
-  return make("table", "", {}, make("thead", "", {}, make("tr", "", {}, corner, ...heads)), make("tbody", "", {}, ...rows));
+  const whole = make("table", "", {}, make("thead", "", {}, make("tr", "", {}, corner, ...heads)), make("tbody", "", {}, ...rows));
+  return table.note ? make("div", "", {}, whole, make("p", table.note, { class: "soft" })) : whole;
 }
 
 function showRecord(record) {
