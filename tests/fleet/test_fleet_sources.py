@@ -245,6 +245,15 @@ def test_a_manifest_in_csv(site: Path) -> None:
         ("loops: []", "m.yaml:1:8: loops: a list of 0 given; must hold at least 1"),
         ("title: x", "m.yaml:1:1: manifest: loops is missing"),
         ("loops: [{name: a, Ti: 20}]", 'loops[0].Ti: 20 given; must be a time with its unit, such as "20 s"'),
+        (
+            "loops: [{name: a, Kc: -1.5, Ti: 9 s}]",
+            "loops[0].Kc: -1.5 given; must be above 0: Kc is positive, and",
+        ),
+        ("loops: [{name: a, Kc: 0, Ti: 9 s}]", "loops[0].Kc: 0 given; must be above 0: Kc is positive"),
+        (
+            "loops: [{name: a, action: direct}]",
+            "unknown entry 'action', which is to be left out: Kc is positive",
+        ),
         ("loops: [{name: a, Kc: abc}]", "loops[0].Kc: abc given; must be a number"),
         (
             "loops: [{name: a, plant: fopt}]",
@@ -311,6 +320,11 @@ def test_all_mistakes_of_a_manifest_are_told_at_once(tmp_path: Path, name: str, 
         ("file\nb.csv\n", "no column 'name'"),
         ("name,Kc\na,x\n", "m.csv:2:1: Kc: x given; must be a number"),
         ("name,Kc\na,-1\n", "m.csv:2:1: Kc: -1 given; must be above 0"),
+        (
+            "name,Kc\na,-1\n",
+            "Kc is positive, and the sign of the process gain, which the data show, decides",
+        ),
+        ("name,Action\na,direct\n", "m.csv:1:1: unknown column 'action', which is to be left out: Kc is positive"),
         ("name,pv_low\na,1\n", "needs both pv_low and pv_high"),
         ("name\na,b\n", "m.csv:2:1: more cells than columns"),
         ("name\n", "no loop"),

@@ -373,6 +373,11 @@ def test_too_large_an_upload_is_refused(ask, begun, monkeypatch):
 def test_a_scenario_is_opened_and_a_bad_one_is_told_with_its_lines(ask):
     assert uploaded(ask, "bad.yaml", b"title: x\ncases: 3\n")["message"].startswith("bad.yaml:2:8: cases: 3 given")
     assert "no UTF-8" in uploaded(ask, "bad.yaml", b"\xff\xfe")["message"]
+    manifest = (SCENARIOS / "fleet_table_1.yaml").read_bytes()
+    assert uploaded(ask, "site.yaml", manifest)["message"] == (
+        "site.yaml: a manifest of many loops; `workbench fleet` or `workbench run` takes it"
+    )
+    assert "unknown" in uploaded(ask, "bad.yaml", b"title: x\nloops: {plant: 3}\n")["message"]
     assert "1 MiB" in uploaded(ask, "bad.yaml", b" " * (1 << 20) + b"x")["message"]
     text = (SCENARIOS / "stick_slip.yaml").read_bytes()
     assert uploaded(ask, "stick_slip.yaml", text)["title"].startswith("A stick-slip cycle")

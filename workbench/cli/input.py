@@ -35,10 +35,10 @@ class Reading:
 def scenario_of(path: Path) -> Scenario:
     """Return the scenario of a file; raises `ScenarioError`, which says so where it is a site's manifest."""
     from workbench.fleet.manifest import is_manifest
-    from workbench.scenario.loader import load_scenario
+    from workbench.scenario.loader import MANIFEST, load_scenario
 
     if is_manifest(path):
-        raise ScenarioError(f"{path}: a manifest of many loops; `workbench fleet` or `workbench run` takes it")
+        raise ScenarioError(f"{path}: {MANIFEST}")
     return load_scenario(path)
 
 

@@ -34,6 +34,7 @@ __all__ = ["Manifest", "is_manifest", "read_manifest"]
 MOST = 50  # mistakes told at once
 NEAR = 3  # tags named on either side of one that is not there
 LARGEST = 64 << 20  # bytes
+SIGN = "Kc is positive, and the sign of the process gain, which the data show, decides the action"
 
 
 def _time(value: object) -> float:
@@ -45,7 +46,10 @@ def _integral(value: object) -> float:
 
 
 def _gain(value: object) -> float:
-    return units.bare(value)
+    gain = units.bare(value)
+    if gain <= 0.0:
+        raise InvalidValue("Kc", gain, f"must be above 0: {SIGN}")
+    return gain
 
 
 def _ascending(span: tuple[float, float]) -> tuple[float, float]:
@@ -272,6 +276,8 @@ def _problem(root: Node, error: Any) -> Problem:
 
 def _unknown(name: object, model: type[BaseModel]) -> str:
     allowed = tuple(model.model_fields)
+    if name == "action" and model is Entry:
+        return f"unknown entry 'action', which is to be left out: {SIGN}"
     return f"unknown entry {name!r}{nearest(name, allowed)}; allowed: {', '.join(allowed)}"
 
 
@@ -306,6 +312,8 @@ def _from_csv(path: Path) -> _Given:
         raise ScenarioError(f"{path}:1:1: column {twice_there[0]!r} is there twice")
     wrong = [name for name in header if name.casefold() not in folded]
     if "name" not in {name.casefold() for name in header} or wrong:
+        if wrong and wrong[0].casefold() == "action":
+            raise ScenarioError(f"{path}:1:1: unknown column 'action', which is to be left out: {SIGN}")
         words = f"unknown column {wrong[0]!r}{nearest(wrong[0], known)}" if wrong else "no column 'name'"
         raise ScenarioError(f"{path}:1:1: {words}; a manifest has a line per loop, with columns of {', '.join(known)}")
     said: list[tuple[int, str]] = []

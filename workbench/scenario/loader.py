@@ -24,10 +24,11 @@ from workbench.scenario.plan import Scenario
 from workbench.scenario.schema import ScenarioFile, Tune, Tuning
 from workbench.scenario.wrong import given_words, refusal
 
-__all__ = ["LARGEST", "MOST_PROBLEMS", "load_scenario", "read_scenario"]
+__all__ = ["LARGEST", "MANIFEST", "MOST_PROBLEMS", "load_scenario", "read_scenario", "refuse_manifest"]
 
 LARGEST = 1 << 20  # bytes
 MOST_PROBLEMS = 50
+MANIFEST = "a manifest of many loops; `workbench fleet` or `workbench run` takes it"
 
 CASE_KINDS = ("rule", "tune", *Tuning.model_fields)
 
@@ -52,6 +53,7 @@ def read_scenario(text: str, path: FilePath, shown: str | None = None) -> Scenar
     if root is None:
         raise _error(shown, problems)
     data = plain(root)
+    refuse_manifest(data, shown)
     allowed: dict[int, tuple[str, ...]] = {}
 
     def place(entry: Path) -> str:
@@ -76,6 +78,12 @@ def read_scenario(text: str, path: FilePath, shown: str | None = None) -> Scenar
     if scenario is None or problems:
         raise _error(shown, problems)
     return scenario
+
+
+def refuse_manifest(data: object, shown: str) -> None:
+    """Raise `ScenarioError` where a file's content is that of a site's manifest, which is none of a scenario."""
+    if isinstance(data, dict) and isinstance(data.get("loops"), list):
+        raise ScenarioError(f"{shown}: {MANIFEST}")
 
 
 def _read(path: FilePath, shown: str) -> str:

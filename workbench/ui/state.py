@@ -32,7 +32,7 @@ from workbench.report.tables import printed, shown
 from workbench.report.words import change, controller_words, decimals_of
 from workbench.scenario.controllers import wrong_way
 from workbench.scenario.document import parse, plain
-from workbench.scenario.loader import read_scenario
+from workbench.scenario.loader import read_scenario, refuse_manifest
 from workbench.simulate.run import evaluate, simulate
 from workbench.ui.doubts import doubt_of
 from workbench.ui.fields import field_of, parted
@@ -446,7 +446,9 @@ class Session:
         scenario that comes from elsewhere looks at nothing else here. Raises `ScenarioError`.
         """
         root, _ = parse(text)
-        for named in files_named(None if root is None else plain(root)):
+        data = None if root is None else plain(root)
+        refuse_manifest(data, path.name)
+        for named in files_named(data):
             find_file(path, named)
         loaded = screen_of(read_scenario(text, path, path.name))
         self.load(loaded)
