@@ -173,7 +173,9 @@ def answer_of(
         fits = replace(fits, bands=fits.bands | {chosen: replace(fits.bands[chosen], best=ranged.best)})
     best = fits.best(chosen) if maybe and chosen in STICKING else None
     if isinstance(best, Uneven):
-        said = said._replace(identifiable=said.sure and said.verdict == "stiction" and best.slips >= SURE_SLIPS)
+        # Bands of two parameters have more room to make up for a wrong plant.
+        enough = ENOUGH_SLIPS if best.sticks else SURE_SLIPS
+        said = said._replace(identifiable=said.sure and said.verdict == "stiction" and best.slips >= enough)
     if best is None or stem is None or best.fit.gain == 0.0:
         return _told_straight(loop, fits, _reasoned(loop, fits, chosen, said, ranged))
     return _told_stem(loop, fits, chosen, best, said, stem, ranged, rival)

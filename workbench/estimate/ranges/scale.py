@@ -290,6 +290,9 @@ def uneven_of(data: Centred, found: Sequence[Uneven], limits: Limits) -> InScale
         apart = predict(data, best.senses, best.first, best.fit)[1][1]
         beside = replace(data, answers=np.vstack([data.answers, apart]))
     errors = standard_errors(beside, best.x, best.first, best.fit, clamped=False)
+    if not best.sticks:
+        # What a cycle tells is the product of gain and band, and of this one both parameters are means of bands.
+        errors = math.hypot(errors[0], best.fit.gain * best.error / best.S), *errors[1:]
     errors = unsure(data, errors, best.fit, best.S)
     ranges = ranges_of(data, [one.fit for one in near], errors, None, limits.theta[1])
 

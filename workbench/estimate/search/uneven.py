@@ -29,7 +29,9 @@ SPREAD = 0.1  # of the band, at first
 CLOSEST = 1e-3  # of the band: no spread is told to be less
 ROUNDS = 6  # of stem and plant in turn
 ABOUT = (-3.0, -2.0, -1.0, -0.5, 0.5, 1.0, 2.0, 3.0)  # samples by which dead times about the best are tried
-GAPS = (0.7, 0.85, 1.15, 1.4)  # and factors of S - J
+GAPS = (0.7, 0.85, 1.15, 1.4)  # and factors of S - J,
+SHARES = (0.87, 0.94, 1.06, 1.14)  # of the bands,
+JUMPS = (0.6, 0.85)  # and shares of J in S, of a stem that may not stick at once
 APART, LEAST_GAP = 0.1, 0.02  # a step of S - J: of it, or of the stem's travel at least,
 FURTHEST = 3.0  # and how many of them a parabola is followed
 WIDEST = 0.3  # of the band: those that differ by more are none
@@ -102,27 +104,27 @@ def uneven_stems(data: Centred, seeds: Iterable[tuple[bool, float, float, Fit]],
 
 
 def _about(data: Centred, best: Uneven, limits: Limits) -> list[Uneven]:
-    """The likeliest stems from dead times, and bands, about those of the best.
+    """The likeliest stems from valves and plants about those of the best.
 
-    A slip a sample later is one from a wider band that PV answers to sooner: they lead each to itself.
+    A slip a sample later is one from a wider band that PV answers to sooner, and a wider band one of a lower gain: they
+    lead each to itself, and a stem that stands apart in its two directions to no other kind.
     """
     low, high = limits.theta
-    near: list[tuple[float, float]] = [(step, 1.0) for step in ABOUT if low <= best.fit.theta + step <= high]
-    if not best.sticks and best.S > best.J:
-        near += [(0.0, share) for share in GAPS]
-    spread = max(best.spread, 0.3 * SPREAD * best.S)
-    stems = [
-        _settled(
-            data,
-            best.sticks,
-            best.J + (best.S - best.J) * share,
-            best.J,
-            replace(best.fit, theta=best.fit.theta + step),
-            spread,
-            limits,
-        )
-        for step, share in near
+    fit, S, J, gap = best.fit, best.S, best.J, best.S - best.J
+    seeds = [(S, J, replace(fit, theta=fit.theta + step)) for step in ABOUT if low <= fit.theta + step <= high]
+    seeds += [(share * S, share * J, replace(fit, gain=fit.gain / share)) for share in SHARES]
+    if not best.sticks:
+        seeds += [(J + gap * share, J, fit) for share in GAPS]
+        # With the travel that the stem has between its slips.
+        seeds += [(J + gap * share, J, replace(fit, gain=fit.gain * J / (J + gap * (1.0 - share)))) for share in GAPS]
+    kinds = [(best.sticks, *seed) for seed in seeds]
+    kinds += [
+        (True, d, d, replace(fit, gain=fit.gain * J / d)) for d in (J, 0.5 * (S + J), S) if not best.sticks and d > 0
     ]
+    if best.sticks:
+        kinds += [(False, S, share * S, replace(fit, gain=fit.gain / share)) for share in JUMPS]
+    spread = max(best.spread, 0.3 * SPREAD * S)
+    stems = [_settled(data, *seed, spread, limits) for seed in kinds]
     return [one for one in stems if one is not None]
 
 
