@@ -148,6 +148,6 @@ def test_words_tell_what_differs() -> None:
     assert pytest.approx(BAND, rel=0.03) == best.S
     assert best.spread == pytest.approx(0.06, rel=0.7)
     assert "most of them from 1." in words_of_uneven(best, 0.0)[0]
-    alike = replace(best, spread=best.blur)
+    alike = replace(best, spread=best.step / 4.0)
     assert words_of_uneven(alike, 0.0)[0].endswith("the rest of PV tells when")
     assert words_of_uneven(alike, 0.05)[0].endswith("OP was recorded in steps, PV tells when")

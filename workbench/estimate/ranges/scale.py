@@ -293,11 +293,13 @@ def uneven_of(data: Centred, found: Sequence[Uneven], limits: Limits) -> InScale
     if not best.sticks:
         # What a cycle tells is the product of gain and band, and of this one both parameters are means of bands.
         errors = math.hypot(errors[0], best.fit.gain * best.error / best.S), *errors[1:]
+    # All bands are wider by what OP goes on by while PV answers sooner.
+    mean = math.hypot(best.error, best.step * errors[2] if math.isfinite(errors[2]) else 0.0)
     errors = unsure(data, errors, best.fit, best.S)
     ranges = ranges_of(data, [one.fit for one in near], errors, None, limits.theta[1])
 
     # Of bands that differ widely the mean is none to go by.
-    about = NORMAL * (best.spread if best.spread > SHARP * best.S else best.error)
+    about = NORMAL * (best.spread if best.spread > SHARP * best.S else mean)
 
     def hull(values: list[float]) -> tuple[float, float]:
         return wider(data, (max(min(values) - about, 0.0), max(values) + about))

@@ -48,8 +48,8 @@ class Uneven:
 
     S, J: their means, %, equal for one that sticks again at once (Stenman); spread: their standard deviation, %; x: the
     stem, and senses the way it was led, +1 or -1, shape (N,), 0 before `first`; bounds: of where it was until then, %;
-    price: what its slips cost, of twice the log likelihood; level: that and N log V; blur: how closely OP's samples
-    tell the bands, %, a standard deviation; error: the standard error of the bands' mean, %.
+    price: what its slips cost, of twice the log likelihood; level: that and N log V; step: how far OP usually goes in
+    a sample as the stem slips, %; error: the standard error of the bands' mean, %.
     """
 
     sticks: bool
@@ -64,7 +64,7 @@ class Uneven:
     fit: Fit
     price: float
     level: float
-    blur: float
+    step: float
     error: float
 
     @property
@@ -74,7 +74,7 @@ class Uneven:
 
     def alike(self, doubt: float) -> bool:
         """Whether the bands differ by no more than OP tells of them; doubt: what is not known of it, %."""
-        return self.spread <= SEEN * math.hypot(self.blur, math.sqrt(2.0) * doubt)
+        return self.spread <= SEEN * math.hypot(self.step / math.sqrt(12.0), math.sqrt(2.0) * doubt)
 
     @property
     def d(self) -> float:
@@ -184,14 +184,14 @@ def _turn(data: Centred, sticks: bool, S: float, J: float, fit: Fit, spread: flo
     held, gone = slips[: count - 1, 1], slips[: count - 1, 2]
     bands = 0.5 * (held + gone)
     mean = float(np.median(bands))
-    blur = math.sqrt(float(np.mean((gone - held) ** 2)) / 12.0)
-    spread = math.hypot(DEVIATIONS * float(np.median(np.abs(bands - mean))), blur)
+    step = math.sqrt(float(np.mean((gone - held) ** 2)))
+    spread = math.hypot(DEVIATIONS * float(np.median(np.abs(bands - mean))), step / math.sqrt(12.0))
     # That of a median of few, whose own spread is not known well.
     few = bands.size / (bands.size - 3.0) if bands.size > 3 else math.inf
     error = math.sqrt(0.5 * math.pi * few / bands.size) * max(spread, float(np.std(bands, ddof=1)))
     level = n * math.log(max(fit.sse / n, data.floor)) + price
     J = max(mean, 0.0)
-    return Uneven(sticks, J + gap, J, spread, x, senses, first, bounds, count, fit, price, level, blur, error)
+    return Uneven(sticks, J + gap, J, spread, x, senses, first, bounds, count, fit, price, level, step, error)
 
 
 def _apart(
