@@ -59,6 +59,47 @@ def test_rounding_is_no_faster_controller_and_neither_is_an_op_by_hand() -> None
     assert not runs_faster(wb.Record(slow.pv, slow.op, FAST))
 
 
+def steps_of(signal: np.ndarray, step: float) -> np.ndarray:
+    return np.round(signal / step) * step
+
+
+@pytest.mark.parametrize("every", [2, 3, 5, 10])
+@pytest.mark.parametrize("steps", [(0.01, 0.0), (0.01, 0.01)], ids=["OP", "OP and PV"])
+def test_rounding_does_not_hide_a_faster_controller(every: int, steps: tuple[float, float]) -> None:
+    # Between two samples the integral's share of what nobody recorded is less than rounding; it gathers.
+    record = recorded(every)
+    pv = steps_of(record.pv, steps[1]) if steps[1] else record.pv
+    assert runs_faster(replace(record, op=steps_of(record.op, steps[0]), pv=pv))
+
+
+@pytest.mark.parametrize("scan", [2, 3, 4])
+@pytest.mark.parametrize("pid", [PID, replace(PID, Td=1.0)], ids=["PI", "PID"])
+def test_a_slower_controller_is_no_faster_one(scan: int, pid: wb.PID) -> None:
+    slow = wb.simulate(
+        wb.Loop(PLANT, VALVE, pid, FAST, scan=scan), wb.Experiment(400.0, wb.Step(5.0), noise=wb.Noise(0.05, 1))
+    )
+    for sp in (None, slow.sp):
+        record = wb.Record(slow.pv, slow.op, FAST, sp=sp)
+        assert not runs_faster(record)
+        assert not runs_faster(replace(record, pv=steps_of(slow.pv, 0.01), op=steps_of(slow.op, 0.01)))
+
+
+@pytest.mark.parametrize("steps", [(0.01, 0.0), (0.0, 0.01), (0.05, 0.02), (0.1, 0.2), (0.01, 0.5), (0.5, 0.01)])
+@pytest.mark.parametrize(
+    "pid",
+    [PID, replace(PID, Td=2.0, derivative_filter=2.0), replace(PID, output_limits=(-3.0, 3.0))],
+    ids=["PI", "PID", "limits"],
+)
+def test_a_record_at_the_controllers_scan_is_none_however_it_was_rounded(
+    steps: tuple[float, float], pid: wb.PID
+) -> None:
+    record = recorded(1, pid=pid)
+    op, pv = (steps_of(x, step) if step else x for x, step in zip((record.op, record.pv), steps, strict=True))
+    assert not runs_faster(replace(record, op=op, pv=pv))
+    few = replace(record, op=op[:120], pv=pv[:120], sp=record.sp[:120])
+    assert not runs_faster(few)
+
+
 @cache
 def estimated() -> wb.Estimate:
     """What is found where every sample of the controller's is recorded."""
