@@ -103,6 +103,39 @@ def test_the_model_alone_does_not_accuse_where_a_wave_of_steady_period_is_clearl
     assert agree(evidence(4.0, 0.05), "stiction", ("why",), unasked)[0] == "stiction"
 
 
+def test_the_model_alone_does_not_accuse_where_every_stem_foretells_worse_and_it_leaves_colour(
+    healthy: wb.Detection,
+) -> None:
+    assert healthy.test is not None
+
+    def verdict(predicting: float, colour: float, left: float = 0.4) -> tuple[str, tuple[str, ...]]:
+        one = evidence(4.0, left)
+        test = replace(healthy.test, predicting=predicting, waved=predicting, left=one.stem / colour)
+        return agree(one, "stiction", ("why",), replace(healthy, verdict="undecided", test=test))
+
+    final, reasons = verdict(-300.0, 5.0)
+    assert final == "undecided"
+    assert any("5 times what a prediction by one sample does" in reason for reason in reasons)
+    # Not by chance, nor where the model leaves noise alone, or hardly anything.
+    assert verdict(-29.0, 5.0)[0] == "stiction"
+    assert verdict(-300.0, 1.9)[0] == "stiction"
+    assert verdict(-300.0, 5.0, left=0.05)[0] == "stiction"
+
+
+@pytest.mark.slow
+def test_a_square_load_does_not_accuse_a_healthy_valve() -> None:
+    # It was said to stick, and by how much: the dead band's turns come near to the wave's.
+    wave = np.sign(np.sin(2.0 * np.pi * 5.0 * np.arange(1799) / 530.0 + 0.3))
+    loop = wb.Loop(wb.FOPDT(0.603, 16.37, 2.17), wb.Ideal(), wb.PID(Kc=1.38, Ti=16.37), 5.0)
+    sizes, times = (1.07, -2.38, 3.55, 2.73, -3.29), (1920.0, 3585.0, 7425.0, 7930.0, 8215.0)
+    moves = [wb.Step(size, at=at) for size, at in zip(sizes, times, strict=True)]
+    run = wb.simulate(loop, wb.Experiment(8995.0, moves, wb.Series((1.45 * wave).tolist()), wb.Noise(0.054, 1)))
+    found = wb.estimate(wb.Record(run.pv + 50.0, np.round(run.op + 45.0, 2), 5.0, sp=run.sp + 50.0))
+    assert found.verdict == "undecided"
+    assert any("every stem foretells PV worse than OP itself" in reason for reason in found.reasons)
+    assert not found.identifiable
+
+
 def test_a_cycle_that_a_dead_band_explains_to_the_last_digit_is_not_the_linear_loops_own() -> None:
     # Of PV's 1 % that the linear loop leaves the band leaves a thousandth, in nine slips and no noise.
     loop = wb.Loop(wb.Integrating(0.0277, 0.306), wb.Deadband(0.759), wb.PID(Kc=4.0, Ti=36.1), 1.0)

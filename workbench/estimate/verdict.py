@@ -28,6 +28,7 @@ SLOWEST = 0.25  # of the record, the longest time constant that the record can s
 NEAR_NOTHING = 0.25  # of d: where bands as narrow as this fit as well, stiction is not needed
 MOST, CERTAIN = 0.5, 0.9  # improvement by which the model alone decides: where detection does not, and against it
 ALL_BUT = 0.98  # and that leaves it suspect, however little the linear model leaves: of 166 acquitted none came to 0.9
+COLOURED = 2.0  # times what is left of PV unpredicted: what a model leaves is no noise then
 NAMED = 4  # separate ranges of d named one by one
 WORDS_OF_FOLLOWED = (
     "PV moves as behind a stem that sticks, yet the recorded one follows OP: look whether the stem's travel is "
@@ -192,6 +193,25 @@ def _search_said(e: Evidence, reasons: list[str]) -> None:
         reasons.append("the record is long: d was searched closely only about its likeliest values")
 
 
+def _against(e: Evidence, found: Detection) -> str:
+    """Say that every stem, the model's too, foretells PV clearly worse than OP itself, or nothing.
+
+    By so much none that the valve has does, unless the model leaves noise alone: then the prediction is amiss. Nor is a
+    wave of steady period asked for then, which the stem may be the likeness of (`StemTest.waved`).
+    """
+    test = found.test
+    if test is None or test.predicting > -Thresholds().likelihood:
+        return ""
+    noise = max(test.left * e.variance, e.floor)
+    if min(e.stem, e.two_parameter) <= COLOURED * noise:
+        return ""
+    return (
+        f"the stem leaves {given(min(e.stem, e.two_parameter) / noise, 2)} times what a prediction by one sample does, "
+        f"and every stem foretells PV worse than OP itself (log likelihood ratio {test.predicting:.0f}): look for what "
+        "disturbs the loop; a stretch in manual, or a record without the disturbance, would tell"
+    )
+
+
 def agree(e: Evidence, verdict: str, reasons: tuple[str, ...], found: Detection) -> tuple[str, tuple[str, ...]]:
     """Return the one verdict of the model (`judge`) and of detection, and the reasons of both."""
     if found.verdict == verdict:
@@ -201,6 +221,7 @@ def agree(e: Evidence, verdict: str, reasons: tuple[str, ...], found: Detection)
     # The model knows no wave of steady period: where one is clearly likelier than every stem, it decides nothing alone.
     waved = test is not None and test.waved < min(test.predicting, -Thresholds().likelihood)
     sticks = verdict == "stiction" and test is not None and not waved
+    against = "" if improvement >= CERTAIN else _against(e, found)
     # However few its slips: a valve that explains most of what the linear model leaves is not acquitted, nor one that
     # explains nearly all of the little that it leaves.
     explained = MOST if e.linear >= UNEXPLAINED * e.variance else ALL_BUT
@@ -215,7 +236,8 @@ def agree(e: Evidence, verdict: str, reasons: tuple[str, ...], found: Detection)
         final = "undecided" if doubted else "no_stiction"
         reasons = (WORDS_OF_FOLLOWED, *reasons) if doubted else reasons
     elif sticks and improvement >= (CERTAIN if acquitted else MOST) and (e.slips >= SURE_SLIPS or not acquitted):
-        final = "stiction"
+        final = "undecided" if against else "stiction"
+        reasons = (against, *reasons) if against else reasons
     elif acquitted and ((sticks and not refuted) or explains or e.slips == 0):
         final = "undecided"
     else:
