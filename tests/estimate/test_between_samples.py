@@ -133,5 +133,25 @@ def test_the_doubt_is_ops_move_as_the_stem_sets_off() -> None:
     assert pytest.approx((low - 2.0, high + 2.0)) == wide.S
     assert pytest.approx((max(own.intervals.J[0] - 2.0, 0.0), own.intervals.J[1] + 2.0)) == wide.J
     assert wide.gain == own.intervals.gain
+    # Held from sample to sample, the recorded OP is older than what moved the valve, by half a sample at most.
+    low, high = own.intervals.dead_time
+    assert pytest.approx((low, high + 0.5 * record.sample_time)) == wide.dead_time
+    assert "up to half a sample" in said[1]
     assert "known to 2 %" in said[0]
     assert between_samples(recorded(1), own) == (own.intervals, ())
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [1, 2])
+def test_the_dead_time_of_a_healthy_loop_is_within_its_range_where_the_controller_runs_faster(seed: int) -> None:
+    moves = [wb.Step(6.0, at=20.0), wb.Step(-8.0, at=300.0), wb.Step(5.0, at=700.0)]
+    loop = wb.Loop(wb.FOPDT(1.2, 8.0, 3.0), wb.Ideal(), wb.PID(1.2, 8.0), 0.2)
+    run = wb.simulate(loop, wb.Experiment(1000.0, moves, noise=wb.Noise(0.02, seed)))
+    record = wb.Record(run.pv[::5] + 50.0, run.op[::5] + 40.0, 1.0, sp=run.sp[::5] + 50.0)
+    found = wb.estimate(record, plant="fopdt")
+    pair = found.intervals.dead_time
+    assert found.verdict == "no_stiction"
+    assert pair is not None
+    assert pair[0] <= 3.0 <= pair[1]
+    assert pair[1] - 0.5 < 3.0  # which the range of the record as it is does not hold
+    assert any("up to half a sample" in reason for reason in found.reasons)
