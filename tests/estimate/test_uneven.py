@@ -136,15 +136,15 @@ def test_without_slips_there_is_no_such_stem() -> None:
     limits = Limits((LEAST_TAU, 1000.0), (0.0, 30.0))
     nothing = Fit(1.0, TAU, float(THETA), 0.0, 0.0, 0.0, 0.0)
     wide = replace(nothing, gain=GAIN)
-    assert uneven_stems(data, [], limits) == []
-    assert uneven_stems(data, [(True, BAND, BAND, nothing), (True, 50.0, 50.0, wide)], limits) == []
+    assert uneven_stems(data, [], limits, {True}) == []
+    assert uneven_stems(data, [(True, BAND, BAND, nothing), (True, 50.0, 50.0, wide)], limits, {True}) == []
 
 
 def test_words_tell_what_differs() -> None:
     data = centre(cycle(0.06)[0], "fopdt")
     limits = Limits((LEAST_TAU, 1000.0), (0.0, 30.0))
     fit = Fit(50.0, TAU, float(THETA), GAIN, 0.0, 0.0, 0.0)
-    best = uneven_stems(data, [(True, BAND, BAND, fit)], limits)[0]
+    best = uneven_stems(data, [(True, BAND, BAND, fit)], limits, {True})[0]
     assert pytest.approx(BAND, rel=0.03) == best.S
     assert best.spread == pytest.approx(0.06, rel=0.7)
     assert "most of them from 1." in words_of_uneven(best, 0.0)[0]

@@ -16,7 +16,7 @@ from workbench.detect.stem import WIDE
 from workbench.detect.stem_search import Fitted
 from workbench.detect.verdict import beyond_doubt
 from workbench.estimate.fits.data import plant_of
-from workbench.estimate.fits.fit import LEAST_TAU, Limits, autoregression, fit_nothing, grounded, predict
+from workbench.estimate.fits.fit import LEAST_TAU, Limits, fit_nothing
 from workbench.estimate.fits.sureness import ENOUGH_SLIPS, SURE_SLIPS
 from workbench.estimate.loads.settled import coloured_linear
 from workbench.estimate.loads.steps import CLEAR, DEGREES
@@ -38,7 +38,17 @@ from workbench.estimate.ranges.scale import (
     without_jump,
 )
 from workbench.estimate.ranges.unseen import unseen, words_of_likelier, words_of_unseen
-from workbench.estimate.record_fits import Fits, about, closely, first_fits, likelier_pair, sound, unevenly, with_ranges
+from workbench.estimate.record_fits import (
+    Fits,
+    about,
+    closely,
+    first_fits,
+    likelier_pair,
+    sound,
+    unevenly,
+    whiter,
+    with_ranges,
+)
 from workbench.estimate.search.bands import Bands
 from workbench.estimate.search.candidates import Candidate
 from workbench.estimate.search.models import (
@@ -69,7 +79,6 @@ from workbench.record.modes import manual_said
 __all__ = ["answer_of"]
 
 BARE_MENTION = 2.0  # of BIC: up to it a difference is "not worth more than a bare mention" (R. Kass, A. Raftery, 1995)
-FIRST_STEMS = 3  # that may be likelier than a linear loop which leaves colour, beside the best of each kind
 
 
 class _Said(NamedTuple):
@@ -146,13 +155,8 @@ def answer_of(
     first, open_yet = fits, early is not None and early[0].verdict == "undecided"
     if open_yet and (calm := _told_calm(loop, first)) is not None:
         return calm
-    if not loop.two_step:
-        fits = closely(fits, loop.valve)
-        # A controller that runs between the samples moves OP, and the stem, as the record does not show.
-        fits = fits if runs_faster(record) else unevenly(first, fits, loop.valve)
+    fits = fits if loop.two_step else closely(fits, loop.valve)
     stem = None if fits.found is None else stem_of(fits.data, fits.found)
-    if fits.uneven:
-        stem = uneven_of(fits.data, fits.uneven, fits.limits)
     if stem is not None and loop.two_step:
         # It knows nothing of stems that fit as well as the one in which it ended.
         stem = replace(stem, intervals=Intervals())
@@ -164,6 +168,11 @@ def answer_of(
             return calm
         said = said._replace(verdict="undecided", reasons=(words_of_calm(loop.coloured[2]), *said.reasons))
         return _told_straight(loop, fits, _reasoned(loop, fits, "linear", said, None))
+    # What nothing else accuses has no slips to tell apart; a faster controller moves OP as the record does not show.
+    if said.verdict == "stiction" and not loop.two_step and not runs_faster(record):
+        fits = unevenly(first, fits, loop.valve)
+        if fits.uneven:
+            return _told_unevenly(loop, fits, fits.uneven[0])
     ranged: Bands | None = None
     if maybe and chosen in fits.bands:
         fits, ranged = with_ranges(fits, chosen)
@@ -172,13 +181,21 @@ def answer_of(
         said = said._replace(identifiable=known)
         fits = replace(fits, bands=fits.bands | {chosen: replace(fits.bands[chosen], best=ranged.best)})
     best = fits.best(chosen) if maybe and chosen in STICKING else None
-    if isinstance(best, Uneven):
-        # Bands of two parameters have more room to make up for a wrong plant.
-        enough = ENOUGH_SLIPS if best.sticks else SURE_SLIPS
-        said = said._replace(identifiable=said.sure and said.verdict == "stiction" and best.slips >= enough)
     if best is None or stem is None or best.fit.gain == 0.0:
         return _told_straight(loop, fits, _reasoned(loop, fits, chosen, said, ranged))
     return _told_stem(loop, fits, chosen, best, said, stem, ranged, rival)
+
+
+def _told_unevenly(loop: _Asked, fits: Fits, best: Uneven) -> Answered[Estimate]:
+    """The answer whose model is a valve that does not stick alike at every slip, where another stem accused it."""
+    stem = uneven_of(fits.data, fits.uneven, fits.limits)
+    said, rival = _weighed(loop, fits, best.name, stem, None)
+    # Bands of two parameters have more room to make up for a wrong plant.
+    enough = ENOUGH_SLIPS if best.sticks else SURE_SLIPS
+    sticks = said.verdict == "stiction"
+    known = said.sure and sticks and best.slips >= enough
+    said = said._replace(verdict="stiction" if sticks else "undecided", identifiable=known)
+    return _told_stem(loop, fits, best.name, best, said, stem, None, rival)
 
 
 def _told_calm(loop: _Asked, fits: Fits) -> Answered[Estimate] | None:
@@ -352,7 +369,7 @@ def _told_straight(loop: _Asked, fits: Fits, said: _Said) -> Answered[Estimate]:
             asked = doubt or said.verdict == "undecided" or data.a.size == 1
             seed = found.best if asked and found.ahead >= math.log(data.samples) + CLEAR else None
         alone = seed is None
-        seed = seed or _whiter(loop, fits)
+        seed = seed or whiter(fits, loop.coloured)
         banded = None if seed is None else _told_band(loop, fits, (*words, *said.reasons), seed, alone)
         if banded is not None:
             return banded._replace(others=(*banded.others, *others))
@@ -360,28 +377,6 @@ def _told_straight(loop: _Asked, fits: Fits, said: _Said) -> Answered[Estimate]:
         said = said._replace(verdict="undecided" if doubt else said.verdict, reasons=reasons)
     told = _linear_estimate(loop, replace(fits, steps=steps), said, answer)
     return Answered(replace(told, intervals=ranges), linear_path(data, linear), data, others)
-
-
-def _whiter(loop: _Asked, fits: Fits) -> Band | None:
-    """The two-parameter stem that is much likelier than a linear loop that does not leave noise alone, or None.
-
-    Each is in the measure of what it leaves itself: in that of the other the true stem, too, may leave no less.
-    """
-    linear = loop.coloured[0]
-    if linear.a.size == 1:
-        return None
-    data, steps = fits.data, loop.coloured[2] if fits.data is linear else fits.steps
-    paid = DEGREES * len(steps) * math.log(data.samples) + CLEAR
-    likelier: list[tuple[float, Band]] = []
-    for b in (*(one.best for one in fits.bands.values()), *fits.coarse[:FIRST_STEMS]):
-        x = b.stem(data.u)
-        left = data.y - predict(data, x, b.begin, grounded(data, x, b.begin, b.fit))[0]
-        free = (2 if b.J > 0.0 else 1) * math.log(data.samples)
-        # Of as many samples as the linear loop's, whichever count.
-        own = autoregression(left[data.skip :], data.floor)[1] * data.samples / (data.samples - data.skip)
-        likelier += [(own + free + paid, b)] if b.fit.gain != 0.0 else []
-    least, best = min(likelier, key=lambda one: one[0], default=(math.inf, None))
-    return best if least < level(*loop.coloured) else None
 
 
 def _told_band(

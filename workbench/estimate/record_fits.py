@@ -8,7 +8,17 @@ from dataclasses import dataclass, replace
 from functools import cached_property, partial
 
 from workbench.estimate.fits.data import Centred
-from workbench.estimate.fits.fit import LEAST_TAU, LOUD, Fit, Limits, again_linear, fit_linear
+from workbench.estimate.fits.fit import (
+    LEAST_TAU,
+    LOUD,
+    Fit,
+    Limits,
+    again_linear,
+    autoregression,
+    fit_linear,
+    grounded,
+    predict,
+)
 from workbench.estimate.fits.sureness import ENOUGH_SLIPS, SHARP, SURE_SLIPS
 from workbench.estimate.fits.windows import EXACT, WHOLE, stretch_with
 from workbench.estimate.loads.settled import STEPS_MOST, akaike_of, needs_steps, settled
@@ -26,6 +36,7 @@ from workbench.estimate.search.profile import Profile, profile_of, search
 from workbench.estimate.search.sought import Seek, Sought, Window, coarse_of, like_stenman, sought
 from workbench.estimate.search.two_parameter import Band, fit_band, look
 from workbench.estimate.search.uneven import Uneven
+from workbench.estimate.straight import Coloured, level
 from workbench.estimate.verdict import WIDE_D
 from workbench.model.loads import LoadStep
 from workbench.model.results import FittedModel
@@ -42,6 +53,7 @@ __all__ = [
     "longest_delay",
     "sound",
     "unevenly",
+    "whiter",
     "with_ranges",
 ]
 
@@ -52,6 +64,7 @@ NEARLY = 1.25  # times what a stem may leave to be far ahead: the first of a gri
 BEHIND = 40.0  # in N log V: who is further behind the best stem comes to nothing better
 LONGEST_UNEVEN = 10_000  # samples: each of many stems is gone through with all that it may become
 UNEVEN_FROM = 3  # of the first stems of each kind, from which stems that stick unevenly are sought
+FIRST_STEMS = 3  # that may be likelier than a linear loop which leaves colour, beside the best of each kind
 HALF = 0.5  # of what the linear fit leaves: a stem that leaves no more explains PV by itself
 
 
@@ -330,3 +343,25 @@ def _ranged(fits: Fits, chosen: str) -> Bands:
     found = widened(data, found, only, fits.limits)
     found = freed(data, fits.whole, found, only, fits.limits, fits.steps)
     return recoloured(data, found, only, fits.limits)
+
+
+def whiter(fits: Fits, straight: Coloured) -> Band | None:
+    """Return the two-parameter stem that is much likelier than a linear loop that does not leave noise alone, or None.
+
+    Each is in the measure of what it leaves itself: in that of the other the true stem, too, may leave no less.
+    """
+    linear = straight[0]
+    if linear.a.size == 1:
+        return None
+    data, steps = fits.data, straight[2] if fits.data is linear else fits.steps
+    paid = DEGREES * len(steps) * math.log(data.samples) + CLEAR
+    likelier: list[tuple[float, Band]] = []
+    for b in (*(one.best for one in fits.bands.values()), *fits.coarse[:FIRST_STEMS]):
+        x = b.stem(data.u)
+        left = data.y - predict(data, x, b.begin, grounded(data, x, b.begin, b.fit))[0]
+        free = (2 if b.J > 0.0 else 1) * math.log(data.samples)
+        # Of as many samples as the linear loop's, whichever count.
+        own = autoregression(left[data.skip :], data.floor)[1] * data.samples / (data.samples - data.skip)
+        likelier += [(own + free + paid, b)] if b.fit.gain != 0.0 else []
+    least, best = min(likelier, key=lambda one: one[0], default=(math.inf, None))
+    return best if least < level(*straight) else None

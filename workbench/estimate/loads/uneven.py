@@ -27,7 +27,8 @@ def uneven_beside_colour(
     not count. Colour and stem are found in turn.
     """
     data = whole.whitened(whole.a, skip)
-    met = uneven_stems(data, seeds, limits)
+    kinds = {sticks for sticks, *_ in seeds}
+    met = uneven_stems(data, seeds, limits, kinds)
     for _ in range(COLOURINGS):
         if not met:
             break
@@ -45,7 +46,7 @@ def uneven_beside_colour(
             tau, theta = one.fit.tau, one.fit.theta
             fit = fit_path(data, one.x, one.first, one.bounds, limits, theta, tau=tau)
             again.append((one.sticks, one.S, one.J, fit))
-        met = uneven_stems(data, again, limits)
+        met = uneven_stems(data, again, limits, kinds)
     return data, met
 
 

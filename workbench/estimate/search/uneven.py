@@ -9,7 +9,7 @@ IEEE 64 (1976) 532-556), from the stems of one band that the search has found.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -34,7 +34,7 @@ SHARES = (0.87, 0.94, 1.06, 1.14)  # of the bands,
 JUMPS = (0.6, 0.85)  # and shares of J in S, of a stem that may not stick at once
 APART, LEAST_GAP = 0.1, 0.02  # a step of S - J: of it, or of the stem's travel at least,
 FURTHEST = 3.0  # and how many of them a parabola is followed
-WIDEST = 0.3  # of the band: those that differ by more are none
+WIDEST = 0.3  # of the slip jump: bands that differ by more are none, and stems that turn anywhere follow anything
 FEWEST = 5  # slips
 STAYS = 0.5  # of twice the log likelihood: who gains no more has settled
 STARTS = 9  # stems that a record may begin with, within the band
@@ -87,23 +87,26 @@ class Uneven:
         return Stenman(self.S) if self.sticks else Choudhury(self.S, self.J)
 
 
-def uneven_stems(data: Centred, seeds: Iterable[tuple[bool, float, float, Fit]], limits: Limits) -> list[Uneven]:
+def uneven_stems(
+    data: Centred, seeds: Iterable[tuple[bool, float, float, Fit]], limits: Limits, kinds: Collection[bool]
+) -> list[Uneven]:
     """Return the likeliest stem from each of some seeds, and those about the best of them; the likeliest first.
 
-    seeds: whether the stem sticks again at once, S, J and a fit. Empty where none slips often enough.
+    seeds: whether the stem sticks again at once, S, J and a fit; kinds: which of these stems may be told. Empty where
+    none slips often enough.
     """
     found = [one for seed in seeds if (one := _settled(data, *seed, SPREAD * seed[1], limits)) is not None]
     found.sort(key=lambda one: one.level)
     while found:
         best = found[0]
-        found += _about(data, best, limits)
+        found += _about(data, best, limits, kinds)
         found.sort(key=lambda one: one.level)
         if found[0].level > best.level - STAYS:
             break
-    return [one for one in found if one.spread <= WIDEST * one.S]
+    return [one for one in found if one.spread <= WIDEST * one.J]
 
 
-def _about(data: Centred, best: Uneven, limits: Limits) -> list[Uneven]:
+def _about(data: Centred, best: Uneven, limits: Limits, kinds: Collection[bool]) -> list[Uneven]:
     """The likeliest stems from valves and plants about those of the best.
 
     A slip a sample later is one from a wider band that PV answers to sooner, and a wider band one of a lower gain: they
@@ -115,16 +118,15 @@ def _about(data: Centred, best: Uneven, limits: Limits) -> list[Uneven]:
     seeds += [(share * S, share * J, replace(fit, gain=fit.gain / share)) for share in SHARES]
     if not best.sticks:
         seeds += [(J + gap * share, J, fit) for share in GAPS]
-        # With the travel that the stem has between its slips.
-        seeds += [(J + gap * share, J, replace(fit, gain=fit.gain * J / (J + gap * (1.0 - share)))) for share in GAPS]
-    kinds = [(best.sticks, *seed) for seed in seeds]
-    kinds += [
-        (True, d, d, replace(fit, gain=fit.gain * J / d)) for d in (J, 0.5 * (S + J), S) if not best.sticks and d > 0
-    ]
+        # A cycle tells the product of gain and band.
+        seeds += [(J + gap * share, J, replace(fit, gain=fit.gain * S / (J + gap * share))) for share in GAPS]
+    all_of = [(best.sticks, *seed) for seed in seeds]
+    if not best.sticks and J > 0.0:
+        all_of += [(True, d, d, replace(fit, gain=fit.gain * J / d)) for d in (J, 0.5 * (S + J), S)]
     if best.sticks:
-        kinds += [(False, S, share * S, replace(fit, gain=fit.gain / share)) for share in JUMPS]
+        all_of += [(False, S, share * S, replace(fit, gain=fit.gain / share)) for share in JUMPS]
     spread = max(best.spread, 0.3 * SPREAD * S)
-    stems = [_settled(data, *seed, spread, limits) for seed in kinds]
+    stems = [_settled(data, *seed, spread, limits) for seed in all_of if seed[0] in kinds]
     return [one for one in stems if one is not None]
 
 
