@@ -29,6 +29,7 @@ SPREAD = 0.1  # of the band, at first
 CLOSEST = 1e-3  # of the band: no spread is told to be less
 ROUNDS = 6  # of stem and plant in turn
 ABOUT = (-3.0, -2.0, -1.0, -0.5, 0.5, 1.0, 2.0, 3.0)  # samples by which dead times about the best are tried
+FURTHER = (-16.0, -8.0, -4.0, -2.0, 2.0, 4.0)  # the same, with bands that are wider by what OP goes on by meanwhile
 GAPS = (0.7, 0.85, 1.15, 1.4)  # and factors of S - J,
 SHARES = (0.87, 0.94, 1.06, 1.14)  # of the bands,
 JUMPS = (0.6, 0.85)  # and shares of J in S, of a stem that may not stick at once
@@ -115,6 +116,10 @@ def _about(data: Centred, best: Uneven, limits: Limits, kinds: Collection[bool])
     low, high = limits.theta
     fit, S, J, gap = best.fit, best.S, best.J, best.S - best.J
     seeds = [(S, J, replace(fit, theta=fit.theta + step)) for step in ABOUT if low <= fit.theta + step <= high]
+    for step in FURTHER:
+        wider = -step * best.step
+        if low <= fit.theta + step <= high and J + wider > 0.0:
+            seeds.append((S + wider, J + wider, replace(fit, theta=fit.theta + step)))
     seeds += [(share * S, share * J, replace(fit, gain=fit.gain / share)) for share in SHARES]
     if not best.sticks:
         seeds += [(J + gap * share, J, fit) for share in GAPS]
