@@ -26,6 +26,7 @@ from workbench.estimate.loads.steps import CLEAR, DEGREES
 from workbench.estimate.loads.uneven import uneven_beside_colour
 from workbench.estimate.ranges.few import widened
 from workbench.estimate.ranges.freed import freed
+from workbench.estimate.ranges.hidden import hidden
 from workbench.estimate.ranges.recoloured import recoloured
 from workbench.estimate.search.bands import Bands, Found, further, noise_beside, repeated
 from workbench.estimate.search.candidates import Candidate, distinct, leaves_noise
@@ -194,8 +195,9 @@ def unevenly(first: Fits, found: Fits, valve: str) -> Fits:
     if not met:
         return found
     told, ahead = replace(first, data=data, bands={}, uneven=tuple(met)), CLEAR
-    if data.doubt > 0.0 and met[0].alike(data.doubt):
-        # Of an OP in steps no stem of one band is known to be the valve's: where these do as well they are told.
+    even = next((best for name in found.models if (best := found.best(name)) is not None and name in STICKING), None)
+    if met[0].alike(data.doubt) and even is not None and not isinstance(even, Uneven) and hidden(found.data, even):
+        # No stem of one band is known to be the valve's: where these do as well they are told.
         ahead = -met[0].price - CLEAR
     return told if _weight(told) < _weight(found) - ahead else found
 

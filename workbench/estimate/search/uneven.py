@@ -27,7 +27,8 @@ __all__ = ["Uneven", "uneven_stems"]
 
 SPREAD = 0.1  # of the band, at first
 CLOSEST = 1e-3  # of the band: no spread is told to be less
-ROUNDS = 6  # of stem and plant in turn
+FOLLOWED = 6  # of the stems from some seeds
+ROUNDS = 5  # of stem and plant in turn
 ABOUT = (-3.0, -2.0, -1.0, -0.5, 0.5, 1.0, 2.0, 3.0)  # samples by which dead times about the best are tried
 FURTHER = (-16.0, -8.0, -4.0, -2.0, 2.0, 4.0)  # the same, with bands that are wider by what OP goes on by meanwhile
 GAPS = (0.7, 0.85, 1.15, 1.4)  # and factors of S - J,
@@ -96,7 +97,8 @@ def uneven_stems(
     seeds: whether the stem sticks again at once, S, J and a fit; kinds: which of these stems may be told. Empty where
     none slips often enough.
     """
-    found = [one for seed in seeds if (one := _settled(data, *seed, SPREAD * seed[1], limits)) is not None]
+    begun = [one for seed in seeds if (one := _turn(data, *seed, SPREAD * seed[1], limits)) is not None]
+    found = [_settled(data, one, limits) for one in sorted(begun, key=lambda one: one.level)[:FOLLOWED]]
     found.sort(key=lambda one: one.level)
     while found:
         best = found[0]
@@ -131,22 +133,24 @@ def _about(data: Centred, best: Uneven, limits: Limits, kinds: Collection[bool])
     if best.sticks:
         all_of += [(False, S, share * S, replace(fit, gain=fit.gain / share)) for share in JUMPS]
     spread = max(best.spread, 0.3 * SPREAD * S)
-    stems = [_settled(data, *seed, spread, limits) for seed in all_of if seed[0] in kinds]
-    return [one for one in stems if one is not None]
+    begun = [_turn(data, *seed, spread, limits) for seed in all_of if seed[0] in kinds]
+    # Who slips as the best does comes to the same.
+    apart = [one for one in begun if one is not None and not np.array_equal(one.x, best.x)]
+    return [_settled(data, one, limits) for one in apart]
 
 
-def _settled(data: Centred, sticks: bool, S: float, J: float, fit: Fit, spread: float, limits: Limits) -> Uneven | None:
-    """Stem, bands and plant in turn from a seed, as long as that is likelier."""
-    best: Uneven | None = None
+def _settled(data: Centred, best: Uneven, limits: Limits) -> Uneven:
+    """Stem, bands and plant in turn from a stem, as long as that is likelier."""
+    last = best
     for _ in range(ROUNDS):
-        one = _turn(data, sticks, S, J, fit, spread, limits)
+        one = _turn(data, last.sticks, last.S, last.J, last.fit, last.spread, limits)
         if one is None:
             break
-        settled = best is not None and one.level > best.level - STAYS
-        best = one if best is None or one.level < best.level else best
+        settled = one.level > best.level - STAYS
+        best = one if one.level < best.level else best
         if settled:
             break
-        S, J, fit, spread = one.S, one.J, one.fit, one.spread
+        last = one
     return best
 
 
