@@ -15,7 +15,7 @@ from workbench.estimate.fits.data import centre
 from workbench.estimate.fits.fit import LEAST_TAU, Fit, Limits
 from workbench.estimate.kernels.output_error import plant_terms
 from workbench.estimate.kernels.uneven import uneven_path
-from workbench.estimate.search.uneven import uneven_stems, words_of_uneven
+from workbench.estimate.search.uneven import _turn, uneven_stems, words_of_uneven
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
 
@@ -151,3 +151,10 @@ def test_words_tell_what_differs() -> None:
     alike = replace(best, spread=best.step / 4.0)
     assert words_of_uneven(alike, 0.0)[0].endswith("the rest of PV tells when")
     assert words_of_uneven(alike, 0.05)[0].endswith("OP was recorded in steps, PV tells when")
+
+
+def test_a_stem_that_would_turn_without_any_band_is_none() -> None:
+    data = centre(cycle(0.06)[0], "fopdt")
+    limits, fit = Limits((LEAST_TAU, 1000.0), (0.0, 30.0)), Fit(50.0, TAU, float(THETA), GAIN, 0.0, 0.0, 0.0)
+    assert _turn(data, False, 1.0, 2.0 * BAND, fit, 0.2, limits) is not None
+    assert _turn(data, False, -0.5, 2.0 * BAND, fit, 0.2, limits) is None

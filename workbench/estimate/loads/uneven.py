@@ -4,13 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import numpy as np
-
 from workbench.estimate.fits.data import Centred
 from workbench.estimate.fits.fit import Fit, Limits, fit_path, grounded, predict
 from workbench.estimate.loads.settled import colour_of
 from workbench.estimate.loads.steps import Stem
-from workbench.estimate.search.uneven import Uneven, uneven_stems
+from workbench.estimate.search.uneven import Uneven, differing, uneven_stems
 
 __all__ = ["uneven_beside_colour"]
 
@@ -42,18 +40,9 @@ def uneven_beside_colour(
             break
         data = whole.whitened(colour.a, skip, colour.law)
         again: list[tuple[bool, float, float, Fit]] = []
-        for one in _apart(met):
+        for one in differing(met, GONE_ON_WITH):
             tau, theta = one.fit.tau, one.fit.theta
             fit = fit_path(data, one.x, one.first, one.bounds, limits, theta, tau=tau)
             again.append((one.sticks, one.S, one.J, fit))
         met = uneven_stems(data, again, limits, kinds)
     return data, met
-
-
-def _apart(met: Sequence[Uneven]) -> list[Uneven]:
-    """The likeliest of some stems that differ in where they slip."""
-    chosen: list[Uneven] = []
-    for one in met:
-        if len(chosen) < GONE_ON_WITH and not any(np.array_equal(one.x, known.x) for known in chosen):
-            chosen.append(one)
-    return chosen

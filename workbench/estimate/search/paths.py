@@ -6,15 +6,13 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import numpy as np
-
 from workbench.estimate.fits.data import Centred
 from workbench.estimate.fits.fit import Fit, start_range
 from workbench.estimate.search.bands import Bands
 from workbench.estimate.search.candidates import Candidate
 from workbench.estimate.search.profile import Profile
 from workbench.estimate.search.two_parameter import Band, held_range
-from workbench.estimate.search.uneven import Uneven
+from workbench.estimate.search.uneven import Uneven, differing
 from workbench.model.record import FloatArray
 from workbench.model.valve import Choudhury, Deadband, Ideal, Stenman, Valve
 
@@ -83,8 +81,4 @@ def band_paths(data: Centred, found: Bands, name: str) -> list[Path]:
 
 def uneven_paths(found: Sequence[Uneven]) -> list[Path]:
     """Return the likeliest stems that do not stick alike at every slip and differ in where they slip."""
-    chosen: list[Uneven] = []
-    for one in found:
-        if len(chosen) < MOST and not any(np.array_equal(one.x, known.x) for known in chosen):
-            chosen.append(one)
-    return [Path(one.valve, one.x, one.first, one.bounds, one.fit, one.slips) for one in chosen]
+    return [Path(one.valve, one.x, one.first, one.bounds, one.fit, one.slips) for one in differing(found, MOST)]

@@ -23,7 +23,7 @@ from workbench.model.numbers import given
 from workbench.model.record import FloatArray
 from workbench.model.valve import Choudhury, Stenman
 
-__all__ = ["Uneven", "uneven_stems"]
+__all__ = ["Uneven", "differing", "uneven_stems", "words_of_uneven"]
 
 SPREAD = 0.1  # of the band, at first
 CLOSEST = 1e-3  # of the band: no spread is told to be less
@@ -124,9 +124,10 @@ def _about(data: Centred, best: Uneven, limits: Limits, kinds: Collection[bool])
             seeds.append((S + wider, J + wider, replace(fit, theta=fit.theta + step)))
     seeds += [(share * S, share * J, replace(fit, gain=fit.gain / share)) for share in SHARES]
     if not best.sticks:
-        seeds += [(J + gap * share, J, fit) for share in GAPS]
+        bands = [band for share in GAPS if (band := J + gap * share) > 0.0]
+        seeds += [(band, J, fit) for band in bands]
         # A cycle tells the product of gain and band.
-        seeds += [(J + gap * share, J, replace(fit, gain=fit.gain * S / (J + gap * share))) for share in GAPS]
+        seeds += [(band, J, replace(fit, gain=fit.gain * S / band)) for band in bands]
     all_of = [(best.sticks, *seed) for seed in seeds]
     if not best.sticks and J > 0.0:
         all_of += [(True, d, d, replace(fit, gain=fit.gain * J / d)) for d in (J, 0.5 * (S + J), S)]
@@ -157,7 +158,7 @@ def _settled(data: Centred, best: Uneven, limits: Limits) -> Uneven:
 def _turn(data: Centred, sticks: bool, S: float, J: float, fit: Fit, spread: float, limits: Limits) -> Uneven | None:
     """The likeliest stem along a plant, its bands, and the plant along that stem; None where it hardly slips."""
     n, band = data.samples, 0.5 * (S + J)
-    if fit.gain == 0.0 or not band > 0.0:
+    if fit.gain == 0.0 or not S > 0.0:
         return None
     begun, ramp = (0.0, fit.transient) if data.integrating else (fit.start + fit.transient, 0.0)
     starts = data.u[0] + band * np.linspace(-0.95, 0.95, STARTS)
@@ -198,11 +199,23 @@ def _turn(data: Centred, sticks: bool, S: float, J: float, fit: Fit, spread: flo
     step = math.sqrt(float(np.mean((gone - held) ** 2)))
     spread = math.hypot(DEVIATIONS * float(np.median(np.abs(bands - mean))), step / math.sqrt(12.0))
     # That of a median of few, whose own spread is not known well.
-    few = bands.size / (bands.size - 3.0) if bands.size > 3 else math.inf
+    few = bands.size / (bands.size - 3.0)
     error = math.sqrt(0.5 * math.pi * few / bands.size) * max(spread, float(np.std(bands, ddof=1)))
     level = n * math.log(max(fit.sse / n, data.floor)) + price
     J = max(mean, 0.0)
+    if not J + gap > 0.0:
+        # A stem that goes further as it slips than it sticks: by so much it would turn without any band.
+        return None
     return Uneven(sticks, J + gap, J, spread, x, senses, first, bounds, count, fit, price, level, step, error)
+
+
+def differing(found: Iterable[Uneven], most: int) -> list[Uneven]:
+    """Return the first few of some stems that differ in where they slip."""
+    chosen: list[Uneven] = []
+    for one in found:
+        if len(chosen) < most and not any(np.array_equal(one.x, known.x) for known in chosen):
+            chosen.append(one)
+    return chosen
 
 
 def _apart(
