@@ -319,6 +319,36 @@ main()
         assert len(done.stderr.removeprefix(f"{SAID}\n").splitlines()) == 1
 
 
+@pytest.mark.skipif(os.name == "nt", reason="sends SIGINT")
+def test_what_ctrl_c_leaves_half_made_says_nothing(folder: Path) -> None:
+    code = """
+import os, signal, sys
+from workbench.__main__ import main
+
+class Half:
+    def __init__(self):
+        os.kill(os.getpid(), signal.SIGINT)
+        self.whole = True
+
+    def __del__(self):
+        assert self.whole
+
+class Told:
+    def find_spec(self, name, *_):
+        if name == "workbench.model.loop":
+            Half()
+
+sys.meta_path.insert(0, Told())
+sys.argv = ["workbench", "check", "good.yaml"]
+main()
+"""
+    given = [sys.executable, "-c", code]
+    done = subprocess.run(given, capture_output=True, text=True, timeout=120, check=False)
+    assert done.returncode == 130, done.stderr
+    assert done.stderr.startswith("workbench: interrupted")
+    assert len(done.stderr.splitlines()) == 1
+
+
 def test_an_interrupt_in_a_librarys_error_is_an_interrupt(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def broken(*_: object, **__: object) -> object:
         try:

@@ -21,12 +21,16 @@ def main() -> None:
 
 
 def _unraisable(what: sys.UnraisableHookArgs) -> None:
-    """Interrupt once more where Ctrl-C came in a destructor or a callback, which Python would tell of and forget."""
+    """Interrupt once more where Ctrl-C came in a destructor or a callback, which Python would tell of and forget.
+
+    What a destructor finds missing was never made, as Ctrl-C came first, within a library's compiler for one. The
+    interrupt is told where it ends the command; of the half-made object nothing is said.
+    """
     if issubclass(what.exc_type, KeyboardInterrupt):
         again = Timer(AGAIN, interrupt_main)
         again.daemon = True
         again.start()
-    else:
+    elif not issubclass(what.exc_type, AttributeError):
         sys.__unraisablehook__(what)
 
 
