@@ -319,6 +319,38 @@ main()
         assert len(done.stderr.removeprefix(f"{SAID}\n").splitlines()) == 1
 
 
+@pytest.mark.parametrize("raised", ["ValueError", "KeyboardInterrupt"])
+def test_an_error_for_want_of_what_ctrl_c_took_is_an_interrupt(folder: Path, raised: str) -> None:
+    code = """
+import sys
+from workbench.__main__ import main
+
+class Taken:
+    def __del__(self):
+        raise RAISED
+
+class Told:
+    def find_spec(self, name, *_):
+        if name == "workbench.model.loop":
+            Taken()
+            raise RuntimeError("no compiled object yet")
+
+sys.meta_path.insert(0, Told())
+sys.argv = ["workbench", "check", "good.yaml"]
+main()
+"""
+    given = [sys.executable, "-c", code.replace("RAISED", raised)]
+    done = subprocess.run(given, capture_output=True, text=True, timeout=120, check=False)
+    if raised == "KeyboardInterrupt":
+        assert done.returncode == 130, done.stderr
+        assert done.stderr == "workbench: interrupted\n"
+    else:
+        # An error of the program stays one, and so does one in a destructor.
+        assert done.returncode == 1
+        assert "no compiled object yet" in done.stderr
+        assert "ValueError" in done.stderr
+
+
 @pytest.mark.skipif(os.name == "nt", reason="sends SIGINT")
 def test_what_ctrl_c_leaves_half_made_says_nothing(folder: Path) -> None:
     code = """

@@ -3,21 +3,32 @@
 from __future__ import annotations
 
 import sys
+import time
 from _thread import interrupt_main
-from threading import Timer
+from threading import Event, Timer
 
 AGAIN = 0.01  # s: by then what took the interrupt has ended
+
+_taken = Event()
 
 
 def main() -> None:
     """Run the command (workbench/cli); interrupted while that still loads, it ends with exit code 130."""
     sys.unraisablehook = _unraisable
     try:
-        from workbench.cli import main as command
+        try:
+            from workbench.cli import main as command
+
+            command()
+        except Exception:
+            if not _taken.is_set():
+                raise
+            # What took the interrupt, a compiler's callback for one, failed for it: it comes again here.
+            time.sleep(10.0 * AGAIN)
+            raise KeyboardInterrupt from None
     except KeyboardInterrupt:
         sys.stderr.write("workbench: interrupted\n")
         sys.exit(130)
-    command()
 
 
 def _unraisable(what: sys.UnraisableHookArgs) -> None:
@@ -27,6 +38,7 @@ def _unraisable(what: sys.UnraisableHookArgs) -> None:
     interrupt is told where it ends the command; of the half-made object nothing is said.
     """
     if issubclass(what.exc_type, KeyboardInterrupt):
+        _taken.set()
         again = Timer(AGAIN, interrupt_main)
         again.daemon = True
         again.start()
