@@ -25,9 +25,10 @@ BEHIND = 120.0  # of twice the log likelihood: a stem that is so far behind is g
 EARLY, LATE = -5.0, 6.0  # standard deviations of the band: sooner no stem slips, later none rests
 RARE = 1e-7  # the least chance that is told from none
 
-# Columns of a stem that is followed; PRICE: what its slips cost, of twice the log likelihood.
-COST, PRICE, LED, SENSE, MOVING, ON, BACK, ANSWER, LAST, FROM, SLIPPED, HELD, GONE = range(13)
-STATE = 13
+# Columns of a stem that is followed; PRICE: what its slips cost, of twice the log likelihood; ON and BACK: how far OP
+# went each way since it rests, and ABOVE columns further the chance that the band is wider, or UNKNOWN.
+COST, PRICE, LED, SENSE, MOVING, ON, BACK, _, _, ANSWER, SLIPPED, HELD, GONE = range(13)
+STATE, ABOVE, UNKNOWN = 13, 2, -1.0
 
 
 @compiled
@@ -37,58 +38,70 @@ def _tail(z: float) -> float:
 
 
 @compiled
-def _slips_now(held: float, now: float, band: float, spread: float) -> float:
-    """The chance that a rest that held up to `held` ends on the way to `now`, its band normally distributed."""
-    if now <= held or now < band + EARLY * spread:
-        return 0.0
+def _slips_now(held: float, before: float, now: float, band: float, spread: float) -> tuple[float, float]:
+    """The chance that a rest that held up to `held` ends on the way to `now`, its band normally distributed.
+
+    before: the chance that the band is above `held`, or UNKNOWN; returned as well is that for `now`, as far as asked.
+    """
+    if now <= held:
+        return 0.0, before
+    if now < band + EARLY * spread:
+        return 0.0, UNKNOWN
     if now > band + LATE * spread:
-        return 1.0
-    before = _tail((held - band) / spread)
-    return 1.0 - _tail((now - band) / spread) / before if before > 0.0 else 1.0
+        return 1.0, UNKNOWN
+    after = _tail((now - band) / spread)
+    if before == UNKNOWN:
+        before = _tail((held - band) / spread)
+    return 1.0 - after / before if before > 0.0 else 1.0, after
 
 
 @compiled
-def _branch(
-    state: Floats, h: int, then: Floats, count: int, now: float, last: float, sticks: bool, valve: Floats
-) -> int:
-    """Write what may become of stem h as OP comes to `now` from `last`: rest, slip or move on; return the new count."""
+def _rest(state: Floats, row: int) -> None:
+    """Let a stem begin to rest."""
+    for side in (ON, BACK):
+        state[row, side], state[row, side + ABOVE] = 0.0, UNKNOWN
+
+
+@compiled
+def _branch(state: Floats, row: int, other: int, now: float, last: float, sticks: bool, valve: Floats) -> bool:
+    """Go on with the stem of a row as OP comes to `now` from `last`; return whether it may slip, too, in `other`."""
     S, J, spread = valve[0], valve[1], valve[2]
-    for column in range(STATE):
-        then[count, column] = state[h, column]
-    then[count, FROM], then[count, SLIPPED] = h, 0.0
-    led, sense = state[h, LED], state[h, SENSE]
-    if not sticks and state[h, MOVING] > 0.0 and (now - last) * sense > 0.0:
-        then[count, LED] = now
-        return count + 1
-    if state[h, MOVING] > 0.0:
-        then[count, MOVING], then[count, ON], then[count, BACK] = 0.0, 0.0, 0.0
+    state[row, SLIPPED] = 0.0
+    led, sense = state[row, LED], state[row, SENSE]
+    if not sticks and state[row, MOVING] > 0.0 and (now - last) * sense > 0.0:
+        state[row, LED] = now
+        return False
+    if state[row, MOVING] > 0.0:
+        state[row, MOVING] = 0.0
+        _rest(state, row)
     # Away from where it rests OP goes on, or comes back, as the stem was led; one that sticks at once knows no sense.
     lead = abs(now - led) if sticks else (now - led) * sense
     side = ON if lead > 0.0 else BACK
-    held, gone, band = then[count, side], abs(lead), J if lead > 0.0 else S
-    chance = _slips_now(held, gone, band, spread)
-    if chance > RARE:
-        other = count + 1 if chance < 1.0 - RARE else count
-        for column in range(STATE):
-            then[other, column] = then[count, column]
-        price = -2.0 * math.log(min(chance, 1.0))
-        then[other, COST] += price
-        then[other, PRICE] += price
-        # What the band goes beyond S - J by, whichever way it was gone through.
-        beyond = S - J if side == BACK else 0.0
-        then[other, SLIPPED], then[other, HELD], then[other, GONE] = 1.0, held - beyond, gone - beyond
-        then[other, LED], then[other, ON], then[other, BACK] = now, 0.0, 0.0
-        if not sticks:
-            then[other, MOVING], then[other, SENSE] = 1.0, sense if lead > 0.0 else -sense
-        if other == count:
-            return count + 1
-        price = -2.0 * math.log(1.0 - chance)
-        then[count, COST] += price
-        then[count, PRICE] += price
-        then[count, side] = gone
-        return count + 2
-    then[count, side] = max(held, gone)
-    return count + 1
+    held, gone, band = state[row, side], abs(lead), J if lead > 0.0 else S
+    chance, above = _slips_now(held, state[row, side + ABOVE], gone, band, spread)
+    if not chance > RARE:
+        state[row, side], state[row, side + ABOVE] = max(held, gone), above
+        return False
+    one = other if chance < 1.0 - RARE else row
+    for column in range(STATE):
+        state[one, column] = state[row, column]
+    price = -2.0 * math.log(min(chance, 1.0))
+    state[one, COST] += price
+    state[one, PRICE] += price
+    # What the band goes beyond S - J by, whichever way it was gone through.
+    beyond = S - J if side == BACK else 0.0
+    state[one, SLIPPED], state[one, HELD], state[one, GONE] = 1.0, held - beyond, gone - beyond
+    state[one, LED] = now
+    _rest(state, one)
+    if not sticks:
+        state[one, MOVING], state[one, SENSE] = 1.0, sense if lead > 0.0 else -sense
+    if one == row:
+        return False
+    price = -2.0 * math.log(1.0 - chance)
+    state[row, COST] += price
+    state[row, PRICE] += price
+    state[row, side], state[row, side + ABOVE] = gone, above
+    return True
 
 
 @compiled
@@ -122,73 +135,98 @@ def uneven_path(
     gain, bias, begun, ramp = terms[0], terms[1], terms[2], terms[3]
     gap = 0.0 if sticks else valve[0] - valve[1]
     room, depth = max(BEAM, len(starts)), m + 2
-    state, then = np.empty((room, STATE)), np.empty((2 * room, STATE))
-    # What each of them had in its last samples, sample k in column k modulo their number.
-    stems, stems_then = np.empty((room, depth)), np.empty((room, depth))
-    left, left_then = np.empty((room, order)), np.empty((room, order))
-    parents, told = np.empty((n, room), np.int32), np.empty((n, room, 5))
-    ranked = np.empty(2 * room, np.int64)
+    # A row each: how a stem stands, what it had in its last samples, sample k in column k modulo their number, and the
+    # sample where it slipped last, before the record one of its own. `kept` are those that are followed, the likeliest
+    # first, `free` the rows without one.
+    rows = 2 * room
+    state, slipped = np.empty((rows, STATE)), np.arange(rows)
+    stems, left = np.empty((rows, depth)), np.empty((rows, order))
+    kept, ranked, free = np.arange(rows), np.empty(rows, np.int64), np.arange(rows)[::-1].copy()
+    # Where among those before each comes from, and how many that are kept slipped last at a sample.
+    came, source, taken = np.empty(rows, np.int64), np.empty(rows, np.int64), np.zeros(rows + n, np.int64)
+    # By sample: which one each came from, times four, with two for a slip and one for a sense upwards; the stem; the
+    # bands of a slip.
+    parents, told, bands = np.empty((n, room), np.int32), np.empty((n, room)), np.empty((n, room, 2))
     alive = len(starts)
+    frees = rows - alive
     for h in range(alive):
         for column in range(STATE):
             state[h, column] = 0.0
         state[h, SENSE], state[h, LED] = starts[h, 1], starts[h, 0] + 0.5 * starts[h, 1] * gap
-        state[h, ANSWER], state[h, LAST] = begun, -1.0 - h
+        state[h, ANSWER] = begun
+        _rest(state, h)
         for i in range(depth):
             stems[h, i] = starts[h, 0]
     for k in range(n):
+        newest, place = k % order, k % depth
         best = math.inf
         for h in range(alive):
-            error = y[k] - bias - ramp * k - state[h, ANSWER]
-            left[h, k % order] = error
+            row = kept[h]
+            error = y[k] - bias - ramp * k - state[row, ANSWER]
+            left[row, newest] = error
+            at = newest
             for i in range(1, min(order, k + 1)):
-                error += a[i] * left[h, (k - i) % order]
+                at = at - 1 if at > 0 else order - 1
+                error += a[i] * left[row, at]
             if k >= skip:
-                state[h, COST] += error * error / variance
-            best = min(best, state[h, COST])
+                state[row, COST] += error * error / variance
+            best = min(best, state[row, COST])
         count = 0
         for h in range(alive):
-            if state[h, COST] <= best + BEHIND:
-                count = _branch(state, h, then, count, u[k], u[max(k - 1, 0)], sticks, valve)
-        for i in range(count):
-            if then[i, SLIPPED] > 0.0:
-                then[i, LAST] = k
+            row = kept[h]
+            if state[row, COST] > best + BEHIND:
+                free[frees] = row
+                frees += 1
+                continue
+            came[row], source[row] = h, row
+            other = free[frees - 1]
+            both = _branch(state, row, other, u[k], u[max(k - 1, 0)], sticks, valve)
+            if both:
+                frees -= 1
+                came[other], source[other], slipped[other] = h, row, rows + k
+            elif state[row, SLIPPED] > 0.0:
+                slipped[row] = rows + k
             # They are few, and mostly in order.
-            j = i
-            while j > 0 and then[ranked[j - 1], COST] > then[i, COST]:
-                ranked[j] = ranked[j - 1]
-                j -= 1
-            ranked[j] = i
+            for new in range(1 + both):
+                one, j = other if new > 0 else row, count
+                while j > 0 and state[ranked[j - 1], COST] > state[one, COST]:
+                    ranked[j] = ranked[j - 1]
+                    j -= 1
+                ranked[j] = one
+                count += 1
         alive = 0
         for i in range(count):
-            one, same = ranked[i], 0
-            for h in range(alive):
-                same += state[h, LAST] == then[one, LAST]
-            if same == SAME or alive == BEAM:
+            one = ranked[i]
+            if alive == BEAM or taken[slipped[one]] == SAME:
+                free[frees] = one
+                frees += 1
                 continue
-            came, stem = int(then[one, FROM]), then[one, LED] - 0.5 * then[one, SENSE] * gap
-            for column in range(STATE):
-                state[alive, column] = then[one, column]
-            for j in range(depth):
-                stems_then[alive, j] = stems[came, j]
-            for j in range(order):
-                left_then[alive, j] = left[came, j]
-            stems_then[alive, k % depth] = stem
-            near, far = stems_then[alive, (k - m) % depth], stems_then[alive, (k - m - 1) % depth]
-            state[alive, ANSWER] = pole * then[one, ANSWER] + gain * (c0 * near + c1 * far)
-            parents[k, alive] = came
-            told[k, alive, 0], told[k, alive, 1] = stem, then[one, SLIPPED]
-            told[k, alive, 2], told[k, alive, 3] = then[one, HELD], then[one, GONE]
-            told[k, alive, 4] = then[one, SENSE]
+            taken[slipped[one]] += 1
+            kept[alive] = one
             alive += 1
-        stems, stems_then = stems_then, stems
-        left, left_then = left_then, left
+            if source[one] != one:
+                for j in range(depth):
+                    stems[one, j] = stems[source[one], j]
+                for j in range(order):
+                    left[one, j] = left[source[one], j]
+        near, far = (k - m) % depth, (k - m - 1) % depth
+        for h in range(alive):
+            row = kept[h]
+            taken[slipped[row]] = 0
+            stem = state[row, LED] - 0.5 * state[row, SENSE] * gap
+            told[k, h], stems[row, place] = stem, stem
+            state[row, ANSWER] = pole * state[row, ANSWER] + gain * (c0 * stems[row, near] + c1 * stems[row, far])
+            parents[k, h] = 4 * came[row] + (1 if state[row, SENSE] > 0.0 else 0)
+            if state[row, SLIPPED] > 0.0:
+                parents[k, h] += 2
+                bands[k, h, 0], bands[k, h, 1] = state[row, HELD], state[row, GONE]
     # The first is the likeliest.
     h, count = 0, 0
     for k in range(n - 1, -1, -1):
-        x[k], senses[k] = told[k, h, 0], told[k, h, 4]
-        if told[k, h, 1] > 0.0:
-            slips[count, 0], slips[count, 1], slips[count, 2] = k, told[k, h, 2], told[k, h, 3]
+        parent = parents[k, h]
+        x[k], senses[k] = told[k, h], 1.0 if parent % 2 > 0 else -1.0
+        if parent % 4 > 1:
+            slips[count, 0], slips[count, 1], slips[count, 2] = k, bands[k, h, 0], bands[k, h, 1]
             count += 1
-        h = parents[k, h]
-    return state[0, PRICE], count
+        h = parent // 4
+    return state[kept[0], PRICE], count
