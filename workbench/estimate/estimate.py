@@ -29,8 +29,9 @@ from workbench.estimate.search.candidates import leaves_noise
 from workbench.estimate.search.models import WORDS_OF_BLIND, words_of_open
 from workbench.estimate.search.profile import Profile
 from workbench.estimate.search.reach import searched
-from workbench.estimate.search.stems import silent
+from workbench.estimate.search.stems import rising, silent
 from workbench.estimate.sent import left_by_line, left_by_stem, likelier_op
+from workbench.estimate.sooner import LATEST, as_sent, sent_before, words_of_sooner
 from workbench.estimate.straight import Straight, free_of, linear_beside
 from workbench.model.checks import callback, choice, number
 from workbench.model.numbers import given
@@ -108,10 +109,12 @@ def estimate(
     dead band that is clearly likelier than that loop ("undecided", as nothing else accuses the valve). An oscillation
     from outside the loop, a sinusoid that is a quarter or more of what the model leaves, is fitted beside the model
     (`load_swing`; 10,000 samples at most; not by "two_step"). A PV that is recorded later than the controller saw it is
-    looked at as that did (`pv_late`), and values of PV or OP that stand out from their neighbours alone are left out
-    (`detect.spikes`). identifiable is True where the verdict is "stiction", no range is open, that hull is at most a
-    tenth of d wide and gain's at most a fifth of the gain; not where PV was kept by exception or mostly lies between
-    recorded values, whose error no range holds, nor for an OP that is no per cent (see `detect.causes`). Raises
+    looked at as that did (`pv_late`), and an OP that is recorded later than it was sent, so that PV answers a sticking
+    valve before, as it was sent (`op_late`, see `sooner`). Values of PV or OP that stand out from their neighbours
+    alone are left out (`detect.spikes`). identifiable is True where the verdict is "stiction", no range is open, that
+    hull is at most a tenth of d wide and gain's at most a fifth of the gain; not where PV was kept by exception or
+    mostly lies between recorded values, whose error no range holds, nor for an OP that is no per cent (see
+    `detect.causes`). Raises
     `RecordError` for a record that holds no information (too short, PV or OP constant, values that no plant has) or is
     too long for the method, and `InvalidValue` for arguments that are not allowed.
     """
@@ -132,19 +135,19 @@ def estimate(
         valve = "stenman"
     if method == "two_step" and valve not in ("auto", "stenman"):
         raise InvalidValue("estimate.valve", valve, "method 'two_step' knows the Stenman valve alone: stenman, or auto")
-    tell = silent if progress is None else _rising(progress)
+    tell = silent if progress is None else rising(progress)
     seen, late = as_seen(record, PURPOSE)
     asked = _Asked(method, valve, start, max_dead_time)
     # Where programs go on from the search, that is as much again.
     shares = 1 + (method in PROGRAMS)
-    said: tuple[str, ...] = ()
-    if plant == "auto":
-        found, said = _likelier_plant(seen, asked, lambda share: tell(share / shares))
-    else:
-        line = _straight(seen, centre(seen, plant), max_dead_time)
-        found = _searched(seen, _begun(seen, plant, line, asked, lambda share: tell(share / shares)), asked)
+    found, said = _found(seen, plant, asked, lambda share: tell(share / shares))
+    sooner = 0
+    while sooner < LATEST and late.samples == 0 and method != "two_step" and (more := _sent_before(seen, asked, found)):
+        seen, sooner = as_sent(seen, more), sooner + more
+        found, said = _found(seen, plant, asked, lambda share: tell(share / shares))
     answer = _told(seen, found, asked, lambda share: tell(1.0 - (1.0 - share) / shares))
-    said += words_of_late(record, late) + words_of_spikes(record) + _cut(record, max_dead_time)
+    said += words_of_late(record, late) + words_of_sooner(sooner, record.sample_time)
+    said += words_of_spikes(record) + _cut(record, max_dead_time)
     if answer.verdict == "stiction" and (why := _doubtful(seen, answer.valve.stick_band)):
         answer = replace(answer, verdict="undecided", identifiable=False, reasons=(why, *answer.reasons))
     if answer.verdict == "stiction" and isinstance(answer.valve, Ideal):
@@ -158,7 +161,30 @@ def estimate(
         valve_position=earlier(answer.valve_position, late.samples),
         reasons=tuple(dict.fromkeys(answer.reasons + said)),
         pv_late=late.samples * record.sample_time,
+        op_late=sooner * record.sample_time,
     )
+
+
+def _found(
+    record: Record, plant: str, asked: _Asked, tell: Callable[[float], None]
+) -> tuple[_Searched, tuple[str, ...]]:
+    """What the search comes to with the kind of plant that was asked for, and in words how the kinds compare."""
+    if plant == "auto":
+        return _likelier_plant(record, asked, tell)
+    line = _straight(record, centre(record, plant), asked.max_dead_time)
+    return _searched(record, _begun(record, plant, line, asked, tell), asked), ()
+
+
+def _sent_before(record: Record, asked: _Asked, found: _Searched) -> int:
+    """By how many samples OP was sent before the record has it (`sent_before`)."""
+    kind = "fopdt" if isinstance(found.answered.model.plant, FOPDT) else "integrating"
+
+    def noise_alone(one: Record) -> bool:
+        data = centre(one, kind)
+        delays = longest_delay(data, asked.max_dead_time, DELAYS)
+        return left_by_stem(data, _profile(data, asked.max_dead_time, silent), delays).noise
+
+    return sent_before(record, found.answered, noise_alone)
 
 
 def _cut(record: Record, max_dead_time: float | None) -> tuple[str, ...]:
@@ -452,18 +478,6 @@ def _decided(record: Record, kind: str, answered: Answered[Estimate], line: Stra
 def _levels_off(record: Record, plant: Plant) -> bool:
     """Whether a plant shows its gain in steady state within the record; an integrating one has none to show."""
     return not (isinstance(plant, FOPDT) and plant.time_constant >= ENDLESS * len(record) * record.sample_time)
-
-
-def _rising(progress: Callable[[float], None]) -> Callable[[float], None]:
-    """Progress that never falls: a search that goes on to longer dead times begins anew."""
-    most = 0.0
-
-    def tell(share: float) -> None:
-        nonlocal most
-        most = max(most, share)
-        progress(most)
-
-    return tell
 
 
 def _profile(data: Centred, max_dead_time: float | None, tell: Callable[[float], None]) -> Profile | None:

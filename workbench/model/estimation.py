@@ -177,7 +177,8 @@ class Estimate(Shown):
     load_steps: lasting, and in the prediction.
     load_swing: an oscillation from outside, in the prediction too, or None.
     complementarity: the program of the method of that name, or None. pv_late: s by which PV is recorded later than the
-    controller saw it; the plant's dead time is without it.
+    controller saw it; the plant's dead time is without it. op_late: s by which OP is recorded later than it was sent,
+    at most; dead time and valve_position are from when it was.
     """
 
     record: Record
@@ -206,3 +207,4 @@ class Estimate(Shown):
     load_swing: LoadSwing | None = None
     complementarity: Complementarity | None = None
     pv_late: float = 0.0
+    op_late: float = 0.0

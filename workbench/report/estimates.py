@@ -95,6 +95,9 @@ def estimate_sentences(named: NamedEstimate, *, linear: bool = True) -> list[str
     if found.pv_late:
         by = f"{given(found.pv_late, 6)} s"
         sentences.append(f"{name}: PV is recorded {by} later than the controller saw it; the dead time is without it.")
+    if found.op_late:
+        by = f"up to {given(found.op_late, 6)} s"
+        sentences.append(f"{name}: OP is recorded {by} later than it was sent; the dead time is from there on.")
     # An undecided record gives no number to rely on, nor does one that does not show the gain.
     loads = [] if found.verdict == "undecided" or gain_doubt(found) else load_words(found)
     sentences += [f"{name}: beside the valve PV holds a load that nobody recorded: {load}." for load in loads]

@@ -280,6 +280,7 @@ def _estimate(named: NamedEstimate) -> dict[str, Any]:
         "load_steps": [plain(step) for step in found.load_steps],
         **({} if found.load_swing is None else {"load_swing": plain(found.load_swing)}),
         **({"pv_late": found.pv_late} if found.pv_late else {}),
+        **({"op_late": found.op_late} if found.op_late else {}),
         "linear": {
             "plant": plant_content(found.linear.plant),
             "bias": found.linear.bias,

@@ -26,7 +26,7 @@ class Path:
     """A stem path to refine the plant on: x (centred, %, shape (N,)), 0 before `first`; x0 there, within bounds.
 
     valve: whose path it is. fit: where the refinement starts. slips: the stem's moves. d: the range of a one-parameter
-    valve's d in which the path holds, %.
+    valve's d in which the path holds, %. even: whether it sticks alike at every slip.
     """
 
     valve: Valve
@@ -36,6 +36,7 @@ class Path:
     fit: Fit
     slips: int
     d: tuple[float, float] | None = None
+    even: bool = True
 
 
 def linear_path(data: Centred, linear: Fit) -> list[Path]:
@@ -81,4 +82,6 @@ def band_paths(data: Centred, found: Bands, name: str) -> list[Path]:
 
 def uneven_paths(found: Sequence[Uneven]) -> list[Path]:
     """Return the likeliest stems that do not stick alike at every slip and differ in where they slip."""
-    return [Path(one.valve, one.x, one.first, one.bounds, one.fit, one.slips) for one in differing(found, MOST)]
+    return [
+        Path(one.valve, one.x, one.first, one.bounds, one.fit, one.slips, even=False) for one in differing(found, MOST)
+    ]

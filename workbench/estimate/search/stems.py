@@ -27,6 +27,7 @@ __all__ = [
     "firsts_within",
     "path_of",
     "range_of",
+    "rising",
     "scan",
     "silent",
     "thin",
@@ -111,6 +112,18 @@ def thin(firsts: NDArray[np.int64], most: int) -> NDArray[np.int64]:
 
 def silent(share: float) -> None:
     """Ignore the progress."""
+
+
+def rising(progress: Callable[[float], None]) -> Callable[[float], None]:
+    """Progress that never falls: a search that goes on to longer dead times begins anew."""
+    most = 0.0
+
+    def tell(share: float) -> None:
+        nonlocal most
+        most = max(most, share)
+        progress(most)
+
+    return tell
 
 
 def scan(data: Centred, delays: NDArray[np.int64], progress: Callable[[float], None] = silent) -> NDArray[np.float64]:

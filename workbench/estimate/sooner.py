@@ -1,0 +1,81 @@
+"""An OP that is recorded later than it was sent: PV answers the stem before that OP lets it move.
+
+Historians read values one after the other, an OP before the controller's execution of each sample, say. A dead time
+below what OP is late by cannot show then, the first sample of each answer is there too soon, and another plant makes up
+for it: of random loops with a dead time below a sample the gain came out a third too low, and passed for identified.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from workbench.detect.late import earlier
+from workbench.detect.scan import runs_faster
+from workbench.estimate.fits.data import Centred
+from workbench.estimate.fits.fit import LEAST_TAU, Limits, fit_path
+from workbench.estimate.loads.swing import Answered
+from workbench.estimate.plants import CLEAR_BIC
+from workbench.estimate.search.paths import Path
+from workbench.model.numbers import given
+from workbench.model.record import Record
+from workbench.model.results import Estimate
+
+__all__ = ["LATEST", "as_sent", "sent_before", "words_of_sooner"]
+
+LATEST = 3  # samples that OP may be late
+AT_ONCE = 1.0  # samples: a plant with a longer dead time has no answer that comes too soon
+
+
+def sent_before(record: Record, answered: Answered[Estimate], noise_alone: Callable[[Record], bool]) -> int:
+    """Return by how many samples OP was sent before the record has it, as far as the valve that sticks shows it.
+
+    answered: a model with its stem and the record as it was fitted, beside its loads. noise_alone: whether a stem of a
+    record's OP leaves noise alone, which an OP that is late may hide: stems then slip a sample too late, or otherwise.
+    Nothing is said where the controller runs faster than the record, as what moves the valve is newer than OP then.
+    """
+    model, (path, *_), data, _ = answered
+    if model.verdict != "stiction" or not model.valve.stick_band > 0.0 or path.fit.theta >= AT_ONCE:
+        return 0
+    if _answers_before(data, path):
+        found = 1
+    elif (data.a.size == 1 and path.even) or noise_alone(record):
+        return 0
+    else:
+        found = next((n for n in range(1, LATEST + 1) if noise_alone(as_sent(record, n))), 0)
+    return 0 if found == 0 or runs_faster(record) else found
+
+
+def _answers_before(data: Centred, path: Path) -> bool:
+    """Whether PV answers the stem clearly better, in N log V, where that moves a sample earlier.
+
+    Noise in PV tells against it: what sets a stem off moves PV the other way than the stem does.
+    """
+    n, fit, begin = data.samples, path.fit, max(path.first - 1, 0)
+    limits = Limits((LEAST_TAU, float(n)), (0.0, fit.theta + AT_ONCE))
+    sooner = np.append(path.x[1:], path.x[-1])
+    free = (-math.inf, math.inf)
+    as_it_is = fit_path(data, path.x, path.first, free, limits, fit.theta, tau=fit.tau).sse
+    tried = (fit_path(data, sooner, begin, free, limits, theta, tau=fit.tau).sse for theta in (0.0, 0.5, 1.0))
+    least = data.floor * n
+    return math.log(max(as_it_is, least) / max(min(tried), least)) * n > CLEAR_BIC
+
+
+def as_sent(record: Record, samples: int) -> Record:
+    """Return a record with OP so many samples earlier; its last value stands after it."""
+    return replace(record, op=earlier(record.op, samples), rest=())
+
+
+def words_of_sooner(samples: int, sample_time: float) -> tuple[str, ...]:
+    """Return in words that OP is late by so many samples (of s), where it is."""
+    if samples == 0:
+        return ()
+    by = f"{given(samples * sample_time, 3)} s ({samples} sample{'s' if samples > 1 else ''})"
+    said = (
+        f"PV answers the valve before the recorded OP lets it move: OP is recorded up to {by} later than it was sent, "
+        "and is taken so much earlier; the dead time is from there on"
+    )
+    return (said,)
