@@ -8,7 +8,7 @@ import numpy as np
 
 from workbench.model.record import FloatArray
 
-__all__ = ["slowest", "strongest"]
+__all__ = ["FEWEST_PERIODS", "slowest", "strongest"]
 
 FEWEST_PERIODS = 3  # of a sinusoidal disturbance
 FINER = 4  # its frequency against that of the record's own

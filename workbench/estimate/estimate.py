@@ -20,7 +20,7 @@ from workbench.estimate.fits.sureness import SHARP
 from workbench.estimate.loads.swing import Answered, Swing, beside_swing, words_of_swing
 from workbench.estimate.methods.refined import by_complementarity, jointly, refuse_complementarity
 from workbench.estimate.methods.two_step import two_step
-from workbench.estimate.plants import CLEAR_BIC, ENDLESS, foretelling_of, ramps, with_other_plant
+from workbench.estimate.plants import CLEAR_BIC, ENDLESS, foretelling_of, ramps, swings_as_a_lag, with_other_plant
 from workbench.estimate.ranges.between import between_samples
 from workbench.estimate.ranges.scale import joined
 from workbench.estimate.record_fits import DELAYS, LINEAR_DELAYS, Fits, first_fits, longest_delay
@@ -385,10 +385,13 @@ def _likelier_plant(record: Record, asked: _Asked, tell: Callable[[float], None]
         # Where more than noise is left, a stem may be what shows a lag that levels off.
         if first == "fopdt":
             return likelier, ()
-        if likelier.answered.settled.a.size == 1 or _endless(begin("fopdt")):
-            return likelier, (WORDS_OF_ENDLESS,)
-        if ahead > 0.0 and begin("fopdt").ramps:
-            return likelier, (f"along this stem {NAMES[first]} has the lower BIC, by {given(ahead, 3)}",)
+        # Of an oscillation from outside a level takes a part for what its stem does; a lag has a stem of its own then.
+        sticks = likelier.answered.model.verdict == "stiction"
+        if not (sticks and (likelier.swing is not None or swings_as_a_lag(record, likelier.answered))):
+            if likelier.answered.settled.a.size == 1 or _endless(begin("fopdt")):
+                return likelier, (WORDS_OF_ENDLESS,)
+            if ahead > 0.0 and begin("fopdt").ramps:
+                return likelier, (f"along this stem {NAMES[first]} has the lower BIC, by {given(ahead, 3)}",)
     other = search(second)
     found = {first: likelier, second: other}
     bics = {plant: foretelling_of(record, plant, one.answered, closely=True) for plant, one in found.items()}

@@ -28,14 +28,14 @@ from workbench.estimate.fits.fit import (
 from workbench.estimate.fits.windows import WHOLE
 from workbench.estimate.loads.coloured import colour_beside
 from workbench.estimate.loads.drifting import drifting_bic
-from workbench.estimate.loads.swing import Answered, Model
+from workbench.estimate.loads.swing import Answered, Model, swings
 from workbench.estimate.search.models import PLANT_PARAMETERS, VALVE_PARAMETERS
 from workbench.model.plant import FOPDT, Plant
 from workbench.model.record import FloatArray, Record
 from workbench.model.results import LinearFit
 from workbench.model.valve import Ideal, Valve
 
-__all__ = ["CLEAR_BIC", "ENDLESS", "foretelling_bic", "foretelling_of", "ramps", "with_other_plant"]
+__all__ = ["CLEAR_BIC", "ENDLESS", "foretelling_bic", "foretelling_of", "ramps", "swings_as_a_lag", "with_other_plant"]
 
 ROUNDS = 4
 CLEAR_BIC = 10.0  # R. Kass, A. Raftery, J. Am. Stat. Assoc. 90 (1995) 773-795: "very strong" evidence above it
@@ -135,6 +135,19 @@ def with_other_plant(record: Record, kind: str, answered: Answered[Model], *, cl
     stem = _stem(record, model)
     how = partial(foretelling_bic, closely=closely, far=closely and _sticks(model))
     return min(how(data, plant, *stem, model.prediction) for plant in plants)
+
+
+def swings_as_a_lag(record: Record, answered: Answered[Model]) -> bool:
+    """Return whether a lag along a level's stem, beside that model's load steps, leaves an oscillation from outside.
+
+    A level that sums up its stem takes a part of such a load for its own work, and leaves no more along it than a lag
+    that does not know of the load.
+    """
+    data, lead, n = _less_loads(record, "fopdt", answered), answered.paths[0], len(record)
+    limits = Limits((LEAST_TAU, float(n)), (0.0, max(2.0 * lead.fit.theta, 30.0)))
+    free, theta = (-math.inf, math.inf), lead.fit.theta
+    fits = (fit_path(data, lead.x, lead.first, free, limits, theta, tau=share * n) for share in TAUS)
+    return swings(data, replace(lead, bounds=free, fit=min(fits, key=lambda fit: fit.sse)), limits)
 
 
 def _free(data: Centred, valve: Valve) -> int:

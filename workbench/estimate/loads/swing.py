@@ -15,7 +15,7 @@ from typing import Generic, NamedTuple, TypeVar
 import numpy as np
 from scipy.optimize import minimize
 
-from workbench.detect.sinusoid import slowest, strongest
+from workbench.detect.sinusoid import FEWEST_PERIODS, slowest, strongest
 from workbench.detect.whitening import whitened
 from workbench.estimate.fits.data import Centred
 from workbench.estimate.fits.fit import LEAST_TAU, LOUD, Limits, autoregression, grounded, grown, predict
@@ -30,7 +30,7 @@ from workbench.model.plant import Integrating, Plant
 from workbench.model.record import FloatArray
 from workbench.model.results import Estimate, Intervals, LinearFit
 
-__all__ = ["SWINGS", "Answered", "Swing", "beside_swing", "besides", "words_of_swing"]
+__all__ = ["SWINGS", "Answered", "Swing", "beside_swing", "besides", "swings", "words_of_swing"]
 
 # Of N log V: the highest of N/2 frequencies gains 2 log(N/2) in noise alone. Amplitude, phase and a frequency that is
 # searched for: four degrees (N. Zhang, D. Siegmund, Biometrics 63 (2007) 22-32, of change points). Beyond these "very
@@ -38,6 +38,8 @@ __all__ = ["SWINGS", "Answered", "Swing", "beside_swing", "besides", "words_of_s
 DEGREES, CLEAR = 4, 10.0
 FEWEST = 50  # samples
 MUCH = 0.25  # of what is left: a smaller sinusoid does the plant little harm
+LAGS, LONGEST = 6, 0.25  # lags along which sinusoids are looked for, up to a quarter of the record, and
+ALONE = 0.025  # of a sinusoid's squares about: less than a tenth of them is not what the model itself can do
 SPREAD, SHIFT, TURN = 0.05, 0.5, 0.2  # of the time constant, samples, and a turn over the record: the first simplex's
 EVALUATIONS = 400
 SWINGS, SETTLED = 5, 0.98  # times that it is fitted, while the model then leaves less of PV
@@ -125,6 +127,11 @@ def besides(data: Centred, swing: Swing | None) -> Centred:
     return data if swing is None else data.less(swing.pv, swing.answers)
 
 
+def swings(data: Centred, lead: Path, limits: Limits) -> bool:
+    """Return whether an oscillation from outside stands out of what a stem with its plant leaves, as `beside_swing`."""
+    return _swing_of(data, lead, limits, None)[0] is not None
+
+
 def _swing_of(data: Centred, lead: Path, limits: Limits, before: Swing | None) -> tuple[Swing | None, float]:
     """Return the oscillation that the best model leaves, or None where there is none, and what both leave, EU^2.
 
@@ -137,7 +144,7 @@ def _swing_of(data: Centred, lead: Path, limits: Limits, before: Swing | None) -
     left = data.y - predict(data, lead.x, lead.first, grounded(data, lead.x, lead.first, fit, lead.bounds))[0]
     a, level = autoregression(left, data.floor)
     if before is not None:
-        swing, rest = _fitted(data, data.y + before.pv, lead, limits, before.angle)
+        swing, rest = _fitted(data, data.y + before.pv, lead, before.angle, limits)
         return swing, float(rest @ rest) / n
     innovations = whitened(a, left)[a.size :]
     angles = {strongest(left), strongest(innovations)}
@@ -146,7 +153,9 @@ def _swing_of(data: Centred, lead: Path, limits: Limits, before: Swing | None) -
         a.size == 1 and stands_out < 2.0 * math.log(n / 2.0) + CLEAR
     ):
         return None, math.inf
-    tried = (_fitted(data, data.y, lead, limits, angle) for angle in sorted(angles))
+    leads = [(lead, angle) for angle in sorted(angles)]
+    # A plant that is far off, as a lag that never levels off for the sake of the oscillation, leaves others.
+    tried = (_fitted(data, data.y, *one, limits) for one in [*leads, *_scanned(data, lead, limits)])
     found = [one for one in tried if one[0].angle > slowest(n)]
     if not found:
         return None, math.inf
@@ -165,7 +174,7 @@ def _swing_of(data: Centred, lead: Path, limits: Limits, before: Swing | None) -
     return swing if clear else None, float(rest @ rest) / n
 
 
-def _fitted(data: Centred, y: FloatArray, lead: Path, limits: Limits, angle: float) -> tuple[Swing, FloatArray]:
+def _fitted(data: Centred, y: FloatArray, lead: Path, angle: float, limits: Limits) -> tuple[Swing, FloatArray]:
     """A sinusoid of about a frequency fitted to y beside a stem and its plant, and what both leave."""
     n, fit, size = data.samples, lead.fit, 2 if data.integrating else 3
 
@@ -195,6 +204,33 @@ def _fitted(data: Centred, y: FloatArray, lead: Path, limits: Limits, angle: flo
     sizes = terms[-2:]
     turned = np.arange(n) * (sizes @ _waves(at, n, 0.5 * math.pi))
     return Swing(at, float(np.hypot(*sizes)), sizes @ waves, np.vstack([waves, turned])), y - terms @ columns
+
+
+def _scanned(data: Centred, lead: Path, limits: Limits) -> list[tuple[Path, float]]:
+    """The plant and the sinusoid that leave least together along a stem, of a grid of plants and all frequencies."""
+    n, fit = data.samples, lead.fit
+    finer, lowest = 2 * n, 2 * FEWEST_PERIODS
+    taus = [fit.tau] if data.integrating else np.geomspace(limits.tau[0], LONGEST * n, LAGS).tolist()
+    least, best = math.inf, (fit.tau, fit.theta, 0)
+    for tau in taus:
+        for theta in delays_about(fit.theta, limits.theta[1]):
+            columns = predict(data, lead.x, lead.first, replace(fit, tau=tau, theta=theta))[1]
+            base = np.linalg.qr(columns.T)[0].T
+            rest = data.y - (base @ data.y) @ base
+            of_rest, of_base = np.fft.rfft(rest, finer), np.fft.rfft(base, finer)
+            # Cosine and sine less what the model's columns hold of them: their products with each other and with PV.
+            cosine = 0.5 * n - (of_base.real**2).sum(axis=0)
+            sine = 0.5 * n - (of_base.imag**2).sum(axis=0)
+            both = (of_base.real * of_base.imag).sum(axis=0)
+            taken = sine * of_rest.real**2 - 2.0 * both * of_rest.real * of_rest.imag + cosine * of_rest.imag**2
+            alone = cosine * sine - both**2
+            gains = np.where(alone > ALONE * n * n, taken / np.maximum(alone, 1e-300), 0.0)[lowest : finer // 4]
+            at = int(np.argmax(gains))
+            left = float(rest @ rest) - float(gains[at])
+            if left < least:
+                least, best = left, (tau, theta, lowest + at)
+    tau, theta, at = best
+    return [(replace(lead, fit=replace(fit, tau=tau, theta=theta)), 2.0 * math.pi * at / finer)] if at else []
 
 
 def _waves(angle: float, n: int, ahead: float = 0.0) -> FloatArray:
