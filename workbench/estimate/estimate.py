@@ -22,6 +22,7 @@ from workbench.estimate.methods.refined import by_complementarity, jointly, refu
 from workbench.estimate.methods.two_step import two_step
 from workbench.estimate.plants import CLEAR_BIC, ENDLESS, foretelling_of, ramps, swings_as_a_lag, with_other_plant
 from workbench.estimate.ranges.between import between_samples
+from workbench.estimate.ranges.lagging import lagging
 from workbench.estimate.ranges.scale import joined
 from workbench.estimate.record_fits import DELAYS, LINEAR_DELAYS, Fits, first_fits, longest_delay
 from workbench.estimate.repeat import repeats_of, words_of
@@ -96,25 +97,25 @@ def estimate(
     record cannot tell from the best, and None below ten stem moves, which do not pin the stem's unknown start (the
     plant's ranges then hold stems with S and J that slip some samples earlier or later too, see `ranges.few`); with
     valve "auto" every range holds those of the other sticking valves that fit as well too, and beside Stenman's the
-    plant's of stems that rest short of OP (He's law, see `ranges.resting`). A valve that does not stick alike at every
-    slip is told with the mean of its bands, where that is clearly likelier than one band for all beside what disturbs
-    the loop, or where OP was recorded in steps, which hide some slips (`search.uneven`; 10,000 samples at most). Where
-    the controller runs faster than the record, S, d and J are known to no less than OP's move in a sample, and the dead
-    time may be half a sample longer (`ranges.between`). Where a search ended at its limit, or the record tells nothing,
-    a range is open (see `Intervals`); so are the plant's of a linear loop whose setpoint stands still, where OP only
-    answers PV. Where the verdict is "undecided" and a linear loop is not clearly less likely, the plant's ranges hold
-    that one's too. A sticking valve by "two_step" has no ranges: it does not look for others that fit as well; nor has
-    the linear model of a valve that sticks. Steps of the load that nobody recorded are fitted beside the model
-    (`load_steps`, see `loads.steps`); a linear loop that leaves noise alone beside some is told, with its plant, or a
-    dead band that is clearly likelier than that loop ("undecided", as nothing else accuses the valve). An oscillation
-    from outside the loop, a sinusoid that is a quarter or more of what the model leaves, is fitted beside the model
-    (`load_swing`; 10,000 samples at most; not by "two_step"). A PV that is recorded later than the controller saw it is
-    looked at as that did (`pv_late`), and an OP that is recorded later than it was sent, so that PV answers a sticking
-    valve before, as it was sent (`op_late`, see `sooner`). Values of PV or OP that stand out from their neighbours
-    alone are left out (`detect.spikes`). identifiable is True where the verdict is "stiction", no range is open, that
-    hull is at most a tenth of d wide and gain's at most a fifth of the gain; not where PV was kept by exception or
-    mostly lies between recorded values, whose error no range holds, nor for an OP that is no per cent (see
-    `detect.causes`). Raises
+    plant's of stems that rest short of OP (He's law, see `ranges.resting`); the plant's hold those of a stem or a
+    process with a second lag (`ranges.lagging`). A valve that does not stick alike at every slip is told with the mean
+    of its bands, where that is clearly likelier than one band for all beside what disturbs the loop, or where OP was
+    recorded in steps, which hide some slips (`search.uneven`; 10,000 samples at most). Where the controller runs faster
+    than the record, S, d and J are known to no less than OP's move in a sample, and the dead time may be half a sample
+    longer (`ranges.between`). Where a search ended at its limit, or the record tells nothing, a range is open (see
+    `Intervals`); so are the plant's of a linear loop whose setpoint stands still, where OP only answers PV. Where the
+    verdict is "undecided" and a linear loop is not clearly less likely, the plant's ranges hold that one's too. A
+    sticking valve by "two_step" has no ranges: it does not look for others that fit as well; nor has the linear model
+    of a valve that sticks. Steps of the load that nobody recorded are fitted beside the model (`load_steps`, see
+    `loads.steps`); a linear loop that leaves noise alone beside some is told, with its plant, or a dead band that is
+    clearly likelier than that loop ("undecided", as nothing else accuses the valve). An oscillation from outside the
+    loop, a sinusoid that is a quarter or more of what the model leaves, is fitted beside the model (`load_swing`;
+    10,000 samples at most; not by "two_step"). A PV that is recorded later than the controller saw it is looked at as
+    that did (`pv_late`), and an OP that is recorded later than it was sent, so that PV answers a sticking valve before,
+    as it was sent (`op_late`, see `sooner`). Values of PV or OP that stand out from their neighbours alone are left out
+    (`detect.spikes`). identifiable is True where the verdict is "stiction", no range is open, that hull is at most a
+    tenth of d wide and gain's at most a fifth of the gain; not where PV was kept by exception or mostly lies between
+    recorded values, whose error no range holds, nor for an OP that is no per cent (see `detect.causes`). Raises
     `RecordError` for a record that holds no information (too short, PV or OP constant, values that no plant has) or is
     too long for the method, and `InvalidValue` for arguments that are not allowed.
     """
@@ -308,7 +309,9 @@ def _told(record: Record, found: _Searched, asked: _Asked, tell: Callable[[float
         limits = Limits((LEAST_TAU, float(data.samples)), (0.0, longest_delay(data, max_dead_time, int(usual))))
         refine, used = (jointly, data) if method == "joint" else (by_complementarity, settled)
         answer = refine(used, answer, paths, limits, tell)
-    answer = replace(answer, intervals=reduce(joined, others, answer.intervals))
+    sticks = answer.verdict == "stiction" and answer.valve.stick_band > 0.0
+    lags, lagged = lagging(settled, paths[0]) if sticks else (Intervals(), ())
+    answer = replace(answer, intervals=reduce(joined, (*others, lags), answer.intervals))
     ranges, faster = between_samples(record, answer)
     answer = replace(answer, intervals=ranges)
     # Where OP's steps hide the stem, its parts tell no more than the whole.
@@ -323,7 +326,7 @@ def _told(record: Record, found: _Searched, asked: _Asked, tell: Callable[[float
         answer,
         repeats=repeats,
         load_swing=load,
-        reasons=answer.reasons + swung + opened + faster + said,
+        reasons=answer.reasons + swung + opened + lagged + faster + said,
         identifiable=answer.identifiable and _sharp(answer) and not opened,
     )
 
