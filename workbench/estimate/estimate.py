@@ -309,8 +309,8 @@ def _told(record: Record, found: _Searched, asked: _Asked, tell: Callable[[float
         limits = Limits((LEAST_TAU, float(data.samples)), (0.0, longest_delay(data, max_dead_time, int(usual))))
         refine, used = (jointly, data) if method == "joint" else (by_complementarity, settled)
         answer = refine(used, answer, paths, limits, tell)
-    sticks = answer.verdict == "stiction" and answer.valve.stick_band > 0.0
-    lags, lagged = lagging(settled, paths[0]) if sticks else (Intervals(), ())
+    ranged = answer.verdict == "stiction" and answer.valve.stick_band > 0.0 and answer.intervals.gain is not None
+    lags, lagged = lagging(settled, paths[0]) if ranged else (Intervals(), ())
     answer = replace(answer, intervals=reduce(joined, (*others, lags), answer.intervals))
     ranges, faster = between_samples(record, answer)
     answer = replace(answer, intervals=ranges)
