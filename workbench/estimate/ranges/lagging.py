@@ -14,7 +14,6 @@ from workbench.estimate.fits.data import Centred
 from workbench.estimate.fits.fit import LEAST_TAU, Fit, Limits, fit_path
 from workbench.estimate.fits.sureness import effective_samples, standard_errors
 from workbench.estimate.fits.windows import WHOLE
-from workbench.estimate.plants import CLEAR_BIC
 from workbench.estimate.ranges.scale import ranges_of
 from workbench.estimate.search.paths import Path
 from workbench.estimate.search.profile import CHI_SQUARE
@@ -25,6 +24,7 @@ from workbench.simulate.filter import first_order
 
 __all__ = ["lagging"]
 
+CLEAR = 10.0  # of N log V: "very strong" evidence (R. Kass, A. Raftery, J. Am. Stat. Assoc. 90 (1995) 773-795)
 LAGS = (0.5, 1.0, 1.5, 2.0, 3.0, 4.5, 7.0, 10.0, 15.0)  # samples
 FURTHEST = 30.0  # samples of dead time, or twice that found
 
@@ -58,7 +58,7 @@ def lagging(data: Centred, path: Path) -> tuple[Intervals, tuple[str, ...]]:
     lag, best = found[at]
     errors = standard_errors(data, _lagged(path, lag), path.first, best, clamped=False)
     ranges = ranges_of(data, [one for _, one in alike], errors, None, limits.theta[1])
-    if not n * math.log(own / least) > CLEAR_BIC:
+    if not n * math.log(own / least) > CLEAR:
         return ranges, ()
     said = (
         f"the stem, or the process, has a second lag of about {given(lag * data.sample_time, 2)} s, for which time "
