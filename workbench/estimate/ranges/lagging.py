@@ -14,6 +14,7 @@ from workbench.estimate.fits.data import Centred
 from workbench.estimate.fits.fit import LEAST_TAU, Fit, Limits, fit_path
 from workbench.estimate.fits.sureness import effective_samples, standard_errors
 from workbench.estimate.fits.windows import WHOLE
+from workbench.estimate.loads.steps import CLEAR
 from workbench.estimate.ranges.scale import ranges_of
 from workbench.estimate.search.paths import Path
 from workbench.estimate.search.profile import CHI_SQUARE
@@ -24,7 +25,6 @@ from workbench.simulate.filter import first_order
 
 __all__ = ["lagging"]
 
-CLEAR = 10.0  # of N log V: "very strong" evidence (R. Kass, A. Raftery, J. Am. Stat. Assoc. 90 (1995) 773-795)
 LAGS = (0.5, 1.0, 1.5, 2.0, 3.0, 4.5, 7.0, 10.0, 15.0)  # samples
 FURTHEST = 30.0  # samples of dead time, or twice that found
 
