@@ -126,7 +126,7 @@ def test_slips_that_ops_rounding_hides_are_told_by_pv(method: str) -> None:
 
 
 def test_a_valve_that_was_asked_for_is_the_one_told() -> None:
-    record = cycle(0.06, jump=1.0, samples=1400)[0]
+    record = cycle(0.06, jump=1.0, samples=900)[0]
     assert isinstance(wb.estimate(record, plant="fopdt", valve="stenman").valve, wb.Stenman)
     assert isinstance(wb.estimate(record, plant="fopdt", valve="deadband").valve, wb.Deadband)
 
