@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from functools import cache
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 import workbench as wb
+from workbench.estimate import sooner
+from workbench.estimate.loads.swing import Answered
 from workbench.model.study import NamedEstimate
 from workbench.report.estimates import estimate_sentences
 
@@ -43,3 +46,29 @@ def test_the_report_says_by_how_much() -> None:
     said = " ".join(estimate_sentences(NamedEstimate("Flow", found(1))))
     assert "Flow: OP is recorded up to 1 s later than it was sent; the dead time is from there on." in said
     assert "later than it was sent" not in " ".join(estimate_sentences(NamedEstimate("Flow", found(0))))
+
+
+@pytest.mark.parametrize(
+    ("verdict", "left", "colours", "samples"),
+    [("stiction", 0.9, 2, 3), ("stiction", 1.1, 1, 3), ("stiction", 1.1, 2, 0), ("undecided", 0.9, 1, 0)],
+)
+def test_op_stands_where_a_stem_that_is_sent_sooner_explains_less(
+    monkeypatch: pytest.MonkeyPatch, verdict: str, left: float, colours: int, samples: int
+) -> None:
+    # Three samples are the most, and what was found stands where no stem is known a sample earlier, or more is left.
+    monkeypatch.setattr(sooner, "_answers_before", lambda *_: True)
+    monkeypatch.setattr(sooner, "runs_faster", lambda _: False)
+    record = wb.Record(np.sin(np.arange(50.0)), np.arange(50.0), 1.0)
+    looked: list[float] = []
+
+    def search(one: wb.Record) -> Answered:
+        moved = float(one.op[0])
+        looked.append(moved)
+        model = SimpleNamespace(verdict=verdict if moved else "stiction", valve=VALVE, residual_variance=left**moved)
+        path = SimpleNamespace(fit=SimpleNamespace(theta=0.2), even=True)
+        return Answered(model, [path], SimpleNamespace(a=np.ones(colours), integrating=False), ())
+
+    sent, found, by = sooner.as_sent(record, search, lambda one: one, lambda *_: False)
+    assert by == samples == sent.op[0]
+    assert found.model.residual_variance == left**samples
+    assert max(looked) == max(samples, 1)

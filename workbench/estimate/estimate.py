@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cached_property, reduce
+from functools import cached_property, partial, reduce
 from statistics import median
 from typing import NamedTuple
 
@@ -32,7 +32,7 @@ from workbench.estimate.search.profile import Profile
 from workbench.estimate.search.reach import searched
 from workbench.estimate.search.stems import rising, silent
 from workbench.estimate.sent import left_by_line, left_by_stem, likelier_op
-from workbench.estimate.sooner import LATEST, as_sent, sent_before, words_of_sooner
+from workbench.estimate.sooner import as_sent, words_of_sooner
 from workbench.estimate.straight import Straight, free_of, linear_beside
 from workbench.model.checks import callback, choice, number
 from workbench.model.numbers import given
@@ -141,11 +141,15 @@ def estimate(
     asked = _Asked(method, valve, start, max_dead_time)
     # Where programs go on from the search, that is as much again.
     shares = 1 + (method in PROGRAMS)
-    found, said = _found(seen, plant, asked, lambda share: tell(share / shares))
-    sooner = 0
-    while sooner < LATEST and late.samples == 0 and method != "two_step" and (more := _sent_before(seen, asked, found)):
-        seen, sooner = as_sent(seen, more), sooner + more
-        found, said = _found(seen, plant, asked, lambda share: tell(share / shares))
+
+    def search(one: Record) -> tuple[_Searched, tuple[str, ...]]:
+        return _found(one, plant, asked, lambda share: tell(share / shares))
+
+    if late.samples or method == "two_step":
+        (found, said), sooner = search(seen), 0
+    else:
+        noise = partial(_noise_alone, asked)
+        seen, (found, said), sooner = as_sent(seen, search, lambda one: one[0].answered, noise)
     answer = _told(seen, found, asked, lambda share: tell(1.0 - (1.0 - share) / shares))
     said += words_of_late(record, late) + words_of_sooner(sooner, record.sample_time)
     said += words_of_spikes(record) + _cut(record, max_dead_time)
@@ -176,16 +180,11 @@ def _found(
     return _searched(record, _begun(record, plant, line, asked, tell), asked), ()
 
 
-def _sent_before(record: Record, asked: _Asked, found: _Searched) -> int:
-    """By how many samples OP was sent before the record has it (`sent_before`)."""
-    kind = "fopdt" if isinstance(found.answered.model.plant, FOPDT) else "integrating"
-
-    def noise_alone(one: Record) -> bool:
-        data = centre(one, kind)
-        delays = longest_delay(data, asked.max_dead_time, DELAYS)
-        return left_by_stem(data, _profile(data, asked.max_dead_time, silent), delays).noise
-
-    return sent_before(record, found.answered, noise_alone)
+def _noise_alone(asked: _Asked, record: Record, kind: str) -> bool:
+    """Whether a stem leaves noise alone with a kind of plant."""
+    data = centre(record, kind)
+    delays = longest_delay(data, asked.max_dead_time, DELAYS)
+    return left_by_stem(data, _profile(data, asked.max_dead_time, silent), delays).noise
 
 
 def _cut(record: Record, max_dead_time: float | None) -> tuple[str, ...]:

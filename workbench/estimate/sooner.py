@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import replace
+from typing import TypeVar
 
 import numpy as np
 
@@ -24,28 +25,56 @@ from workbench.model.numbers import given
 from workbench.model.record import Record
 from workbench.model.results import Estimate
 
-__all__ = ["LATEST", "as_sent", "sent_before", "words_of_sooner"]
+__all__ = ["as_sent", "words_of_sooner"]
+
+Found = TypeVar("Found")
 
 LATEST = 3  # samples that OP may be late
 AT_ONCE = 1.0  # samples: a plant with a longer dead time has no answer that comes too soon
 
 
-def sent_before(record: Record, answered: Answered[Estimate], noise_alone: Callable[[Record], bool]) -> int:
-    """Return by how many samples OP was sent before the record has it, as far as the valve that sticks shows it.
+def as_sent(
+    record: Record,
+    search: Callable[[Record], Found],
+    answered: Callable[[Found], Answered[Estimate]],
+    noise_alone: Callable[[Record, str], bool],
+) -> tuple[Record, Found, int]:
+    """Return a record with OP as it was sent, what is found there, and by how many samples that is earlier.
 
-    answered: a model with its stem and the record as it was fitted, beside its loads. noise_alone: whether a stem of a
-    record's OP leaves noise alone, which an OP that is late may hide: stems then slip a sample too late, or otherwise.
-    Nothing is said where the controller runs faster than the record, as what moves the valve is newer than OP then.
+    search: finds a model of a record, of which `answered` is its stem and the record as it was fitted, beside loads.
+    noise_alone: whether a stem of a record's OP leaves noise alone with a kind of plant.
+    """
+    found, samples = search(record), 0
+    while more := _sent_before(record, answered(found), noise_alone, LATEST - samples):
+        moved = _moved(record, more)
+        other = search(moved)
+        before, after = answered(found), answered(other)
+        less = after.settled.a.size == 1 or after.model.residual_variance < before.model.residual_variance
+        if after.model.verdict != "stiction" or not less:
+            break
+        record, found, samples = moved, other, samples + more
+    return record, found, samples
+
+
+def _sent_before(
+    record: Record, answered: Answered[Estimate], noise_alone: Callable[[Record, str], bool], most: int
+) -> int:
+    """By how many samples, at most so many, OP was sent before the record has it, as far as a sticking valve shows it.
+
+    Where OP is late stems slip a sample too late, or otherwise, and what is right may be hidden. Nothing is said where
+    the controller runs faster than the record, as what moves the valve is newer than OP then.
     """
     model, (path, *_), data, _ = answered
-    if model.verdict != "stiction" or not model.valve.stick_band > 0.0 or path.fit.theta >= AT_ONCE:
+    sticks = model.verdict == "stiction" and model.valve.stick_band > 0.0
+    if most == 0 or not sticks or path.fit.theta >= AT_ONCE:
         return 0
+    kind = "integrating" if data.integrating else "fopdt"
     if _answers_before(data, path):
         found = 1
-    elif (data.a.size == 1 and path.even) or noise_alone(record):
+    elif (data.a.size == 1 and path.even) or noise_alone(record, kind):
         return 0
     else:
-        found = next((n for n in range(1, LATEST + 1) if noise_alone(as_sent(record, n))), 0)
+        found = next((n for n in range(1, most + 1) if noise_alone(_moved(record, n), kind)), 0)
     return 0 if found == 0 or runs_faster(record) else found
 
 
@@ -64,8 +93,8 @@ def _answers_before(data: Centred, path: Path) -> bool:
     return math.log(max(as_it_is, least) / max(min(tried), least)) * n > CLEAR_BIC
 
 
-def as_sent(record: Record, samples: int) -> Record:
-    """Return a record with OP so many samples earlier; its last value stands after it."""
+def _moved(record: Record, samples: int) -> Record:
+    """A record with OP so many samples earlier; its last value stands after it."""
     return replace(record, op=earlier(record.op, samples), rest=())
 
 
