@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import math
 import re
 from functools import cache
@@ -16,8 +17,8 @@ FINE = 20  # steps a sample
 
 
 @cache
-def found(lag: float) -> wb.Estimate:
-    """The estimate of a loop, simulated step by step, whose stem sticks and then moves with a lag of first order, s."""
+def recorded(lag: float) -> wb.Record:
+    """A loop, simulated step by step, whose stem sticks and then moves with a lag of first order, s."""
     rng, n = np.random.default_rng(5), 1000
     pole, follows = math.exp(-1.0 / FINE / TAU), math.exp(-1.0 / FINE / lag) if lag > 0.0 else 0.0
     pv, op, late = np.zeros(n), np.zeros(n), [0.0] * round(DEAD * FINE)
@@ -32,8 +33,12 @@ def found(lag: float) -> wb.Estimate:
             stem = held + follows * (stem - held)
             late.append(stem)
             y = pole * y + (1.0 - pole) * GAIN * late.pop(0)
-    record = wb.Record(pv + 50.0, op + 40.0, 1.0, sp=np.full(n, 52.5))
-    return wb.estimate(record, plant="fopdt", valve="stenman")
+    return wb.Record(pv + 50.0, op + 40.0, 1.0, sp=np.full(n, 52.5))
+
+
+@cache
+def found(lag: float) -> wb.Estimate:
+    return wb.estimate(recorded(lag), plant="fopdt", valve="stenman")
 
 
 @pytest.mark.parametrize("lag", [0.0, 1.4])
@@ -55,3 +60,12 @@ def test_no_lag_widens_the_ranges_of_a_stem_without_one() -> None:
     assert high - low < 0.03 * GAIN
     low, high = found(0.0).intervals.dead_time or (math.nan, math.nan)
     assert DEAD - 0.1 < low <= DEAD <= high < DEAD + 0.1
+
+
+def test_what_moves_between_samples_is_no_second_lag(monkeypatch: pytest.MonkeyPatch) -> None:
+    module, faster = importlib.import_module("workbench.estimate.estimate"), ("the controller runs faster",)
+    monkeypatch.setattr(module, "between_samples", lambda _, answer: (answer.intervals, faster))
+    one = wb.estimate(recorded(1.4), plant="fopdt", valve="stenman")
+    assert faster[0] in one.reasons
+    assert not any("second lag" in reason for reason in one.reasons)
+    assert one.intervals == found(1.4).intervals

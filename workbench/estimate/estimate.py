@@ -325,7 +325,8 @@ def _told(record: Record, found: _Searched, asked: _Asked, tell: Callable[[float
         answer,
         repeats=repeats,
         load_swing=load,
-        reasons=answer.reasons + swung + opened + lagged + faster + said,
+        # Of a controller that is faster than the record a lag may be no more than what moved between samples.
+        reasons=answer.reasons + swung + opened + (faster or lagged) + said,
         identifiable=answer.identifiable and _sharp(answer) and not opened,
     )
 
