@@ -154,8 +154,11 @@ def _swing_of(data: Centred, lead: Path, limits: Limits, before: Swing | None) -
     ):
         return None, math.inf
     leads = [(lead, angle) for angle in sorted(angles)]
-    # A plant that is far off, as a lag that never levels off for the sake of the oscillation, leaves others.
-    tried = (_fitted(data, data.y, *one, limits) for one in [*leads, *_scanned(data, lead, limits)])
+    if lead.valve.stick_band > 0.0:
+        # A plant that is far off, as a lag that never levels off for the sake of the oscillation, leaves others. A loop
+        # without a stem swings by itself where it is tuned too tightly, which any oscillation would explain.
+        leads += _scanned(data, lead, limits)
+    tried = (_fitted(data, data.y, *one, limits) for one in leads)
     found = [one for one in tried if one[0].angle > slowest(n)]
     if not found:
         return None, math.inf
