@@ -130,6 +130,18 @@ def test_what_was_written_is_read(study: Study, put: Callable[..., Path]) -> Non
     assert one.estimates[0].intervals["S"] is None
 
 
+def test_settings_are_shown_with_every_digit_that_their_search_found(
+    study: Study, put: Callable[..., Path], case: Callable[..., Any], tuned: Callable[..., Any]
+) -> None:
+    cliff = case("Cliff", 2.44719005808, 8.32616150835)
+    least = replace(tuned(cliff.loop.controller, cliff.objective), nominal_only=True, digits=12)
+    both = replace(study, cases=(study.cases[0], study.cases[2], replace(cliff, tuned=least)), estimates=())
+    (table,) = tables(found(put(both)))
+    texts = {row.label: [cell.text for cell in row.cells] for row in table.rows}
+    assert texts["Kc"] == ["0.5", "2.351", "2.44719005808"]
+    assert texts["Ti"] == ["20", "9.500", "8.32616150835"]
+
+
 def test_folders_are_looked_into(study: Study, put: Callable[..., Path], tmp_path: Path) -> None:
     one, other = put(study, "site/a"), put(replace(study, name="b"), "site/b")
     fleet = tmp_path / "site" / "fleet"

@@ -11,11 +11,12 @@ import pytest
 from cascades import flow_and_temperature
 
 import workbench as wb
-from workbench.model.numbers import figure, given
+from workbench.model.numbers import figure, given, setting
 from workbench.model.results import Tuned
 from workbench.model.study import CascadeResult, Study
 from workbench.report.cascade import cascade_tables
 from workbench.report.cascade_settings import cascade_site_table
+from workbench.report.compared import read_all
 from workbench.report.page import write_report
 from workbench.report.results import results_json
 from workbench.report.summary import Summary, summarise
@@ -204,6 +205,34 @@ def test_how_sure_it_is_counts_digits_searches_and_the_long_run(study: Study) ->
     assert short is not None
     assert short.level == "low"
     assert "too short for the cycle" in short.why
+
+
+def test_a_search_of_a_cascade_that_ended_on_a_bound_is_said(study: Study) -> None:
+    found, _, tighter, _ = study.cascade
+    both = tighter.run.cascade
+    Kc = both.primary.controller.Kc
+    narrow = replace(search(tighter), bounds=wb.Bounds((0.1, Kc), (10.0, 900.0), (0.0, 0.0)))
+    wide = replace(narrow, bounds=wb.Bounds((0.1, 10.0 * Kc), (10.0, 900.0), (0.0, 0.0)))
+    for cascade, unit in ((both, "EU"), (replace(both, scale=2.0), "unit")):
+        made = wb.model.cascade.CascadeTuned(cascade, study.experiment, narrow, wide, 2.0)
+        sentences = [one for one in told(study, found, replace(tighter, tuned=made)).found if "ended with" in one]
+        ended = f"Kc on its upper bound of {Kc:g} {unit}/EU; a better tuning may lie beyond."
+        assert sentences == [f"Tighter: the search of the primary ended with {ended}"]
+    below = both.secondary.controller
+    tight = replace(wide, controller=below, bounds=wb.Bounds((below.Kc, 9.0), (0.1, 99.0), (0.0, 0.0)))
+    made = wb.model.cascade.CascadeTuned(both, study.experiment, wide, tight, 2.0)
+    (sentence,) = (one for one in told(study, found, replace(tighter, tuned=made)).found if "ended with" in one)
+    assert f"the search of the secondary ended with Kc on its lower bound of {setting(below.Kc)} %/EU" in sentence
+
+
+def test_a_comparison_shows_the_digits_that_a_cascades_searches_found(study: Study, tmp_path: Path) -> None:
+    found, _, tighter, _ = study.cascade
+    made = wb.model.cascade.CascadeTuned(tighter.run.cascade, study.experiment, search(tighter), None, 2.0)
+    path = tmp_path / "results.json"
+    cases = (found, replace(tighter, tuned=made))
+    path.write_text(results_json(replace(study, cascade=cases, cascade_site_cases=())), encoding="utf-8")
+    (read,), _ = read_all([path])
+    assert [(e.name, e.part, e.digits) for e in read.entries if e.digits] == [("Tighter", "primary", 4)]
 
 
 def test_a_lucky_rounding_of_a_cascade_is_no_promise(study: Study) -> None:

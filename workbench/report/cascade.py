@@ -9,7 +9,7 @@ from workbench.model.cascade import Appearance
 from workbench.model.results import Kpis
 from workbench.model.study import CascadeResult, Study
 from workbench.model.titles import kpi_title, within
-from workbench.report.judge import settling_band, settling_doubt
+from workbench.report.judge import on_bounds, settling_band, settling_doubt
 from workbench.report.shared import CONTROLLER_ROWS, experiment_words, objective_words
 from workbench.report.tables import Cell, Row, Table, shown
 from workbench.report.words import (
@@ -192,7 +192,21 @@ def cascade_sentences(study: Study) -> list[str]:
             f"{figure(above.pv_peak_to_peak)} EU in the primary and {figure(below.pv_peak_to_peak)} EU in the "
             f"secondary, whose setpoint swings {figure(below.sp_peak_to_peak)} EU."
         )
-    return found + _alone(study.cascade)
+    return found + _alone(study.cascade) + [text for case in study.cascade for text in _bounded(case)]
+
+
+def _bounded(case: CascadeResult) -> list[str]:
+    """Name the searches of a case that ended on a bound."""
+    if case.tuned is None:
+        return []
+    units = {"secondary": "%", "primary": case.tuned.cascade.output_unit}
+    searches = {which: getattr(case.tuned, which) for which in units}
+    ended = {which: on_bounds(one, units[which]) for which, one in searches.items() if one is not None}
+    return [
+        f"{case.name}: the search of the {which} ended with {join(where)}; a better tuning may lie beyond."
+        for which, where in ended.items()
+        if where
+    ]
 
 
 def _alone(cases: Sequence[CascadeResult]) -> list[str]:

@@ -278,9 +278,9 @@ def _rows(block: Sequence[Line], found: Comparison) -> list[Row]:
         held = ["base" if line is base else "no, see above" if line.apart else "yes" for line in block]
         rows.append(Row("Held against the base", "", tuple(Cell(text) for text in held)))
     rows += [
-        Row("Kc", "%/EU", tuple(Cell(setting(e.Kc)) for e in entries), group=True),
-        Row("Ti", "s", tuple(Cell(setting(e.Ti)) for e in entries)),
-        Row("Td", "s", tuple(Cell(setting(e.Td)) for e in entries)),
+        Row("Kc", "%/EU", tuple(Cell(setting(e.Kc, e.digits)) for e in entries), group=True),
+        Row("Ti", "s", tuple(Cell(setting(e.Ti, e.digits)) for e in entries)),
+        Row("Td", "s", tuple(Cell(setting(e.Td, e.digits)) for e in entries)),
     ]
     texts: list[tuple[str, list[str], list[str]]] = [
         ("Form", *_both(found, entries, lambda e: e.form)),

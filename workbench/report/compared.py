@@ -78,10 +78,21 @@ class _BothKpis(_Part):
     secondary: dict[str, Figure]
 
 
+class _Search(_Part):
+    name: str
+    digits: int | None = None
+
+
+class _Searches(_Part):
+    primary: _Search | None = None
+    secondary: _Search | None = None
+
+
 class _CascadeCase(_Part):
     name: str
     controllers: _Both
     kpis: _BothKpis
+    tuning: _Searches | None = None
     settling_doubt: str | None = None
     objective: Figure = math.nan
     limit_cycle: _Cycle | None = None
@@ -136,6 +147,7 @@ class _File(_Head):
     objective: dict[str, Any] | None = None
     experiment: dict[str, Any] | None = None
     cascade: _Cascade | None = None
+    tuning: list[_Search] = []
     trends: list[_Trend] = []
 
 
@@ -155,11 +167,11 @@ class Trend:
 class Entry:
     """One case as a results.json tells it; of a cascade one of its loops, `part` says which.
 
-    Kc in %/EU, Ti and Td in s (Ti inf without integral action), in the controller's own `form`. kpis: by the names of
-    `model.results.Kpis`, nan where not known. settling_doubt: why its settling time is none to go by, or "".
-    objective: J, nan without one. cycle: the long run's outcome, "" where not looked at, with its period (s) and PV's
-    swing (EU). predicted: what the describing function says, None where not asked. plant, valve: type and parameters by
-    name.
+    Kc in %/EU, Ti and Td in s (Ti inf without integral action), in the controller's own `form`; digits: those that its
+    search rounded to, None without one. kpis: by the names of `model.results.Kpis`, nan where not known.
+    settling_doubt: why its settling time is none to go by, or "". objective: J, nan without one. cycle: the long run's
+    outcome, "" where not looked at, with its period (s) and PV's swing (EU). predicted: what the describing function
+    says, None where not asked. plant, valve: type and parameters by name.
     """
 
     name: str
@@ -170,6 +182,7 @@ class Entry:
     Kc: float
     Ti: float
     Td: float
+    digits: int | None
     kpis: Mapping[str, float]
     settling_doubt: str
     objective: float
@@ -314,16 +327,19 @@ def _results(path: Path, label: str, file: _File) -> Results:
         except (KeyError, ValueError, OverflowError) as error:
             raise InvalidValue(str(path), f"trends of {one.case}: {error}", "must be whole") from None
         trends[one.case, one.loop] = Trend(sp, pv, op)
-    entries = []
+    entries, digits = [], {search.name: search.digits for search in file.tuning}
     for case in file.cases:
         if file.loop is None:
             raise InvalidValue(str(path), "cases without a loop", ALLOWED)
-        entries.append(_entry(case, case.controller, case.kpis, file.loop, "", trends, case.describing_function))
+        own, df = digits.get(case.name), case.describing_function
+        entries.append(_entry(case, case.controller, own, case.kpis, file.loop, "", trends, df))
     if file.cascade is not None:
         for both in file.cascade.cases:
             for part in ("primary", "secondary"):
                 pid, kpis = getattr(both.controllers, part), getattr(both.kpis, part)
-                entries.append(_entry(both, pid, kpis, getattr(file.cascade, part), part, trends))
+                search = None if both.tuning is None else getattr(both.tuning, part)
+                own = None if search is None else search.digits
+                entries.append(_entry(both, pid, own, kpis, getattr(file.cascade, part), part, trends))
     estimates = tuple(
         Found(e.name, e.verdict, e.plant.model_dump(), e.valve.model_dump(), e.noise_sd, e.slips, e.intervals)
         for e in file.estimates
@@ -335,6 +351,7 @@ def _results(path: Path, label: str, file: _File) -> Results:
 def _entry(
     case: _Case | _CascadeCase,
     pid: _Controller,
+    digits: int | None,
     kpis: Mapping[str, float],
     loop: _Loop,
     part: str,
@@ -351,6 +368,7 @@ def _entry(
         Kc=pid.Kc,
         Ti=pid.Ti,
         Td=pid.Td,
+        digits=digits,
         # What a cascade's primary moves is the secondary's PV, and no valve.
         kpis={name: value for name, value in kpis.items() if part != "primary" or name not in OF_VALVE},
         settling_doubt="" if part == "secondary" else case.settling_doubt or "",

@@ -214,10 +214,17 @@ def _late_error(case: CaseResult | CascadeResult) -> float:
     return max(0.5 * cycle.pv_peak_to_peak, math.sqrt(cycle.mean_square_error))
 
 
-def on_bounds(tuned: Tuned) -> list[str]:
-    """Return which tuned parameters lie on a bound that could be wider: "Kc on its upper bound of 10 %/EU"."""
+def on_bounds(tuned: Tuned, moves: str = "%") -> list[str]:
+    """Return which tuned parameters lie on a bound that could be wider: "Kc on its upper bound of 10 %/EU".
+
+    moves: the unit of what the controller puts out.
+    """
     parallel = tuned.controller.form == "parallel"
-    units = {"Kc": "%/EU", "Ti": "EU s/%" if parallel else "s", "Td": "% s/EU" if parallel else "s"}
+    units = {
+        "Kc": f"{moves}/EU",
+        "Ti": f"EU s/{moves}" if parallel else "s",
+        "Td": f"{moves} s/EU" if parallel else "s",
+    }
     out = []
     for name, unit in units.items():
         value, (low, high) = getattr(tuned.controller, name), getattr(tuned.bounds, name)
