@@ -12,9 +12,9 @@ import workbench as wb
 from workbench.cli import app
 from workbench.estimate import estimate as search
 from workbench.estimate.answer import answer_of
-from workbench.estimate.estimate import WORDS_OF_ENDLESS, _kind, linear_loop
+from workbench.estimate.estimate import WORDS_OF_ENDLESS, linear_loop
 from workbench.estimate.fits.data import centre
-from workbench.estimate.plants import foretelling_bic
+from workbench.estimate.plants import foretelling_bic, likelier_kind
 from workbench.estimate.record_fits import Fits
 
 SAMPLES = 350
@@ -221,4 +221,4 @@ def test_a_lag_as_long_as_the_record_is_no_likelier_than_a_level_that_leaves_les
 def test_a_lag_and_a_level_that_are_hardly_told_apart(
     by: float, kind: str, *, levels_off: bool, sticks: bool, less: bool
 ) -> None:
-    assert _kind(by, levels_off=levels_off, sticks=sticks, less=less) == kind
+    assert likelier_kind(by, levels_off=levels_off, sticks=sticks, less=less) == kind

@@ -20,7 +20,17 @@ from workbench.estimate.fits.sureness import SHARP
 from workbench.estimate.loads.swing import Answered, Swing, beside_swing, words_of_swing
 from workbench.estimate.methods.refined import by_complementarity, jointly, refuse_complementarity
 from workbench.estimate.methods.two_step import two_step
-from workbench.estimate.plants import CLEAR_BIC, ENDLESS, foretelling_of, ramps, swings_as_a_lag, with_other_plant
+from workbench.estimate.plants import (
+    CLEAR_BIC,
+    ENDLESS,
+    FAR_BIC,
+    foretelling_of,
+    levels_off,
+    likelier_kind,
+    ramps,
+    swings_as_a_lag,
+    with_other_plant,
+)
 from workbench.estimate.ranges.between import between_samples
 from workbench.estimate.ranges.lagging import lagging
 from workbench.estimate.ranges.scale import joined
@@ -36,7 +46,7 @@ from workbench.estimate.sooner import as_sent, words_of_sooner
 from workbench.estimate.straight import Straight, free_of, linear_beside
 from workbench.model.checks import callback, choice, number
 from workbench.model.numbers import given
-from workbench.model.plant import FOPDT, Plant
+from workbench.model.plant import FOPDT
 from workbench.model.record import Record
 from workbench.model.results import Estimate, Intervals, Iteration, LinearFit
 from workbench.model.valve import Ideal
@@ -51,10 +61,9 @@ PLANTS = ("fopdt", "integrating", "auto")
 FIRST = 0.8  # of the progress told: the first kind of plant, as the other is seldom asked
 
 WIDEST_GAIN = 0.2  # of the gain itself: a 95 % range wider than this does not identify a valve and what it does to PV
-BARE_BIC = 2.0  # up to it a difference is "not worth more than a bare mention" (source at `CLEAR_BIC`)
 ALIKE, HALF = 1.25, 0.5  # times what a lag leaves along OP: a level that leaves more is none; and of PV itself
 SLOW = 0.25  # of the record: a time constant that a lag seldom has, and the first fits of a level mostly have
-BRIEF, FAR_BIC = 0.05, 10.0 * CLEAR_BIC  # of the record: a time constant that PV shows twenty times; of BIC
+BRIEF = 0.05  # of the record: a time constant that PV shows twenty times
 WORDS_OF_IDEAL = (
     "the model told has no friction, which the valve has: its plant makes up for that, so that no ranges are given"
 )
@@ -239,8 +248,11 @@ class _Begun:
 
     @cached_property
     def ramps(self) -> bool:
-        """Whether a level is likelier than a first-order process along these; the two-step algorithm does not ask."""
-        if self.history:
+        """Whether a level is likelier than a first-order process along these; the two-step algorithm does not ask.
+
+        Not where a stem close about them leaves noise alone, which leaves nothing for another plant.
+        """
+        if self.history or (self.valve in ("auto", "choudhury", "deadband") and self.fits.clear):
             return False
         data, fits = self.data, self.fits
         stems = [(one.stem(data.u), one.begin, one.fit) for one in fits.coarse[:1]]
@@ -389,9 +401,9 @@ def _likelier_plant(record: Record, asked: _Asked, tell: Callable[[float], None]
         if first == "fopdt":
             return likelier, ()
         # Of an oscillation from outside a level takes a part for what its stem does; a lag has a stem of its own then.
-        sticks = likelier.answered.model.verdict == "stiction"
-        if not (sticks and (likelier.swing is not None or swings_as_a_lag(record, likelier.answered))):
-            if likelier.answered.settled.a.size == 1 or _endless(begin("fopdt")):
+        sticks, white = likelier.answered.model.verdict == "stiction", likelier.answered.settled.a.size == 1
+        if not (sticks and (likelier.swing is not None or (not white and swings_as_a_lag(record, likelier.answered)))):
+            if white or _endless(begin("fopdt")):
                 return likelier, (WORDS_OF_ENDLESS,)
             if ahead > 0.0 and begin("fopdt").ramps:
                 return likelier, (f"along this stem {NAMES[first]} has the lower BIC, by {given(ahead, 3)}",)
@@ -401,30 +413,16 @@ def _likelier_plant(record: Record, asked: _Asked, tell: Callable[[float], None]
     if (likelier.answered.model.verdict, other.answered.model.verdict) == ("no_stiction", "undecided"):
         # With a plant that may be it no valve that sticks is needed; what another would need says nothing against that.
         return likelier, ()
-    levels_off = _levels_off(record, found["fopdt"].answered.model.plant)
+    level_off = levels_off(record, found["fopdt"].answered.model.plant)
     by = bics["integrating"] - bics["fopdt"]
     sticks = all(one.answered.model.verdict == "stiction" for one in found.values())
     leave = {one: each.answered.model.residual_variance for one, each in found.items()}
-    plant = _kind(by, levels_off=levels_off, sticks=sticks, less=leave["fopdt"] < leave["integrating"])
-    if not levels_off and plant == "integrating":
+    plant = likelier_kind(by, levels_off=level_off, sticks=sticks, less=leave["fopdt"] < leave["integrating"])
+    if not level_off and plant == "integrating":
         return found[plant], (WORDS_OF_ENDLESS,)
     if abs(by) < CLEAR_BIC:
         return found[plant], (f"the record hardly tells {NAMES['fopdt']} from {NAMES['integrating']}",)
     return found[plant], (f"{NAMES[plant]} has the lower BIC, by {given(abs(by), 3)}",)
-
-
-def _kind(by: float, *, levels_off: bool, sticks: bool, less: bool) -> str:
-    """The kind of plant to tell, where a lag is likelier than a level by so much of BIC.
-
-    levels_off: whether the lag does so within the record; sticks: whether the valve does, with both; less: whether the
-    lag leaves less of PV.
-    """
-    if not levels_off:
-        # The two differ by the stems that were found, not by the plant: unless what is left of PV says it too.
-        return "fopdt" if by > FAR_BIC and less else "integrating"
-    # Along a stem, which moves PV by itself, a level that does as well has a parameter less; without one, of two that
-    # are hardly told apart, the one that the time constant speaks for.
-    return "fopdt" if by > (-BARE_BIC if sticks else -CLEAR_BIC) else "integrating"
 
 
 def _endless(begun: _Begun) -> bool:
@@ -461,7 +459,7 @@ def _decided(record: Record, kind: str, answered: Answered[Estimate], line: Stra
     line: the other's linear fit.
     """
     other = "integrating" if kind == "fopdt" else "fopdt"
-    if not _levels_off(record, answered.model.plant):
+    if not levels_off(record, answered.model.plant):
         return None
     closely = answered.settled.a.size > 1
     bic = foretelling_of(record, kind, answered, closely=closely)
@@ -479,11 +477,6 @@ def _decided(record: Record, kind: str, answered: Answered[Estimate], line: Stra
     # The other's own stem may be a better one, but not by so much where PV is seen to level off again and again.
     brief = plant.time_constant <= BRIEF * len(record) * record.sample_time
     return along - bic if brief and bic + FAR_BIC <= min(along, rival) else None
-
-
-def _levels_off(record: Record, plant: Plant) -> bool:
-    """Whether a plant shows its gain in steady state within the record; an integrating one has none to show."""
-    return not (isinstance(plant, FOPDT) and plant.time_constant >= ENDLESS * len(record) * record.sample_time)
 
 
 def _profile(data: Centred, max_dead_time: float | None, tell: Callable[[float], None]) -> Profile | None:

@@ -35,10 +35,23 @@ from workbench.model.record import FloatArray, Record
 from workbench.model.results import LinearFit
 from workbench.model.valve import Ideal, Valve
 
-__all__ = ["CLEAR_BIC", "ENDLESS", "foretelling_bic", "foretelling_of", "ramps", "swings_as_a_lag", "with_other_plant"]
+__all__ = [
+    "CLEAR_BIC",
+    "ENDLESS",
+    "FAR_BIC",
+    "foretelling_bic",
+    "foretelling_of",
+    "levels_off",
+    "likelier_kind",
+    "ramps",
+    "swings_as_a_lag",
+    "with_other_plant",
+]
 
 ROUNDS = 4
+BARE_BIC = 2.0  # up to it a difference is "not worth more than a bare mention" (source at `CLEAR_BIC`)
 CLEAR_BIC = 10.0  # R. Kass, A. Raftery, J. Am. Stat. Assoc. 90 (1995) 773-795: "very strong" evidence above it
+FAR_BIC = 10.0 * CLEAR_BIC
 # Of the record: a time constant from there on is none that PV shows, whose gain in steady state it never comes near.
 ENDLESS = 0.5
 TAUS = (0.02, 0.1, 0.5)  # of the record: time constants from which a first-order plant along a stem is sought
@@ -148,6 +161,25 @@ def swings_as_a_lag(record: Record, answered: Answered[Model]) -> bool:
     free, theta = (-math.inf, math.inf), lead.fit.theta
     fits = (fit_path(data, lead.x, lead.first, free, limits, theta, tau=share * n) for share in TAUS)
     return swings(data, replace(lead, bounds=free, fit=min(fits, key=lambda fit: fit.sse)), limits)
+
+
+def levels_off(record: Record, plant: Plant) -> bool:
+    """Return whether a plant shows its gain in steady state within the record; an integrating one has none to show."""
+    return not (isinstance(plant, FOPDT) and plant.time_constant >= ENDLESS * len(record) * record.sample_time)
+
+
+def likelier_kind(by: float, *, levels_off: bool, sticks: bool, less: bool) -> str:
+    """Return the kind of plant to tell, where a lag is likelier than a level by so much of BIC.
+
+    levels_off: whether the lag does so within the record; sticks: whether the valve does, with both; less: whether the
+    lag leaves less of PV.
+    """
+    if not levels_off:
+        # The two differ by the stems that were found, not by the plant: unless what is left of PV says it too.
+        return "fopdt" if by > FAR_BIC and less else "integrating"
+    # Along a stem, which moves PV by itself, a level that does as well has a parameter less; without one, of two that
+    # are hardly told apart, the one that the time constant speaks for.
+    return "fopdt" if by > (-BARE_BIC if sticks else -CLEAR_BIC) else "integrating"
 
 
 def _free(data: Centred, valve: Valve) -> int:
