@@ -33,10 +33,12 @@ def cycled(
     samples: int,
     noise: float,
     rng: np.random.Generator,
+    memory: float = 0.0,
 ) -> tuple[wb.Record, NDArray[np.float64]]:
     """Return a record of a cycle and its stem (%, shape (N,)); samples of 1 s, the dead time in whole ones.
 
-    pi: Kc and Ti, s; spread: standard deviation of the bands, %; noise: of PV, EU. Written from the published laws, as
+    pi: Kc and Ti, s; spread: standard deviation of the bands, %; noise: of PV, EU; memory: what a sample's noise keeps
+    of the last one's. Written from the published laws, as
     a sample-by-sample loop: no valve of the package sticks unevenly.
     """
     Kc, Ti = pi
@@ -50,11 +52,12 @@ def cycled(
     def drawn() -> float:
         return max(jump + spread * rng.normal(), least)
 
-    y = total = led = before = 0.0
+    y = total = led = before = disturbed = 0.0
     sense, moving, band, setpoint = 1.0, False, drawn(), 0.5 * valve.stick_band * share / max(1.0 - pole, 0.1)
     stem, rows = np.zeros(n + delay + 1), []
     for k in range(n):
-        pv = y + noise * rng.normal()
+        disturbed = memory * disturbed + rng.normal()
+        pv = y + noise * disturbed
         total += Kc * (setpoint - pv) / Ti
         op = Kc * (setpoint - pv) + total
         on = op - led if sticks else (op - led) * sense

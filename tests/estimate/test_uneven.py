@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import sys
 from dataclasses import replace
 from functools import cache
@@ -12,9 +13,10 @@ import pytest
 
 import workbench as wb
 from workbench.estimate.fits.data import centre
-from workbench.estimate.fits.fit import LEAST_TAU, Fit, Limits
+from workbench.estimate.fits.fit import LEAST_TAU, Fit, Limits, fit_path
 from workbench.estimate.kernels.output_error import plant_terms
 from workbench.estimate.kernels.uneven import uneven_path
+from workbench.estimate.record_fits import Fits, unevenly
 from workbench.estimate.search.uneven import _turn, uneven_stems, words_of_uneven
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
@@ -27,7 +29,12 @@ PLANT = wb.FOPDT(GAIN, TAU, float(THETA))
 
 @cache
 def cycle(
-    spread: float, samples: int = 1000, jump: float | None = None, seed: int = 3, noise: float = 0.02
+    spread: float,
+    samples: int = 1000,
+    jump: float | None = None,
+    seed: int = 3,
+    noise: float = 0.02,
+    memory: float = 0.0,
 ) -> tuple[wb.Record, tuple[float, ...]]:
     """A loop in its cycle, and its stem, whose bands have a standard deviation of `spread`, % of travel.
 
@@ -35,7 +42,7 @@ def cycle(
     """
     valve = wb.Stenman(BAND) if jump is None else wb.Choudhury(BAND, jump)
     rng = np.random.default_rng(seed)
-    record, stem = cycled(PLANT, valve, (0.5 / GAIN, 6.0), spread, samples, noise * BAND * GAIN, rng)
+    record, stem = cycled(PLANT, valve, (0.5 / GAIN, 6.0), spread, samples, noise * BAND * GAIN, rng, memory)
     return record, tuple(stem)
 
 
@@ -158,3 +165,25 @@ def test_a_stem_that_would_turn_without_any_band_is_none() -> None:
     limits, fit = Limits((LEAST_TAU, 1000.0), (0.0, 30.0)), Fit(50.0, TAU, float(THETA), GAIN, 0.0, 0.0, 0.0)
     assert _turn(data, False, 1.0, 2.0 * BAND, fit, 0.2, limits) is not None
     assert _turn(data, False, -0.5, 2.0 * BAND, fit, 0.2, limits) is None
+
+
+def test_beside_coloured_noise_every_model_is_fitted_in_its_measure(monkeypatch: pytest.MonkeyPatch) -> None:
+    fits = []
+
+    def kept(first: Fits, found: Fits, valve: str) -> Fits:
+        fits.append((first, unevenly(first, found, valve)))
+        return fits[-1][1]
+
+    monkeypatch.setattr(importlib.import_module("workbench.estimate.answer"), "unevenly", kept)
+    record, _ = cycle(0.12, noise=0.01, memory=0.9)
+    found = wb.estimate(record, plant="fopdt")
+    assert found.valve.stick_band == pytest.approx(BAND, rel=0.02)
+    assert found.plant.gain == pytest.approx(GAIN, rel=0.02)
+    ((first, told),) = fits
+    assert told.uneven
+    assert told.data.a.size > 1
+    white, free = first.linear, (-np.inf, np.inf)
+    as_it_was = fit_path(told.data, told.data.u, 0, free, told.limits, white.theta, tau=white.tau, evaluations=3)
+    assert told.linear.sse < 0.99 * as_it_was.sse
+    assert told.found is not None
+    assert told.found.best.fit.sse <= min(one.fit.sse for one in told.found.fits)

@@ -33,7 +33,7 @@ from workbench.estimate.search.candidates import Candidate, distinct, leaves_noi
 from workbench.estimate.search.dense import densely, densely_about
 from workbench.estimate.search.long_record import rows_beside
 from workbench.estimate.search.models import STICKING, bands_of, compared
-from workbench.estimate.search.profile import Profile, profile_of, search
+from workbench.estimate.search.profile import Profile, profile_again, profile_of, search
 from workbench.estimate.search.sought import Seek, Sought, Window, coarse_of, like_stenman, sought
 from workbench.estimate.search.two_parameter import Band, fit_band, look
 from workbench.estimate.search.uneven import Uneven
@@ -113,6 +113,11 @@ class Fits:
         return self.uneven[0] if self.uneven else None if self.found is None else self.found.best
 
     @cached_property
+    def clear(self) -> dict[str, Found]:
+        """The two-parameter searches from close about the first stems, where one leaves noise alone (`_clearly`)."""
+        return _clearly(self)
+
+    @cached_property
     def models(self) -> dict[str, FittedModel]:
         """Every model by its name, the lowest BIC first."""
         return compared(self.data, self.linear, self.found, self.bands, next(iter(self.uneven), None))
@@ -158,7 +163,7 @@ def closely(fits: Fits, valve: str) -> Fits:
     """Return every model fitted; then load steps and the colour of the disturbance together with them."""
     data, delays, bands = fits.data, fits.limits.theta[1], {}
     if valve not in ("stenman", "linear"):
-        bands = _clearly(fits) or _bands_about(fits)
+        bands = fits.clear or _bands_about(fits)
 
     # The verdict weighs what each model leaves of PV; the model itself is fitted in the measure that its disturbance
     # asks for.
@@ -199,7 +204,16 @@ def unevenly(first: Fits, found: Fits, valve: str) -> Fits:
     if met[0].alike(data.doubt) and even is not None and not isinstance(even, Uneven) and hidden(found.data, even):
         # No stem of one band is known to be the valve's: where these do as well they are told.
         ahead = -met[0].price - CLEAR
-    return told if _weight(told) < _weight(found) - ahead else found
+    return _in_one_measure(told) if _weight(told) < _weight(found) - ahead else found
+
+
+def _in_one_measure(told: Fits) -> Fits:
+    """The fits beside an uneven stem, the other models' too in the measure of what that stem leaves."""
+    data, found = told.data, told.found
+    if data.a.size == 1:
+        return told
+    linear = again_linear(data, told.linear, told.limits.theta[1])
+    return replace(told, linear=linear, found=None if found is None else profile_again(data, found))
 
 
 def _weight(fits: Fits) -> float:
