@@ -183,6 +183,16 @@ def test_a_band_below_ops_step_is_none() -> None:
     assert below_step(np.sin(np.arange(400.0) / 9.0), 0.05) == ""
 
 
+def test_an_op_in_a_few_steps_acquits_no_valve() -> None:
+    loop = wb.Loop(wb.FOPDT(1.025, 17.59, 4.308), wb.Stenman(3.304), wb.PID(Kc=1.305, Ti=16.91), 1.0)
+    run = wb.simulate(loop, wb.Experiment(1500.0, setpoint=wb.Step(3.96), noise=wb.Noise(0.1059, 41)))
+    pv, sp = run.pv[300:] + 50.0, run.sp[300:] + 50.0
+    found = wb.detect(wb.Record(pv, np.round(run.op[300:] / 2.478) * 2.478 + 50.0, 1.0, sp=sp))
+    assert found.verdict == "undecided"
+    assert found.reasons[0] == "OP is recorded in steps of 2.48 %: a band of 1.86 % is none that it can show"
+    assert wb.detect(wb.Record(pv, run.op[300:] + 50.0, 1.0, sp=sp)).verdict == "stiction"
+
+
 def test_hardly_a_sample_that_was_recorded_accuses_nobody() -> None:
     run = run_of(wb.Stenman(1.5), 1)
     counts = {"rows": 40, "resampled": len(run.pv), "between": int(0.95 * len(run.pv))}

@@ -116,7 +116,12 @@ def _detected(record: Record, bicoherence: bool, fitted: Fitted | None) -> Detec
     if verdict == "no_stiction" and follows(test) < Thresholds().seen and feedback(record)[0] < ACTS:
         verdict = "undecided"
         reasons = ["neither does PV follow OP nor OP the error: the record does not show a loop at work"]
-    if verdict == "no_stiction" and stem is None and (hidden := _between_moves(record, test)):
+    # No band is excluded that OP's steps would not show.
+    if (
+        verdict == "no_stiction"
+        and stem is None
+        and (hidden := below_step(record.op, test.wide_from) or _between_moves(record, test))
+    ):
         verdict, reasons = "undecided", [hidden]
     # Where a plant is seen to answer OP that clearly, by its lag and dead time, no more is asked.
     if verdict != "stiction" and not dead and stem is None and follows(test) < Thresholds().likelihood:
