@@ -157,9 +157,9 @@ def test_models_accuse_alone_only_where_the_linear_loop_is_clearly_less_likely()
     n = answered.settled.samples - answered.settled.skip
     models = [FittedModel(valve, wb.FOPDT(19.3, 0.76), 1.0, 0.0, 0.0, 40) for valve in (wb.Deadband(4.5), wb.Ideal())]
 
-    def said(ahead: float, alone: bool, slips: int = 40) -> tuple[str, str]:
+    def said(ahead: float, alone: bool, slips: int = 40, left: float = 0.9) -> tuple[str, str]:
         fit = replace(linear, sse=linear.sse / n * data.samples * math.exp(-2.0 * ahead / data.samples))
-        pairs = (fit, replace(models[0], slips=slips)), (linear, models[1])
+        pairs = (fit, replace(models[0], slips=slips, residual_variance=left)), (linear, models[1])
         return weighed(data, *pairs, lambda: rival_of(data, fit, line, ()), "stiction", alone)
 
     assert said(29.0, True)[0] == "undecided"
@@ -172,6 +172,13 @@ def test_models_accuse_alone_only_where_the_linear_loop_is_clearly_less_likely()
     assert verdict == "undecided"
     assert "only 9 stem moves in the record, and at least 10 are needed" in why
     assert said(31.0, False, 9) == ("stiction", "")
+    # However well it foretells PV: what leaves no less of it explains nothing.
+    verdict, why = said(31.0, True, left=1.0)
+    assert verdict == "undecided"
+    assert why.startswith(
+        "the likeliest stem, which sticks over 4.5 %, leaves no less of PV than OP itself does (1 and"
+    )
+    assert said(31.0, False, left=1.0) == ("stiction", "")
 
 
 @pytest.mark.parametrize(

@@ -107,6 +107,12 @@ def weighed(
     # What accuses the valve is another stem, of more slips: the likeliest one takes few, as steps of the load are.
     if accused and alone and (few := words_of_few(model.slips)):
         return "undecided", f"by the likeliest stem {few}"
+    # It may foretell PV better, where the noise of another measure makes up for the rest: it explains nothing.
+    if accused and alone and model.residual_variance >= linear[1].residual_variance:
+        least, most = given(linear[1].residual_variance, 3), given(model.residual_variance, 3)
+        stem = f"the likeliest stem, which sticks over {given(model.valve.stick_band, 3)} %"
+        own = f"leaves no less of PV than OP itself does ({most} and {least} EU²)"
+        return "undecided", f"{stem}, {own}, and nothing else shows it"
     # A stem that hardly sticks leaves what the linear loop leaves once it is given the same steps.
     closer = _ahead(data, sticking[0], data, linear[0]) >= LIKELIER
     closer = closer and model.residual_variance <= MOST * linear[1].residual_variance
