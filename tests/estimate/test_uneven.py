@@ -147,6 +147,24 @@ def test_without_slips_there_is_no_such_stem() -> None:
     assert uneven_stems(data, [(True, BAND, BAND, nothing), (True, 50.0, 50.0, wide)], limits, {True}) == []
 
 
+def test_stems_about_one_that_is_far_behind_are_sought_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    module = importlib.import_module("workbench.estimate.search.uneven")
+    data, about, looked = centre(cycle(0.06)[0], "fopdt"), module._about, []
+
+    def noted(*given: object) -> object:
+        looked.append(1)
+        return about(*given)
+
+    monkeypatch.setattr(module, "_about", noted)
+    limits = Limits((LEAST_TAU, 1000.0), (0.0, 30.0))
+    wrong = Fit(50.0, 2.0 * TAU, float(THETA) + 2.0, 0.5 * GAIN, 0.0, 0.0, 0.0)
+    seeds = [(True, 1.2 * BAND, 1.2 * BAND, wrong)]
+    (first, *_), once = uneven_stems(data, seeds, limits, {True}, far=-np.inf), len(looked)
+    (best, *_), often = uneven_stems(data, seeds, limits, {True}), len(looked) - once
+    assert once == 1 < often
+    assert best.level <= first.level
+
+
 def test_words_tell_what_differs() -> None:
     data = centre(cycle(0.06)[0], "fopdt")
     limits = Limits((LEAST_TAU, 1000.0), (0.0, 30.0))

@@ -196,7 +196,7 @@ def unevenly(first: Fits, found: Fits, valve: str) -> Fits:
         seeds += [(True, d, d, fit) for d, fit in [(c.d, c.fit) for c in stems] + [(b.S, b.fit) for b in bands]]
     if valve in ("auto", "choudhury"):
         seeds += [(False, b.S, b.J, b.fit) for b in bands]
-    data, met = uneven_beside_colour(whole, seeds, limits, min(found.data.skip, whole.samples // 20))
+    data, met = uneven_beside_colour(whole, seeds, limits, min(found.data.skip, whole.samples // 20), _weight(found))
     if not met:
         return found
     told, ahead = replace(first, data=data, bands={}, uneven=tuple(met)), CLEAR

@@ -90,12 +90,16 @@ class Uneven:
 
 
 def uneven_stems(
-    data: Centred, seeds: Iterable[tuple[bool, float, float, Fit]], limits: Limits, kinds: Collection[bool]
+    data: Centred,
+    seeds: Iterable[tuple[bool, float, float, Fit]],
+    limits: Limits,
+    kinds: Collection[bool],
+    far: float = math.inf,
 ) -> list[Uneven]:
     """Return the likeliest stem from each of some seeds, and those about the best of them; the likeliest first.
 
-    seeds: whether the stem sticks again at once, S, J and a fit; kinds: which of these stems may be told. Empty where
-    none slips often enough.
+    seeds: whether the stem sticks again at once, S, J and a fit; kinds: which of these stems may be told; far: a level
+    from which on those about the best are sought once only. Empty where none slips often enough.
     """
     begun = [one for seed in seeds if (one := _turn(data, *seed, SPREAD * seed[1], limits)) is not None]
     found = [_settled(data, one, limits) for one in sorted(begun, key=lambda one: one.level)[:FOLLOWED]]
@@ -104,7 +108,7 @@ def uneven_stems(
         best = found[0]
         found += _about(data, best, limits, kinds)
         found.sort(key=lambda one: one.level)
-        if found[0].level > best.level - STAYS:
+        if found[0].level > min(best.level - STAYS, far):
             break
     return [one for one in found if one.spread <= WIDEST * one.J]
 
