@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 import workbench as wb
 from workbench.detect import stem
 from workbench.detect.detect import _cycle_said
-from workbench.detect.stem import stem_test
+from workbench.detect.stem import _starts, stem_test
 from workbench.detect.verdict import Thresholds, accuses, decide, follows
 from workbench.model.detection import Oscillation, StemEvidence, StemTest
 
@@ -486,3 +486,24 @@ def test_a_slow_cycle_recorded_closely_is_looked_at_in_all_its_samples() -> None
     assert found.test is not None
     assert found.test.samples > 2900
     assert found.verdict == "stiction"
+
+
+def test_a_day_at_rest_is_looked_at_where_op_moves() -> None:
+    # Evenly spaced, three stretches of 15,000 samples hold neither move of the setpoint.
+    moves = [wb.Step(8.0, at=4000.0), wb.Step(-6.0, at=9600.0)]
+    verdicts = []
+    for valve in (wb.Deadband(3.0), wb.Ideal()):
+        loop = wb.Loop(wb.FOPDT(2.0, 5.0, 1.0), valve, wb.PID(Kc=0.5, Ti=20.0), 1.0)
+        run = wb.simulate(loop, wb.Experiment(15_000.0, setpoint=moves, noise=wb.Noise(0.1, 1)))
+        verdicts.append(wb.detect(wb.Record(run.pv, run.op, 1.0)).verdict)
+    assert verdicts == ["stiction", "no_stiction"]
+
+
+def test_stretches_of_a_long_record_do_not_overlap_and_stay_where_op_moves_alike() -> None:
+    rng = np.random.default_rng(0)
+    op = rng.normal(size=12_000)
+    assert _starts(op) == [0, 4500, 9000]
+    assert _starts(op[:4000]) == [0, 1000]
+    op[3400:4100] += 20.0  # over the end of the first third
+    op[8200:8300] += 20.0
+    assert _starts(op) == [1000, 4000, 8000]

@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,6 +45,7 @@ __all__ = ["WIDE", "stem_test"]
 WIDE = 0.25  # of OP's range: a band that matters to the loop, one of CLASSES
 BEYOND = 1.5  # of the dead time that the linear loop shows: as far stems are tried where that is an unusual one
 WINDOW, WINDOWS = 3000, 3  # samples of one stretch, and the stretches of a long record
+LIVELIER, FINER = 2.0, 6  # times what OP's standard deviation is elsewhere: there; starts a stretch that are tried
 PER_CYCLE = 100  # samples of a cycle: more are thinned out of a record longer than a stretch
 LEAST_LIVE = 0.25  # of a record: where less is left it is the loop itself that rests
 NOISY = 0.1  # share by which noise alone may be more than its innovations, to which many terms are fitted
@@ -212,6 +214,29 @@ def _test(
     return replace(test, loaded=loaded, likelihood=min(test.likelihood, loaded), sure=min(test.sure, loaded))
 
 
+def _starts(op: FloatArray) -> list[int]:
+    """Where the stretches of a long record begin.
+
+    A stem shows only where OP moves, and a loop at rest moves it seldom in a day: of each third the stretch is taken in
+    which it moves most, where that is far more than in the one that would be.
+    """
+    n = op.size
+    count = min(-(-n // WINDOW), WINDOWS)
+    starts: list[int] = np.linspace(0, n - WINDOW, count).astype(int).tolist()
+    if n < count * WINDOW:
+        return starts
+
+    def moves(start: int) -> float:
+        return float(np.std(op[start : start + WINDOW]))
+
+    ends = np.linspace(0, n, count + 1).astype(int).tolist()
+    for k, (first, stop) in enumerate(pairwise(ends)):
+        best = max(range(first, stop - WINDOW + 1, WINDOW // FINER), key=moves)
+        if moves(best) > LIVELIER * moves(starts[k]):
+            starts[k] = best
+    return starts
+
+
 def stem_test(
     pv: FloatArray,
     op: FloatArray,
@@ -227,8 +252,9 @@ def stem_test(
     is not known. fitted: a valve and its stem, %, shape (N,), from a model of the loop, tried before the grid, which is
     not asked where that one leaves no doubt (`wide` is nan then). A record of more than 3,000 samples is thinned
     until a cycle has no more than 100 or one stretch of 3,000 holds all; of what is longer yet three stretches are
-    looked at, evenly spaced, whose likelihoods add up, but for those of two rivals, and of squares: the clearest but
-    one's count (see `verdict`); the rest is told for the clearest of them.
+    looked at, evenly spaced but where OP moves far more elsewhere in a third of the record, whose likelihoods add up,
+    but for those of two rivals, and of squares: the clearest but one's count (see `verdict`); the rest is told for the
+    clearest of them.
     """
     blur = unseen(pv)
     thin = int(period / sample_time / PER_CYCLE) if math.isfinite(period) else 1
@@ -247,10 +273,10 @@ def stem_test(
 
     if n <= WINDOW:
         return stretch(0, n)
-    count = min(-(-n // WINDOW), WINDOWS)
-    starts = np.linspace(0, n - WINDOW, count).astype(int).tolist()
     parts = [
-        stretch(s, s + WINDOW) for s in starts if np.ptp(pv[s : s + WINDOW]) > 0.0 and np.ptp(op[s : s + WINDOW]) > 0.0
+        stretch(s, s + WINDOW)
+        for s in _starts(op)
+        if np.ptp(pv[s : s + WINDOW]) > 0.0 and np.ptp(op[s : s + WINDOW]) > 0.0
     ]
     if not parts:
         return stretch(0, n)
