@@ -66,6 +66,17 @@ def test_two_runs_are_laid_beside_each_other(reports: Path, tmp_path: Path) -> N
         assert (again / name).read_bytes() == (out / name).read_bytes()
 
 
+def test_settings_that_a_search_found_have_all_its_digits(reports: Path, tmp_path: Path) -> None:
+    content = json.loads((reports / "first" / "results.json").read_text())
+    searched = content["cases"][0]
+    searched["controller"]["Kc"] = 0.792288158932
+    content["tuning"] = [{"name": searched["name"], "digits": 12}]
+    (tmp_path / "results.json").write_text(json.dumps(content))
+    code, said, _ = call("compare", tmp_path)
+    assert code == 0
+    assert "0.792288158932" in said
+
+
 def test_base_and_cases_are_chosen(reports: Path) -> None:
     code, said, _ = call("compare", reports, "--base", "second", "--include", "Case 1")
     assert code == 0

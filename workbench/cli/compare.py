@@ -97,7 +97,7 @@ def _cases(found: Comparison) -> Table | None:
         names_of = [Text(legible(label) if label != above else "")] if several else []
         name = line.name.removeprefix(f"{label}: ") if several else line.name
         above = label
-        pid = [setting(value) for value in (line.entry.Kc, line.entry.Ti, line.entry.Td)]
+        pid = [setting(value, line.entry.digits) for value in (line.entry.Kc, line.entry.Ti, line.entry.Td)]
         table.add_row(*names_of, Text(legible(name) + mark), *pid, *cells, cycle_words(line.entry))
     return table
 
