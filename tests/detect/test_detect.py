@@ -215,6 +215,10 @@ SMOOTH = {**LITTLE, "improvement": 0.0, "likelihood": 0.0}
         ({**ALONE, "simulated": -1.0, "samples": 5000}, "undecided"),
         ({**ALONE, "simulated": -1.0, "moves": 2, "loaded": 39.0}, "undecided"),
         ({**ALONE, "simulated": -1.0, "moves": 2, "loaded": 41.0}, "stiction"),
+        # Stems as wide are excluded: whose slips no search from OP meets is PV's own. A narrower one is no such stem.
+        ({**ALONE, "simulated": -1.0, "wide": -3.9}, "undecided"),
+        ({**ALONE, "simulated": -1.0, "wide": -3.8}, "stiction"),
+        ({**ALONE, "simulated": -1.0, "wide": -3.9, "band": 0.9}, "stiction"),
     ],
 )
 def test_stiction_is_found_by_any_of_three_routes(changed: dict[str, float], verdict: str) -> None:

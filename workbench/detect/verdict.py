@@ -5,8 +5,8 @@ three routes: it betters both the linear loop and the free linear predictor (SUR
 and the simulated PV is no worse; it betters the linear loop by prediction and in the simulated PV at once,
 significantly (LIKELIHOOD), by an amount that matters (PREDICTS, EXPLAINS), and adds more than chance to the free
 predictor (CHANCE); or it predicts so much better (SOLE, CLEAR), than a linear loop under a few load steps too, that no
-second opinion is asked. None of them holds where such a loop does as well, or one under a wave of steady period
-(PLAYED), or where a curve of the plant does (CURVED).
+second opinion is asked, unless stems as wide are excluded (EXCLUDED). None of them holds where such a loop does as
+well, or one under a wave of steady period (PLAYED), or where a curve of the plant does (CURVED).
 
 No stiction is a finding of its own: stems that stick over a quarter of OP's range or more, enough to matter, are
 excluded (EXCLUDED); or they fit no better than chance has it (CHANCE; where PV is seen to follow OP, worse than OP
@@ -356,6 +356,8 @@ def _sticks(test: StemTest, limits: Thresholds, share: float) -> bool:
         test.unexplained >= limits.left
         and test.loaded >= share * limits.sole
         and test.predicting >= -test.samples * math.log(1.0 - share * limits.much)
+        # A model's stem as wide as those that the search has excluded: its slips come when PV has them, not OP.
+        and not (test.band >= test.wide_from and excluded(test, limits))
     )
     sure = test.sure >= share * limits.surely(test) and test.simulated >= share * limits.simulates(test)
     return together or alone or (sure and test.turned >= 0.0)
