@@ -38,8 +38,8 @@ def cycled(
     """Return a record of a cycle and its stem (%, shape (N,)); samples of 1 s, the dead time in whole ones.
 
     pi: Kc and Ti, s; spread: standard deviation of the bands, %; noise: of PV, EU; memory: what a sample's noise keeps
-    of the last one's. Written from the published laws, as
-    a sample-by-sample loop: no valve of the package sticks unevenly.
+    of the last one's. Written from the published laws, as a sample-by-sample loop: no valve of the package sticks
+    unevenly.
     """
     Kc, Ti = pi
     first_order = isinstance(plant, wb.FOPDT)

@@ -356,7 +356,7 @@ def _sticks(test: StemTest, limits: Thresholds, share: float) -> bool:
         test.unexplained >= limits.left
         and test.loaded >= share * limits.sole
         and test.predicting >= -test.samples * math.log(1.0 - share * limits.much)
-        # A model's stem as wide as those that the search has excluded: its slips come when PV has them, not OP.
+        # Not of a stem as wide as those excluded: it spoils the simulated PV, or is a model's that slips when PV does.
         and not (test.band >= test.wide_from and excluded(test, limits))
     )
     sure = test.sure >= share * limits.surely(test) and test.simulated >= share * limits.simulates(test)

@@ -252,7 +252,7 @@ class _Begun:
 
         Not where a stem close about them leaves noise alone, which leaves nothing for another plant.
         """
-        if self.history or (self.valve in ("auto", "choudhury", "deadband") and self.fits.clear):
+        if self.history or (self.valve not in ("stenman", "linear") and self.fits.clear):
             return False
         data, fits = self.data, self.fits
         stems = [(one.stem(data.u), one.begin, one.fit) for one in fits.coarse[:1]]
