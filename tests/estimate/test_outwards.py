@@ -71,3 +71,15 @@ def test_a_slow_loops_valve_is_found_in_all_of_a_long_record() -> None:
     assert found.plant.gain == pytest.approx(1.2, rel=0.01)
     low, high = found.intervals.S
     assert low <= 3.0 <= high
+
+
+def test_the_stem_that_a_window_leads_to_starts_where_it_suits_all_of_the_record() -> None:
+    loop = wb.Loop(wb.Integrating(0.01, 49.913), wb.Choudhury(1.01, 0.547), wb.PID(Kc=0.6626, Ti=482.9), 1.0)
+    moves = [wb.Step(0.2111, at=100.0), wb.Step(-0.3167, at=5400.0)]
+    sd = 0.05265
+    run = wb.simulate(loop, wb.Experiment(12_000.0, setpoint=moves, noise=wb.Noise(sd, 208_854)))
+    found = wb.estimate(wb.Record(run.pv, run.op, 1.0), plant="integrating", valve="choudhury")
+    # A first slip that is another leaves a fiftieth more, which reads as a load.
+    assert found.residual_variance < 1.02 * sd**2
+    assert found.load_steps == ()
+    assert found.plant.gain == pytest.approx(0.01, rel=0.005)

@@ -181,6 +181,9 @@ def _search_long(
     for reach in REACHES if bands and best_of(bands).fit.sse <= HOPELESS * rival else ():
         found, rows = closer(data, best_of(bands), reach, step * reach[0], only, limits)
         bands += found
+    if bands:
+        # A start that suits a stem on the way may be one slip off for the one it leads to: dearer than any S and J.
+        bands.append(started(data, best_of(bands), limits))
     return bands, rows
 
 
