@@ -17,6 +17,7 @@ from workbench.estimate.answer import answer_of
 from workbench.estimate.fits.data import PURPOSE, WHITE, Centred, centre
 from workbench.estimate.fits.fit import LEAST_TAU, Fit, Limits, fit_linear, fit_nothing
 from workbench.estimate.fits.sureness import SHARP
+from workbench.estimate.fits.windows import WHOLE
 from workbench.estimate.loads.swing import Answered, Swing, beside_swing, words_of_swing
 from workbench.estimate.methods.refined import by_complementarity, jointly, refuse_complementarity
 from workbench.estimate.methods.two_step import two_step
@@ -37,6 +38,7 @@ from workbench.estimate.ranges.scale import joined
 from workbench.estimate.record_fits import DELAYS, LINEAR_DELAYS, Fits, first_fits, longest_delay
 from workbench.estimate.repeat import repeats_of, words_of
 from workbench.estimate.search.candidates import leaves_noise
+from workbench.estimate.search.kinks import sums_up
 from workbench.estimate.search.models import WORDS_OF_BLIND, words_of_open
 from workbench.estimate.search.profile import Profile
 from workbench.estimate.search.reach import searched
@@ -436,7 +438,7 @@ def _slow(begun: _Begun) -> bool:
     Where Stenman's stem is not the valve's, only a likelier one may show what the plant is; and in all of a long record
     none of the first does, in whose windows a few slips are soon right.
     """
-    if _endless(begun):
+    if _endless(begun) or (begun.data.samples > WHOLE and sums_up(begun.data, begun.fits.limits.theta[1])):
         return True
     windows = [one.coarse[0].fit.tau / one.data.samples for one in begun.fits.within.windows if one.coarse]
     return (median(windows) if windows else begun.likeliest.tau / begun.data.samples) >= SLOW

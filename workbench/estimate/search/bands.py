@@ -18,11 +18,13 @@ from workbench.estimate.fits.data import Centred
 from workbench.estimate.fits.fit import LEAST_TAU, Fit, Limits, noise_alone, predict
 from workbench.estimate.fits.sureness import ENOUGH_SLIPS, effective_samples
 from workbench.estimate.kernels.path import J_HIGH, J_LOW, S_HIGH, S_LOW, band_path, spans_of
+from workbench.estimate.search.kinks import about_kinks
 from workbench.estimate.search.nearer import CROSSINGS, REACHES, REFITS, SPREADS, closer, nearer, search_short
 from workbench.estimate.search.outwards import outwards
 from workbench.estimate.search.profile import CHI_SQUARE, HALF_SLIPS
 from workbench.estimate.search.sought import HOPELESS, Sought, Window, on_all, window_of
 from workbench.estimate.search.two_parameter import (
+    MOST_STARTS,
     NARROWEST,
     WIDEST,
     Band,
@@ -169,22 +171,40 @@ def _search_long(
                 reach = REACHES[0] if only is None else WIDE_REACH
                 bands += closer(data, b, reach, step * reach[0], only, limits)[0]
     if before is None and only is None:
-        # Where each window shows a few slips, what all of the record shows is nearer the truth; else it is far off.
-        least = min([rival, *(b.fit.sse for b in bands)])
-        placed = sorted((on_all(data, seed, limits) for seed in within.thinned), key=lambda b: b.fit.sse)
-        ends: list[Band] = []
-        for seed in placed[:THINNED]:
-            if seed.fit.sse < HOPELESS * least:
-                way = nearer(data, seed, SPREADS, None, limits, ends)
-                bands, ends = [*bands, *way], [*ends, best_of(way)]
+        if data.integrating and not (within.known or _noise_alone(data, bands)):
+            bands += about_kinks(data, limits)
+        if not _noise_alone(data, bands):
+            bands += _thinned(data, within, min([rival, *(b.fit.sse for b in bands)]), limits)
     bands = [b for b in bands if b.slips > 0 and b.fit.gain != 0.0]
-    for reach in REACHES if bands and best_of(bands).fit.sse <= HOPELESS * rival else ():
+    if not bands:
+        return bands, rows
+    # A start that suits a stem on the way may be one slip off for the one it leads to: dearer than any S and J.
+    bands.append(started(data, best_of(bands), limits, MOST_STARTS))
+    for reach in REACHES if best_of(bands).fit.sse <= HOPELESS * rival else ():
         found, rows = closer(data, best_of(bands), reach, step * reach[0], only, limits)
         bands += found
-    if bands:
-        # A start that suits a stem on the way may be one slip off for the one it leads to: dearer than any S and J.
-        bands.append(started(data, best_of(bands), limits))
+    bands.append(started(data, best_of(bands), limits, MOST_STARTS))
     return bands, rows
+
+
+def _thinned(data: Centred, within: Sought, least: float, limits: Limits) -> list[Band]:
+    """The stems met from the best few of a long record thinned that are likely; least: EU^2, what others leave.
+
+    Where each window shows a few slips, what all of the record shows is nearer the truth; else it is far off.
+    """
+    placed = sorted((on_all(data, seed, limits) for seed in within.thinned), key=lambda b: b.fit.sse)
+    bands: list[Band] = []
+    ends: list[Band] = []
+    for seed in placed[:THINNED]:
+        if seed.fit.sse < HOPELESS * least:
+            way = nearer(data, seed, SPREADS, None, limits, ends)
+            bands, ends = [*bands, *way], [*ends, best_of(way)]
+    return bands
+
+
+def _noise_alone(data: Centred, bands: list[Band]) -> bool:
+    """Whether the best of some stems leaves nothing for another."""
+    return bool(bands) and noise_beside(data, best_of(bands))
 
 
 def _leads(window: Window, b: Band, only: float | None) -> bool:

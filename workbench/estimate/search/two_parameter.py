@@ -67,7 +67,9 @@ NEAR, NEAR_JUMP = 0.05, 0.1  # no two of them as near as that, of S
 SEEDS = 4  # of the best, from which the search goes on
 MOST_ROWS = 4000  # of a line that is walked
 AT_ONCE = np.array([[-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])  # starts (first, sense) that any record may have
-STARTS = 60  # first slips tried beside the stem that rests in the middle of its band
+# First slips tried beside the stem that rests in the middle of its band, and at the end of a search of a long record:
+# one that is another's is dear, and of many one or two suit.
+STARTS, MOST_STARTS = 60, 1000
 BESIDE = 2  # and before and after the best, with plants of their own
 JUMP, FURTHEST, PARABOLAS = 0.005, 8.0, 3  # of S: a step of J, how many of them a parabola is followed, and how often
 
@@ -323,12 +325,14 @@ def walked(data: Centred, lines: list[Line]) -> list[NDArray[np.float64]]:
     return [rows[first:stop, :4] for first, stop in itertools.pairwise(ends.tolist())]
 
 
-def best_start(data: Centred, band: tuple[float, float], plant: tuple[float, float]) -> tuple[float, int, float]:
+def best_start(
+    data: Centred, band: tuple[float, float], plant: tuple[float, float], most: int = STARTS
+) -> tuple[float, int, float]:
     """Return (cost, first, sense) of the start that suits a stem best, at one plant.
 
     Each sample at which OP lets it slip first is tried, both senses at the record's own start, and the stem that rests
-    in the middle of its band. Of many such samples some are tried, then those about the best: a first slip that is off
-    by one sample costs more of the likelihood than another stem may gain.
+    in the middle of its band. Of more such samples than `most` so many are tried, then those about the best: a first
+    slip that is off by one sample costs more of the likelihood than another stem may gain.
     """
     firsts, ranged, senses = data.starts
     able = np.flatnonzero(ranged <= sum(band))[1:]
@@ -341,20 +345,20 @@ def best_start(data: Centred, band: tuple[float, float], plant: tuple[float, flo
     def among(places: NDArray[np.int64]) -> FloatArray:
         return np.column_stack([firsts[places], senses[places]])
 
-    tried = thin(able, STARTS)
+    tried = thin(able, most)
     starts, costs = scanned(np.vstack([AT_ONCE, among(tried)]))
     i = int(np.argmin(costs))
     if tried.size < able.size and i >= len(AT_ONCE):
         here = i - len(AT_ONCE)
         low, high = tried[max(here - 1, 0)], tried[min(here + 1, tried.size - 1)]
-        starts, costs = scanned(among(thin(able[(able >= low) & (able <= high)], STARTS)))
+        starts, costs = scanned(among(thin(able[(able >= low) & (able <= high)], most)))
         i = int(np.argmin(costs))
     return float(costs[i]), int(starts[i, 0]), float(starts[i, 1])
 
 
-def started(data: Centred, b: Band, limits: Limits) -> Band:
-    """The same stem from the start that suits it best."""
-    least, first, sense = best_start(data, (b.S, b.J), (b.fit.tau, b.fit.theta))
+def started(data: Centred, b: Band, limits: Limits, most: int = STARTS) -> Band:
+    """Return the same stem from the start that suits it best; most: as in `best_start`."""
+    least, first, sense = best_start(data, (b.S, b.J), (b.fit.tau, b.fit.theta), most)
     if least >= b.fit.sse or (first, sense) == (b.first, b.sense):
         return b
     other = fit_band(data, b.S, b.J, (first, sense), limits, (b.fit.tau, b.fit.theta))
