@@ -171,10 +171,10 @@ def _search_long(
                 reach = REACHES[0] if only is None else WIDE_REACH
                 bands += closer(data, b, reach, step * reach[0], only, limits)[0]
     if before is None and only is None:
-        if data.integrating and not (within.known or _noise_alone(data, bands)):
+        alone = bool(bands) and noise_beside(data, best_of(bands))
+        if data.integrating and not (within.known or alone):
             bands += about_kinks(data, limits)
-        if not _noise_alone(data, bands):
-            bands += _thinned(data, within, min([rival, *(b.fit.sse for b in bands)]), limits)
+        bands += _thinned(data, within, min([rival, *(b.fit.sse for b in bands)]), limits)
     bands = [b for b in bands if b.slips > 0 and b.fit.gain != 0.0]
     if not bands:
         return bands, rows
@@ -200,11 +200,6 @@ def _thinned(data: Centred, within: Sought, least: float, limits: Limits) -> lis
             way = nearer(data, seed, SPREADS, None, limits, ends)
             bands, ends = [*bands, *way], [*ends, best_of(way)]
     return bands
-
-
-def _noise_alone(data: Centred, bands: list[Band]) -> bool:
-    """Whether the best of some stems leaves nothing for another."""
-    return bool(bands) and noise_beside(data, best_of(bands))
 
 
 def _leads(window: Window, b: Band, only: float | None) -> bool:
