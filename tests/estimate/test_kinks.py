@@ -12,7 +12,9 @@ import workbench as wb
 from workbench.estimate.fits.data import Centred, centre
 from workbench.estimate.fits.fit import LEAST_TAU, Limits
 from workbench.estimate.search.bands import noise_beside
-from workbench.estimate.search.kinks import about_kinks, kinks_of, seen_as_kinks, sums_up
+from workbench.estimate.search.kinks import about_kinks, between_steps, kinks_of, seen_as_kinks, sums_up
+from workbench.estimate.search.reach import searched
+from workbench.estimate.search.stems import silent
 from workbench.estimate.search.two_parameter import MOST_STARTS, best_of, best_start, fit_band
 
 NOISE = 0.14
@@ -88,15 +90,43 @@ def test_kinks_tell_the_stem_where_the_gain_s_sign_is_not_known() -> None:
     assert seen_as_kinks(data, 60.0)[0][0] == pytest.approx(3.85, rel=0.02)
 
 
+@cache
+def lag() -> Centred:
+    """A slow lag, whose PV steps, of 6,000 samples."""
+    loop = wb.Loop(wb.FOPDT(1.2, 11.0, 71.0), wb.Choudhury(3.555, 4.1), wb.PID(Kc=0.059, Ti=11.0), 1.0)
+    run = wb.simulate(loop, wb.Experiment(6000.0, setpoint=wb.Step(8.5, at=100.0), noise=wb.Noise(0.235, 1)))
+    return centre(wb.Record(run.pv, run.op, 1.0), "fopdt")
+
+
 def test_a_level_is_told_by_its_kinks_and_a_lag_is_not() -> None:
     assert sums_up(centre(level()[0], "fopdt"), 60.0)
-    loop = wb.Loop(wb.FOPDT(1.2, 30.0, 55.0), wb.Choudhury(3.0, 2.0), wb.PID(Kc=0.2, Ti=30.0), 1.0)
-    moves = [wb.Step(8.0), wb.Step(-6.0, at=12_000.0)]
-    run = wb.simulate(loop, wb.Experiment(20_000.0, setpoint=moves, noise=wb.Noise(0.05, 1)))
-    lag = centre(wb.Record(run.pv, run.op, 1.0), "fopdt")
-    assert kinks_of(lag.y) is not None
-    assert not sums_up(lag, 60.0)
-    assert seen_as_kinks(lag, 60.0) == ()
+    assert kinks_of(lag().y) is not None
+    assert not sums_up(lag(), 60.0)
+    assert seen_as_kinks(lag(), 60.0) == ()
+
+
+def test_a_lag_s_steps_are_apart_by_half_a_cycle_and_a_level_has_none() -> None:
+    assert between_steps(lag()) == pytest.approx(400.0, rel=0.1)
+    assert between_steps(centre(level()[0], "fopdt")) == 0.0
+
+
+def test_dead_times_up_to_half_of_the_time_between_a_lag_s_steps_are_searched() -> None:
+    # With up to 60 samples a stem of 1.5 times the band explains PV after a fashion.
+    found = searched(lag(), 30.0, lag().samples / 4.0, silent)
+    assert found is not None
+    assert found.limits.theta[1] == pytest.approx(0.5 * between_steps(lag()))
+
+
+@pytest.mark.parametrize("step", [0.0, 0.05])
+def test_pv_without_noise_or_in_steps_has_kinks_where_it_is_seen_to_turn_alone(step: float) -> None:
+    slopes = np.zeros(8000)
+    slopes[300:7800:300] = 0.02 * (-1.0) ** np.arange(25)
+    pv = np.cumsum(np.cumsum(slopes))
+    kinks = kinks_of(np.round(pv / step) * step if step else pv)
+    assert kinks is not None
+    away = np.abs(kinks.at[:, None] - np.arange(300, 7800, 300)[None, :]).min(axis=1)
+    assert kinks.at.size == 25
+    assert away.max() <= 5
 
 
 def test_a_record_without_kinks_shows_no_stem() -> None:

@@ -5,6 +5,8 @@ on: of a long record no small steps lead from a stem some hundredths off to the 
 costs no more than itself. Where OP stood at them, a dead time before, says what S and J the valve has: a stem turns
 where OP comes back by S from where the last slip led it, and moves on where OP goes on by J (see
 `kernels.path.band_path`). Each dead time asks for another pair; the slips that these make tell which is the valve's.
+
+PV of a lag steps, with a kink at either end: of such steps it is only asked how far they are apart.
 """
 
 from __future__ import annotations
@@ -21,14 +23,14 @@ from workbench.estimate.search.sought import on_all
 from workbench.estimate.search.two_parameter import LONGEST, MOST_STARTS, Band, Seed, band_stem, best_of, started
 from workbench.model.record import FloatArray
 
-__all__ = ["Kinks", "about_kinks", "kinks_of", "seen_as_kinks", "sums_up"]
+__all__ = ["Kinks", "about_kinks", "between_steps", "kinks_of", "seen_as_kinks", "sums_up"]
 
 Times = NDArray[np.int64]
 
 WIDTHS = (20, 40, 80, 160)  # samples: lines are fitted to so many before and after each
-CLEAR = 6.0  # standard deviations of noise: a change of slope that is a kink
+CLEAR, LEAST = 6.0, 0.01  # standard deviations of noise, and of the largest: a change of slope that is a kink
 NEARLY = 0.95  # of the most kinks: the narrowest width that sees as many times them best
-FEWEST, FEWEST_ON = 10, 3  # kinks that tell a stem from others, and slips onwards that tell J
+FEWEST, FEWEST_ON, FEWEST_STEPS = 10, 3, 4  # kinks that tell a stem from others, slips onwards that tell J, and steps
 # Widths after a kink, and a share of all: of 15 random lags 0.42 to 0.49 have one the other way by then, of 60 random
 # levels at most 0.08.
 SOON, PAIRED = 1.5, 0.25
@@ -88,7 +90,8 @@ def _turns(y: FloatArray, width: int) -> Kinks:
     slopes = np.convolve(y, steps[::-1] / float(steps @ steps), "valid")
     change = slopes[width:] - slopes[:-width]
     noise = 1.4826 * float(np.median(np.abs(change - np.median(change))))
-    at = find_peaks(np.abs(change), height=CLEAR * noise, distance=width)[0]
+    least = max(CLEAR * noise, LEAST * float(np.abs(change).max()))
+    at = find_peaks(np.abs(change), height=least, distance=width)[0]
     return Kinks(at + width, np.sign(change[at]), width)
 
 
@@ -97,7 +100,16 @@ def sums_up(data: Centred, longest: float) -> bool:
 
     longest: samples, the longest dead time.
     """
-    return any(_begun(beside) for beside in _each_sense(data, longest))
+    return any(_begun(beside) for beside in _each_sense(data, _level_s(data), longest))
+
+
+def between_steps(data: Centred) -> float:
+    """Return the time between the steps of a lag's PV, samples, the median; 0 where it shows too few."""
+    kinks = kinks_of(data.y)
+    if kinks is None or not _paired(kinks):
+        return 0.0
+    steps = _steps(kinks)
+    return float(np.median(np.diff(steps))) if steps.size >= FEWEST_STEPS else 0.0
 
 
 def seen_as_kinks(data: Centred, longest: float) -> tuple[Seed, ...]:
@@ -106,7 +118,7 @@ def seen_as_kinks(data: Centred, longest: float) -> tuple[Seed, ...]:
     longest: samples, the longest dead time. Empty where PV shows too few, or those of no level.
     """
     met: list[_Match] = []
-    for beside in _each_sense(data, longest):
+    for beside in _each_sense(data, _level_s(data), longest):
         if seeds := _begun(beside):
             seeds += beside.beginning(BEGINNINGS[1]).first()
             met += [beside.nearest(one) for one in seeds]
@@ -133,19 +145,39 @@ def about_kinks(data: Centred, limits: Limits) -> list[Band]:
     return [b for b in bands if b.slips > 0 and b.fit.gain != 0.0]
 
 
-def _each_sense(data: Centred, longest: float) -> list[_Beside]:
-    """The kinks with the senses of what moves the level: both ways where the sign of the gain is not known."""
+def _level_s(data: Centred) -> Kinks | None:
+    """The kinks of a level's PV, or None where it shows none, or a lag's."""
     kinks = kinks_of(data.y)
-    if kinks is None or _paired(kinks):
+    return None if kinks is None or _paired(kinks) else kinks
+
+
+def _each_sense(data: Centred, kinks: Kinks | None, longest: float) -> list[_Beside]:
+    """The kinks with the senses of what moves PV: both ways where the sign of the gain is not known."""
+    if kinks is None:
         return []
     signs = (data.sign,) if data.sign else (1.0, -1.0)
     return [_Beside(data.u, kinks._replace(senses=sign * kinks.senses), longest) for sign in signs]
 
 
+def _steps(kinks: Kinks) -> Times:
+    """Where PV steps: where a kink is that is soon followed by one the other way."""
+    begins: list[int] = []
+    for i in np.flatnonzero(_back(kinks)).tolist():
+        # The one that ends a step begins none.
+        if not begins or i > begins[-1] + 1:
+            begins.append(i)
+    return kinks.at[begins]
+
+
+def _back(kinks: Kinks) -> NDArray[np.bool_]:
+    """Which kinks are soon followed by one the other way, of all but the last."""
+    turned: NDArray[np.bool_] = kinks.senses[1:] != kinks.senses[:-1]
+    return turned & (np.diff(kinks.at) <= SOON * kinks.width)
+
+
 def _paired(kinks: Kinks) -> bool:
     """Whether many kinks soon follow one the other way: PV steps, as that of a lag does, which soon levels off."""
-    back = (kinks.senses[1:] != kinks.senses[:-1]) & (np.diff(kinks.at) <= SOON * kinks.width)
-    return bool(back.mean() > PAIRED)
+    return bool(_back(kinks).mean() > PAIRED)
 
 
 def _begun(beside: _Beside) -> list[_Match]:

@@ -19,6 +19,7 @@ from workbench.estimate.fits.sureness import ENOUGH_SLIPS
 from workbench.estimate.fits.windows import EXACT, active_windows
 from workbench.estimate.kernels.bands import screen_bands
 from workbench.estimate.search.candidates import leaves_noise
+from workbench.estimate.search.kinks import between_steps
 from workbench.estimate.search.profile import Profile, search
 from workbench.estimate.search.stems import WIDE_D, silent
 
@@ -30,6 +31,7 @@ SHARES = (0.0, 0.45, 1.0)  # and of J, of S
 TAUS, SHORTEST, LONGEST = 9, 1.0, 3.0  # time constants looked at: how many, samples, records
 NEAR, FAR = 1.35, 1.15  # each dead time is so much longer than the one before, within the usual ones and beyond
 ROOM = 1.3  # times the dead time that was seen: as far dead times are searched
+CYCLED = 0.5  # of the time between a lag's steps: in a cycle each follows the slip that another, later by more, led to
 # Of N log V, "very strong" evidence (R. Kass, A. Raftery, J. Am. Stat. Assoc. 90 (1995) 773-795) four times: none of
 # the stems compared may be the right one, and what they leave is coloured.
 CLEAR = 40.0
@@ -47,19 +49,23 @@ def searched(data: Centred, longest: float, most: float, progress: Callable[[flo
     """Return what `profile.search` finds with dead times up to `longest`, or with longer ones where these fit better.
 
     most: the longest at all; samples both. Of a long record it is first asked of its liveliest window and,
-    unless that shows a fast loop, of all of it thinned.
+    unless that shows a fast loop, of all of it thinned; and where neither shows a stem that leaves noise alone, how far
+    PV's steps are apart.
     """
     if data.samples <= EXACT:
         return _searched(data, longest, most, _seen, progress)
-    usual, every = longest, math.ceil(data.samples / EXACT)
+    usual, every, alone = longest, math.ceil(data.samples / EXACT), False
     # A window of so many wide slips is that of a fast loop, of which the record thinned shows nothing.
     views = [(part, 1) for _, part in active_windows(data)[:1]] + [(data.thinned(every), every)]
     for view, times in views if longest < most else ():
         reach = longest / times, min(most / times, view.samples / 4.0)
         if reach[0] < reach[1] and (found := _searched(view, *reach, _seen, silent)) is not None:
             longest = max(longest, times * found.limits.theta[1])
+            alone = alone or leaves_noise(view, found.best)
             if found.best.slips >= ENOUGH_SLIPS and found.best.d >= WIDE_D * view.op_range:
                 break
+    if longest < most and not alone:
+        longest = max(longest, min(CYCLED * between_steps(data), most))
     found = _searched(data, longest, most, _unseen, progress)
     if longest > usual and found is not None and not leaves_noise(data, found.best):
         # Of fewer dead times each is looked at closer, and a stem may be met that was passed over among more; what else
