@@ -433,7 +433,7 @@ def _endless(begun: _Begun) -> bool:
 
 
 def _slow(begun: _Begun) -> bool:
-    """Whether a first-order loop's first fits are so slow that a level is the likelier.
+    """Whether a first-order loop's first fits are so slow, or a long record's PV so kinked, that a level is likelier.
 
     Where Stenman's stem is not the valve's, only a likelier one may show what the plant is; and in all of a long record
     none of the first does, in whose windows a few slips are soon right.
