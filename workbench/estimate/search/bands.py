@@ -19,7 +19,16 @@ from workbench.estimate.fits.fit import LEAST_TAU, Fit, Limits, noise_alone, pre
 from workbench.estimate.fits.sureness import ENOUGH_SLIPS, effective_samples
 from workbench.estimate.kernels.path import J_HIGH, J_LOW, S_HIGH, S_LOW, band_path, spans_of
 from workbench.estimate.search.kinks import about_kinks
-from workbench.estimate.search.nearer import CROSSINGS, REACHES, REFITS, SPREADS, closer, nearer, search_short
+from workbench.estimate.search.nearer import (
+    CROSSINGS,
+    REACHES,
+    REACHES_LONG,
+    REFITS,
+    SPREADS,
+    closer,
+    nearer,
+    search_short,
+)
 from workbench.estimate.search.outwards import outwards
 from workbench.estimate.search.profile import CHI_SQUARE, HALF_SLIPS
 from workbench.estimate.search.sought import HOPELESS, Sought, Window, on_all, window_of
@@ -180,7 +189,7 @@ def _search_long(
         return bands, rows
     # A start that suits a stem on the way may be one slip off for the one it leads to: dearer than any S and J.
     bands.append(started(data, best_of(bands), limits, MOST_STARTS))
-    for reach in REACHES if best_of(bands).fit.sse <= HOPELESS * rival else ():
+    for reach in REACHES_LONG if best_of(bands).fit.sse <= HOPELESS * rival else ():
         found, rows = closer(data, best_of(bands), reach, step * reach[0], only, limits)
         bands += found
     bands.append(started(data, best_of(bands), limits, MOST_STARTS))

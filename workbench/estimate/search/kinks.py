@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from workbench.estimate.fits.data import Centred
 from workbench.estimate.fits.fit import Limits
-from workbench.estimate.search.nearer import REACHES, SPREADS, closer, nearer
+from workbench.estimate.search.nearer import REACHES_LONG, SPREADS, closer, nearer
 from workbench.estimate.search.sought import on_all
 from workbench.estimate.search.two_parameter import LONGEST, MOST_STARTS, Band, Seed, band_stem, best_of, started
 from workbench.model.record import FloatArray
@@ -47,7 +47,6 @@ LONGEST_STEP, SHORTEST_STEP = 0.02, 4e-4  # of S, on the way from each to the be
 WAYS = ((1, 0), (-1, 0), (0, 1), (0, -1), (1, 1), (-1, -1), (1, -1), (-1, 1), (0, 3), (0, -3))
 ABOUT_JUMP = (0.6, 0.7, 0.8, 0.9, 1.0, 1.1, 1.2, 1.35, 1.5)  # times J as the slips tell it
 ALIKE = 6  # of the seeds, which may be one stem but for J
-FINEST = (0.0006, 0.0012)  # the last of `REACHES`, in which a slip that is a sample off comes right
 # How often the best is gone on from, until it leaves so much of what it left before.
 ROUNDS, HARDLY_LESS = 3, 0.999
 MOST = 3  # slips to a kink: a stem that turns with all that OP does tells nothing
@@ -138,7 +137,7 @@ def about_kinks(data: Centred, limits: Limits) -> list[Band]:
     for _ in range(ROUNDS):
         before = best_of(bands)
         bands += nearer(data, started(data, before, limits, MOST_STARTS), SPREADS[2:], None, limits)
-        for reach in (*REACHES, FINEST):
+        for reach in REACHES_LONG:
             bands += closer(data, best_of(bands), reach, 0.05 * reach[0], None, limits)[0]
         if best_of(bands).fit.sse > HARDLY_LESS * before.fit.sse:
             break

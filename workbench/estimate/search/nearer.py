@@ -18,7 +18,7 @@ from workbench.estimate.kernels.bands import scan_bands
 from workbench.estimate.search.two_parameter import SEEDS, Band, Line, best_of, fit_band, fitted, started, walked
 from workbench.model.record import FloatArray
 
-__all__ = ["CROSSINGS", "REACHES", "REFITS", "SPREADS", "closer", "nearer", "search_short", "within"]
+__all__ = ["CROSSINGS", "REACHES", "REACHES_LONG", "REFITS", "SPREADS", "closer", "nearer", "search_short", "within"]
 
 SPREADS = (0.1, 0.04, 0.015, 0.005)  # of S: how far stems with plants of their own are looked at about a seed,
 FURTHER = dict(zip(SPREADS, (*SPREADS[1:], 0.0), strict=True))  # and how far next, after each of them
@@ -31,6 +31,7 @@ WALKED, WALKS = 2.0, 2  # of the spread: how far sequences of slips are walked, 
 ACROSS, ACROSS_GRID = 0.07, 29  # of S: how far a close grid about the best goes, and how many values of S it has
 CROSSINGS = 3  # of it at most, with `SEEDS` of its stems, about which S and J are walked
 REACHES = ((0.006, 0.015), (0.002, 0.005))  # how far, of S: along S and along J
+REACHES_LONG = (*REACHES, (0.0006, 0.0012))  # in a long record, where a slip that is a sample off is dear
 LINES, FINEST = 13, 200  # of J in each, and steps of S at most where it is known closely
 REFITS = 6  # best lines of which each gets its own plant
 
