@@ -181,7 +181,7 @@ def _search_long(
                 bands += closer(data, b, reach, step * reach[0], only, limits)[0]
     if before is None and only is None:
         alone = bool(bands) and noise_beside(data, best_of(bands))
-        if data.integrating and not (within.known or alone):
+        if not (within.known or alone):
             bands += about_kinks(data, limits)
         bands += _thinned(data, within, min([rival, *(b.fit.sse for b in bands)]), limits)
     bands = [b for b in bands if b.slips > 0 and b.fit.gain != 0.0]

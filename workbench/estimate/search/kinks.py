@@ -6,7 +6,7 @@ costs no more than itself. Where OP stood at them, a dead time before, says what
 where OP comes back by S from where the last slip led it, and moves on where OP goes on by J (see
 `kernels.path.band_path`). Each dead time asks for another pair; the slips that these make tell which is the valve's.
 
-PV of a lag steps, with a kink at either end: of such steps it is only asked how far they are apart.
+PV of a lag steps, with a kink at either end: the same is asked of its steps, a part of the time constant later.
 """
 
 from __future__ import annotations
@@ -41,11 +41,14 @@ WIDER, WIDER_STEP = 1.2, 0.003
 ONWARDS, SHARES = (0.9, 0.95, 1.0, 1.05, 1.1), (0.2, 0.5, 0.8, 1.1, 1.4)  # J: times what OP goes on by, or shares of S
 # How many kinks stems are sought beside: the fewer, the wider is what S and J lead to them, and the more lead nowhere.
 BEGINNINGS = (30, 60)
+FEW = 10  # of a lag's steps alone: in a quiet cycle a slip that is missed is never made up for
 MISSED = 0.5  # of the first of them: a stem that misses more explains less than it leaves
 SEEDS, APART, APART_JUMP = 8, 0.02, 0.05  # of the best, which differ in S or J, of S
 LONGEST_STEP, SHORTEST_STEP = 0.02, 4e-4  # of S, on the way from each to the best about it
 WAYS = ((1, 0), (-1, 0), (0, 1), (0, -1), (1, 1), (-1, -1), (1, -1), (-1, 1), (0, 3), (0, -3))
 ABOUT_JUMP = (0.6, 0.7, 0.8, 0.9, 1.0, 1.1, 1.2, 1.35, 1.5)  # times J as the slips tell it
+TAUS, HALF_DONE = (5.0, 15.0, 45.0), 0.7  # samples: time constants of lags, by which of them a step is half done
+JUMPS = 120  # values of J looked at for a lag's stem
 ALIKE = 6  # of the seeds, which may be one stem but for J
 # How often the best is gone on from, until it leaves so much of what it left before.
 ROUNDS, HARDLY_LESS = 3, 0.999
@@ -107,33 +110,43 @@ def between_steps(data: Centred) -> float:
     kinks = kinks_of(data.y)
     if kinks is None or not _paired(kinks):
         return 0.0
-    steps = _steps(kinks)
-    return float(np.median(np.diff(steps))) if steps.size >= FEWEST_STEPS else 0.0
+    at = _steps(kinks).at
+    return float(np.median(np.diff(at))) if at.size >= FEWEST_STEPS else 0.0
 
 
 def seen_as_kinks(data: Centred, longest: float) -> tuple[Seed, ...]:
-    """Return the stems (S, J, tau, theta) that slip where a level's PV has kinks, the likeliest first.
+    """Return the stems (S, J, tau, theta) that slip where a level's PV has kinks, or a lag's steps, likeliest first.
 
-    longest: samples, the longest dead time. Empty where PV shows too few, or those of no level.
+    longest: samples, the longest dead time. Empty where PV shows too few, or those of the other kind of plant.
     """
     met: list[_Match] = []
-    for beside in _each_sense(data, _level_s(data), longest):
-        if seeds := _begun(beside):
+    for beside in _each_sense(data, _level_s(data) if data.integrating else _lag_s(data), longest):
+        seeds = _begun(beside)
+        if not data.integrating:
+            seeds = [*beside.beginning(FEW).first(), *seeds]
+        if seeds:
             seeds += beside.beginning(BEGINNINGS[1]).first()
-            met += [beside.nearest(one) for one in seeds]
-    met.sort()
+            here = [beside.nearest(one) for one in seeds]
+            if not data.integrating:
+                best = min(here)
+                here += beside.jumping(best)
+            met += here
+    met = sorted(one for one in met if one.missed <= MISSED)
     return tuple((one.S, one.J, LONGEST * data.samples, one.theta) for one in _apart(met, len(met)))
 
 
 def about_kinks(data: Centred, limits: Limits) -> list[Band]:
-    """Return the stems met about the likeliest one that slips where a level's PV has kinks, fitted to all of PV."""
+    """Return the stems met about the likeliest one of `seen_as_kinks`, fitted to all of PV."""
     seeds = seen_as_kinks(data, limits.theta[1])
     if not seeds:
         return []
     S, J, tau, theta = seeds[0]
     # Where OP never goes on by J no slip tells it: PV does, by where the stem stands beside OP.
     jumps = [share * J for share in ABOUT_JUMP] + [seed[1] for seed in seeds[1:ALIKE] if abs(seed[0] / S - 1.0) < APART]
-    bands = [on_all(data, (S, jump, tau, theta), limits) for jump in jumps]
+    plants = [(tau, theta)]
+    if not data.integrating:
+        plants = [(tau, max(theta - HALF_DONE * tau, 0.0)) for tau in TAUS]
+    bands = [on_all(data, (S, jump, *plant), limits) for jump in jumps for plant in plants]
     for _ in range(ROUNDS):
         before = best_of(bands)
         bands += nearer(data, started(data, before, limits, MOST_STARTS), SPREADS[2:], None, limits)
@@ -142,6 +155,15 @@ def about_kinks(data: Centred, limits: Limits) -> list[Band]:
         if best_of(bands).fit.sse > HARDLY_LESS * before.fit.sse:
             break
     return [b for b in bands if b.slips > 0 and b.fit.gain != 0.0]
+
+
+def _lag_s(data: Centred) -> Kinks | None:
+    """The steps of a lag's PV, or None where it shows too few."""
+    kinks = kinks_of(data.y)
+    if kinks is None or not _paired(kinks):
+        return None
+    steps = _steps(kinks)
+    return steps if steps.at.size >= FEWEST else None
 
 
 def _level_s(data: Centred) -> Kinks | None:
@@ -158,14 +180,15 @@ def _each_sense(data: Centred, kinks: Kinks | None, longest: float) -> list[_Bes
     return [_Beside(data.u, kinks._replace(senses=sign * kinks.senses), longest) for sign in signs]
 
 
-def _steps(kinks: Kinks) -> Times:
-    """Where PV steps: where a kink is that is soon followed by one the other way."""
+def _steps(kinks: Kinks) -> Kinks:
+    """The steps between kinks and those that soon follow the other way, each where it is half done."""
     begins: list[int] = []
     for i in np.flatnonzero(_back(kinks)).tolist():
         # The one that ends a step begins none.
         if not begins or i > begins[-1] + 1:
             begins.append(i)
-    return kinks.at[begins]
+    first = np.array(begins, dtype=np.int64)
+    return Kinks((kinks.at[first] + kinks.at[first + 1]) // 2, kinks.senses[first], kinks.width)
 
 
 def _back(kinks: Kinks) -> NDArray[np.bool_]:
@@ -239,6 +262,10 @@ class _Beside:
                 best = min(best, there)
             step = step if best.missed < before.missed else 0.5 * step
         return best
+
+    def jumping(self, one: _Match) -> list[_Match]:
+        """The same stem with other jumps: many slip at the same samples, and PV tells which is the valve's."""
+        return [self._match(one.S, share * one.J, one.start) for share in np.geomspace(0.5, 2.0, JUMPS).tolist()]
 
     def _moved(self) -> tuple[FloatArray, FloatArray]:
         """By how much OP came back to a slip, and went on to one, %: the medians at each dead time, NaN of too few."""
