@@ -31,6 +31,8 @@ SHARES = (0.0, 0.45, 1.0)  # and of J, of S
 TAUS, SHORTEST, LONGEST = 9, 1.0, 3.0  # time constants looked at: how many, samples, records
 NEAR, FAR = 1.35, 1.15  # each dead time is so much longer than the one before, within the usual ones and beyond
 ROOM = 1.3  # times the dead time that was seen: as far dead times are searched
+# Times the usual dead times: of many each is looked at less closely, and where longer ones were seen they do.
+DOUBLED = 2.0
 CYCLED = 0.5  # of the time between a lag's steps: in a cycle each follows the slip that another, later by more, led to
 # Of N log V, "very strong" evidence (R. Kass, A. Raftery, J. Am. Stat. Assoc. 90 (1995) 773-795) four times: none of
 # the stems compared may be the right one, and what they leave is coloured.
@@ -49,8 +51,8 @@ def searched(data: Centred, longest: float, most: float, progress: Callable[[flo
     """Return what `profile.search` finds with dead times up to `longest`, or with longer ones where these fit better.
 
     most: the longest at all; samples both. Of a long record it is first asked of its liveliest window and,
-    unless that shows a fast loop, of all of it thinned; and where neither shows a stem that leaves noise alone, how far
-    PV's steps are apart.
+    unless that shows a fast loop, of all of it thinned; and where neither shows a stem that leaves noise alone, nor a
+    dead time beyond twice the usual ones, how far PV's steps are apart.
     """
     if data.samples <= EXACT:
         return _searched(data, longest, most, _seen, progress)
@@ -64,7 +66,7 @@ def searched(data: Centred, longest: float, most: float, progress: Callable[[flo
             alone = alone or leaves_noise(view, found.best)
             if found.best.slips >= ENOUGH_SLIPS and found.best.d >= WIDE_D * view.op_range:
                 break
-    if longest < most and not alone:
+    if longest <= min(DOUBLED * usual, most) and not alone:
         longest = max(longest, min(CYCLED * between_steps(data), most))
     found = _searched(data, longest, most, _unseen, progress)
     if longest > usual and found is not None and not leaves_noise(data, found.best):
