@@ -100,7 +100,7 @@ def estimate(
     beside load steps and leaves more than the other's first stems do without, or would need a time constant of half the
     record and more, as a level does; then the lower BIC decides.
     max_dead_time: s, the longest dead time searched, of up to a quarter of the record (default: 30 samples, and more
-    where PV clearly shows a longer one).
+    where PV clearly shows a longer one, or steps far apart).
     progress: called with the share done, 0 to 1.
 
     Returns an `Estimate`; beside the model stands the linear fit that ignores stiction. Where stiction does not help

@@ -20,7 +20,16 @@ from workbench.estimate.fits.data import Centred
 from workbench.estimate.fits.fit import Limits
 from workbench.estimate.search.nearer import REACHES_LONG, SPREADS, closer, nearer
 from workbench.estimate.search.sought import on_all
-from workbench.estimate.search.two_parameter import LONGEST, MOST_STARTS, Band, Seed, band_stem, best_of, started
+from workbench.estimate.search.two_parameter import (
+    AT_ONCE,
+    LONGEST,
+    MOST_STARTS,
+    Band,
+    Seed,
+    band_stem,
+    best_of,
+    started,
+)
 from workbench.model.record import FloatArray
 
 __all__ = ["Kinks", "about_kinks", "between_steps", "kinks_of", "seen_as_kinks", "sums_up"]
@@ -31,8 +40,8 @@ WIDTHS = (20, 40, 80, 160)  # samples: lines are fitted to so many before and af
 CLEAR, LEAST = 6.0, 0.01  # standard deviations of noise, and of the largest: a change of slope that is a kink
 NEARLY = 0.95  # of the most kinks: the narrowest width that sees as many times them best
 FEWEST, FEWEST_ON, FEWEST_STEPS = 10, 3, 4  # kinks that tell a stem from others, slips onwards that tell J, and steps
-# Widths after a kink, and a share of all: of 15 random lags 0.42 to 0.49 have one the other way by then, of 60 random
-# levels at most 0.08.
+# Widths after a kink, and a share of all: of 15 random lags 14 have 0.42 to 0.49 with one the other way by then, of 63
+# random levels none more than 0.08.
 SOON, PAIRED = 1.5, 0.25
 # Times what OP comes back by to a kink: less, as it goes on while the slip before is still to be seen, or more, as
 # noise in OP moves a stem on a little after each slip.
@@ -45,6 +54,7 @@ FEW = 10  # of a lag's steps alone: in a quiet cycle a slip that is missed is ne
 MISSED = 0.5  # of the first of them: a stem that misses more explains less than it leaves
 SEEDS, APART, APART_JUMP = 8, 0.02, 0.05  # of the best, which differ in S or J, of S
 LONGEST_STEP, SHORTEST_STEP = 0.02, 4e-4  # of S, on the way from each to the best about it
+# Ways to step from a stem: shares of the step along S and along J.
 WAYS = ((1, 0), (-1, 0), (0, 1), (0, -1), (1, 1), (-1, -1), (1, -1), (-1, 1), (0, 3), (0, -3))
 ABOUT_JUMP = (0.6, 0.7, 0.8, 0.9, 1.0, 1.1, 1.2, 1.35, 1.5)  # times J as the slips tell it
 TAUS, HALF_DONE = (5.0, 15.0, 45.0), 0.7  # samples: time constants of lags, by which of them a step is half done
@@ -53,7 +63,7 @@ ALIKE = 6  # of the seeds, which may be one stem but for J
 # How often the best is gone on from, until it leaves so much of what it left before.
 ROUNDS, HARDLY_LESS = 3, 0.999
 MOST = 3  # slips to a kink: a stem that turns with all that OP does tells nothing
-AT_REST = ((-1, 0.0), (0, 1.0), (0, -1.0))  # starts (first, sense) that any record may have
+AT_REST = tuple((int(first), sense) for first, sense in AT_ONCE.tolist())
 
 
 class Kinks(NamedTuple):
@@ -86,7 +96,7 @@ def kinks_of(y: FloatArray) -> Kinks | None:
 
 def _turns(y: FloatArray, width: int) -> Kinks:
     """The kinks that are seen with one width."""
-    from scipy.signal import find_peaks  # takes long to load, and few records need it
+    from scipy.signal import find_peaks  # takes long to load, and short records do not need it
 
     steps = np.arange(width) - 0.5 * (width - 1)
     slopes = np.convolve(y, steps[::-1] / float(steps @ steps), "valid")
@@ -102,16 +112,13 @@ def sums_up(data: Centred, longest: float) -> bool:
 
     longest: samples, the longest dead time.
     """
-    return any(_begun(beside) for beside in _each_sense(data, _level_s(data), longest))
+    return any(_begun(beside) for beside in _each_sense(data, longest, level=True))
 
 
 def between_steps(data: Centred) -> float:
     """Return the time between the steps of a lag's PV, samples, the median; 0 where it shows too few."""
-    kinks = kinks_of(data.y)
-    if kinks is None or not _paired(kinks):
-        return 0.0
-    at = _steps(kinks).at
-    return float(np.median(np.diff(at))) if at.size >= FEWEST_STEPS else 0.0
+    steps = _slips_seen(data.y, level=False)
+    return 0.0 if steps is None or steps.at.size < FEWEST_STEPS else float(np.median(np.diff(steps.at)))
 
 
 def seen_as_kinks(data: Centred, longest: float) -> tuple[Seed, ...]:
@@ -120,7 +127,7 @@ def seen_as_kinks(data: Centred, longest: float) -> tuple[Seed, ...]:
     longest: samples, the longest dead time. Empty where PV shows too few, or those of the other kind of plant.
     """
     met: list[_Match] = []
-    for beside in _each_sense(data, _level_s(data) if data.integrating else _lag_s(data), longest):
+    for beside in _each_sense(data, longest, level=data.integrating):
         seeds = _begun(beside)
         if not data.integrating:
             seeds = [*beside.beginning(FEW).first(), *seeds]
@@ -128,8 +135,7 @@ def seen_as_kinks(data: Centred, longest: float) -> tuple[Seed, ...]:
             seeds += beside.beginning(BEGINNINGS[1]).first()
             here = [beside.nearest(one) for one in seeds]
             if not data.integrating:
-                best = min(here)
-                here += beside.jumping(best)
+                here += beside.jumping(min(here))
             met += here
     met = sorted(one for one in met if one.missed <= MISSED)
     return tuple((one.S, one.J, LONGEST * data.samples, one.theta) for one in _apart(met, len(met)))
@@ -157,27 +163,21 @@ def about_kinks(data: Centred, limits: Limits) -> list[Band]:
     return [b for b in bands if b.slips > 0 and b.fit.gain != 0.0]
 
 
-def _lag_s(data: Centred) -> Kinks | None:
-    """The steps of a lag's PV, or None where it shows too few."""
-    kinks = kinks_of(data.y)
-    if kinks is None or not _paired(kinks):
+def _slips_seen(y: FloatArray, *, level: bool) -> Kinks | None:
+    """The kinks of a level's PV, or the steps of a lag's, None where it shows too few or those of the other."""
+    kinks = kinks_of(y)
+    if kinks is None or _paired(kinks) == level:
         return None
-    steps = _steps(kinks)
-    return steps if steps.at.size >= FEWEST else None
+    return kinks if level else _steps(kinks)
 
 
-def _level_s(data: Centred) -> Kinks | None:
-    """The kinks of a level's PV, or None where it shows none, or a lag's."""
-    kinks = kinks_of(data.y)
-    return None if kinks is None or _paired(kinks) else kinks
-
-
-def _each_sense(data: Centred, kinks: Kinks | None, longest: float) -> list[_Beside]:
-    """The kinks with the senses of what moves PV: both ways where the sign of the gain is not known."""
-    if kinks is None:
+def _each_sense(data: Centred, longest: float, *, level: bool) -> list[_Beside]:
+    """What PV shows of slips, with the senses of what moves it: both ways where the sign of the gain is not known."""
+    seen = _slips_seen(data.y, level=level)
+    if seen is None or seen.at.size < FEWEST:
         return []
     signs = (data.sign,) if data.sign else (1.0, -1.0)
-    return [_Beside(data.u, kinks._replace(senses=sign * kinks.senses), longest) for sign in signs]
+    return [_Beside(data.u, seen._replace(senses=sign * seen.senses), longest) for sign in signs]
 
 
 def _steps(kinks: Kinks) -> Kinks:
@@ -203,7 +203,7 @@ def _paired(kinks: Kinks) -> bool:
 
 
 def _begun(beside: _Beside) -> list[_Match]:
-    """The best stems beside the first kinks, none where these are no level's."""
+    """The best stems beside the first kinks, none where the best misses most of them."""
     found = beside.beginning(BEGINNINGS[0]).first()
     return found if found and found[0].missed <= MISSED else []
 
@@ -220,16 +220,16 @@ def _apart(matches: list[_Match], most: int) -> list[_Match]:
 
 
 class _Beside:
-    """The slips of stems beside the kinks of a level's PV.
+    """The slips of stems beside the kinks of a level's PV, or the steps of a lag's.
 
-    op: %, shape (N,); kinks: with the senses of what moves the level; longest: samples, of the dead times, of
-    which none is more than half of the time between kinks.
+    op: %, shape (N,); kinks: with the senses of what moves PV; longest: samples, of the dead times, of which none is
+    more than half of the time between kinks.
     """
 
     def __init__(self, op: FloatArray, kinks: Kinks, longest: float) -> None:
         self._op, self._kinks = op, kinks
         self._longest = min(longest, 0.5 * float(np.median(np.diff(kinks.at))))
-        self._ways = [np.sort(kinks.at[kinks.senses == sense]) for sense in (1.0, -1.0)]
+        self._ways = [kinks.at[kinks.senses == sense] for sense in (1.0, -1.0)]
 
     def beginning(self, most: int) -> _Beside:
         """The record up to the end of so many of the kinks."""

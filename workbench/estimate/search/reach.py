@@ -66,7 +66,7 @@ def searched(data: Centred, longest: float, most: float, progress: Callable[[flo
             alone = alone or leaves_noise(view, found.best)
             if found.best.slips >= ENOUGH_SLIPS and found.best.d >= WIDE_D * view.op_range:
                 break
-    if longest <= min(DOUBLED * usual, most) and not alone:
+    if longest <= DOUBLED * usual and longest < most and not alone:
         longest = max(longest, min(CYCLED * between_steps(data), most))
     found = _searched(data, longest, most, _unseen, progress)
     if longest > usual and found is not None and not leaves_noise(data, found.best):
